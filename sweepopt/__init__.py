@@ -1,0 +1,93 @@
+"""sweepopt: implicit sweeping processes and quasistatic evolution variational inequalities.
+
+-u'(t) in N_{C(t)}(A u'(t) + B u(t)),   u(0) = u0
+"""
+
+from __future__ import annotations
+
+from sweepopt.errors import (
+    EmptySetError,
+    InitialStateWarning,
+    InputError,
+    MissingExtraError,
+    SolverRefusedError,
+    StabilityWarning,
+    Status,
+    StepError,
+    SweepoptError,
+    SweepoptWarning,
+    UnstableStepError,
+)
+from sweepopt.evolve import StepInfo, solve
+from sweepopt.loads import Constant, Separable, Sine, Table, Triangle
+from sweepopt.plan import Plan
+from sweepopt.process import EvolutionVI, SweepingProcess
+from sweepopt.sets import (
+    Ball,
+    Balls,
+    Box,
+    Constraints,
+    ConvexSet,
+    Ellipsoid,
+    HalfSpace,
+    Moving,
+    MovingSet,
+    Orthant,
+    Point,
+    Polyhedron,
+    Polytope,
+    SecondOrderCone,
+    WholeSpace,
+    image,
+    product,
+)
+from sweepopt.solution import Energy, Solution
+from sweepopt.solvers import OSQP, Clarabel, Cvxpy
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "OSQP",
+    "Ball",
+    "Balls",
+    "Box",
+    "Clarabel",
+    "Constant",
+    "Constraints",
+    "ConvexSet",
+    "Cvxpy",
+    "Ellipsoid",
+    "EmptySetError",
+    "Energy",
+    "EvolutionVI",
+    "HalfSpace",
+    "InitialStateWarning",
+    "InputError",
+    "MissingExtraError",
+    "Moving",
+    "MovingSet",
+    "Orthant",
+    "Plan",
+    "Point",
+    "Polyhedron",
+    "Polytope",
+    "SecondOrderCone",
+    "Separable",
+    "Sine",
+    "Solution",
+    "SolverRefusedError",
+    "StabilityWarning",
+    "Status",
+    "StepError",
+    "StepInfo",
+    "SweepingProcess",
+    "SweepoptError",
+    "SweepoptWarning",
+    "Table",
+    "Triangle",
+    "UnstableStepError",
+    "WholeSpace",
+    "image",
+    "product",
+    "solve",
+]

@@ -1,0 +1,84 @@
+"""Turn what a user passes into finite float arrays, or say which entry is wrong and why."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import numpy as np
+import scipy.sparse as sp
+
+from sweepopt.errors import InputError
+
+Matrix: TypeAlias = Any  # np.ndarray or scipy.sparse.csc_array, as `matrix` returns them
+
+
+def number(name: str, value: Any, minimum: float | None = None, strict: bool = False) -> float:
+    """A finite float, at least (or above) `minimum`."""
+    array = vector(name, [value] if np.ndim(value) == 0 else value)
+    if array.size != 1:
+        raise InputError(f"{name} must be one number, got {array.size} of them")
+    result = float(array[0])
+    if minimum is not None and (result < minimum or (strict and result == minimum)):
+        raise InputError(f"{name} must be {'>' if strict else '>='} {minimum:g}, got {result:g}")
+    return result
+
+
+def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -> np.ndarray:
+    """A float array of shape (dim,); a scalar counts as one entry."""
+    try:
+        array = np.array(value, dtype=float, ndmin=1)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} must be an array of numbers, got {value!r:.80}") from error
+    if array.ndim != 1:
+        raise InputError(f"{name} must have one axis, got shape {array.shape}")
+    if dim is not None and array.size != dim:
+        raise InputError(f"{name} must have {dim} entries, got {array.size}")
+    bad = ~np.isfinite(array) if finite else np.isnan(array)
+    if bad.any():
+        i = int(np.flatnonzero(bad)[0])
+        raise InputError(f"{name}[{i}] is {array[i]}; give {'finite ' if finite else ''}numbers")
+    return array
+
+
+def matrix(name: str, value: Any) -> Matrix:
+    """A finite float matrix with two axes: dense as an ndarray, sparse as CSC."""
+    if sp.issparse(value):
+        result = sp.csc_array(value, dtype=float)
+        entries = result.data
+    else:
+        try:
+            result = entries = np.array(value, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{name} must be a matrix of numbers, got {value!r:.80}") from error
+    if result.ndim != 2:
+        raise InputError(f"{name} must have two axes, got shape {result.shape}")
+    if not np.isfinite(entries).all():
+        i, j, entry = _first(result, lambda data: ~np.isfinite(data))
+        raise InputError(f"{name}[{i}, {j}] is {entry}; give finite numbers")
+    return result
+
+
+def symmetric(name: str, value: Any, dim: int | None = None) -> Matrix:
+    """A finite symmetric matrix; an asymmetry above rounding is refused with its entry."""
+    result = matrix(name, value)
+    rows, columns = result.shape
+    if rows != columns or (dim is not None and rows != dim):
+        wanted = "square" if dim is None else f"of shape ({dim}, {dim})"
+        raise InputError(f"{name} must be {wanted}, got shape {result.shape}")
+    difference = abs(result - result.T)
+    largest = abs(result).max() if rows else 0.0
+    if rows and difference.max() > 1e-12 * largest:
+        i, j, _ = _first(difference, lambda data: data == data.max())
+        raise InputError(
+            f"{name} must be symmetric: {name}[{i}, {j}] = {result[i, j]:g} but "
+            f"{name}[{j}, {i}] = {result[j, i]:g}; pass ({name} + {name}.T) / 2 if that is meant"
+        )
+    return result
+
+
+def _first(value: Matrix, found: Callable[[np.ndarray], np.ndarray]) -> tuple[int, int, float]:
+    """Row, column and value of the first stored entry for which `found` holds."""
+    entries = sp.coo_array(value)
+    k = int(np.flatnonzero(found(entries.data))[0])
+    return int(entries.row[k]), int(entries.col[k]), float(entries.data[k])

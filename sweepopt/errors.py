@@ -1,0 +1,86 @@
+"""What can go wrong, in one place: statuses are sentences, every exception of ours is a SweepoptError."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+
+
+class Status(Enum):
+    """How a run ended; the value is the sentence shown to the user."""
+
+    SUCCESS = "The run reached t_end and every step is certified within tol."
+    UNCERTIFIED = (
+        "The run reached t_end, but it is uncertified: the set cannot turn a solver's answer into a "
+        "proof (a user's Constraints). State the set with the library's shapes to get certificates."
+    )
+    INEXACT = (
+        "The run stopped early: a step missed tol with every solver tried. The steps before it are "
+        "certified. Loosen tol, change the solver or look at the step's data."
+    )
+    STOPPED = "The callback stopped the run; all steps computed until then are returned."
+    INTERRUPTED = "The run was interrupted; all steps computed until then are returned."
+
+
+class SweepoptError(Exception):
+    """Base of every error the library raises on purpose."""
+
+
+class InputError(SweepoptError, ValueError):
+    """An argument is not what the problem needs; the message names it, the entry and the remedy."""
+
+
+class EmptySetError(InputError):
+    """A constraint set has no point (at some time)."""
+
+
+class SolverRefusedError(InputError):
+    """The chosen solver cannot treat the set (a cone set given to OSQP), or is not known."""
+
+
+class MissingExtraError(SweepoptError, ImportError):
+    """An optional package is not installed; the message names the extra that brings it."""
+
+    def __init__(self, package: str, extra: str) -> None:
+        super().__init__(f'{package} is not installed; run: pip install "sweepopt[{extra}]"')
+
+
+class UnstableStepError(SweepoptError):
+    """The explicit part of a scheme would amplify errors at this step size."""
+
+
+class StepError(SweepoptError):
+    """A step missed its tolerance with every solver tried.
+
+    Attributes
+    ----------
+    t : float
+        Time of the program that failed.
+    step : int
+        Index of the step, counted from 0.
+    u : ndarray, shape (dim,)
+        The last good state, at the beginning of the step.
+    certificate : float
+        Best certificate reached, relative to max(\\|z\\|_M, \\|M^-1 q\\|_M).
+    """
+
+    def __init__(
+        self, message: str, t: float, step: int, u: np.ndarray, certificate: float
+    ) -> None:
+        super().__init__(message)
+        self.t, self.step, self.u, self.certificate = t, step, u, certificate
+
+
+class SweepoptWarning(UserWarning):
+    """Base of every warning of the library."""
+
+
+class InitialStateWarning(SweepoptWarning):
+    """B u0 is not in C(0): with A coercive the solution exists, but it starts with a velocity."""
+
+
+class StabilityWarning(SweepoptWarning):
+    """The step size lets an explicit scheme overshoot."""

@@ -1,0 +1,209 @@
+"""Effects: each is one record that contributes what it has, and nothing else.
+
+A new effect is one frozen dataclass with a method `contribute` and one line in `EFFECTS`; its
+fields are its keys in a scene file. Errors start with the name of the field at fault.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from sweepopt.errors import InputError
+from sweepopt.fem.contact import Contact, contact_on
+from sweepopt.fem.discretisation import Discretisation
+from sweepopt.fem.fields import NON_NEGATIVE, POSITIVE, Datum, check_datum
+from sweepopt.fem.forms import boundary_load, stiffness, volume_load
+from sweepopt.loads import History
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Contribution:
+    """What an effect adds to the problem; what is None does not exist.
+
+    Attributes
+    ----------
+    A, B : sparse, shape (dim, dim), or None
+        Part of the matrix of u' or of u.
+    load : (History, ndarray of shape (dim,)) or None
+        A term ``phi(t) f`` of the load.
+    contact : Contact or None
+        A part of the dissipation.
+    """
+
+    A: sp.csc_array | None = None
+    B: sp.csc_array | None = None
+    load: tuple[History, Array] | None = None
+    contact: Contact | None = None
+
+
+class Effect(Protocol):
+    """What a scene asks of an effect."""
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """The effect's matrix, load term or contact on a body."""
+        ...
+
+
+@dataclass(frozen=True)
+class Viscosity:
+    """``a(u', v) = int eta grad u' . grad v``.
+
+    Parameters
+    ----------
+    eta : number, mapping of subdomain to number, Profile or callable
+        Viscosity (Pa s), > 0. A mapping covers every subdomain.
+
+    Examples
+    --------
+    >>> Viscosity({"core": 1.0, "sleeve": 0.2}).eta["sleeve"]
+    0.2
+    """
+
+    eta: Datum
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "eta", check_datum("eta", self.eta, POSITIVE))
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """The matrix A."""
+        return Contribution(A=stiffness(body, "eta", self.eta, POSITIVE))
+
+
+@dataclass(frozen=True)
+class Elasticity:
+    """``b(u, v) = int kappa grad u . grad v``.
+
+    Parameters
+    ----------
+    kappa : number, mapping of subdomain to number, Profile or callable
+        Shear modulus (Pa), >= 0. A mapping covers every subdomain.
+    """
+
+    kappa: Datum
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kappa", check_datum("kappa", self.kappa, NON_NEGATIVE))
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """The matrix B; none if kappa is zero everywhere."""
+        B = stiffness(body, "kappa", self.kappa, NON_NEGATIVE)
+        return Contribution(B=B if B.count_nonzero() else None)
+
+
+@dataclass(frozen=True)
+class Friction:
+    """``J(v) = int_{Gamma_3} g |v|``, lumped at the nodes of the boundary (see `friction_weights`).
+
+    Parameters
+    ----------
+    on : str or sequence of str
+        The boundaries that make up Gamma_3.
+    g : number, mapping of boundary to number, Profile or callable
+        Friction bound (Pa), >= 0. Where it is zero there is no friction and nothing to simulate.
+    """
+
+    on: str | Sequence[str]
+    g: Datum
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "on", names("on", self.on))
+        hint = "; glue a boundary by naming it under clamped"
+        object.__setattr__(self, "g", check_datum("g", self.g, NON_NEGATIVE, hint))
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """The contact; none if g is zero everywhere."""
+        contact = contact_on(body, names("on", self.on), self.g)
+        return Contribution(contact=contact if len(contact) else None)
+
+
+@dataclass(frozen=True)
+class BodyForce:
+    """``<f, v> = phi(t) int_Omega f0 v``.
+
+    Parameters
+    ----------
+    history : History
+        phi: Table, Sine, Triangle, Constant, or a callable of t (without a variation).
+    f0 : number, mapping of subdomain to number, Profile or callable
+        Density at phi = 1 (Pa/m).
+    """
+
+    history: History | Callable[[float], float]
+    f0: Datum = 1.0
+
+    def __post_init__(self) -> None:
+        check_history(self.history)
+        object.__setattr__(self, "f0", check_datum("f0", self.f0))
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """One term of the load."""
+        return Contribution(load=(self.history, volume_load(body, "f0", self.f0)))
+
+
+@dataclass(frozen=True)
+class Traction:
+    """``<f, v> = phi(t) int_{Gamma_2} f2 v``.
+
+    Parameters
+    ----------
+    on : str or sequence of str
+        The boundaries that make up Gamma_2.
+    history : History
+        phi: Table, Sine, Triangle, Constant, or a callable of t (without a variation).
+    f2 : number, mapping of boundary to number, Profile or callable
+        Traction at phi = 1 (Pa).
+    """
+
+    on: str | Sequence[str]
+    history: History | Callable[[float], float]
+    f2: Datum = 1.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "on", names("on", self.on))
+        check_history(self.history)
+        object.__setattr__(self, "f2", check_datum("f2", self.f2))
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """One term of the load."""
+        load = boundary_load(body, "f2", names("on", self.on), self.f2)
+        return Contribution(load=(self.history, load))
+
+
+EFFECTS: dict[str, type] = {
+    "viscosity": Viscosity,
+    "elasticity": Elasticity,
+    "friction": Friction,
+    "body_force": BodyForce,
+    "traction": Traction,
+}
+"""Effects by the name of their table in a scene file."""
+
+
+def names(argument: str, value: object) -> tuple[str, ...]:
+    """One name or several as a tuple of distinct, non-empty strings."""
+    listed = (value,) if isinstance(value, str) else value
+    if (
+        not isinstance(listed, Sequence)
+        or not listed
+        or not all(isinstance(name, str) and name for name in listed)
+    ):
+        raise InputError(f"{argument} must be a name or a list of names, got {value!r:.80}")
+    if len(set(listed)) < len(listed):
+        raise InputError(f"{argument} names a boundary twice: {', '.join(listed)}")
+    return tuple(listed)
+
+
+def check_history(history: object) -> None:
+    """Refuse a history that is not a function of time."""
+    if not callable(history):
+        raise InputError(
+            f"history must be a function of time such as Table, Sine or Constant, got {history!r:.80}"
+        )

@@ -1,0 +1,189 @@
+"""Data that vary in space: a number, one per physical group, a profile, or a Python function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sweepopt.checks import vector
+from sweepopt.errors import InputError
+from sweepopt.fem.mesh import Indices
+
+Array = NDArray[np.float64]
+
+DIRECTIONS: dict[str, Callable[[Array], Array]] = {
+    "x": lambda x: x[0],
+    "y": lambda x: x[1],
+    "radius": lambda x: np.hypot(x[0], x[1]),
+    "angle": lambda x: np.mod(np.degrees(np.arctan2(x[1], x[0])), 360.0),
+}
+"""What a profile may run along; the angle is in degrees in [0, 360), from the x axis to the y axis."""
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Piecewise linear in one direction.
+
+    Parameters
+    ----------
+    along : {"x", "y", "radius", "angle"}
+        Radius and angle (degrees in [0, 360)) about the origin.
+    at, values : array_like, shape (m,)
+        `at` increases strictly and must cover the body where the profile is used.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> stiff_outside = Profile("radius", [1.0, 2.0], [3.0, 5.0])
+    >>> float(stiff_outside(np.array([0.0, 1.5])))
+    4.0
+    """
+
+    along: str
+    at: Array
+    values: Array
+
+    def __init__(self, along: str, at: ArrayLike, values: ArrayLike) -> None:
+        if along not in DIRECTIONS:
+            raise InputError(f"along must be one of {', '.join(DIRECTIONS)}; got {along!r}")
+        object.__setattr__(self, "along", along)
+        object.__setattr__(self, "at", vector("at", at))
+        object.__setattr__(self, "values", vector("values", values, self.at.size))
+        if self.at.size < 2 or np.any(np.diff(self.at) <= 0.0):
+            raise InputError("at must have two entries or more and increase strictly")
+
+    def __call__(self, x: Array) -> Array:
+        where = DIRECTIONS[self.along](np.asarray(x))
+        low, high = float(np.min(where)), float(np.max(where))
+        slack = 1e-9 * max(abs(self.at[0]), abs(self.at[-1]))
+        if low < self.at[0] - slack or high > self.at[-1] + slack:
+            raise InputError(
+                f"at covers [{self.at[0]:g}, {self.at[-1]:g}] but {self.along} runs over "
+                f"[{low:g}, {high:g}]; extend the profile"
+            )
+        return np.asarray(np.interp(where, self.at, self.values))
+
+
+Datum = float | Mapping[str, float] | Profile | Callable[[Array], ArrayLike]
+"""What an effect takes for a coefficient. A function gets x of shape (2, ...) and returns (...)."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """Values a coefficient may take: at least `minimum`, or above it if `strict`."""
+
+    minimum: float = -np.inf
+    strict: bool = False
+
+    def check(self, name: str, values: ArrayLike, hint: str = "") -> None:
+        """Refuse values that are not finite or lie below the minimum."""
+        array = np.asarray(values, dtype=float)
+        bad = ~np.isfinite(array)
+        if np.any(bad):
+            raise InputError(f"{name} must be finite, got {array[bad].flat[0]}{hint}")
+        bad = array <= self.minimum if self.strict else array < self.minimum
+        if np.any(bad):
+            relation = ">" if self.strict else ">="
+            raise InputError(
+                f"{name} must be {relation} {self.minimum:g}, got {array[bad].flat[0]:g}{hint}"
+            )
+
+
+ANY = Range()
+NON_NEGATIVE = Range(0.0)
+POSITIVE = Range(0.0, strict=True)
+
+
+def check_datum(name: str, datum: Any, allowed: Range = ANY, hint: str = "") -> Datum:
+    """Check a coefficient as far as possible without a mesh; a function is checked where it is used.
+
+    Raises
+    ------
+    InputError
+        Naming the coefficient, the group and the value.
+    """
+    if isinstance(datum, Mapping):
+        if not datum:
+            raise InputError(f"{name} must name a group or more")
+        for key, value in datum.items():
+            _check_number(f"{name}.{key}", value, allowed, hint)
+        return dict(datum)
+    if isinstance(datum, Profile):
+        allowed.check(f"{name}.values", datum.values, hint)
+        return datum
+    if callable(datum):
+        return datum
+    return _check_number(name, datum, allowed, hint)
+
+
+def evaluate(
+    name: str,
+    datum: Datum,
+    x: Array,
+    groups: Mapping[str, Indices],
+    allowed: Range = ANY,
+) -> Array:
+    """Values of a coefficient at points of cells.
+
+    Parameters
+    ----------
+    name : str
+        What to call it in an error.
+    datum : number, mapping, Profile or callable
+    x : ndarray, shape (2, cells, points)
+    groups : mapping of str to indices of cells
+        What a mapping may name; every cell must be covered by exactly one named group.
+
+    Returns
+    -------
+    ndarray, shape (cells, points)
+    """
+    shape = x.shape[1:]
+    if isinstance(datum, Mapping):
+        return _by_group(name, datum, groups, shape)
+    if not callable(datum):
+        return np.full(shape, float(datum))
+    try:
+        values = np.asarray(datum(x), dtype=float)
+        values = np.array(np.broadcast_to(values, shape))
+    except InputError as error:
+        raise InputError(f"{name}.{error}") from error
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"{name} must turn points of shape (2, ...) into numbers of shape (...); {error}"
+        ) from error
+    allowed.check(name, values)
+    return values
+
+
+def _by_group(
+    name: str, datum: Mapping[str, float], groups: Mapping[str, Indices], shape: tuple[int, ...]
+) -> Array:
+    names = ", ".join(sorted(groups)) or "none"
+    values = np.full(shape, np.nan)
+    for key, value in datum.items():
+        if key not in groups:
+            raise InputError(f"{name}.{key} is not a group here; there are: {names}")
+        cells = groups[key]
+        if np.any(np.isfinite(values[cells])):
+            raise InputError(f"{name}.{key} overlaps another group of {name}; name disjoint ones")
+        values[cells] = float(value)
+    missing = np.isnan(values[:, 0])
+    if np.any(missing):
+        open_names = [key for key in sorted(groups) if np.any(missing[groups[key]])]
+        raise InputError(
+            f"{name} gives no value for {', '.join(open_names) or 'triangles of no group'}; "
+            "cover every group"
+        )
+    return values
+
+
+def _check_number(name: str, value: Any, allowed: Range, hint: str) -> float:
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.number)):
+        raise InputError(f"{name} must be a number, got {value!r:.80}")
+    allowed.check(name, value, hint)
+    return float(value)

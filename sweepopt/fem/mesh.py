@@ -1,0 +1,204 @@
+"""Triangle meshes with named boundaries and subdomains, checked before anything is assembled.
+
+Second-order triangles keep their curved edges (`MeshTri2`, isoparametric). What scikit-fem or a
+solver would meet as a singular matrix much later (an element without area, a fold, a piece that
+nothing holds) is refused here, with its place.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+import skfem
+from numpy.typing import NDArray
+
+from sweepopt.errors import InputError
+
+Indices = NDArray[np.int64]
+
+FLAT = 1e-10
+"""An area below this share of the square of the longest edge is no triangle."""
+
+
+def read_mesh(path: str | Path) -> skfem.MeshTri:
+    """Read a Gmsh ``.msh`` file (2.2 or 4.1) of triangles of first or second order.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    skfem.MeshTri
+        `MeshTri2` for six-node triangles. Physical curves and surfaces are its boundaries and
+        subdomains, by name; a group without a name is called by its number.
+
+    Raises
+    ------
+    InputError
+        If the file is not such a mesh; the message names the file and the fault.
+    """
+    path = Path(path)
+    raw = _read_gmsh(path)
+    kinds = {block.type for block in raw.cells}
+    foreign = kinds - {"triangle", "triangle6", "line", "line3", "vertex"}
+    if foreign:
+        raise InputError(
+            f"{path}: only triangles are supported, not {', '.join(sorted(foreign))}"
+        )
+    surfaces = kinds & {"triangle", "triangle6"}
+    if not surfaces:
+        raise InputError(f"{path}: has no triangles; save the meshed surface in a physical group")
+    if len(surfaces) == 2:
+        raise InputError(f"{path}: mixes triangles of first and second order; use one order")
+    try:
+        return _build(raw, surfaces.pop())
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def check_mesh(mesh: skfem.MeshTri) -> None:
+    """Refuse NaN nodes, triangles without area, folds and inside-out curved triangles.
+
+    Raises
+    ------
+    InputError
+        Naming the triangle (its number in the mesh) and where it is.
+    """
+    bad = np.flatnonzero(~np.isfinite(mesh.doflocs).all(axis=0))
+    if bad.size:
+        raise InputError(f"node {bad[0]} has coordinates {mesh.doflocs[:, bad[0]]}; mesh again")
+    corners = mesh.p[:, mesh.t]
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    longest = np.maximum(np.sum(first**2, axis=0), np.sum(second**2, axis=0))
+    _refuse_triangles(mesh, np.abs(cross(first, second)) <= FLAT * longest, "has no area")
+
+    shared = np.bincount(mesh.t2f.ravel(), minlength=mesh.nfacets)
+    _refuse_triangles(mesh, np.any(shared[mesh.t2f] > 2, axis=0), "shares an edge with two others")
+    inner = np.flatnonzero(mesh.f2t[1] >= 0)
+    start, end = mesh.p[:, mesh.facets[:, inner]].swapaxes(0, 1)
+    sides = [cross(end - start, opposite(mesh, inner, k) - start) for k in (0, 1)]
+    folded = np.zeros(mesh.nelements, dtype=bool)
+    folded[mesh.f2t[1, inner[sides[0] * sides[1] > 0.0]]] = True
+    _refuse_triangles(mesh, folded, "is inverted: it overlaps a neighbour")
+
+    if isinstance(mesh, skfem.MeshTri2):
+        jacobian = mesh.mapping().detDF(skfem.ElementTriP2.doflocs.T)
+        turned = jacobian.min(axis=1) * jacobian.max(axis=1) <= 0.0
+        _refuse_triangles(mesh, turned, "is inverted: its curved edges cross")
+
+
+def group(groups: Mapping[str, Any] | None, name: str, what: str) -> Indices:
+    """Members of a named group of edges or triangles, or an error that lists the names there are."""
+    known = groups or {}
+    if name not in known:
+        names = ", ".join(sorted(known)) or "none (give the mesh physical groups)"
+        raise InputError(f"{name!r} is not a {what} of the mesh; there are: {names}")
+    return np.asarray(known[name], dtype=np.int64)
+
+
+def _read_gmsh(path: Path) -> meshio.Mesh:
+    try:
+        with path.open("rb") as file:
+            head = file.read(11)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    if head != b"$MeshFormat":
+        raise InputError(f"{path}: is not a Gmsh .msh file (it does not start with $MeshFormat)")
+    try:
+        with warnings.catch_warnings():
+            # numpy only warns when a block of numbers ends early
+            warnings.simplefilter("error")
+            return meshio.gmsh.read(path)
+    except Exception as error:  # the parser raises whatever it stumbles on
+        reason = str(error) or type(error).__name__
+        raise InputError(
+            f"{path}: cannot be read as a Gmsh mesh ({reason}); is the file complete, and is "
+            "every saved element in a physical group?"
+        ) from error
+
+
+def _build(raw: meshio.Mesh, kind: str) -> skfem.MeshTri:
+    points = np.asarray(raw.points, dtype=float)
+    cells = np.vstack([block.data for block in raw.cells if block.type == kind])
+    used = np.unique(cells)
+    if used[0] < 0 or used[-1] >= len(points):
+        raise InputError("a triangle names a node that is not in the file")
+    if np.ptp(points[used, 2]) > 1e-9 * np.ptp(points[used, :2]):
+        raise InputError("is not flat: z varies; the section must lie in a plane z = constant")
+    # corners first, as scikit-fem numbers them; nodes of no triangle are dropped
+    corners = np.unique(cells[:, :3])
+    number = np.full(len(points), -1)
+    number[corners] = np.arange(corners.size)
+    middle = np.setdiff1d(used, corners)
+    number[middle] = corners.size + np.arange(middle.size)
+    xy = np.ascontiguousarray(points[np.concatenate([corners, middle]), :2].T)
+    t = np.ascontiguousarray(number[cells].T)
+    mesh = skfem.MeshTri2(xy, t) if kind == "triangle6" else skfem.MeshTri(xy, t)
+
+    lines = [block.data[:, :2] for block in raw.cells if block.type in ("line", "line3")]
+    edges = number[np.vstack(lines)] if lines else np.empty((0, 2), dtype=int)
+    boundaries = {
+        name: _facets(mesh, edges[members], name)
+        for name, members in _groups(raw, 1, ("line", "line3")).items()
+    }
+    return mesh.with_boundaries(boundaries).with_subdomains(_groups(raw, 2, (kind,)))
+
+
+def _groups(raw: meshio.Mesh, dimension: int, kinds: tuple[str, ...]) -> dict[str, Indices]:
+    """Physical groups of one dimension: name -> indices into the blocks of `kinds`, joined."""
+    names = {int(tag): name for name, (tag, dim) in raw.field_data.items() if dim == dimension}
+    tags = raw.cell_data.get("gmsh:physical", [])
+    found: dict[str, list[Indices]] = {}
+    offset = 0
+    for k, block in enumerate(raw.cells):
+        if block.type not in kinds:
+            continue
+        if tags:
+            for tag in np.unique(tags[k]):
+                members = offset + np.flatnonzero(tags[k] == tag)
+                found.setdefault(names.get(int(tag), str(tag)), []).append(members)
+        for name in names.values():
+            # a curve or surface in several groups is listed here only
+            if name in raw.cell_sets and len(raw.cell_sets[name][k]):
+                found.setdefault(name, []).append(offset + np.asarray(raw.cell_sets[name][k], int))
+        offset += len(block)
+    return {name: np.unique(np.concatenate(members)) for name, members in found.items()}
+
+
+def _facets(mesh: skfem.MeshTri, edges: Indices, name: str) -> Indices:
+    """Edge numbers of the mesh for pairs of nodes."""
+    pairs = np.sort(edges, axis=1)
+    keys = mesh.facets[0].astype(np.int64) * mesh.nvertices + mesh.facets[1]
+    wanted = pairs[:, 0] * mesh.nvertices + pairs[:, 1]
+    order = np.argsort(keys)
+    at = np.minimum(np.searchsorted(keys, wanted, sorter=order), keys.size - 1)
+    facets = order[at]
+    if np.any(pairs < 0) or np.any(keys[facets] != wanted):
+        raise InputError(f"physical curve {name!r} has a line that is no edge of a triangle")
+    return np.asarray(np.unique(facets))
+
+
+def _refuse_triangles(mesh: skfem.MeshTri, bad: NDArray[np.bool_], fault: str) -> None:
+    if np.any(bad):
+        k = int(np.flatnonzero(bad)[0])
+        x, y = mesh.p[:, mesh.t[:, k]].mean(axis=1)
+        more = f" (and {bad.sum() - 1} more)" if bad.sum() > 1 else ""
+        raise InputError(f"triangle {k} near ({x:g}, {y:g}) {fault}{more}; repair the mesh")
+
+
+def opposite(mesh: skfem.MeshTri, facets: Indices, side: int) -> NDArray[np.float64]:
+    """The corner of a facet's triangle that is not on the facet, shape (2, k)."""
+    corners = mesh.t[:, mesh.f2t[side, facets]]
+    other = corners.sum(axis=0) - mesh.facets[:, facets].sum(axis=0)
+    return np.asarray(mesh.p[:, other])
+
+
+def cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """``a_x b_y - a_y b_x``: positive if b points to the left of a."""
+    return np.asarray(a[0] * b[1] - a[1] * b[0])

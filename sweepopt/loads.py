@@ -1,0 +1,407 @@
+"""Loads as data: scalar histories and ``f(t) = sum_k phi_k(t) f_k``.
+
+A guaranteed error bound needs the variation of the load on a step, and a cheap step needs the
+load's few shapes. A black-box callable has neither, so histories here are small records that know
+their exact variation and their kinks, and `Separable` keeps shapes and histories apart.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sweepopt.checks import number, vector
+from sweepopt.errors import InputError
+
+Array = NDArray[np.float64]
+
+TIME_SLACK = 1e-12
+"""Share of the time scale by which a time may miss a table's range: rounding of ``t0 + i mu``."""
+
+
+@runtime_checkable
+class History(Protocol):
+    """A scalar function of time that knows its variation; `phi(t)` takes a scalar or an array."""
+
+    def __call__(self, t: ArrayLike) -> Array: ...
+
+    def variation(self, a: float, b: float) -> float:
+        """Exact total variation on [a, b]."""
+        ...
+
+    def breakpoints(self, a: float, b: float) -> Array:
+        """Kinks strictly inside (a, b), increasing."""
+        ...
+
+
+@dataclass(frozen=True)
+class Constant:
+    """``phi(t) = value``.
+
+    Examples
+    --------
+    >>> Constant(3.0)(10.0)
+    array(3.)
+    """
+
+    value: float = 1.0
+
+    def __post_init__(self) -> None:
+        _numbers(self, "value")
+
+    def __call__(self, t: ArrayLike) -> Array:
+        return np.full(np.shape(t), self.value)
+
+    def variation(self, a: float, b: float) -> float:
+        """Zero."""
+        return 0.0
+
+    def breakpoints(self, a: float, b: float) -> Array:
+        """None."""
+        return np.empty(0)
+
+
+@dataclass(frozen=True)
+class Sine:
+    """``phi(t) = offset + amplitude sin(2 pi t / period + phase)``, phase in radians.
+
+    Examples
+    --------
+    >>> wave = Sine(amplitude=2.0, period=4.0)
+    >>> round(float(wave(1.0)), 12), wave.variation(0.0, 4.0)
+    (2.0, 8.0)
+    """
+
+    amplitude: float
+    period: float
+    phase: float = 0.0
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        _numbers(self, "amplitude", "period", "phase", "offset")
+
+    def __call__(self, t: ArrayLike) -> Array:
+        angle = 2.0 * np.pi * (np.asarray(t, dtype=float) / self.period) + self.phase
+        return np.asarray(self.offset + self.amplitude * np.sin(angle))
+
+    def variation(self, a: float, b: float) -> float:
+        """Total variation on [a, b]: four amplitudes a period, the rest from crest to crest."""
+        crest = (0.25 - self.phase / (2.0 * math.pi)) * self.period
+        return _periodic_variation(self, self.amplitude, self.period, crest, a, b)
+
+    def breakpoints(self, a: float, b: float) -> Array:
+        """None: a sine is smooth."""
+        return np.empty(0)
+
+
+@dataclass(frozen=True)
+class Triangle:
+    """Triangular wave from 0 at t = 0 up to `amplitude` at a quarter of the period.
+
+    Examples
+    --------
+    >>> wave = Triangle(amplitude=2.0, period=4.0)
+    >>> wave([0.0, 0.5, 1.0, 2.0, 3.0])
+    array([ 0.,  1.,  2.,  0., -2.])
+    >>> wave.breakpoints(0.0, 4.0), wave.variation(0.5, 1.5)
+    (array([1., 3.]), 2.0)
+    """
+
+    amplitude: float
+    period: float
+
+    def __post_init__(self) -> None:
+        _numbers(self, "amplitude", "period")
+
+    def __call__(self, t: ArrayLike) -> Array:
+        quarters = np.mod(4.0 * (np.asarray(t, dtype=float) / self.period), 4.0)
+        rising = np.where(quarters <= 3.0, np.minimum(quarters, 2.0 - quarters), quarters - 4.0)
+        return np.asarray(self.amplitude * rising)
+
+    def variation(self, a: float, b: float) -> float:
+        """Total variation on [a, b]."""
+        return _periodic_variation(self, self.amplitude, self.period, self.period / 4.0, a, b)
+
+    def breakpoints(self, a: float, b: float) -> Array:
+        """The peaks strictly between a and b."""
+        return _lattice(self.period / 4.0, self.period / 2.0, a, b)
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Piecewise linear history through measured points.
+
+    Parameters
+    ----------
+    times : array_like, shape (m,)
+        Strictly increasing; nothing is said, hence nothing answered, outside them.
+    values : array_like, shape (m,)
+
+    Examples
+    --------
+    >>> force = Table([0.0, 1.0, 3.0], [0.0, 2.0, 1.0])
+    >>> force([0.5, 2.0]), force.variation(0.5, 2.0)
+    (array([1. , 1.5]), 1.5)
+    """
+
+    times: Array
+    values: Array
+
+    def __init__(self, times: ArrayLike, values: ArrayLike) -> None:
+        object.__setattr__(self, "times", _frozen_vector("times", times))
+        object.__setattr__(self, "values", _frozen_vector("values", values))
+        if self.times.size < 2:
+            raise InputError("times must have two entries or more; for one value, use Constant")
+        if self.values.shape != self.times.shape:
+            raise InputError(
+                f"values has {self.values.size} entries for {self.times.size} times; give one each"
+            )
+        late = np.flatnonzero(np.diff(self.times) <= 0.0)
+        if late.size:
+            k = int(late[0])
+            raise InputError(
+                f"times must increase strictly, but entry {k + 1} ({self.times[k + 1]:g}) follows "
+                f"entry {k} ({self.times[k]:g}); sort the table and keep one value a time"
+            )
+
+    @classmethod
+    def from_csv(
+        cls, path: str | Path, column: str, *, time: str = "t", scale: float = 1.0
+    ) -> Table:
+        """Read two columns of a CSV file.
+
+        Parameters
+        ----------
+        path : str or Path
+            First line that is neither empty nor a ``#`` comment: the column names.
+        column, time : str
+            Names of the value and of the time column.
+        scale : float
+            Factor on the values, e.g. 1e3 for kPa to Pa.
+
+        Raises
+        ------
+        InputError
+            Naming the file, the column and the row (line of the file) at fault.
+        """
+        times, values, rows = _read_columns(Path(path), time, column)
+        late = np.flatnonzero(np.diff(times) <= 0.0)
+        if late.size:
+            k = int(late[0]) + 1
+            raise InputError(
+                f"{path}, column {time!r}, row {rows[k]}: time {times[k]:g} does not come after "
+                f"{times[k - 1]:g}; times must increase strictly"
+            )
+        if len(times) < 2:
+            raise InputError(f"{path}: {len(times)} data rows; a history needs two or more")
+        return cls(times, scale * np.asarray(values))
+
+    def __call__(self, t: ArrayLike) -> Array:
+        at = np.asarray(t, dtype=float)
+        first, last = self.times[0], self.times[-1]
+        slack = TIME_SLACK * max(abs(first), abs(last))
+        outside = ~((at >= first - slack) & (at <= last + slack))
+        if np.any(outside):
+            raise InputError(
+                f"t = {at[outside].flat[0]:g} lies outside the table, which covers "
+                f"[{first:g}, {last:g}]; extend the table or shorten the run"
+            )
+        return np.asarray(np.interp(at, self.times, self.values))
+
+    def variation(self, a: float, b: float) -> float:
+        """Total variation on [a, b]."""
+        return _variation_through(self, [a, *self.breakpoints(a, b), b])
+
+    def breakpoints(self, a: float, b: float) -> Array:
+        """The table's times strictly between a and b."""
+        inside = slice(
+            np.searchsorted(self.times, a, side="right"), np.searchsorted(self.times, b, "left")
+        )
+        return self.times[inside]
+
+    def __repr__(self) -> str:
+        return f"Table({self.times.size} points on [{self.times[0]:g}, {self.times[-1]:g}])"
+
+
+class Separable:
+    """A load ``f(t) = sum_k phi_k(t) f_k``.
+
+    Parameters
+    ----------
+    terms : iterable of (callable, array_like of shape (dim,))
+        Histories ``phi_k`` and shapes ``f_k``.
+
+    Attributes
+    ----------
+    terms : tuple of (callable, ndarray)
+    shapes : ndarray, shape (dim, k)
+        The shapes as columns, so that one evaluation is one product.
+    dim : int
+
+    Examples
+    --------
+    >>> f = Separable([(Constant(1.0), [1.0, 0.0]), (Sine(1.0, period=4.0), [0.0, 2.0])])
+    >>> f(1.0)
+    array([1., 2.])
+    >>> f.variation(0.0, 4.0)
+    8.0
+    """
+
+    def __init__(self, terms: Iterable[tuple[Callable[[float], ArrayLike], ArrayLike]]) -> None:
+        pairs = list(terms)
+        if not pairs:
+            raise InputError("terms must hold one pair (phi, f) or more")
+        columns = []
+        for k, pair in enumerate(pairs):
+            try:
+                history, shape = pair
+            except (TypeError, ValueError):
+                raise InputError(f"terms[{k}] must be a pair (phi, f), got {pair!r:.80}") from None
+            if not callable(history):
+                raise InputError(f"terms[{k}][0] must be callable, got {history!r:.80}")
+            columns.append(_frozen_vector(f"terms[{k}][1]", shape))
+            if columns[k].size != columns[0].size:
+                raise InputError(
+                    f"terms[{k}][1] has {columns[k].size} entries, terms[0][1] has "
+                    f"{columns[0].size}; all must agree"
+                )
+        self.shapes: Array = np.column_stack(columns)
+        self.shapes.setflags(write=False)
+        self.terms = tuple((pair[0], column) for pair, column in zip(pairs, columns, strict=True))
+        self.dim: int = self.shapes.shape[0]
+
+    def coefficients(self, t: float) -> Array:
+        """Values ``phi_k(t)``, shape (k,)."""
+        phi = np.array([float(np.asarray(history(t))) for history, _ in self.terms])
+        if not np.all(np.isfinite(phi)):
+            k = int(np.flatnonzero(~np.isfinite(phi))[0])
+            raise InputError(f"terms[{k}][0] is {phi[k]} at t = {t:g}; it must be finite")
+        return phi
+
+    def __call__(self, t: float) -> Array:
+        return np.asarray(self.shapes @ self.coefficients(t))
+
+    def variation(self, a: float, b: float, norm: Callable[[Array], float] | None = None) -> float:
+        """Upper bound ``sum_k var(phi_k; a, b) |f_k|`` of the load's variation on [a, b].
+
+        Parameters
+        ----------
+        norm : callable, optional
+            The norm of forces; Euclidean by default. The theory's is the dual norm of A.
+        """
+        total = 0.0
+        for k, (history, shape) in enumerate(self.terms):
+            if not hasattr(history, "variation"):
+                raise InputError(
+                    f"terms[{k}][0], {history!r:.40}, does not tell its variation; use Table, Sine, "
+                    "Triangle or Constant, or give it a method variation(a, b)"
+                )
+            size = np.linalg.norm(shape) if norm is None else norm(shape)
+            total += float(history.variation(a, b)) * float(size)
+        return total
+
+    def breakpoints(self, a: float, b: float) -> Array:
+        """Kinks of all histories strictly between a and b, increasing."""
+        kinks = [
+            history.breakpoints(a, b)
+            for history, _ in self.terms
+            if hasattr(history, "breakpoints")
+        ]
+        return np.unique(np.concatenate([np.empty(0), *kinks]))
+
+    def __repr__(self) -> str:
+        return f"Separable({len(self.terms)} terms, dim {self.dim})"
+
+
+def _numbers(record: object, *names: str) -> None:
+    """Make the named fields finite floats; a period must be positive."""
+    for name in names:
+        minimum = 0.0 if name == "period" else None
+        value = number(name, getattr(record, name), minimum, strict=True)
+        object.__setattr__(record, name, value)
+
+
+def _frozen_vector(name: str, values: ArrayLike) -> Array:
+    array = vector(name, values)
+    if array.size == 0:
+        raise InputError(f"{name} must not be empty")
+    array.setflags(write=False)
+    return array
+
+
+def _variation_through(history: Callable[[ArrayLike], Array], times: Sequence[float]) -> float:
+    """Variation of a history that is monotone between consecutive `times`."""
+    return float(np.sum(np.abs(np.diff(history(np.asarray(times, dtype=float))))))
+
+
+def _lattice(origin: float, step: float, a: float, b: float) -> Array:
+    """Points ``origin + k step`` strictly between a and b."""
+    k = np.arange(math.floor((a - origin) / step), math.ceil((b - origin) / step) + 1)
+    points = origin + k * step
+    return np.asarray(points[(points > a) & (points < b)])
+
+
+def _periodic_variation(
+    history: Callable[[ArrayLike], Array],
+    amplitude: float,
+    period: float,
+    crest: float,
+    a: float,
+    b: float,
+) -> float:
+    """Whole periods count four amplitudes each, so a long interval costs no more than a short."""
+    whole = max(math.floor((b - a) / period), 0)
+    rest = b - whole * period
+    turns = _lattice(crest, period / 2.0, a, rest)
+    return 4.0 * abs(amplitude) * whole + _variation_through(history, [a, *turns, rest])
+
+
+def _read_columns(path: Path, *names: str) -> tuple[Array, Array, list[int]]:
+    """Two columns of numbers of a CSV file and the file's line number of each row."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is not UTF-8 text; export it as CSV") from None
+    lines = _csv_rows(text)
+    header = [name.strip() for name in next(lines, (0, []))[1]]
+    for name in names:
+        if header.count(name) != 1:
+            fault = "is there twice" if name in header else "is missing"
+            raise InputError(
+                f"{path}: column {name!r} {fault}; there are: {', '.join(header) or 'none'}"
+            )
+    picked = [header.index(name) for name in names]
+    rows: list[int] = []
+    data: list[list[float]] = []
+    for row, entries in lines:
+        numbers = []
+        for name, k in zip(names, picked, strict=True):
+            entry = entries[k].strip() if k < len(entries) else ""
+            try:
+                number = float(entry)
+            except ValueError:
+                number = math.nan
+            if not math.isfinite(number):
+                raise InputError(
+                    f"{path}, column {name!r}, row {row}: {entry!r} is not a finite number"
+                )
+            numbers.append(number)
+        rows.append(row)
+        data.append(numbers)
+    table = np.array(data).reshape(-1, len(names))
+    return table[:, 0], table[:, 1], rows
+
+
+def _csv_rows(text: str) -> Iterator[tuple[int, list[str]]]:
+    for row, line in enumerate(text.splitlines(), start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            yield row, next(csv.reader([line]))

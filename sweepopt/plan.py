@@ -1,0 +1,143 @@
+"""What a process really needs: looked at before the loop, and a value that prints itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sweepopt.checks import Matrix
+from sweepopt.linalg import Factor
+from sweepopt.process import SweepingProcess
+from sweepopt.program import Velocity, VelocityProgram
+from sweepopt.schemes import Scheme
+from sweepopt.sets import ConvexSet
+from sweepopt.solvers import Solve, Solver, choose
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A velocity, who found it and what was tried before."""
+
+    velocity: Velocity
+    solver: str
+    iterations: int
+    attempts: int
+
+
+VelocityOf = Callable[[np.ndarray, ConvexSet], Solved]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a process is simulated.
+
+    Attributes
+    ----------
+    unknowns : int
+    nonsmooth_unknowns : int
+        How many of them the set acts on; 0 means linear solves only.
+    solvers : tuple of Solver
+        The chosen one, then those that repair a step it misses; empty for a linear process.
+    scheme : Scheme
+    tol : float
+        Bound of each program's relative certificate.
+    left_out : tuple of str
+        What the process does not have and the run does not compute.
+    """
+
+    unknowns: int
+    nonsmooth_unknowns: int
+    solvers: tuple[Solver, ...]
+    scheme: Scheme
+    tol: float
+    left_out: tuple[str, ...]
+
+    def velocity(self, M: Matrix) -> VelocityOf:
+        """Compile (q, C) -> certified velocity for one matrix; not to be shared by threads."""
+        factor = Factor(M)
+        return self._linear(factor) if not self.solvers else self._program(factor)
+
+    def _linear(self, M: Factor) -> VelocityOf:
+        """C is a point c: M z + q = c."""
+
+        def solve(q: np.ndarray, C: ConvexSet) -> Solved:
+            c = C.anchor
+            z = M.solve(c - q)
+            rho = M.M @ z + q - c
+            program = VelocityProgram(M, C)
+            return Solved(program.rate(z, c, rho, M.dual_norm(rho), q, C), "linear", 0, 1)
+
+        return solve
+
+    def _program(self, M: Factor) -> VelocityOf:
+        rungs = self._ladder()
+        compiled: dict[int, tuple[VelocityProgram, Solve]] = {}
+
+        def solve(q: np.ndarray, C: ConvexSet) -> Solved:
+            rest = VelocityProgram(M, C).at_rest(q, C)
+            if rest is not None:
+                return Solved(rest, "at rest", 0, 0)
+            best: Solved | None = None
+            for attempt, solver in enumerate(rungs, start=1):
+                if attempt not in compiled or not compiled[attempt][0].cone.same_cone(C):
+                    program = VelocityProgram(M, C)
+                    compiled[attempt] = program, solver.compile(program)
+                program, run = compiled[attempt]
+                answer = run(q, C.offsets)
+                velocity = program.certify(q, C, answer.z, answer.y)
+                found = Solved(velocity, solver.name, answer.iterations, attempt)
+                # uncertified sets offer nothing to compare: the first answer that was solved stands
+                if np.isnan(velocity.relative) and "solved" not in answer.status.lower():
+                    continue
+                if best is None or velocity.relative < best.velocity.relative:
+                    best = found
+                if not best.velocity.relative > self.tol:
+                    break
+            if best is None:
+                nothing = Velocity(np.zeros_like(q), q, q, float("inf"), float("inf"))
+                return Solved(nothing, "none", 0, attempt)
+            return best
+
+        return solve
+
+    def _ladder(self) -> list[Solver]:
+        """The solver, its refinements, then the other solvers and theirs."""
+        rungs: list[Solver] = []
+        for solver in self.solvers:
+            rung: Solver | None = solver
+            while rung is not None:
+                rungs.append(rung)
+                rung = rung.refined()
+        return rungs
+
+    def __str__(self) -> str:
+        solver = self.solvers[0].name if self.solvers else "linear solves, no optimiser"
+        lines = [
+            f"unknowns            {self.unknowns}",
+            f"nonsmooth unknowns  {self.nonsmooth_unknowns}",
+            f"scheme              {self.scheme.name} (order {self.scheme.order})",
+            f"solver              {solver}",
+            f"tolerance           {self.tol:g} (relative certificate of each program)",
+        ]
+        lines += [f"left out            {what}" for what in self.left_out]
+        return "\n".join(lines)
+
+
+def make_plan(
+    process: SweepingProcess, C: ConvexSet, scheme: Scheme, solver: Any, tol: float
+) -> Plan:
+    """Look at the process and at one member C of its moving set."""
+    left_out = []
+    if process.B is None:
+        left_out.append("B: there is none, velocities do not depend on history")
+    if process.rate_independent:
+        left_out.append("A: it is zero, the process is rate-independent")
+    solvers: tuple[Solver, ...] = ()
+    if C.singleton:
+        left_out.append("optimiser: C(t) is a point, each step is one linear solve")
+    else:
+        solvers = choose(solver, C)
+    return Plan(process.dim, C.nonsmooth_dim, solvers, scheme, tol, tuple(left_out))

@@ -1,0 +1,286 @@
+"""The two problems of the theory and how they are one.
+
+Sweeping process:  -u'(t) in N_{C(t)}(A u'(t) + B u(t)),  u(0) = u0.
+Evolution variational inequality: u'(t) in K with
+<A u' + B u - f, v - u'> + J(v) - J(u') >= 0 for all v in K.
+With D = dJ(0) + polar(K) they are the same for C(t) = f(t) - D (Adly and Haddad, SIAM J. Math.
+Anal. 50(1), 2018, Proposition in section 4). The assumptions of the theory are checked here, before
+any solver runs.
+"""
+
+from __future__ import annotations
+
+import warnings
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sweepopt.checks import Matrix, symmetric, vector
+from sweepopt.errors import InitialStateWarning, InputError
+from sweepopt.linalg import Factor, is_semidefinite, largest_eigenvalue
+from sweepopt.sets import AnySet, ConvexSet, Moving, MovingSet, Point
+
+
+class VelocityBound(NamedTuple):
+    """An a priori bound of |u'(t)| on [0, T] and what it is made of (Euclidean norms)."""
+
+    value: float
+    variation: float
+    initial_distance: float
+    beta: float
+    norm_B: float
+
+
+class SweepingProcess:
+    """-u'(t) in N_{C(t)}(A u'(t) + B u(t)),  u(0) = u0.
+
+    Parameters
+    ----------
+    A : array_like or sparse, shape (dim, dim)
+        Symmetric with <Ax, x> >= beta |x|^2, beta > 0; or exactly zero with B positive definite.
+    B : array_like or sparse, shape (dim, dim), or None
+        Symmetric positive semidefinite; None leaves it out.
+    C : ConvexSet or MovingSet
+        The constraint set, of dimension dim.
+    u0 : array_like, shape (dim,)
+
+    Raises
+    ------
+    InputError
+        If a shape, an entry or an assumption of the theory is wrong.
+
+    Examples
+    --------
+    >>> from sweepopt.sets import Box, Moving
+    >>> process = SweepingProcess([[0.5]], [[2.0]], Moving(Box([-1], [1]), lambda t: [1.5 * t]), [0])
+    >>> process.beta
+    0.5
+    """
+
+    def __init__(self, A: Any, B: Any, C: AnySet, u0: Any) -> None:
+        self.A = symmetric("A", A)
+        self.dim = self.A.shape[0]
+        self.B: Matrix | None = None if B is None else symmetric("B", B, self.dim)
+        if not isinstance(C, (ConvexSet, MovingSet)):
+            raise InputError(f"C must be a set or a moving set, got {type(C).__name__}")
+        if C.dim != self.dim:
+            raise InputError(f"C has dim {C.dim} but A has shape {self.A.shape}; they must agree")
+        self.C = C
+        self.u0 = vector("u0", u0, self.dim)
+        if self.B is not None and abs(self.B).max() == 0:
+            self.B = None
+        if self.B is not None and not is_semidefinite(self.B):
+            raise InputError("B must be positive semidefinite; it has a negative eigenvalue")
+        self.rate_independent = bool(abs(self.A).max() == 0)
+        if self.rate_independent and self.B is None:
+            raise InputError("A and B are both zero: nothing determines the velocity")
+        # MATH.md: A = 0 lets B take A's place in every norm
+        self.metric = Factor(self._metric_matrix, "B" if self.rate_independent else "A")
+
+    @property
+    def _metric_matrix(self) -> Matrix:
+        return self.B if self.rate_independent and self.B is not None else self.A
+
+    def as_sweeping(self) -> SweepingProcess:
+        """Itself: so that solvers take either form of the problem."""
+        return self
+
+    def as_vi(self) -> EvolutionVI:
+        """The variational inequality with f(t) = center(t) and D = -shape, for translated sets.
+
+        Raises
+        ------
+        InputError
+            If C(t) is not written as a translate of one set.
+        """
+        if isinstance(self.C, ConvexSet):
+            shape, load = self.C, None
+        elif isinstance(self.C, Moving) and self.C.scale is None:
+            shape, load = self.C.shape, self.C.center
+        else:
+            raise InputError("only C(t) = center(t) + shape (Moving without scale) is a VI")
+        return EvolutionVI(self.A, self.B, load=load, dissipation=-shape, u0=self.u0)
+
+    @cached_property
+    def beta(self) -> float:
+        """The constant of coercivity <Ax, x> >= beta |x|^2; 0 when A = 0."""
+        return 0.0 if self.rate_independent else self.metric.smallest_eigenvalue()
+
+    @cached_property
+    def Lam(self) -> float:
+        """The largest eigenvalue of A^-1 B: |B(u - v)|_{A^-1} <= Lam |u - v|_A."""
+        if self.B is None:
+            return 0.0
+        return float("inf") if self.rate_independent else self.metric.largest_ratio(self.B)
+
+    def times_B(self, u: np.ndarray) -> np.ndarray:
+        """B u, zero where there is no B."""
+        return np.zeros(self.dim) if self.B is None else self.B @ u
+
+    def check(self, times: np.ndarray) -> None:
+        """Check C(t) on the given times and B u0 in C(times[0]), before any solver runs.
+
+        Raises
+        ------
+        EmptySetError
+            If C(t) is empty; the message names t.
+        InputError
+            If C(t) is not finite, or B u0 is not in C(0) while A = 0.
+
+        Warns
+        -----
+        InitialStateWarning
+            If B u0 is not in C(0): the solution exists as A is coercive, but it starts moving.
+        """
+        last = None
+        for t in times:
+            C = self.C.at(float(t))
+            if C.dim != self.dim:
+                raise InputError(f"C(t) at t = {t:g} has dim {C.dim}, not {self.dim}")
+            if C is not last:
+                C.require_nonempty(f"C(t) at t = {t:g}")
+            last = C
+        start = self.C.at(float(times[0]))
+        _check_support(start)
+        force = self.times_B(self.u0)
+        distance = float(np.linalg.norm(force - start.project(force)))
+        size = max(np.abs(force).max(), np.abs(start.offsets).max(initial=0.0))
+        if distance <= 1e-9 * size:
+            return
+        where = f"B u0 is not in C({times[0]:g}); its distance is {distance:g}"
+        if self.rate_independent:
+            raise InputError(f"{where}. With A = 0 no solution starts there: change u0")
+        warnings.warn(
+            f"{where}. A is coercive, so the solution exists and starts with a velocity",
+            InitialStateWarning,
+            stacklevel=3,
+        )
+
+    def variation(self, times: np.ndarray) -> float:
+        """The variation v(T) of C over a grid: sum of Hausdorff distances of neighbours.
+
+        d_H(C(t), C(s)) <= v(t) - v(s). For C(t) = center(t) + scale(t) shape a step costs
+        |center change| + |scale change| sup|shape|, which is an upper bound of its Hausdorff
+        distance; for other sets the distance is estimated from below by the support functions in
+        the coordinate directions and the direction of steepest change.
+
+        Parameters
+        ----------
+        times : ndarray
+            The finer the grid, the closer the sum comes to v(T) (from below).
+        """
+        if isinstance(self.C, ConvexSet):
+            return 0.0
+        if isinstance(self.C, Moving):
+            centers = np.array([self.C.center_at(t) for t in times])
+            scales = np.array([self.C.scale_at(t) for t in times])
+            change = float(np.abs(np.diff(scales)).sum())
+            growth = change * self.C.shape.magnitude() if change else 0.0
+            return float(np.linalg.norm(np.diff(centers, axis=0), axis=1).sum()) + growth
+        sets = [self.C.at(float(t)) for t in times]
+        axes = np.vstack([np.eye(self.dim), -np.eye(self.dim)])
+        heights = np.array([[C.support(e) for e in axes] for C in sets])
+        with np.errstate(invalid="ignore"):
+            steps = np.nan_to_num(np.abs(np.diff(heights, axis=0)), nan=0.0)
+        return float(np.maximum(steps[:, : self.dim], steps[:, self.dim :]).max(axis=1).sum())
+
+    def velocity_bound(self, times: np.ndarray, paper: bool = False) -> VelocityBound:
+        """An a priori bound of the velocity, MATH.md section 3:
+
+        |u'(t)| <= ((v(T) + d(B u0, C(0))) / beta) exp(|B| T / beta).
+
+        Parameters
+        ----------
+        times : ndarray
+            Grid from 0 to T on which the variation v(T) is taken.
+        paper : bool
+            The constant M that the paper prints: 8 v(T) because it truncates C, and B u0 in C(0).
+
+        Raises
+        ------
+        InputError
+            If A = 0: the velocity then has no bound from these data.
+        """
+        if self.rate_independent:
+            raise InputError("the a priori bound divides by beta; it needs A coercive, not A = 0")
+        times = vector("times", times)
+        v = self.variation(times)
+        force = self.times_B(self.u0)
+        distance = float(np.linalg.norm(force - self.C.at(float(times[0])).project(force)))
+        norm_B = 0.0 if self.B is None else largest_eigenvalue(self.B)
+        start = 8 * v if paper else v + distance
+        with np.errstate(over="ignore"):
+            growth = float(np.exp(norm_B * (times[-1] - times[0]) / self.beta))
+        return VelocityBound(start / self.beta * growth, v, distance, self.beta, norm_B)
+
+
+class EvolutionVI:
+    """Find u'(t) in K: <A u' + B u - f(t), v - u'> + J(v) - J(u') >= 0 for all v in K.
+
+    Parameters
+    ----------
+    A, B, u0
+        As in SweepingProcess.
+    load : callable t -> (dim,), Separable, array_like or None
+        f; None is no load.
+    dissipation : ConvexSet or None
+        D with J = sigma(D, .): convex, positively homogeneous; Lipschitz when D is bounded.
+        None is J = 0.
+    cone : ConvexSet or None
+        K, a closed convex cone; None is the whole space.
+
+    Examples
+    --------
+    >>> from sweepopt.sets import Box
+    >>> vi = EvolutionVI([[0.5]], [[2.0]], load=lambda t: [1.5 * t], dissipation=Box([-1], [1]), u0=[0])
+    >>> vi.as_sweeping().C.at(0.0).support([1.0])
+    1.0
+    """
+
+    def __init__(
+        self,
+        A: Any,
+        B: Any,
+        *,
+        load: Any = None,
+        dissipation: ConvexSet | None = None,
+        cone: ConvexSet | None = None,
+        u0: Any,
+    ) -> None:
+        self.A = symmetric("A", A)
+        dim = self.A.shape[0]
+        self.B: Matrix | None = None if B is None else symmetric("B", B, dim)
+        for name, C in (("dissipation", dissipation), ("cone", cone)):
+            if C is not None and not isinstance(C, ConvexSet):
+                raise InputError(f"{name} must be a set that does not move, got {type(C).__name__}")
+            if C is not None and C.dim != dim:
+                raise InputError(f"{name} has dim {C.dim} but A has shape {self.A.shape}")
+        self.load = load if callable(load) or load is None else vector("load", load, dim)
+        self.dissipation, self.cone = dissipation, cone
+        self.u0 = vector("u0", u0, dim)
+        self.dim = dim
+        if self.dissipation is not None:
+            _check_support(self.dissipation)
+        if self.cone is not None:
+            self.cone.polar()  # refuses a set that is not a cone
+
+    def as_sweeping(self) -> SweepingProcess:
+        """The sweeping process with C(t) = f(t) - (D + polar(K))."""
+        D: ConvexSet = Point(np.zeros(self.dim)) if self.dissipation is None else self.dissipation
+        if self.cone is not None:
+            D = D + self.cone.polar()
+        C: AnySet = -D if self.load is None else Moving(-D, center=self.load)
+        return SweepingProcess(self.A, self.B, C, self.u0)
+
+
+def _check_support(C: ConvexSet) -> None:
+    """Spot-check that sigma(C, .) is positively homogeneous, for sets that users write."""
+    direction = np.cos(np.arange(C.dim) + 1.0)
+    for z in (direction, -direction):
+        once, twice = C.support(z), C.support(2 * z)
+        if np.isnan(once) or not (once == twice or abs(twice - 2 * once) <= 1e-6 * abs(twice)):
+            raise InputError(
+                f"{type(C).__name__}.support is not positively homogeneous: "
+                f"sigma(z) = {once:g} but sigma(2z) = {twice:g}"
+            )

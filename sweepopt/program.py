@@ -1,0 +1,154 @@
+"""The one program every scheme asks for, stated once, and its certificate.
+
+    z = argmin  1/2 <M z, z> + <q, z> + sigma(C, -z)
+
+is strongly convex: it has exactly one solution, whatever a solver says. It is equivalent to
+-z in N_C(M z + q). The certificate (MATH.md section 2) is computed from M, q and C alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from sweepopt.linalg import Factor
+from sweepopt.sets import ConvexSet
+from sweepopt.sets.base import ROUNDING
+
+if TYPE_CHECKING:
+    import cvxpy as cp
+
+
+class Velocity(NamedTuple):
+    """A velocity and the proof of it.
+
+    Attributes
+    ----------
+    z : ndarray, shape (dim,)
+        The velocity; sigma(C, -z) is finite, stuck unknowns are exactly 0.0.
+    w : ndarray, shape (dim,)
+        A point of C with (up to `gap`) -z in N_C(w).
+    rho : ndarray, shape (dim,)
+        M z + q - w: how far the force is from w.
+    certificate : float
+        sqrt(2 gap + |rho|^2_{M^-1}) >= |z - z*|_M; nan if the set has no proof.
+    relative : float
+        certificate / max(|z|_M, |M^-1 q|_M), q the full linear term; what `tol` bounds.
+    """
+
+    z: np.ndarray
+    w: np.ndarray
+    rho: np.ndarray
+    certificate: float
+    relative: float
+
+
+class Statement(NamedTuple):
+    """The program in cvxpy, its two parameters and its two answers."""
+
+    problem: cp.Problem
+    q: cp.Parameter
+    offsets: cp.Parameter
+    z: cp.Variable
+    y: cp.Expression
+
+
+class Canonical(NamedTuple):
+    """min 1/2 <P x, x> + <map (q, offsets), x> over a fixed cone given in the solver's `data`.
+
+    As the objective is linear in (q, offsets) the answers are its gradient: (z, y) = map^T x.
+    The support function is positively homogeneous, so scaling (q, offsets) scales x.
+    """
+
+    P: sp.csc_array
+    map: sp.csr_array
+    data: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class VelocityProgram:
+    """min 1/2 <M z, z> + <q, z> + sigma(C, -z) for one M and all C with one cone.
+
+    Parameters
+    ----------
+    M : Factor
+    cone : ConvexSet
+        Any member of the family; only its features are used.
+    """
+
+    M: Factor
+    cone: ConvexSet
+
+    def statement(self) -> Statement:
+        """The program in cvxpy (DPP: only the linear part of the objective has parameters)."""
+        import cvxpy as cp
+
+        z = cp.Variable(self.M.dim)
+        q = cp.Parameter(self.M.dim)
+        offsets = cp.Parameter(max(self.cone.offsets.size, 1))
+        features, constraints = self.cone.features(-z)
+        y = cp.hstack(features) if features else cp.Constant(np.zeros(1))
+        # M is known to be positive definite: it was factorised
+        objective = 0.5 * cp.quad_form(z, cp.psd_wrap(self.M.M)) + q @ z + offsets @ y
+        return Statement(cp.Problem(cp.Minimize(objective), constraints), q, offsets, z, y)
+
+    def canonical(self, solver: str) -> Canonical:
+        """What cvxpy hands to the solver, with the linear term as a map of the two parameters."""
+        statement = self.statement()
+        statement.q.value = np.zeros(statement.q.size)
+        statement.offsets.value = np.zeros(statement.offsets.size)
+        data, _, _ = statement.problem.get_problem_data(solver, enforce_dpp=True)
+        affine = sp.csc_array(data["param_prob"].q)[:-1]
+        columns = data["param_prob"].param_id_to_col
+        parts = [
+            affine[:, columns[parameter.id] : columns[parameter.id] + size]
+            for parameter, size in (
+                (statement.q, statement.q.size),
+                (statement.offsets, self.cone.offsets.size),
+            )
+        ]
+        return Canonical(sp.csc_array(data["P"]), sp.csr_array(sp.hstack(parts)), data)
+
+    def certify(self, q: np.ndarray, C: ConvexSet, z: np.ndarray, y: np.ndarray) -> Velocity:
+        """Turn any approximate answer (z, y) into a velocity with a proven error bound.
+
+        C gives a pair -z' in N_C(w) near the answer; then rho = M z' + q - w carries all of the
+        error, and strong monotonicity of M + N_C^-1 gives |z' - z*|_M <= |rho|_{M^-1}; a set that
+        is short of an exact pair by `gap` adds 2 gap under the root.
+        """
+        witness = C.witness(-z, self.M.M @ z + q, self.M.diagonal, y)
+        if witness is None:
+            w = self.M.M @ z + q
+            return Velocity(z, w, np.zeros_like(z), float("nan"), float("nan"))
+        z = 0.0 - witness.p
+        rho = self.M.M @ z + q - witness.w
+        certificate = float(np.sqrt(2 * witness.gap + self.M.dual_norm(rho) ** 2))
+        return self.rate(z, witness.w, rho, certificate, q, C)
+
+    def rate(
+        self,
+        z: np.ndarray,
+        w: np.ndarray,
+        rho: np.ndarray,
+        certificate: float,
+        q: np.ndarray,
+        C: ConvexSet,
+    ) -> Velocity:
+        """Put the certificate in relation to the size of the problem."""
+        size = max(self.M.norm(z), self.M.dual_norm(q - C.anchor))
+        relative = certificate / size if certificate > 0 else 0.0
+        return Velocity(z, w, rho, certificate, float(relative))
+
+    def at_rest(self, q: np.ndarray, C: ConvexSet) -> Velocity | None:
+        """z = 0 exactly, if q is in C: nothing moves.
+
+        The rule: a force that misses C by no more than 8 rounding units of q and of the set's
+        translation, entry by entry, counts as inside.
+        """
+        missed = q - C.project(q)
+        if (np.abs(missed) > ROUNDING * (np.abs(q) + np.abs(C.anchor))).any():
+            return None
+        return Velocity(np.zeros_like(q), q - missed, missed, 0.0, 0.0)

@@ -1,0 +1,65 @@
+"""Time-stepping schemes as data: a scheme is a lower triangular tableau.
+
+Stage k of a step from (t_i, u_i) with mu solves the velocity program
+
+    M = A + mu a_kk B,    q = B (u_i + mu sum_{l<k} a_kl z_l),    C(t_i + c_k mu),
+
+and u_{i+1} = u_i + mu sum_k b_k z_k. MATH.md section 3 has the orders and the proofs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sweepopt.errors import InputError
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """A tableau.
+
+    Attributes
+    ----------
+    name : str
+    a : tuple of tuples
+        Row k has k + 1 entries; its last one is the implicit weight of the stage.
+    b, c : tuples
+        Weights of the stages and their times in units of mu.
+    order : int
+        For translated sets with smooth loads.
+    """
+
+    name: str
+    a: tuple[tuple[float, ...], ...]
+    b: tuple[float, ...]
+    c: tuple[float, ...]
+    order: int
+
+    @property
+    def implicit(self) -> bool:
+        """Whether every stage is implicit in u, so that A = 0 is allowed."""
+        return all(row[-1] > 0 for row in self.a)
+
+
+SCHEMES = {
+    scheme.name: scheme
+    for scheme in (
+        # the paper's scheme, with C(t_{i+1}) for its truncation C_n(t_{i+1})
+        Scheme("catching-up", a=((0.0,),), b=(1.0,), c=(1.0,), order=1),
+        # at A = 0 this is Moreau's catching-up algorithm
+        Scheme("implicit-euler", a=((1.0,),), b=(1.0,), c=(1.0,), order=1),
+        Scheme("midpoint", a=((0.5,),), b=(1.0,), c=(0.5,), order=2),
+    )
+}
+
+
+def choose(name: str, rate_independent: bool) -> Scheme:
+    """The scheme of that name; "auto" is midpoint, or implicit-euler when A = 0."""
+    if name == "auto":
+        name = "implicit-euler" if rate_independent else "midpoint"
+    if name not in SCHEMES:
+        raise InputError(f"scheme {name!r} is not known; use auto, {', '.join(SCHEMES)}")
+    scheme = SCHEMES[name]
+    if rate_independent and not scheme.implicit:
+        raise InputError(f"scheme {name!r} needs A coercive; with A = 0 use implicit-euler")
+    return scheme

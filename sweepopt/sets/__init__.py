@@ -1,0 +1,83 @@
+"""Convex sets, their algebra and their motion (MATH: D, K and C(t))."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sweepopt.errors import InputError
+from sweepopt.sets.algebra import Image, Product
+from sweepopt.sets.base import ConvexSet, Features, Witness
+from sweepopt.sets.moving import Moving, MovingSet
+from sweepopt.sets.polyhedra import Constraints, HalfSpace, Polyhedron, Polytope
+from sweepopt.sets.shapes import (
+    Ball,
+    Balls,
+    Box,
+    Ellipsoid,
+    Orthant,
+    Point,
+    SecondOrderCone,
+    WholeSpace,
+)
+
+AnySet = ConvexSet | MovingSet
+
+
+def product(*sets: Any) -> Any:
+    """C x D x ..., one after the other in the vector; moving sets too.
+
+    Examples
+    --------
+    >>> product(Ball([0.0, 0.0], 1.0), Box([-1], [1])).support([3.0, 4.0, 2.0])
+    7.0
+    """
+    if not sets or not all(isinstance(C, (ConvexSet, MovingSet)) for C in sets):
+        raise InputError("product(C, D, ...) takes one or more sets")
+    if any(isinstance(C, MovingSet) for C in sets):
+        return MovingSet(lambda t: product(*(C.at(t) for C in sets)), sum(C.dim for C in sets))
+    if all(isinstance(C, Box) for C in sets):
+        return Box(
+            np.concatenate([C.lower for C in sets]), np.concatenate([C.upper for C in sets])
+        )
+    return Product(tuple(sets))
+
+
+def image(M: Any, C: Any) -> Any:
+    """{ M s : s in C } for a dense or sparse matrix M of shape (dim, C.dim); moving sets too.
+
+    Examples
+    --------
+    >>> image([[1.0], [1.0]], Box([-1], [1])).support([2.0, 3.0])
+    5.0
+    """
+    if isinstance(C, MovingSet):
+        return MovingSet(lambda t: Image(M, C.at(t)))
+    if not isinstance(C, ConvexSet):
+        raise InputError(f"image(M, C): C must be a set, got {type(C).__name__}")
+    return Image(M, C)
+
+
+__all__ = [
+    "AnySet",
+    "Ball",
+    "Balls",
+    "Box",
+    "Constraints",
+    "ConvexSet",
+    "Ellipsoid",
+    "Features",
+    "HalfSpace",
+    "Moving",
+    "MovingSet",
+    "Orthant",
+    "Point",
+    "Polyhedron",
+    "Polytope",
+    "SecondOrderCone",
+    "WholeSpace",
+    "Witness",
+    "image",
+    "product",
+]

@@ -1,0 +1,246 @@
+"""The contract of a convex set: everything else in the library asks only for what stands here.
+
+A set C enters the velocity program through its support function sigma(C, z) = sup_{w in C} <w, z>
+and through the projection on C. Two facts make one small contract enough:
+
+* **sigma is linear in the set's offsets.** Every set has a vector h of *offsets* (bounds, centres,
+  radii, right hand sides) with  sigma(C, p) = min { <h, y> : (p, y) in a fixed convex cone }.
+  Moving C by translation, scaling or h(t) changes h and nothing else, so a program is compiled
+  once and a step touches vectors only. `features` states the cone in cvxpy and returns y.
+* **A projection proves a normal pair.** For any v and tau > 0 put w = P_C(v), p = (v - w) / tau:
+  then p is in N_C(w) exactly (Moreau). Started from a solver's answer this gives a pair that
+  satisfies the inclusion, has exact zeros where the body is stuck, and carries all of the
+  solver's error in a residual that can be measured. `witness` does this.
+"""
+
+from __future__ import annotations
+
+import warnings
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from sweepopt.checks import vector
+from sweepopt.errors import EmptySetError, InputError, SweepoptError
+
+if TYPE_CHECKING:
+    import cvxpy as cp
+
+ROUNDING = 8 * np.finfo(float).eps
+
+
+class Features(NamedTuple):
+    """y and the cone of  sigma(C, p) = min { <h, y> : constraints(p, y) }."""
+
+    y: list[cp.Expression]
+    constraints: list[cp.Constraint]
+
+
+class Witness(NamedTuple):
+    """A point w of C, a p with finite sigma(C, p), and gap >= sigma(C, p) - <p, w> >= 0."""
+
+    p: np.ndarray
+    w: np.ndarray
+    gap: float
+
+
+class ConvexSet(ABC):
+    """A non-empty closed convex set C in R^dim.
+
+    A new shape gives `support`, `project`, `offsets` and `features` (and `same_cone` if matrices
+    are part of it); the laws in tests/laws.py then test it.
+
+    Attributes
+    ----------
+    dim : int
+        Dimension of the space.
+    offsets : ndarray, shape (k,)
+        The vector h in which the support function is linear.
+    polyhedral : bool
+        Whether C is a polyhedron, so that a QP solver can treat it.
+    """
+
+    dim: int
+    offsets: np.ndarray
+    polyhedral: bool = False
+    # numpy must leave v + C, r * C and v - C to the operators below
+    __array_ufunc__ = None
+
+    # ---- the contract -------------------------------------------------------------------------
+
+    @abstractmethod
+    def support(self, z: np.ndarray) -> float:
+        """sigma(C, z) = sup of <w, z> over w in C; +inf where C is unbounded in direction z."""
+
+    @abstractmethod
+    def project(self, w: np.ndarray) -> np.ndarray:
+        """The point of C nearest to w in the Euclidean norm."""
+
+    @abstractmethod
+    def features(self, p: cp.Expression) -> Features:
+        """y with sigma(C, p) = min <offsets, y>, and the constraints that tie y to p."""
+
+    def same_cone(self, other: ConvexSet) -> bool:
+        """Whether only the offsets differ, so that one compiled program serves both sets."""
+        return (
+            type(self) is type(other)
+            and self.dim == other.dim
+            and self.offsets.size == other.offsets.size
+        )
+
+    # ---- what follows from it -----------------------------------------------------------------
+
+    def witness(
+        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
+    ) -> Witness | None:
+        """A proven normal pair near the approximate one (p, w); None if the set has no proof.
+
+        Parameters
+        ----------
+        p, w : ndarray, shape (dim,)
+            Approximately p in N_C(w): p = -z and w = M z + q from a solver.
+        tau : ndarray, shape (dim,)
+            Positive weights that bring p to the units of w (the diagonal of M).
+        y : ndarray, shape (k,)
+            The solver's value of the features; holds the split of an intersection.
+        """
+        step = float(np.mean(tau))
+        v = w + step * p
+        inside = self.project(v)
+        return Witness((v - inside) / step, inside, 0.0)
+
+    def epigraph(self, p: cp.Expression) -> tuple[cp.Expression, list[cp.Constraint]]:
+        """The support function as a cvxpy epigraph: minimising `value` gives sigma(C, p).
+
+        Returns
+        -------
+        value : cvxpy.Expression
+            Upper bound of sigma(C, p) under the constraints, equal to it at the minimum.
+        constraints : list of cvxpy.Constraint
+        """
+        import cvxpy as cp
+
+        y, constraints = self.features(p)
+        return (self.offsets @ cp.hstack(y) if y else cp.Constant(0.0)), constraints
+
+    def contains(self, w: np.ndarray, tol: float = 1e-9) -> bool:
+        """Whether the Euclidean distance of w to C is at most tol."""
+        w = vector("w", w, self.dim)
+        return bool(np.linalg.norm(w - self.project(w)) <= tol)
+
+    def magnitude(self) -> float:
+        """sup of |w| over C, or an upper bound of it; +inf for unbounded sets."""
+        # the cube [-1, 1]^dim is the hull of +-sqrt(dim)-scaled axes: |w|_2 <= |(sup |w_i|)_i|_2
+        axes = np.eye(self.dim)
+        return float(np.hypot.reduce([max(self.support(e), self.support(-e)) for e in axes]))
+
+    def require_nonempty(self, where: str = "C") -> None:
+        """Raise EmptySetError if C has no point. Most shapes are non-empty by construction."""
+
+    @property
+    def singleton(self) -> bool:
+        """Whether C is one point: then the velocity program is a linear system."""
+        return False
+
+    @property
+    def anchor(self) -> np.ndarray:
+        """The translation c of C = c + S, zero for a set that is not written as a translate."""
+        return np.zeros(self.dim)
+
+    @property
+    def nonsmooth_dim(self) -> int:
+        """How many unknowns C really acts on (fewer than dim for the image of a small set)."""
+        return self.dim
+
+    def polar(self) -> ConvexSet:
+        """The polar cone { p : <p, w> <= 0 for all w in C }."""
+        raise InputError(f"{type(self).__name__} is not a cone; polar() is defined for cones only")
+
+    def at(self, t: float) -> ConvexSet:
+        """C(t): a set that does not move is the same at every time."""
+        return self
+
+    # ---- the algebra (lazy; the laws are stated in algebra.py) --------------------------------
+
+    def __add__(self, other: Any) -> Any:
+        from sweepopt.sets import algebra
+
+        return algebra.add(self, other)
+
+    def __sub__(self, other: Any) -> Any:
+        from sweepopt.sets import algebra
+
+        if not algebra.is_vector(other):
+            raise InputError("C - D is ambiguous; write C + (-D) for the Minkowski sum")
+        return algebra.add(self, -np.asarray(other, dtype=float))
+
+    def __rsub__(self, other: Any) -> Any:
+        return -self + other
+
+    def __rmul__(self, factor: float) -> Any:
+        from sweepopt.sets import algebra
+
+        return algebra.scale(factor, self)
+
+    def __neg__(self) -> Any:
+        from sweepopt.sets import algebra
+
+        return algebra.Negation(self)
+
+    def __and__(self, other: Any) -> Any:
+        from sweepopt.sets import algebra
+
+        return algebra.intersect(self, other)
+
+    __radd__ = __add__
+    __mul__ = __rmul__
+
+
+def same_array(a: Any, b: Any) -> bool:
+    """Equality of two matrices that is free when they are the same object."""
+    return a is b or (a.shape == b.shape and not (a != b).any())
+
+
+def support_by_program(C: ConvexSet, z: np.ndarray) -> float:
+    """sigma(C, z) from its epigraph, for sets without a closed form; infeasible means +inf."""
+    import cvxpy as cp
+
+    value, constraints = C.epigraph(cp.Constant(z))
+    problem = cp.Problem(cp.Minimize(value), constraints)
+    solve_tightly(problem)
+    if problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE):
+        return float("inf")
+    if problem.value is None or not np.isfinite(problem.value):
+        raise EmptySetError(f"{type(C).__name__} has no point: its support function is not finite")
+    return float(problem.value)
+
+
+def project_by_program(C: ConvexSet, w: np.ndarray) -> np.ndarray:
+    """P_C(w) = w - argmin 1/2 |p|^2 - <w, p> + sigma(C, p), for sets without a closed form."""
+    import cvxpy as cp
+
+    size = max(np.abs(w).max(initial=0.0), np.abs(C.offsets).max(initial=0.0)) or 1.0
+    p = cp.Variable(C.dim)
+    value, constraints = C.epigraph(p)
+    objective = 0.5 * cp.sum_squares(p) - (w / size) @ p + value / size
+    problem = cp.Problem(cp.Minimize(objective), constraints)
+    solve_tightly(problem)
+    if p.value is None:
+        raise EmptySetError(f"{type(C).__name__} has no point ({problem.status})")
+    return w - size * p.value
+
+
+def solve_tightly(problem: cp.Problem) -> None:
+    """Solve a small side program with Clarabel as far as double precision goes.
+
+    Its "inaccurate" only means that 1e-12 was not reached; whoever calls checks the answer.
+    """
+    import cvxpy as cp
+
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Solution may be inaccurate")
+        try:
+            problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-12, tol_gap_rel=1e-12, tol_feas=1e-12)
+        except cp.SolverError as error:
+            raise SweepoptError(f"Clarabel failed on a side program: {error}") from error

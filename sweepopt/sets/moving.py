@@ -1,0 +1,132 @@
+"""Sets that move: anything with `dim` and `at(t)`, and the same algebra as sets that do not.
+
+A moving set is a family t -> C(t). The programs ask for `at(t)` and nothing else; where the
+members differ in their offsets only (all of `Moving`, `Polyhedron(G, h(t))`), one compiled program
+serves them all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from sweepopt.checks import number, vector
+from sweepopt.errors import InputError
+from sweepopt.sets import algebra
+from sweepopt.sets.base import ConvexSet
+from sweepopt.sets.shapes import Point
+
+
+class MovingSet:
+    """C(t) given by a function of time.
+
+    Parameters
+    ----------
+    at : callable
+        t -> ConvexSet, always of the same dim.
+    dim : int, optional
+        Taken from at(0.0) when not given.
+
+    Examples
+    --------
+    >>> from sweepopt.sets import Ball
+    >>> C = MovingSet(lambda t: Ball([t, 0.0], 1 + t))
+    >>> C.at(2.0).support([1.0, 0.0])
+    5.0
+    """
+
+    __array_ufunc__ = None
+
+    def __init__(self, at: Callable[[float], ConvexSet], dim: int | None = None) -> None:
+        if not callable(at):
+            raise InputError("MovingSet needs a function t -> set; got " + type(at).__name__)
+        self._at = at
+        self.dim = self.at(0.0).dim if dim is None else dim
+
+    def at(self, t: float) -> ConvexSet:
+        """C(t)."""
+        try:
+            C = self._at(t)
+        except InputError as error:
+            raise type(error)(f"C(t) at t = {t:g}: {error}") from error
+        if not isinstance(C, ConvexSet):
+            raise InputError(f"C(t) at t = {t:g} must be a set, got {type(C).__name__}")
+        return C
+
+    def _then(self, operation: Callable[[ConvexSet, Any], Any], other: Any = None) -> MovingSet:
+        if isinstance(other, (MovingSet, ConvexSet)):
+            return MovingSet(lambda t: operation(self.at(t), other.at(t)), self.dim)
+        return MovingSet(lambda t: operation(self.at(t), other), self.dim)
+
+    def __add__(self, other: Any) -> MovingSet:
+        return self._then(lambda C, D: C + D, other)
+
+    def __sub__(self, other: Any) -> MovingSet:
+        return self._then(lambda C, v: C - v, other)
+
+    def __rsub__(self, other: Any) -> MovingSet:
+        return self._then(lambda C, v: v - C, other)
+
+    def __rmul__(self, factor: float) -> MovingSet:
+        return self._then(lambda C, r: r * C, factor)
+
+    def __neg__(self) -> MovingSet:
+        return self._then(lambda C, _: -C)
+
+    def __and__(self, other: Any) -> MovingSet:
+        return self._then(lambda C, D: C & D, other)
+
+    __radd__ = __add__
+    __mul__ = __rmul__
+    __rand__ = __and__
+
+
+class Moving(MovingSet):
+    """C(t) = center(t) + scale(t) * shape.
+
+    Parameters
+    ----------
+    shape : ConvexSet
+    center : callable t -> (dim,), array_like or None
+    scale : callable t -> float >= 0, float or None
+
+    Examples
+    --------
+    >>> from sweepopt.sets import Box
+    >>> C = Moving(Box([-1], [1]), center=lambda t: [1.5 * t])
+    >>> C.at(2.0).project([0.0])
+    array([2.])
+    """
+
+    def __init__(self, shape: ConvexSet, center: Any = None, scale: Any = None) -> None:
+        if not isinstance(shape, ConvexSet):
+            raise InputError(f"Moving needs a set that does not move, got {type(shape).__name__}")
+        self.shape, self.dim = shape, shape.dim
+        self.center = center if callable(center) or center is None else vector("center", center)
+        self.scale = scale if callable(scale) or scale is None else number("scale", scale)
+        if isinstance(self.center, np.ndarray) and self.center.size != self.dim:
+            raise InputError(f"center must have {self.dim} entries, got {self.center.size}")
+
+    def center_at(self, t: float) -> np.ndarray:
+        """center(t), shape (dim,)."""
+        if self.center is None:
+            return np.zeros(self.dim)
+        value = self.center(t) if callable(self.center) else self.center
+        return vector(f"center(t) at t = {t:g}", value, self.dim)
+
+    def scale_at(self, t: float) -> float:
+        """scale(t)."""
+        if self.scale is None:
+            return 1.0
+        value = self.scale(t) if callable(self.scale) else self.scale
+        return number(f"scale(t) at t = {t:g}", value, minimum=0.0)
+
+    def at(self, t: float) -> ConvexSet:
+        scaled = self.shape if self.scale is None else algebra.scale(self.scale_at(t), self.shape)
+        if self.center is None:
+            return scaled
+        if isinstance(scaled, Point):
+            return Point(scaled.offsets + self.center_at(t))
+        return algebra.Translation(scaled, self.center_at(t))

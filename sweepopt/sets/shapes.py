@@ -1,0 +1,380 @@
+"""Bounded and conic shapes with closed forms: each states its support function and projection."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sweepopt.checks import number, symmetric, vector
+from sweepopt.errors import EmptySetError, InputError
+from sweepopt.sets.base import ConvexSet, Features, Witness, same_array
+
+if TYPE_CHECKING:
+    import cvxpy as cp
+
+
+class Point(ConvexSet):
+    """The single point {p}:  sigma(z) = <p, z>.  Its process is linear.
+
+    Parameters
+    ----------
+    p : array_like, shape (dim,)
+    """
+
+    polyhedral = True
+    singleton = True
+
+    def __init__(self, p: Any) -> None:
+        self.offsets = vector("p", p)
+        self.dim = self.offsets.size
+
+    def support(self, z: np.ndarray) -> float:
+        return float(self.offsets @ vector("z", z, self.dim))
+
+    def project(self, w: np.ndarray) -> np.ndarray:
+        return self.offsets.copy()
+
+    def features(self, p: cp.Expression) -> Features:
+        return Features([p], [])
+
+    def magnitude(self) -> float:
+        return float(np.linalg.norm(self.offsets))
+
+    @property
+    def anchor(self) -> np.ndarray:
+        return self.offsets
+
+    @property
+    def nonsmooth_dim(self) -> int:
+        return 0
+
+    def polar(self) -> ConvexSet:
+        if self.offsets.any():
+            return super().polar()
+        return WholeSpace(self.dim)
+
+    def __add__(self, other: Any) -> Any:
+        from sweepopt.sets import algebra
+
+        if algebra.is_vector(other):
+            return Point(self.offsets + vector("v", other, self.dim))
+        return other + self.offsets
+
+    __radd__ = __add__
+
+    def __neg__(self) -> Point:
+        return Point(-self.offsets)
+
+
+class Box(ConvexSet):
+    """{ w : lower <= w <= upper }, entries may be infinite:  sigma(z) = sum max(lower z, upper z).
+
+    Parameters
+    ----------
+    lower, upper : array_like, shape (dim,)
+
+    Examples
+    --------
+    >>> Box([-1, -2], [1, 2]).support([1, 1])
+    3.0
+    """
+
+    polyhedral = True
+
+    def __init__(self, lower: Any, upper: Any) -> None:
+        self.lower = vector("lower", lower, finite=False)
+        self.upper = vector("upper", upper, self.lower.size, finite=False)
+        self.dim = self.lower.size
+        bad = (self.lower > self.upper) | (self.lower == np.inf) | (self.upper == -np.inf)
+        if bad.any():
+            i = int(np.flatnonzero(bad)[0])
+            raise EmptySetError(
+                f"Box is empty: lower[{i}] = {self.lower[i]:g}, upper[{i}] = {self.upper[i]:g}"
+            )
+        self._low, self._up = np.isfinite(self.lower), np.isfinite(self.upper)
+        both = self._low & self._up
+        center = 0.5 * self.lower[both] + 0.5 * self.upper[both]
+        halfwidth = 0.5 * self.upper[both] - 0.5 * self.lower[both]
+        above, below = self.upper[self._up & ~both], self.lower[self._low & ~both]
+        self.offsets = np.concatenate([center, halfwidth, above, below])
+
+    def support(self, z: np.ndarray) -> float:
+        z = vector("z", z, self.dim)
+        moving = z != 0
+        side = np.where(z > 0, self.upper, self.lower)
+        return float(side[moving] @ z[moving])
+
+    def project(self, w: np.ndarray) -> np.ndarray:
+        return np.clip(vector("w", w, self.dim), self.lower, self.upper)
+
+    def features(self, p: cp.Expression) -> Features:
+        # bounded entries: centre * p + halfwidth * |p|; a one-sided entry allows one sign of p
+        import cvxpy as cp
+
+        both = self._low & self._up
+        above, below, free = self._up & ~both, self._low & ~both, ~(self._low | self._up)
+        y: list[Any] = []
+        constraints: list[Any] = []
+        if both.any():
+            size = cp.Variable(int(both.sum()))
+            y += [p[both], size]
+            constraints += [p[both] <= size, -p[both] <= size]
+        if above.any():
+            y.append(p[above])
+            constraints.append(p[above] >= 0)
+        if below.any():
+            y.append(p[below])
+            constraints.append(p[below] <= 0)
+        if free.any():
+            constraints.append(p[free] == 0)
+        return Features(y, constraints)
+
+    def witness(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray) -> Witness:
+        # separable: each component has its own units
+        v = w + tau * p
+        inside = np.clip(v, self.lower, self.upper)
+        return Witness((v - inside) / tau, inside, 0.0)
+
+    def same_cone(self, other: ConvexSet) -> bool:
+        return (
+            isinstance(other, Box)
+            and same_array(self._low, other._low)
+            and same_array(self._up, other._up)
+        )
+
+    def magnitude(self) -> float:
+        return float(np.linalg.norm(np.maximum(abs(self.lower), abs(self.upper))))
+
+    def polar(self) -> ConvexSet:
+        ends = np.concatenate([self.lower, self.upper])
+        if not np.all((ends == 0) | np.isinf(ends)):
+            return super().polar()
+        # componentwise: {0} <-> R, [0, inf) <-> (-inf, 0]
+        return Box(np.where(self._low, -np.inf, 0.0), np.where(self._up, np.inf, 0.0))
+
+    def __add__(self, other: Any) -> Any:
+        if isinstance(other, Box) and other.dim == self.dim:
+            return Box(self.lower + other.lower, self.upper + other.upper)
+        return super().__add__(other)
+
+    __radd__ = __add__
+
+    def __and__(self, other: Any) -> Any:
+        if isinstance(other, Box) and other.dim == self.dim:
+            return Box(np.maximum(self.lower, other.lower), np.minimum(self.upper, other.upper))
+        return super().__and__(other)
+
+    def __neg__(self) -> Box:
+        return Box(-self.upper, -self.lower)
+
+
+class Orthant(Box):
+    """The cone { w : w >= 0 }:  sigma is the indicator of { z <= 0 }."""
+
+    def __init__(self, dim: int) -> None:
+        dim = dimension(dim)
+        super().__init__(np.zeros(dim), np.full(dim, np.inf))
+
+
+class WholeSpace(Box):
+    """R^dim:  sigma(z) = 0 at z = 0 and +inf elsewhere; a body that it governs never moves."""
+
+    def __init__(self, dim: int) -> None:
+        dim = dimension(dim)
+        super().__init__(np.full(dim, -np.inf), np.full(dim, np.inf))
+
+
+class Ball(ConvexSet):
+    """{ w : |w - center| <= radius }:  sigma(z) = <center, z> + radius |z|.
+
+    Parameters
+    ----------
+    center : array_like, shape (dim,)
+    radius : float, >= 0
+    """
+
+    def __init__(self, center: Any, radius: float) -> None:
+        self.center = vector("center", center)
+        self.radius = number("radius", radius, minimum=0.0)
+        self.dim = self.center.size
+        self.offsets = np.append(self.center, self.radius)
+        self.polyhedral = self.dim == 1
+
+    def support(self, z: np.ndarray) -> float:
+        z = vector("z", z, self.dim)
+        return float(self.center @ z + self.radius * np.linalg.norm(z))
+
+    def project(self, w: np.ndarray) -> np.ndarray:
+        arm = vector("w", w, self.dim) - self.center
+        length = float(np.linalg.norm(arm))
+        return self.center + (arm if length <= self.radius else self.radius / length * arm)
+
+    def features(self, p: cp.Expression) -> Features:
+        import cvxpy as cp
+
+        size = cp.Variable(1)
+        return Features([p, size], _norms_below(p, size, self.dim))
+
+    def magnitude(self) -> float:
+        return float(np.linalg.norm(self.center) + self.radius)
+
+
+class Balls(ConvexSet):
+    """The product of m balls around 0 in R^dim, one after the other in the vector.
+
+    sigma(z) = sum_k radii_k |z_k|: friction bounds at m contact points, as arrays.
+
+    Parameters
+    ----------
+    radii : array_like, shape (m,), >= 0
+    dim : int
+        Dimension of each ball; the set has dim * m unknowns.
+    """
+
+    def __init__(self, radii: Any, dim: int) -> None:
+        self.radii = self.offsets = vector("radii", radii)
+        if (self.radii < 0).any():
+            i = int(np.flatnonzero(self.radii < 0)[0])
+            raise InputError(f"radii[{i}] must be >= 0, got {self.radii[i]:g}")
+        self.block = dimension(dim)
+        self.dim = self.block * self.radii.size
+        self.polyhedral = self.block == 1
+
+    def support(self, z: np.ndarray) -> float:
+        return float(self.radii @ np.linalg.norm(self._blocks("z", z), axis=1))
+
+    def project(self, w: np.ndarray) -> np.ndarray:
+        blocks = self._blocks("w", w)
+        lengths = np.linalg.norm(blocks, axis=1)
+        outside = lengths > self.radii
+        factor = np.ones_like(lengths)
+        factor[outside] = self.radii[outside] / lengths[outside]
+        return (factor[:, None] * blocks).ravel()
+
+    def features(self, p: cp.Expression) -> Features:
+        import cvxpy as cp
+
+        sizes = cp.Variable(self.radii.size)
+        return Features([sizes], _norms_below(p, sizes, self.block))
+
+    def witness(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray) -> Witness:
+        # separable by ball: each has its own units
+        step = np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)
+        v = w + step * p
+        inside = self.project(v)
+        return Witness((v - inside) / step, inside, 0.0)
+
+    def same_cone(self, other: ConvexSet) -> bool:
+        return isinstance(other, Balls) and (self.block, self.dim) == (other.block, other.dim)
+
+    def magnitude(self) -> float:
+        return float(np.linalg.norm(self.radii))
+
+    def _blocks(self, name: str, z: Any) -> np.ndarray:
+        return vector(name, z, self.dim).reshape(-1, self.block)
+
+
+class Ellipsoid(ConvexSet):
+    """{ w : (w-c)^T shape^-1 (w-c) <= 1 }:  sigma(z) = <c, z> + sqrt(<shape z, z>).
+
+    Parameters
+    ----------
+    center : array_like, shape (dim,)
+    shape : array_like, shape (dim, dim)
+        Symmetric positive definite.
+    """
+
+    def __init__(self, center: Any, shape: Any) -> None:
+        self.center = vector("center", center)
+        self.dim = self.center.size
+        full = symmetric("shape", shape, self.dim)
+        self.shape = full if isinstance(full, np.ndarray) else full.toarray()
+        self._squares, self._axes = np.linalg.eigh(self.shape)  # semi-axes squared, directions
+        if self._squares[0] <= 1e-14 * self._squares[-1]:
+            raise InputError(
+                f"shape must be positive definite, its smallest eigenvalue is {self._squares[0]:g}"
+            )
+        self.offsets = np.append(self.center, 1.0)
+
+    def support(self, z: np.ndarray) -> float:
+        z = vector("z", z, self.dim)
+        return float(self.center @ z + np.sqrt(self._squares @ (self._axes.T @ z) ** 2))
+
+    def project(self, w: np.ndarray) -> np.ndarray:
+        # x_i = e_i d_i / (e_i + lam), lam >= 0 the root of sum e_i d_i^2 / (e_i + lam)^2 = 1;
+        # in s = 1 / sqrt(sum) the equation is nearly linear, so Newton from lam = 0 rises to it
+        d = self._axes.T @ (vector("w", w, self.dim) - self.center)
+        e = self._squares
+        if d @ (d / e) <= 1:
+            return np.array(w, dtype=float)
+        lam = 0.0
+        for _ in range(100):
+            terms = e * d**2 / (e + lam) ** 2
+            excess = np.sqrt(terms.sum()) - 1
+            step = excess * terms.sum() / (terms @ (1 / (e + lam)))
+            lam += step
+            if step <= 1e-16 * lam:
+                break
+        return self.center + self._axes @ (e * d / (e + lam))
+
+    def features(self, p: cp.Expression) -> Features:
+        import cvxpy as cp
+
+        size = cp.Variable(1)
+        root = np.sqrt(self._squares)[:, None] * self._axes.T
+        return Features([p, size], _norms_below(root @ p, size, self.dim))
+
+    def same_cone(self, other: ConvexSet) -> bool:
+        return isinstance(other, Ellipsoid) and same_array(self.shape, other.shape)
+
+    def magnitude(self) -> float:
+        return float(np.linalg.norm(self.center) + np.sqrt(self._squares[-1]))
+
+
+class SecondOrderCone(ConvexSet):
+    """{ w : |w[1:]| <= w[0] }, its own dual:  sigma is the indicator of the polar cone -C."""
+
+    offsets = np.zeros(0)
+
+    def __init__(self, dim: int) -> None:
+        self.dim = dimension(dim)
+        self.polyhedral = self.dim <= 2
+
+    def support(self, z: np.ndarray) -> float:
+        z = vector("z", z, self.dim)
+        return 0.0 if np.linalg.norm(z[1:]) <= -z[0] else float("inf")
+
+    def project(self, w: np.ndarray) -> np.ndarray:
+        w = vector("w", w, self.dim)
+        height, length = w[0], float(np.linalg.norm(w[1:]))
+        if length <= height:
+            return w
+        if length <= -height:
+            return np.zeros(self.dim)
+        top = 0.5 * (height + length)
+        return np.concatenate([[top], top / length * w[1:]])
+
+    def features(self, p: cp.Expression) -> Features:
+        if self.dim == 1:
+            return Features([], [p <= 0])
+        return Features([], _norms_below(p[1:], -p[:1], self.dim - 1))
+
+    def polar(self) -> ConvexSet:
+        return -self
+
+
+def dimension(dim: Any) -> int:
+    """A positive whole number of unknowns."""
+    if isinstance(dim, bool) or not isinstance(dim, (int, np.integer)) or dim < 1:
+        raise InputError(f"dim must be a positive whole number, got {dim!r}")
+    return int(dim)
+
+
+def _norms_below(p: cp.Expression, sizes: cp.Expression, block: int) -> list[cp.Constraint]:
+    """|p_k| <= sizes_k for the blocks p_k of p; linear where the blocks have one entry."""
+    import cvxpy as cp
+
+    if block == 1:
+        return [p <= sizes, -p <= sizes]
+    return [cp.SOC(sizes, cp.reshape(p, (sizes.size, block), order="C"), axis=1)]

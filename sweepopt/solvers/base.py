@@ -1,0 +1,47 @@
+"""The contract of a solver: compile once per program, then only vectors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from sweepopt.program import VelocityProgram
+
+
+class Answer(NamedTuple):
+    """What a solver says; nothing of it is believed before the program has certified it."""
+
+    z: np.ndarray
+    y: np.ndarray
+    iterations: int
+    status: str
+
+
+Solve = Callable[[np.ndarray, np.ndarray], Answer]
+
+
+class Solver(Protocol):
+    """A way to solve velocity programs.
+
+    Attributes
+    ----------
+    name : str
+    cones : bool
+        Whether sets that are not polyhedra can be treated.
+    """
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def cones(self) -> bool: ...
+
+    def compile(self, program: VelocityProgram) -> Solve:
+        """A function (q, offsets) -> Answer for this program; not to be shared by threads."""
+        ...
+
+    def refined(self) -> Solver | None:
+        """The same solver with tighter settings, for a step that missed its tolerance."""
+        ...

@@ -1,0 +1,81 @@
+"""Clarabel, an interior-point method for cone programs: vectors are updated in place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from sweepopt.errors import SolverRefusedError
+from sweepopt.program import VelocityProgram
+from sweepopt.solvers.base import Answer, Solve
+
+
+@dataclass(frozen=True)
+class Clarabel:
+    """Clarabel with absolute, relative and feasibility tolerances equal to `tol`.
+
+    Parameters
+    ----------
+    tol : float
+    max_iter : int
+    """
+
+    tol: float = 1e-9
+    max_iter: int = 200
+    name = "clarabel"
+    cones = True
+
+    def refined(self) -> Clarabel | None:
+        """Two digits tighter, as far as double precision goes."""
+        return replace(self, tol=self.tol / 100) if self.tol > 1e-13 else None
+
+    def compile(self, program: VelocityProgram) -> Solve:
+        """Canonicalise and set up once; a call updates the linear term."""
+        import clarabel
+
+        canonical = program.canonical("CLARABEL")
+        stiffness = float(program.M.diagonal.mean())
+        P = sp.triu(canonical.P / stiffness, format="csc")
+        A, b = canonical.data["A"], canonical.data["b"]
+        cones = _cones(clarabel, canonical.data["dims"])
+        settings = clarabel.DefaultSettings()
+        settings.verbose = False
+        settings.max_iter = self.max_iter
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = self.tol
+        settings.presolve_enable = False  # updates need the problem as it was set up
+        n = program.M.dim
+        engine: Any = None
+
+        def solve(q: np.ndarray, offsets: np.ndarray) -> Answer:
+            nonlocal engine
+            linear = canonical.map @ np.concatenate([q, offsets])
+            force = float(np.abs(linear).max())
+            if force == 0:
+                return Answer(np.zeros(n), np.zeros(offsets.size), 0, "Solved")
+            if engine is None:
+                engine = clarabel.DefaultSolver(P, linear / force, A, b, cones, settings)
+            else:
+                engine.update(q=linear / force)
+            solution = engine.solve()
+            x = np.array(solution.x) * (force / stiffness)
+            if not np.isfinite(x).all():
+                engine, x = None, np.zeros_like(x)
+            answer = canonical.map.T @ x
+            return Answer(answer[:n], answer[n:], solution.iterations, str(solution.status))
+
+        return solve
+
+
+def _cones(clarabel: Any, dims: Any) -> list[Any]:
+    """cvxpy's cone dimensions in Clarabel's words."""
+    if dims.p3d or getattr(dims, "pnd", []):
+        raise SolverRefusedError("clarabel: power cones are left to so.Cvxpy")
+    cones = [clarabel.ZeroConeT(dims.zero)] if dims.zero else []
+    cones += [clarabel.NonnegativeConeT(dims.nonneg)] if dims.nonneg else []
+    cones += [clarabel.SecondOrderConeT(size) for size in dims.soc]
+    cones += [clarabel.PSDTriangleConeT(size) for size in dims.psd]
+    cones += [clarabel.ExponentialConeT()] * dims.exp
+    return cones

@@ -1,0 +1,78 @@
+"""The velocity program as cvxpy solves it: slow, readable, and open to every solver cvxpy has."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sweepopt.errors import SolverRefusedError
+from sweepopt.program import VelocityProgram
+from sweepopt.solvers.base import Answer, Solve, Solver
+
+TIGHT: dict[str, dict[str, Any]] = {
+    "CLARABEL": {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11},
+    "OSQP": {"eps_abs": 1e-10, "eps_rel": 1e-10, "max_iter": 100_000, "polishing": True},
+}
+
+
+@dataclass(frozen=True)
+class Cvxpy:
+    """Any solver installed for cvxpy, through cvxpy's own interface.
+
+    Parameters
+    ----------
+    solver : str
+        cvxpy's name of it, for example "CLARABEL", "OSQP", "PIQP".
+    settings : dict
+        Passed on to the solver; tight ones are chosen for CLARABEL and OSQP when empty.
+    """
+
+    solver: str = "CLARABEL"
+    settings: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        return f"cvxpy:{self.solver.lower()}"
+
+    @property
+    def cones(self) -> bool:
+        return self.solver.upper() not in {"OSQP", "PIQP", "PROXQP", "DAQP", "HIGHS"}
+
+    def refined(self) -> Solver | None:
+        """None: the settings are the user's."""
+        return None
+
+    def compile(self, program: VelocityProgram) -> Solve:
+        """State the program once; a call sets its parameters and solves."""
+        import cvxpy as cp
+
+        name = self.solver.upper()
+        if name not in cp.installed_solvers():
+            raise SolverRefusedError(
+                f"cvxpy has no solver {name!r} here; it has {', '.join(cp.installed_solvers())}"
+            )
+        settings = self.settings or TIGHT.get(name, {})
+        statement = program.statement()
+        n, size = program.M.dim, program.cone.offsets.size
+
+        def solve(q: np.ndarray, offsets: np.ndarray) -> Answer:
+            # forces in units of the largest one: solvers' absolute tolerances need it
+            force = max(np.abs(q).max(), np.abs(offsets).max(initial=0.0)) or 1.0
+            statement.q.value = q / force
+            statement.offsets.value = offsets / force if size else np.zeros(1)
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", message="Solution may be inaccurate")
+                try:
+                    statement.problem.solve(solver=name, enforce_dpp=True, **settings)
+                except cp.SolverError as error:
+                    return Answer(np.zeros(n), np.zeros(size), 0, f"failed: {error}")
+            if statement.z.value is None:
+                return Answer(np.zeros(n), np.zeros(size), 0, str(statement.problem.status))
+            iterations = statement.problem.solver_stats.num_iters or 0
+            z, y = statement.z.value * force, np.asarray(statement.y.value)[:size] * force
+            return Answer(z, y, iterations, str(statement.problem.status))
+
+        return solve
