@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,7 +62,7 @@ class Contact:
         return image(select, Box(-self.threshold, self.threshold))
 
 
-def contact_on(body: Discretisation, on: tuple[str, ...], g: Datum) -> Contact:
+def contact_on(body: Discretisation, on: Sequence[str], g: Datum) -> Contact:
     """Contact of the boundaries `on` with friction bound `g`.
 
     Raises

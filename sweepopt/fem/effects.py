@@ -110,7 +110,7 @@ class Friction:
         Friction bound (Pa), >= 0. Where it is zero there is no friction and nothing to simulate.
     """
 
-    on: str | Sequence[str]
+    on: Sequence[str]
     g: Datum
 
     def __post_init__(self) -> None:
@@ -120,7 +120,7 @@ class Friction:
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The contact; none if g is zero everywhere."""
-        contact = contact_on(body, names("on", self.on), self.g)
+        contact = contact_on(body, self.on, self.g)
         return Contribution(contact=contact if len(contact) else None)
 
 
@@ -162,7 +162,7 @@ class Traction:
         Traction at phi = 1 (Pa).
     """
 
-    on: str | Sequence[str]
+    on: Sequence[str]
     history: History | Callable[[float], float]
     f2: Datum = 1.0
 
@@ -173,7 +173,7 @@ class Traction:
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
-        load = boundary_load(body, "f2", names("on", self.on), self.f2)
+        load = boundary_load(body, "f2", self.on, self.f2)
         return Contribution(load=(self.history, load))
 
 

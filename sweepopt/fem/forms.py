@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import numpy as np
 import scipy.sparse as sp
 import skfem
@@ -43,7 +44,7 @@ def volume_load(body: Discretisation, name: str, density: Datum) -> Array:
 
 
 def boundary_load(
-    body: Discretisation, name: str, on: tuple[str, ...], density: Datum
+    body: Discretisation, name: str, on: Sequence[str], density: Datum
 ) -> Array:
     """Vector of ``int_{Gamma_2} f2 v`` on the unknowns, shape (dim,)."""
     facets = body.facets("on", on)
@@ -56,7 +57,7 @@ def boundary_load(
 
 
 def friction_weights(
-    body: Discretisation, name: str, on: tuple[str, ...], bound: Datum
+    body: Discretisation, name: str, on: Sequence[str], bound: Datum
 ) -> tuple[Indices, Array, Array]:
     """Nodal quadrature of ``J(v) = int_{Gamma_3} g |v|``.
 
@@ -89,7 +90,7 @@ def friction_weights(
 
 
 def edge_groups(
-    body: Discretisation, on: tuple[str, ...], facets: Indices
+    body: Discretisation, on: Sequence[str], facets: Indices
 ) -> dict[str, Indices]:
     """Positions in `facets` of each boundary of `on`."""
     return {

@@ -35,7 +35,9 @@ def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
     if isinstance(solver, str):
         if solver != "auto" and solver not in REGISTRY:
             raise SolverRefusedError(f"solver {solver!r} is not known; use auto, {_names()}")
-        first: Any = REGISTRY["clarabel" if solver == "auto" else solver]()
+        # measured on polyhedral programs: OSQP with its polish is faster and more accurate
+        automatic = "osqp" if C.polyhedral else "clarabel"
+        first: Any = REGISTRY[automatic if solver == "auto" else solver]()
     elif hasattr(solver, "compile") and not isinstance(solver, type):
         first = solver
     else:

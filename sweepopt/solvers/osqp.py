@@ -25,7 +25,7 @@ class OSQP:
     """
 
     tol: float = 1e-7
-    max_iter: int = 20_000
+    max_iter: int = 5_000
     name = "osqp"
     cones = False
 

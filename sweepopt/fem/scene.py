@@ -1,0 +1,223 @@
+"""From effects to a problem: what a scene declares is assembled, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.sparse as sp
+import skfem
+from numpy.typing import ArrayLike
+
+from sweepopt import schemes, solvers
+from sweepopt.errors import InputError
+from sweepopt.fem.contact import Contact
+from sweepopt.fem.discretisation import Discretisation
+from sweepopt.fem.effects import Contribution, Effect, names
+from sweepopt.fem.mesh import read_mesh
+from sweepopt.loads import Separable
+from sweepopt.process import EvolutionVI
+from sweepopt.sets import Point
+
+if TYPE_CHECKING:
+    from sweepopt.solution import Solution
+
+UNITS = ("dimensionless", "SI")
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """An antiplane problem with its mesh and settings, as `antiplane` and `read_scene` build it.
+
+    Attributes
+    ----------
+    problem : EvolutionVI
+        A, B, load, dissipation and u0 on the unknowns.
+    discretisation : Discretisation
+    contact : Contact or None
+        The unknowns with friction; None without friction.
+    effects : tuple of Effect
+    left_out : tuple of str
+        A sentence for each thing the scene does not name and the problem therefore does not have.
+    t_end, steps
+        Duration and number of steps; None if the scene does not say.
+    scheme, solver, tol
+        Arguments of `sweepopt.solve`.
+    units : {"dimensionless", "SI"}
+    title : str
+    """
+
+    problem: EvolutionVI
+    discretisation: Discretisation
+    contact: Contact | None
+    effects: tuple[Effect, ...]
+    left_out: tuple[str, ...]
+    t_end: float | None = None
+    steps: int | None = None
+    scheme: str = "auto"
+    solver: str = "auto"
+    tol: float = 1e-6
+    units: str = "dimensionless"
+    title: str = ""
+
+    def solve(self, **changes: Any) -> Solution:
+        """`sweepopt.solve` with the scene's settings; keywords replace or add arguments."""
+        from sweepopt.evolve import solve
+
+        settings = {
+            "t_end": self.t_end,
+            "steps": self.steps,
+            "scheme": self.scheme,
+            "solver": self.solver,
+            "tol": self.tol,
+        }
+        given = {key: value for key, value in settings.items() if value is not None}
+        return solve(self.problem, **(given | changes))
+
+
+def antiplane(
+    mesh: skfem.MeshTri | str | Path,
+    *,
+    clamped: str | Sequence[str],
+    effects: Sequence[Effect],
+    element: str = "P1",
+    u0: ArrayLike | None = None,
+    t_end: float | None = None,
+    steps: int | None = None,
+    scheme: str = "auto",
+    solver: str = "auto",
+    tol: float = 1e-6,
+    units: str = "dimensionless",
+    title: str = "",
+) -> Scene:
+    """Antiplane shear of a section: u(x, t) is the displacement out of its plane.
+
+    Parameters
+    ----------
+    mesh : skfem.MeshTri, str or Path
+        With named boundaries; a path is read by `read_mesh`. `skfem.MeshTri2` has curved edges.
+    clamped : str or sequence of str
+        Names of the boundaries that make up Gamma_1.
+    effects : sequence of Effect
+        At most one Friction; a viscosity or an elasticity at least.
+    element : {"P1", "P2"}
+    u0 : array_like of shape (dim,), optional
+        Initial values of the unknowns; zero by default.
+    t_end, steps, scheme, solver, tol, units, title
+        Kept in the scene. Histories must cover [0, t_end].
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    InputError
+        Naming the argument, or the effect and its field, at fault.
+
+    Examples
+    --------
+    >>> import skfem
+    >>> from sweepopt.fem import Elasticity, Friction, Viscosity, antiplane
+    >>> square = skfem.MeshTri().refined(2).with_defaults()
+    >>> scene = antiplane(
+    ...     square, clamped="top", effects=[Viscosity(1.0), Friction("bottom", g=0.5)]
+    ... )
+    >>> len(scene.contact), float(scene.contact.weight.sum())
+    (5, 1.0)
+    >>> scene.left_out
+    ('no elasticity: B is not formed', 'no load: f = 0')
+    """
+    labelled = {f"effects[{k}]": effect for k, effect in enumerate(effects)}
+    settings = dict(
+        t_end=t_end, steps=steps, scheme=scheme, solver=solver, tol=tol, units=units, title=title
+    )
+    if units not in UNITS:
+        raise InputError(f"units must be one of {', '.join(UNITS)}; got {units!r}")
+    if isinstance(mesh, (str, Path)):
+        mesh = read_mesh(mesh)
+    body = Discretisation(mesh, names("clamped", clamped), element)
+    scene = build(body, labelled, u0, settings)
+    check_names(scene)
+    return scene
+
+
+def build(
+    body: Discretisation,
+    effects: Mapping[str, Effect],
+    u0: ArrayLike | None,
+    settings: Mapping[str, Any],
+) -> Scene:
+    """A scene from effects by the label that errors shall give them."""
+    parts: list[Contribution] = []
+    for label, effect in effects.items():
+        with located(label):
+            if not hasattr(effect, "contribute"):
+                raise InputError(f"is no effect: {effect!r:.80}")
+            parts.append(effect.contribute(body))
+            _check_duration(parts[-1], settings["t_end"])
+    A = _total([part.A for part in parts])
+    B = _total([part.B for part in parts])
+    loads = [part.load for part in parts if part.load is not None]
+    contacts = [part.contact for part in parts if part.contact is not None]
+    if A is None and B is None:
+        raise InputError("effects must hold a viscosity or an elasticity; nothing resists motion")
+    if len(contacts) > 1:
+        raise InputError("effects hold friction twice; name all boundaries in one, g by boundary")
+    contact = contacts[0] if contacts else None
+    problem = EvolutionVI(
+        sp.csc_array((body.dim, body.dim)) if A is None else A,
+        B,
+        load=Separable(loads) if loads else None,
+        dissipation=contact.dissipation(body.dim) if contact else None,
+        u0=np.zeros(body.dim) if u0 is None else u0,
+    )
+    absent = {
+        "no viscosity: A = 0, the evolution is rate independent": A is None,
+        "no elasticity: B is not formed": B is None,
+        "no friction: no set and no optimiser, a step is one linear solve": contact is None,
+        "no load: f = 0": not loads,
+    }
+    return Scene(
+        problem=problem,
+        discretisation=body,
+        contact=contact,
+        effects=tuple(effects.values()),
+        left_out=tuple(sentence for sentence, missing in absent.items() if missing),
+        **settings,
+    )
+
+
+def check_names(scene: Scene) -> None:
+    """Refuse a scheme or a solver that is not known or cannot treat the problem."""
+    problem = scene.problem
+    schemes.choose(scene.scheme, rate_independent=problem.A.count_nonzero() == 0)
+    solvers.choose(scene.solver, problem.dissipation or Point(np.zeros(problem.dim)))
+
+
+@contextmanager
+def located(path: str) -> Iterator[None]:
+    """Put a path in front of the messages of input errors, which start with a field's name."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{path}.{error}") from error
+
+
+def _check_duration(part: Contribution, t_end: float | None) -> None:
+    """A table must cover the run; it refuses other times itself."""
+    if part.load is not None and t_end is not None:
+        for t in (0.0, t_end):
+            try:
+                part.load[0](t)
+            except InputError as error:
+                raise InputError(f"history does not cover the run, [0, {t_end:g}]: {error}") from error
+
+
+def _total(matrices: Sequence[sp.csc_array | None]) -> sp.csc_array | None:
+    present = [matrix for matrix in matrices if matrix is not None]
+    return sp.csc_array(sum(present[1:], start=present[0])) if present else None

@@ -1,0 +1,52 @@
+"""The problems that come with the library: one scene a TOML file, its data beside it.
+
+Found in a clone (problems/ at the root) and in an installed package (sweepopt/problems) alike,
+with the core install alone: a listing reads titles and assembles nothing.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+from sweepopt.errors import InputError
+
+
+def list_problems() -> dict[str, str]:
+    """Titles of the problems by their names.
+
+    Examples
+    --------
+    >>> "tube" in list_problems()
+    True
+    """
+    return {
+        path.stem: str(tomllib.loads(path.read_text(encoding="utf-8")).get("title", ""))
+        for path in sorted(_folder().glob("*.toml"))
+    }
+
+
+def find_problem(name: str) -> Path:
+    """The scene file of a problem.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name; the message lists those there are.
+
+    Examples
+    --------
+    >>> find_problem("tube").name
+    'tube.toml'
+    """
+    path = _folder() / f"{name}.toml"
+    if Path(name).name != name or not path.is_file():
+        known = ", ".join(sorted(file.stem for file in _folder().glob("*.toml"))) or "none"
+        raise InputError(f"{name!r} is neither a scene file nor a problem; there are: {known}")
+    return path
+
+
+def _folder() -> Path:
+    package = Path(__file__).resolve().parent
+    installed = package / "problems"
+    return installed if installed.is_dir() else package.parent / "problems"

@@ -1,0 +1,174 @@
+"""The driver: grids, interpolant, failures, stability, callbacks, interruption."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cases import case
+
+import sweepopt as so
+from sweepopt.program import VelocityProgram
+from sweepopt.solvers import Answer
+
+
+def slider(g: float = 1.0) -> so.SweepingProcess:
+    return so.SweepingProcess(
+        [[0.5]], [[2.0]], so.Moving(so.Box([-g], [g]), lambda t: [1.5 * t]), [0]
+    )
+
+
+def test_the_interpolant_is_piecewise_linear_and_meets_its_nodes() -> None:
+    sol = so.solve(slider(), t_end=5.0, steps=40)
+    assert np.array_equal(sol(sol.t), sol.u)
+    assert sol(1.0).shape == (1,)
+    assert sol([0.3, 0.7, 5.0]).shape == (3, 1)
+    middle = 0.5 * (sol.t[10] + sol.t[11])
+    assert sol(middle) == pytest.approx(0.5 * (sol.u[10] + sol.u[11]))
+    assert sol.velocity == pytest.approx(
+        np.diff(sol.u, axis=0) / np.diff(sol.t)[:, None], abs=1e-12
+    )
+    for outside in (-0.1, 5.1, np.nan):
+        with pytest.raises(so.InputError, match="outside"):
+            sol(outside)
+
+
+def test_times_are_t0_plus_i_mu_and_never_accumulated() -> None:
+    sol = so.solve(slider(), t_end=1.0, steps=10)
+    assert np.array_equal(sol.t[:-1], np.arange(10) * 0.1)
+    assert sol.t[-1] == 1.0
+
+
+def test_an_array_of_times_is_followed_exactly_and_costs_no_accuracy() -> None:
+    this = case("S03")
+    times = np.concatenate([np.linspace(0, 2, 150), np.linspace(2, 8, 300)[1:]])
+    sol = so.solve(this.process, steps=times)
+    assert np.array_equal(sol.t, times)
+    fine = so.solve(this.process, t_end=8.0, steps=4000)
+    assert np.abs(sol.u - fine(times)).max() <= 1e-3
+
+
+def test_tiny_steps_on_a_large_state_lose_no_motion() -> None:
+    # without compensation 1e7 + 1e-10 * z would round the motion away
+    process = so.SweepingProcess([[1.0]], None, so.Point([1.0]), [1e7])
+    with pytest.warns(so.InitialStateWarning):
+        sol = so.solve(process, t_end=1e-6, steps=10_000)
+    assert float(sol.u[-1, 0]) - 1e7 == pytest.approx(1e-6, rel=2e-3)
+
+
+def test_the_callback_stops_the_run_and_keeps_what_was_computed() -> None:
+    sol = so.solve(slider(), t_end=5.0, steps=40, callback=lambda step: step.step == 6)
+    assert sol.status is so.Status.STOPPED
+    assert not sol.success
+    assert sol.u.shape == (8, 1)
+    assert sol.stats.shape == (7,)
+    assert sol(sol.t[-1]) == pytest.approx(sol.u[-1])
+
+
+def test_control_c_returns_what_was_computed() -> None:
+    def interrupt(step: so.StepInfo) -> None:
+        if step.step == 3:
+            raise KeyboardInterrupt
+
+    sol = so.solve(slider(), t_end=5.0, steps=40, callback=interrupt)
+    assert sol.status is so.Status.INTERRUPTED
+    assert sol.u.shape == (5, 1)
+
+
+class Lying:
+    """A solver that says "solved" with a wrong answer."""
+
+    name, cones = "lying", True
+
+    def compile(self, program: VelocityProgram) -> object:
+        n = program.M.dim
+        return lambda q, offsets: Answer(np.full(n, 7.0), np.zeros(offsets.size), 1, "solved")
+
+    def refined(self) -> None:
+        return None
+
+
+def hard() -> so.SweepingProcess:
+    M = np.array([[2.0, -1.9], [-1.9, 2.0]])
+    C = so.Moving(so.Box([-1, -0.5], [1, 0.5]), lambda t: [3 * t, 2.0])
+    return so.SweepingProcess(M, None, C, [0, 0])
+
+
+def test_a_solver_that_lies_is_repaired_by_another_one() -> None:
+    with pytest.warns(so.InitialStateWarning):
+        sol = so.solve(hard(), t_end=1.0, steps=10, solver=Lying())
+    assert sol.success
+    assert sol.stats["attempts"].max() >= 2
+    with pytest.warns(so.InitialStateWarning):
+        honest = so.solve(hard(), t_end=1.0, steps=10)
+    assert sol.u == pytest.approx(honest.u, abs=1e-6)
+
+
+def test_a_tolerance_that_cannot_be_met_raises_or_stops_but_never_passes() -> None:
+    with pytest.warns(so.InitialStateWarning), pytest.raises(so.StepError, match="tol") as failure:
+        so.solve(hard(), t_end=1.0, steps=10, tol=1e-30)
+    assert failure.value.step == 0
+    assert failure.value.certificate > 1e-30
+    assert np.array_equal(failure.value.u, [0, 0])
+    with pytest.warns(so.InitialStateWarning):
+        sol = so.solve(hard(), t_end=1.0, steps=10, tol=1e-30, on_failure="stop")
+    assert sol.status is so.Status.INEXACT
+    assert not sol.success
+
+
+def test_catching_up_refuses_a_step_that_amplifies_and_warns_of_one_that_overshoots() -> None:
+    process = slider()  # Lam = 4
+    with pytest.raises(so.UnstableStepError, match="implicit-euler"):
+        so.solve(process, t_end=6.0, steps=10, scheme="catching-up")
+    with pytest.warns(so.StabilityWarning, match="amplifies"):
+        so.solve(process, t_end=6.0, steps=10, scheme="catching-up", on_unstable="warn")
+    with pytest.warns(so.StabilityWarning, match="overshoot"):
+        so.solve(process, t_end=4.0, steps=10, scheme="catching-up")
+    so.solve(process, t_end=6.0, steps=10, scheme="catching-up", on_unstable="ignore")
+    so.solve(process, t_end=6.0, steps=10, scheme="implicit-euler")
+
+
+def test_auto_is_midpoint_and_implicit_euler_when_a_is_zero() -> None:
+    assert so.solve(slider(), t_end=1.0, steps=5).plan.scheme.name == "midpoint"
+    assert so.solve(case("M16").process, t_end=1.0, steps=5).plan.scheme.name == "implicit-euler"
+
+
+def test_a_process_without_nonsmooth_part_gets_no_optimiser() -> None:
+    with pytest.warns(so.InitialStateWarning):
+        sol = so.solve(case("L13").process, t_end=6.0, steps=50)
+    assert sol.plan.solvers == ()
+    assert sol.plan.nonsmooth_unknowns == 0
+    assert "no optimiser" in str(sol.plan)
+
+
+def test_a_cone_set_given_to_osqp_is_refused_by_name() -> None:
+    with pytest.raises(so.SolverRefusedError, match=r"osqp.*Ball"):
+        so.solve(case("V05").process, t_end=1.0, steps=5, solver="osqp")
+    cone = so.product(so.Box([-1], [1]), so.SecondOrderCone(3))
+    process = so.SweepingProcess(np.eye(4), None, cone, np.zeros(4))
+    with pytest.raises(so.SolverRefusedError, match="SecondOrderCone"):
+        so.solve(process, t_end=1.0, steps=5, solver="osqp")
+
+
+def test_the_truncation_of_the_papers_lemma_is_one_expression_for_moving_sets() -> None:
+    this = case("P10")  # C(t) is a half-line
+    truncated = so.SweepingProcess([[0.5]], [[1.0]], this.process.C & so.Ball(np.zeros(1), 50), [0])
+    plain = so.solve(this.process, t_end=16.0, steps=101)
+    sol = so.solve(truncated, t_end=16.0, steps=101)
+    assert sol.success
+    assert sol.u == pytest.approx(plain.u, abs=1e-9)
+
+
+def test_the_residual_of_the_inequality_vanishes_with_the_step() -> None:
+    this = case("P09")
+    times = np.linspace(0.3, 9.7, 30)
+    residuals = [
+        np.abs(so.solve(this.process, t_end=10.0, steps=n, scheme="implicit-euler").residual(times))
+        for n in (100, 1600)
+    ]
+    assert residuals[1].mean() <= residuals[0].mean() / 8
+
+
+def test_a_stuck_body_does_not_drift() -> None:
+    C = so.Moving(so.Box([-1, -1], [1, 1]), lambda t: [0.999, 1.0])
+    sol = so.solve(so.SweepingProcess(np.eye(2), np.eye(2), C, [0, 0]), t_end=10.0, steps=5000)
+    assert not sol.u.any()

@@ -1,0 +1,129 @@
+"""Both problems, their conversion, and the theory's assumptions as checks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from cases import case
+
+import sweepopt as so
+
+
+def interval(t_end: float = 1.0) -> so.Moving:
+    return so.Moving(so.Box([-1], [1]), lambda t: [3 * np.sin(2 * t)])
+
+
+def test_beta_and_lam_are_extreme_eigenvalues_dense_and_sparse() -> None:
+    rng = np.random.default_rng(1)
+    Q = np.linalg.qr(rng.normal(size=(80, 80)))[0]
+    A = Q @ np.diag(np.linspace(0.5, 4, 80)) @ Q.T
+    B = Q @ np.diag(np.linspace(0, 12, 80)) @ Q.T
+    A, B = (A + A.T) / 2, (B + B.T) / 2
+    for convert in (np.asarray, sp.csr_array):
+        process = so.SweepingProcess(convert(A), convert(B), so.Ball(np.zeros(80), 1), np.zeros(80))
+        assert process.beta == pytest.approx(0.5, rel=1e-8)
+        assert process.Lam == pytest.approx(3.0, rel=1e-8)
+
+
+def test_a_cone_enters_as_a_minkowski_sum_with_its_polar() -> None:
+    D, K = so.Box([-1, -1], [2, 2]), so.Orthant(2)
+    vi = so.EvolutionVI(np.eye(2), None, load=[0.5, 3.0], dissipation=D, cone=K, u0=[0, 0])
+    C = vi.as_sweeping().C.at(0.0)
+    # J = sigma(D, .) + indicator of K, sigma(C, -z) = J(z) - <f, z>
+    assert C.support([-1.0, -2.0]) == pytest.approx(2 + 4 - 0.5 - 6)
+    assert C.support([1.0, -2.0]) == np.inf
+
+
+@pytest.mark.parametrize(
+    "cone", [so.Orthant(2), so.SecondOrderCone(2), so.Polyhedron([[-1.0, 0.5], [0, -1]], [0, 0])]
+)
+@pytest.mark.parametrize("dissipation", [so.Box([-0.2, -0.1], [0.3, 0.4]), so.Ball([0, 0], 0.3)])
+def test_the_velocity_solves_the_variational_inequality_on_the_cone(
+    cone: so.ConvexSet, dissipation: so.ConvexSet
+) -> None:
+    A, B = np.array([[2.0, 0.3], [0.3, 1.0]]), np.array([[1.0, 0.2], [0.2, 3.0]])
+
+    def f(t: float) -> np.ndarray:
+        return np.array([1.5 * np.sin(3 * t), 2 * np.cos(2 * t) - 1.2])
+
+    vi = so.EvolutionVI(A, B, load=f, dissipation=dissipation, cone=cone, u0=[0, 0])
+    with pytest.warns(so.InitialStateWarning):
+        sol = so.solve(vi, t_end=3.0, steps=60, scheme="implicit-euler")
+    assert sol.success
+    rng = np.random.default_rng(0)
+    tests = [cone.project(v) for v in rng.normal(size=(200, 2))]
+    for i, z in enumerate(sol.velocity):
+        assert np.linalg.norm(z - cone.project(z)) <= 1e-6
+        force = A @ z + B @ sol.u[i + 1] - f(sol.t[i + 1])
+        J = dissipation.support
+        assert min(force @ (v - z) + J(v) - J(z) for v in tests) >= -1e-5
+
+
+def test_variational_inequality_and_process_convert_both_ways() -> None:
+    process = case("P09").process
+    vi = process.as_vi()
+    assert vi.load is process.C.center
+    assert vi.dissipation.support([1.0, -1.0, 1.0]) == pytest.approx(2.0)
+    with pytest.raises(so.InputError, match="Moving without scale"):
+        case("S04").process.as_vi()
+
+
+def test_the_a_priori_bound_is_near_the_largest_velocity() -> None:
+    # |B| T / beta moderate, one of them with B u0 outside of C(0)
+    times = np.linspace(0, 1, 400)
+    inside = so.SweepingProcess([[1.0]], [[0.5]], interval(), [0.0])
+    outside = so.SweepingProcess([[1.0]], [[0.5]], interval(), [8.0])
+    for process, warns in ((inside, False), (outside, True)):
+        if warns:
+            with pytest.warns(so.InitialStateWarning):
+                sol = so.solve(process, t_end=1.0, steps=400)
+        else:
+            sol = so.solve(process, t_end=1.0, steps=400)
+        largest = np.abs(sol.velocity).max()
+        bound = process.velocity_bound(times)
+        assert largest <= bound.value <= 20 * largest
+    paper = inside.velocity_bound(times, paper=True)
+    assert paper.value == pytest.approx(8 * bound.variation * np.exp(0.5))
+
+
+def test_the_variation_of_a_translated_and_scaled_set_is_that_of_its_motion() -> None:
+    times = np.linspace(0, 2 * np.pi, 2001)
+    moved = so.Moving(so.Ball([0, 0], 1), lambda t: [np.cos(t), np.sin(t)])
+    grown = so.Moving(so.Ball([0, 0], 2), scale=lambda t: 2 + np.sin(t))
+    u0, A = np.zeros(2), np.eye(2)
+    assert so.SweepingProcess(A, None, moved, u0).variation(times) == pytest.approx(2 * np.pi, 1e-5)
+    assert so.SweepingProcess(A, None, grown, u0).variation(times) == pytest.approx(8, 1e-5)
+    # [l(t), r(t)] as a polyhedron: the larger of the two ends' changes, step by step
+    ends = case("S04").process
+    grid = np.linspace(0, 10, 501)
+    left = np.abs(np.diff(-1 + np.sin(grid) - 0.3 * np.cos(3 * grid)))
+    right = np.abs(np.diff(1 + 0.6 * np.sin(2 * grid) + 0.5 * np.sin(grid)))
+    assert ends.variation(grid) == pytest.approx(np.maximum(left, right).sum())
+
+
+def test_a_start_outside_of_c0_warns_when_a_is_coercive_and_is_refused_when_a_is_zero() -> None:
+    with pytest.warns(so.InitialStateWarning, match="starts with a velocity"):
+        so.solve(so.SweepingProcess([[1.0]], [[1.0]], so.Box([-1], [1]), [3.0]), t_end=1.0, steps=5)
+    process = so.SweepingProcess([[0.0]], [[1.0]], so.Box([-1], [1]), [3.0])
+    with pytest.raises(so.InputError, match="A = 0"):
+        so.solve(process, t_end=1.0, steps=5)
+
+
+def test_an_empty_set_is_refused_with_its_time_before_any_solver_runs() -> None:
+    C = so.Polyhedron([[1.0], [-1.0]], lambda t: [1 - t, 0.0])
+    process = so.SweepingProcess([[1.0]], [[1.0]], C, [0.0])
+    with pytest.raises(so.EmptySetError, match=r"t = 1\.1"):
+        so.solve(process, t_end=2.0, steps=20, scheme="catching-up", solver=NeverRuns())
+
+
+class NeverRuns:
+    """A solver that fails the test when it is asked for anything."""
+
+    name, cones = "never", True
+
+    def compile(self, program: object) -> object:
+        raise AssertionError("a solver ran on bad input")
+
+    def refined(self) -> None:
+        return None

@@ -1,0 +1,161 @@
+"""The velocity program: every solver path, the certificate against the true error."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import sweepopt as so
+from sweepopt.linalg import Factor
+from sweepopt.program import VelocityProgram
+
+SOLVERS = [so.Clarabel(), so.OSQP(), so.Cvxpy("CLARABEL"), so.Cvxpy("OSQP")]
+
+
+def exact_friction(M: np.ndarray, q: np.ndarray, g: np.ndarray) -> np.ndarray:
+    """argmin 1/2 <Mz,z> + <q,z> + sum g_k |z_k| by trying all sign patterns."""
+    n = len(q)
+    for signs in product((-1, 0, 1), repeat=n):
+        s = np.array(signs)
+        moving = s != 0
+        z = np.zeros(n)
+        z[moving] = np.linalg.solve(M[np.ix_(moving, moving)], -(q + g * s)[moving])
+        force = M @ z + q
+        if (z * s >= 0).all() and (np.abs(force[~moving]) <= g[~moving] * (1 + 1e-12)).all():
+            return z
+    raise AssertionError("a strongly convex program has a solution")
+
+
+def random_program(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 5))
+    root = rng.normal(size=(n, n))
+    return root @ root.T + 0.1 * np.eye(n), 3 * rng.normal(size=n), rng.uniform(0, 3, size=n)
+
+
+@pytest.mark.parametrize("solver", SOLVERS, ids=lambda solver: solver.name)
+@pytest.mark.parametrize("seed", range(12))
+def test_every_path_finds_the_exact_velocity_within_its_certificate(
+    solver: so.Clarabel, seed: int
+) -> None:
+    M, q, g = random_program(seed)
+    C = so.Box(-g, g)
+    program = VelocityProgram(Factor(M), C)
+    answer = solver.compile(program)(q, C.offsets)
+    velocity = program.certify(q, C, answer.z, answer.y)
+    error = program.M.norm(velocity.z - exact_friction(M, q, g))
+    size = program.M.dual_norm(q)
+    assert error <= velocity.certificate + 1e-14 * size
+    assert velocity.relative <= 1e-5
+
+
+@settings(derandomize=True, deadline=None, max_examples=200)
+@given(seed=st.integers(0, 10**6), noise=st.floats(-12, 1))
+def test_the_certificate_is_never_below_the_error_of_any_answer(seed: int, noise: float) -> None:
+    M, q, g = random_program(seed)
+    C = so.Box(-g, g)
+    exact = exact_friction(M, q, g)
+    rng = np.random.default_rng(seed + 1)
+    guess = exact + 10**noise * rng.normal(size=len(q))
+    program = VelocityProgram(Factor(M), C)
+    velocity = program.certify(q, C, guess, np.zeros(C.offsets.size))
+    error = program.M.norm(velocity.z - exact)
+    assert error <= velocity.certificate * (1 + 1e-9) + 1e-14 * program.M.dual_norm(q)
+    # and it is of the size of the noise, not of its square root
+    assert velocity.certificate <= 100 * np.linalg.cond(M) * 10**noise * np.linalg.norm(M) + 1e-12
+
+
+@pytest.mark.parametrize("scale", [2.0**-40, 1.0, 2.0**40])
+def test_answers_do_not_depend_on_the_unit_of_force(scale: float) -> None:
+    M, q, g = random_program(3)
+    for solver in SOLVERS:
+        C = so.Box(-scale * g, scale * g)
+        program = VelocityProgram(Factor(M), C)
+        answer = solver.compile(program)(scale * q, C.offsets)
+        velocity = program.certify(scale * q, C, answer.z, answer.y)
+        assert velocity.relative <= 1e-6
+        error = program.M.norm(velocity.z / scale - exact_friction(M, q, g))
+        assert error <= 1e-6 * program.M.dual_norm(q)
+
+
+def test_a_force_inside_the_set_moves_nothing_not_even_by_rounding() -> None:
+    process = so.SweepingProcess(np.eye(3), None, so.Box([-1] * 3, [1] * 3), np.zeros(3))
+    assert not so.solve(process, t_end=1.0, steps=10).velocity.any()
+    # a load exactly at the threshold, met with rounding
+    C = so.Moving(so.Box([-0.3], [0.3]), lambda t: [0.1 + 0.2])
+    held = so.solve(so.SweepingProcess([[1.0]], [[1.0]], C, [0.0]), t_end=1.0, steps=50)
+    assert (held.u == 0.0).all()
+
+
+def test_stuck_unknowns_among_moving_ones_are_exactly_zero() -> None:
+    M, q = np.array([[2.0, 0.1], [0.1, 2.0]]), np.array([-5.0, 0.1])
+    C = so.Box([-1, -1], [1, 1])
+    program = VelocityProgram(Factor(M), C)
+    for solver in SOLVERS:
+        answer = solver.compile(program)(q, C.offsets)
+        z = program.certify(q, C, answer.z, answer.y).z
+        assert z[0] == pytest.approx(2.0)
+        assert z[1] == 0.0
+
+
+def test_one_compiled_program_serves_all_translates_scales_and_offsets() -> None:
+    compiled = []
+
+    class Counting(so.Clarabel):
+        def compile(self, program: VelocityProgram) -> object:
+            compiled.append(program)
+            return super().compile(program)
+
+    motions = [
+        so.Moving(so.Ball([0, 0], 1), lambda t: [9 * np.sin(t), t], lambda t: 1 + 0.5 * np.cos(t)),
+        so.Polyhedron([[1.0, 0], [0, 1], [-1, -1]], lambda t: [np.cos(4 * t), np.cos(t), 1 + t]),
+        so.MovingSet(lambda t: so.Ball([2 * np.sin(t), 1.0], 1 + t / 4)),
+        so.Moving(so.Box([-1, -1], [1, 1]), lambda t: [2.5 * t, 0]) & so.Ball([0, 0], 2),
+    ]
+    for C in motions:
+        compiled.clear()
+        process = so.SweepingProcess(np.eye(2), np.eye(2), C, [0, 0])
+        sol = so.solve(process, t_end=0.5, steps=20, solver=Counting(), on_unstable="ignore")
+        assert sol.success
+        assert len(compiled) == 1
+
+
+def test_an_image_of_a_small_set_gives_the_velocity_of_the_full_program() -> None:
+    rng = np.random.default_rng(5)
+    n, m = 12, 3
+    K = sp.diags_array(
+        [np.full(n - 1, -1.0), np.full(n, 2.5), np.full(n - 1, -1.0)], offsets=[-1, 0, 1]
+    )
+    E = sp.csc_array((np.ones(m), ([2, 5, 11], range(m))), shape=(n, m))
+    g, q = np.array([0.2, 3.0, 0.4]), rng.normal(size=n)
+    full = np.zeros(n)
+    full[[2, 5, 11]] = g
+    results = []
+    for M, C in ((sp.csc_array(K), so.image(E, so.Box(-g, g))), (K.toarray(), so.Box(-full, full))):
+        program = VelocityProgram(Factor(M), C)
+        answer = so.OSQP().compile(program)(q, C.offsets)
+        results.append(program.certify(q, C, answer.z, answer.y))
+    apart = program.M.norm(results[0].z - results[1].z)
+    assert apart <= results[0].certificate + results[1].certificate
+    assert max(result.relative for result in results) <= 1e-6
+
+
+def test_a_set_without_proof_makes_the_run_uncertified_and_right() -> None:
+    import cvxpy as cp
+
+    disc = so.Constraints(2, lambda w: [cp.norm(w) <= 1])
+    sets = {"constraints": disc, "ball": so.Ball([0, 0], 1)}
+    runs = {}
+    for name, shape in sets.items():
+        C = so.Moving(shape, lambda t: [3 * t, np.sin(t)])
+        process = so.SweepingProcess(np.eye(2), np.eye(2), C, [0, 0])
+        runs[name] = so.solve(process, t_end=1.0, steps=20, scheme="implicit-euler")
+    assert runs["constraints"].status is so.Status.UNCERTIFIED
+    assert "uncertified" in runs["constraints"].message
+    assert np.isnan(runs["constraints"].stats["certificate"]).any()
+    assert runs["constraints"].u == pytest.approx(runs["ball"].u, abs=1e-6)
