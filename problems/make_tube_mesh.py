@@ -24,9 +24,7 @@ def circle(radius: float, angles: list[float], size: float) -> list[int]:
     geo = gmsh.model.geo
     center = geo.addPoint(0.0, 0.0, 0.0)
     turns = np.radians(angles)
-    points = [
-        geo.addPoint(radius * np.cos(a), radius * np.sin(a), 0.0, size) for a in turns
-    ]
+    points = [geo.addPoint(radius * np.cos(a), radius * np.sin(a), 0.0, size) for a in turns]
     return [
         geo.addCircleArc(start, center, end)
         for start, end in zip(points, points[1:] + points[:1], strict=True)

@@ -26,10 +26,7 @@ def number(name: str, value: Any, minimum: float | None = None, strict: bool = F
 
 def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -> np.ndarray:
     """A float array of shape (dim,); a scalar counts as one entry."""
-    try:
-        array = np.array(value, dtype=float, ndmin=1)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must be an array of numbers, got {value!r:.80}") from error
+    array = _floats(name, value, "an array of numbers", ndmin=1)
     if array.ndim != 1:
         raise InputError(f"{name} must have one axis, got shape {array.shape}")
     if dim is not None and array.size != dim:
@@ -44,13 +41,10 @@ def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -
 def matrix(name: str, value: Any) -> Matrix:
     """A finite float matrix with two axes: dense as an ndarray, sparse as CSC."""
     if sp.issparse(value):
-        result = sp.csc_array(value, dtype=float)
-        entries = result.data
+        result = sp.csc_array(value)
+        entries = result.data = _floats(name, result.data, "a matrix of numbers")
     else:
-        try:
-            result = entries = np.array(value, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"{name} must be a matrix of numbers, got {value!r:.80}") from error
+        result = entries = _floats(name, value, "a matrix of numbers")
     if result.ndim != 2:
         raise InputError(f"{name} must have two axes, got shape {result.shape}")
     if not np.isfinite(entries).all():
@@ -75,6 +69,17 @@ def symmetric(name: str, value: Any, dim: int | None = None) -> Matrix:
             f"{name}[{j}, {i}] = {result[j, i]:g}; pass ({name} + {name}.T) / 2 if that is meant"
         )
     return result
+
+
+def _floats(name: str, value: Any, what: str, ndmin: int = 0) -> np.ndarray:
+    """A float copy of value; complex numbers and words are refused, not cast."""
+    try:
+        array = np.array(value, ndmin=ndmin)
+        if array.dtype.kind not in "biufO":
+            raise TypeError(f"entries are {array.dtype}")
+        return array.astype(float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} must be {what}, got {value!r:.80} ({error})") from error
 
 
 def _first(value: Matrix, found: Callable[[np.ndarray], np.ndarray]) -> tuple[int, int, float]:

@@ -1,4 +1,4 @@
-"""What can go wrong, in one place: statuses are sentences, every exception of ours is a SweepoptError."""
+"""What can go wrong: statuses are sentences, every exception of ours is a SweepoptError."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class Status(Enum):
 
     SUCCESS = "The run reached t_end and every step is certified within tol."
     UNCERTIFIED = (
-        "The run reached t_end, but it is uncertified: the set cannot turn a solver's answer into a "
-        "proof (a user's Constraints). State the set with the library's shapes to get certificates."
+        "The run reached t_end, but it is uncertified: the set cannot turn a solver's answer into "
+        "a proof (a user's Constraints). State it with the library's shapes to get certificates."
     )
     INEXACT = (
         "The run stopped early: a step missed tol with every solver tried. The steps before it are "

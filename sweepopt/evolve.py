@@ -252,7 +252,7 @@ def _step(
         C = process.C.at(t + c * mu)
         solved = velocities(gamma)(process.times_B(known), C)
         stages.append(solved.velocity.z)
-        _record(row, process, solved, C)
+        _record(row, solved)
     return _combine(scheme.b, stages, process.dim), row
 
 
@@ -264,15 +264,13 @@ def _combine(weights: Sequence[float], stages: list[np.ndarray], dim: int) -> np
     return total
 
 
-def _record(row: dict[str, Any], process: SweepingProcess, solved: Solved, C: Any) -> None:
+def _record(row: dict[str, Any], solved: Solved) -> None:
     """The worst of a step's stages."""
     velocity = solved.velocity
     row["iterations"] += solved.iterations
     row["attempts"] = max(row["attempts"], solved.attempts)
     row["certificate"] = np.maximum(row["certificate"], velocity.certificate)
     row["relative"] = np.maximum(row["relative"], velocity.relative)
-    distance = process.metric.dual_norm(velocity.rho)
-    row["viability"] = max(row["viability"], distance)
 
 
 def _cause(step: int, t: float, row: dict[str, Any], tol: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from sweepopt.checks import Matrix
 from sweepopt.linalg import Factor
 from sweepopt.process import SweepingProcess
-from sweepopt.program import Velocity, VelocityProgram
+from sweepopt.program import Velocity, VelocityProgram, rate
 from sweepopt.schemes import Scheme
 from sweepopt.sets import ConvexSet
 from sweepopt.solvers import Solve, Solver, choose
@@ -30,7 +30,7 @@ class Solved:
 VelocityOf = Callable[[np.ndarray, ConvexSet], Solved]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Plan:
     """How a process is simulated.
 
@@ -46,6 +46,8 @@ class Plan:
         Bound of each program's relative certificate.
     left_out : tuple of str
         What the process does not have and the run does not compute.
+    contact : ndarray of int or None
+        The few unknowns the set acts on, if all others are eliminated; None keeps them.
     """
 
     unknowns: int
@@ -54,21 +56,54 @@ class Plan:
     scheme: Scheme
     tol: float
     left_out: tuple[str, ...]
+    contact: np.ndarray | None = None
 
     def velocity(self, M: Matrix) -> VelocityOf:
         """Compile (q, C) -> certified velocity for one matrix; not to be shared by threads."""
-        factor = Factor(M)
-        return self._linear(factor) if not self.solvers else self._program(factor)
+        if not self.solvers:
+            return self._linear(Factor(M))
+        if self.contact is not None:
+            return self._eliminated(Factor(M, last=self.contact))
+        return self._program(Factor(M))
 
     def _linear(self, M: Factor) -> VelocityOf:
-        """C is a point c: M z + q = c."""
+        """C is a point c: M z = c - q."""
 
         def solve(q: np.ndarray, C: ConvexSet) -> Solved:
-            c = C.anchor
-            z = M.solve(c - q)
-            rho = M.M @ z + q - c
-            program = VelocityProgram(M, C)
-            return Solved(program.rate(z, c, rho, M.dual_norm(rho), q, C), "linear", 0, 1)
+            force = C.anchor - q
+            z = M.solve(force)
+            size = float(np.sqrt(abs(force @ z)))  # both |z|_M and |M^-1 q|_M
+            velocity = rate(z, M.dual_norm_bound(M.M @ z - force), size, size)
+            return Solved(velocity, "linear", 0, 1)
+
+        return solve
+
+    def _eliminated(self, M: Factor) -> VelocityOf:
+        """C = c + E^T S: the velocity of the unknowns zeta = E z solves a small program.
+
+        N = (E M^-1 E^T)^-1, linear term N E M^-1 (q - c), set S (MATH.md section 5). From zeta the
+        force w = N (zeta + E M^-1 (q - c)) gives z = M^-1 (c - q + E^T w), whose E z is zeta: z
+        misses the inclusion by what zeta misses it, in the same norm, plus rounding.
+        """
+        unknowns = self.contact
+        N = M.schur()
+        small = self._program(Factor(N))
+
+        def solve(q: np.ndarray, C: ConvexSet) -> Solved:
+            selection = C.selection()
+            assert selection is not None
+            force = selection.shift - q
+            free = M.solve(force)
+            solved = small(-(N @ free[unknowns]), selection.part)
+            zeta = solved.velocity.z
+            total = force.copy()
+            total[unknowns] += N @ (zeta - free[unknowns])
+            z = M.solve(total)
+            z[unknowns] = zeta  # to the last bit: stuck is 0.0
+            rounding = M.dual_norm_bound(M.M @ z - total)
+            size_z, size_q = np.sqrt(abs(total @ z)), np.sqrt(abs(force @ free))
+            certificate = solved.velocity.certificate + rounding
+            return replace(solved, velocity=rate(z, certificate, float(size_z), float(size_q)))
 
         return solve
 
@@ -86,7 +121,7 @@ class Plan:
                     program = VelocityProgram(M, C)
                     compiled[attempt] = program, solver.compile(program)
                 program, run = compiled[attempt]
-                answer = run(q, C.offsets)
+                answer = run(q, C)
                 velocity = program.certify(q, C, answer.z, answer.y)
                 found = Solved(velocity, solver.name, answer.iterations, attempt)
                 # uncertified sets offer nothing to compare: the first answer that was solved stands
@@ -97,7 +132,7 @@ class Plan:
                 if not best.velocity.relative > self.tol:
                     break
             if best is None:
-                nothing = Velocity(np.zeros_like(q), q, q, float("inf"), float("inf"))
+                nothing = Velocity(np.zeros_like(q), float("inf"), float("inf"))
                 return Solved(nothing, "none", 0, attempt)
             return best
 
@@ -118,6 +153,7 @@ class Plan:
         lines = [
             f"unknowns            {self.unknowns}",
             f"nonsmooth unknowns  {self.nonsmooth_unknowns}",
+            f"eliminated          {0 if self.contact is None else self.unknowns - len(self.contact)}",
             f"scheme              {self.scheme.name} (order {self.scheme.order})",
             f"solver              {solver}",
             f"tolerance           {self.tol:g} (relative certificate of each program)",
@@ -140,4 +176,6 @@ def make_plan(
         left_out.append("optimiser: C(t) is a point, each step is one linear solve")
     else:
         solvers = choose(solver, C)
-    return Plan(process.dim, C.nonsmooth_dim, solvers, scheme, tol, tuple(left_out))
+    selection = C.selection()
+    contact = None if selection is None or not solvers else selection.unknowns
+    return Plan(process.dim, C.nonsmooth_dim, solvers, scheme, tol, tuple(left_out), contact)

@@ -53,7 +53,8 @@ class SweepingProcess:
     Examples
     --------
     >>> from sweepopt.sets import Box, Moving
-    >>> process = SweepingProcess([[0.5]], [[2.0]], Moving(Box([-1], [1]), lambda t: [1.5 * t]), [0])
+    >>> C = Moving(Box([-1], [1]), center=lambda t: [1.5 * t])
+    >>> process = SweepingProcess([[0.5]], [[2.0]], C, u0=[0])
     >>> process.beta
     0.5
     """
@@ -233,7 +234,8 @@ class EvolutionVI:
     Examples
     --------
     >>> from sweepopt.sets import Box
-    >>> vi = EvolutionVI([[0.5]], [[2.0]], load=lambda t: [1.5 * t], dissipation=Box([-1], [1]), u0=[0])
+    >>> D = Box([-1], [1])
+    >>> vi = EvolutionVI([[0.5]], [[2.0]], load=lambda t: [1.5 * t], dissipation=D, u0=[0])
     >>> vi.as_sweeping().C.at(0.0).support([1.0])
     1.0
     """

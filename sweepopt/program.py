@@ -29,19 +29,13 @@ class Velocity(NamedTuple):
     ----------
     z : ndarray, shape (dim,)
         The velocity; sigma(C, -z) is finite, stuck unknowns are exactly 0.0.
-    w : ndarray, shape (dim,)
-        A point of C with (up to `gap`) -z in N_C(w).
-    rho : ndarray, shape (dim,)
-        M z + q - w: how far the force is from w.
     certificate : float
-        sqrt(2 gap + |rho|^2_{M^-1}) >= |z - z*|_M; nan if the set has no proof.
+        >= |z - z*|_M, from M, q and C alone; nan if the set has no proof.
     relative : float
         certificate / max(|z|_M, |M^-1 q|_M), q the full linear term; what `tol` bounds.
     """
 
     z: np.ndarray
-    w: np.ndarray
-    rho: np.ndarray
     certificate: float
     relative: float
 
@@ -119,28 +113,14 @@ class VelocityProgram:
         error, and strong monotonicity of M + N_C^-1 gives |z' - z*|_M <= |rho|_{M^-1}; a set that
         is short of an exact pair by `gap` adds 2 gap under the root.
         """
-        witness = C.witness(-z, self.M.M @ z + q, self.M.diagonal, y)
+        M = self.M
+        witness = C.witness(-z, M.M @ z + q, M.diagonal, y)
         if witness is None:
-            w = self.M.M @ z + q
-            return Velocity(z, w, np.zeros_like(z), float("nan"), float("nan"))
+            return Velocity(z, float("nan"), float("nan"))
         z = 0.0 - witness.p
-        rho = self.M.M @ z + q - witness.w
-        certificate = float(np.sqrt(2 * witness.gap + self.M.dual_norm(rho) ** 2))
-        return self.rate(z, witness.w, rho, certificate, q, C)
-
-    def rate(
-        self,
-        z: np.ndarray,
-        w: np.ndarray,
-        rho: np.ndarray,
-        certificate: float,
-        q: np.ndarray,
-        C: ConvexSet,
-    ) -> Velocity:
-        """Put the certificate in relation to the size of the problem."""
-        size = max(self.M.norm(z), self.M.dual_norm(q - C.anchor))
-        relative = certificate / size if certificate > 0 else 0.0
-        return Velocity(z, w, rho, certificate, float(relative))
+        rho = M.M @ z + q - witness.w
+        certificate = float(np.sqrt(2 * witness.gap + M.dual_norm(rho) ** 2))
+        return rate(z, certificate, M.norm(z), M.dual_norm(q - C.anchor))
 
     def at_rest(self, q: np.ndarray, C: ConvexSet) -> Velocity | None:
         """z = 0 exactly, if q is in C: nothing moves.
@@ -148,7 +128,13 @@ class VelocityProgram:
         The rule: a force that misses C by no more than 8 rounding units of q and of the set's
         translation, entry by entry, counts as inside.
         """
-        missed = q - C.project(q)
-        if (np.abs(missed) > ROUNDING * (np.abs(q) + np.abs(C.anchor))).any():
+        missed = np.abs(q - C.project(q))
+        if (missed > ROUNDING * (np.abs(q) + np.abs(C.anchor))).any():
             return None
-        return Velocity(np.zeros_like(q), q - missed, missed, 0.0, 0.0)
+        return Velocity(np.zeros_like(q), 0.0, 0.0)
+
+
+def rate(z: np.ndarray, certificate: float, size_z: float, size_q: float) -> Velocity:
+    """A velocity with its certificate in relation to max(|z|_M, |M^-1 q|_M)."""
+    relative = certificate / max(size_z, size_q) if certificate > 0 else 0.0
+    return Velocity(z, certificate, float(relative))

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from sweepopt.errors import InputError, Status
 from sweepopt.plan import Plan, VelocityOf
 from sweepopt.process import SweepingProcess
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from xarray import Dataset
 
 STATS = np.dtype(
     [
@@ -20,7 +24,6 @@ STATS = np.dtype(
         ("attempts", int),
         ("certificate", float),
         ("relative", float),
-        ("viability", float),
     ]
 )
 
@@ -65,8 +68,7 @@ class Solution:
         velocity[i] = (u_{i+1} - u_i) / mu.
     stats : structured ndarray, shape (n,)
         One row a step: t (its end), seconds, iterations, attempts, certificate (a bound of
-        |z - z*|_M), relative (the certificate in units of the program's size, what tol bounds),
-        viability (distance of M z + q to C in the A^-1 metric).
+        |z - z*|_M), relative (the certificate in units of the program's size, what tol bounds).
     status : Status
     """
 
@@ -117,8 +119,8 @@ class Solution:
         Parameters
         ----------
         t : float or array_like, shape (k,), optional
-            Without it: for each step the distance of the stage's M z + q to its C (the discrete
-            inclusion; an upper bound, about the certificate). With it: the distance of
+            Without it: for each step a bound of the distance of the stage's M z + q to its C, from
+            the certificate: |.|_{A^-1} <= sqrt(1 + mu a_kk Lam) |.|_{M^-1}. With it: the distance of
             A u_n'(t) + B u_n(t) to C(t), u_n' the left derivative (the right one at t[0]); O(mu)
             for the first-order schemes.
 
@@ -127,7 +129,10 @@ class Solution:
         ndarray, shape (n,), () or (k,)
         """
         if t is None:
-            return self.stats["viability"].copy()
+            implicit = max(row[-1] for row in self.plan.scheme.a) * np.diff(self.t)
+            ratio = self.process.Lam if not self.process.rate_independent else 1.0
+            ratios = float(not self.process.rate_independent) + implicit * ratio
+            return self.stats["certificate"] * np.sqrt(ratios)
         return self._at_times(t, lambda _, force, C: self._distance(force, C))
 
     def residual(self, t: Any) -> np.ndarray:
@@ -179,6 +184,18 @@ class Solution:
     def _interval(self, times: np.ndarray) -> np.ndarray:
         """i with t in (t_i, t_{i+1}]."""
         return np.maximum(np.searchsorted(self.t, times, side="left") - 1, 0)
+
+    def to_xarray(self) -> Dataset:
+        """The trajectory and its statistics as an xarray.Dataset (needs the extra "study")."""
+        from sweepopt.store import to_xarray
+
+        return to_xarray(self)
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Components of u_n over time, stick phases shaded (needs the extra "plot")."""
+        from sweepopt.plot import plot_solution
+
+        return plot_solution(self, ax)
 
     def energy(self) -> Energy:
         """Energies of the run; forces are taken at the middle of each step.

@@ -46,7 +46,7 @@ def test_every_path_finds_the_exact_velocity_within_its_certificate(
     M, q, g = random_program(seed)
     C = so.Box(-g, g)
     program = VelocityProgram(Factor(M), C)
-    answer = solver.compile(program)(q, C.offsets)
+    answer = solver.compile(program)(q, C)
     velocity = program.certify(q, C, answer.z, answer.y)
     error = program.M.norm(velocity.z - exact_friction(M, q, g))
     size = program.M.dual_norm(q)
@@ -76,7 +76,7 @@ def test_answers_do_not_depend_on_the_unit_of_force(scale: float) -> None:
     for solver in SOLVERS:
         C = so.Box(-scale * g, scale * g)
         program = VelocityProgram(Factor(M), C)
-        answer = solver.compile(program)(scale * q, C.offsets)
+        answer = solver.compile(program)(scale * q, C)
         velocity = program.certify(scale * q, C, answer.z, answer.y)
         assert velocity.relative <= 1e-6
         error = program.M.norm(velocity.z / scale - exact_friction(M, q, g))
@@ -97,7 +97,7 @@ def test_stuck_unknowns_among_moving_ones_are_exactly_zero() -> None:
     C = so.Box([-1, -1], [1, 1])
     program = VelocityProgram(Factor(M), C)
     for solver in SOLVERS:
-        answer = solver.compile(program)(q, C.offsets)
+        answer = solver.compile(program)(q, C)
         z = program.certify(q, C, answer.z, answer.y).z
         assert z[0] == pytest.approx(2.0)
         assert z[1] == 0.0
@@ -138,7 +138,7 @@ def test_an_image_of_a_small_set_gives_the_velocity_of_the_full_program() -> Non
     results = []
     for M, C in ((sp.csc_array(K), so.image(E, so.Box(-g, g))), (K.toarray(), so.Box(-full, full))):
         program = VelocityProgram(Factor(M), C)
-        answer = so.OSQP().compile(program)(q, C.offsets)
+        answer = so.OSQP().compile(program)(q, C)
         results.append(program.certify(q, C, answer.z, answer.y))
     apart = program.M.norm(results[0].z - results[1].z)
     assert apart <= results[0].certificate + results[1].certificate

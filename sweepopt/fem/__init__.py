@@ -1,9 +1,9 @@
-"""Antiplane frictional contact on finite elements: a scene declares its effects, and only they exist.
+"""Antiplane frictional contact on finite elements: a scene declares effects, and only they exist.
 
     antiplane(mesh, clamped=..., effects=[...])     a scene from Python
-    read_scene("tube.toml")                         the same from a file; values are data, never code
+    read_scene("tube.toml")                         the same from a file of data
 
-The model (MATH.md section 1): v in H^1 with v = 0 on Gamma_1,
+The model: v in H^1 with v = 0 on Gamma_1,
 a = int eta grad u . grad v, b = int kappa grad u . grad v, J(v) = int_{Gamma_3} g |v|,
 <f, v> = int f0 v + int_{Gamma_2} f2 v.
 """

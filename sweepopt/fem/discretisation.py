@@ -51,10 +51,8 @@ class Discretisation:
     clamped: tuple[str, ...]
     element: str = "P1"
 
-    def __init__(
-        self, mesh: skfem.MeshTri, clamped: Sequence[str], element: str = "P1"
-    ) -> None:
-        if element not in ELEMENTS:
+    def __init__(self, mesh: skfem.MeshTri, clamped: Sequence[str], element: str = "P1") -> None:
+        if element not in tuple(ELEMENTS):
             raise InputError(f"element must be one of {', '.join(ELEMENTS)}; got {element!r}")
         if not isinstance(mesh, skfem.MeshTri):
             raise InputError(
@@ -69,9 +67,7 @@ class Discretisation:
     @cached_property
     def basis(self) -> skfem.CellBasis:
         """The scikit-fem basis in the triangles, of all degrees of freedom."""
-        return skfem.CellBasis(
-            self.mesh, ELEMENTS[self.element], intorder=QUADRATURE[self.element]
-        )
+        return skfem.CellBasis(self.mesh, ELEMENTS[self.element], intorder=QUADRATURE[self.element])
 
     @cached_property
     def free(self) -> Indices:
@@ -168,7 +164,7 @@ class Discretisation:
         held[self.mesh.facets[:, self.facets("clamped", self.clamped)]] = True
         start, end = self.mesh.facets
         links = sp.coo_array((np.ones(start.size), (start, end)), shape=2 * (held.size,))
-        count, piece = sp.csgraph.connected_components(links, directed=False)
+        _, piece = sp.csgraph.connected_components(links, directed=False)
         used = np.unique(self.mesh.t)
         loose = np.setdiff1d(piece[used], piece[held])
         if loose.size:

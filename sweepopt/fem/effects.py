@@ -12,16 +12,16 @@ from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.errors import InputError
 from sweepopt.fem.contact import Contact, contact_on
 from sweepopt.fem.discretisation import Discretisation
 from sweepopt.fem.fields import NON_NEGATIVE, POSITIVE, Datum, check_datum
 from sweepopt.fem.forms import boundary_load, stiffness, volume_load
-from sweepopt.loads import History
 
 Array = NDArray[np.float64]
+Phi = Callable[[float], ArrayLike]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class Contribution:
     ----------
     A, B : sparse, shape (dim, dim), or None
         Part of the matrix of u' or of u.
-    load : (History, ndarray of shape (dim,)) or None
+    load : (history, ndarray of shape (dim,)) or None
         A term ``phi(t) f`` of the load.
     contact : Contact or None
         A part of the dissipation.
@@ -40,7 +40,7 @@ class Contribution:
 
     A: sp.csc_array | None = None
     B: sp.csc_array | None = None
-    load: tuple[History, Array] | None = None
+    load: tuple[Phi, Array] | None = None
     contact: Contact | None = None
 
 
@@ -130,13 +130,13 @@ class BodyForce:
 
     Parameters
     ----------
-    history : History
-        phi: Table, Sine, Triangle, Constant, or a callable of t (without a variation).
+    history : callable
+        phi(t): Table, Sine, Triangle, Constant; or any function, which tells no variation.
     f0 : number, mapping of subdomain to number, Profile or callable
         Density at phi = 1 (Pa/m).
     """
 
-    history: History | Callable[[float], float]
+    history: Phi
     f0: Datum = 1.0
 
     def __post_init__(self) -> None:
@@ -156,14 +156,14 @@ class Traction:
     ----------
     on : str or sequence of str
         The boundaries that make up Gamma_2.
-    history : History
-        phi: Table, Sine, Triangle, Constant, or a callable of t (without a variation).
+    history : callable
+        phi(t): Table, Sine, Triangle, Constant; or any function, which tells no variation.
     f2 : number, mapping of boundary to number, Profile or callable
         Traction at phi = 1 (Pa).
     """
 
     on: Sequence[str]
-    history: History | Callable[[float], float]
+    history: Phi
     f2: Datum = 1.0
 
     def __post_init__(self) -> None:
@@ -205,5 +205,5 @@ def check_history(history: object) -> None:
     """Refuse a history that is not a function of time."""
     if not callable(history):
         raise InputError(
-            f"history must be a function of time such as Table, Sine or Constant, got {history!r:.80}"
+            f"history must be a function of time such as Table or Sine, got {history!r:.80}"
         )

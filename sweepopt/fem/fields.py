@@ -21,7 +21,7 @@ DIRECTIONS: dict[str, Callable[[Array], Array]] = {
     "radius": lambda x: np.hypot(x[0], x[1]),
     "angle": lambda x: np.mod(np.degrees(np.arctan2(x[1], x[0])), 360.0),
 }
-"""What a profile may run along; the angle is in degrees in [0, 360), from the x axis to the y axis."""
+"""What a profile may run along; the angle in degrees in [0, 360), from the x axis to the y axis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class Profile:
     values: Array
 
     def __init__(self, along: str, at: ArrayLike, values: ArrayLike) -> None:
-        if along not in DIRECTIONS:
+        if along not in tuple(DIRECTIONS):
             raise InputError(f"along must be one of {', '.join(DIRECTIONS)}; got {along!r}")
         object.__setattr__(self, "along", along)
         object.__setattr__(self, "at", vector("at", at))
@@ -99,7 +99,7 @@ POSITIVE = Range(0.0, strict=True)
 
 
 def check_datum(name: str, datum: Any, allowed: Range = ANY, hint: str = "") -> Datum:
-    """Check a coefficient as far as possible without a mesh; a function is checked where it is used.
+    """Check a coefficient as far as no mesh is needed; a function is checked where it is used.
 
     Raises
     ------

@@ -239,9 +239,9 @@ def _history(table: Any, path: str, folder: Path) -> History:
     if "waveform" in table:
         rest = dict(table)
         name = rest.pop("waveform")
-        if name not in WAVEFORMS:
+        if name not in tuple(WAVEFORMS):
             raise InputError(f"{path}.waveform: {name!r} is not among {', '.join(WAVEFORMS)}")
-        return _record(WAVEFORMS[name], rest, path, folder)  # type: ignore[no-any-return]
+        return _record(WAVEFORMS[name], rest, path, folder)
     if set(table) == {"table"}:
         rows: _Rows = _record(_Rows, table["table"], f"{path}.table", folder)
         with located(f"{path}.table"):

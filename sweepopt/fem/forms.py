@@ -1,13 +1,14 @@
 """The forms of the antiplane model: stiffness, loads and the lumped friction functional.
 
-    a(u, v) = int_Omega c grad u . grad v      (c = eta or kappa)
-    <f, v>  = int_Omega f0 v,   int_{Gamma_2} f2 v
-    J_h(v)  = sum_k w_k g_k |v_k|              (nodes k of Gamma_3)
+a(u, v) = int_Omega c grad u . grad v      (c = eta or kappa)
+<f, v>  = int_Omega f0 v,   int_{Gamma_2} f2 v
+J_h(v)  = sum_k w_k g_k |v_k|              (nodes k of Gamma_3)
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+
 import numpy as np
 import scipy.sparse as sp
 import skfem
@@ -24,9 +25,7 @@ NODES = {"P1": ([0.0, 1.0], [1 / 2, 1 / 2]), "P2": ([0.0, 0.5, 1.0], [1 / 6, 4 /
 """Nodal quadrature on an edge: trapezoid for P1, Simpson for P2."""
 
 
-def stiffness(
-    body: Discretisation, name: str, coefficient: Datum, allowed: Range
-) -> sp.csc_array:
+def stiffness(body: Discretisation, name: str, coefficient: Datum, allowed: Range) -> sp.csc_array:
     """Matrix of ``int c grad u . grad v`` on the unknowns, shape (dim, dim)."""
     basis = body.basis
     x = np.asarray(basis.global_coordinates())
@@ -43,9 +42,7 @@ def volume_load(body: Discretisation, name: str, density: Datum) -> Array:
     return np.asarray(body.restrict(_load(body.basis, values)))
 
 
-def boundary_load(
-    body: Discretisation, name: str, on: Sequence[str], density: Datum
-) -> Array:
+def boundary_load(body: Discretisation, name: str, on: Sequence[str], density: Datum) -> Array:
     """Vector of ``int_{Gamma_2} f2 v`` on the unknowns, shape (dim,)."""
     facets = body.facets("on", on)
     basis = skfem.FacetBasis(
@@ -89,13 +86,9 @@ def friction_weights(
     return facets, basis.dx, evaluate(name, bound, x, edge_groups(body, on, facets), NON_NEGATIVE)
 
 
-def edge_groups(
-    body: Discretisation, on: Sequence[str], facets: Indices
-) -> dict[str, Indices]:
+def edge_groups(body: Discretisation, on: Sequence[str], facets: Indices) -> dict[str, Indices]:
     """Positions in `facets` of each boundary of `on`."""
-    return {
-        name: np.flatnonzero(np.isin(facets, body.facets("on", (name,)))) for name in on
-    }
+    return {name: np.flatnonzero(np.isin(facets, body.facets("on", (name,)))) for name in on}
 
 
 def _load(basis: skfem.CellBasis | skfem.FacetBasis, values: Array) -> Array:

@@ -48,9 +48,7 @@ def read_mesh(path: str | Path) -> skfem.MeshTri:
     kinds = {block.type for block in raw.cells}
     foreign = kinds - {"triangle", "triangle6", "line", "line3", "vertex"}
     if foreign:
-        raise InputError(
-            f"{path}: only triangles are supported, not {', '.join(sorted(foreign))}"
-        )
+        raise InputError(f"{path}: only triangles are supported, not {', '.join(sorted(foreign))}")
     surfaces = kinds & {"triangle", "triangle6"}
     if not surfaces:
         raise InputError(f"{path}: has no triangles; save the meshed surface in a physical group")
@@ -94,7 +92,7 @@ def check_mesh(mesh: skfem.MeshTri) -> None:
 
 
 def group(groups: Mapping[str, Any] | None, name: str, what: str) -> Indices:
-    """Members of a named group of edges or triangles, or an error that lists the names there are."""
+    """Members of a named group of edges or triangles, or an error that lists the names."""
     known = groups or {}
     if name not in known:
         names = ", ".join(sorted(known)) or "none (give the mesh physical groups)"
@@ -104,12 +102,13 @@ def group(groups: Mapping[str, Any] | None, name: str, what: str) -> Indices:
 
 def _read_gmsh(path: Path) -> meshio.Mesh:
     try:
-        with path.open("rb") as file:
-            head = file.read(11)
+        content = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    if head != b"$MeshFormat":
+    if not content.startswith(b"$MeshFormat"):
         raise InputError(f"{path}: is not a Gmsh .msh file (it does not start with $MeshFormat)")
+    if b"$EndElements" not in content:
+        raise InputError(f"{path}: is cut short ($EndElements is missing); save it again")
     try:
         with warnings.catch_warnings():
             # numpy only warns when a block of numbers ends early
@@ -118,7 +117,7 @@ def _read_gmsh(path: Path) -> meshio.Mesh:
     except Exception as error:  # the parser raises whatever it stumbles on
         reason = str(error) or type(error).__name__
         raise InputError(
-            f"{path}: cannot be read as a Gmsh mesh ({reason}); is the file complete, and is "
+            f"{path}: cannot be read as a Gmsh mesh ({reason}); is "
             "every saved element in a physical group?"
         ) from error
 
@@ -140,6 +139,7 @@ def _build(raw: meshio.Mesh, kind: str) -> skfem.MeshTri:
     xy = np.ascontiguousarray(points[np.concatenate([corners, middle]), :2].T)
     t = np.ascontiguousarray(number[cells].T)
     mesh = skfem.MeshTri2(xy, t) if kind == "triangle6" else skfem.MeshTri(xy, t)
+    check_mesh(mesh)
 
     lines = [block.data[:, :2] for block in raw.cells if block.type in ("line", "line3")]
     edges = number[np.vstack(lines)] if lines else np.empty((0, 2), dtype=int)

@@ -133,9 +133,15 @@ def antiplane(
     ('no elasticity: B is not formed', 'no load: f = 0')
     """
     labelled = {f"effects[{k}]": effect for k, effect in enumerate(effects)}
-    settings = dict(
-        t_end=t_end, steps=steps, scheme=scheme, solver=solver, tol=tol, units=units, title=title
-    )
+    settings = {
+        "t_end": t_end,
+        "steps": steps,
+        "scheme": scheme,
+        "solver": solver,
+        "tol": tol,
+        "units": units,
+        "title": title,
+    }
     if units not in UNITS:
         raise InputError(f"units must be one of {', '.join(UNITS)}; got {units!r}")
     if isinstance(mesh, (str, Path)):
@@ -215,7 +221,8 @@ def _check_duration(part: Contribution, t_end: float | None) -> None:
             try:
                 part.load[0](t)
             except InputError as error:
-                raise InputError(f"history does not cover the run, [0, {t_end:g}]: {error}") from error
+                fault = f"history does not cover the run, [0, {t_end:g}]: {error}"
+                raise InputError(fault) from error
 
 
 def _total(matrices: Sequence[sp.csc_array | None]) -> sp.csc_array | None:

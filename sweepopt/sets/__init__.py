@@ -38,9 +38,9 @@ def product(*sets: Any) -> Any:
     if any(isinstance(C, MovingSet) for C in sets):
         return MovingSet(lambda t: product(*(C.at(t) for C in sets)), sum(C.dim for C in sets))
     if all(isinstance(C, Box) for C in sets):
-        return Box(
-            np.concatenate([C.lower for C in sets]), np.concatenate([C.upper for C in sets])
-        )
+        return Box(np.concatenate([C.lower for C in sets]), np.concatenate([C.upper for C in sets]))
+    if all(isinstance(C, Point) for C in sets):
+        return Point(np.concatenate([C.offsets for C in sets]))
     return Product(tuple(sets))
 
 
@@ -53,10 +53,12 @@ def image(M: Any, C: Any) -> Any:
     5.0
     """
     if isinstance(C, MovingSet):
-        return MovingSet(lambda t: Image(M, C.at(t)))
+        first = Image(M, C.at(0.0))
+        return MovingSet(lambda t: first.with_part(C.at(t)), first.dim)
     if not isinstance(C, ConvexSet):
         raise InputError(f"image(M, C): C must be a set, got {type(C).__name__}")
-    return Image(M, C)
+    found = Image(M, C)
+    return Point(found.M @ C.offsets) if isinstance(C, Point) else found
 
 
 __all__ = [

@@ -1,27 +1,30 @@
 """Operations on sets, lazy: each node states its law for sigma, for the projection and for y.
 
-    sigma(C + v, z) = sigma(C, z) + <v, z>          sigma(C + D, z) = sigma(C, z) + sigma(D, z)
-    sigma(r C, z)   = r sigma(C, z),  r >= 0        sigma(-C, z)    = sigma(C, -z)
-    sigma(C x D)    = sum of the parts              sigma(M C, z)   = sigma(C, M^T z)
-    sigma(C & D, z) = min { sigma(C, p) + sigma(D, z - p) }   (and its closure)
+sigma(C + v, z) = sigma(C, z) + <v, z>          sigma(C + D, z) = sigma(C, z) + sigma(D, z)
+sigma(r C, z)   = r sigma(C, z),  r >= 0        sigma(-C, z)    = sigma(C, -z)
+sigma(C x D)    = sum of the parts              sigma(M C, z)   = sigma(C, M^T z)
+sigma(C & D, z) = min { sigma(C, p) + sigma(D, z - p) }   (and its closure)
 """
 
 from __future__ import annotations
 
+import copy
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import matrix, number, vector
+from sweepopt.checks import Matrix, matrix, number, vector
 from sweepopt.errors import EmptySetError, InputError
 from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
     Features,
+    Selection,
     Witness,
     project_by_program,
     same_array,
+    solve_tightly,
     support_by_program,
 )
 from sweepopt.sets.shapes import Box, Point
@@ -38,13 +41,16 @@ class Translation(ConvexSet):
     def __init__(self, part: ConvexSet, v: Any) -> None:
         self.part, self.v, self.dim = part, vector("v", v, part.dim), part.dim
         self.offsets = np.concatenate([self.v, part.offsets])
-        self.polyhedral = part.polyhedral
+        self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
 
     def support(self, z: np.ndarray) -> float:
         return self.part.support(z) + float(self.v @ z)
 
     def project(self, w: np.ndarray) -> np.ndarray:
         return self.part.project(vector("w", w, self.dim) - self.v) + self.v
+
+    def normal(self, v: np.ndarray) -> np.ndarray:
+        return self.part.normal(v - self.v)
 
     def features(self, p: cp.Expression) -> Features:
         y, constraints = self.part.features(p)
@@ -73,6 +79,10 @@ class Translation(ConvexSet):
     def nonsmooth_dim(self) -> int:
         return self.part.nonsmooth_dim
 
+    def selection(self) -> Selection | None:
+        found = self.part.selection()
+        return found and found._replace(shift=found.shift + self.v)
+
 
 class Scaling(ConvexSet):
     """r C for r > 0."""
@@ -80,13 +90,16 @@ class Scaling(ConvexSet):
     def __init__(self, factor: float, part: ConvexSet) -> None:
         self.factor, self.part, self.dim = factor, part, part.dim
         self.offsets = factor * part.offsets
-        self.polyhedral = part.polyhedral
+        self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
 
     def support(self, z: np.ndarray) -> float:
         return self.factor * self.part.support(z)
 
     def project(self, w: np.ndarray) -> np.ndarray:
         return self.factor * self.part.project(vector("w", w, self.dim) / self.factor)
+
+    def normal(self, v: np.ndarray) -> np.ndarray:
+        return self.factor * self.part.normal(v / self.factor)
 
     def features(self, p: cp.Expression) -> Features:
         return self.part.features(p)
@@ -110,6 +123,12 @@ class Scaling(ConvexSet):
     def nonsmooth_dim(self) -> int:
         return self.part.nonsmooth_dim
 
+    def selection(self) -> Selection | None:
+        found = self.part.selection()
+        return found and Selection(
+            found.unknowns, scale(self.factor, found.part), self.factor * found.shift
+        )
+
     def polar(self) -> ConvexSet:
         return self.part.polar()
 
@@ -119,13 +138,16 @@ class Negation(ConvexSet):
 
     def __init__(self, part: ConvexSet) -> None:
         self.part, self.dim, self.offsets = part, part.dim, part.offsets
-        self.polyhedral = part.polyhedral
+        self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
 
     def support(self, z: np.ndarray) -> float:
-        return self.part.support(-np.asarray(z, dtype=float))
+        return self.part.support(-vector("z", z, self.dim))
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        return -self.part.project(-np.asarray(w, dtype=float))
+        return -self.part.project(-vector("w", w, self.dim))
+
+    def normal(self, v: np.ndarray) -> np.ndarray:
+        return -self.part.normal(-v)
 
     def features(self, p: cp.Expression) -> Features:
         return self.part.features(-p)
@@ -149,6 +171,10 @@ class Negation(ConvexSet):
     def nonsmooth_dim(self) -> int:
         return self.part.nonsmooth_dim
 
+    def selection(self) -> Selection | None:
+        found = self.part.selection()
+        return found and Selection(found.unknowns, -found.part, -found.shift)
+
     def polar(self) -> ConvexSet:
         return -self.part.polar()
 
@@ -164,6 +190,7 @@ class Sum(ConvexSet):
         self.first, self.second, self.dim = first, second, first.dim
         self.offsets = np.concatenate([first.offsets, second.offsets])
         self.polyhedral = first.polyhedral and second.polyhedral
+        self.certifiable = first.certifiable and second.certifiable
 
     def support(self, z: np.ndarray) -> float:
         return self.first.support(z) + self.second.support(z)
@@ -172,6 +199,15 @@ class Sum(ConvexSet):
         w = vector("w", w, self.dim)
         parts = self._nearest(w)
         return project_by_program(self, w) if parts is None else parts[0] + parts[1]
+
+    def normal(self, v: np.ndarray) -> np.ndarray:
+        parts = self._nearest(v)
+        return v - self.project(v) if parts is None else self._normal(v, *parts)
+
+    def _normal(self, v: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """The common normal of the parts as the part computes it in whose domain it must be."""
+        p = self.second.normal(v - first)
+        return p if np.isfinite(self.support(p)) else self.first.normal(v - second)
 
     def _nearest(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Points of C and D whose sum is nearest to w, by alternating projections."""
@@ -192,20 +228,25 @@ class Sum(ConvexSet):
     def witness(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:
-        k = self.first.offsets.size
+        if not self.certifiable:
+            return None
         step = float(np.mean(tau))
         v = w + step * p
         parts = self._nearest(v)
-        first = self.first.project(w) if parts is None else parts[0]
-        one = self.first.witness(p, first, tau, y[:k])
-        if one is None or self.second.witness(p, w - first, tau, y[k:]) is None:
-            return None
         if parts is not None:
-            return Witness((v - parts[0] - parts[1]) / step, parts[0] + parts[1], 0.0)
-        # no split to rounding: keep p, take exposed parts and pay the gap
-        second = self.second.project(w - first)
-        gap = self.support(p) - float(p @ (first + second))
-        return Witness(p, first + second, max(gap, 0.0))
+            return Witness(self._normal(v, *parts) / step, parts[0] + parts[1], 0.0)
+        # no split to rounding: exposed parts, and the gap of the best normal at hand
+        first = self.first.project(w)
+        second = self.second.project(v - first)
+        first = self.first.project(v - second)
+        normals = (
+            p,
+            self.first.normal(v - second) / step,
+            self.second.normal(v - first) / step,
+        )
+        gaps = [self.support(n) - float(n @ (first + second)) for n in normals]
+        best = int(np.argmin(gaps))
+        return Witness(normals[best], first + second, max(gaps[best], 0.0))
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (
@@ -225,6 +266,9 @@ class Sum(ConvexSet):
     def anchor(self) -> np.ndarray:
         return self.first.anchor + self.second.anchor
 
+    def polar(self) -> ConvexSet:
+        return self.first.polar() & self.second.polar()
+
 
 class Intersection(ConvexSet):
     """C & D, non-empty."""
@@ -235,6 +279,7 @@ class Intersection(ConvexSet):
         # y starts with p_1 of the split p = p_1 + p_2, at no cost: its offsets are zero
         self.offsets = np.concatenate([np.zeros(self.dim), first.offsets, second.offsets])
         self.polyhedral = first.polyhedral and second.polyhedral
+        self.certifiable = first.certifiable and second.certifiable
 
     def support(self, z: np.ndarray) -> float:
         z = vector("z", z, self.dim)
@@ -244,19 +289,31 @@ class Intersection(ConvexSet):
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
         split = self._split(w, np.zeros(self.dim))
-        return project_by_program(self, w) if split is None else w - split[0] - split[1]
+        return self._repaired(w) if split is None else w - split[0] - split[1]
+
+    def normal(self, v: np.ndarray) -> np.ndarray:
+        split = self._split(v, np.zeros(self.dim))
+        return v - self._repaired(v) if split is None else split[0] + split[1]
+
+    def _repaired(self, w: np.ndarray) -> np.ndarray:
+        """The projection by a program, brought into both sets by alternating projections."""
+        w = project_by_program(self, w)
+        for _ in range(SWEEPS):
+            before, w = w, self.second.project(self.first.project(w))
+            if np.abs(w - before).max() <= ROUNDING * np.abs(w).max():
+                break
+        return w
 
     def _split(self, v: np.ndarray, one: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """p_1 in N_C(w), p_2 in N_D(w) with w = v - p_1 - p_2, by Dykstra's alternation from p_1.
 
         Boyle and Dykstra (1986); each half sweep minimises the dual in one of the two.
         """
-        two = v - one - self.second.project(v - one)
+        two = self.second.normal(v - one)
         for _ in range(SWEEPS):
-            moved = v - two - self.first.project(v - two) - one
-            one = one + moved
-            two = v - one - self.second.project(v - one)
-            if np.abs(moved).max() <= ROUNDING * max(np.abs(v).max(), np.abs(one).max()):
+            before, one = one, self.first.normal(v - two)
+            two = self.second.normal(v - one)
+            if np.abs(one - before).max() <= ROUNDING * max(np.abs(v).max(), np.abs(one).max()):
                 return one, two
         return None
 
@@ -271,18 +328,20 @@ class Intersection(ConvexSet):
     def witness(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:
+        if not self.certifiable:
+            return None
         hint, k = y[: self.dim], self.dim + self.first.offsets.size
         step = float(np.mean(tau))
-        one = self.first.witness(hint, w, tau, y[self.dim : k])
-        two = self.second.witness(p - hint, w, tau, y[k:])
-        if one is None or two is None:
-            return None
         v = w + step * p
         split = self._split(v, step * hint)
         if split is not None:
             return Witness((split[0] + split[1]) / step, v - split[0] - split[1], 0.0)
         # no split to rounding: the parts' own normals at a common point, and their gap
-        inside = project_by_program(self, w)
+        one = self.first.witness(hint, w, tau, y[self.dim : k])
+        two = self.second.witness(p - hint, w, tau, y[k:])
+        assert one is not None  # both parts are certifiable
+        assert two is not None
+        inside = self._repaired(w)
         gap = one.gap + two.gap + one.p @ (one.w - inside) + two.p @ (two.w - inside)
         return Witness(one.p + two.p, inside, max(float(gap), 0.0))
 
@@ -296,14 +355,29 @@ class Intersection(ConvexSet):
     def require_nonempty(self, where: str = "C") -> None:
         self.first.require_nonempty(where)
         self.second.require_nonempty(where)
-        try:
-            w = self.project(self.first.project(np.zeros(self.dim)))
-        except EmptySetError as error:
-            raise EmptySetError(f"{where} is empty: the two sets of C & D do not meet") from error
-        size = max(np.linalg.norm(w), np.abs(self.offsets).max(initial=0.0))
-        for part in (self.first, self.second):
-            if not part.contains(w, 1e-7 * size):
-                raise EmptySetError(f"{where} is empty: the two sets of C & D do not meet")
+        if not self._parts_meet():
+            raise EmptySetError(f"{where} is empty: the two sets of C & D do not meet")
+
+    def _parts_meet(self) -> bool:
+        """Whether alternating projections find a common point, or no plane separates the parts."""
+        import cvxpy as cp
+
+        b = self.second.project(self.first.project(np.zeros(self.dim)))
+        for _ in range(SWEEPS // 10):
+            a = self.first.project(b)
+            if np.abs(a - b).max() <= ROUNDING * max(np.abs(a).max(), np.abs(b).max()):
+                return True
+            b = self.second.project(a)
+        # max over |p| <= 1 of -sigma(C, p) - sigma(D, -p) is the distance of the parts
+        size = max(np.abs(a).max(), np.abs(b).max())
+        p = cp.Variable(self.dim)
+        one, constraints = self.first.epigraph(p)
+        two, more = self.second.epigraph(-p)
+        problem = cp.Problem(
+            cp.Maximize(-(one + two) / size), [*constraints, *more, cp.norm(p) <= 1]
+        )
+        solve_tightly(problem)
+        return problem.value is not None and problem.value <= 1e-10
 
     def magnitude(self) -> float:
         return min(self.first.magnitude(), self.second.magnitude())
@@ -317,6 +391,7 @@ class Product(ConvexSet):
         self.dim = sum(part.dim for part in parts)
         self.offsets = np.concatenate([part.offsets for part in parts])
         self.polyhedral = all(part.polyhedral for part in parts)
+        self.certifiable = all(part.certifiable for part in parts)
         self._cuts = np.cumsum([part.dim for part in parts])[:-1]
         self._offset_cuts = np.cumsum([part.offsets.size for part in parts])[:-1]
 
@@ -328,6 +403,12 @@ class Product(ConvexSet):
         blocks = np.split(vector("w", w, self.dim), self._cuts)
         projected = [part.project(block) for part, block in zip(self.parts, blocks, strict=True)]
         return np.concatenate(projected)
+
+    def normal(self, v: np.ndarray) -> np.ndarray:
+        blocks = np.split(v, self._cuts)
+        return np.concatenate(
+            [part.normal(block) for part, block in zip(self.parts, blocks, strict=True)]
+        )
 
     def features(self, p: cp.Expression) -> Features:
         y: list[Any] = []
@@ -393,20 +474,40 @@ class Image(ConvexSet):
         self.dim, columns = self.M.shape
         if columns != part.dim:
             raise InputError(f"image(M, C): M has {columns} columns but C has dim {part.dim}")
-        self.part, self.offsets, self.polyhedral = part, part.offsets, part.polyhedral
+        self._selected = _selected(self.M)
         gram = self.M.T @ self.M
         gram = gram.toarray() if sp.issparse(gram) and columns <= 2000 else gram
         self._diagonal = gram.diagonal()
-        away = abs(gram - sp.diags_array(self._diagonal))
-        self._orthogonal = bool(away.max() <= ROUNDING * self._diagonal.max())
-        self._uniform = bool(np.ptp(self._diagonal) <= ROUNDING * self._diagonal.max())
+        largest = float(self._diagonal.max())
+        away = abs(gram - sp.diags_array(self._diagonal)).max()
+        self._orthogonal = bool(away <= ROUNDING * largest)
+        self._uniform = bool(np.ptp(self._diagonal) <= ROUNDING * largest)
         # rank decides whether M^T z reaches every direction of R^m
-        self._pinv = None if self._orthogonal else np.linalg.pinv(_dense(self.M))
-        self._injective = bool(
-            (self._diagonal > 0).all()
-            if self._orthogonal
-            else np.linalg.matrix_rank(_dense(self.M)) == columns
-        )
+        if self._orthogonal:
+            self._pinv, self._square_norm = None, largest
+            self._injective = bool((self._diagonal > 0).all())
+        else:
+            full = _dense(self.M)
+            self._pinv = np.linalg.pinv(full)
+            self._square_norm = float(np.linalg.norm(full, 2)) ** 2
+            self._injective = bool(np.linalg.matrix_rank(full) == columns)
+        self._set_part(part)
+
+    def _set_part(self, part: ConvexSet) -> None:
+        self.part, self.offsets = part, part.offsets
+        self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
+        separable = isinstance(part, Box) or self._uniform
+        self._closed_form = self._orthogonal and self._injective and separable
+        # a cone of generators: by Moreau its normals are the projections on the polar polyhedron
+        cone = isinstance(part, Box) and not part.offsets.any()
+        self._dual = self._polar_rows() if cone and not self._closed_form else None
+
+    def with_part(self, part: ConvexSet) -> Image:
+        """{ M s : s in part } with all that depends on M alone taken over."""
+        require_same_dim("image(M, C)", self.part, part)
+        other = copy.copy(self)
+        other._set_part(part)
+        return other
 
     def _solve(self, w: np.ndarray) -> np.ndarray:
         """The s of least norm with M s nearest to w."""
@@ -415,15 +516,41 @@ class Image(ConvexSet):
         safe = np.where(self._diagonal > 0, self._diagonal, 1.0)
         return (self.M.T @ w) / safe
 
+    def _pulled_back(self, z: np.ndarray) -> np.ndarray:
+        """M^T z; an entry that is nothing but rounding is 0, so that it meets sigma's domain."""
+        inner = self.M.T @ z
+        inner[np.abs(inner) <= ROUNDING * (abs(self.M).T @ np.abs(z))] = 0.0
+        return inner
+
     def support(self, z: np.ndarray) -> float:
-        return self.part.support(self.M.T @ vector("z", z, self.dim))
+        return self.part.support(self._pulled_back(vector("z", z, self.dim)))
 
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
-        separable = isinstance(self.part, Box) or self._uniform
-        if self._orthogonal and self._injective and separable:
-            return self.M @ self.part.project(self._solve(w))
-        return project_by_program(self, w)
+        if self._dual is not None:
+            return w - self._dual.project(w)
+        s = self._nearest(w)
+        return project_by_program(self, w) if s is None else self.M @ s
+
+    def normal(self, v: np.ndarray) -> np.ndarray:
+        return v - self.project(v) if self._dual is None else self._dual.project(v)
+
+    def _nearest(self, w: np.ndarray) -> np.ndarray | None:
+        """s in C with M s nearest to w, by accelerated projected gradients where M mixes."""
+        s = self.part.project(self._solve(w))
+        if self._closed_form or not self._square_norm:
+            return s
+        ahead, weight = s, 1.0
+        for _ in range(SWEEPS):
+            gradient = self.M.T @ (self.M @ ahead - w) / self._square_norm
+            before, s = s, self.part.project(ahead - gradient)
+            size = ROUNDING * max(np.abs(s).max(), np.abs(ahead).max())
+            if max(np.abs(s - ahead).max(), np.abs(s - before).max()) <= size:
+                return s
+            # Nesterov's step, restarted when it leads uphill (O'Donoghue and Candes, 2015)
+            weight = 1.0 if (ahead - s) @ (s - before) > 0 else 0.5 + np.sqrt(0.25 + weight**2)
+            ahead = s + (weight - 1) / weight * (s - before)
+        return None
 
     def features(self, p: cp.Expression) -> Features:
         return self.part.features(self.M.T @ p)
@@ -431,21 +558,36 @@ class Image(ConvexSet):
     def witness(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:
+        if not self.certifiable:
+            return None
+        if not self._injective:
+            return self._witness_of_nearest(w + float(np.mean(tau)) * p, float(np.mean(tau)))
         inner = self.M.T @ p
         weights = np.maximum(abs(self.M).T @ tau, np.finfo(float).tiny)
         found = self.part.witness(inner, self._solve(w), weights, y)
-        if found is None:
-            return None
-        if self._injective:
-            # the p nearest to the given one whose M^T p is the proven normal of the part
-            change = found.p - inner
-            if self._pinv is None:
-                p = p + self.M @ (change / self._diagonal)
-            else:
-                p = p + self._pinv.T @ change
-            return Witness(p, self.M @ found.w, found.gap)
-        gap = self.part.support(inner) - float(inner @ found.w)
-        return Witness(p, self.M @ found.w, max(gap, 0.0))
+        assert found is not None  # the part is certifiable
+        # the p nearest to the given one whose M^T p is the proven normal of the part
+        change = found.p - inner
+        if self._pinv is None:
+            p = p + self.M @ (change / self._diagonal)
+        else:
+            p = p + self._pinv.T @ change
+        return Witness(p, self.M @ found.w, found.gap)
+
+    def _witness_of_nearest(self, v: np.ndarray, step: float) -> Witness:
+        """The normal pair of the projection of v."""
+        if self._dual is not None:
+            normal = self._dual.project(v)
+            return Witness(normal / step, v - normal, 0.0)
+        s = self._nearest(v)
+        if s is not None:
+            return Witness((v - self.M @ s) / step, self.M @ s, 0.0)
+        # not to rounding: the parameters nearest to the program's answer, and what they miss
+        normal = v - project_by_program(self, v)
+        s = self.part.project(self._solve(v - normal))
+        inner = self._pulled_back(normal / step)
+        gap = self.part.support(inner) - float(inner @ s)
+        return Witness(normal / step, self.M @ s, max(gap, 0.0))
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (
@@ -465,47 +607,72 @@ class Image(ConvexSet):
     def nonsmooth_dim(self) -> int:
         return self.part.nonsmooth_dim
 
-    def polar(self) -> ConvexSet:
-        # <p, M s> <= 0 for all s of the cone  <=>  M^T p in its polar
-        polar = self.part.polar()
-        if not isinstance(polar, Box):
-            raise InputError("polar of an image is known for images of orthants only")
-        rows = _dense(self.M).T
-        above, below = np.isfinite(polar.upper), np.isfinite(polar.lower)
-        from sweepopt.sets.polyhedra import Polyhedron
+    def selection(self) -> Selection | None:
+        if self._selected is None:
+            return None
+        return Selection(self._selected, self.part, np.zeros(self.dim))
 
-        G = np.vstack([rows[above], -rows[below]])
-        return Polyhedron(G, np.zeros(len(G)))
+    def polar(self) -> ConvexSet:
+        if not isinstance(self.part, Box) or self.part.offsets.any():
+            raise InputError("polar of an image is known for images of orthants only")
+        return self._polar_rows()
+
+    def _polar_rows(self) -> ConvexSet:
+        """<p, M s> <= 0 for all s of the cone: M^T p is in its polar, row by row."""
+        from sweepopt.sets.polyhedra import Polyhedron, as_rows
+
+        rows, h = as_rows(self.part.polar())
+        return Polyhedron(rows @ self.M.T, h)
 
 
 def add(C: ConvexSet, other: Any) -> Any:
-    """C + v or C + D."""
+    """C + v or C + D; the sum with a point is a translation."""
     if is_vector(other):
-        return Translation(C, other)
-    if isinstance(other, ConvexSet):
-        if isinstance(other, Point):
-            return Translation(C, other.offsets)
-        return Sum(C, other)
-    return NotImplemented
+        return (
+            Point(C.offsets + vector("v", other, C.dim))
+            if isinstance(C, Point)
+            else (Translation(C, other))
+        )
+    if not _is_set("C + D", other):
+        return NotImplemented
+    require_same_dim("C + D", C, other)
+    if isinstance(other, Point):
+        return C + other.offsets
+    return other + C.offsets if isinstance(C, Point) else Sum(C, other)
 
 
 def scale(factor: Any, C: ConvexSet) -> ConvexSet:
     """r C for any finite r; 0 C is {0} and asks for a bounded C."""
-    if isinstance(factor, ConvexSet):
+    if hasattr(factor, "at"):
         raise InputError("C * D is not defined; use so.product(C, D) or C & D")
     r = number("scale", factor)
     if r < 0:
         return scale(-r, -C)
+    if isinstance(C, Point):
+        return Point(r * C.offsets)
     if r == 0:
         if not np.isfinite(C.magnitude()):
-            raise InputError("scale 0 of an unbounded set is not closed under limits; use scale > 0")
+            raise InputError(
+                "scale 0 of an unbounded set is not closed in the limit; use scale > 0"
+            )
         return Point(np.zeros(C.dim))
     return Scaling(r, C)
 
 
 def intersect(C: ConvexSet, D: Any) -> Any:
     """C & D."""
-    return Intersection(C, D) if isinstance(D, ConvexSet) else NotImplemented
+    from sweepopt.sets.polyhedra import Polyhedron
+
+    if isinstance(C, Box) and isinstance(D, Polyhedron):
+        return D & C
+    return Intersection(C, D) if _is_set("C & D", D) else NotImplemented
+
+
+def _is_set(what: str, D: Any) -> bool:
+    """True for a set, False for a moving set (which then takes over), an error otherwise."""
+    if not isinstance(D, ConvexSet) and not hasattr(D, "at"):
+        raise InputError(f"{what}: D must be a set, got {type(D).__name__}")
+    return isinstance(D, ConvexSet)
 
 
 def is_vector(value: Any) -> bool:
@@ -513,10 +680,22 @@ def is_vector(value: Any) -> bool:
     return isinstance(value, (np.ndarray, list, tuple, int, float, np.number))
 
 
-def require_same_dim(what: str, C: ConvexSet, D: ConvexSet) -> None:
+def require_same_dim(what: str, C: Any, D: Any) -> None:
     """Raise InputError if the two sets live in different spaces."""
     if C.dim != D.dim:
         raise InputError(f"{what}: the sets have dim {C.dim} and {D.dim}; they must be equal")
+
+
+def _selected(M: Matrix) -> np.ndarray | None:
+    """The rows that M picks, if its columns are distinct unit vectors."""
+    entries = sp.coo_array(M)
+    entries.eliminate_zeros()
+    rows = np.zeros(M.shape[1], dtype=int)
+    rows[entries.col] = entries.row
+    if entries.nnz != M.shape[1] or not (entries.data == 1).all():
+        return None
+    distinct = np.unique(entries.col).size == np.unique(entries.row).size == entries.nnz
+    return rows if distinct else None
 
 
 def _dense(M: Any) -> np.ndarray:

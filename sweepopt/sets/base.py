@@ -45,6 +45,14 @@ class Witness(NamedTuple):
     gap: float
 
 
+class Selection(NamedTuple):
+    """C = shift + { w : w[unknowns] in part, all other entries 0 }."""
+
+    unknowns: np.ndarray
+    part: ConvexSet
+    shift: np.ndarray
+
+
 class ConvexSet(ABC):
     """A non-empty closed convex set C in R^dim.
 
@@ -59,11 +67,14 @@ class ConvexSet(ABC):
         The vector h in which the support function is linear.
     polyhedral : bool
         Whether C is a polyhedron, so that a QP solver can treat it.
+    certifiable : bool
+        Whether `witness` has proofs.
     """
 
     dim: int
     offsets: np.ndarray
     polyhedral: bool = False
+    certifiable: bool = True
     # numpy must leave v + C, r * C and v - C to the operators below
     __array_ufunc__ = None
 
@@ -91,6 +102,10 @@ class ConvexSet(ABC):
 
     # ---- what follows from it -----------------------------------------------------------------
 
+    def normal(self, v: np.ndarray) -> np.ndarray:
+        """v - P_C(v), exactly 0 in C; sets with an unbounded direction compute it in dom sigma."""
+        return v - self.project(v)
+
     def witness(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:
@@ -107,8 +122,7 @@ class ConvexSet(ABC):
         """
         step = float(np.mean(tau))
         v = w + step * p
-        inside = self.project(v)
-        return Witness((v - inside) / step, inside, 0.0)
+        return Witness(self.normal(v) / step, self.project(v), 0.0)
 
     def epigraph(self, p: cp.Expression) -> tuple[cp.Expression, list[cp.Constraint]]:
         """The support function as a cvxpy epigraph: minimising `value` gives sigma(C, p).
@@ -131,12 +145,12 @@ class ConvexSet(ABC):
 
     def magnitude(self) -> float:
         """sup of |w| over C, or an upper bound of it; +inf for unbounded sets."""
-        # the cube [-1, 1]^dim is the hull of +-sqrt(dim)-scaled axes: |w|_2 <= |(sup |w_i|)_i|_2
+        # |w|_2 <= |(sup |w_i|)_i|_2
         axes = np.eye(self.dim)
         return float(np.hypot.reduce([max(self.support(e), self.support(-e)) for e in axes]))
 
-    def require_nonempty(self, where: str = "C") -> None:
-        """Raise EmptySetError if C has no point. Most shapes are non-empty by construction."""
+    def require_nonempty(self, where: str = "C") -> None:  # noqa: B027 (most shapes have a point)
+        """Raise EmptySetError if C has no point."""
 
     @property
     def singleton(self) -> bool:
@@ -152,6 +166,10 @@ class ConvexSet(ABC):
     def nonsmooth_dim(self) -> int:
         """How many unknowns C really acts on (fewer than dim for the image of a small set)."""
         return self.dim
+
+    def selection(self) -> Selection | None:
+        """The few unknowns C acts on, if it is the image of a set under a selection of them."""
+        return None
 
     def polar(self) -> ConvexSet:
         """The polar cone { p : <p, w> <= 0 for all w in C }."""

@@ -16,7 +16,7 @@ from sweepopt.checks import number, vector
 from sweepopt.errors import InputError
 from sweepopt.sets import algebra
 from sweepopt.sets.base import ConvexSet
-from sweepopt.sets.shapes import Point
+from sweepopt.sets.shapes import Point, dimension
 
 
 class MovingSet:
@@ -43,14 +43,23 @@ class MovingSet:
         if not callable(at):
             raise InputError("MovingSet needs a function t -> set; got " + type(at).__name__)
         self._at = at
-        self.dim = self.at(0.0).dim if dim is None else dim
+        self.dim = self._member(0.0).dim if dim is None else dimension(dim)
 
     def at(self, t: float) -> ConvexSet:
         """C(t)."""
+        C = self._member(t)
+        if C.dim != self.dim:
+            raise InputError(f"C(t) at t = {t:g} has dim {C.dim}, not {self.dim}")
+        return C
+
+    def _member(self, t: float) -> ConvexSet:
         try:
             C = self._at(t)
         except InputError as error:
-            raise type(error)(f"C(t) at t = {t:g}: {error}") from error
+            where = f"C(t) at t = {t:g}"
+            if str(error).startswith(where):
+                raise
+            raise type(error)(f"{where}: {error}") from error
         if not isinstance(C, ConvexSet):
             raise InputError(f"C(t) at t = {t:g} must be a set, got {type(C).__name__}")
         return C
@@ -61,26 +70,40 @@ class MovingSet:
         return MovingSet(lambda t: operation(self.at(t), other), self.dim)
 
     def __add__(self, other: Any) -> MovingSet:
+        if algebra.is_vector(other):
+            other = vector("v", other, self.dim)
+        else:
+            self._check("C + D", other)
         return self._then(lambda C, D: C + D, other)
 
     def __sub__(self, other: Any) -> MovingSet:
-        return self._then(lambda C, v: C - v, other)
+        if not algebra.is_vector(other):
+            raise InputError("C - D is ambiguous; write C + (-D) for the Minkowski sum")
+        return self + -vector("v", other, self.dim)
 
     def __rsub__(self, other: Any) -> MovingSet:
-        return self._then(lambda C, v: v - C, other)
+        return -self + other
 
     def __rmul__(self, factor: float) -> MovingSet:
-        return self._then(lambda C, r: r * C, factor)
+        if isinstance(factor, (MovingSet, ConvexSet)):
+            raise InputError("C * D is not defined; use so.product(C, D) or C & D")
+        return self._then(lambda C, r: r * C, number("scale", factor))
 
     def __neg__(self) -> MovingSet:
         return self._then(lambda C, _: -C)
 
     def __and__(self, other: Any) -> MovingSet:
+        self._check("C & D", other)
         return self._then(lambda C, D: C & D, other)
 
     __radd__ = __add__
     __mul__ = __rmul__
     __rand__ = __and__
+
+    def _check(self, what: str, other: Any) -> None:
+        if not isinstance(other, (MovingSet, ConvexSet)):
+            raise InputError(f"{what}: D must be a set, got {type(other).__name__}")
+        algebra.require_same_dim(what, self, other)
 
 
 class Moving(MovingSet):
@@ -105,7 +128,7 @@ class Moving(MovingSet):
             raise InputError(f"Moving needs a set that does not move, got {type(shape).__name__}")
         self.shape, self.dim = shape, shape.dim
         self.center = center if callable(center) or center is None else vector("center", center)
-        self.scale = scale if callable(scale) or scale is None else number("scale", scale)
+        self.scale = scale if callable(scale) or scale is None else number("scale", scale, 0.0)
         if isinstance(self.center, np.ndarray) and self.center.size != self.dim:
             raise InputError(f"center must have {self.dim} entries, got {self.center.size}")
 

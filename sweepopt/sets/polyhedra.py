@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
+import copy
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.linalg
 import scipy.optimize
 import scipy.sparse as sp
 
 from sweepopt.checks import matrix, number, vector
-from sweepopt.errors import EmptySetError, InputError
+from sweepopt.errors import EmptySetError, InputError, SweepoptError
 from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
     Features,
+    Witness,
     project_by_program,
     same_array,
-    support_by_program,
 )
+from sweepopt.sets.shapes import Box
 
 if TYPE_CHECKING:
     import cvxpy as cp
 
-DENSE_ROWS = 1000  # up to here the active-set projection is used, beyond a sparse QP
+ACTIVE_DIM = 1000  # up to here the active-set projection is used, beyond a sparse QP
+DEPENDENT = 1e-14  # the part of a unit row outside of the span of others that counts as none
 
 
 class Polyhedron(ConvexSet):
@@ -43,42 +47,75 @@ class Polyhedron(ConvexSet):
 
     polyhedral = True
 
-    def __new__(cls, G: Any, h: Any) -> Any:
+    def __new__(cls, G: Any = None, h: Any = None) -> Any:  # without arguments: copy
         if callable(h):
             from sweepopt.sets.moving import MovingSet
 
-            return MovingSet(lambda t, fixed=matrix("G", G): cls(fixed, h(t)))
+            first = cls(G, h(0.0))
+            return MovingSet(lambda t: first.with_offsets(h(t)), first.dim)
         return super().__new__(cls)
 
     def __init__(self, G: Any, h: Any) -> None:
         self.G = matrix("G", G)
-        rows, self.dim = self.G.shape
-        self.offsets = self.h = vector("h", h, rows, finite=False)
+        self.dim = self.G.shape[1]
+        self._set_offsets(h)
+
+    def _set_offsets(self, h: Any) -> None:
+        self.offsets = self.h = vector("h", h, self.G.shape[0], finite=False)
         if np.isinf(self.h).any():
             i = int(np.flatnonzero(np.isinf(self.h))[0])
             raise InputError(f"h[{i}] is {self.h[i]}; leave out rows without a bound")
 
+    def with_offsets(self, h: Any) -> Polyhedron:
+        """{ w : G w <= h } with the same matrix object, so that `same_cone` is free."""
+        other = copy.copy(self)
+        other._set_offsets(h)
+        return other
+
     def support(self, z: np.ndarray) -> float:
         z = vector("z", z, self.dim)
-        if not z.any():
-            return 0.0
-        size = float(np.abs(z).max())
-        result = scipy.optimize.linprog(self.h, A_eq=self.G.T, b_eq=z / size, method="highs")
+        size = float(np.abs(z).max(initial=0.0))
+        if not size or not self.h.size:
+            return 0.0 if not size else float("inf")
+        # seen from a point of the set: h - G x >= 0 is as large as the set, wherever that is
+        inside = self.project(np.zeros(self.dim))
+        slack = np.maximum(self.h - self.G @ inside, 0.0)
+        scale = float(slack.max()) or 1.0
+        result = scipy.optimize.linprog(
+            slack / scale,
+            A_eq=self.G.T,
+            b_eq=z / size,
+            method="highs",
+            options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+        )
         if result.status == 2:
             return float("inf")
-        if result.status == 3:
-            raise EmptySetError("Polyhedron has no point: { w : G w <= h } is empty")
-        return size * float(result.fun)
+        if result.fun is None:
+            raise SweepoptError(f"HiGHS failed on the support function: {result.message}")
+        return float(inside @ z) + size * scale * float(result.fun)
+
+    def normal(self, v: np.ndarray) -> np.ndarray:
+        v = vector("v", v, self.dim)
+        slack = self.h - self.G @ v
+        if (slack >= 0).all():
+            return np.zeros(self.dim)
+        u = None
+        if self.dim <= ACTIVE_DIM:
+            rounding = ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(v))
+            u = least_distance(self.G, slack, rounding)
+        return v - project_by_program(self, v) if u is None else 0.0 - u
 
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
-        slack = self.h - self.G @ w
-        if (slack >= 0).all():
-            return w
-        if self.G.shape[0] > DENSE_ROWS:
-            return project_by_program(self, w)
-        G = self.G.toarray() if sp.issparse(self.G) else self.G
-        return w + least_distance(G, slack)
+        return w - self.normal(w)
+
+    def witness(
+        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
+    ) -> Witness | None:
+        step = float(np.mean(tau))
+        v = w + step * p
+        normal = self.normal(v)
+        return Witness(normal / step, v - normal, 0.0)
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -91,14 +128,18 @@ class Polyhedron(ConvexSet):
 
     def require_nonempty(self, where: str = "C") -> None:
         try:
-            inside = self.project(np.zeros(self.dim))
+            self.project(np.zeros(self.dim))
         except EmptySetError as error:
             raise EmptySetError(f"{where} is empty: no w satisfies G w <= h") from error
-        excess = self.G @ inside - self.h
-        size = abs(self.G) @ np.abs(inside) + np.abs(self.h)
-        if (excess > 1e-12 * size).any():
-            i = int(np.argmax(excess - 1e-12 * size))
-            raise EmptySetError(f"{where} is empty: row {i} of G w <= h is violated everywhere")
+
+    def __and__(self, other: Any) -> Any:
+        # rows under rows: again a polyhedron, with its exact projection
+        rows = as_rows(other) if isinstance(other, (Polyhedron, Box)) else None
+        if rows is None or other.dim != self.dim:
+            return super().__and__(other)
+        G, h = rows
+        stack = sp.vstack if sp.issparse(self.G) or sp.issparse(G) else np.vstack
+        return Polyhedron(stack([self.G, G]), np.concatenate([self.h, h]))
 
     def polar(self) -> ConvexSet:
         if self.h.any():
@@ -118,28 +159,29 @@ class HalfSpace(Polyhedron):
     offset : float
     """
 
-    def __new__(cls, normal: Any, offset: Any) -> Any:
+    def __new__(cls, normal: Any = None, offset: Any = None) -> Any:
         return object.__new__(cls)
 
     def __init__(self, normal: Any, offset: float) -> None:
-        self.normal = vector("normal", normal)
+        row = vector("normal", normal)
         self.offset = number("offset", offset)
-        if not self.normal.any():
+        if not row.any():
             raise InputError("normal must not be zero")
-        super().__init__(self.normal[None, :], [self.offset])
+        super().__init__(row[None, :], [self.offset])
 
     def support(self, z: np.ndarray) -> float:
         z = vector("z", z, self.dim)
-        factor = float(self.normal @ z / (self.normal @ self.normal))
-        # z must be a multiple of the normal up to rounding
-        if factor < 0 or np.linalg.norm(z - factor * self.normal) > ROUNDING * np.linalg.norm(z):
+        row, length = self.G[0], float(np.linalg.norm(self.G[0]))
+        factor = float(row @ (z / length)) / length
+        # z must be a multiple of the row up to rounding
+        if factor < 0 or np.linalg.norm(z - factor * row) > ROUNDING * np.linalg.norm(z):
             return float("inf")
         return factor * self.offset
 
-    def project(self, w: np.ndarray) -> np.ndarray:
-        w = vector("w", w, self.dim)
-        excess = float(self.normal @ w) - self.offset
-        return w - max(excess, 0.0) / float(self.normal @ self.normal) * self.normal
+    def normal(self, v: np.ndarray) -> np.ndarray:
+        row, length = self.G[0], float(np.linalg.norm(self.G[0]))
+        excess = float(row @ vector("v", v, self.dim)) - self.offset
+        return max(excess, 0.0) / length * (row / length)
 
 
 class Polytope(ConvexSet):
@@ -164,17 +206,19 @@ class Polytope(ConvexSet):
         return float((self.vertices @ vector("z", z, self.dim)).max())
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        # the point of the hull of (vertices - w) nearest to 0 is sum theta_i (v_i - w) / sum theta
-        # for the theta >= 0 that minimises |sum theta_i (v_i - w)|^2 + s^2 (1 - sum theta)^2
+        # with a_i = v_i - w: if u is the shortest with <a_i, u> >= 1 for all i, then u / |u|^2 is
+        # the point of the hull of the a_i nearest to 0; no such u exists if 0 is in the hull
         w = vector("w", w, self.dim)
         arms = self.vertices - w
         size = float(np.abs(arms).max())
         if size == 0:
             return w
-        theta = nonnegative_least_squares(
-            np.vstack([arms.T / size, np.ones(len(arms))]), np.append(np.zeros(self.dim), 1.0)
-        )
-        return theta @ self.vertices / theta.sum()
+        ones = np.ones(len(arms))
+        try:
+            u = least_distance(-arms / size, -ones, ROUNDING * ones)
+        except EmptySetError:
+            return w
+        return project_by_program(self, w) if u is None else w + size * u / (u @ u)
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -202,6 +246,8 @@ class Constraints(ConvexSet):
         Takes a cvxpy Variable of shape (dim,), returns a list of cvxpy constraints.
     """
 
+    certifiable = False
+
     def __init__(self, dim: int, build: Any) -> None:
         import cvxpy as cp
 
@@ -219,6 +265,8 @@ class Constraints(ConvexSet):
         for i, constraint in enumerate(self._constraints):
             if not (isinstance(constraint, cp.Constraint) and constraint.is_dcp()):
                 raise InputError(f"constraint {i} of build(w) is not a convex cvxpy constraint")
+            if any(parameter.value is None for parameter in constraint.parameters()):
+                raise InputError(f"constraint {i} of build(w) has a parameter without a value")
 
     def support(self, z: np.ndarray) -> float:
         import cvxpy as cp
@@ -268,42 +316,106 @@ class Constraints(ConvexSet):
         return problem
 
 
-def least_distance(G: np.ndarray, slack: np.ndarray) -> np.ndarray:
-    """The shortest u with G u <= slack, exact to rounding on the active set found.
+def as_rows(C: Any) -> tuple[Any, np.ndarray]:
+    """G and h with C = { w : G w <= h }, for a Polyhedron or a Box."""
+    if isinstance(C, Polyhedron):
+        return C.G, C.h
+    identity = np.eye(C.dim)
+    above, below = np.isfinite(C.upper), np.isfinite(C.lower)
+    G = np.vstack([identity[above], -identity[below]])
+    return G, np.concatenate([C.upper[above], -C.lower[below]])
 
-    Lawson and Hanson, Solving Least Squares Problems (1974), chapter 23: the residual of a
-    nonnegative least-squares problem gives u, or proves that there is none.
+
+def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> np.ndarray | None:
+    """The shortest u with G u <= slack, exact to rounding on the active set it finds.
+
+    Goldfarb and Idnani, A numerically stable dual method for solving strictly convex quadratic
+    programs, Math. Programming 27 (1983), for the identity: the most violated row enters, rows
+    whose multiplier would turn negative leave, and u is solved anew from the active rows.
+
+    Parameters
+    ----------
+    G : ndarray or sparse, shape (m, dim)
+    slack, rounding : ndarray, shape (m,)
+        Right hand side, and how much of it is rounding: a smaller violation is none.
+
+    Returns
+    -------
+    ndarray, shape (dim,), or None
+        None if rounding keeps the method from an answer.
 
     Raises
     ------
     EmptySetError
-        If no u exists.
+        If no u exists: some rows with weights >= 0 add up to 0 <w> <= (negative number).
     """
-    lengths = np.linalg.norm(G, axis=1)
-    if (slack[lengths == 0] < 0).any():
-        raise EmptySetError("Polyhedron has no point: a zero row of G has a negative h")
-    G, slack = G[lengths > 0] / lengths[lengths > 0, None], slack[lengths > 0] / lengths[lengths > 0]
-    size = float(-slack.min())
-    if size <= 0:
-        return np.zeros(G.shape[1])
-    slack = slack / size
-    target = np.zeros(G.shape[1] + 1)
-    target[-1] = 1.0
-    y = nonnegative_least_squares(np.vstack([-G.T, -slack]), target)
-    residual = np.append(G.T @ y, 1 + slack @ y)
-    # residual[-1] = |residual|^2 at the optimum: both vanish exactly when the rows are incompatible
-    if residual[-1] <= 1e-13 * (1 + np.abs(slack) @ y):
-        raise EmptySetError("Polyhedron has no point: { w : G w <= h } is empty")
-    u = -residual[:-1] / residual[-1]
-    # one solve on the active rows brings u from the accuracy of the residual to rounding
-    active = y > 0
-    polished = np.linalg.lstsq(G[active], slack[active], rcond=None)[0]
-    excess = np.maximum(G @ u - slack, 0).max()
-    if (G @ polished - slack).max() <= max(excess, ROUNDING * np.abs(slack).max()):
-        u = polished
-    return size * u
+    empty = "Polyhedron has no point: { w : G w <= h } is empty"
+    lengths = np.sqrt(np.asarray((G * G).sum(axis=1), dtype=float)).ravel()
+    if (slack < -rounding)[lengths == 0].any():
+        raise EmptySetError(empty + ", a zero row of G has a negative h")
+    rows = np.flatnonzero(lengths > 0)
+    weights = 1 / lengths[rows]
+    G = (
+        sp.csr_array(sp.diags_array(weights) @ G[rows])
+        if sp.issparse(G)
+        else (weights[:, None] * G[rows])
+    )
+    slack, rounding = weights * slack[rows], weights * rounding[rows]
+    dim = G.shape[1]
+    u = np.zeros(dim)
+    active: list[int] = []
+    multipliers = np.zeros(0)
+    Q, R = np.eye(dim), np.zeros((dim, 0))  # Q R = the active rows, transposed
+    implied: list[int] = []  # rows that follow from the active ones up to rounding
+    seen: set[frozenset[int]] = set()
+    while frozenset(active) not in seen:
+        seen.add(frozenset(active))
+        excess = G @ u - slack
+        over = excess - rounding - ROUNDING * np.linalg.norm(u)
+        over[active + implied] = -np.inf
+        if over.max(initial=-np.inf) <= 0:
+            return u
+        new = int(np.argmax(over))
+        row = G[[new]].toarray()[0] if sp.issparse(G) else G[new]
+        entering = 0.0
+        while True:
+            k = len(active)
+            inside, outside = np.split(Q.T @ row, [k])
+            shares = scipy.linalg.solve_triangular(R[:k], inside)
+            falling = shares > 0
+            limits = np.where(falling, multipliers / np.where(falling, shares, 1.0), np.inf)
+            last = int(np.argmin(limits)) if k else -1
+            longest = float(limits[last]) if k else np.inf
+            free = float(outside @ outside)
+            wanted = float(row @ u - slack[new]) / free if free > DEPENDENT**2 else np.inf
+            length = min(wanted, longest)
+            if np.isinf(length):
+                # row = sum of shares <= 0 times active rows: a proof that no u exists, or rounding
+                value = slack[new] - shares @ slack[active]
+                if value < -(rounding[new] + np.abs(shares) @ rounding[active]):
+                    raise EmptySetError(empty)
+                implied.append(new)
+                break
+            multipliers = multipliers - length * shares
+            entering += length
+            if np.isfinite(wanted):
+                u = u - length * (Q[:, k:] @ outside)
+            if wanted <= longest:
+                Q, R = _append(Q, R, row)
+                active.append(new)
+                heights = scipy.linalg.solve_triangular(R[: k + 1], slack[active], trans=1)
+                u = Q[:, : k + 1] @ heights
+                multipliers = np.maximum(-scipy.linalg.solve_triangular(R[: k + 1], heights), 0.0)
+                break
+            Q, R = scipy.linalg.qr_delete(Q, R, last, which="col")
+            del active[last]
+            multipliers = np.delete(multipliers, last)
+    # an active set came back: rounding turns in circles; good if nothing is really violated
+    return u if (G @ u - slack).max() <= 1e-12 * np.abs(slack).max() else None
 
 
-def nonnegative_least_squares(E: np.ndarray, f: np.ndarray) -> np.ndarray:
-    """argmin |E y - f| over y >= 0."""
-    return scipy.optimize.nnls(E, f, maxiter=30 * E.shape[1])[0]
+def _append(Q: np.ndarray, R: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """QR of the matrix with one column more."""
+    if R.shape[1] == 0:
+        return scipy.linalg.qr(column[:, None])
+    return scipy.linalg.qr_insert(Q, R, column, R.shape[1], which="col")

@@ -8,7 +8,7 @@ import numpy as np
 
 from sweepopt.checks import number, symmetric, vector
 from sweepopt.errors import EmptySetError, InputError
-from sweepopt.sets.base import ConvexSet, Features, Witness, same_array
+from sweepopt.sets.base import ROUNDING, ConvexSet, Features, Witness, same_array
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -33,6 +33,7 @@ class Point(ConvexSet):
         return float(self.offsets @ vector("z", z, self.dim))
 
     def project(self, w: np.ndarray) -> np.ndarray:
+        vector("w", w, self.dim)
         return self.offsets.copy()
 
     def features(self, p: cp.Expression) -> Features:
@@ -53,15 +54,6 @@ class Point(ConvexSet):
         if self.offsets.any():
             return super().polar()
         return WholeSpace(self.dim)
-
-    def __add__(self, other: Any) -> Any:
-        from sweepopt.sets import algebra
-
-        if algebra.is_vector(other):
-            return Point(self.offsets + vector("v", other, self.dim))
-        return other + self.offsets
-
-    __radd__ = __add__
 
     def __neg__(self) -> Point:
         return Point(-self.offsets)
@@ -206,9 +198,10 @@ class Ball(ConvexSet):
         return float(self.center @ z + self.radius * np.linalg.norm(z))
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        arm = vector("w", w, self.dim) - self.center
+        w = vector("w", w, self.dim)
+        arm = w - self.center
         length = float(np.linalg.norm(arm))
-        return self.center + (arm if length <= self.radius else self.radius / length * arm)
+        return w if length <= self.radius else self.center + self.radius / length * arm
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -304,10 +297,11 @@ class Ellipsoid(ConvexSet):
     def project(self, w: np.ndarray) -> np.ndarray:
         # x_i = e_i d_i / (e_i + lam), lam >= 0 the root of sum e_i d_i^2 / (e_i + lam)^2 = 1;
         # in s = 1 / sqrt(sum) the equation is nearly linear, so Newton from lam = 0 rises to it
-        d = self._axes.T @ (vector("w", w, self.dim) - self.center)
+        w = vector("w", w, self.dim)
+        d = self._axes.T @ (w - self.center)
         e = self._squares
         if d @ (d / e) <= 1:
-            return np.array(w, dtype=float)
+            return w
         lam = 0.0
         for _ in range(100):
             terms = e * d**2 / (e + lam) ** 2
@@ -343,7 +337,12 @@ class SecondOrderCone(ConvexSet):
 
     def support(self, z: np.ndarray) -> float:
         z = vector("z", z, self.dim)
-        return 0.0 if np.linalg.norm(z[1:]) <= -z[0] else float("inf")
+        excess = z[0] + np.linalg.norm(z[1:])
+        return 0.0 if excess <= ROUNDING * np.linalg.norm(z) else float("inf")
+
+    def normal(self, v: np.ndarray) -> np.ndarray:
+        # the polar cone is -C
+        return 0.0 - self.project(-v)
 
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)

@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from sweepopt.program import VelocityProgram
+from sweepopt.sets import ConvexSet
 
 
 class Answer(NamedTuple):
@@ -19,7 +20,7 @@ class Answer(NamedTuple):
     status: str
 
 
-Solve = Callable[[np.ndarray, np.ndarray], Answer]
+Solve = Callable[[np.ndarray, ConvexSet], Answer]
 
 
 class Solver(Protocol):
@@ -39,7 +40,7 @@ class Solver(Protocol):
     def cones(self) -> bool: ...
 
     def compile(self, program: VelocityProgram) -> Solve:
-        """A function (q, offsets) -> Answer for this program; not to be shared by threads."""
+        """A function (q, C) -> Answer for C with the program's cone; not to be shared by threads."""
         ...
 
     def refined(self) -> Solver | None:

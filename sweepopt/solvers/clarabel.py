@@ -10,6 +10,7 @@ import scipy.sparse as sp
 
 from sweepopt.errors import SolverRefusedError
 from sweepopt.program import VelocityProgram
+from sweepopt.sets import ConvexSet
 from sweepopt.solvers.base import Answer, Solve
 
 
@@ -49,7 +50,8 @@ class Clarabel:
         n = program.M.dim
         engine: Any = None
 
-        def solve(q: np.ndarray, offsets: np.ndarray) -> Answer:
+        def solve(q: np.ndarray, C: ConvexSet) -> Answer:
+            offsets = C.offsets
             nonlocal engine
             linear = canonical.map @ np.concatenate([q, offsets])
             force = float(np.abs(linear).max())

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.program import VelocityProgram
+from sweepopt.sets import ConvexSet
 from sweepopt.solvers.base import Answer, Solve
 
 
@@ -57,7 +58,8 @@ class OSQP:
             fresh.setup(*data, verbose=False, polishing=True, **tolerances)
             return fresh
 
-        def solve(q: np.ndarray, offsets: np.ndarray) -> Answer:
+        def solve(q: np.ndarray, C: ConvexSet) -> Answer:
+            offsets = C.offsets
             nonlocal engine
             linear = canonical.map @ np.concatenate([q, offsets])
             force = float(np.abs(linear).max())

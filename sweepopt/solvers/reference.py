@@ -10,6 +10,7 @@ import numpy as np
 
 from sweepopt.errors import SolverRefusedError
 from sweepopt.program import VelocityProgram
+from sweepopt.sets import ConvexSet
 from sweepopt.solvers.base import Answer, Solve, Solver
 
 TIGHT: dict[str, dict[str, Any]] = {
@@ -58,7 +59,8 @@ class Cvxpy:
         statement = program.statement()
         n, size = program.M.dim, program.cone.offsets.size
 
-        def solve(q: np.ndarray, offsets: np.ndarray) -> Answer:
+        def solve(q: np.ndarray, C: ConvexSet) -> Answer:
+            offsets = C.offsets
             # forces in units of the largest one: solvers' absolute tolerances need it
             force = max(np.abs(q).max(), np.abs(offsets).max(initial=0.0)) or 1.0
             statement.q.value = q / force

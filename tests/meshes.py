@@ -1,0 +1,76 @@
+"""Meshes for tests, made in code, and Gmsh files written from them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import meshio
+import numpy as np
+import skfem
+
+
+def square(n: int) -> skfem.MeshTri:
+    """(0, 1)^2 in n by n squares; boundaries left, bottom, right, top."""
+    grid = np.linspace(0.0, 1.0, n + 1)
+    return skfem.MeshTri.init_tensor(grid, grid).with_defaults()
+
+
+def annulus(n: int, *, curved: bool = True) -> skfem.MeshTri:
+    """1 < r < 2 in n rings; boundaries inner and outer, subdomains core (r < 1.5) and sleeve."""
+    turns = 9 * n
+    r, k = np.meshgrid(np.linspace(1.0, 2.0, n + 1), np.arange(turns), indexing="ij")
+    point = np.arange(r.size).reshape(r.shape)
+    a, b = point[:-1], point[1:]
+    c, d = np.roll(b, -1, axis=1), np.roll(a, -1, axis=1)
+    t = np.hstack([[x.ravel() for x in corners] for corners in ((a, b, c), (a, c, d))])
+    polar = np.stack([r.ravel(), 2.0 * np.pi * k.ravel() / turns])
+    mesh = skfem.MeshTri(_cartesian(polar), t)
+    if curved:
+        mesh = skfem.MeshTri2.from_mesh(mesh)
+        start, end = polar[:, mesh.facets[0]], polar[:, mesh.facets[1]]
+        turn = np.mod(end[1] - start[1] + np.pi, 2.0 * np.pi) - np.pi
+        x = mesh.doflocs.copy()
+        x[:, mesh.dofs.facet_dofs[0]] = _cartesian(
+            np.stack([(start[0] + end[0]) / 2.0, start[1] + turn / 2.0])
+        )
+        mesh = replace(mesh, doflocs=x)
+    edges = mesh.boundary_facets()
+    outside = np.hypot(*mesh.p[:, mesh.facets[0, edges]]) > 1.5
+    inside = np.hypot(*mesh.p[:, mesh.t].mean(axis=1)) < 1.5
+    return mesh.with_boundaries({"inner": edges[~outside], "outer": edges[outside]}).with_subdomains(
+        {"core": np.flatnonzero(inside), "sleeve": np.flatnonzero(~inside)}
+    )
+
+
+def _cartesian(polar: np.ndarray) -> np.ndarray:
+    return np.stack([polar[0] * np.cos(polar[1]), polar[0] * np.sin(polar[1])])
+
+
+def write_msh(path: Path, mesh: skfem.MeshTri, *, version: str = "gmsh22") -> Path:
+    """Write a mesh with its boundaries and subdomains as physical groups."""
+    curved = isinstance(mesh, skfem.MeshTri2)
+    triangles = mesh.dofs.element_dofs.T if curved else mesh.t.T
+    cells, tags, names = [], [], {}
+    for dimension, groups in ((1, mesh.boundaries or {}), (2, mesh.subdomains or {})):
+        for name, members in groups.items():
+            if dimension == 1:
+                lines = mesh.facets[:, np.asarray(members)].T
+                if curved:
+                    lines = np.column_stack([lines, mesh.dofs.facet_dofs[0, np.asarray(members)]])
+                cells.append(("line3" if curved else "line", lines))
+            else:
+                cells.append(("triangle6" if curved else "triangle", triangles[members]))
+            names[name] = np.array([len(names) + 1, dimension])
+            tags.append(np.full(len(cells[-1][1]), len(names)))
+    if not mesh.subdomains:
+        cells.append(("triangle6" if curved else "triangle", triangles))
+        tags.append(np.full(len(triangles), len(names) + 1))
+    raw = meshio.Mesh(
+        np.column_stack([mesh.doflocs.T, np.zeros(mesh.doflocs.shape[1])]),
+        cells,
+        cell_data={"gmsh:physical": tags, "gmsh:geometrical": [tag.copy() for tag in tags]},
+        field_data=names,
+    )
+    meshio.write(path, raw, file_format=version, binary=False)
+    return path

@@ -1,0 +1,624 @@
+"""The antiplane forms, the lumped friction and the two reference problems with known solutions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("skfem")
+
+import skfem
+from meshes import annulus, square, write_msh
+
+from sweepopt import Constant, InputError, Sine
+from sweepopt.fem import (
+    BodyForce,
+    Elasticity,
+    Friction,
+    Profile,
+    Traction,
+    Viscosity,
+    antiplane,
+    read_mesh,
+)
+
+GAUSS = np.polynomial.legendre.leggauss(8)
+LINE, WEIGHT = (GAUSS[0] + 1) / 2, GAUSS[1] / 2
+GRID = np.stack(np.meshgrid(LINE, LINE, indexing="ij"))
+AREA = np.multiply.outer(WEIGHT, WEIGHT)
+
+
+def order(errors, ratio=2.0):
+    """Observed orders between neighbouring refinements."""
+    errors = np.asarray(errors)
+    return np.log(errors[:-1] / errors[1:]) / np.log(ratio)
+
+
+# ---- forms --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("element", "v", "gradient"),
+    [
+        ("P1", lambda x: 3 * x[1], lambda x: np.stack([0 * x[0], 3 + 0 * x[0]])),
+        ("P2", lambda x: x[1] * (1 + x[0]), lambda x: np.stack([x[1], 1 + x[0]])),
+    ],
+)
+def test_forms_are_exact_on_polynomials(element, v, gradient):
+    def c(x):
+        return 1 + x[0] * x[1] + x[1] ** 2
+
+    def f(x):
+        return 2 - x[0] ** 2 + x[1]
+
+    right = np.stack([np.ones_like(LINE), LINE])
+    scene = antiplane(
+        square(3),
+        clamped="bottom",
+        element=element,
+        effects=[
+            Viscosity(c),
+            Elasticity(lambda x: 2 * c(x)),
+            BodyForce(Constant(), f0=f),
+            Traction("right", Constant(), f2=f),
+        ],
+    )
+    u = scene.discretisation.interpolate(v)
+    energy = np.sum(AREA * c(GRID) * np.sum(gradient(GRID) ** 2, axis=0))
+    assert u @ scene.problem.A @ u == pytest.approx(energy, rel=1e-13)
+    assert u @ scene.problem.B @ u == pytest.approx(2 * energy, rel=1e-13)
+    body, traction = (shape for _, shape in scene.problem.load.terms)
+    assert body @ u == pytest.approx(np.sum(AREA * f(GRID) * v(GRID)), rel=1e-13)
+    assert traction @ u == pytest.approx(np.sum(WEIGHT * f(right) * v(right)), rel=1e-13)
+    assert scene.discretisation.l2_error(u, v) < 1e-14
+    assert scene.discretisation.h1_error(u, gradient) < 1e-13
+
+
+def test_matrices_are_symmetric_and_coercive():
+    scene = antiplane(
+        annulus(3),
+        clamped="inner",
+        element="P2",
+        effects=[Viscosity({"core": 1.0, "sleeve": 0.2}), Elasticity({"core": 0.0, "sleeve": 1.0})],
+    )
+    A, B = scene.problem.A.toarray(), scene.problem.B.toarray()
+    assert np.array_equal(A, A.T)
+    assert np.linalg.eigvalsh(A)[0] > 0
+    assert np.linalg.eigvalsh(B)[0] > -1e-12
+
+
+def test_coefficients_by_group_profile_and_function_agree():
+    by_group = {"core": 1.0, "sleeve": 3.0}
+    by_function = lambda x: np.where(np.hypot(*x) < 1.5, 1.0, 3.0)  # noqa: E731
+    by_profile = Profile("radius", [0.9, 1.5 - 1e-9, 1.5 + 1e-9, 2.1], [1.0, 1.0, 3.0, 3.0])
+    matrices = [
+        antiplane(annulus(2), clamped="inner", effects=[Viscosity(eta)]).problem.A
+        for eta in (by_group, by_function, by_profile)
+    ]
+    assert abs(matrices[0] - matrices[1]).max() < 1e-13
+    assert abs(matrices[0] - matrices[2]).max() < 1e-13
+
+
+def test_a_profile_runs_along_x_y_radius_and_angle():
+    x = np.array([[1.0, 0.0, -2.0, 0.0], [0.0, 1.0, 0.0, -2.0]])
+    for along, expected in {
+        "x": [1, 0, -2, 0],
+        "y": [0, 1, 0, -2],
+        "radius": [1, 1, 2, 2],
+        "angle": [0, 90, 180, 270],
+    }.items():
+        np.testing.assert_allclose(Profile(along, [-9.0, 400.0], [-9.0, 400.0])(x), expected)
+
+
+def test_expand_puts_zeros_on_the_clamped_points():
+    body = antiplane(square(2), clamped=["top", "left"], effects=[Viscosity(1)]).discretisation
+    full = body.expand(np.ones((5, 1, body.dim)))
+    held = (body.points[:, 1] == 1) | (body.points[:, 0] == 0)
+    assert full.shape == (5, 1, 9)
+    assert np.all(full[..., held] == 0)
+    assert np.all(full[..., ~held] == 1)
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_triangles_for_pictures_tile_the_body(element):
+    body = antiplane(annulus(4), clamped="inner", element=element, effects=[Viscosity(1)])
+    corners = body.discretisation.points[body.discretisation.triangles]
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() / 2
+    assert area == pytest.approx(3 * np.pi, rel=1e-2)
+
+
+# ---- friction -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_friction_weights_sum_to_the_length_of_a_straight_boundary(element):
+    effects = [Viscosity(1), Friction(["bottom", "right"], g={"bottom": 1.0, "right": 2.0})]
+    contact = antiplane(square(5), clamped="left", element=element, effects=effects).contact
+    clamped_corner = {"P1": 0.1, "P2": 1 / 30}[element]
+    assert contact.weight.sum() == pytest.approx(2 - clamped_corner, rel=1e-14)
+    assert contact.threshold.sum() == pytest.approx(3 - clamped_corner, rel=1e-14)
+    assert set(contact.boundary) == {"bottom", "right"}
+
+
+def test_friction_weights_on_curved_edges_converge_to_the_length():
+    def error(n, element):
+        effects = [Viscosity(1), Friction("outer", g=1)]
+        contact = antiplane(annulus(n), clamped="inner", element=element, effects=effects).contact
+        return abs(contact.weight.sum() - 4 * np.pi)
+
+    p1, p2 = ([error(n, element) for n in (2, 4, 8, 16)] for element in ("P1", "P2"))
+    assert np.all(order(p1) > 1.9)
+    assert np.all(order(p2) > 3.9)
+    assert p2[-1] < 1e-7
+
+
+@pytest.mark.parametrize(("element", "expected"), [("P1", 2), ("P2", 4)])
+def test_the_lumped_functional_has_its_stated_order(element, expected):
+    def v(x):
+        return np.exp(x[0]) * (1 - x[1])
+
+    errors = []
+    for n in (4, 8, 16, 32):
+        effects = [Viscosity(1), Friction("bottom", g=lambda x: 1 + x[0] ** 2)]
+        scene = antiplane(square(n), clamped="top", element=element, effects=effects)
+        J = scene.problem.dissipation.support(scene.discretisation.interpolate(v))
+        errors.append(abs(J - (2 * np.e - 3)))  # int (1 + x^2) e^x
+    assert np.all(order(errors) > expected - 0.1)
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_dissipation_is_the_lumped_functional(element):
+    scene = antiplane(
+        annulus(3),
+        clamped="inner",
+        element=element,
+        effects=[Viscosity(1), Friction("outer", g=Profile("angle", [0, 360], [0.5, 2]))],
+    )
+    v = np.cos(np.arange(scene.discretisation.dim))
+    contact = scene.contact
+    by_hand = np.sum(contact.weight * contact.bound * np.abs(v[contact.unknown]))
+    assert scene.problem.dissipation.support(v) == pytest.approx(by_hand, rel=1e-14)
+    assert scene.problem.dissipation.nonsmooth_dim == len(contact)
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_contact_is_walked_with_the_body_on_the_left(element):
+    effects = [Viscosity(1), Friction("outer", g=1)]
+    outer = antiplane(annulus(4), clamped="inner", element=element, effects=effects).contact
+    angle = np.arctan2(outer.points[:, 1], outer.points[:, 0]) % (2 * np.pi)
+    np.testing.assert_allclose(outer.arc, 2 * angle, atol=0.05)
+    assert np.all(np.diff(angle) > 0)
+    effects = [Viscosity(1), Friction(["left", "bottom"], g=1)]
+    corner = antiplane(square(3), clamped="top", element=element, effects=effects).contact
+    np.testing.assert_allclose(
+        np.where(corner.boundary == "left", 1 - corner.points[:, 1], corner.points[:, 0]),
+        corner.arc,
+        atol=1e-12,
+    )
+    order_of_names = list(dict.fromkeys(corner.boundary))
+    assert order_of_names == ["left", "bottom"]
+    assert np.all(np.diff(corner.arc[corner.boundary == "left"]) > 0)
+
+
+def test_nodes_without_friction_and_clamped_nodes_are_no_contact():
+    where = Profile("x", [0.0, 0.5, 0.5 + 1e-9, 1.0], [0.0, 0.0, 1.0, 1.0])
+    effects = [Viscosity(1), Friction("bottom", g=where)]
+    contact = antiplane(square(4), clamped="right", effects=effects).contact
+    np.testing.assert_allclose(contact.points[:, 0], [0.75])
+
+
+# ---- reference problems -------------------------------------------------------------------------
+
+ETA, KAPPA, G, F, OMEGA, END = 1.0, 2.0, 0.6, 2.0, 1.5, 6.0
+LOG2 = np.log(2.0)
+
+
+def annulus_scene(n, element):
+    return antiplane(
+        annulus(n),
+        clamped="inner",
+        element=element,
+        effects=[
+            Viscosity(ETA),
+            Elasticity(KAPPA),
+            Friction("outer", g=G),
+            BodyForce(Sine(1.0, period=2 * np.pi / OMEGA), f0=F),
+        ],
+    )
+
+
+def midpoint_amplitudes(steps):
+    """alpha, beta of u = alpha log r / log 2 + beta chi in the midpoint scheme, at the grid times.
+
+    The two modes are a-orthogonal and only the first moves the contact, so the scheme itself
+    splits: what is left in the comparison is the error of the elements alone.
+    """
+    k, Q = 2 * np.pi / LOG2, 2 * np.pi * F * (2 - 3 / (4 * LOG2))
+    mu = END / steps
+    alpha, beta = np.zeros(steps + 1), np.zeros(steps + 1)
+    for i in range(steps):
+        s = np.sin(OMEGA * (i + 0.5) * mu)
+        q = Q * s - KAPPA * k * alpha[i]
+        slip = np.sign(q) * max(abs(q) - 4 * np.pi * G, 0.0) / (k * (ETA + mu / 2 * KAPPA))
+        alpha[i + 1] = alpha[i] + mu * slip
+        beta[i + 1] = beta[i] + mu * (s - KAPPA * beta[i]) / (ETA + mu / 2 * KAPPA)
+    return alpha, beta
+
+
+def annulus_field(alpha, beta):
+    """u and grad u for given amplitudes."""
+
+    def u(x):
+        r = np.hypot(*x)
+        return alpha * np.log(r) / LOG2 + beta * F * ((1 - r**2) / 4 + 0.75 * np.log(r) / LOG2)
+
+    def gradient(x):
+        r = np.hypot(*x)
+        return (alpha / (r * LOG2) + beta * F * (-r / 2 + 0.75 / (r * LOG2))) * x / r
+
+    return u, gradient
+
+
+@pytest.mark.parametrize(
+    ("element", "rings", "orders", "ceilings"),
+    [
+        ("P1", (2, 4, 8, 16), (2, 1), (1.6e-3, 5.2e-2)),
+        ("P2", (2, 4, 8, 16), (3, 2), (4.1e-6, 4.4e-4)),
+    ],
+)
+def test_annulus_with_curved_elements_converges_in_u_and_velocity(
+    element, rings, orders, ceilings
+):
+    steps = 40
+    alpha, beta = midpoint_amplitudes(steps)
+    mu = END / steps
+    moments = (13, 26, 38)  # slipping out, after one reversal, and after the next
+    errors = []
+    for n in rings:
+        scene = annulus_scene(n, element)
+        body = scene.discretisation
+        sol = scene.solve(t_end=END, steps=steps, scheme="midpoint", tol=1e-9)
+        worst = np.zeros(4)
+        for i in moments:
+            u, gradient = annulus_field(alpha[i], beta[i])
+            v, slope = annulus_field(
+                (alpha[i] - alpha[i - 1]) / mu, (beta[i] - beta[i - 1]) / mu
+            )
+            z = sol.velocity[i - 1]
+            found = (
+                body.l2_error(sol.u[i], u),
+                body.l2_error(z, v),
+                body.h1_error(sol.u[i], gradient),
+                body.h1_error(z, slope),
+            )
+            worst = np.maximum(worst, found)
+        errors.append(worst)
+    slopes = -np.polyfit(np.log(rings), np.log(errors), 1)[0]
+    assert np.all(slopes > np.repeat(orders, 2) - 0.1), (slopes, errors)
+    assert np.all(errors[-1][[0, 2]] < ceilings), errors
+
+
+def test_annulus_converges_to_the_solution_in_time():
+    scene = annulus_scene(8, "P2")
+    fine_alpha, _ = midpoint_amplitudes(400_000)
+    t = np.linspace(0, END, 401)
+    beta = (
+        KAPPA * np.sin(OMEGA * t)
+        - ETA * OMEGA * (np.cos(OMEGA * t) - np.exp(-KAPPA * t / ETA))
+    ) / (KAPPA**2 + ETA**2 * OMEGA**2)
+    sol = scene.solve(t_end=END, steps=400)
+    for i in range(50, 401, 50):
+        u, _ = annulus_field(fine_alpha[::1000][i], beta[i])
+        assert scene.discretisation.l2_error(sol.u[i], u) < 6e-5
+
+
+ZONE = {  # u(x, 0, t) at x = 0, 0.25, 0.5, 0.75, to about 3e-8
+    1: (0.158170147, 0.124574482, 0.051006888, 0.002067357),
+    2: (0.567444781, 0.476273638, 0.259868299, 0.056872947),
+    3: (0.582964023, 0.488693609, 0.265210891, 0.057056287),
+    4: (0.217491926, 0.201987253, 0.149929996, 0.052942727),
+}
+SLIPPING = {0.4: 0.27, 0.8: 0.73, 1.2: 0.89, 1.6: 0.94, 2.0: 0.81, 2.4: 0, 2.8: 0}
+REVERSED = {3.2: 0.40, 3.6: 0.68, 4.0: 0.82}
+
+
+def zone_run(n, element, steps):
+    def f0(x):
+        return 0.45 * np.pi**2 * np.sin(np.pi * x[1]) * (1 + 2 * np.cos(np.pi * x[0]))
+
+    scene = antiplane(
+        square(n),
+        clamped="top",
+        element=element,
+        effects=[
+            Viscosity(1.0),
+            Elasticity(1.0),
+            Friction("bottom", g=1.0),
+            BodyForce(Sine(1.0, period=2 * np.pi), f0=f0),
+        ],
+    )
+    return scene, scene.solve(t_end=4.0, steps=steps, scheme="midpoint", tol=1e-8)
+
+
+def zone_errors(scene, sol):
+    """Error at the tabulated points for each tabulated time."""
+    contact, steps = scene.contact, len(sol.t) - 1
+    return {
+        t: np.abs(
+            np.interp([0, 0.25, 0.5, 0.75], contact.arc, sol.u[t * steps // 4][contact.unknown])
+            - values
+        ).max()
+        for t, values in ZONE.items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("element", "sizes", "steps", "at_end", "everywhere", "rate"),
+    [
+        ("P1", (8, 16, 32, 64), 200, (1.9e-3, 4.2e-4, 1.0e-4, 2.9e-5), 1.6e-4, 1.9),
+        ("P2", (4, 8, 16), 400, (1.5e-3, 1.75e-4, 1.4e-5), 7e-5, 3.0),
+        pytest.param(
+            *("P2", (4, 8, 16, 32), 1600, (1.5e-3, 1.7e-4, 1.1e-5, 2.0e-6), 8e-6, 3.0),
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_a_spreading_and_reversing_slip_zone(element, sizes, steps, at_end, everywhere, rate):
+    errors = [zone_errors(*zone_run(n, element, steps)) for n in sizes]
+    last = np.array([error[4] for error in errors])
+    assert np.all(last <= at_end), last
+    assert max(errors[-1].values()) <= everywhere, errors[-1]
+    assert np.mean(order(last)) > rate, order(last)
+
+
+def test_the_slipping_share_of_the_contact_follows_the_reference():
+    scene, sol = zone_run(32, "P1", 400)
+    weight = scene.contact.weight
+    velocity = sol.velocity[:, scene.contact.unknown]
+    for t, share in (SLIPPING | REVERSED).items():
+        step = velocity[round(100 * t) - 1]
+        moving = step < 0 if t in REVERSED else step > 0
+        assert np.sum(weight[step != 0]) == np.sum(weight[moving]), t
+        assert np.sum(weight[moving]) == pytest.approx(share, abs=0.035), t
+
+
+# ---- meshes -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("curved", [False, True])
+def test_a_gmsh_file_gives_back_the_mesh_and_its_names(tmp_path, curved):
+    mesh = annulus(3, curved=curved)
+    read = read_mesh(write_msh(tmp_path / "ring.msh", mesh))
+    assert isinstance(read, skfem.MeshTri2) == curved
+    effects = [Viscosity({"core": 1.0, "sleeve": 0.3}), Friction("outer", g=0.5)]
+    for element in ("P1", "P2"):
+        one, two = (
+            antiplane(m, clamped="inner", element=element, effects=effects) for m in (mesh, read)
+        )
+        energies = []
+        for scene in (one, two):
+            v = scene.discretisation.interpolate(lambda x: x[0] ** 3 - x[1])
+            energies.append(v @ scene.problem.A @ v)
+        assert energies[0] == pytest.approx(energies[1], rel=1e-13)
+        np.testing.assert_allclose(one.contact.points, two.contact.points, atol=1e-15)
+        np.testing.assert_allclose(one.contact.weight, two.contact.weight, rtol=1e-13)
+
+
+# two triangles; curve 1 is in two groups, group 12 has no name, node 9 belongs to nothing
+MSH41 = """$MeshFormat
+4.1 0 8
+$EndMeshFormat
+$PhysicalNames
+4
+1 10 "foot"
+1 11 "all"
+2 20 "lower"
+2 21 "upper"
+$EndPhysicalNames
+$Entities
+0 2 2 0
+1 0 0 0 1 0 0 2 10 11 0
+2 0 1 0 1 1 0 1 12 0
+1 0 0 0 1 1 0 1 20 0
+2 0 0 0 1 1 0 1 21 0
+$EndEntities
+$Nodes
+1 5 1 9
+2 1 0 5
+1
+2
+5
+7
+9
+0 0 2
+1 0 2
+1 1 2
+0 1 2
+5 5 2
+$EndNodes
+$Elements
+4 4 1 4
+1 1 1 1
+1 1 2
+1 2 1 1
+2 5 7
+2 1 2 1
+3 1 2 5
+2 2 2 1
+4 5 1 7
+$EndElements
+"""
+
+
+def test_a_gmsh_41_file_with_sparse_tags_and_shared_groups(tmp_path):
+    path = tmp_path / "two.msh"
+    path.write_text(MSH41)
+    mesh = read_mesh(path)
+    assert (mesh.nvertices, mesh.nelements) == (4, 2)
+    assert {name: len(edges) for name, edges in mesh.boundaries.items()} == {
+        "foot": 1,
+        "all": 1,
+        "12": 1,
+    }
+    scene = antiplane(mesh, clamped="foot", effects=[Viscosity({"lower": 1.0, "upper": 2.0})])
+    np.testing.assert_allclose(scene.problem.A.toarray(), [[1.5, -1.0], [-1.0, 2.0]])
+
+
+def corrupt(text):
+    """The file with each (old, new) replaced."""
+
+    def write(path):
+        changed = MSH41
+        for old, new in text:
+            assert old in changed
+            changed = changed.replace(old, new)
+        path.write_text(changed)
+
+    return write
+
+
+def flip(mesh):
+    """A mesh whose inner node has been dragged out of its cell."""
+    points = mesh.p.copy()
+    points[:, np.argmin(np.hypot(*(points - 0.5)))] = [1.2, 0.5]
+    return replace(mesh, doflocs=points)
+
+
+def crush(mesh):
+    """Curved edges pulled through the body."""
+    curved = skfem.MeshTri2.from_mesh(mesh)
+    points = curved.doflocs.copy()
+    points[:, curved.dofs.facet_dofs[0, mesh.boundaries["bottom"]]] += [[0.0], [0.6]]
+    return replace(curved, doflocs=points)
+
+
+@pytest.mark.parametrize(
+    ("write", "message"),
+    [
+        (lambda path: None, "bad.msh: cannot be read"),
+        (lambda path: path.write_text("solid cube\n"), "bad.msh: is not a Gmsh .msh file"),
+        (lambda path: path.write_text(""), "bad.msh: is not a Gmsh .msh file"),
+        (lambda path: path.write_text(MSH41[:-20]), "bad.msh: is cut short"),
+        (corrupt([("4 4 1 4", "5 4 1 4")]), "bad.msh: cannot be read as a Gmsh mesh"),
+        (corrupt([("4.1 0 8", "9.9 0 8")]), "bad.msh: cannot be read as a Gmsh mesh"),
+        (corrupt([("0 1 2\n", "0 one 2\n")]), "bad.msh: cannot be read as a Gmsh mesh"),
+        (corrupt([("0 1 2\n", "0 nan 2\n")]), r"bad.msh: node \d+ has coordinates .*nan"),
+        (corrupt([("0 1 2\n", "0 1 3\n")]), "bad.msh: is not flat"),
+        (corrupt([("0 1 2\n", "0 0 2\n")]), "bad.msh: triangle 1 near .* has no area"),
+        (corrupt([("0 1 2\n", "0.9 0.1 2\n")]), "bad.msh: triangle . near .* is inverted"),
+        (corrupt([("3 1 2 5", "3 1 2 8")]), "bad.msh: a triangle names a node that is not"),
+        (corrupt([("1 2 1 1\n2 5 7", "1 2 1 1\n2 2 7")]), "bad.msh: physical curve '12' has"),
+        (
+            corrupt([("2 1 2 1\n3 1 2 5\n2 2 2 1\n4 5 1 7", "2 1 3 1\n3 1 2 5 7")]),
+            "bad.msh: (cannot be read|only triangles are supported, not quad)",
+        ),
+        (
+            corrupt([("4 4 1 4", "2 2 1 2"), ("2 1 2 1\n3 1 2 5\n2 2 2 1\n4 5 1 7\n", "")]),
+            "bad.msh: has no triangles",
+        ),
+        (lambda path: write_msh(path, flip(square(2))), "bad.msh: triangle .* is inverted"),
+        (lambda path: write_msh(path, crush(square(2))), "bad.msh: .* its curved edges cross"),
+    ],
+)
+def test_a_bad_mesh_file_is_refused_with_its_name_and_fault(tmp_path, write, message):
+    path = tmp_path / "bad.msh"
+    write(path)
+    with pytest.raises(InputError, match=message):
+        read_mesh(path)
+
+
+def pieces():
+    """Two squares side by side, apart; only the left one touches x = 0."""
+    left = square(2)
+    mesh = skfem.MeshTri(
+        np.hstack([left.p, left.p + [[2.0], [0.0]]]), np.hstack([left.t, left.t + left.nvertices])
+    )
+    return mesh.with_boundaries({"left": lambda x: np.isclose(x[0], 0.0)})
+
+
+VISCOUS = [Viscosity(1.0)]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"mesh": 3}, "mesh must be a path or a mesh of triangles"),
+        ({"mesh": skfem.MeshQuad()}, "mesh must be a path or a mesh of triangles"),
+        ({"mesh": flip(square(2))}, "triangle .* is inverted: it overlaps"),
+        ({"mesh": pieces(), "clamped": "left"}, r"nothing holds the piece .* \(2, 0\)"),
+        ({"clamped": []}, "clamped must be a name or a list of names"),
+        ({"clamped": ["top", "top"]}, "clamped names a boundary twice"),
+        ({"clamped": "roof"}, "'roof' is not a boundary of the mesh; there are: bottom, left"),
+        ({"element": "P3"}, "element must be one of P1, P2; got 'P3'"),
+        ({"units": "cgs"}, "units must be one of"),
+        ({"scheme": "leapfrog"}, "scheme 'leapfrog' is not known"),
+        ({"solver": "simplex"}, "solver 'simplex' is not known"),
+        ({"effects": []}, "effects must hold a viscosity or an elasticity"),
+        ({"effects": [*VISCOUS, 3]}, r"effects\[1\].is no effect"),
+        ({"effects": VISCOUS, "u0": [1.0]}, "u0 must have 6 entries, got 1"),
+        (
+            {"effects": [*VISCOUS, Friction("left", 1), Friction("right", 1)]},
+            "effects hold friction twice",
+        ),
+        (
+            {"effects": [*VISCOUS, Friction("left", lambda x: -x[0] - 1)]},
+            r"effects\[1\].g must be >= 0",
+        ),
+        ({"effects": [*VISCOUS, Friction("top", 1)]}, r"effects\[1\].on: all of top is clamped"),
+        (
+            {"effects": [*VISCOUS, Friction(["left", "right"], {"left": 1.0})]},
+            r"effects\[1\].g gives no value for right",
+        ),
+        ({"effects": [Viscosity(lambda x: x[0] - 0.5)]}, r"effects\[0\].eta must be > 0"),
+        ({"effects": [Viscosity(lambda x: [1, 2])]}, r"effects\[0\].eta must turn points"),
+        ({"effects": [Viscosity(lambda x: x[0] + np.inf)]}, r"effects\[0\].eta must be finite"),
+        (
+            {"effects": [Viscosity(Profile("x", [0.2, 1.0], [1.0, 1.0]))]},
+            r"effects\[0\].eta.at covers \[0.2, 1\] but x runs over \[0",
+        ),
+        ({"effects": [Viscosity({"core": 1.0})]}, r"effects\[0\].eta.core is not a group here"),
+    ],
+)
+def test_bad_arguments_are_refused_by_name(arguments, message):
+    given = {"mesh": square(2), "clamped": "top", "effects": VISCOUS} | arguments
+    with pytest.raises(InputError, match=message):
+        antiplane(given.pop("mesh"), **given)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Viscosity(0.0), "eta must be > 0"),
+        (lambda: Viscosity("soft"), "eta must be a number, got 'soft'"),
+        (lambda: Viscosity(True), "eta must be a number"),
+        (lambda: Viscosity({}), "eta must name a group"),
+        (lambda: Viscosity({"core": -1.0}), "eta.core must be > 0"),
+        (lambda: Elasticity(-2.0), "kappa must be >= 0"),
+        (lambda: Friction("outer", -1.0), "g must be >= 0"),
+        (lambda: Friction("outer", np.inf), "g must be finite, got inf; glue a boundary"),
+        (lambda: Friction(3, 1.0), "on must be a name or a list of names"),
+        (lambda: Friction("outer", Profile("x", [0, 1], [1, -1])), "g.values must be >= 0"),
+        (lambda: Traction("outer", 5.0), "history must be a function of time"),
+        (lambda: BodyForce(Constant(), f0=np.nan), "f0 must be finite"),
+        (lambda: Profile("z", [0, 1], [1, 1]), "along must be one of x, y, radius, angle"),
+        (lambda: Profile("x", [0, 0], [1, 1]), "at must have two entries or more and increase"),
+        (lambda: Profile("x", [0, 1], [1]), "values must have 2 entries"),
+    ],
+)
+def test_bad_effects_are_refused_by_field(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+def test_overlapping_and_missing_groups_of_a_coefficient_are_refused():
+    mesh = annulus(2)
+    everything = mesh.with_subdomains({"all": np.arange(mesh.nelements)})
+    for eta, message in (
+        ({"core": 1.0, "all": 1.0}, "eta.all overlaps another group"),
+        ({"core": 1.0}, "eta gives no value for all, sleeve"),
+    ):
+        with pytest.raises(InputError, match=message):
+            antiplane(everything, clamped="inner", effects=[Viscosity(eta)])

@@ -1,0 +1,121 @@
+"""Bad input to the problems and the driver: our own error, which names the culprit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import sweepopt as so
+
+EYE = np.eye(2)
+BOX = so.Box([-1, -1], [1, 1])
+
+
+def process(A: Any = EYE, B: Any = EYE, C: Any = BOX, u0: Any = (0, 0)) -> so.SweepingProcess:
+    return so.SweepingProcess(A, B, C, u0)
+
+
+def vi(A: Any = EYE, B: Any = EYE, **others: Any) -> so.EvolutionVI:
+    return so.EvolutionVI(A, B, **{"u0": [0, 0], **others})
+
+
+def run(problem: Any = None, **others: Any) -> so.Solution:
+    problem = process() if problem is None else problem
+    return so.solve(problem, **{"t_end": 1.0, "steps": 4, **others})
+
+
+def sparse_with(value: float) -> sp.csr_array:
+    return sp.csr_array(np.array([[1.0, value], [value, 1.0]]))
+
+
+class Sublinear(so.Ball):
+    """A user's set whose support function is wrong."""
+
+    def support(self, z: np.ndarray) -> float:
+        return super().support(z) + 1.0
+
+
+CASES: list[tuple[str, Callable[[], Any], str]] = [
+    # matrices
+    ("A not square", lambda: process(A=np.ones((2, 3))), r"A must be square"),
+    ("A with one axis", lambda: process(A=[1, 2]), r"A must have two axes"),
+    ("A of words", lambda: process(A=[["a", "b"], ["c", "d"]]), r"A must be a matrix of numbers"),
+    ("A None", lambda: process(A=None), r"A must have two axes"),
+    ("A ragged", lambda: process(A=[[1, 2], [3]]), r"A must be a matrix of numbers"),
+    ("A with nan", lambda: process(A=[[1, np.nan], [np.nan, 1]]), r"A\[0, 1\] is nan"),
+    ("A sparse with inf", lambda: process(A=sparse_with(np.inf)), r"A\[.\, .\] is inf"),
+    ("A asymmetric", lambda: process(A=[[1, 0.5], [0, 1]]), r"A must be symmetric: A\[0, 1\] = 0.5"),
+    ("A indefinite", lambda: process(A=[[1, 2], [2, 1]]), r"A must be positive definite"),
+    ("A sparse indefinite", lambda: process(A=sparse_with(2.0)), r"A must be positive definite"),
+    ("A singular", lambda: process(A=np.ones((2, 2))), r"A must be positive definite"),
+    ("A negative", lambda: process(A=-EYE), r"A\[0, 0\] = -1"),
+    ("A and B zero", lambda: process(A=0 * EYE, B=None), r"A and B are both zero"),
+    ("A zero, B singular", lambda: process(A=0 * EYE, B=np.diag([1, 0])), r"B must be positive def"),
+    ("A complex", lambda: process(A=EYE * 1j), r"A must be a matrix of numbers"),
+    ("B of another size", lambda: process(B=np.eye(3)), r"B must be of shape \(2, 2\)"),
+    ("B indefinite", lambda: process(B=np.diag([1, -1])), r"B must be positive semidefinite"),
+    ("B sparse indefinite", lambda: process(B=sparse_with(1.5)), r"B must be positive semidefinite"),
+    ("B asymmetric", lambda: process(B=[[1, 1], [0, 1]]), r"B must be symmetric"),
+    ("B with nan", lambda: process(B=[[np.nan, 0], [0, 1]]), r"B\[0, 0\] is nan"),
+    # sets and start
+    ("C of another dim", lambda: process(C=so.Ball([0, 0, 0], 1)), r"C has dim 3"),
+    ("C not a set", lambda: process(C=[-1, 1]), r"C must be a set"),
+    ("C a function", lambda: process(C=lambda t: BOX), r"C must be a set"),
+    ("u0 too long", lambda: process(u0=[0, 0, 0]), r"u0 must have 2 entries"),
+    ("u0 with nan", lambda: process(u0=[0, np.nan]), r"u0\[1\] is nan"),
+    ("u0 text", lambda: process(u0="zero"), r"u0 must be an array of numbers"),
+    ("u0 a matrix", lambda: process(u0=EYE), r"u0 must have one axis"),
+    ("u0 outside at A = 0", lambda: run(process(A=0 * EYE, u0=[5, 0])), r"B u0 is not in C\(0\)"),
+    ("wrong support", lambda: run(process(C=Sublinear([0, 0], 1))), r"not positively homogeneous"),
+    # variational inequality
+    ("dissipation moving", lambda: vi(dissipation=so.Moving(BOX)), r"dissipation must be a set"),
+    ("dissipation dim", lambda: vi(dissipation=so.Ball([0], 1)), r"dissipation has dim 1"),
+    ("dissipation a number", lambda: vi(dissipation=0.3), r"dissipation must be a set"),
+    ("cone not a cone", lambda: vi(cone=BOX), r"not a cone"),
+    ("cone dim", lambda: vi(cone=so.Orthant(3)), r"cone has dim 3"),
+    ("load too short", lambda: vi(load=[1.0]), r"load must have 2 entries"),
+    ("load nan", lambda: vi(load=[1.0, np.nan]), r"load\[1\] is nan"),
+    ("load(t) nan", lambda: run(vi(load=lambda t: [np.nan, 0])), r"center\(t\) at t = 0"),
+    ("load(t) short", lambda: run(vi(load=lambda t: [1.0])), r"center\(t\) at t = 0.* 2 entries"),
+    ("scale(t) < 0", lambda: run(process(C=so.Moving(BOX, None, lambda t: 0.3 - t))), r"t = 0\.375"),
+    ("C(t) changes dim", lambda: run(process(C=so.MovingSet(
+        lambda t: BOX if t < 0.5 else so.Ball([0], 1)))), r"t = 0\.625"),
+    ("C(t) not a set", lambda: run(process(C=so.MovingSet(
+        lambda t: BOX if t < 0.5 else None))), r"t = 0\.625 must be a set"),
+    ("C(t) empties", lambda: run(process(C=so.MovingSet(
+        lambda t: so.Box([-1, -0.5], [1, 0.25 - t])))), r"t = 0\.875: Box is empty: lower\[1\]"),
+    # the driver
+    ("process a matrix", lambda: run(EYE), r"process must be a SweepingProcess"),
+    ("t_end missing", lambda: run(t_end=None), r"t_end is missing"),
+    ("t_end negative", lambda: run(t_end=-1.0), r"t_end must be > 0"),
+    ("t_end nan", lambda: run(t_end=np.nan), r"t_end\[0\] is nan"),
+    ("t_end text", lambda: run(t_end="late"), r"t_end must be an array of numbers"),
+    ("steps zero", lambda: run(steps=0), r"steps must be a positive whole number"),
+    ("steps fractional", lambda: run(steps=2.5), r"steps must be a positive whole number"),
+    ("steps true", lambda: run(steps=True), r"steps must be a positive whole number"),
+    ("times decrease", lambda: run(steps=[0, 0.5, 0.2]), r"strictly increasing"),
+    ("times end elsewhere", lambda: run(steps=[0, 0.5, 2.0]), r"steps end at 2"),
+    ("times with nan", lambda: run(steps=[0, np.nan, 1]), r"steps\[1\] is nan"),
+    ("scheme unknown", lambda: run(scheme="rk4"), r"scheme 'rk4' is not known"),
+    ("explicit scheme at A = 0", lambda: run(process(A=0 * EYE), scheme="catching-up"), r"A = 0"),
+    ("solver unknown", lambda: run(solver="gurobi"), r"solver 'gurobi' is not known"),
+    ("solver a class", lambda: run(solver=so.Clarabel), r"solver must be a name"),
+    ("cvxpy solver unknown", lambda: run(
+        vi(load=[3.0, 0], dissipation=BOX), solver=so.Cvxpy("NOPE")), r"no solver 'NOPE'"),
+    ("tol zero", lambda: run(tol=0), r"tol must be > 0"),
+    ("tol nan", lambda: run(tol=np.nan), r"tol\[0\] is nan"),
+    ("on_failure", lambda: run(on_failure="ignore"), r"on_failure must be one of"),
+    ("on_unstable", lambda: run(on_unstable="maybe"), r"on_unstable must be one of"),
+    ("interpolate outside", lambda: run()(7.0), r"t = 7 is outside"),
+]  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+@pytest.mark.parametrize(("call", "message"), [c[1:] for c in CASES], ids=[c[0] for c in CASES])
+def test_bad_input_is_refused_by_name(call: Callable[[], Any], message: str) -> None:
+    with pytest.raises(so.SweepoptError, match=message):
+        call()

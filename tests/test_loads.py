@@ -1,0 +1,160 @@
+"""Loads know their exact variation and kinks; bad tables are refused with file, column and row."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sweepopt import Constant, InputError, Separable, Sine, Table, Triangle
+
+HISTORIES = [
+    Constant(2.0),
+    Sine(1.5, period=0.7),
+    Sine(-0.4, period=3.0, phase=1.1, offset=0.2),
+    Triangle(2.0, period=1.3),
+    Triangle(-1.0, period=40.0),
+    Table([-1.0, 0.5, 0.75, 2.0, 9.0], [0.0, 3.0, 3.0, -1.0, 5.0]),
+]
+INTERVALS = [(0.0, 8.0), (0.31, 0.32), (-0.9, 0.1), (0.5, 2.0), (1.0, 1.0), (3.3, 7.77)]
+
+
+@pytest.mark.parametrize("phi", HISTORIES, ids=str)
+@pytest.mark.parametrize(("a", "b"), INTERVALS)
+def test_variation_is_that_of_a_fine_sampling(phi, a, b):
+    t = np.union1d(np.linspace(a, b, 100_001), phi.breakpoints(a, b))
+    sampled = np.abs(np.diff(phi(t))).sum()
+    assert phi.variation(a, b) == pytest.approx(sampled, rel=1e-6, abs=1e-12)
+    assert phi.variation(a, b) >= sampled - 1e-12 * (1 + sampled)
+
+
+@pytest.mark.parametrize("phi", HISTORIES, ids=str)
+def test_variation_is_additive(phi):
+    cuts = np.linspace(-0.7, 8.9, 38)
+    pieces = sum(phi.variation(a, b) for a, b in zip(cuts, cuts[1:], strict=False))
+    assert pieces == pytest.approx(phi.variation(cuts[0], cuts[-1]), rel=1e-12, abs=1e-14)
+
+
+@pytest.mark.parametrize("phi", [phi for phi in HISTORIES if not isinstance(phi, Sine)], ids=str)
+def test_a_history_is_straight_between_its_kinks(phi):
+    kinks = phi.breakpoints(-0.5, 8.5)
+    assert np.all((kinks > -0.5) & (kinks < 8.5))
+    ends = np.concatenate([[-0.5], kinks, [8.5]])
+    middle = (ends[1:] + ends[:-1]) / 2
+    np.testing.assert_allclose(phi(middle), (phi(ends[1:]) + phi(ends[:-1])) / 2, atol=1e-12)
+
+
+def test_variation_of_a_billion_periods_costs_nothing():
+    assert Sine(1.0, period=1e-3).variation(0.0, 1e6) == pytest.approx(4e9, rel=1e-12)
+    assert Triangle(1.0, period=1e-3).variation(0.0, 1e6) == pytest.approx(4e9, rel=1e-12)
+
+
+def test_a_triangle_starts_rising_and_peaks_at_a_quarter():
+    wave = Triangle(3.0, period=2.0)
+    np.testing.assert_allclose(wave([0.0, 0.25, 0.5, 1.0, 1.5, 2.0]), [0, 1.5, 3, 0, -3, 0])
+
+
+def test_a_table_answers_inside_its_range_and_at_its_ends_up_to_rounding():
+    table = Table([0.1, 0.7], [1.0, 3.0])
+    assert table(0.1 + 6 * 0.1) == 3.0  # 0.7000000000000001
+    for t in (0.0999, 0.70001, np.nan):
+        with pytest.raises(InputError, match=r"outside the table, which covers \[0.1, 0.7\]"):
+            table(t)
+
+
+def test_a_table_and_its_load_cannot_be_changed_afterwards():
+    times, shape = np.array([0.0, 1.0]), np.array([1.0, 2.0])
+    f = Separable([(Table(times, [0.0, 1.0]), shape)])
+    times[1] = shape[0] = 7.0
+    np.testing.assert_array_equal(f(1.0), [1.0, 2.0])
+    with pytest.raises(ValueError, match="read-only"):
+        f.terms[0][1][0] = 3.0
+
+
+def test_a_separable_load_is_its_sum_and_bounds_its_variation():
+    shapes = np.array([[1.0, 0.0, 2.0], [0.5, -1.0, 0.0]])
+    f = Separable(zip((Sine(2.0, period=3.0), Triangle(1.0, period=2.0)), shapes, strict=True))
+    assert f.dim == 3
+    np.testing.assert_array_equal(f.shapes, shapes.T)
+    np.testing.assert_allclose(f(0.4), 2 * np.sin(2 * np.pi * 0.4 / 3) * shapes[0] + 0.8 * shapes[1])
+    t = np.linspace(0.0, 5.0, 2001)
+    path = np.linalg.norm(np.diff([f(s) for s in t], axis=0), axis=1).sum()
+    assert path <= f.variation(0.0, 5.0)
+    twice = f.variation(0.0, 5.0, norm=lambda force: 2 * np.linalg.norm(force))
+    assert twice == pytest.approx(2 * f.variation(0.0, 5.0))
+    np.testing.assert_allclose(f.breakpoints(0.0, 2.0), [0.5, 1.5])
+
+
+def test_a_black_box_history_may_be_evaluated_but_not_measured():
+    f = Separable([(lambda t: t**2, [1.0])])
+    assert f(3.0) == [9.0]
+    assert f.breakpoints(0.0, 1.0).size == 0
+    with pytest.raises(InputError, match=r"terms\[0\].* does not tell its variation"):
+        f.variation(0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Sine(1.0, period=0.0), "period must be > 0"),
+        (lambda: Triangle(np.nan, period=1.0), r"amplitude\[0\] is nan"),
+        (lambda: Sine("big", period=1.0), "amplitude must be"),
+        (lambda: Constant([1.0, 2.0]), "value must be one number"),
+        (lambda: Table([0.0], [1.0]), "times must have two entries"),
+        (lambda: Table([0.0, 1.0, 1.0], [1.0, 2.0, 3.0]), r"entry 2 \(1\) follows entry 1 \(1\)"),
+        (lambda: Table([0.0, 1.0], [1.0, np.inf]), r"values\[1\] is inf"),
+        (lambda: Table([0.0, 1.0], [1.0]), "values has 1 entries for 2 times"),
+        (lambda: Separable([]), "terms must hold"),
+        (lambda: Separable([Constant(1.0)]), r"terms\[0\] must be a pair"),
+        (lambda: Separable([(1.0, [1.0])]), r"terms\[0\]\[0\] must be callable"),
+        (lambda: Separable([(Constant(1.0), [[1.0]])]), r"terms\[0\]\[1\] must have one axis"),
+        (lambda: Separable([(Constant(1.0), [])]), r"terms\[0\]\[1\] must not be empty"),
+        (
+            lambda: Separable([(Constant(1.0), [1.0]), (Constant(1.0), [1.0, 2.0])]),
+            r"terms\[1\]\[1\] has 2 entries, terms\[0\]\[1\] has 1",
+        ),
+        (lambda: Separable([(lambda t: np.nan, [1.0])])(0.5), r"terms\[0\]\[0\] is nan at t = 0.5"),
+    ],
+)
+def test_bad_loads_are_refused_by_name(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+def test_a_csv_column_becomes_a_table(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("\ufeff# a log, units in the header\n\n t , force ,note\n0,1,x\n0.5,2.5,\n2,-1,y\n")
+    table = Table.from_csv(path, "force", scale=2.0)
+    np.testing.assert_array_equal(table.times, [0.0, 0.5, 2.0])
+    np.testing.assert_array_equal(table.values, [2.0, 5.0, -2.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t,f1\n0,1\n1,2\n", "log.csv: column 'f2' is missing; there are: t, f1"),
+        ("s,f2\n0,1\n1,2\n", "log.csv: column 't' is missing; there are: s, f2"),
+        ("t,f2,f2\n0,1,1\n1,2,2\n", "log.csv: column 'f2' is there twice"),
+        ("", "log.csv: column 't' is missing; there are: none"),
+        ("t,f2\n0,1\n", "log.csv: 1 data rows"),
+        ("# units\nt,f2\n0,1\n1,\n", r"log.csv, column 'f2', row 4: '' is not a finite number"),
+        ("t,f2\n0,1\n1\n", "log.csv, column 'f2', row 3: '' is not"),
+        ("t,f2\n0,1\n1,nan\n", "log.csv, column 'f2', row 3: 'nan' is not"),
+        ("t,f2\n0,1\n\n1,two\n", "log.csv, column 'f2', row 4: 'two' is not"),
+        ("t,f2\n0,1\n1,1\n1,3\n", "log.csv, column 't', row 4: time 1 does not come after 1"),
+        ("t,f2\n0,1\n2,1\n1,3\n", "log.csv, column 't', row 4: time 1 does not come after 2"),
+        ("t;f2\n0;1\n2;1\n", "log.csv: column 't' is missing; there are: t;f2"),
+    ],
+)
+def test_a_bad_csv_is_refused_with_file_column_and_row(tmp_path, text, message):
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        Table.from_csv(path, "f2")
+
+
+def test_an_unreadable_csv_is_refused(tmp_path):
+    with pytest.raises(InputError, match="absent.csv: cannot be read"):
+        Table.from_csv(tmp_path / "absent.csv", "f2")
+    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00t")
+    with pytest.raises(InputError, match="binary.csv: is not UTF-8 text"):
+        Table.from_csv(tmp_path / "binary.csv", "f2")
