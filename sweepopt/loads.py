@@ -191,6 +191,7 @@ class Table:
         InputError
             Naming the file, the column and the row (line of the file) at fault.
         """
+        factor = number("scale", scale)
         times, values, rows = _read_columns(Path(path), time, column)
         late = np.flatnonzero(np.diff(times) <= 0.0)
         if late.size:
@@ -201,7 +202,7 @@ class Table:
             )
         if len(times) < 2:
             raise InputError(f"{path}: {len(times)} data rows; a history needs two or more")
-        return cls(times, scale * np.asarray(values))
+        return cls(times, factor * values)
 
     def __call__(self, t: ArrayLike) -> Array:
         at = np.asarray(t, dtype=float)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from sweepopt.fem import Scene
     from sweepopt.solution import Solution
 
-FORWARD, BACKWARD, STICK = "#D55E00", "#0072B2", "#4D4D4D"
+FORWARD, BACKWARD, STICK = "#D55E00", "#0072B2", "#8C8C8C"
 STATE_COLOURS = {-1: BACKWARD, 0: STICK, 1: FORWARD}
 LINE_COLOURS = ("#000000", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#F0E442")
 LINE_STYLES = ("-", "--", "-.", (0, (1, 1)))
@@ -34,7 +34,8 @@ def plot_solution(solution: Solution, ax: Any = None) -> Any:
     Parameters
     ----------
     solution : Solution
-        Of many components the eight that move the furthest are drawn.
+        Of many components eight are drawn, from the one that moves least to the one that moves
+        furthest.
     ax : matplotlib Axes, optional
         Where to draw; a new figure otherwise, to be reached as the result's `figure`.
 
@@ -45,8 +46,7 @@ def plot_solution(solution: Solution, ax: Any = None) -> Any:
     if ax is None:
         ax = _figure((7.0, 4.0)).add_subplot()
     dim = solution.u.shape[1]
-    reach = np.ptp(solution.u, axis=0)
-    drawn = np.sort(np.argsort(-reach, kind="stable")[:MOST_COMPONENTS])
+    drawn = _spread(np.ptp(solution.u, axis=0), MOST_COMPONENTS)
     stuck = solution.velocity == 0.0
     for k, i in enumerate(drawn):
         colour = (LINE_COLOURS * 2)[k]
@@ -84,42 +84,47 @@ def displacement_figure(
     -------
     matplotlib Figure
     """
-    from matplotlib.colors import Normalize
-
     moments = _nearest(solution.t, times) if times is not None else _moments(solution, slip)
     body = scene.discretisation
     fields = body.expand(solution.u[moments])
     factor, unit = _prefix(np.abs(fields).max(), _unit(scene, "m"))
-    rows, columns, size = _grid(body.points, len(moments))
+    limit = factor * float(np.abs(fields).max()) or 1.0
+    scale, length = _prefix(np.abs(body.points).max(), _unit(scene, "m"))
+    points = scale * body.points
+    rows, columns, size = _grid(points, len(moments))
     figure = _figure(size)
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-    limit = factor * float(np.abs(fields).max()) or 1.0
-    low = -limit if fields.min() < -0.02 * np.abs(fields).max() else 0.0
-    norm = Normalize(low, limit if fields.max() > 0.0 else 0.0)
-    halves = _half_edges(scene) if slip is not None else None
+    outline = points[_boundary_edges(body.triangles)]
     for panel in panels.flat[len(moments) :]:
         panel.set_axis_off()
     for panel, i, field in zip(panels.flat, moments, fields, strict=False):
         image = panel.tripcolor(
-            *body.points.T,
+            *points.T,
             body.triangles,
             factor * field,
-            norm=norm,
-            cmap="PuOr_r" if low < 0.0 else "Greys",
+            vmin=-limit,
+            vmax=limit,
+            cmap="PRGn",
             shading="gouraud",
             rasterized=True,
         )
-        if halves is not None and slip is not None:
-            _draw_states(panel, *halves, slip.state[max(i - 1, 0)])
+        _draw_lines(panel, outline, "black", 0.6)
         title = f"t = {solution.t[i]:.4g}{_unit(scene, ' s')}"
         if slip is not None:
-            title += f", {100 * slip.share[max(i - 1, 0)]:.0f} % slips"
+            state = slip.state[max(i - 1, 0)]
+            _draw_states(panel, scene, scale, state)
+            share = f"{100 * slip.share[max(i - 1, 0)]:.0f} % slips"
+            title += f", {share if state.any() else 'all sticks'}"
         panel.set_title(title, fontsize="medium")
         panel.set_aspect("equal")
-        panel.margins(0.04)
-    figure.colorbar(image, ax=panels, label=f"displacement{_in(unit)}", shrink=0.8)
-    figure.supxlabel(f"x{_in(_unit(scene, 'm'))}", fontsize="medium")
-    figure.supylabel(f"y{_in(_unit(scene, 'm'))}", fontsize="medium")
+        panel.margins(0.05)
+    for panel in panels[-1]:
+        panel.set_xlabel(f"x{_in(length)}")
+    for panel in panels[:, 0]:
+        panel.set_ylabel(f"y{_in(length)}")
+    bar = figure.colorbar(image, ax=panels, label=f"displacement{_in(unit)}", shrink=0.8)
+    if fields.any():
+        bar.ax.set_ylim(factor * fields.min(), factor * fields.max())
     if slip is not None:
         _state_legend(figure, loc="outside upper center", title="contact boundary")
     return figure
@@ -142,11 +147,12 @@ def contact_figure(scene: Scene, slip: Slip) -> Any:
     _draw_zone(zone, scene, slip)
     _state_legend(zone, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     factor, unit = _prefix(np.abs(slip.displacement).max(), _unit(scene, "m"))
+    scale, length = _prefix(slip.position.max(), _unit(scene, "m"))
     for k, node in enumerate(_telling_nodes(slip)):
         look: dict[str, Any] = {"color": LINE_COLOURS[k], "linestyle": LINE_STYLES[k]}
-        label = _place(scene, slip, node)
-        zone.axhline(slip.position[node], lw=2.6, color="white")
-        zone.axhline(slip.position[node], lw=1.4, **look)
+        label = _place(slip, node, scale, length)
+        zone.axhline(scale * slip.position[node], lw=2.6, color="white")
+        zone.axhline(scale * slip.position[node], lw=1.4, **look)
         u = factor * slip.displacement[:, node]
         moved.plot(slip.t, u, lw=1.5, label=label, **look)
         t, u = _only(slip.state[:, node] == 0, slip.t, u)
@@ -156,7 +162,7 @@ def contact_figure(scene: Scene, slip: Slip) -> Any:
         traction.plot(slip.stage_t, share, lw=1.5, **look)
     moved.plot([], [], color=STICK, lw=6.0, alpha=0.25, label="sticks")
     for level in (-1.0, 1.0):
-        traction.axhline(level, color=STICK, lw=0.8, linestyle=":", zorder=0)
+        traction.axhline(level, color="black", lw=1.0, linestyle=":", zorder=0)
     moved.set_ylabel(f"displacement{_in(unit)}")
     moved.legend(fontsize="small", ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     traction.set(
@@ -172,10 +178,11 @@ def _draw_zone(panel: Any, scene: Scene, slip: Slip) -> None:
     """Slip state over arc length and time."""
     from matplotlib.colors import ListedColormap
 
+    scale, length = _prefix(slip.position.max(), _unit(scene, "m"))
     names = slip.contact.boundary[slip.boundary_starts]
     panel.pcolormesh(
         slip.t,
-        _cell_edges(slip),
+        scale * _cell_edges(slip),
         slip.state.T,
         cmap=ListedColormap([STATE_COLOURS[state] for state in STATES]),
         vmin=-1.5,
@@ -183,18 +190,23 @@ def _draw_zone(panel: Any, scene: Scene, slip: Slip) -> None:
         rasterized=True,
     )
     for start in slip.boundary_starts[1:]:
-        panel.axhline(slip.position[start], color="white", lw=1.0)
+        panel.axhline(scale * slip.position[start], color="white", lw=1.0)
     where = ", ".join(str(name) for name in names)
-    panel.set_ylabel(f"arc length of {where}{_in(_unit(scene, 'm'))}")
+    panel.set_ylabel(f"arc length of {where}{_in(length)}")
 
 
-def _draw_states(panel: Any, segments: np.ndarray, owner: np.ndarray, state: np.ndarray) -> None:
+def _draw_states(panel: Any, scene: Scene, scale: float, state: np.ndarray) -> None:
     """The contact boundary in the colours of its states, with a casing against the field."""
+    segments, owner = _half_edges(scene)
+    colours = [STATE_COLOURS[int(state[node])] for node in owner]
+    _draw_lines(panel, scale * segments, "white", 6.5)
+    _draw_lines(panel, scale * segments, colours, 4.0)
+
+
+def _draw_lines(panel: Any, segments: np.ndarray, colours: Any, width: float) -> None:
     from matplotlib.collections import LineCollection
 
-    colours = [STATE_COLOURS[int(state[node])] for node in owner]
-    panel.add_collection(LineCollection(segments, colors="white", lw=6.5, capstyle="round"))
-    panel.add_collection(LineCollection(segments, colors=colours, lw=4.0, capstyle="butt"))
+    panel.add_collection(LineCollection(list(segments), colors=colours, lw=width, capstyle="round"))
 
 
 def _state_legend(parent: Any, **where: Any) -> None:
@@ -213,13 +225,19 @@ def _half_edges(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     assert contact is not None
     number = np.full(len(body.points), -1)
     number[body.free[contact.unknown]] = np.arange(len(contact))
-    edges = np.sort(body.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, count = np.unique(edges, axis=0, return_counts=True)
-    edges = edges[(count == 1) & (number[edges] >= 0).all(axis=1)]
+    edges = _boundary_edges(body.triangles)
+    edges = edges[(number[edges] >= 0).all(axis=1)]
     ends = body.points[edges]
     middle = ends.mean(axis=1)
     halves = np.concatenate([np.stack([ends[:, k], middle], axis=1) for k in (0, 1)])
     return halves, number[edges.T.ravel()]
+
+
+def _boundary_edges(triangles: np.ndarray) -> np.ndarray:
+    """Edges of one triangle only, shape (k, 2)."""
+    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, count = np.unique(edges, axis=0, return_counts=True)
+    return np.asarray(edges[count == 1])
 
 
 def _cell_edges(slip: Slip) -> np.ndarray:
@@ -232,15 +250,20 @@ def _cell_edges(slip: Slip) -> np.ndarray:
 
 def _telling_nodes(slip: Slip) -> list[int]:
     """A few nodes from the one that slips least to the one that slips furthest, along the arc."""
-    order = np.argsort(slip.total, kind="stable")
-    ranks = np.linspace(0, len(order) - 1, MOST_POINTS).round().astype(int)
-    return sorted({int(node) for node in order[ranks]})
+    return _spread(slip.total, MOST_POINTS)
 
 
-def _place(scene: Scene, slip: Slip, node: int) -> str:
+def _spread(values: np.ndarray, count: int) -> list[int]:
+    """Indices of the smallest and the largest value and of some between, increasing."""
+    order = np.argsort(values, kind="stable")
+    ranks = np.linspace(0, len(order) - 1, min(count, len(order))).round().astype(int)
+    return sorted({int(i) for i in order[ranks]})
+
+
+def _place(slip: Slip, node: int, scale: float, length: str) -> str:
     several = len(slip.boundary_starts) > 1
-    where = f"{slip.contact.boundary[node]}, " if several else ""
-    return f"{where}{slip.contact.arc[node]:.3g}{_unit(scene, ' m')}"
+    where = f"{slip.contact.boundary[node]} " if several else ""
+    return f"at {where}{scale * slip.contact.arc[node]:.3g}{length and f' {length}'}"
 
 
 def _moments(solution: Solution, slip: Slip | None) -> list[int]:

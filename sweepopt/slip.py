@@ -1,7 +1,7 @@
 """Stick, slip and friction at the contact, computed once for files, summaries and pictures.
 
-On Gamma_3 the friction traction q = eta d_nu u' + kappa d_nu u satisfies |q| <= g, and q = -g u'/|u'|
-where u' != 0 (MATH.md, antiplane contact). Tested with the basis function of node k it reads
+On Gamma_3 the friction traction q = eta d_nu u' + kappa d_nu u satisfies |q| <= g, and
+q = -g u'/|u'| where u' != 0. Tested with the basis function of node k it reads
 
     w_k q_k = (A u' + B u - f)_k,      |q_k| <= g_k.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -84,7 +85,7 @@ class Slip:
     def share(self) -> Array:
         """Share of the contact's length that slips in each step, shape (n,)."""
         weight = self.contact.weight
-        return np.asarray((self.state != 0) @ weight / weight.sum())
+        return np.minimum((self.state != 0) @ weight / weight.sum(), 1.0)
 
     @cached_property
     def total(self) -> Array:
@@ -94,9 +95,10 @@ class Slip:
     @cached_property
     def position(self) -> Array:
         """Arc length along all contact boundaries, one after the other; shape (m,)."""
-        position = self.contact.arc.astype(float)
-        for start in self.boundary_starts[1:]:
-            position[start:] += position[start - 1] - self.contact.arc[start]
+        starts = self.boundary_starts
+        position = np.array(self.contact.arc)
+        for start, end in pairwise([*starts, position.size]):
+            position[start:end] += position[start - 1] if start else 0.0
         return position
 
     @cached_property
@@ -112,7 +114,7 @@ class Slip:
         before, after = self.state[:-1], self.state[1:]
         most = int(np.argmax(self.share))
         return Statistics(
-            ever=float(slipping.any(axis=0) @ weight),
+            ever=min(float(slipping.any(axis=0) @ weight), 1.0),
             most=float(self.share[most]),
             time_of_most=float(self.t[most + 1]) if slipping.any() else None,
             switches=int(np.count_nonzero(slipping[:-1] != slipping[1:])),

@@ -224,18 +224,18 @@ def _times(solution: Solution, units: Units) -> dict[str, Any]:
 
 
 def _steps(solution: Solution, units: Units) -> dict[str, Any]:
+    stats = solution.stats
     described = {
         "certificate": ("bound of the error of the step's velocity program", units.certificate),
         "relative": ("certificate relative to the size of the program, what tol bounds", "1"),
-        "viability": ("distance of the step's force to C", units.viability),
         "iterations": ("iterations of the solver", "1"),
         "attempts": ("solvers and settings tried; 0 where the body is at rest", "1"),
         "seconds": ("wall time of the step", "s"),
     }
-    return {
-        name: _variable(("step",), solution.stats[name], *words)
-        for name, words in described.items()
-    }
+    steps = {name: _variable(("step",), stats[name], *words) for name, words in described.items()}
+    viability = "bound of the distance of the step's force to C"
+    steps["viability"] = _variable(("step",), solution.viability(), viability, units.viability)
+    return steps
 
 
 def _energies(energy: Energy, units: Units) -> dict[str, Any]:
@@ -360,7 +360,11 @@ def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:
                 "balance": energy.balance[-1],
             },
             "slip": None if slip is None else slip.statistics()._asdict(),
-            "worst": {name: stats[name].max() for name in ("certificate", "relative", "viability")},
+            "worst": {
+                "certificate": stats["certificate"].max(),
+                "relative": stats["relative"].max(),
+                "viability": solution.viability().max(),
+            },
             "iterations": stats["iterations"].sum(),
             "seconds": report.seconds,
             "materials": {name: k for k, name in enumerate(_materials(scene), start=1)},

@@ -18,6 +18,7 @@ import sweepopt as so
 
 Rng = np.random.Generator
 Constraints = list[cp.Constraint]
+Build = Callable[..., "Sample"]
 EPS = float(np.finfo(float).eps)
 PROGRAM = 1e-6  # agreement with the independent solve (Clarabel, inaccurate where it stalls)
 
@@ -73,7 +74,7 @@ class Entry:
         Whether two samples of one frame share their cone.
     """
 
-    build: Callable[[Rng, Rng], Sample]
+    build: Build
     bounded: bool = True
     cone: bool = False
     tol: float = 1e-12
@@ -98,24 +99,25 @@ def far_and_near(rng: Rng, dim: int) -> np.ndarray:
 # ---- shapes -----------------------------------------------------------------------------------
 
 
-def _dim(frame: Rng) -> int:
-    return int(frame.integers(1, 6))
+def _dim(frame: Rng, dim: int | None) -> int:
+    drawn = int(frame.integers(1, 6))
+    return drawn if dim is None else dim
 
 
-def point(frame: Rng, rng: Rng) -> Sample:
-    p = rng.normal(size=_dim(frame))
+def point(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+    p = rng.normal(size=_dim(frame, dim))
     return Sample(so.Point(p), lambda w: [w == p])
 
 
-def box(frame: Rng, rng: Rng) -> Sample:
-    dim = _dim(frame)
+def box(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+    dim = _dim(frame, dim)
     lower = rng.normal(size=dim)
     upper = lower + rng.exponential(size=dim)
     return Sample(so.Box(lower, upper), lambda w: [w >= lower, w <= upper])
 
 
-def open_box(frame: Rng, rng: Rng) -> Sample:
-    dim = 1 + _dim(frame)
+def open_box(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+    dim = 1 + _dim(frame, dim)
     kind = frame.integers(0, 4, size=dim)
     kind[0] = frame.integers(0, 3)  # one entry at least is unbounded
     lower = np.where(kind % 2, rng.normal(size=dim), -np.inf)
@@ -123,25 +125,27 @@ def open_box(frame: Rng, rng: Rng) -> Sample:
     low, up = np.isfinite(lower), np.isfinite(upper)
     return Sample(
         so.Box(lower, upper),
-        lambda w: [w[i] >= lower[i] for i in np.flatnonzero(low)]
-        + [w[i] <= upper[i] for i in np.flatnonzero(up)],
+        lambda w: (
+            [w[i] >= lower[i] for i in np.flatnonzero(low)]
+            + [w[i] <= upper[i] for i in np.flatnonzero(up)]
+        ),
     )
 
 
-def orthant(frame: Rng, rng: Rng) -> Sample:
-    return Sample(so.Orthant(_dim(frame)), lambda w: [w >= 0])
+def orthant(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+    return Sample(so.Orthant(_dim(frame, dim)), lambda w: [w >= 0])
 
 
-def whole_space(frame: Rng, rng: Rng) -> Sample:
-    return Sample(so.WholeSpace(_dim(frame)), lambda w: [])
+def whole_space(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+    return Sample(so.WholeSpace(_dim(frame, dim)), lambda w: [])
 
 
-def ball(frame: Rng, rng: Rng) -> Sample:
-    center, radius = rng.normal(size=_dim(frame)), rng.exponential()
+def ball(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+    center, radius = rng.normal(size=_dim(frame, dim)), rng.exponential()
     return Sample(so.Ball(center, radius), lambda w: [cp.norm(w - center) <= radius])
 
 
-def balls(frame: Rng, rng: Rng) -> Sample:
+def balls(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     block, count = int(frame.integers(1, 4)), int(frame.integers(1, 3))
     radii = rng.exponential(size=count)
     return Sample(
@@ -150,8 +154,8 @@ def balls(frame: Rng, rng: Rng) -> Sample:
     )
 
 
-def _ellipsoid(frame: Rng, rng: Rng, decades: float) -> Sample:
-    dim = _dim(frame)
+def _ellipsoid(frame: Rng, rng: Rng, dim: int | None, decades: float) -> Sample:
+    dim = _dim(frame, dim)
     axes = np.linalg.qr(frame.normal(size=(dim, dim)))[0]
     squares = 10.0 ** np.linspace(-decades, 0, dim)
     center, shape = rng.normal(size=dim), (axes * squares) @ axes.T
@@ -162,18 +166,18 @@ def _ellipsoid(frame: Rng, rng: Rng, decades: float) -> Sample:
     )
 
 
-def ellipsoid(frame: Rng, rng: Rng) -> Sample:
-    return _ellipsoid(frame, rng, decades=1)
+def ellipsoid(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+    return _ellipsoid(frame, rng, dim, decades=1)
 
 
-def half_space(frame: Rng, rng: Rng) -> Sample:
-    normal, offset = frame.normal(size=_dim(frame)), rng.normal()
+def half_space(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+    normal, offset = frame.normal(size=_dim(frame, dim)), rng.normal()
     return Sample(so.HalfSpace(normal, offset), lambda w: [normal @ w <= offset])
 
 
-def polyhedron(frame: Rng, rng: Rng) -> Sample:
+def polyhedron(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     # bounded: the rows surround the origin; some come twice, some are redundant
-    dim = _dim(frame)
+    dim = _dim(frame, dim)
     G = np.vstack([np.eye(dim), -np.eye(dim), frame.normal(size=(3, dim))])
     G = np.vstack([G, G[:2]])
     x = rng.normal(size=dim)
@@ -181,16 +185,16 @@ def polyhedron(frame: Rng, rng: Rng) -> Sample:
     return Sample(so.Polyhedron(sp.csr_array(G), h), lambda w: [G @ w <= h])
 
 
-def vertex_cone(frame: Rng, rng: Rng) -> Sample:
+def vertex_cone(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     # more rows through one vertex than there are unknowns
-    dim = _dim(frame)
+    dim = _dim(frame, dim)
     G = np.abs(frame.normal(size=(2 * dim + 2, dim)))
     return Sample(so.Polyhedron(G, np.zeros(len(G))), lambda w: [G @ w <= 0])
 
 
-def flat(frame: Rng, rng: Rng) -> Sample:
+def flat(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     # an equation as two rows: no interior
-    dim = 1 + _dim(frame)
+    dim = 1 + _dim(frame, dim)
     row = frame.normal(size=dim)
     G = np.vstack([row, -row, np.eye(dim)])
     level, top = rng.normal(), np.abs(rng.normal(size=dim)) + 3
@@ -198,8 +202,8 @@ def flat(frame: Rng, rng: Rng) -> Sample:
     return Sample(so.Polyhedron(G, h), lambda w: [row @ w == level, w <= top])
 
 
-def polytope(frame: Rng, rng: Rng) -> Sample:
-    vertices = frame.normal(size=(int(frame.integers(1, 9)), _dim(frame)))
+def polytope(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+    vertices = frame.normal(size=(int(frame.integers(1, 9)), _dim(frame, dim)))
     return Sample(so.Polytope(vertices), lambda w: _hull(vertices, w))
 
 
@@ -208,14 +212,14 @@ def _hull(vertices: np.ndarray, w: cp.Variable) -> Constraints:
     return [vertices.T @ theta == w, cp.sum(theta) == 1]
 
 
-def second_order_cone(frame: Rng, rng: Rng) -> Sample:
-    dim = _dim(frame)
+def second_order_cone(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+    dim = _dim(frame, dim)
     inside = [lambda w: [w[0] >= 0], lambda w: [cp.norm(w[1:]) <= w[0]]][dim > 1]
     return Sample(so.SecondOrderCone(dim), inside)
 
 
-def constraints(frame: Rng, rng: Rng) -> Sample:
-    dim, center = _dim(frame), rng.normal(size=3)
+def constraints(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+    dim, center = _dim(frame, dim), rng.normal(size=3)
     return Sample(
         so.Constraints(dim, lambda w: [cp.norm(w - center[0], 1) <= 1, w[0] <= center[0] + 0.5]),
         lambda w: [cp.sum(cp.abs(w - center[0])) <= 1, w[0] <= center[0] + 0.5],
@@ -224,20 +228,10 @@ def constraints(frame: Rng, rng: Rng) -> Sample:
 
 # ---- operations -------------------------------------------------------------------------------
 
-Build = Callable[[Rng, Rng], Sample]
-
-
-def _pair(build: Build, frame: Rng, rng: Rng, dim: int) -> Sample:
-    """A sample of the given dim (frames draw it first)."""
-    while True:
-        found = build(frame, rng)
-        if found.C.dim == dim:
-            return found
-
 
 def translated(build: Build) -> Build:
-    def make(frame: Rng, rng: Rng) -> Sample:
-        s = build(frame, rng)
+    def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+        s = build(frame, rng, dim)
         v = rng.normal(size=s.C.dim)
         return Sample(s.C + v, lambda w: s.inside(w - v))
 
@@ -245,16 +239,16 @@ def translated(build: Build) -> Build:
 
 
 def scaled(build: Build) -> Build:
-    def make(frame: Rng, rng: Rng) -> Sample:
-        s, r = build(frame, rng), rng.uniform(0.5, 3)
+    def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+        s, r = build(frame, rng, dim), rng.uniform(0.5, 3)
         return Sample(r * s.C, lambda w: s.inside(w / r))
 
     return make
 
 
 def negated(build: Build) -> Build:
-    def make(frame: Rng, rng: Rng) -> Sample:
-        s = build(frame, rng)
+    def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+        s = build(frame, rng, dim)
         return Sample(-s.C, lambda w: s.inside(-w))
 
     return make
@@ -263,8 +257,8 @@ def negated(build: Build) -> Build:
 def moving(build: Build) -> Build:
     """A snapshot of center(t) + scale(t) C."""
 
-    def make(frame: Rng, rng: Rng) -> Sample:
-        s, v = build(frame, rng), None
+    def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+        s = build(frame, rng, dim)
         v, t = rng.normal(size=s.C.dim), rng.uniform()
         C = so.Moving(s.C, center=lambda t: t * v, scale=lambda t: 1 + t)
         return Sample(C.at(t), lambda w: s.inside((w - t * v) / (1 + t)))
@@ -273,9 +267,9 @@ def moving(build: Build) -> Build:
 
 
 def summed(one: Build, two: Build) -> Build:
-    def make(frame: Rng, rng: Rng) -> Sample:
-        a = one(frame, rng)
-        b = _pair(two, frame, rng, a.C.dim)
+    def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+        a = one(frame, rng, dim)
+        b = two(frame, rng, a.C.dim)
 
         def inside(w: cp.Variable) -> Constraints:
             first = cp.Variable(a.C.dim)
@@ -289,9 +283,9 @@ def summed(one: Build, two: Build) -> Build:
 def met(one: Build, two: Build) -> Build:
     """C & D with D shifted so that the sets share a ball of a random size around a point."""
 
-    def make(frame: Rng, rng: Rng) -> Sample:
-        a = one(frame, rng)
-        b = _pair(two, frame, rng, a.C.dim)
+    def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+        a = one(frame, rng, dim)
+        b = two(frame, rng, a.C.dim)
         v = a.C.project(rng.normal(size=a.C.dim)) - b.C.project(rng.normal(size=a.C.dim))
         return Sample(a.C & (b.C + v), lambda w: [*a.inside(w), *b.inside(w - v)])
 
@@ -301,8 +295,8 @@ def met(one: Build, two: Build) -> Build:
 def truncated(build: Build) -> Build:
     """C & Ball(0, n), as the theory does with unbounded sets."""
 
-    def make(frame: Rng, rng: Rng) -> Sample:
-        s = build(frame, rng)
+    def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+        s = build(frame, rng, dim)
         n = 2 + float(np.linalg.norm(s.C.project(np.zeros(s.C.dim))))
         ball = so.Ball(np.zeros(s.C.dim), n)
         return Sample(s.C & ball, lambda w: [*s.inside(w), cp.norm(w) <= n])
@@ -311,7 +305,7 @@ def truncated(build: Build) -> Build:
 
 
 def crossed(*builds: Build) -> Build:
-    def make(frame: Rng, rng: Rng) -> Sample:
+    def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
         parts = [build(frame, rng) for build in builds]
         cuts = np.cumsum([0] + [s.C.dim for s in parts])
 
@@ -325,8 +319,8 @@ def crossed(*builds: Build) -> Build:
 
 
 def mapped(build: Build, kind: str) -> Build:
-    def make(frame: Rng, rng: Rng) -> Sample:
-        s = build(frame, rng)
+    def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+        s = build(frame, rng, dim)
         dim = s.C.dim
         M: Any
         if kind == "selection":
@@ -349,8 +343,8 @@ def mapped(build: Build, kind: str) -> Build:
 def polar_of(build: Build) -> Build:
     """The polar of a cone, stated by generators: p with sigma(K, p) <= 0 from K's epigraph dual."""
 
-    def make(frame: Rng, rng: Rng) -> Sample:
-        s = build(frame, rng)
+    def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+        s = build(frame, rng, dim)
         if isinstance(s.C, so.Polyhedron):
             G = s.C.G
 
@@ -366,8 +360,8 @@ def polar_of(build: Build) -> Build:
     return make
 
 
-def cone_half_space(frame: Rng, rng: Rng) -> Sample:
-    normal = frame.normal(size=_dim(frame))
+def cone_half_space(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+    normal = frame.normal(size=_dim(frame, dim))
     return Sample(so.HalfSpace(normal, 0.0), lambda w: [normal @ w <= 0])
 
 
@@ -424,7 +418,5 @@ ZOO: dict[str, Entry] = {
     "polar of the orthant": Entry(polar_of(orthant), bounded=False, cone=True),
     "polar of a half-space": Entry(polar_of(cone_half_space), bounded=False, cone=True),
     "polar of a polyhedral cone": Entry(polar_of(vertex_cone), bounded=False, cone=True),
-    "polar of the second-order cone": Entry(
-        polar_of(second_order_cone), bounded=False, cone=True
-    ),
+    "polar of the second-order cone": Entry(polar_of(second_order_cone), bounded=False, cone=True),
 }

@@ -38,9 +38,9 @@ def annulus(n: int, *, curved: bool = True) -> skfem.MeshTri:
     edges = mesh.boundary_facets()
     outside = np.hypot(*mesh.p[:, mesh.facets[0, edges]]) > 1.5
     inside = np.hypot(*mesh.p[:, mesh.t].mean(axis=1)) < 1.5
-    return mesh.with_boundaries({"inner": edges[~outside], "outer": edges[outside]}).with_subdomains(
-        {"core": np.flatnonzero(inside), "sleeve": np.flatnonzero(~inside)}
-    )
+    return mesh.with_boundaries(
+        {"inner": edges[~outside], "outer": edges[outside]}
+    ).with_subdomains({"core": np.flatnonzero(inside), "sleeve": np.flatnonzero(~inside)})
 
 
 def _cartesian(polar: np.ndarray) -> np.ndarray:

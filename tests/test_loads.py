@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -30,7 +32,7 @@ def test_variation_is_that_of_a_fine_sampling(phi, a, b):
 @pytest.mark.parametrize("phi", HISTORIES, ids=str)
 def test_variation_is_additive(phi):
     cuts = np.linspace(-0.7, 8.9, 38)
-    pieces = sum(phi.variation(a, b) for a, b in zip(cuts, cuts[1:], strict=False))
+    pieces = sum(phi.variation(a, b) for a, b in pairwise(cuts))
     assert pieces == pytest.approx(phi.variation(cuts[0], cuts[-1]), rel=1e-12, abs=1e-14)
 
 
@@ -75,7 +77,9 @@ def test_a_separable_load_is_its_sum_and_bounds_its_variation():
     f = Separable(zip((Sine(2.0, period=3.0), Triangle(1.0, period=2.0)), shapes, strict=True))
     assert f.dim == 3
     np.testing.assert_array_equal(f.shapes, shapes.T)
-    np.testing.assert_allclose(f(0.4), 2 * np.sin(2 * np.pi * 0.4 / 3) * shapes[0] + 0.8 * shapes[1])
+    np.testing.assert_allclose(
+        f(0.4), 2 * np.sin(2 * np.pi * 0.4 / 3) * shapes[0] + 0.8 * shapes[1]
+    )
     t = np.linspace(0.0, 5.0, 2001)
     path = np.linalg.norm(np.diff([f(s) for s in t], axis=0), axis=1).sum()
     assert path <= f.variation(0.0, 5.0)
@@ -122,7 +126,9 @@ def test_bad_loads_are_refused_by_name(make, message):
 
 def test_a_csv_column_becomes_a_table(tmp_path):
     path = tmp_path / "log.csv"
-    path.write_text("\ufeff# a log, units in the header\n\n t , force ,note\n0,1,x\n0.5,2.5,\n2,-1,y\n")
+    path.write_text(
+        "\ufeff# a log, units in the header\n\n t , force ,note\n0,1,x\n0.5,2.5,\n2,-1,y\n"
+    )
     table = Table.from_csv(path, "force", scale=2.0)
     np.testing.assert_array_equal(table.times, [0.0, 0.5, 2.0])
     np.testing.assert_array_equal(table.values, [2.0, 5.0, -2.0])
@@ -153,8 +159,8 @@ def test_a_bad_csv_is_refused_with_file_column_and_row(tmp_path, text, message):
 
 
 def test_an_unreadable_csv_is_refused(tmp_path):
-    with pytest.raises(InputError, match="absent.csv: cannot be read"):
+    with pytest.raises(InputError, match=r"absent\.csv: cannot be read"):
         Table.from_csv(tmp_path / "absent.csv", "f2")
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00t")
-    with pytest.raises(InputError, match="binary.csv: is not UTF-8 text"):
+    with pytest.raises(InputError, match=r"binary\.csv: is not UTF-8 text"):
         Table.from_csv(tmp_path / "binary.csv", "f2")

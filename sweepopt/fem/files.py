@@ -179,8 +179,9 @@ def _validate(data: Mapping[str, Any]) -> _File:
         for fault in error.errors():
             # a union repeats the key with the name of the branch it tried
             path = ".".join(str(key) for key in fault["loc"] if key not in ("str", "list[str]"))
+            asked = fault["msg"].replace("Input should be", "must be")
             message = {"extra_forbidden": "unknown key", "missing": "is missing"}.get(
-                fault["type"], fault["msg"].lower()
+                fault["type"], f"{asked}, got {fault['input']!r:.80}"
             )
             faults.append(f"{path}: {message}")
         raise InputError("; ".join(dict.fromkeys(faults))) from error

@@ -23,6 +23,8 @@ Indices = NDArray[np.int64]
 
 FLAT = 1e-10
 """An area below this share of the square of the longest edge is no triangle."""
+HUGE = 1e100
+"""Coordinates beyond this overflow when they are squared."""
 
 
 def read_mesh(path: str | Path) -> skfem.MeshTri:
@@ -68,7 +70,7 @@ def check_mesh(mesh: skfem.MeshTri) -> None:
     InputError
         Naming the triangle (its number in the mesh) and where it is.
     """
-    bad = np.flatnonzero(~np.isfinite(mesh.doflocs).all(axis=0))
+    bad = np.flatnonzero(~(np.abs(mesh.doflocs) < HUGE).all(axis=0))
     if bad.size:
         raise InputError(f"node {bad[0]} has coordinates {mesh.doflocs[:, bad[0]]}; mesh again")
     corners = mesh.p[:, mesh.t]
@@ -117,8 +119,8 @@ def _read_gmsh(path: Path) -> meshio.Mesh:
     except Exception as error:  # the parser raises whatever it stumbles on
         reason = str(error) or type(error).__name__
         raise InputError(
-            f"{path}: cannot be read as a Gmsh mesh ({reason}); is "
-            "every saved element in a physical group?"
+            f"{path}: cannot be read as a Gmsh mesh ({reason}); "
+            "is every saved element in a physical group?"
         ) from error
 
 

@@ -103,7 +103,7 @@ def antiplane(
     clamped : str or sequence of str
         Names of the boundaries that make up Gamma_1.
     effects : sequence of Effect
-        At most one Friction; a viscosity or an elasticity at least.
+        A viscosity, and at most one friction; all others are optional.
     element : {"P1", "P2"}
     u0 : array_like of shape (dim,), optional
         Initial values of the unknowns; zero by default.
@@ -170,20 +170,19 @@ def build(
     B = _total([part.B for part in parts])
     loads = [part.load for part in parts if part.load is not None]
     contacts = [part.contact for part in parts if part.contact is not None]
-    if A is None and B is None:
-        raise InputError("effects must hold a viscosity or an elasticity; nothing resists motion")
+    if A is None:
+        raise InputError("effects must hold a viscosity: without it a is not coercive")
     if len(contacts) > 1:
         raise InputError("effects hold friction twice; name all boundaries in one, g by boundary")
     contact = contacts[0] if contacts else None
     problem = EvolutionVI(
-        sp.csc_array((body.dim, body.dim)) if A is None else A,
+        A,
         B,
         load=Separable(loads) if loads else None,
         dissipation=contact.dissipation(body.dim) if contact else None,
         u0=np.zeros(body.dim) if u0 is None else u0,
     )
     absent = {
-        "no viscosity: A = 0, the evolution is rate independent": A is None,
         "no elasticity: B is not formed": B is None,
         "no friction: no set and no optimiser, a step is one linear solve": contact is None,
         "no load: f = 0": not loads,
@@ -201,7 +200,7 @@ def build(
 def check_names(scene: Scene) -> None:
     """Refuse a scheme or a solver that is not known or cannot treat the problem."""
     problem = scene.problem
-    schemes.choose(scene.scheme, rate_independent=problem.A.count_nonzero() == 0)
+    schemes.choose(scene.scheme, rate_independent=False)
     solvers.choose(scene.solver, problem.dissipation or Point(np.zeros(problem.dim)))
 
 

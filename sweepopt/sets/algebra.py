@@ -9,6 +9,7 @@ sigma(C & D, z) = min { sigma(C, p) + sigma(D, z - p) }   (and its closure)
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     import cvxpy as cp
 
 SWEEPS = 500  # alternating projections before a program takes over
+MEMORY = 10  # steps that Anderson's acceleration looks back
 
 
 class Translation(ConvexSet):
@@ -211,14 +213,12 @@ class Sum(ConvexSet):
 
     def _nearest(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Points of C and D whose sum is nearest to w, by alternating projections."""
-        second = self.second.project(np.zeros(self.dim))
-        for _ in range(SWEEPS):
-            first = self.first.project(w - second)
-            moved = self.second.project(w - first) - second
-            second = second + moved
-            if np.abs(moved).max() <= ROUNDING * max(np.abs(w).max(), np.abs(second).max()):
-                return first, second
-        return None
+
+        def sweep(second: np.ndarray) -> np.ndarray:
+            return self.second.project(w - self.first.project(w - second))
+
+        second = fixed_point(sweep, self.second.project(np.zeros(self.dim)), w)
+        return None if second is None else (self.first.project(w - second), second)
 
     def features(self, p: cp.Expression) -> Features:
         y, constraints = self.first.features(p)
@@ -309,13 +309,12 @@ class Intersection(ConvexSet):
 
         Boyle and Dykstra (1986); each half sweep minimises the dual in one of the two.
         """
-        two = self.second.normal(v - one)
-        for _ in range(SWEEPS):
-            before, one = one, self.first.normal(v - two)
-            two = self.second.normal(v - one)
-            if np.abs(one - before).max() <= ROUNDING * max(np.abs(v).max(), np.abs(one).max()):
-                return one, two
-        return None
+
+        def sweep(one: np.ndarray) -> np.ndarray:
+            return self.first.normal(v - self.second.normal(v - one))
+
+        found = fixed_point(sweep, one, v)
+        return None if found is None else (found, self.second.normal(v - found))
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -536,21 +535,15 @@ class Image(ConvexSet):
         return v - self.project(v) if self._dual is None else self._dual.project(v)
 
     def _nearest(self, w: np.ndarray) -> np.ndarray | None:
-        """s in C with M s nearest to w, by accelerated projected gradients where M mixes."""
+        """s in C with M s nearest to w, by projected gradients where M mixes."""
         s = self.part.project(self._solve(w))
         if self._closed_form or not self._square_norm:
             return s
-        ahead, weight = s, 1.0
-        for _ in range(SWEEPS):
-            gradient = self.M.T @ (self.M @ ahead - w) / self._square_norm
-            before, s = s, self.part.project(ahead - gradient)
-            size = ROUNDING * max(np.abs(s).max(), np.abs(ahead).max())
-            if max(np.abs(s - ahead).max(), np.abs(s - before).max()) <= size:
-                return s
-            # Nesterov's step, restarted when it leads uphill (O'Donoghue and Candes, 2015)
-            weight = 1.0 if (ahead - s) @ (s - before) > 0 else 0.5 + np.sqrt(0.25 + weight**2)
-            ahead = s + (weight - 1) / weight * (s - before)
-        return None
+
+        def descend(s: np.ndarray) -> np.ndarray:
+            return self.part.project(s - self.M.T @ (self.M @ s - w) / self._square_norm)
+
+        return fixed_point(descend, s, s)
 
     def features(self, p: cp.Expression) -> Features:
         return self.part.features(self.M.T @ p)
@@ -623,6 +616,41 @@ class Image(ConvexSet):
 
         rows, h = as_rows(self.part.polar())
         return Polyhedron(rows @ self.M.T, h)
+
+
+def fixed_point(
+    step: Callable[[np.ndarray], np.ndarray], x: np.ndarray, like: np.ndarray
+) -> np.ndarray | None:
+    """x = step(x) to rounding for a nonexpansive step; None if SWEEPS do not suffice.
+
+    Anderson's acceleration (Walker and Ni, SIAM J. Numer. Anal. 49, 2011), with the plain
+    iteration, whose residual never grows, as the safeguard of Zhang, O'Donoghue and Boyd (2020).
+
+    Parameters
+    ----------
+    step : callable
+    x : ndarray, shape (dim,)
+        Start.
+    like : ndarray
+        Data in the units of x: rounding is relative to the larger of the two.
+    """
+    images: list[np.ndarray] = []
+    residuals: list[np.ndarray] = []
+    size = float(np.abs(like).max(initial=0.0))
+    for _ in range(SWEEPS):
+        image = step(x)
+        residual = image - x
+        if np.abs(residual).max() <= ROUNDING * max(size, np.abs(image).max()):
+            return image
+        if residuals and np.linalg.norm(residual) > np.linalg.norm(residuals[-1]):
+            x, images, residuals = images[-1], [], []
+            continue
+        images, residuals = [*images[-MEMORY:], image], [*residuals[-MEMORY:], residual]
+        x = image
+        if len(images) > 1:
+            mix = np.linalg.lstsq(np.diff(residuals, axis=0).T, residual, rcond=1e-12)[0]
+            x = image - np.diff(images, axis=0).T @ mix
+    return None
 
 
 def add(C: ConvexSet, other: Any) -> Any:

@@ -1,0 +1,227 @@
+"""The command line: ``sweepopt run SCENE`` and ``sweepopt list``.
+
+Thin on purpose: it parses, runs, and hands the run to `store` and `plot`. What a command needs is
+imported when it runs, so that the list works with the core install.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time as clock
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sweepopt import library, schemes, solvers
+from sweepopt.errors import MissingExtraError, Status, SweepoptError, SweepoptWarning
+
+if TYPE_CHECKING:
+    from sweepopt.fem import Scene
+    from sweepopt.solution import Solution
+    from sweepopt.store import Report
+
+DONE, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
+"""Exit codes; INCOMPLETE: a step missed tol, what was certified before it is written."""
+
+NEEDED = {
+    "skfem": ("scikit-fem", "fem"),
+    "xarray": ("xarray", "fem"),
+    "h5netcdf": ("h5netcdf", "fem"),
+    "h5py": ("h5py", "fem"),
+    "matplotlib": ("matplotlib", "plot"),
+}
+"""Packages whose absence would only show when a long run is over, and who brings them."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit code.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Those of the command line by default.
+    """
+    chosen = _parser().parse_args(arguments)
+    try:
+        with _plain_warnings():
+            return int(chosen.command(chosen))
+    except SweepoptError as error:
+        return _refuse(str(error))
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _refuse(f"{where}{error.strerror or error}")
+    except KeyboardInterrupt:
+        print("\nsweepopt: interrupted; nothing more was written", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="sweepopt", description="Quasistatic evolution with friction, with certificates."
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    listing = commands.add_parser("list", help="list the scenes that come with the library")
+    listing.set_defaults(command=_list)
+
+    run = commands.add_parser("run", help="simulate a scene and write its results")
+    run.set_defaults(command=_run)
+    run.add_argument("scene", metavar="SCENE", help="a TOML file, or a name from `sweepopt list`")
+    run.add_argument("--out", type=Path, metavar="FOLDER", help="default: results/<scene name>")
+    run.add_argument("--steps", type=int, help="number of equal steps")
+    run.add_argument("--scheme", help=f"auto, {', '.join(schemes.SCHEMES)}")
+    run.add_argument("--solver", help=f"auto, {', '.join(solvers.REGISTRY)}")
+    run.add_argument("--tol", type=float, help="bound of each step's relative certificate")
+    run.add_argument("--no-progress", action="store_true", help="no progress bar")
+    return parser
+
+
+def _list(_: argparse.Namespace) -> int:
+    problems = library.list_problems()
+    width = max(map(len, problems), default=0)
+    for name, title in problems.items():
+        print(f"{name:<{width}}  {title}".rstrip())
+    return DONE
+
+
+def _run(chosen: argparse.Namespace) -> int:
+    _require_packages()
+    from sweepopt.fem import read_scene
+    from sweepopt.store import make_report
+
+    path = _locate(chosen.scene)
+    given = {name: getattr(chosen, name) for name in ("steps", "scheme", "solver", "tol")}
+    scene = read_scene(path)
+    scene = replace(scene, **{name: value for name, value in given.items() if value is not None})
+    folder = chosen.out or Path("results") / path.stem
+    folder.mkdir(parents=True, exist_ok=True)
+    _announce(scene)
+
+    started = clock.perf_counter()
+    solution = scene.solve(progress=not chosen.no_progress, on_failure="stop")
+    seconds = clock.perf_counter() - started
+    if not len(solution.velocity):
+        print(f"sweepopt: no step was completed, nothing is written. {solution.message}")
+        return _exit_code(solution)
+
+    text = path.read_text(encoding="utf-8")
+    report = make_report(scene, solution, name=path.stem, text=text, seconds=seconds)
+    files = _write(report, folder)
+    _close(report, folder, files)
+    return _exit_code(solution)
+
+
+def _locate(scene: str) -> Path:
+    path = Path(scene)
+    return path if path.suffix == ".toml" or path.is_file() else library.find_problem(scene)
+
+
+def _announce(scene: Scene) -> None:
+    """Print what will be simulated and what will not."""
+    from sweepopt.plan import make_plan
+
+    process = scene.problem.as_sweeping()
+    scheme = schemes.choose(scene.scheme, process.rate_independent)
+    plan = make_plan(process, process.C.at(0.0), scheme, scene.solver, scene.tol)
+    if scene.title:
+        print(scene.title)
+    print(f"time                0 to {scene.t_end:g}{_second(scene)} in {scene.steps} steps")
+    # the scene's own words for what it leaves out
+    print(replace(plan, left_out=scene.left_out), flush=True)
+
+
+def _write(report: Report, folder: Path) -> list[str]:
+    """Write all files of a run; their names relative to the folder, the summary last."""
+    from sweepopt import plot, store
+
+    scene, solution, slip = report.scene, report.solution, report.slip
+    pictures = {"displacement.png": plot.displacement_figure(scene, solution, slip)}
+    if slip is not None:
+        pictures["contact.png"] = plot.contact_figure(scene, slip)
+    store.write_netcdf(report, folder / "solution.nc")
+    for name, figure in pictures.items():
+        with store.replacing(folder / name) as part:
+            figure.savefig(part)
+    series = [path.relative_to(folder).as_posix() for path in store.write_vtu(report, folder)]
+    files = ["solution.nc", *pictures, *series]
+    store.write_summary(report, folder, files)
+    return [*files, store.SUMMARY]
+
+
+def _close(report: Report, folder: Path, files: Sequence[str]) -> None:
+    """Print how the run went and where its files are."""
+    solution, scene, energy = report.solution, report.scene, report.energy
+    lines = {
+        "status": solution.message,
+        "reached": f"t = {solution.t[-1]:g}{_second(scene)} in {len(solution.velocity)} steps, "
+        f"{report.seconds:.3g} s of computing",
+        "max displacement": f"{abs(solution.u).max():.4g}{_unit(report.units.length)}",
+    }
+    if report.slip is not None:
+        slip = report.slip.statistics()
+        lines["slip"] = "no point of the contact slips"
+        if slip.time_of_most is not None:
+            lines["slip"] = (
+                f"{100 * slip.ever:.0f} % of the contact slips at some time, "
+                f"{100 * slip.most:.0f} % at once, t = {slip.time_of_most:g}{_second(scene)}"
+            )
+    lines["energy"] = (
+        f"work {energy.work[-1]:.4g}{_unit(report.units.energy)} = stored {energy.stored[-1]:.4g} "
+        f"+ viscous {energy.viscous[-1]:.4g} + friction {energy.friction[-1]:.4g}, "
+        f"balance {energy.balance[-1]:.1e}"
+    )
+    lines["worst certificate"] = f"{solution.stats['relative'].max():.1e} (relative)"
+    shown = [name for name in files if not name.endswith(".vtu")]
+    lines["written"] = f"{folder}: {', '.join(shown)}"
+    print("\n".join(f"{name:<18}  {words}" for name, words in lines.items()))
+
+
+def _exit_code(solution: Solution) -> int:
+    if solution.status is Status.INTERRUPTED:
+        return INTERRUPTED
+    return DONE if solution.success else INCOMPLETE
+
+
+def _second(scene: Scene) -> str:
+    return " s" if scene.units == "SI" else ""
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else f" {unit}"
+
+
+def _require_packages() -> None:
+    """Refuse before the run, not after it."""
+    for module, (package, extra) in NEEDED.items():
+        if find_spec(module) is None:
+            raise MissingExtraError(package, extra)
+
+
+@contextmanager
+def _plain_warnings() -> Iterator[None]:
+    """Our warnings as one line without a source file."""
+    with warnings.catch_warnings():
+        shown = warnings.showwarning
+
+        def show(message: Any, category: type[Warning], *place: Any, **line: Any) -> None:
+            if issubclass(category, SweepoptWarning):
+                print(f"sweepopt: warning: {message}", file=sys.stderr)
+            else:
+                shown(message, category, *place, **line)
+
+        warnings.showwarning = show
+        yield
+
+
+def _refuse(message: str) -> int:
+    print(f"sweepopt: {message}", file=sys.stderr)
+    return REFUSED
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,387 @@
+"""Scene files: data in, problem out; what is not named does not exist; every fault has a path."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from copy import deepcopy
+
+import numpy as np
+import pytest
+
+pytest.importorskip("skfem")
+
+from meshes import annulus, square, write_msh
+
+from sweepopt import InputError, Sine, Table, library
+from sweepopt.fem import (
+    BodyForce,
+    Elasticity,
+    Friction,
+    Profile,
+    Traction,
+    Viscosity,
+    antiplane,
+    read_scene,
+)
+
+FULL = """
+title = "a ring"
+units = "SI"
+[domain]
+mesh = "ring.msh"
+clamped = "inner"
+element = "P2"
+[time]
+end = 2.0
+steps = 8
+[solve]
+scheme = "implicit-euler"
+solver = "osqp"
+tol = 1e-5
+[effects.viscosity]
+eta = { core = 1.0, sleeve = 0.2 }
+[effects.elasticity]
+kappa = { along = "radius", at = [0.9, 2.1], values = [1.0, 3.0] }
+[effects.friction]
+on = "outer"
+g = 0.3
+[[effects.traction]]
+on = "outer"
+history = { csv = "loads.csv", column = "f2", time = "t", scale = 2.0 }
+[[effects.traction]]
+on = ["outer"]
+f2 = { along = "angle", at = [0.0, 360.0], values = [0.0, 1.0] }
+history = { table = { t = [0.0, 1.0, 2.0], values = [0.0, 1.0, 0.0] } }
+[effects.body_force]
+f0 = 2.0
+history = { waveform = "sine", amplitude = 1.0, period = 4.0 }
+"""
+SMALL = {
+    "domain": {"mesh": "square.msh", "clamped": "top"},
+    "time": {"end": 1.0, "steps": 4},
+    "effects": {"viscosity": {"eta": 1.0}},
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Meshes and tables that the scenes below name."""
+    path = tmp_path_factory.mktemp("scenes")
+    write_msh(path / "ring.msh", annulus(2))
+    write_msh(path / "square.msh", square(2))
+    (path / "loads.csv").write_text("t,f2\n0,0\n1,0.5\n2,0.25\n")
+    (path / "short.csv").write_text("t,f2\n0,0\n0.5,0.5\n")
+    (path / "late.csv").write_text("t,f2\n0.25,0\n9,0.5\n")
+    (path / "text.csv").write_text("t,f2\n0,0\n1,much\n")
+    (path / "broken.msh").write_text("$MeshFormat\n")
+    (path / "full.toml").write_text(FULL)
+    return path
+
+
+def same(one, two):
+    """Whether two scenes state the same problem."""
+    f, g = one.problem.load, two.problem.load
+    v = np.cos(np.arange(one.discretisation.dim))
+    return (
+        abs(one.problem.A - two.problem.A).max() == 0
+        and abs(one.problem.B - two.problem.B).max() == 0
+        and np.array_equal(one.contact.threshold, two.contact.threshold)
+        and one.problem.dissipation.support(v) == two.problem.dissipation.support(v)
+        and all(np.array_equal(f(t), g(t)) for t in (0.0, 0.7, 2.0))
+    )
+
+
+def test_a_file_states_the_same_problem_as_python(folder):
+    scene = read_scene(folder / "full.toml")
+    by_hand = antiplane(
+        folder / "ring.msh",
+        clamped="inner",
+        element="P2",
+        effects=[
+            Viscosity({"core": 1.0, "sleeve": 0.2}),
+            Elasticity(Profile("radius", [0.9, 2.1], [1.0, 3.0])),
+            Friction("outer", g=0.3),
+            Traction("outer", Table([0, 1, 2], [0, 1, 0.5])),
+            Traction("outer", Table([0, 1, 2], [0, 1, 0]), f2=Profile("angle", [0, 360], [0, 1])),
+            BodyForce(Sine(1.0, period=4.0), f0=2.0),
+        ],
+    )
+    assert same(scene, by_hand)
+    assert (scene.title, scene.units, scene.t_end, scene.steps) == ("a ring", "SI", 2.0, 8)
+    assert (scene.scheme, scene.solver, scene.tol) == ("implicit-euler", "osqp", 1e-5)
+    assert scene.left_out == ()
+    sol = scene.solve()
+    assert sol.success
+    assert len(sol.t) == 9
+    assert len(scene.solve(steps=3).t) == 4
+
+
+def test_text_a_path_and_a_mapping_are_read_alike(folder):
+    import tomllib
+
+    scenes = [
+        read_scene(str(folder / "full.toml")),
+        read_scene(FULL, folder=folder),
+        read_scene(tomllib.loads(FULL), folder=folder),
+    ]
+    assert all(same(scenes[0], scene) for scene in scenes[1:])
+
+
+def test_what_a_scene_does_not_name_does_not_exist(folder):
+    scene = read_scene(SMALL, folder=folder)
+    assert scene.problem.B is None
+    assert scene.problem.dissipation is None
+    assert scene.problem.load is None
+    assert scene.contact is None
+    assert [sentence.split(":")[0] for sentence in scene.left_out] == [
+        "no elasticity",
+        "no friction",
+        "no load",
+    ]
+    assert scene.solve().u.max() == 0.0
+
+
+def test_friction_or_elasticity_of_zero_costs_as_little_as_none(folder):
+    zero = {"elasticity": {"kappa": 0.0}, "friction": {"on": "bottom", "g": 0.0}}
+    scene = read_scene(SMALL | {"effects": SMALL["effects"] | zero}, folder=folder)
+    assert scene.problem.B is None
+    assert scene.problem.dissipation is None
+    assert scene.contact is None
+
+
+def test_a_scene_without_viscosity_is_refused(folder):
+    effects = {"elasticity": {"kappa": 1.0}}
+    with pytest.raises(InputError, match="effects must hold a viscosity"):
+        read_scene(SMALL | {"effects": effects}, folder=folder)
+
+
+TRACTION = {"on": "left", "history": {"waveform": "constant", "value": 1.0}}
+MISSING = object()
+BAD = [
+    # the file as a whole
+    ("unit", "SI", "unit: unknown key"),
+    ("units", "cgs", "units: must be 'dimensionless' or 'SI'"),
+    ("title", 3, "title: must be a valid string"),
+    ("domain", MISSING, "domain: is missing"),
+    ("effects", MISSING, "effects: is missing"),
+    ("effects", {}, "effects must hold a viscosity"),
+    ("effects.gravity", {}, "effects.gravity: unknown key; there are: viscosity, elasticity"),
+    # domain, time, solve
+    ("domain.mesh", MISSING, "domain.mesh: is missing"),
+    ("domain.mesh", 3, "domain.mesh: must be a valid string"),
+    ("domain.mesh", "absent.msh", "domain.mesh: .*absent.msh: cannot be read"),
+    ("domain.mesh", "broken.msh", "domain.mesh: .*broken.msh: is cut short"),
+    ("domain.mesh", "loads.csv", "domain.mesh: .*loads.csv: is not a Gmsh .msh file"),
+    ("domain.clamped", "roof", "domain.clamped: 'roof' is not a boundary of the mesh; there are"),
+    ("domain.clamped", 3, "domain.clamped: must be a valid"),
+    ("domain.clamped", [], "domain.clamped must be a name or a list of names"),
+    ("domain.element", "P7", "domain.element: must be 'P1' or 'P2'"),
+    ("domain.elements", "P1", "domain.elements: unknown key"),
+    ("time.end", 0.0, "time.end: must be greater than 0"),
+    ("time.end", float("nan"), "time.end: must be a finite number"),
+    ("time.end", "10", "time.end: must be a valid number"),
+    ("time.steps", 0, "time.steps: must be greater than or equal to 1"),
+    ("time.steps", 2.5, "time.steps: must be a valid integer"),
+    ("time.steps", MISSING, "time.steps: is missing"),
+    ("solve.scheme", "leapfrog", "solve.scheme 'leapfrog' is not known"),
+    ("solve.solver", "simplex", "solve.solver 'simplex' is not known"),
+    ("solve.tol", -1.0, "solve.tol: must be greater than 0"),
+    ("solve.steps", 3, "solve.steps: unknown key"),
+    # effects
+    ("effects.viscosity", 3, "effects.viscosity: must be a table, got 3"),
+    ("effects.viscosity", {}, "effects.viscosity.eta: is missing"),
+    ("effects.viscosity.eta", 0.0, "effects.viscosity.eta must be > 0, got 0"),
+    ("effects.viscosity.eta", "x[0]", r"effects.viscosity.eta must be a number, got 'x\[0\]'"),
+    ("effects.viscosity.eta", True, "effects.viscosity.eta must be a number, got True"),
+    ("effects.viscosity.eta", [1.0], r"effects.viscosity.eta must be a number, got \[1.0\]"),
+    ("effects.viscosity.eta", {"core": 1.0}, "effects.viscosity.eta.core is not a group here"),
+    ("effects.viscosity.nu", 1.0, "effects.viscosity.nu: unknown key; there are: eta"),
+    ("effects.elasticity", {"kappa": -1}, "effects.elasticity.kappa must be >= 0, got -1"),
+    (
+        "effects.elasticity",
+        {"kappa": {"along": "z", "at": [0, 1], "values": [1, 1]}},
+        "effects.elasticity.kappa.along must be one of x, y, radius, angle",
+    ),
+    (
+        "effects.elasticity",
+        {"kappa": {"along": "x", "at": [0, 1]}},
+        "effects.elasticity.kappa.values: is missing",
+    ),
+    (
+        "effects.elasticity",
+        {"kappa": {"along": "x", "at": [0, 0.5], "values": [1, 1]}},
+        r"effects.elasticity.kappa.at covers \[0, 0.5\] but x runs over",
+    ),
+    (
+        "effects.elasticity",
+        {"kappa": {"along": "x", "at": [0, 2], "values": [1, -1]}},
+        "effects.elasticity.kappa.values must be >= 0, got -1",
+    ),
+    ("effects.friction", {"on": "left", "g": -1.0}, "effects.friction.g must be >= 0, got -1"),
+    ("effects.friction", {"on": "left", "g": float("inf")}, "effects.friction.g must be finite"),
+    ("effects.friction", {"on": "wall", "g": 1.0}, "effects.friction.on: 'wall' is not a boundary"),
+    ("effects.friction", {"on": "top", "g": 1.0}, "effects.friction.on: all of top is clamped"),
+    ("effects.friction", {"on": 3, "g": 1.0}, "effects.friction.on must be a name"),
+    ("effects.friction", {"g": 1.0}, "effects.friction.on: is missing"),
+    (
+        "effects.friction",
+        {"on": ["left", "right"], "g": {"left": 1.0}},
+        "effects.friction.g gives no value for right",
+    ),
+    (
+        "effects.friction",
+        [{"on": "left", "g": 1.0}, {"on": "right", "g": 1.0}],
+        "effects hold friction twice",
+    ),
+    ("effects.traction", {"on": "left"}, "effects.traction.history: is missing"),
+    ("effects.traction", [TRACTION, {}], r"effects.traction\[1\].on: is missing"),
+    ("effects.traction", TRACTION | {"f2": "1"}, "effects.traction.f2 must be a number, got '1'"),
+]
+BAD_HISTORIES = [
+    (3.0, "history: must be a table with csv, waveform or table; got 3.0"),
+    ({}, "history: must have one of csv, waveform or table"),
+    ({"waveform": "square"}, "history.waveform: 'square' is not among constant, sine, triangle"),
+    ({"waveform": ["sine"]}, r"history.waveform: \['sine'\] is not among"),
+    ({"waveform": "sine", "amplitude": 1.0}, "history.period: is missing"),
+    ({"waveform": "sine", "amplitude": 1.0, "period": -1.0}, "history.period must be > 0"),
+    ({"waveform": "sine", "amplitude": "2", "period": 1.0}, "history.amplitude: must be a number"),
+    ({"waveform": "constant", "value": 1.0, "csv": "loads.csv"}, "history.waveform: unknown key"),
+    ({"table": {"t": [0.0, 1.0]}}, "history.table.values: is missing"),
+    ({"table": {"t": [0.0, 0.0], "values": [0, 1]}}, "history.table.times must increase"),
+    ({"table": {"t": [0.0, 1.0], "values": ["a", 1]}}, "history.table.values must be an array"),
+    ({"table": {"t": [0.0, 0.5], "values": [0, 1]}}, r"history does not cover the run, \[0, 1\]"),
+    ({"csv": "absent.csv", "column": "f2"}, "history.*absent.csv: cannot be read"),
+    ({"csv": "loads.csv"}, "history.column: is missing"),
+    ({"csv": "loads.csv", "column": "f9"}, "history.*loads.csv: column 'f9' is missing; there are"),
+    ({"csv": "text.csv", "column": "f2"}, "history.*text.csv, column 'f2', row 3: 'much' is not"),
+    ({"csv": "short.csv", "column": "f2"}, "history does not cover the run, .*covers .0, 0.5"),
+    ({"csv": "late.csv", "column": "f2"}, "history does not cover the run, .*covers .0.25, 9"),
+    ({"csv": "loads.csv", "column": "f2", "scale": "1"}, "history.scale: must be a number"),
+    ({"csv": "loads.csv", "column": "f2", "scale": float("nan")}, "history.scale.* is nan"),
+]
+BAD += [
+    ("effects.traction", {"on": "left", "history": history}, f"effects.traction.{message}")
+    for history, message in BAD_HISTORIES
+]
+
+
+def changed(path, value):
+    """SMALL with one entry replaced, added or (MISSING) removed."""
+    keys = path.split(".")
+    data = deepcopy(SMALL)
+    table = data
+    for key in keys[:-1]:
+        table = table.setdefault(key, {})
+    if value is MISSING:
+        del table[keys[-1]]
+    else:
+        table[keys[-1]] = value
+    return data
+
+
+@pytest.mark.parametrize(("path", "value", "message"), BAD)
+def test_a_bad_entry_is_refused_with_its_path(folder, path, value, message):
+    with pytest.raises(InputError, match=f"^{message}"):
+        read_scene(changed(path, value), folder=folder)
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("absent.toml", "absent.toml: cannot be read"),
+        ("nowhere", "'nowhere' is neither a scene file nor a problem; there are: .*tube"),
+        ("../tube", "'../tube' is neither"),
+        ("[domain]\nmesh = \n", "the scene: is not TOML: .*line 2"),
+        ("[domain]\nmesh = 1\nmesh = 2\n", "the scene: is not TOML"),
+        ("\n", "domain: is missing; time: is missing; effects: is missing"),
+    ],
+)
+def test_a_bad_file_is_refused(source, message):
+    with pytest.raises(InputError, match=message):
+        read_scene(source)
+
+
+def test_a_file_that_is_no_text_is_refused(tmp_path):
+    (tmp_path / "scene.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match=r"scene.toml: is not UTF-8 text"):
+        read_scene(tmp_path / "scene.toml")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_scene(tmp_path)
+
+
+# ---- problems that come with the library --------------------------------------------------------
+
+
+def test_every_problem_has_a_title_and_assembles():
+    titles = library.list_problems()
+    assert "tube" in titles
+    for name, title in titles.items():
+        assert title, name
+        assert library.find_problem(name).is_file()
+
+
+def test_the_tube_sticks_slips_and_reverses():
+    scene = read_scene("tube")
+    assert scene.units == "SI"
+    assert scene.steps >= 400
+    assert 4500 < scene.discretisation.points.shape[0] < 5500
+    assert len(scene.contact) > 200
+    sol = scene.solve(steps=96)
+    assert sol.success
+    assert 1e-4 < np.abs(sol.u).max() < 1e-3  # metres
+    velocity = sol.velocity[:, scene.contact.unknown]
+    share = np.sign(velocity) @ scene.contact.weight / scene.contact.weight.sum()
+    # time (s) and share of the contact that slips, with its direction: it spreads, holds, reverses
+    for t, low, high in [
+        (10.0, 0.0, 0.0),
+        (17.5, 0.3, 0.6),
+        (25.0, 0.8, 0.99),
+        (41.25, 0.0, 0.0),
+        (50.0, -0.5, -0.2),
+        (60.0, -0.99, -0.8),
+        (72.5, 0.0, 0.0),
+        (78.75, 0.3, 0.6),
+        (85.0, 0.0, 0.0),
+        (115.0, 0.0, 0.0),
+    ]:
+        assert low <= share[round(t / 1.25) - 1] <= high, (t, share[round(t / 1.25) - 1])
+    assert np.abs(sol.u[-1]).max() > 2e-5  # what friction locks in after the load is gone
+
+
+@pytest.mark.slow
+def test_the_tube_at_full_size():
+    scene = read_scene("tube")
+    sol = scene.solve()
+    assert sol.success
+    assert len(sol.t) == scene.steps + 1
+    coarse = scene.solve(steps=scene.steps // 2)
+    assert np.abs(sol.u[::2] - coarse.u).max() < 0.02 * np.abs(sol.u).max()
+
+
+def run_python(code):
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+
+
+def test_the_core_and_the_list_of_problems_need_no_extra():
+    code = (
+        "import sys\n"
+        "for name in ('skfem', 'meshio', 'pydantic'): sys.modules[name] = None\n"
+        "import sweepopt\n"
+        "from sweepopt.library import list_problems\n"
+        "assert 'tube' in list_problems()\n"
+        "try:\n"
+        "    import sweepopt.fem\n"
+        "except sweepopt.MissingExtraError as error:\n"
+        "    print(error)\n"
+    )
+    done = run_python(code)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == 'scikit-fem is not installed; run: pip install "sweepopt[fem]"\n'
+
+
+def test_importing_the_library_does_not_import_the_elements():
+    done = run_python(
+        "import sys, sweepopt; print('skfem' in sys.modules, 'meshio' in sys.modules)"
+    )
+    assert done.stdout == "False False\n", done.stderr
