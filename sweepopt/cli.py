@@ -106,7 +106,8 @@ def _run(chosen: argparse.Namespace) -> int:
     solution = scene.solve(progress=not chosen.no_progress, on_failure="stop")
     seconds = clock.perf_counter() - started
     if not len(solution.velocity):
-        print(f"sweepopt: no step was completed, nothing is written. {solution.message}")
+        words = f"no step was completed, nothing is written. {solution.message}"
+        print(f"sweepopt: {words}", file=sys.stderr)
         return _exit_code(solution)
 
     text = path.read_text(encoding="utf-8")

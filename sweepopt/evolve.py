@@ -176,7 +176,7 @@ def _march(
     # equal steps share one mu, as t_0 + i mu does
     uniform = np.ptp(np.diff(times)) <= 1e-12 * times[-1]
     mus = np.full(steps, (times[-1] - times[0]) / steps) if uniform else np.diff(times)
-    status, done = Status.SUCCESS, 0
+    status, cause, done = Status.SUCCESS, "", 0
     bar = _progress_bar(steps) if progress else None
     try:
         for i in range(steps):
@@ -210,7 +210,14 @@ def _march(
         if bar is not None:
             bar.close()
     return Solution(
-        process, plan, times[: done + 1], u[: done + 1], velocity[:done], stats[:done], status
+        process,
+        plan,
+        times[: done + 1],
+        u[: done + 1],
+        velocity[:done],
+        stats[:done],
+        status,
+        cause if status is Status.INEXACT else "",
     )
 
 

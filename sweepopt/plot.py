@@ -190,7 +190,7 @@ def _draw_zone(panel: Any, scene: Scene, slip: Slip) -> None:
         rasterized=True,
     )
     for start in slip.boundary_starts[1:]:
-        panel.axhline(scale * slip.position[start], color="white", lw=1.0)
+        panel.axhline(scale * _cell_edges(slip)[start], color="white", lw=2.0)
     where = ", ".join(str(name) for name in names)
     panel.set_ylabel(f"arc length of {where}{_in(length)}")
 
@@ -249,8 +249,16 @@ def _cell_edges(slip: Slip) -> np.ndarray:
 
 
 def _telling_nodes(slip: Slip) -> list[int]:
-    """A few nodes from the one that slips least to the one that slips furthest, along the arc."""
-    return _spread(slip.total, MOST_POINTS)
+    """A few nodes that slip little to far, and of those that never slip the one nearest to it."""
+    sticking = np.flatnonzero(slip.total == 0.0)
+    order = np.argsort(slip.total, kind="stable")[sticking.size :]
+    ranks = np.linspace(0, max(len(order) - 1, 0), MOST_POINTS).round().astype(int)
+    # the one that slips least looks like the one that sticks
+    nodes = {int(i) for i in order[ranks[bool(sticking.size) :]]} if order.size else set()
+    if sticking.size:
+        load = np.abs(slip.traction[:, sticking] / slip.contact.bound[sticking]).max(axis=0)
+        nodes.add(int(sticking[np.argmax(load)]))
+    return sorted(nodes)
 
 
 def _spread(values: np.ndarray, count: int) -> list[int]:

@@ -70,6 +70,8 @@ class Solution:
         One row a step: t (its end), seconds, iterations, attempts, certificate (a bound of
         |z - z*|_M), relative (the certificate in units of the program's size, what tol bounds).
     status : Status
+    cause : str
+        Which step failed and why, when the run stopped at it.
     """
 
     process: SweepingProcess
@@ -79,6 +81,7 @@ class Solution:
     velocity: np.ndarray
     stats: np.ndarray
     status: Status
+    cause: str = ""
 
     @property
     def success(self) -> bool:
@@ -87,8 +90,8 @@ class Solution:
 
     @property
     def message(self) -> str:
-        """The status as a sentence."""
-        return self.status.value
+        """The status as a sentence, and the cause of an early stop."""
+        return f"{self.status.value} {self.cause}".rstrip()
 
     def __call__(self, t: Any) -> np.ndarray:
         """u_n(t) = u_i + (t - t_i) / mu (u_{i+1} - u_i).

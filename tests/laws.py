@@ -12,6 +12,7 @@ from typing import Any
 
 import cvxpy as cp
 import numpy as np
+import pytest
 import scipy.sparse as sp
 
 import sweepopt as so
@@ -68,6 +69,8 @@ class Entry:
     bounded, cone : bool
     tol : float
         Relative accuracy of the projection: rounding unless stated.
+    edge_tol : float
+        The same at points of the boundary of sums, where how w splits into a + b is singular.
     support_tol : float
         Relative accuracy of the support function: rounding unless a program computes it.
     family : bool
@@ -78,6 +81,7 @@ class Entry:
     bounded: bool = True
     cone: bool = False
     tol: float = 1e-12
+    edge_tol: float = 1e-12
     support_tol: float = 1e-12
     family: bool = True
 
@@ -281,12 +285,29 @@ def summed(one: Build, two: Build) -> Build:
 
 
 def met(one: Build, two: Build) -> Build:
-    """C & D with D shifted so that the sets share a ball of a random size around a point."""
+    """C & D with D shifted so that means of some points of each coincide."""
 
     def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
         a = one(frame, rng, dim)
         b = two(frame, rng, a.C.dim)
-        v = a.C.project(rng.normal(size=a.C.dim)) - b.C.project(rng.normal(size=a.C.dim))
+        x, y = (
+            np.mean([s.C.project(3 * rng.normal(size=s.C.dim)) for _ in range(6)], axis=0)
+            for s in (a, b)
+        )
+        v = x - y
+        return Sample(a.C & (b.C + v), lambda w: [*a.inside(w), *b.inside(w - v)])
+
+    return make
+
+
+def touching(one: Build, two: Build) -> Build:
+    """C & D with D shifted so that a point of each boundary coincides: hardly any interior."""
+
+    def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+        a = one(frame, rng, dim)
+        b = two(frame, rng, a.C.dim)
+        x = a.C.project(9 * rng.normal(size=a.C.dim))
+        v = x - b.C.project(9 * rng.normal(size=a.C.dim))
         return Sample(a.C & (b.C + v), lambda w: [*a.inside(w), *b.inside(w - v)])
 
     return make
@@ -310,8 +331,9 @@ def crossed(*builds: Build) -> Build:
         cuts = np.cumsum([0] + [s.C.dim for s in parts])
 
         def inside(w: cp.Variable) -> Constraints:
-            blocks = [s.inside(w[i:j]) for s, i, j in zip(parts, cuts, cuts[1:], strict=False)]
-            return sum(blocks, [])
+            ends = zip(parts, cuts[:-1], cuts[1:], strict=True)
+            blocks = [s.inside(w[i:j]) for s, i, j in ends]
+            return [constraint for block in blocks for constraint in block]
 
         return Sample(so.product(*(s.C for s in parts)), inside)
 
@@ -380,7 +402,7 @@ ZOO: dict[str, Entry] = {
     "polyhedron, flat": Entry(flat, bounded=False),
     "polytope": Entry(polytope),
     "second-order cone": Entry(second_order_cone, bounded=False, cone=True),
-    "constraints": Entry(constraints, tol=1e-7, support_tol=1e-7, family=False),
+    "constraints": Entry(constraints, tol=1e-7, edge_tol=1e-6, support_tol=1e-7, family=False),
     "box + v": Entry(translated(box)),
     "cone + v": Entry(translated(second_order_cone), bounded=False),
     "r ellipsoid": Entry(scaled(ellipsoid)),
@@ -389,11 +411,13 @@ ZOO: dict[str, Entry] = {
     "-cone": Entry(negated(second_order_cone), bounded=False, cone=True),
     "moving ball": Entry(moving(ball)),
     "moving polytope": Entry(moving(polytope)),
-    "box + ball": Entry(summed(box, ball)),
-    "ball + ellipsoid": Entry(summed(ball, ellipsoid)),
-    "polytope + ball": Entry(summed(polytope, ball)),
+    "box + ball": Entry(summed(box, ball), edge_tol=1e-8),
+    "ball + ellipsoid": Entry(summed(ball, ellipsoid), edge_tol=1e-8),
+    "polytope + ball": Entry(summed(polytope, ball), edge_tol=1e-8),
     "box + polar cone": Entry(summed(box, polar_of(orthant)), bounded=False),
-    "ball + polar cone": Entry(summed(ball, polar_of(second_order_cone)), bounded=False),
+    "ball + polar cone": Entry(
+        summed(ball, polar_of(second_order_cone)), bounded=False, edge_tol=1e-8
+    ),
     "selected box + polyhedral cone": Entry(
         summed(mapped(box, "selection"), polar_of(vertex_cone)), bounded=False
     ),
@@ -401,8 +425,9 @@ ZOO: dict[str, Entry] = {
     "ball & half-space": Entry(met(ball, half_space), support_tol=1e-7),
     "ball & ellipsoid": Entry(met(ball, ellipsoid), support_tol=1e-7),
     "polyhedron & ball": Entry(met(polyhedron, ball), support_tol=1e-7),
-    "polyhedron & half-space": Entry(met(polyhedron, half_space), support_tol=1e-7),
-    "box & polyhedron": Entry(met(box, polyhedron), support_tol=1e-7),
+    "polyhedron & half-space": Entry(met(polyhedron, half_space)),
+    "box & polyhedron": Entry(met(box, polyhedron)),
+    "box & polyhedron, touching": Entry(touching(box, polyhedron)),
     "truncated cone": Entry(truncated(second_order_cone), support_tol=1e-7),
     "truncated orthant": Entry(truncated(orthant), support_tol=1e-7),
     "truncated moving polyhedron": Entry(truncated(moving(half_space)), support_tol=1e-7),
@@ -414,9 +439,295 @@ ZOO: dict[str, Entry] = {
     "injective image of a box": Entry(mapped(box, "injective")),
     "injective image of an orthant": Entry(mapped(orthant, "injective"), bounded=False, cone=True),
     "shadow of a box": Entry(mapped(box, "shadow")),
-    "shadow of an ellipsoid": Entry(mapped(ellipsoid, "shadow")),
+    "shadow of an ellipsoid": Entry(mapped(ellipsoid, "shadow"), edge_tol=1e-8),
     "polar of the orthant": Entry(polar_of(orthant), bounded=False, cone=True),
     "polar of a half-space": Entry(polar_of(cone_half_space), bounded=False, cone=True),
     "polar of a polyhedral cone": Entry(polar_of(vertex_cone), bounded=False, cone=True),
     "polar of the second-order cone": Entry(polar_of(second_order_cone), bounded=False, cone=True),
+}
+
+
+# ---- laws -------------------------------------------------------------------------------------
+
+
+def size(*arrays: np.ndarray) -> float:
+    """The unit in which rounding is measured: the largest entry, at least 1 (sets are O(1))."""
+    return max(1.0, *(float(np.abs(a).max(initial=0.0)) for a in arrays))
+
+
+def close(a: Any, b: Any, tol: float, unit: float = 1.0) -> None:
+    """a = b within tol units; infinities must agree."""
+    with np.errstate(invalid="ignore"):
+        same = (a == b) | (np.abs(np.subtract(a, b)) <= tol * unit)
+    assert np.all(same), f"{a} and {b} differ by more than {tol * unit:.1e}"
+
+
+def normals(s: Sample, rng: Rng) -> np.ndarray:
+    """A direction in which the support function is finite: a normal of the set."""
+    return s.C.normal(far_and_near(rng, s.C.dim))
+
+
+def support_is_sublinear(entry: Entry, s: Sample, rng: Rng) -> None:
+    x, y = normals(s, rng), normals(s, rng)
+    sx, sy = s.C.support(x), s.C.support(y)
+    unit = size(x, y) * size(s.C.offsets)
+    assert np.isfinite([sx, sy]).all()
+    assert s.C.support(x + y) <= sx + sy + entry.support_tol * unit
+    for factor in (1e-9, 0.3, 7.0, 1e9):
+        close(s.C.support(factor * x), factor * sx, entry.support_tol, factor * unit)
+    assert s.C.support(np.zeros(s.C.dim)) == 0.0
+
+
+def support_is_the_supremum(entry: Entry, s: Sample, rng: Rng) -> None:
+    for z in (normals(s, rng), direction(rng, s.C.dim)):
+        unit = float(np.abs(z).max())
+        if unit == 0:
+            continue
+        close(s.C.support(z / unit), s.extreme(z / unit)[0], PROGRAM, size(s.C.offsets))
+
+
+def support_is_infinite_where_the_set_is_unbounded(entry: Entry, s: Sample, rng: Rng) -> None:
+    axes = np.vstack([np.eye(s.C.dim), -np.eye(s.C.dim)])
+    values = np.array([s.C.support(e) for e in axes])
+    assert np.isfinite(values).all() == entry.bounded
+    for e, value in zip(axes, values, strict=True):
+        assert np.isinf(value) == np.isinf(s.extreme(e)[0])
+
+
+def epigraph_is_the_support(entry: Entry, s: Sample, rng: Rng) -> None:
+    for z in (normals(s, rng), direction(rng, s.C.dim)):
+        z = z / (np.abs(z).max() or 1.0)
+        value, constraints = s.C.epigraph(cp.Constant(z))
+        problem = cp.Problem(cp.Minimize(value), constraints)
+        problem.solve(solver=cp.CLARABEL)
+        infeasible = problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE)
+        found = np.inf if infeasible else problem.value
+        close(found, s.C.support(z), PROGRAM, size(s.C.offsets))
+
+
+def features_are_linear_in_the_offsets(entry: Entry, s: Sample, rng: Rng) -> None:
+    """One program compiled for s.C gives the support function of a set with other offsets."""
+    v = rng.normal(size=s.C.dim)
+    families = [(s.C + v, s.C - v), (2.0 * s.C, 0.5 * s.C)]
+    if s.C.singleton:
+        families = [(s.C, s.C + v)]
+    for C, D in families:
+        assert C.same_cone(D)
+        assert D.same_cone(C)
+        z = normals(Sample(D, s.inside), rng)
+        z = z / (np.abs(z).max() or 1.0)
+        y, constraints = C.features(cp.Constant(z))
+        if not y:
+            continue
+        offsets = cp.Parameter(D.offsets.size)
+        problem = cp.Problem(cp.Minimize(offsets @ cp.hstack(y)), constraints)
+        assert problem.is_dcp(dpp=True)
+        offsets.value = D.offsets
+        problem.solve(solver=cp.CLARABEL)
+        close(problem.value, D.support(z), PROGRAM, size(D.offsets))
+
+
+def projection_is_the_nearest_point(entry: Entry, s: Sample, rng: Rng) -> None:
+    v, w = far_and_near(rng, s.C.dim), far_and_near(rng, s.C.dim)
+    Pv, Pw = s.C.project(v), s.C.project(w)
+    unit = size(v, w, s.C.offsets)
+    close(s.C.project(Pw), Pw, entry.edge_tol, unit)
+    assert s.C.contains(Pw, 2 * entry.edge_tol * unit)
+    assert s.violation(Pw) <= PROGRAM * unit
+    # nonexpansive, and firmly so
+    assert (v - w - Pv + Pw) @ (Pv - Pw) >= -2 * entry.tol * unit**2
+    # variational inequality at points of the set that the independent form finds
+    z = (w - Pw) / (np.abs(w - Pw).max() or 1.0)
+    for direction_of in (z, z + 0.1 * rng.normal(size=s.C.dim), direction(rng, s.C.dim)):
+        _, c = s.extreme(direction_of)
+        if c is not None:
+            assert (w - Pw) @ (c - Pw) <= PROGRAM * unit**2
+
+
+def normal_and_projection_make_a_pair(entry: Entry, s: Sample, rng: Rng) -> None:
+    """Moreau: v = P_C(v) + p with p in N_C, that is sigma(C, p) = <p, P_C(v)>."""
+    v = far_and_near(rng, s.C.dim)
+    w, p = s.C.project(v), s.C.normal(v)
+    unit = size(v, s.C.offsets)
+    close(w + p, v, 1e-14, unit)
+    close(s.C.support(p), p @ w, max(entry.tol, entry.support_tol), unit**2)
+
+
+def a_point_of_the_set_stays_where_it_is(entry: Entry, s: Sample, rng: Rng) -> None:
+    inside = np.mean([s.C.project(far_and_near(rng, s.C.dim)) for _ in range(4)], axis=0)
+    unit = size(inside, s.C.offsets)
+    close(s.C.project(inside), inside, entry.tol, unit)
+    close(s.C.normal(inside), 0.0, entry.tol, unit)
+
+
+def cone_and_polar_split_every_vector(entry: Entry, s: Sample, rng: Rng) -> None:
+    if not entry.cone:
+        return
+    v = far_and_near(rng, s.C.dim)
+    polar = s.C.polar()
+    w, p = s.C.project(v), polar.project(v)
+    close(w + p, v, 1e-13, size(v))
+    close(w @ p, 0.0, 1e-13, size(v) ** 2)
+    again = polar.polar()
+    close(again.project(v), w, 1e-13, size(v))
+    for z in (p, s.C.normal(v), direction(rng, s.C.dim)):
+        close(again.support(z), s.C.support(z), 1e-13, size(z))
+    assert s.C.support(p) == 0.0
+    assert polar.support(w) == 0.0
+
+
+def a_translated_set_has_no_polar(entry: Entry, s: Sample, rng: Rng) -> None:
+    with pytest.raises(so.InputError, match=r"cone|polar"):
+        (s.C + rng.normal(size=s.C.dim)).polar()
+
+
+def translation_adds_to_support_and_projection(entry: Entry, s: Sample, rng: Rng) -> None:
+    v, w = rng.normal(size=(2, s.C.dim))
+    z = normals(s, rng)
+    unit = size(z, w, s.C.offsets) ** 2
+    for C in (s.C + v, v + s.C, s.C - (-v), s.C + list(v)):
+        close(C.support(z), s.C.support(z) + v @ z, entry.support_tol, unit)
+        close(C.project(w), s.C.project(w - v) + v, entry.tol, unit)
+        close(C.anchor, s.C.anchor + v, 1e-15, unit)
+        assert C.singleton == s.C.singleton
+        assert C.nonsmooth_dim == s.C.nonsmooth_dim
+
+
+def scaling_scales(entry: Entry, s: Sample, rng: Rng) -> None:
+    w, z = far_and_near(rng, s.C.dim), normals(s, rng)
+    unit = size(w, z, s.C.offsets) ** 2
+    for r in (1e-9, 0.5, 3.0, 1e9):
+        for C in (r * s.C, s.C * r, np.float64(r) * s.C):
+            close(C.support(z), r * s.C.support(z), entry.support_tol, r * unit)
+            close(C.project(r * w), r * s.C.project(w), 2 * entry.tol, r * unit)
+        close(C.magnitude(), r * s.C.magnitude(), 1e-10, r * unit)
+
+
+def negation_mirrors(entry: Entry, s: Sample, rng: Rng) -> None:
+    w, z = far_and_near(rng, s.C.dim), -normals(s, rng)
+    unit = size(w, z, s.C.offsets) ** 2
+    for C in (-s.C, -1.0 * s.C, 0.0 - s.C if s.C.dim == 1 else -s.C):
+        close(C.support(z), s.C.support(-z), entry.support_tol, unit)
+        close(C.project(w), -s.C.project(-w), entry.tol, unit)
+    mirrored = -s.C
+    close((-mirrored).project(w), s.C.project(w), entry.tol, unit)
+
+
+def supports_add_in_sums_and_products(entry: Entry, s: Sample, rng: Rng) -> None:
+    z, radius = normals(s, rng), rng.random()
+    ball = so.Ball(rng.normal(size=s.C.dim), radius)
+    unit = size(z, s.C.offsets) ** 2
+    expected = s.C.support(z) + ball.support(z)
+    close((s.C + ball).support(z), expected, entry.support_tol, unit)
+    close((ball + s.C).support(z), expected, entry.support_tol, unit)
+    pair = so.product(s.C, ball)
+    assert pair.dim == 2 * s.C.dim
+    close(pair.support(np.concatenate([z, z])), expected, entry.support_tol, unit)
+    M = rng.normal(size=(s.C.dim, s.C.dim))
+    pulled = np.linalg.solve(M.T, z)
+    close(so.image(M, s.C).support(pulled), s.C.support(z), 1e-9 + entry.support_tol, unit)
+
+
+def intersection_with_a_large_ball_changes_nothing(entry: Entry, s: Sample, rng: Rng) -> None:
+    v = far_and_near(rng, s.C.dim)
+    w = s.C.project(v)
+    truncated = s.C & so.Ball(np.zeros(s.C.dim), 2 * np.linalg.norm(w) + 1)
+    unit = size(v, w, s.C.offsets)
+    close(truncated.project(v), w, 1e-12 + 10 * entry.tol, unit)
+    truncated.require_nonempty()
+    z = rng.normal(size=s.C.dim)
+    assert truncated.support(z) <= s.C.support(z) + 1e-6 * unit * size(z)
+
+
+def support_is_lipschitz_in_hausdorff_distance(entry: Entry, s: Sample, rng: Rng) -> None:
+    """Adly and Haddad, Lemma 2.1; d_H(C, C + v) = |v| and d_H(C, C + Ball(0, r)) = r."""
+    C, v, r = s.C, rng.normal(size=s.C.dim), rng.random()
+    z, x = normals(s, rng), far_and_near(rng, s.C.dim)
+    unit = size(z, x, C.offsets)
+    tol = entry.support_tol * unit**2
+    for D, distance in ((C + v, np.linalg.norm(v)), (C + so.Ball(np.zeros(C.dim), r), r)):
+        assert abs(C.support(z) - D.support(z)) <= np.linalg.norm(z) * distance + tol
+        P, Q = C.project(x), D.project(x)
+        dP, dQ = np.linalg.norm(x - P), np.linalg.norm(x - Q)
+        assert abs(dP - dQ) <= distance + 10 * max(entry.tol, 1e-7) * unit
+        assert 2 * (dP + dQ) * distance + max(entry.tol, 1e-7) * unit**2 >= (P - Q) @ (P - Q)
+
+
+def magnitude_bounds_the_set(entry: Entry, s: Sample, rng: Rng) -> None:
+    bound = s.C.magnitude()
+    assert np.isfinite(bound) == entry.bounded
+    for _ in range(3):
+        w = s.C.project(far_and_near(rng, s.C.dim))
+        assert np.linalg.norm(w) <= bound + entry.tol * size(w) + 1e-7 * bound
+
+
+def descriptions_are_consistent(entry: Entry, s: Sample, rng: Rng) -> None:
+    C = s.C
+    assert C.anchor.shape == (C.dim,)
+    assert C.nonsmooth_dim >= 0
+    assert C.same_cone(C)
+    assert C.at(3.0) is C
+    assert C.offsets.ndim == 1
+    C.require_nonempty()
+    if C.singleton:
+        assert C.nonsmooth_dim == 0
+        close(C.project(rng.normal(size=C.dim)), C.anchor, 0.0)
+
+
+def witness_proves_a_pair_near_any_guess(entry: Entry, s: Sample, rng: Rng) -> None:
+    C, y = s.C, np.zeros(s.C.offsets.size)
+    p, w = rng.normal(size=C.dim), far_and_near(rng, C.dim)
+    tau = 10.0 ** rng.uniform(-1, 1, size=C.dim)
+    found = C.witness(p, w, tau, y)
+    if not C.certifiable:
+        assert found is None
+        return
+    unit = size(w, p / tau, p * tau, C.offsets)
+    inside = C.project(found.w)
+    close(found.w, inside, entry.edge_tol, unit)
+    support = C.support(found.p)
+    assert np.isfinite(support)
+    assert found.gap >= 0
+    slack = max(entry.tol, entry.support_tol) * unit * size(found.p)
+    assert found.gap >= support - found.p @ found.w - slack
+
+
+def witness_error_is_as_small_as_the_perturbation(entry: Entry, s: Sample, rng: Rng) -> None:
+    C, tau = s.C, float(10.0 ** rng.uniform(-0.5, 0.5))
+    if not C.certifiable:
+        return
+    v = far_and_near(rng, C.dim)
+    w, p = C.project(v), C.normal(v) / tau
+    unit = size(v, C.offsets)
+    for delta in (1e-4, 1e-6, 0.0):
+        dp, dw = delta * unit * rng.uniform(-1, 1, size=(2, C.dim))
+        found = C.witness(p + dp, w + dw, np.full(C.dim, tau), np.zeros(C.offsets.size))
+        reach = 40 * delta + 10 * entry.tol
+        close(found.p, p, reach, unit)
+        close(found.w, w, reach, unit)
+        assert np.sqrt(found.gap) <= reach * unit
+
+
+LAWS: dict[Callable[[Entry, Sample, Rng], None], int] = {
+    # each with the number of random examples per entry
+    support_is_sublinear: 3,
+    support_is_the_supremum: 2,
+    support_is_infinite_where_the_set_is_unbounded: 1,
+    epigraph_is_the_support: 2,
+    features_are_linear_in_the_offsets: 1,
+    projection_is_the_nearest_point: 2,
+    normal_and_projection_make_a_pair: 4,
+    a_point_of_the_set_stays_where_it_is: 4,
+    cone_and_polar_split_every_vector: 4,
+    a_translated_set_has_no_polar: 1,
+    translation_adds_to_support_and_projection: 2,
+    scaling_scales: 2,
+    negation_mirrors: 2,
+    supports_add_in_sums_and_products: 2,
+    intersection_with_a_large_ball_changes_nothing: 2,
+    support_is_lipschitz_in_hausdorff_distance: 2,
+    magnitude_bounds_the_set: 2,
+    descriptions_are_consistent: 2,
+    witness_proves_a_pair_near_any_guess: 4,
+    witness_error_is_as_small_as_the_perturbation: 3,
 }

@@ -35,10 +35,10 @@ HOMES = {
     "clarabel": {"solvers/clarabel"},
     "osqp": {"solvers/osqp"},
     "skfem": {"fem"},
-    "meshio": {"fem", "store"},
+    "meshio": {"fem", "store/vtu"},
     "pydantic": {"fem"},
     "matplotlib": {"plot"},
-    "xarray": {"store"},
+    "xarray": {"store/netcdf"},
     "tqdm": {"evolve"},
 }
 

@@ -151,7 +151,7 @@ def test_contact_histories_are_those_of_the_solution(run: Run, tmp_path: Path) -
 
     nodes = plot._telling_nodes(slip)
     assert int(np.argmax(slip.total)) in nodes
-    assert int(np.argmin(slip.total)) in nodes
+    assert slip.total[nodes].min() == slip.total.min()
     curves = [line for line in moved.lines if line.get_label().startswith("at ")]
     forces = [line for line in traction.lines if len(line.get_xdata()) == len(slip.stage_t)]
     factor = 1e3 if "(mm)" in moved.get_ylabel() else 1e6

@@ -236,19 +236,6 @@ def test_dimensionless_scenes_have_units_1_and_no_friction_means_no_contact(
     assert summary["settings"]["solver"] == "linear"
 
 
-def test_a_rate_independent_scene_is_reported_in_the_metric_of_its_elasticity() -> None:
-    effects = [
-        Elasticity(1.0),
-        Friction("outer", g=0.5),
-        BodyForce(so.Triangle(3.0, period=4.0)),
-    ]
-    report = report_of(ring(effects=effects, steps=20))
-    assert report.units.viability == "N^0.5"
-    assert report.slip is not None
-    assert np.abs(report.slip.traction / report.slip.contact.bound).max() < 1.0 + 1e-4
-    assert_described(store.dataset_of(report))
-
-
 def test_any_solution_becomes_a_dataset() -> None:
     C = so.Moving(so.Box([-1, -1], [1, 1]), center=lambda t: [1.5 * t, 0.0])
     solution = so.solve(so.SweepingProcess(np.eye(2), 2 * np.eye(2), C, [0, 0]), t_end=3.0, steps=9)

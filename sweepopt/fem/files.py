@@ -156,7 +156,7 @@ def _load(source: str | Path | Mapping[str, Any], folder: Path) -> tuple[Mapping
         where, text = "the scene", source
     else:
         path = Path(source)
-        if path.suffix != ".toml" and not path.exists():
+        if path.suffix != ".toml" and not path.is_file():
             path = find_problem(str(source))
         where, folder = str(path), path.parent
         try:

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 SWEEPS = 500  # alternating projections before a program takes over
 MEMORY = 10  # steps that Anderson's acceleration looks back
+RUNAWAY = 1e3  # the longest step of it, in units of the data
 
 
 class Translation(ConvexSet):
@@ -376,7 +377,7 @@ class Intersection(ConvexSet):
             cp.Maximize(-(one + two) / size), [*constraints, *more, cp.norm(p) <= 1]
         )
         solve_tightly(problem)
-        return problem.value is not None and problem.value <= 1e-10
+        return problem.value is not None and problem.value <= (1e-10 if self.certifiable else 1e-6)
 
     def magnitude(self) -> float:
         return min(self.first.magnitude(), self.second.magnitude())
@@ -518,7 +519,7 @@ class Image(ConvexSet):
     def _pulled_back(self, z: np.ndarray) -> np.ndarray:
         """M^T z; an entry that is nothing but rounding is 0, so that it meets sigma's domain."""
         inner = self.M.T @ z
-        inner[np.abs(inner) <= ROUNDING * (abs(self.M).T @ np.abs(z))] = 0.0
+        inner[np.abs(inner) <= 2 * ROUNDING * (abs(self.M).T @ np.abs(z))] = 0.0
         return inner
 
     def support(self, z: np.ndarray) -> float:
@@ -532,7 +533,13 @@ class Image(ConvexSet):
         return project_by_program(self, w) if s is None else self.M @ s
 
     def normal(self, v: np.ndarray) -> np.ndarray:
-        return v - self.project(v) if self._dual is None else self._dual.project(v)
+        if self._dual is None:
+            return v - self.project(v)
+        # twice: the first leaves rounding of v, the second of the normal
+        p = self._dual.project(v)
+        if np.abs(p).max() <= ROUNDING * np.abs(v).max():
+            return np.zeros(self.dim)
+        return self._dual.project(p)
 
     def _nearest(self, w: np.ndarray) -> np.ndarray | None:
         """s in C with M s nearest to w, by projected gradients where M mixes."""
@@ -570,7 +577,7 @@ class Image(ConvexSet):
     def _witness_of_nearest(self, v: np.ndarray, step: float) -> Witness:
         """The normal pair of the projection of v."""
         if self._dual is not None:
-            normal = self._dual.project(v)
+            normal = self.normal(v)
             return Witness(normal / step, v - normal, 0.0)
         s = self._nearest(v)
         if s is not None:
@@ -612,10 +619,11 @@ class Image(ConvexSet):
 
     def _polar_rows(self) -> ConvexSet:
         """<p, M s> <= 0 for all s of the cone: M^T p is in its polar, row by row."""
-        from sweepopt.sets.polyhedra import Polyhedron, as_rows
+        from sweepopt.sets.polyhedra import Polyhedron
 
-        rows, h = as_rows(self.part.polar())
-        return Polyhedron(rows @ self.M.T, h)
+        rows = as_rows(self.part.polar())
+        assert rows is not None  # the polar of a box is a box
+        return Polyhedron(rows[0] @ self.M.T, rows[1])
 
 
 def fixed_point(
@@ -636,7 +644,7 @@ def fixed_point(
     """
     images: list[np.ndarray] = []
     residuals: list[np.ndarray] = []
-    size = float(np.abs(like).max(initial=0.0))
+    size = float(max(np.abs(like).max(initial=0.0), np.abs(x).max()))
     for _ in range(SWEEPS):
         image = step(x)
         residual = image - x
@@ -649,7 +657,9 @@ def fixed_point(
         x = image
         if len(images) > 1:
             mix = np.linalg.lstsq(np.diff(residuals, axis=0).T, residual, rcond=1e-12)[0]
-            x = image - np.diff(images, axis=0).T @ mix
+            ahead = image - np.diff(images, axis=0).T @ mix
+            # no fixed point: the acceleration runs off, and would hide the residual in its size
+            x = ahead if np.abs(ahead).max() <= RUNAWAY * size else image
     return None
 
 
@@ -689,11 +699,41 @@ def scale(factor: Any, C: ConvexSet) -> ConvexSet:
 
 def intersect(C: ConvexSet, D: Any) -> Any:
     """C & D."""
+    from sweepopt.sets.polyhedra import ACTIVE_DIM, Polyhedron
+
+    if not _is_set("C & D", D):
+        return NotImplemented
+    require_same_dim("C & D", C, D)
+    rows = as_rows(C), as_rows(D)
+    if rows[0] is None or rows[1] is None or C.dim > ACTIVE_DIM:
+        return Intersection(C, D)
+    # rows under rows: again a polyhedron, with its exact projection
+    (G, h), (F, k) = rows
+    stack = sp.vstack if sp.issparse(G) or sp.issparse(F) else np.vstack
+    return Polyhedron(stack([G, F]), np.concatenate([h, k]))
+
+
+def as_rows(C: ConvexSet) -> tuple[Any, np.ndarray] | None:
+    """G and h with C = { w : G w <= h }, for sets that are written so."""
     from sweepopt.sets.polyhedra import Polyhedron
 
-    if isinstance(C, Box) and isinstance(D, Polyhedron):
-        return D & C
-    return Intersection(C, D) if _is_set("C & D", D) else NotImplemented
+    if isinstance(C, Polyhedron):
+        return C.G, C.h
+    if isinstance(C, Box):
+        above, below = np.isfinite(C.upper), np.isfinite(C.lower)
+        identity = sp.eye_array(C.dim, format="csr") if C.dim > 100 else np.eye(C.dim)
+        stack = sp.vstack if C.dim > 100 else np.vstack
+        G = stack([identity[above], -identity[below]])
+        return G, np.concatenate([C.upper[above], -C.lower[below]])
+    if not isinstance(C, (Translation, Scaling, Negation)):
+        return None
+    rows = as_rows(C.part)
+    if rows is None:
+        return None
+    G, h = rows
+    if isinstance(C, Translation):
+        return G, h + G @ C.v
+    return (-G, h) if isinstance(C, Negation) else (G, C.factor * h)
 
 
 def _is_set(what: str, D: Any) -> bool:

@@ -235,18 +235,35 @@ def support_by_program(C: ConvexSet, z: np.ndarray) -> float:
 
 
 def project_by_program(C: ConvexSet, w: np.ndarray) -> np.ndarray:
-    """P_C(w) = w - argmin 1/2 |p|^2 - <w, p> + sigma(C, p), for sets without a closed form."""
+    """P_C(w) = w - argmin 1/2 |p|^2 - <w, p> + sigma(C, p), for sets without a closed form.
+
+    A solver's gap leaves an error of its square root, relative to the unit of length. So the
+    program is solved in units of the size of the data, and where |p| turns out to be much smaller
+    once more in units of |p|.
+    """
     import cvxpy as cp
 
-    size = max(np.abs(w).max(initial=0.0), np.abs(C.offsets).max(initial=0.0)) or 1.0
     p = cp.Variable(C.dim)
     value, constraints = C.epigraph(p)
-    objective = 0.5 * cp.sum_squares(p) - (w / size) @ p + value / size
-    problem = cp.Problem(cp.Minimize(objective), constraints)
-    solve_tightly(problem)
-    if p.value is None:
-        raise EmptySetError(f"{type(C).__name__} has no point ({problem.status})")
-    return w - size * p.value
+    size = float(max(np.abs(w).max(initial=0.0), np.abs(C.offsets).max(initial=0.0))) or 1.0
+
+    def solve(unit: float) -> tuple[np.ndarray | None, str]:
+        objective = 0.5 * cp.sum_squares(p) + (value - w @ p) / unit
+        problem = cp.Problem(cp.Minimize(objective), constraints)
+        solve_tightly(problem)
+        return (None if p.value is None else unit * p.value), problem.status
+
+    normal, status = solve(size)
+    if normal is None:
+        raise EmptySetError(f"{type(C).__name__} has no point ({status})")
+    distance = float(np.linalg.norm(normal))
+    if distance < 0.01 * size:
+        try:
+            refined, _ = solve(max(distance, 1e-6 * size))
+        except SweepoptError:
+            refined = None
+        normal = normal if refined is None else refined
+    return w - normal
 
 
 def solve_tightly(problem: cp.Problem) -> None:

@@ -20,7 +20,6 @@ from sweepopt.sets.base import (
     project_by_program,
     same_array,
 )
-from sweepopt.sets.shapes import Box
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -131,15 +130,6 @@ class Polyhedron(ConvexSet):
             self.project(np.zeros(self.dim))
         except EmptySetError as error:
             raise EmptySetError(f"{where} is empty: no w satisfies G w <= h") from error
-
-    def __and__(self, other: Any) -> Any:
-        # rows under rows: again a polyhedron, with its exact projection
-        rows = as_rows(other) if isinstance(other, (Polyhedron, Box)) else None
-        if rows is None or other.dim != self.dim:
-            return super().__and__(other)
-        G, h = rows
-        stack = sp.vstack if sp.issparse(self.G) or sp.issparse(G) else np.vstack
-        return Polyhedron(stack([self.G, G]), np.concatenate([self.h, h]))
 
     def polar(self) -> ConvexSet:
         if self.h.any():
@@ -316,16 +306,6 @@ class Constraints(ConvexSet):
         return problem
 
 
-def as_rows(C: Any) -> tuple[Any, np.ndarray]:
-    """G and h with C = { w : G w <= h }, for a Polyhedron or a Box."""
-    if isinstance(C, Polyhedron):
-        return C.G, C.h
-    identity = np.eye(C.dim)
-    above, below = np.isfinite(C.upper), np.isfinite(C.lower)
-    G = np.vstack([identity[above], -identity[below]])
-    return G, np.concatenate([C.upper[above], -C.lower[below]])
-
-
 def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> np.ndarray | None:
     """The shortest u with G u <= slack, exact to rounding on the active set it finds.
 
@@ -392,7 +372,7 @@ def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> np.ndarra
             if np.isinf(length):
                 # row = sum of shares <= 0 times active rows: a proof that no u exists, or rounding
                 value = slack[new] - shares @ slack[active]
-                if value < -(rounding[new] + np.abs(shares) @ rounding[active]):
+                if value < -100 * (rounding[new] + np.abs(shares) @ rounding[active]):
                     raise EmptySetError(empty)
                 implied.append(new)
                 break

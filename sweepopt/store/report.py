@@ -1,0 +1,121 @@
+"""A run of a scene: what its files and pictures have in common, and how files are put in place."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from sweepopt.errors import MissingExtraError
+from sweepopt.slip import Slip, slip_of
+
+if TYPE_CHECKING:
+    from sweepopt.fem import Scene
+    from sweepopt.solution import Energy, Solution
+
+
+class Units(NamedTuple):
+    """Units of antiplane quantities; energies and forces are per length of the body."""
+
+    time: str
+    length: str
+    velocity: str
+    traction: str
+    force: str
+    energy: str
+    certificate: str
+    viability: str
+
+
+DIMENSIONLESS = Units(*["1"] * len(Units._fields))
+SI = Units("s", "m", "m s-1", "Pa", "N m-1", "J m-1", "W^0.5 m^-0.5", "W^0.5 m^-0.5")
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """A run of a scene and what its files and pictures have in common.
+
+    Attributes
+    ----------
+    name, text : str
+        The scene's name and its file's text.
+    scene : Scene
+    solution : Solution
+        With one step or more.
+    slip : Slip or None
+        None without friction.
+    energy : Energy
+    seconds : float
+        Wall time of the solution.
+    """
+
+    name: str
+    text: str
+    scene: Scene
+    solution: Solution
+    slip: Slip | None
+    energy: Energy
+    seconds: float
+
+    @property
+    def units(self) -> Units:
+        """Units of the scene's quantities."""
+        return SI if self.scene.units == "SI" else DIMENSIONLESS
+
+
+def make_report(
+    scene: Scene, solution: Solution, *, name: str = "", text: str = "", seconds: float = 0.0
+) -> Report:
+    """Compute slip and energies of a run, once."""
+    slip, energy = slip_of(scene, solution), solution.energy()
+    return Report(name, text, scene, solution, slip, energy, seconds)
+
+
+# ---- NetCDF ---------------------------------------------------------------------------------
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A new file that takes the place of `path` when the block ends well, and else disappears."""
+    part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    try:
+        yield part
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def require(package: str, extra: str) -> None:
+    try:
+        __import__(package)
+    except ImportError as error:
+        raise MissingExtraError(package, extra) from error
+
+
+def solver_name(solution: Solution) -> str:
+    solvers = solution.plan.solvers
+    return solvers[0].name if solvers else "linear"
+
+
+def versions_of(solution: Solution) -> dict[str, str]:
+    """Versions of what computed the solution; its solver is one of them."""
+    solver = solver_name(solution).split(":")[-1]
+    names = ["sweepopt", "numpy", "scipy", "cvxpy", "scikit-fem", solver]
+    found = {}
+    for name in dict.fromkeys(names):
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    from sweepopt import __version__  # a clone on the path has no metadata
+
+    return {**found, "sweepopt": __version__}
+
+
+def materials_of(scene: Scene) -> dict[str, Any]:
+    """Triangles of each named subdomain."""
+    return dict(scene.discretisation.mesh.subdomains or {})

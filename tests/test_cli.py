@@ -1,0 +1,352 @@
+"""The command line: a scene goes in, a folder of results comes out, errors are one clean line."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+import pytest
+import tqdm.auto
+import xarray as xr
+from meshes import annulus, write_msh
+
+import sweepopt as so
+from sweepopt import cli, library
+from sweepopt.fem import Scene, read_scene
+
+SCENE = """
+title = "a small ring"
+units = "SI"
+[domain]
+mesh = "ring.msh"
+clamped = "inner"
+[time]
+end = 6.0
+steps = 30
+[effects.viscosity]
+eta = { core = 2.0, sleeve = 1.0 }
+[effects.friction]
+on = "outer"
+g = 0.6
+[effects.body_force]
+f0 = { along = "x", at = [-2.0, 2.0], values = [0.5, 1.5] }
+history = { waveform = "sine", amplitude = 4.0, period = 4.0 }
+"""
+OPTIONAL = ["matplotlib", "xarray", "h5netcdf", "h5py", "pydantic", "skfem", "meshio", "tqdm"]
+
+
+def make_scene(folder: Path, text: str = SCENE) -> Path:
+    write_msh(folder / "ring.msh", annulus(2))
+    (folder / "ring.toml").write_text(text, encoding="utf-8")
+    return folder / "ring.toml"
+
+
+@pytest.fixture
+def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return make_scene(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of one run, shared by the tests that only read it."""
+    folder = tmp_path_factory.mktemp("run")
+    path = make_scene(folder)
+    assert cli.main(["run", str(path), "--out", str(folder / "out"), "--no-progress"]) == 0
+    return folder / "out"
+
+
+def summary_in(folder: Path) -> dict[str, Any]:
+    found = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert isinstance(found, dict)
+    return found
+
+
+# ---- run ------------------------------------------------------------------------------------
+
+
+def test_run_writes_every_file_and_lists_them(results: Path) -> None:
+    files = summary_in(results)["files"]
+    found = {path.relative_to(results).as_posix() for path in results.rglob("*") if path.is_file()}
+    assert found == {*files, "summary.json"}
+    for name in ("solution.nc", "displacement.png", "contact.png"):
+        assert (results / name).stat().st_size > 20_000
+    assert sum(name.endswith(".vtu") for name in files) == 31
+
+
+def test_run_gives_the_numbers_of_the_library(results: Path) -> None:
+    scene = read_scene(results.parent / "ring.toml")
+    solution = scene.solve()
+    with xr.open_dataset(results / "solution.nc", engine="h5netcdf") as dataset:
+        free = scene.discretisation.free
+        np.testing.assert_allclose(dataset.displacement[:, free], solution.u, atol=1e-12)
+        assert dataset.attrs["scene"] == SCENE
+        assert dataset.attrs["title"] == "a small ring"
+    summary = summary_in(results)
+    assert summary["scene"] == "ring"
+    assert summary["plan"]["left_out"] == ["no elasticity: B is not formed"]
+    assert summary["energy"]["work"] == pytest.approx(solution.energy().work[-1])
+    last = sorted((results / "vtu").glob("*.vtu"))[-1]
+    shown = meshio.read(last).point_data["displacement"]
+    np.testing.assert_allclose(shown[free], solution.u[-1], atol=1e-12)
+
+
+def test_run_says_what_it_will_do_and_what_it_did(
+    scene: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["run", "ring.toml"]) == 0
+    shown = capsys.readouterr()
+    for words in (
+        "a small ring",
+        "0 to 6 s in 30 steps",
+        "unknowns",
+        "nonsmooth unknowns",
+        "left out            no elasticity: B is not formed",
+        "scheme              midpoint",
+        "tolerance           1e-06",
+        "The run reached t_end and every step is certified within tol.",
+        "of the contact slips",
+        "J m-1 = stored 0 + viscous",
+        "worst certificate",
+        "solution.nc, displacement.png, contact.png, vtu/solution.vtu.series, summary.json",
+    ):
+        assert words in shown.out
+    assert "30/30" in shown.err
+    assert (scene.parent / "results" / "ring" / "solution.nc").is_file()
+
+
+def test_options_replace_the_scenes_settings(scene: Path) -> None:
+    options = [
+        "--steps",
+        "7",
+        "--scheme",
+        "implicit-euler",
+        "--solver",
+        "clarabel",
+        "--tol",
+        "1e-5",
+    ]
+    assert cli.main(["run", str(scene), "--out", "o", "--no-progress", *options]) == 0
+    settings = summary_in(Path("o"))["settings"]
+    assert settings["steps"] == 7
+    assert settings["scheme"] == "implicit-euler"
+    assert settings["solver"] == "clarabel"
+    assert settings["tol"] == 1e-5
+
+
+def test_no_progress_leaves_stderr_empty(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["run", str(scene), "--steps", "3", "--no-progress"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_a_second_run_replaces_the_first_whole(scene: Path) -> None:
+    out = Path("out")
+    assert cli.main(["run", str(scene), "--out", "out", "--steps", "9", "--no-progress"]) == 0
+    (out / "notes.txt").write_text("mine")
+    (out / "solution.nc").write_text("broken")
+    without = scene.read_text().replace('[effects.friction]\non = "outer"\ng = 0.6\n', "")
+    scene.write_text(without)
+    assert cli.main(["run", str(scene), "--out", "out", "--steps", "4", "--no-progress"]) == 0
+    summary = summary_in(out)
+    assert summary["slip"] is None
+    assert summary["settings"]["steps"] == 4
+    assert not (out / "contact.png").exists()  # there is no contact any more
+    assert len(list((out / "vtu").glob("*.vtu"))) == 5
+    assert (out / "notes.txt").read_text() == "mine"
+    with xr.open_dataset(out / "solution.nc", engine="h5netcdf") as dataset:
+        assert dataset.sizes["step"] == 4
+    assert not list(out.rglob(".*"))
+
+
+# ---- a run that does not end well -----------------------------------------------------------
+
+
+def interrupt_after(steps: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C in the middle of the run: the bar is what the loop calls after each step."""
+
+    class Bar(tqdm.auto.tqdm):  # type: ignore[type-arg]
+        def update(self, n: float | None = 1) -> bool | None:
+            shown = super().update(n)
+            if self.n == steps:
+                signal.raise_signal(signal.SIGINT)
+            return shown
+
+    monkeypatch.setattr(tqdm.auto, "tqdm", Bar)
+
+
+def test_ctrl_c_writes_what_was_computed(
+    scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    interrupt_after(5, monkeypatch)
+    assert cli.main(["run", str(scene), "--out", "out"]) == 130
+    assert so.Status.INTERRUPTED.value in capsys.readouterr().out
+    summary = summary_in(Path("out"))
+    assert summary["status"] == "interrupted"
+    assert summary["success"] is False
+    assert summary["settings"]["steps"] == 5
+    assert summary["settings"]["t_reached"] == pytest.approx(1.0)
+    with xr.open_dataset("out/solution.nc", engine="h5netcdf") as dataset:
+        assert dataset.sizes["step"] == 5
+        assert dataset.attrs["status"] == "interrupted"
+
+
+def test_ctrl_c_while_writing_keeps_the_files_of_the_run_before(
+    scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = ["run", str(scene), "--out", "out", "--steps", "3", "--no-progress"]
+    assert cli.main(run) == 0
+    before = Path("out/summary.json").read_bytes()
+
+    def interrupted(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sweepopt.store.summary.summary_of", interrupted)
+    assert cli.main(run) == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert Path("out/summary.json").read_bytes() == before
+
+
+def test_a_run_that_stops_early_writes_its_certified_steps_and_exits_with_1(
+    scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    solve = Scene.solve
+
+    def stopped(self: Scene, **changes: Any) -> so.Solution:
+        assert changes["on_failure"] == "stop"
+        solution = solve(self, callback=lambda info: info.step == 3, **changes)
+        return replace(solution, status=so.Status.INEXACT)
+
+    monkeypatch.setattr(Scene, "solve", stopped)
+    assert cli.main(["run", str(scene), "--out", "out", "--no-progress"]) == 1
+    assert "missed tol" in capsys.readouterr().out
+    summary = summary_in(Path("out"))
+    assert summary["success"] is False
+    assert summary["settings"]["steps"] == 4
+
+
+def test_a_run_without_a_single_step_writes_nothing_and_says_so(
+    scene: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # no solver reaches this: rounding alone is larger
+    arguments = ["run", str(scene), "--out", "out", "--tol", "1e-30", "--no-progress"]
+    assert cli.main(arguments) == 1
+    assert "nothing is written" in capsys.readouterr().err
+    assert not list(Path("out").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nowhere"], "'nowhere' is neither a scene file nor a problem; there are: tube"),
+        (["nowhere.toml"], "nowhere.toml: cannot be read"),
+        (["ring.toml", "--scheme", "leapfrog"], "scheme 'leapfrog' is not known"),
+        (["ring.toml", "--solver", "magic"], "solver 'magic' is not known"),
+        (["ring.toml", "--steps", "0"], "steps must be a positive whole number"),
+        (["ring.toml", "--tol", "-1"], "tol must be > 0"),
+        (["ring.toml", "--out", "ring.msh"], "ring.msh: File exists"),
+    ],
+)
+def test_bad_arguments_give_one_clean_line(
+    arguments: list[str], words: str, scene: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["run", *arguments, "--no-progress"]) == 2
+    shown = capsys.readouterr().err
+    assert words in shown
+    assert shown.startswith("sweepopt: ")
+    assert shown.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("g = 0.6", "g = -1.0", "effects.friction.g must be >= 0"),
+        ("g = 0.6", "mu = 0.6", "effects.friction.mu: unknown key"),
+        ('mesh = "ring.msh"', 'mesh = "none.msh"', "domain.mesh: "),
+        ("[time]", "[time", "is not TOML"),
+    ],
+)
+def test_a_bad_scene_gives_one_clean_line(
+    old: str, new: str, words: str, scene: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene.write_text(SCENE.replace(old, new))
+    assert cli.main(["run", "ring.toml"]) == 2
+    shown = capsys.readouterr().err
+    assert words in shown
+    assert shown.count("\n") == 1
+
+
+def test_our_warnings_are_one_line_without_a_source_file(
+    scene: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # a load that is there at t = 0 starts with a velocity
+    start = '{ waveform = "constant", value = 9.0 }'
+    old = '{ waveform = "sine", amplitude = 4.0, period = 4.0 }'
+    scene.write_text(SCENE.replace(old, start))
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        assert cli.main(["run", "ring.toml", "--steps", "2", "--no-progress"]) == 0
+    shown = capsys.readouterr().err
+    assert shown.startswith("sweepopt: warning: B u0 is not in C(0)")
+    assert shown.count("\n") == 1
+
+
+@pytest.mark.parametrize("package", ["matplotlib", "xarray", "h5py"])
+def test_a_missing_package_is_named_before_the_run(
+    scene: Path,
+    package: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    assert cli.main(["run", str(scene)]) == 2
+    shown = capsys.readouterr()
+    extra = "plot" if package == "matplotlib" else "fem"
+    assert shown.err == (
+        f'sweepopt: {package} is not installed; run: pip install "sweepopt[{extra}]"\n'
+    )
+    assert "unknowns" not in shown.out
+
+
+@pytest.mark.parametrize("arguments", [[], ["fly"], ["run"], ["run", "tube", "--steps", "many"]])
+def test_wrong_usage_exits_with_2(arguments: list[str]) -> None:
+    with pytest.raises(SystemExit) as raised:
+        cli.main(arguments)
+    assert raised.value.code == 2
+
+
+# ---- list -----------------------------------------------------------------------------------
+
+
+def test_list_prints_each_problem_with_its_title(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["list"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(maxsplit=1) for line in lines] == [
+        [name, title] for name, title in library.list_problems().items()
+    ]
+
+
+def test_list_works_with_the_core_install_alone() -> None:
+    code = (
+        f"import sys; sys.modules.update(dict.fromkeys({OPTIONAL}))\n"
+        "from sweepopt.cli import main\n"
+        "code = main(['list']); run = main(['run', 'tube']); print(code, run)"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert shown.stdout.startswith("tube  ")
+    assert shown.stdout.splitlines()[-1] == "0 2"
+    assert 'pip install "sweepopt[fem]"' in shown.stderr
+
+
+def test_the_module_runs_as_a_command() -> None:
+    command = [sys.executable, "-W", "error", "-m", "sweepopt.cli", "list"]
+    shown = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "tube" in shown.stdout
+    assert shown.stderr == ""
