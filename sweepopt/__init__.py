@@ -42,7 +42,7 @@ from sweepopt.sets import (
     product,
 )
 from sweepopt.solution import Energy, Solution
-from sweepopt.solvers import OSQP, Clarabel, Cvxpy
+from sweepopt.solvers import OSQP, Clarabel, Cvxpy, Newton
 
 __version__ = "0.1.0"
 
@@ -66,6 +66,7 @@ __all__ = [
     "MissingExtraError",
     "Moving",
     "MovingSet",
+    "Newton",
     "Orthant",
     "Plan",
     "Point",

@@ -59,7 +59,7 @@ def solve(
     scheme : str
         "auto" (midpoint; implicit-euler when A = 0), "catching-up", "implicit-euler", "midpoint".
     solver : str or Solver
-        "auto", "clarabel", "osqp", "cvxpy" or an object such as ``Clarabel(tol=1e-10)``.
+        "auto", "clarabel", "osqp", "newton", "cvxpy" or an object: ``Clarabel(tol=1e-10)``.
     tol : float
         Each program's certificate is at most tol * max(|z|_M, |M^-1 q|_M); a step that misses it
         is tried with tighter settings, then with another solver, then handled as on_failure says.

@@ -49,7 +49,7 @@ class Factor:
                 weights = sp.diags_array(1 / self._root)
                 pivots = self._factorise_sparse(sp.csr_array(weights @ M @ weights), first)
             else:
-                pivots = self._factorise_dense(M / np.outer(self._root, self._root), first)
+                pivots = self._factorisedense(M / np.outer(self._root, self._root), first)
         except (scipy.linalg.LinAlgError, RuntimeError):
             pivots = np.zeros(1)
         if not pivots.min() > 16 * np.finfo(float).eps:
@@ -74,7 +74,7 @@ class Factor:
         # with pivots on the diagonal their signs are the inertia (Sylvester)
         return self._lu.U.diagonal()
 
-    def _factorise_dense(self, M: np.ndarray, first: np.ndarray) -> np.ndarray:
+    def _factorisedense(self, M: np.ndarray, first: np.ndarray) -> np.ndarray:
         self._order = np.concatenate([first, self._last])
         ordered = M[np.ix_(self._order, self._order)]
         self._cholesky = scipy.linalg.cho_factor(ordered, lower=True)
@@ -138,7 +138,7 @@ class Factor:
     def smallest_eigenvalue(self) -> float:
         """beta: the largest number with <Mx, x> >= beta |x|^2."""
         if not sp.issparse(self.M) or self.dim < 50:
-            return float(np.linalg.eigvalsh(_dense(self.M))[0])
+            return float(np.linalg.eigvalsh(dense(self.M))[0])
         inverse = spla.LinearOperator((self.dim, self.dim), matvec=self.solve, dtype=float)
         start = np.ones(self.dim)
         return float(
@@ -148,7 +148,7 @@ class Factor:
     def largest_ratio(self, B: Matrix) -> float:
         """Lam: the largest eigenvalue of M^-1 B, for B positive semidefinite."""
         if not sp.issparse(self.M) or self.dim < 50:
-            return float(scipy.linalg.eigh(_dense(B), _dense(self.M), eigvals_only=True)[-1])
+            return float(scipy.linalg.eigh(dense(B), dense(self.M), eigvals_only=True)[-1])
         inverse = spla.LinearOperator((self.dim, self.dim), matvec=self.solve, dtype=float)
         start = np.ones(self.dim)
         return float(
@@ -161,7 +161,7 @@ class Factor:
 def largest_eigenvalue(M: Matrix) -> float:
     """The largest eigenvalue of a symmetric matrix, |M| for a positive semidefinite one."""
     if M.shape[0] < 50 or not sp.issparse(M):
-        return float(np.linalg.eigvalsh(_dense(M))[-1])
+        return float(np.linalg.eigvalsh(dense(M))[-1])
     start = np.ones(M.shape[0])
     return float(spla.eigsh(M, k=1, which="LA", v0=start, return_eigenvectors=False)[0])
 
@@ -184,5 +184,6 @@ def is_semidefinite(M: Matrix) -> bool:
     return True
 
 
-def _dense(M: Matrix) -> np.ndarray:
+def dense(M: Matrix) -> np.ndarray:
+    """M as an ndarray."""
     return M.toarray() if sp.issparse(M) else M

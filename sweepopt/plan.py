@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from sweepopt.checks import Matrix
-from sweepopt.linalg import Factor
+from sweepopt.linalg import Factor, dense
 from sweepopt.process import SweepingProcess
 from sweepopt.program import Velocity, VelocityProgram, rate
 from sweepopt.schemes import Scheme
 from sweepopt.sets import ConvexSet
-from sweepopt.solvers import Solve, Solver, choose
+from sweepopt.solvers import NEWTON, Solve, Solver, choose, newton
+
+POLISHED = 1e-12  # relative certificates above this are polished
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ class Plan:
             rest = VelocityProgram(M, C).at_rest(q, C)
             if rest is not None:
                 return Solved(rest, "at rest", 0, 0)
-            best: Solved | None = None
+            best = Solved(Velocity(np.zeros_like(q), np.inf, np.inf), "none", 0, len(rungs))
             for attempt, solver in enumerate(rungs, start=1):
                 if attempt not in compiled or not compiled[attempt][0].cone.same_cone(C):
                     program = VelocityProgram(M, C)
@@ -123,17 +125,19 @@ class Plan:
                 program, run = compiled[attempt]
                 answer = run(q, C)
                 velocity = program.certify(q, C, answer.z, answer.y)
-                found = Solved(velocity, solver.name, answer.iterations, attempt)
-                # uncertified sets offer nothing to compare: the first answer that was solved stands
-                if np.isnan(velocity.relative) and "solved" not in answer.status.lower():
+                if np.isnan(velocity.relative):
+                    # nothing to compare: the first answer that its solver calls solved stands
+                    if "solved" in answer.status.lower() or answer.status == "optimal":
+                        return Solved(velocity, solver.name, answer.iterations, attempt)
                     continue
-                if best is None or velocity.relative < best.velocity.relative:
-                    best = found
-                if not best.velocity.relative > self.tol:
+                if velocity.relative > POLISHED and NEWTON.treats(C):
+                    z, _ = newton(dense(M.M), q, C, velocity.z, NEWTON.max_iter)
+                    polished = program.certify(q, C, z, answer.y)
+                    velocity = min(velocity, polished, key=lambda found: found.relative)
+                if velocity.relative < best.velocity.relative:
+                    best = Solved(velocity, solver.name, answer.iterations, attempt)
+                if best.velocity.relative <= self.tol:
                     break
-            if best is None:
-                nothing = Velocity(np.zeros_like(q), float("inf"), float("inf"))
-                return Solved(nothing, "none", 0, attempt)
             return best
 
         return solve
@@ -172,10 +176,11 @@ def make_plan(
     if process.rate_independent:
         left_out.append("A: it is zero, the process is rate-independent")
     solvers: tuple[Solver, ...] = ()
+    contact = None
     if C.singleton:
         left_out.append("optimiser: C(t) is a point, each step is one linear solve")
     else:
-        solvers = choose(solver, C)
-    selection = C.selection()
-    contact = None if selection is None or not solvers else selection.unknowns
+        selection = C.selection()
+        solvers = choose(solver, C if selection is None else selection.part)
+        contact = None if selection is None else selection.unknowns
     return Plan(process.dim, C.nonsmooth_dim, solvers, scheme, tol, tuple(left_out), contact)

@@ -200,6 +200,7 @@ def flat(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     # an equation as two rows: no interior
     dim = 1 + _dim(frame, dim)
     row = frame.normal(size=dim)
+    row[:2] = -abs(row[0]), abs(row[1])  # two signs: unbounded
     G = np.vstack([row, -row, np.eye(dim)])
     level, top = rng.normal(), np.abs(rng.normal(size=dim)) + 3
     h = np.concatenate([[level, -level], top])

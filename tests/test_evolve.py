@@ -77,7 +77,10 @@ def test_control_c_returns_what_was_computed() -> None:
 class Lying:
     """A solver that says "solved" with a wrong answer."""
 
-    name, cones = "lying", True
+    name = "lying"
+
+    def treats(self, C: object) -> bool:
+        return True
 
     def compile(self, program: VelocityProgram) -> object:
         n = program.M.dim
@@ -89,7 +92,8 @@ class Lying:
 
 def hard() -> so.SweepingProcess:
     M = np.array([[2.0, -1.9], [-1.9, 2.0]])
-    C = so.Moving(so.Box([-1, -0.5], [1, 0.5]), lambda t: [3 * t, 2.0])
+    box = so.Polyhedron([[1, 0], [0, 1], [-1, 0], [0, -1]], [1, 0.5, 1, 0.5])
+    C = so.Moving(box, lambda t: [3 * t, 2.0])
     return so.SweepingProcess(M, None, C, [0, 0])
 
 

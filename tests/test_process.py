@@ -120,7 +120,10 @@ def test_an_empty_set_is_refused_with_its_time_before_any_solver_runs() -> None:
 class NeverRuns:
     """A solver that fails the test when it is asked for anything."""
 
-    name, cones = "never", True
+    name = "never"
+
+    def treats(self, C: object) -> bool:
+        return True
 
     def compile(self, program: object) -> object:
         raise AssertionError("a solver ran on bad input")

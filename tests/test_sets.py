@@ -1,24 +1,431 @@
-"""Every law over every set of the zoo; then the numbers, the hard cases and malformed input."""
+"""Every law over every set of the zoo; then exact numbers, hard cases and malformed input."""
 
+# ruff: noqa: RUF005 - C + [1, 2] is a translated set here, not a list
 from __future__ import annotations
 
+import re
+from typing import Any
+
+import numpy as np
 import pytest
+import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import sweepopt as so
 from tests.laws import LAWS, ZOO
 
 SEEDS = st.integers(0, 2**20)
+UNIT = so.Ball([0.0, 0.0], 1.0)
 
 
 @pytest.mark.parametrize("name", ZOO)
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
-def test_every_set_obeys_every_law(law, name) -> None:
+def test_every_set_obeys_every_law(law: Any, name: str) -> None:
     @settings(derandomize=True, deadline=None, max_examples=LAWS[law], database=None)
     @given(SEEDS)
     def holds(seed: int) -> None:
-        import numpy as np
-
         law(ZOO[name], ZOO[name].sample(seed), np.random.default_rng(seed + 1))
 
     holds()
+
+
+@pytest.mark.parametrize("name", [name for name, entry in ZOO.items() if entry.family])
+def test_two_sets_of_one_family_share_their_cone_and_differ_in_offsets(name: str) -> None:
+    one, two = ZOO[name].sample(5, offsets=1).C, ZOO[name].sample(5, offsets=2).C
+    assert one.same_cone(two)
+    assert one.offsets.shape == two.offsets.shape
+
+
+def test_another_matrix_is_another_cone() -> None:
+    eye = np.eye(2)
+    pairs = [
+        (so.Polyhedron(eye, [1, 1]), so.Polyhedron(2 * eye, [1, 1])),
+        (so.Ellipsoid([0, 0], eye), so.Ellipsoid([0, 0], 2 * eye)),
+        (so.Polytope(eye), so.Polytope(2 * eye)),
+        (so.image(eye, UNIT), so.image(2 * eye, UNIT)),
+        (so.Box([0, 0], [1, 1]), so.Box([0, -np.inf], [1, 1])),
+        (UNIT, so.Box([0, 0], [1, 1])),
+        (UNIT + [0, 1], UNIT),
+        (so.Balls([1, 1], 3), so.Balls([1, 1, 1], 2)),
+    ]
+    for C, D in pairs:
+        assert not C.same_cone(D)
+        assert not D.same_cone(C)
+
+
+# ---- projections, exactly -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("decades", [0, 2, 5, 8])
+@pytest.mark.parametrize("distance", [1e-12, 1e-6, 1.0, 1e3, 1e9])
+def test_projection_on_an_ellipsoid_is_exact_for_any_shape_and_distance(
+    decades: float, distance: float
+) -> None:
+    # from the point x of the boundary walk along the outer normal there
+    rng = np.random.default_rng(3)
+    axes = np.linalg.qr(rng.normal(size=(4, 4)))[0]
+    squares = np.logspace(-decades, 0, 4)
+    C = so.Ellipsoid(np.zeros(4), (axes * squares) @ axes.T)
+    for _ in range(20):
+        s = rng.normal(size=4)
+        s /= np.linalg.norm(s)
+        x, n = axes @ (np.sqrt(squares) * s), axes @ (s / np.sqrt(squares))
+        n /= np.linalg.norm(n)
+        # the shape itself is only known to rounding, relative to its smallest eigenvalue
+        tol = 1e-14 * 10**decades + 4e-16 * distance
+        assert np.abs(C.project(x + distance * n) - x).max() <= tol
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e-3, 1.0, 1e9])
+@pytest.mark.parametrize("seed", range(5))
+def test_projection_on_a_polyhedron_meets_its_optimality_conditions_in_all_units(
+    seed: int, scale: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    m, n = int(rng.integers(3, 60)), int(rng.integers(2, 12))
+    G = rng.normal(size=(m, n)) * 10.0 ** rng.uniform(-3, 3, size=(m, 1))
+    x = rng.normal(size=n)
+    h = G @ x + rng.exponential(size=m) * np.linalg.norm(G, axis=1)
+    C = so.Polyhedron(G, h * scale)
+    w = 20 * scale * rng.normal(size=n)
+    P, p = C.project(w), C.normal(w)
+    unit = np.abs(w).max() + scale
+    lengths = np.linalg.norm(G, axis=1)
+    slack = (h * scale - G @ P) / lengths
+    assert slack.min() >= -1e-13 * unit
+    active = slack <= 1e-11 * unit
+    # p is a combination of the active rows with weights >= 0
+    weights, rest = _nonnegative_weights(G[active].T / lengths[active], p / unit)
+    assert rest <= 1e-12
+    assert (weights >= 0).all()
+
+
+def _nonnegative_weights(columns: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, float]:
+    from scipy.optimize import nnls
+
+    return nnls(columns, target)
+
+
+@pytest.mark.parametrize("angle", [1e-2, 1e-4, 1e-6, 1e-7])
+def test_the_tip_of_a_thin_wedge_is_found(angle: float) -> None:
+    # |w_2| <= angle w_1 - angle, seen from far on the wrong side: the tip is (1, 0)
+    C = so.Polyhedron([[-angle, 1.0], [-angle, -1.0]], [-angle, -angle])
+    P = C.project([-5.0, 0.3 * angle])
+    np.testing.assert_allclose(P, [1.0, 0.0], atol=1e-15 / angle)
+    C.require_nonempty()
+
+
+def test_many_equal_and_nearly_parallel_rows_do_not_confuse_the_projection() -> None:
+    rng = np.random.default_rng(0)
+    base = np.array([1.0, 2.0, -1.0])
+    G = np.vstack([base, base, 3 * base, base + 1e-9 * rng.normal(size=(20, 3)), -np.eye(3)])
+    h = np.concatenate([[1.0, 1.0, 3.0], np.ones(20) + 1e-9, np.full(3, 50.0)])
+    w = np.array([7.0, 5.0, -2.0])
+    P = so.Polyhedron(G, h).project(w)
+    np.testing.assert_allclose(P, so.HalfSpace(base, 1.0).project(w), atol=1e-7)
+    assert (h + 1e-13 >= G @ P).all()
+
+
+def test_a_flat_polyhedron_projects_like_the_subspace_it_is() -> None:
+    rng = np.random.default_rng(1)
+    E, x, w = rng.normal(size=(3, 7)), rng.normal(size=7), rng.normal(size=7)
+    C = so.Polyhedron(np.vstack([E, -E]), np.concatenate([E @ x, -E @ x]))
+    expected = w - np.linalg.pinv(E) @ (E @ (w - x))
+    np.testing.assert_allclose(C.project(w), expected, atol=1e-14)
+
+
+def test_a_polyhedron_with_thousands_of_sparse_rows_is_projected_to_rounding() -> None:
+    n = 300
+    rng = np.random.default_rng(2)
+    eye = sp.eye_array(n, format="csr")
+    G = sp.vstack([eye, -eye, sp.random_array((4000, n), density=0.02, rng=rng)])
+    C = so.Polyhedron(G, np.concatenate([np.ones(2 * n), np.full(4000, 30.0)]))
+    w = 3 * rng.normal(size=n)
+    np.testing.assert_allclose(C.project(w), np.clip(w, -1, 1), atol=1e-14)
+
+
+@pytest.mark.parametrize("gap", [1e-3, 1e-9, 1e-11])
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+def test_an_empty_polyhedron_is_refused_however_small_the_gap(gap: float, scale: float) -> None:
+    G = np.array([[1.0, 1.0], [-2.0, -2.0], [0.0, 1.0]])
+    empty = so.Polyhedron(G, scale * np.array([1.0, -2.0 - 2 * gap, 5.0]))
+    thin = so.Polyhedron(G, scale * np.array([1.0, -2.0 + 2 * gap, 5.0]))
+    thin.require_nonempty()
+    with pytest.raises(so.EmptySetError, match="C\\(t\\) at t = 3 is empty"):
+        empty.require_nonempty("C(t) at t = 3")
+    with pytest.raises(so.EmptySetError, match="no point"):
+        empty.project(scale * np.array([5.0, 5.0]))
+    with pytest.raises(so.EmptySetError, match="no point"):
+        empty.support([1.0, 1.0])
+
+
+@pytest.mark.parametrize("gap", [1e-3, 1e-8, 1e-9])
+def test_an_empty_intersection_is_refused_however_small_the_gap(gap: float) -> None:
+    tip = np.array([0.6, 0.8])
+    parts: list[tuple[so.ConvexSet, so.ConvexSet]] = [
+        (UNIT, UNIT + (2 + gap) * tip),
+        (UNIT, so.HalfSpace(-tip, -1 - gap)),
+        (so.SecondOrderCone(2), UNIT - [np.sqrt(2) * (1 + gap), 0]),
+        (so.Box([0, 0], [1, 1]) + [0, 0], so.Box([1 + gap, 0], [2, 1])),
+    ]
+    for C, D in parts:
+        with pytest.raises(so.EmptySetError, match=r"is empty|no point"):
+            (C & D).require_nonempty()
+
+
+def test_sets_that_meet_in_one_point_are_not_empty() -> None:
+    for C in (UNIT & (UNIT + [2.0, 0.0]), UNIT & so.HalfSpace([-1.0, 0.0], -1.0)):
+        C.require_nonempty()
+        # a rounding error in the data makes a lens with a height of its square root
+        np.testing.assert_allclose(C.project([3.0, 0.5]), [1.0, 0.0], atol=1e-3)
+
+
+@pytest.mark.parametrize("far", [0.0, 1e-9, 1e-5, 0.1, 10.0, 1e4])
+def test_sum_of_balls_is_projected_like_the_ball_it_is(far: float) -> None:
+    one, two = so.Ball([1.0, 2.0, 0.0], 0.7), so.Ball([0.0, -1.0, 1.0], 1.9)
+    same = so.Ball([1.0, 1.0, 1.0], 2.6)
+    direction = np.array([2.0, -1.0, 2.0]) / 3
+    w = same.center + (2.6 + far) * direction
+    np.testing.assert_allclose((one + two).project(w), same.project(w), atol=1e-8 * (1 + far))
+
+
+@pytest.mark.parametrize("far", [0.5, 10.0, 1e4])
+def test_projection_on_ball_and_half_space_is_exact(far: float) -> None:
+    # the edge of the cap: w_1 = 0.6, w_2 = 0.8; from there the normal cone is a wedge
+    C = UNIT & so.HalfSpace([1.0, 0.0], 0.6)
+    w = np.array([0.6, 0.8]) + far * (np.array([1.0, 0.0]) + np.array([0.6, 0.8]))
+    np.testing.assert_allclose(C.project(w), [0.6, 0.8], atol=1e-14 * (1 + far))
+
+
+def test_what_is_inside_does_not_move_at_all() -> None:
+    w = np.array([0.1, -0.3])
+    triangle = so.Polytope([[1.0, 0.0], [-1.0, 1.0], [-1.0, -1.0]])
+    inside: list[so.ConvexSet] = [
+        so.Ball([0.3, 0.1], 1.0),
+        so.Ellipsoid([0.1, 0.0], np.eye(2)),
+        so.Polyhedron([[1.0, 1.0]], [0.3]),
+        triangle,
+        UNIT & so.Ball([0.5, 0.0], 1.0),
+        UNIT + triangle,
+        so.WholeSpace(2),
+        so.image(np.eye(2)[[1, 0]], UNIT),
+    ]
+    for C in inside:
+        assert (C.normal(w) == 0.0).all()
+        moved, v = C + [0.7, 0.2], w + [0.7, 0.2]
+        found = moved.witness(np.zeros(2), v, np.ones(2), np.zeros(moved.offsets.size))
+        assert found is not None
+        assert (found.p == 0.0).all()
+        assert found.gap == 0.0
+
+
+# ---- support functions --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("far", [0.0, 1e6])
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+def test_support_of_a_polyhedron_is_exact_in_all_units_and_far_from_the_origin(
+    scale: float, far: float
+) -> None:
+    rng = np.random.default_rng(4)
+    vertices = np.vstack([np.zeros(3), np.eye(3)])
+    G, h = np.vstack([-np.eye(3), np.ones(3)]), np.array([0.0, 0.0, 0.0, 1.0])
+    c = far * scale * rng.normal(size=3)
+    C = so.Polyhedron(G, scale * h + G @ c)
+    for z in rng.normal(size=(20, 3)):
+        expected = scale * (vertices @ z).max() + c @ z
+        assert abs(C.support(z) - expected) <= 1e-14 * scale * (1 + 10 * far)
+
+
+def test_support_tells_the_edge_of_its_domain_to_rounding() -> None:
+    normal = np.array([1.0, 2.0, -3.0]) / 7
+    H, K = so.HalfSpace(normal, 2.0), so.SecondOrderCone(3)
+    assert H.support(0.3 * normal) == pytest.approx(0.6, rel=1e-15)
+    assert np.isinf(H.support(-1e-9 * normal))
+    assert np.isinf(H.support(normal + [0.0, 0.0, 1e-12]))
+    edge = np.array([-np.hypot(0.1, 0.7), 0.1, 0.7])
+    assert K.support(edge) == 0.0
+    assert np.isinf(K.support(edge + [1e-12, 0.0, 0.0]))
+    polar = so.Polyhedron([[1.0, 1.0, 0.0], [0.0, 1.0, 3.0]], [0.0, 0.0]).polar()
+    assert polar.support([-1.0, 1.0, -1 / 3]) == 0.0
+    assert np.isinf(polar.support([-1.0, 1.0 + 1e-12, -1 / 3]))
+
+
+def test_a_polyhedron_without_rows_is_the_whole_space() -> None:
+    C = so.Polyhedron(np.zeros((0, 2)), [])
+    assert np.isinf(C.support([1.0, 0.0]))
+    assert (C.project([3.0, 4.0]) == [3.0, 4.0]).all()
+
+
+# ---- what the algebra simplifies ----------------------------------------------------------------
+
+
+def test_points_and_boxes_stay_points_and_boxes() -> None:
+    p, box = so.Point([1.0, 2.0]), so.Box([0, 0], [1, 2])
+    points = [p + [1, 1], -p, 3 * p, p + p, p - [1, 0], so.product(p, p), so.image(np.eye(2), p)]
+    for C in points:
+        assert isinstance(C, so.Point)
+        assert C.singleton
+    assert (p + box).anchor @ [1, 0] == 1.0
+    for D in (box + box, box & box, -box, so.product(box, box)):
+        assert isinstance(D, so.Box)
+
+
+def test_intersections_of_polyhedra_are_polyhedra() -> None:
+    box, cut = so.Box([0, 0], [1, np.inf]), so.HalfSpace([1.0, 1.0], 1.5)
+    for C in (box & cut, cut & box, (box - [0, 0]) & (2 * cut), (-cut) & box, cut & cut):
+        assert isinstance(C, so.Polyhedron)
+    np.testing.assert_allclose((box & cut).project([9.0, 9.0]), [0.75, 0.75], atol=1e-15)
+    np.testing.assert_allclose((cut & box).project([9.0, 0.0]), [1.0, 0.0], atol=1e-15)
+
+
+def test_contact_acts_on_few_unknowns() -> None:
+    select = sp.csc_array(([1.0, 1.0], ([3, 7], [0, 1])), shape=(100, 2))
+    C = so.image(select, so.Box([-1, -1], [1, 1]))
+    assert (C.dim, C.nonsmooth_dim) == (100, 2)
+    assert ((-2.0 * C) + np.ones(100)).nonsmooth_dim == 2
+    assert so.product(C, UNIT).nonsmooth_dim == 4
+
+
+def test_user_constraints_have_no_proof_nor_does_anything_made_of_them() -> None:
+    C = so.Constraints(2, lambda w: [w[0] ** 2 + w[1] <= 1, w[1] >= -1])
+    sets = [C, C + [1, 1], 2 * C, -C, C + UNIT, C & UNIT, so.product(C, UNIT)]
+    sets += [so.image(np.eye(2), C)]
+    for D in sets:
+        assert not D.certifiable
+        y = np.zeros(D.offsets.size)
+        assert D.witness(np.zeros(D.dim), np.zeros(D.dim), np.ones(D.dim), y) is None
+
+
+# ---- malformed input ----------------------------------------------------------------------------
+
+CONE = so.SecondOrderCone(2)
+SQUARE = so.Box([-1, -1], [1, 1])
+NAN = float("nan")
+
+MALFORMED: dict[str, tuple[Any, str]] = {
+    "point with nan": (lambda: so.Point([1.0, NAN]), r"p\[1\] is nan"),
+    "point of text": (lambda: so.Point(["a", "b"]), "p must be an array of numbers"),
+    "point with two axes": (lambda: so.Point([[1.0, 2.0]]), r"p must have one axis.*\(1, 2\)"),
+    "ragged point": (lambda: so.Point([[1.0], [1.0, 2.0]]), "p must be an array"),
+    "box upside down": (lambda: so.Box([0, 2], [1, 1]), r"lower\[1\] = 2, upper\[1\] = 1"),
+    "box of two dims": (lambda: so.Box([0, 0], [1]), "upper must have 2 entries, got 1"),
+    "box with nan": (lambda: so.Box([NAN], [1]), r"lower\[0\] is nan"),
+    "box at infinity": (lambda: so.Box([np.inf], [np.inf]), r"lower\[0\] = inf"),
+    "ball of radius < 0": (lambda: so.Ball([0], -1), "radius must be >= 0, got -1"),
+    "ball of radius nan": (lambda: so.Ball([0], NAN), r"radius\[0\] is nan"),
+    "ball of infinite radius": (lambda: so.Ball([0], np.inf), r"radius\[0\] is inf"),
+    "ball of two radii": (lambda: so.Ball([0], [1, 2]), "radius must be one number, got 2"),
+    "ball of text": (lambda: so.Ball([0], "wide"), "radius must be an array of numbers"),
+    "balls of radius < 0": (lambda: so.Balls([1, -2], 2), r"radii\[1\] must be >= 0"),
+    "balls of dim 0": (lambda: so.Balls([1], 0), "dim must be a positive whole number, got 0"),
+    "indefinite ellipsoid": (
+        lambda: so.Ellipsoid([0, 0], [[1, 0], [0, -1]]),
+        "shape must be positive definite.*-1",
+    ),
+    "singular ellipsoid": (lambda: so.Ellipsoid([0, 0], np.ones((2, 2))), "positive definite"),
+    "ellipsoid with asymmetric shape": (
+        lambda: so.Ellipsoid([0, 0], [[1, 1], [0, 1]]),
+        r"shape must be symmetric: shape\[0, 1\]",
+    ),
+    "ellipsoid of two dims": (lambda: so.Ellipsoid([0], np.eye(2)), r"shape must be of shape"),
+    "half-space without normal": (lambda: so.HalfSpace([0, 0], 1), "normal must not be zero"),
+    "half-space with infinite offset": (lambda: so.HalfSpace([1], np.inf), r"offset\[0\] is inf"),
+    "half-space with moving offset": (lambda: so.HalfSpace([1], lambda t: t), "offset must be"),
+    "polyhedron with infinite h": (
+        lambda: so.Polyhedron(np.eye(2), [1, np.inf]),
+        r"h\[1\] is inf; leave out",
+    ),
+    "polyhedron with nan in G": (lambda: so.Polyhedron([[1, NAN]], [1]), r"G\[0, 1\] is nan"),
+    "polyhedron with short h": (lambda: so.Polyhedron(np.eye(2), [1]), "h must have 2 entries"),
+    "polyhedron with flat G": (lambda: so.Polyhedron([1, 2], [1]), "G must have two axes"),
+    "polyhedron with h(t) of the wrong shape": (
+        lambda: so.Polyhedron(np.eye(2), lambda t: [t]),
+        "h must have 2 entries, got 1",
+    ),
+    "polytope without vertices": (lambda: so.Polytope(np.zeros((0, 2))), "vertices is empty"),
+    "polytope with nan": (lambda: so.Polytope([[0, NAN]]), r"vertices\[0, 1\] is nan"),
+    "polytope of a vector": (lambda: so.Polytope([1, 2]), "vertices must have two axes"),
+    "orthant of dim 0": (lambda: so.Orthant(0), "dim must be a positive whole number, got 0"),
+    "orthant of dim 2.5": (lambda: so.Orthant(2.5), "dim must be .* got 2.5"),
+    "cone of dim True": (lambda: so.SecondOrderCone(True), "dim must be .* got True"),
+    "space of dim -1": (lambda: so.WholeSpace(-1), "dim must be .* got -1"),
+    "nonconvex constraints": (
+        lambda: so.Constraints(2, lambda w: [w >= 0, w[0] ** 2 >= 1]),
+        "constraint 1 of build",
+    ),
+    "one constraint, no list": (lambda: so.Constraints(1, lambda w: w >= 0), "return a list"),
+    "constraints without a function": (lambda: so.Constraints(1, []), "build must be a function"),
+    "constraints that are true": (lambda: so.Constraints(1, lambda w: [True]), "constraint 0"),
+    "constraints with an open parameter": (
+        lambda: so.Constraints(1, lambda w: [w <= __import__("cvxpy").Parameter()]),
+        "constraint 0 .* parameter without a value",
+    ),
+    "empty constraints": (
+        lambda: so.Constraints(1, lambda w: [w >= 1, w <= 0]).require_nonempty("C(2)"),
+        r"C\(2\) is empty",
+    ),
+    "polar of a ball": (lambda: UNIT.polar(), "Ball is not a cone"),
+    "polar of a box": (lambda: SQUARE.polar(), "Box is not a cone"),
+    "polar of a half-space off 0": (lambda: so.HalfSpace([1], 1).polar(), "HalfSpace is not a"),
+    "polar of a point": (lambda: so.Point([1]).polar(), "Point is not a cone"),
+    "polar of an image of a ball": (lambda: so.image(np.eye(2), UNIT).polar(), "polar of an im"),
+    "sum of two dims": (lambda: UNIT + so.Orthant(3), r"C \+ D: the sets have dim 2 and 3"),
+    "sum with a point of another dim": (lambda: UNIT + so.Point([1]), r"C \+ D.* dim 2 and 1"),
+    "intersection of two dims": (lambda: UNIT & so.Orthant(3), "C & D: .* dim 2 and 3"),
+    "translation of another dim": (lambda: UNIT + [1, 2, 3], "v must have 2 entries, got 3"),
+    "translation by nan": (lambda: UNIT + [1, NAN], r"v\[1\] is nan"),
+    "translation by text": (lambda: UNIT + ["a", "b"], "v must be an array of numbers"),
+    "sum with text": (lambda: UNIT + "far", r"C \+ D: D must be a set, got str"),
+    "sum with None": (lambda: UNIT + None, r"C \+ D: D must be a set, got NoneType"),
+    "intersection with an array": (lambda: UNIT & [1, 2], "C & D: D must be a set, got list"),
+    "difference of sets": (lambda: UNIT - UNIT, "C - D is ambiguous"),
+    "product by *": (lambda: UNIT * CONE, r"C \* D is not defined"),
+    "scaled by nan": (lambda: NAN * UNIT, r"scale\[0\] is nan"),
+    "scaled by a vector": (lambda: UNIT * [1, 2], "scale must be one number"),
+    "scaled by text": (lambda: UNIT * "2x", "scale must be an array of numbers"),
+    "cone scaled by 0": (lambda: 0 * CONE, "scale 0 of an unbounded set"),
+    "product of nothing": (lambda: so.product(), "takes one or more sets"),
+    "product with an array": (lambda: so.product(UNIT, [1]), "takes one or more sets"),
+    "image of an array": (lambda: so.image(np.eye(2), [1, 2]), "C must be a set, got list"),
+    "image by a matrix of another width": (
+        lambda: so.image(np.eye(3), UNIT),
+        "M has 3 columns but C has dim 2",
+    ),
+    "image by nan": (lambda: so.image([[1, NAN]], UNIT), r"M\[0, 1\] is nan"),
+    "image by text": (lambda: so.image("M", UNIT), "M must be a matrix of numbers"),
+    "support of another dim": (lambda: UNIT.support([1]), "z must have 2 entries, got 1"),
+    "support of nan": (lambda: SQUARE.support([1, NAN]), r"z\[1\] is nan"),
+    "projection of another dim": (lambda: CONE.project([1, 2, 3]), "w must have 2 entries"),
+    "projection of nan on a point": (lambda: so.Point([1]).project([NAN]), r"w\[0\] is nan"),
+    "containment of text": (lambda: (-UNIT).contains(["x", "y"]), "w must be an array"),
+    "boxes that do not meet": (lambda: SQUARE & (SQUARE.__class__([2, 2], [3, 3])), "Box is empty"),
+}
+
+
+@pytest.mark.parametrize("case", MALFORMED)
+def test_malformed_input_is_refused_by_name(case: str) -> None:
+    make, message = MALFORMED[case]
+    with pytest.raises(so.InputError, match=message):
+        make()
+
+
+@pytest.mark.parametrize(
+    "make",
+    [lambda: so.Box([1], [0]), lambda: so.Polytope(np.zeros((0, 2)))],
+    ids=["box", "polytope"],
+)
+def test_sets_without_a_point_say_that_they_are_empty(make: Any) -> None:
+    with pytest.raises(so.EmptySetError, match="empty"):
+        make()
+
+
+@pytest.mark.parametrize("name", ZOO)
+def test_every_set_refuses_vectors_of_another_shape(name: str) -> None:
+    C = ZOO[name].sample(0).C
+    for wrong in (np.zeros(C.dim + 1), np.zeros((C.dim, 1)), np.full(C.dim, NAN), ["?"] * C.dim):
+        with pytest.raises(so.InputError, match=re.compile("^[wzv]")):
+            C.support(wrong)
+        with pytest.raises(so.InputError, match=re.compile("^[wzv]")):
+            C.project(wrong)

@@ -156,8 +156,8 @@ def _load(source: str | Path | Mapping[str, Any], folder: Path) -> tuple[Mapping
         where, text = "the scene", source
     else:
         path = Path(source)
-        if path.suffix != ".toml" and not path.is_file():
-            path = find_problem(str(source))
+        if isinstance(source, str) and path.suffix != ".toml" and not path.is_file():
+            path = find_problem(source)
         where, folder = str(path), path.parent
         try:
             text = path.read_text(encoding="utf-8")

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.linalg
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix, matrix, number, vector
@@ -54,6 +55,12 @@ class Translation(ConvexSet):
 
     def normal(self, v: np.ndarray) -> np.ndarray:
         return self.part.normal(v - self.v)
+
+    def steps(self, tau: np.ndarray) -> np.ndarray:
+        return self.part.steps(tau)
+
+    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        return self.part.derivative(v - self.v)
 
     def features(self, p: cp.Expression) -> Features:
         y, constraints = self.part.features(p)
@@ -104,6 +111,12 @@ class Scaling(ConvexSet):
     def normal(self, v: np.ndarray) -> np.ndarray:
         return self.factor * self.part.normal(v / self.factor)
 
+    def steps(self, tau: np.ndarray) -> np.ndarray:
+        return self.part.steps(tau)
+
+    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        return self.part.derivative(v / self.factor)
+
     def features(self, p: cp.Expression) -> Features:
         return self.part.features(p)
 
@@ -151,6 +164,12 @@ class Negation(ConvexSet):
 
     def normal(self, v: np.ndarray) -> np.ndarray:
         return -self.part.normal(-v)
+
+    def steps(self, tau: np.ndarray) -> np.ndarray:
+        return self.part.steps(tau)
+
+    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        return self.part.derivative(-v)
 
     def features(self, p: cp.Expression) -> Features:
         return self.part.features(-p)
@@ -214,6 +233,8 @@ class Sum(ConvexSet):
 
     def _nearest(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Points of C and D whose sum is nearest to w, by alternating projections."""
+        if not self.certifiable:
+            return None  # projections that are programs themselves never meet to rounding
 
         def sweep(second: np.ndarray) -> np.ndarray:
             return self.second.project(w - self.first.project(w - second))
@@ -299,7 +320,7 @@ class Intersection(ConvexSet):
     def _repaired(self, w: np.ndarray) -> np.ndarray:
         """The projection by a program, brought into both sets by alternating projections."""
         w = project_by_program(self, w)
-        for _ in range(SWEEPS):
+        for _ in range(SWEEPS if self.certifiable else 0):
             before, w = w, self.second.project(self.first.project(w))
             if np.abs(w - before).max() <= ROUNDING * np.abs(w).max():
                 break
@@ -310,6 +331,8 @@ class Intersection(ConvexSet):
 
         Boyle and Dykstra (1986); each half sweep minimises the dual in one of the two.
         """
+        if not self.certifiable:
+            return None
 
         def sweep(one: np.ndarray) -> np.ndarray:
             return self.first.normal(v - self.second.normal(v - one))
@@ -362,22 +385,29 @@ class Intersection(ConvexSet):
         """Whether alternating projections find a common point, or no plane separates the parts."""
         import cvxpy as cp
 
+        tol, inaccurate = (ROUNDING, 1e-10) if self.certifiable else (1e-7, 1e-6)
+        unit = np.abs(self.offsets).max(initial=0.0)
         b = self.second.project(self.first.project(np.zeros(self.dim)))
-        for _ in range(SWEEPS // 10):
-            a = self.first.project(b)
-            if np.abs(a - b).max() <= ROUNDING * max(np.abs(a).max(), np.abs(b).max()):
-                return True
-            b = self.second.project(a)
+        if self.certifiable:
+            nearest = fixed_point(lambda b: self.second.project(self.first.project(b)), b, b)
+            b = b if nearest is None else nearest
+        a = self.first.project(b)
+        size = max(np.abs(a).max(), np.abs(b).max(), unit)
+        if np.abs(a - b).max() <= tol * size:
+            return True
+        # a plane between the nearest points a and b proves that there is none
+        p = b - a
+        between = -self.first.support(p) - self.second.support(-p)
+        if between > 0.1 * (p @ p):
+            return False
         # max over |p| <= 1 of -sigma(C, p) - sigma(D, -p) is the distance of the parts
-        size = max(np.abs(a).max(), np.abs(b).max())
-        p = cp.Variable(self.dim)
-        one, constraints = self.first.epigraph(p)
-        two, more = self.second.epigraph(-p)
-        problem = cp.Problem(
-            cp.Maximize(-(one + two) / size), [*constraints, *more, cp.norm(p) <= 1]
-        )
+        plane = cp.Variable(self.dim)
+        one, constraints = self.first.epigraph(plane)
+        two, more = self.second.epigraph(-plane)
+        limits = [*constraints, *more, cp.norm(plane) <= 1]
+        problem = cp.Problem(cp.Maximize(-(one + two) / size), limits)
         solve_tightly(problem)
-        return problem.value is not None and problem.value <= (1e-10 if self.certifiable else 1e-6)
+        return problem.value is not None and problem.value <= inaccurate
 
     def magnitude(self) -> float:
         return min(self.first.magnitude(), self.second.magnitude())
@@ -409,6 +439,16 @@ class Product(ConvexSet):
         return np.concatenate(
             [part.normal(block) for part, block in zip(self.parts, blocks, strict=True)]
         )
+
+    def steps(self, tau: np.ndarray) -> np.ndarray:
+        blocks = np.split(tau, self._cuts)
+        return np.concatenate([part.steps(x) for part, x in zip(self.parts, blocks, strict=True)])
+
+    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        blocks = np.split(v, self._cuts)
+        found = [part.derivative(x) for part, x in zip(self.parts, blocks, strict=True)]
+        known = [D if D.ndim == 2 else np.diag(D) for D in found if D is not None]
+        return scipy.linalg.block_diag(*known) if len(known) == len(found) else None
 
     def features(self, p: cp.Expression) -> Features:
         y: list[Any] = []
@@ -533,13 +573,25 @@ class Image(ConvexSet):
         return project_by_program(self, w) if s is None else self.M @ s
 
     def normal(self, v: np.ndarray) -> np.ndarray:
-        if self._dual is None:
-            return v - self.project(v)
-        # twice: the first leaves rounding of v, the second of the normal
-        p = self._dual.project(v)
+        p = v - self.project(v) if self._dual is None else self._dual.project(v)
         if np.abs(p).max() <= ROUNDING * np.abs(v).max():
             return np.zeros(self.dim)
-        return self._dual.project(p)
+        # p holds rounding of v; a second look leaves that of p, as the domain of sigma needs it
+        if self._dual is not None:
+            return self._dual.project(p)
+        if self._closed_form:
+            return self._lifted(p, self._diagonal * self.part.normal(self._solve(v)))
+        return p
+
+    def _lifted(self, p: np.ndarray, inner: np.ndarray) -> np.ndarray:
+        """The vector nearest to p with M^T p = inner, for an injective M."""
+        size = np.abs(p).max()
+        for _ in range(2):
+            change = inner - self.M.T @ p
+            p = p + (
+                self.M @ (change / self._diagonal) if self._pinv is None else self._pinv.T @ change
+            )
+        return p if np.abs(p).max() > ROUNDING * size else np.zeros(self.dim)
 
     def _nearest(self, w: np.ndarray) -> np.ndarray | None:
         """s in C with M s nearest to w, by projected gradients where M mixes."""
@@ -566,13 +618,7 @@ class Image(ConvexSet):
         weights = np.maximum(abs(self.M).T @ tau, np.finfo(float).tiny)
         found = self.part.witness(inner, self._solve(w), weights, y)
         assert found is not None  # the part is certifiable
-        # the p nearest to the given one whose M^T p is the proven normal of the part
-        change = found.p - inner
-        if self._pinv is None:
-            p = p + self.M @ (change / self._diagonal)
-        else:
-            p = p + self._pinv.T @ change
-        return Witness(p, self.M @ found.w, found.gap)
+        return Witness(self._lifted(p, found.p), self.M @ found.w, found.gap)
 
     def _witness_of_nearest(self, v: np.ndarray, step: float) -> Witness:
         """The normal pair of the projection of v."""
@@ -704,11 +750,11 @@ def intersect(C: ConvexSet, D: Any) -> Any:
     if not _is_set("C & D", D):
         return NotImplemented
     require_same_dim("C & D", C, D)
-    rows = as_rows(C), as_rows(D)
-    if rows[0] is None or rows[1] is None or C.dim > ACTIVE_DIM:
+    above, below = as_rows(C), as_rows(D)
+    if above is None or below is None or C.dim > ACTIVE_DIM:
         return Intersection(C, D)
     # rows under rows: again a polyhedron, with its exact projection
-    (G, h), (F, k) = rows
+    (G, h), (F, k) = above, below
     stack = sp.vstack if sp.issparse(G) or sp.issparse(F) else np.vstack
     return Polyhedron(stack([G, F]), np.concatenate([h, k]))
 

@@ -20,6 +20,7 @@ from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
 from sweepopt.checks import vector
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
@@ -56,8 +57,8 @@ class Selection(NamedTuple):
 class ConvexSet(ABC):
     """A non-empty closed convex set C in R^dim.
 
-    A new shape gives `support`, `project`, `offsets` and `features` (and `same_cone` if matrices
-    are part of it); the laws in tests/laws.py then test it.
+    A new shape gives `support`, `project`, `offsets` and `features`, also `same_cone` if matrices
+    are part of it and `normal` if it is unbounded; the laws in tests/laws.py then test it.
 
     Attributes
     ----------
@@ -106,6 +107,24 @@ class ConvexSet(ABC):
         """v - P_C(v), exactly 0 in C; sets with an unbounded direction compute it in dom sigma."""
         return v - self.project(v)
 
+    def steps(self, tau: np.ndarray) -> np.ndarray:
+        """Positive weights near tau in whose metric `project` is the projection too.
+
+        One number for all entries, but for a product of sets one for each factor: every factor
+        keeps its own units.
+        """
+        return np.full(self.dim, float(np.mean(tau)))
+
+    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        """A generalised derivative of `project` at v; None where none is known.
+
+        Returns
+        -------
+        ndarray, shape (dim,) or (dim, dim)
+            A diagonal as a vector.
+        """
+        return None
+
     def witness(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:
@@ -120,9 +139,9 @@ class ConvexSet(ABC):
         y : ndarray, shape (k,)
             The solver's value of the features; holds the split of an intersection.
         """
-        step = float(np.mean(tau))
-        v = w + step * p
-        return Witness(self.normal(v) / step, self.project(v), 0.0)
+        steps = self.steps(tau)
+        v = w + steps * p
+        return Witness(self.normal(v) / steps, self.project(v), 0.0)
 
     def epigraph(self, p: cp.Expression) -> tuple[cp.Expression, list[cp.Constraint]]:
         """The support function as a cvxpy epigraph: minimising `value` gives sigma(C, p).
@@ -217,7 +236,10 @@ class ConvexSet(ABC):
 
 def same_array(a: Any, b: Any) -> bool:
     """Equality of two matrices that is free when they are the same object."""
-    return a is b or (a.shape == b.shape and not (a != b).any())
+    if a is b or a.shape != b.shape or sp.issparse(a) != sp.issparse(b):
+        return a is b
+    different = a != b
+    return not (different.nnz if sp.issparse(different) else different.any())
 
 
 def support_by_program(C: ConvexSet, z: np.ndarray) -> float:

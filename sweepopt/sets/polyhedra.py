@@ -261,9 +261,11 @@ class Constraints(ConvexSet):
     def support(self, z: np.ndarray) -> float:
         import cvxpy as cp
 
-        problem = self._solve(cp.Maximize(vector("z", z, self.dim) @ self._w))
+        z = vector("z", z, self.dim)
+        size = float(np.abs(z).max()) or 1.0
+        problem = self._solve(cp.Maximize((z / size) @ self._w))
         unbounded = problem.status in (cp.UNBOUNDED, cp.UNBOUNDED_INACCURATE)
-        return float("inf") if unbounded else float(problem.value)
+        return float("inf") if unbounded else size * float(problem.value)
 
     def project(self, w: np.ndarray) -> np.ndarray:
         import cvxpy as cp
@@ -303,6 +305,8 @@ class Constraints(ConvexSet):
         solve_tightly(problem)
         if problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE):
             raise EmptySetError("Constraints has no point: no w satisfies the constraints")
+        if problem.value is None:
+            raise SweepoptError(f"Clarabel failed on Constraints: {problem.status}")
         return problem
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.linalg
 
 from sweepopt.checks import number, symmetric, vector
 from sweepopt.errors import EmptySetError, InputError
-from sweepopt.sets.base import ROUNDING, ConvexSet, Features, Witness, same_array
+from sweepopt.sets.base import ROUNDING, ConvexSet, Features, same_array
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -35,6 +36,9 @@ class Point(ConvexSet):
     def project(self, w: np.ndarray) -> np.ndarray:
         vector("w", w, self.dim)
         return self.offsets.copy()
+
+    def derivative(self, v: np.ndarray) -> np.ndarray:
+        return np.zeros(self.dim)
 
     def features(self, p: cp.Expression) -> Features:
         return Features([p], [])
@@ -122,11 +126,11 @@ class Box(ConvexSet):
             constraints.append(p[free] == 0)
         return Features(y, constraints)
 
-    def witness(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray) -> Witness:
-        # separable: each component has its own units
-        v = w + tau * p
-        inside = np.clip(v, self.lower, self.upper)
-        return Witness((v - inside) / tau, inside, 0.0)
+    def steps(self, tau: np.ndarray) -> np.ndarray:
+        return tau
+
+    def derivative(self, v: np.ndarray) -> np.ndarray:
+        return ((v >= self.lower) & (v <= self.upper)).astype(float)
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (
@@ -197,6 +201,9 @@ class Ball(ConvexSet):
         z = vector("z", z, self.dim)
         return float(self.center @ z + self.radius * np.linalg.norm(z))
 
+    def derivative(self, v: np.ndarray) -> np.ndarray:
+        return _ball_derivative(v - self.center, self.radius)
+
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
         arm = w - self.center
@@ -251,12 +258,12 @@ class Balls(ConvexSet):
         sizes = cp.Variable(self.radii.size)
         return Features([sizes], _norms_below(p, sizes, self.block))
 
-    def witness(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray) -> Witness:
-        # separable by ball: each has its own units
-        step = np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)
-        v = w + step * p
-        inside = self.project(v)
-        return Witness((v - inside) / step, inside, 0.0)
+    def steps(self, tau: np.ndarray) -> np.ndarray:
+        return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)
+
+    def derivative(self, v: np.ndarray) -> np.ndarray:
+        arms = v.reshape(-1, self.block)
+        return scipy.linalg.block_diag(*map(_ball_derivative, arms, self.radii))
 
     def same_cone(self, other: ConvexSet) -> bool:
         return isinstance(other, Balls) and (self.block, self.dim) == (other.block, other.dim)
@@ -368,6 +375,15 @@ def dimension(dim: Any) -> int:
     if isinstance(dim, bool) or not isinstance(dim, (int, np.integer)) or dim < 1:
         raise InputError(f"dim must be a positive whole number, got {dim!r}")
     return int(dim)
+
+
+def _ball_derivative(arm: np.ndarray, radius: float) -> np.ndarray:
+    """Derivative of the projection on a ball around 0: I inside, r/|a| (I - n n^T) outside."""
+    length = float(np.linalg.norm(arm))
+    if length <= radius:
+        return np.eye(arm.size)
+    n = arm / length
+    return radius / length * (np.eye(arm.size) - np.outer(n, n))
 
 
 def _norms_below(p: cp.Expression, sizes: cp.Expression, block: int) -> list[cp.Constraint]:

@@ -29,18 +29,17 @@ class Solver(Protocol):
     Attributes
     ----------
     name : str
-    cones : bool
-        Whether sets that are not polyhedra can be treated.
     """
 
     @property
     def name(self) -> str: ...
 
-    @property
-    def cones(self) -> bool: ...
+    def treats(self, C: ConvexSet) -> bool:
+        """Whether programs with this set can be solved."""
+        ...
 
     def compile(self, program: VelocityProgram) -> Solve:
-        """A function (q, C) -> Answer for C with the program's cone; not to be shared by threads."""
+        """A function (q, C) -> Answer for C with this cone; not to be shared by threads."""
         ...
 
     def refined(self) -> Solver | None:

@@ -27,7 +27,10 @@ class Clarabel:
     tol: float = 1e-9
     max_iter: int = 200
     name = "clarabel"
-    cones = True
+
+    def treats(self, C: ConvexSet) -> bool:
+        """Every set."""
+        return True
 
     def refined(self) -> Clarabel | None:
         """Two digits tighter, as far as double precision goes."""

@@ -28,7 +28,10 @@ class OSQP:
     tol: float = 1e-7
     max_iter: int = 5_000
     name = "osqp"
-    cones = False
+
+    def treats(self, C: ConvexSet) -> bool:
+        """Polyhedra."""
+        return C.polyhedral
 
     def refined(self) -> OSQP | None:
         """Two digits tighter, with more iterations."""

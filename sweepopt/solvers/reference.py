@@ -13,6 +13,7 @@ from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
 from sweepopt.solvers.base import Answer, Solve, Solver
 
+QUADRATIC_ONLY = {"OSQP", "PIQP", "PROXQP", "DAQP", "HIGHS"}
 TIGHT: dict[str, dict[str, Any]] = {
     "CLARABEL": {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11},
     "OSQP": {"eps_abs": 1e-10, "eps_rel": 1e-10, "max_iter": 100_000, "polishing": True},
@@ -38,9 +39,9 @@ class Cvxpy:
     def name(self) -> str:
         return f"cvxpy:{self.solver.lower()}"
 
-    @property
-    def cones(self) -> bool:
-        return self.solver.upper() not in {"OSQP", "PIQP", "PROXQP", "DAQP", "HIGHS"}
+    def treats(self, C: ConvexSet) -> bool:
+        """Polyhedra, and every set if the solver is not one for quadratic programs."""
+        return C.polyhedral or self.solver.upper() not in QUADRATIC_ONLY
 
     def refined(self) -> Solver | None:
         """None: the settings are the user's."""

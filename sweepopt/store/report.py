@@ -102,9 +102,9 @@ def solver_name(solution: Solution) -> str:
 
 
 def versions_of(solution: Solution) -> dict[str, str]:
-    """Versions of what computed the solution; its solver is one of them."""
+    """Versions of what computed the solution."""
     solver = solver_name(solution).split(":")[-1]
-    names = ["sweepopt", "numpy", "scipy", "cvxpy", "scikit-fem", solver]
+    names = ["sweepopt", "numpy", "scipy", "cvxpy", "osqp", "clarabel", "scikit-fem", solver]
     found = {}
     for name in dict.fromkeys(names):
         try:

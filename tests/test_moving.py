@@ -1,0 +1,226 @@
+"""Sets that move obey the algebra of sets that do not, at every time."""
+
+# ruff: noqa: RUF005 - C + [1, 2] is a translated set here, not a list
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import sweepopt as so
+
+TIMES = (0.0, 0.3, 2.0)
+G = np.vstack([np.eye(2), -np.eye(2), [[1.0, 1.0]]])
+BALL = so.Ball([0.2, -0.1], 0.8)
+
+
+def offsets(t: float) -> np.ndarray:
+    return np.array([1 + t, 1, 1, 1 + t * t, 1.5])
+
+
+FAMILIES: dict[str, Any] = {
+    "translated": so.Moving(so.Box([-1, -2], [1, 2]), center=lambda t: [np.sin(t), t]),
+    "scaled": so.Moving(BALL, scale=lambda t: 1 + t),
+    "both": so.Moving(so.Ellipsoid([0, 0], [[2, 1], [1, 2]]), lambda t: [t, 1.0], lambda t: 2 - t),
+    "offsets": so.Polyhedron(G, offsets),
+    "any": so.MovingSet(lambda t: so.Ball([t, 0.0], 1 + t)),
+}
+MOVING = pytest.mark.parametrize("C", FAMILIES.values(), ids=FAMILIES)
+
+
+def same(C: so.ConvexSet, D: so.ConvexSet) -> None:
+    """Equal support functions and projections."""
+    rng = np.random.default_rng(0)
+    assert C.dim == D.dim
+    for z in rng.normal(size=(5, C.dim)):
+        np.testing.assert_allclose(C.support(z), D.support(z), atol=1e-7)
+        np.testing.assert_allclose(C.project(4 * z), D.project(4 * z), atol=1e-12)
+
+
+@MOVING
+@pytest.mark.parametrize("t", TIMES)
+@pytest.mark.parametrize(
+    "operation",
+    [
+        lambda C: C + [1.0, 2.0],
+        lambda C: np.array([1.0, 2.0]) + C,
+        lambda C: C - [1.0, 2.0],
+        lambda C: [1.0, 2.0] - C,
+        lambda C: 2.0 * C,
+        lambda C: C * np.float64(0.5),
+        lambda C: -3.0 * C,
+        lambda C: -C,
+        lambda C: C + BALL,
+        lambda C: BALL + C,
+        lambda C: C & so.Ball([0.0, 0.0], 5.0),
+        lambda C: so.Ball([0.0, 0.0], 5.0) & C,
+        lambda C: so.product(C, BALL, C),
+        lambda C: so.image([[1.0, 0.0], [1.0, 1.0], [0.0, 2.0]], C),
+    ],
+    ids=[
+        "C+v",
+        "v+C",
+        "C-v",
+        "v-C",
+        "rC",
+        "Cr",
+        "-rC",
+        "-C",
+        "C+D",
+        "D+C",
+        "C&D",
+        "D&C",
+        "product",
+        "image",
+    ],
+)
+def test_operations_commute_with_time(operation: Any, C: Any, t: float) -> None:
+    same(operation(C).at(t), operation(C.at(t)))
+
+
+@pytest.mark.parametrize("t", TIMES)
+def test_operations_of_two_moving_sets_commute_with_time(t: float) -> None:
+    C, D = FAMILIES["translated"], FAMILIES["any"]
+    same((C + D).at(t), C.at(t) + D.at(t))
+    same(so.product(C, D).at(t), so.product(C.at(t), D.at(t)))
+    E = so.MovingSet(lambda t: so.Ball([0.0, t], 3.0))
+    same((C & E).at(t), C.at(t) & E.at(t))
+
+
+@settings(derandomize=True, deadline=None, max_examples=30, database=None)
+@given(st.floats(-10, 10), st.integers(0, 1000))
+def test_a_moving_set_is_center_plus_scale_times_shape(t: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    shape = so.Polytope(rng.normal(size=(5, 3)))
+    C = so.Moving(shape, center=lambda t: np.full(3, t), scale=lambda t: t * t).at(t)
+    z = rng.normal(size=3)
+    expected = t * z.sum() + t * t * shape.support(z)
+    np.testing.assert_allclose(C.support(z), expected, atol=1e-12)
+
+
+@MOVING
+def test_all_members_share_one_cone(C: Any) -> None:
+    first = C.at(0.0)
+    for t in TIMES[1:]:
+        if t < 2:  # where the scale is 0 the set is a point
+            assert first.same_cone(C.at(t))
+            assert (C & BALL).at(0.0).same_cone((C & BALL).at(t))
+            assert so.image(np.eye(2), C).at(0.0).same_cone(so.image(np.eye(2), C).at(t))
+
+
+def test_members_of_a_polyhedron_with_moving_offsets_share_the_matrix_itself() -> None:
+    C = FAMILIES["offsets"]
+    assert C.at(0.0).G is C.at(1.0).G
+    np.testing.assert_array_equal(C.at(1.0).h, offsets(1.0))
+    np.testing.assert_array_equal(C.at(0.5).offsets, offsets(0.5))
+
+
+def test_a_set_of_scale_zero_is_its_center() -> None:
+    C = so.Moving(BALL, center=[3.0, 4.0], scale=lambda t: 1 - t).at(1.0)
+    assert C.singleton
+    np.testing.assert_array_equal(C.anchor, [3.0, 4.0])
+
+
+def test_a_moving_point_stays_a_point() -> None:
+    C = so.Moving(so.Point([1.0, 0.0]), center=lambda t: [t, t], scale=2.0).at(3.0)
+    assert C.singleton
+    np.testing.assert_array_equal(C.anchor, [5.0, 3.0])
+
+
+def test_the_anchor_is_the_center_of_a_translate() -> None:
+    C = so.Moving(so.Orthant(2), center=lambda t: [t, 2 * t])
+    np.testing.assert_array_equal(C.at(1.5).anchor, [1.5, 3.0])
+
+
+def test_a_set_at_rest_is_the_same_object_at_all_times() -> None:
+    assert BALL.at(0.0) is BALL
+    assert BALL.at(9.0) is BALL
+
+
+def boom(t: float) -> so.ConvexSet:
+    return so.Box([0.0], [1.0 - t])
+
+
+LIST = [so.Box([0.0], [1.0])]
+
+MALFORMED: dict[str, tuple[Any, str]] = {
+    "no function": (lambda: so.MovingSet(BALL), "MovingSet needs a function.*Ball"),
+    "function that returns a number": (lambda: so.MovingSet(lambda t: t), "must be a set.*float"),
+    "function that returns a list": (lambda: so.MovingSet(lambda t: LIST), "must be a set.*list"),
+    "function that returns a moving set": (
+        lambda: so.MovingSet(lambda t: FAMILIES["any"]),
+        "must be a set, got MovingSet",
+    ),
+    "dim that changes": (
+        lambda: so.MovingSet(lambda t: so.Orthant(1 + int(t))).at(2.0),
+        r"C\(t\) at t = 2 has dim 3, not 1",
+    ),
+    "dim that is none": (lambda: so.MovingSet(boom, dim=0), "dim must be a positive"),
+    "shape that moves": (lambda: so.Moving(FAMILIES["any"]), "does not move, got MovingSet"),
+    "shape that is a number": (lambda: so.Moving(1.0), "does not move, got float"),
+    "center of another dim": (lambda: so.Moving(BALL, [1.0]), "center must have 2 entries"),
+    "center(t) of another dim": (
+        lambda: so.Moving(BALL, lambda t: [t]).at(1.0),
+        r"center\(t\) at t = 1 must have 2 entries, got 1",
+    ),
+    "center(t) with nan": (
+        lambda: so.Moving(BALL, lambda t: [0, np.nan]).at(1.0),
+        r"center\(t\) at t = 1\[1\] is nan",
+    ),
+    "center(t) of text": (
+        lambda: so.Moving(BALL, lambda t: "left").at(1.0),
+        r"center\(t\) at t = 1 must be an array of numbers",
+    ),
+    "scale below 0": (lambda: so.Moving(BALL, scale=-1.0), "scale must be >= 0, got -1"),
+    "scale of nan": (lambda: so.Moving(BALL, scale=np.nan), r"scale\[0\] is nan"),
+    "scale(t) below 0": (
+        lambda: so.Moving(BALL, scale=lambda t: 1 - t).at(3.0),
+        r"scale\(t\) at t = 3 must be >= 0, got -2",
+    ),
+    "scale(t) of nothing": (
+        lambda: so.Moving(BALL, scale=lambda t: None).at(3.0),
+        r"scale\(t\) at t = 3",
+    ),
+    "h(t) of another length": (
+        lambda: so.Polyhedron(G, lambda t: [1.0] * (5 if t < 1 else 4)).at(2.0),
+        r"C\(t\) at t = 2: h must have 5 entries, got 4",
+    ),
+    "h(t) with inf": (
+        lambda: so.Polyhedron(G, lambda t: [t, 1, 1, 1, np.inf if t else 1]).at(2.0),
+        r"C\(t\) at t = 2: h\[4\] is inf",
+    ),
+    "sum of two dims": (lambda: FAMILIES["any"] + so.Orthant(3), r"C \+ D: .* 2 and 3"),
+    "intersection of two dims": (lambda: so.Orthant(3) & FAMILIES["any"], "C & D: .* 2 and 3"),
+    "translation of another dim": (lambda: FAMILIES["any"] + [1.0], "v must have 2 entries"),
+    "translation by text": (lambda: FAMILIES["any"] - ["x", "y"], "v must be an array"),
+    "sum with text": (lambda: FAMILIES["any"] + "far", r"C \+ D: D must be a set, got str"),
+    "intersection with None": (lambda: FAMILIES["any"] & None, "D must be a set, got NoneType"),
+    "difference of sets": (lambda: FAMILIES["any"] - BALL, "C - D is ambiguous"),
+    "product by *": (lambda: FAMILIES["any"] * BALL, r"C \* D is not defined"),
+    "product by * from the left": (lambda: BALL * FAMILIES["any"], r"C \* D is not defined"),
+    "scaled by nan": (lambda: np.nan * FAMILIES["any"], r"scale\[0\] is nan"),
+    "image of another width": (lambda: so.image(np.eye(3), FAMILIES["any"]), "C has dim 2"),
+}
+
+
+@pytest.mark.parametrize("case", MALFORMED)
+def test_malformed_motion_is_refused_by_name_and_time(case: str) -> None:
+    make, message = MALFORMED[case]
+    with pytest.raises(so.InputError, match=message):
+        make()
+
+
+def test_a_set_that_becomes_empty_says_when_once() -> None:
+    C = so.MovingSet(boom) & so.Box([-5.0], [5.0])
+    with pytest.raises(so.EmptySetError, match=r"^C\(t\) at t = 1.5: Box is empty"):
+        C.at(1.5)
+    assert C.at(1.0).contains([0.0])
+
+
+def test_moving_offsets_that_leave_no_point_are_found() -> None:
+    C = so.Polyhedron([[1.0], [-1.0]], lambda t: [1 - t, t - 1 - 1e-9 * t])
+    with pytest.raises(so.EmptySetError, match="C\\(t\\) at t = 2 is empty"):
+        C.at(2.0).require_nonempty("C(t) at t = 2")
