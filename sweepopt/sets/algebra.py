@@ -24,6 +24,7 @@ from sweepopt.sets.base import (
     Features,
     Selection,
     Witness,
+    normal_by_program,
     project_by_program,
     same_array,
     solve_tightly,
@@ -309,22 +310,37 @@ class Intersection(ConvexSet):
         return size * support_by_program(self, z / size) if size else 0.0
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        w = vector("w", w, self.dim)
-        split = self._split(w, np.zeros(self.dim))
-        return self._repaired(w) if split is None else w - split[0] - split[1]
+        return self._decompose(vector("w", w, self.dim), np.zeros(self.dim)).w
 
     def normal(self, v: np.ndarray) -> np.ndarray:
-        split = self._split(v, np.zeros(self.dim))
-        return v - self._repaired(v) if split is None else split[0] + split[1]
+        found = self._decompose(v, np.zeros(self.dim))
+        return v - found.w if found.gap else found.p
 
-    def _repaired(self, w: np.ndarray) -> np.ndarray:
-        """The projection by a program, brought into both sets by alternating projections."""
-        w = project_by_program(self, w)
+    def _decompose(self, v: np.ndarray, one: np.ndarray) -> Witness:
+        """w = P(v) and p near v - w, with the gap of p in w: 0 if alternation gets to rounding.
+
+        Alternation starts from the part `one` of the normal. If it comes to no end, it starts again
+        from a program's answer; if that does not help, the program's answer is made feasible.
+        """
+        split = self._split(v, one)
+        if split is None:
+            p, y = normal_by_program(self, v)
+            one, two = y[: self.dim], p - y[: self.dim]
+            split = self._split(v, one)
+        if split is not None:
+            return Witness(split[0] + split[1], v - split[0] - split[1], 0.0)
+        w = v - p
         for _ in range(SWEEPS if self.certifiable else 0):
             before, w = w, self.second.project(self.first.project(w))
             if np.abs(w - before).max() <= ROUNDING * np.abs(w).max():
                 break
-        return w
+        gap, p = 0.0, np.zeros(self.dim)
+        for part, normal in ((self.first, one), (self.second, two)):
+            # exact normals of the parts nearby, at points that miss w by little
+            exact = part.normal(w + normal)
+            gap += float(exact @ (part.project(w + normal) - w))
+            p = p + exact
+        return Witness(p, w, max(gap, np.finfo(float).tiny))
 
     def _split(self, v: np.ndarray, one: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """p_1 in N_C(w), p_2 in N_D(w) with w = v - p_1 - p_2, by Dykstra's alternation from p_1.
@@ -333,6 +349,9 @@ class Intersection(ConvexSet):
         """
         if not self.certifiable:
             return None
+        alone = self.first.normal(v)
+        if not self.second.normal(v - alone).any():
+            return alone, np.zeros(self.dim)
 
         def sweep(one: np.ndarray) -> np.ndarray:
             return self.first.normal(v - self.second.normal(v - one))
@@ -353,20 +372,9 @@ class Intersection(ConvexSet):
     ) -> Witness | None:
         if not self.certifiable:
             return None
-        hint, k = y[: self.dim], self.dim + self.first.offsets.size
         step = float(np.mean(tau))
-        v = w + step * p
-        split = self._split(v, step * hint)
-        if split is not None:
-            return Witness((split[0] + split[1]) / step, v - split[0] - split[1], 0.0)
-        # no split to rounding: the parts' own normals at a common point, and their gap
-        one = self.first.witness(hint, w, tau, y[self.dim : k])
-        two = self.second.witness(p - hint, w, tau, y[k:])
-        assert one is not None  # both parts are certifiable
-        assert two is not None
-        inside = self._repaired(w)
-        gap = one.gap + two.gap + one.p @ (one.w - inside) + two.p @ (two.w - inside)
-        return Witness(one.p + two.p, inside, max(float(gap), 0.0))
+        found = self._decompose(w + step * p, step * y[: self.dim])
+        return Witness(found.p / step, found.w, found.gap / step)
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (
@@ -615,7 +623,7 @@ class Image(ConvexSet):
         if not self._injective:
             return self._witness_of_nearest(w + float(np.mean(tau)) * p, float(np.mean(tau)))
         inner = self.M.T @ p
-        weights = np.maximum(abs(self.M).T @ tau, np.finfo(float).tiny)
+        weights = ((self.M * self.M).T @ tau) / self._diagonal**2  # tau in the units of s
         found = self.part.witness(inner, self._solve(w), weights, y)
         assert found is not None  # the part is certifiable
         return Witness(self._lifted(p, found.p), self.M @ found.w, found.gap)

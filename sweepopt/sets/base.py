@@ -15,6 +15,7 @@ and through the projection on C. Two facts make one small contract enough:
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -257,7 +258,12 @@ def support_by_program(C: ConvexSet, z: np.ndarray) -> float:
 
 
 def project_by_program(C: ConvexSet, w: np.ndarray) -> np.ndarray:
-    """P_C(w) = w - argmin 1/2 |p|^2 - <w, p> + sigma(C, p), for sets without a closed form.
+    """P_C(w), for sets without a closed form."""
+    return w - normal_by_program(C, w)[0]
+
+
+def normal_by_program(C: ConvexSet, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """w - P_C(w) = argmin 1/2 |p|^2 - <w, p> + sigma(C, p), and the value of its features.
 
     A solver's gap leaves an error of its square root, relative to the unit of length. So the
     program is solved in units of the size of the data, and where |p| turns out to be much smaller
@@ -266,26 +272,26 @@ def project_by_program(C: ConvexSet, w: np.ndarray) -> np.ndarray:
     import cvxpy as cp
 
     p = cp.Variable(C.dim)
-    value, constraints = C.epigraph(p)
+    features, constraints = C.features(p)
+    y = cp.hstack(features) if features else cp.Constant(np.zeros(1))
+    offsets = C.offsets if features else np.zeros(1)
     size = float(max(np.abs(w).max(initial=0.0), np.abs(C.offsets).max(initial=0.0))) or 1.0
 
-    def solve(unit: float) -> tuple[np.ndarray | None, str]:
-        objective = 0.5 * cp.sum_squares(p) + (value - w @ p) / unit
+    def solve(unit: float) -> tuple[np.ndarray, np.ndarray]:
+        objective = 0.5 * cp.sum_squares(p) + (offsets @ y - w @ p) / unit
         problem = cp.Problem(cp.Minimize(objective), constraints)
         solve_tightly(problem)
-        return (None if p.value is None else unit * p.value), problem.status
+        if p.value is None:
+            raise EmptySetError(f"{type(C).__name__} has no point ({problem.status})")
+        return unit * p.value, unit * y.value
 
-    normal, status = solve(size)
-    if normal is None:
-        raise EmptySetError(f"{type(C).__name__} has no point ({status})")
-    distance = float(np.linalg.norm(normal))
+    found = solve(size)
+    distance = float(np.linalg.norm(found[0]))
     if distance < 0.01 * size:
-        try:
-            refined, _ = solve(max(distance, 1e-6 * size))
-        except SweepoptError:
-            refined = None
-        normal = normal if refined is None else refined
-    return w - normal
+        # a failure at this scale says nothing about the set
+        with contextlib.suppress(SweepoptError):
+            found = solve(max(distance, 1e-6 * size))
+    return found
 
 
 def solve_tightly(problem: cp.Problem) -> None:
