@@ -142,6 +142,11 @@ class Plan:
 
         return solve
 
+    @property
+    def eliminated(self) -> int:
+        """How many unknowns leave the program before it is solved."""
+        return 0 if self.contact is None else self.unknowns - len(self.contact)
+
     def _ladder(self) -> list[Solver]:
         """The solver, its refinements, then the other solvers and theirs."""
         rungs: list[Solver] = []
@@ -157,7 +162,7 @@ class Plan:
         lines = [
             f"unknowns            {self.unknowns}",
             f"nonsmooth unknowns  {self.nonsmooth_unknowns}",
-            f"eliminated          {0 if self.contact is None else self.unknowns - len(self.contact)}",
+            f"eliminated          {self.eliminated}",
             f"scheme              {self.scheme.name} (order {self.scheme.order})",
             f"solver              {solver}",
             f"tolerance           {self.tol:g} (relative certificate of each program)",

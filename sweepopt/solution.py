@@ -123,9 +123,9 @@ class Solution:
         ----------
         t : float or array_like, shape (k,), optional
             Without it: for each step a bound of the distance of the stage's M z + q to its C, from
-            the certificate: |.|_{A^-1} <= sqrt(1 + mu a_kk Lam) |.|_{M^-1}. With it: the distance of
-            A u_n'(t) + B u_n(t) to C(t), u_n' the left derivative (the right one at t[0]); O(mu)
-            for the first-order schemes.
+            the certificate: |.|_{A^-1} <= sqrt(1 + mu a_kk Lam) |.|_{M^-1}. With it: the distance
+            of A u_n'(t) + B u_n(t) to C(t), u_n' the left derivative (the right one at t[0]);
+            O(mu) for the first-order schemes.
 
         Returns
         -------

@@ -66,11 +66,9 @@ def test_clarabel_osqp_and_plain_cvxpy_agree_at_the_tolerance_they_carry(name: s
         assert apart <= 2 * growth * carried + 1e-13
 
 
-@pytest.mark.parametrize("name", [name for name in SETS if name != "S04"])
+@pytest.mark.parametrize("name", [name for name in SETS if name not in ("S04", "L13")])
 def test_a_process_made_from_its_variational_inequality_gives_the_same_numbers(name: str) -> None:
     this = case(name)
-    if not isinstance(this.process.C, so.Moving):
-        pytest.skip("not written as a translate")
     again = this.process.as_vi().as_sweeping()
     one = run(this, 101, "auto")
     with warnings.catch_warnings():

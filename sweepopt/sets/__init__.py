@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 
 from sweepopt.errors import InputError
-from sweepopt.sets.algebra import Image, Product
+from sweepopt.sets.algebra import Product
 from sweepopt.sets.base import ConvexSet, Features, Witness
+from sweepopt.sets.constraints import Constraints
+from sweepopt.sets.image import Image
 from sweepopt.sets.moving import Moving, MovingSet
-from sweepopt.sets.polyhedra import Constraints, HalfSpace, Polyhedron, Polytope
+from sweepopt.sets.polyhedra import HalfSpace, Polyhedron, Polytope
 from sweepopt.sets.shapes import (
     Ball,
     Balls,

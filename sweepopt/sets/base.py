@@ -15,8 +15,6 @@ and through the projection on C. Two facts make one small contract enough:
 
 from __future__ import annotations
 
-import contextlib
-import warnings
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -24,7 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import vector
-from sweepopt.errors import EmptySetError, InputError, SweepoptError
+from sweepopt.errors import InputError
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -191,6 +189,10 @@ class ConvexSet(ABC):
         """The few unknowns C acts on, if it is the image of a set under a selection of them."""
         return None
 
+    def rows(self) -> tuple[Any, np.ndarray] | None:
+        """G and h with C = { w : G w <= h }, if C is written so."""
+        return None
+
     def polar(self) -> ConvexSet:
         """The polar cone { p : <p, w> <= 0 for all w in C }."""
         raise InputError(f"{type(self).__name__} is not a cone; polar() is defined for cones only")
@@ -243,67 +245,7 @@ def same_array(a: Any, b: Any) -> bool:
     return not (different.nnz if sp.issparse(different) else different.any())
 
 
-def support_by_program(C: ConvexSet, z: np.ndarray) -> float:
-    """sigma(C, z) from its epigraph, for sets without a closed form; infeasible means +inf."""
-    import cvxpy as cp
-
-    value, constraints = C.epigraph(cp.Constant(z))
-    problem = cp.Problem(cp.Minimize(value), constraints)
-    solve_tightly(problem)
-    if problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE):
-        return float("inf")
-    if problem.value is None or not np.isfinite(problem.value):
-        raise EmptySetError(f"{type(C).__name__} has no point: its support function is not finite")
-    return float(problem.value)
-
-
-def project_by_program(C: ConvexSet, w: np.ndarray) -> np.ndarray:
-    """P_C(w), for sets without a closed form."""
-    return w - normal_by_program(C, w)[0]
-
-
-def normal_by_program(C: ConvexSet, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """w - P_C(w) = argmin 1/2 |p|^2 - <w, p> + sigma(C, p), and the value of its features.
-
-    A solver's gap leaves an error of its square root, relative to the unit of length. So the
-    program is solved in units of the size of the data, and where |p| turns out to be much smaller
-    once more in units of |p|.
-    """
-    import cvxpy as cp
-
-    p = cp.Variable(C.dim)
-    features, constraints = C.features(p)
-    y = cp.hstack(features) if features else cp.Constant(np.zeros(1))
-    offsets = C.offsets if features else np.zeros(1)
-    size = float(max(np.abs(w).max(initial=0.0), np.abs(C.offsets).max(initial=0.0))) or 1.0
-
-    def solve(unit: float) -> tuple[np.ndarray, np.ndarray]:
-        objective = 0.5 * cp.sum_squares(p) + (offsets @ y - w @ p) / unit
-        problem = cp.Problem(cp.Minimize(objective), constraints)
-        solve_tightly(problem)
-        if p.value is None:
-            raise EmptySetError(f"{type(C).__name__} has no point ({problem.status})")
-        return unit * p.value, unit * y.value
-
-    found = solve(size)
-    distance = float(np.linalg.norm(found[0]))
-    if distance < 0.01 * size:
-        # a failure at this scale says nothing about the set
-        with contextlib.suppress(SweepoptError):
-            found = solve(max(distance, 1e-6 * size))
-    return found
-
-
-def solve_tightly(problem: cp.Problem) -> None:
-    """Solve a small side program with Clarabel as far as double precision goes.
-
-    Its "inaccurate" only means that 1e-12 was not reached; whoever calls checks the answer.
-    """
-    import cvxpy as cp
-
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Solution may be inaccurate")
-        try:
-            problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-12, tol_gap_rel=1e-12, tol_feas=1e-12)
-        except cp.SolverError as error:
-            raise SweepoptError(f"Clarabel failed on a side program: {error}") from error
+def require_same_dim(what: str, C: Any, D: Any) -> None:
+    """Raise InputError if the two sets live in different spaces."""
+    if C.dim != D.dim:
+        raise InputError(f"{what}: the sets have dim {C.dim} and {D.dim}; they must be equal")

@@ -15,7 +15,7 @@ import numpy as np
 from sweepopt.checks import number, vector
 from sweepopt.errors import InputError
 from sweepopt.sets import algebra
-from sweepopt.sets.base import ConvexSet
+from sweepopt.sets.base import ConvexSet, require_same_dim
 from sweepopt.sets.shapes import Point, dimension
 
 
@@ -103,7 +103,7 @@ class MovingSet:
     def _check(self, what: str, other: Any) -> None:
         if not isinstance(other, (MovingSet, ConvexSet)):
             raise InputError(f"{what}: D must be a set, got {type(other).__name__}")
-        algebra.require_same_dim(what, self, other)
+        require_same_dim(what, self, other)
 
 
 class Moving(MovingSet):

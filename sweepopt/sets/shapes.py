@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.linalg
+import scipy.sparse as sp
 
 from sweepopt.checks import number, symmetric, vector
 from sweepopt.errors import EmptySetError, InputError
@@ -141,6 +142,13 @@ class Box(ConvexSet):
 
     def magnitude(self) -> float:
         return float(np.linalg.norm(np.maximum(abs(self.lower), abs(self.upper))))
+
+    def rows(self) -> tuple[Any, np.ndarray] | None:
+        above, below = np.isfinite(self.upper), np.isfinite(self.lower)
+        identity = sp.eye_array(self.dim, format="csr") if self.dim > 100 else np.eye(self.dim)
+        stack = sp.vstack if self.dim > 100 else np.vstack
+        G = stack([identity[above], -identity[below]])
+        return G, np.concatenate([self.upper[above], -self.lower[below]])
 
     def polar(self) -> ConvexSet:
         ends = np.concatenate([self.lower, self.upper])

@@ -1,0 +1,215 @@
+"""The linear image of a set:  sigma(M C, z) = sigma(C, M^T z)."""
+
+from __future__ import annotations
+
+import copy
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from sweepopt.checks import Matrix, matrix, vector
+from sweepopt.errors import InputError
+from sweepopt.sets.base import (
+    ROUNDING,
+    ConvexSet,
+    Features,
+    Selection,
+    Witness,
+    require_same_dim,
+    same_array,
+)
+from sweepopt.sets.iteration import (
+    fixed_point,
+    project_by_program,
+)
+from sweepopt.sets.shapes import Box
+
+if TYPE_CHECKING:
+    import cvxpy as cp
+
+
+class Image(ConvexSet):
+    """{ M s : s in C }, C in R^m, M of shape (dim, m).
+
+    With M = E^T selecting a few of many unknowns this is how contact enters a large body: the
+    set acts on m unknowns only, and a plan can eliminate the others.
+    """
+
+    def __init__(self, M: Any, part: ConvexSet) -> None:
+        self.M = matrix("M", M)
+        self.dim, columns = self.M.shape
+        if columns != part.dim:
+            raise InputError(f"image(M, C): M has {columns} columns but C has dim {part.dim}")
+        self._selected = _selected(self.M)
+        gram = self.M.T @ self.M
+        gram = gram.toarray() if sp.issparse(gram) and columns <= 2000 else gram
+        self._diagonal = gram.diagonal()
+        largest = float(self._diagonal.max())
+        away = abs(gram - sp.diags_array(self._diagonal)).max()
+        self._orthogonal = bool(away <= ROUNDING * largest)
+        self._uniform = bool(np.ptp(self._diagonal) <= ROUNDING * largest)
+        # rank decides whether M^T z reaches every direction of R^m
+        if self._orthogonal:
+            self._pinv, self._square_norm = None, largest
+            self._injective = bool((self._diagonal > 0).all())
+        else:
+            full = _dense(self.M)
+            self._pinv = np.linalg.pinv(full)
+            self._square_norm = float(np.linalg.norm(full, 2)) ** 2
+            self._injective = bool(np.linalg.matrix_rank(full) == columns)
+        self._set_part(part)
+
+    def _set_part(self, part: ConvexSet) -> None:
+        self.part, self.offsets = part, part.offsets
+        self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
+        separable = isinstance(part, Box) or self._uniform
+        self._closed_form = self._orthogonal and self._injective and separable
+        # a cone of generators: by Moreau its normals are the projections on the polar polyhedron
+        cone = isinstance(part, Box) and not part.offsets.any()
+        self._dual = self._polar_rows() if cone and not self._closed_form else None
+
+    def with_part(self, part: ConvexSet) -> Image:
+        """{ M s : s in part } with all that depends on M alone taken over."""
+        require_same_dim("image(M, C)", self.part, part)
+        other = copy.copy(self)
+        other._set_part(part)
+        return other
+
+    def _solve(self, w: np.ndarray) -> np.ndarray:
+        """The s of least norm with M s nearest to w."""
+        if self._pinv is not None:
+            return self._pinv @ w
+        safe = np.where(self._diagonal > 0, self._diagonal, 1.0)
+        return (self.M.T @ w) / safe
+
+    def _pulled_back(self, z: np.ndarray) -> np.ndarray:
+        """M^T z; an entry that is nothing but rounding is 0, so that it meets sigma's domain."""
+        inner = self.M.T @ z
+        inner[np.abs(inner) <= 2 * ROUNDING * (abs(self.M).T @ np.abs(z))] = 0.0
+        return inner
+
+    def support(self, z: np.ndarray) -> float:
+        return self.part.support(self._pulled_back(vector("z", z, self.dim)))
+
+    def project(self, w: np.ndarray) -> np.ndarray:
+        w = vector("w", w, self.dim)
+        if self._dual is not None:
+            return w - self._dual.project(w)
+        s = self._nearest(w)
+        return project_by_program(self, w) if s is None else self.M @ s
+
+    def normal(self, v: np.ndarray) -> np.ndarray:
+        p = v - self.project(v) if self._dual is None else self._dual.project(v)
+        if np.abs(p).max() <= ROUNDING * np.abs(v).max():
+            return np.zeros(self.dim)
+        # p holds rounding of v; a second look leaves that of p, as the domain of sigma needs it
+        if self._dual is not None:
+            return self._dual.project(p)
+        if self._closed_form:
+            return self._lifted(p, self._diagonal * self.part.normal(self._solve(v)))
+        return p
+
+    def _lifted(self, p: np.ndarray, inner: np.ndarray) -> np.ndarray:
+        """The vector nearest to p with M^T p = inner, for an injective M."""
+        size = np.abs(p).max()
+        for _ in range(2):
+            change = inner - self.M.T @ p
+            p = p + (
+                self.M @ (change / self._diagonal) if self._pinv is None else self._pinv.T @ change
+            )
+        return p if np.abs(p).max() > ROUNDING * size else np.zeros(self.dim)
+
+    def _nearest(self, w: np.ndarray) -> np.ndarray | None:
+        """s in C with M s nearest to w, by projected gradients where M mixes."""
+        s = self.part.project(self._solve(w))
+        if self._closed_form or not self._square_norm:
+            return s
+
+        def descend(s: np.ndarray) -> np.ndarray:
+            return self.part.project(s - self.M.T @ (self.M @ s - w) / self._square_norm)
+
+        return fixed_point(descend, s, s)
+
+    def features(self, p: cp.Expression) -> Features:
+        return self.part.features(self.M.T @ p)
+
+    def witness(
+        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
+    ) -> Witness | None:
+        if not self.certifiable:
+            return None
+        if not self._injective:
+            return self._witness_of_nearest(w + float(np.mean(tau)) * p, float(np.mean(tau)))
+        inner = self.M.T @ p
+        weights = ((self.M * self.M).T @ tau) / self._diagonal**2  # tau in the units of s
+        found = self.part.witness(inner, self._solve(w), weights, y)
+        assert found is not None  # the part is certifiable
+        return Witness(self._lifted(p, found.p), self.M @ found.w, found.gap)
+
+    def _witness_of_nearest(self, v: np.ndarray, step: float) -> Witness:
+        """The normal pair of the projection of v."""
+        if self._dual is not None:
+            normal = self.normal(v)
+            return Witness(normal / step, v - normal, 0.0)
+        s = self._nearest(v)
+        if s is not None:
+            return Witness((v - self.M @ s) / step, self.M @ s, 0.0)
+        # not to rounding: the parameters nearest to the program's answer, and what they miss
+        normal = v - project_by_program(self, v)
+        s = self.part.project(self._solve(v - normal))
+        inner = self._pulled_back(normal / step)
+        gap = self.part.support(inner) - float(inner @ s)
+        return Witness(normal / step, self.M @ s, max(gap, 0.0))
+
+    def same_cone(self, other: ConvexSet) -> bool:
+        return (
+            isinstance(other, Image)
+            and same_array(self.M, other.M)
+            and self.part.same_cone(other.part)
+        )
+
+    def require_nonempty(self, where: str = "C") -> None:
+        self.part.require_nonempty(where)
+
+    def magnitude(self) -> float:
+        norm = np.sqrt(self._diagonal.max()) if self._orthogonal else np.linalg.norm(_dense(self.M))
+        return float(norm) * self.part.magnitude()
+
+    @property
+    def nonsmooth_dim(self) -> int:
+        return self.part.nonsmooth_dim
+
+    def selection(self) -> Selection | None:
+        if self._selected is None:
+            return None
+        return Selection(self._selected, self.part, np.zeros(self.dim))
+
+    def polar(self) -> ConvexSet:
+        if not isinstance(self.part, Box) or self.part.offsets.any():
+            raise InputError("polar of an image is known for images of orthants only")
+        return self._polar_rows()
+
+    def _polar_rows(self) -> ConvexSet:
+        """<p, M s> <= 0 for all s of the cone: M^T p is in its polar, row by row."""
+        from sweepopt.sets.polyhedra import Polyhedron
+
+        rows = self.part.polar().rows()
+        assert rows is not None  # the polar of a box is a box
+        return Polyhedron(rows[0] @ self.M.T, rows[1])
+
+
+def _selected(M: Matrix) -> np.ndarray | None:
+    """The rows that M picks, if its columns are distinct unit vectors."""
+    entries = sp.coo_array(M)
+    entries.eliminate_zeros()
+    rows = np.zeros(M.shape[1], dtype=int)
+    rows[entries.col] = entries.row
+    if entries.nnz != M.shape[1] or not (entries.data == 1).all():
+        return None
+    distinct = np.unique(entries.col).size == np.unique(entries.row).size == entries.nnz
+    return rows if distinct else None
+
+
+def _dense(M: Any) -> np.ndarray:
+    return M.toarray() if sp.issparse(M) else M

@@ -1,0 +1,123 @@
+"""Projections and supports that have no closed form: a cone program, and a fixed point."""
+
+from __future__ import annotations
+
+import contextlib
+import warnings
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sweepopt.errors import EmptySetError, SweepoptError
+from sweepopt.sets.base import ROUNDING, ConvexSet
+
+if TYPE_CHECKING:
+    import cvxpy as cp
+
+SWEEPS = 500  # alternating projections before a program takes over
+MEMORY = 10  # steps that Anderson's acceleration looks back
+RUNAWAY = 1e3  # the longest step of it, in units of the data
+
+
+def support_by_program(C: ConvexSet, z: np.ndarray) -> float:
+    """sigma(C, z) from its epigraph, for sets without a closed form; infeasible means +inf."""
+    import cvxpy as cp
+
+    value, constraints = C.epigraph(cp.Constant(z))
+    problem = cp.Problem(cp.Minimize(value), constraints)
+    solve_tightly(problem)
+    if problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE):
+        return float("inf")
+    if problem.value is None or not np.isfinite(problem.value):
+        raise EmptySetError(f"{type(C).__name__} has no point: its support function is not finite")
+    return float(problem.value)
+
+
+def project_by_program(C: ConvexSet, w: np.ndarray) -> np.ndarray:
+    """P_C(w), for sets without a closed form."""
+    return w - normal_by_program(C, w)[0]
+
+
+def normal_by_program(C: ConvexSet, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """w - P_C(w) = argmin 1/2 |p|^2 - <w, p> + sigma(C, p), and the value of its features.
+
+    A solver's gap leaves an error of its square root, relative to the unit of length. So the
+    program is solved in units of the size of the data, and where |p| turns out to be much smaller
+    once more in units of |p|.
+    """
+    import cvxpy as cp
+
+    p = cp.Variable(C.dim)
+    features, constraints = C.features(p)
+    y = cp.hstack(features) if features else cp.Constant(np.zeros(1))
+    offsets = C.offsets if features else np.zeros(1)
+    size = float(max(np.abs(w).max(initial=0.0), np.abs(C.offsets).max(initial=0.0))) or 1.0
+
+    def solve(unit: float) -> tuple[np.ndarray, np.ndarray]:
+        objective = 0.5 * cp.sum_squares(p) + (offsets @ y - w @ p) / unit
+        problem = cp.Problem(cp.Minimize(objective), constraints)
+        solve_tightly(problem)
+        if p.value is None:
+            raise EmptySetError(f"{type(C).__name__} has no point ({problem.status})")
+        return unit * p.value, unit * y.value
+
+    found = solve(size)
+    distance = float(np.linalg.norm(found[0]))
+    if distance < 0.01 * size:
+        # a failure at this scale says nothing about the set
+        with contextlib.suppress(SweepoptError):
+            found = solve(max(distance, 1e-6 * size))
+    return found
+
+
+def solve_tightly(problem: cp.Problem) -> None:
+    """Solve a small side program with Clarabel as far as double precision goes.
+
+    Its "inaccurate" only means that 1e-12 was not reached; whoever calls checks the answer.
+    """
+    import cvxpy as cp
+
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Solution may be inaccurate")
+        try:
+            problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-12, tol_gap_rel=1e-12, tol_feas=1e-12)
+        except cp.SolverError as error:
+            raise SweepoptError(f"Clarabel failed on a side program: {error}") from error
+
+
+def fixed_point(
+    step: Callable[[np.ndarray], np.ndarray], x: np.ndarray, like: np.ndarray
+) -> np.ndarray | None:
+    """x = step(x) to rounding for a nonexpansive step; None if SWEEPS do not suffice.
+
+    Anderson's acceleration (Walker and Ni, SIAM J. Numer. Anal. 49, 2011), with the plain
+    iteration, whose residual never grows, as the safeguard of Zhang, O'Donoghue and Boyd (2020).
+
+    Parameters
+    ----------
+    step : callable
+    x : ndarray, shape (dim,)
+        Start.
+    like : ndarray
+        Data in the units of x: rounding is relative to the larger of the two.
+    """
+    images: list[np.ndarray] = []
+    residuals: list[np.ndarray] = []
+    size = float(max(np.abs(like).max(initial=0.0), np.abs(x).max()))
+    for _ in range(SWEEPS):
+        image = step(x)
+        residual = image - x
+        if np.abs(residual).max() <= ROUNDING * max(size, np.abs(image).max()):
+            return image
+        if residuals and np.linalg.norm(residual) > np.linalg.norm(residuals[-1]):
+            x, images, residuals = images[-1], [], []
+            continue
+        images, residuals = [*images[-MEMORY:], image], [*residuals[-MEMORY:], residual]
+        x = image
+        if len(images) > 1:
+            mix = np.linalg.lstsq(np.diff(residuals, axis=0).T, residual, rcond=1e-12)[0]
+            ahead = image - np.diff(images, axis=0).T @ mix
+            # no fixed point: the acceleration runs off, and would hide the residual in its size
+            x = ahead if np.abs(ahead).max() <= RUNAWAY * size else image
+    return None
