@@ -9,9 +9,13 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
+from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
 from sweepopt.checks import Matrix
 from sweepopt.errors import InputError
+
+SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+SMALL = 50  # below this dense eigenvalues are cheaper than Lanczos
 
 
 class Factor:
@@ -22,9 +26,6 @@ class Factor:
     M : ndarray or sparse, shape (dim, dim)
     name : str
         How error messages call M.
-    last : ndarray of int, optional
-        Unknowns to be eliminated last: their Schur complement is then the trailing block of the
-        factor, for free.
 
     Raises
     ------
@@ -32,7 +33,7 @@ class Factor:
         If M is not positive definite.
     """
 
-    def __init__(self, M: Matrix, name: str = "M", last: np.ndarray | None = None) -> None:
+    def __init__(self, M: Matrix, name: str = "M") -> None:
         self.M, self.dim = M, M.shape[0]
         self.diagonal = np.asarray(M.diagonal(), dtype=float)
         if not (self.diagonal > 0).all():
@@ -42,66 +43,35 @@ class Factor:
             )
         # unit diagonal: the test for definiteness and the solves do not depend on units
         self._root = np.sqrt(self.diagonal)
-        self._last = np.zeros(0, dtype=int) if last is None else last
-        first = np.setdiff1d(np.arange(self.dim), self._last)
         try:
             if sp.issparse(M):
                 weights = sp.diags_array(1 / self._root)
-                pivots = self._factorise_sparse(sp.csr_array(weights @ M @ weights), first)
+                pivots = self._factorise_sparse(sp.csr_array(weights @ M @ weights))
             else:
-                pivots = self._factorisedense(M / np.outer(self._root, self._root), first)
+                pivots = self._factorise_dense(M / np.outer(self._root, self._root))
         except (scipy.linalg.LinAlgError, RuntimeError):
             pivots = np.zeros(1)
         if not pivots.min() > 16 * np.finfo(float).eps:
             raise InputError(f"{name} must be positive definite; it has an eigenvalue <= 0")
 
-    def _factorise_sparse(self, M: sp.csr_array, first: np.ndarray) -> np.ndarray:
-        options: dict[str, Any] = {
-            "diag_pivot_thresh": 0.0,
-            "options": {"SymmetricMode": True},
-        }
-        if self._last.size:
-            inner = sp.csc_matrix(M[first][:, first])
-            # a factorisation of the others tells their order of little fill
-            order = spla.splu(inner, permc_spec="MMD_AT_PLUS_A", **options).perm_c
-            first = first[np.argsort(order)]
-            self._order = np.concatenate([first, self._last])
-            ordered = sp.csc_matrix(M[self._order][:, self._order])
-            self._lu = spla.splu(ordered, permc_spec="NATURAL", **options)
-        else:
-            self._order = first
-            self._lu = spla.splu(sp.csc_matrix(M), permc_spec="MMD_AT_PLUS_A", **options)
+    def _factorise_sparse(self, M: sp.csr_array) -> np.ndarray:
+        self._lu = spla.splu(sp.csc_matrix(M), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC)
         # with pivots on the diagonal their signs are the inertia (Sylvester)
         return self._lu.U.diagonal()
 
-    def _factorisedense(self, M: np.ndarray, first: np.ndarray) -> np.ndarray:
-        self._order = np.concatenate([first, self._last])
-        ordered = M[np.ix_(self._order, self._order)]
-        self._cholesky = scipy.linalg.cho_factor(ordered, lower=True)
+    def _factorise_dense(self, M: np.ndarray) -> np.ndarray:
+        self._cholesky = scipy.linalg.cho_factor(M, lower=True)
         return self._cholesky[0].diagonal() ** 2
 
-    def schur(self) -> np.ndarray:
-        """N = (E M^-1 E^T)^-1 for the selection E of the unknowns put last, shape (m, m)."""
-        m = self._last.size
+    def _solve(self, w: np.ndarray) -> np.ndarray:
+        """Solve with the matrix of unit diagonal."""
         if sp.issparse(self.M):
-            lower, upper = self._lu.L[-m:, -m:], self._lu.U[-m:, -m:]
-            trailing = (lower @ upper).toarray()
-        else:
-            lower = np.tril(self._cholesky[0][-m:, -m:])
-            trailing = lower @ lower.T
-        root = self._root[self._last]
-        return 0.5 * (trailing + trailing.T) * np.outer(root, root)
+            return self._lu.solve(w)
+        return lapack.dpotrs(self._cholesky[0], w, lower=True)[0]
 
     def solve(self, w: np.ndarray) -> np.ndarray:
         """M^-1 w."""
-        ordered = (w / self._root)[self._order]
-        if sp.issparse(self.M):
-            solved = self._lu.solve(ordered)
-        else:
-            solved = scipy.linalg.cho_solve(self._cholesky, ordered, check_finite=False)
-        z = np.empty_like(solved)
-        z[self._order] = solved
-        return z / self._root
+        return self._solve(w / self._root) / self._root
 
     def dual_norm_bound(self, w: np.ndarray) -> float:
         """A bound of |w|_{M^-1} that costs no solve: |D^-1/2 w| / sqrt(lambda_min), D = diag(M).
@@ -112,15 +82,11 @@ class Factor:
 
     @cached_property
     def _bound_factor(self) -> float:
-        # Lanczos meets the largest eigenvalue of the inverse from below: 1 % on top covers it
-        inverse = spla.LinearOperator(
-            (self.dim, self.dim),
-            matvec=lambda x: self._root * self.solve(self._root * x),
-            dtype=float,
-        )
-        if self.dim < 50:
-            columns = [inverse.matvec(e) for e in np.eye(self.dim)]
+        if self.dim < SMALL:
+            columns = [self._solve(e) for e in np.eye(self.dim)]
             return float(np.sqrt(np.linalg.eigvalsh(np.array(columns))[-1]))
+        # Lanczos meets the largest eigenvalue of the inverse from below: 1 % on top covers it
+        inverse = spla.LinearOperator((self.dim, self.dim), matvec=self._solve, dtype=float)
         start = np.ones(self.dim)
         largest = spla.eigsh(
             inverse, k=1, which="LA", v0=start, tol=1e-3, return_eigenvectors=False
@@ -137,7 +103,7 @@ class Factor:
 
     def smallest_eigenvalue(self) -> float:
         """beta: the largest number with <Mx, x> >= beta |x|^2."""
-        if not sp.issparse(self.M) or self.dim < 50:
+        if not sp.issparse(self.M) or self.dim < SMALL:
             return float(np.linalg.eigvalsh(dense(self.M))[0])
         inverse = spla.LinearOperator((self.dim, self.dim), matvec=self.solve, dtype=float)
         start = np.ones(self.dim)
@@ -147,7 +113,7 @@ class Factor:
 
     def largest_ratio(self, B: Matrix) -> float:
         """Lam: the largest eigenvalue of M^-1 B, for B positive semidefinite."""
-        if not sp.issparse(self.M) or self.dim < 50:
+        if not sp.issparse(self.M) or self.dim < SMALL:
             return float(scipy.linalg.eigh(dense(B), dense(self.M), eigvals_only=True)[-1])
         inverse = spla.LinearOperator((self.dim, self.dim), matvec=self.solve, dtype=float)
         start = np.ones(self.dim)
@@ -158,9 +124,88 @@ class Factor:
         )
 
 
+class Elimination(Factor):
+    """A factorisation L D L^T that ends with a few unknowns, to eliminate all others exactly.
+
+    For M z = r + E^T s, E selecting the unknowns, one forward and one backward substitution frame
+    a problem for zeta = E z alone, with the Schur complement N = (E M^-1 E^T)^-1, which is the
+    trailing block of the factor: a step costs as much as one without the set.
+
+    Parameters
+    ----------
+    M : ndarray or sparse, shape (dim, dim)
+    unknowns : ndarray of int, shape (m,)
+        The unknowns to keep.
+    """
+
+    def __init__(self, M: Matrix, unknowns: np.ndarray) -> None:
+        self.unknowns = unknowns
+        super().__init__(M)
+        m = unknowns.size
+        tail = self._lower[-m:, -m:]
+        self._tail = tail.toarray() if sp.issparse(tail) else tail
+        # forward substitution leaves D as it is: the tail of L D^1/2 is a Cholesky factor
+        self._tail = self._tail * np.sqrt(self._pivots[-m:])
+        root = self._root[unknowns]
+        self.N = (self._tail @ self._tail.T) * np.outer(root, root)
+
+    def _factorise_sparse(self, M: sp.csr_array) -> np.ndarray:
+        first = np.setdiff1d(np.arange(self.dim), self.unknowns)
+        if first.size:
+            inner = sp.csc_matrix(M[first][:, first])
+            # a factorisation of the others tells their order of little fill
+            order = spla.splu(inner, permc_spec="MMD_AT_PLUS_A", **SYMMETRIC).perm_c
+            first = first[np.argsort(order)]
+        self._order = np.concatenate([first, self.unknowns])
+        ordered = sp.csc_matrix(M[self._order][:, self._order])
+        lu = spla.splu(ordered, permc_spec="NATURAL", **SYMMETRIC)
+        self._lower, self._pivots = lu.L.tocsc(), lu.U.diagonal()
+        # factorising L alone (L = L I) gives its substitutions apart, forward and transposed
+        self._triangle = spla.splu(self._lower, permc_spec="NATURAL", **SYMMETRIC)
+        return self._pivots
+
+    def _factorise_dense(self, M: np.ndarray) -> np.ndarray:
+        first = np.setdiff1d(np.arange(self.dim), self.unknowns)
+        self._order = np.concatenate([first, self.unknowns])
+        cholesky = scipy.linalg.cholesky(M[np.ix_(self._order, self._order)], lower=True)
+        self._lower, self._pivots = cholesky / cholesky.diagonal(), cholesky.diagonal() ** 2
+        return self._pivots
+
+    def _substitute(self, w: np.ndarray, transposed: bool = False) -> np.ndarray:
+        """L^-1 w or L^-T w."""
+        if sp.issparse(self.M):
+            return self._triangle.solve(w, "T" if transposed else "N")
+        return lapack.dtrtrs(self._lower, w, lower=True, trans=int(transposed), unitdiag=True)[0]
+
+    def _solve(self, w: np.ndarray) -> np.ndarray:
+        z = np.empty_like(w)
+        forward = self._substitute(w[self._order])
+        z[self._order] = self._substitute(forward / self._pivots, transposed=True)
+        return z
+
+    def reduce(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Forward substitution of r, in units of D^-1/2, and the force N E M^-1 r on zeta.
+
+        Its Euclidean norm is |r|_{M^-1}.
+        """
+        forward = self._substitute((r / self._root)[self._order]) / np.sqrt(self._pivots)
+        m = self.unknowns.size
+        return forward, (self._tail @ forward[-m:]) * self._root[self.unknowns]
+
+    def recover(self, forward: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """z from the forward substitution and the total force N zeta on zeta."""
+        m = self.unknowns.size
+        inner = force / self._root[self.unknowns]
+        forward[-m:] = lapack.dtrtrs(self._tail, inner, lower=True)[0]
+        z = np.empty_like(forward)
+        backward = self._substitute(forward / np.sqrt(self._pivots), transposed=True)
+        z[self._order] = backward
+        return z / self._root
+
+
 def largest_eigenvalue(M: Matrix) -> float:
     """The largest eigenvalue of a symmetric matrix, |M| for a positive semidefinite one."""
-    if M.shape[0] < 50 or not sp.issparse(M):
+    if M.shape[0] < SMALL or not sp.issparse(M):
         return float(np.linalg.eigvalsh(dense(M))[-1])
     start = np.ones(M.shape[0])
     return float(spla.eigsh(M, k=1, which="LA", v0=start, return_eigenvectors=False)[0])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sweepopt.checks import Matrix
-from sweepopt.linalg import Factor, dense
+from sweepopt.linalg import Elimination, Factor, dense
 from sweepopt.process import SweepingProcess
 from sweepopt.program import Velocity, VelocityProgram, rate
 from sweepopt.schemes import Scheme
@@ -65,7 +65,7 @@ class Plan:
         if not self.solvers:
             return self._linear(Factor(M))
         if self.contact is not None:
-            return self._eliminated(Factor(M, last=self.contact))
+            return self._eliminated(Elimination(M, self.contact))
         return self._program(Factor(M))
 
     def _linear(self, M: Factor) -> VelocityOf:
@@ -80,32 +80,31 @@ class Plan:
 
         return solve
 
-    def _eliminated(self, M: Factor) -> VelocityOf:
+    def _eliminated(self, M: Elimination) -> VelocityOf:
         """C = c + E^T S: the velocity of the unknowns zeta = E z solves a small program.
 
         N = (E M^-1 E^T)^-1, linear term N E M^-1 (q - c), set S (MATH.md section 5). From zeta the
         force w = N (zeta + E M^-1 (q - c)) gives z = M^-1 (c - q + E^T w), whose E z is zeta: z
         misses the inclusion by what zeta misses it, in the same norm, plus rounding.
         """
-        unknowns = self.contact
-        N = M.schur()
-        small = self._program(Factor(N))
+        small = self._program(Factor(M.N))
 
         def solve(q: np.ndarray, C: ConvexSet) -> Solved:
             selection = C.selection()
             assert selection is not None
             force = selection.shift - q
-            free = M.solve(force)
-            solved = small(-(N @ free[unknowns]), selection.part)
+            forward, pull = M.reduce(force)
+            size_q = float(np.linalg.norm(forward))
+            solved = small(-pull, selection.part)
             zeta = solved.velocity.z
-            total = force.copy()
-            total[unknowns] += N @ (zeta - free[unknowns])
-            z = M.solve(total)
-            z[unknowns] = zeta  # to the last bit: stuck is 0.0
-            rounding = M.dual_norm_bound(M.M @ z - total)
-            size_z, size_q = np.sqrt(abs(total @ z)), np.sqrt(abs(force @ free))
+            total = M.N @ zeta
+            z = M.recover(forward, total)
+            z[M.unknowns] = zeta  # to the last bit: stuck is 0.0
+            force[M.unknowns] += total - pull
+            rounding = M.dual_norm_bound(M.M @ z - force)
+            size_z = float(np.sqrt(abs(force @ z)))
             certificate = solved.velocity.certificate + rounding
-            return replace(solved, velocity=rate(z, certificate, float(size_z), float(size_q)))
+            return replace(solved, velocity=rate(z, certificate, size_z, size_q))
 
         return solve
 

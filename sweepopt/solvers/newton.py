@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
+from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
 from sweepopt.linalg import dense
 from sweepopt.program import VelocityProgram
@@ -104,7 +104,9 @@ def _step(
     matrix, right = rows[:, free], missed[free] - rows[:, stuck] @ dz[stuck]
     if D.ndim == 1:
         # slipping entries of a separable set: a principal block of M
-        dz[free] = scipy.linalg.cho_solve(scipy.linalg.cho_factor(matrix), right)
+        _, dz[free], info = lapack.dposv(matrix, right)
+        if info:
+            raise np.linalg.LinAlgError("the block is not positive definite to rounding")
     else:
         dz[free] = np.linalg.solve(matrix, right)
     return dz

@@ -1,0 +1,104 @@
+"""What a process really needs: plans, the exact elimination, and work that is not done."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import sweepopt as so
+from sweepopt.plan import make_plan
+from sweepopt.schemes import SCHEMES
+
+
+def chain(n: int = 40, stiffness: float = 1.0) -> sp.csc_array:
+    rows = [np.full(n - 1, -1.0), np.full(n, 2.05), np.full(n - 1, -1.0)]
+    return sp.csc_array(stiffness * sp.diags_array(rows, offsets=[-1, 0, 1]))
+
+
+def select(unknowns: list[int], n: int = 40) -> sp.csc_array:
+    m = len(unknowns)
+    return sp.csc_array((np.ones(m), (unknowns, np.arange(m))), shape=(n, m))
+
+
+SMALL_SETS = {
+    "box": ([3, 17, 30, 39], so.Box([-0.5, -1, -0.1, -2], [0.5, 1, 0.3, 2])),
+    "balls": ([3, 17, 30, 39], so.Balls([0.5, 1.0], 2)),
+    "half-lines": ([3, 17, 30, 39], so.Orthant(4)),
+    "polytope": ([5, 9], so.Polytope([[1, 0], [-1, 1], [-1, -1]])),
+    "ellipsoid": ([5, 9], so.Ellipsoid([0.1, 0], [[1, 0.3], [0.3, 0.5]])),
+}
+
+
+def process(name: str, dense: bool = False) -> so.SweepingProcess:
+    unknowns, part = SMALL_SETS[name]
+
+    def load(t: float) -> np.ndarray:
+        return np.sin(np.arange(40) + 3 * t) * np.sin(5 * t)
+
+    A, B = chain(), chain(stiffness=2.0) + sp.diags_array(np.linspace(0, 1, 40), format="csc")
+    if dense:
+        A, B = A.toarray(), B.toarray()
+    C = so.Moving(-so.image(select(unknowns), part), load)
+    return so.SweepingProcess(A, B, C, np.zeros(40))
+
+
+@pytest.mark.parametrize("dense", [False, True], ids=["sparse", "dense"])
+@pytest.mark.parametrize("name", SMALL_SETS)
+def test_eliminating_the_rest_changes_no_answer(name: str, dense: bool) -> None:
+    this = process(name, dense)
+    C = this.C.at(0.3)
+    plan = make_plan(this, C, SCHEMES["midpoint"], "auto", 1e-6)
+    assert plan.eliminated == 40 - SMALL_SETS[name][1].dim
+    kept = replace(plan, contact=None, solvers=(so.Clarabel(tol=1e-11),))
+    M = this.A + 0.1 * this.B
+    q = np.cos(np.arange(40.0))
+    small, full = plan.velocity(M)(q, C), kept.velocity(M)(q, C)
+    assert small.velocity.relative <= 1e-6
+    difference = small.velocity.z - full.velocity.z
+    apart = np.sqrt(difference @ (M @ difference))
+    assert apart <= small.velocity.certificate + full.velocity.certificate
+    # the certificate of the small program is that of the large one: never below the error
+    assert full.velocity.relative <= 1e-5
+
+
+@pytest.mark.parametrize("name", ["box", "balls"])
+def test_stuck_contacts_of_a_large_body_are_exactly_zero(name: str) -> None:
+    sol = so.solve(process(name), t_end=2.0, steps=100)
+    contact = sol.velocity[:, SMALL_SETS[name][0]]
+    assert 0.02 < (contact == 0.0).mean() < 0.98
+    assert sol.stats["relative"].max() <= 1e-10
+
+
+def test_the_plan_prints_what_is_simulated_and_what_is_not() -> None:
+    plan = make_plan(process("box"), process("box").C.at(0.0), SCHEMES["midpoint"], "osqp", 1e-6)
+    shown = str(plan)
+    for line in (
+        "unknowns            40",
+        "nonsmooth unknowns  4",
+        "eliminated          36",
+        "osqp",
+    ):
+        assert line in shown
+    bare = so.SweepingProcess(chain(), None, so.Point(np.ones(40)), np.zeros(40))
+    shown = str(make_plan(bare, bare.C, SCHEMES["midpoint"], "auto", 1e-6))
+    assert "no optimiser" in shown
+    assert "velocities do not depend on history" in shown
+
+
+def test_without_a_nonsmooth_part_no_solver_and_without_elasticity_no_product_with_b(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError("work for an effect that is not there")
+
+    for solver in (so.Clarabel, so.OSQP, so.Newton, so.Cvxpy):
+        monkeypatch.setattr(solver, "compile", refuse)
+    load = so.Separable([(so.Sine(1.0, 2.0), np.ones(40))])
+    free = so.EvolutionVI(chain(), chain(), load=load, u0=np.zeros(40)).as_sweeping()
+    assert so.solve(free, t_end=1.0, steps=10).success
+    dry = so.EvolutionVI(chain(), 0 * chain(), load=load, u0=np.zeros(40)).as_sweeping()
+    assert dry.B is None
+    assert so.solve(dry, t_end=1.0, steps=10).success
