@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
@@ -26,6 +27,10 @@ def number(name: str, value: Any, minimum: float | None = None, strict: bool = F
 
 def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -> np.ndarray:
     """A float array of shape (dim,); a scalar counts as one entry."""
+    ready = type(value) is np.ndarray and value.dtype == float and value.shape == (dim,)
+    if ready and math.isfinite(value.dot(value)):
+        # the loop's own vectors: one dot product tells that all entries are finite
+        return value.copy()
     array = _floats(name, value, "an array of numbers", ndmin=1)
     if array.ndim != 1:
         raise InputError(f"{name} must have one axis, got shape {array.shape}")

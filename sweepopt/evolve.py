@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time as clock
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -181,26 +182,31 @@ def _march(
     try:
         for i in range(steps):
             started = clock.perf_counter()
-            z, row = _step(process, plan, velocities, float(times[i]), float(mus[i]), u[i])
-            if row["relative"] > plan.tol:
-                cause = _cause(i, float(times[i]), row, plan.tol)
+            t, mu = float(times[i]), float(mus[i])
+            z, stages = _step(process, plan.scheme, velocities, t, mu, u[i])
+            certificate = _worst(solved.velocity.certificate for solved in stages)
+            relative = _worst(solved.velocity.relative for solved in stages)
+            attempts = max(solved.attempts for solved in stages)
+            if relative > plan.tol:
+                cause = _cause(i, t, relative, attempts, plan.tol)
                 if on_failure == "raise":
-                    raise StepError(cause, float(times[i]), i, u[i].copy(), row["relative"])
+                    raise StepError(cause, t, i, u[i].copy(), relative)
                 status = Status.INEXACT
                 break
-            if np.isnan(row["relative"]):
+            if math.isnan(relative):
                 status = Status.UNCERTIFIED
-            increment = mus[i] * z - lost
+            increment = mu * z - lost
             u[i + 1] = u[i] + increment
             lost = (u[i + 1] - u[i]) - increment
             velocity[i] = z
-            row["t"], row["seconds"] = times[i + 1], clock.perf_counter() - started
-            stats[i] = tuple(row[name] for name in STATS.names or ())
+            iterations = sum(solved.iterations for solved in stages)
+            seconds = clock.perf_counter() - started
+            stats[i] = (times[i + 1], seconds, iterations, attempts, certificate, relative)
             done = i + 1
             if bar is not None:
                 bar.update()
             if callback is not None and callback(
-                StepInfo(i, float(times[i + 1]), u[i + 1], z, row["certificate"])
+                StepInfo(i, float(times[i + 1]), u[i + 1], z, certificate)
             ):
                 status = Status.STOPPED if done < steps else status
                 break
@@ -244,47 +250,40 @@ class _Velocities:
 
 def _step(
     process: SweepingProcess,
-    plan: Plan,
+    scheme: Scheme,
     velocities: _Velocities,
     t: float,
     mu: float,
     u: np.ndarray,
-) -> tuple[np.ndarray, dict[str, Any]]:
-    """One step of the tableau: its mean velocity and its row of statistics."""
-    scheme, stages = plan.scheme, list[np.ndarray]()
-    row: dict[str, Any] = dict.fromkeys(STATS.names or (), 0)
+) -> tuple[np.ndarray, list[Solved]]:
+    """One step of the tableau: its mean velocity and what its stages solved."""
+    stages: list[Solved] = []
     for weights, c in zip(scheme.a, scheme.c, strict=True):
-        known = u + mu * _combine(weights[:-1], stages, process.dim)
+        known = u + mu * _combine(weights[:-1], stages) if stages else u
         gamma = mu * weights[-1] if process.B is not None else 0.0
-        C = process.C.at(t + c * mu)
-        solved = velocities(gamma)(process.times_B(known), C)
-        stages.append(solved.velocity.z)
-        _record(row, solved)
-    return _combine(scheme.b, stages, process.dim), row
+        solved = velocities(gamma)(process.times_B(known), process.C.at(t + c * mu))
+        stages.append(solved)
+    return _combine(scheme.b, stages), stages
 
 
-def _combine(weights: Sequence[float], stages: list[np.ndarray], dim: int) -> np.ndarray:
+def _combine(weights: Sequence[float], stages: list[Solved]) -> np.ndarray:
     """sum of weights_k z_k; a single weight 1 keeps z to the last bit."""
-    total = np.zeros(dim)
-    for weight, z in zip(weights, stages, strict=True):
-        total += weight * z
+    total = weights[0] * stages[0].velocity.z
+    for weight, solved in zip(weights[1:], stages[1:], strict=True):
+        total += weight * solved.velocity.z
     return total
 
 
-def _record(row: dict[str, Any], solved: Solved) -> None:
-    """The worst of a step's stages."""
-    velocity = solved.velocity
-    row["iterations"] += solved.iterations
-    row["attempts"] = max(row["attempts"], solved.attempts)
-    row["certificate"] = np.maximum(row["certificate"], velocity.certificate)
-    row["relative"] = np.maximum(row["relative"], velocity.relative)
+def _worst(values: Iterable[float]) -> float:
+    """The largest, or nan if one of them has no proof."""
+    return max(values, key=lambda value: math.inf if math.isnan(value) else value)
 
 
-def _cause(step: int, t: float, row: dict[str, Any], tol: float) -> str:
+def _cause(step: int, t: float, relative: float, attempts: int, tol: float) -> str:
     return (
-        f"step {step} from t = {t:g}: the best certificate is {row['relative']:.2g} of the "
-        f"velocity's size after {row['attempts']} attempts, tol is {tol:g}. The data of this step "
-        "are too badly scaled for double precision, or C(t) is nearly empty; loosen tol or pass "
+        f"step {step} from t = {t:g}: the best certificate is {relative:.2g} of the velocity's "
+        f"size after {attempts} attempts, tol is {tol:g}. The data of this step are too badly "
+        "scaled for double precision, or C(t) is nearly empty; loosen tol or pass "
         "on_failure='stop' to keep the steps before it"
     )
 

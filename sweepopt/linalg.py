@@ -41,14 +41,16 @@ class Factor:
             raise InputError(
                 f"{name} must be positive definite, but {name}[{i}, {i}] = {self.diagonal[i]:g}"
             )
+        entries = M.count_nonzero() if sp.issparse(M) else np.count_nonzero(M)
+        self.is_diagonal = bool(entries == self.dim)
         # unit diagonal: the test for definiteness and the solves do not depend on units
-        self._root = np.sqrt(self.diagonal)
+        self.root = np.sqrt(self.diagonal)
         try:
             if sp.issparse(M):
-                weights = sp.diags_array(1 / self._root)
+                weights = sp.diags_array(1 / self.root)
                 pivots = self._factorise_sparse(sp.csr_array(weights @ M @ weights))
             else:
-                pivots = self._factorise_dense(M / np.outer(self._root, self._root))
+                pivots = self._factorise_dense(M / np.outer(self.root, self.root))
         except (scipy.linalg.LinAlgError, RuntimeError):
             pivots = np.zeros(1)
         if not pivots.min() > 16 * np.finfo(float).eps:
@@ -71,14 +73,14 @@ class Factor:
 
     def solve(self, w: np.ndarray) -> np.ndarray:
         """M^-1 w."""
-        return self._solve(w / self._root) / self._root
+        return self._solve(w / self.root) / self.root
 
     def dual_norm_bound(self, w: np.ndarray) -> float:
         """A bound of |w|_{M^-1} that costs no solve: |D^-1/2 w| / sqrt(lambda_min), D = diag(M).
 
         lambda_min is that of D^-1/2 M D^-1/2.
         """
-        return float(np.linalg.norm(w / self._root)) * self._bound_factor
+        return float(np.linalg.norm(w / self.root)) * self._bound_factor
 
     @cached_property
     def _bound_factor(self) -> float:
@@ -146,7 +148,7 @@ class Elimination(Factor):
         self._tail = tail.toarray() if sp.issparse(tail) else tail
         # forward substitution leaves D as it is: the tail of L D^1/2 is a Cholesky factor
         self._tail = self._tail * np.sqrt(self._pivots[-m:])
-        root = self._root[unknowns]
+        root = self.root[unknowns]
         self.N = (self._tail @ self._tail.T) * np.outer(root, root)
 
     def _factorise_sparse(self, M: sp.csr_array) -> np.ndarray:
@@ -188,19 +190,19 @@ class Elimination(Factor):
 
         Its Euclidean norm is |r|_{M^-1}.
         """
-        forward = self._substitute((r / self._root)[self._order]) / np.sqrt(self._pivots)
+        forward = self._substitute((r / self.root)[self._order]) / np.sqrt(self._pivots)
         m = self.unknowns.size
-        return forward, (self._tail @ forward[-m:]) * self._root[self.unknowns]
+        return forward, (self._tail @ forward[-m:]) * self.root[self.unknowns]
 
     def recover(self, forward: np.ndarray, force: np.ndarray) -> np.ndarray:
         """z from the forward substitution and the total force N zeta on zeta."""
         m = self.unknowns.size
-        inner = force / self._root[self.unknowns]
+        inner = force / self.root[self.unknowns]
         forward[-m:] = lapack.dtrtrs(self._tail, inner, lower=True)[0]
         z = np.empty_like(forward)
         backward = self._substitute(forward / np.sqrt(self._pivots), transposed=True)
         z[self._order] = backward
-        return z / self._root
+        return z / self.root
 
 
 def largest_eigenvalue(M: Matrix) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from sweepopt.checks import Matrix
 from sweepopt.linalg import Elimination, Factor, dense
 from sweepopt.process import SweepingProcess
-from sweepopt.program import Velocity, VelocityProgram, rate
+from sweepopt.program import Velocity, VelocityProgram, closed_form, has_closed_form, rate
 from sweepopt.schemes import Scheme
 from sweepopt.sets import ConvexSet
 from sweepopt.solvers import NEWTON, Solve, Solver, choose, newton
@@ -50,6 +50,8 @@ class Plan:
         What the process does not have and the run does not compute.
     contact : ndarray of int or None
         The few unknowns the set acts on, if all others are eliminated; None keeps them.
+    closed_form : bool
+        Whether a formula takes the place of the solver where there is one (solver "auto").
     """
 
     unknowns: int
@@ -59,6 +61,7 @@ class Plan:
     tol: float
     left_out: tuple[str, ...]
     contact: np.ndarray | None = None
+    closed_form: bool = False
 
     def velocity(self, M: Matrix) -> VelocityOf:
         """Compile (q, C) -> certified velocity for one matrix; not to be shared by threads."""
@@ -111,8 +114,14 @@ class Plan:
     def _program(self, M: Factor) -> VelocityOf:
         rungs = self._ladder()
         compiled: dict[int, tuple[VelocityProgram, Solve]] = {}
+        simple: ConvexSet | None = None
 
         def solve(q: np.ndarray, C: ConvexSet) -> Solved:
+            nonlocal simple
+            if simple is None or not simple.same_cone(C):
+                simple = C if self.closed_form and has_closed_form(M, C) else None
+            if simple is not None:
+                return Solved(closed_form(M, q, C), "closed form", 0, 0)
             rest = VelocityProgram(M, C).at_rest(q, C)
             if rest is not None:
                 return Solved(rest, "at rest", 0, 0)
@@ -158,6 +167,8 @@ class Plan:
 
     def __str__(self) -> str:
         solver = self.solvers[0].name if self.solvers else "linear solves, no optimiser"
+        if self.closed_form and self.solvers:
+            solver += ", a formula where M is diagonal"
         lines = [
             f"unknowns            {self.unknowns}",
             f"nonsmooth unknowns  {self.nonsmooth_unknowns}",
@@ -187,4 +198,13 @@ def make_plan(
         selection = C.selection()
         solvers = choose(solver, C if selection is None else selection.part)
         contact = None if selection is None else selection.unknowns
-    return Plan(process.dim, C.nonsmooth_dim, solvers, scheme, tol, tuple(left_out), contact)
+    return Plan(
+        process.dim,
+        C.nonsmooth_dim,
+        solvers,
+        scheme,
+        tol,
+        tuple(left_out),
+        contact,
+        solver == "auto",
+    )

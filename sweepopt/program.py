@@ -8,6 +8,7 @@ is strongly convex: it has exactly one solution, whatever a solver says. It is e
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -138,3 +139,23 @@ def rate(z: np.ndarray, certificate: float, size_z: float, size_q: float) -> Vel
     """A velocity with its certificate in relation to max(|z|_M, |M^-1 q|_M)."""
     relative = certificate / max(size_z, size_q) if certificate > 0 else 0.0
     return Velocity(z, certificate, float(relative))
+
+
+def has_closed_form(M: Factor, C: ConvexSet) -> bool:
+    """Whether M is diagonal and the projection in its metric is C's own (box, uniform ball)."""
+    own = M.is_diagonal and np.array_equal(C.steps(M.diagonal), M.diagonal)
+    return own and C.derivative(C.anchor) is not None
+
+
+def closed_form(M: Factor, q: np.ndarray, C: ConvexSet) -> Velocity:
+    """z = M^-1 (P_C(q) - q) for a diagonal M; the certificate is what rounding leaves."""
+    missed = C.normal(q)
+    # at rest up to the rounding of the force, entry by entry, as in `at_rest`
+    if (np.abs(missed) <= ROUNDING * (np.abs(q) + np.abs(C.anchor))).all():
+        return Velocity(np.zeros_like(q), 0.0, 0.0)
+    z = 0.0 - missed / M.diagonal
+    rho = M.diagonal * z + missed  # M z + q - P_C(q)
+    certificate, size_z, size_q = (
+        math.sqrt(x @ x) for x in (rho / M.root, missed / M.root, (q - C.anchor) / M.root)
+    )
+    return rate(z, certificate, size_z, size_q)

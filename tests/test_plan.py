@@ -102,3 +102,27 @@ def test_without_a_nonsmooth_part_no_solver_and_without_elasticity_no_product_wi
     dry = so.EvolutionVI(chain(), 0 * chain(), load=load, u0=np.zeros(40)).as_sweeping()
     assert dry.B is None
     assert so.solve(dry, t_end=1.0, steps=10).success
+
+
+@pytest.mark.parametrize(
+    "C",
+    [
+        so.Box([-1, -0.5, 0.0], [1, 0.5, np.inf]),
+        so.Ball([0.1, 0, 0], 0.7),
+        so.product(so.Ball([0, 0], 0.5), so.Orthant(1)),
+    ],
+    ids=["box", "ball", "product"],
+)
+def test_diagonal_processes_are_solved_by_a_formula_that_agrees_with_the_solvers(
+    C: so.ConvexSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    A, B = 0.5 * np.eye(3), 2.0 * np.eye(3)
+    moving = so.Moving(C, lambda t: np.sin([3 * t, 2 * t, t]))
+    this = so.SweepingProcess(A, B, moving, np.zeros(3))
+    solved = so.solve(this, t_end=4.0, steps=80, solver=so.Clarabel(tol=1e-11))
+    monkeypatch.setattr(so.Newton, "compile", lambda *_: pytest.fail("a solver was compiled"))
+    sol = so.solve(this, t_end=4.0, steps=80)
+    assert sol.stats["relative"].max() <= 1e-14
+    assert "formula" in str(sol.plan)
+    carried = (sol.stats["certificate"] + solved.stats["certificate"]).sum() * 0.05
+    assert max(map(this.metric.norm, sol.u - solved.u)) <= 5 * carried + 1e-12
