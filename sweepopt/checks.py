@@ -16,10 +16,12 @@ Matrix: TypeAlias = Any  # np.ndarray or scipy.sparse.csc_array, as `matrix` ret
 
 def number(name: str, value: Any, minimum: float | None = None, strict: bool = False) -> float:
     """A finite float, at least (or above) `minimum`."""
-    array = vector(name, [value] if np.ndim(value) == 0 else value)
+    array = _floats(name, value, "one number")
     if array.size != 1:
         raise InputError(f"{name} must be one number, got {array.size} of them")
-    result = float(array[0])
+    result = float(array.ravel()[0])
+    if not math.isfinite(result):
+        raise InputError(f"{name} is {result}; give a finite number")
     if minimum is not None and (result < minimum or (strict and result == minimum)):
         raise InputError(f"{name} must be {'>' if strict else '>='} {minimum:g}, got {result:g}")
     return result
@@ -62,6 +64,8 @@ def symmetric(name: str, value: Any, dim: int | None = None) -> Matrix:
     """A finite symmetric matrix; an asymmetry above rounding is refused with its entry."""
     result = matrix(name, value)
     rows, columns = result.shape
+    if not rows:
+        raise InputError(f"{name} has no entries; give at least one unknown")
     if rows != columns or (dim is not None and rows != dim):
         wanted = "square" if dim is None else f"of shape ({dim}, {dim})"
         raise InputError(f"{name} must be {wanted}, got shape {result.shape}")

@@ -18,7 +18,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sweepopt import library, schemes, solvers
-from sweepopt.errors import MissingExtraError, Status, SweepoptError, SweepoptWarning
+from sweepopt.errors import (
+    MissingExtraError,
+    Status,
+    SweepoptError,
+    SweepoptWarning,
+    UnstableStepError,
+)
 
 if TYPE_CHECKING:
     from sweepopt.fem import Scene
@@ -50,6 +56,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with _plain_warnings():
             return int(chosen.command(chosen))
+    except UnstableStepError as error:
+        # the rest of its advice is for callers of solve
+        return _refuse(f"{str(error).partition(', or say')[0]}; use --steps or --scheme")
     except SweepoptError as error:
         return _refuse(str(error))
     except OSError as error:
@@ -128,7 +137,7 @@ def _announce(scene: Scene) -> None:
 
     process = scene.problem.as_sweeping()
     scheme = schemes.choose(scene.scheme, process.rate_independent)
-    plan = make_plan(process, process.C.at(0.0), scheme, scene.solver, scene.tol)
+    plan = make_plan(process, [(0.0, process.C.at(0.0))], scheme, scene.solver, scene.tol)
     if scene.title:
         print(scene.title)
     print(f"time                0 to {scene.t_end:g}{_second(scene)} in {scene.steps} steps")

@@ -105,39 +105,52 @@ def solve(
     ):
         if value not in allowed:
             raise InputError(f"{name} must be one of {', '.join(allowed)}; got {value!r}")
-    if not hasattr(process, "as_sweeping"):
+    if not isinstance(process, (SweepingProcess, EvolutionVI)):
         raise InputError(f"process must be a SweepingProcess or an EvolutionVI: {process!r:.60}")
+    if callback is not None and not callable(callback):
+        raise InputError(f"callback must be a function of a StepInfo, got {callback!r:.60}")
     process = process.as_sweeping()
     tol = number("tol", tol, minimum=0.0, strict=True)
-    times = time_grid(t_end, steps)
+    times, mus = time_grid(t_end, steps)
     tableau = choose(scheme, process.rate_independent)
-    plan = make_plan(process, process.C.at(float(times[0])), tableau, solver, tol)
-    process.check(_evaluation_times(times, tableau))
-    _check_stability(process, tableau, float(np.diff(times).max()), on_unstable)
-    return _march(process, plan, times, progress, callback, on_failure)
+    members = process.check(_evaluation_times(times, mus, tableau))
+    plan = make_plan(process, members, tableau, solver, tol)
+    process.check_start(float(times[0]))
+    _check_stability(process, tableau, float(mus.max()), on_unstable)
+    return _march(process, plan, times, mus, progress, callback, on_failure)
 
 
-def time_grid(t_end: float | None, steps: Any) -> np.ndarray:
-    """The times t_i = t_0 + i mu, or the user's own."""
+def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The times, t_0 + i mu or the user's own, and the step sizes.
+
+    Steps that differ by the rounding of the times only get one size: they share a program.
+    """
+    end = None if t_end is None else number("t_end", t_end, minimum=0.0, strict=True)
     if np.ndim(steps) == 0:
         if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 1:
             raise InputError(f"steps must be a positive whole number or times, got {steps!r}")
-        if t_end is None:
+        if end is None:
             raise InputError("t_end is missing; give it or pass the times as steps")
-        end = number("t_end", t_end, minimum=0.0, strict=True)
-        return np.append(np.arange(int(steps)) * (end / int(steps)), end)
+        mu = end / int(steps)
+        return np.append(np.arange(int(steps)) * mu, end), np.full(int(steps), mu)
     times = vector("steps", steps)
     if times.size < 2 or not (np.diff(times) > 0).all():
         raise InputError("steps must hold at least two strictly increasing times")
-    if t_end is not None and abs(times[-1] - t_end) > 1e-12 * abs(times[-1]):
-        raise InputError(f"steps end at {times[-1]:g}, but t_end is {t_end:g}; leave t_end out")
-    return times
+    if end is not None and abs(times[-1] - end) > 1e-12 * abs(times[-1]):
+        raise InputError(f"steps end at {times[-1]:g}, but t_end is {end:g}; leave t_end out")
+    mus = np.diff(times)
+    order = np.argsort(mus, kind="stable")
+    rounding = 4 * np.finfo(float).eps * np.abs(times).max()
+    group = np.cumsum(np.diff(mus[order], prepend=mus[order[0]]) > rounding)
+    sizes = np.bincount(group, weights=mus[order]) / np.bincount(group)
+    mus[order] = sizes[group]
+    return times, mus
 
 
-def _evaluation_times(times: np.ndarray, scheme: Scheme) -> np.ndarray:
-    """Where C(t) is asked for: the start, and the stages of every step."""
-    stages = times[:-1, None] + np.diff(times)[:, None] * np.array(scheme.c)
-    return np.unique(np.append(times[0], np.minimum(stages, times[1:, None])))
+def _evaluation_times(times: np.ndarray, mus: np.ndarray, scheme: Scheme) -> np.ndarray:
+    """Where C(t) is asked for or shall be checked: the nodes, and the stages of every step."""
+    stages = times[:-1, None] + mus[:, None] * np.array(scheme.c)
+    return np.unique(np.append(times, np.minimum(stages, times[1:, None])))
 
 
 def _check_stability(process: SweepingProcess, scheme: Scheme, mu: float, on_unstable: str) -> None:
@@ -163,6 +176,7 @@ def _march(
     process: SweepingProcess,
     plan: Plan,
     times: np.ndarray,
+    mus: np.ndarray,
     progress: bool,
     callback: Callable[[StepInfo], bool | None] | None,
     on_failure: str,
@@ -174,9 +188,6 @@ def _march(
     u[0] = process.u0
     lost = np.zeros(process.dim)  # what rounding kept out of u (Kahan)
     velocities = _Velocities(process, plan)
-    # equal steps share one mu, as t_0 + i mu does
-    uniform = np.ptp(np.diff(times)) <= 1e-12 * times[-1]
-    mus = np.full(steps, (times[-1] - times[0]) / steps) if uniform else np.diff(times)
     status, cause, done = Status.SUCCESS, "", 0
     bar = _progress_bar(steps) if progress else None
     try:
@@ -187,7 +198,8 @@ def _march(
             certificate = _worst(solved.velocity.certificate for solved in stages)
             relative = _worst(solved.velocity.relative for solved in stages)
             attempts = max(solved.attempts for solved in stages)
-            if relative > plan.tol:
+            following = u[i] + (mu * z - lost)
+            if relative > plan.tol or not np.isfinite(following).all():
                 cause = _cause(i, t, relative, attempts, plan.tol)
                 if on_failure == "raise":
                     raise StepError(cause, t, i, u[i].copy(), relative)
@@ -195,18 +207,17 @@ def _march(
                 break
             if math.isnan(relative):
                 status = Status.UNCERTIFIED
-            increment = mu * z - lost
-            u[i + 1] = u[i] + increment
-            lost = (u[i + 1] - u[i]) - increment
+            lost = (following - u[i]) - (mu * z - lost)
+            u[i + 1] = following
             velocity[i] = z
             iterations = sum(solved.iterations for solved in stages)
-            seconds = clock.perf_counter() - started
-            stats[i] = (times[i + 1], seconds, iterations, attempts, certificate, relative)
+            seconds, by = clock.perf_counter() - started, stages[-1].solver
+            stats[i] = (times[i + 1], seconds, iterations, attempts, certificate, relative, by)
             done = i + 1
             if bar is not None:
                 bar.update()
             if callback is not None and callback(
-                StepInfo(i, float(times[i + 1]), u[i + 1], z, certificate)
+                StepInfo(i, float(times[i + 1]), following, z, certificate)
             ):
                 status = Status.STOPPED if done < steps else status
                 break
@@ -280,11 +291,14 @@ def _worst(values: Iterable[float]) -> float:
 
 
 def _cause(step: int, t: float, relative: float, attempts: int, tol: float) -> str:
+    if not relative > tol:
+        return f"step {step} from t = {t:g}: the state is not finite any more; take smaller steps"
     return (
-        f"step {step} from t = {t:g}: the best certificate is {relative:.2g} of the velocity's "
-        f"size after {attempts} attempts, tol is {tol:g}. The data of this step are too badly "
-        "scaled for double precision, or C(t) is nearly empty; loosen tol or pass "
-        "on_failure='stop' to keep the steps before it"
+        f"step {step} from t = {t:g}: the best certificate of {attempts} attempts is "
+        f"{relative:.2g} of the velocity's size, tol is {tol:g}. The data of this step are scaled "
+        "too badly for double precision, C(t) is nearly empty, or its projection is not exact "
+        "enough; loosen tol, try another solver, or pass on_failure='stop' to keep the steps "
+        "before it"
     )
 
 

@@ -7,10 +7,10 @@ their exact variation and their kinks, and `Separable` keeps shapes and historie
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.checks import number, vector
+from sweepopt.csvtable import read_columns
 from sweepopt.errors import InputError
 
 Array = NDArray[np.float64]
@@ -57,7 +58,7 @@ class Constant:
         _numbers(self, "value")
 
     def __call__(self, t: ArrayLike) -> Array:
-        return np.full(np.shape(t), self.value)
+        return np.full(_times(t).shape, self.value)
 
     def variation(self, a: float, b: float) -> float:
         """Zero."""
@@ -88,7 +89,7 @@ class Sine:
         _numbers(self, "amplitude", "period", "phase", "offset")
 
     def __call__(self, t: ArrayLike) -> Array:
-        angle = 2.0 * np.pi * (np.asarray(t, dtype=float) / self.period) + self.phase
+        angle = 2.0 * np.pi * (_times(t) / self.period) + self.phase
         return np.asarray(self.offset + self.amplitude * np.sin(angle))
 
     def variation(self, a: float, b: float) -> float:
@@ -121,7 +122,7 @@ class Triangle:
         _numbers(self, "amplitude", "period")
 
     def __call__(self, t: ArrayLike) -> Array:
-        quarters = np.mod(4.0 * (np.asarray(t, dtype=float) / self.period), 4.0)
+        quarters = np.mod(4.0 * (_times(t) / self.period), 4.0)
         rising = np.where(quarters <= 3.0, np.minimum(quarters, 2.0 - quarters), quarters - 4.0)
         return np.asarray(self.amplitude * rising)
 
@@ -155,21 +156,9 @@ class Table:
     values: Array
 
     def __init__(self, times: ArrayLike, values: ArrayLike) -> None:
-        object.__setattr__(self, "times", _frozen_vector("times", times))
-        object.__setattr__(self, "values", _frozen_vector("values", values))
-        if self.times.size < 2:
-            raise InputError("times must have two entries or more; for one value, use Constant")
-        if self.values.shape != self.times.shape:
-            raise InputError(
-                f"values has {self.values.size} entries for {self.times.size} times; give one each"
-            )
-        late = np.flatnonzero(np.diff(self.times) <= 0.0)
-        if late.size:
-            k = int(late[0])
-            raise InputError(
-                f"times must increase strictly, but entry {k + 1} ({self.times[k + 1]:g}) follows "
-                f"entry {k} ({self.times[k]:g}); sort the table and keep one value a time"
-            )
+        points = check_points("times", times, values)
+        object.__setattr__(self, "times", points[0])
+        object.__setattr__(self, "values", points[1])
 
     @classmethod
     def from_csv(
@@ -192,7 +181,7 @@ class Table:
             Naming the file, the column and the row (line of the file) at fault.
         """
         factor = number("scale", scale)
-        times, values, rows = _read_columns(Path(path), time, column)
+        (times, values), rows = read_columns(path, time, column)
         late = np.flatnonzero(np.diff(times) <= 0.0)
         if late.size:
             k = int(late[0]) + 1
@@ -205,7 +194,7 @@ class Table:
         return cls(times, factor * values)
 
     def __call__(self, t: ArrayLike) -> Array:
-        at = np.asarray(t, dtype=float)
+        at = _times(t)
         first, last = self.times[0], self.times[-1]
         slack = TIME_SLACK * max(abs(first), abs(last))
         outside = ~((at >= first - slack) & (at <= last + slack))
@@ -256,9 +245,9 @@ class Separable:
     """
 
     def __init__(self, terms: Iterable[tuple[Callable[[float], ArrayLike], ArrayLike]]) -> None:
-        pairs = list(terms)
+        pairs = list(terms) if isinstance(terms, Iterable) else []
         if not pairs:
-            raise InputError("terms must hold one pair (phi, f) or more")
+            raise InputError(f"terms must hold one pair (phi, f) or more, got {terms!r:.80}")
         columns = []
         for k, pair in enumerate(pairs):
             try:
@@ -280,10 +269,15 @@ class Separable:
 
     def coefficients(self, t: float) -> Array:
         """Values ``phi_k(t)``, shape (k,)."""
-        phi = np.array([float(np.asarray(history(t))) for history, _ in self.terms])
-        if not np.all(np.isfinite(phi)):
-            k = int(np.flatnonzero(~np.isfinite(phi))[0])
-            raise InputError(f"terms[{k}][0] is {phi[k]} at t = {t:g}; it must be finite")
+        phi = np.empty(len(self.terms))
+        for k, (history, _) in enumerate(self.terms):
+            value = np.asarray(history(t), dtype=object)
+            entry = value.item() if value.size == 1 else value.tolist()
+            if not isinstance(entry, Real) or not math.isfinite(entry):
+                raise InputError(
+                    f"terms[{k}][0] is {entry!r:.80} at t = {t:g}; it must be one finite number"
+                )
+            phi[k] = entry
         return phi
 
     def __call__(self, t: float) -> Array:
@@ -319,6 +313,30 @@ class Separable:
 
     def __repr__(self) -> str:
         return f"Separable({len(self.terms)} terms, dim {self.dim})"
+
+
+def check_points(name: str, times: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
+    """The points of a table as read-only vectors; `name` is what errors call its times."""
+    t, phi = _frozen_vector(name, times), _frozen_vector("values", values)
+    if t.size < 2:
+        raise InputError(f"{name} must have two entries or more; for one value, use Constant")
+    if phi.shape != t.shape:
+        raise InputError(f"values has {phi.size} entries for {t.size} times; give one each")
+    late = np.flatnonzero(np.diff(t) <= 0.0)
+    if late.size:
+        k = int(late[0])
+        raise InputError(
+            f"{name} must increase strictly, but entry {k + 1} ({t[k + 1]:g}) follows "
+            f"entry {k} ({t[k]:g}); sort the table and keep one value a time"
+        )
+    return t, phi
+
+
+def _times(t: ArrayLike) -> Array:
+    try:
+        return np.asarray(t, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"t must be a time or an array of times, got {t!r:.80}") from None
 
 
 def _numbers(record: object, *names: str) -> None:
@@ -362,47 +380,3 @@ def _periodic_variation(
     rest = b - whole * period
     turns = _lattice(crest, period / 2.0, a, rest)
     return 4.0 * abs(amplitude) * whole + _variation_through(history, [a, *turns, rest])
-
-
-def _read_columns(path: Path, *names: str) -> tuple[Array, Array, list[int]]:
-    """Two columns of numbers of a CSV file and the file's line number of each row."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is not UTF-8 text; export it as CSV") from None
-    lines = _csv_rows(text)
-    header = [name.strip() for name in next(lines, (0, []))[1]]
-    for name in names:
-        if header.count(name) != 1:
-            fault = "is there twice" if name in header else "is missing"
-            raise InputError(
-                f"{path}: column {name!r} {fault}; there are: {', '.join(header) or 'none'}"
-            )
-    picked = [header.index(name) for name in names]
-    rows: list[int] = []
-    data: list[list[float]] = []
-    for row, entries in lines:
-        numbers = []
-        for name, k in zip(names, picked, strict=True):
-            entry = entries[k].strip() if k < len(entries) else ""
-            try:
-                number = float(entry)
-            except ValueError:
-                number = math.nan
-            if not math.isfinite(number):
-                raise InputError(
-                    f"{path}, column {name!r}, row {row}: {entry!r} is not a finite number"
-                )
-            numbers.append(number)
-        rows.append(row)
-        data.append(numbers)
-    table = np.array(data).reshape(-1, len(names))
-    return table[:, 0], table[:, 1], rows
-
-
-def _csv_rows(text: str) -> Iterator[tuple[int, list[str]]]:
-    for row, line in enumerate(text.splitlines(), start=1):
-        if line.strip() and not line.lstrip().startswith("#"):
-            yield row, next(csv.reader([line]))

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from sweepopt.checks import Matrix
+from sweepopt.errors import SolverRefusedError
 from sweepopt.linalg import Elimination, Factor, dense
 from sweepopt.process import SweepingProcess
 from sweepopt.program import Velocity, VelocityProgram, closed_form, has_closed_form, rate
@@ -17,6 +19,7 @@ from sweepopt.sets import ConvexSet
 from sweepopt.solvers import NEWTON, Solve, Solver, choose, newton
 
 POLISHED = 1e-12  # relative certificates above this are polished
+SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
 
 
 @dataclass(frozen=True)
@@ -41,8 +44,11 @@ class Plan:
     unknowns : int
     nonsmooth_unknowns : int
         How many of them the set acts on; 0 means linear solves only.
+    solver : str or Solver
+        The user's choice.
     solvers : tuple of Solver
-        The chosen one, then those that repair a step it misses; empty for a linear process.
+        What it means for this set: the first one solves, the others repair a step it misses; empty
+        for a linear process.
     scheme : Scheme
     tol : float
         Bound of each program's relative certificate.
@@ -50,26 +56,42 @@ class Plan:
         What the process does not have and the run does not compute.
     contact : ndarray of int or None
         The few unknowns the set acts on, if all others are eliminated; None keeps them.
-    closed_form : bool
-        Whether a formula takes the place of the solver where there is one (solver "auto").
     """
 
     unknowns: int
     nonsmooth_unknowns: int
+    solver: Any
     solvers: tuple[Solver, ...]
     scheme: Scheme
     tol: float
     left_out: tuple[str, ...]
     contact: np.ndarray | None = None
-    closed_form: bool = False
+
+    @property
+    def eliminated(self) -> int:
+        """How many unknowns leave the program before it is solved."""
+        return 0 if self.contact is None else self.unknowns - len(self.contact)
 
     def velocity(self, M: Matrix) -> VelocityOf:
-        """Compile (q, C) -> certified velocity for one matrix; not to be shared by threads."""
-        if not self.solvers:
-            return self._linear(Factor(M))
-        if self.contact is not None:
-            return self._eliminated(Elimination(M, self.contact))
-        return self._program(Factor(M))
+        """Compile (q, C) -> certified velocity for one matrix; not to be shared by threads.
+
+        Each C is looked at again: a point needs a linear solve only, a set on the contact unknowns
+        a small program, any other set the full one. What a C needs is compiled when it comes.
+        """
+        contact = np.zeros(0, dtype=int) if self.contact is None else self.contact
+        linear = cache(lambda: self._linear(Factor(M)))
+        program = cache(lambda: self._program(Factor(M)))
+        eliminated = cache(lambda: self._eliminated(Elimination(M, contact)))
+
+        def solve(q: np.ndarray, C: ConvexSet) -> Solved:
+            if C.singleton:
+                return linear()(q, C)
+            selection = C.selection() if contact.size else None
+            if selection is None or not np.array_equal(selection.unknowns, contact):
+                return program()(q, C)
+            return eliminated()(q, C)
+
+        return solve
 
     def _linear(self, M: Factor) -> VelocityOf:
         """C is a point c: M z = c - q."""
@@ -112,62 +134,53 @@ class Plan:
         return solve
 
     def _program(self, M: Factor) -> VelocityOf:
-        rungs = self._ladder()
-        compiled: dict[int, tuple[VelocityProgram, Solve]] = {}
-        simple: ConvexSet | None = None
+        """One cone at a time: its formula if there is one, else its compiled ladder of solvers."""
+        cone: ConvexSet | None = None
+        formula = False
+        rungs: list[Solver] = []
+        compiled: dict[int, Solve] = {}
 
         def solve(q: np.ndarray, C: ConvexSet) -> Solved:
-            nonlocal simple
-            if simple is None or not simple.same_cone(C):
-                simple = C if self.closed_form and has_closed_form(M, C) else None
-            if simple is not None:
+            nonlocal cone, formula, rungs
+            if cone is None or not cone.same_cone(C):
+                cone = C
+                formula = self.solver == "auto" and has_closed_form(M, C)
+                rungs = ladder(choose(self.solver, C))
+                compiled.clear()
+            if formula:
                 return Solved(closed_form(M, q, C), "closed form", 0, 0)
-            rest = VelocityProgram(M, C).at_rest(q, C)
+            program = VelocityProgram(M, C)
+            rest = program.at_rest(q, C)
             if rest is not None:
                 return Solved(rest, "at rest", 0, 0)
-            best = Solved(Velocity(np.zeros_like(q), np.inf, np.inf), "none", 0, len(rungs))
-            for attempt, solver in enumerate(rungs, start=1):
-                if attempt not in compiled or not compiled[attempt][0].cone.same_cone(C):
-                    program = VelocityProgram(M, C)
-                    compiled[attempt] = program, solver.compile(program)
-                program, run = compiled[attempt]
-                answer = run(q, C)
+            best = Solved(Velocity(np.zeros_like(q), np.inf, np.inf), "none", 0, 0)
+            for attempt, solver in enumerate(rungs):
+                if attempt not in compiled:
+                    compiled[attempt] = solver.compile(program)
+                answer = compiled[attempt](q, C)
                 velocity = program.certify(q, C, answer.z, answer.y)
-                if np.isnan(velocity.relative):
+                found = Solved(velocity, solver.name, answer.iterations, attempt + 1)
+                if not C.certifiable:
                     # nothing to compare: the first answer that its solver calls solved stands
-                    if "solved" in answer.status.lower() or answer.status == "optimal":
-                        return Solved(velocity, solver.name, answer.iterations, attempt)
+                    if answer.status in SOLVED:
+                        return found
                     continue
                 if velocity.relative > POLISHED and NEWTON.treats(C):
                     z, _ = newton(dense(M.M), q, C, velocity.z, NEWTON.max_iter)
                     polished = program.certify(q, C, z, answer.y)
-                    velocity = min(velocity, polished, key=lambda found: found.relative)
-                if velocity.relative < best.velocity.relative:
-                    best = Solved(velocity, solver.name, answer.iterations, attempt)
+                    if polished.relative < velocity.relative:
+                        found = replace(found, velocity=polished)
+                if found.velocity.relative < best.velocity.relative:
+                    best = found
                 if best.velocity.relative <= self.tol:
                     break
-            return best
+            return replace(best, attempts=attempt + 1)
 
         return solve
 
-    @property
-    def eliminated(self) -> int:
-        """How many unknowns leave the program before it is solved."""
-        return 0 if self.contact is None else self.unknowns - len(self.contact)
-
-    def _ladder(self) -> list[Solver]:
-        """The solver, its refinements, then the other solvers and theirs."""
-        rungs: list[Solver] = []
-        for solver in self.solvers:
-            rung: Solver | None = solver
-            while rung is not None:
-                rungs.append(rung)
-                rung = rung.refined()
-        return rungs
-
     def __str__(self) -> str:
         solver = self.solvers[0].name if self.solvers else "linear solves, no optimiser"
-        if self.closed_form and self.solvers:
+        if self.solver == "auto" and self.solvers:
             solver += ", a formula where M is diagonal"
         lines = [
             f"unknowns            {self.unknowns}",
@@ -182,29 +195,62 @@ class Plan:
 
 
 def make_plan(
-    process: SweepingProcess, C: ConvexSet, scheme: Scheme, solver: Any, tol: float
+    process: SweepingProcess,
+    members: Sequence[tuple[float, ConvexSet]],
+    scheme: Scheme,
+    solver: Any,
+    tol: float,
 ) -> Plan:
-    """Look at the process and at one member C of its moving set."""
+    """Look at the process and at its sets.
+
+    Parameters
+    ----------
+    members : sequence of (t, C(t))
+        One for each cone that C takes on the grid, as `SweepingProcess.check` returns them.
+
+    Raises
+    ------
+    SolverRefusedError
+        If the solver is not known or cannot treat one of the sets.
+    """
     left_out = []
     if process.B is None:
         left_out.append("B: there is none, velocities do not depend on history")
     if process.rate_independent:
         left_out.append("A: it is zero, the process is rate-independent")
     solvers: tuple[Solver, ...] = ()
-    contact = None
-    if C.singleton:
-        left_out.append("optimiser: C(t) is a point, each step is one linear solve")
-    else:
+    contacts: list[np.ndarray] = []
+    for t, C in members:
         selection = C.selection()
-        solvers = choose(solver, C if selection is None else selection.part)
-        contact = None if selection is None else selection.unknowns
+        try:
+            chosen = choose(solver, C if selection is None else selection.part)
+        except SolverRefusedError as error:
+            raise SolverRefusedError(f"{error} (C(t) at t = {t:g})") from error
+        if not C.singleton:
+            solvers = solvers or chosen
+            contacts.append(np.arange(C.dim) if selection is None else selection.unknowns)
+    if not solvers:
+        left_out.append("optimiser: C(t) is a point, each step is one linear solve")
+    few = bool(contacts) and contacts[0].size < process.dim
+    same = all(np.array_equal(contact, contacts[0]) for contact in contacts)
     return Plan(
-        process.dim,
-        C.nonsmooth_dim,
-        solvers,
-        scheme,
-        tol,
-        tuple(left_out),
-        contact,
-        solver == "auto",
+        unknowns=process.dim,
+        nonsmooth_unknowns=max(C.nonsmooth_dim for _, C in members),
+        solver=solver,
+        solvers=solvers,
+        scheme=scheme,
+        tol=tol,
+        left_out=tuple(left_out),
+        contact=contacts[0] if few and same else None,
     )
+
+
+def ladder(solvers: Sequence[Solver]) -> list[Solver]:
+    """The first solver, its refinements, then the other solvers and theirs."""
+    rungs: list[Solver] = []
+    for solver in solvers:
+        rung: Solver | None = solver
+        while rung is not None:
+            rungs.append(rung)
+            rung = rung.refined()
+    return rungs

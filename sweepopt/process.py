@@ -119,21 +119,22 @@ class SweepingProcess:
         """B u, zero where there is no B."""
         return np.zeros(self.dim) if self.B is None else self.B @ u
 
-    def check(self, times: np.ndarray) -> None:
-        """Check C(t) on the given times and B u0 in C(times[0]), before any solver runs.
+    def check(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
+        """Check C(t) on the given times, before any solver runs.
+
+        Returns
+        -------
+        list of (t, C(t))
+            The first member of each run of sets that differ in their offsets only.
 
         Raises
         ------
         EmptySetError
             If C(t) is empty; the message names t.
         InputError
-            If C(t) is not finite, or B u0 is not in C(0) while A = 0.
-
-        Warns
-        -----
-        InitialStateWarning
-            If B u0 is not in C(0): the solution exists as A is coercive, but it starts moving.
+            If C(t) is not finite or changes its dimension.
         """
+        members: list[tuple[float, ConvexSet]] = []
         last = None
         for t in times:
             C = self.C.at(float(t))
@@ -141,15 +142,32 @@ class SweepingProcess:
                 raise InputError(f"C(t) at t = {t:g} has dim {C.dim}, not {self.dim}")
             if C is not last:
                 C.require_nonempty(f"C(t) at t = {t:g}")
+            if not members or not members[-1][1].same_cone(C):
+                _check_support(C)
+                members.append((float(t), C))
             last = C
-        start = self.C.at(float(times[0]))
-        _check_support(start)
+        return members
+
+    def check_start(self, t: float) -> None:
+        """Check B u0 in C(t) for the time t at which u0 holds.
+
+        Raises
+        ------
+        InputError
+            If B u0 is not in C(t) while A = 0: then no solution starts there.
+
+        Warns
+        -----
+        InitialStateWarning
+            If B u0 is not in C(t): the solution exists as A is coercive, but it starts moving.
+        """
+        C = self.C.at(t)
         force = self.times_B(self.u0)
-        distance = float(np.linalg.norm(force - start.project(force)))
-        size = max(np.abs(force).max(), np.abs(start.offsets).max(initial=0.0))
-        if distance <= 1e-9 * size:
+        nearest = C.project(force)
+        distance = float(np.linalg.norm(force - nearest))
+        if distance <= 1e-9 * max(np.abs(x).max() for x in (force, nearest, C.anchor)):
             return
-        where = f"B u0 is not in C({times[0]:g}); its distance is {distance:g}"
+        where = f"B u0 is not in C({t:g}); its distance is {distance:g}"
         if self.rate_independent:
             raise InputError(f"{where}. With A = 0 no solution starts there: change u0")
         warnings.warn(

@@ -31,7 +31,7 @@ class Velocity(NamedTuple):
     z : ndarray, shape (dim,)
         The velocity; sigma(C, -z) is finite, stuck unknowns are exactly 0.0.
     certificate : float
-        >= |z - z*|_M, from M, q and C alone; nan if the set has no proof.
+        >= |z - z*|_M up to rounding, from M, q and C alone; nan if the set has no proof.
     relative : float
         certificate / max(|z|_M, |M^-1 q|_M), q the full linear term; what `tol` bounds.
     """
@@ -137,7 +137,7 @@ class VelocityProgram:
 
 def rate(z: np.ndarray, certificate: float, size_z: float, size_q: float) -> Velocity:
     """A velocity with its certificate in relation to max(|z|_M, |M^-1 q|_M)."""
-    relative = certificate / max(size_z, size_q) if certificate > 0 else 0.0
+    relative = certificate / max(size_z, size_q) if certificate else 0.0
     return Velocity(z, certificate, float(relative))
 
 

@@ -57,7 +57,7 @@ def choose(name: str, rate_independent: bool) -> Scheme:
     """The scheme of that name; "auto" is midpoint, or implicit-euler when A = 0."""
     if name == "auto":
         name = "implicit-euler" if rate_independent else "midpoint"
-    if name not in SCHEMES:
+    if not isinstance(name, str) or name not in SCHEMES:
         raise InputError(f"scheme {name!r} is not known; use auto, {', '.join(SCHEMES)}")
     scheme = SCHEMES[name]
     if rate_independent and not scheme.implicit:

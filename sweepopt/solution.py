@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.errors import InputError, Status
+from sweepopt.errors import InputError, Status, SweepoptError
 from sweepopt.plan import Plan, VelocityOf
 from sweepopt.process import SweepingProcess
 
@@ -24,6 +24,7 @@ STATS = np.dtype(
         ("attempts", int),
         ("certificate", float),
         ("relative", float),
+        ("solver", "U16"),
     ]
 )
 
@@ -68,7 +69,8 @@ class Solution:
         velocity[i] = (u_{i+1} - u_i) / mu.
     stats : structured ndarray, shape (n,)
         One row a step: t (its end), seconds, iterations, attempts, certificate (a bound of
-        |z - z*|_M), relative (the certificate in units of the program's size, what tol bounds).
+        |z - z*|_M), relative (the certificate in units of the program's size, what tol bounds),
+        solver (who found it: a solver's name, "linear", "closed form" or "at rest").
     status : Status
     cause : str
         Which step failed and why, when the run stopped at it.
@@ -161,7 +163,13 @@ class Solution:
 
     def _distance(self, force: np.ndarray, C: Any) -> float:
         # the velocity program with M = A, q = w is the projection of w on C in the A^-1 metric
-        return self.process.metric.norm(self._nearest(force, C).velocity.z)
+        found = self._nearest(force, C).velocity
+        if found.relative > self.plan.tol:
+            raise SweepoptError(
+                f"the distance to C(t) is known to {found.relative:.2g} only, tol is "
+                f"{self.plan.tol:g}; solve with a looser tol to see it all the same"
+            )
+        return self.process.metric.norm(found.z)
 
     def _at_times(self, t: Any, measure: Any) -> np.ndarray:
         times = self._inside(t)
@@ -173,7 +181,10 @@ class Solution:
         return np.array(values).reshape(times.shape)
 
     def _inside(self, t: Any) -> np.ndarray:
-        times = np.asarray(t, dtype=float)
+        try:
+            times = np.asarray(t, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"t must be a time or an array of times, got {t!r:.60}") from error
         if len(self.t) < 2:
             raise InputError("the run has no complete step to interpolate")
         slack = 1e-12 * max(abs(self.t[0]), abs(self.t[-1]))
@@ -189,7 +200,7 @@ class Solution:
         return np.maximum(np.searchsorted(self.t, times, side="left") - 1, 0)
 
     def to_xarray(self) -> Dataset:
-        """The trajectory and its statistics as an xarray.Dataset (needs the extra "study")."""
+        """The trajectory and its statistics as an xarray.Dataset (needs the extra "fem")."""
         from sweepopt.store import to_xarray
 
         return to_xarray(self)

@@ -654,6 +654,27 @@ def support_is_lipschitz_in_hausdorff_distance(entry: Entry, s: Sample, rng: Rng
         assert 2 * (dP + dQ) * distance + max(entry.tol, 1e-7) * unit**2 >= (P - Q) @ (P - Q)
 
 
+def distance_bound_bounds_the_hausdorff_distance(entry: Entry, s: Sample, rng: Rng) -> None:
+    """|sigma(C, z) - sigma(D, z)| <= |z| bound, and the same for the distances of points."""
+    seed = int(rng.integers(2**20))
+    C, D = (entry.sample(seed, offsets).C for offsets in (1, 2))
+    bound, back = C.distance_bound(D), D.distance_bound(C)
+    assert C.distance_bound(C) == 0.0
+    assert (bound is None) == (back is None)
+    if bound is None or back is None:
+        return
+    close(bound, back, 1e-7 + entry.support_tol, size(C.offsets, D.offsets))
+    samples = [Sample(C, s.inside), Sample(D, s.inside)]
+    for z in (*(normals(one, rng) for one in samples), direction(rng, C.dim)):
+        one, two = C.support(z), D.support(z)
+        unit = size(z) * size(C.offsets, D.offsets)
+        if one != two:
+            assert abs(one - two) <= np.linalg.norm(z) * bound + 2 * entry.support_tol * unit
+    w = far_and_near(rng, C.dim)
+    near = [np.linalg.norm(w - E.project(w)) for E in (C, D)]
+    assert abs(near[0] - near[1]) <= bound + 10 * entry.edge_tol * size(w, C.offsets, D.offsets)
+
+
 def magnitude_bounds_the_set(entry: Entry, s: Sample, rng: Rng) -> None:
     bound = s.C.magnitude()
     assert np.isfinite(bound) == entry.bounded
@@ -727,6 +748,7 @@ LAWS: dict[Callable[[Entry, Sample, Rng], None], int] = {
     supports_add_in_sums_and_products: 2,
     intersection_with_a_large_ball_changes_nothing: 2,
     support_is_lipschitz_in_hausdorff_distance: 2,
+    distance_bound_bounds_the_hausdorff_distance: 3,
     magnitude_bounds_the_set: 2,
     descriptions_are_consistent: 2,
     witness_proves_a_pair_near_any_guess: 4,

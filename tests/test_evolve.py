@@ -176,3 +176,50 @@ def test_a_stuck_body_does_not_drift() -> None:
     C = so.Moving(so.Box([-1, -1], [1, 1]), lambda t: [0.999, 1.0])
     sol = so.solve(so.SweepingProcess(np.eye(2), np.eye(2), C, [0, 0]), t_end=10.0, steps=5000)
     assert not sol.u.any()
+
+
+def test_times_far_from_zero_keep_their_own_steps() -> None:
+    process = so.SweepingProcess([[1.0]], [[1.0]], so.Point([1.0]), [0.0])
+    stamps = 1.7e9 + np.array([0, 0.001, 0.0025])
+    with pytest.warns(so.InitialStateWarning):
+        sol = so.solve(process, steps=stamps, scheme="catching-up")
+    assert sol.u[1, 0] == pytest.approx(stamps[1] - stamps[0], rel=1e-9)
+    assert sol.velocity == pytest.approx(np.diff(sol.u, axis=0) / np.diff(sol.t)[:, None])
+
+
+def test_equal_steps_given_as_times_share_one_program() -> None:
+    compiled = []
+
+    class Counting(so.Clarabel):
+        def compile(self, program: VelocityProgram) -> object:
+            compiled.append(program)
+            return super().compile(program)
+
+    times = np.concatenate([np.linspace(0, 2, 41), np.linspace(2, 3, 11)[1:]])
+    so.solve(case("S03").process, steps=times, solver=Counting())
+    assert len(compiled) == 2
+
+
+def test_a_state_that_overflows_is_no_success() -> None:
+    C = so.Moving(so.Point([0.0]), center=lambda t: [1.0])
+    process = so.SweepingProcess([[1e-3]], [[1.0]], C, [0.0])
+    how = {"t_end": 1e3, "steps": 1000, "scheme": "catching-up", "on_unstable": "ignore"}
+    with pytest.warns(so.InitialStateWarning), np.errstate(over="ignore", invalid="ignore"):
+        sol = so.solve(process, on_failure="stop", **how)
+    assert sol.status is so.Status.INEXACT
+    assert "not finite" in sol.message
+    assert np.isfinite(sol.u).all()
+
+
+def test_a_callback_cannot_change_the_run() -> None:
+    def spoil(step: so.StepInfo) -> None:
+        step.u[:] = 1e9
+
+    clean = so.solve(slider(), t_end=5.0, steps=40)
+    assert np.array_equal(so.solve(slider(), t_end=5.0, steps=40, callback=spoil).u, clean.u)
+
+
+def test_every_step_says_who_found_it() -> None:
+    sol = so.solve(case("P09").process, t_end=10.0, steps=50, solver="osqp")
+    assert set(sol.stats["solver"]) <= {"osqp", "at rest"}
+    assert set(so.solve(slider(), t_end=5.0, steps=40).stats["solver"]) == {"closed form"}

@@ -35,7 +35,7 @@ def test_the_bound_of_the_dual_norm_is_met_by_the_slowest_mode() -> None:
     M = laplacian(80)
     mode = np.linalg.eigh(M)[1][:, 0]
     factor = Factor(sp.csc_array(M))
-    assert factor.dual_norm(mode) <= factor.dual_norm_bound(mode) <= 1.02 * factor.dual_norm(mode)
+    assert factor.dual_norm(mode) <= factor.dual_norm_bound(mode) <= 1.2 * factor.dual_norm(mode)
 
 
 @pytest.mark.parametrize("M", MATRICES.values(), ids=MATRICES)

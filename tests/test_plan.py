@@ -50,9 +50,9 @@ def process(name: str, dense: bool = False) -> so.SweepingProcess:
 def test_eliminating_the_rest_changes_no_answer(name: str, dense: bool) -> None:
     this = process(name, dense)
     C = this.C.at(0.3)
-    plan = make_plan(this, C, SCHEMES["midpoint"], "auto", 1e-6)
+    plan = make_plan(this, [(0.3, C)], SCHEMES["midpoint"], "auto", 1e-6)
     assert plan.eliminated == 40 - SMALL_SETS[name][1].dim
-    kept = replace(plan, contact=None, solvers=(so.Clarabel(tol=1e-11),))
+    kept = replace(plan, contact=None, solver=so.Clarabel(tol=1e-11))
     M = this.A + 0.1 * this.B
     q = np.cos(np.arange(40.0))
     small, full = plan.velocity(M)(q, C), kept.velocity(M)(q, C)
@@ -73,7 +73,9 @@ def test_stuck_contacts_of_a_large_body_are_exactly_zero(name: str) -> None:
 
 
 def test_the_plan_prints_what_is_simulated_and_what_is_not() -> None:
-    plan = make_plan(process("box"), process("box").C.at(0.0), SCHEMES["midpoint"], "osqp", 1e-6)
+    plan = make_plan(
+        process("box"), [(0.0, process("box").C.at(0.0))], SCHEMES["midpoint"], "osqp", 1e-6
+    )
     shown = str(plan)
     for line in (
         "unknowns            40",
@@ -83,7 +85,7 @@ def test_the_plan_prints_what_is_simulated_and_what_is_not() -> None:
     ):
         assert line in shown
     bare = so.SweepingProcess(chain(), None, so.Point(np.ones(40)), np.zeros(40))
-    shown = str(make_plan(bare, bare.C, SCHEMES["midpoint"], "auto", 1e-6))
+    shown = str(make_plan(bare, [(0.0, bare.C)], SCHEMES["midpoint"], "auto", 1e-6))
     assert "no optimiser" in shown
     assert "velocities do not depend on history" in shown
 
@@ -126,3 +128,44 @@ def test_diagonal_processes_are_solved_by_a_formula_that_agrees_with_the_solvers
     assert "formula" in str(sol.plan)
     carried = (sol.stats["certificate"] + solved.stats["certificate"]).sum() * 0.05
     assert max(map(this.metric.norm, sol.u - solved.u)) <= 5 * carried + 1e-12
+
+
+def test_a_set_that_starts_as_a_point_becomes_a_set_when_it_grows() -> None:
+    # C(t) = [0, 2t] holds 0 at all times: nothing ever moves
+    C = so.Moving(so.Box([-1], [1]), center=lambda t: [t], scale=lambda t: t)
+    this = so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
+    for scheme in ("implicit-euler", "midpoint"):
+        assert not so.solve(this, t_end=2.0, steps=20, scheme=scheme).u.any()
+
+
+def test_a_contact_zone_that_moves_is_followed() -> None:
+    axes, interval = np.eye(3), so.Box([-1], [1])
+
+    def as_image(t: float) -> so.ConvexSet:
+        return so.image(axes[:, [0]] if t < 1 else axes[:, [2]], interval) + [3 * t, 0, 3 * t]
+
+    def as_box(t: float) -> so.ConvexSet:
+        g = axes[0] if t < 1 else axes[2]
+        return so.Box(-g, g) + [3 * t, 0, 3 * t]
+
+    ends = []
+    for member in (as_image, as_box):
+        this = so.SweepingProcess(np.eye(3), None, so.MovingSet(member), np.zeros(3))
+        ends.append(so.solve(this, t_end=2.0, steps=20).u[-1])
+    assert ends[0] == pytest.approx(ends[1], abs=1e-12)
+
+
+def test_sets_of_several_kinds_are_solved_each_in_its_way_or_refused_before_the_run() -> None:
+    kinds = [
+        so.Box([-1, -1], [1, 1]),
+        so.Point([0.0, 0.0]),
+        so.Ball([0, 0], 1),
+        so.image([[1.0], [0.0]], so.Box([-1], [1])),
+    ]
+    C = so.MovingSet(lambda t: kinds[int(t)] + [2 * np.sin(3 * t), t])
+    this = so.SweepingProcess([[2, 0.5], [0.5, 1]], np.eye(2), C, [0, 0])
+    sol = so.solve(this, t_end=3.99, steps=40)
+    assert sol.stats["relative"].max() <= 1e-6
+    assert {"linear", "newton"} <= set(sol.stats["solver"])
+    with pytest.raises(so.SolverRefusedError, match=r"Ball.*t = 2"):
+        so.solve(this, t_end=3.99, steps=40, solver="osqp")

@@ -258,6 +258,84 @@ def test_a_polyhedron_without_rows_is_the_whole_space() -> None:
     assert (C.project([3.0, 4.0]) == [3.0, 4.0]).all()
 
 
+# ---- distances ----------------------------------------------------------------------------------
+
+TRIANGLE = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+INF = np.inf
+
+DISTANCES: dict[str, tuple[so.ConvexSet, so.ConvexSet, float]] = {
+    "points": (so.Point([1, 2]), so.Point([4, 6]), 5.0),
+    "balls": (so.Ball([0, 0], 1), so.Ball([3, 4], 3), 7.0),
+    "products of balls": (so.Balls([1, 2], 2), so.Balls([4, 6], 2), 5.0),
+    "balls that grow and shrink": (so.Balls([1, 2], 2), so.Balls([4, 1], 2), 3.0),
+    "boxes": (so.Box([0, 0], [1, 1]), so.Box([0, 0], [4, 5]), 5.0),
+    "boxes that cross": (so.Box([0, 0], [1, 4]), so.Box([0, 0], [4, 1]), 3.0),
+    "boxes open on one side": (so.Box([-INF, 0], [0, INF]), so.Box([-INF, 4], [3, INF]), 4.0),
+    "a box that opens": (so.Box([0, 0], [1, 1]), so.Box([0, 0], [1, INF]), INF),
+    "ellipsoids": (so.Ellipsoid([0, 0], np.eye(2)), so.Ellipsoid([3, 4], np.eye(2)), 5.0),
+    "concentric ellipsoids": (
+        so.Ellipsoid([0, 0], np.diag([1, 4])),
+        so.Ellipsoid([0, 0], np.diag([1, 9])),
+        1.0,
+    ),
+    "half-spaces": (so.HalfSpace([3, 4], 5), so.HalfSpace([3, 4], 15), 2.0),
+    "polytopes": (so.Polytope(TRIANGLE), so.Polytope(2 * TRIANGLE), 1.0),
+    "intervals": (so.Ball([0], 1), so.Box([-3], [2]), 2.0),
+    "open intervals": (so.HalfSpace([2], 2), so.Box([-INF], [4]), 3.0),
+    "an interval that opens": (so.Orthant(1), so.Box([0], [1]), INF),
+    "translates": (UNIT + [1, 1], UNIT + [4, 5], 5.0),
+    "a translate": (UNIT, UNIT + [3, 4], 5.0),
+    "translates of a cone": (so.SecondOrderCone(2), so.SecondOrderCone(2) + [3, 4], 5.0),
+    "multiples": (2 * UNIT, 5 * UNIT, 3.0),
+    "multiples of a cone": (2 * so.SecondOrderCone(3), 5 * so.SecondOrderCone(3), 0.0),
+    "a multiple": (UNIT, 5.0 * UNIT, 4.0),
+    "what shrinks to a point": (
+        so.Moving(UNIT, [1, 0], lambda t: t).at(0.0),
+        so.Moving(UNIT, [1, 0], lambda t: t).at(3.0),
+        3.0,
+    ),
+    "negatives": (-so.Polytope(TRIANGLE), -so.Polytope(2 * TRIANGLE), 1.0),
+    "sums": (UNIT + so.Box([0, 0], [1, 1]), UNIT + so.Box([0, 0], [4, 5]), 5.0),
+    "products": (
+        so.product(UNIT, so.HalfSpace([3, 4], 5)),
+        so.product(so.Ball([3, 0], 1), so.HalfSpace([3, 4], 25)),
+        5.0,
+    ),
+    "images": (
+        so.image([[0, 2], [1, 0], [0, 0]], so.Box([0, 0], [1, 1])),
+        so.image([[0, 2], [1, 0], [0, 0]], so.Box([0, 0], [1, 3])),
+        4.0,
+    ),
+    "equal polyhedra": (so.Polyhedron(TRIANGLE, [1, 1, 1]), so.Polyhedron(TRIANGLE, [1, 1, 1]), 0),
+    "equal intersections": (UNIT & so.Ball([1, 0], 1), UNIT & so.Ball([1, 0], 1), 0.0),
+}
+
+
+@pytest.mark.parametrize("case", DISTANCES)
+def test_distance_bound_is_sharp_where_the_distance_is_known(case: str) -> None:
+    C, D, expected = DISTANCES[case]
+    assert C.distance_bound(D) == pytest.approx(expected, rel=1e-14)
+    assert D.distance_bound(C) == pytest.approx(expected, rel=1e-14)
+
+
+def test_distance_bound_is_none_where_nothing_is_known() -> None:
+    other = so.Ball([1, 0], 1)
+    halves = so.HalfSpace([1, 0], 1), so.HalfSpace([0, 1], 1)
+    for C, D in [
+        (so.Polyhedron(TRIANGLE, [1, 1, 1]), so.Polyhedron(TRIANGLE, [1, 1, 2])),
+        (UNIT & other, UNIT & so.Ball([0.5, 0], 1)),
+        (UNIT, so.Box([0, 0], [1, 1])),
+        (UNIT + halves[0], UNIT + halves[1]),
+        (so.product(UNIT, halves[0]), so.product(UNIT, halves[1])),
+        (2 * halves[0], 3 * halves[0]),
+        (so.image(np.eye(2), UNIT), so.image(2 * np.eye(2), UNIT)),
+    ]:
+        assert C.distance_bound(D) is None
+        assert D.distance_bound(C) is None
+    with pytest.raises(so.InputError, match="dim 2 and 3"):
+        UNIT.distance_bound(so.Orthant(3))
+
+
 # ---- what the algebra simplifies ----------------------------------------------------------------
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sweepopt.errors import InputError
 from sweepopt.fem.discretisation import Discretisation
 from sweepopt.fem.fields import Datum
-from sweepopt.fem.forms import edge_groups, friction_weights
+from sweepopt.fem.forms import edge_groups, friction_weights, refuse_overflow
 from sweepopt.fem.mesh import Indices, cross, opposite
 from sweepopt.sets import Box, ConvexSet, image
 
@@ -74,7 +74,9 @@ def contact_on(body: Discretisation, on: Sequence[str], g: Datum) -> Contact:
     nodes = _edge_nodes(body, facets)
     size = body.basis.N
     weight = np.bincount(nodes.ravel(), weights.ravel(), size)
-    threshold = np.bincount(nodes.ravel(), (weights * bounds).ravel(), size)
+    with np.errstate(over="ignore"):
+        threshold = np.bincount(nodes.ravel(), (weights * bounds).ravel(), size)
+    refuse_overflow("g", threshold)
 
     walks, arcs, names = [], [], []
     for name, mine in edge_groups(body, on, facets).items():

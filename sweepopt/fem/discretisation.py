@@ -12,6 +12,7 @@ import skfem
 from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.errors import InputError
+from sweepopt.fem.fields import Datum, check_datum, evaluate
 from sweepopt.fem.mesh import Indices, check_mesh, group
 
 Array = NDArray[np.float64]
@@ -63,6 +64,11 @@ class Discretisation:
         object.__setattr__(self, "clamped", tuple(clamped))
         object.__setattr__(self, "element", element)
         self._refuse_loose_pieces()
+        if not self.dim:
+            raise InputError(
+                f"clamped: {', '.join(self.clamped)} leaves no unknown, every point is on it; "
+                "clamp less or refine the mesh"
+            )
 
     @cached_property
     def basis(self) -> skfem.CellBasis:
@@ -135,10 +141,10 @@ class Discretisation:
         full[..., self.free] = values
         return full
 
-    def interpolate(self, function: Callable[[Array], ArrayLike]) -> Array:
+    def interpolate(self, function: Datum) -> Array:
         """Nodal values of a function of x (shape (2, N)) at the unknowns, shape (dim,)."""
-        values = np.broadcast_to(np.asarray(function(self.points.T), float), (self.basis.N,))
-        return np.array(values[self.free])
+        values = evaluate("function", check_datum("function", function), self.points.T, {})
+        return np.asarray(values[self.free])
 
     def l2_error(self, u: ArrayLike, exact: Callable[[Array], ArrayLike]) -> float:
         """|u_h - exact| in L^2; `exact` maps x of shape (2, ...) to (...)."""

@@ -7,6 +7,7 @@ error starts with the path of the key at fault, such as ``effects.friction.g``.
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, fields
@@ -19,10 +20,10 @@ from sweepopt.errors import InputError
 from sweepopt.fem.discretisation import Discretisation
 from sweepopt.fem.effects import EFFECTS, Effect, names
 from sweepopt.fem.fields import Profile
-from sweepopt.fem.mesh import read_mesh
+from sweepopt.fem.mesh import as_path, read_mesh
 from sweepopt.fem.scene import Scene, build, check_names, located
 from sweepopt.library import find_problem
-from sweepopt.loads import Constant, History, Sine, Table, Triangle
+from sweepopt.loads import Constant, History, Sine, Table, Triangle, check_points
 
 WAVEFORMS: dict[str, type] = {"constant": Constant, "sine": Sine, "triangle": Triangle}
 """Histories by the name of their waveform in a scene file."""
@@ -75,6 +76,9 @@ class _Rows:
     t: list[float]
     values: list[float]
 
+    def __post_init__(self) -> None:
+        check_points("t", self.t, self.values)
+
 
 def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = ".") -> Scene:
     """Read a scene and assemble it.
@@ -126,7 +130,7 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
     Other histories: ``{ waveform = "triangle", amplitude, period }``,
     ``{ waveform = "constant", value }``, ``{ table = { t = [...], values = [...] } }``.
     """
-    data, folder = _load(source, Path(folder))
+    data, folder = _load(source, as_path("folder", folder))
     file = _validate(data)
     effects = _effects(file.effects, folder)
     with located("domain"):
@@ -152,6 +156,11 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
 def _load(source: str | Path | Mapping[str, Any], folder: Path) -> tuple[Mapping[str, Any], Path]:
     if isinstance(source, Mapping):
         return source, folder
+    if not isinstance(source, (str, os.PathLike)):
+        raise InputError(
+            "source must be a path, the name of a problem, TOML text or a mapping, "
+            f"got {source!r:.80}"
+        )
     if isinstance(source, str) and "\n" in source:
         where, text = "the scene", source
     else:
@@ -245,6 +254,5 @@ def _history(table: Any, path: str, folder: Path) -> History:
         return _record(WAVEFORMS[name], rest, path, folder)
     if set(table) == {"table"}:
         rows: _Rows = _record(_Rows, table["table"], f"{path}.table", folder)
-        with located(f"{path}.table"):
-            return Table(rows.t, rows.values)
+        return Table(rows.t, rows.values)
     raise InputError(f"{path}: must have one of csv, waveform or table; got {', '.join(table)}")

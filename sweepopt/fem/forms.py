@@ -15,6 +15,7 @@ import skfem
 from numpy.typing import NDArray
 from skfem.helpers import dot, grad
 
+from sweepopt.errors import InputError
 from sweepopt.fem.discretisation import ELEMENTS, QUADRATURE, Discretisation
 from sweepopt.fem.fields import NON_NEGATIVE, Datum, Range, evaluate
 from sweepopt.fem.mesh import Indices
@@ -31,15 +32,18 @@ def stiffness(body: Discretisation, name: str, coefficient: Datum, allowed: Rang
     x = np.asarray(basis.global_coordinates())
     values = evaluate(name, coefficient, x, body.mesh.subdomains or {}, allowed)
     form = skfem.BilinearForm(lambda u, v, w: w.c * dot(grad(u), grad(v)))
-    full = form.assemble(basis, c=skfem.DiscreteField(values))
-    return body.restrict((full + full.T) / 2)
+    with np.errstate(over="ignore", invalid="ignore"):
+        full = form.assemble(basis, c=skfem.DiscreteField(values))
+        matrix = body.restrict((full + full.T) / 2)
+    refuse_overflow(name, matrix.data)
+    return matrix
 
 
 def volume_load(body: Discretisation, name: str, density: Datum) -> Array:
     """Vector of ``int_Omega f0 v`` on the unknowns, shape (dim,)."""
     x = np.asarray(body.basis.global_coordinates())
     values = evaluate(name, density, x, body.mesh.subdomains or {})
-    return np.asarray(body.restrict(_load(body.basis, values)))
+    return np.asarray(body.restrict(_load(name, body.basis, values)))
 
 
 def boundary_load(body: Discretisation, name: str, on: Sequence[str], density: Datum) -> Array:
@@ -50,7 +54,7 @@ def boundary_load(body: Discretisation, name: str, on: Sequence[str], density: D
     )
     x = np.asarray(basis.global_coordinates())
     values = evaluate(name, density, x, edge_groups(body, on, facets))
-    return np.asarray(body.restrict(_load(basis, values)))
+    return np.asarray(body.restrict(_load(name, basis, values)))
 
 
 def friction_weights(
@@ -91,6 +95,17 @@ def edge_groups(body: Discretisation, on: Sequence[str], facets: Indices) -> dic
     return {name: np.flatnonzero(np.isin(facets, body.facets("on", (name,)))) for name in on}
 
 
-def _load(basis: skfem.CellBasis | skfem.FacetBasis, values: Array) -> Array:
+def refuse_overflow(name: str, integrals: Array) -> None:
+    """Refuse a coefficient whose values are finite but whose integrals are not."""
+    if not np.all(np.isfinite(integrals)):
+        raise InputError(
+            f"{name} is too large: its integrals over the mesh overflow; choose other units"
+        )
+
+
+def _load(name: str, basis: skfem.CellBasis | skfem.FacetBasis, values: Array) -> Array:
     form = skfem.LinearForm(lambda v, w: w.f * v)
-    return np.asarray(form.assemble(basis, f=skfem.DiscreteField(values)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        load = np.asarray(form.assemble(basis, f=skfem.DiscreteField(values)))
+    refuse_overflow(name, load)
+    return load

@@ -7,6 +7,7 @@ nothing holds) is refused here, with its place.
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,6 +24,8 @@ Indices = NDArray[np.int64]
 
 FLAT = 1e-10
 """An area below this share of the square of the longest edge is no triangle."""
+VERSIONS = ("2", "2.2", "4", "4.0", "4.1")
+"""Versions of the MSH format that meshio knows; it would read any other 2.x or 4.x as one of them."""
 HUGE = 1e100
 """Coordinates beyond this overflow when they are squared."""
 
@@ -45,7 +48,7 @@ def read_mesh(path: str | Path) -> skfem.MeshTri:
     InputError
         If the file is not such a mesh; the message names the file and the fault.
     """
-    path = Path(path)
+    path = as_path("path", path)
     raw = _read_gmsh(path)
     kinds = {block.type for block in raw.cells}
     foreign = kinds - {"triangle", "triangle6", "line", "line3", "vertex"}
@@ -60,6 +63,13 @@ def read_mesh(path: str | Path) -> skfem.MeshTri:
         return _build(raw, surfaces.pop())
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+
+
+def as_path(name: str, value: Any) -> Path:
+    """A path, or an error that names the argument."""
+    if not isinstance(value, (str, os.PathLike)):
+        raise InputError(f"{name} must be a path, got {value!r:.80}")
+    return Path(value)
 
 
 def check_mesh(mesh: skfem.MeshTri) -> None:
@@ -111,6 +121,12 @@ def _read_gmsh(path: Path) -> meshio.Mesh:
         raise InputError(f"{path}: is not a Gmsh .msh file (it does not start with $MeshFormat)")
     if b"$EndElements" not in content:
         raise InputError(f"{path}: is cut short ($EndElements is missing); save it again")
+    version = b"".join(content[:100].split()[1:2]).decode(errors="replace")
+    if version not in VERSIONS:
+        raise InputError(
+            f"{path}: MSH version {version!r} is not among {', '.join(VERSIONS)}; "
+            "save it as version 4.1 (Mesh.MshFileVersion)"
+        )
     try:
         with warnings.catch_warnings():
             # numpy only warns when a block of numbers ends early

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +14,7 @@ import skfem
 from numpy.typing import ArrayLike
 
 from sweepopt import schemes, solvers
+from sweepopt.checks import number
 from sweepopt.errors import InputError
 from sweepopt.fem.contact import Contact
 from sweepopt.fem.discretisation import Discretisation
@@ -132,6 +133,12 @@ def antiplane(
     >>> scene.left_out
     ('no elasticity: B is not formed', 'no load: f = 0')
     """
+    if not isinstance(effects, Iterable):
+        raise InputError(
+            f"effects must be a list of effects such as [Viscosity(1.0)], got {effects!r:.80}"
+        )
+    if t_end is not None:
+        t_end = number("t_end", t_end, minimum=0.0, strict=True)
     labelled = {f"effects[{k}]": effect for k, effect in enumerate(effects)}
     settings = {
         "t_end": t_end,
@@ -161,9 +168,9 @@ def build(
     """A scene from effects by the label that errors shall give them."""
     parts: list[Contribution] = []
     for label, effect in effects.items():
+        if isinstance(effect, type) or not hasattr(effect, "contribute"):
+            raise InputError(f"{label} is no effect such as Viscosity(1.0): {effect!r:.80}")
         with located(label):
-            if not hasattr(effect, "contribute"):
-                raise InputError(f"is no effect: {effect!r:.80}")
             parts.append(effect.contribute(body))
             _check_duration(parts[-1], settings["t_end"])
     A = _total([part.A for part in parts])

@@ -77,6 +77,15 @@ class Translation(ConvexSet):
     def magnitude(self) -> float:
         return self.part.magnitude() + float(np.linalg.norm(self.v))
 
+    def _distance(self, other: ConvexSet) -> float | None:
+        v, part = np.zeros(self.dim), other
+        if isinstance(other, Translation):
+            v, part = other.v, other.part
+        elif isinstance(other, Point):
+            v, part = other.offsets, Point(v)
+        found = self.part.distance_bound(part)
+        return None if found is None else found + float(np.linalg.norm(self.v - v))
+
     @property
     def anchor(self) -> np.ndarray:
         return self.v + self.part.anchor
@@ -135,6 +144,17 @@ class Scaling(ConvexSet):
     def magnitude(self) -> float:
         return self.factor * self.part.magnitude()
 
+    def _distance(self, other: ConvexSet) -> float | None:
+        # r C and s D are |r - s| sup |C| + s d(C, D) apart at most; {0} is 0 C
+        factor, part = 1.0, other
+        if isinstance(other, Scaling):
+            factor, part = other.factor, other.part
+        elif isinstance(other, Point) and not other.offsets.any():
+            factor, part = 0.0, self.part
+        found, change = self.part.distance_bound(part), abs(self.factor - factor)
+        moved = change * self.part.magnitude() if change else 0.0
+        return None if found is None or np.isinf(moved) else moved + factor * found
+
     @property
     def nonsmooth_dim(self) -> int:
         return self.part.nonsmooth_dim
@@ -192,6 +212,9 @@ class Negation(ConvexSet):
 
     def magnitude(self) -> float:
         return self.part.magnitude()
+
+    def _distance(self, other: ConvexSet) -> float | None:
+        return self.part.distance_bound(other.part) if isinstance(other, Negation) else None
 
     @property
     def nonsmooth_dim(self) -> int:
@@ -284,6 +307,13 @@ class Product(ConvexSet):
 
     def magnitude(self) -> float:
         return float(np.linalg.norm([part.magnitude() for part in self.parts]))
+
+    def _distance(self, other: ConvexSet) -> float | None:
+        if not isinstance(other, Product) or not np.array_equal(self._cuts, other._cuts):
+            return None
+        found = [a.distance_bound(b) for a, b in zip(self.parts, other.parts, strict=True)]
+        known = [distance for distance in found if distance is not None]
+        return float(np.linalg.norm(known)) if len(known) == len(found) else None
 
     @property
     def anchor(self) -> np.ndarray:

@@ -167,6 +167,34 @@ class ConvexSet(ABC):
         axes = np.eye(self.dim)
         return float(np.hypot.reduce([max(self.support(e), self.support(-e)) for e in axes]))
 
+    def distance_bound(self, other: ConvexSet) -> float | None:
+        """An upper bound of the Hausdorff distance of two sets of one family.
+
+        |sigma(C, z) - sigma(D, z)| <= |z| * distance_bound (Adly and Haddad, Lemma 2.1).
+
+        Returns
+        -------
+        float or None
+            0 if the sets are equal, exact in one dimension; None if no bound is known.
+        """
+        require_same_dim("distance_bound", self, other)
+        if self is other:
+            return 0.0
+        # one cone and one vector of offsets: one support function
+        if self.same_cone(other) and np.array_equal(self.offsets, other.offsets):
+            return 0.0
+        if self.dim == 1:
+            axes = np.array([[1.0], [-1.0]])
+            return float(
+                np.abs(difference(*([C.support(e) for e in axes] for C in (self, other)))).max()
+            )
+        found = self._distance(other)
+        return other._distance(self) if found is None else found
+
+    def _distance(self, other: ConvexSet) -> float | None:
+        """What the family knows of `distance_bound`; asked in both orders."""
+        return None
+
     def require_nonempty(self, where: str = "C") -> None:  # noqa: B027 (most shapes have a point)
         """Raise EmptySetError if C has no point."""
 
@@ -243,6 +271,12 @@ def same_array(a: Any, b: Any) -> bool:
         return a is b
     different = a != b
     return not (different.nnz if sp.issparse(different) else different.any())
+
+
+def difference(a: Any, b: Any) -> np.ndarray:
+    """a - b for bounds that may be infinite: equal infinities differ by 0."""
+    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    return np.subtract(a, b, out=np.zeros(a.shape), where=a != b)
 
 
 def require_same_dim(what: str, C: Any, D: Any) -> None:

@@ -176,6 +176,12 @@ class Image(ConvexSet):
         norm = np.sqrt(self._diagonal.max()) if self._orthogonal else np.linalg.norm(_dense(self.M))
         return float(norm) * self.part.magnitude()
 
+    def _distance(self, other: ConvexSet) -> float | None:
+        if not (isinstance(other, Image) and same_array(self.M, other.M)):
+            return None
+        found = self.part.distance_bound(other.part)
+        return None if found is None else float(np.sqrt(self._square_norm)) * found
+
     @property
     def nonsmooth_dim(self) -> int:
         return self.part.nonsmooth_dim

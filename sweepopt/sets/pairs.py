@@ -112,6 +112,13 @@ class Sum(ConvexSet):
     def magnitude(self) -> float:
         return self.first.magnitude() + self.second.magnitude()
 
+    def _distance(self, other: ConvexSet) -> float | None:
+        if not isinstance(other, Sum):
+            return None
+        one = self.first.distance_bound(other.first)
+        two = self.second.distance_bound(other.second)
+        return None if one is None or two is None else one + two
+
     @property
     def anchor(self) -> np.ndarray:
         return self.first.anchor + self.second.anchor

@@ -176,6 +176,11 @@ class HalfSpace(Polyhedron):
         excess = float(row @ vector("v", v, self.dim)) - self.offset
         return max(excess, 0.0) / length * (row / length)
 
+    def _distance(self, other: ConvexSet) -> float | None:
+        if not (isinstance(other, HalfSpace) and same_array(self.G, other.G)):
+            return None
+        return abs(self.offset - other.offset) / float(np.linalg.norm(self.G))
+
 
 class Polytope(ConvexSet):
     """The convex hull of points:  sigma(z) = max_i <vertices_i, z>.
@@ -224,3 +229,8 @@ class Polytope(ConvexSet):
 
     def magnitude(self) -> float:
         return float(np.linalg.norm(self.vertices, axis=1).max())
+
+    def _distance(self, other: ConvexSet) -> float | None:
+        if not (isinstance(other, Polytope) and self.vertices.shape == other.vertices.shape):
+            return None
+        return float(np.linalg.norm(self.vertices - other.vertices, axis=1).max())

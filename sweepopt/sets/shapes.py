@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import number, symmetric, vector
 from sweepopt.errors import EmptySetError, InputError
-from sweepopt.sets.base import ROUNDING, ConvexSet, Features, same_array
+from sweepopt.sets.base import ROUNDING, ConvexSet, Features, difference, same_array
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -46,6 +46,10 @@ class Point(ConvexSet):
 
     def magnitude(self) -> float:
         return float(np.linalg.norm(self.offsets))
+
+    def _distance(self, other: ConvexSet) -> float | None:
+        known = isinstance(other, Point)
+        return float(np.linalg.norm(self.offsets - other.offsets)) if known else None
 
     @property
     def anchor(self) -> np.ndarray:
@@ -143,6 +147,15 @@ class Box(ConvexSet):
     def magnitude(self) -> float:
         return float(np.linalg.norm(np.maximum(abs(self.lower), abs(self.upper))))
 
+    def _distance(self, other: ConvexSet) -> float | None:
+        if not isinstance(other, Box):
+            return None
+        below, above = difference(other.lower, self.lower), difference(self.upper, other.upper)
+        return max(  # each the largest distance of a point of one box to the other box
+            float(np.linalg.norm(np.maximum(0.0, np.maximum(below, above)))),
+            float(np.linalg.norm(np.maximum(0.0, np.maximum(-below, -above)))),
+        )
+
     def rows(self) -> tuple[Any, np.ndarray] | None:
         above, below = np.isfinite(self.upper), np.isfinite(self.lower)
         identity = sp.eye_array(self.dim, format="csr") if self.dim > 100 else np.eye(self.dim)
@@ -227,6 +240,11 @@ class Ball(ConvexSet):
     def magnitude(self) -> float:
         return float(np.linalg.norm(self.center) + self.radius)
 
+    def _distance(self, other: ConvexSet) -> float | None:
+        if not isinstance(other, Ball):
+            return None
+        return float(np.linalg.norm(self.center - other.center) + abs(self.radius - other.radius))
+
 
 class Balls(ConvexSet):
     """The product of m balls around 0 in R^dim, one after the other in the vector.
@@ -278,6 +296,12 @@ class Balls(ConvexSet):
 
     def magnitude(self) -> float:
         return float(np.linalg.norm(self.radii))
+
+    def _distance(self, other: ConvexSet) -> float | None:
+        if not self.same_cone(other):
+            return None
+        more = self.offsets - other.offsets
+        return float(max(np.linalg.norm(np.maximum(x, 0.0)) for x in (more, -more)))
 
     def _blocks(self, name: str, z: Any) -> np.ndarray:
         return vector(name, z, self.dim).reshape(-1, self.block)
@@ -339,6 +363,14 @@ class Ellipsoid(ConvexSet):
 
     def magnitude(self) -> float:
         return float(np.linalg.norm(self.center) + np.sqrt(self._squares[-1]))
+
+    def _distance(self, other: ConvexSet) -> float | None:
+        if not isinstance(other, Ellipsoid):
+            return None
+        # | |R z| - |S z| | <= |(R - S) z| for the symmetric roots R, S of the shapes
+        R, S = ((E._axes * np.sqrt(E._squares)) @ E._axes.T for E in (self, other))
+        apart = 0.0 if self.same_cone(other) else np.linalg.norm(R - S, 2)
+        return float(np.linalg.norm(self.center - other.center) + apart)
 
 
 class SecondOrderCone(ConvexSet):

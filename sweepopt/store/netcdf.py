@@ -162,6 +162,8 @@ def _steps(solution: Solution, units: Units) -> dict[str, Any]:
         "seconds": ("wall time of the step", "s"),
     }
     steps = {name: _variable(("step",), stats[name], *words) for name, words in described.items()}
+    answered = "solver that answered the step"
+    steps["solver"] = _variable(("step",), stats["solver"].astype(object), answered)
     viability = "bound of the distance of the step's force to C"
     steps["viability"] = _variable(("step",), solution.viability(), viability, units.viability)
     return steps

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -75,9 +76,6 @@ def make_report(
     return Report(name, text, scene, solution, slip, energy, seconds)
 
 
-# ---- NetCDF ---------------------------------------------------------------------------------
-
-
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """A new file that takes the place of `path` when the block ends well, and else disappears."""
@@ -90,6 +88,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def require(package: str, extra: str) -> None:
+    """Refuse to go on without a package, naming the extra that brings it."""
     try:
         __import__(package)
     except ImportError as error:
@@ -97,8 +96,14 @@ def require(package: str, extra: str) -> None:
 
 
 def solver_name(solution: Solution) -> str:
+    """The solver that the plan tries first; "linear" if no step needs one."""
     solvers = solution.plan.solvers
     return solvers[0].name if solvers else "linear"
+
+
+def solver_counts(solution: Solution) -> dict[str, int]:
+    """Number of steps that each solver answered."""
+    return dict(Counter(solution.stats["solver"].tolist()))
 
 
 def versions_of(solution: Solution) -> dict[str, str]:

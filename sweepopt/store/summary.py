@@ -10,7 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.store.report import Report, materials_of, replacing, solver_name, versions_of
+from sweepopt.store.report import (
+    Report,
+    materials_of,
+    replacing,
+    solver_counts,
+    solver_name,
+    versions_of,
+)
 
 SUMMARY = "summary.json"
 
@@ -63,6 +70,7 @@ def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:
                 "relative": stats["relative"].max(),
                 "viability": solution.viability().max(),
             },
+            "solvers": solver_counts(solution),
             "iterations": stats["iterations"].sum(),
             "seconds": report.seconds,
             "materials": {name: k for k, name in enumerate(materials_of(scene), start=1)},

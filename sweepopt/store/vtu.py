@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sweepopt.store.report import Report, materials_of, replacing, require
-
-if TYPE_CHECKING:
-    pass
 
 MOST_VTU = 50
 """At most so many VTU files a run."""
