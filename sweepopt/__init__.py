@@ -17,6 +17,7 @@ from sweepopt.errors import (
     SweepoptError,
     SweepoptWarning,
     UnstableStepError,
+    VariationWarning,
 )
 from sweepopt.evolve import StepInfo, solve
 from sweepopt.loads import Constant, Separable, Sine, Table, Triangle
@@ -87,6 +88,7 @@ __all__ = [
     "Table",
     "Triangle",
     "UnstableStepError",
+    "VariationWarning",
     "WholeSpace",
     "image",
     "product",

@@ -27,6 +27,13 @@ def number(name: str, value: Any, minimum: float | None = None, strict: bool = F
     return result
 
 
+def count(name: str, value: Any) -> int:
+    """A positive whole number."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        raise InputError(f"{name} must be a positive whole number, got {value!r:.60}")
+    return int(value)
+
+
 def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -> np.ndarray:
     """A float array of shape (dim,); a scalar counts as one entry."""
     ready = type(value) is np.ndarray and value.dtype == float and value.shape == (dim,)

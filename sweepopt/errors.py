@@ -82,5 +82,9 @@ class InitialStateWarning(SweepoptWarning):
     """B u0 is not in C(0): with A coercive the solution exists, but it starts with a velocity."""
 
 
+class VariationWarning(SweepoptWarning):
+    """C(t) moves infinitely far in no time: it is not of bounded variation."""
+
+
 class StabilityWarning(SweepoptWarning):
     """The step size lets an explicit scheme overshoot."""

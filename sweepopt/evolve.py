@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import Matrix, number, vector
+from sweepopt.checks import Matrix, count, number, vector
 from sweepopt.errors import (
     InputError,
     MissingExtraError,
@@ -127,12 +127,10 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
     """
     end = None if t_end is None else number("t_end", t_end, minimum=0.0, strict=True)
     if np.ndim(steps) == 0:
-        if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 1:
-            raise InputError(f"steps must be a positive whole number or times, got {steps!r}")
+        n = count("steps", steps)
         if end is None:
             raise InputError("t_end is missing; give it or pass the times as steps")
-        mu = end / int(steps)
-        return np.append(np.arange(int(steps)) * mu, end), np.full(int(steps), mu)
+        return np.append(np.arange(n) * (end / n), end), np.full(n, end / n)
     times = vector("steps", steps)
     if times.size < 2 or not (np.diff(times) > 0).all():
         raise InputError("steps must hold at least two strictly increasing times")

@@ -283,6 +283,17 @@ def test_a_bad_scene_gives_one_clean_line(
     assert shown.count("\n") == 1
 
 
+def test_an_unstable_step_is_refused_with_advice_that_the_command_line_can_follow(
+    scene: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene.write_text(SCENE + "[effects.elasticity]\nkappa = 90.0\n")
+    assert cli.main(["run", "ring.toml", "--scheme", "catching-up", "--no-progress"]) == 2
+    shown = capsys.readouterr().err
+    assert "'catching-up' amplifies errors: mu Lam = " in shown
+    assert shown.endswith("which need no such step; use --steps or --scheme\n")
+    assert shown.count("\n") == 1
+
+
 def test_our_warnings_are_one_line_without_a_source_file(
     scene: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -12,7 +12,7 @@ pytest.importorskip("skfem")
 import skfem
 from meshes import annulus, square, write_msh
 
-from sweepopt import Constant, InputError, Sine
+from sweepopt import Constant, InputError, Sine, Table
 from sweepopt.fem import (
     BodyForce,
     Elasticity,
@@ -498,7 +498,10 @@ def crush(mesh):
         (lambda path: path.write_text(""), "bad.msh: is not a Gmsh .msh file"),
         (lambda path: path.write_text(MSH41[:-20]), "bad.msh: is cut short"),
         (corrupt([("4 4 1 4", "5 4 1 4")]), "bad.msh: cannot be read as a Gmsh mesh"),
-        (corrupt([("4.1 0 8", "9.9 0 8")]), "bad.msh: cannot be read as a Gmsh mesh"),
+        (corrupt([("4.1 0 8", "9.9 0 8")]), "bad.msh: MSH version '9.9' is not among 2, 2.2, 4,"),
+        (corrupt([("4.1 0 8", "4.2 0 8")]), "bad.msh: MSH version '4.2' is not .*; save it as"),
+        (corrupt([("4.1 0 8", "2.9 0 8")]), "bad.msh: MSH version '2.9' is not among"),
+        (lambda path: path.write_text("$MeshFormat$EndElements"), "bad.msh: MSH version ''"),
         (corrupt([("0 1 2\n", "0 one 2\n")]), "bad.msh: cannot be read as a Gmsh mesh"),
         (corrupt([("0 1 2\n", "0 nan 2\n")]), r"bad.msh: node \d+ has coordinates .*nan"),
         (corrupt([("0 1 2\n", "0 1 3\n")]), "bad.msh: is not flat"),
@@ -535,6 +538,12 @@ def pieces():
     return mesh.with_boundaries({"left": lambda x: np.isclose(x[0], 0.0)})
 
 
+def scaled(factor):
+    """The square of `factor` units of length."""
+    mesh = square(2)
+    return replace(mesh, doflocs=factor * mesh.doflocs)
+
+
 VISCOUS = [Viscosity(1.0)]
 
 
@@ -553,7 +562,35 @@ VISCOUS = [Viscosity(1.0)]
         ({"scheme": "leapfrog"}, "scheme 'leapfrog' is not known"),
         ({"solver": "simplex"}, "solver 'simplex' is not known"),
         ({"effects": []}, "effects must hold a viscosity"),
-        ({"effects": [*VISCOUS, 3]}, r"effects\[1\].is no effect"),
+        ({"effects": None}, r"effects must be a list of effects .*, got None"),
+        ({"effects": VISCOUS[0]}, r"effects must be a list .*, got Viscosity\(eta=1.0\)"),
+        ({"effects": [*VISCOUS, 3]}, r"^effects\[1\] is no effect such as .*: 3"),
+        ({"effects": [Viscosity]}, r"^effects\[0\] is no effect such as Viscosity\(1.0\): <class"),
+        ({"effects": "viscosity"}, r"^effects\[0\] is no effect"),
+        (
+            {"mesh": square(1), "clamped": ["top", "bottom"]},
+            "clamped: holding top, bottom leaves no unknown",
+        ),
+        ({"t_end": "a"}, "t_end must be one number, got 'a'"),
+        ({"t_end": -1.0}, "t_end must be > 0"),
+        (
+            {"effects": [*VISCOUS, BodyForce(Table([0, 1], [0, 1]))], "t_end": "a"},
+            "t_end must be one number, got 'a'",
+        ),
+        ({"effects": [Viscosity(1e308)]}, r"effects\[0\].eta is too large: its integrals"),
+        ({"effects": [*VISCOUS, Elasticity(1e308)]}, r"effects\[1\].kappa is too large"),
+        (
+            {"effects": [*VISCOUS, Friction("left", g=1e308)], "mesh": scaled(1e3)},
+            r"effects\[1\].g is too large",
+        ),
+        (
+            {"effects": [*VISCOUS, BodyForce(Constant(), f0=1e308)], "mesh": scaled(1e3)},
+            r"effects\[1\].f0 is too large",
+        ),
+        (
+            {"effects": [*VISCOUS, Traction("left", Constant(), f2=1e308)], "mesh": scaled(1e3)},
+            r"effects\[1\].f2 is too large",
+        ),
         ({"effects": VISCOUS, "u0": [1.0]}, "u0 must have 6 entries, got 1"),
         (
             {"effects": [*VISCOUS, Friction("left", 1), Friction("right", 1)]},
@@ -607,6 +644,28 @@ def test_bad_arguments_are_refused_by_name(arguments, message):
 def test_bad_effects_are_refused_by_field(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+@pytest.mark.parametrize("path", [None, 3, b"square.msh"])
+def test_a_mesh_is_read_from_a_path_only(path):
+    with pytest.raises(InputError, match=f"path must be a path, got {path!r}"):
+        read_mesh(path)
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (lambda x: np.ones(3), r"function must turn points of shape \(2, ...\) into numbers"),
+        (lambda x: x, "function must turn points"),
+        (lambda x: "a", "function must turn points"),
+        (lambda x: x[0] * np.nan, "function must be finite, got nan"),
+        (None, "function must be a number, got None"),
+    ],
+)
+def test_only_one_finite_number_a_point_is_interpolated(function, message):
+    body = antiplane(square(2), clamped="top", effects=VISCOUS).discretisation
+    with pytest.raises(InputError, match=message):
+        body.interpolate(function)
 
 
 def test_overlapping_and_missing_groups_of_a_coefficient_are_refused():

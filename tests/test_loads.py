@@ -88,6 +88,11 @@ def test_a_separable_load_is_its_sum_and_bounds_its_variation():
     np.testing.assert_allclose(f.breakpoints(0.0, 2.0), [0.5, 1.5])
 
 
+@pytest.mark.parametrize("value", [2, 2.0, np.float32(2), np.int64(2), np.array([2.0]), [[2]]])
+def test_one_number_in_any_wrapping_is_a_value_of_a_history(value):
+    assert Separable([(lambda t: value, [1.0, 3.0])])(0.0).tolist() == [2.0, 6.0]
+
+
 def test_a_black_box_history_may_be_evaluated_but_not_measured():
     f = Separable([(lambda t: t**2, [1.0])])
     assert f(3.0) == [9.0]
@@ -100,14 +105,19 @@ def test_a_black_box_history_may_be_evaluated_but_not_measured():
     ("make", "message"),
     [
         (lambda: Sine(1.0, period=0.0), "period must be > 0"),
-        (lambda: Triangle(np.nan, period=1.0), r"amplitude\[0\] is nan"),
+        (lambda: Triangle(np.nan, period=1.0), "amplitude is nan"),
         (lambda: Sine("big", period=1.0), "amplitude must be"),
         (lambda: Constant([1.0, 2.0]), "value must be one number"),
         (lambda: Table([0.0], [1.0]), "times must have two entries"),
         (lambda: Table([0.0, 1.0, 1.0], [1.0, 2.0, 3.0]), r"entry 2 \(1\) follows entry 1 \(1\)"),
         (lambda: Table([0.0, 1.0], [1.0, np.inf]), r"values\[1\] is inf"),
         (lambda: Table([0.0, 1.0], [1.0]), "values has 1 entries for 2 times"),
+        (lambda: Table([0.0, 1.0], [0.0, 1.0])("a"), "t must be a time or an array .*, got 'a'"),
+        (lambda: Sine(1.0, period=1.0)([[1.0], []]), "t must be a time or an array of times"),
+        (lambda: Constant()("a"), "t must be a time or an array of times, got 'a'"),
+        (lambda: Table.from_csv(3, "f2"), "path must be the path of a CSV file, got 3"),
         (lambda: Separable([]), "terms must hold"),
+        (lambda: Separable(None), "terms must hold .*, got None"),
         (lambda: Separable([Constant(1.0)]), r"terms\[0\] must be a pair"),
         (lambda: Separable([(1.0, [1.0])]), r"terms\[0\]\[0\] must be callable"),
         (lambda: Separable([(Constant(1.0), [[1.0]])]), r"terms\[0\]\[1\] must have one axis"),
@@ -117,6 +127,13 @@ def test_a_black_box_history_may_be_evaluated_but_not_measured():
             r"terms\[1\]\[1\] has 2 entries, terms\[0\]\[1\] has 1",
         ),
         (lambda: Separable([(lambda t: np.nan, [1.0])])(0.5), r"terms\[0\]\[0\] is nan at t = 0.5"),
+        *(
+            (
+                lambda value=value: Separable([(Constant(), [1.0]), (lambda t: value, [1.0])])(0.5),
+                r"terms\[1\]\[0\] is .* at t = 0.5; it must be one finite number",
+            )
+            for value in ([1, 2], [], [1, [2]], "x", None, 1j, np.inf, np.zeros((2, 2)))
+        ),
     ],
 )
 def test_bad_loads_are_refused_by_name(make, message):
@@ -148,6 +165,12 @@ def test_a_csv_column_becomes_a_table(tmp_path):
         ("t,f2\n0,1\n\n1,two\n", "log.csv, column 'f2', row 4: 'two' is not"),
         ("t,f2\n0,1\n1,1\n1,3\n", "log.csv, column 't', row 4: time 1 does not come after 1"),
         ("t,f2\n0,1\n2,1\n1,3\n", "log.csv, column 't', row 4: time 1 does not come after 2"),
+        ("t,f2\n0,0,1,5\n", "log.csv, row 2: 4 cells under 2 column names; write decimals with a"),
+        ("t,f2\n0,1\n1,0,5\n", r"log.csv, row 3: 3 cells under 2 .* point \(1.5, not 1,5\)"),
+        ("t,f2\n0,1_0\n1,2\n", "log.csv, column 'f2', row 2: '1_0' is not a finite number"),
+        pytest.param(
+            f"t,f2\n0,{'1' * 200_000}\n", "log.csv, row 2: field larger than", id="huge cell"
+        ),
         ("t;f2\n0;1\n2;1\n", "log.csv: column 't' is missing; there are: t;f2"),
     ],
 )

@@ -1,6 +1,6 @@
 """Sets that move obey the algebra of sets that do not, at every time."""
 
-# ruff: noqa: RUF005 - C + [1, 2] is a translated set here, not a list
+
 from __future__ import annotations
 
 from typing import Any

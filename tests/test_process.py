@@ -130,3 +130,46 @@ class NeverRuns:
 
     def refined(self) -> None:
         return None
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+@pytest.mark.parametrize(
+    "C",
+    [
+        so.MovingSet(lambda t: so.Point([t, t])),
+        so.MovingSet(lambda t: so.HalfSpace([1, 0.5], 1 - 2 * np.sin(t))),
+        so.Moving(so.Ball([0, 0], 1), lambda t: [2 * t, t]) + so.Box([-1, 0], [1, 0]),
+        -so.Moving(so.Box([-1, -1], [1, 1]), lambda t: [3 * t, 0], lambda t: 1 + t),
+    ],
+    ids=["point", "half-space", "sum", "negative"],
+)
+def test_the_a_priori_bound_holds_for_all_kinds_of_moving_sets(C: so.MovingSet) -> None:
+    process = so.SweepingProcess(np.eye(2), 0.2 * np.eye(2), C, [0, 0])
+    sol = so.solve(process, t_end=2.0, steps=400, scheme="implicit-euler")
+    largest = np.linalg.norm(sol.velocity, axis=1).max()
+    assert 0 < largest <= process.velocity_bound(np.linspace(0, 2, 401)).value
+
+
+def test_a_variation_that_is_not_known_is_refused() -> None:
+    C = so.Polyhedron([[1.0, 0], [0, 1], [-1, -1]], lambda t: [np.cos(t), 1, 1])
+    process = so.SweepingProcess(np.eye(2), None, C, [0, 0])
+    with pytest.raises(so.InputError, match="not known for this kind"):
+        process.variation(np.linspace(0, 1, 5))
+    with pytest.raises(so.InputError, match="strictly increasing"):
+        process.variation([1.0, 0.0])
+
+
+def test_a_jump_to_an_unbounded_set_is_not_of_bounded_variation() -> None:
+    C = so.MovingSet(lambda t: so.Box([-1], [1 if t < 0.5 else np.inf]))
+    with pytest.warns(so.VariationWarning, match=r"t = 0\.5"):
+        assert so.solve(so.SweepingProcess([[1]], None, C, [0]), t_end=1.0, steps=10).success
+
+
+def test_lam_is_found_when_b_has_the_constants_in_its_kernel() -> None:
+    n = 60
+    ends = [np.r_[1, 2 * np.ones(n - 2), 1], -np.ones(n - 1), -np.ones(n - 1)]
+    B = sp.diags_array(ends, offsets=[0, 1, -1], format="csc")
+    box = so.Box(-np.ones(n), np.ones(n))
+    process = so.SweepingProcess(sp.eye_array(n, format="csc"), B, box, np.zeros(n))
+    assert process.Lam == pytest.approx(np.linalg.eigvalsh(B.toarray())[-1])
+    assert process.velocity_bound([0.0, 1.0]).norm_B == pytest.approx(process.Lam)

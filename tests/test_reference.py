@@ -27,7 +27,11 @@ def run(this: Case, steps: int, scheme: str, solver: object = "auto") -> so.Solu
 
 
 @pytest.mark.parametrize(("name", "scheme", "solver"), RUNS)
-def test_errors_and_order_are_those_of_the_theory(name: str, scheme: str, solver: str) -> None:
+def test_errors_and_order_are_those_of_the_theory(
+    name: str, scheme: str, solver: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # the solvers themselves are judged: no polish takes their part
+    monkeypatch.setattr("sweepopt.plan.POLISHED", np.inf)
     this = case(name)
     errors = []
     for steps in GRIDS:
@@ -49,7 +53,11 @@ def test_errors_and_order_are_those_of_the_theory(name: str, scheme: str, solver
 
 
 @pytest.mark.parametrize("name", SETS)
-def test_clarabel_osqp_and_plain_cvxpy_agree_at_the_tolerance_they_carry(name: str) -> None:
+@pytest.mark.parametrize("polished", [np.inf, 1e-12], ids=["raw", "polished"])
+def test_clarabel_osqp_and_plain_cvxpy_agree_at_the_tolerance_they_carry(
+    name: str, polished: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sweepopt.plan.POLISHED", polished)
     this = case(name)
     runs = [run(this, 101, "auto", so.Clarabel()), run(this, 101, "auto", so.Cvxpy("CLARABEL"))]
     if this.polyhedral:

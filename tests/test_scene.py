@@ -70,6 +70,7 @@ def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("scenes")
     write_msh(path / "ring.msh", annulus(2))
     write_msh(path / "square.msh", square(2))
+    write_msh(path / "coarse.msh", square(1))
     (path / "loads.csv").write_text("t,f2\n0,0\n1,0.5\n2,0.25\n")
     (path / "short.csv").write_text("t,f2\n0,0\n0.5,0.5\n")
     (path / "late.csv").write_text("t,f2\n0.25,0\n9,0.5\n")
@@ -174,6 +175,11 @@ BAD = [
     ("domain.mesh", "broken.msh", "domain.mesh: .*broken.msh: is cut short"),
     ("domain.mesh", "loads.csv", "domain.mesh: .*loads.csv: is not a Gmsh .msh file"),
     ("domain.clamped", "roof", "domain.clamped: 'roof' is not a boundary of the mesh; there are"),
+    (
+        "domain",
+        {"mesh": "coarse.msh", "clamped": ["bottom", "top"]},
+        "domain.clamped: holding bottom, top leaves no unknown",
+    ),
     ("domain.clamped", 3, "domain.clamped: must be a valid"),
     ("domain.clamped", [], "domain.clamped must be a name or a list of names"),
     ("domain.element", "P7", "domain.element: must be 'P1' or 'P2'"),
@@ -192,6 +198,7 @@ BAD = [
     ("effects.viscosity", 3, "effects.viscosity: must be a table, got 3"),
     ("effects.viscosity", {}, "effects.viscosity.eta: is missing"),
     ("effects.viscosity.eta", 0.0, "effects.viscosity.eta must be > 0, got 0"),
+    ("effects.viscosity.eta", 1e308, "effects.viscosity.eta is too large: its integrals"),
     ("effects.viscosity.eta", "x[0]", r"effects.viscosity.eta must be a number, got 'x\[0\]'"),
     ("effects.viscosity.eta", True, "effects.viscosity.eta must be a number, got True"),
     ("effects.viscosity.eta", [1.0], r"effects.viscosity.eta must be a number, got \[1.0\]"),
@@ -248,7 +255,13 @@ BAD_HISTORIES = [
     ({"waveform": "sine", "amplitude": "2", "period": 1.0}, "history.amplitude: must be a number"),
     ({"waveform": "constant", "value": 1.0, "csv": "loads.csv"}, "history.waveform: unknown key"),
     ({"table": {"t": [0.0, 1.0]}}, "history.table.values: is missing"),
-    ({"table": {"t": [0.0, 0.0], "values": [0, 1]}}, "history.table.times must increase"),
+    (
+        {"table": {"t": [0.0, 0.0], "values": [0, 1]}},
+        r"history.table.t must increase strictly, but entry 1 \(0\)",
+    ),
+    ({"table": {"t": "ab", "values": [0, 1]}}, "history.table.t must be an array of numbers"),
+    ({"table": {"t": [0.0], "values": [0]}}, "history.table.t must have two entries"),
+    ({"table": {"t": [0.0, 1.0], "values": [0]}}, "history.table.values has 1 entries for 2"),
     ({"table": {"t": [0.0, 1.0], "values": ["a", 1]}}, "history.table.values must be an array"),
     ({"table": {"t": [0.0, 0.5], "values": [0, 1]}}, r"history does not cover the run, \[0, 1\]"),
     ({"csv": "absent.csv", "column": "f2"}, "history.*absent.csv: cannot be read"),
@@ -295,11 +308,19 @@ def test_a_bad_entry_is_refused_with_its_path(folder, path, value, message):
         ("[domain]\nmesh = \n", "the scene: is not TOML: .*line 2"),
         ("[domain]\nmesh = 1\nmesh = 2\n", "the scene: is not TOML"),
         ("\n", "domain: is missing; time: is missing; effects: is missing"),
+        (3, "source must be a path, the name of a problem, TOML text or a mapping, got 3"),
+        (None, "source must be .*, got None"),
+        (b"", "source must be .*, got b''"),
     ],
 )
 def test_a_bad_file_is_refused(source, message):
     with pytest.raises(InputError, match=message):
         read_scene(source)
+
+
+def test_the_folder_of_a_scene_is_a_path():
+    with pytest.raises(InputError, match="folder must be a path, got None"):
+        read_scene(FULL, folder=None)
 
 
 def test_a_file_that_is_no_text_is_refused(tmp_path):

@@ -1,6 +1,6 @@
 """Every law over every set of the zoo; then exact numbers, hard cases and malformed input."""
 
-# ruff: noqa: RUF005 - C + [1, 2] is a translated set here, not a list
+
 from __future__ import annotations
 
 import re

@@ -204,6 +204,7 @@ def test_netcdf_holds_the_solution_on_all_nodes(report: store.Report, written: x
     np.testing.assert_array_equal(written.friction_bound, scene.contact.threshold)
     for name in ("certificate", "relative", "iterations"):
         np.testing.assert_array_equal(written[name], solution.stats[name])
+    np.testing.assert_array_equal(written.solver.values.astype(str), solution.stats["solver"])
     np.testing.assert_array_equal(written.viability, solution.viability())
     assert set(written.boundary.values) == {"outer"}
 
@@ -272,6 +273,9 @@ def test_summary_is_plain_finite_json_with_the_solutions_numbers(
     assert summary["energy"]["work"] == energy.work[-1]
     assert summary["energy"]["balance"] == energy.balance[-1]
     assert summary["worst"]["relative"] == solution.stats["relative"].max()
+    names, counts = np.unique(solution.stats["solver"], return_counts=True)
+    assert summary["solvers"] == dict(zip(names, counts, strict=True))
+    assert sum(summary["solvers"].values()) == 60
     assert summary["worst"]["viability"] == solution.viability().max()
     largest = summary["max_displacement"]
     assert largest["value"] == np.abs(solution.u).max()

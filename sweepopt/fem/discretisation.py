@@ -66,7 +66,7 @@ class Discretisation:
         self._refuse_loose_pieces()
         if not self.dim:
             raise InputError(
-                f"clamped: {', '.join(self.clamped)} leaves no unknown, every point is on it; "
+                f"clamped: holding {', '.join(self.clamped)} leaves no unknown; "
                 "clamp less or refine the mesh"
             )
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.sparse as sp
 import skfem
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from skfem.helpers import dot, grad
 
 from sweepopt.errors import InputError
@@ -95,7 +95,7 @@ def edge_groups(body: Discretisation, on: Sequence[str], facets: Indices) -> dic
     return {name: np.flatnonzero(np.isin(facets, body.facets("on", (name,)))) for name in on}
 
 
-def refuse_overflow(name: str, integrals: Array) -> None:
+def refuse_overflow(name: str, integrals: ArrayLike) -> None:
     """Refuse a coefficient whose values are finite but whose integrals are not."""
     if not np.all(np.isfinite(integrals)):
         raise InputError(

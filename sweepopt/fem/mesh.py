@@ -25,7 +25,7 @@ Indices = NDArray[np.int64]
 FLAT = 1e-10
 """An area below this share of the square of the longest edge is no triangle."""
 VERSIONS = ("2", "2.2", "4", "4.0", "4.1")
-"""Versions of the MSH format that meshio knows; it would read any other 2.x or 4.x as one of them."""
+"""Of the MSH format, those meshio knows; it would take any other 2.x or 4.x for 2.2 or 4.1."""
 HUGE = 1e100
 """Coordinates beyond this overflow when they are squared."""
 

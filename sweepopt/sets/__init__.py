@@ -60,7 +60,11 @@ def image(M: Any, C: Any) -> Any:
     if not isinstance(C, ConvexSet):
         raise InputError(f"image(M, C): C must be a set, got {type(C).__name__}")
     found = Image(M, C)
-    return Point(found.M @ C.offsets) if isinstance(C, Point) else found
+    if isinstance(C, Point):
+        return Point(found.M @ C.offsets)
+    if isinstance(C, Polytope) and not found.injective:
+        return Polytope((found.M @ C.vertices.T).T)
+    return found
 
 
 __all__ = [

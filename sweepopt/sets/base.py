@@ -188,11 +188,11 @@ class ConvexSet(ABC):
             return float(
                 np.abs(difference(*([C.support(e) for e in axes] for C in (self, other)))).max()
             )
-        found = self._distance(other)
-        return other._distance(self) if found is None else found
+        found = [C._distance(D) for C, D in ((self, other), (other, self))]
+        return min((distance for distance in found if distance is not None), default=None)
 
     def _distance(self, other: ConvexSet) -> float | None:
-        """What the family knows of `distance_bound`; asked in both orders."""
+        """A bound that the family knows; asked in both orders, the smaller one counts."""
         return None
 
     def require_nonempty(self, where: str = "C") -> None:  # noqa: B027 (most shapes have a point)

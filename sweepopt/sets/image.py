@@ -6,6 +6,7 @@ import copy
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.optimize
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix, matrix, vector
@@ -52,19 +53,19 @@ class Image(ConvexSet):
         # rank decides whether M^T z reaches every direction of R^m
         if self._orthogonal:
             self._pinv, self._square_norm = None, largest
-            self._injective = bool((self._diagonal > 0).all())
+            self.injective = bool((self._diagonal > 0).all())
         else:
             full = _dense(self.M)
             self._pinv = np.linalg.pinv(full)
             self._square_norm = float(np.linalg.norm(full, 2)) ** 2
-            self._injective = bool(np.linalg.matrix_rank(full) == columns)
+            self.injective = bool(np.linalg.matrix_rank(full) == columns)
         self._set_part(part)
 
     def _set_part(self, part: ConvexSet) -> None:
         self.part, self.offsets = part, part.offsets
         self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
         separable = isinstance(part, Box) or self._uniform
-        self._closed_form = self._orthogonal and self._injective and separable
+        self._closed_form = self._orthogonal and self.injective and separable
         # a cone of generators: by Moreau its normals are the projections on the polar polyhedron
         cone = isinstance(part, Box) and not part.offsets.any()
         self._dual = self._polar_rows() if cone and not self._closed_form else None
@@ -121,15 +122,63 @@ class Image(ConvexSet):
         return p if np.abs(p).max() > ROUNDING * size else np.zeros(self.dim)
 
     def _nearest(self, w: np.ndarray) -> np.ndarray | None:
-        """s in C with M s nearest to w, by projected gradients where M mixes."""
+        """s in C with M s nearest to w, to rounding: projected gradients where M mixes.
+
+        They crawl where M hardly sees a direction that C leaves open; then an active set or
+        Newton's method finds s, and the gradient only confirms it.
+        """
         s = self.part.project(self._solve(w))
         if self._closed_form or not self._square_norm:
             return s
 
         def descend(s: np.ndarray) -> np.ndarray:
-            return self.part.project(s - self.M.T @ (self.M @ s - w) / self._square_norm)
+            return self.part.project(self._descended(s, w))
 
-        return fixed_point(descend, s, s)
+        found = fixed_point(descend, s, s)
+        if found is not None:
+            return found
+        if isinstance(self.part, Box):
+            return fixed_point(descend, _nearest_in_box(_dense(self.M), self.part, w), s)
+        return fixed_point(descend, self._newton(w, s), s)
+
+    def _descended(self, s: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """The gradient step whose projection leaves s where it is if M s is nearest to w."""
+        return s - self.M.T @ (self.M @ s - w) / self._square_norm
+
+    def _implicit(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """D, the derivative of P_C at x = _descended(s, w), and the one of s - P_C(x) in s."""
+        D = self.part.derivative(x)
+        if D is None:
+            return None
+        D = np.diag(D) if D.ndim == 1 else D
+        gram = _dense(self.M.T @ self.M) / self._square_norm
+        return D, np.eye(D.shape[0]) - D + D @ gram
+
+    def _newton(self, w: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """The s with M s nearest to w, by semismooth Newton steps; the start if C has none."""
+        for _ in range(30):
+            x = self._descended(s, w)
+            known = self._implicit(x)
+            if known is None:
+                break
+            s = s + np.linalg.lstsq(known[1], self.part.project(x) - s, rcond=1e-13)[0]
+        return self.part.project(s)
+
+    def steps(self, tau: np.ndarray) -> np.ndarray:
+        # never tau itself: a projection that iterates must not pass for a formula
+        return super().steps(tau) if self._closed_form else 2 * super().steps(tau)
+
+    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        """M ds/dv for the s with M s = P(v), where M is not injective."""
+        if self.injective or self._dual is not None or not self._square_norm:
+            return None
+        s = self._nearest(v)
+        known = self._implicit(self._descended(self._solve(v) if s is None else s, v))
+        if known is None:
+            return None
+        D, jacobian = known
+        pulled = D @ _dense(self.M).T / self._square_norm
+        return _dense(self.M) @ np.linalg.lstsq(jacobian, pulled, rcond=1e-13)[0]
 
     def features(self, p: cp.Expression) -> Features:
         return self.part.features(self.M.T @ p)
@@ -139,7 +188,7 @@ class Image(ConvexSet):
     ) -> Witness | None:
         if not self.certifiable:
             return None
-        if not self._injective:
+        if not self.injective:
             return self._witness_of_nearest(w + float(np.mean(tau)) * p, float(np.mean(tau)))
         inner = self.M.T @ p
         weights = ((self.M * self.M).T @ tau) / self._diagonal**2  # tau in the units of s
@@ -157,7 +206,14 @@ class Image(ConvexSet):
             return Witness((v - self.M @ s) / step, self.M @ s, 0.0)
         # not to rounding: the parameters nearest to the program's answer, and what they miss
         normal = v - project_by_program(self, v)
-        s = self.part.project(self._solve(v - normal))
+        w = v - normal
+
+        def meet(s: np.ndarray) -> np.ndarray:
+            return self.part.project(s + self._solve(w - self.M @ s))
+
+        s = meet(np.zeros(self.part.dim))
+        better = fixed_point(meet, s, s)
+        s = s if better is None else better
         inner = self._pulled_back(normal / step)
         gap = self.part.support(inner) - float(inner @ s)
         return Witness(normal / step, self.M @ s, max(gap, 0.0))
@@ -215,6 +271,22 @@ def _selected(M: Matrix) -> np.ndarray | None:
         return None
     distinct = np.unique(entries.col).size == np.unique(entries.row).size == entries.nnz
     return rows if distinct else None
+
+
+def _nearest_in_box(M: np.ndarray, box: Box, w: np.ndarray) -> np.ndarray:
+    """s in the box with M s nearest to w, exact on the bounds it ends with."""
+    s = box.lower.copy()
+    free = box.lower < box.upper
+    rest = w - M[:, ~free] @ s[~free]
+    # in units of the data: the tolerances of the method are absolute
+    norm = np.linalg.norm(M[:, free], 2)
+    size = np.abs(rest).max() or 1.0
+    bounds = np.array([box.lower[free], box.upper[free]]) * (norm / size)
+    found = scipy.optimize.lsq_linear(
+        M[:, free] / norm, rest / size, bounds=tuple(bounds), method="bvls", tol=1e-16
+    )
+    s[free] = found.x * (size / norm)
+    return box.project(s)
 
 
 def _dense(M: Any) -> np.ndarray:

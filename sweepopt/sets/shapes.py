@@ -334,13 +334,29 @@ class Ellipsoid(ConvexSet):
         return float(self.center @ z + np.sqrt(self._squares @ (self._axes.T @ z) ** 2))
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        # x_i = e_i d_i / (e_i + lam), lam >= 0 the root of sum e_i d_i^2 / (e_i + lam)^2 = 1;
-        # in s = 1 / sqrt(sum) the equation is nearly linear, so Newton from lam = 0 rises to it
+        # x_i = e_i d_i / (e_i + lam)
         w = vector("w", w, self.dim)
-        d = self._axes.T @ (w - self.center)
+        d, e = self._axes.T @ (w - self.center), self._squares
+        lam = self._multiplier(d)
+        return w if lam is None else self.center + self._axes @ (e * d / (e + lam))
+
+    def derivative(self, v: np.ndarray) -> np.ndarray:
+        d, e = self._axes.T @ (v - self.center), self._squares
+        lam = self._multiplier(d)
+        if lam is None:
+            return np.eye(self.dim)
+        fall = e * d / (e + lam) ** 2  # -dx/dlam
+        inner = np.diag(e / (e + lam)) - np.outer(fall, fall) / (fall @ (d / (e + lam)))
+        return self._axes @ inner @ self._axes.T
+
+    def _multiplier(self, d: np.ndarray) -> float | None:
+        """The root lam >= 0 of sum e_i d_i^2 / (e_i + lam)^2 = 1; None inside.
+
+        In s = 1 / sqrt(sum) the equation is nearly linear, so Newton from lam = 0 rises to it.
+        """
         e = self._squares
         if d @ (d / e) <= 1:
-            return w
+            return None
         lam = 0.0
         for _ in range(100):
             terms = e * d**2 / (e + lam) ** 2
@@ -349,7 +365,7 @@ class Ellipsoid(ConvexSet):
             lam += step
             if step <= 1e-16 * lam:
                 break
-        return self.center + self._axes @ (e * d / (e + lam))
+        return lam
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp

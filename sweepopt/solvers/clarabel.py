@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from sweepopt.checks import count, number
 from sweepopt.errors import SolverRefusedError
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
@@ -22,11 +23,25 @@ class Clarabel:
     ----------
     tol : float
     max_iter : int
+
+    Raises
+    ------
+    InputError
+        If tol or max_iter is not positive.
+
+    Examples
+    --------
+    >>> Clarabel(tol=1e-9).refined().tol <= 1.1e-11
+    True
     """
 
     tol: float = 1e-9
     max_iter: int = 200
     name = "clarabel"
+
+    def __post_init__(self) -> None:
+        number("tol", self.tol, minimum=0.0, strict=True)
+        count("max_iter", self.max_iter)
 
     def treats(self, C: ConvexSet) -> bool:
         """Every set."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
+from sweepopt.checks import count
 from sweepopt.linalg import dense
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
@@ -29,11 +30,26 @@ class Newton:
     max_iter : int
     max_dim : int
         Larger programs are left to the other solvers; a step solves a dense system.
+
+    Raises
+    ------
+    InputError
+        If max_iter or max_dim is not positive.
+
+    Examples
+    --------
+    >>> from sweepopt.sets import Ball, Polytope
+    >>> Newton().treats(Ball([0.0, 0.0], 1.0)), Newton().treats(Polytope([[0.0], [1.0]]))
+    (True, False)
     """
 
     max_iter: int = 15
     max_dim: int = 1500
     name = "newton"
+
+    def __post_init__(self) -> None:
+        count("max_iter", self.max_iter)
+        count("max_dim", self.max_dim)
 
     def treats(self, C: ConvexSet) -> bool:
         """Whether C is small and the derivative of its projection is known."""

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from sweepopt.checks import count, number
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
 from sweepopt.solvers.base import Answer, Solve
@@ -23,11 +24,25 @@ class OSQP:
     ----------
     tol : float
     max_iter : int
+
+    Raises
+    ------
+    InputError
+        If tol or max_iter is not positive.
+
+    Examples
+    --------
+    >>> OSQP(tol=1e-9).refined().tol <= 1.1e-11
+    True
     """
 
     tol: float = 1e-7
     max_iter: int = 5_000
     name = "osqp"
+
+    def __post_init__(self) -> None:
+        number("tol", self.tol, minimum=0.0, strict=True)
+        count("max_iter", self.max_iter)
 
     def treats(self, C: ConvexSet) -> bool:
         """Polyhedra."""

@@ -30,6 +30,11 @@ class Cvxpy:
         cvxpy's name of it, for example "CLARABEL", "OSQP", "PIQP".
     settings : dict
         Passed on to the solver; tight ones are chosen for CLARABEL and OSQP when empty.
+
+    Examples
+    --------
+    >>> Cvxpy("OSQP", {"eps_abs": 1e-9}).name
+    'cvxpy:osqp'
     """
 
     solver: str = "CLARABEL"
@@ -72,6 +77,10 @@ class Cvxpy:
                     statement.problem.solve(solver=name, enforce_dpp=True, **settings)
                 except cp.SolverError as error:
                     return Answer(np.zeros(n), np.zeros(size), 0, f"failed: {error}")
+                except (TypeError, ValueError) as error:
+                    raise SolverRefusedError(
+                        f"cvxpy's {name} does not take the settings {settings}: {error}"
+                    ) from error
             if statement.z.value is None:
                 return Answer(np.zeros(n), np.zeros(size), 0, str(statement.problem.status))
             iterations = statement.problem.solver_stats.num_iters or 0
