@@ -295,8 +295,7 @@ def _cause(step: int, t: float, relative: float, attempts: int, tol: float) -> s
         f"step {step} from t = {t:g}: the best certificate of {attempts} attempts is "
         f"{relative:.2g} of the velocity's size, tol is {tol:g}. The data of this step are scaled "
         "too badly for double precision, C(t) is nearly empty, or its projection is not exact "
-        "enough; loosen tol, try another solver, or pass on_failure='stop' to keep the steps "
-        "before it"
+        "enough; loosen tol or try another solver"
     )
 
 

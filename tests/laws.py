@@ -341,9 +341,9 @@ def crossed(*builds: Build) -> Build:
     return make
 
 
-def mapped(build: Build, kind: str) -> Build:
+def mapped(build: Build, kind: str, scale: float = 1.0, columns: int | None = None) -> Build:
     def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
-        s = build(frame, rng, dim)
+        s = build(frame, rng, columns or dim)
         dim = s.C.dim
         M: Any
         if kind == "selection":
@@ -351,6 +351,8 @@ def mapped(build: Build, kind: str) -> Build:
             M = sp.csc_array((np.ones(dim), (rows, np.arange(dim))), shape=(dim + 3, dim))
         elif kind == "injective":
             M = np.vstack([np.eye(dim), frame.normal(size=(2, dim))])
+        elif kind == "wide":
+            M = scale * frame.normal(size=(3, dim))
         else:
             M = frame.normal(size=(max(dim - 1, 1), dim))
 
@@ -441,6 +443,14 @@ ZOO: dict[str, Entry] = {
     "injective image of an orthant": Entry(mapped(orthant, "injective"), bounded=False, cone=True),
     "shadow of a box": Entry(mapped(box, "shadow")),
     "shadow of an ellipsoid": Entry(mapped(ellipsoid, "shadow"), edge_tol=1e-7),
+    "wide image of a box": Entry(mapped(box, "wide", columns=5)),
+    "wide image of a box, small": Entry(mapped(box, "wide", 1e-3, columns=5)),
+    "wide image of a box, large": Entry(mapped(box, "wide", 1e3, columns=5)),
+    "wide image of a ball": Entry(mapped(ball, "wide", columns=4), edge_tol=1e-7),
+    "wide image of a ball, small": Entry(mapped(ball, "wide", 1e-3, columns=4), edge_tol=1e-7),
+    "wide image of a ball, large": Entry(mapped(ball, "wide", 1e3, columns=4), edge_tol=1e-7),
+    "wide image of balls": Entry(mapped(crossed(ball, ball), "wide"), edge_tol=1e-7),
+    "wide image of a polytope": Entry(mapped(polytope, "wide", columns=4)),
     "polar of the orthant": Entry(polar_of(orthant), bounded=False, cone=True),
     "polar of a half-space": Entry(polar_of(cone_half_space), bounded=False, cone=True),
     "polar of a polyhedral cone": Entry(polar_of(vertex_cone), bounded=False, cone=True),
@@ -675,6 +685,19 @@ def distance_bound_bounds_the_hausdorff_distance(entry: Entry, s: Sample, rng: R
     assert abs(near[0] - near[1]) <= bound + 10 * entry.edge_tol * size(w, C.offsets, D.offsets)
 
 
+def derivative_is_the_slope_of_the_projection(entry: Entry, s: Sample, rng: Rng) -> None:
+    """Where the slopes ahead and behind agree (the projection is smooth there)."""
+    v, e = far_and_near(rng, s.C.dim), rng.normal(size=s.C.dim)
+    D = s.C.derivative(v)
+    if D is None:
+        return
+    ahead, behind = (
+        (s.C.project(v + h * e) - s.C.project(v)) / h for h in (1e-6 * size(v), -1e-6 * size(v))
+    )
+    if np.abs(ahead - behind).max() <= 1e-5 * size(e):
+        close(D * e if D.ndim == 1 else D @ e, ahead, 1e-4, size(e))
+
+
 def magnitude_bounds_the_set(entry: Entry, s: Sample, rng: Rng) -> None:
     bound = s.C.magnitude()
     assert np.isfinite(bound) == entry.bounded
@@ -749,6 +772,7 @@ LAWS: dict[Callable[[Entry, Sample, Rng], None], int] = {
     intersection_with_a_large_ball_changes_nothing: 2,
     support_is_lipschitz_in_hausdorff_distance: 2,
     distance_bound_bounds_the_hausdorff_distance: 3,
+    derivative_is_the_slope_of_the_projection: 4,
     magnitude_bounds_the_set: 2,
     descriptions_are_consistent: 2,
     witness_proves_a_pair_near_any_guess: 4,

@@ -174,6 +174,7 @@ BAD = [
     ("domain.mesh", "absent.msh", "domain.mesh: .*absent.msh: cannot be read"),
     ("domain.mesh", "broken.msh", "domain.mesh: .*broken.msh: is cut short"),
     ("domain.mesh", "loads.csv", "domain.mesh: .*loads.csv: is not a Gmsh .msh file"),
+    ("domain", {"mesh": "square.msh"}, "domain.clamped: 'clamped' is not a boundary of the mesh"),
     ("domain.clamped", "roof", "domain.clamped: 'roof' is not a boundary of the mesh; there are"),
     (
         "domain",

@@ -1,6 +1,5 @@
 """Every law over every set of the zoo; then exact numbers, hard cases and malformed input."""
 
-
 from __future__ import annotations
 
 import re
@@ -218,6 +217,38 @@ def test_what_is_inside_does_not_move_at_all() -> None:
         assert found is not None
         assert (found.p == 0.0).all()
         assert found.gap == 0.0
+
+
+WIDE: dict[str, Any] = {
+    "box": lambda rng: so.Box(-rng.random(5), rng.random(5)),
+    "box, a side open": lambda rng: so.Box([-1, -1, -1, -1, -np.inf], np.ones(5)),
+    "box, a side fixed": lambda rng: so.Box([-1, -1, -1, -1, 0], [1, 1, 1, 1, 0]),
+    "ball": lambda rng: so.Ball(np.zeros(4), 1.0),
+    "balls": lambda rng: so.Balls([1.0, 0.5], 2),
+    "ellipsoid": lambda rng: so.Ellipsoid(np.zeros(4), np.diag([1.0, 0.1, 2.0, 3.0])),
+    "polytope": lambda rng: so.Polytope(np.vstack([np.zeros(4), rng.normal(size=(8, 4))])),
+}
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("name", WIDE)
+def test_the_velocity_in_an_image_with_many_preimages_is_certified(name: str, scale: float) -> None:
+    # M between 2e-3 and 6e-3: an error of w counts 500 times in the velocity
+    for seed in range(40 if name in ("box", "ball") and scale == 1 else 6):
+        rng = np.random.default_rng(seed)
+        part = WIDE[name](rng)
+        G, k = scale * rng.normal(size=(3, part.dim)), 5 * scale * rng.normal(size=3)
+        C = so.Moving(so.image(G, part), center=lambda t, k=k: t * k)
+        process = so.SweepingProcess(np.diag([2e-3, 4e-3, 6e-3]), None, C, np.zeros(3))
+        so.solve(process, t_end=1.0, steps=3)  # raises StepError above 1e-6
+
+
+def test_the_velocity_in_a_zonotope_is_certified() -> None:
+    rng = np.random.default_rng(0)
+    G, k = np.round(rng.normal(size=(3, 5)), 1), 5 * rng.normal(size=3)
+    C = so.Moving(so.image(G, so.Box(-np.ones(5), np.ones(5))), center=lambda t: k * np.sin(3 * t))
+    process = so.SweepingProcess(np.diag([0.002, 0.004, 0.006]), None, C, [0, 0, 0])
+    so.solve(process, t_end=1.0, steps=10)
 
 
 # ---- support functions --------------------------------------------------------------------------

@@ -35,7 +35,7 @@ class _Part(BaseModel):
 
 class _Domain(_Part):
     mesh: str
-    clamped: str | list[str]
+    clamped: str | list[str] = "clamped"
     element: Literal["P1", "P2"] = "P1"
 
 
@@ -107,7 +107,7 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
         title = "..."                   # optional; units = "SI" or "dimensionless" (default)
         [domain]
         mesh = "tube.msh"               # Gmsh, physical groups by name
-        clamped = "bonded"              # a name or a list
+        clamped = "bonded"              # a name or a list; "clamped" if not given
         element = "P1"                  # or "P2"
         [time]
         end = 10.0
