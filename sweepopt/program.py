@@ -47,7 +47,7 @@ class Statement(NamedTuple):
     problem: cp.Problem
     q: cp.Parameter
     offsets: cp.Parameter
-    z: cp.Variable
+    z: cp.Expression
     y: cp.Expression
 
 
@@ -77,17 +77,28 @@ class VelocityProgram:
     M: Factor
     cone: ConvexSet
 
+    @property
+    def stiffness(self) -> float:
+        """A number in the units of M: the geometric mean of its diagonal."""
+        return float(np.exp(np.log(self.M.diagonal).mean()))
+
     def statement(self) -> Statement:
         """The program in cvxpy (DPP: only the linear part of the objective has parameters)."""
         import cvxpy as cp
 
-        z = cp.Variable(self.M.dim)
+        # Jacobi scaling: the solver sees a matrix of constant diagonal, whatever the units of z
+        scale = np.sqrt(self.stiffness) / self.M.root
+        x = cp.Variable(self.M.dim)
+        z = cp.multiply(scale, x)
+        weights = sp.diags_array(scale) if sp.issparse(self.M.M) else np.diag(scale)
+        scaled = weights @ self.M.M @ weights
         q = cp.Parameter(self.M.dim)
         offsets = cp.Parameter(max(self.cone.offsets.size, 1))
         features, constraints = self.cone.features(-z)
         y = cp.hstack(features) if features else cp.Constant(np.zeros(1))
         # M is known to be positive definite: it was factorised
-        objective = 0.5 * cp.quad_form(z, cp.psd_wrap(self.M.M)) + q @ z + offsets @ y
+        scaled = 0.5 * (scaled + scaled.T)
+        objective = 0.5 * cp.quad_form(x, cp.psd_wrap(scaled)) + q @ z + offsets @ y
         return Statement(cp.Problem(cp.Minimize(objective), constraints), q, offsets, z, y)
 
     def canonical(self, solver: str) -> Canonical:

@@ -56,8 +56,7 @@ class Clarabel:
         import clarabel
 
         canonical = program.canonical("CLARABEL")
-        stiffness = float(program.M.diagonal.mean())
-        P = sp.triu(canonical.P / stiffness, format="csc")
+        P = sp.triu(canonical.P / program.stiffness, format="csc")
         A, b = canonical.data["A"], canonical.data["b"]
         cones = _cones(clarabel, canonical.data["dims"])
         settings = clarabel.DefaultSettings()
@@ -80,7 +79,7 @@ class Clarabel:
             else:
                 engine.update(q=linear / force)
             solution = engine.solve()
-            x = np.array(solution.x) * (force / stiffness)
+            x = np.array(solution.x) * (force / program.stiffness)
             if not np.isfinite(x).all():
                 engine, x = None, np.zeros_like(x)
             answer = canonical.map.T @ x

@@ -59,8 +59,7 @@ class OSQP:
         import osqp
 
         canonical = program.canonical("OSQP")
-        stiffness = float(program.M.diagonal.mean())
-        P = sp.triu(canonical.P / stiffness, format="csc")
+        P = sp.triu(canonical.P / program.stiffness, format="csc")
         equations, inequalities = canonical.data["A"], canonical.data["F"]
         rows = sp.csc_matrix(sp.vstack([equations, inequalities]))
         equal, below = equations.shape[0], inequalities.shape[0]
@@ -94,7 +93,7 @@ class OSQP:
             if not np.isfinite(x).all() or result.info.status_val not in (1, 2):
                 engine = None  # a workspace that failed once is not used again
                 x = np.nan_to_num(x, nan=0.0, posinf=0.0, neginf=0.0)
-            answer = canonical.map.T @ (x * (force / stiffness))
+            answer = canonical.map.T @ (x * (force / program.stiffness))
             return Answer(answer[:n], answer[n:], result.info.iter, result.info.status)
 
         return solve
