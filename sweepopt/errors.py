@@ -15,7 +15,8 @@ class Status(Enum):
     SUCCESS = "The run reached t_end and every step is certified within tol."
     UNCERTIFIED = (
         "The run reached t_end, but it is uncertified: the set cannot turn a solver's answer into "
-        "a proof (a user's Constraints). State it with the library's shapes to get certificates."
+        "a proof (a user's Constraints, a polyhedron with rows in over 1000 dimensions). State it "
+        "with other shapes, such as a Box or the image of a small set, to get certificates."
     )
     INEXACT = (
         "The run stopped early: a step missed tol with every solver tried. The steps before it are "

@@ -171,7 +171,12 @@ class SweepingProcess:
         force = self.times_B(self.u0)
         nearest = C.project(force)
         distance = float(np.linalg.norm(force - nearest))
-        if distance <= 1e-9 * max(np.abs(x).max() for x in (force, nearest, C.anchor)):
+        size = max(np.abs(x).max() for x in (force, nearest, C.anchor))
+        if distance <= 1e-9 * size:
+            return
+        # a set around 0 gives its own size; an unbounded one has none
+        extent = C.magnitude()
+        if np.isfinite(extent) and distance <= 1e-12 * extent:
             return
         where = f"B u0 is not in C({t:g}); its distance is {distance:g}"
         if self.rate_independent:
@@ -300,7 +305,10 @@ class EvolutionVI:
         D: ConvexSet = Point(np.zeros(self.dim)) if self.dissipation is None else self.dissipation
         if self.cone is not None:
             D = D + self.cone.polar()
-        C: AnySet = -D if self.load is None else Moving(-D, center=self.load)
+        if self.load is None:
+            return SweepingProcess(self.A, self.B, -D, self.u0)
+        C = Moving(-D, center=self.load)
+        C.center_name = "load"
         return SweepingProcess(self.A, self.B, C, self.u0)
 
 

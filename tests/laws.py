@@ -314,6 +314,17 @@ def touching(one: Build, two: Build) -> Build:
     return make
 
 
+def cut(one: Build, two: Build) -> Build:
+    """C & D as they are: cones meet at 0."""
+
+    def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+        a = one(frame, rng, dim)
+        b = two(frame, rng, a.C.dim)
+        return Sample(a.C & b.C, lambda w: [*a.inside(w), *b.inside(w)])
+
+    return make
+
+
 def truncated(build: Build) -> Build:
     """C & Ball(0, n), as the theory does with unbounded sets."""
 
@@ -351,8 +362,10 @@ def mapped(build: Build, kind: str, scale: float = 1.0, columns: int | None = No
             M = sp.csc_array((np.ones(dim), (rows, np.arange(dim))), shape=(dim + 3, dim))
         elif kind == "injective":
             M = np.vstack([np.eye(dim), frame.normal(size=(2, dim))])
-        elif kind == "wide":
+        elif kind == "wide":  # many preimages; M in other units than the part
             M = scale * frame.normal(size=(3, dim))
+            if scale != 1:
+                s = Sample(1 / scale * s.C, lambda w, s=s: s.inside(w * scale))  # type: ignore[misc]
         else:
             M = frame.normal(size=(max(dim - 1, 1), dim))
 
@@ -434,6 +447,18 @@ ZOO: dict[str, Entry] = {
     "truncated cone": Entry(truncated(second_order_cone), support_tol=1e-7),
     "truncated orthant": Entry(truncated(orthant), support_tol=1e-7),
     "truncated moving polyhedron": Entry(truncated(moving(half_space)), support_tol=1e-7),
+    "cone & half-space": Entry(
+        cut(second_order_cone, cone_half_space), bounded=False, cone=True, support_tol=1e-7
+    ),
+    "cone & orthant": Entry(
+        cut(second_order_cone, orthant), bounded=False, cone=True, support_tol=1e-7
+    ),
+    "cone + polyhedral cone": Entry(
+        summed(second_order_cone, vertex_cone), bounded=False, cone=True, support_tol=1e-7
+    ),
+    "orthant + cone": Entry(
+        summed(orthant, second_order_cone), bounded=False, cone=True, support_tol=1e-7
+    ),
     "ball x box x cone": Entry(crossed(ball, box, second_order_cone), bounded=False),
     "polytope x ellipsoid": Entry(crossed(polytope, ellipsoid)),
     "selection of a box": Entry(mapped(box, "selection")),
@@ -577,14 +602,15 @@ def cone_and_polar_split_every_vector(entry: Entry, s: Sample, rng: Rng) -> None
     v = far_and_near(rng, s.C.dim)
     polar = s.C.polar()
     w, p = s.C.project(v), polar.project(v)
-    close(w + p, v, 1e-13, size(v))
-    close(w @ p, 0.0, 1e-13, size(v) ** 2)
+    tol, zero = max(1e-13, entry.edge_tol), 0.0 if entry.support_tol <= 1e-12 else entry.support_tol
+    close(w + p, v, tol, size(v))
+    close(w @ p, 0.0, tol, size(v) ** 2)
     again = polar.polar()
-    close(again.project(v), w, 1e-13, size(v))
+    close(again.project(v), w, tol, size(v))
     for z in (p, s.C.normal(v), direction(rng, s.C.dim)):
-        close(again.support(z), s.C.support(z), 1e-13, size(z))
-    assert s.C.support(s.C.normal(v)) == 0.0
-    assert polar.support(polar.normal(v)) == 0.0
+        close(again.support(z), s.C.support(z), max(tol, zero), size(z))
+    close(s.C.support(s.C.normal(v)), 0.0, zero, size(v))
+    close(polar.support(polar.normal(v)), 0.0, zero, size(v))
 
 
 def a_translated_set_has_no_polar(entry: Entry, s: Sample, rng: Rng) -> None:

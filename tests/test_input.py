@@ -79,8 +79,8 @@ CASES: list[tuple[str, Callable[[], Any], str]] = [
     ("cone dim", lambda: vi(cone=so.Orthant(3)), r"cone has dim 3"),
     ("load too short", lambda: vi(load=[1.0]), r"load must have 2 entries"),
     ("load nan", lambda: vi(load=[1.0, np.nan]), r"load\[1\] is nan"),
-    ("load(t) nan", lambda: run(vi(load=lambda t: [np.nan, 0])), r"center\(t\) at t = 0"),
-    ("load(t) short", lambda: run(vi(load=lambda t: [1.0])), r"center\(t\) at t = 0.* 2 entries"),
+    ("load(t) nan", lambda: run(vi(load=lambda t: [np.nan, 0])), r"load\(t\) at t = 0"),
+    ("load(t) short", lambda: run(vi(load=lambda t: [1.0])), r"load\(t\) at t = 0.* 2 entries"),
     ("scale(t) < 0", lambda: run(process(C=so.Moving(BOX, None, lambda t: 0.3 - t))), r"t = 0\.375"),
     ("C(t) changes dim", lambda: run(process(C=so.MovingSet(
         lambda t: BOX if t < 0.5 else so.Ball([0], 1)))), r"t = 0\.5"),

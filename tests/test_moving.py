@@ -1,6 +1,5 @@
 """Sets that move obey the algebra of sets that do not, at every time."""
 
-
 from __future__ import annotations
 
 from typing import Any
@@ -118,6 +117,31 @@ def test_members_of_a_polyhedron_with_moving_offsets_share_the_matrix_itself() -
     np.testing.assert_array_equal(C.at(0.5).offsets, offsets(0.5))
 
 
+def from_five(t: float) -> np.ndarray:
+    """Offsets of G that a load table gives on [5, 10] only."""
+    if not 5 <= t <= 10:
+        raise so.InputError(f"the table ends at 5 and 10, got {t:g}")
+    return offsets(t)
+
+
+def test_a_set_with_a_known_dim_is_not_asked_for_before_it_starts() -> None:
+    ball = so.MovingSet(lambda t: so.Ball(from_five(t)[:2], 1.0), dim=2)
+    for C, dim in (
+        (so.Polyhedron(G, from_five), 2),
+        (so.image(np.ones((3, 2)), ball), 3),
+        (so.image(np.ones((3, 2)), so.Polyhedron(G, from_five)), 3),
+        (so.product(ball, so.Polyhedron(G, from_five)), 4),
+        (ball + so.Polyhedron(G, from_five), 2),
+    ):
+        assert C.dim == dim
+        assert C.at(5.0).same_cone(C.at(6.0))
+    with pytest.raises(so.InputError, match=r"at t = 0: the table .*; give dim= if"):
+        so.MovingSet(lambda t: so.Ball(from_five(t), 1.0))
+    load = so.Polyhedron([[1.0], [-1.0]], lambda t: from_five(t)[:2] + 5 * (t - 5))
+    process = so.SweepingProcess([[1.0]], None, load, [0.0])
+    assert so.solve(process, steps=np.linspace(5, 6, 5)).t[0] == 5.0
+
+
 def test_a_set_of_scale_zero_is_its_center() -> None:
     C = so.Moving(BALL, center=[3.0, 4.0], scale=lambda t: 1 - t).at(1.0)
     assert C.singleton
@@ -175,7 +199,7 @@ MALFORMED: dict[str, tuple[Any, str]] = {
         r"center\(t\) at t = 1 must be an array of numbers",
     ),
     "scale below 0": (lambda: so.Moving(BALL, scale=-1.0), "scale must be >= 0, got -1"),
-    "scale of nan": (lambda: so.Moving(BALL, scale=np.nan), r"scale\[0\] is nan"),
+    "scale of nan": (lambda: so.Moving(BALL, scale=np.nan), r"scale is nan"),
     "scale(t) below 0": (
         lambda: so.Moving(BALL, scale=lambda t: 1 - t).at(3.0),
         r"scale\(t\) at t = 3 must be >= 0, got -2",
@@ -201,7 +225,7 @@ MALFORMED: dict[str, tuple[Any, str]] = {
     "difference of sets": (lambda: FAMILIES["any"] - BALL, "C - D is ambiguous"),
     "product by *": (lambda: FAMILIES["any"] * BALL, r"C \* D is not defined"),
     "product by * from the left": (lambda: BALL * FAMILIES["any"], r"C \* D is not defined"),
-    "scaled by nan": (lambda: np.nan * FAMILIES["any"], r"scale\[0\] is nan"),
+    "scaled by nan": (lambda: np.nan * FAMILIES["any"], r"scale is nan"),
     "image of another width": (lambda: so.image(np.eye(3), FAMILIES["any"]), "C has dim 2"),
 }
 

@@ -159,3 +159,17 @@ def test_a_set_without_proof_makes_the_run_uncertified_and_right() -> None:
     assert "uncertified" in runs["constraints"].message
     assert np.isnan(runs["constraints"].stats["certificate"]).any()
     assert runs["constraints"].u == pytest.approx(runs["ball"].u, abs=1e-6)
+
+
+def test_a_large_polyhedron_is_not_called_certified() -> None:
+    n = 1100
+    G = sp.vstack([sp.eye_array(n), -sp.eye_array(n)], format="csc")
+    polyhedron = so.Moving(so.Polyhedron(G, np.ones(2 * n)), lambda t: np.full(n, 3 * t))
+    box = so.Moving(so.Box(-np.ones(n), np.ones(n)), lambda t: np.full(n, 3 * t))
+    runs = [
+        so.solve(so.SweepingProcess(sp.eye_array(n), None, C, np.zeros(n)), t_end=1.0, steps=2)
+        for C in (polyhedron, box)
+    ]
+    assert runs[0].status is so.Status.UNCERTIFIED
+    assert runs[1].status is so.Status.SUCCESS
+    assert runs[0].u == pytest.approx(runs[1].u, abs=1e-6)

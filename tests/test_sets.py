@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import re
 from typing import Any
 
+import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -367,6 +370,23 @@ def test_distance_bound_is_none_where_nothing_is_known() -> None:
         UNIT.distance_bound(so.Orthant(3))
 
 
+@pytest.mark.parametrize("cls", [so.Polyhedron, so.HalfSpace])
+def test_a_polyhedron_needs_its_arguments(cls: Any) -> None:
+    with pytest.raises(TypeError, match="missing 2 required positional arguments"):
+        cls()
+
+
+@pytest.mark.parametrize(
+    "twin", [copy.copy, copy.deepcopy, lambda C: pickle.loads(pickle.dumps(C))]
+)
+def test_polyhedra_can_be_copied(twin: Any) -> None:
+    for C in (so.Polyhedron(TRIANGLE, [1, 1, 1]), so.HalfSpace([3, 4], 5)):
+        assert type(twin(C)) is type(C)
+        assert twin(C).support([3, 4]) == C.support([3, 4])
+    moved = so.HalfSpace([3, 4], 5).with_offsets([10])
+    assert moved.support([3, 4]) == pytest.approx(10, rel=1e-14)
+
+
 # ---- what the algebra simplifies ----------------------------------------------------------------
 
 
@@ -407,6 +427,23 @@ def test_user_constraints_have_no_proof_nor_does_anything_made_of_them() -> None
         assert D.witness(np.zeros(D.dim), np.zeros(D.dim), np.ones(D.dim), y) is None
 
 
+def test_a_moving_cone_that_rests_at_zero_has_a_polar() -> None:
+    rest = so.Moving(so.Orthant(2), center=lambda t: [t, t]).at(0.0)
+    assert (rest.polar().project([1.0, -1.0]) == [0.0, -1.0]).all()
+
+
+@pytest.mark.parametrize("power", [-60, -30, -10, 0, 20, 60])
+def test_user_constraints_may_have_any_units(power: int) -> None:
+    r = 2.0**power
+    C, same = so.Constraints(2, lambda w: [cp.norm(w) <= r]), so.Ball([0, 0], r)
+    C.require_nonempty()
+    for w in ([3 * r, 4 * r], [-300 * r, 7 * r], [0.1 * r, 0.2 * r]):
+        np.testing.assert_allclose(C.project(w), same.project(w), atol=1e-9 * np.abs(w).max())
+        np.testing.assert_allclose(C.support(w), same.support(w), rtol=1e-9)
+    assert so.Constraints(2, lambda w: []).support([r, 0]) == np.inf
+    so.Constraints(2, lambda w: []).require_nonempty()
+
+
 # ---- malformed input ----------------------------------------------------------------------------
 
 CONE = so.SecondOrderCone(2)
@@ -423,10 +460,10 @@ MALFORMED: dict[str, tuple[Any, str]] = {
     "box with nan": (lambda: so.Box([NAN], [1]), r"lower\[0\] is nan"),
     "box at infinity": (lambda: so.Box([np.inf], [np.inf]), r"lower\[0\] = inf"),
     "ball of radius < 0": (lambda: so.Ball([0], -1), "radius must be >= 0, got -1"),
-    "ball of radius nan": (lambda: so.Ball([0], NAN), r"radius\[0\] is nan"),
-    "ball of infinite radius": (lambda: so.Ball([0], np.inf), r"radius\[0\] is inf"),
+    "ball of radius nan": (lambda: so.Ball([0], NAN), r"radius is nan"),
+    "ball of infinite radius": (lambda: so.Ball([0], np.inf), r"radius is inf"),
     "ball of two radii": (lambda: so.Ball([0], [1, 2]), "radius must be one number, got 2"),
-    "ball of text": (lambda: so.Ball([0], "wide"), "radius must be an array of numbers"),
+    "ball of text": (lambda: so.Ball([0], "wide"), "radius must be (an array of|one) number"),
     "balls of radius < 0": (lambda: so.Balls([1, -2], 2), r"radii\[1\] must be >= 0"),
     "balls of dim 0": (lambda: so.Balls([1], 0), "dim must be a positive whole number, got 0"),
     "indefinite ellipsoid": (
@@ -440,7 +477,10 @@ MALFORMED: dict[str, tuple[Any, str]] = {
     ),
     "ellipsoid of two dims": (lambda: so.Ellipsoid([0], np.eye(2)), r"shape must be of shape"),
     "half-space without normal": (lambda: so.HalfSpace([0, 0], 1), "normal must not be zero"),
-    "half-space with infinite offset": (lambda: so.HalfSpace([1], np.inf), r"offset\[0\] is inf"),
+    "half-space with infinite offset": (
+        lambda: so.HalfSpace([1], np.inf),
+        r"offset is inf",
+    ),
     "half-space with moving offset": (lambda: so.HalfSpace([1], lambda t: t), "offset must be"),
     "polyhedron with infinite h": (
         lambda: so.Polyhedron(np.eye(2), [1, np.inf]),
@@ -450,7 +490,7 @@ MALFORMED: dict[str, tuple[Any, str]] = {
     "polyhedron with short h": (lambda: so.Polyhedron(np.eye(2), [1]), "h must have 2 entries"),
     "polyhedron with flat G": (lambda: so.Polyhedron([1, 2], [1]), "G must have two axes"),
     "polyhedron with h(t) of the wrong shape": (
-        lambda: so.Polyhedron(np.eye(2), lambda t: [t]),
+        lambda: so.Polyhedron(np.eye(2), lambda t: [t]).at(0.0),
         "h must have 2 entries, got 1",
     ),
     "polytope without vertices": (lambda: so.Polytope(np.zeros((0, 2))), "vertices is empty"),
@@ -468,7 +508,7 @@ MALFORMED: dict[str, tuple[Any, str]] = {
     "constraints without a function": (lambda: so.Constraints(1, []), "build must be a function"),
     "constraints that are true": (lambda: so.Constraints(1, lambda w: [True]), "constraint 0"),
     "constraints with an open parameter": (
-        lambda: so.Constraints(1, lambda w: [w <= __import__("cvxpy").Parameter()]),
+        lambda: so.Constraints(1, lambda w: [w <= cp.Parameter()]),
         "constraint 0 .* parameter without a value",
     ),
     "empty constraints": (
@@ -479,7 +519,41 @@ MALFORMED: dict[str, tuple[Any, str]] = {
     "polar of a box": (lambda: SQUARE.polar(), "Box is not a cone"),
     "polar of a half-space off 0": (lambda: so.HalfSpace([1], 1).polar(), "HalfSpace is not a"),
     "polar of a point": (lambda: so.Point([1]).polar(), "Point is not a cone"),
-    "polar of an image of a ball": (lambda: so.image(np.eye(2), UNIT).polar(), "polar of an im"),
+    "polar of an image of a ball": (
+        lambda: so.image(np.eye(2), UNIT).polar(),
+        "Ball is not a cone",
+    ),
+    "polar of an image of a cone": (
+        lambda: so.image(np.ones((3, 2)), CONE).polar(),
+        "polar of this Image is not known here; known are those of orthants, second-order cones",
+    ),
+    "polar of constraints": (
+        lambda: so.Constraints(1, lambda w: [w >= 0]).polar(),
+        "polar of this Constraints is not known here",
+    ),
+    "polar of an intersection with a ball": (lambda: (CONE & UNIT).polar(), "Ball is not a cone"),
+    "point of dim 0": (lambda: so.Point([]), "p must have at least one entry"),
+    "box of dim 0": (lambda: so.Box([], []), "lower must have at least one entry"),
+    "ball of dim 0": (lambda: so.Ball([], 1), "center must have at least one entry"),
+    "no balls": (lambda: so.Balls([], 2), "radii must have at least one entry"),
+    "ellipsoid of dim 0": (lambda: so.Ellipsoid([], np.zeros((0, 0))), "center must have at least"),
+    "polyhedron of dim 0": (lambda: so.Polyhedron(np.zeros((1, 0)), [1]), "G must have at least"),
+    "image of dim 0": (lambda: so.image(np.zeros((0, 2)), UNIT), "M must have at least one row"),
+    "containment with a tol of text": (lambda: UNIT.contains([0, 0], tol="a"), "tol must be"),
+    "containment with a negative tol": (lambda: UNIT.contains([0, 0], tol=-1), "tol must be >= 0"),
+    "constraints of another dim": (
+        lambda: so.Constraints(2, lambda w: [w <= np.zeros(3)]),
+        r"build\(w\) raised ValueError",
+    ),
+    "constraints that fail": (lambda: so.Constraints(2, lambda w: 1 / 0), "build.*ZeroDivision"),
+    "constraints with nan": (
+        lambda: so.Constraints(2, lambda w: [w >= -1, w <= NAN]),
+        r"constraint 1 of build\(w\) holds a number that is not finite",
+    ),
+    "constraints with integers": (
+        lambda: so.Constraints(2, lambda w: [w == cp.Variable(2, integer=True)]),
+        r"constraint 0 of build\(w\) has an integer variable",
+    ),
     "sum of two dims": (lambda: UNIT + so.Orthant(3), r"C \+ D: the sets have dim 2 and 3"),
     "sum with a point of another dim": (lambda: UNIT + so.Point([1]), r"C \+ D.* dim 2 and 1"),
     "intersection of two dims": (lambda: UNIT & so.Orthant(3), "C & D: .* dim 2 and 3"),
@@ -491,9 +565,9 @@ MALFORMED: dict[str, tuple[Any, str]] = {
     "intersection with an array": (lambda: UNIT & [1, 2], "C & D: D must be a set, got list"),
     "difference of sets": (lambda: UNIT - UNIT, "C - D is ambiguous"),
     "product by *": (lambda: UNIT * CONE, r"C \* D is not defined"),
-    "scaled by nan": (lambda: NAN * UNIT, r"scale\[0\] is nan"),
+    "scaled by nan": (lambda: NAN * UNIT, r"scale is nan"),
     "scaled by a vector": (lambda: UNIT * [1, 2], "scale must be one number"),
-    "scaled by text": (lambda: UNIT * "2x", "scale must be an array of numbers"),
+    "scaled by text": (lambda: UNIT * "2x", "scale must be (an array of|one) number"),
     "cone scaled by 0": (lambda: 0 * CONE, "scale 0 of an unbounded set"),
     "product of nothing": (lambda: so.product(), "takes one or more sets"),
     "product with an array": (lambda: so.product(UNIT, [1]), "takes one or more sets"),

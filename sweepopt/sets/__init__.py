@@ -55,8 +55,9 @@ def image(M: Any, C: Any) -> Any:
     5.0
     """
     if isinstance(C, MovingSet):
-        first = Image(M, C.at(0.0))
-        return MovingSet(lambda t: first.with_part(C.at(t)), first.dim)
+        # all that depends on M alone is computed once, with a part of the right dim
+        template = Image(M, Point(np.zeros(C.dim)))
+        return MovingSet(lambda t: template.with_part(C.at(t)), template.dim)
     if not isinstance(C, ConvexSet):
         raise InputError(f"image(M, C): C must be a set, got {type(C).__name__}")
     found = Image(M, C)

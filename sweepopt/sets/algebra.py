@@ -38,6 +38,7 @@ class Translation(ConvexSet):
         self.part, self.v, self.dim = part, vector("v", v, part.dim), part.dim
         self.offsets = np.concatenate([self.v, part.offsets])
         self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
+        self.exact = part.exact
 
     def support(self, z: np.ndarray) -> float:
         return self.part.support(z) + float(self.v @ z)
@@ -86,6 +87,9 @@ class Translation(ConvexSet):
         found = self.part.distance_bound(part)
         return None if found is None else found + float(np.linalg.norm(self.v - v))
 
+    def polar(self) -> ConvexSet:
+        return super().polar() if self.v.any() else self.part.polar()
+
     @property
     def anchor(self) -> np.ndarray:
         return self.v + self.part.anchor
@@ -106,6 +110,7 @@ class Scaling(ConvexSet):
         self.factor, self.part, self.dim = factor, part, part.dim
         self.offsets = factor * part.offsets
         self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
+        self.exact = part.exact
 
     def support(self, z: np.ndarray) -> float:
         return self.factor * self.part.support(z)
@@ -175,6 +180,7 @@ class Negation(ConvexSet):
     def __init__(self, part: ConvexSet) -> None:
         self.part, self.dim, self.offsets = part, part.dim, part.offsets
         self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
+        self.exact = part.exact
 
     def support(self, z: np.ndarray) -> float:
         return self.part.support(-vector("z", z, self.dim))
@@ -240,6 +246,7 @@ class Product(ConvexSet):
         self.offsets = np.concatenate([part.offsets for part in parts])
         self.polyhedral = all(part.polyhedral for part in parts)
         self.certifiable = all(part.certifiable for part in parts)
+        self.exact = all(part.exact for part in parts)
         self._cuts = np.cumsum([part.dim for part in parts])[:-1]
         self._offset_cuts = np.cumsum([part.offsets.size for part in parts])[:-1]
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import vector
+from sweepopt.checks import number, vector
 from sweepopt.errors import InputError
 
 if TYPE_CHECKING:
@@ -67,6 +67,8 @@ class ConvexSet(ABC):
         The vector h in which the support function is linear.
     polyhedral : bool
         Whether C is a polyhedron, so that a QP solver can treat it.
+    exact : bool
+        Whether `project` is exact to rounding: a formula or an active set, no iteration.
     certifiable : bool
         Whether `witness` has proofs.
     """
@@ -75,6 +77,7 @@ class ConvexSet(ABC):
     offsets: np.ndarray
     polyhedral: bool = False
     certifiable: bool = True
+    exact: bool = True
     # numpy must leave v + C, r * C and v - C to the operators below
     __array_ufunc__ = None
 
@@ -158,7 +161,7 @@ class ConvexSet(ABC):
 
     def contains(self, w: np.ndarray, tol: float = 1e-9) -> bool:
         """Whether the Euclidean distance of w to C is at most tol."""
-        w = vector("w", w, self.dim)
+        w, tol = vector("w", w, self.dim), number("tol", tol, minimum=0.0)
         return bool(np.linalg.norm(w - self.project(w)) <= tol)
 
     def magnitude(self) -> float:
@@ -224,6 +227,13 @@ class ConvexSet(ABC):
     def polar(self) -> ConvexSet:
         """The polar cone { p : <p, w> <= 0 for all w in C }."""
         raise InputError(f"{type(self).__name__} is not a cone; polar() is defined for cones only")
+
+    def _polar_unknown(self) -> InputError:
+        return InputError(
+            f"the polar of this {type(self).__name__} is not known here; known are those of "
+            "orthants, second-order cones, their products, images of orthants, polyhedral cones, "
+            "and of sums and intersections of these"
+        )
 
     def at(self, t: float) -> ConvexSet:
         """C(t): a set that does not move is the same at every time."""

@@ -9,7 +9,7 @@ import numpy as np
 from sweepopt.checks import vector
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
 from sweepopt.sets.base import ConvexSet, Features
-from sweepopt.sets.iteration import solve_tightly
+from sweepopt.sets.iteration import solve_in_own_units
 from sweepopt.sets.shapes import dimension
 
 if TYPE_CHECKING:
@@ -22,14 +22,31 @@ class Constraints(ConvexSet):
     Its support function is cvxpy's conic dual. It cannot prove a solver's answer: a run on it ends
     with the status "uncertified".
 
+    Its programs are solved in units of the largest constant of the constraints and of w, and are
+    as accurate as that: write cp.norm(w) <= r, not cp.sum_squares(w) <= r**2, for a small r.
+
     Parameters
     ----------
     dim : int
     build : callable
         Takes a cvxpy Variable of shape (dim,), returns a list of cvxpy constraints.
+
+    Raises
+    ------
+    InputError
+        If build fails or returns anything but convex constraints with finite data.
+    EmptySetError
+        From `project`, `support` and `require_nonempty`, if no w satisfies them.
+
+    Examples
+    --------
+    >>> import cvxpy as cp
+    >>> C = Constraints(2, lambda w: [cp.norm(w, 1) <= 1])
+    >>> round(C.support([3.0, 4.0]), 6)
+    4.0
     """
 
-    certifiable = False
+    certifiable = exact = False
 
     def __init__(self, dim: int, build: Any) -> None:
         import cvxpy as cp
@@ -40,12 +57,21 @@ class Constraints(ConvexSet):
             raise InputError("build must be a function from a cvxpy Variable to constraints")
         self.build = build
         self._w = cp.Variable(self.dim)
-        self._constraints = build(self._w)
+        try:
+            self._constraints = build(self._w)
+        except Exception as error:  # whatever a user's function raises
+            raise InputError(f"build(w) raised {type(error).__name__}: {error}") from error
         if not isinstance(self._constraints, (list, tuple)):
             raise InputError("build must return a list of cvxpy constraints")
         for i, constraint in enumerate(self._constraints):
             if not (isinstance(constraint, cp.Constraint) and constraint.is_dcp()):
                 raise InputError(f"constraint {i} of build(w) is not a convex cvxpy constraint")
+            if any(not np.isfinite(c.value.sum()) for c in constraint.constants()):
+                raise InputError(f"constraint {i} of build(w) holds a number that is not finite")
+            if any(
+                v.attributes["integer"] or v.attributes["boolean"] for v in constraint.variables()
+            ):
+                raise InputError(f"constraint {i} of build(w) has an integer variable: not convex")
             if any(parameter.value is None for parameter in constraint.parameters()):
                 raise InputError(f"constraint {i} of build(w) has a parameter without a value")
 
@@ -53,17 +79,19 @@ class Constraints(ConvexSet):
         import cvxpy as cp
 
         z = vector("z", z, self.dim)
-        size = float(np.abs(z).max()) or 1.0
-        problem = self._solve(cp.Maximize((z / size) @ self._w))
-        unbounded = problem.status in (cp.UNBOUNDED, cp.UNBOUNDED_INACCURATE)
-        return float("inf") if unbounded else size * float(problem.value)
+        if not z.any():
+            return 0.0
+        found = self._solve(cp.Maximize((z / np.abs(z).max()) @ self._w))
+        return float("inf") if found is None else float(z @ found)
 
     def project(self, w: np.ndarray) -> np.ndarray:
         import cvxpy as cp
 
         w = vector("w", w, self.dim)
-        self._solve(cp.Minimize(cp.sum_squares(self._w - w)))
-        return np.array(self._w.value)
+        found = self._solve(cp.Minimize(cp.sum_squares(self._w - w)))
+        if found is None:
+            raise SweepoptError("Clarabel calls a projection on Constraints unbounded")
+        return found
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -75,25 +103,29 @@ class Constraints(ConvexSet):
     def witness(self, p: Any, w: Any, tau: Any, y: Any) -> None:
         return None
 
+    def polar(self) -> ConvexSet:
+        raise self._polar_unknown()
+
     def same_cone(self, other: ConvexSet) -> bool:
         # what build(w) holds cannot be compared: another object is another cone
         return self is other
 
     def require_nonempty(self, where: str = "C") -> None:
-        import cvxpy as cp
-
         try:
-            self._solve(cp.Minimize(0))
+            self.project(np.zeros(self.dim))
         except EmptySetError as error:
             raise EmptySetError(f"{where} is empty: no w satisfies the constraints") from error
 
-    def _solve(self, objective: Any) -> Any:
+    def _solve(self, objective: Any) -> np.ndarray | None:
+        """The best w; None if the objective is unbounded."""
         import cvxpy as cp
 
         problem = cp.Problem(objective, list(self._constraints))
-        solve_tightly(problem)
+        unit = solve_in_own_units(problem)
+        if problem.status in (cp.UNBOUNDED, cp.UNBOUNDED_INACCURATE):
+            return None
         if problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE):
             raise EmptySetError("Constraints has no point: no w satisfies the constraints")
-        if problem.value is None:
+        if self._w.value is None:
             raise SweepoptError(f"Clarabel failed on Constraints: {problem.status}")
-        return problem
+        return unit * np.array(self._w.value)

@@ -34,12 +34,19 @@ class Image(ConvexSet):
     """{ M s : s in C }, C in R^m, M of shape (dim, m).
 
     With M = E^T selecting a few of many unknowns this is how contact enters a large body: the
-    set acts on m unknowns only, and a plan can eliminate the others.
+    set acts on m unknowns only, and a plan can eliminate the others. `image` makes it.
+
+    Raises
+    ------
+    InputError
+        If M is not a finite matrix with C.dim columns.
     """
 
     def __init__(self, M: Any, part: ConvexSet) -> None:
         self.M = matrix("M", M)
         self.dim, columns = self.M.shape
+        if not self.dim:
+            raise InputError("M must have at least one row")
         if columns != part.dim:
             raise InputError(f"image(M, C): M has {columns} columns but C has dim {part.dim}")
         self._selected = _selected(self.M)
@@ -66,6 +73,7 @@ class Image(ConvexSet):
         self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
         separable = isinstance(part, Box) or self._uniform
         self._closed_form = self._orthogonal and self.injective and separable
+        self.exact = self._closed_form and part.exact
         # a cone of generators: by Moreau its normals are the projections on the polar polyhedron
         cone = isinstance(part, Box) and not part.offsets.any()
         self._dual = self._polar_rows() if cone and not self._closed_form else None
@@ -164,10 +172,6 @@ class Image(ConvexSet):
             s = s + np.linalg.lstsq(known[1], self.part.project(x) - s, rcond=1e-13)[0]
         return self.part.project(s)
 
-    def steps(self, tau: np.ndarray) -> np.ndarray:
-        # never tau itself: a projection that iterates must not pass for a formula
-        return super().steps(tau) if self._closed_form else 2 * super().steps(tau)
-
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         """M ds/dv for the s with M s = P(v), where M is not injective."""
         if self.injective or self._dual is not None or not self._square_norm:
@@ -248,8 +252,9 @@ class Image(ConvexSet):
         return Selection(self._selected, self.part, np.zeros(self.dim))
 
     def polar(self) -> ConvexSet:
-        if not isinstance(self.part, Box) or self.part.offsets.any():
-            raise InputError("polar of an image is known for images of orthants only")
+        self.part.polar()  # says so if this is no cone at all
+        if not isinstance(self.part, Box):
+            raise self._polar_unknown()
         return self._polar_rows()
 
     def _polar_rows(self) -> ConvexSet:

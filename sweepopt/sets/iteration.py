@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +15,7 @@ from sweepopt.sets.base import ROUNDING, ConvexSet
 if TYPE_CHECKING:
     import cvxpy as cp
 
+TIGHT: dict[str, float] = {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12}
 SWEEPS = 500  # alternating projections before a program takes over
 MEMORY = 10  # steps that Anderson's acceleration looks back
 RUNAWAY = 1e3  # the longest step of it, in units of the data
@@ -78,10 +79,42 @@ def solve_tightly(problem: cp.Problem) -> None:
     """
     import cvxpy as cp
 
+    with _clarabel_failures_named():
+        problem.solve(solver=cp.CLARABEL, **TIGHT)
+
+
+def solve_in_own_units(problem: cp.Problem) -> float:
+    """The same, with all lengths divided by the largest one in the data.
+
+    In conic form the feasible set is { x : b - A x in K } with cones K: a division of b by `unit`
+    divides it by `unit`. The objective must be linear, or a sum of squares of affine expressions
+    (whose constants cvxpy moves to b): then its minimisers scale along.
+
+    Returns
+    -------
+    float
+        The unit, by which the values of the variables must be multiplied.
+    """
+    import cvxpy as cp
+
+    with _clarabel_failures_named():
+        data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts=dict(TIGHT))
+        unit = float(np.abs(data["b"]).max(initial=0.0)) or 1.0
+        data["b"] = data["b"] / unit
+        problem.unpack_results(
+            chain.solve_via_data(problem, data, solver_opts=TIGHT), chain, inverse
+        )
+    return unit
+
+
+@contextlib.contextmanager
+def _clarabel_failures_named() -> Iterator[None]:
+    import cvxpy as cp
+
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Solution may be inaccurate")
         try:
-            problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-12, tol_gap_rel=1e-12, tol_feas=1e-12)
+            yield
         except cp.SolverError as error:
             raise SweepoptError(f"Clarabel failed on a side program: {error}") from error
 

@@ -27,7 +27,14 @@ class MovingSet:
     at : callable
         t -> ConvexSet, always of the same dim.
     dim : int, optional
-        Taken from at(0.0) when not given.
+        Taken from at(0.0) when not given: give it if the set is not defined at t = 0.
+
+    Raises
+    ------
+    InputError
+        If `at` returns no set, or one of another dim.
+    EmptySetError
+        From `at(t)`, if C(t) is seen to have no point.
 
     Examples
     --------
@@ -43,7 +50,14 @@ class MovingSet:
         if not callable(at):
             raise InputError("MovingSet needs a function t -> set; got " + type(at).__name__)
         self._at = at
-        self.dim = self._member(0.0).dim if dim is None else dimension(dim)
+        if dim is not None:
+            self.dim = dimension(dim)
+            return
+        try:
+            self.dim = self._member(0.0).dim
+        except InputError as error:
+            hint = "; give dim= if the set is not defined at t = 0"
+            raise type(error)(f"{error}{hint}") from error
 
     def at(self, t: float) -> ConvexSet:
         """C(t)."""
@@ -115,6 +129,11 @@ class Moving(MovingSet):
     center : callable t -> (dim,), array_like or None
     scale : callable t -> float >= 0, float or None
 
+    Raises
+    ------
+    InputError
+        If shape moves, center has another dim, or scale is negative.
+
     Examples
     --------
     >>> from sweepopt.sets import Box
@@ -122,6 +141,8 @@ class Moving(MovingSet):
     >>> C.at(2.0).project([0.0])
     array([2.])
     """
+
+    center_name = "center"  # how errors call it: the load of a variational inequality is one
 
     def __init__(self, shape: ConvexSet, center: Any = None, scale: Any = None) -> None:
         if not isinstance(shape, ConvexSet):
@@ -137,7 +158,7 @@ class Moving(MovingSet):
         if self.center is None:
             return np.zeros(self.dim)
         value = self.center(t) if callable(self.center) else self.center
-        return vector(f"center(t) at t = {t:g}", value, self.dim)
+        return vector(f"{self.center_name}(t) at t = {t:g}", value, self.dim)
 
     def scale_at(self, t: float) -> float:
         """scale(t)."""

@@ -40,7 +40,7 @@ class Sum(ConvexSet):
         self.first, self.second, self.dim = first, second, first.dim
         self.offsets = np.concatenate([first.offsets, second.offsets])
         self.polyhedral = first.polyhedral and second.polyhedral
-        self.certifiable = first.certifiable and second.certifiable
+        self.certifiable, self.exact = first.certifiable and second.certifiable, False
 
     def support(self, z: np.ndarray) -> float:
         return self.first.support(z) + self.second.support(z)
@@ -136,7 +136,7 @@ class Intersection(ConvexSet):
         # y starts with p_1 of the split p = p_1 + p_2, at no cost: its offsets are zero
         self.offsets = np.concatenate([np.zeros(self.dim), first.offsets, second.offsets])
         self.polyhedral = first.polyhedral and second.polyhedral
-        self.certifiable = first.certifiable and second.certifiable
+        self.certifiable, self.exact = first.certifiable and second.certifiable, False
 
     def support(self, z: np.ndarray) -> float:
         z = vector("z", z, self.dim)
@@ -253,3 +253,7 @@ class Intersection(ConvexSet):
 
     def magnitude(self) -> float:
         return min(self.first.magnitude(), self.second.magnitude())
+
+    def polar(self) -> ConvexSet:
+        """(C & D)° = closure of C° + D°; projections on a sum are those on its closure."""
+        return self.first.polar() + self.second.polar()

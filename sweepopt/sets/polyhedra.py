@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,6 +36,13 @@ class Polyhedron(ConvexSet):
     h : array_like, shape (m,), or callable t -> (m,)
         With a callable the set moves: C(t) = { w : G w <= h(t) }.
 
+    Raises
+    ------
+    InputError
+        If G or h is not finite, or h does not have a number for each row of G.
+    EmptySetError
+        From `project`, `support` and `require_nonempty`, if no w satisfies G w <= h.
+
     Examples
     --------
     >>> triangle = Polyhedron([[-1, 0], [0, -1], [1, 1]], [0, 0, 1])
@@ -46,18 +52,25 @@ class Polyhedron(ConvexSet):
 
     polyhedral = True
 
-    def __new__(cls, G: Any = None, h: Any = None) -> Any:  # without arguments: copy
+    def __new__(cls, G: Any, h: Any) -> Any:
         if callable(h):
             from sweepopt.sets.moving import MovingSet
 
-            first = cls(G, h(0.0))
-            return MovingSet(lambda t: first.with_offsets(h(t)), first.dim)
+            G = matrix("G", G)
+            template = cls(G, np.zeros(G.shape[0]))
+            return MovingSet(lambda t: template.with_offsets(h(t)), template.dim)
         return super().__new__(cls)
 
     def __init__(self, G: Any, h: Any) -> None:
         self.G = matrix("G", G)
         self.dim = self.G.shape[1]
+        if not self.dim:
+            raise InputError("G must have at least one column")
+        self.exact = self.certifiable = self.dim <= ACTIVE_DIM
         self._set_offsets(h)
+
+    def __getnewargs__(self) -> tuple[Any, Any]:
+        return self.G, self.h  # for copy and pickle
 
     def _set_offsets(self, h: Any) -> None:
         self.offsets = self.h = vector("h", h, self.G.shape[0], finite=False)
@@ -67,7 +80,9 @@ class Polyhedron(ConvexSet):
 
     def with_offsets(self, h: Any) -> Polyhedron:
         """{ w : G w <= h } with the same matrix object, so that `same_cone` is free."""
-        other = copy.copy(self)
+        other = object.__new__(Polyhedron)
+        other.G, other.dim = self.G, self.dim
+        other.exact, other.certifiable = self.exact, self.certifiable
         other._set_offsets(h)
         return other
 
@@ -95,14 +110,19 @@ class Polyhedron(ConvexSet):
 
     def normal(self, v: np.ndarray) -> np.ndarray:
         v = vector("v", v, self.dim)
+        exact = self._exact_normal(v)
+        return v - project_by_program(self, v) if exact is None else exact
+
+    def _exact_normal(self, v: np.ndarray) -> np.ndarray | None:
+        """v - P(v) from the active rows; None in large dimensions and where they are not found."""
         slack = self.h - self.G @ v
         if (slack >= 0).all():
             return np.zeros(self.dim)
-        u = None
-        if self.dim <= ACTIVE_DIM:
-            rounding = ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(v))
-            u = least_distance(self.G, slack, rounding)
-        return v - project_by_program(self, v) if u is None else 0.0 - u
+        if self.dim > ACTIVE_DIM:
+            return None
+        rounding = ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(v))
+        u = least_distance(self.G, slack, rounding)
+        return None if u is None else 0.0 - u
 
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
@@ -113,8 +133,8 @@ class Polyhedron(ConvexSet):
     ) -> Witness | None:
         step = float(np.mean(tau))
         v = w + step * p
-        normal = self.normal(v)
-        return Witness(normal / step, v - normal, 0.0)
+        normal = self._exact_normal(v)
+        return None if normal is None else Witness(normal / step, v - normal, 0.0)
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -150,10 +170,20 @@ class HalfSpace(Polyhedron):
     ----------
     normal : array_like, shape (dim,), not zero
     offset : float
+
+    Raises
+    ------
+    InputError
+        If normal is zero, or an entry is not finite.
+
+    Examples
+    --------
+    >>> HalfSpace([3.0, 4.0], 5.0).project([3.0, 4.0])
+    array([0.6, 0.8])
     """
 
-    def __new__(cls, normal: Any = None, offset: Any = None) -> Any:
-        return object.__new__(cls)
+    def __new__(cls, normal: Any, offset: Any) -> Any:
+        return object.__new__(cls)  # the offset is a number: this set does not move
 
     def __init__(self, normal: Any, offset: float) -> None:
         row = vector("normal", normal)
@@ -161,6 +191,7 @@ class HalfSpace(Polyhedron):
         if not row.any():
             raise InputError("normal must not be zero")
         super().__init__(row[None, :], [self.offset])
+        self.exact = self.certifiable = True
 
     def support(self, z: np.ndarray) -> float:
         z = vector("z", z, self.dim)
@@ -171,9 +202,9 @@ class HalfSpace(Polyhedron):
             return float("inf")
         return factor * self.offset
 
-    def normal(self, v: np.ndarray) -> np.ndarray:
+    def _exact_normal(self, v: np.ndarray) -> np.ndarray:
         row, length = self.G[0], float(np.linalg.norm(self.G[0]))
-        excess = float(row @ vector("v", v, self.dim)) - self.offset
+        excess = float(row @ v) - self.offset
         return max(excess, 0.0) / length * (row / length)
 
     def _distance(self, other: ConvexSet) -> float | None:
@@ -188,6 +219,18 @@ class Polytope(ConvexSet):
     Parameters
     ----------
     vertices : array_like, shape (m, dim)
+
+    Raises
+    ------
+    InputError
+        If an entry is not finite.
+    EmptySetError
+        If there are no vertices.
+
+    Examples
+    --------
+    >>> Polytope([[0, 0], [1, 0], [0, 1]]).project([1.0, 1.0])
+    array([0.5, 0.5])
     """
 
     polyhedral = True

@@ -22,13 +22,23 @@ class Point(ConvexSet):
     Parameters
     ----------
     p : array_like, shape (dim,)
+
+    Raises
+    ------
+    InputError
+        If p is empty or not finite.
+
+    Examples
+    --------
+    >>> Point([1.0, 2.0]).support([3.0, 4.0])
+    11.0
     """
 
     polyhedral = True
     singleton = True
 
     def __init__(self, p: Any) -> None:
-        self.offsets = vector("p", p)
+        self.offsets = entries("p", p)
         self.dim = self.offsets.size
 
     def support(self, z: np.ndarray) -> float:
@@ -75,6 +85,13 @@ class Box(ConvexSet):
     ----------
     lower, upper : array_like, shape (dim,)
 
+    Raises
+    ------
+    InputError
+        If the bounds are empty, nan or of two lengths.
+    EmptySetError
+        If lower > upper in an entry.
+
     Examples
     --------
     >>> Box([-1, -2], [1, 2]).support([1, 1])
@@ -84,7 +101,7 @@ class Box(ConvexSet):
     polyhedral = True
 
     def __init__(self, lower: Any, upper: Any) -> None:
-        self.lower = vector("lower", lower, finite=False)
+        self.lower = entries("lower", lower, finite=False)
         self.upper = vector("upper", upper, self.lower.size, finite=False)
         self.dim = self.lower.size
         bad = (self.lower > self.upper) | (self.lower == np.inf) | (self.upper == -np.inf)
@@ -187,7 +204,22 @@ class Box(ConvexSet):
 
 
 class Orthant(Box):
-    """The cone { w : w >= 0 }:  sigma is the indicator of { z <= 0 }."""
+    """The cone { w : w >= 0 }:  sigma is the indicator of { z <= 0 }.
+
+    Parameters
+    ----------
+    dim : int
+
+    Raises
+    ------
+    InputError
+        If dim is not a positive whole number.
+
+    Examples
+    --------
+    >>> Orthant(2).project([1.0, -1.0])
+    array([1., 0.])
+    """
 
     def __init__(self, dim: int) -> None:
         dim = dimension(dim)
@@ -195,7 +227,22 @@ class Orthant(Box):
 
 
 class WholeSpace(Box):
-    """R^dim:  sigma(z) = 0 at z = 0 and +inf elsewhere; a body that it governs never moves."""
+    """R^dim:  sigma(z) = 0 at z = 0 and +inf elsewhere; a body that it governs never moves.
+
+    Parameters
+    ----------
+    dim : int
+
+    Raises
+    ------
+    InputError
+        If dim is not a positive whole number.
+
+    Examples
+    --------
+    >>> WholeSpace(2).support([0.0, 1.0])
+    inf
+    """
 
     def __init__(self, dim: int) -> None:
         dim = dimension(dim)
@@ -209,10 +256,20 @@ class Ball(ConvexSet):
     ----------
     center : array_like, shape (dim,)
     radius : float, >= 0
+
+    Raises
+    ------
+    InputError
+        If the center is empty, radius < 0, or a number is not finite.
+
+    Examples
+    --------
+    >>> Ball([0.0, 0.0], 2.0).support([3.0, 4.0])
+    10.0
     """
 
     def __init__(self, center: Any, radius: float) -> None:
-        self.center = vector("center", center)
+        self.center = entries("center", center)
         self.radius = number("radius", radius, minimum=0.0)
         self.dim = self.center.size
         self.offsets = np.append(self.center, self.radius)
@@ -256,10 +313,20 @@ class Balls(ConvexSet):
     radii : array_like, shape (m,), >= 0
     dim : int
         Dimension of each ball; the set has dim * m unknowns.
+
+    Raises
+    ------
+    InputError
+        If there is no radius, one is < 0 or not finite, or dim is not positive.
+
+    Examples
+    --------
+    >>> Balls([1.0, 2.0], 2).support([3.0, 4.0, 0.0, 1.0])
+    7.0
     """
 
     def __init__(self, radii: Any, dim: int) -> None:
-        self.radii = self.offsets = vector("radii", radii)
+        self.radii = self.offsets = entries("radii", radii)
         if (self.radii < 0).any():
             i = int(np.flatnonzero(self.radii < 0)[0])
             raise InputError(f"radii[{i}] must be >= 0, got {self.radii[i]:g}")
@@ -315,10 +382,20 @@ class Ellipsoid(ConvexSet):
     center : array_like, shape (dim,)
     shape : array_like, shape (dim, dim)
         Symmetric positive definite.
+
+    Raises
+    ------
+    InputError
+        If shape is not symmetric positive definite, or the center is empty.
+
+    Examples
+    --------
+    >>> Ellipsoid([0.0, 0.0], [[4.0, 0.0], [0.0, 1.0]]).support([1.0, 0.0])
+    2.0
     """
 
     def __init__(self, center: Any, shape: Any) -> None:
-        self.center = vector("center", center)
+        self.center = entries("center", center)
         self.dim = self.center.size
         full = symmetric("shape", shape, self.dim)
         self.shape = full if isinstance(full, np.ndarray) else full.toarray()
@@ -390,7 +467,22 @@ class Ellipsoid(ConvexSet):
 
 
 class SecondOrderCone(ConvexSet):
-    """{ w : |w[1:]| <= w[0] }, its own dual:  sigma is the indicator of the polar cone -C."""
+    """{ w : |w[1:]| <= w[0] }, its own dual:  sigma is the indicator of the polar cone -C.
+
+    Parameters
+    ----------
+    dim : int
+
+    Raises
+    ------
+    InputError
+        If dim is not a positive whole number.
+
+    Examples
+    --------
+    >>> SecondOrderCone(2).project([0.0, 2.0])
+    array([1., 1.])
+    """
 
     offsets = np.zeros(0)
 
@@ -424,6 +516,14 @@ class SecondOrderCone(ConvexSet):
 
     def polar(self) -> ConvexSet:
         return -self
+
+
+def entries(name: str, value: Any, finite: bool = True) -> np.ndarray:
+    """A float vector with at least one entry: no set lives in a space of dim 0."""
+    result = vector(name, value, finite=finite)
+    if not result.size:
+        raise InputError(f"{name} must have at least one entry")
+    return result
 
 
 def dimension(dim: Any) -> int:
