@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,7 +53,6 @@ class Constraints(ConvexSet):
         import cvxpy as cp
 
         self.dim = dimension(dim)
-        self.offsets = np.ones(1)
         if not callable(build):
             raise InputError("build must be a function from a cvxpy Variable to constraints")
         self.build = build
@@ -74,6 +74,14 @@ class Constraints(ConvexSet):
                 raise InputError(f"constraint {i} of build(w) has an integer variable: not convex")
             if any(parameter.value is None for parameter in constraint.parameters()):
                 raise InputError(f"constraint {i} of build(w) has a parameter without a value")
+
+    @cached_property
+    def offsets(self) -> np.ndarray:  # type: ignore[override]
+        """The size of C, so that a program over it is stated in C's own units; shape (1,)."""
+        direction = np.cos(np.arange(self.dim) + 1.0)
+        heights = np.abs([self.support(direction), self.support(-direction)])
+        known = heights[np.isfinite(heights) & (heights > 0)]
+        return np.array([known.max() if known.size else 1.0])
 
     def support(self, z: np.ndarray) -> float:
         import cvxpy as cp
@@ -98,7 +106,7 @@ class Constraints(ConvexSet):
 
         size = cp.Variable(1)
         w = cp.Variable(self.dim)
-        return Features([size], [cp.suppfunc(w, self.build(w))(p) <= size])
+        return Features([size], [cp.suppfunc(w, self.build(w))(p) <= self.offsets[0] * size])
 
     def witness(self, p: Any, w: Any, tau: Any, y: Any) -> None:
         return None
