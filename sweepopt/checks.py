@@ -36,10 +36,13 @@ def count(name: str, value: Any) -> int:
 
 def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -> np.ndarray:
     """A float array of shape (dim,); a scalar counts as one entry."""
-    ready = type(value) is np.ndarray and value.dtype == float and value.shape == (dim,)
-    if ready and math.isfinite(value.dot(value)):
-        # the loop's own vectors: one dot product tells that all entries are finite
-        return value.copy()
+    # most are right: one product tells that all entries are finite, nothing else is looked at
+    try:
+        ready = np.array(value)
+        if ready.dtype == float and ready.shape == (dim,) and math.isfinite(ready.dot(ready)):
+            return ready
+    except (TypeError, ValueError):
+        pass  # said in full below
     array = _floats(name, value, "an array of numbers", ndmin=1)
     if array.ndim != 1:
         raise InputError(f"{name} must have one axis, got shape {array.shape}")

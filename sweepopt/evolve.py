@@ -146,9 +146,9 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _evaluation_times(times: np.ndarray, mus: np.ndarray, scheme: Scheme) -> np.ndarray:
-    """Where C(t) is asked for or shall be checked: the nodes, and the stages of every step."""
+    """Where C(t) is asked for: the two ends, and the stages of every step."""
     stages = times[:-1, None] + mus[:, None] * np.array(scheme.c)
-    return np.unique(np.append(times, np.minimum(stages, times[1:, None])))
+    return np.unique(np.append(times[[0, -1]], np.minimum(stages, times[1:, None])))
 
 
 def _check_stability(process: SweepingProcess, scheme: Scheme, mu: float, on_unstable: str) -> None:

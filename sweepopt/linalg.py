@@ -43,37 +43,33 @@ class Factor:
             )
         entries = M.count_nonzero() if sp.issparse(M) else np.count_nonzero(M)
         self.is_diagonal = bool(entries == self.dim)
-        # unit diagonal: the test for definiteness and the solves do not depend on units
         self.root = np.sqrt(self.diagonal)
         try:
-            if sp.issparse(M):
-                weights = sp.diags_array(1 / self.root)
-                pivots = self._factorise_sparse(sp.csr_array(weights @ M @ weights))
-            else:
-                pivots = self._factorise_dense(M / np.outer(self.root, self.root))
+            pivots = self._factorise_sparse() if sp.issparse(M) else self._factorise_dense()
         except (scipy.linalg.LinAlgError, RuntimeError):
             pivots = np.zeros(1)
+        # relative to the diagonal: the test does not depend on units
         if not pivots.min() > 16 * np.finfo(float).eps:
             raise InputError(f"{name} must be positive definite; it has an eigenvalue <= 0")
 
-    def _factorise_sparse(self, M: sp.csr_array) -> np.ndarray:
-        self._lu = spla.splu(sp.csc_matrix(M), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC)
+    def _factorise_sparse(self) -> np.ndarray:
+        self._lu = spla.splu(sp.csc_matrix(self.M), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC)
         # with pivots on the diagonal their signs are the inertia (Sylvester)
-        return self._lu.U.diagonal()
+        return self._lu.U.diagonal()[self._lu.perm_c] / self.diagonal
 
-    def _factorise_dense(self, M: np.ndarray) -> np.ndarray:
-        self._cholesky = scipy.linalg.cho_factor(M, lower=True)
-        return self._cholesky[0].diagonal() ** 2
-
-    def _solve(self, w: np.ndarray) -> np.ndarray:
-        """Solve with the matrix of unit diagonal."""
-        if sp.issparse(self.M):
-            return self._lu.solve(w)
-        return lapack.dpotrs(self._cholesky[0], w, lower=True)[0]
+    def _factorise_dense(self) -> np.ndarray:
+        self._cholesky = scipy.linalg.cho_factor(self.M, lower=True)[0]
+        return self._cholesky.diagonal() ** 2 / self.diagonal
 
     def solve(self, w: np.ndarray) -> np.ndarray:
         """M^-1 w."""
-        return self._solve(w / self.root) / self.root
+        if sp.issparse(self.M):
+            return self._lu.solve(w)
+        return lapack.dpotrs(self._cholesky, w, lower=True)[0]
+
+    def _solve_scaled(self, w: np.ndarray) -> np.ndarray:
+        """Solve with D^-1/2 M D^-1/2, D = diag(M)."""
+        return self.root * self.solve(self.root * w)
 
     def dual_norm_bound(self, w: np.ndarray) -> float:
         """A bound of |w|_{M^-1} that costs no solve: |D^-1/2 w| / sqrt(lambda_min), D = diag(M).
@@ -85,11 +81,11 @@ class Factor:
     @cached_property
     def _bound_factor(self) -> float:
         if self.dim < SMALL:
-            columns = [self._solve(e) for e in np.eye(self.dim)]
+            columns = [self._solve_scaled(e) for e in np.eye(self.dim)]
             return float(np.sqrt(np.linalg.eigvalsh(np.array(columns))[-1]))
         # Lanczos meets the largest eigenvalue of the inverse from below, here to 0.1 %; 10 % are
         # added. The norm is applied to rounding errors only.
-        inverse = spla.LinearOperator((self.dim, self.dim), matvec=self._solve, dtype=float)
+        inverse = spla.LinearOperator((self.dim, self.dim), matvec=self._solve_scaled, dtype=float)
         start = _start(self.dim)
         largest = spla.eigsh(
             inverse, k=1, which="LA", v0=start, tol=1e-3, return_eigenvectors=False
@@ -128,7 +124,7 @@ class Factor:
 
 
 class Elimination(Factor):
-    """A factorisation L D L^T that ends with a few unknowns, to eliminate all others exactly.
+    """A factorisation L L^T that ends with a few unknowns, to eliminate all others exactly.
 
     For M z = r + E^T s, E selecting the unknowns, one forward and one backward substitution frame
     a problem for zeta = E z alone, with the Schur complement N = (E M^-1 E^T)^-1, which is the
@@ -143,67 +139,63 @@ class Elimination(Factor):
 
     def __init__(self, M: Matrix, unknowns: np.ndarray) -> None:
         self.unknowns = unknowns
+        first = np.setdiff1d(np.arange(M.shape[0]), unknowns)
+        self._order = np.concatenate([first, unknowns])
         super().__init__(M)
         m = unknowns.size
         tail = self._lower[-m:, -m:]
         self._tail = tail.toarray() if sp.issparse(tail) else tail
-        # forward substitution leaves D as it is: the tail of L D^1/2 is a Cholesky factor
-        self._tail = self._tail * np.sqrt(self._pivots[-m:])
-        root = self.root[unknowns]
-        self.N = (self._tail @ self._tail.T) * np.outer(root, root)
+        self.N = self._tail @ self._tail.T
 
-    def _factorise_sparse(self, M: sp.csr_array) -> np.ndarray:
-        first = np.setdiff1d(np.arange(self.dim), self.unknowns)
-        if first.size:
-            inner = sp.csc_matrix(M[first][:, first])
+    def _factorise_sparse(self) -> np.ndarray:
+        inner = self._order[: self.dim - self.unknowns.size]
+        if inner.size:
+            block = sp.csc_matrix(self.M[inner][:, inner])
             # a factorisation of the others tells their order of little fill
-            order = spla.splu(inner, permc_spec="MMD_AT_PLUS_A", **SYMMETRIC).perm_c
-            first = first[np.argsort(order)]
-        self._order = np.concatenate([first, self.unknowns])
-        ordered = sp.csc_matrix(M[self._order][:, self._order])
+            order = spla.splu(block, permc_spec="MMD_AT_PLUS_A", **SYMMETRIC).perm_c
+            self._order[: inner.size] = inner[np.argsort(order)]
+        ordered = sp.csc_matrix(self.M[self._order][:, self._order])
         lu = spla.splu(ordered, permc_spec="NATURAL", **SYMMETRIC)
-        self._lower, self._pivots = lu.L.tocsc(), lu.U.diagonal()
-        # factorising L alone (L = L I) gives its substitutions apart, forward and transposed
-        self._triangle = spla.splu(self._lower, permc_spec="NATURAL", **SYMMETRIC)
-        return self._pivots
+        pivots = lu.U.diagonal()
+        relative = pivots / self.diagonal[self._order]
+        if relative.min() > 0:
+            self._lower = (lu.L @ sp.diags_array(np.sqrt(pivots))).tocsc()
+            # the factor factorised gives its substitutions apart, forward and transposed
+            self._triangle = spla.splu(self._lower, permc_spec="NATURAL", **SYMMETRIC)
+        return relative
 
-    def _factorise_dense(self, M: np.ndarray) -> np.ndarray:
-        first = np.setdiff1d(np.arange(self.dim), self.unknowns)
-        self._order = np.concatenate([first, self.unknowns])
-        cholesky = scipy.linalg.cholesky(M[np.ix_(self._order, self._order)], lower=True)
-        self._lower, self._pivots = cholesky / cholesky.diagonal(), cholesky.diagonal() ** 2
-        return self._pivots
+    def _factorise_dense(self) -> np.ndarray:
+        ordered = self.M[np.ix_(self._order, self._order)]
+        self._lower = scipy.linalg.cholesky(ordered, lower=True)
+        return self._lower.diagonal() ** 2 / self.diagonal[self._order]
 
     def _substitute(self, w: np.ndarray, transposed: bool = False) -> np.ndarray:
         """L^-1 w or L^-T w."""
         if sp.issparse(self.M):
             return self._triangle.solve(w, "T" if transposed else "N")
-        return lapack.dtrtrs(self._lower, w, lower=True, trans=int(transposed), unitdiag=True)[0]
+        return lapack.dtrtrs(self._lower, w, lower=True, trans=int(transposed))[0]
 
-    def _solve(self, w: np.ndarray) -> np.ndarray:
-        z = np.empty_like(w)
-        forward = self._substitute(w[self._order])
-        z[self._order] = self._substitute(forward / self._pivots, transposed=True)
+    def solve(self, w: np.ndarray) -> np.ndarray:
+        """M^-1 w."""
+        return self._backward(self._substitute(w[self._order]))
+
+    def _backward(self, forward: np.ndarray) -> np.ndarray:
+        z = np.empty_like(forward)
+        z[self._order] = self._substitute(forward, transposed=True)
         return z
 
     def reduce(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Forward substitution of r, in units of D^-1/2, and the force N E M^-1 r on zeta.
+        """Forward substitution of r, and the force N E M^-1 r on zeta.
 
-        Its Euclidean norm is |r|_{M^-1}.
+        The Euclidean norm of the first is |r|_{M^-1}.
         """
-        forward = self._substitute((r / self.root)[self._order]) / np.sqrt(self._pivots)
-        m = self.unknowns.size
-        return forward, (self._tail @ forward[-m:]) * self.root[self.unknowns]
+        forward = self._substitute(r[self._order])
+        return forward, self._tail @ forward[-self.unknowns.size :]
 
     def recover(self, forward: np.ndarray, force: np.ndarray) -> np.ndarray:
         """z from the forward substitution and the total force N zeta on zeta."""
-        m = self.unknowns.size
-        inner = force / self.root[self.unknowns]
-        forward[-m:] = lapack.dtrtrs(self._tail, inner, lower=True)[0]
-        z = np.empty_like(forward)
-        backward = self._substitute(forward / np.sqrt(self._pivots), transposed=True)
-        z[self._order] = backward
-        return z / self.root
+        forward[-self.unknowns.size :] = lapack.dtrtrs(self._tail, force, lower=True)[0]
+        return self._backward(forward)
 
 
 def largest_eigenvalue(M: Matrix) -> float:

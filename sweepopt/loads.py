@@ -269,16 +269,28 @@ class Separable:
 
     def coefficients(self, t: float) -> Array:
         """Values ``phi_k(t)``, shape (k,)."""
-        phi = np.empty(len(self.terms))
+        return np.array([self._value(k, t) for k in range(len(self.terms))])
+
+    def values(self, times: Array) -> Array:
+        """Values ``phi_k(t)`` at many times, shape (len(times), k)."""
+        table = np.empty((len(times), len(self.terms)))
         for k, (history, _) in enumerate(self.terms):
-            value = np.asarray(history(t), dtype=object)
-            entry = value.item() if value.size == 1 else value.tolist()
-            if not isinstance(entry, Real) or not math.isfinite(entry):
-                raise InputError(
-                    f"terms[{k}][0] is {entry!r:.80} at t = {t:g}; it must be one finite number"
-                )
-            phi[k] = entry
-        return phi
+            if isinstance(history, History):
+                table[:, k] = history(times)
+            else:
+                table[:, k] = [self._value(k, t) for t in times.tolist()]
+        return table
+
+    def _value(self, k: int, t: float) -> float:
+        value = self.terms[k][0](t)
+        if type(value) is not float:
+            entries = np.asarray(value, dtype=object)
+            value = entries.item() if entries.size == 1 else entries.tolist()
+        if not isinstance(value, Real) or not math.isfinite(value):
+            raise InputError(
+                f"terms[{k}][0] is {value!r:.80} at t = {t:g}; it must be one finite number"
+            )
+        return float(value)
 
     def __call__(self, t: float) -> Array:
         return np.asarray(self.shapes @ self.coefficients(t))

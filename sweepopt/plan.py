@@ -16,7 +16,7 @@ from sweepopt.process import SweepingProcess
 from sweepopt.program import Velocity, VelocityProgram, closed_form, has_closed_form, rate
 from sweepopt.schemes import Scheme
 from sweepopt.sets import ConvexSet
-from sweepopt.solvers import NEWTON, Solve, Solver, choose, newton
+from sweepopt.solvers import NEWTON, Iteration, Solve, Solver, choose
 
 POLISHED = 1e-12  # relative certificates above this are polished
 SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
@@ -139,6 +139,7 @@ class Plan:
         formula = False
         rungs: list[Solver] = []
         compiled: dict[int, Solve] = {}
+        polish = cache(lambda: Iteration(dense(M.M)))
 
         def solve(q: np.ndarray, C: ConvexSet) -> Solved:
             nonlocal cone, formula, rungs
@@ -166,7 +167,7 @@ class Plan:
                         return found
                     continue
                 if velocity.relative > POLISHED and NEWTON.treats(C):
-                    z, _ = newton(dense(M.M), q, C, velocity.z, NEWTON.max_iter)
+                    z, _ = polish()(q, C, velocity.z, NEWTON.max_iter)
                     polished = program.certify(q, C, z, answer.y)
                     if polished.relative < velocity.relative:
                         found = replace(found, velocity=polished)

@@ -120,7 +120,7 @@ class SweepingProcess:
         return np.zeros(self.dim) if self.B is None else self.B @ u
 
     def check(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
-        """Check C(t) on the given times, before any solver runs.
+        """Check C(t) on the given increasing times, before any solver runs.
 
         Returns
         -------
@@ -139,18 +139,11 @@ class SweepingProcess:
         VariationWarning
             If C(t) jumps by an infinite distance, as far as that can be seen.
         """
-        members: list[tuple[float, ConvexSet]] = []
+        members = self.C.members(times)
         last = None
-        for t in times:
-            C = self.C.at(float(t))
-            if C.dim != self.dim:
-                raise InputError(f"C(t) at t = {t:g} has dim {C.dim}, not {self.dim}")
-            if C is not last:
-                C.require_nonempty(f"C(t) at t = {t:g}")
-            if last is None or not last.same_cone(C):
-                _check_support(C)
-                members.append((float(t), C))
-                _check_jump(last, C, float(t))
+        for t, C in members:
+            _check_support(C)
+            _check_jump(last, C, t)
             last = C
         return members
 

@@ -8,6 +8,7 @@ sigma(C & D, z) = min { sigma(C, p) + sigma(D, z - p) }   (and its closure)
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,11 +35,15 @@ if TYPE_CHECKING:
 class Translation(ConvexSet):
     """C + v."""
 
-    def __init__(self, part: ConvexSet, v: Any) -> None:
-        self.part, self.v, self.dim = part, vector("v", v, part.dim), part.dim
-        self.offsets = np.concatenate([self.v, part.offsets])
+    def __init__(self, part: ConvexSet, v: np.ndarray) -> None:
+        # one is made each step: v was checked, and the offsets wait until a program asks
+        self.part, self.v, self.dim = part, v, part.dim
         self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
         self.exact = part.exact
+
+    @cached_property
+    def offsets(self) -> np.ndarray:  # type: ignore[override]
+        return np.concatenate([self.v, self.part.offsets])
 
     def support(self, z: np.ndarray) -> float:
         return self.part.support(z) + float(self.v @ z)
@@ -66,7 +71,9 @@ class Translation(ConvexSet):
         return found and found._replace(w=found.w + self.v)
 
     def same_cone(self, other: ConvexSet) -> bool:
-        return isinstance(other, Translation) and self.part.same_cone(other.part)
+        return isinstance(other, Translation) and (
+            self.part is other.part or self.part.same_cone(other.part)
+        )
 
     def rows(self) -> tuple[Any, np.ndarray] | None:
         found = self.part.rows()
@@ -98,9 +105,13 @@ class Translation(ConvexSet):
     def nonsmooth_dim(self) -> int:
         return self.part.nonsmooth_dim
 
+    @property
     def selection(self) -> Selection | None:
-        found = self.part.selection()
-        return found and found._replace(shift=found.shift + self.v)
+        found = self.part.selection
+        if found is None:
+            return None
+        shift = self.v if found.shift is None else found.shift + self.v
+        return Selection(found.unknowns, found.part, shift)
 
 
 class Scaling(ConvexSet):
@@ -164,11 +175,13 @@ class Scaling(ConvexSet):
     def nonsmooth_dim(self) -> int:
         return self.part.nonsmooth_dim
 
+    @property
     def selection(self) -> Selection | None:
-        found = self.part.selection()
-        return found and Selection(
-            found.unknowns, scale(self.factor, found.part), self.factor * found.shift
-        )
+        found = self.part.selection
+        if found is None:
+            return None
+        shift = None if found.shift is None else self.factor * found.shift
+        return Selection(found.unknowns, scale(self.factor, found.part), shift)
 
     def polar(self) -> ConvexSet:
         return self.part.polar()
@@ -226,9 +239,13 @@ class Negation(ConvexSet):
     def nonsmooth_dim(self) -> int:
         return self.part.nonsmooth_dim
 
+    @property
     def selection(self) -> Selection | None:
-        found = self.part.selection()
-        return found and Selection(found.unknowns, -found.part, -found.shift)
+        found = self.part.selection
+        if found is None:
+            return None
+        shift = None if found.shift is None else -found.shift
+        return Selection(found.unknowns, -found.part, shift)
 
     def polar(self) -> ConvexSet:
         return -self.part.polar()
@@ -340,7 +357,7 @@ def add(C: ConvexSet, other: Any) -> Any:
         return (
             Point(C.offsets + vector("v", other, C.dim))
             if isinstance(C, Point)
-            else (Translation(C, other))
+            else Translation(C, vector("v", other, C.dim))
         )
     if not _is_set("C + D", other):
         return NotImplemented

@@ -46,11 +46,11 @@ class Witness(NamedTuple):
 
 
 class Selection(NamedTuple):
-    """C = shift + { w : w[unknowns] in part, all other entries 0 }."""
+    """C = shift + { w : w[unknowns] in part, all other entries 0 }; shift None is 0."""
 
     unknowns: np.ndarray
     part: ConvexSet
-    shift: np.ndarray
+    shift: np.ndarray | None
 
 
 class ConvexSet(ABC):
@@ -216,6 +216,7 @@ class ConvexSet(ABC):
         """How many unknowns C really acts on (fewer than dim for the image of a small set)."""
         return self.dim
 
+    @property
     def selection(self) -> Selection | None:
         """The few unknowns C acts on, if it is the image of a set under a selection of them."""
         return None
@@ -238,6 +239,11 @@ class ConvexSet(ABC):
     def at(self, t: float) -> ConvexSet:
         """C(t): a set that does not move is the same at every time."""
         return self
+
+    def members(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
+        """As `MovingSet.members`: one member, itself."""
+        self.require_nonempty(f"C(t) at t = {times[0]:g}")
+        return [(float(times[0]), self)]
 
     # ---- the algebra (lazy; the laws are stated in algebra.py) --------------------------------
 

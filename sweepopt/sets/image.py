@@ -246,10 +246,12 @@ class Image(ConvexSet):
     def nonsmooth_dim(self) -> int:
         return self.part.nonsmooth_dim
 
+    @property
     def selection(self) -> Selection | None:
-        if self._selected is None:
-            return None
-        return Selection(self._selected, self.part, np.zeros(self.dim))
+        return None if self._selected is None else Selection(self._selected, self.part, None)
+
+    def __neg__(self) -> Image:
+        return self.with_part(-self.part)
 
     def polar(self) -> ConvexSet:
         self.part.polar()  # says so if this is no cone at all

@@ -66,6 +66,31 @@ class MovingSet:
             raise InputError(f"C(t) at t = {t:g} has dim {C.dim}, not {self.dim}")
         return C
 
+    def members(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
+        """Look at every C(t), and keep one of each run that differs in the offsets only.
+
+        Returns
+        -------
+        list of (t, C(t))
+
+        Raises
+        ------
+        EmptySetError
+            If C(t) is empty; the message names t.
+        InputError
+            If C(t) is not finite or changes its dimension.
+        """
+        kept: list[tuple[float, ConvexSet]] = []
+        last = None
+        for t in times.tolist():
+            C = self.at(t)
+            if C is not last:
+                C.require_nonempty(f"C(t) at t = {t:g}")
+            if last is None or not last.same_cone(C):
+                kept.append((t, C))
+            last = C
+        return kept
+
     def _member(self, t: float) -> ConvexSet:
         try:
             C = self._at(t)
@@ -158,7 +183,10 @@ class Moving(MovingSet):
         if self.center is None:
             return np.zeros(self.dim)
         value = self.center(t) if callable(self.center) else self.center
-        return vector(f"{self.center_name}(t) at t = {t:g}", value, self.dim)
+        try:
+            return vector("center", value, self.dim)
+        except InputError:
+            return vector(f"{self.center_name}(t) at t = {t:g}", value, self.dim)
 
     def scale_at(self, t: float) -> float:
         """scale(t)."""
@@ -166,6 +194,20 @@ class Moving(MovingSet):
             return 1.0
         value = self.scale(t) if callable(self.scale) else self.scale
         return number(f"scale(t) at t = {t:g}", value, minimum=0.0)
+
+    def members(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
+        if self.scale is not None:
+            return super().members(times)
+        # translates of one set: their centres are all there is to look at
+        if hasattr(self.center, "values"):
+            self.center.values(times)
+        elif callable(self.center):
+            for t in times.tolist():
+                self.center_at(t)
+        first = float(times[0])
+        C = self.at(first)
+        C.require_nonempty(f"C(t) at t = {first:g}")
+        return [(first, C)]
 
     def at(self, t: float) -> ConvexSet:
         scaled = self.shape if self.scale is None else algebra.scale(self.scale_at(t), self.shape)

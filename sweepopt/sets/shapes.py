@@ -187,6 +187,9 @@ class Box(ConvexSet):
         # componentwise: {0} <-> R, [0, inf) <-> (-inf, 0]
         return Box(np.where(self._low, -np.inf, 0.0), np.where(self._up, np.inf, 0.0))
 
+    def __neg__(self) -> Box:
+        return Box(-self.upper, -self.lower)
+
     def __add__(self, other: Any) -> Any:
         if isinstance(other, Box) and other.dim == self.dim:
             return Box(self.lower + other.lower, self.upper + other.upper)

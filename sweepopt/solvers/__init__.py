@@ -9,7 +9,7 @@ from sweepopt.errors import SolverRefusedError
 from sweepopt.sets import ConvexSet
 from sweepopt.solvers.base import Answer, Solve, Solver
 from sweepopt.solvers.clarabel import Clarabel
-from sweepopt.solvers.newton import Newton, newton
+from sweepopt.solvers.newton import Iteration, Newton
 from sweepopt.solvers.osqp import OSQP
 from sweepopt.solvers.reference import Cvxpy
 
@@ -74,9 +74,9 @@ __all__ = [
     "Answer",
     "Clarabel",
     "Cvxpy",
+    "Iteration",
     "Newton",
     "Solve",
     "Solver",
     "choose",
-    "newton",
 ]

@@ -3,12 +3,14 @@
 -z in N_C(M z + q) is the equation  w = P_C(w - T z),  w = M z + q, for steps T > 0. With D a
 generalised derivative of P_C the Newton step solves  (M - D (M - T)) dz = P_C(v) - w. For a box it
 is the primal-dual active-set method: stuck entries get z = 0 at once, slipping ones solve a linear
-system (Hintermueller, Ito, Kunisch, SIAM J. Optim. 13(3), 2002). It may cycle far from the
-solution: then the certificate says so and another solver takes over.
+system (Hintermueller, Ito, Kunisch, SIAM J. Optim. 13(3), 2002). There an entry does not reverse
+within one step: it stops first, or a warm start would have whole contact zones flip to and fro. The
+method may still cycle far from the solution: then it stops early and another solver takes over.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +21,9 @@ from sweepopt.linalg import dense
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
 from sweepopt.solvers.base import Answer, Solve, Solver
+
+EPS = float(np.finfo(float).eps)
+PATIENCE = 5  # steps that may fail to improve on the best one: more are a cycle
 
 
 @dataclass(frozen=True)
@@ -61,68 +66,88 @@ class Newton:
 
     def compile(self, program: VelocityProgram) -> Solve:
         """A function that starts from the velocity it found last."""
-        M = dense(program.M.M)
-        z = np.zeros(program.M.dim)
+        iterate, z = Iteration(dense(program.M.M)), np.zeros(program.M.dim)
 
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:
             nonlocal z
-            z, iterations = newton(M, q, C, z, self.max_iter)
+            z, iterations = iterate(q, C, z, self.max_iter)
             return Answer(z, np.zeros(C.offsets.size), iterations, "iterated")
 
         return solve
 
 
-def newton(
-    M: np.ndarray, q: np.ndarray, C: ConvexSet, z: np.ndarray, max_iter: int
-) -> tuple[np.ndarray, int]:
-    """Newton steps from z until nothing changes; returns the last z and their number."""
-    T = C.steps(M.diagonal())
-    smallest = np.inf
-    for iteration in range(max_iter):
-        w = M @ z + q
-        v = w - T * z
-        missed = C.project(v) - w
-        size = float(np.linalg.norm(missed / np.sqrt(T)))
-        rounding = np.finfo(float).eps * float(
-            np.linalg.norm((np.abs(w) + T * np.abs(z)) / np.sqrt(T))
-        )
-        # at rounding the equation cannot get better: stop when it does not
-        if size <= rounding or (size <= 1e3 * rounding and size >= smallest):
-            return z, iteration
-        smallest = min(smallest, size)
-        D = C.derivative(v)
-        assert D is not None
-        try:
-            following = z + _step(M, T, D, z, missed)
-        except np.linalg.LinAlgError:
-            return z, iteration
-        if not np.isfinite(following).all():
-            return z, iteration
-        z = following
-    return z, max_iter
+class Iteration:
+    """Newton steps for one dense M; the last principal block is kept factorised.
 
+    Contact states change rarely from step to step, and with them the block.
+    """
 
-def _step(
-    M: np.ndarray, T: np.ndarray, D: np.ndarray, z: np.ndarray, missed: np.ndarray
-) -> np.ndarray:
-    """Solve (M - D (M - T)) dz = missed, with the rows where D is the identity taken out."""
-    if D.ndim == 1:
-        stuck = D == 1
-    else:
+    def __init__(self, M: np.ndarray) -> None:
+        self.M, self._diagonal = M, M.diagonal()
+        self._free: np.ndarray | None = None
+        self._block: np.ndarray = M
+
+    def __call__(
+        self, q: np.ndarray, C: ConvexSet, z: np.ndarray, max_iter: int
+    ) -> tuple[np.ndarray, int]:
+        """Newton steps from z until nothing changes; returns the last z and their number."""
+        T = C.steps(self._diagonal)
+        weights = 1 / np.sqrt(T)
+        smallest, stalled = math.inf, 0
+        for iteration in range(max_iter):
+            w, pulled = self.M @ z + q, T * z
+            v = w - pulled
+            missed = C.project(v) - w
+            size = _norm(missed * weights)
+            rounding = EPS * _norm((np.abs(w) + np.abs(pulled)) * weights)
+            # at rounding the equation cannot get better: stop when it does not, or when it cycles
+            stalled += size >= smallest
+            if size <= rounding or (size <= 1e3 * rounding and stalled) or stalled == PATIENCE:
+                return z, iteration
+            smallest = min(smallest, size)
+            D = C.derivative(v)
+            assert D is not None
+            try:
+                if D.ndim == 1:
+                    following = self._separable(D == 1, z, missed)
+                else:
+                    following = z + self._coupled(T, D, z, missed)
+            except np.linalg.LinAlgError:
+                return z, iteration
+            if not math.isfinite(following @ following):
+                return z, iteration
+            z = following
+        return z, max_iter
+
+    def _separable(self, stuck: np.ndarray, z: np.ndarray, missed: np.ndarray) -> np.ndarray:
+        """Stuck entries get 0, slipping ones solve M dz = missed; nothing reverses."""
+        free = ~stuck
+        dz = np.where(stuck, -z, 0.0)
+        if free.any():
+            if self._free is None or (free != self._free).any():
+                self._block, info = lapack.dpotrf(self.M[np.ix_(free, free)], lower=True)
+                self._free = None if info else free
+                if info:
+                    raise np.linalg.LinAlgError("the block is not positive definite to rounding")
+            right = missed - self.M @ dz if z[stuck].any() else missed
+            dz[free] = lapack.dpotrs(self._block, right[free], lower=True)[0]
+        following = z + dz
+        return np.where(following * z < 0, 0.0, following)
+
+    def _coupled(
+        self, T: np.ndarray, D: np.ndarray, z: np.ndarray, missed: np.ndarray
+    ) -> np.ndarray:
+        """Solve (M - D (M - T)) dz = missed, with the rows where D is the identity taken out."""
         stuck = (D.diagonal() == 1) & (np.abs(D).sum(axis=1) == 1)
-    dz = np.where(stuck, -z, 0.0)
-    free = ~stuck
-    if not free.any():
+        dz = np.where(stuck, -z, 0.0)
+        free = ~stuck
+        if not free.any():
+            return dz
+        rows = self.M[free]
+        rows = rows - D[free] @ self.M + D[free] * T
+        dz[free] = np.linalg.solve(rows[:, free], missed[free] - rows[:, stuck] @ dz[stuck])
         return dz
-    rows = M[free]
-    if D.ndim == 2:
-        rows = rows - D[free] @ M + D[free] * T
-    matrix, right = rows[:, free], missed[free] - rows[:, stuck] @ dz[stuck]
-    if D.ndim == 1:
-        # slipping entries of a separable set: a principal block of M
-        _, dz[free], info = lapack.dposv(matrix, right)
-        if info:
-            raise np.linalg.LinAlgError("the block is not positive definite to rounding")
-    else:
-        dz[free] = np.linalg.solve(matrix, right)
-    return dz
+
+
+def _norm(x: np.ndarray) -> float:
+    return math.sqrt(x @ x)

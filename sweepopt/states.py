@@ -1,0 +1,199 @@
+"""What is kept of a run: which steps, where they go, and how they come back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from sweepopt.checks import vector
+from sweepopt.errors import InputError
+
+MEMORY = 4e9
+"""Bytes that the kept states may take."""
+
+Index = Any  # int, slice or array of ints
+
+
+class States(Protocol):
+    """States and velocities of the kept steps, by their number."""
+
+    def u(self, i: Index) -> np.ndarray:
+        """The states at the kept nodes i; node 0 is the start."""
+        ...
+
+    def velocity(self, i: Index) -> np.ndarray:
+        """The velocities of the kept steps i; step i ends at node i + 1."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """States in memory, shapes (k + 1, dim) and (k, dim)."""
+
+    nodes: np.ndarray
+    velocities: np.ndarray
+
+    def u(self, i: Index) -> np.ndarray:
+        return self.nodes[i]
+
+    def velocity(self, i: Index) -> np.ndarray:
+        return self.velocities[i]
+
+
+@dataclass(frozen=True, eq=False)
+class Lifted:
+    """States of few unknowns in memory; `lift` gives all unknowns of a node or of a step.
+
+    Attributes
+    ----------
+    few : Kept
+    alpha : callable -> Kept
+        Coefficients of the load at every node and step of the run, computed when asked for.
+    steps : ndarray, shape (k,)
+        The kept steps, counted in the run.
+    lift : callable (few, alpha) -> ndarray, shape (dim,)
+    """
+
+    few: Kept
+    alpha: Callable[[], Kept]
+    steps: np.ndarray
+    lift: Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+    def u(self, i: Index) -> np.ndarray:
+        nodes = np.append(0, self.steps + 1)
+        return self._lift(self.few.nodes, self.alpha().nodes[nodes], i)
+
+    def velocity(self, i: Index) -> np.ndarray:
+        return self._lift(self.few.velocities, self.alpha().velocities[self.steps], i)
+
+    def _lift(self, few: np.ndarray, alpha: np.ndarray, i: Index) -> np.ndarray:
+        rows = np.arange(len(few))[i]
+        lifted = [self.lift(few[k], alpha[k]) for k in np.ravel(rows)]
+        dim = lifted[0].size if lifted else 0
+        return np.reshape(lifted, (*np.shape(rows), dim))
+
+
+@dataclass(frozen=True, eq=False)
+class Saving:
+    """What `save=` asks for, checked.
+
+    Attributes
+    ----------
+    steps : ndarray of int
+        The steps whose end is kept in memory; the last step that is done always is.
+    function : callable or None
+        (t, u, z) -> anything, recorded for every step.
+    path : Path or None
+        A NetCDF file for the states of all steps.
+    """
+
+    steps: np.ndarray
+    function: Callable[[float, np.ndarray, np.ndarray], Any] | None = None
+    path: Path | None = None
+
+
+def saving(save: Any, times: np.ndarray, dim: int, memory: float) -> Saving:
+    """Read the argument `save` of solve for a run over `times`.
+
+    Parameters
+    ----------
+    dim : int
+        Unknowns of a state as it is kept in memory.
+    memory : float
+        Bytes that the kept states may take.
+
+    Raises
+    ------
+    InputError
+        If save is none of what it may be, or the states do not fit.
+    """
+    n = len(times) - 1
+    last = np.array([n - 1])
+    if save is None:
+        chosen = Saving(np.arange(n))
+    elif isinstance(save, str) and save == "last":
+        chosen = Saving(last)
+    elif isinstance(save, (str, PathLike)):
+        path = Path(save)
+        if path.suffix != ".nc":
+            raise InputError(f"save is {str(save)!r}; a file must end with .nc, or say 'last'")
+        if not path.parent.is_dir():
+            raise InputError(f"save is {str(save)!r}, but there is no folder {path.parent}")
+        chosen = Saving(last, path=path)
+    elif callable(save):
+        chosen = Saving(last, function=save)
+    elif isinstance(save, (int, np.integer)) and not isinstance(save, bool):
+        if save < 1:
+            raise InputError(f"save is {save}; a stride must be positive")
+        chosen = Saving(np.union1d(np.arange(save - 1, n, save), last))
+    elif isinstance(save, Iterable):
+        chosen = Saving(np.union1d(_steps_ending_at(vector("save", save), times), last))
+    else:
+        raise InputError(
+            f"save must be None, 'last', a stride, times, a function of (t, u, z) or the name of "
+            f"an .nc file; got {save!r:.60}"
+        )
+    size = 8.0 * dim * (2 * chosen.steps.size + 1)
+    if size > memory:
+        raise InputError(
+            f"steps: keeping {chosen.steps.size} states and velocities of {dim} unknowns takes "
+            f"{size / 1e9:.3g} GB, more than memory = {memory / 1e9:.3g} GB; pass save='last', "
+            "save=k for every k-th step, save=[times], save=f(t, u, z) or save='run.nc', or a "
+            "larger memory"
+        )
+    return chosen
+
+
+def _steps_ending_at(wanted: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """The steps that end at the wanted times; the start is always kept."""
+    rounding = 1e-12 * np.abs(times).max()
+    nearest = np.clip(np.searchsorted(times, wanted - rounding), 0, len(times) - 1)
+    away = np.abs(times[nearest] - wanted) > rounding
+    if away.any():
+        raise InputError(
+            f"save asks for t = {wanted[away][0]:g}, which is not on the time grid; choose steps "
+            "so that it is, or keep all steps and interpolate"
+        )
+    return np.unique(nearest[nearest > 0] - 1)
+
+
+@dataclass(eq=False)
+class Keeper:
+    """Takes the states of a run as they come, and keeps those of the wanted steps."""
+
+    steps: np.ndarray
+    u0: np.ndarray
+    _row: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        self._u = np.zeros((self.steps.size + 1, self.u0.size))
+        self._z = np.zeros((self.steps.size, self.u0.size))
+        self._u[0] = self.u0
+        self._next = int(self.steps[0])
+        self._last: tuple[int, np.ndarray, np.ndarray] | None = None
+
+    def put(self, i: int, u: np.ndarray, z: np.ndarray) -> None:
+        """Take the state after step i and the velocity of the step."""
+        if i == self._next:
+            self._u[self._row + 1], self._z[self._row] = u, z
+            self._row += 1
+            self._next = int(self.steps[self._row]) if self._row < self.steps.size else -1
+            self._last = None
+        else:
+            self._last = (i, u, z)
+
+    def close(self) -> tuple[np.ndarray, Kept]:
+        """The kept steps, with the last one that was done, and their states."""
+        k = self._row
+        steps = self.steps[:k]
+        if self._last is not None:
+            i, u, z = self._last
+            steps = np.append(steps, i)
+            self._u[k + 1], self._z[k] = u, z
+            k += 1
+        return steps, Kept(self._u[: k + 1], self._z[:k])
