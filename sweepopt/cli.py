@@ -114,7 +114,7 @@ def _run(chosen: argparse.Namespace) -> int:
     started = clock.perf_counter()
     solution = scene.solve(progress=not chosen.no_progress, on_failure="stop")
     seconds = clock.perf_counter() - started
-    if not len(solution.velocity):
+    if not len(solution.steps):
         words = f"no step was completed, nothing is written. {solution.message}"
         print(f"sweepopt: {words}", file=sys.stderr)
         return _exit_code(solution)
@@ -168,7 +168,7 @@ def _close(report: Report, folder: Path, files: Sequence[str]) -> None:
     solution, scene, energy = report.solution, report.scene, report.energy
     lines = {
         "status": solution.message,
-        "reached": f"t = {solution.t[-1]:g}{_second(scene)} in {len(solution.velocity)} steps, "
+        "reached": f"t = {solution.t[-1]:g}{_second(scene)} in {len(solution.steps)} steps, "
         f"{report.seconds:.3g} s of computing",
         "max displacement": f"{abs(solution.u).max():.4g}{_unit(report.units.length)}",
     }

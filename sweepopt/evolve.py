@@ -1,28 +1,31 @@
-"""solve(): the only loop over time."""
+"""solve(): from a process to a solution; every argument is checked before the loop starts."""
 
 from __future__ import annotations
 
-import math
-import time as clock
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
+from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import Matrix, count, number, vector
+from sweepopt.blocks import BlockWriter, Stored
+from sweepopt.checks import count, number, vector
 from sweepopt.errors import (
     InputError,
     MissingExtraError,
     StabilityWarning,
     Status,
     StepError,
+    SweepoptError,
     UnstableStepError,
 )
-from sweepopt.plan import Plan, Solved, VelocityOf, make_plan
+from sweepopt.march import march
+from sweepopt.plan import PATHS, Plan, make_plan
 from sweepopt.process import EvolutionVI, SweepingProcess
 from sweepopt.schemes import Scheme, choose
-from sweepopt.solution import STATS, Solution
+from sweepopt.solution import Solution
+from sweepopt.states import MEMORY, Keeper, Kept, Lifted, States, saving
 
 
 class StepInfo(NamedTuple):
@@ -43,6 +46,9 @@ def solve(
     scheme: str = "auto",
     solver: Any = "auto",
     tol: float = 1e-6,
+    path: str = "auto",
+    save: Any = None,
+    memory: float = MEMORY,
     progress: bool = False,
     callback: Callable[[StepInfo], bool | None] | None = None,
     on_failure: Literal["raise", "stop"] = "raise",
@@ -64,6 +70,16 @@ def solve(
     tol : float
         Each program's certificate is at most tol * max(|z|_M, |M^-1 q|_M); a step that misses it
         is tried with tighter settings, then with another solver, then handled as on_failure says.
+    path : {"auto", "proportional", "eliminated", "full"}
+        Which unknowns enter a step: with "full" all of them; with "eliminated" the few that C(t)
+        acts on enter a program and the others two substitutions; with "proportional" (B = rho A
+        and a Separable load) the others enter no step at all. "auto" takes the first that applies.
+    save : None, "last", int, array_like, callable, str or Path
+        What is kept: all steps, the last one, every k-th, those that end at the given times of the
+        grid, what a function of (t, u, z) returns for each step (in `Solution.recorded`), or all
+        steps in a NetCDF file "run.nc" that is written in blocks. The last step always is kept.
+    memory : float
+        Bytes that the kept states may take; a run that needs more is refused before it starts.
     progress : bool
         Show a progress bar (needs tqdm).
     callback : callable, optional
@@ -100,6 +116,7 @@ def solve(
     (True, 0.0, 3.063)
     """
     for name, value, allowed in (
+        ("path", path, PATHS),
         ("on_failure", on_failure, ("raise", "stop")),
         ("on_unstable", on_unstable, ("raise", "warn", "ignore")),
     ):
@@ -111,13 +128,100 @@ def solve(
         raise InputError(f"callback must be a function of a StepInfo, got {callback!r:.60}")
     process = process.as_sweeping()
     tol = number("tol", tol, minimum=0.0, strict=True)
+    memory = number("memory", memory, minimum=0.0, strict=True)
     times, mus = time_grid(t_end, steps)
     tableau = choose(scheme, process.rate_independent)
     members = process.check(_evaluation_times(times, mus, tableau))
-    plan = make_plan(process, members, tableau, solver, tol)
+    plan = make_plan(process, members, tableau, solver, tol, path)
+    wanted = saving(save, times, plan.entering, memory)
     process.check_start(float(times[0]))
     _check_stability(process, tableau, float(mus.max()), on_unstable)
-    return _march(process, plan, times, mus, progress, callback, on_failure)
+
+    moved = plan.reduction.process if plan.reduction else process
+    lift = _Lift(plan, times, mus)
+    keeper = Keeper(wanted.steps, moved.u0)
+    blocks = BlockWriter(wanted.path, float(times[0]), process.u0) if wanted.path else None
+    recorded: list[Any] = []
+    looks = bool(callback or blocks or wanted.function)
+    bar = _progress_bar(len(mus)) if progress else None
+
+    def put(i: int, u: np.ndarray, z: np.ndarray, certificate: float) -> bool | None:
+        keeper.put(i, u, z)
+        if bar is not None:
+            bar.update()
+        if not looks:
+            return None
+        t, u, z = float(times[i + 1]), lift.state(i + 1, u).copy(), lift.velocity(i, z).copy()
+        if blocks is not None:
+            blocks.put(t, u, z)
+        if wanted.function is not None:
+            recorded.append(wanted.function(t, u, z))
+        return callback(StepInfo(i, t, u, z, certificate)) if callback is not None else None
+
+    try:
+        run = march(moved, plan.of_entering, times, mus, put)
+    finally:
+        if bar is not None:
+            bar.close()
+        if blocks is not None:
+            blocks.close()
+    kept_steps, kept = keeper.close()
+    if run.status is Status.INEXACT and on_failure == "raise":
+        u = lift.state(run.done, kept.nodes[-1])
+        raise StepError(run.cause, float(times[run.done]), run.done, u, run.relative)
+    states: States = lift.of(kept, kept_steps)
+    if wanted.path is not None:
+        states, kept_steps = Stored(wanted.path), np.arange(run.done)
+    return Solution(
+        process=process,
+        plan=plan,
+        t=np.append(times[0], times[kept_steps + 1]),
+        steps=kept_steps,
+        states=states,
+        stats=run.log.table(times[1 : run.done + 1]),
+        status=run.status,
+        cause=run.cause,
+        recorded=recorded if wanted.function is not None else None,
+    )
+
+
+class _Lift:
+    """All unknowns from those that enter the steps; the coefficients of the load come first."""
+
+    def __init__(self, plan: Plan, times: np.ndarray, mus: np.ndarray) -> None:
+        self._plan, self._times, self._mus = plan, times, mus
+
+    @cached_property
+    def _alpha(self) -> Kept:
+        assert self._plan.reduction is not None
+        process = self._plan.reduction.coefficients
+        n = len(self._mus)
+        keeper = Keeper(np.arange(n), process.u0)
+        run = march(
+            process,
+            self._plan.of_coefficients,
+            self._times,
+            self._mus,
+            lambda i, u, z, _: keeper.put(i, u, z),
+        )
+        if run.done < n:
+            raise SweepoptError(f"the load's coefficients: {run.cause or run.status.value}")
+        return keeper.close()[1]
+
+    def state(self, node: int, u: np.ndarray) -> np.ndarray:
+        """The state at a node of the grid."""
+        reduction = self._plan.reduction
+        return u if reduction is None else reduction.lift(u, self._alpha.nodes[node])
+
+    def velocity(self, i: int, z: np.ndarray) -> np.ndarray:
+        """The velocity of a step."""
+        reduction = self._plan.reduction
+        return z if reduction is None else reduction.lift(z, self._alpha.velocities[i])
+
+    def of(self, kept: Kept, steps: np.ndarray) -> States:
+        """The kept states as states of all unknowns."""
+        reduction = self._plan.reduction
+        return kept if reduction is None else Lifted(kept, lambda: self._alpha, steps, reduction.lift)
 
 
 def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -146,9 +250,9 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _evaluation_times(times: np.ndarray, mus: np.ndarray, scheme: Scheme) -> np.ndarray:
-    """Where C(t) is asked for: the two ends, and the stages of every step."""
+    """Where C(t) is asked for or shall be checked: the nodes, and the stages of every step."""
     stages = times[:-1, None] + mus[:, None] * np.array(scheme.c)
-    return np.unique(np.append(times[[0, -1]], np.minimum(stages, times[1:, None])))
+    return np.unique(np.append(times, np.minimum(stages, times[1:, None])))
 
 
 def _check_stability(process: SweepingProcess, scheme: Scheme, mu: float, on_unstable: str) -> None:
@@ -168,135 +272,6 @@ def _check_stability(process: SweepingProcess, scheme: Scheme, mu: float, on_uns
         )
     effect = "amplifies errors" if number_ > 2 else "can overshoot into a wrong stuck state"
     warnings.warn(f"scheme {scheme.name!r} {effect}: {remedy}", StabilityWarning, stacklevel=3)
-
-
-def _march(
-    process: SweepingProcess,
-    plan: Plan,
-    times: np.ndarray,
-    mus: np.ndarray,
-    progress: bool,
-    callback: Callable[[StepInfo], bool | None] | None,
-    on_failure: str,
-) -> Solution:
-    steps = len(times) - 1
-    u = np.zeros((steps + 1, process.dim))
-    velocity = np.zeros((steps, process.dim))
-    stats = np.zeros(steps, dtype=STATS)
-    u[0] = process.u0
-    lost = np.zeros(process.dim)  # what rounding kept out of u (Kahan)
-    velocities = _Velocities(process, plan)
-    status, cause, done = Status.SUCCESS, "", 0
-    bar = _progress_bar(steps) if progress else None
-    try:
-        for i in range(steps):
-            started = clock.perf_counter()
-            t, mu = float(times[i]), float(mus[i])
-            z, stages = _step(process, plan.scheme, velocities, t, mu, u[i])
-            certificate = _worst(solved.velocity.certificate for solved in stages)
-            relative = _worst(solved.velocity.relative for solved in stages)
-            attempts = max(solved.attempts for solved in stages)
-            following = u[i] + (mu * z - lost)
-            if relative > plan.tol or not np.isfinite(following).all():
-                cause = _cause(i, t, relative, attempts, plan.tol)
-                if on_failure == "raise":
-                    raise StepError(cause, t, i, u[i].copy(), relative)
-                status = Status.INEXACT
-                break
-            if math.isnan(relative):
-                status = Status.UNCERTIFIED
-            lost = (following - u[i]) - (mu * z - lost)
-            u[i + 1] = following
-            velocity[i] = z
-            iterations = sum(solved.iterations for solved in stages)
-            seconds, by = clock.perf_counter() - started, stages[-1].solver
-            stats[i] = (times[i + 1], seconds, iterations, attempts, certificate, relative, by)
-            done = i + 1
-            if bar is not None:
-                bar.update()
-            if callback is not None and callback(
-                StepInfo(i, float(times[i + 1]), following, z, certificate)
-            ):
-                status = Status.STOPPED if done < steps else status
-                break
-    except KeyboardInterrupt:
-        status = Status.INTERRUPTED
-    finally:
-        if bar is not None:
-            bar.close()
-    return Solution(
-        process,
-        plan,
-        times[: done + 1],
-        u[: done + 1],
-        velocity[:done],
-        stats[:done],
-        status,
-        cause if status is Status.INEXACT else "",
-    )
-
-
-class _Velocities:
-    """Compiled velocity programs, one per matrix A + gamma B."""
-
-    LIMIT = 16  # irregular grids would otherwise keep one factorisation per step
-
-    def __init__(self, process: SweepingProcess, plan: Plan) -> None:
-        self._process, self._plan = process, plan
-        self._compiled: dict[float, VelocityOf] = {}
-
-    def __call__(self, gamma: float) -> VelocityOf:
-        if gamma not in self._compiled:
-            if len(self._compiled) == self.LIMIT:
-                self._compiled.pop(next(iter(self._compiled)))
-            self._compiled[gamma] = self._plan.velocity(self._matrix(gamma))
-        return self._compiled[gamma]
-
-    def _matrix(self, gamma: float) -> Matrix:
-        process = self._process
-        return process.A if process.B is None or not gamma else process.A + gamma * process.B
-
-
-def _step(
-    process: SweepingProcess,
-    scheme: Scheme,
-    velocities: _Velocities,
-    t: float,
-    mu: float,
-    u: np.ndarray,
-) -> tuple[np.ndarray, list[Solved]]:
-    """One step of the tableau: its mean velocity and what its stages solved."""
-    stages: list[Solved] = []
-    for weights, c in zip(scheme.a, scheme.c, strict=True):
-        known = u + mu * _combine(weights[:-1], stages) if stages else u
-        gamma = mu * weights[-1] if process.B is not None else 0.0
-        solved = velocities(gamma)(process.times_B(known), process.C.at(t + c * mu))
-        stages.append(solved)
-    return _combine(scheme.b, stages), stages
-
-
-def _combine(weights: Sequence[float], stages: list[Solved]) -> np.ndarray:
-    """sum of weights_k z_k; a single weight 1 keeps z to the last bit."""
-    total = weights[0] * stages[0].velocity.z
-    for weight, solved in zip(weights[1:], stages[1:], strict=True):
-        total += weight * solved.velocity.z
-    return total
-
-
-def _worst(values: Iterable[float]) -> float:
-    """The largest, or nan if one of them has no proof."""
-    return max(values, key=lambda value: math.inf if math.isnan(value) else value)
-
-
-def _cause(step: int, t: float, relative: float, attempts: int, tol: float) -> str:
-    if not relative > tol:
-        return f"step {step} from t = {t:g}: the state is not finite any more; take smaller steps"
-    return (
-        f"step {step} from t = {t:g}: the best certificate of {attempts} attempts is "
-        f"{relative:.2g} of the velocity's size, tol is {tol:g}. The data of this step are scaled "
-        "too badly for double precision, C(t) is nearly empty, or its projection is not exact "
-        "enough; loosen tol or try another solver"
-    )
 
 
 def _progress_bar(steps: int) -> Any:

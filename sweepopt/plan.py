@@ -10,14 +10,22 @@ from typing import Any
 import numpy as np
 
 from sweepopt.checks import Matrix
-from sweepopt.errors import SolverRefusedError
+from sweepopt.errors import InputError, SolverRefusedError
 from sweepopt.linalg import Elimination, Factor, dense
 from sweepopt.process import SweepingProcess
 from sweepopt.program import Velocity, VelocityProgram, closed_form, has_closed_form, rate
+from sweepopt.reduction import Reduction, reduce
 from sweepopt.schemes import Scheme
 from sweepopt.sets import ConvexSet
+from sweepopt.sets.base import Selection, same_array
 from sweepopt.solvers import NEWTON, Iteration, Solve, Solver, choose
 
+PATHS = {
+    "auto": "the first that applies",
+    "proportional": "the contact alone, the other unknowns are recovered when asked for",
+    "eliminated": "a program for the contact, two substitutions for the others",
+    "full": "a program for all unknowns",
+}
 POLISHED = 1e-12  # relative certificates above this are polished
 SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
 
@@ -56,6 +64,8 @@ class Plan:
         What the process does not have and the run does not compute.
     contact : ndarray of int or None
         The few unknowns the set acts on, if all others are eliminated; None keeps them.
+    reduction : Reduction or None
+        The process of the contact alone, if the material and the load are proportional.
     """
 
     unknowns: int
@@ -66,6 +76,33 @@ class Plan:
     tol: float
     left_out: tuple[str, ...]
     contact: np.ndarray | None = None
+    reduction: Reduction | None = None
+
+    @property
+    def path(self) -> str:
+        """Which unknowns enter a step."""
+        if self.reduction is not None:
+            return "proportional"
+        if not self.solvers:
+            return "linear"
+        return "full" if self.contact is None else "eliminated"
+
+    @property
+    def entering(self) -> int:
+        """How many unknowns enter a step and are kept of it."""
+        return self.unknowns if self.reduction is None else self.reduction.process.dim
+
+    @property
+    def of_entering(self) -> Plan:
+        """The plan of the process that the loop moves: the reduction's, if there is one."""
+        if self.reduction is None:
+            return self
+        return replace(self, unknowns=self.entering, contact=None, reduction=None)
+
+    @property
+    def of_coefficients(self) -> Plan:
+        """The plan of the reduction's linear process."""
+        return replace(self, solvers=(), contact=None, reduction=None)
 
     @property
     def eliminated(self) -> int:
@@ -86,10 +123,10 @@ class Plan:
         def solve(q: np.ndarray, C: ConvexSet) -> Solved:
             if C.singleton:
                 return linear()(q, C)
-            selection = C.selection() if contact.size else None
-            if selection is None or not np.array_equal(selection.unknowns, contact):
+            selection = C.selection if contact.size else None
+            if selection is None or not same_array(selection.unknowns, contact):
                 return program()(q, C)
-            return eliminated()(q, C)
+            return eliminated()(q, selection)
 
         return solve
 
@@ -105,7 +142,7 @@ class Plan:
 
         return solve
 
-    def _eliminated(self, M: Elimination) -> VelocityOf:
+    def _eliminated(self, M: Elimination) -> Callable[[np.ndarray, Selection], Solved]:
         """C = c + E^T S: the velocity of the unknowns zeta = E z solves a small program.
 
         N = (E M^-1 E^T)^-1, linear term N E M^-1 (q - c), set S (MATH.md section 5). From zeta the
@@ -114,10 +151,8 @@ class Plan:
         """
         small = self._program(Factor(M.N))
 
-        def solve(q: np.ndarray, C: ConvexSet) -> Solved:
-            selection = C.selection()
-            assert selection is not None
-            force = selection.shift - q
+        def solve(q: np.ndarray, selection: Selection) -> Solved:
+            force = -q if selection.shift is None else selection.shift - q
             forward, pull = M.reduce(force)
             size_q = float(np.linalg.norm(forward))
             solved = small(-pull, selection.part)
@@ -184,6 +219,7 @@ class Plan:
         if self.solver == "auto" and self.solvers:
             solver += ", a formula where M is diagonal"
         lines = [
+            f"path                {self.path}: {PATHS.get(self.path, 'a linear solve a step')}",
             f"unknowns            {self.unknowns}",
             f"nonsmooth unknowns  {self.nonsmooth_unknowns}",
             f"eliminated          {self.eliminated}",
@@ -201,6 +237,7 @@ def make_plan(
     scheme: Scheme,
     solver: Any,
     tol: float,
+    path: str = "auto",
 ) -> Plan:
     """Look at the process and at its sets.
 
@@ -208,9 +245,13 @@ def make_plan(
     ----------
     members : sequence of (t, C(t))
         One for each cone that C takes on the grid, as `SweepingProcess.check` returns them.
+    path : str
+        One of PATHS, or "auto" for the first that applies.
 
     Raises
     ------
+    InputError
+        If the path does not apply.
     SolverRefusedError
         If the solver is not known or cannot treat one of the sets.
     """
@@ -222,7 +263,7 @@ def make_plan(
     solvers: tuple[Solver, ...] = ()
     contacts: list[np.ndarray] = []
     for t, C in members:
-        selection = C.selection()
+        selection = None if path == "full" else C.selection
         try:
             chosen = choose(solver, C if selection is None else selection.part)
         except SolverRefusedError as error:
@@ -234,6 +275,17 @@ def make_plan(
         left_out.append("optimiser: C(t) is a point, each step is one linear solve")
     few = bool(contacts) and contacts[0].size < process.dim
     same = all(np.array_equal(contact, contacts[0]) for contact in contacts)
+    contact = contacts[0] if few and same else None
+    if path in ("eliminated", "proportional") and contact is None:
+        raise InputError(
+            f"path={path!r} needs a C(t) that acts on the same few unknowns at all times: write it "
+            "as so.image(E^T, S) with E selecting them"
+        )
+    reduced: Reduction | str = "the unknowns shall be kept"
+    if path in ("auto", "proportional") and contact is not None:
+        reduced = reduce(process)
+    if path == "proportional" and isinstance(reduced, str):
+        raise InputError(f"path='proportional' does not apply: {reduced}")
     return Plan(
         unknowns=process.dim,
         nonsmooth_unknowns=max(C.nonsmooth_dim for _, C in members),
@@ -242,7 +294,8 @@ def make_plan(
         scheme=scheme,
         tol=tol,
         left_out=tuple(left_out),
-        contact=contacts[0] if few and same else None,
+        contact=contact,
+        reduction=None if isinstance(reduced, str) else reduced,
     )
 
 

@@ -276,7 +276,7 @@ def _place(slip: Slip, node: int, scale: float, length: str) -> str:
 
 def _moments(solution: Solution, slip: Slip | None) -> list[int]:
     """Time indices worth a picture, at most six and not close together, increasing."""
-    last = len(solution.velocity)
+    last = len(solution.steps)
     wanted = [last, int(np.argmax(np.abs(solution.u).max(axis=1)))]
     if slip is not None and slip.share.any():
         wanted += [int(np.argmax(slip.share)) + 1, int(np.argmax(slip.share > 0.0)) + 1]

@@ -22,6 +22,7 @@ from sweepopt.sets.base import ROUNDING
 if TYPE_CHECKING:
     import cvxpy as cp
 
+EPS = float(np.finfo(float).eps)
 
 class Velocity(NamedTuple):
     """A velocity and the proof of it.
@@ -159,13 +160,13 @@ def has_closed_form(M: Factor, C: ConvexSet) -> bool:
 
 def closed_form(M: Factor, q: np.ndarray, C: ConvexSet) -> Velocity:
     """z = M^-1 (P_C(q) - q) for a diagonal M; the certificate is what rounding leaves."""
-    missed = C.normal(q)
-    # at rest up to the rounding of the force, entry by entry, as in `at_rest`
-    if (np.abs(missed) <= ROUNDING * (np.abs(q) + np.abs(C.anchor))).all():
+    missed, anchor = C.normal(q), C.anchor
+    # at rest up to the rounding of the force, entry by entry, as in `at_rest`; if so then also in
+    # the Euclidean norm, which is looked at first as it costs less
+    if missed.dot(missed) <= 2 * ROUNDING**2 * (q.dot(q) + anchor.dot(anchor)) and (
+        np.abs(missed) <= ROUNDING * (np.abs(q) + np.abs(anchor))
+    ).all():
         return Velocity(np.zeros_like(q), 0.0, 0.0)
     z = 0.0 - missed / M.diagonal
-    rho = M.diagonal * z + missed  # M z + q - P_C(q)
-    certificate, size_z, size_q = (
-        math.sqrt(x @ x) for x in (rho / M.root, missed / M.root, (q - C.anchor) / M.root)
-    )
-    return rate(z, certificate, size_z, size_q)
+    # a quotient is rounded by half a unit: |M z + missed| <= EPS |missed| entry by entry
+    return Velocity(z, EPS * math.sqrt(-(missed.dot(z))), EPS)

@@ -11,6 +11,7 @@ import numpy as np
 from sweepopt.errors import InputError, Status, SweepoptError
 from sweepopt.plan import Plan, VelocityOf
 from sweepopt.process import SweepingProcess
+from sweepopt.states import States
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,10 +64,12 @@ class Solution:
     ----------
     process : SweepingProcess
     plan : Plan
-    t : ndarray, shape (n+1,)
-    u : ndarray, shape (n+1, dim)
-    velocity : ndarray, shape (n, dim)
-        velocity[i] = (u_{i+1} - u_i) / mu.
+    t : ndarray, shape (k+1,)
+        The start and the ends of the kept steps: with ``save=None`` the whole grid, k = n.
+    steps : ndarray of int, shape (k,)
+        The kept steps, counted from 0.
+    states : States
+        Where `u` and `velocity` come from: ``states.u(i)`` gives some nodes without the others.
     stats : structured ndarray, shape (n,)
         One row a step: t (its end), seconds, iterations, attempts, certificate (a bound of
         |z - z*|_M), relative (the certificate in units of the program's size, what tol bounds),
@@ -74,16 +77,39 @@ class Solution:
     status : Status
     cause : str
         Which step failed and why, when the run stopped at it.
+    recorded : list or None
+        What the function given as `save` returned, one entry a step.
     """
 
     process: SweepingProcess
     plan: Plan
     t: np.ndarray
-    u: np.ndarray
-    velocity: np.ndarray
+    steps: np.ndarray
+    states: States
     stats: np.ndarray
     status: Status
     cause: str = ""
+    recorded: list[Any] | None = None
+
+    @cached_property
+    def u(self) -> np.ndarray:
+        """u_n at the times t, shape (k+1, dim)."""
+        return self.states.u(slice(None))
+
+    @cached_property
+    def velocity(self) -> np.ndarray:
+        """u_n' in the kept steps, shape (k, dim): (u_{i+1} - u_i) / mu of each."""
+        return self.states.velocity(slice(None))
+
+    @property
+    def complete(self) -> bool:
+        """Whether all steps are kept."""
+        return len(self.steps) == len(self.stats)
+
+    @property
+    def _grid(self) -> np.ndarray:
+        """All times of the run, kept or not, shape (n+1,)."""
+        return np.append(self.t[0], self.stats["t"])
 
     @property
     def success(self) -> bool:
@@ -109,14 +135,20 @@ class Solution:
         Raises
         ------
         InputError
-            If a time is outside of [t[0], t[-1]].
+            If a time is outside of [t[0], t[-1]] or in a step that was not kept.
         """
         times = self._inside(t)
-        i = self._interval(times)
-        share = (times - self.t[i]) / (self.t[i + 1] - self.t[i])
-        # the form with two weights meets both nodes exactly
-        share = share[..., None]
-        return (1 - share) * self.u[i] + share * self.u[i + 1]
+        # many times in few steps: every node is looked up once
+        i, where = np.unique(self._interval(times), return_inverse=True)
+        where = where.reshape(times.shape)
+        begin, end = self._grid[self.steps[i]][where], self.t[i + 1][where]
+        share = ((times - begin) / (end - begin))[..., None]
+        after = self.states.u(i + 1)[where]
+        if (self._grid[self.steps[i]] == self.t[i]).all():
+            # the form with two weights meets both nodes exactly
+            return (1 - share) * self.states.u(i)[where] + share * after
+        back = (1 - share) * (end - begin)[..., None] * self.states.velocity(i)[where]
+        return np.where((times == self.t[0])[..., None], self.states.u(0), after - back)
 
     def viability(self, t: Any = None) -> np.ndarray:
         """How far the viability condition A u' + B u in C(t) is missed, in the A^-1 metric.
@@ -134,7 +166,7 @@ class Solution:
         ndarray, shape (n,), () or (k,)
         """
         if t is None:
-            implicit = max(row[-1] for row in self.plan.scheme.a) * np.diff(self.t)
+            implicit = max(row[-1] for row in self.plan.scheme.a) * np.diff(self._grid)
             ratio = self.process.Lam if not self.process.rate_independent else 1.0
             ratios = float(not self.process.rate_independent) + implicit * ratio
             return self.stats["certificate"] * np.sqrt(ratios)
@@ -175,7 +207,7 @@ class Solution:
         times = self._inside(t)
         values = []
         for time, i in zip(times.ravel(), self._interval(times).ravel(), strict=True):
-            z = self.velocity[i]
+            z = self.states.velocity(int(i))
             force = self.process.A @ z + self.process.times_B(self(float(time)))
             values.append(measure(z, force, self.process.C.at(float(time))))
         return np.array(values).reshape(times.shape)
@@ -196,8 +228,17 @@ class Solution:
         return np.clip(times, self.t[0], self.t[-1])
 
     def _interval(self, times: np.ndarray) -> np.ndarray:
-        """i with t in (t_i, t_{i+1}]."""
-        return np.maximum(np.searchsorted(self.t, times, side="left") - 1, 0)
+        """i with t in (t_i, t_{i+1}]; the whole of the time must be in the step that ends there."""
+        i = np.maximum(np.searchsorted(self.t, times, side="left") - 1, 0)
+        if not self.complete:
+            # the start is kept, and each kept step from its begin on
+            lost = (times < self._grid[self.steps[i]]) & (times > self.t[0])
+            if lost.any():
+                raise InputError(
+                    f"t = {times[lost].flat[0]:g} is in a step that was not kept; solve with "
+                    "another save="
+                )
+        return i
 
     def to_xarray(self) -> Dataset:
         """The trajectory and its statistics as an xarray.Dataset (needs the extra "fem")."""
@@ -214,9 +255,18 @@ class Solution:
     def energy(self) -> Energy:
         """Energies of the run; forces are taken at the middle of each step.
 
+        Raises
+        ------
+        InputError
+            If not all steps were kept.
+
+        Notes
+        -----
         For a C that is not a translate C = f - D, `work` is zero and `friction` holds
         int sigma(C, -u').
         """
+        if not self.complete:
+            raise InputError("energies add up all steps, but not all were kept; leave save= out")
         mu = np.diff(self.t)
         viscous, friction, work = np.zeros((3, len(mu)))
         for i, z in enumerate(self.velocity):

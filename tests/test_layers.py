@@ -16,11 +16,13 @@ LEVELS = [
     {"errors"},
     {"checks", "csvtable"},
     {"linalg", "loads", "sets"},
-    {"process"},
-    {"program"},
+    {"states"},
+    {"blocks", "process"},
+    {"program", "reduction"},
     {"solvers", "schemes"},
     {"plan"},
     {"solution"},
+    {"march"},
     {"evolve"},
     {"library"},
     {"fem"},
@@ -39,6 +41,7 @@ HOMES = {
     "pydantic": {"fem"},
     "matplotlib": {"plot"},
     "xarray": {"store/netcdf"},
+    "h5netcdf": {"blocks"},
     "tqdm": {"evolve"},
 }
 

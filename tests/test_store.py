@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ import sweepopt as so
 from sweepopt import store
 from sweepopt.fem import BodyForce, Elasticity, Friction, Scene, Traction, Viscosity, antiplane
 from sweepopt.slip import slip_of
+from sweepopt.states import Kept
 
 
 def ring(**changes: Any) -> Scene:
@@ -290,10 +292,7 @@ def test_summary_is_plain_finite_json_with_the_solutions_numbers(
 def test_numbers_that_are_not_finite_become_null(report: store.Report) -> None:
     stats = report.solution.stats.copy()
     stats["certificate"][3] = np.nan
-    process, plan, t, u, velocity = (
-        getattr(report.solution, name) for name in ("process", "plan", "t", "u", "velocity")
-    )
-    broken = so.Solution(process, plan, t, u, velocity, stats, so.Status.UNCERTIFIED)
+    broken = replace(report.solution, stats=stats, status=so.Status.UNCERTIFIED)
     summary = store.summary_of(store.make_report(report.scene, broken, seconds=math.inf))
     assert summary["worst"]["certificate"] is None
     assert summary["seconds"] is None
@@ -371,14 +370,12 @@ def test_vtu_files_are_few_and_include_start_and_end(
     monkeypatch.setattr(meshio, "write", lambda path, *_, **__: Path(path).write_text("vtu"))
     t = np.linspace(0.0, 1.0, steps + 1)
     u = np.zeros((steps + 1, report.solution.u.shape[1]))
-    many = so.Solution(
-        report.solution.process,
-        report.solution.plan,
-        t,
-        u,
-        u[1:],
-        np.zeros(steps, report.solution.stats.dtype),
-        so.Status.SUCCESS,
+    many = replace(
+        report.solution,
+        t=t,
+        steps=np.arange(steps),
+        states=Kept(u, u[1:]),
+        stats=np.zeros(steps, report.solution.stats.dtype),
     )
     few = store.Report("", "", report.scene, many, None, report.energy, 0.0)
     series, *files = store.write_vtu(few, tmp_path)

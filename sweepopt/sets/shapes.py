@@ -124,7 +124,10 @@ class Box(ConvexSet):
         return float(side[moving] @ z[moving])
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        return np.clip(vector("w", w, self.dim), self.lower, self.upper)
+        return np.minimum(np.maximum(vector("w", w, self.dim), self.lower), self.upper)
+
+    def normal(self, v: np.ndarray) -> np.ndarray:
+        return v - np.minimum(np.maximum(v, self.lower), self.upper)
 
     def features(self, p: cp.Expression) -> Features:
         # bounded entries: centre * p + halfwidth * |p|; a one-sided entry allows one sign of p
@@ -201,9 +204,6 @@ class Box(ConvexSet):
         if isinstance(other, Box) and other.dim == self.dim:
             return Box(np.maximum(self.lower, other.lower), np.minimum(self.upper, other.upper))
         return super().__and__(other)
-
-    def __neg__(self) -> Box:
-        return Box(-self.upper, -self.lower)
 
 
 class Orthant(Box):

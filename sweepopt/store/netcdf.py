@@ -35,23 +35,26 @@ def to_xarray(solution: Solution) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        Dimensions time, step and unknown; each variable has `units` and `long_name`.
+        Dimensions time, step and unknown, and kept_step for the velocities if not all steps were
+        kept; each variable has `units` and `long_name`.
 
     Raises
     ------
     MissingExtraError
         If xarray is not installed.
     """
+    kept = "step" if solution.complete else "kept_step"
     dataset = _xarray().Dataset(
         {
-            "u": _variable(("time", "unknown"), solution.u, "u_n at the grid times"),
+            "u": _variable(("time", "unknown"), solution.u, "u_n at the kept grid times"),
             "velocity": _variable(
-                ("step", "unknown"), solution.velocity, "velocity u_n' in each step"
+                (kept, "unknown"), solution.velocity, "velocity u_n' in each kept step"
             ),
             **_steps(solution, DIMENSIONLESS),
         },
         {
             **_times(solution, DIMENSIONLESS),
+            kept: _variable((kept,), solution.steps, "step, counted from 0"),
             "unknown": _variable(("unknown",), np.arange(solution.u.shape[1]), "unknown"),
         },
     )
@@ -144,11 +147,11 @@ def _variable(
 
 
 def _times(solution: Solution, units: Units) -> dict[str, Any]:
-    step = np.arange(len(solution.velocity))
+    step = np.arange(len(solution.stats))
     return {
         "time": _variable(("time",), solution.t, "time", units.time),
         "step": _variable(("step",), step, "step, counted from 0"),
-        "step_end": _variable(("step",), solution.t[1:], "time at the end of the step", units.time),
+        "step_end": _variable(("step",), solution.stats["t"], "time at the end of the step", units.time),
     }
 
 

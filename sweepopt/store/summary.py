@@ -45,7 +45,7 @@ def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:
             "settings": {
                 "t_end": scene.t_end,
                 "t_reached": solution.t[-1],
-                "steps": len(solution.velocity),
+                "steps": len(solution.steps),
                 "scheme": plan.scheme.name,
                 "solver": solver_name(solution),
                 "tol": plan.tol,

@@ -38,7 +38,7 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
         material[members] = k
     folder = folder / "vtu"
     folder.mkdir(parents=True, exist_ok=True)
-    last = len(solution.velocity)
+    last = len(solution.steps)
     stride = -(-last // (MOST_VTU - 1))
     written, entries = [], []
     for i in [*range(0, last, stride), last]:

@@ -1,0 +1,105 @@
+"""States of a long run in a NetCDF file: written in blocks, read row by row."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sweepopt.errors import MissingExtraError
+from sweepopt.states import Index
+
+BLOCK = 16e6  # bytes that wait in memory
+
+
+class BlockWriter:
+    """Appends times, states and velocities to a file that takes its name when it is closed.
+
+    Dimensions are time (one longer), step and unknown, as in `Solution.to_xarray`.
+
+    Raises
+    ------
+    MissingExtraError
+        If h5netcdf or h5py is not installed.
+    """
+
+    def __init__(self, path: Path, t: float, u0: np.ndarray) -> None:
+        h5netcdf = _h5netcdf()
+        self.path = path
+        self._part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+        self._file = h5netcdf.File(self._part, "w")
+        self._file.dimensions = {"time": None, "step": None, "unknown": u0.size}
+        rows = max(int(BLOCK // (16 * u0.size)), 1)
+        for name, dims, words in (
+            ("time", ("time",), "time"),
+            ("u", ("time", "unknown"), "u_n at the grid times"),
+            ("velocity", ("step", "unknown"), "velocity u_n' in each step"),
+        ):
+            chunks = (1024,) if len(dims) == 1 else (min(rows, 64), u0.size)
+            variable = self._file.create_variable(name, dims, float, chunks=chunks)
+            variable.attrs.update({"long_name": words, "units": "1"})
+        self._t, self._u = np.zeros(rows), np.zeros((rows, u0.size))
+        self._z = np.zeros((rows, u0.size))
+        self._waiting = self._written = 0
+        self._grow(1)
+        self._file.variables["time"][0], self._file.variables["u"][0] = t, u0
+
+    def put(self, t: float, u: np.ndarray, z: np.ndarray) -> None:
+        """Take the state at the end t of the next step and the velocity of the step."""
+        row = self._waiting
+        self._t[row], self._u[row], self._z[row] = t, u, z
+        self._waiting += 1
+        if self._waiting == len(self._t):
+            self._write()
+
+    def close(self) -> None:
+        """Write what waits and put the file in its place."""
+        self._write()
+        self._file.close()
+        os.replace(self._part, self.path)
+
+    def _write(self) -> None:
+        start, count = self._written, self._waiting
+        if count:
+            self._grow(start + count + 1)
+            variables = self._file.variables
+            variables["time"][start + 1 : start + count + 1] = self._t[:count]
+            variables["u"][start + 1 : start + count + 1] = self._u[:count]
+            variables["velocity"][start : start + count] = self._z[:count]
+        self._written, self._waiting = start + count, 0
+
+    def _grow(self, nodes: int) -> None:
+        self._file.resize_dimension("time", nodes)
+        self._file.resize_dimension("step", nodes - 1)
+
+
+class Stored:
+    """States in a file that `BlockWriter` wrote."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def u(self, i: Index) -> np.ndarray:
+        return self._read("u", i)
+
+    def velocity(self, i: Index) -> np.ndarray:
+        return self._read("velocity", i)
+
+    def _read(self, name: str, i: Index) -> np.ndarray:
+        with _h5netcdf().File(self.path, "r") as file:
+            variable = file.variables[name]
+            if isinstance(i, slice):
+                return np.asarray(variable[i])
+            rows = [np.asarray(variable[int(k)]) for k in np.ravel(i)]
+            return np.reshape(rows, (*np.shape(i), variable.shape[1]))
+
+
+def _h5netcdf() -> Any:
+    try:
+        import h5netcdf
+        import h5py  # noqa: F401  # h5netcdf alone cannot write
+    except ImportError as error:
+        raise MissingExtraError(error.name or "h5netcdf", "fem") from error
+    return h5netcdf

@@ -1,0 +1,189 @@
+"""The only loop over time: one velocity a stage, one compensated sum a step."""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from sweepopt.checks import Matrix
+from sweepopt.errors import Status
+from sweepopt.plan import Plan, Solved, VelocityOf
+from sweepopt.process import SweepingProcess
+from sweepopt.schemes import Scheme
+from sweepopt.solution import STATS
+
+
+def march(
+    process: SweepingProcess,
+    plan: Plan,
+    times: np.ndarray,
+    mus: np.ndarray,
+    put: Callable[[int, np.ndarray, np.ndarray, float], bool | None],
+) -> Run:
+    """Move u through time; `put` gets every state, velocity and certificate, True from it stops."""
+    steps = len(mus)
+    grid, sizes = times.tolist(), mus.tolist()
+    velocities = _Velocities(process, plan)
+    run = Run(Log(steps))
+    u = process.u0
+    lost = np.zeros(process.dim)  # what rounding kept out of u (Kahan)
+    try:
+        for i in range(steps):
+            started = clock.perf_counter()
+            mu = sizes[i]
+            z, stages = _step(process, plan.scheme, velocities, grid[i], mu, u)
+            step = _summary(stages)
+            increment = mu * z - lost
+            following = u + increment
+            if step.relative > plan.tol or not _is_finite(following):
+                run.cause = _cause(i, grid[i], step, plan.tol)
+                run.status, run.relative = Status.INEXACT, step.relative
+                break
+            if step.relative != step.relative:
+                run.status = Status.UNCERTIFIED
+            lost = (following - u) - increment
+            u = following
+            run.log.add(i, step, clock.perf_counter() - started)
+            run.done = i + 1
+            if put(i, u, z, step.certificate):
+                run.status = Status.STOPPED if run.done < steps else run.status
+                break
+    except KeyboardInterrupt:
+        run.status = Status.INTERRUPTED
+    return run
+
+
+class _Summary(NamedTuple):
+    """What the stages of a step have in common: their worst certificate, all their work."""
+
+    iterations: int
+    attempts: int
+    certificate: float
+    relative: float
+    solver: str
+
+
+def _summary(stages: list[Solved]) -> _Summary:
+    last = stages[-1]
+    if len(stages) == 1:
+        _, certificate, relative = last.velocity
+        return _Summary(last.iterations, last.attempts, certificate, relative, last.solver)
+    return _Summary(
+        sum(solved.iterations for solved in stages),
+        max(solved.attempts for solved in stages),
+        _worst(solved.velocity.certificate for solved in stages),
+        _worst(solved.velocity.relative for solved in stages),
+        last.solver,
+    )
+
+
+class Log:
+    """The statistics of each step, a column each: rows of records are slow to write."""
+
+    def __init__(self, steps: int) -> None:
+        self._columns = {name: np.zeros(steps, STATS[name]) for name in _Summary._fields[:-1]}
+        self._seconds, self._solver = np.zeros(steps), np.zeros(steps, dtype=np.int16)
+        self._names: dict[str, int] = {}
+        self._write = list(self._columns.values())
+
+    def add(self, i: int, step: _Summary, seconds: float) -> None:
+        for column, value in zip(self._write, step, strict=False):
+            column[i] = value
+        self._seconds[i] = seconds
+        self._solver[i] = self._names.setdefault(step.solver, len(self._names))
+
+    def table(self, ends: np.ndarray) -> np.ndarray:
+        """The records of the steps that end at the given times."""
+        n = len(ends)
+        stats = np.zeros(n, dtype=STATS)
+        stats["t"], stats["seconds"] = ends, self._seconds[:n]
+        for name, column in self._columns.items():
+            stats[name] = column[:n]
+        stats["solver"] = np.array([*self._names, ""], dtype=STATS["solver"])[self._solver[:n]]
+        return stats
+
+
+@dataclass
+class Run:
+    """How a run ended."""
+
+    log: Log
+    done: int = 0
+    status: Status = Status.SUCCESS
+    cause: str = ""
+    relative: float = 0.0
+
+
+class _Velocities:
+    """Compiled velocity programs, one per matrix A + gamma B."""
+
+    LIMIT = 16  # irregular grids would otherwise keep one factorisation per step
+
+    def __init__(self, process: SweepingProcess, plan: Plan) -> None:
+        self._process, self._plan = process, plan
+        self._compiled: dict[float, VelocityOf] = {}
+
+    def __call__(self, gamma: float) -> VelocityOf:
+        if gamma not in self._compiled:
+            if len(self._compiled) == self.LIMIT:
+                self._compiled.pop(next(iter(self._compiled)))
+            self._compiled[gamma] = self._plan.velocity(self._matrix(gamma))
+        return self._compiled[gamma]
+
+    def _matrix(self, gamma: float) -> Matrix:
+        process = self._process
+        return process.A if process.B is None or not gamma else process.A + gamma * process.B
+
+
+def _step(
+    process: SweepingProcess,
+    scheme: Scheme,
+    velocities: _Velocities,
+    t: float,
+    mu: float,
+    u: np.ndarray,
+) -> tuple[np.ndarray, list[Solved]]:
+    """One step of the tableau: its mean velocity and what its stages solved."""
+    stages: list[Solved] = []
+    for weights, c in zip(scheme.a, scheme.c, strict=True):
+        known = u + mu * _combine(weights[:-1], stages) if stages else u
+        gamma = mu * weights[-1] if process.B is not None else 0.0
+        solved = velocities(gamma)(process.times_B(known), process.C.at(t + c * mu))
+        stages.append(solved)
+    return _combine(scheme.b, stages), stages
+
+
+def _combine(weights: Sequence[float], stages: list[Solved]) -> np.ndarray:
+    """sum of weights_k z_k; a single weight 1 keeps z itself."""
+    if weights == (1.0,):
+        return stages[0].velocity.z
+    total = weights[0] * stages[0].velocity.z
+    for weight, solved in zip(weights[1:], stages[1:], strict=True):
+        total += weight * solved.velocity.z
+    return total
+
+
+def _is_finite(u: np.ndarray) -> bool:
+    # one product, and a closer look only where it overflows
+    return math.isfinite(u.dot(u)) or bool(np.isfinite(u).all())
+
+
+def _worst(values: Iterable[float]) -> float:
+    """The largest, or nan if one of them has no proof."""
+    return max(values, key=lambda value: math.inf if math.isnan(value) else value)
+
+
+def _cause(i: int, t: float, step: _Summary, tol: float) -> str:
+    if not step.relative > tol:
+        return f"step {i} from t = {t:g}: the state is not finite any more; take smaller steps"
+    return (
+        f"step {i} from t = {t:g}: the best certificate of {step.attempts} attempts is "
+        f"{step.relative:.2g} of the velocity's size, tol is {tol:g}. The data of this step are "
+        "scaled too badly for double precision, C(t) is nearly empty, or its projection is not "
+        "exact enough; loosen tol or try another solver"
+    )
