@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import lapack  # the plain calls: no checks in the loop
@@ -23,6 +24,7 @@ from sweepopt.sets import ConvexSet
 from sweepopt.solvers.base import Answer, Solve, Solver
 
 EPS = float(np.finfo(float).eps)
+SMALL = 40  # up to so many slipping entries an inverse is not worth it
 PATIENCE = 5  # steps that may fail to improve on the best one: more are a cycle
 
 
@@ -77,15 +79,17 @@ class Newton:
 
 
 class Iteration:
-    """Newton steps for one dense M; the last principal block is kept factorised.
+    """Newton steps for one dense M; the last factorised block is kept.
 
-    Contact states change rarely from step to step, and with them the block.
+    Contact states change rarely from step to step, and with them the block: that of M for the
+    slipping entries, or that of M^-1 for the stuck ones where these are fewer.
     """
 
     def __init__(self, M: np.ndarray) -> None:
         self.M, self._diagonal = M, M.diagonal()
-        self._free: np.ndarray | None = None
-        self._block: np.ndarray = M
+        self._stuck: np.ndarray | None = None
+        self._kept = np.zeros(0, dtype=int)
+        self._block, self._inverted = M, False
 
     def __call__(
         self, q: np.ndarray, C: ConvexSet, z: np.ndarray, max_iter: int
@@ -121,18 +125,37 @@ class Iteration:
 
     def _separable(self, stuck: np.ndarray, z: np.ndarray, missed: np.ndarray) -> np.ndarray:
         """Stuck entries get 0, slipping ones solve M dz = missed; nothing reverses."""
-        free = ~stuck
-        dz = np.where(stuck, -z, 0.0)
-        if free.any():
-            if self._free is None or (free != self._free).any():
-                self._block, info = lapack.dpotrf(self.M[np.ix_(free, free)], lower=True)
-                self._free = None if info else free
-                if info:
-                    raise np.linalg.LinAlgError("the block is not positive definite to rounding")
-            right = missed - self.M @ dz if z[stuck].any() else missed
-            dz[free] = lapack.dpotrs(self._block, right[free], lower=True)[0]
-        following = z + dz
+        if self._stuck is None or (stuck != self._stuck).any():
+            self._stuck = None
+            free = np.flatnonzero(~stuck)
+            self._inverted = free.size > max(stuck.size // 2, SMALL)
+            self._kept = np.flatnonzero(stuck) if self._inverted else free
+            matrix = self._inverse if self._inverted else self.M
+            self._block, info = lapack.dpotrf(matrix[np.ix_(self._kept, self._kept)], lower=True)
+            if info:
+                raise np.linalg.LinAlgError("the block is not positive definite to rounding")
+            self._stuck = stuck
+        following = np.where(stuck, 0.0, z)
+        held, kept = following - z, self._kept
+        if self._inverted:
+            # the few stuck entries: the forces on them that hold them, in the inverse
+            force = np.where(stuck, 0.0, missed)
+            if kept.size:
+                inner = held[kept] - self._inverse[kept] @ force
+                force[kept] = lapack.dpotrs(self._block, inner, lower=True)[0]
+            following = np.where(stuck, 0.0, z + self._inverse @ force)
+        elif kept.size:
+            right = missed - self.M @ held if held.any() else missed
+            following[kept] += lapack.dpotrs(self._block, right[kept], lower=True)[0]
         return np.where(following * z < 0, 0.0, following)
+
+    @cached_property
+    def _inverse(self) -> np.ndarray:
+        factor, info = lapack.dpotrf(self.M, lower=True)
+        if info:
+            raise np.linalg.LinAlgError("M is not positive definite to rounding")
+        lower = lapack.dpotri(factor, lower=True)[0]
+        return np.tril(lower) + np.tril(lower, -1).T
 
     def _coupled(
         self, T: np.ndarray, D: np.ndarray, z: np.ndarray, missed: np.ndarray

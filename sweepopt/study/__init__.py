@@ -4,6 +4,7 @@ rows = bench(cells=[32, 100])
 print(table(rows))
 """
 
-from sweepopt.study.bench import Row, bench, machine, table
+from sweepopt.study.bench import bench
+from sweepopt.study.rows import Row, machine, table
 
 __all__ = ["Row", "bench", "machine", "table"]

@@ -3,81 +3,23 @@
 from __future__ import annotations
 
 import gc
-import os
-import platform
 from collections.abc import Callable, Iterable, Sequence
-from importlib.metadata import version
-from itertools import groupby
-from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from sweepopt.checks import count
 from sweepopt.errors import InputError
 from sweepopt.study.by_hand import Run
-from sweepopt.study.cases import SCHEME, Case, blocks, square
+from sweepopt.study.cases import Case, blocks, square
 from sweepopt.study.contestants import CONTESTANTS, TINY, Contestant, reference
 from sweepopt.study.memory import peak
+from sweepopt.study.rows import Row
 
 NAIVE, LINEAR = "cvxpy-rebuilt", "frictionless"
 BLOCKS = (1, 200)
 BLOCK_STEPS = 20  # a block's step is so short that each round takes more of them
 
-PACKAGES = ("numpy", "scipy", "cvxpy", "clarabel", "osqp")
-
 Say = Callable[[str], object]
-
-
-class Row(NamedTuple):
-    """One contestant on one case; None where a number does not exist.
-
-    Attributes
-    ----------
-    case : str
-    unknowns, contact, steps, rounds : int
-    path : str
-    ms : float
-        Milliseconds a step: the mean over a run without its first step, the median over rounds.
-    spread : float
-        (largest - smallest) / median over the rounds.
-    setup : float
-        Seconds before the second step.
-    recover : float
-        Milliseconds a step for reading all of u after the run.
-    peak : float
-        Peak resident memory in MB of a process that builds the scene and runs this once.
-    attempts : float
-        Solver calls a step.
-    certificate : float
-        The worst one, relative; None for loops by hand, which have no proof.
-    difference : float
-        max_i |u_i - r_i|_A / max_i |r_i|_A, r the reference.
-    naive : float
-        How many times faster than the naive cvxpy loop.
-    linear : float
-        Multiple of the frictionless step.
-    overhead : float
-        Multiple of the loop by hand over the same programs with the same settings.
-    """
-
-    case: str
-    unknowns: int
-    contact: int
-    steps: int
-    rounds: int
-    path: str
-    ms: float | None = None
-    spread: float | None = None
-    setup: float | None = None
-    recover: float | None = None
-    peak: float | None = None
-    attempts: float | None = None
-    certificate: float | None = None
-    difference: float | None = None
-    naive: float | None = None
-    linear: float | None = None
-    overhead: float | None = None
 
 
 def bench(
@@ -206,79 +148,6 @@ def difference(case: Case, u: np.ndarray, reference: np.ndarray) -> float:
         for rows in ((a - b for a, b in zip(u, reference, strict=True)), reference)
     ]
     return float(np.sqrt(squares[0] / squares[1]))
-
-
-def machine() -> str:
-    """Processor, threads and versions, in one line."""
-    cpuinfo = Path("/proc/cpuinfo")
-    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    processor = names[0] if names else platform.processor() or platform.machine()
-    threads = os.environ.get("OMP_NUM_THREADS", "unset")
-    versions = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
-    return (
-        f"{processor}, {os.cpu_count()} cores, OMP_NUM_THREADS {threads}, {platform.system()}, "
-        f"Python {platform.python_version()}, {versions}"
-    )
-
-
-def table(rows: Sequence[Row]) -> str:
-    """All rows as text, a block for each case under the line that describes the machine."""
-    blocks_ = [machine(), f"scheme {SCHEME}; medians over rounds that run all paths in turn"]
-    for _, group in groupby(rows, key=lambda row: (row.case, row.unknowns)):
-        block = list(group)
-        first = block[0]
-        title = (
-            f"{first.case}: {first.unknowns:,} unknowns, {first.contact:,} with friction, "
-            f"{first.steps:,} steps, {first.rounds} rounds"
-        )
-        cells = [[column.title for column in COLUMNS]]
-        cells += [[column.shown(row) for column in COLUMNS] for row in block]
-        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-        lines = [
-            "  ".join(
-                cell.ljust(width) if k == 0 else cell.rjust(width)
-                for k, (cell, width) in enumerate(zip(line, widths, strict=True))
-            )
-            for line in cells
-        ]
-        blocks_.append("\n".join([title, *lines]))
-    legend = (
-        "ms/step: without set-up (blocks: with it); +-: spread over the rounds; u ms: reading all "
-        "of u, a step;\npeak MB: of a process of its own; tries: solver calls a step; certificate: "
-        "the worst, relative;\ndifference: of u to the reference's, relative in |.|_A; x faster: "
-        "than cvxpy-rebuilt; x linear: a multiple\nof frictionless; x floor: of the loop by hand "
-        "over the same programs"
-    )
-    return "\n\n".join([*blocks_, legend])
-
-
-class Column(NamedTuple):
-    """A column of the table: its title, the field of a row, and how a number is written."""
-
-    title: str
-    field: str
-    form: str
-
-    def shown(self, row: Row) -> str:
-        value = getattr(row, self.field)
-        return "-" if value is None else format(value, self.form)
-
-
-COLUMNS = (
-    Column("path", "path", "s"),
-    Column("ms/step", "ms", ".4g"),
-    Column("+-", "spread", ".0%"),
-    Column("set-up s", "setup", ".3f"),
-    Column("u ms", "recover", ".3g"),
-    Column("peak MB", "peak", ",.0f"),
-    Column("tries", "attempts", ".2f"),
-    Column("certificate", "certificate", ".0e"),
-    Column("difference", "difference", ".0e"),
-    Column("x faster", "naive", ".3g"),
-    Column("x linear", "linear", ".3g"),
-    Column("x floor", "overhead", ".2f"),
-)
 
 
 def _kinds(contestants: Sequence[Contestant]) -> list[bool]:
