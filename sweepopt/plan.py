@@ -101,8 +101,8 @@ class Plan:
 
     @property
     def of_coefficients(self) -> Plan:
-        """The plan of the reduction's linear process."""
-        return replace(self, solvers=(), contact=None, reduction=None)
+        """The plan of the reduction's linear process: a diagonal one, exact to rounding."""
+        return replace(self, solvers=(), contact=None, reduction=None, tol=POLISHED)
 
     @property
     def eliminated(self) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -71,22 +71,26 @@ def bench(
         if path not in known:
             raise InputError(f"only: there is no path {path!r}; there are: {', '.join(known)}")
     say = progress or (lambda _: None)
-
-    def chosen(table: Sequence[Contestant], dim: int) -> list[Contestant]:
-        return [
-            contestant
-            for contestant in table
-            if dim <= contestant.limit and (only is None or contestant.path in only)
-        ]
-
     rows: list[Row] = []
     for size in sizes:
         case = square(size, steps)
-        measured = measure(case, chosen(CONTESTANTS, case.dim), rounds, say)
-        rows += _with_memory(measured, size, say) if memory else measured
+        measured = measure(case, entrants(CONTESTANTS, case.dim, only), rounds, say)
+        rows += _with_memory(measured, size, say) if memory and measured else measured
     for dim in BLOCKS if tiny else ():
-        rows += measure(blocks(dim, BLOCK_STEPS * steps), chosen(TINY, dim), rounds, say)
+        case = blocks(dim, BLOCK_STEPS * steps)
+        rows += measure(case, entrants(TINY, dim, only), rounds, say)
     return rows
+
+
+def entrants(
+    contestants: Sequence[Contestant], dim: int, only: Sequence[str] | None
+) -> list[Contestant]:
+    """Those that were chosen and can bear `dim` unknowns."""
+    return [
+        contestant
+        for contestant in contestants
+        if dim <= contestant.limit and (only is None or contestant.path in only)
+    ]
 
 
 def measure(case: Case, contestants: Sequence[Contestant], rounds: int, say: Say) -> list[Row]:
@@ -94,7 +98,8 @@ def measure(case: Case, contestants: Sequence[Contestant], rounds: int, say: Say
     if not contestants:
         return []
     say(f"{case.name}: reference")
-    references = {friction: reference(case, friction) for friction in _kinds(contestants)}
+    kinds = sorted({contestant.friction for contestant in contestants}, reverse=True)
+    references = {friction: reference(case, friction) for friction in kinds}
     runs: dict[str, list[Run]] = {contestant.path: [] for contestant in contestants}
     differences = dict.fromkeys(runs, 0.0)
     for number in range(1, rounds + 1):
@@ -109,10 +114,11 @@ def measure(case: Case, contestants: Sequence[Contestant], rounds: int, say: Say
     def row(path: str) -> Row:
         return Row(case.name, case.dim, case.contact.size, case.steps, rounds, path)
 
-    times = {path: _median(run.step for run in found) for path, found in runs.items()}
-
-    def over(path: str, other: str) -> float | None:
-        return times[path] / times[other] if other in times else None
+    def compared(path: str, other: str) -> float | None:
+        """path / other, each round for itself: what slows the machine slows both."""
+        pairs = zip(runs[path], runs.get(other, []), strict=False)
+        ratios = [one.step / two.step for one, two in pairs]
+        return float(np.median(ratios)) if ratios else None
 
     rows = [
         row("reference" if friction else "reference, frictionless")._replace(
@@ -122,19 +128,20 @@ def measure(case: Case, contestants: Sequence[Contestant], rounds: int, say: Say
     ]
     for contestant in contestants:
         path, found = contestant.path, runs[contestant.path]
-        faster = over(path, NAIVE)
+        steps = [run.step for run in found]
+        naive = compared(path, NAIVE)
         rows.append(
             row(path)._replace(
-                ms=1e3 * times[path],
-                spread=float(np.ptp([run.step for run in found])) / times[path],
-                setup=_median(run.setup for run in found),
-                recover=1e3 * _median(run.recover for run in found),
+                ms=1e3 * float(np.median(steps)),
+                spread=float(np.ptp(steps) / np.median(steps)),
+                setup=float(np.median([run.setup for run in found])),
+                recover=1e3 * float(np.median([run.recover for run in found])),
                 attempts=found[0].attempts,
                 certificate=found[0].certificate,
                 difference=differences[path],
-                naive=1 / faster if faster else None,
-                linear=over(path, LINEAR),
-                overhead=over(path, contestant.floor),
+                naive=None if naive is None else 1 / naive,
+                linear=compared(path, LINEAR),
+                overhead=compared(path, contestant.floor),
             )
         )
     return rows
@@ -150,10 +157,6 @@ def difference(case: Case, u: np.ndarray, reference: np.ndarray) -> float:
     return float(np.sqrt(squares[0] / squares[1]))
 
 
-def _kinds(contestants: Sequence[Contestant]) -> list[bool]:
-    return sorted({contestant.friction for contestant in contestants}, reverse=True)
-
-
 def _with_memory(rows: Sequence[Row], cells: int, say: Say) -> list[Row]:
     """The rows with their peak memory, after one of the scene alone."""
     paths = {contestant.path for contestant in CONTESTANTS}
@@ -165,7 +168,3 @@ def _with_memory(rows: Sequence[Row], cells: int, say: Say) -> list[Row]:
             row = row._replace(peak=peak(cells, row.steps, row.path))
         found.append(row)
     return found
-
-
-def _median(values: Iterable[float]) -> float:
-    return float(np.median(list(values)))

@@ -19,6 +19,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from sweepopt.linalg import Factor
+from sweepopt.process import EvolutionVI
 from sweepopt.program import Canonical, VelocityProgram
 from sweepopt.solvers import OSQP, Clarabel
 from sweepopt.study.cases import Case
@@ -230,8 +231,9 @@ def _driven(
 
 def _same_program(case: Case, solver: str) -> tuple[VelocityProgram, Canonical]:
     """The program of C = -D; a translation by f changes its linear term only."""
-    assert case.problem.dissipation is not None
-    program = VelocityProgram(Factor(case.M), -case.problem.dissipation)
+    D = case.problem.dissipation if isinstance(case.problem, EvolutionVI) else None
+    assert D is not None
+    program = VelocityProgram(Factor(case.M), -D)
     return program, program.canonical(solver)
 
 

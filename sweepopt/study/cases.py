@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
-from sweepopt.loads import Sine
+from sweepopt.loads import Separable, Sine
 from sweepopt.process import EvolutionVI, SweepingProcess
 from sweepopt.sets import Box, Moving
 
@@ -86,21 +86,23 @@ def square(cells: int, steps: int) -> Case:
     """
     from skfem import MeshTri
 
-    from sweepopt.fem import Elasticity, Friction, Traction, Viscosity, antiplane
+    from sweepopt.fem import Effect, Elasticity, Friction, Traction, Viscosity, antiplane
 
     side = np.linspace(0.0, 1.0, cells + 1)
     mesh = MeshTri.init_tensor(side, side).with_defaults()
     wave = Sine(amplitude=2.0, period=4.0)
-    pulled = [Viscosity(1.0), Elasticity(2.0), Traction("right", history=wave)]
+    traction = Traction("right", history=wave)
+    pulled: list[Effect] = [Viscosity(1.0), Elasticity(2.0), traction]
     scene = antiplane(mesh, clamped="top", effects=[*pulled, Friction("bottom", g=0.5)])
-    contact = scene.contact
+    load, contact = scene.problem.load, scene.contact
+    assert isinstance(load, Separable)
     assert contact is not None
     return Case(
         f"unit square, {cells} cells a side",
         scene.problem,
         antiplane(mesh, clamped="top", effects=pulled).problem,
         wave,
-        scene.problem.load.shapes[:, 0],
+        load.shapes[:, 0],
         contact.unknown,
         contact.threshold,
         np.linspace(0.0, 4.0, steps + 1),

@@ -104,6 +104,8 @@ COMPILED = 25_000  # cvxpy holds a dense matrix of unknowns times parameters whe
 PATIENT, NAIVE = 110_000, 11_000  # seconds a step beyond
 
 CONTESTANTS = (
+    Contestant("proportional", library("proportional"), 1e-10),
+    Contestant("eliminated", library("eliminated"), 1e-10),
     Contestant(
         "frictionless",
         library("full", friction=False),
@@ -111,22 +113,20 @@ CONTESTANTS = (
         friction=False,
         floor="linear-by-hand",
     ),
-    Contestant("proportional", library("proportional"), 1e-10),
-    Contestant("eliminated", library("eliminated"), 1e-10),
+    Contestant("linear-by-hand", loop(by_hand.linear_by_hand), 1e-12, friction=False),
     Contestant("full-auto", library("full"), PROVED, COMPILED),
     Contestant(
         "full-clarabel", library("full", "clarabel"), PROVED, COMPILED, floor="clarabel-floor"
     ),
-    Contestant("full-osqp", library("full", "osqp"), PROVED, COMPILED, floor="osqp-floor"),
     Contestant("clarabel-floor", loop(by_hand.clarabel_same_program), 1e-4, COMPILED),
+    Contestant("full-osqp", library("full", "osqp"), PROVED, COMPILED, floor="osqp-floor"),
     Contestant("osqp-floor", loop(by_hand.osqp_same_program), 1e-4, COMPILED),
-    Contestant("linear-by-hand", loop(by_hand.linear_by_hand), 1e-12, friction=False),
     Contestant("clarabel-by-hand", loop(by_hand.clarabel_by_hand), 1e-4, PATIENT),
     Contestant("osqp-by-hand", loop(by_hand.osqp_by_hand), 1e-4, PATIENT),
     Contestant("cvxpy-parameters", loop(by_hand.cvxpy_parameters), 1e-3, NAIVE),
     Contestant("cvxpy-rebuilt", loop(by_hand.cvxpy_rebuilt), 1e-3, NAIVE),
 )
-"""Of a square: the library's paths, then what is written by hand."""
+"""Of a square; the loop by hand that a path is compared with runs next to it."""
 
 TINY = (
     Contestant("closed-form", whole(library("auto")), 1e-12, floor="closed-form-by-hand"),

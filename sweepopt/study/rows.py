@@ -41,11 +41,12 @@ class Row(NamedTuple):
     difference : float
         max_i |u_i - r_i|_A / max_i |r_i|_A, r the reference.
     naive : float
-        How many times faster than the naive cvxpy loop.
+        How many times faster than the naive cvxpy loop; like the next two the median of the
+        ratios in each round.
     linear : float
-        Multiple of the frictionless step.
+        The cost in units of the frictionless step.
     overhead : float
-        Multiple of the loop by hand over the same programs with the same settings.
+        The cost in units of the loop by hand over the same programs with the same settings.
     """
 
     case: str

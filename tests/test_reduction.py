@@ -1,0 +1,164 @@
+"""Proportional materials: the contact alone moves through time, and all unknowns come back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import sweepopt as so
+from sweepopt.linalg import Elimination
+from sweepopt.plan import PATHS
+
+RHO = 1.7
+CONTACT = [3, 17, 30, 39]
+
+
+def chain(dim: int = 40) -> sp.csc_array:
+    """Springs in a row between two walls."""
+    return sp.csc_array(
+        sp.diags_array([2.01 * np.ones(dim), -np.ones(dim - 1), -np.ones(dim - 1)],
+                       offsets=[0, -1, 1])
+    )  # fmt: skip
+
+
+def select(unknowns: list[int], dim: int = 40) -> np.ndarray:
+    return np.eye(dim)[:, unknowns]
+
+
+def load(terms: int = 2) -> so.Separable:
+    histories = [so.Sine(2.0, 3.0), so.Triangle(1.0, 2.0), so.Constant(0.3)]
+    shapes = [np.sin(np.arange(40) * (k + 1.0)) for k in range(terms)]
+    return so.Separable(list(zip(histories, shapes, strict=False)))
+
+
+SETS: dict[str, so.ConvexSet] = {
+    "intervals": so.Box([-1, -0.5, -0.2, -1], [1, 0.5, 0.2, 0.4]),
+    "balls": so.Balls([0.7, 0.4], 2),
+    "half-lines": so.Orthant(4),
+}
+
+
+def process(**changes: Any) -> so.SweepingProcess:
+    D = so.image(select(CONTACT), changes.pop("part", SETS["intervals"]))
+    data = {
+        "A": chain(),
+        "B": RHO * chain(),
+        "C": so.Moving(-D, load()),
+        "u0": 0.1 * np.cos(np.arange(40)),
+    }
+    return so.SweepingProcess(**(data | changes))
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+@pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "midpoint"])
+@pytest.mark.parametrize("part", SETS)
+def test_the_contact_alone_gives_the_trajectory_of_all_unknowns(part: str, scheme: str) -> None:
+    this = process(part=SETS[part])
+    runs = [
+        so.solve(this, t_end=4.0, steps=90, scheme=scheme, path=path, tol=1e-9)
+        for path in ("proportional", "eliminated")
+    ]
+    ours, general = runs
+    assert ours.plan.path == "proportional"
+    assert ours.plan.entering == 4
+    size = max(map(this.metric.norm, general.u))
+    assert max(map(this.metric.norm, ours.u - general.u)) <= 1e-10 * size
+    size = max(map(this.metric.norm, general.velocity))
+    assert max(map(this.metric.norm, ours.velocity - general.velocity)) <= 1e-9 * size
+    # its certificate is that of the whole body: the discrete inclusion holds from A, B and C alone
+    assert ours.stats["relative"].max() <= 1e-9
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"B": None, "u0": np.zeros(40)},
+        {"A": chain().toarray(), "B": RHO * chain().toarray()},
+        {"C": so.Moving(-so.image(select(CONTACT), SETS["intervals"]), load(3),
+                        scale=lambda t: 1 + 0.5 * np.sin(t))},
+        {"C": so.Moving(so.image(select(CONTACT), SETS["intervals"]) + np.ones(40), load(1))},
+        {"C": so.image(select(CONTACT), SETS["intervals"]) + np.sin(np.arange(40))},
+        {"C": -so.image(select(CONTACT), SETS["balls"])},
+    ],
+    ids=["without elasticity", "dense", "scaled", "a part of the load stands still", "no motion",
+         "no load"],
+)  # fmt: skip
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+def test_every_kind_of_proportional_process_is_found_and_agrees(changes: dict[str, Any]) -> None:
+    this = process(**changes)
+    ours, general = (
+        so.solve(this, t_end=3.0, steps=60, path=path) for path in ("auto", "eliminated")
+    )
+    assert ours.plan.path == "proportional"
+    assert general.plan.path == "eliminated"
+    size = max(map(this.metric.norm, general.u))
+    assert max(map(this.metric.norm, ours.u - general.u)) <= 1e-10 * size
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"B": RHO * chain() + sp.diags_array(np.linspace(0, 1e-9, 40))}, "not a multiple"),
+        ({"C": so.Moving(so.image(select(CONTACT), SETS["intervals"]), lambda t: np.full(40, t))},
+         "not a Separable"),
+        ({"A": 0 * chain(), "u0": np.zeros(40)}, "A is zero"),
+        ({"C": so.Moving(so.Box(-np.ones(40), np.ones(40)), load())}, "few unknowns"),
+    ],
+)  # fmt: skip
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+def test_what_is_not_proportional_takes_another_path_and_says_why_it_cannot_be_forced(
+    changes: dict[str, Any], reason: str
+) -> None:
+    this = process(**changes)
+    assert so.solve(this, t_end=1.0, steps=4).plan.path in ("eliminated", "full")
+    with pytest.raises(so.InputError, match=reason):
+        so.solve(this, t_end=1.0, steps=4, path="proportional")
+
+
+def test_no_step_touches_the_whole_body(monkeypatch: pytest.MonkeyPatch) -> None:
+    this = process(u0=np.zeros(40))
+    calls = {"solve": 0, "substitute": 0, "lift": 0}
+
+    def counted(name: str, method: Any) -> Any:
+        def call(self: Any, *arguments: Any, **more: Any) -> Any:
+            calls[name] += 1
+            return method(self, *arguments, **more)
+
+        return call
+
+    monkeypatch.setattr(Elimination, "solve", counted("solve", Elimination.solve))
+    monkeypatch.setattr(
+        Elimination, "_substitute", counted("substitute", Elimination._substitute)
+    )
+    few = so.solve(this, t_end=4.0, steps=10)
+    before = dict(calls)
+    many = so.solve(this, t_end=4.0, steps=200)
+    assert {name: calls[name] - before[name] for name in calls} == before
+    assert few.plan.path == many.plan.path == "proportional"
+    counting = calls["substitute"]
+    many(np.array([1.0, 2.0]))  # on the grid's steps: two nodes for each time
+    assert calls["substitute"] - counting == 4
+
+
+def test_a_path_can_be_chosen_and_prints_itself() -> None:
+    this = process(u0=np.zeros(40))
+    for path in ("proportional", "eliminated", "full"):
+        plan = so.solve(this, t_end=1.0, steps=4, path=path).plan
+        assert plan.path == path
+        assert f"{path}: {PATHS[path]}" in str(plan)
+    with pytest.raises(so.InputError, match="path must be one of auto, proportional"):
+        so.solve(this, t_end=1.0, steps=4, path="fastest")
+
+
+def test_callbacks_and_failures_see_all_unknowns() -> None:
+    this = process(u0=np.zeros(40))
+    seen: list[so.StepInfo] = []
+    sol = so.solve(this, t_end=4.0, steps=30, callback=seen.append)
+    assert np.array_equal([info.u for info in seen], sol.u[1:])
+    assert np.array_equal([info.velocity for info in seen], sol.velocity)
+    with pytest.raises(so.StepError) as caught:
+        so.solve(this, t_end=4.0, steps=30, tol=1e-30)
+    assert caught.value.u.shape == (40,)

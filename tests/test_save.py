@@ -1,0 +1,197 @@
+"""What is kept of a run: all of it, a part, a function, a file; and never more than fits."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from test_reduction import CONTACT, SETS, chain, load, process, select
+
+import sweepopt as so
+from sweepopt import blocks
+
+PATHS = ["proportional", "eliminated"]
+
+
+def run(path: str, **changes: Any) -> so.Solution:
+    return so.solve(process(u0=np.zeros(40)), t_end=4.0, steps=80, path=path, **changes)
+
+
+@pytest.mark.parametrize("path", PATHS)
+@pytest.mark.parametrize(
+    ("save", "nodes"),
+    [
+        ("last", [0, 80]),
+        (1, list(range(81))),
+        (25, [0, 25, 50, 75, 80]),
+        ([0.0, 1.0, 2.55], [0, 20, 51, 80]),
+        ([4.0], [0, 80]),
+        (500, [0, 80]),
+    ],
+    ids=str,
+)
+def test_the_kept_steps_are_those_of_the_whole_run(path: str, save: Any, nodes: list[int]) -> None:
+    whole, some = run(path), run(path, save=save)
+    assert np.array_equal(some.t, whole.t[nodes])
+    assert np.array_equal(some.u, whole.u[nodes])
+    ends = np.array(nodes[1:])
+    assert np.array_equal(some.velocity, whole.velocity[ends - 1])
+    # every step has its certificate, kept or not
+    assert np.array_equal(some.stats["certificate"], whole.stats["certificate"])
+    assert np.array_equal(some.viability(), whole.viability())
+    assert some.complete == (save == 1)
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_the_interpolant_answers_in_kept_steps_and_refuses_others(path: str) -> None:
+    whole, some = run(path), run(path, save=25)
+    inside = np.array([[0.0, 1.21, 1.25], [2.5, 3.99, 4.0]])
+    assert some(inside) == pytest.approx(whole(inside), abs=1e-14)
+    assert np.array_equal(some(0.0), whole.u[0])
+    assert some.viability(1.25) == whole.viability(1.25)
+    for t in (0.02, 1.19, 1.26):
+        with pytest.raises(so.InputError, match="not kept"):
+            some(t)
+    with pytest.raises(so.InputError, match="not all were kept"):
+        some.energy()
+    dataset = some.to_xarray()
+    assert dict(dataset.sizes) == {"time": 5, "unknown": 40, "step": 80, "kept_step": 4}
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_a_function_records_every_step_and_sees_all_unknowns(path: str) -> None:
+    whole = run(path)
+    sol = run(path, save=lambda t, u, z: (t, u[5], z[17]))
+    assert sol.recorded == [
+        (t, u[5], z[17]) for t, u, z in zip(whole.t[1:], whole.u[1:], whole.velocity, strict=True)
+    ]
+    assert len(sol.t) == 2
+    assert whole.recorded is None
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_a_file_holds_what_memory_would(
+    path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(blocks, "BLOCK", 16.0 * 40 * 7)  # seven steps a block
+    whole, file = run(path), tmp_path / "run.nc"
+    sol = run(path, save=file)
+    assert list(tmp_path.iterdir()) == [file]
+    assert np.array_equal(sol.u, whole.u)
+    assert np.array_equal(sol.velocity, whole.velocity)
+    assert np.array_equal(sol(np.array([0.03, 2.0])), whole(np.array([0.03, 2.0])))
+    with xr.open_dataset(file, engine="h5netcdf") as dataset:
+        assert np.array_equal(dataset.time, whole.t)
+        assert np.array_equal(dataset.u, whole.u)
+
+
+def test_a_file_of_a_run_that_fails_holds_the_steps_before(tmp_path: Path) -> None:
+    def stop(info: so.StepInfo) -> None:
+        if info.step == 11:
+            raise RuntimeError("enough")
+
+    with pytest.raises(RuntimeError, match="enough"):
+        run("eliminated", save=str(tmp_path / "run.nc"), callback=stop)
+    with xr.open_dataset(tmp_path / "run.nc", engine="h5netcdf") as dataset:
+        assert dataset.sizes["time"] == 13
+    sol = run("eliminated", save=tmp_path / "run.nc", callback=lambda info: info.step == 3)
+    assert sol.u.shape == (5, 40)
+
+
+def test_a_run_that_stops_early_keeps_its_last_step() -> None:
+    whole = run("eliminated")
+    for save in ("last", 25, [3.0]):
+        sol = run("eliminated", save=save, callback=lambda info: info.step == 9)
+        assert np.array_equal(sol.t, whole.t[[0, 10]])
+        assert np.array_equal(sol.u, whole.u[[0, 10]])
+        assert sol.status is so.Status.STOPPED
+
+
+@pytest.mark.parametrize(
+    ("save", "words"),
+    [
+        (0, "stride must be positive"),
+        (-3, "stride must be positive"),
+        ([0.123], "t = 0.123, which is not on the time grid"),
+        ([9.0], "t = 9, which is not on the time grid"),
+        (["a"], "save must be"),
+        ("first", "must end with .nc, or say 'last'"),
+        ("nowhere/run.nc", "no folder nowhere"),
+        (True, "save must be None, 'last'"),
+        (1.5, "save must be None, 'last'"),
+    ],
+)
+def test_what_save_cannot_be_is_said_before_the_run(save: Any, words: str) -> None:
+    with pytest.raises(so.InputError, match=words):
+        run("eliminated", save=save)
+
+
+def test_a_history_that_does_not_fit_is_refused_before_the_run() -> None:
+    with pytest.raises(so.InputError, match=r"save='last'.*larger memory"):
+        run("eliminated", memory=50_000)
+    assert run("proportional", memory=50_000).success  # it keeps four unknowns a step
+    assert run("eliminated", memory=50_000, save="last").success
+    with pytest.raises(so.InputError, match=r"keeping 4 states .* takes 2\.88e-06 GB, more than memory = 5e-07"):
+        run("eliminated", memory=500, save=[1.0, 2.0, 3.0])
+
+
+def test_memory_does_not_grow_with_the_steps_that_are_not_kept() -> None:
+    dim = 3000
+    D = so.image(select(CONTACT, dim), SETS["intervals"])
+    C = so.Moving(-D, so.Separable([(so.Sine(2.0, 3.0), np.sin(np.arange(dim)))]))
+    this = so.SweepingProcess(chain(dim), 2 * chain(dim), C, np.zeros(dim))
+
+    def peak(steps: int) -> int:
+        tracemalloc.start()
+        so.solve(this, t_end=1.0, steps=steps, save="last", path="eliminated")
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return most
+
+    peak(3)
+    assert peak(400) <= 1.3 * peak(10)
+
+
+MEASURED = """
+import resource, sys
+sys.path.insert(0, "tests")
+import numpy as np, scipy.sparse as sp, sweepopt as so
+n = 316
+line = sp.diags_array([2.0 * np.ones(n), -np.ones(n - 1), -np.ones(n - 1)], offsets=[0, -1, 1])
+A = sp.csc_array(sp.kron(line, sp.eye_array(n)) + sp.kron(sp.eye_array(n), line))
+few = np.arange(n) * n
+E = sp.csc_array((np.ones(n), (few, np.arange(n))), shape=(n * n, n))
+f = so.Separable([(so.Sine(1.0, 4.0), np.ones(n * n))])
+C = so.Moving(-so.image(E, so.Box(-np.ones(n), np.ones(n))), f)
+this = so.SweepingProcess(A, A, C, np.zeros(n * n))
+so.solve(this, t_end=4.0, steps=int(sys.argv[1]), save="last", path="eliminated")
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+@pytest.mark.slow
+def test_ten_thousand_steps_of_a_hundred_thousand_unknowns_take_the_memory_of_ten() -> None:
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss > 0  # a unit that the system knows
+    peaks = []
+    for steps in ("10", "10000"):
+        command = [sys.executable, "-c", MEASURED, steps]
+        found = subprocess.run(command, capture_output=True, text=True, check=True)
+        peaks.append(int(found.stdout))
+    assert peaks[1] <= 1.3 * peaks[0]
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+def test_the_last_state_of_a_load_case_is_enough_to_go_on() -> None:
+    first = run("eliminated", save="last")
+    this = process(u0=first.u[-1], C=so.Moving(-so.image(select(CONTACT), SETS["intervals"]),
+                                               load()))  # fmt: skip
+    again = so.solve(this, steps=np.linspace(4.0, 5.0, 21), path="eliminated")
+    whole = so.solve(process(u0=np.zeros(40)), t_end=5.0, steps=100, path="eliminated")
+    assert again.u == pytest.approx(whole.u[80:], abs=1e-12)
