@@ -27,11 +27,18 @@ class Factor:
     name : str
         How error messages call M.
 
+    Attributes
+    ----------
+    order : ndarray of int or None
+        An order of the unknowns with little fill, for a sparse M.
+
     Raises
     ------
     InputError
         If M is not positive definite.
     """
+
+    order: np.ndarray | None = None
 
     def __init__(self, M: Matrix, name: str = "M") -> None:
         self.M, self.dim = M, M.shape[0]
@@ -54,6 +61,7 @@ class Factor:
 
     def _factorise_sparse(self) -> np.ndarray:
         self._lu = spla.splu(sp.csc_matrix(self.M), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC)
+        self.order = np.argsort(self._lu.perm_c)
         # with pivots on the diagonal their signs are the inertia (Sylvester)
         return self._lu.U.diagonal()[self._lu.perm_c] / self.diagonal
 
@@ -135,39 +143,38 @@ class Elimination(Factor):
     M : ndarray or sparse, shape (dim, dim)
     unknowns : ndarray of int, shape (m,)
         The unknowns to keep.
+    order : ndarray of int, optional
+        An order with little fill, as a `Factor` of a matrix of the same pattern tells it.
     """
 
-    def __init__(self, M: Matrix, unknowns: np.ndarray) -> None:
+    def __init__(self, M: Matrix, unknowns: np.ndarray, order: np.ndarray | None = None) -> None:
         self.unknowns = unknowns
-        first = np.setdiff1d(np.arange(M.shape[0]), unknowns)
-        self._order = np.concatenate([first, unknowns])
+        if order is None:
+            order = Factor(M).order if sp.issparse(M) else np.arange(M.shape[0])
+        first = order[~np.isin(order, unknowns)]
+        self.order = np.concatenate([first, unknowns])
         super().__init__(M)
-        m = unknowns.size
-        tail = self._lower[-m:, -m:]
-        self._tail = tail.toarray() if sp.issparse(tail) else tail
         self.N = self._tail @ self._tail.T
 
     def _factorise_sparse(self) -> np.ndarray:
-        inner = self._order[: self.dim - self.unknowns.size]
-        if inner.size:
-            block = sp.csc_matrix(self.M[inner][:, inner])
-            # a factorisation of the others tells their order of little fill
-            order = spla.splu(block, permc_spec="MMD_AT_PLUS_A", **SYMMETRIC).perm_c
-            self._order[: inner.size] = inner[np.argsort(order)]
-        ordered = sp.csc_matrix(self.M[self._order][:, self._order])
+        ordered = sp.csc_matrix(self.M[self.order][:, self.order])
         lu = spla.splu(ordered, permc_spec="NATURAL", **SYMMETRIC)
         pivots = lu.U.diagonal()
-        relative = pivots / self.diagonal[self._order]
+        relative = pivots / self.diagonal[self.order]
         if relative.min() > 0:
-            self._lower = (lu.L @ sp.diags_array(np.sqrt(pivots))).tocsc()
+            lower = (lu.L @ sp.diags_array(np.sqrt(pivots))).tocsc()
+            m = self.unknowns.size
+            self._tail = lower[-m:, -m:].toarray()
             # the factor factorised gives its substitutions apart, forward and transposed
-            self._triangle = spla.splu(self._lower, permc_spec="NATURAL", **SYMMETRIC)
+            self._triangle = spla.splu(lower, permc_spec="NATURAL", **SYMMETRIC)
         return relative
 
     def _factorise_dense(self) -> np.ndarray:
-        ordered = self.M[np.ix_(self._order, self._order)]
+        ordered = self.M[np.ix_(self.order, self.order)]
         self._lower = scipy.linalg.cholesky(ordered, lower=True)
-        return self._lower.diagonal() ** 2 / self.diagonal[self._order]
+        m = self.unknowns.size
+        self._tail = self._lower[-m:, -m:]
+        return self._lower.diagonal() ** 2 / self.diagonal[self.order]
 
     def _substitute(self, w: np.ndarray, transposed: bool = False) -> np.ndarray:
         """L^-1 w or L^-T w."""
@@ -177,11 +184,11 @@ class Elimination(Factor):
 
     def solve(self, w: np.ndarray) -> np.ndarray:
         """M^-1 w."""
-        return self._backward(self._substitute(w[self._order]))
+        return self._backward(self._substitute(w[self.order]))
 
     def _backward(self, forward: np.ndarray) -> np.ndarray:
         z = np.empty_like(forward)
-        z[self._order] = self._substitute(forward, transposed=True)
+        z[self.order] = self._substitute(forward, transposed=True)
         return z
 
     def reduce(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -189,7 +196,7 @@ class Elimination(Factor):
 
         The Euclidean norm of the first is |r|_{M^-1}.
         """
-        forward = self._substitute(r[self._order])
+        forward = self._substitute(r[self.order])
         return forward, self._tail @ forward[-self.unknowns.size :]
 
     def recover(self, forward: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -215,6 +222,9 @@ def is_semidefinite(M: Matrix) -> bool:
     empty = diagonal == 0
     if abs(M[empty]).sum() > 0:
         return False
+    rest = np.asarray(abs(M).sum(axis=1)).ravel() - diagonal
+    if (rest <= (1 + 1e-10) * diagonal).all():
+        return True  # Gershgorin
     shift = np.where(empty, 1.0, 1e-10 * diagonal)
     shifted = M + (sp.diags_array(shift, format="csc") if sp.issparse(M) else np.diag(shift))
     try:

@@ -66,6 +66,8 @@ class Plan:
         The few unknowns the set acts on, if all others are eliminated; None keeps them.
     reduction : Reduction or None
         The process of the contact alone, if the material and the load are proportional.
+    order : ndarray of int or None
+        An order of the unknowns with little fill, for elimination.
     """
 
     unknowns: int
@@ -77,6 +79,7 @@ class Plan:
     left_out: tuple[str, ...]
     contact: np.ndarray | None = None
     reduction: Reduction | None = None
+    order: np.ndarray | None = None
 
     @property
     def path(self) -> str:
@@ -118,7 +121,7 @@ class Plan:
         contact = np.zeros(0, dtype=int) if self.contact is None else self.contact
         linear = cache(lambda: self._linear(Factor(M)))
         program = cache(lambda: self._program(Factor(M)))
-        eliminated = cache(lambda: self._eliminated(Elimination(M, contact)))
+        eliminated = cache(lambda: self._eliminated(Elimination(M, contact, self.order)))
 
         def solve(q: np.ndarray, C: ConvexSet) -> Solved:
             if C.singleton:
@@ -295,6 +298,7 @@ def make_plan(
         tol=tol,
         left_out=tuple(left_out),
         contact=contact,
+        order=process.metric.order,
         reduction=None if isinstance(reduced, str) else reduced,
     )
 

@@ -85,7 +85,7 @@ def reduce(process: SweepingProcess) -> Reduction | str:
     if isinstance(motion, str):
         return motion
     unknowns, terms, moving = motion
-    A = Elimination(process.A, unknowns)
+    A = Elimination(process.A, unknowns, process.metric.order)
     columns = []
     for _, f in terms:
         F = A.solve(f)

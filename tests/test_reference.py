@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
-from cases import GRIDS, SETS, Case, case
+from cases import GRIDS, SETS, Case, case, embedded
 
 import sweepopt as so
 
@@ -50,6 +50,32 @@ def test_errors_and_order_are_those_of_the_theory(
         assert order >= 1.7
     else:
         assert order == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("path", ["proportional", "eliminated", "full"])
+@pytest.mark.parametrize("name", [name for name in SETS if name != "L13"])
+def test_as_the_contact_of_a_larger_body_a_case_meets_the_same_errors_on_every_path(
+    name: str, path: str
+) -> None:
+    this = case(name)
+    body = embedded(this)
+    A, B = this.process.A, this.process.B
+    proportional = A.any() and (B is None or np.allclose(B, A * B[0, 0] / A[0, 0]))
+    if path == "proportional" and not (proportional and isinstance(body.C, so.Moving)):
+        with pytest.raises(so.InputError, match="path='proportional' does not apply"):
+            so.solve(body, t_end=this.t_end, steps=3, path=path)
+        return
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", so.InitialStateWarning)
+        sol = so.solve(body, t_end=this.t_end, steps=101, path=path)
+    assert sol.plan.path == path
+    assert sol.stats["relative"].max() <= 1e-6
+    alone = run(this, 101, "auto")
+    size = max(map(this.process.metric.norm, alone.u))
+    contact = sol.u[:, -this.process.dim :]
+    assert max(map(this.process.metric.norm, contact - alone.u)) <= 1e-6 * size
+    error = max(map(this.process.metric.norm, contact - this.exact(101)))
+    assert error == pytest.approx(this.errors[sol.plan.scheme.name]["101"], rel=0.03)
 
 
 @pytest.mark.parametrize("name", SETS)

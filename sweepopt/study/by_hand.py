@@ -75,11 +75,20 @@ def loop(prepare: Callable[[Case], Velocity]) -> Callable[[Case], Run]:
 # ---- without a proof, as users write it -------------------------------------------------------
 
 
+def cvxpy_checked(case: Case) -> Velocity:
+    """The problem stated anew at each step, at cvxpy's defaults; cvxpy tests M every time."""
+    return _stated_anew(case, case.M)
+
+
 def cvxpy_rebuilt(case: Case) -> Velocity:
-    """The problem stated anew at each step, at cvxpy's defaults."""
+    """The same told that M is positive definite: the naive loop at its best."""
     import cvxpy as cp
 
-    M = cp.psd_wrap(case.M)  # the naive loop at its best: without this cvxpy tests M every time
+    return _stated_anew(case, cp.psd_wrap(case.M))
+
+
+def _stated_anew(case: Case, M: Any) -> Velocity:
+    import cvxpy as cp
 
     def velocity(q: np.ndarray) -> np.ndarray:
         z = cp.Variable(case.dim)

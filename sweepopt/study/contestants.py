@@ -125,6 +125,7 @@ CONTESTANTS = (
     Contestant("osqp-by-hand", loop(by_hand.osqp_by_hand), 1e-4, PATIENT),
     Contestant("cvxpy-parameters", loop(by_hand.cvxpy_parameters), 1e-3, NAIVE),
     Contestant("cvxpy-rebuilt", loop(by_hand.cvxpy_rebuilt), 1e-3, NAIVE),
+    Contestant("cvxpy-checked", loop(by_hand.cvxpy_checked), 1e-3, NAIVE),
 )
 """Of a square; the loop by hand that a path is compared with runs next to it."""
 
