@@ -43,11 +43,12 @@ from sweepopt.sets import (
     product,
 )
 from sweepopt.solution import Energy, Solution
-from sweepopt.solvers import OSQP, Clarabel, Cvxpy, Newton
+from sweepopt.solvers import DAQP, OSQP, Clarabel, Cvxpy, Newton
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "DAQP",
     "OSQP",
     "Ball",
     "Balls",

@@ -36,10 +36,9 @@ def count(name: str, value: Any) -> int:
 
 def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -> np.ndarray:
     """A float array of shape (dim,); a scalar counts as one entry."""
-    # most are right: one product tells that all entries are finite, nothing else is looked at
-    try:
+    try:  # most are right, and nothing else is looked at
         ready = np.array(value)
-        if ready.dtype == float and ready.shape == (dim,) and math.isfinite(ready.dot(ready)):
+        if ready.dtype == float and ready.shape == (dim,) and is_finite(ready):
             return ready
     except (TypeError, ValueError):
         pass  # said in full below
@@ -53,6 +52,13 @@ def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -
         i = int(np.flatnonzero(bad)[0])
         raise InputError(f"{name}[{i}] is {array[i]}; give {'finite ' if finite else ''}numbers")
     return array
+
+
+def is_finite(array: np.ndarray) -> bool:
+    """Whether all entries are finite; numpy's reduction is slow for a few of them."""
+    if array.size <= 8:
+        return all(map(math.isfinite, array.tolist()))
+    return bool(np.isfinite(array).all())
 
 
 def matrix(name: str, value: Any) -> Matrix:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import Matrix
+from sweepopt.checks import Matrix, is_finite
 from sweepopt.errors import Status
 from sweepopt.plan import Plan, Solved, VelocityOf
 from sweepopt.process import SweepingProcess
@@ -40,7 +40,7 @@ def march(
             step = _summary(stages)
             increment = mu * z - lost
             following = u + increment
-            if step.relative > plan.tol or not _is_finite(following):
+            if step.relative > plan.tol or not is_finite(following):
                 run.cause = _cause(i, grid[i], step, plan.tol)
                 run.status, run.relative = Status.INEXACT, step.relative
                 break
@@ -166,11 +166,6 @@ def _combine(weights: Sequence[float], stages: list[Solved]) -> np.ndarray:
     for weight, solved in zip(weights[1:], stages[1:], strict=True):
         total += weight * solved.velocity.z
     return total
-
-
-def _is_finite(u: np.ndarray) -> bool:
-    # one product, and a closer look only where it overflows
-    return math.isfinite(u.dot(u)) or bool(np.isfinite(u).all())
 
 
 def _worst(values: Iterable[float]) -> float:

@@ -275,6 +275,7 @@ class MultigridProgram:
         size_q = M.dual_norm_floor(force)
         best = Velocity(self._z, math.inf, math.inf)
         z, stalled, cycles = self._z, 0, 0
+        reversing = np.zeros(contact.size, dtype=bool)
         for iteration in range(self.max_iter + 1):
             w = M.M @ z + force
             v = w[contact] - T * z[contact]
@@ -286,7 +287,10 @@ class MultigridProgram:
             if best.relative <= self.tol or stalled == PATIENCE or iteration == self.max_iter:
                 break
             w[contact] -= target
-            z, count = self._step(z, w, _stuck(part, v), self.tol / velocity.relative)
+            # what stopped is held until the others have come to rest with it: its force is not
+            # known before
+            stuck = self._state | reversing if reversing.any() else _stuck(part, v)
+            z, reversing, count = self._step(z, w, stuck, self.tol / velocity.relative)
             cycles += count
         self._z = best.z
         return Step(best, iteration, cycles)
@@ -315,7 +319,7 @@ class MultigridProgram:
 
     def _step(
         self, z: np.ndarray, missed: np.ndarray, stuck: np.ndarray, wanted: float
-    ) -> tuple[np.ndarray, int]:
+    ) -> tuple[np.ndarray, np.ndarray, int]:
         """A Newton step: stuck entries get 0, the others solve M dz = -missed; nothing reverses.
 
         It is solved loosely where the contact state is new, for it may change again.
@@ -330,9 +334,9 @@ class MultigridProgram:
         dz[self.contact] += held
         following = z + dz
         entries = following[self.contact]
-        entries[entries * z[self.contact] < 0] = 0.0
-        following[self.contact] = entries
-        return following, count
+        reversing = entries * z[self.contact] < 0
+        following[self.contact[reversing]] = 0.0
+        return following, reversing, count
 
 
 def _at_rest(q: np.ndarray, selection: Selection, force: np.ndarray) -> bool:

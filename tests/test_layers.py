@@ -36,6 +36,8 @@ HOMES = {
     "cvxpy": {"program", "sets", "solvers/reference"},
     "clarabel": {"solvers/clarabel"},
     "osqp": {"solvers/osqp"},
+    "daqp": {"solvers/daqp"},
+    "pyamg": {"multigrid"},
     "skfem": {"fem"},
     "meshio": {"fem", "store/vtu"},
     "pydantic": {"fem"},
