@@ -221,7 +221,9 @@ class _Lift:
     def of(self, kept: Kept, steps: np.ndarray) -> States:
         """The kept states as states of all unknowns."""
         reduction = self._plan.reduction
-        return kept if reduction is None else Lifted(kept, lambda: self._alpha, steps, reduction.lift)
+        return (
+            kept if reduction is None else Lifted(kept, lambda: self._alpha, steps, reduction.lift)
+        )
 
 
 def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:

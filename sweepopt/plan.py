@@ -11,14 +11,15 @@ import numpy as np
 
 from sweepopt.checks import Matrix
 from sweepopt.errors import InputError, SolverRefusedError
-from sweepopt.linalg import Elimination, Factor, dense
+from sweepopt.linalg import Elimination, Factor
 from sweepopt.process import SweepingProcess
 from sweepopt.program import Velocity, VelocityProgram, closed_form, has_closed_form, rate
 from sweepopt.reduction import Reduction, reduce
 from sweepopt.schemes import Scheme
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.base import Selection, same_array
-from sweepopt.solvers import NEWTON, Iteration, Solve, Solver, choose
+from sweepopt.solvers import Solve, Solver, choose
+from sweepopt.solvers.polish import polisher
 
 PATHS = {
     "auto": "the first that applies",
@@ -173,22 +174,21 @@ class Plan:
 
     def _program(self, M: Factor) -> VelocityOf:
         """One cone at a time: its formula if there is one, else its compiled ladder of solvers."""
-        cone: ConvexSet | None = None
+        program: VelocityProgram | None = None
         formula = False
         rungs: list[Solver] = []
         compiled: dict[int, Solve] = {}
-        polish = cache(lambda: Iteration(dense(M.M)))
+        polished = cache(lambda: polisher(M, self.order))
 
         def solve(q: np.ndarray, C: ConvexSet) -> Solved:
-            nonlocal cone, formula, rungs
-            if cone is None or not cone.same_cone(C):
-                cone = C
+            nonlocal program, formula, rungs
+            if program is None or not program.cone.same_cone(C):
+                program = VelocityProgram(M, C)
                 formula = self.solver == "auto" and has_closed_form(M, C)
                 rungs = ladder(choose(self.solver, C))
                 compiled.clear()
             if formula:
                 return Solved(closed_form(M, q, C), "closed form", 0, 0)
-            program = VelocityProgram(M, C)
             rest = program.at_rest(q, C)
             if rest is not None:
                 return Solved(rest, "at rest", 0, 0)
@@ -204,11 +204,11 @@ class Plan:
                     if answer.status in SOLVED:
                         return found
                     continue
-                if velocity.relative > POLISHED and NEWTON.treats(C):
-                    z, _ = polish()(q, C, velocity.z, NEWTON.max_iter)
-                    polished = program.certify(q, C, z, answer.y)
-                    if polished.relative < velocity.relative:
-                        found = replace(found, velocity=polished)
+                if velocity.relative > POLISHED:
+                    z = polished()(q, C, velocity.z)
+                    better = velocity if z is None else program.certify(q, C, z, answer.y)
+                    if better.relative < velocity.relative:
+                        found = replace(found, velocity=better)
                 if found.velocity.relative < best.velocity.relative:
                     best = found
                 if best.velocity.relative <= self.tol:

@@ -9,7 +9,7 @@ is strongly convex: it has exactly one solution, whatever a solver says. It is e
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import cvxpy as cp
 
 EPS = float(np.finfo(float).eps)
+
 
 class Velocity(NamedTuple):
     """A velocity and the proof of it.
@@ -40,6 +41,15 @@ class Velocity(NamedTuple):
     z: np.ndarray
     certificate: float
     relative: float
+
+
+class Expressions(NamedTuple):
+    """z, the features y (None if there are none), 1/2 <M z, z> and what ties y to z."""
+
+    z: cp.Expression
+    y: cp.Expression | None
+    quadratic: cp.Expression
+    constraints: list[cp.Constraint]
 
 
 class Statement(NamedTuple):
@@ -77,14 +87,15 @@ class VelocityProgram:
 
     M: Factor
     cone: ConvexSet
+    _canonical: dict[str, Canonical] = field(default_factory=dict, init=False, compare=False)
 
     @property
     def stiffness(self) -> float:
         """A number in the units of M: the geometric mean of its diagonal."""
         return float(np.exp(np.log(self.M.diagonal).mean()))
 
-    def statement(self) -> Statement:
-        """The program in cvxpy (DPP: only the linear part of the objective has parameters)."""
+    def _expressions(self) -> Expressions:
+        """The program without its linear term."""
         import cvxpy as cp
 
         # Jacobi scaling: the solver sees a matrix of constant diagonal, whatever the units of z
@@ -93,31 +104,46 @@ class VelocityProgram:
         z = cp.multiply(scale, x)
         weights = sp.diags_array(scale) if sp.issparse(self.M.M) else np.diag(scale)
         scaled = weights @ self.M.M @ weights
+        scaled = 0.5 * (scaled + scaled.T)
+        features, constraints = self.cone.features(-z)
+        y = cp.hstack(features) if features else None
+        if y is not None and any(any(own.attributes.values()) for own in y.variables()):
+            # cvxpy replaces variables with attributes (nonneg=True): y gets one that it keeps
+            kept = cp.Variable(y.size)
+            y, constraints = kept, [*constraints, kept == y]
+        # M is known to be positive definite: it was factorised
+        return Expressions(z, y, 0.5 * cp.quad_form(x, cp.psd_wrap(scaled)), constraints)
+
+    def statement(self) -> Statement:
+        """The program in cvxpy (DPP: only the linear part of the objective has parameters)."""
+        import cvxpy as cp
+
+        z, y, quadratic, constraints = self._expressions()
+        y = cp.Constant(np.zeros(1)) if y is None else y
         q = cp.Parameter(self.M.dim)
         offsets = cp.Parameter(max(self.cone.offsets.size, 1))
-        features, constraints = self.cone.features(-z)
-        y = cp.hstack(features) if features else cp.Constant(np.zeros(1))
-        # M is known to be positive definite: it was factorised
-        scaled = 0.5 * (scaled + scaled.T)
-        objective = 0.5 * cp.quad_form(x, cp.psd_wrap(scaled)) + q @ z + offsets @ y
-        return Statement(cp.Problem(cp.Minimize(objective), constraints), q, offsets, z, y)
+        problem = cp.Problem(cp.Minimize(quadratic + q @ z + offsets @ y), constraints)
+        return Statement(problem, q, offsets, z, y)
 
     def canonical(self, solver: str) -> Canonical:
-        """What cvxpy hands to the solver, with the linear term as a map of the two parameters."""
-        statement = self.statement()
-        statement.q.value = np.zeros(statement.q.size)
-        statement.offsets.value = np.zeros(statement.offsets.size)
-        data, _, _ = statement.problem.get_problem_data(solver, enforce_dpp=True)
-        affine = sp.csc_array(data["param_prob"].q)[:-1]
-        columns = data["param_prob"].param_id_to_col
-        parts = [
-            affine[:, columns[parameter.id] : columns[parameter.id] + size]
-            for parameter, size in (
-                (statement.q, statement.q.size),
-                (statement.offsets, self.cone.offsets.size),
+        """What cvxpy hands to the solver, with the linear term as a map of q and the offsets.
+
+        The objective <q, z> + <offsets, y> is linear in cvxpy's variables, so the map is made of
+        the derivatives of z and y: parameters of the size of z would cost memory of its square.
+        """
+        if solver not in self._canonical:
+            import cvxpy as cp
+
+            z, y, quadratic, constraints = self._expressions()
+            problem = cp.Problem(cp.Minimize(quadratic), constraints)
+            data, _, _ = problem.get_problem_data(solver, enforce_dpp=True)
+            columns = data["param_prob"].var_id_to_col
+            size = data["P"].shape[0]
+            maps = [_derivative(expression, columns, size) for expression in (z, y)]
+            self._canonical[solver] = Canonical(
+                sp.csc_array(data["P"]), sp.csr_array(sp.hstack(maps)), data
             )
-        ]
-        return Canonical(sp.csc_array(data["P"]), sp.csr_array(sp.hstack(parts)), data)
+        return self._canonical[solver]
 
     def certify(self, q: np.ndarray, C: ConvexSet, z: np.ndarray, y: np.ndarray) -> Velocity:
         """Turn any approximate answer (z, y) into a velocity with a proven error bound.
@@ -147,6 +173,22 @@ class VelocityProgram:
         return Velocity(np.zeros_like(q), 0.0, 0.0)
 
 
+def _derivative(
+    expression: cp.Expression | None, columns: dict[int, int], size: int
+) -> sp.csc_array:
+    """The derivative of a linear expression in the canonical variables, transposed."""
+    if expression is None:
+        return sp.csc_array((size, 0))
+    for variable in expression.variables():
+        variable.value = np.zeros(variable.shape)  # any point: the expression is linear
+    rows, entries = [], expression.grad
+    for variable, part in entries.items():
+        part = sp.coo_array(np.atleast_2d(part) if np.isscalar(part) else part)
+        moved = (part.data, (part.row + columns[variable.id], part.col))
+        rows.append(sp.csc_array(moved, shape=(size, part.shape[1])))
+    return sp.csc_array(sum(rows[1:], start=rows[0]))
+
+
 def rate(z: np.ndarray, certificate: float, size_z: float, size_q: float) -> Velocity:
     """A velocity with its certificate in relation to max(|z|_M, |M^-1 q|_M)."""
     relative = certificate / max(size_z, size_q) if certificate else 0.0
@@ -163,9 +205,10 @@ def closed_form(M: Factor, q: np.ndarray, C: ConvexSet) -> Velocity:
     missed, anchor = C.normal(q), C.anchor
     # at rest up to the rounding of the force, entry by entry, as in `at_rest`; if so then also in
     # the Euclidean norm, which is looked at first as it costs less
-    if missed.dot(missed) <= 2 * ROUNDING**2 * (q.dot(q) + anchor.dot(anchor)) and (
-        np.abs(missed) <= ROUNDING * (np.abs(q) + np.abs(anchor))
-    ).all():
+    if (
+        missed.dot(missed) <= 2 * ROUNDING**2 * (q.dot(q) + anchor.dot(anchor))
+        and (np.abs(missed) <= ROUNDING * (np.abs(q) + np.abs(anchor))).all()
+    ):
         return Velocity(np.zeros_like(q), 0.0, 0.0)
     z = 0.0 - missed / M.diagonal
     # a quotient is rounded by half a unit: |M z + missed| <= EPS |missed| entry by entry

@@ -95,9 +95,7 @@ def reduce(process: SweepingProcess) -> Reduction | str:
         columns.append(F)
     shapes = np.column_stack([*columns, process.u0])
     load = [(phi, A.N @ F[unknowns]) for (phi, _), F in zip(terms, columns, strict=True)]
-    small = SweepingProcess(
-        A.N, rho * A.N if rho else None, moving(load), process.u0[unknowns]
-    )
+    small = SweepingProcess(A.N, rho * A.N if rho else None, moving(load), process.u0[unknowns])
     phis = [phi for phi, _ in terms]
     unit = np.eye(len(terms) + 1)
     alpha = Separable([*zip(phis, unit, strict=False), (Constant(0.0), unit[-1])])

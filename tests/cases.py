@@ -38,8 +38,8 @@ class Case:
 def embedded(this: Case, others: int = 9) -> so.SweepingProcess:
     """The case as the contact of a larger body, which moves it as if it were alone.
 
-    In coordinates u = T y with y = (case, rest) the rest has its own A and B and no load, so that it
-    stays at rest; T mixes it with the case's unknowns in u, and the case's unknowns come last.
+    In coordinates u = T y with y = (case, rest) the rest has its own A and B and no load, so that
+    it stays at rest; T mixes it with the case's unknowns in u, and the case's unknowns come last.
     """
     alone = this.process
     m, dim = alone.dim, alone.dim + others

@@ -39,7 +39,7 @@ HARD: dict[str, tuple[Callable[[], Program], float]] = {
 }
 
 
-@pytest.mark.parametrize("solver", ["auto", "osqp", "clarabel"])
+@pytest.mark.parametrize("solver", ["auto", "daqp", "newton", "osqp", "clarabel"])
 @pytest.mark.parametrize("name", HARD)
 def test_hard_programs_are_solved_with_a_proof(name: str, solver: str) -> None:
     make, certificate = HARD[name]

@@ -19,7 +19,7 @@ LEVELS = [
     {"states"},
     {"blocks", "process"},
     {"program", "reduction"},
-    {"solvers", "schemes"},
+    {"solvers", "schemes", "multigrid"},
     {"plan"},
     {"solution"},
     {"march"},
@@ -27,18 +27,18 @@ LEVELS = [
     {"library"},
     {"fem"},
     {"slip"},
-    {"store", "plot"},
+    {"store", "plot", "study"},
     {"cli", "__main__"},
 ]
 # conveniences of Solution that call upward by a local import
 UPWARD = {("solution", "store"), ("solution", "plot")}
 HOMES = {
-    "cvxpy": {"program", "sets", "solvers/reference"},
-    "clarabel": {"solvers/clarabel"},
-    "osqp": {"solvers/osqp"},
+    "cvxpy": {"program", "sets", "solvers/reference", "study/by_hand"},
+    "clarabel": {"solvers/clarabel", "study/by_hand"},
+    "osqp": {"solvers/osqp", "study/by_hand"},
     "daqp": {"solvers/daqp"},
     "pyamg": {"multigrid"},
-    "skfem": {"fem"},
+    "skfem": {"fem", "study/cases"},
     "meshio": {"fem", "store/vtu"},
     "pydantic": {"fem"},
     "matplotlib": {"plot"},

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 import sweepopt as so
 from sweepopt.linalg import Factor
 from sweepopt.program import VelocityProgram
+from sweepopt.solvers import choose
 
-SOLVERS = [so.Clarabel(), so.OSQP(), so.Cvxpy("CLARABEL"), so.Cvxpy("OSQP")]
+SOLVERS = [so.Clarabel(), so.OSQP(), so.DAQP(), so.Cvxpy("CLARABEL"), so.Cvxpy("OSQP")]
 
 
 def exact_friction(M: np.ndarray, q: np.ndarray, g: np.ndarray) -> np.ndarray:
@@ -173,3 +174,49 @@ def test_a_large_polyhedron_is_not_called_certified() -> None:
     assert runs[0].status is so.Status.UNCERTIFIED
     assert runs[1].status is so.Status.SUCCESS
     assert runs[0].u == pytest.approx(runs[1].u, abs=1e-6)
+
+
+def test_small_boxes_with_missing_bounds_that_move_are_followed_by_one_workspace() -> None:
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(30, 30))
+    M = Factor(root @ root.T + np.eye(30))
+    lower = np.where(np.arange(30) % 3 == 0, -np.inf, -1.0)
+    upper = np.where(np.arange(30) % 5 == 0, np.inf, 0.5)
+    solve = so.DAQP().compile(VelocityProgram(M, so.Box(lower, upper)))
+    for scale in (1.0, 1e-9, 1e9, 2.0):
+        for _ in range(20):
+            C = so.Box(scale * lower, scale * upper) + scale * rng.normal(size=30)
+            q = 4 * scale * rng.normal(size=30)
+            program = VelocityProgram(M, C)
+            answer = solve(q, C)
+            assert answer.status == "solved"
+            assert program.certify(q, C, answer.z, answer.y).relative <= 1e-11
+
+
+def test_what_daqp_cannot_treat_or_find_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert not so.DAQP().treats(so.Balls([1.0], 2))
+    assert not so.DAQP().treats(so.Polytope([[0.0, 1], [1, 0], [0, 0]]))
+    assert not so.DAQP(max_dim=2).treats(so.Box([-1, -1, -1], [1, 1, 1]))
+    C = so.Box([-1.0], [1.0])
+    monkeypatch.setattr("sweepopt.solvers.daqp.installed", lambda: False)
+    with pytest.raises(so.MissingExtraError, match="speed"):
+        so.DAQP().compile(VelocityProgram(Factor(np.eye(1)), C))
+    monkeypatch.setattr("sweepopt.solvers.installed", lambda: False)
+    assert [solver.name for solver in choose("auto", C)] == ["newton", "osqp", "clarabel"]
+
+
+@pytest.mark.parametrize("dim", [20, 60])
+def test_newton_answers_or_stops_early_and_never_claims_what_it_did_not_reach(dim: int) -> None:
+    rng = np.random.default_rng(0)
+    reached = 0
+    for _ in range(30):
+        root = rng.normal(size=(dim, dim))
+        M = Factor(root @ root.T + np.eye(dim))
+        q, g = 3 * rng.normal(size=dim), rng.uniform(0, 3, dim)
+        C = so.Box(-g, g)
+        program = VelocityProgram(M, C)
+        answer = so.Newton(max_iter=60).compile(program)(q, C)
+        velocity = program.certify(q, C, answer.z, answer.y)
+        reached += velocity.relative <= 1e-10
+        assert answer.iterations < 60
+    assert reached >= 5  # general dense matrices make it cycle; contact in a body does not

@@ -138,7 +138,9 @@ def test_a_history_that_does_not_fit_is_refused_before_the_run() -> None:
         run("eliminated", memory=50_000)
     assert run("proportional", memory=50_000).success  # it keeps four unknowns a step
     assert run("eliminated", memory=50_000, save="last").success
-    with pytest.raises(so.InputError, match=r"keeping 4 states .* takes 2\.88e-06 GB, more than memory = 5e-07"):
+    with pytest.raises(
+        so.InputError, match=r"keeping 4 states .* takes 2\.88e-06 GB, more than memory = 5e-07"
+    ):
         run("eliminated", memory=500, save=[1.0, 2.0, 3.0])
 
 

@@ -139,8 +139,8 @@ class Polyhedron(ConvexSet):
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
 
-        y = cp.Variable(self.h.size, nonneg=True)
-        return Features([y], [self.G.T @ y == p])
+        y = cp.Variable(self.h.size)
+        return Features([y], [self.G.T @ y == p, y >= 0])
 
     def same_cone(self, other: ConvexSet) -> bool:
         return isinstance(other, Polyhedron) and same_array(self.G, other.G)

@@ -10,7 +10,7 @@ from sweepopt.sets import ConvexSet
 from sweepopt.solvers.base import Answer, Solve, Solver
 from sweepopt.solvers.clarabel import Clarabel
 from sweepopt.solvers.daqp import DAQP, installed
-from sweepopt.solvers.newton import Iteration, Newton
+from sweepopt.solvers.newton import Newton
 from sweepopt.solvers.osqp import OSQP
 from sweepopt.solvers.reference import Cvxpy
 
@@ -80,7 +80,6 @@ __all__ = [
     "Answer",
     "Clarabel",
     "Cvxpy",
-    "Iteration",
     "Newton",
     "Solve",
     "Solver",

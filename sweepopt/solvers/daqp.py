@@ -5,7 +5,7 @@ For C = [l, u] the velocity program is the projection of q on C in the M^-1 metr
     min 1/2 |w - q|^2_{M^-1}   subject to   l <= w <= u,
 
 a quadratic program whose only constraints are bounds. A step changes q, l and u and starts from the
-active set of the step before (Arnström, Bemporad, Axehill, IEEE Trans. Automat. Contr. 67(8), 2022).
+active set of the step before (Arnström, Bemporad, Axehill, IEEE Trans. Automat. Contr. 67, 2022).
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ class OSQP:
     True
     """
 
-    tol: float = 1e-7
+    tol: float = 1e-8
     max_iter: int = 5_000
     name = "osqp"
 

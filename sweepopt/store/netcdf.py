@@ -151,7 +151,9 @@ def _times(solution: Solution, units: Units) -> dict[str, Any]:
     return {
         "time": _variable(("time",), solution.t, "time", units.time),
         "step": _variable(("step",), step, "step, counted from 0"),
-        "step_end": _variable(("step",), solution.stats["t"], "time at the end of the step", units.time),
+        "step_end": _variable(
+            ("step",), solution.stats["t"], "time at the end of the step", units.time
+        ),
     }
 
 
