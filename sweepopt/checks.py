@@ -58,7 +58,7 @@ def is_finite(array: np.ndarray) -> bool:
     """Whether all entries are finite; numpy's reduction is slow for a few of them."""
     if array.size <= 8:
         return all(map(math.isfinite, array.tolist()))
-    return bool(np.isfinite(array).all())
+    return bool(np.logical_and.reduce(np.isfinite(array), axis=None))
 
 
 def matrix(name: str, value: Any) -> Matrix:

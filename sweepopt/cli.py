@@ -1,4 +1,4 @@
-"""The command line: ``sweepopt run SCENE`` and ``sweepopt list``.
+"""The command line: ``sweepopt run SCENE``, ``sweepopt list`` and ``sweepopt bench``.
 
 Thin on purpose: it parses, runs, and hands the run to `store` and `plot`. What a command needs is
 imported when it runs, so that the list works with the core install.
@@ -7,10 +7,11 @@ imported when it runs, so that the list works with the core install.
 from __future__ import annotations
 
 import argparse
+import csv
 import sys
 import time as clock
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
@@ -87,6 +88,17 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--solver", help=f"auto, {', '.join(solvers.REGISTRY)}")
     run.add_argument("--tol", type=float, help="bound of each step's relative certificate")
     run.add_argument("--no-progress", action="store_true", help="no progress bar")
+
+    bench = commands.add_parser("bench", help="time every path against loops by hand")
+    bench.set_defaults(command=_bench)
+    bench.add_argument(
+        "--cells", type=int, nargs="+", default=[32, 100], help="cells a side of the square"
+    )
+    bench.add_argument("--steps", type=int, default=50)
+    bench.add_argument("--rounds", type=int, default=3, help="each path runs once a round")
+    bench.add_argument("--only", nargs="+", metavar="PATH", help="the paths to run")
+    bench.add_argument("--memory", action="store_true", help="peak memory too, on Linux")
+    bench.add_argument("--csv", type=Path, metavar="FILE", help="write the rows too")
     return parser
 
 
@@ -95,6 +107,25 @@ def _list(_: argparse.Namespace) -> int:
     width = max(map(len, problems), default=0)
     for name, title in problems.items():
         print(f"{name:<{width}}  {title}".rstrip())
+    return DONE
+
+
+def _bench(chosen: argparse.Namespace) -> int:
+    _require_packages(["skfem"])
+    from sweepopt.study import Row, bench, table
+
+    rows = bench(
+        chosen.cells,
+        steps=chosen.steps,
+        rounds=chosen.rounds,
+        only=chosen.only,
+        memory=chosen.memory,
+        progress=lambda words: print(words, file=sys.stderr),
+    )
+    print(table(rows))
+    if chosen.csv is not None:
+        with chosen.csv.open("w", newline="") as file:
+            csv.writer(file).writerows([Row._fields, *rows])
     return DONE
 
 
@@ -205,9 +236,10 @@ def _unit(unit: str) -> str:
     return "" if unit == "1" else f" {unit}"
 
 
-def _require_packages() -> None:
+def _require_packages(modules: Iterable[str] = NEEDED) -> None:
     """Refuse before the run, not after it."""
-    for module, (package, extra) in NEEDED.items():
+    for module in modules:
+        package, extra = NEEDED[module]
         if find_spec(module) is None:
             raise MissingExtraError(package, extra)
 

@@ -150,17 +150,18 @@ class Elimination(Factor):
     def __init__(self, M: Matrix, unknowns: np.ndarray, order: np.ndarray | None = None) -> None:
         self.unknowns = unknowns
         if order is None:
-            order = Factor(M).order if sp.issparse(M) else np.arange(M.shape[0])
-        first = order[~np.isin(order, unknowns)]
-        self.order = np.concatenate([first, unknowns])
+            order = Factor(M).order
+        everyone = np.arange(M.shape[0]) if order is None else order
+        first = everyone[~np.isin(everyone, unknowns)]
+        self._order = np.concatenate([first, unknowns])
         super().__init__(M)
         self.N = self._tail @ self._tail.T
 
     def _factorise_sparse(self) -> np.ndarray:
-        ordered = sp.csc_matrix(self.M[self.order][:, self.order])
+        ordered = sp.csc_matrix(self.M[self._order][:, self._order])
         lu = spla.splu(ordered, permc_spec="NATURAL", **SYMMETRIC)
         pivots = lu.U.diagonal()
-        relative = pivots / self.diagonal[self.order]
+        relative = pivots / self.diagonal[self._order]
         if relative.min() > 0:
             lower = (lu.L @ sp.diags_array(np.sqrt(pivots))).tocsc()
             m = self.unknowns.size
@@ -170,11 +171,11 @@ class Elimination(Factor):
         return relative
 
     def _factorise_dense(self) -> np.ndarray:
-        ordered = self.M[np.ix_(self.order, self.order)]
+        ordered = self.M[np.ix_(self._order, self._order)]
         self._lower = scipy.linalg.cholesky(ordered, lower=True)
         m = self.unknowns.size
         self._tail = self._lower[-m:, -m:]
-        return self._lower.diagonal() ** 2 / self.diagonal[self.order]
+        return self._lower.diagonal() ** 2 / self.diagonal[self._order]
 
     def _substitute(self, w: np.ndarray, transposed: bool = False) -> np.ndarray:
         """L^-1 w or L^-T w."""
@@ -184,11 +185,11 @@ class Elimination(Factor):
 
     def solve(self, w: np.ndarray) -> np.ndarray:
         """M^-1 w."""
-        return self._backward(self._substitute(w[self.order]))
+        return self._backward(self._substitute(w[self._order]))
 
     def _backward(self, forward: np.ndarray) -> np.ndarray:
         z = np.empty_like(forward)
-        z[self.order] = self._substitute(forward, transposed=True)
+        z[self._order] = self._substitute(forward, transposed=True)
         return z
 
     def reduce(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -196,7 +197,7 @@ class Elimination(Factor):
 
         The Euclidean norm of the first is |r|_{M^-1}.
         """
-        forward = self._substitute(r[self.order])
+        forward = self._substitute(r[self._order])
         return forward, self._tail @ forward[-self.unknowns.size :]
 
     def recover(self, forward: np.ndarray, force: np.ndarray) -> np.ndarray:

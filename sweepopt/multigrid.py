@@ -4,18 +4,21 @@ M z = w is solved by conjugate gradients, preconditioned by one symmetric V-cycl
 aggregation hierarchy (pyamg). V is also what certifies: with lambda the smallest eigenvalue of V M,
 |w|^2_{M^-1} <= <V w, w> / lambda, which costs one cycle and is sharp within a small factor.
 
-For a program with a set on few unknowns C = c + E^T S, S separable (friction), -z in N_C(M z + q) is
-solved by the semismooth Newton method of `solvers/newton.py` in the full space: stuck unknowns get
-z = 0, all others F solve M_FF dz = r. The hierarchy of M serves every F: on each level the coarse
-unknowns whose function would be torn by holding the stuck ones are left out, and the others are cut
-off there, as in R. Kornhuber, Monotone multigrid methods, Numer. Math. 69, 1994.
+For a set on few unknowns C = c + E^T S, S separable (friction), -z in N_C(M z + q) is solved by the
+semismooth Newton method of `solvers/newton.py` in the full space: stuck unknowns get z = 0, all
+others F solve M_FF dz = r. The hierarchy of M serves every F: on each level the coarse unknowns
+whose function would be torn by holding the stuck ones are left out, and the others are cut off
+there (R. Kornhuber, Monotone multigrid methods, Numer. Math. 69, 1994, truncates so).
+
+Newton's method may cycle. A contact that would reverse stops first, and when the number of contacts
+that change their state has not fallen for a while, one changes at a time: that ends for every M > 0
+(J. Judice, F. Pires, A block principal pivoting algorithm, Comput. Oper. Res. 21, 1994).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,8 +40,9 @@ STRENGTH = ("symmetric", {"theta": 0.08})
 # local weights, as those of a spectral radius come from a random start: each run is the same
 SMOOTHING = ("jacobi", {"omega": 4 / 3, "weighting": "local"})
 TORN = 0.3  # energy of the tear, in relation to the coarse function's, above which it is left out
-LOOSE = 1e-2  # reduction of the residual while the contact state changes
-PATIENCE = 5  # Newton steps that may fail to improve on the best one: more are a cycle
+# reduction of the residual while the contact state changes; less and less loose if that goes on
+LOOSE, LEAST = 0.1, 1e-8
+PATIENCE = 10  # Newton steps without fewer changes of the state; then one contact changes at a time
 
 
 class Level(NamedTuple):
@@ -117,25 +121,30 @@ class Multigrid(Factor):
     """
 
     def __init__(self, M: Matrix, name: str = "M") -> None:
-        self._pyamg = _pyamg()
-        super().__init__(sp.csr_array(M), name)
+        _pyamg()
+        super().__init__(sp.csr_array(M.T), name)  # M = M^T: no copy of a CSC matrix
 
     def _factorise_sparse(self) -> np.ndarray:
         weights = sp.diags_array(1 / self.root)
         self._A = sp.csr_array(weights @ self.M @ weights)
-        hierarchy = self._pyamg.smoothed_aggregation_solver(
-            self._A,
-            B=self.root[:, None] / self.root.max(),  # constants, in the scaled unknowns
-            strength=STRENGTH,
-            smooth=SMOOTHING,
-            improve_candidates=None,
-            max_coarse=COARSEST,
-            max_levels=30,
-        ).levels
+        # constants, in the scaled unknowns or in the given ones: whatever costs least energy
+        candidates = np.ones(self.dim), self.root / self.root.max()
+        smoothest = min(candidates, key=lambda x: (x @ (self._A @ x)) / (x @ x))
+        hierarchy = (
+            _pyamg()
+            .smoothed_aggregation_solver(
+                self._A,
+                B=smoothest[:, None],
+                strength=STRENGTH,
+                smooth=SMOOTHING,
+                improve_candidates=None,
+                max_coarse=COARSEST,
+                max_levels=30,
+            )
+            .levels
+        )
         matrices = [self._A] + [sp.csr_array(level.A) for level in hierarchy[1:]]
         diagonals = [A.diagonal() for A in matrices]
-        if not (diagonals[-1] > 0).all():
-            return diagonals[-1]
         self._levels = [
             Level(A, fine, sp.csr_array(level.P), coarse)
             for A, fine, level, coarse in zip(
@@ -143,11 +152,16 @@ class Multigrid(Factor):
             )
         ]
         self._coarsest = matrices[-1].toarray()
-        root = np.sqrt(diagonals[-1])
-        pivots = np.linalg.eigvalsh(self._coarsest / np.outer(root, root))
-        if pivots[0] > 16 * np.finfo(float).eps:
-            pivots = self._probe()
-        return pivots
+        if self._levels and not self._levels[-1].P.count_nonzero():
+            self._coarsest = np.zeros((0, 0))  # no unknown depends on another: nothing is coarse
+        elif not (diagonals[-1] > 0).all():
+            return diagonals[-1]
+        else:
+            root = np.sqrt(diagonals[-1])
+            pivots = np.linalg.eigvalsh(self._coarsest / np.outer(root, root))
+            if not pivots[0] > 16 * np.finfo(float).eps:
+                return pivots
+        return self._probe()
 
     def _probe(self) -> np.ndarray:
         """Eigenvalues of V M from a solve: its coefficients are those of a Lanczos iteration."""
@@ -207,8 +221,8 @@ class Multigrid(Factor):
     def _size(self, r: np.ndarray) -> float:
         return math.sqrt(max(r @ self._cycle(r), 0.0))
 
-    def reduce(self, r: np.ndarray, cycle: Cycle, reduction: float) -> tuple[np.ndarray, int]:
-        """dz with M_FF dz_F = r_F, 0 where `cycle` holds unknowns, and the number of cycles.
+    def correct(self, r: np.ndarray, cycle: Cycle, reduction: float) -> tuple[np.ndarray, int]:
+        """dz with M_FF dz_F = r_F, 0 where `cycle` holds unknowns, and the number of steps.
 
         The residual shrinks by the factor `reduction` in the norm of the cycle.
         """
@@ -244,13 +258,13 @@ class MultigridProgram:
     """
 
     def __init__(
-        self, M: Multigrid, contact: np.ndarray, tol: float = 1e-10, max_iter: int = 50
+        self, M: Multigrid, contact: np.ndarray, tol: float = 1e-10, max_iter: int = 300
     ) -> None:
         self.M, self.contact, self.tol, self.max_iter = M, contact, tol, max_iter
-        self._columns = sp.csc_array(M.M)[:, contact]
-        self._z = np.zeros(M.dim)
-        self._state = np.zeros(contact.size, dtype=bool)
-        self._cycle = M.cycle(contact[:0])
+        self._columns = M.M[contact].T
+        self._last = self._before = np.zeros(M.dim)
+        self._side = np.zeros(contact.size)  # signs of the slipping contacts, 0 where stuck
+        self._cycle = M.cycle(contact)
 
     def __call__(self, q: np.ndarray, selection: Selection) -> Step:
         """Solve the program.
@@ -269,74 +283,84 @@ class MultigridProgram:
         M, contact, part = self.M, self.contact, selection.part
         force = q if selection.shift is None else q - selection.shift
         if _at_rest(q, selection, force):
-            self._z = np.zeros(M.dim)
-            return Step(Velocity(self._z, 0.0, 0.0), 0, 0)
+            self._last = self._before = np.zeros(M.dim)
+            return Step(Velocity(np.zeros(M.dim), 0.0, 0.0), 0, 0)
         T = part.steps(M.diagonal[contact])
         size_q = M.dual_norm_floor(force)
-        best = Velocity(self._z, math.inf, math.inf)
-        z, stalled, cycles = self._z, 0, 0
-        reversing = np.zeros(contact.size, dtype=bool)
+        z, best = 2 * self._last - self._before, Velocity(self._last, math.inf, math.inf)
+        fewest, stalled, cycles, tight = contact.size + 1, 0, 0, False
+        forces = np.zeros(contact.size)
         for iteration in range(self.max_iter + 1):
             w = M.M @ z + force
             v = w[contact] - T * z[contact]
-            target = part.project(v)
-            velocity = self._certify(w - force, z, force, target, part.normal(v) / T, size_q)
-            stalled += velocity.certificate >= best.certificate
-            if velocity.certificate < best.certificate:
-                best = velocity
-            if best.relative <= self.tol or stalled == PATIENCE or iteration == self.max_iter:
-                break
-            w[contact] -= target
-            # what stopped is held until the others have come to rest with it: its force is not
-            # known before
-            stuck = self._state | reversing if reversing.any() else _stuck(part, v)
-            z, reversing, count = self._step(z, w, stuck, self.tol / velocity.relative)
-            cycles += count
-        self._z = best.z
+            normal, target = part.normal(v), part.project(v)
+            side = self._next_side(part, v, normal, z[contact])
+            changes = np.flatnonzero(side != self._side)
+            reduction = max(LOOSE ** (1 + stalled), LEAST)
+            if not changes.size or iteration == self.max_iter:
+                velocity = self._certify(z, w, force, normal / T, target, size_q)
+                stagnates = tight and velocity.certificate >= best.certificate
+                best = min(best, velocity, key=lambda one: one.certificate)
+                if best.relative <= self.tol or stagnates or iteration == self.max_iter:
+                    break
+                reduction = min(0.3 * self.tol / velocity.relative, 0.3)
+            elif changes.size < fewest:
+                fewest, stalled = changes.size, 0
+            else:
+                stalled += 1
+                if stalled > PATIENCE:
+                    changes = changes[-1:]
+            tight = not changes.size
+            if not tight:
+                self._side[changes] = side[changes]
+                self._cycle = M.cycle(contact[self._side == 0])
+            # one that is to stop but has to wait keeps its force
+            forces = np.where((side == self._side) | (self._side == 0), target, forces)
+            w[contact] -= forces
+            dz, count = self._newton(z, w, reduction)
+            z, cycles = z + dz, cycles + count
+        self._before, self._last = self._last, best.z
         return Step(best, iteration, cycles)
+
+    def _next_side(
+        self, part: ConvexSet, v: np.ndarray, normal: np.ndarray, z: np.ndarray
+    ) -> np.ndarray:
+        """The sign of z at the contacts that slip next: none that reverses, it stops first."""
+        D = part.derivative(v)
+        if D is None or D.ndim != 1:
+            raise SolverRefusedError(
+                "multigrid treats sets that act on each unknown alone, such as a Box; this is a "
+                f"{type(part).__name__}"
+            )
+        return np.where((D == 1) | (z * self._side < 0), 0.0, -np.sign(normal))
+
+    def _newton(self, z: np.ndarray, rho: np.ndarray, reduction: float) -> tuple[np.ndarray, int]:
+        """dz: stuck contacts get 0, all other unknowns solve M dz = -rho."""
+        held = np.where(self._side == 0, -z[self.contact], 0.0)
+        dz, count = self.M.correct(-rho - self._columns @ held, self._cycle, reduction)
+        dz[self.contact] += held
+        return dz, count
 
     def _certify(
         self,
-        image: np.ndarray,
         z: np.ndarray,
+        w: np.ndarray,
         force: np.ndarray,
+        p: np.ndarray,
         target: np.ndarray,
-        normal: np.ndarray,
         size_q: float,
     ) -> Velocity:
-        """The velocity with -normal on the contact: there -z in N_S(target) exactly (Moreau).
+        """z with -p on the contact, where p in N_S(target) exactly (Moreau), and its proof.
 
-        What is left is rho = M z + q - w over all unknowns, and |z - z*|_M <= |rho|_{M^-1}.
+        What is left is rho = M z + q - c - E^T target, and |z - z*|_M <= |rho|_{M^-1}.
         """
-        change = 0.0 - normal - z[self.contact]
+        entries = 0.0 - p
+        rho = w + self._columns @ (entries - z[self.contact])
         z = z.copy()
-        z[self.contact] = 0.0 - normal
-        image = image + self._columns @ change
-        rho = image + force
+        z[self.contact] = entries
+        size_z = math.sqrt(max(float(z @ (rho - force)), 0.0))
         rho[self.contact] -= target
-        size_z = math.sqrt(max(float(z @ image), 0.0))
         return rate(z, self.M.dual_norm_bound(rho), size_z, size_q)
-
-    def _step(
-        self, z: np.ndarray, missed: np.ndarray, stuck: np.ndarray, wanted: float
-    ) -> tuple[np.ndarray, np.ndarray, int]:
-        """A Newton step: stuck entries get 0, the others solve M dz = -missed; nothing reverses.
-
-        It is solved loosely where the contact state is new, for it may change again.
-        """
-        same = np.array_equal(stuck, self._state)
-        if not same:
-            self._state, self._cycle = stuck, self.M.cycle(self.contact[stuck])
-        held = np.where(stuck, -z[self.contact], 0.0)
-        right = -missed - self._columns @ held
-        reduction = min(0.3 * wanted, 0.3)
-        dz, count = self.M.reduce(right, self._cycle, reduction if same else max(reduction, LOOSE))
-        dz[self.contact] += held
-        following = z + dz
-        entries = following[self.contact]
-        reversing = entries * z[self.contact] < 0
-        following[self.contact[reversing]] = 0.0
-        return following, reversing, count
 
 
 def _at_rest(q: np.ndarray, selection: Selection, force: np.ndarray) -> bool:
@@ -345,17 +369,6 @@ def _at_rest(q: np.ndarray, selection: Selection, force: np.ndarray) -> bool:
     missed[selection.unknowns] = selection.part.normal(force[selection.unknowns])
     scale = np.abs(q) if selection.shift is None else np.abs(q) + np.abs(selection.shift)
     return bool((np.abs(missed) <= ROUNDING * scale).all())
-
-
-def _stuck(part: ConvexSet, v: np.ndarray) -> np.ndarray:
-    """Where the projection is the identity near v: entries of z that are 0."""
-    D = part.derivative(v)
-    if D is None or D.ndim != 1:
-        raise SolverRefusedError(
-            f"multigrid treats sets that act on each unknown alone, such as a Box; this is a "
-            f"{type(part).__name__}"
-        )
-    return D == 1
 
 
 def _conjugate_gradients(
@@ -391,10 +404,9 @@ def _others(few: np.ndarray, count: int) -> np.ndarray:
     return np.flatnonzero(keep)
 
 
-def _pyamg() -> ModuleType:
+def _pyamg() -> Any:
     try:
         import pyamg
     except ImportError as error:
-        raise MissingExtraError("pyamg", "large") from error
-    module: Any = pyamg
-    return module
+        raise MissingExtraError("pyamg", "speed") from error
+    return pyamg

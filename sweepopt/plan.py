@@ -13,13 +13,20 @@ from sweepopt.checks import Matrix
 from sweepopt.errors import InputError, SolverRefusedError
 from sweepopt.linalg import Elimination, Factor
 from sweepopt.process import SweepingProcess
-from sweepopt.program import Velocity, VelocityProgram, closed_form, has_closed_form, rate
+from sweepopt.program import (
+    POLISHED,
+    Velocity,
+    VelocityProgram,
+    closed_form,
+    has_closed_form,
+    rate,
+)
 from sweepopt.reduction import Reduction, reduce
 from sweepopt.schemes import Scheme
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.base import Selection, same_array
-from sweepopt.solvers import Solve, Solver, choose
-from sweepopt.solvers.polish import polisher
+from sweepopt.solvers import Answer, Solve, Solver, choose
+from sweepopt.solvers.polish import Polish, polisher
 
 PATHS = {
     "auto": "the first that applies",
@@ -27,7 +34,6 @@ PATHS = {
     "eliminated": "a program for the contact, two substitutions for the others",
     "full": "a program for all unknowns",
 }
-POLISHED = 1e-12  # relative certificates above this are polished
 SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
 
 
@@ -178,7 +184,7 @@ class Plan:
         formula = False
         rungs: list[Solver] = []
         compiled: dict[int, Solve] = {}
-        polished = cache(lambda: polisher(M, self.order))
+        judge = _judge(cache(lambda: polisher(M, self.order)))
 
         def solve(q: np.ndarray, C: ConvexSet) -> Solved:
             nonlocal program, formula, rungs
@@ -197,18 +203,14 @@ class Plan:
                 if attempt not in compiled:
                     compiled[attempt] = solver.compile(program)
                 answer = compiled[attempt](q, C)
-                velocity = program.certify(q, C, answer.z, answer.y)
-                found = Solved(velocity, solver.name, answer.iterations, attempt + 1)
                 if not C.certifiable:
                     # nothing to compare: the first answer that its solver calls solved stands
                     if answer.status in SOLVED:
-                        return found
+                        velocity = program.certify(q, C, answer.z, answer.y)
+                        return Solved(velocity, solver.name, answer.iterations, attempt + 1)
                     continue
-                if velocity.relative > POLISHED:
-                    z = polished()(q, C, velocity.z)
-                    better = velocity if z is None else program.certify(q, C, z, answer.y)
-                    if better.relative < velocity.relative:
-                        found = replace(found, velocity=better)
+                velocity = judge(program, q, C, answer)
+                found = Solved(velocity, solver.name, answer.iterations, attempt + 1)
                 if found.velocity.relative < best.velocity.relative:
                     best = found
                 if best.velocity.relative <= self.tol:
@@ -232,6 +234,28 @@ class Plan:
         ]
         lines += [f"left out            {what}" for what in self.left_out]
         return "\n".join(lines)
+
+
+def _judge(
+    polish: Callable[[], Polish],
+) -> Callable[[VelocityProgram, np.ndarray, ConvexSet, Answer], Velocity]:
+    """Certify an answer, polished if that is better; who needed it last is polished at once."""
+    needed = False
+
+    def judge(program: VelocityProgram, q: np.ndarray, C: ConvexSet, answer: Answer) -> Velocity:
+        nonlocal needed
+        raw = None if needed else program.certify(q, C, answer.z, answer.y)
+        if raw is not None and raw.relative <= POLISHED:
+            return raw
+        z = polish()(q, C, answer.z)
+        better = None if z is None else program.certify(q, C, z, answer.y)
+        needed = better is not None and better.relative <= POLISHED
+        if better is not None and needed:
+            return better
+        raw = raw or program.certify(q, C, answer.z, answer.y)
+        return raw if better is None or raw.relative <= better.relative else better
+
+    return judge
 
 
 def make_plan(

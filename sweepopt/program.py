@@ -22,6 +22,7 @@ from sweepopt.sets.base import ROUNDING
 if TYPE_CHECKING:
     import cvxpy as cp
 
+POLISHED = 1e-12  # relative certificates above this are worth a polish
 EPS = float(np.finfo(float).eps)
 
 
@@ -35,7 +36,8 @@ class Velocity(NamedTuple):
     certificate : float
         >= |z - z*|_M up to rounding, from M, q and C alone; nan if the set has no proof.
     relative : float
-        certificate / max(|z|_M, |M^-1 q|_M), q the full linear term; what `tol` bounds.
+        certificate / max(|z|_M, |M^-1 q|_M), q the full linear term; what `tol` bounds. Where it
+        is below POLISHED it may be certificate / |z|_M, which is larger.
     """
 
     z: np.ndarray
@@ -157,9 +159,13 @@ class VelocityProgram:
         if witness is None:
             return Velocity(z, float("nan"), float("nan"))
         z = 0.0 - witness.p
-        rho = M.M @ z + q - witness.w
-        certificate = float(np.sqrt(2 * witness.gap + M.dual_norm(rho) ** 2))
-        return rate(z, certificate, M.norm(z), M.dual_norm(q - C.anchor))
+        force = M.M @ z
+        rho = force + q - witness.w
+        certificate = math.sqrt(2 * witness.gap + M.dual_norm(rho) ** 2)
+        size_z = math.sqrt(max(z @ force, 0.0))
+        # |M^-1 q|_M costs a solve: only where |z|_M alone does not show that nothing is to be done
+        size_q = 0.0 if certificate <= POLISHED * size_z else M.dual_norm(q - C.anchor)
+        return rate(z, certificate, size_z, size_q)
 
     def at_rest(self, q: np.ndarray, C: ConvexSet) -> Velocity | None:
         """z = 0 exactly, if q is in C: nothing moves.

@@ -144,7 +144,7 @@ def test_slow_contestants_are_left_out_of_large_cases() -> None:
 def test_rounds_alternate_and_only_chosen_paths_run() -> None:
     told: list[str] = []
     only = ["frictionless", "eliminated"]
-    found = bench([4], steps=2, rounds=2, only=only, tiny=False, progress=told.append)
+    found = bench([4], steps=3, rounds=2, only=only, tiny=False, progress=told.append)
     assert [line.split(": ")[1:] for line in told] == [
         ["reference"],
         ["round 1 of 2", "eliminated"],
@@ -161,7 +161,7 @@ def test_rounds_alternate_and_only_chosen_paths_run() -> None:
     ("arguments", "words"),
     [
         ({"only": ["magic"]}, "only: there is no path 'magic'; there are: proportional, elim"),
-        ({"steps": 1}, "steps must be at least 2"),
+        ({"steps": 2}, "steps must be at least 3"),
         ({"rounds": 0}, "rounds must be a positive whole number"),
         ({"cells": [0]}, "cells must be a positive whole number"),
     ],

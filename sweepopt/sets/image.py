@@ -50,6 +50,9 @@ class Image(ConvexSet):
         if columns != part.dim:
             raise InputError(f"image(M, C): M has {columns} columns but C has dim {part.dim}")
         self._selected = _selected(self.M)
+        # made once: a transpose costs a sparse matrix each time
+        self._transposed = self.M.T.tocsr() if sp.issparse(self.M) else self.M.T
+        self._squares = self._transposed * self._transposed
         gram = self.M.T @ self.M
         gram = gram.toarray() if sp.issparse(gram) and columns <= 2000 else gram
         self._diagonal = gram.diagonal()
@@ -89,13 +92,28 @@ class Image(ConvexSet):
         """The s of least norm with M s nearest to w."""
         if self._pinv is not None:
             return self._pinv @ w
+        if self._selected is not None:
+            return w[self._selected]
         safe = np.where(self._diagonal > 0, self._diagonal, 1.0)
-        return (self.M.T @ w) / safe
+        return (self._transposed @ w) / safe
+
+    def _push(self, s: np.ndarray) -> np.ndarray:
+        """M s."""
+        if self._selected is None:
+            return self.M @ s
+        w = np.zeros(self.dim)
+        w[self._selected] = s
+        return w
+
+    def _pull(self, z: np.ndarray) -> np.ndarray:
+        """M^T z."""
+        return self._transposed @ z if self._selected is None else z[self._selected]
 
     def _pulled_back(self, z: np.ndarray) -> np.ndarray:
         """M^T z; an entry that is nothing but rounding is 0, so that it meets sigma's domain."""
-        inner = self.M.T @ z
-        inner[np.abs(inner) <= 2 * ROUNDING * (abs(self.M).T @ np.abs(z))] = 0.0
+        inner = self._pull(z)
+        if self._selected is None:
+            inner[np.abs(inner) <= 2 * ROUNDING * (abs(self._transposed) @ np.abs(z))] = 0.0
         return inner
 
     def support(self, z: np.ndarray) -> float:
@@ -106,7 +124,7 @@ class Image(ConvexSet):
         if self._dual is not None:
             return w - self._dual.project(w)
         s = self._nearest(w)
-        return project_by_program(self, w) if s is None else self.M @ s
+        return project_by_program(self, w) if s is None else self._push(s)
 
     def normal(self, v: np.ndarray) -> np.ndarray:
         p = v - self.project(v) if self._dual is None else self._dual.project(v)
@@ -123,9 +141,9 @@ class Image(ConvexSet):
         """The vector nearest to p with M^T p = inner, for an injective M."""
         size = np.abs(p).max()
         for _ in range(2):
-            change = inner - self.M.T @ p
+            change = inner - self._pull(p)
             p = p + (
-                self.M @ (change / self._diagonal) if self._pinv is None else self._pinv.T @ change
+                self._push(change / self._diagonal) if self._pinv is None else self._pinv.T @ change
             )
         return p if np.abs(p).max() > ROUNDING * size else np.zeros(self.dim)
 
@@ -194,11 +212,11 @@ class Image(ConvexSet):
             return None
         if not self.injective:
             return self._witness_of_nearest(w + float(np.mean(tau)) * p, float(np.mean(tau)))
-        inner = self.M.T @ p
-        weights = ((self.M * self.M).T @ tau) / self._diagonal**2  # tau in the units of s
+        inner = self._pull(p)
+        weights = (self._squares @ tau) / self._diagonal**2  # tau in the units of s
         found = self.part.witness(inner, self._solve(w), weights, y)
         assert found is not None  # the part is certifiable
-        return Witness(self._lifted(p, found.p), self.M @ found.w, found.gap)
+        return Witness(self._lifted(p, found.p), self._push(found.w), found.gap)
 
     def _witness_of_nearest(self, v: np.ndarray, step: float) -> Witness:
         """The normal pair of the projection of v."""

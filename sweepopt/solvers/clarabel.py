@@ -64,7 +64,7 @@ class Clarabel:
         settings.max_iter = self.max_iter
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = self.tol
         settings.presolve_enable = False  # updates need the problem as it was set up
-        n = program.M.dim
+        n, transposed = program.M.dim, canonical.map.T.tocsr()
         engine: Any = None
 
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:
@@ -82,7 +82,7 @@ class Clarabel:
             x = np.array(solution.x) * (force / program.stiffness)
             if not np.isfinite(x).all():
                 engine, x = None, np.zeros_like(x)
-            answer = canonical.map.T @ x
+            answer = transposed @ x
             return Answer(answer[:n], answer[n:], solution.iterations, str(solution.status))
 
         return solve

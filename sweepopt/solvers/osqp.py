@@ -65,7 +65,7 @@ class OSQP:
         equal, below = equations.shape[0], inequalities.shape[0]
         lower = np.concatenate([np.zeros(equal), np.full(below, -np.inf)])
         upper = np.zeros(equal + below)
-        n = program.M.dim
+        n, transposed = program.M.dim, canonical.map.T.tocsr()
         engine: Any = None
 
         def build(linear: np.ndarray) -> Any:
@@ -93,7 +93,7 @@ class OSQP:
             if not np.isfinite(x).all() or result.info.status_val not in (1, 2):
                 engine = None  # a workspace that failed once is not used again
                 x = np.nan_to_num(x, nan=0.0, posinf=0.0, neginf=0.0)
-            answer = canonical.map.T @ (x * (force / program.stiffness))
+            answer = transposed @ (x * (force / program.stiffness))
             return Answer(answer[:n], answer[n:], result.info.iter, result.info.status)
 
         return solve

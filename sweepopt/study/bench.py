@@ -40,7 +40,7 @@ def bench(
         Cells a side: 32, 100, 316, 1000 give 1,056, 10,100, 100,172 and 1,001,000 unknowns. Slow
         contestants leave out the large ones (`limit` in their table).
     steps : int
-        At least 2, the same for everyone.
+        At least 3, the same for everyone.
     rounds : int
         Each round runs every contestant once, set-up included.
     only : sequence of str, optional
@@ -63,8 +63,8 @@ def bench(
         If `only` names a path that is not there, or a number is out of range.
     """
     steps, rounds = count("steps", steps), count("rounds", rounds)
-    if steps < 2:
-        raise InputError("steps must be at least 2: the first one belongs to the set-up")
+    if steps < 3:
+        raise InputError("steps must be at least 3: two of them belong to the set-up")
     sizes = [count("cells", size) for size in cells]
     known = [contestant.path for contestant in (*CONTESTANTS, *TINY)]
     for path in only or ():

@@ -25,11 +25,12 @@ class Row(NamedTuple):
     unknowns, contact, steps, rounds : int
     path : str
     ms : float
-        Milliseconds a step: the mean over a run without its first step, the median over rounds.
+        Milliseconds a step: the mean over a run without the first and the slowest step, which hold
+        the set-up; the median over rounds.
     spread : float
         (largest - smallest) / median over the rounds.
     setup : float
-        Seconds before the second step.
+        Seconds of the run that are not steps.
     recover : float
         Milliseconds a step for reading all of u after the run.
     peak : float
