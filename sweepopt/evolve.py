@@ -70,10 +70,12 @@ def solve(
     tol : float
         Each program's certificate is at most tol * max(|z|_M, |M^-1 q|_M); a step that misses it
         is tried with tighter settings, then with another solver, then handled as on_failure says.
-    path : {"auto", "proportional", "eliminated", "full"}
+    path : {"auto", "proportional", "eliminated", "full", "multigrid"}
         Which unknowns enter a step: with "full" all of them; with "eliminated" the few that C(t)
         acts on enter a program and the others two substitutions; with "proportional" (B = rho A
-        and a Separable load) the others enter no step at all. "auto" takes the first that applies.
+        and a Separable load) the others enter no step at all. "multigrid" iterates on all of them
+        and factorises nothing. "auto" takes multigrid where factors would not fit in memory, and
+        else proportional, eliminated or full, the first that applies.
     save : None, "last", int, array_like, callable, str or Path
         What is kept: all steps, the last one, every k-th, those that end at the given times of the
         grid, what a function of (t, u, z) returns for each step (in `Solution.recorded`), or all

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -12,7 +13,7 @@ import scipy.sparse.linalg as spla
 from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
 from sweepopt.checks import Matrix
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, SolverRefusedError
 
 SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 SMALL = 50  # below this dense eigenvalues are cheaper than Lanczos
@@ -55,6 +56,11 @@ class Factor:
             pivots = self._factorise_sparse() if sp.issparse(M) else self._factorise_dense()
         except (scipy.linalg.LinAlgError, RuntimeError):
             pivots = np.zeros(1)
+        except MemoryError as error:
+            raise SolverRefusedError(
+                f"the factors of {name}, {self.dim} unknowns, do not fit in memory; take fewer, or "
+                "path='multigrid' (the extra \"speed\")"
+            ) from error
         # relative to the diagonal: the test does not depend on units
         if not pivots.min() > 16 * np.finfo(float).eps:
             raise InputError(f"{name} must be positive definite; it has an eigenvalue <= 0")
@@ -214,8 +220,11 @@ def largest_eigenvalue(M: Matrix) -> float:
     return float(spla.eigsh(M, k=1, which="LA", v0=start, return_eigenvectors=False)[0])
 
 
-def is_semidefinite(M: Matrix) -> bool:
-    """Whether a symmetric matrix is positive semidefinite up to rounding, in its own units."""
+def is_semidefinite(M: Matrix, factorise: Callable[[Matrix], Any] = Factor) -> bool:
+    """Whether a symmetric matrix is positive semidefinite up to rounding, in its own units.
+
+    `factorise` raises InputError if its argument is not positive definite.
+    """
     diagonal = np.asarray(M.diagonal(), dtype=float)
     if (diagonal < 0).any():
         return False
@@ -229,7 +238,7 @@ def is_semidefinite(M: Matrix) -> bool:
     shift = np.where(empty, 1.0, 1e-10 * diagonal)
     shifted = M + (sp.diags_array(shift, format="csc") if sp.issparse(M) else np.diag(shift))
     try:
-        Factor(shifted)
+        factorise(shifted)
     except InputError:
         return False
     return True

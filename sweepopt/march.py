@@ -12,10 +12,11 @@ import numpy as np
 
 from sweepopt.checks import Matrix, is_finite
 from sweepopt.errors import Status
-from sweepopt.plan import Plan, Solved, VelocityOf
+from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.schemes import Scheme
 from sweepopt.solution import STATS
+from sweepopt.velocity import Solved, VelocityOf
 
 
 def march(

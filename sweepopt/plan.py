@@ -2,52 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
 from sweepopt.errors import InputError, SolverRefusedError
 from sweepopt.linalg import Elimination, Factor
+from sweepopt.multigrid import Multigrid
 from sweepopt.process import SweepingProcess
-from sweepopt.program import (
-    POLISHED,
-    Velocity,
-    VelocityProgram,
-    closed_form,
-    has_closed_form,
-    rate,
-)
+from sweepopt.program import POLISHED
 from sweepopt.reduction import Reduction, reduce
 from sweepopt.schemes import Scheme
 from sweepopt.sets import ConvexSet
-from sweepopt.sets.base import Selection, same_array
-from sweepopt.solvers import Answer, Solve, Solver, choose
-from sweepopt.solvers.polish import Polish, polisher
+from sweepopt.sets.base import same_array
+from sweepopt.solvers import Solver, choose
+from sweepopt.velocity import (
+    SelectedVelocity,
+    Solved,
+    VelocityOf,
+    eliminated,
+    iterated,
+    linear,
+    programmed,
+)
 
 PATHS = {
     "auto": "the first that applies",
     "proportional": "the contact alone, the other unknowns are recovered when asked for",
+    "multigrid": "all unknowns, for bodies whose factors do not fit in memory",
     "eliminated": "a program for the contact, two substitutions for the others",
     "full": "a program for all unknowns",
 }
-SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
-
-
-@dataclass(frozen=True)
-class Solved:
-    """A velocity, who found it and what was tried before."""
-
-    velocity: Velocity
-    solver: str
-    iterations: int
-    attempts: int
-
-
-VelocityOf = Callable[[np.ndarray, ConvexSet], Solved]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +65,8 @@ class Plan:
         The process of the contact alone, if the material and the load are proportional.
     order : ndarray of int or None
         An order of the unknowns with little fill, for elimination.
+    multigrid : bool
+        Whether matrices get a multigrid hierarchy instead of a factorisation.
     """
 
     unknowns: int
@@ -87,12 +79,15 @@ class Plan:
     contact: np.ndarray | None = None
     reduction: Reduction | None = None
     order: np.ndarray | None = None
+    multigrid: bool = False
 
     @property
     def path(self) -> str:
         """Which unknowns enter a step."""
         if self.reduction is not None:
             return "proportional"
+        if self.multigrid:
+            return "multigrid"
         if not self.solvers:
             return "linear"
         return "full" if self.contact is None else "eliminated"
@@ -117,7 +112,7 @@ class Plan:
     @property
     def eliminated(self) -> int:
         """How many unknowns leave the program before it is solved."""
-        return 0 if self.contact is None else self.unknowns - len(self.contact)
+        return 0 if self.contact is None or self.multigrid else self.unknowns - len(self.contact)
 
     def velocity(self, M: Matrix) -> VelocityOf:
         """Compile (q, C) -> certified velocity for one matrix; not to be shared by threads.
@@ -126,98 +121,27 @@ class Plan:
         a small program, any other set the full one. What a C needs is compiled when it comes.
         """
         contact = np.zeros(0, dtype=int) if self.contact is None else self.contact
-        linear = cache(lambda: self._linear(Factor(M)))
-        program = cache(lambda: self._program(Factor(M)))
-        eliminated = cache(lambda: self._eliminated(Elimination(M, contact, self.order)))
+        program = cache(lambda: programmed(Factor(M), self.solver, self.tol, self.order))
+        if self.multigrid:
+            hierarchy = cache(lambda: Multigrid(M))
+            point = cache(lambda: linear(hierarchy()))
+            selected = cache(lambda: iterated(hierarchy(), contact, self.tol))
+        else:
+            point = cache(lambda: linear(Factor(M)))
+            selected = cache(lambda: self._eliminated(Elimination(M, contact, self.order)))
 
         def solve(q: np.ndarray, C: ConvexSet) -> Solved:
             if C.singleton:
-                return linear()(q, C)
+                return point()(q, C)
             selection = C.selection if contact.size else None
             if selection is None or not same_array(selection.unknowns, contact):
                 return program()(q, C)
-            return eliminated()(q, selection)
+            return selected()(q, selection)
 
         return solve
 
-    def _linear(self, M: Factor) -> VelocityOf:
-        """C is a point c: M z = c - q."""
-
-        def solve(q: np.ndarray, C: ConvexSet) -> Solved:
-            force = C.anchor - q
-            z = M.solve(force)
-            size = float(np.sqrt(abs(force @ z)))  # both |z|_M and |M^-1 q|_M
-            velocity = rate(z, M.dual_norm_bound(M.M @ z - force), size, size)
-            return Solved(velocity, "linear", 0, 1)
-
-        return solve
-
-    def _eliminated(self, M: Elimination) -> Callable[[np.ndarray, Selection], Solved]:
-        """C = c + E^T S: the velocity of the unknowns zeta = E z solves a small program.
-
-        N = (E M^-1 E^T)^-1, linear term N E M^-1 (q - c), set S (MATH.md section 5). From zeta the
-        force w = N (zeta + E M^-1 (q - c)) gives z = M^-1 (c - q + E^T w), whose E z is zeta: z
-        misses the inclusion by what zeta misses it, in the same norm, plus rounding.
-        """
-        small = self._program(Factor(M.N))
-
-        def solve(q: np.ndarray, selection: Selection) -> Solved:
-            force = -q if selection.shift is None else selection.shift - q
-            forward, pull = M.reduce(force)
-            size_q = float(np.linalg.norm(forward))
-            solved = small(-pull, selection.part)
-            zeta = solved.velocity.z
-            total = M.N @ zeta
-            z = M.recover(forward, total)
-            z[M.unknowns] = zeta  # to the last bit: stuck is 0.0
-            force[M.unknowns] += total - pull
-            rounding = M.dual_norm_bound(M.M @ z - force)
-            size_z = float(np.sqrt(abs(force @ z)))
-            certificate = solved.velocity.certificate + rounding
-            return replace(solved, velocity=rate(z, certificate, size_z, size_q))
-
-        return solve
-
-    def _program(self, M: Factor) -> VelocityOf:
-        """One cone at a time: its formula if there is one, else its compiled ladder of solvers."""
-        program: VelocityProgram | None = None
-        formula = False
-        rungs: list[Solver] = []
-        compiled: dict[int, Solve] = {}
-        judge = _judge(cache(lambda: polisher(M, self.order)))
-
-        def solve(q: np.ndarray, C: ConvexSet) -> Solved:
-            nonlocal program, formula, rungs
-            if program is None or not program.cone.same_cone(C):
-                program = VelocityProgram(M, C)
-                formula = self.solver == "auto" and has_closed_form(M, C)
-                rungs = ladder(choose(self.solver, C))
-                compiled.clear()
-            if formula:
-                return Solved(closed_form(M, q, C), "closed form", 0, 0)
-            rest = program.at_rest(q, C)
-            if rest is not None:
-                return Solved(rest, "at rest", 0, 0)
-            best = Solved(Velocity(np.zeros_like(q), np.inf, np.inf), "none", 0, 0)
-            for attempt, solver in enumerate(rungs):
-                if attempt not in compiled:
-                    compiled[attempt] = solver.compile(program)
-                answer = compiled[attempt](q, C)
-                if not C.certifiable:
-                    # nothing to compare: the first answer that its solver calls solved stands
-                    if answer.status in SOLVED:
-                        velocity = program.certify(q, C, answer.z, answer.y)
-                        return Solved(velocity, solver.name, answer.iterations, attempt + 1)
-                    continue
-                velocity = judge(program, q, C, answer)
-                found = Solved(velocity, solver.name, answer.iterations, attempt + 1)
-                if found.velocity.relative < best.velocity.relative:
-                    best = found
-                if best.velocity.relative <= self.tol:
-                    break
-            return replace(best, attempts=attempt + 1)
-
-        return solve
+    def _eliminated(self, M: Elimination) -> SelectedVelocity:
+        return eliminated(M, programmed(Factor(M.N), self.solver, self.tol, None))
 
     def __str__(self) -> str:
         solver = self.solvers[0].name if self.solvers else "linear solves, no optimiser"
@@ -234,28 +158,6 @@ class Plan:
         ]
         lines += [f"left out            {what}" for what in self.left_out]
         return "\n".join(lines)
-
-
-def _judge(
-    polish: Callable[[], Polish],
-) -> Callable[[VelocityProgram, np.ndarray, ConvexSet, Answer], Velocity]:
-    """Certify an answer, polished if that is better; who needed it last is polished at once."""
-    needed = False
-
-    def judge(program: VelocityProgram, q: np.ndarray, C: ConvexSet, answer: Answer) -> Velocity:
-        nonlocal needed
-        raw = None if needed else program.certify(q, C, answer.z, answer.y)
-        if raw is not None and raw.relative <= POLISHED:
-            return raw
-        z = polish()(q, C, answer.z)
-        better = None if z is None else program.certify(q, C, z, answer.y)
-        needed = better is not None and better.relative <= POLISHED
-        if better is not None and needed:
-            return better
-        raw = raw or program.certify(q, C, answer.z, answer.y)
-        return raw if better is None or raw.relative <= better.relative else better
-
-    return judge
 
 
 def make_plan(
@@ -308,8 +210,11 @@ def make_plan(
             f"path={path!r} needs a C(t) that acts on the same few unknowns at all times: write it "
             "as so.image(E^T, S) with E selecting them"
         )
+    multigrid = path == "multigrid" or (path == "auto" and isinstance(process.metric, Multigrid))
+    if path == "multigrid":
+        _require_multigrid(process, members, contact)
     reduced: Reduction | str = "the unknowns shall be kept"
-    if path in ("auto", "proportional") and contact is not None:
+    if path in ("auto", "proportional") and contact is not None and not multigrid:
         reduced = reduce(process)
     if path == "proportional" and isinstance(reduced, str):
         raise InputError(f"path='proportional' does not apply: {reduced}")
@@ -323,16 +228,23 @@ def make_plan(
         left_out=tuple(left_out),
         contact=contact,
         order=process.metric.order,
+        multigrid=multigrid,
         reduction=None if isinstance(reduced, str) else reduced,
     )
 
 
-def ladder(solvers: Sequence[Solver]) -> list[Solver]:
-    """The first solver, its refinements, then the other solvers and theirs."""
-    rungs: list[Solver] = []
-    for solver in solvers:
-        rung: Solver | None = solver
-        while rung is not None:
-            rungs.append(rung)
-            rung = rung.refined()
-    return rungs
+def _require_multigrid(
+    process: SweepingProcess,
+    members: Sequence[tuple[float, ConvexSet]],
+    contact: np.ndarray | None,
+) -> None:
+    """Refuse what the multigrid path does not treat."""
+    if not sp.issparse(process.A):
+        raise InputError("path='multigrid' needs A as a sparse matrix")
+    parts = [C.selection.part for _, C in members if C.selection is not None and not C.singleton]
+    derivatives = [part.derivative(part.anchor) for part in parts]
+    separable = all(D is not None and D.ndim == 1 for D in derivatives)
+    if not all(C.singleton for _, C in members) and (contact is None or not separable):
+        raise InputError(
+            "path='multigrid' needs a C(t) that acts on few unknowns, each alone: an image of a Box"
+        )

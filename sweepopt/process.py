@@ -18,7 +18,8 @@ import numpy as np
 
 from sweepopt.checks import Matrix, symmetric, vector
 from sweepopt.errors import InitialStateWarning, InputError, VariationWarning
-from sweepopt.linalg import Factor, is_semidefinite, largest_eigenvalue
+from sweepopt.linalg import is_semidefinite, largest_eigenvalue
+from sweepopt.multigrid import factorise
 from sweepopt.sets import AnySet, ConvexSet, Moving, MovingSet, Point
 
 
@@ -71,13 +72,13 @@ class SweepingProcess:
         self.u0 = vector("u0", u0, self.dim)
         if self.B is not None and abs(self.B).max() == 0:
             self.B = None
-        if self.B is not None and not is_semidefinite(self.B):
+        if self.B is not None and not is_semidefinite(self.B, factorise):
             raise InputError("B must be positive semidefinite; it has a negative eigenvalue")
         self.rate_independent = bool(abs(self.A).max() == 0)
         if self.rate_independent and self.B is None:
             raise InputError("A and B are both zero: nothing determines the velocity")
         # MATH.md: A = 0 lets B take A's place in every norm
-        self.metric = Factor(self._metric_matrix, "B" if self.rate_independent else "A")
+        self.metric = factorise(self._metric_matrix, "B" if self.rate_independent else "A")
 
     @property
     def _metric_matrix(self) -> Matrix:

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from sweepopt.errors import InputError, Status, SweepoptError
-from sweepopt.plan import Plan, VelocityOf
+from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.states import States
+from sweepopt.velocity import VelocityOf
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

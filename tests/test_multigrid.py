@@ -15,9 +15,11 @@ import skfem
 import sweepopt as so
 from sweepopt.fem import Elasticity, Friction, Scene, Traction, Viscosity, antiplane
 from sweepopt.linalg import Factor
-from sweepopt.multigrid import Multigrid, MultigridProgram, Step
-from sweepopt.plan import Solved, make_plan
+from sweepopt.multigrid import Multigrid
+from sweepopt.plan import make_plan
 from sweepopt.schemes import SCHEMES
+from sweepopt.solvers.multigrid import MultigridProgram, Step
+from sweepopt.velocity import Solved
 
 
 def patches(contrast: float):
@@ -302,3 +304,60 @@ def test_sets_that_couple_unknowns_are_refused() -> None:
     program = MultigridProgram(Multigrid(chain(60, 0.1)), selection.unknowns)
     with pytest.raises(so.SolverRefusedError, match="Balls"):
         program(np.ones(60), selection)
+
+
+# ---- the path of a plan -------------------------------------------------------------------------
+
+
+def refuse(*_: object, **__: object) -> None:
+    raise AssertionError("something was factorised")
+
+
+def test_the_path_moves_a_body_as_the_eliminated_one_does() -> None:
+    problem = scene(24).problem
+    this = problem.as_sweeping()
+    ours, theirs = (
+        so.solve(problem, t_end=4.0, steps=30, path=path) for path in ("multigrid", "eliminated")
+    )
+    assert ours.plan.path == "multigrid"
+    assert ours.plan.eliminated == 0
+    assert set(ours.stats["solver"]) <= {"multigrid", "at rest"}
+    assert ours.stats["relative"].max() <= 1e-9
+    size = max(map(this.metric.norm, theirs.u))
+    assert max(map(this.metric.norm, ours.u - theirs.u)) <= 1e-8 * size
+    assert np.array_equal(ours.velocity == 0.0, theirs.velocity == 0.0)
+
+
+def test_what_does_not_fit_is_never_factorised(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = scene(16).problem
+    dry = so.EvolutionVI(problem.A, problem.B, load=problem.load, u0=problem.u0)
+    expected = [so.solve(one, t_end=2.0, steps=10).u for one in (problem, dry)]
+    monkeypatch.setattr("sweepopt.multigrid._physical_memory", lambda: 1e5)
+    monkeypatch.setattr("sweepopt.linalg.spla.splu", refuse)
+    for one, u in zip((problem, dry), expected, strict=True):
+        process = one.as_sweeping()
+        assert isinstance(process.metric, Multigrid)
+        sol = so.solve(process, t_end=2.0, steps=10)
+        assert sol.plan.path == "multigrid"
+        assert sol.u == pytest.approx(u, abs=1e-8 * np.abs(u).max())
+        assert sol.viability(1.0) <= 0.1
+
+
+def test_sets_that_multigrid_does_not_treat_are_refused_before_the_run() -> None:
+    A, ball = chain(40, 0.1), so.image(np.eye(40)[:, [3, 5]], so.Ball([0, 0], 1.0))
+    for A_, C, words in (
+        (A, ball, "acts on few unknowns, each alone"),
+        (A, so.Box(-np.ones(40), np.ones(40)), "acts on few unknowns"),
+        (A.toarray(), so.Point(np.ones(40)), "sparse matrix"),
+    ):
+        with pytest.raises(so.InputError, match=words):
+            so.solve(so.SweepingProcess(A_, None, C, np.zeros(40)), t_end=1.0, path="multigrid")
+
+
+def test_factors_that_memory_refuses_name_the_way_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("sweepopt.linalg.spla.splu", full)
+    with pytest.raises(so.SolverRefusedError, match=r"do not fit in memory.*multigrid"):
+        Factor(chain(10, 0.0))

@@ -289,8 +289,12 @@ class Product(ConvexSet):
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         blocks = np.split(v, self._cuts)
         found = [part.derivative(x) for part, x in zip(self.parts, blocks, strict=True)]
-        known = [D if D.ndim == 2 else np.diag(D) for D in found if D is not None]
-        return scipy.linalg.block_diag(*known) if len(known) == len(found) else None
+        known = [D for D in found if D is not None]
+        if len(known) < len(found):
+            return None
+        if all(D.ndim == 1 for D in known):
+            return np.concatenate(known)
+        return scipy.linalg.block_diag(*(D if D.ndim == 2 else np.diag(D) for D in known))
 
     def features(self, p: cp.Expression) -> Features:
         y: list[Any] = []

@@ -113,6 +113,7 @@ CONTESTANTS = (
         floor="linear-by-hand",
     ),
     Contestant("linear-by-hand", loop(by_hand.linear_by_hand), 1e-12, friction=False),
+    Contestant("multigrid", library("multigrid"), 1e-7),
     Contestant("full-auto", library("full"), PROVED, PATIENT),
     Contestant(
         "full-clarabel", library("full", "clarabel"), PROVED, PATIENT, floor="clarabel-floor"

@@ -1,0 +1,179 @@
+"""From (q, C) to a certified velocity: the routes a plan chooses from.
+
+A point needs a linear solve, a set on few unknowns a program for these alone or multigrid on all,
+any other set the whole program.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from sweepopt.linalg import Elimination, Factor
+from sweepopt.multigrid import Multigrid
+from sweepopt.program import (
+    POLISHED,
+    Velocity,
+    VelocityProgram,
+    closed_form,
+    has_closed_form,
+    rate,
+)
+from sweepopt.sets import ConvexSet
+from sweepopt.sets.base import Selection
+from sweepopt.solvers import Answer, Solve, Solver, choose
+from sweepopt.solvers.multigrid import MultigridProgram
+from sweepopt.solvers.polish import Polish, polisher
+
+ACCURATE = 1e-9  # what multigrid iterates to, and above which rounding is looked at closely
+SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A velocity, who found it and what was tried before."""
+
+    velocity: Velocity
+    solver: str
+    iterations: int
+    attempts: int
+
+
+VelocityOf = Callable[[np.ndarray, ConvexSet], Solved]
+SelectedVelocity = Callable[[np.ndarray, Selection], Solved]
+
+
+def linear(M: Factor) -> VelocityOf:
+    """C is a point c: M z = c - q."""
+
+    def solve(q: np.ndarray, C: ConvexSet) -> Solved:
+        force = C.anchor - q
+        z = M.solve(force)
+        size = float(np.sqrt(abs(force @ z)))  # both |z|_M and |M^-1 q|_M
+        velocity = rate(z, _rounding(M, M.M @ z - force, size), size, size)
+        return Solved(velocity, "linear", 0, 1)
+
+    return solve
+
+
+def eliminated(M: Elimination, small: VelocityOf) -> SelectedVelocity:
+    """C = c + E^T S: the velocity of the unknowns zeta = E z solves a small program.
+
+    N = (E M^-1 E^T)^-1, linear term N E M^-1 (q - c), set S (MATH.md section 5). From zeta the
+    force w = N (zeta + E M^-1 (q - c)) gives z = M^-1 (c - q + E^T w), whose E z is zeta: z
+    misses the inclusion by what zeta misses it, in the same norm, plus rounding. `small` is the
+    velocity for the matrix N.
+    """
+
+    def solve(q: np.ndarray, selection: Selection) -> Solved:
+        force = -q if selection.shift is None else selection.shift - q
+        forward, pull = M.reduce(force)
+        size_q = float(np.linalg.norm(forward))
+        solved = small(-pull, selection.part)
+        zeta = solved.velocity.z
+        total = M.N @ zeta
+        z = M.recover(forward, total)
+        z[M.unknowns] = zeta  # to the last bit: stuck is 0.0
+        force[M.unknowns] += total - pull
+        size_z = float(np.sqrt(abs(force @ z)))
+        rounding = _rounding(M, M.M @ z - force, size_z)
+        certificate = solved.velocity.certificate + rounding
+        return replace(solved, velocity=rate(z, certificate, size_z, size_q))
+
+    return solve
+
+
+def iterated(M: Multigrid, contact: np.ndarray, tol: float) -> SelectedVelocity:
+    """All unknowns at once by multigrid: nothing is factorised."""
+    program = MultigridProgram(M, contact, min(ACCURATE, tol))
+
+    def solve(q: np.ndarray, selection: Selection) -> Solved:
+        step = program(q, selection)
+        return Solved(step.velocity, "multigrid" if step.iterations else "at rest", step.cycles, 1)
+
+    return solve
+
+
+def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> VelocityOf:
+    """One cone at a time: its formula if there is one, else its compiled ladder of solvers."""
+    program: VelocityProgram | None = None
+    formula = False
+    rungs: list[Solver] = []
+    compiled: dict[int, Solve] = {}
+    judge = _judge(cache(lambda: polisher(M, order)))
+
+    def solve(q: np.ndarray, C: ConvexSet) -> Solved:
+        nonlocal program, formula, rungs
+        if program is None or not program.cone.same_cone(C):
+            program = VelocityProgram(M, C)
+            formula = solver == "auto" and has_closed_form(M, C)
+            rungs = ladder(choose(solver, C))
+            compiled.clear()
+        if formula:
+            return Solved(closed_form(M, q, C), "closed form", 0, 0)
+        rest = program.at_rest(q, C)
+        if rest is not None:
+            return Solved(rest, "at rest", 0, 0)
+        best = Solved(Velocity(np.zeros_like(q), np.inf, np.inf), "none", 0, 0)
+        for attempt, rung in enumerate(rungs):
+            if attempt not in compiled:
+                compiled[attempt] = rung.compile(program)
+            answer = compiled[attempt](q, C)
+            if not C.certifiable:
+                # nothing to compare: the first answer that its solver calls solved stands
+                if answer.status in SOLVED:
+                    velocity = program.certify(q, C, answer.z, answer.y)
+                    return Solved(velocity, rung.name, answer.iterations, attempt + 1)
+                continue
+            velocity = judge(program, q, C, answer)
+            found = Solved(velocity, rung.name, answer.iterations, attempt + 1)
+            if found.velocity.relative < best.velocity.relative:
+                best = found
+            if best.velocity.relative <= tol:
+                break
+        return replace(best, attempts=attempt + 1)
+
+    return solve
+
+
+def _judge(
+    polish: Callable[[], Polish],
+) -> Callable[[VelocityProgram, np.ndarray, ConvexSet, Answer], Velocity]:
+    """Certify an answer, polished if that is better; who needed it last is polished at once."""
+    needed = False
+
+    def judge(program: VelocityProgram, q: np.ndarray, C: ConvexSet, answer: Answer) -> Velocity:
+        nonlocal needed
+        raw = None if needed else program.certify(q, C, answer.z, answer.y)
+        if raw is not None and raw.relative <= POLISHED:
+            return raw
+        z = polish()(q, C, answer.z)
+        better = None if z is None else program.certify(q, C, z, answer.y)
+        needed = better is not None and better.relative <= POLISHED
+        if better is not None and needed:
+            return better
+        raw = raw or program.certify(q, C, answer.z, answer.y)
+        return raw if better is None or raw.relative <= better.relative else better
+
+    return judge
+
+
+def _rounding(M: Factor, rho: np.ndarray, size: float) -> float:
+    """|rho|_{M^-1}: a bound that costs no solve, unless that is too coarse to say anything."""
+    bound = M.dual_norm_bound(rho)
+    return bound if bound <= ACCURATE * size else min(bound, M.dual_norm(rho))
+
+
+def ladder(solvers: Sequence[Solver]) -> list[Solver]:
+    """The first solver, its refinements, then the other solvers and theirs."""
+    rungs: list[Solver] = []
+    for solver in solvers:
+        rung: Solver | None = solver
+        while rung is not None:
+            rungs.append(rung)
+            rung = rung.refined()
+    return rungs
