@@ -223,9 +223,9 @@ class _Lift:
     def of(self, kept: Kept, steps: np.ndarray) -> States:
         """The kept states as states of all unknowns."""
         reduction = self._plan.reduction
-        return (
-            kept if reduction is None else Lifted(kept, lambda: self._alpha, steps, reduction.lift)
-        )
+        if reduction is None:
+            return kept
+        return Lifted(kept, lambda: self._alpha, steps, reduction.lift, self._plan.unknowns)
 
 
 def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:

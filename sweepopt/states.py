@@ -57,12 +57,15 @@ class Lifted:
     steps : ndarray, shape (k,)
         The kept steps, counted in the run.
     lift : callable (few, alpha) -> ndarray, shape (dim,)
+    dim : int
+        How many unknowns there are in all.
     """
 
     few: Kept
     alpha: Callable[[], Kept]
     steps: np.ndarray
     lift: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    dim: int
 
     def u(self, i: Index) -> np.ndarray:
         nodes = np.append(0, self.steps + 1)
@@ -73,9 +76,10 @@ class Lifted:
 
     def _lift(self, few: np.ndarray, alpha: np.ndarray, i: Index) -> np.ndarray:
         rows = np.arange(len(few))[i]
-        lifted = [self.lift(few[k], alpha[k]) for k in np.ravel(rows)]
-        dim = lifted[0].size if lifted else 0
-        return np.reshape(lifted, (*np.shape(rows), dim))
+        lifted = np.zeros((np.size(rows), self.dim))
+        for row, k in zip(lifted, np.ravel(rows), strict=True):
+            row[:] = self.lift(few[k], alpha[k])
+        return lifted.reshape(*np.shape(rows), self.dim)
 
 
 @dataclass(frozen=True, eq=False)

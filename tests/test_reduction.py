@@ -160,3 +160,19 @@ def test_callbacks_and_failures_see_all_unknowns() -> None:
     with pytest.raises(so.StepError) as caught:
         so.solve(this, t_end=4.0, steps=30, tol=1e-30)
     assert caught.value.u.shape == (40,)
+
+
+def test_a_body_that_is_not_inverted_well_enough_beforehand_keeps_all_its_unknowns(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("sweepopt.reduction.ACCURATE", 1e-30)
+    this = process(u0=np.zeros(40))
+    assert so.solve(this, t_end=1.0, steps=4).plan.path == "eliminated"
+    with pytest.raises(so.InputError, match="too badly conditioned"):
+        so.solve(this, t_end=1.0, steps=4, path="proportional")
+
+
+def test_no_rows_of_a_trajectory_have_a_shape() -> None:
+    sol = so.solve(process(u0=np.zeros(40)), t_end=1.0, steps=4)
+    assert sol.states.velocity(slice(0, 0)).shape == (0, 40)
+    assert sol.states.u([[0, 1], [2, 3]]).shape == (2, 2, 40)
