@@ -35,7 +35,8 @@ class DAQP:
     Parameters
     ----------
     max_dim : int
-        Larger programs are left to the other solvers; the inverse of M is formed once.
+        Larger programs are left to the other solvers: the cost grows with the number of entries
+        that change sides in a step, and Newton's method changes all of them at once.
 
     Raises
     ------
@@ -49,7 +50,7 @@ class DAQP:
     (True, False)
     """
 
-    max_dim: int = 1500
+    max_dim: int = 300
     name = "daqp"
 
     def __post_init__(self) -> None:

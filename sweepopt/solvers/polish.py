@@ -9,6 +9,7 @@ import numpy as np
 
 from sweepopt.linalg import Elimination, Factor, dense
 from sweepopt.sets import ConvexSet
+from sweepopt.sets.base import same_array
 from sweepopt.solvers.newton import Iteration, Newton
 
 NEWTON = Newton()
@@ -28,17 +29,18 @@ def polisher(M: Factor, order: np.ndarray | None) -> Polish:
     """
     whole = cache(lambda: Iteration(dense(M.M)))
 
-    @cache
-    def condensed(unknowns: tuple[int, ...]) -> tuple[Elimination, Iteration]:
-        elimination = Elimination(M.M, np.array(unknowns), order)
-        return elimination, Iteration(elimination.N)
+    elimination: Elimination | None = None
+    iterate: Iteration | None = None
 
     def polish(q: np.ndarray, C: ConvexSet, z: np.ndarray) -> np.ndarray | None:
+        nonlocal elimination, iterate
         selection = C.selection
         if selection is None or not NEWTON.treats(selection.part):
             return whole()(q, C, z, NEWTON.max_iter)[0] if NEWTON.treats(C) else None
         few = selection.unknowns
-        elimination, iterate = condensed(tuple(few))
+        if elimination is None or iterate is None or not same_array(few, elimination.unknowns):
+            elimination = Elimination(M.M, few, order)
+            iterate = Iteration(elimination.N)
         forward, pull = elimination.reduce(-q if selection.shift is None else selection.shift - q)
         zeta, _ = iterate(-pull, selection.part, z[few], NEWTON.max_iter)
         z = elimination.recover(forward, elimination.N @ zeta)
