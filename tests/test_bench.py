@@ -134,10 +134,10 @@ def test_slow_contestants_are_left_out_of_large_cases() -> None:
     def paths(dim: int, only: list[str] | None = None) -> set[str]:
         return {contestant.path for contestant in entrants(CONTESTANTS, dim, only)}
 
-    ours = {"proportional", "eliminated", "frictionless"}
+    ours = {"proportional", "eliminated", "multigrid", "frictionless"}
     assert paths(10_100) == {contestant.path for contestant in CONTESTANTS}
     assert paths(1_001_000) == {*ours, "linear-by-hand"}
-    assert "osqp-by-hand" in paths(100_172)
+    assert "osqp-by-hand" in paths(25_000)
     assert paths(1_001_000, ["eliminated", "full-osqp"]) == {"eliminated"}
 
 

@@ -100,7 +100,7 @@ def reference(case: Case, friction: bool = True) -> Run:
 
 
 PROVED = 1e-6  # what the certificates of the library's default tol allow
-PATIENT, NAIVE = 110_000, 11_000  # seconds a step beyond
+PATIENT, NAIVE = 30_000, 11_000  # seconds a step beyond
 
 CONTESTANTS = (
     Contestant("proportional", library("proportional"), 1e-10),
