@@ -17,7 +17,8 @@ BLOCK = 16e6  # bytes that wait in memory
 class BlockWriter:
     """Appends times, states and velocities to a file that takes its name when it is closed.
 
-    Dimensions are time (one longer), step and unknown, as in `Solution.to_xarray`.
+    Dimensions are time (one longer), step and unknown, as in `Solution.to_xarray`; `steps` counts
+    the steps it got.
 
     Raises
     ------
@@ -42,7 +43,7 @@ class BlockWriter:
             variable.attrs.update({"long_name": words, "units": "1"})
         self._t, self._u = np.zeros(rows), np.zeros((rows, u0.size))
         self._z = np.zeros((rows, u0.size))
-        self._waiting = self._written = 0
+        self.steps = self._waiting = self._written = 0
         self._grow(1)
         self._file.variables["time"][0], self._file.variables["u"][0] = t, u0
 
@@ -51,6 +52,7 @@ class BlockWriter:
         row = self._waiting
         self._t[row], self._u[row], self._z[row] = t, u, z
         self._waiting += 1
+        self.steps += 1
         if self._waiting == len(self._t):
             self._write()
 

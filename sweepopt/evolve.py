@@ -118,7 +118,7 @@ def solve(
     (True, 0.0, 3.063)
     """
     for name, value, allowed in (
-        ("path", path, PATHS),
+        ("path", path, tuple(PATHS)),
         ("on_failure", on_failure, ("raise", "stop")),
         ("on_unstable", on_unstable, ("raise", "warn", "ignore")),
     ):
@@ -144,14 +144,12 @@ def solve(
     keeper = Keeper(wanted.steps, moved.u0)
     blocks = BlockWriter(wanted.path, float(times[0]), process.u0) if wanted.path else None
     recorded: list[Any] = []
-    looks = bool(callback or blocks or wanted.function)
     bar = _progress_bar(len(mus)) if progress else None
 
-    def put(i: int, u: np.ndarray, z: np.ndarray, certificate: float) -> bool | None:
-        keeper.put(i, u, z)
+    def look(i: int, u: np.ndarray, z: np.ndarray, certificate: float) -> bool | None:
         if bar is not None:
             bar.update()
-        if not looks:
+        if callback is None and blocks is None and wanted.function is None:
             return None
         t, u, z = float(times[i + 1]), lift.state(i + 1, u).copy(), lift.velocity(i, z).copy()
         if blocks is not None:
@@ -160,8 +158,9 @@ def solve(
             recorded.append(wanted.function(t, u, z))
         return callback(StepInfo(i, t, u, z, certificate)) if callback is not None else None
 
+    watched = any(one is not None for one in (bar, callback, blocks, wanted.function))
     try:
-        run = march(moved, plan.of_entering, times, mus, put)
+        run = march(moved, plan.of_entering, times, mus, keeper, look if watched else None)
     finally:
         if bar is not None:
             bar.close()
@@ -172,8 +171,8 @@ def solve(
         u = lift.state(run.done, kept.nodes[-1])
         raise StepError(run.cause, float(times[run.done]), run.done, u, run.relative)
     states: States = lift.of(kept, kept_steps)
-    if wanted.path is not None:
-        states, kept_steps = Stored(wanted.path), np.arange(run.done)
+    if blocks is not None:
+        states, kept_steps = Stored(blocks.path), np.arange(blocks.steps)
     return Solution(
         process=process,
         plan=plan,
@@ -199,13 +198,9 @@ class _Lift:
         process = self._plan.reduction.coefficients
         n = len(self._mus)
         keeper = Keeper(np.arange(n), process.u0)
-        run = march(
-            process,
-            self._plan.of_coefficients,
-            self._times,
-            self._mus,
-            lambda i, u, z, _: keeper.put(i, u, z),
-        )
+        run = march(process, self._plan.of_coefficients, self._times, self._mus, keeper)
+        if run.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
         if run.done < n:
             raise SweepoptError(f"the load's coefficients: {run.cause or run.status.value}")
         return keeper.close()[1]

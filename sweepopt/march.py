@@ -16,6 +16,7 @@ from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.schemes import Scheme
 from sweepopt.solution import STATS
+from sweepopt.states import Keeper
 from sweepopt.velocity import Solved, VelocityOf
 
 
@@ -24,9 +25,13 @@ def march(
     plan: Plan,
     times: np.ndarray,
     mus: np.ndarray,
-    put: Callable[[int, np.ndarray, np.ndarray, float], bool | None],
+    keeper: Keeper,
+    look: Callable[[int, np.ndarray, np.ndarray, float], bool | None] | None = None,
 ) -> Run:
-    """Move u through time; `put` gets every state, velocity and certificate, True from it stops."""
+    """Move u through time; `look` sees every state, velocity and certificate, True from it stops.
+
+    Ctrl-C ends the loop, also in `look`: the keeper has the steps that are done.
+    """
     steps = len(mus)
     grid, sizes = times.tolist(), mus.tolist()
     velocities = _Velocities(process, plan)
@@ -49,9 +54,10 @@ def march(
                 run.status = Status.UNCERTIFIED
             lost = (following - u) - increment
             u = following
+            keeper.put(i, u, z)
             run.log.add(i, step, clock.perf_counter() - started)
             run.done = i + 1
-            if put(i, u, z, step.certificate):
+            if look is not None and look(i, u, z, step.certificate):
                 run.status = Status.STOPPED if run.done < steps else run.status
                 break
     except KeyboardInterrupt:

@@ -197,3 +197,19 @@ def test_the_last_state_of_a_load_case_is_enough_to_go_on() -> None:
     again = so.solve(this, steps=np.linspace(4.0, 5.0, 21), path="eliminated")
     whole = so.solve(process(u0=np.zeros(40)), t_end=5.0, steps=100, path="eliminated")
     assert again.u == pytest.approx(whole.u[80:], abs=1e-12)
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_ctrl_c_in_a_users_function_leaves_a_consistent_solution(path: str, tmp_path: Path) -> None:
+    def interrupt(info: so.StepInfo) -> None:
+        if info.step == 6:
+            raise KeyboardInterrupt
+
+    whole = run(path)
+    for save in (None, "last", 3, tmp_path / "run.nc", lambda t, u, z: t):
+        sol = run(path, save=save, callback=interrupt)
+        assert sol.status is so.Status.INTERRUPTED
+        assert len(sol.stats) == 7
+        assert sol.t[-1] == whole.t[7]
+        assert np.array_equal(sol.u[-1], whole.u[7])
+        assert len(sol.velocity) == len(sol.t) - 1
