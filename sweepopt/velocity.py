@@ -54,7 +54,8 @@ def linear(M: Factor) -> VelocityOf:
         force = C.anchor - q
         z = M.solve(force)
         size = float(np.sqrt(abs(force @ z)))  # both |z|_M and |M^-1 q|_M
-        velocity = rate(z, _rounding(M, M.M @ z - force, size), size, size)
+        rounding = M.dual_norm_within(M.M @ z - force, ACCURATE * size)
+        velocity = rate(z, rounding, size, size)
         return Solved(velocity, "linear", 0, 1)
 
     return solve
@@ -80,9 +81,10 @@ def eliminated(M: Elimination, small: VelocityOf) -> SelectedVelocity:
         z[M.unknowns] = zeta  # to the last bit: stuck is 0.0
         force[M.unknowns] += total - pull
         size_z = float(np.sqrt(abs(force @ z)))
-        rounding = _rounding(M, M.M @ z - force, size_z)
+        rounding = M.dual_norm_within(M.M @ z - force, ACCURATE * size_z)
         certificate = solved.velocity.certificate + rounding
-        return replace(solved, velocity=rate(z, certificate, size_z, size_q))
+        velocity = rate(z, certificate, size_z, size_q)
+        return Solved(velocity, solved.solver, solved.iterations, solved.attempts)
 
     return solve
 
@@ -160,12 +162,6 @@ def _judge(
         return raw if better is None or raw.relative <= better.relative else better
 
     return judge
-
-
-def _rounding(M: Factor, rho: np.ndarray, size: float) -> float:
-    """|rho|_{M^-1}: a bound that costs no solve, unless that is too coarse to say anything."""
-    bound = M.dual_norm_bound(rho)
-    return bound if bound <= ACCURATE * size else min(bound, M.dual_norm(rho))
 
 
 def ladder(solvers: Sequence[Solver]) -> list[Solver]:

@@ -81,11 +81,14 @@ class DAQP:
         no_rows, sense = np.zeros((0, n)), np.zeros(n, dtype=np.int32)
         far = np.full(n, FAR)
         engine: Any = None
+        box: ConvexSet | None = None
+        bounds = np.zeros((2, n))
 
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:
-            nonlocal engine
-            bounds = np.array([C.project(far), C.project(-far)])
-            q, bounds = q / root, bounds / root
+            nonlocal engine, box, bounds
+            if C is not box:
+                box, bounds = C, np.array([C.project(far), C.project(-far)]) / root
+            q = q / root
             force = float(np.abs(q).max()) or 1.0
             above, below = np.clip(bounds / force, -INFINITE, INFINITE)
             linear = -(inverse @ q) / force
