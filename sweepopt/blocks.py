@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import uuid
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sweepopt.errors import MissingExtraError
+from sweepopt.errors import InputError, MissingExtraError
 from sweepopt.states import Index
 
 BLOCK = 16e6  # bytes that wait in memory
@@ -31,6 +32,8 @@ class BlockWriter:
         self.path = path
         self._part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
         self._file = h5netcdf.File(self._part, "w")
+        self.run = uuid.uuid4().hex
+        self._file.attrs["run"] = self.run
         self._file.dimensions = {"time": None, "step": None, "unknown": u0.size}
         rows = max(int(BLOCK // (16 * u0.size)), 1)
         for name, dims, words in (
@@ -56,11 +59,12 @@ class BlockWriter:
         if self._waiting == len(self._t):
             self._write()
 
-    def close(self) -> None:
-        """Write what waits and put the file in its place."""
+    def close(self, finished: bool) -> None:
+        """Write what waits and put the file in its place; an unfinished one keeps its part name."""
         self._write()
         self._file.close()
-        os.replace(self._part, self.path)
+        if finished:
+            os.replace(self._part, self.path)
 
     def _write(self) -> None:
         start, count = self._written, self._waiting
@@ -78,10 +82,10 @@ class BlockWriter:
 
 
 class Stored:
-    """States in a file that `BlockWriter` wrote."""
+    """States in a file that `BlockWriter` wrote; `run` tells it from a file of another run."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, run: str) -> None:
+        self.path, self.run = path, run
 
     def u(self, i: Index) -> np.ndarray:
         return self._read("u", i)
@@ -90,7 +94,11 @@ class Stored:
         return self._read("velocity", i)
 
     def _read(self, name: str, i: Index) -> np.ndarray:
+        if not self.path.is_file():
+            raise InputError(f"{self.path}, which holds the states of this run, is not there")
         with _h5netcdf().File(self.path, "r") as file:
+            if file.attrs.get("run") != self.run:
+                raise InputError(f"another run has written {self.path}: these states are gone")
             variable = file.variables[name]
             if isinstance(i, slice):
                 return np.asarray(variable[i])

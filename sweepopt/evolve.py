@@ -20,7 +20,7 @@ from sweepopt.errors import (
     SweepoptError,
     UnstableStepError,
 )
-from sweepopt.march import march
+from sweepopt.march import Summary, march
 from sweepopt.plan import PATHS, Plan, make_plan
 from sweepopt.process import EvolutionVI, SweepingProcess
 from sweepopt.schemes import Scheme, choose
@@ -142,9 +142,9 @@ def solve(
     moved = plan.reduction.process if plan.reduction else process
     lift = _Lift(plan, times, mus)
     keeper = Keeper(wanted.steps, moved.u0)
+    bar = _progress_bar(len(mus)) if progress else None
     blocks = BlockWriter(wanted.path, float(times[0]), process.u0) if wanted.path else None
     recorded: list[Any] = []
-    bar = _progress_bar(len(mus)) if progress else None
 
     def look(i: int, u: np.ndarray, z: np.ndarray, certificate: float) -> bool | None:
         if bar is not None:
@@ -159,20 +159,30 @@ def solve(
         return callback(StepInfo(i, t, u, z, certificate)) if callback is not None else None
 
     watched = any(one is not None for one in (bar, callback, blocks, wanted.function))
+    finished = False
     try:
-        run = march(moved, plan.of_entering, times, mus, keeper, look if watched else None)
+        run = march(
+            moved,
+            plan.of_entering,
+            times,
+            mus,
+            keeper,
+            look if watched else None,
+            lift.prove if plan.reduction else None,
+        )
+        finished = run.status is not Status.INEXACT or on_failure == "stop"
     finally:
         if bar is not None:
             bar.close()
         if blocks is not None:
-            blocks.close()
+            blocks.close(finished)
     kept_steps, kept = keeper.close()
     if run.status is Status.INEXACT and on_failure == "raise":
         u = lift.state(run.done, kept.nodes[-1])
         raise StepError(run.cause, float(times[run.done]), run.done, u, run.relative)
     states: States = lift.of(kept, kept_steps)
     if blocks is not None:
-        states, kept_steps = Stored(blocks.path), np.arange(blocks.steps)
+        states, kept_steps = Stored(blocks.path, blocks.run), np.arange(blocks.steps)
     return Solution(
         process=process,
         plan=plan,
@@ -214,6 +224,18 @@ class _Lift:
         """The velocity of a step."""
         reduction = self._plan.reduction
         return z if reduction is None else reduction.lift(z, self._alpha.velocities[i])
+
+    def prove(self, i: int, zeta: np.ndarray, velocity: np.ndarray, step: Summary) -> Summary:
+        """The certificate of all unknowns from that of those that entered the step."""
+        assert self._plan.reduction is not None
+        gamma = self._mus[i] * self._plan.scheme.a[-1][-1]
+        alphas = self._alpha.nodes[i], self._alpha.velocities[i]
+        error, size = self._plan.reduction.residual((zeta, velocity), alphas, gamma)
+        certificate = step.certificate + error
+        if step.relative > 0:
+            size = max(size, step.certificate / step.relative)
+        relative = certificate / size if certificate > 0 else certificate
+        return step._replace(certificate=certificate, relative=relative)
 
     def of(self, kept: Kept, steps: np.ndarray) -> States:
         """The kept states as states of all unknowns."""

@@ -220,6 +220,9 @@ class Table:
         return f"Table({self.times.size} points on [{self.times[0]:g}, {self.times[-1]:g}])"
 
 
+DATA = (Constant, Sine, Triangle, Table)  # histories that take all times at once
+
+
 class Separable:
     """A load ``f(t) = sum_k phi_k(t) f_k``.
 
@@ -275,10 +278,10 @@ class Separable:
         """Values ``phi_k(t)`` at many times, shape (len(times), k)."""
         table = np.empty((len(times), len(self.terms)))
         for k, (history, _) in enumerate(self.terms):
-            if isinstance(history, History):
-                table[:, k] = history(times)
-            else:
-                table[:, k] = [self._value(k, t) for t in times.tolist()]
+            values = history(times) if isinstance(history, DATA) else None
+            if values is None or not np.isfinite(values).all():
+                values = [self._value(k, t) for t in times.tolist()]
+            table[:, k] = values
         return table
 
     def _value(self, k: int, t: float) -> float:

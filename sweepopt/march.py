@@ -27,9 +27,11 @@ def march(
     mus: np.ndarray,
     keeper: Keeper,
     look: Callable[[int, np.ndarray, np.ndarray, float], bool | None] | None = None,
+    prove: Callable[[int, np.ndarray, np.ndarray, Summary], Summary] | None = None,
 ) -> Run:
     """Move u through time; `look` sees every state, velocity and certificate, True from it stops.
 
+    `prove` adds to a step's certificate, from its number, its first state and its velocity.
     Ctrl-C ends the loop, also in `look`: the keeper has the steps that are done.
     """
     steps = len(mus)
@@ -44,6 +46,8 @@ def march(
             mu = sizes[i]
             z, stages = _step(process, plan.scheme, velocities, grid[i], mu, u)
             step = _summary(stages)
+            if prove is not None:
+                step = prove(i, u, z, step)
             increment = mu * z - lost
             following = u + increment
             if step.relative > plan.tol or not is_finite(following):
@@ -65,7 +69,7 @@ def march(
     return run
 
 
-class _Summary(NamedTuple):
+class Summary(NamedTuple):
     """What the stages of a step have in common: their worst certificate, all their work."""
 
     iterations: int
@@ -75,12 +79,12 @@ class _Summary(NamedTuple):
     solver: str
 
 
-def _summary(stages: list[Solved]) -> _Summary:
+def _summary(stages: list[Solved]) -> Summary:
     last = stages[-1]
     if len(stages) == 1:
         _, certificate, relative = last.velocity
-        return _Summary(last.iterations, last.attempts, certificate, relative, last.solver)
-    return _Summary(
+        return Summary(last.iterations, last.attempts, certificate, relative, last.solver)
+    return Summary(
         sum(solved.iterations for solved in stages),
         max(solved.attempts for solved in stages),
         _worst(solved.velocity.certificate for solved in stages),
@@ -93,12 +97,12 @@ class Log:
     """The statistics of each step, a column each: rows of records are slow to write."""
 
     def __init__(self, steps: int) -> None:
-        self._columns = {name: np.zeros(steps, STATS[name]) for name in _Summary._fields[:-1]}
+        self._columns = {name: np.zeros(steps, STATS[name]) for name in Summary._fields[:-1]}
         self._seconds, self._solver = np.zeros(steps), np.zeros(steps, dtype=np.int16)
         self._names: dict[str, int] = {}
         self._write = list(self._columns.values())
 
-    def add(self, i: int, step: _Summary, seconds: float) -> None:
+    def add(self, i: int, step: Summary, seconds: float) -> None:
         for column, value in zip(self._write, step, strict=False):
             column[i] = value
         self._seconds[i] = seconds
@@ -180,7 +184,7 @@ def _worst(values: Iterable[float]) -> float:
     return max(values, key=lambda value: math.inf if math.isnan(value) else value)
 
 
-def _cause(i: int, t: float, step: _Summary, tol: float) -> str:
+def _cause(i: int, t: float, step: Summary, tol: float) -> str:
     if not step.relative > tol:
         return f"step {i} from t = {t:g}: the state is not finite any more; take smaller steps"
     return (

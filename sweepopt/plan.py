@@ -102,12 +102,12 @@ class Plan:
         """The plan of the process that the loop moves: the reduction's, if there is one."""
         if self.reduction is None:
             return self
-        return replace(self, unknowns=self.entering, contact=None, reduction=None)
+        return replace(self, unknowns=self.entering, contact=None, reduction=None, order=None)
 
     @property
     def of_coefficients(self) -> Plan:
         """The plan of the reduction's linear process: a diagonal one, exact to rounding."""
-        return replace(self, solvers=(), contact=None, reduction=None, tol=POLISHED)
+        return replace(self, solvers=(), contact=None, reduction=None, order=None, tol=POLISHED)
 
     @property
     def eliminated(self) -> int:
@@ -215,7 +215,7 @@ def make_plan(
         _require_multigrid(process, members, contact)
     reduced: Reduction | str = "the unknowns shall be kept"
     if path in ("auto", "proportional") and contact is not None and not multigrid:
-        reduced = reduce(process)
+        reduced = reduce(process, tol)
     if path == "proportional" and isinstance(reduced, str):
         raise InputError(f"path='proportional' does not apply: {reduced}")
     return Plan(

@@ -218,5 +218,8 @@ def closed_form(M: Factor, q: np.ndarray, C: ConvexSet) -> Velocity:
     ):
         return Velocity(np.zeros_like(q), 0.0, 0.0)
     z = 0.0 - missed / M.diagonal
-    # a quotient is rounded by half a unit: |M z + missed| <= EPS |missed| entry by entry
-    return Velocity(z, EPS * math.sqrt(-(missed.dot(z))), EPS)
+    # the rounding of the quotient, and of the difference that `missed` is
+    rounding = EPS * (np.abs(missed) + np.abs(q) + np.abs(anchor)) / M.root
+    pull = (q - anchor) / M.root
+    certificate = math.sqrt(rounding.dot(rounding))
+    return rate(z, certificate, math.sqrt(-(missed.dot(z))), math.sqrt(pull.dot(pull)))

@@ -18,8 +18,10 @@ E (u - A^-1 E^T lam)). They are computed when somebody asks for them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -33,6 +35,7 @@ from sweepopt.sets import AnySet, ConvexSet, Moving, Point
 
 SAME = 8 * np.finfo(float).eps  # entries of B and rho A may differ by this share
 ACCURATE = 1e-10  # |A F - f|_{A^-1} in units of |F|_A: worse solves leave it to the general path
+Pair = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +57,8 @@ class Reduction:
     coefficients: SweepingProcess
     _shapes: np.ndarray
     _A: Elimination
+    _errors: np.ndarray
+    _share: float
 
     def lift(self, zeta: np.ndarray, alpha: np.ndarray) -> np.ndarray:
         """All unknowns, of u or of a velocity, from the few and the coefficients of the load.
@@ -73,9 +78,49 @@ class Reduction:
         u[few] = zeta  # to the last bit: stuck is 0.0
         return u
 
+    def residual(self, zetas: Pair, alphas: Pair, gamma: float) -> tuple[float, float]:
+        """What the inclusion of all unknowns misses beyond that of the few, and its size.
 
-def reduce(process: SweepingProcess) -> Reduction | str:
-    """The reduction of a process, or a sentence that says what it lacks."""
+        With M = (1 + gamma rho) A, q = rho A u and both lifted, M z + q - f holds phi_k (A F_k -
+        f_k), phi_k = (1 + gamma rho) alpha_k' + rho alpha_k, and what A^-1 E^T lam misses.
+
+        Parameters
+        ----------
+        zetas, alphas : pairs of ndarray
+            Of the state u and of the velocity z.
+        gamma : float
+
+        Returns
+        -------
+        error, size : float
+            The residual in |.|_{M^-1} by the measured accuracy of the solves; and
+            max(|z|_M, |M^-1 (f - q)|_M).
+        """
+        ratio = 1 + gamma * self.rho
+        few, N = self._shapes[self._A.unknowns], self._A.N
+        apart = [zeta - few @ alpha for zeta, alpha in zip(zetas, alphas, strict=True)]
+        forces = [N @ d for d in apart]
+        u, z = (math.sqrt(max(float(d @ w), 0.0)) for d, w in zip(apart, forces, strict=True))
+        phi = np.abs(ratio * alphas[1] + self.rho * alphas[0])
+        error = phi @ self._errors + self._share * (ratio * z + self.rho * u)
+        # z, and the velocity without contact M^-1 (f - q), both in units of the shapes
+        held, free = self._gram @ alphas[1], self.rho / ratio
+        moving = alphas[1] @ (held + 2 * (few.T @ forces[1])) + z * z
+        loose = alphas[1] @ (held - 2 * free * (few.T @ forces[0])) + (free * u) ** 2
+        size = math.sqrt(ratio * max(float(moving), float(loose), 0.0))
+        return float(error) / math.sqrt(ratio), size
+
+    @cached_property
+    def _gram(self) -> np.ndarray:
+        return self._shapes.T @ (self._A.M @ self._shapes)
+
+
+def reduce(process: SweepingProcess, tol: float) -> Reduction | str:
+    """The reduction of a process, or a sentence that says what it lacks.
+
+    The solves with A that come beforehand must be a thousand times as accurate as `tol` asks of
+    each step.
+    """
     if process.rate_independent:
         return "A is zero"
     rho = _ratio(process.A, process.B)
@@ -86,21 +131,22 @@ def reduce(process: SweepingProcess) -> Reduction | str:
         return motion
     unknowns, terms, moving = motion
     A = Elimination(process.A, unknowns, process.metric.order)
-    columns = []
+    columns, pulls = [], []
     for _, f in terms:
         F = A.solve(f)
         columns.append(F + A.solve(f - process.A @ F))
+        # N E A^-1 f; what acts on the few is itself: a load at the threshold stays there
+        inner = f.copy()
+        inner[unknowns] = 0.0
+        pulls.append(f[unknowns] + (A.reduce(inner)[1] if inner.any() else 0.0))
     # what the certificates of the small process do not see: how well the rest follows
-    few = np.ones(unknowns.size)
-    follows = A.recover(np.zeros(process.dim), A.N @ few)
-    pull = np.zeros(process.dim)
-    pull[unknowns] = A.N @ few
-    pairs = [(F, f) for F, (_, f) in zip(columns, terms, strict=True)]
-    for F, f in [*pairs, (follows, pull)]:
-        if A.dual_norm(process.A @ F - f) > ACCURATE * A.norm(F):
-            return "A is too badly conditioned to apply its inverse beforehand"
+    errors = [A.dual_norm(process.A @ F - f) for F, (_, f) in zip(columns, terms, strict=True)]
+    shares = [error / size for F, error in zip(columns, errors, strict=True) if (size := A.norm(F))]
+    share = _accuracy(A)
+    if max([*shares, share]) > min(ACCURATE, 1e-3 * tol):
+        return "A is too badly conditioned to apply its inverse beforehand"
     shapes = np.column_stack([*columns, process.u0])
-    load = [(phi, A.N @ F[unknowns]) for (phi, _), F in zip(terms, columns, strict=True)]
+    load = [(phi, pull) for (phi, _), pull in zip(terms, pulls, strict=True)]
     small = SweepingProcess(A.N, rho * A.N if rho else None, moving(load), process.u0[unknowns])
     phis = [phi for phi, _ in terms]
     unit = np.eye(len(terms) + 1)
@@ -108,7 +154,19 @@ def reduce(process: SweepingProcess) -> Reduction | str:
     linear = SweepingProcess(
         unit, rho * unit if rho else None, Moving(Point(unit[-1] * 0), alpha), unit[-1]
     )
-    return Reduction(rho, small, linear, shapes, A)
+    return Reduction(rho, small, linear, shapes, A, np.array([*errors, 0.0]), share)
+
+
+def _accuracy(A: Elimination) -> float:
+    """|A v - E^T N d|_{A^-1} / |v|_A of v = A^-1 E^T N d: twice the worst of three d."""
+    m = A.unknowns.size
+    worst = 0.0
+    for d in (np.ones(m), np.cos(np.arange(m) + 1.0), (-1.0) ** np.arange(m)):
+        v, pull = A.recover(np.zeros(A.dim), A.N @ d), np.zeros(A.dim)
+        v[A.unknowns] = d
+        pull[A.unknowns] = A.N @ d
+        worst = max(worst, A.dual_norm(A.M @ v - pull) / A.norm(v))
+    return 2 * worst
 
 
 def _ratio(A: Matrix, B: Matrix | None) -> float | None:

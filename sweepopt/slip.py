@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sweepopt.errors import InputError
+
 if TYPE_CHECKING:
     from sweepopt.fem import Contact, Scene
     from sweepopt.solution import Solution
@@ -136,6 +138,8 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     contact = scene.contact
     if contact is None:
         return None
+    if not solution.complete:
+        raise InputError("slip adds up all steps, but not all were kept; leave save= out")
     problem, scheme = scene.problem, solution.plan.scheme
     rows = contact.unknown
     mu = np.diff(solution.t)

@@ -11,7 +11,7 @@ import numpy as np
 from sweepopt.errors import InputError, Status, SweepoptError
 from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
-from sweepopt.states import States
+from sweepopt.states import TIME_SLACK, States
 from sweepopt.velocity import VelocityOf
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ class Solution:
     stats : structured ndarray, shape (n,)
         One row a step: t (its end), seconds, iterations, attempts, certificate (a bound of
         |z - z*|_M), relative (the certificate in units of the program's size, what tol bounds),
-        solver (who found it: a solver's name, "linear", "closed form" or "at rest").
+        solver (who found it: a solver's name, "linear", "multigrid", "closed form" or "at rest").
     status : Status
     cause : str
         Which step failed and why, when the run stopped at it.
@@ -107,7 +107,7 @@ class Solution:
         """Whether all steps are kept."""
         return len(self.steps) == len(self.stats)
 
-    @property
+    @cached_property
     def _grid(self) -> np.ndarray:
         """All times of the run, kept or not, shape (n+1,)."""
         return np.append(self.t[0], self.stats["t"])
@@ -139,6 +139,12 @@ class Solution:
             If a time is outside of [t[0], t[-1]] or in a step that was not kept.
         """
         times = self._inside(t)
+        start = times == self.t[0]
+        if start.any() and self.steps[0] > 0:  # the start is kept without the first step
+            values = np.zeros((*times.shape, self.process.dim))
+            values[start] = self.states.u(0)
+            values[~start] = self(times[~start]) if not start.all() else 0.0
+            return values
         # many times in few steps: every node is looked up once
         i, where = np.unique(self._interval(times), return_inverse=True)
         where = where.reshape(times.shape)
@@ -149,7 +155,7 @@ class Solution:
             # the form with two weights meets both nodes exactly
             return (1 - share) * self.states.u(i)[where] + share * after
         back = (1 - share) * (end - begin)[..., None] * self.states.velocity(i)[where]
-        return np.where((times == self.t[0])[..., None], self.states.u(0), after - back)
+        return after - back
 
     def viability(self, t: Any = None) -> np.ndarray:
         """How far the viability condition A u' + B u in C(t) is missed, in the A^-1 metric.
@@ -220,20 +226,21 @@ class Solution:
             raise InputError(f"t must be a time or an array of times, got {t!r:.60}") from error
         if len(self.t) < 2:
             raise InputError("the run has no complete step to interpolate")
-        slack = 1e-12 * max(abs(self.t[0]), abs(self.t[-1]))
+        slack = TIME_SLACK * max(abs(self.t[0]), abs(self.t[-1]))
         bad = ~((times >= self.t[0] - slack) & (times <= self.t[-1] + slack))
         if bad.any():
             raise InputError(
                 f"t = {times[bad].flat[0]:g} is outside of [{self.t[0]:g}, {self.t[-1]:g}]"
             )
-        return np.clip(times, self.t[0], self.t[-1])
+        # a time that misses a kept node by rounding is that node
+        nearest = self.t[np.clip(np.searchsorted(self.t, times - slack), 0, len(self.t) - 1)]
+        return np.where(np.abs(nearest - times) <= slack, nearest, times)
 
     def _interval(self, times: np.ndarray) -> np.ndarray:
         """i with t in (t_i, t_{i+1}]; the whole of the time must be in the step that ends there."""
         i = np.maximum(np.searchsorted(self.t, times, side="left") - 1, 0)
         if not self.complete:
-            # the start is kept, and each kept step from its begin on
-            lost = (times < self._grid[self.steps[i]]) & (times > self.t[0])
+            lost = times < self._grid[self.steps[i]]
             if lost.any():
                 raise InputError(
                     f"t = {times[lost].flat[0]:g} is in a step that was not kept; solve with "

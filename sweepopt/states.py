@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from os import PathLike
@@ -13,6 +14,8 @@ import numpy as np
 from sweepopt.checks import vector
 from sweepopt.errors import InputError
 
+TIME_SLACK = 1e-12
+"""Share of the time scale by which a time may miss a node of the grid: rounding."""
 MEMORY = 4e9
 """Bytes that the kept states may take."""
 
@@ -123,19 +126,21 @@ def saving(save: Any, times: np.ndarray, dim: int, memory: float) -> Saving:
     elif isinstance(save, str) and save == "last":
         chosen = Saving(last)
     elif isinstance(save, (str, PathLike)):
-        path = Path(save)
+        path = Path(save).resolve()
         if path.suffix != ".nc":
             raise InputError(f"save is {str(save)!r}; a file must end with .nc, or say 'last'")
         if not path.parent.is_dir():
-            raise InputError(f"save is {str(save)!r}, but there is no folder {path.parent}")
+            raise InputError(f"save is {str(save)!r}, but there is no folder {Path(save).parent}")
+        if path.is_dir() or not os.access(path.parent, os.W_OK):
+            raise InputError(f"save is {str(save)!r}, which cannot be written there")
         chosen = Saving(last, path=path)
     elif callable(save):
         chosen = Saving(last, function=save)
     elif isinstance(save, (int, np.integer)) and not isinstance(save, bool):
         if save < 1:
             raise InputError(f"save is {save}; a stride must be positive")
-        chosen = Saving(np.union1d(np.arange(save - 1, n, save), last))
-    elif isinstance(save, Iterable):
+        chosen = Saving(np.union1d(np.arange(min(save, n) - 1, n, min(save, n)), last))
+    elif isinstance(save, Iterable) and np.ndim(np.asarray(save, dtype=object)):
         chosen = Saving(np.union1d(_steps_ending_at(vector("save", save), times), last))
     else:
         raise InputError(
@@ -155,9 +160,9 @@ def saving(save: Any, times: np.ndarray, dim: int, memory: float) -> Saving:
 
 def _steps_ending_at(wanted: np.ndarray, times: np.ndarray) -> np.ndarray:
     """The steps that end at the wanted times; the start is always kept."""
-    rounding = 1e-12 * np.abs(times).max()
-    nearest = np.clip(np.searchsorted(times, wanted - rounding), 0, len(times) - 1)
-    away = np.abs(times[nearest] - wanted) > rounding
+    after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
+    nearest = after - (wanted - times[after - 1] < times[after] - wanted)
+    away = np.abs(times[nearest] - wanted) > TIME_SLACK * np.abs(times).max()
     if away.any():
         raise InputError(
             f"save asks for t = {wanted[away][0]:g}, which is not on the time grid; choose steps "

@@ -95,7 +95,8 @@ def iterated(M: Multigrid, contact: np.ndarray, tol: float) -> SelectedVelocity:
 
     def solve(q: np.ndarray, selection: Selection) -> Solved:
         step = program(q, selection)
-        return Solved(step.velocity, "multigrid" if step.iterations else "at rest", step.cycles, 1)
+        moves = step.velocity.z.any()
+        return Solved(step.velocity, "multigrid" if moves else "at rest", step.cycles, 1)
 
     return solve
 

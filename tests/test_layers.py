@@ -15,7 +15,8 @@ PACKAGE = Path(__file__).parent.parent / "sweepopt"
 LEVELS = [
     {"errors"},
     {"checks", "csvtable"},
-    {"linalg", "loads", "sets"},
+    {"linalg", "loads"},
+    {"sets"},
     {"states", "multigrid"},
     {"blocks", "process"},
     {"program", "reduction"},

@@ -99,7 +99,8 @@ def test_a_file_of_a_run_that_fails_holds_the_steps_before(tmp_path: Path) -> No
 
     with pytest.raises(RuntimeError, match="enough"):
         run("eliminated", save=str(tmp_path / "run.nc"), callback=stop)
-    with xr.open_dataset(tmp_path / "run.nc", engine="h5netcdf") as dataset:
+    (part,) = tmp_path.iterdir()
+    with xr.open_dataset(part, engine="h5netcdf") as dataset:
         assert dataset.sizes["time"] == 13
     sol = run("eliminated", save=tmp_path / "run.nc", callback=lambda info: info.step == 3)
     assert sol.u.shape == (5, 40)
@@ -213,3 +214,61 @@ def test_ctrl_c_in_a_users_function_leaves_a_consistent_solution(path: str, tmp_
         assert sol.t[-1] == whole.t[7]
         assert np.array_equal(sol.u[-1], whole.u[7])
         assert len(sol.velocity) == len(sol.t) - 1
+
+
+def test_the_first_instant_of_a_thinned_run_has_no_velocity_to_judge() -> None:
+    whole = run("eliminated")
+    some = run("eliminated", save=25)
+    assert np.array_equal(some([0.0, 0.0]), whole.u[[0, 0]])
+    for measure in (some.viability, some.residual):
+        with pytest.raises(so.InputError, match="not kept"):
+            measure(0.0)
+    assert run("eliminated", save=1).viability(0.0) == whole.viability(0.0)
+
+
+def test_times_are_matched_with_the_nearest_node_and_then_found_again() -> None:
+    this = process(u0=np.zeros(40))
+    grid = np.linspace(0.0, 1.0, 8)
+    rounded = np.round(grid[[2, 5, 7]], 13)
+    sol = so.solve(this, t_end=1.0, steps=7, save=rounded)
+    assert np.array_equal(sol(rounded), sol.u[1:])
+    fine = np.append(0.0, np.geomspace(1e-12, 1e3, 40))
+    kept = so.solve(this, steps=fine, save=fine[[3, 17, 33]])
+    assert np.array_equal(kept.t, fine[[0, 3, 17, 33, 40]])
+
+
+@pytest.mark.parametrize("save", [10**30, np.array(5)])
+def test_odd_strides_are_taken_or_refused(save: Any) -> None:
+    if isinstance(save, int):
+        assert np.array_equal(run("eliminated", save=save).t, [0.0, 4.0])
+        return
+    with pytest.raises(so.InputError, match="save must be None, 'last'"):
+        run("eliminated", save=save)
+
+
+def test_a_file_that_cannot_be_written_is_refused_before_the_run(tmp_path: Path) -> None:
+    (tmp_path / "folder.nc").mkdir()
+    with pytest.raises(so.InputError, match="cannot be written"):
+        run("eliminated", save=tmp_path / "folder.nc")
+
+
+def test_a_file_that_another_run_has_replaced_is_not_mistaken_for_this_ones(tmp_path: Path) -> None:
+    first = run("eliminated", save=tmp_path / "run.nc")
+    so.solve(process(u0=np.zeros(40)), t_end=3.0, steps=80, save=tmp_path / "run.nc")
+    with pytest.raises(so.InputError, match="another run has written"):
+        first(1.0)
+
+
+def test_a_run_that_fails_does_not_replace_the_file_of_one_that_did_not(tmp_path: Path) -> None:
+    file = tmp_path / "run.nc"
+    whole = run("eliminated", save=file)
+
+    def stop(info: so.StepInfo) -> None:
+        raise RuntimeError("enough")
+
+    with pytest.raises(RuntimeError, match="enough"):
+        run("eliminated", save=file, callback=stop)
+    assert whole.u.shape == (81, 40)
+    (part,) = set(tmp_path.iterdir()) - {file}
+    with xr.open_dataset(part, engine="h5netcdf") as dataset:
+        assert dataset.sizes["time"] == 2

@@ -14,6 +14,7 @@ import numpy as np
 
 from sweepopt.checks import number, vector
 from sweepopt.errors import InputError
+from sweepopt.loads import Separable
 from sweepopt.sets import algebra
 from sweepopt.sets.base import ConvexSet, require_same_dim
 from sweepopt.sets.shapes import Point, dimension
@@ -199,7 +200,7 @@ class Moving(MovingSet):
         if self.scale is not None:
             return super().members(times)
         # translates of one set: their centres are all there is to look at
-        if hasattr(self.center, "values"):
+        if isinstance(self.center, Separable):
             self.center.values(times)
         elif callable(self.center):
             for t in times.tolist():
