@@ -114,6 +114,8 @@ def _bench(chosen: argparse.Namespace) -> int:
     _require_packages(["skfem"])
     from sweepopt.study import Row, bench, table
 
+    if chosen.csv is not None:
+        chosen.csv.touch()  # says so now if it cannot be written
     rows = bench(
         chosen.cells,
         steps=chosen.steps,

@@ -66,7 +66,7 @@ def solve(
     scheme : str
         "auto" (midpoint; implicit-euler when A = 0), "catching-up", "implicit-euler", "midpoint".
     solver : str or Solver
-        "auto", "clarabel", "osqp", "newton", "cvxpy" or an object: ``Clarabel(tol=1e-10)``.
+        "auto", "clarabel", "osqp", "daqp", "newton", "cvxpy" or an object: ``OSQP(tol=1e-10)``.
     tol : float
         Each program's certificate is at most tol * max(|z|_M, |M^-1 q|_M); a step that misses it
         is tried with tighter settings, then with another solver, then handled as on_failure says.
@@ -159,7 +159,7 @@ def solve(
         return callback(StepInfo(i, t, u, z, certificate)) if callback is not None else None
 
     watched = any(one is not None for one in (bar, callback, blocks, wanted.function))
-    finished = False
+    beside, finished = lift.seconds, False
     try:
         run = march(
             moved,
@@ -180,6 +180,8 @@ def solve(
     if run.status is Status.INEXACT and on_failure == "raise":
         u = lift.state(run.done, kept.nodes[-1])
         raise StepError(run.cause, float(times[run.done]), run.done, u, run.relative)
+    stats = run.log.table(times[1 : run.done + 1])
+    stats["seconds"] += beside[: run.done]
     states: States = lift.of(kept, kept_steps)
     if blocks is not None:
         states, kept_steps = Stored(blocks.path, blocks.run), np.arange(blocks.steps)
@@ -189,7 +191,7 @@ def solve(
         t=np.append(times[0], times[kept_steps + 1]),
         steps=kept_steps,
         states=states,
-        stats=run.log.table(times[1 : run.done + 1]),
+        stats=stats,
         status=run.status,
         cause=run.cause,
         recorded=recorded if wanted.function is not None else None,
@@ -203,7 +205,8 @@ class _Lift:
         self._plan, self._times, self._mus = plan, times, mus
 
     @cached_property
-    def _alpha(self) -> Kept:
+    def _moved(self) -> tuple[Kept, np.ndarray]:
+        """The coefficients of the whole run, and the seconds of each of their steps."""
         assert self._plan.reduction is not None
         process = self._plan.reduction.coefficients
         n = len(self._mus)
@@ -213,7 +216,16 @@ class _Lift:
             raise KeyboardInterrupt
         if run.done < n:
             raise SweepoptError(f"the load's coefficients: {run.cause or run.status.value}")
-        return keeper.close()[1]
+        return keeper.close()[1], run.log.table(self._times[1:])["seconds"]
+
+    @property
+    def _alpha(self) -> Kept:
+        return self._moved[0]
+
+    @property
+    def seconds(self) -> np.ndarray:
+        """What each step costs beside the loop."""
+        return np.zeros(len(self._mus)) if self._plan.reduction is None else self._moved[1]
 
     def state(self, node: int, u: np.ndarray) -> np.ndarray:
         """The state at a node of the grid."""

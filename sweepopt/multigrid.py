@@ -262,7 +262,8 @@ def _pyamg() -> Any:
 
 def factorise(M: Matrix, name: str = "M") -> Factor:
     """M factorised, or with a multigrid hierarchy where its factors would not fit in memory."""
-    return Factor(M, name) if not sp.issparse(M) or fits(M.shape[0]) else Multigrid(M, name)
+    fills = sp.issparse(M) and M.nnz > M.shape[0]  # a diagonal matrix is its own factor
+    return Multigrid(M, name) if fills and not fits(M.shape[0]) else Factor(M, name)
 
 
 def fits(dim: int) -> bool:

@@ -147,6 +147,8 @@ class Plan:
         solver = self.solvers[0].name if self.solvers else "linear solves, no optimiser"
         if self.solver == "auto" and self.solvers:
             solver += ", a formula where M is diagonal"
+        if self.multigrid:
+            solver = "conjugate gradients with a multigrid cycle"
         lines = [
             f"path                {self.path}: {PATHS.get(self.path, 'a linear solve a step')}",
             f"unknowns            {self.unknowns}",
@@ -211,8 +213,8 @@ def make_plan(
             "as so.image(E^T, S) with E selecting them"
         )
     multigrid = path == "multigrid" or (path == "auto" and isinstance(process.metric, Multigrid))
-    if path == "multigrid":
-        _require_multigrid(process, members, contact)
+    if multigrid:
+        _require_multigrid(process, members, contact, solver)
     reduced: Reduction | str = "the unknowns shall be kept"
     if path in ("auto", "proportional") and contact is not None and not multigrid:
         reduced = reduce(process, tol)
@@ -237,8 +239,13 @@ def _require_multigrid(
     process: SweepingProcess,
     members: Sequence[tuple[float, ConvexSet]],
     contact: np.ndarray | None,
+    solver: Any,
 ) -> None:
     """Refuse what the multigrid path does not treat."""
+    if solver != "auto":
+        raise SolverRefusedError(
+            f"path='multigrid' has no use for solver={solver!r:.60}; leave one of them out"
+        )
     if not sp.issparse(process.A):
         raise InputError("path='multigrid' needs A as a sparse matrix")
     parts = [C.selection.part for _, C in members if C.selection is not None and not C.singleton]

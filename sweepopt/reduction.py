@@ -9,11 +9,12 @@ and for all. For zeta = E u the whole process becomes
 
 again a sweeping process: the library solves it as any other. The other unknowns follow from
 
-    u = sum_k alpha_k A^-1 f_k + alpha_0 u0 + A^-1 E^T lam,   alpha_k' + rho alpha_k = phi_k,
-    alpha_0' + rho alpha_0 = 0,   alpha_0(t_0) = 1, alpha_k(t_0) = 0,
+    u = A^-1 E^T N zeta + sum_k alpha_k F_k + alpha_0 F_0,
+    alpha_k' + rho alpha_k = phi_k,   alpha_0' + rho alpha_0 = 0,
 
-where alpha is the trajectory of a linear process that the same scheme moves, and lam = N (zeta -
-E (u - A^-1 E^T lam)). They are computed when somebody asks for them.
+F_k the response to f_k of the body whose contact is held, F_0 what u0 has beyond the response to
+its contact. alpha is the trajectory of a linear process that the same scheme moves, with
+alpha_0(t_0) = 1 and all others 0. u is computed when somebody asks for it.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -35,6 +36,7 @@ from sweepopt.sets import AnySet, ConvexSet, Moving, Point
 
 SAME = 8 * np.finfo(float).eps  # entries of B and rho A may differ by this share
 ACCURATE = 1e-10  # |A F - f|_{A^-1} in units of |F|_A: worse solves leave it to the general path
+FLOOR = 1e-3  # of the velocity that the load alone would cause: less counts as this
 Pair = tuple[np.ndarray, np.ndarray]
 
 
@@ -58,6 +60,7 @@ class Reduction:
     _shapes: np.ndarray
     _A: Elimination
     _errors: np.ndarray
+    _responses: np.ndarray
     _share: float
 
     def lift(self, zeta: np.ndarray, alpha: np.ndarray) -> np.ndarray:
@@ -72,17 +75,13 @@ class Reduction:
         -------
         ndarray, shape (dim,)
         """
-        u = self._shapes @ alpha
-        few = self._A.unknowns
-        u += self._A.recover(np.zeros_like(u), self._A.N @ (zeta - u[few]))
-        u[few] = zeta  # to the last bit: stuck is 0.0
-        return u
+        return self._shapes @ alpha + _follow(self._A, zeta)
 
     def residual(self, zetas: Pair, alphas: Pair, gamma: float) -> tuple[float, float]:
         """What the inclusion of all unknowns misses beyond that of the few, and its size.
 
-        With M = (1 + gamma rho) A, q = rho A u and both lifted, M z + q - f holds phi_k (A F_k -
-        f_k), phi_k = (1 + gamma rho) alpha_k' + rho alpha_k, and what A^-1 E^T lam misses.
+        With M = (1 + gamma rho) A, q = rho A u and both lifted, M z + q - f holds what each F_k
+        misses times phi_k = (1 + gamma rho) alpha_k' + rho alpha_k, and what A^-1 E^T N misses.
 
         Parameters
         ----------
@@ -93,22 +92,17 @@ class Reduction:
         Returns
         -------
         error, size : float
-            The residual in |.|_{M^-1} by the measured accuracy of the solves; and
-            max(|z|_M, |M^-1 (f - q)|_M).
+            The residual in |.|_{M^-1} by the measured accuracy of the solves; and |z|_M, at least
+            FLOOR of what the load alone would move.
         """
         ratio = 1 + gamma * self.rho
-        few, N = self._shapes[self._A.unknowns], self._A.N
-        apart = [zeta - few @ alpha for zeta, alpha in zip(zetas, alphas, strict=True)]
-        forces = [N @ d for d in apart]
-        u, z = (math.sqrt(max(float(d @ w), 0.0)) for d, w in zip(apart, forces, strict=True))
+        u, z = (math.sqrt(max(float(zeta @ (self._A.N @ zeta)), 0.0)) for zeta in zetas)
         phi = np.abs(ratio * alphas[1] + self.rho * alphas[0])
-        error = phi @ self._errors + self._share * (ratio * z + self.rho * u)
-        # z, and the velocity without contact M^-1 (f - q), both in units of the shapes
-        held, free = self._gram @ alphas[1], self.rho / ratio
-        moving = alphas[1] @ (held + 2 * (few.T @ forces[1])) + z * z
-        loose = alphas[1] @ (held - 2 * free * (few.T @ forces[0])) + (free * u) ** 2
-        size = math.sqrt(ratio * max(float(moving), float(loose), 0.0))
-        return float(error) / math.sqrt(ratio), size
+        error = float(phi @ self._errors) + self._share * (ratio * z + self.rho * u)
+        # A^-1 E^T N zeta and the F_k are orthogonal in the metric of A
+        size = math.sqrt(ratio * max(float(alphas[1] @ self._gram @ alphas[1]) + z * z, 0.0))
+        floor = FLOOR * float(phi @ self._responses)
+        return error / math.sqrt(ratio), max(size, floor / math.sqrt(ratio))
 
     @cached_property
     def _gram(self) -> np.ndarray:
@@ -131,22 +125,15 @@ def reduce(process: SweepingProcess, tol: float) -> Reduction | str:
         return motion
     unknowns, terms, moving = motion
     A = Elimination(process.A, unknowns, process.metric.order)
-    columns, pulls = [], []
-    for _, f in terms:
-        F = A.solve(f)
-        columns.append(F + A.solve(f - process.A @ F))
-        # N E A^-1 f; what acts on the few is itself: a load at the threshold stays there
-        inner = f.copy()
-        inner[unknowns] = 0.0
-        pulls.append(f[unknowns] + (A.reduce(inner)[1] if inner.any() else 0.0))
-    # what the certificates of the small process do not see: how well the rest follows
-    errors = [A.dual_norm(process.A @ F - f) for F, (_, f) in zip(columns, terms, strict=True)]
-    shares = [error / size for F, error in zip(columns, errors, strict=True) if (size := A.norm(F))]
+    held = [_held(A, f) for _, f in terms]
+    responses = np.array([A.dual_norm(f) for _, f in terms])
+    errors = np.array([A.dual_norm(one.missed) for one in held])
     share = _accuracy(A)
-    if max([*shares, share]) > min(ACCURATE, 1e-3 * tol):
+    if (errors > (worst := min(ACCURATE, FLOOR * tol)) * responses).any() or share > worst:
         return "A is too badly conditioned to apply its inverse beforehand"
-    shapes = np.column_stack([*columns, process.u0])
-    load = [(phi, pull) for (phi, _), pull in zip(terms, pulls, strict=True)]
+    rest = process.u0 - _follow(A, process.u0[unknowns])
+    shapes = np.column_stack([*(one.F for one in held), rest])
+    load = [(phi, one.pull) for (phi, _), one in zip(terms, held, strict=True)]
     small = SweepingProcess(A.N, rho * A.N if rho else None, moving(load), process.u0[unknowns])
     phis = [phi for phi, _ in terms]
     unit = np.eye(len(terms) + 1)
@@ -154,7 +141,42 @@ def reduce(process: SweepingProcess, tol: float) -> Reduction | str:
     linear = SweepingProcess(
         unit, rho * unit if rho else None, Moving(Point(unit[-1] * 0), alpha), unit[-1]
     )
-    return Reduction(rho, small, linear, shapes, A, np.array([*errors, 0.0]), share)
+    errors, responses = np.append(errors, 0.0), np.append(responses, 0.0)
+    return Reduction(rho, small, linear, shapes, A, errors, responses, share)
+
+
+class Held(NamedTuple):
+    """The response F of a body whose contact is held, the force on that, and what F misses."""
+
+    F: np.ndarray
+    pull: np.ndarray
+    missed: np.ndarray
+
+
+def _held(A: Elimination, f: np.ndarray) -> Held:
+    """A F = f but on the contact, F = 0 there; what acts on the few is theirs to the last bit."""
+    few, inner = A.unknowns, f.copy()
+    inner[few] = 0.0
+    nothing = np.zeros(few.size)
+    F, pull = np.zeros(A.dim), nothing
+    for _ in range(2):  # the second one refines
+        missed = inner - A.M @ F
+        missed[few] -= pull
+        if not missed.any():
+            break
+        forward, more = A.reduce(missed)
+        # held at 0, the contact takes the force N E A^-1 r
+        F, pull = F + A.recover(forward, nothing), pull + more
+    missed = inner - A.M @ F
+    missed[few] -= pull
+    return Held(F, f[few] + pull, missed)
+
+
+def _follow(A: Elimination, zeta: np.ndarray) -> np.ndarray:
+    """A^-1 E^T N zeta: how the body follows its contact."""
+    u = A.recover(np.zeros(A.dim), A.N @ zeta)
+    u[A.unknowns] = zeta  # to the last bit: stuck is 0.0
+    return u
 
 
 def _accuracy(A: Elimination) -> float:
@@ -162,8 +184,7 @@ def _accuracy(A: Elimination) -> float:
     m = A.unknowns.size
     worst = 0.0
     for d in (np.ones(m), np.cos(np.arange(m) + 1.0), (-1.0) ** np.arange(m)):
-        v, pull = A.recover(np.zeros(A.dim), A.N @ d), np.zeros(A.dim)
-        v[A.unknowns] = d
+        v, pull = _follow(A, d), np.zeros(A.dim)
         pull[A.unknowns] = A.N @ d
         worst = max(worst, A.dual_norm(A.M @ v - pull) / A.norm(v))
     return 2 * worst

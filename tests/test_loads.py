@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+import sweepopt as so
 from sweepopt import Constant, InputError, Separable, Sine, Table, Triangle
 
 HISTORIES = [
@@ -187,3 +188,23 @@ def test_an_unreadable_csv_is_refused(tmp_path):
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00t")
     with pytest.raises(InputError, match=r"binary\.csv: is not UTF-8 text"):
         Table.from_csv(tmp_path / "binary.csv", "f2")
+
+
+def test_histories_of_any_kind_are_checked_and_used_one_time_at_a_time() -> None:
+    class Step:
+        def __call__(self, t: float) -> float:
+            return 1.0 if t < 1 else 2.0
+
+        def variation(self, a: float, b: float) -> float:
+            return 1.0
+
+        def breakpoints(self, a: float, b: float) -> np.ndarray:
+            return np.array([1.0])
+
+    load = so.Separable([(Step(), [1.0]), (so.Sine(1.0, 4.0), [0.0])])
+    times = np.array([0.5, 1.5])
+    assert load.values(times).tolist() == [load.coefficients(t).tolist() for t in times]
+    assert load.values(times)[:, 0].tolist() == [1.0, 2.0]
+    table = so.Moving(so.Box([-1], [1]), center=so.Table([0, 5], [0, 7]))
+    this = so.SweepingProcess([[1.0]], [[1.0]], table, [0.0])
+    assert so.solve(this, t_end=5.0, steps=20).success

@@ -68,7 +68,6 @@ def test_the_contact_alone_gives_the_trajectory_of_all_unknowns(part: str, schem
     assert max(map(this.metric.norm, ours.u - general.u)) <= 1e-10 * size
     size = max(map(this.metric.norm, general.velocity))
     assert max(map(this.metric.norm, ours.velocity - general.velocity)) <= 1e-9 * size
-    # its certificate is that of the whole body: the discrete inclusion holds from A, B and C alone
     assert ours.stats["relative"].max() <= 1e-9
 
 
@@ -176,3 +175,37 @@ def test_no_rows_of_a_trajectory_have_a_shape() -> None:
     sol = so.solve(process(u0=np.zeros(40)), t_end=1.0, steps=4)
     assert sol.states.velocity(slice(0, 0)).shape == (0, 40)
     assert sol.states.u([[0, 1], [2, 3]]).shape == (2, 2, 40)
+
+
+@pytest.mark.parametrize("contrast", [1.0, 1e2, 1e3])
+def test_the_certificate_bounds_the_error_of_all_unknowns_of_each_step(contrast: float) -> None:
+    """From A, B and C alone: the inclusion of the lifted step, refined by another path."""
+    soft = np.where(np.arange(41) < 3, 1 / contrast, 1.0)
+    A = sp.csc_array(
+        sp.diags_array([soft[:-1] + soft[1:], -soft[1:-1], -soft[1:-1]], offsets=[0, -1, 1])
+    )
+    this = process(A=A, B=RHO * A, u0=np.zeros(40))
+    sol = so.solve(this, t_end=4.0, steps=60, scheme="implicit-euler", path="proportional")
+    mu = 4.0 / 60
+    M = sp.csc_array(A + mu * RHO * A)
+    plan = so.solve(this, t_end=1.0, steps=1, path="eliminated", scheme="implicit-euler").plan
+    exact = plan.velocity(M)
+    worst = 0.0
+    for i, z in enumerate(sol.velocity):
+        found = exact(this.times_B(sol.u[i]), this.C.at(float(sol.t[i + 1]))).velocity
+        apart = np.sqrt((z - found.z) @ (M @ (z - found.z)))
+        stated = sol.stats["certificate"][i] + found.certificate
+        assert apart <= stated + 1e-14 * np.sqrt(z @ (M @ z))
+        worst = max(worst, apart)
+    assert 0 < worst <= 1e-9
+
+
+@pytest.mark.parametrize("B", [None, RHO * chain()], ids=["without B", "with B"])
+def test_a_contact_at_its_threshold_stays_where_it_is(B: Any) -> None:
+    g = np.array([0.1, 0.7, 1.3, 0.3])
+    f = np.zeros(40)
+    f[CONTACT] = [0.1, -0.7, 1.3, -0.3]
+    C = so.Moving(-so.image(select(CONTACT), so.Box(-g, g)), so.Separable([(so.Constant(1.0), f)]))
+    sol = so.solve(process(B=B, C=C, u0=np.zeros(40)), t_end=10.0, steps=50)
+    assert sol.plan.path == "proportional"
+    assert not sol.u.any()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Callable, Sequence
+from importlib.util import find_spec
 
 import numpy as np
 
@@ -85,11 +86,13 @@ def bench(
 def entrants(
     contestants: Sequence[Contestant], dim: int, only: Sequence[str] | None
 ) -> list[Contestant]:
-    """Those that were chosen and can bear `dim` unknowns."""
+    """Those that were chosen, can bear `dim` unknowns and have their package."""
     return [
         contestant
         for contestant in contestants
-        if dim <= contestant.limit and (only is None or contestant.path in only)
+        if dim <= contestant.limit
+        and (only is None or contestant.path in only)
+        and find_spec(contestant.needs) is not None
     ]
 
 

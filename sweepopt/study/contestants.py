@@ -32,6 +32,8 @@ class Contestant:
         Whether it computes the process, or the one without its set.
     floor : str
         The loop by hand that solves the same programs with the same settings, without proof.
+    needs : str
+        A package without which it does not take part.
     """
 
     path: str
@@ -40,6 +42,7 @@ class Contestant:
     limit: float = inf
     friction: bool = True
     floor: str = ""
+    needs: str = "numpy"
 
 
 def library(
@@ -113,7 +116,7 @@ CONTESTANTS = (
         floor="linear-by-hand",
     ),
     Contestant("linear-by-hand", loop(by_hand.linear_by_hand), 1e-12, friction=False),
-    Contestant("multigrid", library("multigrid"), 1e-7),
+    Contestant("multigrid", library("multigrid"), 1e-7, needs="pyamg"),
     Contestant("full-auto", library("full"), PROVED, PATIENT),
     Contestant(
         "full-clarabel", library("full", "clarabel"), PROVED, PATIENT, floor="clarabel-floor"
