@@ -277,8 +277,12 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
     order = np.argsort(mus, kind="stable")
     rounding = 4 * np.finfo(float).eps * np.abs(times).max()
     group = np.cumsum(np.diff(mus[order], prepend=mus[order[0]]) > rounding)
-    sizes = np.bincount(group, weights=mus[order]) / np.bincount(group)
-    mus[order] = sizes[group]
+    ordered, counts = mus[order], np.bincount(group)
+    last = np.cumsum(counts) - 1
+    # neighbours by rounding may drift apart in a long chain: then each keeps its own
+    one_size = ordered[last] - ordered[last - counts + 1] <= 4 * rounding
+    sizes = np.bincount(group, weights=ordered) / counts
+    mus[order] = np.where(one_size[group], sizes[group], ordered)
     return times, mus
 
 

@@ -277,12 +277,14 @@ class Solution:
             raise InputError("energies add up all steps, but not all were kept; leave save= out")
         mu = np.diff(self.t)
         viscous, friction, work = np.zeros((3, len(mu)))
-        for i, z in enumerate(self.velocity):
+        for i in range(len(mu)):
+            z = self.states.velocity(i)
             C = self.process.C.at(float(self.t[i] + 0.5 * mu[i]))
             viscous[i] = z @ (self.process.A @ z)
             work[i] = C.anchor @ z
             friction[i] = C.support(-z) + work[i]
-        stored = np.array([0.5 * u @ self.process.times_B(u) for u in self.u])
+        states = map(self.states.u, range(len(self.t)))
+        stored = np.array([0.5 * u @ self.process.times_B(u) for u in states])
         viscous, friction, work = (
             np.append(0.0, np.cumsum(mu * rate)) for rate in (viscous, friction, work)
         )

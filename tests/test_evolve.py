@@ -7,6 +7,7 @@ import pytest
 from cases import case
 
 import sweepopt as so
+from sweepopt.evolve import time_grid
 from sweepopt.program import VelocityProgram
 from sweepopt.solvers import Answer
 
@@ -223,3 +224,11 @@ def test_every_step_says_who_found_it() -> None:
     sol = so.solve(case("P09").process, t_end=10.0, steps=50, solver="osqp")
     assert set(sol.stats["solver"]) <= {"osqp", "at rest"}
     assert set(so.solve(slider(), t_end=5.0, steps=40).stats["solver"]) == {"closed form"}
+
+
+def test_steps_that_grow_by_little_each_keep_their_own_size_at_large_times() -> None:
+    times = 1.7e9 + np.append(0.0, np.cumsum(1.0 + 3e-4 * np.linspace(0, 1, 1000)))
+    _, mus = time_grid(None, times)
+    assert np.abs(mus - np.diff(times)).max() <= 4e-6  # rounding of the times is 2.4e-7
+    _, equal = time_grid(None, 1.7e9 + np.arange(0, 10, 0.1))
+    assert np.unique(equal).size == 1

@@ -96,7 +96,7 @@ def test_without_a_nonsmooth_part_no_solver_and_without_elasticity_no_product_wi
     def refuse(*_: object) -> None:
         raise AssertionError("work for an effect that is not there")
 
-    for solver in (so.Clarabel, so.OSQP, so.Newton, so.Cvxpy):
+    for solver in (so.Clarabel, so.OSQP, so.DAQP, so.Newton, so.Cvxpy):
         monkeypatch.setattr(solver, "compile", refuse)
     load = so.Separable([(so.Sine(1.0, 2.0), np.ones(40))])
     free = so.EvolutionVI(chain(), chain(), load=load, u0=np.zeros(40)).as_sweeping()
@@ -122,7 +122,8 @@ def test_diagonal_processes_are_solved_by_a_formula_that_agrees_with_the_solvers
     moving = so.Moving(C, lambda t: np.sin([3 * t, 2 * t, t]))
     this = so.SweepingProcess(A, B, moving, np.zeros(3))
     solved = so.solve(this, t_end=4.0, steps=80, solver=so.Clarabel(tol=1e-11))
-    monkeypatch.setattr(so.Newton, "compile", lambda *_: pytest.fail("a solver was compiled"))
+    for one in (so.Newton, so.DAQP, so.OSQP, so.Clarabel):
+        monkeypatch.setattr(one, "compile", lambda *_: pytest.fail("a solver was compiled"))
     sol = so.solve(this, t_end=4.0, steps=80)
     assert sol.stats["relative"].max() <= 1e-14
     assert "formula" in str(sol.plan)
