@@ -2,30 +2,27 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from sweepopt.blocks import BlockWriter, Stored
-from sweepopt.checks import count, number, vector
+from sweepopt.checks import number
+from sweepopt.control import check_stability, evaluation_times, time_grid
 from sweepopt.errors import (
     InputError,
     MissingExtraError,
-    StabilityWarning,
     Status,
     StepError,
-    SweepoptError,
-    UnstableStepError,
 )
-from sweepopt.march import Summary, march
-from sweepopt.plan import PATHS, Plan, make_plan
+from sweepopt.lifting import Lift
+from sweepopt.march import march
+from sweepopt.plan import PATHS, make_plan
 from sweepopt.process import EvolutionVI, SweepingProcess
-from sweepopt.schemes import Scheme, choose
+from sweepopt.schemes import choose
 from sweepopt.solution import Solution
-from sweepopt.states import MEMORY, Keeper, Kept, Lifted, States, saving
+from sweepopt.states import MEMORY, Keeper, States, saving
 
 
 class StepInfo(NamedTuple):
@@ -133,14 +130,15 @@ def solve(
     memory = number("memory", memory, minimum=0.0, strict=True)
     times, mus = time_grid(t_end, steps)
     tableau = choose(scheme, process.rate_independent)
-    members = process.check(_evaluation_times(times, mus, tableau))
+    members = process.check(evaluation_times(times, mus, tableau))
     plan = make_plan(process, members, tableau, solver, tol, path)
     wanted = saving(save, times, plan.entering, memory)
     process.check_start(float(times[0]))
-    _check_stability(process, tableau, float(mus.max()), on_unstable)
+    check_stability(process, tableau, float(mus.max()), on_unstable)
 
     moved = plan.reduction.process if plan.reduction else process
-    lift = _Lift(plan, times, mus)
+    lift = Lift(plan, times, mus)
+    beside = lift.seconds
     keeper = Keeper(wanted.steps, moved.u0)
     bar = _progress_bar(len(mus)) if progress else None
     blocks = BlockWriter(wanted.path, float(times[0]), process.u0) if wanted.path else None
@@ -159,7 +157,7 @@ def solve(
         return callback(StepInfo(i, t, u, z, certificate)) if callback is not None else None
 
     watched = any(one is not None for one in (bar, callback, blocks, wanted.function))
-    beside, finished = lift.seconds, False
+    finished = False
     try:
         run = march(
             moved,
@@ -196,119 +194,6 @@ def solve(
         cause=run.cause,
         recorded=recorded if wanted.function is not None else None,
     )
-
-
-class _Lift:
-    """All unknowns from those that enter the steps; the coefficients of the load come first."""
-
-    def __init__(self, plan: Plan, times: np.ndarray, mus: np.ndarray) -> None:
-        self._plan, self._times, self._mus = plan, times, mus
-
-    @cached_property
-    def _moved(self) -> tuple[Kept, np.ndarray]:
-        """The coefficients of the whole run, and the seconds of each of their steps."""
-        assert self._plan.reduction is not None
-        process = self._plan.reduction.coefficients
-        n = len(self._mus)
-        keeper = Keeper(np.arange(n), process.u0)
-        run = march(process, self._plan.of_coefficients, self._times, self._mus, keeper)
-        if run.status is Status.INTERRUPTED:
-            raise KeyboardInterrupt
-        if run.done < n:
-            raise SweepoptError(f"the load's coefficients: {run.cause or run.status.value}")
-        return keeper.close()[1], run.log.table(self._times[1:])["seconds"]
-
-    @property
-    def _alpha(self) -> Kept:
-        return self._moved[0]
-
-    @property
-    def seconds(self) -> np.ndarray:
-        """What each step costs beside the loop."""
-        return np.zeros(len(self._mus)) if self._plan.reduction is None else self._moved[1]
-
-    def state(self, node: int, u: np.ndarray) -> np.ndarray:
-        """The state at a node of the grid."""
-        reduction = self._plan.reduction
-        return u if reduction is None else reduction.lift(u, self._alpha.nodes[node])
-
-    def velocity(self, i: int, z: np.ndarray) -> np.ndarray:
-        """The velocity of a step."""
-        reduction = self._plan.reduction
-        return z if reduction is None else reduction.lift(z, self._alpha.velocities[i])
-
-    def prove(self, i: int, zeta: np.ndarray, velocity: np.ndarray, step: Summary) -> Summary:
-        """The certificate of all unknowns from that of those that entered the step."""
-        assert self._plan.reduction is not None
-        gamma = self._mus[i] * self._plan.scheme.a[-1][-1]
-        alphas = self._alpha.nodes[i], self._alpha.velocities[i]
-        error, size = self._plan.reduction.residual((zeta, velocity), alphas, gamma)
-        certificate = step.certificate + error
-        if step.relative > 0:
-            size = max(size, step.certificate / step.relative)
-        relative = certificate / size if certificate > 0 else certificate
-        return step._replace(certificate=certificate, relative=relative)
-
-    def of(self, kept: Kept, steps: np.ndarray) -> States:
-        """The kept states as states of all unknowns."""
-        reduction = self._plan.reduction
-        if reduction is None:
-            return kept
-        return Lifted(kept, lambda: self._alpha, steps, reduction.lift, self._plan.unknowns)
-
-
-def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
-    """The times, t_0 + i mu or the user's own, and the step sizes.
-
-    Steps that differ by the rounding of the times only get one size: they share a program.
-    """
-    end = None if t_end is None else number("t_end", t_end, minimum=0.0, strict=True)
-    if np.ndim(steps) == 0:
-        n = count("steps", steps)
-        if end is None:
-            raise InputError("t_end is missing; give it or pass the times as steps")
-        return np.append(np.arange(n) * (end / n), end), np.full(n, end / n)
-    times = vector("steps", steps)
-    if times.size < 2 or not (np.diff(times) > 0).all():
-        raise InputError("steps must hold at least two strictly increasing times")
-    if end is not None and abs(times[-1] - end) > 1e-12 * abs(times[-1]):
-        raise InputError(f"steps end at {times[-1]:g}, but t_end is {end:g}; leave t_end out")
-    mus = np.diff(times)
-    order = np.argsort(mus, kind="stable")
-    rounding = 4 * np.finfo(float).eps * np.abs(times).max()
-    group = np.cumsum(np.diff(mus[order], prepend=mus[order[0]]) > rounding)
-    ordered, counts = mus[order], np.bincount(group)
-    last = np.cumsum(counts) - 1
-    # neighbours by rounding may drift apart in a long chain: then each keeps its own
-    one_size = ordered[last] - ordered[last - counts + 1] <= 4 * rounding
-    sizes = np.bincount(group, weights=ordered) / counts
-    mus[order] = np.where(one_size[group], sizes[group], ordered)
-    return times, mus
-
-
-def _evaluation_times(times: np.ndarray, mus: np.ndarray, scheme: Scheme) -> np.ndarray:
-    """Where C(t) is asked for or shall be checked: the nodes, and the stages of every step."""
-    stages = times[:-1, None] + mus[:, None] * np.array(scheme.c)
-    return np.unique(np.append(times, np.minimum(stages, times[1:, None])))
-
-
-def _check_stability(process: SweepingProcess, scheme: Scheme, mu: float, on_unstable: str) -> None:
-    """Explicit in u means mu Lam <= 2, and no overshoot only for mu Lam <= 1."""
-    if scheme.implicit or on_unstable == "ignore" or process.B is None:
-        return
-    number_ = mu * process.Lam
-    if number_ <= 1:
-        return
-    remedy = (
-        f"mu Lam = {number_:.3g}; take mu <= {1 / process.Lam:.3g}, or implicit-euler or midpoint, "
-        "which need no such step"
-    )
-    if number_ > 2 and on_unstable == "raise":
-        raise UnstableStepError(
-            f"scheme {scheme.name!r} amplifies errors: {remedy}, or say on_unstable='warn'"
-        )
-    effect = "amplifies errors" if number_ > 2 else "can overshoot into a wrong stuck state"
-    warnings.warn(f"scheme {scheme.name!r} {effect}: {remedy}", StabilityWarning, stacklevel=3)
 
 
 def _progress_bar(steps: int) -> Any:

@@ -7,7 +7,7 @@ import pytest
 from cases import case
 
 import sweepopt as so
-from sweepopt.evolve import time_grid
+from sweepopt.control import time_grid
 from sweepopt.program import VelocityProgram
 from sweepopt.solvers import Answer
 
