@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from typing import Any, Protocol
@@ -71,18 +72,20 @@ class Lifted:
     dim: int
 
     def u(self, i: Index) -> np.ndarray:
-        nodes = np.append(0, self.steps + 1)
-        return self._lift(self.few.nodes, self.alpha().nodes[nodes], i)
+        return self._lift(self.few.nodes[i], self.alpha().nodes[self._nodes[i]])
 
     def velocity(self, i: Index) -> np.ndarray:
-        return self._lift(self.few.velocities, self.alpha().velocities[self.steps], i)
+        return self._lift(self.few.velocities[i], self.alpha().velocities[self.steps[i]])
 
-    def _lift(self, few: np.ndarray, alpha: np.ndarray, i: Index) -> np.ndarray:
-        rows = np.arange(len(few))[i]
-        lifted = np.zeros((np.size(rows), self.dim))
-        for row, k in zip(lifted, np.ravel(rows), strict=True):
-            row[:] = self.lift(few[k], alpha[k])
-        return lifted.reshape(*np.shape(rows), self.dim)
+    @cached_property
+    def _nodes(self) -> np.ndarray:
+        return np.append(0, self.steps + 1)
+
+    def _lift(self, few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+        lifted = np.zeros((*few.shape[:-1], self.dim))
+        for index in np.ndindex(few.shape[:-1]):
+            lifted[index] = self.lift(few[index], alpha[index])
+        return lifted
 
 
 @dataclass(frozen=True, eq=False)
