@@ -218,8 +218,13 @@ def closed_form(M: Factor, q: np.ndarray, C: ConvexSet) -> Velocity:
     ):
         return Velocity(np.zeros_like(q), 0.0, 0.0)
     z = 0.0 - missed / M.diagonal
-    # the rounding of the quotient, and of the difference that `missed` is
-    rounding = EPS * (np.abs(missed) + np.abs(q) + np.abs(anchor)) / M.root
-    pull = (q - anchor) / M.root
-    certificate = math.sqrt(rounding.dot(rounding))
-    return rate(z, certificate, math.sqrt(-(missed.dot(z))), math.sqrt(pull.dot(pull)))
+    force, shift = q / M.root, anchor / M.root
+    size_z = math.sqrt(-missed.dot(z))
+    # the rounding of the quotient, and of the differences that `missed` is made of
+    certificate = EPS * (size_z + _norm(force) + _norm(shift))
+    size_q = 0.0 if certificate <= POLISHED * size_z else _norm(force - shift)
+    return rate(z, certificate, size_z, size_q)
+
+
+def _norm(x: np.ndarray) -> float:
+    return math.sqrt(x.dot(x))
