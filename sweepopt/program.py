@@ -222,7 +222,7 @@ def closed_form(M: Factor, q: np.ndarray, C: ConvexSet) -> Velocity:
     size_z = math.sqrt(-missed.dot(z))
     # the rounding of the quotient, and of the differences that `missed` is made of
     certificate = EPS * (size_z + _norm(force) + _norm(shift))
-    size_q = 0.0 if certificate <= POLISHED * size_z else _norm(force - shift)
+    size_q = 0.0 if certificate <= ROUNDING * size_z else _norm(force - shift)
     return rate(z, certificate, size_z, size_q)
 
 
