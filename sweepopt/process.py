@@ -123,17 +123,7 @@ class SweepingProcess:
     def check(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
         """Check C(t) on the given increasing times, before any solver runs.
 
-        Returns
-        -------
-        list of (t, C(t))
-            The first member of each run of sets that differ in their offsets only.
-
-        Raises
-        ------
-        EmptySetError
-            If C(t) is empty; the message names t.
-        InputError
-            If C(t) is not finite or changes its dimension.
+        Returns what `MovingSet.members` does, and raises its errors.
 
         Warns
         -----

@@ -171,13 +171,10 @@ class VelocityProgram:
     def at_rest(self, q: np.ndarray, C: ConvexSet) -> Velocity | None:
         """z = 0 exactly, if q is in C: nothing moves.
 
-        The rule: a force that misses C by no more than 8 rounding units of q and of the set's
-        translation, entry by entry, counts as inside.
+        A force that misses C by rounding counts as inside.
         """
-        missed = np.abs(q - C.project(q))
-        if (missed > ROUNDING * (np.abs(q) + np.abs(C.anchor))).any():
-            return None
-        return Velocity(np.zeros_like(q), 0.0, 0.0)
+        rests = is_rounding(q - C.project(q), q, C.anchor)
+        return Velocity(np.zeros_like(q), 0.0, 0.0) if rests else None
 
 
 def _derivative(
@@ -196,6 +193,14 @@ def _derivative(
     return sp.csc_array(sum(rows[1:], start=rows[0]))
 
 
+def is_rounding(missed: np.ndarray, q: np.ndarray, anchor: np.ndarray) -> bool:
+    """The rule of rest: q misses C by at most 8 rounding units of q and of C's translation.
+
+    It holds entry by entry.
+    """
+    return bool((np.abs(missed) <= ROUNDING * (np.abs(q) + np.abs(anchor))).all())
+
+
 def rate(z: np.ndarray, certificate: float, size_z: float, size_q: float) -> Velocity:
     """A velocity with its certificate in relation to max(|z|_M, |M^-1 q|_M)."""
     relative = certificate / max(size_z, size_q) if certificate else 0.0
@@ -210,12 +215,9 @@ def has_closed_form(M: Factor, C: ConvexSet) -> bool:
 def closed_form(M: Factor, q: np.ndarray, C: ConvexSet) -> Velocity:
     """z = M^-1 (P_C(q) - q) for a diagonal M; the certificate is what rounding leaves."""
     missed, anchor = C.normal(q), C.anchor
-    # at rest up to the rounding of the force, entry by entry, as in `at_rest`; if so then also in
-    # the Euclidean norm, which is looked at first as it costs less
-    if (
-        missed.dot(missed) <= 2 * ROUNDING**2 * (q.dot(q) + anchor.dot(anchor))
-        and (np.abs(missed) <= ROUNDING * (np.abs(q) + np.abs(anchor))).all()
-    ):
+    # the rule of rest implies the same in the Euclidean norm, which costs less to look at
+    near = missed.dot(missed) <= 2 * ROUNDING**2 * (q.dot(q) + anchor.dot(anchor))
+    if near and is_rounding(missed, q, anchor):
         return Velocity(np.zeros_like(q), 0.0, 0.0)
     z = 0.0 - missed / M.diagonal
     force, shift = q / M.root, anchor / M.root

@@ -20,8 +20,8 @@ import numpy as np
 
 from sweepopt.errors import SolverRefusedError
 from sweepopt.multigrid import Multigrid
-from sweepopt.program import Velocity, rate
-from sweepopt.sets.base import ROUNDING, ConvexSet, Selection
+from sweepopt.program import Velocity, is_rounding, rate
+from sweepopt.sets.base import ConvexSet, Selection
 
 # reduction of the residual while the contact state changes; less and less loose if that goes on
 LOOSE, LEAST = 0.1, 1e-8
@@ -160,8 +160,7 @@ class MultigridProgram:
 
 
 def _at_rest(q: np.ndarray, selection: Selection, force: np.ndarray) -> bool:
-    """Whether q is in C up to 8 rounding units, the rule of `VelocityProgram.at_rest`."""
+    """Whether q is in C, by the rule of `VelocityProgram.at_rest`."""
     missed = force.copy()
     missed[selection.unknowns] = selection.part.normal(force[selection.unknowns])
-    scale = np.abs(q) if selection.shift is None else np.abs(q) + np.abs(selection.shift)
-    return bool((np.abs(missed) <= ROUNDING * scale).all())
+    return is_rounding(missed, q, q - force)  # q - force is the translation
