@@ -20,7 +20,7 @@ from sweepopt.errors import (
     VariationWarning,
 )
 from sweepopt.evolve import StepInfo, solve
-from sweepopt.loads import Constant, Separable, Sine, Table, Triangle
+from sweepopt.loads import Constant, Polynomial, Separable, Sine, Table, Triangle
 from sweepopt.plan import Plan
 from sweepopt.process import EvolutionVI, SweepingProcess
 from sweepopt.sets import (
@@ -73,6 +73,7 @@ __all__ = [
     "Plan",
     "Point",
     "Polyhedron",
+    "Polynomial",
     "Polytope",
     "SecondOrderCone",
     "Separable",

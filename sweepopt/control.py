@@ -50,7 +50,7 @@ def evaluation_times(times: np.ndarray, mus: np.ndarray, scheme: Scheme) -> np.n
 
 def check_stability(process: SweepingProcess, scheme: Scheme, mu: float, on_unstable: str) -> None:
     """Explicit in u means mu Lam <= 2, and no overshoot only for mu Lam <= 1."""
-    if scheme.implicit or on_unstable == "ignore" or process.B is None:
+    if not scheme.explicit or on_unstable == "ignore" or process.B is None:
         return
     number_ = mu * process.Lam
     if number_ <= 1:
@@ -65,3 +65,15 @@ def check_stability(process: SweepingProcess, scheme: Scheme, mu: float, on_unst
         )
     effect = "amplifies errors" if number_ > 2 else "can overshoot into a wrong stuck state"
     warnings.warn(f"scheme {scheme.name!r} {effect}: {remedy}", StabilityWarning, stacklevel=3)
+
+
+def warn_of_overshoot(scheme: Scheme, t: float, on_unstable: str) -> None:
+    """Tell of a step in which the velocity fell while mu Lam is too large to resolve that."""
+    if on_unstable != "ignore":
+        warnings.warn(
+            f"scheme {scheme.name!r} may have overshot into a wrong stuck state in the step from "
+            f"t = {t:g}: the velocity fell there and mu Lam is above {scheme.overshoots:g}; take "
+            "smaller steps, or implicit-euler or midpoint, which cannot overshoot",
+            StabilityWarning,
+            stacklevel=3,
+        )

@@ -9,7 +9,12 @@ import numpy as np
 
 from sweepopt.blocks import BlockWriter, Stored
 from sweepopt.checks import number
-from sweepopt.control import check_stability, evaluation_times, time_grid
+from sweepopt.control import (
+    check_stability,
+    evaluation_times,
+    time_grid,
+    warn_of_overshoot,
+)
 from sweepopt.errors import (
     InputError,
     MissingExtraError,
@@ -61,7 +66,8 @@ def solve(
     steps : int or array_like
         Number of equal steps, or the increasing times themselves (the first one is where u0 holds).
     scheme : str
-        "auto" (midpoint; implicit-euler when A = 0), "catching-up", "implicit-euler", "midpoint".
+        "auto" (midpoint; implicit-euler when A = 0), "catching-up", "implicit-euler", "midpoint",
+        "trapezoid" (A coercive only), "sdirk2".
     solver : str or Solver
         "auto", "clarabel", "osqp", "daqp", "newton", "cvxpy" or an object: ``OSQP(tol=1e-10)``.
     tol : float
@@ -86,7 +92,8 @@ def solve(
     on_failure : {"raise", "stop"}
         Raise StepError, or return the steps that are certified with status INEXACT.
     on_unstable : {"raise", "warn", "ignore"}
-        What catching-up does when mu Lam > 2; between 1 and 2 it warns unless "ignore".
+        What catching-up does when mu Lam > 2; between 1 and 2 it warns unless "ignore". trapezoid
+        and sdirk2 warn of a step that may have overshot, unless "ignore".
 
     Returns
     -------
@@ -174,6 +181,8 @@ def solve(
             bar.close()
         if blocks is not None:
             blocks.close(finished)
+    if run.overshot is not None:
+        warn_of_overshoot(tableau, float(times[run.overshot]), on_unstable)
     kept_steps, kept = keeper.close()
     if run.status is Status.INEXACT and on_failure == "raise":
         u = lift.state(run.done, kept.nodes[-1])

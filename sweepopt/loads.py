@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,6 +42,24 @@ class History(Protocol):
         ...
 
 
+class Piece(NamedTuple):
+    """A history in closed form between two of its kinks.
+
+    phi(t) = sum_k polynomial[k] (t - origin)^k + sum_j a_j sin(w_j t + p_j).
+
+    Attributes
+    ----------
+    origin : float
+    polynomial : tuple of float
+        Coefficients, the constant one first.
+    waves : tuple of (a, w, p)
+    """
+
+    origin: float
+    polynomial: tuple[float, ...]
+    waves: tuple[tuple[float, float, float], ...] = ()
+
+
 @dataclass(frozen=True)
 class Constant:
     """``phi(t) = value``.
@@ -67,6 +85,53 @@ class Constant:
     def breakpoints(self, a: float, b: float) -> Array:
         """None."""
         return np.empty(0)
+
+    def piece(self, a: float, b: float) -> Piece:
+        """The value."""
+        return Piece(a, (self.value,))
+
+
+@dataclass(frozen=True, eq=False)
+class Polynomial:
+    """``phi(t) = sum_k coefficients[k] t^k``.
+
+    Parameters
+    ----------
+    coefficients : array_like, shape (m,)
+        The constant one first.
+
+    Examples
+    --------
+    >>> ramp = Polynomial([0.0, 1.5])
+    >>> ramp(2.0), Polynomial([0.0, 2.0, -1.0]).variation(0.0, 2.0)
+    (array(3.), 2.0)
+    """
+
+    coefficients: Array
+
+    def __init__(self, coefficients: ArrayLike) -> None:
+        object.__setattr__(self, "coefficients", _frozen_vector("coefficients", coefficients))
+
+    def __call__(self, t: ArrayLike) -> Array:
+        return np.asarray(np.polynomial.polynomial.polyval(_times(t), self.coefficients))
+
+    def variation(self, a: float, b: float) -> float:
+        """Total variation on [a, b]."""
+        slope = np.polynomial.polynomial.polyder(self.coefficients)
+        turns = np.polynomial.polynomial.polyroots(np.trim_zeros(slope, "b"))
+        turns = np.sort(turns.real)  # more points than needed do no harm
+        return _variation_through(self, [a, *turns[(turns > a) & (turns < b)], b])
+
+    def breakpoints(self, a: float, b: float) -> Array:
+        """None: a polynomial is smooth."""
+        return np.empty(0)
+
+    def piece(self, a: float, b: float) -> Piece:
+        """Itself."""
+        return Piece(0.0, tuple(self.coefficients.tolist()))
+
+    def __repr__(self) -> str:
+        return f"Polynomial({self.coefficients.tolist()})"
 
 
 @dataclass(frozen=True)
@@ -101,6 +166,11 @@ class Sine:
         """None: a sine is smooth."""
         return np.empty(0)
 
+    def piece(self, a: float, b: float) -> Piece:
+        """Itself."""
+        wave = (self.amplitude, 2.0 * math.pi / self.period, self.phase)
+        return Piece(a, (self.offset,), (wave,))
+
 
 @dataclass(frozen=True)
 class Triangle:
@@ -133,6 +203,10 @@ class Triangle:
     def breakpoints(self, a: float, b: float) -> Array:
         """The peaks strictly between a and b."""
         return _lattice(self.period / 4.0, self.period / 2.0, a, b)
+
+    def piece(self, a: float, b: float) -> Piece:
+        """The line between a and b, where no peak lies between them."""
+        return _line(self, a, b)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,11 +290,15 @@ class Table:
         )
         return self.times[inside]
 
+    def piece(self, a: float, b: float) -> Piece:
+        """The line between a and b, where no time of the table lies between them."""
+        return _line(self, a, b)
+
     def __repr__(self) -> str:
         return f"Table({self.times.size} points on [{self.times[0]:g}, {self.times[-1]:g}])"
 
 
-DATA = (Constant, Sine, Triangle, Table)  # histories that take all times at once
+DATA = (Constant, Polynomial, Sine, Triangle, Table)  # histories that take all times at once
 
 
 class Separable:
@@ -368,6 +446,11 @@ def _frozen_vector(name: str, values: ArrayLike) -> Array:
         raise InputError(f"{name} must not be empty")
     array.setflags(write=False)
     return array
+
+
+def _line(history: Callable[[ArrayLike], Array], a: float, b: float) -> Piece:
+    start, end = history(np.array([a, b]))
+    return Piece(a, (float(start), float(end - start) / (b - a)))
 
 
 def _variation_through(history: Callable[[ArrayLike], Array], times: Sequence[float]) -> float:

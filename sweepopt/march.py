@@ -37,6 +37,7 @@ def march(
     steps = len(mus)
     grid, sizes = times.tolist(), mus.tolist()
     velocities = _Velocities(process, plan)
+    critical = _critical(process, plan.scheme)
     run = Run(Log(steps))
     u = process.u0
     lost = np.zeros(process.dim)  # what rounding kept out of u (Kahan)
@@ -58,6 +59,8 @@ def march(
                 run.status = Status.UNCERTIFIED
             lost = (following - u) - increment
             u = following
+            if mu > critical and run.overshot is None and _has_slowed(process, stages):
+                run.overshot = i
             keeper.put(i, u, z)
             run.log.add(i, step, clock.perf_counter() - started)
             run.done = i + 1
@@ -121,13 +124,14 @@ class Log:
 
 @dataclass
 class Run:
-    """How a run ended."""
+    """How a run ended, and the first step that may have overshot."""
 
     log: Log
     done: int = 0
     status: Status = Status.SUCCESS
     cause: str = ""
     relative: float = 0.0
+    overshot: int | None = None
 
 
 class _Velocities:
@@ -167,6 +171,23 @@ def _step(
         solved = velocities(gamma)(process.times_B(known), process.C.at(t + c * mu))
         stages.append(solved)
     return _combine(scheme.b, stages), stages
+
+
+def _critical(process: SweepingProcess, scheme: Scheme) -> float:
+    """The step size above which the scheme can overshoot."""
+    if math.isinf(scheme.overshoots) or process.B is None or process.rate_independent:
+        return math.inf  # at A = 0 nothing starts outside of C(t)
+    return scheme.overshoots / process.Lam
+
+
+def _has_slowed(process: SweepingProcess, stages: list[Solved]) -> bool:
+    """Whether the velocity halved within a step: what decays there decays unresolved.
+
+    The last stage of a scheme that can overshoot is the velocity at its end.
+    """
+    first, last = stages[0].velocity.z, stages[-1].velocity.z
+    force = process.metric.M @ first
+    return float(force @ last) < 0.5 * float(force @ first)
 
 
 def _combine(weights: Sequence[float], stages: list[Solved]) -> np.ndarray:

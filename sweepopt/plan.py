@@ -216,7 +216,9 @@ def make_plan(
     if multigrid:
         _require_multigrid(process, members, contact, solver)
     reduced: Reduction | str = "the unknowns shall be kept"
-    if path in ("auto", "proportional") and contact is not None and not multigrid:
+    if len(scheme.b) > 1:
+        reduced = f"scheme {scheme.name!r} has several stages"
+    elif path in ("auto", "proportional") and contact is not None and not multigrid:
         reduced = reduce(process, tol)
     if path == "proportional" and isinstance(reduced, str):
         raise InputError(f"path='proportional' does not apply: {reduced}")

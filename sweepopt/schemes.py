@@ -9,6 +9,7 @@ and u_{i+1} = u_i + mu sum_k b_k z_k. MATH.md section 3 has the orders and the p
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from sweepopt.errors import InputError
@@ -27,6 +28,8 @@ class Scheme:
         Weights of the stages and their times in units of mu.
     order : int
         For translated sets with smooth loads.
+    overshoots : float
+        mu Lam from which a step can overshoot into a wrong stuck state although it is stable.
     """
 
     name: str
@@ -34,12 +37,20 @@ class Scheme:
     b: tuple[float, ...]
     c: tuple[float, ...]
     order: int
+    overshoots: float = math.inf
 
     @property
     def implicit(self) -> bool:
         """Whether every stage is implicit in u, so that A = 0 is allowed."""
         return all(row[-1] > 0 for row in self.a)
 
+    @property
+    def explicit(self) -> bool:
+        """Whether no stage is implicit in u, so that the step size is limited."""
+        return not any(row[-1] > 0 for row in self.a)
+
+
+GAMMA = 1 - math.sqrt(0.5)  # Alexander's
 
 SCHEMES = {
     scheme.name: scheme
@@ -49,6 +60,17 @@ SCHEMES = {
         # at A = 0 this is Moreau's catching-up algorithm
         Scheme("implicit-euler", a=((1.0,),), b=(1.0,), c=(1.0,), order=1),
         Scheme("midpoint", a=((0.5,),), b=(1.0,), c=(0.5,), order=2),
+        Scheme(
+            "trapezoid", a=((0.0,), (0.5, 0.5)), b=(0.5, 0.5), c=(0.0, 1.0), order=2, overshoots=4.0
+        ),
+        Scheme(
+            "sdirk2",
+            a=((GAMMA,), (1 - GAMMA, GAMMA)),
+            b=(1 - GAMMA, GAMMA),
+            c=(GAMMA, 1.0),
+            order=2,
+            overshoots=20.0,
+        ),
     )
 }
 
@@ -61,5 +83,7 @@ def choose(name: str, rate_independent: bool) -> Scheme:
         raise InputError(f"scheme {name!r} is not known; use auto, {', '.join(SCHEMES)}")
     scheme = SCHEMES[name]
     if rate_independent and not scheme.implicit:
-        raise InputError(f"scheme {name!r} needs A coercive; with A = 0 use implicit-euler")
+        raise InputError(
+            f"scheme {name!r} needs A coercive; with A = 0 use implicit-euler or sdirk2"
+        )
     return scheme

@@ -232,3 +232,27 @@ def test_steps_that_grow_by_little_each_keep_their_own_size_at_large_times() -> 
     assert np.abs(mus - np.diff(times)).max() <= 4e-6  # rounding of the times is 2.4e-7
     _, equal = time_grid(None, 1.7e9 + np.arange(0, 10, 0.1))
     assert np.unique(equal).size == 1
+
+
+@pytest.mark.parametrize(
+    ("scheme", "mu", "reached"), [("trapezoid", 20, 2.55), ("sdirk2", 100, 1.1)]
+)
+def test_a_step_that_overshoots_is_warned_of(scheme: str, mu: float, reached: float) -> None:
+    # it should rise from -1 to -0.1 and stick there
+    process = so.SweepingProcess([[1.0]], [[1.0]], so.Box([-0.1], [2.0]), u0=[-1.0])
+
+    def run(scheme: str, on_unstable: str = "raise") -> so.Solution:
+        return so.solve(process, t_end=mu, steps=1, scheme=scheme, on_unstable=on_unstable)
+
+    with pytest.warns(so.StabilityWarning, match=f"'{scheme}' may have overshot .* t = 0:"):
+        assert run(scheme).u[-1, 0] == pytest.approx(reached, abs=0.01)
+    run(scheme, "ignore")
+    for steady in ("implicit-euler", "midpoint"):
+        assert -1 <= run(steady).u[-1, 0] <= -0.1
+
+
+def test_a_stiff_body_that_slides_steadily_is_not_said_to_overshoot() -> None:
+    C = so.Moving(so.Box([-1.0], [1.0]), center=lambda t: [2.0 + 50 * t])
+    process = so.SweepingProcess([[1.0]], [[50.0]], C, u0=[0.02])
+    sol = so.solve(process, t_end=20.0, steps=20, scheme="sdirk2")
+    assert sol.u[-1, 0] == pytest.approx(20.0, abs=0.1)

@@ -9,11 +9,12 @@ import pytest
 from cases import GRIDS, SETS, Case, case, embedded
 
 import sweepopt as so
+from sweepopt.schemes import SCHEMES
 
 RUNS = [
     (name, scheme, solver)
     for name in SETS
-    for scheme in ("catching-up", "implicit-euler", "midpoint")
+    for scheme in SCHEMES
     for solver in ("clarabel", "osqp")
     if scheme in case(name).errors and (solver == "clarabel" or case(name).polyhedral)
 ]
@@ -39,14 +40,14 @@ def test_errors_and_order_are_those_of_the_theory(
         assert sol.success
         assert sol.stats["relative"].max() <= 1e-6
         errors.append(this.error(sol))
-    margin = 0.03 if scheme == "midpoint" else 0.02
+    margin = 0.02 if SCHEMES[scheme].order == 1 else 0.03
     for steps in (101, 1009):
         expected = this.errors[scheme][str(steps)]
         assert errors[GRIDS.index(steps)] == pytest.approx(expected, rel=margin)
     order = -np.polyfit(np.log(GRIDS), np.log(errors), 1)[0]
     if this.process.rate_independent:
         assert scheme != "implicit-euler" or order >= 0.95
-    elif scheme == "midpoint":
+    elif SCHEMES[scheme].order == 2:
         assert order >= 1.7
     else:
         assert order == pytest.approx(1.0, abs=0.1)

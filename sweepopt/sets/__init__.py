@@ -11,7 +11,7 @@ from sweepopt.sets.algebra import Product
 from sweepopt.sets.base import ConvexSet, Features, Witness
 from sweepopt.sets.constraints import Constraints
 from sweepopt.sets.image import Image
-from sweepopt.sets.moving import Moving, MovingSet
+from sweepopt.sets.moving import Moving, MovingOffsets, MovingSet
 from sweepopt.sets.polyhedra import HalfSpace, Polyhedron, Polytope
 from sweepopt.sets.shapes import (
     Ball,
@@ -79,6 +79,7 @@ __all__ = [
     "Features",
     "HalfSpace",
     "Moving",
+    "MovingOffsets",
     "MovingSet",
     "Orthant",
     "Point",

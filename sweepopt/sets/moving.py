@@ -217,3 +217,19 @@ class Moving(MovingSet):
         if isinstance(scaled, Point):
             return Point(scaled.offsets + self.center_at(t))
         return algebra.Translation(scaled, self.center_at(t))
+
+
+class MovingOffsets(MovingSet):
+    """C(t) = { w : G w <= h(t) }, which `Polyhedron(G, h)` gives for a callable h.
+
+    Attributes
+    ----------
+    shape : ConvexSet
+        The member with h = 0.
+    offsets : callable t -> (m,)
+        h, a `Separable` for example.
+    """
+
+    def __init__(self, shape: Any, offsets: Callable[[float], Any]) -> None:
+        self.shape, self.offsets = shape, offsets
+        super().__init__(lambda t: shape.with_offsets(offsets(t)), shape.dim)

@@ -54,11 +54,10 @@ class Polyhedron(ConvexSet):
 
     def __new__(cls, G: Any, h: Any) -> Any:
         if callable(h):
-            from sweepopt.sets.moving import MovingSet
+            from sweepopt.sets.moving import MovingOffsets
 
             G = matrix("G", G)
-            template = cls(G, np.zeros(G.shape[0]))
-            return MovingSet(lambda t: template.with_offsets(h(t)), template.dim)
+            return MovingOffsets(cls(G, np.zeros(G.shape[0])), h)
         return super().__new__(cls)
 
     def __init__(self, G: Any, h: Any) -> None:
