@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+from sweepopt.certificate import ErrorBound
 from sweepopt.errors import (
+    AccuracyError,
     EmptySetError,
     InitialStateWarning,
     InputError,
@@ -50,6 +52,7 @@ __version__ = "0.1.0"
 __all__ = [
     "DAQP",
     "OSQP",
+    "AccuracyError",
     "Ball",
     "Balls",
     "Box",
@@ -61,6 +64,7 @@ __all__ = [
     "Ellipsoid",
     "EmptySetError",
     "Energy",
+    "ErrorBound",
     "EvolutionVI",
     "HalfSpace",
     "InitialStateWarning",

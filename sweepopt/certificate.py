@@ -30,20 +30,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sweepopt.control import time_grid
+from sweepopt.control import divided, time_grid
 from sweepopt.defects import Defects, Path, cubic, defects
 from sweepopt.march import march
 from sweepopt.norms import Norms
 from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.schemes import SCHEMES
-from sweepopt.states import Keeper
+from sweepopt.states import MEMORY, Keeper, saving
 
 ROUNDING = 64 * np.finfo(float).eps
 # de Casteljau at 1/2: a cubic's Bernstein coefficients on both halves
-HALVES = np.array(
-    [[8, 0, 0, 0], [4, 4, 0, 0], [2, 4, 2, 0], [1, 3, 3, 1], [0, 2, 4, 2], [0, 0, 4, 4], [0, 0, 0, 8]]
-) / 8  # fmt: skip
+HALVES = np.array([
+    [8, 0, 0, 0], [4, 4, 0, 0], [2, 4, 2, 0], [1, 3, 3, 1], [0, 2, 4, 2], [0, 0, 4, 4], [0, 0, 0, 8]
+]) / 8  # fmt: skip
 PARTS = 8  # of a step, for the companion where A = 0
 COMPANION_TOL = 1e-9  # the companion's programs: what they miss is in its bound
 
@@ -113,14 +113,18 @@ def error_bound(
 
 def _companion(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Path:
     """Midpoint on the same grid; where A = 0 implicit Euler on a finer one."""
-    scheme = SCHEMES["implicit-euler" if process.rate_independent else "midpoint"]
-    parts = PARTS if process.rate_independent else 1
-    fine = np.append((t[:-1, None] + np.diff(t)[:, None] * np.arange(parts) / parts).ravel(), t[-1])
-    times, mus = time_grid(None, fine)
-    for tol in (plan.tol, math.inf):  # what the programs miss is in the bound
-        keeper = Keeper(np.arange(len(mus)), process.u0)
-        run = march(process, replace(plan, scheme=scheme, tol=tol), times, mus, keeper)
-        if run.done == len(mus):
+    if process.rate_independent:
+        return nodes(process, replace(plan, scheme=SCHEMES["implicit-euler"]), divided(t, PARTS))
+    return nodes(process, replace(plan, scheme=SCHEMES["midpoint"]), t)
+
+
+def nodes(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Path:
+    """All nodes of a run on the grid t; what its programs miss is in the bound."""
+    times, mus = time_grid(None, t)
+    wanted = saving(None, times, process.dim, MEMORY)
+    for tol in (plan.tol, math.inf):
+        keeper = Keeper(wanted.steps, process.u0)
+        if march(process, replace(plan, tol=tol), times, mus, keeper).done == len(mus):
             break
     kept = keeper.close()[1]
     return Path(times, kept.nodes, np.diff(kept.nodes, axis=0) / np.diff(times)[:, None])

@@ -42,6 +42,12 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
     return times, mus
 
 
+def divided(times: np.ndarray, parts: int) -> np.ndarray:
+    """The grid with each step cut into equal parts."""
+    inner = times[:-1, None] + np.diff(times)[:, None] * np.arange(parts) / parts
+    return np.append(inner.ravel(), times[-1])
+
+
 def evaluation_times(times: np.ndarray, mus: np.ndarray, scheme: Scheme) -> np.ndarray:
     """Where C(t) is asked for or shall be checked: the nodes, and the stages of every step."""
     stages = times[:-1, None] + mus[:, None] * np.array(scheme.c)

@@ -16,7 +16,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.motion import DERIVATIVE, GAUSS, TO_BERNSTEIN, WEIGHTS, Between, Grid, Motion, motion
+from sweepopt.motion import (
+    DERIVATIVE,
+    GAUSS,
+    TO_BERNSTEIN,
+    WEIGHTS,
+    Between,
+    Grid,
+    Motion,
+    increments,
+    motion,
+)
 from sweepopt.norms import Norms
 from sweepopt.process import SweepingProcess
 from sweepopt.sets import ConvexSet
@@ -123,14 +133,17 @@ def _candidates(process: SweepingProcess, phi: VelocityOf, near: Path) -> list[n
 
 def _best(found: list[Defects], still: bool) -> Defects:
     """On each step the curve that misses least: all go through the nodes."""
-    gaps, squares, _, bent = (np.array([one[k] for one in found]) for k in range(4))
+    gaps, squares, sup, bent, slopes = (
+        np.array(part) for part in zip(*(one[:5] for one in found), strict=True)
+    )
     cost = gaps + squares
     if still:  # the bound is about sum bent + sqrt(sum gaps)
         cost = bent + gaps / (math.sqrt(float(gaps.min(axis=0).sum())) or 1.0)
-    choice = np.argmin(np.where(np.isnan(cost), np.inf, cost), axis=0)
-    step = np.arange(len(choice))
-    return Defects(*(np.array(arrays)[choice, step] for arrays in zip(*(one[:5] for one in found), strict=True)),
-                   found[0].known)  # fmt: skip
+    choice, step = np.argmin(cost, axis=0), np.arange(cost.shape[1])
+    gaps, squares, sup, bent, slopes = (
+        part[choice, step] for part in (gaps, squares, sup, bent, slopes)
+    )
+    return Defects(gaps, squares, sup, bent, slopes, found[0].known)
 
 
 def _of_motion(
@@ -138,7 +151,11 @@ def _of_motion(
 ) -> list[Defects]:
     """Bounds of both integrals for data: intervals without a kink, many of them at once."""
     n, dim = near.velocity.shape
-    found = [Defects(*np.zeros((4, n)), x, moved.known) for x in slopes]
+    zeros = np.zeros((len(slopes), 4, n))
+    found = [
+        Defects(rows[0], rows[1], rows[2], rows[3], x, moved.known)
+        for rows, x in zip(zeros, slopes, strict=True)
+    ]
     whole = moved.grid(near.t)
     per = max(CHUNK // (30 * dim), 1)
     for start in range(0, len(whole.step), per):
@@ -146,8 +163,9 @@ def _of_motion(
         load = moved.on(grid)
         for total in found:
             part = _on_intervals(process, norms, near, total.slopes, moved, grid, load)
-            for sums, values in ((total.gaps, part.gaps), (total.squares, part.squares), (total.bent, part.bent)):
-                np.add.at(sums, grid.step, values)
+            np.add.at(total.gaps, grid.step, part.gaps)
+            np.add.at(total.squares, grid.step, part.squares)
+            np.add.at(total.bent, grid.step, part.bent)
             np.maximum.at(total.sup, grid.step, part.sup)
     return found
 
@@ -176,7 +194,7 @@ def _on_intervals(
     size = np.broadcast_to(scale.values, pull.shape)
     aim = pull - norms.steps(moved.shape, h)[:, None] * (basis(2, theta) @ slopes[i])
     wanted = TO_BERNSTEIN @ np.divide(aim, size, out=np.zeros_like(aim), where=size > 0)
-    if np.ptp(scale.values) > 0:  # a moving scale times a line has degree 5
+    if not moved.scale.constant:  # a moving scale times a line has degree 5
         wanted = wanted[:, [0, -1]]
     s = np.array([moved.shape.project(w) for w in wanted.reshape(-1, wanted.shape[-1])])
     s = s.reshape(wanted.shape)
@@ -216,13 +234,12 @@ def _companions(
     whole = share == 1
     ends = basis(2, begin[:, None] + share[:, None] * np.array([0.0, 0.5, 1.0])) @ slopes
     p = -np.where(whole[:, None, None], slopes, THIRDS @ ends) * reach[:, None]
-    unknowns, part = slice(None), S
     if S.selection is not None:
-        unknowns, part, _ = S.selection
-    p, s, most = p[..., unknowns], s[..., unknowns], reach.max(axis=1)
+        p, s, S = p[..., S.selection.unknowns], s[..., S.selection.unknowns], S.selection.part
+    most = reach.max(axis=1)
     # where A = 0 the curve must be continuous: no arcs
     ratios = np.full(len(p), math.inf) if norms.still else most**2 / norms.beta
-    each = map(part.companion, p, s, ratios.tolist())
+    each = map(S.companion, p, s, ratios.tolist())
     gaps, away = np.array(list(each)).T
     return np.array([gaps, most * away])
 
@@ -267,7 +284,7 @@ def _of_variation(
     last = _force(process, near, slopes, np.array([n - 1]), np.ones((1, 1)))[:, 0]
     nodes = zip(members, np.concatenate([force, last]), strict=True)
     w = np.array([C.project(f) for C, f in nodes])
-    v = np.diff([float(variation(t)) for t in near.t.tolist()])
+    v = increments(variation, near.t)
     gaps = np.zeros(n)
     for i in range(n):
         each = [[members[k].gap(-x, w[k]) for k in (i, i + 1)] for x in slopes[i]]

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
+    from sweepopt.solution import Solution
+
 
 class Status(Enum):
     """How a run ended; the value is the sentence shown to the user."""
@@ -73,6 +75,20 @@ class StepError(SweepoptError):
     ) -> None:
         super().__init__(message)
         self.t, self.step, self.u, self.certificate = t, step, u, certificate
+
+
+class AccuracyError(SweepoptError):
+    """A run could not be refined to the error that was asked for.
+
+    Attributes
+    ----------
+    solution : Solution
+        The finest run; `solution.error_bound()` is its bound.
+    """
+
+    def __init__(self, message: str, solution: Solution) -> None:
+        super().__init__(message)
+        self.solution = solution
 
 
 class SweepoptWarning(UserWarning):

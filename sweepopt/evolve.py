@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -25,6 +26,7 @@ from sweepopt.lifting import Lift
 from sweepopt.march import march
 from sweepopt.plan import PATHS, make_plan
 from sweepopt.process import EvolutionVI, SweepingProcess
+from sweepopt.refinement import refine
 from sweepopt.schemes import choose
 from sweepopt.solution import Solution
 from sweepopt.states import MEMORY, Keeper, States, saving
@@ -48,6 +50,7 @@ def solve(
     scheme: str = "auto",
     solver: Any = "auto",
     tol: float = 1e-6,
+    error: float | None = None,
     path: str = "auto",
     save: Any = None,
     memory: float = MEMORY,
@@ -73,6 +76,8 @@ def solve(
     tol : float
         Each program's certificate is at most tol * max(|z|_M, |M^-1 q|_M); a step that misses it
         is tried with tighter settings, then with another solver, then handled as on_failure says.
+    error : float, optional
+        Refine the steps until `Solution.error_bound` is at most this; needs a load as data.
     path : {"auto", "proportional", "eliminated", "full", "multigrid"}
         Which unknowns enter a step: with "full" all of them; with "eliminated" the few that C(t)
         acts on enter a program and the others two substitutions; with "proportional" (B = rho A
@@ -104,6 +109,8 @@ def solve(
     InputError, EmptySetError, SolverRefusedError
         For bad input, before any solver runs.
     UnstableStepError, StepError
+    AccuracyError
+        If refining does not reach `error`; the finest run is in it.
 
     Notes
     -----
@@ -121,6 +128,24 @@ def solve(
     >>> sol.success, float(sol(0.5)[0]), round(float(sol(5.0)[0]), 3)
     (True, 0.0, 3.063)
     """
+    if error is not None:
+        again = partial(
+            solve,
+            process,
+            scheme=scheme,
+            solver=solver,
+            tol=tol,
+            path=path,
+            save=save,
+            memory=memory,
+            progress=progress,
+            callback=callback,
+            on_failure=on_failure,
+            on_unstable=on_unstable,
+        )
+        first, _ = time_grid(t_end, steps)
+        wanted_error = number("error", error, minimum=0.0, strict=True)
+        return refine(lambda times: again(steps=times), first, wanted_error)
     for name, value, allowed in (
         ("path", path, tuple(PATHS)),
         ("on_failure", on_failure, ("raise", "stop")),

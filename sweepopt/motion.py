@@ -8,6 +8,7 @@ variation for a history that only declares this.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,6 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from sweepopt.checks import number
+from sweepopt.errors import InputError
 from sweepopt.loads import Constant, Piece, Separable
 from sweepopt.sets import AnySet, Box, ConvexSet, Moving, MovingOffsets
 from sweepopt.sets.curves import basis, to_bernstein
@@ -34,7 +37,8 @@ TO_BERNSTEIN = to_bernstein(GAUSS)
 DERIVATIVE = 5 * basis(4, GAUSS) @ np.diff(TO_BERNSTEIN, axis=0)  # of values at GAUSS, there
 LIFT = basis(4, GAUSS) @ to_bernstein(NODES)  # from values at NODES to values at GAUSS
 NODAL = math.factorial(5) ** 2 / math.factorial(10)  # max of prod |x - x_g| on [0, 1]
-PARTS = 64  # of a step, for a history that declares its variation only
+PARTS = 64  # of an interval, for a history that declares its variation only
+ON_PARTS = basis(4, np.arange(PARTS + 1) / PARTS) @ to_bernstein(NODES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +79,9 @@ class Data:
         return all(hasattr(phi, "variation") for phi, _ in self.terms)
 
     @property
-    def rough(self) -> bool:
-        """Whether a history declares nothing but its variation."""
-        return self.known and not all(hasattr(phi, "piece") for phi, _ in self.terms)
+    def constant(self) -> bool:
+        """Whether it does not change."""
+        return self.function is None and all(isinstance(phi, Constant) for phi, _ in self.terms)
 
     def at(self, times: np.ndarray) -> np.ndarray:
         """Values, shape (len(times), dim)."""
@@ -103,20 +107,17 @@ class Data:
         values = np.zeros((len(h), 5, self.dim))
         away, bent = np.zeros((2, len(h), len(self.terms)))
         for k, (phi, f) in enumerate(self.terms):
-            if hasattr(phi, "variation") and not hasattr(phi, "piece"):
-                ends = Separable([(phi, [1.0])]).values(np.append(begin, end[-1]))[:, 0]
-                chords = ends[:-1, None] + np.diff(ends)[:, None] * NODES
-                away[:, k] = [phi.variation(a, b) for a, b in zip(begin, end, strict=True)]
-                bent[:, k] = away[:, k] + np.abs(np.diff(ends))
-                values += chords[:, :, None] * f
-                continue
-            values += Separable([(phi, f)]).at_many(times.ravel()).reshape(values.shape)
+            found = Separable([(phi, [1.0])]).values(times.ravel()).reshape(len(h), 5)
+            values += found[:, :, None] * f
+            pairs = list(zip(begin.tolist(), end.tolist(), strict=True))
             if hasattr(phi, "piece"):
-                fifth = np.array(
-                    [_fifth_derivative(phi.piece(a, b), a, b) for a, b in zip(begin, end, strict=True)]
-                )
+                fifth = np.array([_fifth_derivative(phi.piece(a, b), a, b) for a, b in pairs])
                 # Rolle: the error's derivative has four zeros
                 away[:, k], bent[:, k] = fifth * h**5 * NODAL / 120, fifth * h**5 / 24
+            elif hasattr(phi, "variation"):
+                away[:, k], bent[:, k] = np.array(
+                    [_rough(phi, *x) for x in zip(pairs, found, strict=False)]
+                ).T
         return Between(LIFT @ values, away, bent)
 
     def _sampled(self, begin: np.ndarray, end: np.ndarray, times: np.ndarray) -> Between:
@@ -126,9 +127,20 @@ class Data:
             return Between(LIFT @ values, np.zeros((m, 1)), np.zeros((m, 1)))
         ends = self.at(np.append(begin, end[-1]))
         chords = ends[:-1, None] + np.diff(ends, axis=0)[:, None] * GAUSS[:, None]
-        v = np.array([float(self.variation(t)) for t in np.append(begin, end[-1]).tolist()])
-        away = np.diff(v)[:, None]
+        away = increments(self.variation, np.append(begin, end[-1]))[:, None]
         return Between(chords, away, away + np.linalg.norm(np.diff(ends, axis=0), axis=1)[:, None])
+
+
+def increments(variation: Callable[[float], float], times: np.ndarray) -> np.ndarray:
+    """v(t_{i+1}) - v(t_i) of a variation, which never falls."""
+    grown = np.diff([number(f"variation({t:g})", variation(t)) for t in times.tolist()])
+    if (grown < 0).any():
+        i = int(np.argmin(grown))
+        raise InputError(
+            f"variation must not fall, but it does between t = {times[i]:g} and {times[i + 1]:g}; "
+            "give v with d_H(C(t), C(s)) <= v(t) - v(s) for s <= t"
+        )
+    return grown
 
 
 class Between(NamedTuple):
@@ -147,6 +159,20 @@ class Between(NamedTuple):
     values: np.ndarray
     away: np.ndarray
     bent: np.ndarray
+
+
+def _rough(phi: Any, ends: tuple[float, float], values: np.ndarray) -> tuple[float, float]:
+    """`away` and `bent` of a history that declares its variation only, from samples on parts.
+
+    On a part an error e is at most (|e| at one end + |e| at the other + its variation) / 2.
+    """
+    a, b = ends
+    times = a + (b - a) * np.arange(PARTS + 1) / PARTS
+    e = Separable([(phi, [1.0])]).values(times)[:, 0] - ON_PARTS @ values
+    slope = float(np.abs(np.diff(to_bernstein(NODES) @ values)).max()) * 4 / PARTS
+    varies = [phi.variation(*part) + slope for part in itertools.pairwise(times.tolist())]
+    worst = 0.5 * (np.abs(e[:-1]) + np.abs(e[1:]) + varies)
+    return float(worst.max()), float(np.sum(varies))
 
 
 def _fifth_derivative(piece: Piece, a: float, b: float) -> float:
@@ -178,9 +204,7 @@ class Motion:
     def grid(self, t: np.ndarray) -> Grid:
         """The steps between the times t, cut at the kinks of the histories."""
         kinks = [data.breakpoints(t[0], t[-1]) for data in (self.center, self.scale)]
-        parts = PARTS if self.center.rough or self.scale.rough else 1
-        inner = t[:-1, None] + np.diff(t)[:, None] * np.arange(parts) / parts
-        cuts = np.unique(np.concatenate([inner.ravel(), t[-1:], *kinks]))
+        cuts = np.unique(np.concatenate([t, *kinks]))
         step = np.searchsorted(t, cuts[:-1], side="right") - 1
         return Grid(step, cuts[:-1], cuts[1:])
 

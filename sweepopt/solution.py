@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -205,7 +205,11 @@ class Solution:
         return self.plan.velocity(self.process.metric.M)
 
     def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
-        """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A = 0), a float.
+        """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A = 0).
+
+        The theorem and the curves it is applied to are in `sweepopt.certificate`: no constant in it
+        is unknown, and what the solvers miss is inside. It costs about as much as the run. Steps
+        that were not kept are computed again.
 
         Parameters
         ----------
@@ -216,18 +220,39 @@ class Solution:
         Returns
         -------
         ErrorBound
+            A float, with the bound on each step, in the B-seminorm, and a lower bound.
 
         Raises
         ------
         InputError
-            If not all steps were kept.
+            If a variation that is given falls, or the states do not fit in memory.
+
+        Examples
+        --------
+        >>> import sweepopt as so
+        >>> C = so.Moving(so.Box([-1], [1]), center=so.Separable([(so.Sine(3.0, 4.0), [1.0])]))
+        >>> process = so.SweepingProcess(A=[[0.5]], B=[[2.0]], C=C, u0=[0.0])
+        >>> bound = so.solve(process, t_end=5.0, steps=500).error_bound()
+        >>> bound.guaranteed, 0 < bound < 3e-3
+        (True, True)
         """
-        from sweepopt.certificate import error_bound
+        if variation is None:
+            return self._bound
+        return self._bound_with(variation)
+
+    @cached_property
+    def _bound(self) -> ErrorBound:
+        return self._bound_with(None)
+
+    def _bound_with(self, variation: Callable[[float], float] | None) -> ErrorBound:
+        from sweepopt.certificate import error_bound, nodes
         from sweepopt.defects import Path
 
-        if not self.complete:
-            raise InputError("the bound adds up all steps, but not all were kept; leave save= out")
-        return error_bound(self.process, self.plan, Path(self.t, self.u, self.velocity), variation)
+        if self.complete:
+            run = Path(self.t, self.u, self.velocity)
+        else:
+            run = nodes(self.process, replace(self.plan, reduction=None), self._grid)
+        return error_bound(self.process, self.plan, run, variation)
 
     def _distance(self, force: np.ndarray, C: Any) -> float:
         # the velocity program with M = A, q = w is the projection of w on C in the A^-1 metric

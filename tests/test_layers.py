@@ -23,9 +23,11 @@ LEVELS = [
     {"solvers", "schemes"},
     {"velocity", "control"},
     {"plan"},
-    {"solution"},
+    {"motion", "solution"},
+    {"norms"},
     {"march"},
-    {"lifting"},
+    {"lifting", "defects", "refinement"},
+    {"certificate"},
     {"evolve"},
     {"library"},
     {"fem"},
@@ -34,7 +36,7 @@ LEVELS = [
     {"cli", "__main__"},
 ]
 # conveniences of Solution that call upward by a local import
-UPWARD = {("solution", "store"), ("solution", "plot")}
+UPWARD = {("solution", above) for above in ("store", "plot", "certificate", "defects")}
 HOMES = {
     "cvxpy": {"program", "sets", "solvers/reference", "study/by_hand"},
     "clarabel": {"solvers/clarabel", "study/by_hand"},

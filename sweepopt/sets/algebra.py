@@ -330,12 +330,14 @@ class Product(ConvexSet):
         )
 
     def gap(self, p: np.ndarray, w: np.ndarray) -> float:
-        blocks = np.split(p, self._cuts), np.split(w, self._cuts)
-        return sum(part.gap(*one) for part, *one in zip(self.parts, *blocks, strict=True))
+        blocks = zip(self.parts, np.split(p, self._cuts), np.split(w, self._cuts), strict=True)
+        return sum(part.gap(*one) for part, *one in blocks)
 
     def companion(self, p: np.ndarray, w: np.ndarray, ratio: float) -> Companion:
-        blocks = np.split(p, self._cuts, axis=1), np.split(w, self._cuts, axis=1)
-        each = [part.companion(*one, ratio) for part, *one in zip(self.parts, *blocks, strict=True)]
+        directions, points = (np.split(x, self._cuts, axis=1) for x in (p, w))
+        each = [
+            part.companion(directions[k], points[k], ratio) for k, part in enumerate(self.parts)
+        ]
         gaps, away = np.array(each).T
         return Companion(float(gaps.sum()), float(np.linalg.norm(away)))
 
