@@ -43,7 +43,7 @@ from sweepopt.sets import (
     product,
 )
 from sweepopt.solution import Energy, Solution
-from sweepopt.solvers import DAQP, OSQP, Clarabel, Cvxpy, Newton
+from sweepopt.solvers import DAQP, OSQP, Clarabel, Cvxpy, Newton, Secular
 
 __version__ = "0.1.0"
 
@@ -75,6 +75,7 @@ __all__ = [
     "Polyhedron",
     "Polytope",
     "SecondOrderCone",
+    "Secular",
     "Separable",
     "Sine",
     "Solution",

@@ -53,6 +53,13 @@ class Selection(NamedTuple):
     shift: np.ndarray | None
 
 
+class Sphere(NamedTuple):
+    """C = { w : |w - center| <= radius }."""
+
+    center: np.ndarray
+    radius: float
+
+
 class ConvexSet(ABC):
     """A non-empty closed convex set C in R^dim.
 
@@ -219,6 +226,11 @@ class ConvexSet(ABC):
     @property
     def selection(self) -> Selection | None:
         """The few unknowns C acts on, if it is the image of a set under a selection of them."""
+        return None
+
+    @property
+    def sphere(self) -> Sphere | None:
+        """Centre and radius, if C is written as one ball."""
         return None
 
     def rows(self) -> tuple[Any, np.ndarray] | None:
