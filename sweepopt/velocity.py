@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.linalg import Elimination, Factor
+from sweepopt.linalg import Elimination, Factor, dense
 from sweepopt.multigrid import Multigrid
 from sweepopt.program import (
     POLISHED,
@@ -24,10 +24,11 @@ from sweepopt.program import (
     rate,
 )
 from sweepopt.sets import ConvexSet
-from sweepopt.sets.base import Selection
-from sweepopt.solvers import Answer, Solve, Solver, choose
+from sweepopt.sets.algebra import Translation
+from sweepopt.sets.base import Selection, same_array
+from sweepopt.solvers import NEWTON, Answer, Solve, Solver, choose
 from sweepopt.solvers.multigrid import MultigridProgram
-from sweepopt.solvers.polish import Polish, polisher
+from sweepopt.solvers.newton import Iteration
 
 ACCURATE = 1e-9  # what multigrid iterates to, and above which rounding is looked at closely
 SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
@@ -45,6 +46,7 @@ class Solved:
 
 VelocityOf = Callable[[np.ndarray, ConvexSet], Solved]
 SelectedVelocity = Callable[[np.ndarray, Selection], Solved]
+Polish = Callable[[np.ndarray, ConvexSet, np.ndarray], Velocity | None]
 
 
 def linear(M: Factor) -> VelocityOf:
@@ -111,16 +113,19 @@ def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> 
 
     def solve(q: np.ndarray, C: ConvexSet) -> Solved:
         nonlocal program, formula, rungs
-        if program is None or not program.cone.same_cone(C):
-            program = VelocityProgram(M, C)
-            formula = solver == "auto" and has_closed_form(M, C)
-            rungs = ladder(choose(solver, C))
+        shape = C.part if isinstance(C, Translation) else C
+        if program is None or not program.cone.same_cone(shape):
+            program = VelocityProgram(M, shape)
+            formula = solver == "auto" and has_closed_form(M, shape)
+            rungs = ladder(choose(solver, shape))
             compiled.clear()
         if formula:
             return Solved(closed_form(M, q, C), "closed form", 0, 0)
         rest = program.at_rest(q, C)
         if rest is not None:
             return Solved(rest, "at rest", 0, 0)
+        if isinstance(C, Translation):  # the same program
+            q, C = q - C.v, shape
         best = Solved(Velocity(np.zeros_like(q), np.inf, np.inf), "none", 0, 0)
         for attempt, rung in enumerate(rungs):
             if attempt not in compiled:
@@ -154,8 +159,7 @@ def _judge(
         raw = None if needed else program.certify(q, C, answer.z, answer.y)
         if raw is not None and raw.relative <= POLISHED:
             return raw
-        z = polish()(q, C, answer.z)
-        better = None if z is None else program.certify(q, C, z, answer.y)
+        better = polish()(q, C, answer.z)
         needed = better is not None and better.relative <= POLISHED
         if better is not None and needed:
             return better
@@ -163,6 +167,47 @@ def _judge(
         return raw if better is None or raw.relative <= better.relative else better
 
     return judge
+
+
+def polisher(M: Factor, order: np.ndarray | None) -> Polish:
+    """(q, C, z) -> the velocity of Newton steps from z; None where they do not apply.
+
+    They are taken on the unknowns that the set acts on, all others are eliminated.
+    """
+    start = np.zeros(0)
+    elimination: Elimination | None = None
+    selected: SelectedVelocity | None = None
+
+    def newton(N: Factor) -> VelocityOf:
+        iterate = Iteration(dense(N.M))
+
+        def solve(q: np.ndarray, C: ConvexSet) -> Solved:
+            z = start
+            for limit in (1, NEWTON.max_iter):  # one step is enough from a good answer
+                z, iterations = iterate(q, C, z, limit)
+                velocity = VelocityProgram(N, C).certify(q, C, z, np.zeros(C.offsets.size))
+                if velocity.relative <= POLISHED:
+                    break
+            return Solved(velocity, NEWTON.name, iterations, 1)
+
+        return solve
+
+    whole = cache(lambda: newton(M))
+
+    def polish(q: np.ndarray, C: ConvexSet, z: np.ndarray) -> Velocity | None:
+        nonlocal start, elimination, selected
+        selection = C.selection
+        if selection is None or not NEWTON.treats(selection.part):
+            start = z
+            return whole()(q, C).velocity if NEWTON.treats(C) else None
+        few = selection.unknowns
+        if elimination is None or selected is None or not same_array(few, elimination.unknowns):
+            elimination = Elimination(M.M, few, order)
+            selected = eliminated(elimination, newton(Factor(elimination.N)))
+        start = z[few]
+        return selected(q, selection).velocity
+
+    return polish
 
 
 def ladder(solvers: Sequence[Solver]) -> list[Solver]:
