@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.linalg import Factor
+from sweepopt.linalg import Factor, euclidean
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.base import ROUNDING
 
@@ -236,10 +236,6 @@ def closed_form(M: Factor, q: np.ndarray, C: ConvexSet) -> Velocity:
     force, shift = q / M.root, anchor / M.root
     size_z = math.sqrt(-missed.dot(z))
     # the rounding of the quotient, and of the differences that `missed` is made of
-    certificate = EPS * (size_z + _norm(force) + _norm(shift))
-    size_q = 0.0 if certificate <= ROUNDING * size_z else _norm(force - shift)
+    certificate = EPS * (size_z + euclidean(force) + euclidean(shift))
+    size_q = 0.0 if certificate <= ROUNDING * size_z else euclidean(force - shift)
     return rate(z, certificate, size_z, size_q)
-
-
-def _norm(x: np.ndarray) -> float:
-    return math.sqrt(x.dot(x))

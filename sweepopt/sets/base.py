@@ -27,7 +27,7 @@ from sweepopt.errors import InputError
 if TYPE_CHECKING:
     import cvxpy as cp
 
-ROUNDING = 8 * np.finfo(float).eps
+ROUNDING = 8 * float(np.finfo(float).eps)
 
 
 class Features(NamedTuple):
