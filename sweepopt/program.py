@@ -18,6 +18,7 @@ import scipy.sparse as sp
 
 from sweepopt.linalg import Factor, euclidean
 from sweepopt.sets import ConvexSet
+from sweepopt.sets.algebra import Translation
 from sweepopt.sets.base import ROUNDING
 
 if TYPE_CHECKING:
@@ -181,7 +182,8 @@ class VelocityProgram:
             beside[few.unknowns] = 0.0
             if not _is_near(beside, q, few.shift):
                 return None
-        rests = is_rounding(C.normal(q), q, C.anchor)
+        force, shape = untranslated(q, C)
+        rests = is_rounding(force - shape.project(force), q, C.anchor)
         return Velocity(np.zeros_like(q), 0.0, 0.0) if rests else None
 
 
@@ -201,6 +203,11 @@ def _derivative(
     return sp.csc_array(sum(rows[1:], start=rows[0]))
 
 
+def untranslated(q: np.ndarray, C: ConvexSet) -> tuple[np.ndarray, ConvexSet]:
+    """(q - v, S) for C = v + S: C enters the program through q - C alone."""
+    return (q - C.v, C.part) if isinstance(C, Translation) else (q, C)
+
+
 def is_rounding(missed: np.ndarray, q: np.ndarray, anchor: np.ndarray) -> bool:
     """The rule of rest: q misses C by at most 8 rounding units of q and of C's translation.
 
@@ -213,7 +220,7 @@ def is_rounding(missed: np.ndarray, q: np.ndarray, anchor: np.ndarray) -> bool:
 
 def _is_near(missed: np.ndarray, q: np.ndarray, anchor: np.ndarray) -> bool:
     """What the rule of rest implies in the Euclidean norm, which costs less to look at."""
-    return bool(missed.dot(missed) <= 2 * ROUNDING**2 * (q.dot(q) + anchor.dot(anchor)))
+    return bool(missed.dot(missed) <= 3 * ROUNDING**2 * (q.dot(q) + anchor.dot(anchor)))
 
 
 def rate(z: np.ndarray, certificate: float, size_z: float, size_q: float) -> Velocity:

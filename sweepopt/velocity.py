@@ -22,6 +22,7 @@ from sweepopt.program import (
     closed_form,
     has_closed_form,
     rate,
+    untranslated,
 )
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.algebra import Translation
@@ -123,8 +124,7 @@ def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> 
         rest = program.at_rest(q, C)
         if rest is not None:
             return Solved(rest, "at rest", 0, 0)
-        if isinstance(C, Translation):  # the same program
-            q, C = q - C.v, shape
+        q, C = untranslated(q, C)  # the same program
         best = Solved(Velocity(np.zeros_like(q), np.inf, np.inf), "none", 0, 0)
         for attempt, rung in enumerate(rungs):
             if attempt not in compiled:
