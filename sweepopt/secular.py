@@ -25,13 +25,13 @@ def secular(a: np.ndarray, k: np.ndarray, radius: float) -> float:
     >>> secular(np.array([3.0, 4.0]), np.array([1.0, 1.0]), 2.5)
     1.0
     """
-    nu, step = 0.0, np.inf
+    nu = 0.0
     for _ in range(STEPS):
         falling = 1 + nu * k
         x = a / falling
         square = float(x @ x)
         step = (np.sqrt(square) / radius - 1) * square / float(x @ (x * k / falling))
-        nu += step
+        nu += max(step, 0.0)  # a step back is rounding
         if step <= 1e-15 * nu:
             break
     return float(nu)

@@ -102,6 +102,16 @@ def test_a_ball_that_is_nearly_a_point_leaves_the_linear_system(radius: float) -
     assert velocity.z == pytest.approx(np.linalg.solve(M, -q), rel=1e-9)
 
 
+def test_a_load_above_the_threshold_by_the_last_bit_is_answered() -> None:
+    M = spectral(np.random.default_rng(0), np.array([1.0, 10.0]))
+    for radius in (1.0, np.nextafter(2.0, 0.0), 1e-160):
+        for load in (np.nextafter(radius, 9.0), (1 + 1e-15) * radius, 3 * radius):
+            C = so.Ball(np.zeros(2), radius)
+            answer = so.Secular().compile(VelocityProgram(Factor(M), C))(np.array([0.0, load]), C)
+            assert np.isfinite(answer.z).all()
+            assert np.linalg.norm(answer.z) <= 4 * (load - radius) + 1e-15 * radius
+
+
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 def test_a_ball_is_recognised_however_it_is_written() -> None:
     rng = np.random.default_rng(6)

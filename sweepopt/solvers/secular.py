@@ -83,6 +83,8 @@ class Secular:
         def refined(force: np.ndarray, radius: float, z: np.ndarray) -> np.ndarray:
             """A Newton step on M z + q - c + r z / |z| = 0: from the data, not from k."""
             length = math.sqrt(z @ z)
+            if length == 0:
+                return z  # the load is above the threshold by less than rounding
             direction, lam = z / length, radius / length
             missed = back @ (M @ z + force + radius * direction)
             # (D + lam) - lam n n^T; 1 - lam n^T (D + lam)^-1 n without cancellation
