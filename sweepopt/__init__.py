@@ -45,7 +45,7 @@ from sweepopt.sets import (
     product,
 )
 from sweepopt.solution import Energy, Solution
-from sweepopt.solvers import DAQP, OSQP, Clarabel, Cvxpy, Newton
+from sweepopt.solvers import DAQP, OSQP, Clarabel, Cvxpy, Newton, Secular
 
 __version__ = "0.1.0"
 
@@ -80,6 +80,7 @@ __all__ = [
     "Polynomial",
     "Polytope",
     "SecondOrderCone",
+    "Secular",
     "Separable",
     "Sine",
     "Solution",

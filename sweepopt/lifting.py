@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import time as clock
+from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from sweepopt.errors import Status, SweepoptError
-from sweepopt.march import Summary, march
+from sweepopt.march import Summary, compensated, step
 from sweepopt.plan import Plan
-from sweepopt.states import Keeper, Kept, Lifted, States
+from sweepopt.program import Velocity
+from sweepopt.reduction import OfLoad, Reduction
+from sweepopt.schemes import Scheme
+from sweepopt.states import Kept, Lifted, States
+from sweepopt.velocity import Solved
 
 
 class Lift:
@@ -19,18 +25,20 @@ class Lift:
         self._plan, self._times, self._mus = plan, times, mus
 
     @cached_property
-    def _moved(self) -> tuple[Kept, np.ndarray]:
-        """The coefficients of the whole run, and the seconds of each of their steps."""
+    def _moved(self) -> tuple[Kept, float]:
+        """The coefficients of the whole run, and the seconds that each of their steps took."""
         assert self._plan.reduction is not None
-        process = self._plan.reduction.coefficients
-        n = len(self._mus)
-        keeper = Keeper(np.arange(n), process.u0)
-        run = march(process, self._plan.of_coefficients, self._times, self._mus, keeper)
-        if run.status is Status.INTERRUPTED:
-            raise KeyboardInterrupt
-        if run.done < n:
-            raise SweepoptError(f"the load's coefficients: {run.cause or run.status.value}")
-        return keeper.close()[1], run.log.table(self._times[1:])["seconds"]
+        begun = clock.perf_counter()
+        alpha = _coefficients(self._plan.reduction, self._plan.scheme, self._times, self._mus)
+        return alpha, (clock.perf_counter() - begun) / len(self._mus)
+
+    @cached_property
+    def _of_load(self) -> list[OfLoad]:
+        """What the load brings into the proof of each step."""
+        assert self._plan.reduction is not None
+        gammas = self._mus * self._plan.scheme.a[-1][-1]
+        alphas = self._alpha.nodes[:-1], self._alpha.velocities
+        return self._plan.reduction.of_load(alphas, gammas)
 
     @property
     def _alpha(self) -> Kept:
@@ -39,7 +47,7 @@ class Lift:
     @property
     def seconds(self) -> np.ndarray:
         """What each step costs beside the loop."""
-        return np.zeros(len(self._mus)) if self._plan.reduction is None else self._moved[1]
+        return np.full(len(self._mus), self._moved[1] if self._plan.reduction else 0.0)
 
     def state(self, node: int, u: np.ndarray) -> np.ndarray:
         """The state at a node of the grid."""
@@ -54,14 +62,12 @@ class Lift:
     def prove(self, i: int, zeta: np.ndarray, velocity: np.ndarray, step: Summary) -> Summary:
         """The certificate of all unknowns from that of those that entered the step."""
         assert self._plan.reduction is not None
-        gamma = self._mus[i] * self._plan.scheme.a[-1][-1]
-        alphas = self._alpha.nodes[i], self._alpha.velocities[i]
-        error, size = self._plan.reduction.residual((zeta, velocity), alphas, gamma)
+        error, size = self._plan.reduction.residual(zeta, velocity, self._of_load[i])
         certificate = step.certificate + error
         if step.relative > 0:
             size = max(size, step.certificate / step.relative)
         relative = certificate / size if certificate > 0 else certificate
-        return step._replace(certificate=certificate, relative=relative)
+        return Summary(step.iterations, step.attempts, certificate, relative, step.solver)
 
     def of(self, kept: Kept, steps: np.ndarray) -> States:
         """The kept states as states of all unknowns."""
@@ -69,3 +75,66 @@ class Lift:
         if reduction is None:
             return kept
         return Lifted(kept, lambda: self._alpha, steps, reduction.lift, self._plan.unknowns)
+
+
+class _EveryStep:
+    """The process of one coefficient, alpha' + rho alpha = phi, in all steps of a run at once.
+
+    `step` asks this of it; every argument has a row for each step.
+    """
+
+    def __init__(self, rho: float, phi: Callable[[np.ndarray], np.ndarray | float]) -> None:
+        self.B = rho or None
+        self.C = self
+        self._phi = phi
+
+    def times_B(self, alpha: np.ndarray) -> np.ndarray:
+        return (self.B or 0.0) * alpha
+
+    def at(self, times: np.ndarray) -> np.ndarray | float:
+        return self._phi(times)
+
+    def velocity(self, gamma: np.ndarray) -> Callable[[np.ndarray, np.ndarray], Solved]:
+        return lambda q, phi: Solved(
+            Velocity((phi - q) / (1 + self.times_B(gamma)), 0.0, 0.0), "formula", 0, 1
+        )
+
+
+def _coefficients(reduction: Reduction, scheme: Scheme, times: np.ndarray, mus: np.ndarray) -> Kept:
+    """alpha at every node and its velocity in every step.
+
+    The velocity of a step is affine in its first state: the tableau is asked twice for all steps,
+    for the constant and for the slope.
+    """
+    load, n = reduction.load, len(mus)
+    shape = n, len(load.terms)
+    starts: Any = times[:-1, None]  # a row where `step` has a number
+    sizes: Any = mus[:, None]
+
+    def asked(phi: Callable[[np.ndarray], np.ndarray | float], alpha: np.ndarray) -> np.ndarray:
+        every: Any = _EveryStep(reduction.rho, phi)
+        return step(every, scheme, every.velocity, starts, sizes, alpha)[0]
+
+    constant = asked(lambda t: load.values(t.ravel()), np.zeros(shape))
+    slope = asked(lambda t: 0.0, np.ones((n, 1)))
+    starts_at = np.eye(shape[1])[-1]  # alpha_0 = 1, all others 0
+    columns = [
+        _follow(alpha, values, slope[:, 0], mus)
+        for alpha, values in zip(starts_at.tolist(), constant.T, strict=True)
+    ]
+    nodes, velocities = (np.column_stack(parts) for parts in zip(*columns, strict=True))
+    return Kept(nodes, velocities)
+
+
+def _follow(
+    alpha: float, constant: np.ndarray, slope: np.ndarray, mus: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """alpha and its velocity = constant + slope alpha, step by step in plain numbers."""
+    lost = 0.0
+    nodes, velocities = [alpha], []
+    for a, b, mu in zip(constant.tolist(), slope.tolist(), mus.tolist(), strict=True):
+        velocity = a + b * alpha
+        alpha, lost = compensated(alpha, mu * velocity, lost)
+        nodes.append(alpha)
+        velocities.append(velocity)
+    return np.array(nodes), np.array(velocities)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any
@@ -94,7 +95,7 @@ class Factor:
 
         lambda_min is that of D^-1/2 M D^-1/2.
         """
-        return float(np.linalg.norm(w / self.root)) * self._bound_factor
+        return euclidean(w / self.root) * self._bound_factor
 
     @cached_property
     def _bound_factor(self) -> float:
@@ -251,6 +252,11 @@ def is_semidefinite(M: Matrix, factorise: Callable[[Matrix], Any] = Factor) -> b
     except InputError:
         return False
     return True
+
+
+def euclidean(x: np.ndarray) -> float:
+    """|x| of a vector: numpy's norm looks at its shape first."""
+    return math.sqrt(x.dot(x))
 
 
 def dense(M: Matrix) -> np.ndarray:

@@ -378,7 +378,7 @@ class Separable:
         return np.asarray(self.values(times) @ self.shapes.T)
 
     def __call__(self, t: float) -> Array:
-        return np.asarray(self.shapes @ self.coefficients(t))
+        return np.asarray(self.shapes.dot(self.coefficients(t)))
 
     def variation(self, a: float, b: float, norm: Callable[[Array], float] | None = None) -> float:
         """Upper bound ``sum_k var(phi_k; a, b) |f_k|`` of the load's variation on [a, b].

@@ -6,7 +6,7 @@ import math
 import time as clock
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,31 +40,29 @@ def march(
     critical = _critical(process, plan.scheme)
     run = Run(Log(steps))
     u = process.u0
-    lost = np.zeros(process.dim)  # what rounding kept out of u (Kahan)
+    lost = np.zeros(process.dim)
     try:
         for i in range(steps):
             started = clock.perf_counter()
             mu = sizes[i]
-            z, stages = _step(process, plan.scheme, velocities, grid[i], mu, u)
-            step = _summary(stages)
+            z, stages = step(process, plan.scheme, velocities, grid[i], mu, u)
+            found = _summary(stages)
             if prove is not None:
-                step = prove(i, u, z, step)
-            increment = mu * z - lost
-            following = u + increment
-            if step.relative > plan.tol or not is_finite(following):
-                run.cause = _cause(i, grid[i], step, plan.tol)
-                run.status, run.relative = Status.INEXACT, step.relative
+                found = prove(i, u, z, found)
+            following, lost = compensated(u, mu * z, lost)
+            if found.relative > plan.tol or not is_finite(following):
+                run.cause = _cause(i, grid[i], found, plan.tol)
+                run.status, run.relative = Status.INEXACT, found.relative
                 break
-            if step.relative != step.relative:
+            if found.relative != found.relative:
                 run.status = Status.UNCERTIFIED
-            lost = (following - u) - increment
             u = following
             if mu > critical and run.overshot is None and _has_slowed(process, stages):
                 run.overshot = i
             keeper.put(i, u, z)
-            run.log.add(i, step, clock.perf_counter() - started)
+            run.log.add(i, found, clock.perf_counter() - started)
             run.done = i + 1
-            if look is not None and look(i, u, z, step.certificate):
+            if look is not None and look(i, u, z, found.certificate):
                 run.status = Status.STOPPED if run.done < steps else run.status
                 break
     except KeyboardInterrupt:
@@ -155,7 +153,7 @@ class _Velocities:
         return process.A if process.B is None or not gamma else process.A + gamma * process.B
 
 
-def _step(
+def step(
     process: SweepingProcess,
     scheme: Scheme,
     velocities: _Velocities,
@@ -188,6 +186,13 @@ def _has_slowed(process: SweepingProcess, stages: list[Solved]) -> bool:
     first, last = stages[0].velocity.z, stages[-1].velocity.z
     force = process.metric.M @ first
     return float(force @ last) < 0.5 * float(force @ first)
+
+
+def compensated(u: Any, increment: Any, lost: Any) -> tuple[Any, Any]:
+    """u + increment, and what rounding keeps out of it (Kahan); `lost` is that of before."""
+    increment = increment - lost
+    following = u + increment
+    return following, (following - u) - increment
 
 
 def _combine(weights: Sequence[float], stages: list[Solved]) -> np.ndarray:

@@ -15,7 +15,6 @@ from sweepopt.errors import InputError, SolverRefusedError
 from sweepopt.linalg import Elimination, Factor
 from sweepopt.multigrid import Multigrid
 from sweepopt.process import SweepingProcess
-from sweepopt.program import POLISHED
 from sweepopt.reduction import Reduction, reduce
 from sweepopt.schemes import Scheme
 from sweepopt.sets import ConvexSet
@@ -103,11 +102,6 @@ class Plan:
         if self.reduction is None:
             return self
         return replace(self, unknowns=self.entering, contact=None, reduction=None, order=None)
-
-    @property
-    def of_coefficients(self) -> Plan:
-        """The plan of the reduction's linear process: a diagonal one, exact to rounding."""
-        return replace(self, solvers=(), contact=None, reduction=None, order=None, tol=POLISHED)
 
     @property
     def eliminated(self) -> int:

@@ -118,7 +118,7 @@ class SweepingProcess:
 
     def times_B(self, u: np.ndarray) -> np.ndarray:
         """B u, zero where there is no B."""
-        return np.zeros(self.dim) if self.B is None else self.B @ u
+        return np.zeros(self.dim) if self.B is None else self.B.dot(u)
 
     def check(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
         """Check C(t) on the given increasing times, before any solver runs.

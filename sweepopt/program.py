@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.linalg import Factor
+from sweepopt.linalg import Factor, euclidean
 from sweepopt.sets import ConvexSet
+from sweepopt.sets.algebra import Translation
 from sweepopt.sets.base import ROUNDING
 
 if TYPE_CHECKING:
@@ -91,7 +93,7 @@ class VelocityProgram:
     cone: ConvexSet
     _canonical: dict[str, Canonical] = field(default_factory=dict, init=False, compare=False)
 
-    @property
+    @cached_property
     def stiffness(self) -> float:
         """A number in the units of M: the geometric mean of its diagonal."""
         return float(np.exp(np.log(self.M.diagonal).mean()))
@@ -173,7 +175,15 @@ class VelocityProgram:
 
         A force that misses C by rounding counts as inside.
         """
-        rests = is_rounding(q - C.project(q), q, C.anchor)
+        few = C.selection
+        if few is not None and few.shift is not None:
+            # what acts beside the few unknowns of C settles most steps of a moving body
+            beside = q - few.shift
+            beside[few.unknowns] = 0.0
+            if not _is_near(beside, q, few.shift):
+                return None
+        force, shape = untranslated(q, C)
+        rests = is_rounding(force - shape.project(force), q, C.anchor)
         return Velocity(np.zeros_like(q), 0.0, 0.0) if rests else None
 
 
@@ -193,12 +203,24 @@ def _derivative(
     return sp.csc_array(sum(rows[1:], start=rows[0]))
 
 
+def untranslated(q: np.ndarray, C: ConvexSet) -> tuple[np.ndarray, ConvexSet]:
+    """(q - v, S) for C = v + S: C enters the program through q - C alone."""
+    return (q - C.v, C.part) if isinstance(C, Translation) else (q, C)
+
+
 def is_rounding(missed: np.ndarray, q: np.ndarray, anchor: np.ndarray) -> bool:
     """The rule of rest: q misses C by at most 8 rounding units of q and of C's translation.
 
     It holds entry by entry.
     """
-    return bool((np.abs(missed) <= ROUNDING * (np.abs(q) + np.abs(anchor))).all())
+    return _is_near(missed, q, anchor) and bool(
+        (np.abs(missed) <= ROUNDING * (np.abs(q) + np.abs(anchor))).all()
+    )
+
+
+def _is_near(missed: np.ndarray, q: np.ndarray, anchor: np.ndarray) -> bool:
+    """What the rule of rest implies in the Euclidean norm, which costs less to look at."""
+    return bool(missed.dot(missed) <= 3 * ROUNDING**2 * (q.dot(q) + anchor.dot(anchor)))
 
 
 def rate(z: np.ndarray, certificate: float, size_z: float, size_q: float) -> Velocity:
@@ -215,18 +237,12 @@ def has_closed_form(M: Factor, C: ConvexSet) -> bool:
 def closed_form(M: Factor, q: np.ndarray, C: ConvexSet) -> Velocity:
     """z = M^-1 (P_C(q) - q) for a diagonal M; the certificate is what rounding leaves."""
     missed, anchor = C.normal(q), C.anchor
-    # the rule of rest implies the same in the Euclidean norm, which costs less to look at
-    near = missed.dot(missed) <= 2 * ROUNDING**2 * (q.dot(q) + anchor.dot(anchor))
-    if near and is_rounding(missed, q, anchor):
+    if is_rounding(missed, q, anchor):
         return Velocity(np.zeros_like(q), 0.0, 0.0)
     z = 0.0 - missed / M.diagonal
     force, shift = q / M.root, anchor / M.root
     size_z = math.sqrt(-missed.dot(z))
     # the rounding of the quotient, and of the differences that `missed` is made of
-    certificate = EPS * (size_z + _norm(force) + _norm(shift))
-    size_q = 0.0 if certificate <= ROUNDING * size_z else _norm(force - shift)
+    certificate = EPS * (size_z + euclidean(force) + euclidean(shift))
+    size_q = 0.0 if certificate <= ROUNDING * size_z else euclidean(force - shift)
     return rate(z, certificate, size_z, size_q)
-
-
-def _norm(x: np.ndarray) -> float:
-    return math.sqrt(x.dot(x))

@@ -13,8 +13,8 @@ again a sweeping process: the library solves it as any other. The other unknowns
     alpha_k' + rho alpha_k = phi_k,   alpha_0' + rho alpha_0 = 0,
 
 F_k the response to f_k of the body whose contact is held, F_0 what u0 has beyond the response to
-its contact. alpha is the trajectory of a linear process that the same scheme moves, with
-alpha_0(t_0) = 1 and all others 0. u is computed when somebody asks for it.
+its contact. The same scheme moves alpha, from alpha_0(t_0) = 1 and all others 0. u is computed when
+somebody asks for it.
 """
 
 from __future__ import annotations
@@ -32,12 +32,31 @@ from sweepopt.checks import Matrix
 from sweepopt.linalg import Elimination
 from sweepopt.loads import Constant, Separable
 from sweepopt.process import SweepingProcess
-from sweepopt.sets import AnySet, ConvexSet, Moving, Point
+from sweepopt.sets import AnySet, ConvexSet, Moving
 
 SAME = 8 * np.finfo(float).eps  # entries of B and rho A may differ by this share
 ACCURATE = 1e-10  # |A F - f|_{A^-1} in units of |F|_A: worse solves leave it to the general path
 FLOOR = 1e-3  # of the velocity that the load alone would cause: less counts as this
 Pair = tuple[np.ndarray, np.ndarray]
+
+
+class OfLoad(NamedTuple):
+    """What the load alone brings into the residual of a step; `residual` knows its use."""
+
+    error: float
+    floor: float
+    square: float
+    ratio: float
+
+
+class Residual(NamedTuple):
+    """A residual in |.|_{M^-1} by the measured accuracy of the solves, and what it is compared to.
+
+    The size is |z|_M, at least FLOOR of what the load alone would move.
+    """
+
+    error: float
+    size: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +69,13 @@ class Reduction:
         B = rho A; 0 where there is no B.
     process : SweepingProcess
         That of zeta = E u, shape (m,).
-    coefficients : SweepingProcess
-        That of alpha, shape (k + 1,); the last entry is alpha_0.
+    load : Separable
+        Its k + 1 values are the right hand sides of alpha; the last one is that of alpha_0.
     """
 
     rho: float
     process: SweepingProcess
-    coefficients: SweepingProcess
+    load: Separable
     _shapes: np.ndarray
     _A: Elimination
     _errors: np.ndarray
@@ -77,32 +96,41 @@ class Reduction:
         """
         return self._shapes @ alpha + _follow(self._A, zeta)
 
-    def residual(self, zetas: Pair, alphas: Pair, gamma: float) -> tuple[float, float]:
-        """What the inclusion of all unknowns misses beyond that of the few, and its size.
+    def of_load(self, alphas: Pair, gammas: np.ndarray) -> list[OfLoad]:
+        """What the load brings into the residual of each step.
 
         With M = (1 + gamma rho) A, q = rho A u and both lifted, M z + q - f holds what each F_k
         misses times phi_k = (1 + gamma rho) alpha_k' + rho alpha_k, and what A^-1 E^T N misses.
 
         Parameters
         ----------
-        zetas, alphas : pairs of ndarray
-            Of the state u and of the velocity z.
-        gamma : float
-
-        Returns
-        -------
-        error, size : float
-            The residual in |.|_{M^-1} by the measured accuracy of the solves; and |z|_M, at least
-            FLOOR of what the load alone would move.
+        alphas : pair of ndarray, shape (n, k + 1)
+            Of the states u and of the velocities z.
+        gammas : ndarray, shape (n,)
         """
-        ratio = 1 + gamma * self.rho
-        u, z = (math.sqrt(max(float(zeta @ (self._A.N @ zeta)), 0.0)) for zeta in zetas)
-        phi = np.abs(ratio * alphas[1] + self.rho * alphas[0])
-        error = float(phi @ self._errors) + self._share * (ratio * z + self.rho * u)
+        ratios = 1 + gammas * self.rho
+        phi = np.abs(ratios[:, None] * alphas[1] + self.rho * alphas[0])
         # A^-1 E^T N zeta and the F_k are orthogonal in the metric of A
-        size = math.sqrt(ratio * max(float(alphas[1] @ self._gram @ alphas[1]) + z * z, 0.0))
-        floor = FLOOR * float(phi @ self._responses)
-        return error / math.sqrt(ratio), max(size, floor / math.sqrt(ratio))
+        squares = np.einsum("ik,kl,il->i", alphas[1], self._gram, alphas[1])
+        columns = (phi @ self._errors, FLOOR * (phi @ self._responses), squares, ratios)
+        return [OfLoad(*row) for row in zip(*(column.tolist() for column in columns), strict=True)]
+
+    def residual(self, zeta: np.ndarray, velocity: np.ndarray, load: OfLoad) -> Residual:
+        """What the inclusion of all unknowns misses beyond that of the few, and its size.
+
+        Parameters
+        ----------
+        zeta, velocity : ndarray, shape (m,)
+            The state and the velocity of the few.
+        load : OfLoad
+            Of this step.
+        """
+        N, ratio = self._A.N, load.ratio
+        u, square = math.sqrt(max(zeta.dot(N.dot(zeta)), 0.0)), velocity.dot(N.dot(velocity))
+        z = math.sqrt(max(square, 0.0))
+        error = load.error + self._share * (ratio * z + self.rho * u)
+        size = math.sqrt(ratio * max(load.square + square, 0.0))
+        return Residual(error / math.sqrt(ratio), max(size, load.floor / math.sqrt(ratio)))
 
     @cached_property
     def _gram(self) -> np.ndarray:
@@ -135,14 +163,10 @@ def reduce(process: SweepingProcess, tol: float) -> Reduction | str:
     shapes = np.column_stack([*(one.F for one in held), rest])
     load = [(phi, one.pull) for (phi, _), one in zip(terms, held, strict=True)]
     small = SweepingProcess(A.N, rho * A.N if rho else None, moving(load), process.u0[unknowns])
-    phis = [phi for phi, _ in terms]
-    unit = np.eye(len(terms) + 1)
-    alpha = Separable([*zip(phis, unit, strict=False), (Constant(0.0), unit[-1])])
-    linear = SweepingProcess(
-        unit, rho * unit if rho else None, Moving(Point(unit[-1] * 0), alpha), unit[-1]
-    )
+    histories = [*(phi for phi, _ in terms), Constant(0.0)]
+    alpha = Separable(list(zip(histories, np.eye(len(histories)), strict=True)))
     errors, responses = np.append(errors, 0.0), np.append(responses, 0.0)
-    return Reduction(rho, small, linear, shapes, A, errors, responses, share)
+    return Reduction(rho, small, alpha, shapes, A, errors, responses, share)
 
 
 class Held(NamedTuple):

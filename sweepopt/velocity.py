@@ -6,14 +6,14 @@ any other set the whole program.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.linalg import Elimination, Factor
+from sweepopt.linalg import Elimination, Factor, dense, euclidean
 from sweepopt.multigrid import Multigrid
 from sweepopt.program import (
     POLISHED,
@@ -22,19 +22,20 @@ from sweepopt.program import (
     closed_form,
     has_closed_form,
     rate,
+    untranslated,
 )
 from sweepopt.sets import ConvexSet
-from sweepopt.sets.base import Selection
-from sweepopt.solvers import Answer, Solve, Solver, choose
+from sweepopt.sets.algebra import Translation
+from sweepopt.sets.base import Selection, same_array
+from sweepopt.solvers import NEWTON, Answer, Solve, Solver, choose
 from sweepopt.solvers.multigrid import MultigridProgram
-from sweepopt.solvers.polish import Polish, polisher
+from sweepopt.solvers.newton import Iteration
 
 ACCURATE = 1e-9  # what multigrid iterates to, and above which rounding is looked at closely
 SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
 
 
-@dataclass(frozen=True)
-class Solved:
+class Solved(NamedTuple):
     """A velocity, who found it and what was tried before."""
 
     velocity: Velocity
@@ -45,6 +46,7 @@ class Solved:
 
 VelocityOf = Callable[[np.ndarray, ConvexSet], Solved]
 SelectedVelocity = Callable[[np.ndarray, Selection], Solved]
+Polish = Callable[[np.ndarray, ConvexSet, np.ndarray], Velocity | None]
 
 
 def linear(M: Factor) -> VelocityOf:
@@ -53,7 +55,7 @@ def linear(M: Factor) -> VelocityOf:
     def solve(q: np.ndarray, C: ConvexSet) -> Solved:
         force = C.anchor - q
         z = M.solve(force)
-        size = float(np.sqrt(abs(force @ z)))  # both |z|_M and |M^-1 q|_M
+        size = math.sqrt(abs(force.dot(z)))  # both |z|_M and |M^-1 q|_M
         rounding = M.dual_norm_within(M.M @ z - force, ACCURATE * size)
         velocity = rate(z, rounding, size, size)
         return Solved(velocity, "linear", 0, 1)
@@ -73,14 +75,14 @@ def eliminated(M: Elimination, small: VelocityOf) -> SelectedVelocity:
     def solve(q: np.ndarray, selection: Selection) -> Solved:
         force = -q if selection.shift is None else selection.shift - q
         forward, pull = M.reduce(force)
-        size_q = float(np.linalg.norm(forward))
+        size_q = euclidean(forward)
         solved = small(-pull, selection.part)
         zeta = solved.velocity.z
         total = M.N @ zeta
         z = M.recover(forward, total)
         z[M.unknowns] = zeta  # to the last bit: stuck is 0.0
         force[M.unknowns] += total - pull
-        size_z = float(np.sqrt(abs(force @ z)))
+        size_z = math.sqrt(abs(force.dot(z)))
         rounding = M.dual_norm_within(M.M @ z - force, ACCURATE * size_z)
         certificate = solved.velocity.certificate + rounding
         velocity = rate(z, certificate, size_z, size_q)
@@ -111,16 +113,18 @@ def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> 
 
     def solve(q: np.ndarray, C: ConvexSet) -> Solved:
         nonlocal program, formula, rungs
-        if program is None or not program.cone.same_cone(C):
-            program = VelocityProgram(M, C)
-            formula = solver == "auto" and has_closed_form(M, C)
-            rungs = ladder(choose(solver, C))
+        shape = C.part if isinstance(C, Translation) else C
+        if program is None or not (program.cone is shape or program.cone.same_cone(shape)):
+            program = VelocityProgram(M, shape)
+            formula = solver == "auto" and has_closed_form(M, shape)
+            rungs = ladder(choose(solver, shape))
             compiled.clear()
         if formula:
             return Solved(closed_form(M, q, C), "closed form", 0, 0)
         rest = program.at_rest(q, C)
         if rest is not None:
             return Solved(rest, "at rest", 0, 0)
+        q, C = untranslated(q, C)  # the same program
         best = Solved(Velocity(np.zeros_like(q), np.inf, np.inf), "none", 0, 0)
         for attempt, rung in enumerate(rungs):
             if attempt not in compiled:
@@ -138,7 +142,7 @@ def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> 
                 best = found
             if best.velocity.relative <= tol:
                 break
-        return replace(best, attempts=attempt + 1)
+        return best._replace(attempts=attempt + 1)
 
     return solve
 
@@ -154,8 +158,7 @@ def _judge(
         raw = None if needed else program.certify(q, C, answer.z, answer.y)
         if raw is not None and raw.relative <= POLISHED:
             return raw
-        z = polish()(q, C, answer.z)
-        better = None if z is None else program.certify(q, C, z, answer.y)
+        better = polish()(q, C, answer.z)
         needed = better is not None and better.relative <= POLISHED
         if better is not None and needed:
             return better
@@ -163,6 +166,49 @@ def _judge(
         return raw if better is None or raw.relative <= better.relative else better
 
     return judge
+
+
+def polisher(M: Factor, order: np.ndarray | None) -> Polish:
+    """(q, C, z) -> the velocity of Newton steps from z; None where they do not apply.
+
+    They are taken on the unknowns that the set acts on, all others are eliminated.
+    """
+    start = np.zeros(0)
+    elimination: Elimination | None = None
+    selected: SelectedVelocity | None = None
+
+    def newton(N: Factor, cone: ConvexSet) -> VelocityOf:
+        program, iterate = VelocityProgram(N, cone), Iteration(dense(N.M))
+
+        def solve(q: np.ndarray, C: ConvexSet) -> Solved:
+            z = start
+            for limit in (1, NEWTON.max_iter):  # one step is enough from a good answer
+                z, iterations = iterate(q, C, z, limit)
+                velocity = program.certify(q, C, z, np.zeros(C.offsets.size))
+                if velocity.relative <= POLISHED:
+                    break
+            return Solved(velocity, NEWTON.name, iterations, 1)
+
+        return solve
+
+    whole: VelocityOf | None = None
+
+    def polish(q: np.ndarray, C: ConvexSet, z: np.ndarray) -> Velocity | None:
+        nonlocal start, elimination, selected, whole
+        selection = C.selection
+        if selection is None or not NEWTON.treats(selection.part):
+            if not NEWTON.treats(C):
+                return None
+            start, whole = z, whole or newton(M, C)
+            return whole(q, C).velocity
+        few = selection.unknowns
+        if elimination is None or selected is None or not same_array(few, elimination.unknowns):
+            elimination = Elimination(M.M, few, order)
+            selected = eliminated(elimination, newton(Factor(elimination.N), selection.part))
+        start = z[few]
+        return selected(q, selection).velocity
+
+    return polish
 
 
 def ladder(solvers: Sequence[Solver]) -> list[Solver]:

@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).parent.parent / "sweepopt"
 LEVELS = [
     {"errors"},
     {"checks", "csvtable"},
-    {"linalg", "loads"},
+    {"linalg", "loads", "secular"},
     {"sets"},
     {"states", "multigrid"},
     {"blocks", "process"},

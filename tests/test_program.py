@@ -220,3 +220,16 @@ def test_newton_answers_or_stops_early_and_never_claims_what_it_did_not_reach(di
         reached += velocity.relative <= 1e-10
         assert answer.iterations < 60
     assert reached >= 5  # general dense matrices make it cycle; contact in a body does not
+
+
+@pytest.mark.parametrize("shift", [0.0, 1.0])
+def test_a_huge_force_on_one_contact_does_not_hold_another_past_its_threshold(shift: float) -> None:
+    E, g = np.eye(5)[:, [0, 3]], np.array([1e13, 1.0])
+    C = so.image(E, so.Box(-g, g)) + np.full(5, shift)
+    program = VelocityProgram(Factor(np.eye(5)), C)
+    q = np.full(5, shift)
+    for excess, rests in ((0.0, True), (1e-6, False)):
+        q[[0, 3]] = 1e13, shift + 1.0 + excess
+        assert (program.at_rest(q, C) is not None) == rests
+    q[[1, 3]] = 1e-6, shift  # beside the contact nothing holds
+    assert program.at_rest(q, C) is None

@@ -117,6 +117,19 @@ def test_what_is_not_proportional_takes_another_path_and_says_why_it_cannot_be_f
         so.solve(this, t_end=1.0, steps=4, path="proportional")
 
 
+@pytest.mark.parametrize("B", [None, RHO * chain()], ids=["without B", "with B"])
+@pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "midpoint"])
+def test_the_coefficients_follow_steps_of_any_size(scheme: str, B: Any) -> None:
+    grid = 4 * np.linspace(0, 1, 60) ** 2
+    this = process(B=B, u0=np.zeros(40))
+    ours, general = (
+        so.solve(this, steps=grid, scheme=scheme, path=path, on_unstable="ignore").u
+        for path in ("proportional", "eliminated")
+    )
+    size = max(map(this.metric.norm, general))
+    assert max(map(this.metric.norm, ours - general)) <= 1e-12 * size
+
+
 def test_no_step_touches_the_whole_body(monkeypatch: pytest.MonkeyPatch) -> None:
     this = process(u0=np.zeros(40))
     calls = {"solve": 0, "substitute": 0, "lift": 0}

@@ -22,6 +22,7 @@ from sweepopt.sets.base import (
     ConvexSet,
     Features,
     Selection,
+    Sphere,
     Witness,
     require_same_dim,
 )
@@ -114,6 +115,11 @@ class Translation(ConvexSet):
         shift = self.v if found.shift is None else found.shift + self.v
         return Selection(found.unknowns, found.part, shift)
 
+    @property
+    def sphere(self) -> Sphere | None:
+        found = self.part.sphere
+        return found and found._replace(center=found.center + self.v)
+
 
 class Scaling(ConvexSet):
     """r C for r > 0."""
@@ -184,6 +190,11 @@ class Scaling(ConvexSet):
         shift = None if found.shift is None else self.factor * found.shift
         return Selection(found.unknowns, scale(self.factor, found.part), shift)
 
+    @property
+    def sphere(self) -> Sphere | None:
+        found = self.part.sphere
+        return found and Sphere(self.factor * found.center, self.factor * found.radius)
+
     def polar(self) -> ConvexSet:
         return self.part.polar()
 
@@ -253,6 +264,11 @@ class Negation(ConvexSet):
             return None
         shift = None if found.shift is None else -found.shift
         return Selection(found.unknowns, -found.part, shift)
+
+    @property
+    def sphere(self) -> Sphere | None:
+        found = self.part.sphere
+        return found and found._replace(center=-found.center)
 
     def polar(self) -> ConvexSet:
         return -self.part.polar()

@@ -28,7 +28,7 @@ from sweepopt.sets.curves import products
 if TYPE_CHECKING:
     import cvxpy as cp
 
-ROUNDING = 8 * np.finfo(float).eps
+ROUNDING = 8 * float(np.finfo(float).eps)
 
 
 class Features(NamedTuple):
@@ -67,6 +67,13 @@ class Companion(NamedTuple):
 
     gap: float
     away: float
+
+
+class Sphere(NamedTuple):
+    """C = { w : |w - center| <= radius }."""
+
+    center: np.ndarray
+    radius: float
 
 
 class ConvexSet(ABC):
@@ -259,6 +266,11 @@ class ConvexSet(ABC):
     @property
     def selection(self) -> Selection | None:
         """The few unknowns C acts on, if it is the image of a set under a selection of them."""
+        return None
+
+    @property
+    def sphere(self) -> Sphere | None:
+        """Centre and radius, if C is written as one ball."""
         return None
 
     def rows(self) -> tuple[Any, np.ndarray] | None:

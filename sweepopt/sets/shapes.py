@@ -10,11 +10,13 @@ import scipy.sparse as sp
 
 from sweepopt.checks import number, symmetric, vector
 from sweepopt.errors import EmptySetError, InputError
+from sweepopt.secular import secular
 from sweepopt.sets.base import (
     ROUNDING,
     Companion,
     ConvexSet,
     Features,
+    Sphere,
     difference,
     same_array,
 )
@@ -327,6 +329,10 @@ class Ball(ConvexSet):
             return None
         return float(np.linalg.norm(self.center - other.center) + abs(self.radius - other.radius))
 
+    @property
+    def sphere(self) -> Sphere:
+        return Sphere(self.center, self.radius)
+
 
 class Balls(ConvexSet):
     """The product of m balls around 0 in R^dim, one after the other in the vector.
@@ -408,6 +414,11 @@ class Balls(ConvexSet):
         more = self.offsets - other.offsets
         return float(max(np.linalg.norm(np.maximum(x, 0.0)) for x in (more, -more)))
 
+    @property
+    def sphere(self) -> Sphere | None:
+        one = self.radii.size == 1
+        return Sphere(np.zeros(self.dim), float(self.radii[0])) if one else None
+
     def _blocks(self, name: str, z: Any) -> np.ndarray:
         return vector(name, z, self.dim).reshape(-1, self.block)
 
@@ -465,22 +476,10 @@ class Ellipsoid(ConvexSet):
         return self._axes @ inner @ self._axes.T
 
     def _multiplier(self, d: np.ndarray) -> float | None:
-        """The root lam >= 0 of sum e_i d_i^2 / (e_i + lam)^2 = 1; None inside.
-
-        In s = 1 / sqrt(sum) the equation is nearly linear, so Newton from lam = 0 rises to it.
-        """
+        """The root lam >= 0 of sum e_i d_i^2 / (e_i + lam)^2 = 1; None inside."""
         e = self._squares
-        if d @ (d / e) <= 1:
-            return None
-        lam = 0.0
-        for _ in range(100):
-            terms = e * d**2 / (e + lam) ** 2
-            excess = np.sqrt(terms.sum()) - 1
-            step = excess * terms.sum() / (terms @ (1 / (e + lam)))
-            lam += step
-            if step <= 1e-16 * lam:
-                break
-        return lam
+        a = d / np.sqrt(e)
+        return None if a @ a <= 1 else secular(a, 1 / e, 1.0)
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp

@@ -13,12 +13,14 @@ from sweepopt.solvers.daqp import DAQP, installed
 from sweepopt.solvers.newton import Newton
 from sweepopt.solvers.osqp import OSQP
 from sweepopt.solvers.reference import Cvxpy
+from sweepopt.solvers.secular import Secular
 
-NEWTON, FASTEST = Newton(), DAQP()
+NEWTON, FASTEST, FORMULA = Newton(), DAQP(), Secular()
 REGISTRY: dict[str, Callable[[], Solver]] = {
     "clarabel": Clarabel,
     "osqp": OSQP,
     "newton": Newton,
+    "secular": Secular,
     "daqp": DAQP,
     "cvxpy": Cvxpy,
 }
@@ -27,9 +29,9 @@ REGISTRY: dict[str, Callable[[], Solver]] = {
 def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
     """The solver for a set, and behind it those that repair a step it misses.
 
-    "auto" is DAQP for small boxes if it is installed, Newton for small sets whose projection has a
-    derivative, then OSQP for polyhedra and Clarabel for the rest: in this order of speed, as
-    measured by `sweepopt bench`.
+    "auto" is the formula for one small ball, DAQP for small boxes if it is installed, Newton for
+    small sets whose projection has a derivative, then OSQP for polyhedra and Clarabel for the rest:
+    in this order of speed, as measured by `sweepopt bench`.
 
     Parameters
     ----------
@@ -46,7 +48,8 @@ def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
     if solver == "auto":
         small: list[Solver] = [NEWTON] if NEWTON.treats(C) else []
         fastest: list[Solver] = [FASTEST] if installed() and FASTEST.treats(C) else []
-        return (*fastest, *small, *general)
+        formula: list[Solver] = [FORMULA] if FORMULA.treats(C) else []
+        return (*formula, *fastest, *small, *general)
     if isinstance(solver, str):
         if solver not in REGISTRY:
             raise SolverRefusedError(f"solver {solver!r} is not known; use auto, {_names()}")
@@ -56,7 +59,8 @@ def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
     if not solver.treats(C):
         raise SolverRefusedError(
             f"{solver.name} cannot treat {describe(C)}: OSQP solves quadratic programs over "
-            'polyhedra, Newton and DAQP small programs with simple sets; use solver="clarabel"'
+            "polyhedra, Newton and DAQP small programs with simple sets, Secular a small ball; use "
+            'solver="clarabel"'
         )
     return (solver, *(other for other in general if other.name != solver.name))
 
@@ -81,6 +85,7 @@ __all__ = [
     "Clarabel",
     "Cvxpy",
     "Newton",
+    "Secular",
     "Solve",
     "Solver",
     "choose",

@@ -90,7 +90,7 @@ class DAQP:
                 box, bounds = C, np.array([C.project(far), C.project(-far)]) / root
             q = q / root
             force = float(np.abs(q).max()) or 1.0
-            above, below = np.clip(bounds / force, -INFINITE, INFINITE)
+            above, below = np.maximum(np.minimum(bounds / force, INFINITE), -INFINITE)
             linear = -(inverse @ q) / force
             if engine is None:
                 engine = daqp.Model()

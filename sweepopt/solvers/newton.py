@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
 from sweepopt.checks import count
-from sweepopt.linalg import dense
+from sweepopt.linalg import dense, euclidean
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
 from sweepopt.solvers.base import Answer, Solve, Solver
@@ -102,8 +102,8 @@ class Iteration:
             w, pulled = self.M @ z + q, T * z
             v = w - pulled
             missed = C.project(v) - w
-            size = _norm(missed * weights)
-            rounding = EPS * _norm((np.abs(w) + np.abs(pulled)) * weights)
+            size = euclidean(missed * weights)
+            rounding = EPS * euclidean((np.abs(w) + np.abs(pulled)) * weights)
             # at rounding the equation cannot get better: stop when it does not, or when it cycles
             stalled += size >= smallest
             if size <= rounding or (size <= 1e3 * rounding and stalled) or stalled == PATIENCE:
@@ -170,7 +170,3 @@ class Iteration:
         rows = rows - D[free] @ self.M + D[free] * T
         dz[free] = np.linalg.solve(rows[:, free], missed[free] - rows[:, stuck] @ dz[stuck])
         return dz
-
-
-def _norm(x: np.ndarray) -> float:
-    return math.sqrt(x @ x)

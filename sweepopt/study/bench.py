@@ -137,7 +137,7 @@ def measure(case: Case, contestants: Sequence[Contestant], rounds: int, say: Say
             row(path)._replace(
                 ms=1e3 * float(np.median(steps)),
                 spread=float(np.ptp(steps) / np.median(steps)),
-                setup=float(np.median([run.setup for run in found])),
+                setup=max(float(np.median([run.setup for run in found])), 0.0),
                 recover=1e3 * float(np.median([run.recover for run in found])),
                 attempts=found[0].attempts,
                 certificate=found[0].certificate,
