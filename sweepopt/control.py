@@ -73,7 +73,7 @@ def warn_of_overshoot(scheme: Scheme, t: float, on_unstable: str) -> None:
         warnings.warn(
             f"scheme {scheme.name!r} may have overshot into a wrong stuck state in the step from "
             f"t = {t:g}: the velocity fell there and mu Lam is above {scheme.overshoots:g}; take "
-            "smaller steps, or implicit-euler or midpoint, which cannot overshoot",
+            "smaller steps, or implicit-euler, which cannot overshoot",
             StabilityWarning,
             stacklevel=3,
         )

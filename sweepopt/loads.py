@@ -373,6 +373,10 @@ class Separable:
             )
         return float(value)
 
+    def at_many(self, times: Array) -> Array:
+        """The load at many times, shape (len(times), dim)."""
+        return np.asarray(self.values(times) @ self.shapes.T)
+
     def __call__(self, t: float) -> Array:
         return np.asarray(self.shapes @ self.coefficients(t))
 

@@ -117,7 +117,7 @@ def reduce(process: SweepingProcess, tol: float) -> Reduction | str:
     """
     if process.rate_independent:
         return "A is zero"
-    rho = _ratio(process.A, process.B)
+    rho = proportion(process.A, process.B)
     if rho is None:
         return "B is not a multiple of A"
     motion = _motion(process.C)
@@ -190,7 +190,7 @@ def _accuracy(A: Elimination) -> float:
     return 2 * worst
 
 
-def _ratio(A: Matrix, B: Matrix | None) -> float | None:
+def proportion(A: Matrix, B: Matrix | None) -> float | None:
     """rho with B = rho A to rounding, entry by entry; None if there is none."""
     if B is None:
         return 0.0

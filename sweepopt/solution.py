@@ -15,8 +15,12 @@ from sweepopt.states import TIME_SLACK, States
 from sweepopt.velocity import VelocityOf
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from matplotlib.axes import Axes
     from xarray import Dataset
+
+    from sweepopt.certificate import ErrorBound
 
 STATS = np.dtype(
     [
@@ -199,6 +203,33 @@ class Solution:
     @cached_property
     def _nearest(self) -> VelocityOf:
         return self.plan.velocity(self.process.metric.M)
+
+    def error_bound(
+        self, *, variation: Callable[[float], float] | None = None
+    ) -> ErrorBound:
+        """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A = 0), a float.
+
+        Parameters
+        ----------
+        variation : callable, optional
+            v(t) with d_H(C(t), C(s)) <= v(t) - v(s) for s <= t, in Euclidean norms, for a C(t)
+            that is a function of time and not data.
+
+        Returns
+        -------
+        ErrorBound
+
+        Raises
+        ------
+        InputError
+            If not all steps were kept.
+        """
+        from sweepopt.certificate import error_bound
+        from sweepopt.defects import Path
+
+        if not self.complete:
+            raise InputError("the bound adds up all steps, but not all were kept; leave save= out")
+        return error_bound(self.process, self.plan, Path(self.t, self.u, self.velocity), variation)
 
     def _distance(self, force: np.ndarray, C: Any) -> float:
         # the velocity program with M = A, q = w is the projection of w on C in the A^-1 metric

@@ -18,6 +18,7 @@ import scipy.sparse as sp
 from sweepopt.checks import number, vector
 from sweepopt.errors import InputError
 from sweepopt.sets.base import (
+    Companion,
     ConvexSet,
     Features,
     Selection,
@@ -204,6 +205,12 @@ class Negation(ConvexSet):
     def normal(self, v: np.ndarray) -> np.ndarray:
         return -self.part.normal(-v)
 
+    def gap(self, p: np.ndarray, w: np.ndarray) -> float:
+        return self.part.gap(-p, -w)
+
+    def companion(self, p: np.ndarray, ends: np.ndarray, ratio: float) -> Companion:
+        return self.part.companion(-p, -ends, ratio)
+
     def steps(self, tau: np.ndarray) -> np.ndarray:
         return self.part.steps(tau)
 
@@ -321,6 +328,18 @@ class Product(ConvexSet):
             np.concatenate([one.w for one in known]),
             sum(one.gap for one in known),
         )
+
+    def gap(self, p: np.ndarray, w: np.ndarray) -> float:
+        blocks = np.split(p, self._cuts), np.split(w, self._cuts)
+        return sum(part.gap(*one) for part, *one in zip(self.parts, *blocks, strict=True))
+
+    def companion(self, p: np.ndarray, ends: np.ndarray, ratio: float) -> Companion:
+        blocks = np.split(p, self._cuts, axis=1), np.split(ends, self._cuts, axis=1)
+        each = [
+            part.companion(*one, ratio) for part, *one in zip(self.parts, *blocks, strict=True)
+        ]
+        gaps, away = np.array(each).T
+        return Companion(float(gaps.sum()), float(np.linalg.norm(away)))
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (

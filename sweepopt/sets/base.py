@@ -53,6 +53,25 @@ class Selection(NamedTuple):
     shift: np.ndarray | None
 
 
+class Companion(NamedTuple):
+    """A curve in C beside a curve p of directions, both over [0, 1].
+
+    Attributes
+    ----------
+    gap : float
+        At least the mean of sigma(C, p) - <p, w> >= 0.
+    away : float
+        At least the distance of w from the chord of its ends, at any time.
+    """
+
+    gap: float
+    away: float
+
+
+# int_0^1 of the products of Bernstein polynomials of degrees 2 and 1
+QUADRATIC_LINEAR = np.array([[3.0, 1.0], [2.0, 2.0], [1.0, 3.0]]) / 12.0
+
+
 class ConvexSet(ABC):
     """A non-empty closed convex set C in R^dim.
 
@@ -144,6 +163,28 @@ class ConvexSet(ABC):
         steps = self.steps(tau)
         v = w + steps * p
         return Witness(self.normal(v) / steps, self.project(v), 0.0)
+
+    def gap(self, p: np.ndarray, w: np.ndarray) -> float:
+        """sigma(C, p) - <p, w> >= 0 for w in C; zero exactly if p is normal to C at w."""
+        sigma = self.support(p)
+        return max(sigma - float(p @ w), 0.0) + ROUNDING * abs(sigma) if p.any() else 0.0
+
+    def companion(self, p: np.ndarray, ends: np.ndarray, ratio: float) -> Companion:
+        """A curve w in C from one end to the other beside a quadratic curve of directions.
+
+        The chord: sigma is convex, so sum_jk b_j b_k (sigma(C, p_j) - <p_j, w_k>) bounds its gap.
+
+        Parameters
+        ----------
+        p : ndarray, shape (3, dim)
+            Bernstein coefficients b_j of the directions.
+        ends : ndarray, shape (2, dim)
+            Points of C.
+        ratio : float
+            A set with more than one such curve takes that of the smaller 2 gap + ratio away^2.
+        """
+        gaps = np.array([[self.gap(direction, w) for w in ends] for direction in p])
+        return Companion(float(np.sum(QUADRATIC_LINEAR * gaps)), 0.0)
 
     def epigraph(self, p: cp.Expression) -> tuple[cp.Expression, list[cp.Constraint]]:
         """The support function as a cvxpy epigraph: minimising `value` gives sigma(C, p).

@@ -10,7 +10,15 @@ import scipy.sparse as sp
 
 from sweepopt.checks import number, symmetric, vector
 from sweepopt.errors import EmptySetError, InputError
-from sweepopt.sets.base import ROUNDING, ConvexSet, Features, difference, same_array
+from sweepopt.sets.base import (
+    ROUNDING,
+    Companion,
+    ConvexSet,
+    Features,
+    difference,
+    same_array,
+)
+from sweepopt.sets.curves import ball_arc
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -128,6 +136,12 @@ class Box(ConvexSet):
 
     def normal(self, v: np.ndarray) -> np.ndarray:
         return v - np.minimum(np.maximum(v, self.lower), self.upper)
+
+    def gap(self, p: np.ndarray, w: np.ndarray) -> float:
+        moving = p != 0
+        p, w = p[moving], w[moving]
+        # entry by entry: what cancels cancels to 0.0
+        return float((np.where(p > 0, self.upper[moving], self.lower[moving]) - w) @ p)
 
     def features(self, p: cp.Expression) -> Features:
         # bounded entries: centre * p + halfwidth * |p|; a one-sided entry allows one sign of p
@@ -291,6 +305,11 @@ class Ball(ConvexSet):
         length = float(np.linalg.norm(arm))
         return w if length <= self.radius else self.center + self.radius / length * arm
 
+    def companion(self, p: np.ndarray, ends: np.ndarray, ratio: float) -> Companion:
+        chord = super().companion(p, ends, ratio)
+        away = ball_arc(p, ends - self.center, self.radius)
+        return Companion(0.0, away) if ratio * away**2 < 2 * chord.gap else chord
+
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
 
@@ -353,6 +372,19 @@ class Balls(ConvexSet):
 
         sizes = cp.Variable(self.radii.size)
         return Features([sizes], _norms_below(p, sizes, self.block))
+
+    def companion(self, p: np.ndarray, ends: np.ndarray, ratio: float) -> Companion:
+        each = [
+            Ball(np.zeros(self.block), radius).companion(directions, points, ratio)
+            for radius, directions, points in zip(
+                self.radii,
+                p.reshape(3, -1, self.block).swapaxes(0, 1),
+                ends.reshape(2, -1, self.block).swapaxes(0, 1),
+                strict=True,
+            )
+        ]
+        gaps, away = np.array(each).T
+        return Companion(float(gaps.sum()), float(np.linalg.norm(away)))
 
     def steps(self, tau: np.ndarray) -> np.ndarray:
         return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)

@@ -1,0 +1,222 @@
+"""C(t) = center(t) + scale(t) S with histories as data: values, and what lies between them.
+
+A guaranteed bound must know a load at all times of an interval. Here a history is replaced on each
+interval by the polynomial through its values at the five Gauss points, and `away` bounds what it
+differs from that: zero for tables, by the fifth derivative for sines and polynomials, by the
+variation for a history that only declares this.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from sweepopt.loads import Constant, Piece, Separable
+from sweepopt.sets.curves import basis, to_bernstein
+from sweepopt.sets import AnySet, Box, ConvexSet, Moving, MovingOffsets
+
+def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
+    points, weights = np.polynomial.legendre.leggauss(count)
+    return 0.5 + 0.5 * points, 0.5 * weights
+
+
+NODES = _gauss(5)[0]  # where histories are looked at
+GAUSS, WEIGHTS = _gauss(6)
+"""Points and weights on [0, 1]: exact for squares of polynomials of degree 5."""
+TO_BERNSTEIN = to_bernstein(GAUSS)
+DERIVATIVE = 5 * basis(4, GAUSS) @ np.diff(TO_BERNSTEIN, axis=0)  # of values at GAUSS, there
+LIFT = basis(4, GAUSS) @ to_bernstein(NODES)  # from values at NODES to values at GAUSS
+NODAL = math.factorial(5) ** 2 / math.factorial(10)  # max of prod |x - x_g| on [0, 1]
+PARTS = 64  # of a step, for a history that declares its variation only
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """f(t) = sum_k phi_k(t) f_k, or a function of time of which nothing else is known.
+
+    Attributes
+    ----------
+    terms : tuple of (callable, ndarray)
+    function : callable or None
+        Instead of terms.
+    dim : int
+    """
+
+    terms: tuple[tuple[Callable[[Any], Any], np.ndarray], ...]
+    dim: int
+    function: Callable[[float], Any] | None = None
+    variation: Callable[[float], float] | None = None
+
+    @classmethod
+    def of(cls, value: Any, dim: int) -> Data:
+        """Read what a set's center, scale or offsets may be."""
+        if value is None:
+            return cls((), dim)
+        if isinstance(value, Separable):
+            return cls(value.terms, dim)
+        if hasattr(value, "variation"):
+            return cls(((value, np.ones(dim)),), dim)
+        if callable(value):
+            return cls((), dim, value)
+        return cls(((Constant(1.0), np.broadcast_to(np.asarray(value, float), (dim,))),), dim)
+
+    @property
+    def known(self) -> bool:
+        """Whether what lies between values can be bounded."""
+        if self.function is not None:
+            return self.variation is not None
+        return all(hasattr(phi, "variation") for phi, _ in self.terms)
+
+    @property
+    def rough(self) -> bool:
+        """Whether a history declares nothing but its variation."""
+        return self.known and not all(hasattr(phi, "piece") for phi, _ in self.terms)
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """Values, shape (len(times), dim)."""
+        if self.function is not None:
+            return np.array([np.broadcast_to(self.function(t), (self.dim,)) for t in times.tolist()])
+        values = np.zeros((len(times), self.dim))
+        if self.terms:
+            values += Separable(self.terms).at_many(times)
+        return values
+
+    def breakpoints(self, a: float, b: float) -> np.ndarray:
+        """Kinks of the histories strictly inside (a, b)."""
+        return Separable(self.terms).breakpoints(a, b) if self.terms else np.empty(0)
+
+    def on(self, begin: np.ndarray, end: np.ndarray) -> Between:
+        """The polynomials of the histories on intervals without a kink, and how far they are."""
+        h = end - begin
+        times = begin[:, None] + h[:, None] * NODES
+        if self.function is not None:
+            return self._sampled(begin, end, times)
+        values = np.zeros((len(h), 5, self.dim))
+        away, bent = np.zeros((2, len(h), len(self.terms)))
+        for k, (phi, f) in enumerate(self.terms):
+            if hasattr(phi, "variation") and not hasattr(phi, "piece"):
+                ends = Separable([(phi, [1.0])]).values(np.append(begin, end[-1]))[:, 0]
+                chords = ends[:-1, None] + np.diff(ends)[:, None] * NODES
+                away[:, k] = [phi.variation(a, b) for a, b in zip(begin, end, strict=True)]
+                bent[:, k] = away[:, k] + np.abs(np.diff(ends))
+                values += chords[:, :, None] * f
+                continue
+            values += Separable([(phi, f)]).at_many(times.ravel()).reshape(values.shape)
+            if hasattr(phi, "piece"):
+                fifth = np.array(
+                    [_fifth_derivative(phi.piece(a, b), a, b) for a, b in zip(begin, end)]
+                )
+                # Rolle: the error's derivative has four zeros
+                away[:, k], bent[:, k] = fifth * h**5 * NODAL / 120, fifth * h**5 / 24
+        return Between(LIFT @ values, away, bent)
+
+
+    def _sampled(self, begin: np.ndarray, end: np.ndarray, times: np.ndarray) -> Between:
+        m = len(begin)
+        if self.variation is None:
+            values = self.at(times.ravel()).reshape(m, 5, self.dim)
+            return Between(LIFT @ values, np.zeros((m, 1)), np.zeros((m, 1)))
+        ends = self.at(np.append(begin, end[-1]))
+        chords = ends[:-1, None] + np.diff(ends, axis=0)[:, None] * GAUSS[:, None]
+        v = np.array([float(self.variation(t)) for t in np.append(begin, end[-1]).tolist()])
+        away = np.diff(v)[:, None]
+        return Between(chords, away, away + np.linalg.norm(np.diff(ends, axis=0), axis=1)[:, None])
+
+
+class Between(NamedTuple):
+    """A function on m intervals: polynomials, and a bound for each of its k terms.
+
+    Attributes
+    ----------
+    values : ndarray, shape (m, 6, dim)
+        Of the polynomials, at GAUSS.
+    away : ndarray, shape (m, k)
+        sup of |phi_k - its polynomial|.
+    bent : ndarray, shape (m, k)
+        int of |phi_k' - the derivative of its polynomial|.
+    """
+
+    values: np.ndarray
+    away: np.ndarray
+    bent: np.ndarray
+
+
+def _fifth_derivative(piece: Piece, a: float, b: float) -> float:
+    """A bound of |phi^(5)| on [a, b]."""
+    total = sum(abs(amplitude) * abs(rate) ** 5 for amplitude, rate, _ in piece.waves)
+    reach = max(abs(a - piece.origin), abs(b - piece.origin))
+    for k, c in enumerate(piece.polynomial[5:], start=5):
+        total += abs(c) * math.perm(k, 5) * reach ** (k - 5)
+    return total
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """C(t) = center(t) + scale(t) S; a scale of several entries goes with a box S."""
+
+    center: Data
+    scale: Data
+    shape: ConvexSet
+
+    @cached_property
+    def known(self) -> bool:
+        """Whether center and scale are data."""
+        return self.center.known and self.scale.known
+
+    def grid(self, a: float, b: float) -> np.ndarray:
+        """The ends of the intervals into which a step is cut."""
+        kinks = [self.center.breakpoints(a, b), self.scale.breakpoints(a, b)]
+        parts = PARTS if self.center.rough or self.scale.rough else 1
+        inner = a + (b - a) * np.arange(1, parts) / parts
+        return np.concatenate([[a], np.unique(np.concatenate([*kinks, inner])), [b]])
+
+
+def motion(C: AnySet) -> Motion | None:
+    """C(t) in this form; None for a set that moves in another way."""
+    if isinstance(C, ConvexSet):
+        return Motion(Data.of(None, C.dim), Data.of(1.0, 1), C)
+    if isinstance(C, Moving):
+        scale = Data.of(1.0 if C.scale is None else C.scale, 1)
+        return Motion(Data.of(C.center, C.dim), scale, C.shape)
+    if isinstance(C, MovingOffsets) and isinstance(C.offsets, Separable):
+        return _box(C.shape.rows(), C.offsets)
+    return None
+
+
+def _box(rows: tuple[Any, np.ndarray] | None, h: Separable) -> Motion | None:
+    """{ w : G w <= h(t) } with one entry a row, as l(t) + (u(t) - l(t)) [0, 1] in each entry."""
+    if rows is None:
+        return None
+    G = rows[0].toarray() if sp.issparse(rows[0]) else np.asarray(rows[0])
+    dim = G.shape[1]
+    if (np.count_nonzero(G, axis=1) != 1).any():
+        return None
+    column = np.abs(G).argmax(axis=1)
+    entry = G[np.arange(len(G)), column]
+    center, scale = np.zeros((2, dim, h.shapes.shape[1]))
+    lower, upper, constant = np.full(dim, -np.inf), np.full(dim, np.inf), np.zeros(dim)
+    for k in range(dim):
+        above, below = (np.flatnonzero((column == k) & (s * entry > 0)) for s in (1, -1))
+        if len(above) > 1 or len(below) > 1:
+            return None
+        if len(below):
+            center[k] = h.shapes[below[0]] / entry[below[0]]
+            lower[k], constant[k] = 0.0, float(not len(above))
+        if len(above):
+            end = h.shapes[above[0]] / entry[above[0]]
+            upper[k] = float(len(below))
+            scale[k] = end - center[k] if len(below) else 0.0
+            if not len(below):
+                center[k], constant[k] = end, 1.0
+        elif not len(below):
+            constant[k] = 1.0
+    phis = [phi for phi, _ in h.terms]
+    moving = Separable([*zip(phis, scale.T, strict=True), (Constant(1.0), constant)])
+    centers = Separable(zip(phis, center.T, strict=True))
+    return Motion(Data.of(centers, dim), Data.of(moving, dim), Box(lower, upper))
