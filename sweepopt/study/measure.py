@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.errors import SweepoptWarning
+from sweepopt.errors import SweepoptError, SweepoptWarning
 from sweepopt.evolve import solve
 from sweepopt.solution import Solution
 from sweepopt.solvers import Cvxpy
@@ -142,13 +142,6 @@ class Timed(NamedTuple):
     cpu: float
 
 
-class Bound(NamedTuple):
-    """A bound of sup_t |u - u_n|_A, nan if there is none, and whether it is proved."""
-
-    value: float
-    guaranteed: bool
-
-
 def run_cell(cell: Cell, reference: Reference) -> CellRow:
     """Run a cell. What goes wrong is a row as well.
 
@@ -181,12 +174,13 @@ def failed(row: CellRow, error: BaseException) -> CellRow:
     return row._replace(status=type(error).__name__, message=str(error))
 
 
-def error_bound(_: Solution) -> Bound:
-    """The bound of the whole trajectory's error.
-
-    Solutions have none yet.
-    """
-    return Bound(nan, False)
+def bounded(solution: Solution) -> dict[str, Any]:
+    """The bound of the whole trajectory's error, nothing where the library has none."""
+    try:
+        bound = solution.error_bound()
+    except SweepoptError:
+        return {}
+    return {"bound": float(bound), "guaranteed": bound.guaranteed}
 
 
 def solution_of(cell: Cell) -> Solution:
@@ -228,7 +222,6 @@ def _filled(
     solution, source = timed.solution, cell.problem
     stats, done = solution.stats, len(solution.stats)
     error = error_of(source, solution.u, reference)
-    bound = error_bound(solution)
     return row._replace(
         status=solution.status.name,
         success=solution.success,
@@ -237,8 +230,6 @@ def _filled(
         error_is=error.kind,
         reference_error=reference.uncertainty,
         size=distance(source, solution.u, np.zeros_like(solution.u)),
-        bound=bound.value,
-        guaranteed=bound.guaranteed,
         certificate=float(stats["relative"].max()) if done else nan,
         wall=timed.wall,
         cpu=timed.cpu,
@@ -246,6 +237,7 @@ def _filled(
         solver_calls=int(stats["attempts"].sum()),
         unknowns=solution.plan.unknowns,
         path=solution.plan.path,
+        **bounded(solution),
     )
 
 

@@ -14,7 +14,7 @@ from sweepopt.study.threads import one_thread
 
 REFINED, FINE, SMALL = 16, 8192, 32
 """A fine run has at least so many times the steps, and so many steps if the problem is small."""
-TOL = 1e-10
+TOL = 1e-8
 SAFETY = 20.0
 """How far below an error the reference's own error must lie for the error to be a number."""
 
