@@ -26,6 +26,7 @@ from sweepopt.evolve import solve
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
 from sweepopt.solvers import DAQP, OSQP, Answer, Clarabel, Cvxpy, Newton, Solve, Solver
+from sweepopt.solvers.reference import installed
 from sweepopt.study.sources import Source
 from sweepopt.study.threads import one_thread
 
@@ -197,15 +198,13 @@ def recorded(source: Source, steps: int) -> list[Program]:
 
 def contestants(C: ConvexSet) -> list[Contestant]:
     """The library's own solvers and those installed for cvxpy, as far as they treat the set."""
-    import cvxpy as cp
-
     exact: list[Solver] = [Newton(), DAQP()]
     found = [Contestant(one.name, "high", ACCURACIES["high"], one) for one in exact]
     for setting, tol in ACCURACIES.items():
         own: list[Solver] = [Clarabel(tol=tol), OSQP(tol=tol)]
         found += [Contestant(one.name, setting, tol, one) for one in own]
         for name, keys in TOLERANCES.items():
-            if name in cp.installed_solvers():
+            if name in installed():
                 settings = {**dict.fromkeys(keys, tol), **LIMITS.get(name, {})}
                 solver = Cvxpy(name, settings)
                 found.append(Contestant(solver.name, setting, tol, solver))
