@@ -7,9 +7,12 @@ from typing import Any
 
 import pandas as pd
 
+from sweepopt.errors import Status
+
 STEPS = (50, 100, 200, 400)
 SCHEMES = {"catching-up": 1, "implicit-euler": 1, "midpoint": 2}
 NASTY = "a step missed tol </script><script>window.hacked = true</script> & 'more' \u2028 \"text\""
+WARNED = Status.SUCCESS.value + " StabilityWarning: mu Lam = 1.2"
 PACKAGES = {
     "sweepopt": "0.1.0",
     "numpy": "2.4.6",
@@ -46,7 +49,7 @@ def cell(problem: str, scheme: str, solver: str, steps: int) -> dict[str, Any]:
         "tol": 1e-8,
         "status": "SUCCESS",
         "success": True,
-        "message": "The run reached t_end and every step is certified within tol.",
+        "message": Status.SUCCESS.value,
         "error": error,
         "error_is": "exact",
         "bound": 1.7 * error,
@@ -70,5 +73,5 @@ def cell(problem: str, scheme: str, solver: str, steps: int) -> dict[str, Any]:
         row |= nothing | {"status": "UnstableStepError", "message": text, "steps_done": 0}
         row |= {"solver_calls": nan, "wall": nan, "cpu": nan, "bound": inf}
     if problem == "pipe" and scheme == "midpoint" and steps == 400:
-        row |= {"error": nan, "error_is": ""}
+        row |= {"error": nan, "error_is": "", "message": WARNED}
     return row

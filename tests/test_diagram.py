@@ -108,6 +108,12 @@ def test_a_study_in_which_all_failed_has_a_picture(tmp_path: Path) -> None:
     assert notes(ax).count(FAILED) == 3
 
 
+def test_a_run_without_solver_calls_is_not_lost() -> None:
+    table = block().assign(solver_calls=0)
+    ax = work_precision(table, x="solver_calls")
+    assert {"no solver calls (22)", "INEXACT (3)"} <= set(notes(ax))
+
+
 def test_tolerances_are_lines_of_their_own() -> None:
     table = block()
     loose = table.assign(tol=1e-4, wall=table.wall / 2)

@@ -18,7 +18,7 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.select import Select
-from study_table import NASTY, study_table
+from study_table import NASTY, WARNED, study_table
 
 import sweepopt as so
 from sweepopt.study import Trajectory, write_report
@@ -98,6 +98,7 @@ def driver(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         "headless",
         "no-sandbox",
         "disable-gpu",
+        "disable-dev-shm-usage",
         "disable-quic",
         "no-first-run",
         "disable-background-networking",
@@ -166,6 +167,8 @@ def test_failures_are_seen_with_their_message_as_text(browser: Browser) -> None:
     message = browser.one(f'#table tr[data-cell="{failed[0]}"] .message')
     assert message.get_property("textContent") == NASTY
     assert len(browser.all("script")) == 2
+    others = {message.text for message in browser.all("#table tr:not(.failed) .message")}
+    assert others == {WARNED}  # what is usual is not said in each row
 
     browser.click('[data-filter="outcome:failed"]')
     assert browser.rows() == browser.marks() == failed

@@ -67,6 +67,18 @@ def work_precision(table: DataFrame, *, x: str = "wall", y: str = "error", ax: A
         problems.
     MissingExtraError
         If matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> cell = {"problem": "block", "scheme": "midpoint", "solver": "osqp", "tol": 1e-8}
+    >>> cell |= {"status": "SUCCESS", "success": True, "bound": 0.1, "guaranteed": True}
+    >>> table = pd.DataFrame(
+    ...     [cell | {"steps": n, "wall": 1e-4 * n, "error": n**-2.0} for n in (10, 100, 1000)]
+    ... )
+    >>> ax = work_precision(table)
+    >>> ax.get_xlabel(), ax.lines[0].get_ydata().tolist()
+    ('wall time (s)', [0.01, 0.0001, 1e-06])
     """
     choice("x", x, COSTS)
     choice("y", y, ACCURACIES)
@@ -114,8 +126,7 @@ def _draw(ax: Any, cells: Sequence[Cell], x: str, y: str, look: Look) -> int:
         if cell["success"] and 0.0 < cell[x] < inf > cell[y] >= 0.0:
             placed.append(cell)
         else:
-            reason = f"no {y} known" if cell["success"] else cell["status"]
-            rows.setdefault(reason, []).append(cell)
+            rows.setdefault(_reason(cell, x, y), []).append(cell)
     for line in _lines(placed):
         _draw_line(ax, line, x, y, look)
     if not placed:
@@ -130,14 +141,22 @@ def _draw(ax: Any, cells: Sequence[Cell], x: str, y: str, look: Look) -> int:
     return len(rows)
 
 
+def _reason(cell: Cell, x: str, y: str) -> str:
+    """Why a cell has no place on the axes."""
+    if not cell["success"]:
+        return str(cell["status"])
+    return f"no {x.replace('_', ' ')}" if cell[y] < inf else f"no {y} known"
+
+
 def _ticks(ax: Any) -> None:
     """Powers of ten; 2 and 5 between them where there would be too few."""
-    from matplotlib.ticker import LogLocator, NullFormatter
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     for axis in (ax.xaxis, ax.yaxis):
         low, high = axis.get_view_interval()
         if high < 100.0 * low:
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(StrMethodFormatter("{x:g}"))
         axis.set_minor_formatter(NullFormatter())
 
 
@@ -172,14 +191,18 @@ def _draw_line(ax: Any, cells: Sequence[Cell], x: str, y: str, look: Look) -> No
 def _draw_row(
     ax: Any, reason: str, cells: Sequence[Cell], height: float, x: str, look: Look
 ) -> None:
-    """Marks above the axes for cells without a place, at the right end if the cost is unknown."""
+    """Marks above the axes for cells without a place; those of unknown cost end at the right."""
     left, right = ax.get_xlim()
     _note(ax, reason, (left, 1.0), (-4.0, height), ha="right", fontsize="x-small")
+    unknown = 0
     for cell in cells:
-        place = cell[x] if 0.0 < cell[x] < inf else right, 1.0
         mark = UNKNOWN if cell["success"] else FAILED
-        colour = look.colours[cell["scheme"]]
-        _note(ax, mark, place, (0.0, height), ha="center", color=colour, weight="bold")
+        style = {"ha": "center", "color": look.colours[cell["scheme"]], "weight": "bold"}
+        if 0.0 < cell[x] < inf:
+            _note(ax, mark, (cell[x], 1.0), (0.0, height), **style)
+        else:
+            _note(ax, mark, (right, 1.0), (-8.0 * unknown, height), **style)
+            unknown += 1
 
 
 def _note(

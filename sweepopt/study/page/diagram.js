@@ -34,7 +34,7 @@ function drawDiagram(cells, { x, y, withBounds }) {
 function drawPanel(problem, cells, x, y, withBounds, width) {
   const placed = cells.filter((cell) => cell.success && positive(cell[x]) && number(cell[y]) >= 0 && number(cell[y]) < Infinity);
   const rows = Map.groupBy(cells.filter((cell) => !placed.includes(cell)),
-    (cell) => (cell.success ? `no ${y} known` : cell.status));
+    (cell) => (!cell.success ? cell.status : number(cell[y]) < Infinity ? `no ${x.replace("_", " ")}` : `no ${y} known`));
   const bounded = y === "error" && withBounds ? placed.filter((cell) => cell.guaranteed && positive(cell.bound)) : [];
   const top = 8 + ROW * rows.size, height = Math.min(420, Math.max(320, width * 0.7));
   const box = { left: 62, right: width - 12, top, bottom: top + height - 50 };
@@ -86,7 +86,7 @@ function drawAbove(reason, cells, box, top, across, x) {
 function drawMark(cell, x, y, accuracy) {
   const open = accuracy === "" || (accuracy === "bound" && !cell.guaranteed);
   const kind = cell.success ? (open ? "mark open" : "mark") : "mark cross";
-  const mark = svg("g", {
+  return svg("g", {
     class: `${kind} ${hue(cell.scheme)}`,
     transform: `translate(${x.toFixed(1)} ${y.toFixed(1)})`,
     "data-cell": cell.key,
@@ -94,7 +94,6 @@ function drawMark(cell, x, y, accuracy) {
     role: "img",
     "aria-label": [seriesOf(cell), ...describe(cell).map((pair) => pair.join(" ")), cell.success ? "" : cell.message].join(", "),
   }, svg("path", { d: cell.success ? shape(cell.solver) : CROSS }));
-  return mark;
 }
 
 function describe(cell) {
@@ -102,8 +101,8 @@ function describe(cell) {
     ["status", cell.status],
     ["steps", whole(cell.steps)],
     ["tolerance", shown(cell.tol, 1)],
-    ["error", shown(cell.error) + (cell.error_is ? ` (${cell.error_is})` : "")],
-    ["bound", shown(cell.bound) + (positive(cell.bound) ? (cell.guaranteed ? " (guaranteed)" : " (estimated)") : "")],
+    ["error", `${shown(cell.error)} ${remark(cell, "error")}`],
+    ["bound", `${shown(cell.bound)} ${remark(cell, "bound")}`],
     ["wall", `${shown(cell.wall)} s`],
     ["cpu", `${shown(cell.cpu)} s`],
     ["solver calls", whole(cell.solver_calls)],
@@ -131,9 +130,9 @@ function listen(picture, marks) {
     const k = far.indexOf(Math.min(...far));
     return far[k] < 28 ? marks[k] : null;
   };
-  picture.addEventListener("pointermove", (event) => choose(nearest(event)));
+  for (const kind of ["pointermove", "pointerdown"]) picture.addEventListener(kind, (event) => choose(nearest(event)));
   picture.addEventListener("pointerleave", () => choose(null));
-  picture.addEventListener("click", (event) => goTo(nearest(event)));
+  picture.addEventListener("click", (event) => event.pointerType === "mouse" && goTo(nearest(event)));
   picture.addEventListener("focusin", (event) => choose(event.target.closest(".mark")));
   picture.addEventListener("focusout", () => choose(null));
   picture.addEventListener("keydown", (event) => {

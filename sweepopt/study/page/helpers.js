@@ -45,7 +45,7 @@ function logAxis(values, from, to) {
   const room = Math.max(0.05 * Math.log10(high / low), 0.08);
   const a = Math.log10(low) - room, b = Math.log10(high) + room;
   const place = (value) => from + ((Math.log10(value) - a) / (b - a)) * (to - from);
-  const between = b - a < 1.6 ? [1, 2, 5] : [1];
+  const between = Math.abs(to - from) > 130 * (b - a) ? [1, 2, 5] : [1];
   const stride = Math.max(1, Math.ceil((b - a) / Math.max(2, Math.abs(to - from) / 30)));
   const ticks = [];
   for (let power = Math.floor(a); power <= Math.ceil(b); power += 1) {
@@ -54,7 +54,7 @@ function logAxis(values, from, to) {
       const at = power + Math.log10(times);
       if (at < a || at > b) continue;
       const value = times * 10 ** power;
-      ticks.push({ value, text: power >= -2 && power <= 3 ? shown(value) : times === 1 ? raised(power) : `${times}·${raised(power)}` });
+      ticks.push({ value, text: power >= -3 && power <= 3 ? String(Number(value.toPrecision(1))) : times === 1 ? raised(power) : `${times}·${raised(power)}` });
     }
   }
   return { place, ticks, start: from };

@@ -95,22 +95,22 @@ function drawControls() {
   byId("axes").append(select("y", "vertical", DATA.accuracies), select("x", "horizontal", DATA.costs));
 }
 
-function legendButton(name, colour, path, pressed, press) {
+function legendButton(name, { colour, line = "line", path = "" }, pressed, press) {
   const swatch = svg("svg", { class: `swatch ${colour}`, viewBox: "-16 -8 32 16", "aria-hidden": "true" },
-    svg("line", { class: path === "bound" ? "bound" : "line", x1: -15, x2: 15, y1: 0, y2: 0 }),
-    path && path !== "bound" ? svg("path", { d: path }) : null);
+    svg("line", { class: line, x1: -15, x2: 15, y1: 0, y2: 0 }),
+    svg("path", { d: path }));
   return el("button", { type: "button", "data-series": name, "aria-pressed": String(pressed), onclick: press }, swatch, name);
 }
 
 function drawLegend(cells) {
   const focused = document.activeElement?.dataset.series;
   const buttons = [...Map.groupBy(cells, seriesOf)].map(([series, [{ scheme, solver }]]) =>
-    legendButton(series, hue(scheme), shape(solver), !state.hidden.has(series), () => {
+    legendButton(series, { colour: hue(scheme), path: shape(solver) }, !state.hidden.has(series), () => {
       flip(state.hidden, series);
       draw();
     }));
   if (state.y === "error" && cells.some((cell) => cell.guaranteed)) {
-    buttons.push(legendButton("guaranteed bound", "hue-ink", "bound", state.withBounds, () => {
+    buttons.push(legendButton("guaranteed bound", { colour: "hue-ink", line: "bound" }, state.withBounds, () => {
       state.withBounds = !state.withBounds;
       draw();
     }));

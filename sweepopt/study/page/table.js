@@ -44,18 +44,18 @@ function drawTable(cells, sort, sortBy) {
 
 function drawRow(cell) {
   const row = COLUMNS.map(({ name, title, show }) => el("td", { class: show ? "number" : name, "data-column": name, "data-title": title },
-    name === "status" ? drawStatus(cell) : show ? show(cell[name]) : cell[name], remark(cell, name)));
+    name === "status" ? drawStatus(cell) : show ? show(cell[name]) : cell[name], el("small", {}, remark(cell, name))));
   return el("tr", { class: cell.success ? undefined : "failed", "data-cell": cell.key, tabindex: -1 }, row);
 }
 
 function drawStatus(cell) {
   const name = el("span", { class: "badge" }, (cell.success ? "✓ " : "✗ ") + cell.status);
-  return cell.status === "SUCCESS" ? [name] : [name, el("span", { class: "message" }, cell.message)];
+  return cell.message === DATA.usual ? [name] : [name, el("span", { class: "message" }, cell.message)];
 }
 
+// how an error or a bound is known
 function remark(cell, name) {
-  const known = Number.isFinite(number(cell[name]));
-  if (name === "error" && known && cell.error_is) return el("small", {}, cell.error_is);
-  if (name === "bound" && known) return el("small", {}, cell.guaranteed ? "guaranteed" : "estimated");
-  return null;
+  if (!Number.isFinite(number(cell[name]))) return "";
+  if (name === "error") return cell.error_is;
+  return name === "bound" ? (cell.guaranteed ? "guaranteed" : "estimated") : "";
 }

@@ -16,9 +16,9 @@ function drawTrajectories() {
     byId("runs").replaceChildren(...runs.map((run) => {
       const widest = run.band && Math.max(...run.band);
       const name = runName(run) + (run.band ? `, ± ${shown(widest)} at most` : ", no band");
-      return legendButton(name, hue(run.scheme), null, !hidden.has(run), () => toggle(run));
+      return legendButton(name, { colour: hue(run.scheme), line: lineOf(run, runs) }, !hidden.has(run), () => toggle(run));
     }));
-    drawCurves(runs.filter((run) => !hidden.has(run)));
+    drawCurves(runs.filter((run) => !hidden.has(run)), (run) => lineOf(run, runs));
   };
   draw();
   onResize(byId("curves"), draw);
@@ -26,7 +26,10 @@ function drawTrajectories() {
 
 const runName = (run) => `${run.scheme}, ${whole(run.steps)} steps`;
 
-function drawCurves(runs) {
+// runs of one scheme have one colour and different strokes
+const lineOf = (run, runs) => `line dash-${runs.filter((other) => other.scheme === run.scheme).indexOf(run) % 4}`;
+
+function drawCurves(runs, line) {
   const place = byId("curves");
   const width = place.clientWidth || 960, height = Math.min(420, Math.max(260, width * 0.5));
   const box = { left: 66, right: width - 12, top: 8, bottom: height - 44 };
@@ -49,7 +52,7 @@ function drawCurves(runs) {
   const picture = svg("svg", { viewBox: `0 0 ${width} ${height}`, tabindex: 0, role: "img", "aria-label": "Trajectory over time; arrow keys read values" },
     drawAxes(box, across, up, "time t", runs.length ? runs[0].component : ""),
     runs.filter((run) => run.band).map((run) => svg("polygon", { class: `band ${hue(run.scheme)}`, points: [...points(run, 1), ...points(run, -1).reverse()].join(" ") })),
-    runs.map((run) => svg("polyline", { class: `line ${hue(run.scheme)}`, points: points(run, 0).join(" ") })),
+    runs.map((run) => svg("polyline", { class: `${line(run)} ${hue(run.scheme)}`, points: points(run, 0).join(" ") })),
     cursor);
   read(picture, cursor, runs, across, width);
   place.replaceChildren(picture);
