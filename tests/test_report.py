@@ -330,6 +330,7 @@ def test_a_table_that_went_through_csv_gives_the_same_cells(page: Path, tmp_path
     [
         (lambda path: write_report(study_table()[["problem"]], path), "table lacks the columns"),
         (lambda path: write_report(study_table(), path / "no" / "a.html"), "does not exist"),
+        (lambda path: write_report(study_table(), path.parent), "is a folder; name a file in it"),
         (lambda path: write_report(study_table(), path, trajectories=[T]), r"trajectories\[0\]"),
         (lambda path: Trajectory("p", "s", 9, T, T[1:]), "u must have 81 entries, got 80"),
         (lambda path: Trajectory("p", "s", 9, T[::-1], T), "each later than the one before"),
@@ -342,5 +343,5 @@ def test_what_cannot_be_shown_is_refused(
     call: Callable[[Path], Any], words: str, tmp_path: Path
 ) -> None:
     with pytest.raises(so.InputError, match=words):
-        call(tmp_path / "report.html" if "no" not in words else tmp_path)
+        call(tmp_path / "report.html")
     assert not list(tmp_path.iterdir())

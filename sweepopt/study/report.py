@@ -112,7 +112,8 @@ def write_report(
     Raises
     ------
     InputError
-        If the table is not a study's, a trajectory is not a Trajectory or the folder is missing.
+        If the table is not a study's, a trajectory is not a Trajectory or the path no place for a
+        file.
 
     Examples
     --------
@@ -134,6 +135,8 @@ def write_report(
     target = Path(path)
     if not target.absolute().parent.is_dir():
         raise InputError(f"path {str(target)!r} lies in a folder that does not exist; make it")
+    if target.is_dir():
+        raise InputError(f"path {str(target)!r} is a folder; name a file in it")
     data = {
         "title": title,
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
