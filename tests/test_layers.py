@@ -30,7 +30,8 @@ LEVELS = [
     {"library"},
     {"fem"},
     {"slip"},
-    {"store", "plot", "study"},
+    {"store", "plot"},
+    {"study"},
     {"cli", "__main__"},
 ]
 # conveniences of Solution that call upward by a local import
@@ -44,7 +45,7 @@ HOMES = {
     "skfem": {"fem", "study/cases"},
     "meshio": {"fem", "store/vtu"},
     "pydantic": {"fem"},
-    "matplotlib": {"plot"},
+    "matplotlib": {"plot", "study/diagram"},
     "xarray": {"store/netcdf"},
     "h5netcdf": {"blocks"},
     "tqdm": {"evolve"},

@@ -10,13 +10,13 @@ import numpy as np
 from sweepopt.errors import SweepoptError
 from sweepopt.solution import Solution
 from sweepopt.study.advice import advice
+from sweepopt.study.diagram import work_precision
 from sweepopt.study.measure import Cell, solution_of
+from sweepopt.study.report import Trajectory, write_report
 from sweepopt.study.study import Study
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-    from sweepopt.study.report import Trajectory
 
 TABLE, DIAGRAM, REPORT = "table.csv", "diagram.png", "report.html"
 SHOWN = 1e-2
@@ -31,9 +31,6 @@ def write_outputs(study: Study, table: DataFrame, folder: Path) -> list[str]:
     MissingExtraError
         If matplotlib is not installed.
     """
-    from sweepopt.study.diagram import work_precision
-    from sweepopt.study.report import write_report
-
     table.to_csv(folder / TABLE, index=False)
     work_precision(table).figure.savefig(folder / DIAGRAM)
     title = study.title or "What accuracy costs"
@@ -49,8 +46,6 @@ def trajectories(study: Study, table: DataFrame) -> list[Trajectory]:
 
 def trajectory_of(cell: Cell) -> Trajectory:
     """The component that moves most and the band that holds the solution's."""
-    from sweepopt.study.report import Trajectory
-
     solution = solution_of(cell)
     k = int(np.argmax(np.ptp(solution.u, axis=0)))
     return Trajectory(
