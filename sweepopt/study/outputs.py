@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sweepopt.errors import SweepoptError
+from sweepopt.errors import SweepoptError, SweepoptWarning
 from sweepopt.solution import Solution
 from sweepopt.study.advice import advice
 from sweepopt.study.diagram import work_precision
@@ -41,7 +42,9 @@ def write_outputs(study: Study, table: DataFrame, folder: Path) -> list[str]:
 def trajectories(study: Study, table: DataFrame) -> list[Trajectory]:
     """The fastest run of each problem with an error of SHOWN, solved again, with its band."""
     chosen = set(advice(table, (SHOWN,)).cell)
-    return [trajectory_of(cell) for cell in study.cells() if cell.id in chosen]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SweepoptWarning)  # the table has them
+        return [trajectory_of(cell) for cell in study.cells() if cell.id in chosen]
 
 
 def trajectory_of(cell: Cell) -> Trajectory:
