@@ -204,11 +204,10 @@ def _timed(cell: Cell) -> Timed:
     cell.problem.open()  # assembled outside of the time, once in each worker
     with one_thread():
         solution = solution_of(cell)  # warm: packages are imported, caches are filled
+    gc.collect()
     walls, cpus = [], []
     with one_thread():  # also what the first run imported
         for _ in range(cell.repeats):
-            del solution
-            gc.collect()
             wall, cpu = clock.perf_counter(), clock.process_time()
             solution = solution_of(cell)
             walls.append(clock.perf_counter() - wall)

@@ -12,7 +12,7 @@ from sweepopt.evolve import solve
 from sweepopt.study.sources import Source
 from sweepopt.study.threads import one_thread
 
-REFINED, FINE, SMALL = 16, 8192, 32
+REFINED, FINE, SMALL = 16, 4096, 32
 """A fine run has at least so many times the steps, and so many steps if the problem is small."""
 TOL = 1e-8
 SAFETY = 20.0

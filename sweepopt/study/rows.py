@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 from collections.abc import Sequence
+from functools import cache
 from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
@@ -140,6 +141,7 @@ def machine() -> str:
     return f"{processor()}, OMP_NUM_THREADS {threads}, {platform.system()}; {packages}"
 
 
+@cache
 def processor() -> str:
     """Name and number of cores."""
     cpuinfo = Path("/proc/cpuinfo")
@@ -151,5 +153,8 @@ def processor() -> str:
 
 def versions() -> dict[str, str]:
     """Of the library, of Python and of what computes."""
-    found = {name: version(name) for name in PACKAGES}
+    found = {name: _version(name) for name in PACKAGES}
     return {"sweepopt": __version__, "python": platform.python_version(), **found}
+
+
+_version = cache(version)  # a file is read
