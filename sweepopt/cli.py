@@ -101,7 +101,7 @@ def _parser() -> argparse.ArgumentParser:
 
     compare = commands.add_parser("compare", help="all solvers on the programs of a scene")
     compare.set_defaults(command=_compare)
-    compare.add_argument("scene", metavar="SCENE", help="a TOML file or a name")
+    compare.add_argument("scene", metavar="SCENE", help="a TOML file, a name, or as P09 in studies")
     compare.add_argument("--steps", type=int, default=50, help="of the run that has the programs")
     compare.add_argument("--csv", type=Path, metavar="FILE", help="write the rows too")
 

@@ -9,7 +9,7 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from pathlib import Path
 
-from sweepopt.library import find_scene, find_study
+from sweepopt.library import find_study
 from sweepopt.study.advice import summary
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.executors import Processes, Serial, dask_executor
@@ -35,7 +35,7 @@ def compare_command(chosen: argparse.Namespace) -> None:
     """Compare all solvers on the programs of a scene."""
     if chosen.csv is not None:
         chosen.csv.touch()  # says so now if it cannot be written
-    source = find_source(str(find_scene(chosen.scene)))
+    source = find_source(chosen.scene)
     table = compare(source, steps=chosen.steps, progress=_say)
     print(comparison_text(table))
     if chosen.csv is not None:

@@ -105,8 +105,8 @@ class ComparedRow(NamedTuple):
         longest time that any contestant took for one.
     ratio : float
         time / the smallest time of that accuracy among those that solved all.
-    median, worst : float
-        Relative certificates; inf where there is none.
+    certificate, worst : float
+        Median and largest of the relative certificates; inf where there is none.
     message : str
         The first failure in words.
     """
@@ -118,7 +118,7 @@ class ComparedRow(NamedTuple):
     solved: float = 0.0
     time: float = nan
     ratio: float = nan
-    median: float = inf
+    certificate: float = inf
     worst: float = inf
     message: str = ""
 
@@ -264,7 +264,7 @@ def _row(each: Tried, programs: int, longest: float) -> ComparedRow:
     return row._replace(
         solved=float(solved.mean()),
         time=shifted_mean(seconds),
-        median=float(np.median(certificates)),
+        certificate=float(np.median(certificates)),
         worst=float(certificates.max()),
     )
 
@@ -292,7 +292,7 @@ def comparison_text(table: DataFrame) -> str:
                 f"{row.solved:.0%}",
                 f"{1e3 * row.time:.3g}",
                 f"{row.ratio:.2f}",
-                f"{row.median:.0e}",
+                f"{row.certificate:.0e}",
                 f"{row.worst:.0e}",
                 row.message[:60],
             ]
