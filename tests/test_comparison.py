@@ -16,17 +16,15 @@ from sweepopt.linalg import Factor
 from sweepopt.program import VelocityProgram
 from sweepopt.solvers import Answer, Solve
 from sweepopt.study.comparison import (
-    ACCURACIES,
     SHIFT,
     ComparedRow,
-    Contestant,
     compare,
     comparison_text,
-    contestants,
     recorded,
     shifted_mean,
     tried,
 )
+from sweepopt.study.settings import ACCURACIES, Contestant, contestants
 from sweepopt.study.sources import find_source
 
 STUDY = """

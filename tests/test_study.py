@@ -281,11 +281,36 @@ def test_a_dask_cluster_with_one_worker_killed_gives_the_same_rows(
     cluster = distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
     )
-    with cluster, distributed.Client(cluster) as client, dask_executor(client) as executor:
+    address = cluster.scheduler_address
+    with cluster, distributed.Client(cluster) as client, dask_executor(address) as executor:
         found = run(study, tmp_path, executor=executor, progress=kill_one)
     same(found, table)
     assert len(written[0]) == 100
     assert {name: finished(tmp_path)[name] for name in written[0]} == written[0]
+
+
+def test_workers_with_several_threads_are_refused() -> None:
+    distributed = pytest.importorskip("distributed")
+    cluster = distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
+    )
+    with cluster, distributed.Client(cluster) as client:
+        with pytest.raises(so.InputError, match="has 2 threads"), dask_executor(client):
+            pass
+        with (
+            pytest.raises(so.InputError, match="--nthreads 1"),
+            dask_executor(cluster.scheduler_address),
+        ):
+            pass
+
+
+def test_a_scheduler_that_is_not_there_is_refused() -> None:
+    pytest.importorskip("distributed")
+    with (
+        pytest.raises(so.InputError, match="scheduler 'nowhere' does not answer"),
+        dask_executor("nowhere"),
+    ):
+        pass
 
 
 def test_processes_give_the_same_rows_though_one_is_killed(small: Path, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import inf, nan
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -25,35 +25,16 @@ from sweepopt.errors import InputError
 from sweepopt.evolve import solve
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
-from sweepopt.solvers import DAQP, OSQP, Answer, Clarabel, Cvxpy, Newton, Solve, Solver
-from sweepopt.solvers.reference import installed
+from sweepopt.solvers import Answer, Clarabel, Solve, Solver
+from sweepopt.study.settings import ACCURACIES, Contestant, contestants
 from sweepopt.study.sources import Source
 from sweepopt.study.threads import one_thread
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-ACCURACIES = {"low": 1e-3, "mid": 1e-6, "high": 1e-9}
 SHIFT = 1e-3
 """Seconds: means are of log(time + SHIFT), so that what takes no time does not decide them."""
-
-TOLERANCES: dict[str, tuple[str, ...]] = {
-    "CLARABEL": ("tol_gap_abs", "tol_gap_rel", "tol_feas"),
-    "OSQP": ("eps_abs", "eps_rel"),
-    "PIQP": ("eps_abs", "eps_rel"),
-    "PROXQP": ("eps_abs", "eps_rel"),
-    "DAQP": ("primal_tol", "dual_tol"),
-    "SCS": ("eps_abs", "eps_rel"),
-    "QOCO": ("abstol", "reltol"),
-    "MOSEK": ("eps",),
-}
-"""What each solver calls its tolerances in cvxpy's interface."""
-LIMITS: dict[str, dict[str, Any]] = {
-    "OSQP": {"max_iter": 20_000},
-    "SCS": {"max_iters": 20_000},
-    "PROXQP": {"max_iter": 10_000},
-}
-"""Iterations, for methods of first order."""
 
 
 class Program(NamedTuple):
@@ -62,15 +43,6 @@ class Program(NamedTuple):
     statement: VelocityProgram
     q: np.ndarray
     C: ConvexSet
-
-
-class Contestant(NamedTuple):
-    """A solver with the settings of one accuracy."""
-
-    name: str
-    setting: str
-    accuracy: float
-    solver: Solver
 
 
 class Trial(NamedTuple):
@@ -194,21 +166,6 @@ def recorded(source: Source, steps: int) -> list[Program]:
     if not recorder.programs:
         raise InputError(f"{source.name} has no program to compare solvers on: no step needs one")
     return recorder.programs
-
-
-def contestants(C: ConvexSet) -> list[Contestant]:
-    """The library's own solvers and those installed for cvxpy, as far as they treat the set."""
-    exact: list[Solver] = [Newton(), DAQP()]
-    found = [Contestant(one.name, "high", ACCURACIES["high"], one) for one in exact]
-    for setting, tol in ACCURACIES.items():
-        own: list[Solver] = [Clarabel(tol=tol), OSQP(tol=tol)]
-        found += [Contestant(one.name, setting, tol, one) for one in own]
-        for name, keys in TOLERANCES.items():
-            if name in installed():
-                settings = {**dict.fromkeys(keys, tol), **LIMITS.get(name, {})}
-                solver = Cvxpy(name, settings)
-                found.append(Contestant(solver.name, setting, tol, solver))
-    return [contestant for contestant in found if contestant.solver.treats(C)]
 
 
 def tried(contestant: Contestant, programs: Sequence[Program]) -> Tried:
