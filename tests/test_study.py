@@ -29,7 +29,7 @@ from sweepopt.study.executors import Serial, WorkerDiedError
 from sweepopt.study.ledger import Ledger
 from sweepopt.study.measure import Cell, CellRow, run_cell
 from sweepopt.study.problems import problem
-from sweepopt.study.reference import SAFETY, Reference, error_of
+from sweepopt.study.reference import SAFETY, Reference, absent, error_of
 from sweepopt.study.sources import find_source
 
 TIMES = ["wall", "cpu"]
@@ -170,6 +170,14 @@ def test_an_error_that_the_reference_cannot_tell_is_no_number() -> None:
     assert np.isnan(error_of(source, u[:2], far).value)  # a run that stopped early
 
 
+def test_a_run_without_a_reference_says_why() -> None:
+    cell = Cell(find_source("S03"), "midpoint", "auto", 8, 1e-6, 1)
+    row = run_cell(cell, absent("StepError: missed"))
+    assert (row.status, row.error_is) == ("SUCCESS", "")
+    assert np.isnan(row.error)
+    assert row.message.endswith("No reference: StepError: missed")
+
+
 def test_failures_are_rows(table: pd.DataFrame, tmp_path: Path) -> None:
     refused = table[(table.problem == "V05") & (table.solver == "daqp")]
     assert set(refused.status) == {"SolverRefusedError"}
@@ -178,8 +186,8 @@ def test_failures_are_rows(table: pd.DataFrame, tmp_path: Path) -> None:
     assert set(unstable[unstable.steps == 14].status) == {"UnstableStepError"}
     # a warning of a run that succeeded is told
     assert unstable[unstable.steps == 20].message.str.contains("can overshoot").all()
-    absent = Study(("S03",), ("midpoint",), ("cvxpy:nope", "cvxpy:clarabel"), (8,), repeats=1)
-    rows = run(absent, tmp_path)
+    solvers = ("cvxpy:nope", "cvxpy:clarabel")
+    rows = run(Study(("S03",), ("midpoint",), solvers, (8,), repeats=1), tmp_path)
     assert list(rows.status) == ["SolverRefusedError", "SUCCESS"]
     assert rows.error.isna().tolist() == [True, False]
     assert rows.machine.str.len().min() > 0

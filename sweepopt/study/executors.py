@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -134,7 +135,10 @@ def dask_executor(client: Any) -> Iterator[Executor]:
                 f"worker {address} has {worker['nthreads']} threads, which would share a cell's "
                 "time; start workers with --nthreads 1"
             )
-    yield client.get_executor(pure=False)
+    with warnings.catch_warnings():
+        # the references of large problems, each of which a worker needs once
+        warnings.filterwarnings("ignore", message="Sending large graph")
+        yield client.get_executor(pure=False)
 
 
 def _end_with_parent() -> None:

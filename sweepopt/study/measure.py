@@ -155,7 +155,7 @@ def run_cell(cell: Cell, reference: Reference) -> CellRow:
     """
     place: dict[str, Any] = {"machine": f"{processor()}, {platform.system()}", **versions()}
     row = blank(cell)._replace(repeats=cell.repeats, **place)
-    with warnings.catch_warnings(record=True) as caught:
+    with one_thread(), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             timed = _timed(cell)
@@ -202,11 +202,10 @@ def solution_of(cell: Cell) -> Solution:
 
 def _timed(cell: Cell) -> Timed:
     cell.problem.open()  # assembled outside of the time, once in each worker
-    with one_thread():
-        solution = solution_of(cell)  # warm: packages are imported, caches are filled
+    solution = solution_of(cell)  # warm: packages are imported, caches are filled
     gc.collect()
     walls, cpus = [], []
-    with one_thread():  # also what the first run imported
+    with one_thread():  # also for what the first run imported
         for _ in range(cell.repeats):
             wall, cpu = clock.perf_counter(), clock.process_time()
             solution = solution_of(cell)
@@ -221,10 +220,11 @@ def _filled(
     solution, source = timed.solution, cell.problem
     stats, done = solution.stats, len(solution.stats)
     error = error_of(source, solution.u, reference)
+    absent = [f"No reference: {reference.message}"] if reference.message else []
     return row._replace(
         status=solution.status.name,
         success=solution.success,
-        message=" ".join([solution.message, *remarks]),
+        message=" ".join([solution.message, *remarks, *absent]),
         error=error.value,
         error_is=error.kind,
         reference_error=reference.uncertainty,

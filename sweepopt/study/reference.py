@@ -57,12 +57,12 @@ def make_reference(source: Source, steps: int) -> Reference:
     source : Source
     steps : int
     """
-    try:
-        with one_thread(), warnings.catch_warnings():
-            warnings.simplefilter("ignore", SweepoptWarning)
+    with one_thread(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", SweepoptWarning)
+        try:
             return _exact(source, steps) or _refined(source, steps)
-    except Exception as error:  # what goes wrong here is a row without an error
-        return absent(f"{type(error).__name__}: {error}")
+        except Exception as error:  # what goes wrong here is a row without an error
+            return absent(f"{type(error).__name__}: {error}")
 
 
 def absent(message: str) -> Reference:
