@@ -175,7 +175,7 @@ def test_a_run_without_a_reference_says_why() -> None:
     row = run_cell(cell, absent("StepError: missed"))
     assert (row.status, row.error_is) == ("SUCCESS", "")
     assert np.isnan(row.error)
-    assert row.message.endswith("No reference: StepError: missed")
+    assert row.message.endswith("No reference: StepError: missed.")
 
 
 def test_failures_are_rows(table: pd.DataFrame, tmp_path: Path) -> None:

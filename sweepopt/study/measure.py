@@ -20,7 +20,7 @@ from sweepopt.errors import SweepoptError, SweepoptWarning
 from sweepopt.evolve import solve
 from sweepopt.solution import Solution
 from sweepopt.solvers import Cvxpy
-from sweepopt.study.reference import Reference, distance, error_of
+from sweepopt.study.reference import Reference, absent, distance, error_of
 from sweepopt.study.rows import processor, versions
 from sweepopt.study.sources import Source
 from sweepopt.study.threads import one_thread
@@ -219,12 +219,14 @@ def _filled(
 ) -> CellRow:
     solution, source = timed.solution, cell.problem
     stats, done = solution.stats, len(solution.stats)
+    if cell.scheme == reference.kind == "exact":
+        reference = absent("it would be the run itself")
     error = error_of(source, solution.u, reference)
-    absent = [f"No reference: {reference.message}"] if reference.message else []
+    missing = [f"No reference: {reference.message}."] if reference.message else []
     return row._replace(
         status=solution.status.name,
         success=solution.success,
-        message=" ".join([solution.message, *remarks, *absent]),
+        message=" ".join([solution.message, *remarks, *missing]),
         error=error.value,
         error_is=error.kind,
         reference_error=reference.uncertainty,
@@ -242,5 +244,5 @@ def _filled(
 
 def _ours(caught: Iterable[warnings.WarningMessage]) -> list[str]:
     """The library's warnings, each once."""
-    words = [str(one.message) for one in caught if issubclass(one.category, SweepoptWarning)]
+    words = [f"{one.message}." for one in caught if issubclass(one.category, SweepoptWarning)]
     return list(dict.fromkeys(words))

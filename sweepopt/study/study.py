@@ -247,7 +247,7 @@ def _solver(name: str, value: Any) -> None:
 
 
 def _known(name: str, value: Any, names: Iterable[str]) -> None:
-    if value not in (names := tuple(names)):
+    if value not in (names := tuple(dict.fromkeys(names))):
         raise InputError(f"{name}: {value!r} is not known; use {', '.join(names)}")
 
 
