@@ -30,6 +30,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sweepopt.control import time_grid
 from sweepopt.defects import Defects, Path, cubic, defects
 from sweepopt.march import march
 from sweepopt.norms import Norms
@@ -43,6 +44,7 @@ ROUNDING = 64 * np.finfo(float).eps
 HALVES = np.array(
     [[8, 0, 0, 0], [4, 4, 0, 0], [2, 4, 2, 0], [1, 3, 3, 1], [0, 2, 4, 2], [0, 0, 4, 4], [0, 0, 0, 8]]
 ) / 8  # fmt: skip
+PARTS = 8  # of a step, for the companion where A = 0
 COMPANION_TOL = 1e-9  # the companion's programs: what they miss is in its bound
 
 
@@ -84,36 +86,44 @@ def error_bound(
     run: Path,
     variation: Callable[[float], float] | None = None,
 ) -> ErrorBound:
-    """The bound of a run: through its own nodes, or beside a companion's if that has more order."""
-    scheme, still = plan.scheme, process.rate_independent
-    best = SCHEMES["implicit-euler" if still else "midpoint"]
-    own = scheme == best or (scheme.order == best.order and not still)
-    plan = replace(plan, scheme=best, reduction=None, tol=min(plan.tol, COMPANION_TOL))
+    """The bound of a run: through its own nodes, or beside a companion that is closer to u."""
+    still = process.rate_independent
+    own = plan.scheme.order >= 2 and not still
+    plan = replace(plan, reduction=None, tol=min(plan.tol, COMPANION_TOL))
     near = run if own else _companion(process, plan, run.t)
     norms = Norms(process)
     missed = defects(process, plan.velocity(process.metric.M), norms, near, variation)
     after = _grown(norms, near.t, missed)
-    apart = _apart(near, missed.slopes, run)
-    rounding = ROUNDING * math.sqrt(len(run.t)) * norms.A(near.u).max()
-    of_t = norms.A(apart).max(axis=1) + after.A[1:] + rounding
+    nodes = run.at(near.t)
+    apart = _apart(near, missed.slopes, nodes)
+    rounding = ROUNDING * math.sqrt(len(near.t)) * norms.A(near.u).max()
+    parts = (len(near.t) - 1) // (len(run.t) - 1)
+
+    def on_steps(bound: np.ndarray) -> np.ndarray:
+        return (bound + rounding).reshape(-1, parts).max(axis=1)
+
     return ErrorBound.make(
         guaranteed=missed.known,
         t=run.t,
-        of_t=of_t,
-        B=norms.B(apart).max(axis=1) + after.B[1:] + rounding,
-        lower=0.0 if own else max(float((norms.A(near.u - run.u) - after.A).max()), 0.0),
+        of_t=on_steps(norms.A(apart).max(axis=1) + after.A[1:]),
+        B=on_steps(norms.B(apart).max(axis=1) + after.B[1:]),
+        lower=0.0 if own else max(float((norms.A(near.u - nodes) - after.A).max()), 0.0),
     )
 
 
 def _companion(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Path:
-    mus = np.diff(t)
+    """Midpoint on the same grid; where A = 0 implicit Euler on a finer one."""
+    scheme = SCHEMES["implicit-euler" if process.rate_independent else "midpoint"]
+    parts = PARTS if process.rate_independent else 1
+    fine = np.append((t[:-1, None] + np.diff(t)[:, None] * np.arange(parts) / parts).ravel(), t[-1])
+    times, mus = time_grid(None, fine)
     for tol in (plan.tol, math.inf):  # what the programs miss is in the bound
         keeper = Keeper(np.arange(len(mus)), process.u0)
-        run = march(process, replace(plan, tol=tol), t, mus, keeper)
+        run = march(process, replace(plan, scheme=scheme, tol=tol), times, mus, keeper)
         if run.done == len(mus):
             break
     kept = keeper.close()[1]
-    return Path(t, kept.nodes, kept.velocities)
+    return Path(times, kept.nodes, np.diff(kept.nodes, axis=0) / np.diff(times)[:, None])
 
 
 class _After(NamedTuple):
@@ -155,9 +165,9 @@ def _fan(norms: Norms, t: np.ndarray, once: np.ndarray) -> np.ndarray:
     return some[np.searchsorted(ends, np.arange(n + 1))]
 
 
-def _apart(near: Path, slopes: np.ndarray, run: Path) -> np.ndarray:
+def _apart(near: Path, slopes: np.ndarray, u: np.ndarray) -> np.ndarray:
     """v - u_n on each step: Bernstein coefficients of its halves, shape (n, 7, dim)."""
     h = np.diff(near.t)[:, None, None]
     curve = cubic(near.u[:-1], near.u[1:], h * slopes)
     share = (np.arange(4) / 3)[:, None]
-    return HALVES @ (curve - (1 - share) * run.u[:-1, None] - share * run.u[1:, None])
+    return HALVES @ (curve - (1 - share) * u[:-1, None] - share * u[1:, None])

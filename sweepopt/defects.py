@@ -16,13 +16,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.motion import DERIVATIVE, GAUSS, TO_BERNSTEIN, WEIGHTS, Data, Motion, motion
+from sweepopt.motion import DERIVATIVE, GAUSS, TO_BERNSTEIN, WEIGHTS, Between, Grid, Motion, motion
 from sweepopt.norms import Norms
 from sweepopt.process import SweepingProcess
-from sweepopt.sets.base import QUADRATIC_LINEAR
-from sweepopt.sets.curves import basis
+from sweepopt.sets import ConvexSet
+from sweepopt.sets.curves import basis, products, to_bernstein
 from sweepopt.velocity import VelocityOf
 
+THIRDS = to_bernstein(np.array([0.0, 0.5, 1.0]))
 CHUNK = 2_000_000  # numbers that the points of some steps may take
 
 
@@ -32,6 +33,13 @@ class Path(NamedTuple):
     t: np.ndarray
     u: np.ndarray
     velocity: np.ndarray
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """The interpolant at increasing times; at its own nodes these themselves."""
+        if len(times) == len(self.t):
+            return self.u
+        i = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.velocity) - 1)
+        return self.u[i] + (times - self.t[i])[:, None] * self.velocity[i]
 
 
 class Defects(NamedTuple):
@@ -76,140 +84,147 @@ def defects(
     moved = motion(process.C)
     if moved is not None and variation is not None and not moved.center.known:
         moved = replace(moved, center=replace(moved.center, variation=variation))
+    candidates = _candidates(process, phi, near)
     if moved is not None and moved.scale.function is None:
-        return _of_motion(process, phi, norms, near, moved)
+        return _best(_of_motion(process, norms, near, candidates, moved), norms.still)
     if variation is not None and not norms.still:
-        return _of_variation(process, phi, norms, near, variation)
-    return _sampled(process, phi, norms, near)
+        return _of_variation(process, norms, near, candidates[-1], variation)
+    return _sampled(process, phi, norms, near, candidates[0 if norms.still else -1])
 
 
-def _node_velocities(
-    process: SweepingProcess, phi: VelocityOf, near: Path, still: bool
-) -> np.ndarray:
-    """Slopes at the nodes, shape (n+1, dim): Phi(t_i, u_i); none where A = 0."""
-    z = np.zeros_like(near.u)
-    if not still:
-        for i, t in enumerate(near.t.tolist()):
-            z[i] = phi(process.times_B(near.u[i]), process.C.at(t)).velocity.z
-    return z
+def _candidates(process: SweepingProcess, phi: VelocityOf, near: Path) -> list[np.ndarray]:
+    """Bernstein coefficients of v', shape (n, 3, dim), of several curves through the nodes.
+
+    Straight; for A coercive the cubic with the slopes Phi(t_i, u_i), else those with the slopes of
+    parabolas through three nodes: around the step, before it and after it.
+    """
+    mean = near.velocity
+    if not process.rate_independent:
+        slope = np.array(
+            [
+                phi(process.times_B(u), process.C.at(t)).velocity.z
+                for t, u in zip(near.t.tolist(), near.u, strict=True)
+            ]
+        )
+        ends = [(mean, mean), (slope[:-1], slope[1:])]
+    else:
+        h = np.diff(near.t)[:, None]
+        inner = (h[1:] * mean[:-1] + h[:-1] * mean[1:]) / (h[1:] + h[:-1])
+        slope = np.concatenate([mean[:1], inner, mean[-1:]])
+        before, after = slope[:-1], slope[1:]
+        ends = [
+            (mean, mean),
+            (before, after),
+            (before, 2 * mean - before),
+            (2 * mean - after, after),
+        ]
+    return [np.stack([first, 3 * mean - first - last, last], axis=1) for first, last in ends]
 
 
-def _cubic_slopes(z: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Bernstein coefficients of v' for a cubic v, shape (n, 3, dim)."""
-    return np.stack([z[:-1], 3 * mean - z[:-1] - z[1:], z[1:]], axis=1)
+def _best(found: list[Defects], still: bool) -> Defects:
+    """On each step the curve that misses least: all go through the nodes."""
+    gaps, squares, _, bent = (np.array([one[k] for one in found]) for k in range(4))
+    cost = gaps + squares
+    if still:  # the bound is about sum bent + sqrt(sum gaps)
+        cost = bent + gaps / (math.sqrt(float(gaps.min(axis=0).sum())) or 1.0)
+    choice = np.argmin(np.where(np.isnan(cost), np.inf, cost), axis=0)
+    step = np.arange(len(choice))
+    return Defects(*(np.array(arrays)[choice, step] for arrays in zip(*(one[:5] for one in found), strict=True)),
+                   found[0].known)  # fmt: skip
 
 
 def _of_motion(
-    process: SweepingProcess, phi: VelocityOf, norms: Norms, near: Path, moved: Motion
-) -> Defects:
-    t, h, n = near.t, np.diff(near.t), len(near.t) - 1
-    z = _node_velocities(process, phi, near, norms.still)
-    centers, scales = moved.center.at(t), moved.scale.at(t)
-    grid = _grid(moved, t)
-    reach = _reach(moved.scale, grid, n)
-    s = np.zeros_like(z)
-    for i in range(n + 1):
-        w = process.times_B(near.u[i]) + process.A @ z[i] - centers[i]
-        scale = np.broadcast_to(scales[i], w.shape)
-        s[i] = moved.shape.project(np.divide(w, scale, out=np.zeros_like(w), where=scale > 0))
-    unknowns, part = slice(None), moved.shape
-    if moved.shape.selection is not None:
-        unknowns, part, _ = moved.shape.selection
-    few = s[:, unknowns]
-
-    def between(slopes: np.ndarray) -> Defects:
-        gaps, away = np.zeros((2, n))
-        for i, x in enumerate(slopes):
-            most = float(np.max(reach[i]))
-            # where A = 0 the curve in S must be continuous: a chord
-            ratio = math.inf if norms.still else most**2 / norms.beta
-            gap, arc = part.companion(-(reach[i] * x)[:, unknowns], few[i : i + 2], ratio)
-            gaps[i], away[i] = 2 * h[i] * gap, most * arc / math.sqrt(norms.beta)
-        residuals = _residuals(process, norms, near, slopes, moved, s, grid, away)
-        return Defects(gaps, *residuals, slopes, moved.known)
-
-    straight = between(np.repeat(near.velocity[:, None], 3, axis=1))
-    return straight if norms.still else _smaller(between(_cubic_slopes(z, near.velocity)), straight)
+    process: SweepingProcess, norms: Norms, near: Path, slopes: list[np.ndarray], moved: Motion
+) -> list[Defects]:
+    """Bounds of both integrals for data: intervals without a kink, many of them at once."""
+    n, dim = near.velocity.shape
+    found = [Defects(*np.zeros((4, n)), x, moved.known) for x in slopes]
+    whole = moved.grid(near.t)
+    per = max(CHUNK // (30 * dim), 1)
+    for start in range(0, len(whole.step), per):
+        grid = Grid(*(x[start : start + per] for x in whole))
+        load = moved.on(grid)
+        for total in found:
+            part = _on_intervals(process, norms, near, total.slopes, moved, grid, load)
+            for sums, values in ((total.gaps, part.gaps), (total.squares, part.squares), (total.bent, part.bent)):
+                np.add.at(sums, grid.step, values)
+            np.maximum.at(total.sup, grid.step, part.sup)
+    return found
 
 
-def _smaller(one: Defects, two: Defects) -> Defects:
-    """On each step the curve that misses less: both go through the nodes."""
-    first = one.gaps + one.squares <= two.gaps + two.squares
-    arrays = [
-        np.where(np.reshape(first, (-1,) + (1,) * (a.ndim - 1)), a, b)
-        for a, b in zip(one[:5], two[:5], strict=True)
-    ]
-    return Defects(*arrays, one.known)
-
-
-class _Grid(NamedTuple):
-    """Intervals inside the steps: the step of each, and its ends."""
-
-    step: np.ndarray
-    begin: np.ndarray
-    end: np.ndarray
-
-
-def _grid(moved: Motion, t: np.ndarray) -> _Grid:
-    cuts = [moved.grid(a, b) for a, b in zip(t[:-1].tolist(), t[1:].tolist(), strict=True)]
-    step = np.repeat(np.arange(len(cuts)), [len(cut) - 1 for cut in cuts])
-    return _Grid(
-        step, np.concatenate([cut[:-1] for cut in cuts]), np.concatenate([cut[1:] for cut in cuts])
-    )
-
-
-def _reach(scale: Data, grid: _Grid, n: int) -> np.ndarray:
-    """A bound of scale(t) on each step, shape (n, 1) or (n, dim)."""
-    between = scale.on(grid.begin, grid.end)
-    upper = (TO_BERNSTEIN @ between.values).max(axis=1)
-    if between.away.any():
-        upper += between.away @ np.abs([f for _, f in scale.terms])
-    reach = np.zeros((n, upper.shape[1]))
-    np.maximum.at(reach, grid.step, upper)
-    return reach
-
-
-def _residuals(
+def _on_intervals(
     process: SweepingProcess,
     norms: Norms,
     near: Path,
     slopes: np.ndarray,
     moved: Motion,
+    grid: Grid,
+    load: tuple[Between, Between],
+) -> Defects:
+    """int 2 G, int |r|^2, sup |r|, int |r'| on each interval.
+
+    The curve in S has the Bernstein coefficients of (A v' + B v - center - tau v') / scale,
+    projected on S: S is convex, so the curve stays in it. Any tau > 0 will do: where v rests and
+    nothing is outside, nothing is missed, and where v moves s is pushed to where it is normal.
+    """
+    i, a, b = grid
+    center, scale = load
+    h, length = near.t[i + 1] - near.t[i], b - a
+    begin, share = (a - near.t[i]) / h, length / h
+    theta = begin[:, None] + share[:, None] * GAUSS
+    pull = _force(process, near, slopes, i, theta) - center.values
+    size = np.broadcast_to(scale.values, pull.shape)
+    aim = pull - norms.steps(moved.shape, h)[:, None] * (basis(2, theta) @ slopes[i])
+    wanted = TO_BERNSTEIN @ np.divide(aim, size, out=np.zeros_like(aim), where=size > 0)
+    if np.ptp(scale.values) > 0:  # a moving scale times a line has degree 5
+        wanted = wanted[:, [0, -1]]
+    s = np.array([moved.shape.project(w) for w in wanted.reshape(-1, wanted.shape[-1])])
+    s = s.reshape(wanted.shape)
+    r = pull - scale.values * (basis(s.shape[1] - 1, GAUSS) @ s)
+
+    reach = (TO_BERNSTEIN @ scale.values).max(axis=1)
+    rest, turn = norms.terms(moved.center, center)
+    if scale.away.any():
+        reach += scale.away @ np.abs([f for _, f in moved.scale.terms])
+        more = norms.scaled(moved.scale, s)
+        rest, turn = rest + (scale.away * more).sum(axis=1), turn + (scale.bent * more).sum(axis=1)
+    gaps, away = _companions(norms, moved.shape, slopes[i], (begin, share), s, reach)
+    rest = rest + away / math.sqrt(norms.beta)
+    # Minkowski: what the polynomials are away from the load adds up in the norm
+    squares = length * (np.sqrt(norms.dual(r) ** 2 @ WEIGHTS) + rest) ** 2
+    sup, bent = np.zeros((2, len(i)))
+    if norms.still:
+        sup = norms.dual(TO_BERNSTEIN @ r).max(axis=1) + rest
+        # at the ends the curve in S jumps by what the load is away from its polynomial
+        bent = np.sqrt(norms.dual(DERIVATIVE @ r) ** 2 @ WEIGHTS) + turn + 2 * rest
+    return Defects(2 * length * gaps, squares, sup, bent, slopes, True)
+
+
+def _companions(
+    norms: Norms,
+    S: ConvexSet,
+    slopes: np.ndarray,
+    where: tuple[np.ndarray, np.ndarray],
     s: np.ndarray,
-    grid: _Grid,
-    away: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """int |r|^2, and where A = 0 sup |r| and int |r'|, on each step."""
-    n, dim = near.velocity.shape
-    squares, sup, bent = np.zeros((3, n))
-    size = np.array([norms.dual(f) for _, f in moved.center.terms])
-    if moved.center.function is not None:
-        size = np.array([1 / math.sqrt(norms.beta)])
-    per = max(CHUNK // (12 * dim), 1)
-    for start in range(0, len(grid.step), per):
-        i, a, b = (x[start : start + per] for x in grid)
-        h = near.t[i + 1] - near.t[i]
-        theta = (a - near.t[i])[:, None] / h[:, None] + (b - a)[:, None] / h[:, None] * GAUSS
-        force = _force(process, near, slopes, i, theta)
-        center, scale = moved.center.on(a, b), moved.scale.on(a, b)
-        chord = (1 - theta)[..., None] * s[i, None] + theta[..., None] * s[i + 1, None]
-        r = force - center.values - scale.values * chord
-        rest, turn = center.away @ size, center.bent @ size
-        if scale.away.any():
-            ends = [norms.dual(f * s) for _, f in moved.scale.terms]
-            most = np.array([np.maximum(e[i], e[i + 1]) for e in ends]).T
-            rest += (scale.away * most).sum(axis=1)
-            turn += ((scale.bent + scale.away) * 3 * most).sum(axis=1)
-        rest = rest + away[i]
-        lengths = b - a
-        size_r = norms.dual(r)
-        # Minkowski: what the polynomials are away from the load adds up in the norm
-        np.add.at(squares, i, lengths * (np.sqrt(size_r**2 @ WEIGHTS) + rest) ** 2)
-        if norms.still:
-            np.maximum.at(sup, i, norms.dual(TO_BERNSTEIN @ r).max(axis=1) + rest)
-            slope = norms.dual(DERIVATIVE @ r)  # times the length
-            np.add.at(bent, i, np.sqrt(slope**2 @ WEIGHTS) + turn)
-    return squares, sup, bent
+    reach: np.ndarray,
+) -> np.ndarray:
+    """The mean of G on each interval, and how far the curve in C(t) was moved for it, shape (2, m).
+
+    G <= sup scale * (sigma(S, -v') + <v', s>), a scale of several entries inside the parentheses.
+    """
+    begin, share = where
+    whole = share == 1
+    ends = basis(2, begin[:, None] + share[:, None] * np.array([0.0, 0.5, 1.0])) @ slopes
+    p = -np.where(whole[:, None, None], slopes, THIRDS @ ends) * reach[:, None]
+    unknowns, part = slice(None), S
+    if S.selection is not None:
+        unknowns, part, _ = S.selection
+    p, s, most = p[..., unknowns], s[..., unknowns], reach.max(axis=1)
+    # where A = 0 the curve must be continuous: no arcs
+    ratios = np.full(len(p), math.inf) if norms.still else most**2 / norms.beta
+    each = map(part.companion, p, s, ratios.tolist())
+    gaps, away = np.array(list(each)).T
+    return np.array([gaps, most * away])
 
 
 def _force(
@@ -219,7 +234,7 @@ def _force(
     i: np.ndarray,
     theta: np.ndarray,
 ) -> np.ndarray:
-    """A v' + B v at the shares theta, shape (m, k), of the steps i."""
+    """A v' + B v at the shares theta, shape (m, k), of the steps i; slopes of all steps."""
     velocity = basis(2, theta) @ slopes[i]
     force = _apply(process.A, velocity)
     if process.B is not None:
@@ -240,29 +255,25 @@ def _apply(M: Any, x: np.ndarray) -> np.ndarray:
 
 def _of_variation(
     process: SweepingProcess,
-    phi: VelocityOf,
     norms: Norms,
     near: Path,
+    slopes: np.ndarray,
     variation: Callable[[float], float],
 ) -> Defects:
     """w(t) is the point of C(t) nearest to the chord of two projections."""
     h, n = np.diff(near.t), len(near.t) - 1
-    z = _node_velocities(process, phi, near, norms.still)
     members = [process.C.at(t) for t in near.t.tolist()]
-    w = np.array(
-        [
-            C.project(process.times_B(u) + process.A @ velocity)
-            for C, u, velocity in zip(members, near.u, z, strict=True)
-        ]
-    )
+    force = _force(process, near, slopes, np.arange(n), np.zeros((n, 1)))[:, 0]
+    last = _force(process, near, slopes, np.array([n - 1]), np.ones((1, 1)))[:, 0]
+    nodes = zip(members, np.concatenate([force, last]), strict=True)
+    w = np.array([C.project(f) for C, f in nodes])
     v = np.diff([float(variation(t)) for t in near.t.tolist()])
-    slopes = _cubic_slopes(z, near.velocity)
     gaps = np.zeros(n)
     for i in range(n):
         each = [[members[k].gap(-x, w[k]) for k in (i, i + 1)] for x in slopes[i]]
         # moving by v changes sigma(C, x) and <x, w> by |x| v at most
         speed = np.linalg.norm(slopes[i], axis=1).mean()
-        gaps[i] = np.sum(QUADRATIC_LINEAR * np.array(each)) + 2 * speed * v[i]
+        gaps[i] = np.sum(products(2, 1) * np.array(each)) + 2 * speed * v[i]
     theta = np.broadcast_to(GAUSS, (n, len(GAUSS)))
     chord = (1 - theta)[..., None] * w[:-1, None] + theta[..., None] * w[1:, None]
     r = norms.dual(_force(process, near, slopes, np.arange(n), theta) - chord)
@@ -270,27 +281,25 @@ def _of_variation(
     return Defects(2 * h * gaps, squares, np.zeros(n), np.zeros(n), slopes, True)
 
 
-def _sampled(process: SweepingProcess, phi: VelocityOf, norms: Norms, near: Path) -> Defects:
+def _sampled(
+    process: SweepingProcess, phi: VelocityOf, norms: Norms, near: Path, slopes: np.ndarray
+) -> Defects:
     """One program at each Gauss point: delta = Phi(t, v) - v'."""
     h, n = np.diff(near.t), len(near.t) - 1
-    z = _node_velocities(process, phi, near, norms.still)
-    straight = np.repeat(near.velocity[:, None], 3, axis=1)
-    slopes = straight if norms.still else _cubic_slopes(z, near.velocity)
     gaps, squares, sup, bent = np.zeros((4, n))
+    curves = cubic(near.u[:-1], near.u[1:], h[:, None, None] * slopes)
     for i in range(n):
-        velocity = basis(2, GAUSS) @ slopes[i]
-        v = basis(3, GAUSS) @ cubic(near.u[i, None], near.u[i + 1, None], h[i] * slopes[i : i + 1])[0]
-        times = near.t[i] + h[i] * GAUSS
+        velocity, v = basis(2, GAUSS) @ slopes[i], basis(3, GAUSS) @ curves[i]
         q = [process.times_B(x) for x in v]
-        sets = [process.C.at(t) for t in times.tolist()]
+        sets = [process.C.at(t) for t in (near.t[i] + h[i] * GAUSS).tolist()]
         found = np.array([phi(*one).velocity.z for one in zip(q, sets, strict=True)])
         if not norms.still:
             squares[i] = h[i] * (norms.A(found - velocity) ** 2 @ WEIGHTS)
             continue
-        # phi projects B v on C(t): B v + B z, so that r = -B z
-        pull = [C.support(-x) + x @ (f + process.times_B(y))
-                for C, x, f, y in zip(sets, velocity, q, found, strict=True)]  # fmt: skip
-        gaps[i] = 2 * h[i] * float(np.maximum(pull, 0.0) @ WEIGHTS)
+        # phi projects B v on C(t): w = B v + B z, so that r = -B z
+        each = zip(sets, velocity, q, found, strict=True)
+        pull = [C.gap(-x, f + process.times_B(y)) for C, x, f, y in each]
+        gaps[i] = 2 * h[i] * float(np.array(pull) @ WEIGHTS)
         sup[i] = norms.A(found).max()
         bent[i] = norms.A(np.diff(found, axis=0)).sum()
     return Defects(gaps, squares, sup, bent, slopes, False)

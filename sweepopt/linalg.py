@@ -81,6 +81,10 @@ class Factor:
             return self._lu.solve(w)
         return lapack.dpotrs(self._cholesky, w, lower=True)[0]
 
+    def solve_many(self, rows: np.ndarray) -> np.ndarray:
+        """M^-1 of each row, shape (k, dim)."""
+        return self.solve(np.asfortranarray(rows.T)).T
+
     def _solve_scaled(self, w: np.ndarray) -> np.ndarray:
         """Solve with D^-1/2 M D^-1/2, D = diag(M)."""
         return self.root * self.solve(self.root * w)

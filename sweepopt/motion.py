@@ -18,8 +18,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.loads import Constant, Piece, Separable
-from sweepopt.sets.curves import basis, to_bernstein
 from sweepopt.sets import AnySet, Box, ConvexSet, Moving, MovingOffsets
+from sweepopt.sets.curves import basis, to_bernstein
+
 
 def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
     points, weights = np.polynomial.legendre.leggauss(count)
@@ -81,7 +82,9 @@ class Data:
     def at(self, times: np.ndarray) -> np.ndarray:
         """Values, shape (len(times), dim)."""
         if self.function is not None:
-            return np.array([np.broadcast_to(self.function(t), (self.dim,)) for t in times.tolist()])
+            return np.array(
+                [np.broadcast_to(self.function(t), (self.dim,)) for t in times.tolist()]
+            )
         values = np.zeros((len(times), self.dim))
         if self.terms:
             values += Separable(self.terms).at_many(times)
@@ -110,12 +113,11 @@ class Data:
             values += Separable([(phi, f)]).at_many(times.ravel()).reshape(values.shape)
             if hasattr(phi, "piece"):
                 fifth = np.array(
-                    [_fifth_derivative(phi.piece(a, b), a, b) for a, b in zip(begin, end)]
+                    [_fifth_derivative(phi.piece(a, b), a, b) for a, b in zip(begin, end, strict=True)]
                 )
                 # Rolle: the error's derivative has four zeros
                 away[:, k], bent[:, k] = fifth * h**5 * NODAL / 120, fifth * h**5 / 24
         return Between(LIFT @ values, away, bent)
-
 
     def _sampled(self, begin: np.ndarray, end: np.ndarray, times: np.ndarray) -> Between:
         m = len(begin)
@@ -169,12 +171,26 @@ class Motion:
         """Whether center and scale are data."""
         return self.center.known and self.scale.known
 
-    def grid(self, a: float, b: float) -> np.ndarray:
-        """The ends of the intervals into which a step is cut."""
-        kinks = [self.center.breakpoints(a, b), self.scale.breakpoints(a, b)]
+    def on(self, grid: Grid) -> tuple[Between, Between]:
+        """Center and scale on intervals."""
+        return self.center.on(grid.begin, grid.end), self.scale.on(grid.begin, grid.end)
+
+    def grid(self, t: np.ndarray) -> Grid:
+        """The steps between the times t, cut at the kinks of the histories."""
+        kinks = [data.breakpoints(t[0], t[-1]) for data in (self.center, self.scale)]
         parts = PARTS if self.center.rough or self.scale.rough else 1
-        inner = a + (b - a) * np.arange(1, parts) / parts
-        return np.concatenate([[a], np.unique(np.concatenate([*kinks, inner])), [b]])
+        inner = t[:-1, None] + np.diff(t)[:, None] * np.arange(parts) / parts
+        cuts = np.unique(np.concatenate([inner.ravel(), t[-1:], *kinks]))
+        step = np.searchsorted(t, cuts[:-1], side="right") - 1
+        return Grid(step, cuts[:-1], cuts[1:])
+
+
+class Grid(NamedTuple):
+    """Intervals inside the steps: the step of each, and its ends."""
+
+    step: np.ndarray
+    begin: np.ndarray
+    end: np.ndarray
 
 
 def motion(C: AnySet) -> Motion | None:

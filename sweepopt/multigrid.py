@@ -194,6 +194,9 @@ class Multigrid(Factor):
                 break
         return x / self.root
 
+    def solve_many(self, rows: np.ndarray) -> np.ndarray:
+        return np.array([self.solve(row) for row in rows])
+
     def dual_norm_bound(self, w: np.ndarray) -> float:
         """A bound of |w|_{M^-1} that costs one cycle: sqrt(<V w, w> / lambda_min(V M)).
 

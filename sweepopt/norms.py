@@ -9,8 +9,10 @@ import numpy as np
 import scipy.linalg
 
 from sweepopt.linalg import SMALL, dense
+from sweepopt.motion import Between, Data
 from sweepopt.process import SweepingProcess
 from sweepopt.reduction import proportion
+from sweepopt.sets import ConvexSet
 
 
 class Norms:
@@ -35,11 +37,24 @@ class Norms:
     def dual(self, w: np.ndarray) -> np.ndarray:
         """|w|_{A^-1} over the last axis."""
         rows = w.reshape(-1, w.shape[-1])
-        solved = np.array([self._metric.solve(row) for row in rows]) if rows.any() else rows
+        solved = self._metric.solve_many(rows) if rows.any() else rows
         return np.sqrt(np.maximum((rows * solved).sum(axis=1), 0.0)).reshape(w.shape[:-1])
 
-    def largest(self, u: np.ndarray) -> float:
-        return float(self.A(u).max(initial=0.0))
+    def steps(self, S: ConvexSet, h: np.ndarray) -> np.ndarray:
+        """Weights that bring velocities to the units of forces, shape (len(h), dim)."""
+        weights = S.steps(self._metric.diagonal)
+        return np.outer(h if self.still else np.ones_like(h), weights)
+
+    def terms(self, data: Data, between: Between) -> tuple[np.ndarray, np.ndarray]:
+        """What the load is away from its polynomials, and its derivative, in |.|_{A^-1}."""
+        sizes = np.array([self.dual(f) for _, f in data.terms])
+        if data.function is not None:
+            sizes = np.array([1 / math.sqrt(self.beta)])  # its variation is a Euclidean one
+        return between.away @ sizes, between.bent @ sizes
+
+    def scaled(self, scale: Data, s: np.ndarray) -> np.ndarray:
+        """The largest |f_k s|_{A^-1} of points s, shape (m, k, dim), for each term of a scale."""
+        return np.array([self.dual(f * s).max(axis=1) for _, f in scale.terms]).T
 
     def growth(self, tau: np.ndarray) -> np.ndarray:
         """K(tau) of MATH 3: |u(tau) - v(tau)|_A <= K(tau) |u(0) - v(0)|_A."""

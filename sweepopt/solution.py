@@ -204,9 +204,7 @@ class Solution:
     def _nearest(self) -> VelocityOf:
         return self.plan.velocity(self.process.metric.M)
 
-    def error_bound(
-        self, *, variation: Callable[[float], float] | None = None
-    ) -> ErrorBound:
+    def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
         """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A = 0), a float.
 
         Parameters

@@ -208,8 +208,8 @@ class Negation(ConvexSet):
     def gap(self, p: np.ndarray, w: np.ndarray) -> float:
         return self.part.gap(-p, -w)
 
-    def companion(self, p: np.ndarray, ends: np.ndarray, ratio: float) -> Companion:
-        return self.part.companion(-p, -ends, ratio)
+    def companion(self, p: np.ndarray, w: np.ndarray, ratio: float) -> Companion:
+        return self.part.companion(-p, -w, ratio)
 
     def steps(self, tau: np.ndarray) -> np.ndarray:
         return self.part.steps(tau)
@@ -333,11 +333,9 @@ class Product(ConvexSet):
         blocks = np.split(p, self._cuts), np.split(w, self._cuts)
         return sum(part.gap(*one) for part, *one in zip(self.parts, *blocks, strict=True))
 
-    def companion(self, p: np.ndarray, ends: np.ndarray, ratio: float) -> Companion:
-        blocks = np.split(p, self._cuts, axis=1), np.split(ends, self._cuts, axis=1)
-        each = [
-            part.companion(*one, ratio) for part, *one in zip(self.parts, *blocks, strict=True)
-        ]
+    def companion(self, p: np.ndarray, w: np.ndarray, ratio: float) -> Companion:
+        blocks = np.split(p, self._cuts, axis=1), np.split(w, self._cuts, axis=1)
+        each = [part.companion(*one, ratio) for part, *one in zip(self.parts, *blocks, strict=True)]
         gaps, away = np.array(each).T
         return Companion(float(gaps.sum()), float(np.linalg.norm(away)))
 

@@ -23,6 +23,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import number, vector
 from sweepopt.errors import InputError
+from sweepopt.sets.curves import products
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -54,22 +55,18 @@ class Selection(NamedTuple):
 
 
 class Companion(NamedTuple):
-    """A curve in C beside a curve p of directions, both over [0, 1].
+    """A curve in C beside a curve p of directions, both on [0, 1].
 
     Attributes
     ----------
     gap : float
-        At least the mean of sigma(C, p) - <p, w> >= 0.
+        At least the mean of sigma(C, p) - <p, curve> >= 0.
     away : float
-        At least the distance of w from the chord of its ends, at any time.
+        At least the distance of the curve from the one that was given, at any time.
     """
 
     gap: float
     away: float
-
-
-# int_0^1 of the products of Bernstein polynomials of degrees 2 and 1
-QUADRATIC_LINEAR = np.array([[3.0, 1.0], [2.0, 2.0], [1.0, 3.0]]) / 12.0
 
 
 class ConvexSet(ABC):
@@ -169,22 +166,24 @@ class ConvexSet(ABC):
         sigma = self.support(p)
         return max(sigma - float(p @ w), 0.0) + ROUNDING * abs(sigma) if p.any() else 0.0
 
-    def companion(self, p: np.ndarray, ends: np.ndarray, ratio: float) -> Companion:
-        """A curve w in C from one end to the other beside a quadratic curve of directions.
+    def companion(self, p: np.ndarray, w: np.ndarray, ratio: float) -> Companion:
+        """A curve in C near w beside a quadratic curve p of directions, on [0, 1].
 
-        The chord: sigma is convex, so sum_jk b_j b_k (sigma(C, p_j) - <p_j, w_k>) bounds its gap.
+        w itself: sigma is convex, so sum_jk b_j b_k (sigma(C, p_j) - <p_j, w_k>) bounds its gap.
 
         Parameters
         ----------
         p : ndarray, shape (3, dim)
-            Bernstein coefficients b_j of the directions.
-        ends : ndarray, shape (2, dim)
-            Points of C.
+            Bernstein coefficients of the directions.
+        w : ndarray, shape (k, dim)
+            Bernstein coefficients of the curve w, points of C.
         ratio : float
             A set with more than one such curve takes that of the smaller 2 gap + ratio away^2.
         """
-        gaps = np.array([[self.gap(direction, w) for w in ends] for direction in p])
-        return Companion(float(np.sum(QUADRATIC_LINEAR * gaps)), 0.0)
+        return Companion(float(np.sum(products(2, len(w) - 1) * self._gaps(p, w))), 0.0)
+
+    def _gaps(self, p: np.ndarray, w: np.ndarray) -> np.ndarray:
+        return np.array([[self.gap(direction, point) for point in w] for direction in p])
 
     def epigraph(self, p: cp.Expression) -> tuple[cp.Expression, list[cp.Constraint]]:
         """The support function as a cvxpy epigraph: minimising `value` gives sigma(C, p).

@@ -7,19 +7,20 @@ and not only where somebody looked.
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 
 
-def ball_arc(p: np.ndarray, ends: np.ndarray, radius: float) -> float:
-    """How far radius p / |p|, whose gap is zero, is from the chord of two points of the ball.
+def ball_arc(p: np.ndarray, w: np.ndarray, radius: float) -> float:
+    """How far radius p / |p|, whose gap is zero, is from a curve w in the ball.
 
     Parameters
     ----------
     p : ndarray, shape (3, dim)
         Bernstein coefficients of a quadratic curve of directions.
-    ends : ndarray, shape (2, dim)
-        The ends of the chord, seen from the centre.
+    w : ndarray, shape (k, dim)
+        Bernstein coefficients of w, seen from the centre.
     radius : float
 
     Returns
@@ -30,22 +31,16 @@ def ball_arc(p: np.ndarray, ends: np.ndarray, radius: float) -> float:
     middle = p.sum(axis=0)
     size = float(np.linalg.norm(middle))
     least = float((p @ middle).min()) / size if size else 0.0  # |p| >= this
-    if least <= 0 or (p @ ends.T).min() <= 0:
+    if least <= 0 or (p @ w.T).min() <= 0:
         return math.inf
-    # what of the chord w is across p: (|p|^2 w - <p, w> p) / |p|^2, a polynomial of degree 5
-    theta = chebyshev(6)
-    curve, chord = bernstein(p, theta), bernstein(ends, theta)
-    squares, products = (curve**2).sum(axis=1), (curve * chord).sum(axis=1)
-    across = squares[:, None] * chord - products[:, None] * curve
+    # what of w is across p: (|p|^2 w - <p, w> p) / |p|^2, above the bar a polynomial
+    theta = chebyshev(len(w) + 4)
+    curve, points = basis(2, theta) @ p, basis(len(w) - 1, theta) @ w
+    squares, along = (curve**2).sum(axis=1), (curve * points).sum(axis=1)
+    across = squares[:, None] * points - along[:, None] * curve
     side = float(np.linalg.norm(to_bernstein(theta) @ across, axis=1).max()) / least**2
-    shortest = min(float(w @ v) for w in ends for v in ends)  # |w|^2 >= this
-    along = math.sqrt(max(shortest - side**2, 0.0))
-    return math.hypot(side, radius - along)
-
-
-def bernstein(coefficients: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """The polynomial with Bernstein coefficients, shape (degree + 1, dim), at theta, shape (m,)."""
-    return basis(len(coefficients) - 1, theta) @ coefficients
+    shortest = float((w @ w.T).min())  # |w|^2 >= this
+    return math.hypot(side, radius - math.sqrt(max(shortest - side**2, 0.0)))
 
 
 def basis(degree: int, theta: np.ndarray) -> np.ndarray:
@@ -64,3 +59,12 @@ def chebyshev(count: int) -> np.ndarray:
 def to_bernstein(theta: np.ndarray) -> np.ndarray:
     """The matrix from values at m points to the Bernstein coefficients of degree m - 1."""
     return np.linalg.inv(basis(len(theta) - 1, theta))
+
+
+@cache
+def products(first: int, second: int) -> np.ndarray:
+    """int_0^1 of the products of Bernstein polynomials, shape (first + 1, second + 1)."""
+    j, k = np.meshgrid(np.arange(first + 1), np.arange(second + 1), indexing="ij")
+    choose = np.vectorize(math.comb)
+    degree = first + second
+    return choose(first, j) * choose(second, k) / choose(degree, j + k) / (degree + 1)

@@ -138,10 +138,13 @@ class Box(ConvexSet):
         return v - np.minimum(np.maximum(v, self.lower), self.upper)
 
     def gap(self, p: np.ndarray, w: np.ndarray) -> float:
-        moving = p != 0
-        p, w = p[moving], w[moving]
+        return float(self._gaps(p[None], w[None])[0, 0])
+
+    def _gaps(self, p: np.ndarray, w: np.ndarray) -> np.ndarray:
         # entry by entry: what cancels cancels to 0.0
-        return float((np.where(p > 0, self.upper[moving], self.lower[moving]) - w) @ p)
+        side = np.where(p == 0, 0.0, np.where(p > 0, self.upper, self.lower))
+        slack = np.where(p[:, None] == 0, 0.0, side[:, None] - w)
+        return np.einsum("jkd,jd->jk", slack, p)
 
     def features(self, p: cp.Expression) -> Features:
         # bounded entries: centre * p + halfwidth * |p|; a one-sided entry allows one sign of p
@@ -305,10 +308,10 @@ class Ball(ConvexSet):
         length = float(np.linalg.norm(arm))
         return w if length <= self.radius else self.center + self.radius / length * arm
 
-    def companion(self, p: np.ndarray, ends: np.ndarray, ratio: float) -> Companion:
-        chord = super().companion(p, ends, ratio)
-        away = ball_arc(p, ends - self.center, self.radius)
-        return Companion(0.0, away) if ratio * away**2 < 2 * chord.gap else chord
+    def companion(self, p: np.ndarray, w: np.ndarray, ratio: float) -> Companion:
+        given = super().companion(p, w, ratio)
+        away = ball_arc(p, w - self.center, self.radius)
+        return Companion(0.0, away) if ratio * away**2 < 2 * given.gap else given
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -373,13 +376,13 @@ class Balls(ConvexSet):
         sizes = cp.Variable(self.radii.size)
         return Features([sizes], _norms_below(p, sizes, self.block))
 
-    def companion(self, p: np.ndarray, ends: np.ndarray, ratio: float) -> Companion:
+    def companion(self, p: np.ndarray, w: np.ndarray, ratio: float) -> Companion:
         each = [
             Ball(np.zeros(self.block), radius).companion(directions, points, ratio)
             for radius, directions, points in zip(
                 self.radii,
                 p.reshape(3, -1, self.block).swapaxes(0, 1),
-                ends.reshape(2, -1, self.block).swapaxes(0, 1),
+                w.reshape(len(w), -1, self.block).swapaxes(0, 1),
                 strict=True,
             )
         ]
