@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
+from sweepopt.errors import InputError
 from sweepopt.linalg import SMALL, dense
 from sweepopt.motion import Between, Data
+from sweepopt.multigrid import factorise
 from sweepopt.process import SweepingProcess
 from sweepopt.reduction import proportion
 from sweepopt.sets import ConvexSet
@@ -82,4 +84,11 @@ def _rates(process: SweepingProcess) -> tuple[float, float]:
         values = scipy.linalg.eigh(dense(process.B), dense(process.A), eigvals_only=True)
         return max(float(values[0]) * (1 - 1e-9), 0.0), float(values[-1]) * (1 + 1e-9)
     rho = proportion(process.A, process.B)
-    return (rho, rho) if rho is not None else (0.0, 1.01 * process.Lam)
+    if rho is not None:
+        return rho, rho
+    # Lanczos meets both from inside, to rounding; one per cent is added
+    try:
+        lam = 0.99 / factorise(process.B, "B").largest_ratio(process.A)
+    except InputError:  # B is singular
+        lam = 0.0
+    return lam, 1.01 * process.Lam
