@@ -22,6 +22,11 @@ class Status(Enum):
         "The run stopped early: a step missed tol with every solver tried. The steps before it are "
         "certified. Loosen tol, change the solver or look at the step's data."
     )
+    SWITCHING = (
+        "The run stopped early: the active set changes without end, over 100,000 times or again "
+        "and again within rounding. The steps before it are exact. Use implicit-euler, midpoint or "
+        "sdirk2, which need no switch times."
+    )
     STOPPED = "The callback stopped the run; all steps computed until then are returned."
     INTERRUPTED = "The run was interrupted; all steps computed until then are returned."
 

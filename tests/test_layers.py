@@ -25,6 +25,7 @@ LEVELS = [
     {"plan"},
     {"solution"},
     {"march"},
+    {"exact"},
     {"lifting"},
     {"evolve"},
     {"library"},
