@@ -25,6 +25,7 @@ from sweepopt.exact.rows import Rows
 from sweepopt.sets.active_set import least_distance
 
 ROUNDING = 256 * EPS  # of the terms: a smaller coefficient is none
+NEAR = 1e3  # roundings by which a row may miss what an event says of it
 ORDERS = 8  # a row undecided by them is taken for redundant
 SPANNED = 1e-10  # the part of a unit row outside of a span that counts as none
 
@@ -65,65 +66,81 @@ def just_after(rows: Rows, load: Smooth, t: float, u: np.ndarray, touched: np.nd
     EmptySetError
         If C is empty there.
     """
-    m = len(rows.N)
-    first = int(rows.rate_independent)
     force, size = load.taylor(t, ORDERS + 2)
-    holding, orders = list(rows.fixed), np.zeros(m, dtype=int)
     undecided = ~rows.frozen
     if rows.rate_independent:
         slack = force[:, 0] - rows.NB @ u
         undecided &= slack <= ROUNDING * (size[:, 0] + np.abs(rows.NB) @ np.abs(u))
         undecided[touched] = ~rows.frozen[touched]
-        touched = np.zeros(0, dtype=int)
-    matrix = rows.SB if rows.rate_independent else rows.S
-    carried, pull = 0.0, np.zeros(rows.R.shape[1])
-    for k in range(ORDERS + 1):
-        s, noise = force[:, k + first].copy(), ROUNDING * size[:, k + first] + carried
-        if rows.rate_independent:
-            s, noise = (k + 1) * s, (k + 1) * noise
-        else:
-            s -= rows.NB @ u
-            noise += ROUNDING * (np.abs(rows.NB) @ np.abs(u))
-        open_ = np.flatnonzero(undecided)
-        try:
-            active = _program(rows.R, holding, open_, s, noise)
-        except _Cut:
-            if k == 0:
-                raise EmptySetError(f"C(t) at t = {t:g} is empty: its rows contradict") from None
-            undecided[holding] = True
-            holding = _other_corner(rows, holding, open_, s, pull)
-            undecided[holding] = undecided[rows.frozen] = False
-            open_ = np.flatnonzero(undecided)
-            active = _program(rows.R, holding, open_, s, noise)
-        basis = holding + active
-        y = -np.linalg.solve(matrix[np.ix_(basis, basis)], s[basis]) if basis else np.zeros(0)
-        slack = s + matrix[:, basis] @ y
-        pull = rows.R[basis].T @ y if k == 0 else pull
-        worst = float(noise[basis].max(initial=0.0))
-        late = np.isin(open_, touched) if k == 0 else np.zeros(open_.size, dtype=bool)
-        positive = np.zeros(m, dtype=bool)
-        positive[basis] = y > worst
-        for row, waits in zip(open_.tolist(), late.tolist(), strict=True):
-            if waits:
-                continue
-            if row in active:
-                if not positive[row]:
-                    continue
-                holding.append(row)
-                orders[row] = k
-            elif slack[row] <= noise[row] + worst:
-                continue
-            else:
-                orders[row] = k + first
-            undecided[row] = False
-        if not undecided.any():
-            break
+        k = np.arange(1, ORDERS + 2)
+        force, size = k * force[:, 1:], k * size[:, 1:]
+    state = _State(rows, list(rows.fixed), undecided, np.zeros(len(rows.N), dtype=int), u)
+    try:
+        for k in range(ORDERS + 1):
+            state.decide(k, force[:, k], size[:, k], touched if k == 0 else touched[:0])
+            if not state.undecided.any():
+                break
+    except _Cut:
+        raise EmptySetError(f"C(t) at t = {t:g} is empty: its rows contradict") from None
+    return Active(state.holding, state.orders, state.undecided)
+
+
+@dataclass(eq=False)
+class _State:
+    """What is decided up to an order, and the coefficient of u that enters the next one."""
+
+    rows: Rows
+    holding: list[int]
+    undecided: np.ndarray
+    orders: np.ndarray
+    u: np.ndarray
+    pull: np.ndarray | None = None  # R^T y of order 0
+    carried: float = 0.0  # rounding of u in units of s
+
+    def decide(self, k: int, force: np.ndarray, size: np.ndarray, touched: np.ndarray) -> None:
+        """Solve the program of order k and decide what its signs decide."""
+        rows, s, noise = self.rows, force, ROUNDING * size + self.carried
         if not rows.rate_independent:
-            moving = dict(zip(basis, y.tolist(), strict=True))
-            y = np.array([moving.get(row, 0.0) for row in holding])
-            u = -(y @ rows.N[holding]) / (k + 1)
-            carried = worst * rows.Lam / (k + 1) if y.any() else 0.0
-    return Active(holding, orders, undecided)
+            s = s - rows.NB @ self.u
+            noise = noise + ROUNDING * (np.abs(rows.NB) @ np.abs(self.u))
+        try:
+            active = self._program(s, noise)
+        except _Cut:
+            if self.pull is None:
+                raise
+            self._change_corner(s)
+            active = self._program(s, noise)
+        basis = self.holding + active
+        matrix = rows.SB if rows.rate_independent else rows.S
+        y = -np.linalg.solve(matrix[basis][:, basis], s[basis]) if basis else np.zeros(0)
+        slack = s + matrix[:, basis] @ y
+        worst = float(noise[basis].max(initial=0.0))
+        noise = noise + worst
+        noise[touched] *= NEAR
+        value = slack.copy()
+        value[basis] = y
+        decided = self.undecided & (value > noise)
+        off = decided.copy()
+        off[active] = False
+        self.undecided = self.undecided & ~decided
+        self.orders[decided] = k
+        self.orders[off] += rows.rate_independent  # there the program has the slack's derivative
+        self.pull = rows.R[basis].T @ y if self.pull is None else self.pull
+        self.holding = self.holding + [row for row in active if decided[row]]
+        if not rows.rate_independent:
+            self.u = -(value[self.holding] @ rows.N[self.holding]) / (k + 1)
+            self.carried = worst * rows.Lam / (k + 1) if self.u.any() else 0.0
+
+    def _program(self, s: np.ndarray, noise: np.ndarray) -> list[int]:
+        return _program(self.rows.R, self.holding, np.flatnonzero(self.undecided), s, noise)
+
+    def _change_corner(self, s: np.ndarray) -> None:
+        """Let other rows carry the velocity, where a redundant one begins to cut."""
+        assert self.pull is not None
+        open_ = np.flatnonzero(self.undecided)
+        self.undecided[self.holding] = True
+        self.holding = _other_corner(self.rows, self.holding, open_, s, self.pull)
+        self.undecided[self.holding] = self.undecided[self.rows.frozen] = False
 
 
 def _program(
