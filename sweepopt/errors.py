@@ -80,6 +80,22 @@ class StepError(SweepoptError):
         self.t, self.step, self.u, self.certificate = t, step, u, certificate
 
 
+class VelocityError(SweepoptError):
+    """A velocity that was asked for directly missed its tolerance with every solver tried.
+
+    Attributes
+    ----------
+    t : float
+    u : ndarray, shape (dim,)
+    certificate : float
+        Best certificate reached, relative to max(\\|z\\|_A, \\|A^-1 q\\|_A).
+    """
+
+    def __init__(self, message: str, t: float, u: np.ndarray, certificate: float) -> None:
+        super().__init__(message)
+        self.t, self.u, self.certificate = t, u, certificate
+
+
 class SweepoptWarning(UserWarning):
     """Base of every warning of the library."""
 

@@ -23,6 +23,7 @@ LEVELS = [
     {"solvers", "schemes"},
     {"velocity", "control"},
     {"plan"},
+    {"field"},
     {"solution"},
     {"march"},
     {"exact"},

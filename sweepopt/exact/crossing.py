@@ -56,7 +56,10 @@ def first_crossing(f: Curve, orders: np.ndarray) -> Crossing | None:
         if tau == 0.0:
             hit, h = hit & ~rises, np.where(rises, reach, h)
         if hit.any():
-            return Crossing(tau, np.flatnonzero(hit))
+            over = _grazes(f, np.flatnonzero(hit), tau, noise[hit])
+            if over is None:
+                return Crossing(tau, np.flatnonzero(hit))
+            h[hit] = over
         tau += max(float(h.min(initial=np.inf)), EPS * tau)
         if tau >= length:
             return None
@@ -64,6 +67,23 @@ def first_crossing(f: Curve, orders: np.ndarray) -> Crossing | None:
         f"an event is not found in {STEPS} steps that are proved free of events; the rates of the "
         "process are too far apart for scheme='exact', use implicit-euler or sdirk2"
     )
+
+
+def _grazes(f: Curve, rows: np.ndarray, tau: float, noise: np.ndarray) -> np.ndarray | None:
+    """Steps after which entries at zero rise again, if none of them turns negative beyond rounding.
+
+    Where f'' stays above half of its value c up to h = 4 |f'| / c, f falls by f'^2 / c at most.
+    """
+    first = Curve(f.basis, f.weights[rows]).derivative()
+    second = first.derivative()
+    third = second.derivative()
+    b = f.basis.at(tau)
+    slope, bend = np.minimum(first.weights @ b, 0.0), second.weights @ b
+    if not (bend > 0).all():
+        return None
+    step = 4 * np.abs(slope) / bend
+    steady = third.sizes @ f.basis.bound(tau) * step <= 0.5 * bend
+    return step if (steady & (slope**2 <= 4 * noise * bend)).all() else None
 
 
 def _reach(f: Curve, orders: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from sweepopt.exact.modes import decay, modes, whitening
 from sweepopt.exact.rows import Rows
 
 PHASES = 100_000
-"""Phases of a run: more are taken for an accumulation of switches."""
+"""Phases of a run beyond those that kinks of the load begin: more are taken for an accumulation of switches."""
 STALLED = 50  # phases in a row that are as short as rounding
 SLACK = 1e-12  # share of the time scale by which a time may miss the run: rounding
 
@@ -159,7 +159,7 @@ def integrate(rows: Rows, u0: np.ndarray, start: float, end: float) -> Trajector
                 phases.append(phase)
             touched = np.zeros(0, dtype=int) if found is None else watched[found.rows]
             s = following
-            if len(phases) > PHASES or stalled > STALLED:
+            if len(phases) > PHASES + len(kinks) or stalled > STALLED:
                 return Trajectory(phases, s, np.array(switches), complete=False)
     return Trajectory(phases, end, np.unique(switches))
 
