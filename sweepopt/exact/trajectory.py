@@ -19,7 +19,7 @@ from sweepopt.exact.modes import decay, modes, whitening
 from sweepopt.exact.rows import Rows
 
 PHASES = 100_000
-"""Phases of a run beyond those that kinks of the load begin: more are taken for an accumulation of switches."""
+"""Phases of a run, not counting kinks: more are taken for an accumulation of switches."""
 STALLED = 50  # phases in a row that are as short as rounding
 SLACK = 1e-12  # share of the time scale by which a time may miss the run: rounding
 
