@@ -72,8 +72,8 @@ def just_after(rows: Rows, load: Smooth, t: float, u: np.ndarray, touched: np.nd
         slack = force[:, 0] - rows.NB @ u
         undecided &= slack <= ROUNDING * (size[:, 0] + np.abs(rows.NB) @ np.abs(u))
         undecided[touched] = ~rows.frozen[touched]
-        k = np.arange(1, ORDERS + 2)
-        force, size = k * force[:, 1:], k * size[:, 1:]
+        grown = np.arange(1, ORDERS + 2)
+        force, size = grown * force[:, 1:], grown * size[:, 1:]
     state = _State(rows, list(rows.fixed), undecided, np.zeros(len(rows.N), dtype=int), u)
     try:
         for k in range(ORDERS + 1):

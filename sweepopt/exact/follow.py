@@ -16,10 +16,10 @@ from sweepopt.linalg import Factor
 from sweepopt.march import Log, Look, Prove, Run, Summary, march
 from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
-from sweepopt.program import VelocityProgram, rate
+from sweepopt.program import Velocity, VelocityProgram, rate
 from sweepopt.states import Keeper
 
-FLOOR = 0.01  # of what force and load would move alone: a velocity below counts as this
+FLOOR = 0.01  # of what force and load would move each alone: a velocity below counts as this
 BLOCK = 1000  # nodes that are computed at once
 
 
@@ -75,10 +75,10 @@ def follow(
         before = process.u0
         for i in range(known):
             started = clock.perf_counter()
-            u, derivative, phases = nodes(i + 1)
+            u, derivative, terms, phases = nodes(i + 1)
             z = (u - before) / mus[i]
-            certificate, relative = inclusion(float(times[i + 1]), float(mus[i]), u, derivative)
-            step = Summary(phases, 1, certificate, relative, "closed form")
+            found = inclusion(float(times[i + 1]), float(mus[i]), u, derivative, terms)
+            step = Summary(phases, 1, found.certificate, found.relative, "closed form")
             step = step if prove is None else prove(i, before, z, step)
             if step.relative > tol:
                 run.cause, run.relative = _cause(i, times, step.relative, tol), step.relative
@@ -105,17 +105,18 @@ class _Nodes:
 
     def __init__(self, exact: Trajectory, times: np.ndarray) -> None:
         self._exact, self._times, self._first = exact, times, -BLOCK
-        self._phases = np.searchsorted(times, exact.starts)
+        self._phases = np.searchsorted(times, exact.starts, side="right")
 
-    def __call__(self, i: int) -> tuple[np.ndarray, np.ndarray, int]:
-        """u, u' and the number of phases that begin in the step that ends there."""
+    def __call__(self, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+        """u, u', its terms and the number of phases that begin in the step that ends there."""
         if not 0 <= i - self._first < BLOCK:
             self._first = i
             block = self._times[i : i + BLOCK]
             block = block[block <= self._exact.end]
             self._u, self._z = self._exact(block), self._exact.velocity(block)
+            self._terms = self._exact.terms(block)
         j = i - self._first
-        return self._u[j], self._z[j], self._counts[i]
+        return self._u[j], self._z[j], self._terms[j], self._counts[i]
 
     @cached_property
     def _counts(self) -> list[int]:
@@ -133,7 +134,9 @@ class _Inclusion:
         self._process = process
         self._factors: dict[float, Factor] = {}
 
-    def __call__(self, t: float, mu: float, u: np.ndarray, z: np.ndarray) -> tuple[float, float]:
+    def __call__(
+        self, t: float, mu: float, u: np.ndarray, z: np.ndarray, terms: np.ndarray
+    ) -> Velocity:
         process, C = self._process, self._process.C.at(t)
         if mu not in self._factors:
             self._factors = {mu: Factor(self._matrix(mu))}
@@ -141,11 +144,10 @@ class _Inclusion:
         q = process.times_B(u - mu * z)
         found = VelocityProgram(M, C).certify(q, C, z, np.zeros(C.offsets.size))
         certificate = found.certificate + M.norm(z - found.z)
-        # where force and load cancel, what rounding leaves of them is no measure
-        size = M.dual_norm(q - C.anchor)
-        size = max(size, FLOOR * (M.dual_norm(q) + M.dual_norm(C.anchor)))
-        velocity = rate(z, certificate, M.norm(z), size)
-        return velocity.certificate, velocity.relative
+        # where force and load cancel, or the terms of z, what rounding leaves is no measure
+        apart = M.norm(terms) + M.dual_norm(q) + M.dual_norm(C.anchor)
+        size = max(M.dual_norm(q - C.anchor), FLOOR * apart)
+        return rate(z, certificate, M.norm(z), size)
 
     def _matrix(self, mu: float) -> Matrix:
         process: Any = self._process

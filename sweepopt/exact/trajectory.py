@@ -51,6 +51,11 @@ class Phase:
         """u' at the times, shape (k, dim); exactly 0.0 in what is stuck."""
         return 0.0 - self.dp(t - self.start) @ self.paths.T
 
+    def terms(self, t: np.ndarray) -> np.ndarray:
+        """The absolute terms whose sum u' is, shape (k, dim): its rounding is relative to them."""
+        values = np.abs(self.dp.basis.at(t - self.start)) @ np.abs(self.dp.weights).T
+        return values @ np.abs(self.paths).T
+
 
 class Lifting(NamedTuple):
     """All unknowns from few ones: lift(few, coefficients), both of them trajectories."""
@@ -92,6 +97,12 @@ class Trajectory:
     complete: bool = True
     lifting: Lifting | None = None
 
+    def __repr__(self) -> str:
+        return (
+            f"Trajectory({len(self.phases)} phases on [{self.phases[0].start:g}, {self.end:g}], "
+            f"{self.switches.size} switches)"
+        )
+
     @cached_property
     def starts(self) -> np.ndarray:
         """Where the phases begin."""
@@ -104,6 +115,10 @@ class Trajectory:
     def velocity(self, t: Any) -> np.ndarray:
         """u'(t), the left derivative; shape (dim,) or (k, dim)."""
         return self._at(t, Phase.velocity)
+
+    def terms(self, t: Any) -> np.ndarray:
+        """The absolute terms whose sum u' is."""
+        return self._at(t, Phase.terms)
 
     def _at(self, t: Any, look: Callable[[Phase, np.ndarray], np.ndarray]) -> np.ndarray:
         times = np.asarray(t, dtype=float)
