@@ -11,7 +11,7 @@ import numpy as np
 from sweepopt.checks import Matrix
 from sweepopt.errors import InputError, Status
 from sweepopt.exact.rows import Rows, rows_of
-from sweepopt.exact.trajectory import Trajectory, integrate
+from sweepopt.exact.trajectory import Phase, Trajectory, integrate
 from sweepopt.linalg import Factor
 from sweepopt.march import Log, Look, Prove, Run, Summary, march
 from sweepopt.plan import Plan
@@ -114,7 +114,7 @@ class _Nodes:
             block = self._times[i : i + BLOCK]
             block = block[block <= self._exact.end]
             self._u, self._z = self._exact(block), self._exact.velocity(block)
-            self._terms = self._exact.terms(block)
+            self._terms = self._exact.seen(block, Phase.terms)
         j = i - self._first
         return self._u[j], self._z[j], self._terms[j], self._counts[i]
 

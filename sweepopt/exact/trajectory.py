@@ -110,18 +110,18 @@ class Trajectory:
 
     def __call__(self, t: Any) -> np.ndarray:
         """u(t), shape (dim,) or (k, dim) for a scalar or an array t."""
-        return self._at(t, Phase.state)
+        return self.seen(t, Phase.state)
 
     def velocity(self, t: Any) -> np.ndarray:
         """u'(t), the left derivative; shape (dim,) or (k, dim)."""
-        return self._at(t, Phase.velocity)
+        return self.seen(t, Phase.velocity)
 
-    def terms(self, t: Any) -> np.ndarray:
-        """The absolute terms whose sum u' is."""
-        return self._at(t, Phase.terms)
-
-    def _at(self, t: Any, look: Callable[[Phase, np.ndarray], np.ndarray]) -> np.ndarray:
-        times = np.asarray(t, dtype=float)
+    def seen(self, t: Any, look: Callable[[Phase, np.ndarray], np.ndarray]) -> np.ndarray:
+        """What `look` sees of the phases at the times."""
+        try:
+            times = np.asarray(t, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"t must be a time or an array of times, got {t!r:.60}") from error
         start = self.phases[0].start
         slack = SLACK * max(abs(start), abs(self.end))
         bad = ~((times >= start - slack) & (times <= self.end + slack))
@@ -130,11 +130,12 @@ class Trajectory:
         flat = np.clip(times.ravel(), start, self.end)
         which = np.maximum(np.searchsorted(self.starts, flat, side="left") - 1, 0)
         values = np.zeros((flat.size, self.phases[0].u.size))
-        for i in np.unique(which).tolist():
-            inside = which == i
-            values[inside] = look(self.phases[i], flat[inside])
+        order = np.argsort(which, kind="stable")
+        for inside in np.split(order, np.flatnonzero(np.diff(which[order])) + 1):
+            if inside.size:
+                values[inside] = look(self.phases[which[inside[0]]], flat[inside])
         if self.lifting is not None:
-            alphas = self.lifting.coefficients._at(flat, look)
+            alphas = self.lifting.coefficients.seen(flat, look)
             lifted = [self.lifting.lift(*pair) for pair in zip(values, alphas, strict=True)]
             values = np.array(lifted)
         return values.reshape(*times.shape, values.shape[-1])
@@ -170,7 +171,7 @@ def integrate(rows: Rows, u0: np.ndarray, start: float, end: float) -> Trajector
                 following, found = b, None
             stalled = stalled + 1 if following - s <= 64 * EPS * abs(following) else 0
             u = phase.state(np.array([following]))[0]
-            if following > s:
+            if following > s or not phases:
                 phases.append(phase)
             touched = np.zeros(0, dtype=int) if found is None else watched[found.rows]
             s = following
