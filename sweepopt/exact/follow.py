@@ -19,7 +19,7 @@ from sweepopt.process import SweepingProcess
 from sweepopt.program import Velocity, VelocityProgram, rate
 from sweepopt.states import Keeper
 
-FLOOR = 0.01  # of what force and load would move each alone: a velocity below counts as this
+FLOOR = 0.01
 BLOCK = 1000  # nodes that are computed at once
 
 
@@ -71,7 +71,7 @@ def follow(
         known = int(np.searchsorted(times, exact.end, side="right")) - 1
         share = (clock.perf_counter() - started) / len(mus)
         nodes = _Nodes(exact, times)
-        inclusion = _Inclusion(process)
+        inclusion = _Inclusion(process, exact)
         before = process.u0
         for i in range(known):
             started = clock.perf_counter()
@@ -127,11 +127,13 @@ class _Inclusion:
     """How far -u' in N_C(A u' + B u) is missed, from A, B and the set's own projection.
 
     u' solves the program of an implicit Euler step that ends in u, M = A + mu B and
-    q = B (u - mu u'); the certificate is that of this program.
+    q = B (u - mu u'); the certificate is that of this program. The terms of u and u' may cancel in
+    it to what rounding leaves of them, which is no measure: its size counts as FLOOR of theirs.
     """
 
-    def __init__(self, process: SweepingProcess) -> None:
+    def __init__(self, process: SweepingProcess, exact: Trajectory) -> None:
         self._process = process
+        self._extent = np.max([np.abs(phase.u) for phase in exact.phases], axis=0)
         self._factors: dict[float, Factor] = {}
 
     def __call__(
@@ -144,10 +146,10 @@ class _Inclusion:
         q = process.times_B(u - mu * z)
         found = VelocityProgram(M, C).certify(q, C, z, np.zeros(C.offsets.size))
         certificate = found.certificate + M.norm(z - found.z)
-        # where force and load cancel, or the terms of z, what rounding leaves is no measure
-        apart = M.norm(terms) + M.dual_norm(q) + M.dual_norm(C.anchor)
-        size = max(M.dual_norm(q - C.anchor), FLOOR * apart)
-        return rate(z, certificate, M.norm(z), size)
+        apart = M.norm(terms) + M.dual_norm(C.anchor)
+        if process.B is not None:
+            apart += M.dual_norm(abs(process.B) @ (self._extent + mu * terms))
+        return rate(z, certificate, M.norm(z), max(M.dual_norm(q - C.anchor), FLOOR * apart))
 
     def _matrix(self, mu: float) -> Matrix:
         process: Any = self._process
