@@ -384,3 +384,20 @@ def test_too_many_unknowns_and_solvers_are_refused() -> None:
     with pytest.raises(so.InputError, match=r"no use for solver='osqp'"):
         so.solve(block(), t_end=1.0, steps=10, scheme="exact", solver="osqp")
     assert so.solve(block(), t_end=1.0, steps=10).plan.scheme.name == "midpoint"
+
+
+def test_a_body_with_friction_along_a_side_is_followed_through_all_its_switches() -> None:
+    from sweepopt.study.cases import square
+
+    body = square(8, 50)
+    sol = so.solve(body.problem, steps=body.times, scheme="exact")
+    assert sol.plan.path == "proportional"
+    assert sol.exact is not None
+    assert len(sol.exact.switches) >= 4 * len(body.contact)
+    assert np.abs(sol.exact(sol.t) - sol.u).max() <= 1e-14
+    errors = []
+    for n in (200, 400, 800, 1600):
+        other = so.solve(body.problem, t_end=4.0, steps=n)
+        errors.append(np.abs(other.u[:: n // 50] - sol.u).max())
+    assert -np.polyfit(np.log([200, 400, 800, 1600]), np.log(errors), 1)[0] >= 1.7
+    assert errors[-1] <= 2e-6

@@ -20,6 +20,7 @@ from sweepopt.program import Velocity, VelocityProgram, rate
 from sweepopt.states import Keeper
 
 FLOOR = 0.01
+GOLDEN = 0.381966  # no usual load has this share of a step as its period
 BLOCK = 1000  # nodes that are computed at once
 
 
@@ -127,8 +128,8 @@ class _Inclusion:
     """How far -u' in N_C(A u' + B u) is missed, from A, B and the set's own projection.
 
     u' solves the program of an implicit Euler step that ends in u, M = A + mu B and
-    q = B (u - mu u'); the certificate is that of this program. The terms of u and u' may cancel in
-    it to what rounding leaves of them, which is no measure: its size counts as FLOOR of theirs.
+    q = B (u - mu u'); the certificate is that of this program. Where u, u' and the load cancel to
+    what rounding leaves of them, that is no measure: a size counts as FLOOR of their terms.
     """
 
     def __init__(self, process: SweepingProcess, exact: Trajectory) -> None:
@@ -146,7 +147,8 @@ class _Inclusion:
         q = process.times_B(u - mu * z)
         found = VelocityProgram(M, C).certify(q, C, z, np.zeros(C.offsets.size))
         certificate = found.certificate + M.norm(z - found.z)
-        apart = M.norm(terms) + M.dual_norm(C.anchor)
+        inside = process.C.at(t - GOLDEN * mu).anchor  # a load may vanish at both nodes
+        apart = M.norm(terms) + M.dual_norm(np.abs(C.anchor)) + M.dual_norm(np.abs(inside))
         if process.B is not None:
             apart += M.dual_norm(abs(process.B) @ (self._extent + mu * terms))
         return rate(z, certificate, M.norm(z), max(M.dual_norm(q - C.anchor), FLOOR * apart))
