@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import warnings
 from typing import Any
 
@@ -74,15 +73,16 @@ def test_contact_unknowns_are_eliminated_as_in_a_run() -> None:
         assert program.M.norm(whole(t, u) - z) <= 1e-5 * size
 
 
-def test_lsoda_reaches_5e_10_on_a_scalar_case_in_milliseconds() -> None:
+def test_lsoda_reaches_5e_10_on_a_scalar_case_in_2000_calls() -> None:
     this = problem("S03")
     process, times = this.process(), np.linspace(0.0, 8.0, 81)
     velocity = so.velocity_field(process)
     exact = so.solve(process, t_end=8.0, steps=80, scheme="exact").u
-    started = time.process_time()
-    u = odeint(velocity, process.u0, times, tfirst=True, rtol=1e-10, atol=1e-11)
-    assert time.process_time() - started < 0.1  # 6 ms where nothing else runs
+    u, seen = odeint(
+        velocity, process.u0, times, tfirst=True, rtol=1e-10, atol=1e-11, full_output=True
+    )
     assert np.abs(u - exact).max() <= 5e-10
+    assert seen["nfe"][-1] <= 2000
 
 
 @pytest.mark.parametrize("name", ["V05", "P09"])

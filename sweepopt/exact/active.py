@@ -167,8 +167,8 @@ def _program(
         if (slack < -rounding)[~free].any():
             raise _Cut
         open_, G, slack, rounding = open_[free], G[free], slack[free], rounding[free]
-        if not open_.size:
-            return []
+    if (slack >= 0).all():
+        return []
     try:
         found = least_distance(G, slack, rounding)
     except EmptySetError as error:
