@@ -4,18 +4,31 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from sweepopt.errors import Status, SweepoptError
+from sweepopt.exact import Lifting, Trajectory, mover
 from sweepopt.march import Summary, compensated, step
 from sweepopt.plan import Plan
-from sweepopt.program import Velocity
+from sweepopt.process import SweepingProcess
+from sweepopt.program import POLISHED, Velocity
 from sweepopt.reduction import OfLoad, Reduction
 from sweepopt.schemes import Scheme
-from sweepopt.states import Kept, Lifted, States
+from sweepopt.sets import Moving, Point
+from sweepopt.states import Keeper, Kept, Lifted, States
 from sweepopt.velocity import Solved
+
+
+class _Coefficients(NamedTuple):
+    """alpha at all nodes, the seconds that each step of it took, its exact trajectory."""
+
+    alpha: Kept
+    seconds: float
+    exact: Trajectory | None
 
 
 class Lift:
@@ -25,12 +38,16 @@ class Lift:
         self._plan, self._times, self._mus = plan, times, mus
 
     @cached_property
-    def _moved(self) -> tuple[Kept, float]:
-        """The coefficients of the whole run, and the seconds that each of their steps took."""
-        assert self._plan.reduction is not None
+    def _moved(self) -> _Coefficients:
+        """The coefficients of the whole run, which come first."""
+        reduction, scheme = self._plan.reduction, self._plan.scheme
+        assert reduction is not None
         begun = clock.perf_counter()
-        alpha = _coefficients(self._plan.reduction, self._plan.scheme, self._times, self._mus)
-        return alpha, (clock.perf_counter() - begun) / len(self._mus)
+        if scheme.exact:
+            alpha, exact = _exact_coefficients(reduction, self._plan, self._times, self._mus)
+        else:
+            alpha, exact = _coefficients(reduction, scheme, self._times, self._mus), None
+        return _Coefficients(alpha, (clock.perf_counter() - begun) / len(self._mus), exact)
 
     @cached_property
     def _of_load(self) -> list[OfLoad]:
@@ -42,12 +59,12 @@ class Lift:
 
     @property
     def _alpha(self) -> Kept:
-        return self._moved[0]
+        return self._moved.alpha
 
     @property
     def seconds(self) -> np.ndarray:
         """What each step costs beside the loop."""
-        return np.full(len(self._mus), self._moved[1] if self._plan.reduction else 0.0)
+        return np.full(len(self._mus), self._moved.seconds if self._plan.reduction else 0.0)
 
     def state(self, node: int, u: np.ndarray) -> np.ndarray:
         """The state at a node of the grid."""
@@ -68,6 +85,15 @@ class Lift:
             size = max(size, step.certificate / step.relative)
         relative = certificate / size if certificate > 0 else certificate
         return Summary(step.iterations, step.attempts, certificate, relative, step.solver)
+
+    def trajectory(self, few: Trajectory | None) -> Trajectory | None:
+        """The exact trajectory of all unknowns from that of those that entered."""
+        reduction = self._plan.reduction
+        if few is None or reduction is None:
+            return few
+        exact = self._moved.exact
+        assert exact is not None  # the same scheme moves the coefficients
+        return replace(few, lifting=Lifting(exact, reduction.lift))
 
     def of(self, kept: Kept, steps: np.ndarray) -> States:
         """The kept states as states of all unknowns."""
@@ -124,6 +150,23 @@ def _coefficients(reduction: Reduction, scheme: Scheme, times: np.ndarray, mus: 
     ]
     nodes, velocities = (np.column_stack(parts) for parts in zip(*columns, strict=True))
     return Kept(nodes, velocities)
+
+
+def _exact_coefficients(
+    reduction: Reduction, plan: Plan, times: np.ndarray, mus: np.ndarray
+) -> tuple[Kept, Trajectory | None]:
+    """alpha' + rho alpha = phi as a process of its own, which is linear."""
+    unit = np.eye(len(reduction.load.terms))
+    C = Moving(Point(0 * unit[-1]), reduction.load)
+    process = SweepingProcess(unit, reduction.rho * unit if reduction.rho else None, C, unit[-1])
+    plan = replace(plan, solvers=(), contact=None, reduction=None, order=None, tol=POLISHED)
+    keeper = Keeper(np.arange(len(mus)), process.u0)
+    run = mover(process, plan)(times, mus, keeper)
+    if run.status is Status.INTERRUPTED:
+        raise KeyboardInterrupt
+    if run.done < len(mus):
+        raise SweepoptError(f"the load's coefficients: {run.cause or run.status.value}")
+    return keeper.close()[1], run.exact
 
 
 def _follow(
