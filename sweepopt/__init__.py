@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from sweepopt.adaptive import Adaptive
 from sweepopt.errors import (
     EmptySetError,
     InitialStateWarning,
@@ -42,7 +43,7 @@ from sweepopt.sets import (
     image,
     product,
 )
-from sweepopt.solution import Energy, Solution
+from sweepopt.solution import Energy, Pass, Solution
 from sweepopt.solvers import DAQP, OSQP, Clarabel, Cvxpy, Newton
 
 __version__ = "0.1.0"
@@ -50,6 +51,7 @@ __version__ = "0.1.0"
 __all__ = [
     "DAQP",
     "OSQP",
+    "Adaptive",
     "Ball",
     "Balls",
     "Box",
@@ -70,6 +72,7 @@ __all__ = [
     "MovingSet",
     "Newton",
     "Orthant",
+    "Pass",
     "Plan",
     "Point",
     "Polyhedron",

@@ -57,6 +57,22 @@ class Energy(NamedTuple):
         return self.stored + self.viscous + self.friction - self.work
 
 
+class Pass(NamedTuple):
+    """One pass of adaptive steps over the run.
+
+    Attributes
+    ----------
+    steps : int
+    error : float
+        Estimate of max_i |u_i - u(t_i)|_A, |.|_B where A = 0; nan for the first pass.
+    seconds : float
+    """
+
+    steps: int
+    error: float
+    seconds: float
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """The piecewise-linear interpolant u_n and its diagnostics.
@@ -80,6 +96,8 @@ class Solution:
         Which step failed and why, when the run stopped at it.
     recorded : list or None
         What the function given as `save` returned, one entry a step.
+    passes : tuple of Pass
+        All passes of adaptive steps, the last one is the run; empty for steps given beforehand.
     """
 
     process: SweepingProcess
@@ -91,6 +109,7 @@ class Solution:
     status: Status
     cause: str = ""
     recorded: list[Any] | None = None
+    passes: tuple[Pass, ...] = ()
 
     @cached_property
     def u(self) -> np.ndarray:

@@ -1,0 +1,329 @@
+"""Adaptive steps: passes over the whole run, each on a better grid, until the error is small.
+
+The flow forgets and forgives (MATH.md section 3): what a step's error does to u later, nobody knows
+at the step. So the grid is chosen for the run as a whole. A pass moves u along a grid of times; the
+differences of its velocities say where the steps must be short, the distance to the pass before it
+says how many there must be. Passes that come before the last one are coarse and cheap. To the loop
+over time an adaptive grid is a grid as any other.
+
+Each segment between breakpoints is halved again and again: steps are H / 2^k, so that the compiled
+programs are shared, and every pass has the nodes of the first one, where passes are compared.
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from sweepopt.checks import number
+from sweepopt.errors import InputError, Status
+from sweepopt.march import Run
+from sweepopt.solution import Pass
+
+PASSES = 24
+CHECKED = 64  # nodes at which passes are compared
+AIM, ACCEPTED = 1.4, 2.3  # the error that a pass is made for and that it may have, in units of tol
+GROWTH = 4.0  # a pass has at most so many times the steps of the one before
+LAST = 3.0  # so many times the steps are believed of one estimate
+FLOOR = 0.4  # no step is longer than 1 / FLOOR times what the average density asks for
+FIRST = 16  # steps of the first pass
+GUESS = 0.2  # error in units of the sum of the local ones, before two passes can tell
+
+
+Norm = Callable[[np.ndarray], float]
+
+
+@dataclass(frozen=True)
+class Adaptive:
+    """Steps that are chosen such that max_i |u_i - u(t_i)|_A is about tol (|.|_B where A = 0).
+
+    Parameters
+    ----------
+    tol : float
+        The global error aimed at, in the units of |u|_A. It is estimated, not proved.
+    first : float, optional
+        Longest step, t_end / 16 by default. An event of a callable load that is shorter than the
+        steps can pass unseen between them: make `first` as short as it.
+    minimum : float, optional
+        Shortest step, t_end 2^-40 by default.
+
+    Raises
+    ------
+    InputError
+        If a number is not positive, or minimum is longer than first.
+
+    Examples
+    --------
+    >>> import sweepopt as so
+    >>> C = so.Moving(so.Box([-1], [1]), center=lambda t: [1.5 * t])
+    >>> process = so.SweepingProcess(A=[[0.5]], B=[[2.0]], C=C, u0=[0.0])
+    >>> sol = so.solve(process, t_end=5.0, steps=so.Adaptive(1e-4))
+    >>> sol.passes[-1].error < 3e-4, round(float(sol(5.0)[0]), 3)
+    (True, 3.063)
+    """
+
+    tol: float
+    first: float | None = None
+    minimum: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("tol", "first", "minimum"):
+            value = getattr(self, name)
+            if value is not None or name == "tol":
+                object.__setattr__(self, name, number(name, value, 0.0, strict=True))
+        if self.first is not None and self.minimum is not None and self.minimum > self.first:
+            raise InputError(f"minimum, {self.minimum:g}, is longer than first, {self.first:g}")
+
+
+class Watch:
+    """Sees the velocities of a pass and keeps the size of their differences only.
+
+    The second difference of three steps for a scheme of order 2, the first one of two steps for
+    order 1: times the step to the power order + 1 it is the local error, up to a factor.
+    """
+
+    def __init__(self, times: np.ndarray, nodes: np.ndarray, order: int, norm: Norm) -> None:
+        self._middle, self._mus = 0.5 * (times[1:] + times[:-1]), np.diff(times).tolist()
+        self._order, self._norm = order, norm
+        self._nodes = set((np.searchsorted(times, nodes) - 1).tolist())
+        self._last: list[np.ndarray] = []
+        self.states: list[np.ndarray] = []  # at the nodes that all passes have
+        self.sizes: list[float] = []
+        self.length = 0.0  # of the way that u goes
+
+    def see(self, i: int, u: np.ndarray, z: np.ndarray) -> None:
+        """Take the state after step i and its velocity."""
+        if i in self._nodes:
+            self.states.append(u.copy())
+        self.length += self._mus[i] * self._norm(z)
+        self._last = [*self._last[-self._order :], z]
+        if len(self._last) == self._order + 1:
+            self.sizes.append(self._norm(self._difference(self._middle[i - self._order : i + 1])))
+
+    def _difference(self, t: np.ndarray) -> np.ndarray:
+        slopes = [
+            (b - a) / dt for a, b, dt in zip(self._last, self._last[1:], np.diff(t), strict=False)
+        ]
+        if self._order == 1:
+            return slopes[0]
+        return (slopes[1] - slopes[0]) / (t[2] - t[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Density:
+    """How many steps a unit of time needs, between `edges`, up to a common factor."""
+
+    edges: np.ndarray
+    rho: np.ndarray
+    errors: float
+
+    @property
+    def total(self) -> float:
+        return float(self.rho @ np.diff(self.edges))
+
+
+def density(times: np.ndarray, cuts: np.ndarray, sizes: np.ndarray, order: int) -> Density:
+    """Steps per time that spread the local errors evenly.
+
+    A kink of the velocity is in two windows of three steps, but in both only from the middle of
+    one step to that of the next: the lesser of both windows finds the place. Windows across a
+    breakpoint count only where a segment has no window of its own.
+    """
+    n = len(times) - 1
+    segment = np.searchsorted(cuts[1:-1], times[:-1], side="right")
+    own = segment[order:] == segment[: n - order]
+    gaps = _least(np.where(own, sizes, np.inf), order)
+    across = _least(sizes, order)
+    gaps[(segment[1:] != segment[:-1]) | ~np.isfinite(gaps)] = np.nan
+    left, right = np.append(np.nan, gaps), np.append(gaps, np.nan)
+    left, right = np.where(np.isnan(left), right, left), np.where(np.isnan(right), left, right)
+    alone = np.maximum(np.append(0.0, across), np.append(across, 0.0))
+    halves = np.column_stack([np.where(np.isnan(side), alone, side) for side in (left, right)])
+    factor = 2.0 if order == 1 else 6.0
+    errors = float(np.sum(halves.max(axis=1) * np.diff(times) ** (order + 1)) / factor)
+    middle = 0.5 * (times[1:] + times[:-1])
+    edges = np.append(times[0], np.column_stack([middle, times[1:]]).ravel())
+    rho = (halves.ravel() / factor) ** (1 / (order + 1))
+    mean = float(rho @ np.diff(edges)) / (edges[-1] - edges[0])
+    return Density(edges, np.maximum(rho, FLOOR * mean) if mean > 0 else np.ones(2 * n), errors)
+
+
+def _least(windows: np.ndarray, order: int) -> np.ndarray:
+    """Between two steps the lesser of the windows that have both."""
+    if order == 1:
+        return windows.copy()
+    return np.minimum(np.append(np.inf, windows), np.append(windows, np.inf))
+
+
+class Refined(NamedTuple):
+    """The passes, and where and why they did not suffice."""
+
+    passes: tuple[Pass, ...]
+    failed: float | None = None
+    cause: str = ""
+
+
+def refine(
+    steps: Adaptive,
+    cuts: np.ndarray,
+    longest: float,
+    order: int,
+    norm: Norm,
+    walk: Callable[[np.ndarray, Watch], Run],
+) -> Refined:
+    """Walk over better and better grids until two passes agree.
+
+    Parameters
+    ----------
+    cuts : ndarray
+        The start, the breakpoints and the end.
+    longest : float
+        Longest step.
+    order : int
+        Of the scheme.
+    norm : callable
+        The norm of u.
+    walk : callable
+        (times, watch) -> Run: moves u along the grid and shows each step to the watch.
+
+    Notes
+    -----
+    With n steps after n' < n ones the error is E = r / (1 - r) max |u - u'|, where r is what an
+    order promises, (n' / n)^order, or what the local errors say, in the geometric mean. For order p
+    the next pass has n (E / tol)^(1/p) steps.
+    """
+    tol, span = steps.tol, float(cuts[-1] - cuts[0])
+    minimum = 2.0**-40 * span if steps.minimum is None else steps.minimum
+    times = first_grid(cuts, longest)
+    nodes = times[1:][np.unique(np.linspace(0, len(times) - 2, CHECKED).astype(int))]
+    passes: list[Pass] = []
+    before: tuple[int, Density, np.ndarray] | None = None
+    while True:
+        watch, began, n = Watch(times, nodes, order, norm), clock.perf_counter(), len(times) - 1
+        run = walk(times, watch)
+        error = math.nan
+        if run.status in (Status.SUCCESS, Status.UNCERTIFIED):
+            wanted = density(times, cuts, np.array(watch.sizes), order)
+            states = np.array(watch.states)
+            if before is not None:
+                error = _error(n, wanted, states, before, order, norm)
+        passes.append(Pass(run.done, error, clock.perf_counter() - began))
+        if run.status not in (Status.SUCCESS, Status.UNCERTIFIED) or error <= ACCEPTED * tol:
+            return Refined(tuple(passes))
+        if before is None:
+            share = GUESS * wanted.errors * n**order
+            next_n = (share / (AIM * tol)) ** (1 / order) / LAST
+            next_n = max(next_n, 1.5 * n)
+        else:
+            next_n = n * (error / (AIM * tol)) ** (1 / order)
+            next_n = max(next_n / LAST if next_n > 1.5 * LAST * n else next_n, 1.3 * n)
+        before = n, wanted, states
+        times = finer_grid(wanted, cuts, longest, min(next_n, GROWTH * n))
+        failure = _failure(times, cuts, minimum, passes)
+        if failure:
+            return Refined(tuple(passes), float(times[np.argmin(np.diff(times))]), failure)
+
+
+def _error(
+    n: int,
+    wanted: Density,
+    states: np.ndarray,
+    before: tuple[int, Density, np.ndarray],
+    order: int,
+    norm: Norm,
+) -> float:
+    """The error of a pass from its distance to the one before."""
+    n_before, wanted_before, states_before = before
+    promised = min((n_before / n) ** order, 0.7)
+    local = wanted.errors / wanted_before.errors if wanted_before.errors > 0 else 1.0
+    ratio = min(math.sqrt(promised * local), 0.7)
+    return ratio / (1 - ratio) * max(map(norm, states - states_before))
+
+
+def _failure(times: np.ndarray, cuts: np.ndarray, minimum: float, passes: list[Pass]) -> str:
+    """Why it makes no sense to go on, or nothing."""
+    shortest = float(np.diff(times).min())
+    advice = (
+        "does the load jump there? Give it as data (a Table has no jumps, and its kinks are met "
+        "exactly) or loosen the tolerance"
+    )
+    if shortest < min(minimum, float(np.diff(cuts).min())):
+        return f"a step shorter than minimum = {minimum:g} is needed; {advice}"
+    if len(passes) == PASSES or (len(passes) > 7 and passes[-1].error > passes[-7].error):
+        return (
+            f"the estimated error, {passes[-1].error:.2g}, does not fall any more with "
+            f"{passes[-1].steps} steps; {advice}"
+        )
+    return ""
+
+
+def first_grid(cuts: np.ndarray, longest: float) -> np.ndarray:
+    """Each segment in 2^k equal steps that are not too long."""
+    return _halve(cuts, lambda _, sizes: sizes <= longest * (1 + 1e-9))
+
+
+def finer_grid(wanted: Density, cuts: np.ndarray, longest: float, n: float) -> np.ndarray:
+    """About n steps, each a segment's length over 2^k, that follow the density."""
+    n = max(math.ceil(n), 1)
+    middle = 0.5 * (wanted.edges[1:] + wanted.edges[:-1])
+
+    def grid(count: float) -> np.ndarray:
+        # 2^(1/2): halving rounds to the nearer power
+        sizes = math.sqrt(2) * wanted.total / count / wanted.rho
+        sizes = np.minimum(sizes, 2 * longest)
+        # the next step is at most about twice as long
+        sizes = np.minimum(sizes, middle + np.minimum.accumulate(sizes - middle))
+        sizes = np.minimum.accumulate((sizes + middle)[::-1])[::-1] - middle
+        return _halve(
+            cuts, lambda starts, h: h <= _smallest(wanted.edges, sizes, starts, h, longest)
+        )
+
+    few, many, count = grid(n / 4), None, float(n)
+    low, high = n / 4, 4.0 * n
+    for _ in range(12):
+        found = grid(count)
+        if len(found) - 1 > n:
+            many, high = found, count
+        else:
+            few, low = found, count
+        if len(found) - 1 == n:
+            break
+        count = math.sqrt(low * high)
+    if many is None or len(few) - 1 >= n:
+        return few
+    # steps that ask for the same length change it together: some of them go first, evenly spread
+    more = np.intersect1d(many, 0.5 * (few[1:] + few[:-1]))
+    chosen = np.linspace(0, len(more) - 1, min(n + 1 - len(few), len(more)))
+    return np.union1d(few, more[np.unique(chosen.astype(int))])
+
+
+def _halve(cuts: np.ndarray, fine: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+    """The nodes of steps that are halved until they are fine; the same step has the same floats."""
+    starts, ends, nodes = cuts[:-1], cuts[1:], [cuts]
+    while starts.size:
+        coarse = ~fine(starts, ends - starts)
+        starts, ends = starts[coarse], ends[coarse]
+        middle = 0.5 * (starts + ends)
+        inside = (middle > starts) & (middle < ends)
+        starts, middle, ends = starts[inside], middle[inside], ends[inside]
+        nodes.append(middle)
+        starts, ends = np.append(starts, middle), np.append(middle, ends)
+        order = np.argsort(starts, kind="stable")
+        starts, ends = starts[order], ends[order]
+    return np.unique(np.concatenate(nodes))
+
+
+def _smallest(
+    edges: np.ndarray, sizes: np.ndarray, starts: np.ndarray, h: np.ndarray, longest: float
+) -> np.ndarray:
+    """The smallest size that is asked for within each step."""
+    slack = 1e-6 * h
+    i = np.searchsorted(edges, starts + slack, side="right") - 1
+    j = np.maximum(np.searchsorted(edges, starts + h - slack, side="left"), i + 1)
+    within = np.minimum.reduceat(np.append(sizes, np.inf), np.column_stack([i, j]).ravel())[::2]
+    return np.minimum(within, longest) * (1 + 1e-9)
