@@ -160,7 +160,9 @@ def solve(
     bar = _progress_bar(None if adaptive else len(mus)) if progress else None
     refined = Refined(())
     if frame:
-        walked, refined = adapt(frame, process, plan, save, memory, bar.update if bar else _nothing)
+        walked, refined = adapt(
+            frame, process, plan, save, memory, bar.update if bar is not None else _nothing
+        )
     times, mus, plan, wanted = walked.times, walked.mus, walked.plan, walked.wanted
 
     moved = plan.reduction.process if plan.reduction else process

@@ -100,10 +100,10 @@ def adapt(
     """
     programs = Velocities(process, plan)
     norm = process.metric.norm
-    last: Walked
+    last: Walked | None = None
 
     def walk(times: np.ndarray, watch: Watch) -> Run:
-        nonlocal last
+        nonlocal last, plan, programs
         times, mus = time_grid(None, times)
         process.check(evaluation_times(times, mus, plan.scheme))
         wanted = saving(save, times, plan.entering, memory)
@@ -114,10 +114,16 @@ def adapt(
             tick()
 
         run = march(process, plan, times, mus, keeper, look, velocities=programs)
-        last = Walked(times, mus, plan, wanted, keeper, run)
+        first, last = last is None, Walked(times, mus, plan, wanted, keeper, run)
+        asked = max(SHARE * frame.steps.tol / watch.length, EXACT) if watch.length > 0 else 1.0
+        if first and asked < plan.tol:
+            # what the programs miss adds up along the way of u
+            plan = replace(plan, tol=asked)
+            programs = Velocities(process, plan)
         return run
 
     refined = refine(frame.steps, frame.cuts, frame.longest, frame.order, norm, walk)
+    assert last is not None
     if refined.failed is None:
         return last, refined
     reached = max(int(np.searchsorted(last.times, refined.failed, side="right")) - 1, 1)
