@@ -26,7 +26,7 @@ from sweepopt.march import Run
 from sweepopt.solution import Pass
 
 PASSES = 24
-CHECKED = 64  # nodes at which passes are compared
+CHECKED = 256  # nodes at which passes are compared, fewer where states are large
 AIM, ACCEPTED = 1.4, 2.3  # the error that a pass is made for and that it may have, in units of tol
 GROWTH = 4.0  # a pass has at most so many times the steps of the one before
 LAST = 3.0  # so many times the steps are believed of one estimate
@@ -87,19 +87,19 @@ class Watch:
     order 1: times the step to the power order + 1 it is the local error, up to a factor.
     """
 
-    def __init__(self, times: np.ndarray, nodes: np.ndarray, order: int, norm: Norm) -> None:
+    def __init__(self, times: np.ndarray, nodes: set[float], order: int, norm: Norm) -> None:
         self._middle, self._mus = 0.5 * (times[1:] + times[:-1]), np.diff(times).tolist()
         self._order, self._norm = order, norm
-        self._nodes = set((np.searchsorted(times, nodes) - 1).tolist())
+        self._nodes = {i: t for i, t in enumerate(times[1:].tolist()) if t in nodes}
         self._last: list[np.ndarray] = []
-        self.states: list[np.ndarray] = []  # at the nodes that all passes have
+        self.states: dict[float, np.ndarray] = {}  # at those nodes that the grid has
         self.sizes: list[float] = []
         self.length = 0.0  # of the way that u goes
 
     def see(self, i: int, u: np.ndarray, z: np.ndarray) -> None:
         """Take the state after step i and its velocity."""
         if i in self._nodes:
-            self.states.append(u.copy())
+            self.states[self._nodes[i]] = u.copy()
         self.length += self._mus[i] * self._norm(z)
         self._last = [*self._last[-self._order :], z]
         if len(self._last) == self._order + 1:
@@ -160,6 +160,14 @@ def _least(windows: np.ndarray, order: int) -> np.ndarray:
     return np.minimum(np.append(np.inf, windows), np.append(windows, np.inf))
 
 
+class Before(NamedTuple):
+    """What is remembered of the pass before."""
+
+    steps: int
+    wanted: Density
+    states: dict[float, np.ndarray]
+
+
 class Refined(NamedTuple):
     """The passes, and where and why they did not suffice."""
 
@@ -175,6 +183,7 @@ def refine(
     order: int,
     norm: Norm,
     walk: Callable[[np.ndarray, Watch], Run],
+    checked: int = CHECKED,
 ) -> Refined:
     """Walk over better and better grids until two passes agree.
 
@@ -190,6 +199,8 @@ def refine(
         The norm of u.
     walk : callable
         (times, watch) -> Run: moves u along the grid and shows each step to the watch.
+    checked : int
+        At how many nodes passes are compared.
 
     Notes
     -----
@@ -200,18 +211,19 @@ def refine(
     tol, span = steps.tol, float(cuts[-1] - cuts[0])
     minimum = 2.0**-40 * span if steps.minimum is None else steps.minimum
     times = first_grid(cuts, longest)
-    nodes = times[1:][np.unique(np.linspace(0, len(times) - 2, CHECKED).astype(int))]
     passes: list[Pass] = []
-    before: tuple[int, Density, np.ndarray] | None = None
+    before: Before | None = None
     while True:
-        watch, began, n = Watch(times, nodes, order, norm), clock.perf_counter(), len(times) - 1
+        began, n = clock.perf_counter(), len(times) - 1
+        # some nodes more where the steps are short: what is wrong there may soon be forgotten
+        own = times[1:][np.unique(np.linspace(0, n - 1, checked).astype(int))].tolist()
+        watch = Watch(times, {*own, *(before.states if before else ())}, order, norm)
         run = walk(times, watch)
         error = math.nan
         if run.status in (Status.SUCCESS, Status.UNCERTIFIED):
             wanted = density(times, cuts, np.array(watch.sizes), order)
-            states = np.array(watch.states)
             if before is not None:
-                error = _error(n, wanted, states, before, order, norm)
+                error = _error(n, wanted, watch.states, before, order, norm)
         passes.append(Pass(run.done, error, clock.perf_counter() - began))
         if run.status not in (Status.SUCCESS, Status.UNCERTIFIED) or error <= ACCEPTED * tol:
             return Refined(tuple(passes))
@@ -222,7 +234,7 @@ def refine(
         else:
             next_n = n * (error / (AIM * tol)) ** (1 / order)
             next_n = max(next_n / LAST if next_n > 1.5 * LAST * n else next_n, 1.3 * n)
-        before = n, wanted, states
+        before = Before(n, wanted, {t: watch.states[t] for t in own})
         times = finer_grid(wanted, cuts, longest, min(next_n, GROWTH * n))
         failure = _failure(times, cuts, minimum, passes)
         if failure:
@@ -232,17 +244,17 @@ def refine(
 def _error(
     n: int,
     wanted: Density,
-    states: np.ndarray,
-    before: tuple[int, Density, np.ndarray],
+    states: dict[float, np.ndarray],
+    before: Before,
     order: int,
     norm: Norm,
 ) -> float:
     """The error of a pass from its distance to the one before."""
-    n_before, wanted_before, states_before = before
-    promised = min((n_before / n) ** order, 0.7)
-    local = wanted.errors / wanted_before.errors if wanted_before.errors > 0 else 1.0
+    promised = min((before.steps / n) ** order, 0.7)
+    local = wanted.errors / before.wanted.errors if before.wanted.errors > 0 else 1.0
     ratio = min(math.sqrt(promised * local), 0.7)
-    return ratio / (1 - ratio) * max(map(norm, states - states_before))
+    common = states.keys() & before.states.keys()
+    return ratio / (1 - ratio) * max(norm(states[t] - before.states[t]) for t in common)
 
 
 def _failure(times: np.ndarray, cuts: np.ndarray, minimum: float, passes: list[Pass]) -> str:

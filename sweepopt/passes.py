@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.adaptive import FIRST, Adaptive, Refined, Watch, first_grid, refine
+from sweepopt.adaptive import CHECKED, FIRST, Adaptive, Refined, Watch, first_grid, refine
 from sweepopt.checks import number, vector
 from sweepopt.control import evaluation_times, time_grid
 from sweepopt.errors import InputError
@@ -122,7 +122,9 @@ def adapt(
             programs = Velocities(process, plan)
         return run
 
-    refined = refine(frame.steps, frame.cuts, frame.longest, frame.order, norm, walk)
+    # three passes' worth of states, a tenth of the memory
+    checked = max(min(CHECKED, int(memory / (240.0 * process.dim))), 16)
+    refined = refine(frame.steps, frame.cuts, frame.longest, frame.order, norm, walk, checked)
     assert last is not None
     if refined.failed is None:
         return last, refined

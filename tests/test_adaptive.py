@@ -99,7 +99,7 @@ def test_every_tolerance_is_met_at_about_the_work_of_the_best_fixed_step(name: s
         if tol >= 1e-5 and name != "E20":  # equal steps need 40,000 for 1e-4 there
             ratio = work(sol) / best_fixed(name, sol.plan.scheme.name, tol)
         rows.append((tol, error(name, sol, 150) / tol, ratio))
-        print(name, *("%.3g" % value for value in rows[-1]))
+        print(name, *(f"{value:.3g}" for value in rows[-1]))
     table = np.array(rows)
     assert (table[:, 1] <= FACTOR).all()
     assert np.nanmean(np.append(table[:, 2], 0.0)) <= 2.0
@@ -216,13 +216,10 @@ def jumping() -> so.SweepingProcess:
 
 def test_a_jump_of_the_load_that_needs_too_short_steps_is_told_with_its_time() -> None:
     steps = so.Adaptive(1e-7, minimum=1e-3)
-    with pytest.raises(so.StepError, match=r"shorter than minimum = 0\.001.*does the load jump"):
+    with pytest.raises(so.StepError, match=r"0\.001 is needed; does the load jump") as failure:
         so.solve(jumping(), t_end=4.0, steps=steps)
-    try:
-        so.solve(jumping(), t_end=4.0, steps=steps)
-    except so.StepError as failure:
-        assert failure.t == pytest.approx(1.2345, abs=0.1)
-        assert failure.u.shape == (1,)
+    assert failure.value.t == pytest.approx(1.2345, abs=0.1)
+    assert failure.value.u.shape == (1,)
     sol = so.solve(jumping(), t_end=4.0, steps=steps, on_failure="stop")
     assert sol.status is so.Status.INEXACT
     assert "minimum" in sol.message
