@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.adaptive import CHECKED, FIRST, Adaptive, Refined, Watch, first_grid, refine
+from sweepopt.adaptive import CHECKED, FIRST, Adaptive, Refined, Watch, refine
 from sweepopt.checks import number, vector
 from sweepopt.control import evaluation_times, time_grid
 from sweepopt.errors import InputError
+from sweepopt.grids import first_grid
 from sweepopt.march import Run, Velocities, march
 from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess

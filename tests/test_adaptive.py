@@ -13,7 +13,7 @@ import pytest
 from cases import SETS, case
 
 import sweepopt as so
-from sweepopt.adaptive import density, finer_grid, first_grid
+from sweepopt.grids import density, finer_grid, first_grid
 from sweepopt.study.problems import BURST, problem
 
 TOLERANCES = [1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7]
