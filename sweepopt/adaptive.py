@@ -179,7 +179,10 @@ def refine(
             if before is not None:
                 error = _error(n, wanted, watch.states, before, order, norm)
         passes.append(Pass(run.done, error, clock.perf_counter() - began))
-        if run.status not in (Status.SUCCESS, Status.UNCERTIFIED) or error <= ACCEPTED * tol:
+        # a much coarser pass has too few nodes where the steps are short now
+        near = before is not None and n <= 1.1 * LAST * before.steps
+        enough = error <= (ACCEPTED if near else 1.0) * tol
+        if run.status not in (Status.SUCCESS, Status.UNCERTIFIED) or enough:
             return Refined(tuple(passes))
         if before is None:
             share = GUESS * wanted.errors * n**order
