@@ -28,7 +28,8 @@ from sweepopt.solution import Pass
 
 PASSES = 24
 CHECKED = 256  # nodes at which passes are compared, fewer where states are large
-AIM, ACCEPTED = 1.4, 2.7  # the error that a pass is made for and that it may have, in units of tol
+AIM = 1.4  # the error that a pass is made for, in units of tol
+ACCEPTED, DOUBTED = 2.7, 1.9  # what it may have after a pass that was nearly as fine, or was not
 GROWTH = 4.0  # a pass has at most so many times the steps of the one before
 LAST = 3.0  # so many times the steps are believed of one estimate
 FIRST = 16  # steps of the first pass
@@ -181,7 +182,7 @@ def refine(
         passes.append(Pass(run.done, error, clock.perf_counter() - began))
         # a much coarser pass has too few nodes where the steps are short now
         near = before is not None and n <= 1.1 * LAST * before.steps
-        enough = error <= (ACCEPTED if near else 1.0) * tol
+        enough = error <= (ACCEPTED if near else DOUBTED) * tol
         if run.status not in (Status.SUCCESS, Status.UNCERTIFIED) or enough:
             return Refined(tuple(passes))
         if before is None:
