@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from sweepopt.adaptive import Adaptive
 from sweepopt.certificate import ErrorBound
 from sweepopt.errors import (
     AccuracyError,
@@ -46,7 +47,7 @@ from sweepopt.sets import (
     image,
     product,
 )
-from sweepopt.solution import Energy, Solution
+from sweepopt.solution import Energy, Pass, Solution
 from sweepopt.solvers import DAQP, OSQP, Clarabel, Cvxpy, Newton, Secular
 
 __version__ = "0.1.0"
@@ -55,6 +56,7 @@ __all__ = [
     "DAQP",
     "OSQP",
     "AccuracyError",
+    "Adaptive",
     "Ball",
     "Balls",
     "Box",
@@ -76,6 +78,7 @@ __all__ = [
     "MovingSet",
     "Newton",
     "Orthant",
+    "Pass",
     "Plan",
     "Point",
     "Polyhedron",

@@ -8,6 +8,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from sweepopt.adaptive import Adaptive, Refined
 from sweepopt.blocks import BlockWriter, Stored
 from sweepopt.checks import number
 from sweepopt.control import (
@@ -24,6 +25,7 @@ from sweepopt.errors import (
 )
 from sweepopt.exact import mover
 from sweepopt.lifting import Lift
+from sweepopt.passes import Frame, Walked, adapt, of_all_unknowns
 from sweepopt.plan import PATHS, make_plan
 from sweepopt.process import EvolutionVI, SweepingProcess
 from sweepopt.refinement import refine
@@ -66,13 +68,14 @@ def solve(
     process : SweepingProcess or EvolutionVI
     t_end : float
         End of the interval [0, t_end]; may be left out when `steps` is an array.
-    steps : int or array_like
-        Number of equal steps, or the increasing times themselves (the first one is where u0 holds).
+    steps : int, array_like or Adaptive
+        Number of equal steps, or the increasing times themselves (the first one is where u0 holds),
+        or ``Adaptive(tol)``: steps that are chosen for an error of tol (see Notes).
     scheme : str
-        "auto" (midpoint; implicit-euler when A = 0), "catching-up", "implicit-euler", "midpoint",
-        "trapezoid" (A coercive only), "sdirk2"; "exact" for polyhedra and loads as data
-        (`Separable`): closed forms between switches that are located, in `Solution.exact` also
-        between the nodes.
+        "auto" (midpoint; when A = 0 implicit-euler, or sdirk2 with Adaptive), "catching-up",
+        "implicit-euler", "midpoint", "trapezoid" (A coercive only), "sdirk2"; "exact" for polyhedra
+        and loads as data (`Separable`): closed forms between switches that are located, in
+        `Solution.exact` also between the nodes.
     solver : str or Solver
         "auto", "clarabel", "osqp", "daqp", "newton", "cvxpy" or an object: ``OSQP(tol=1e-10)``.
     tol : float
@@ -116,6 +119,11 @@ def solve(
 
     Notes
     -----
+    Adaptive steps come from several passes over the run, coarse and cheap ones first: `passes` of
+    the Solution has them all. They hit the breakpoints of loads that are data and the times given
+    as `save`. A callback, a function or a file gets the steps of the last pass, in one more run.
+    `tol` is lowered where the error asks for it. The proportional path is not used.
+
     t_i = t_0 + i mu; u_{i+1} = u_i + mu sum_k b_k z_k with compensated summation. Ctrl-C returns
     the steps computed so far with status INTERRUPTED.
 
@@ -162,20 +170,34 @@ def solve(
     process = process.as_sweeping()
     tol = number("tol", tol, minimum=0.0, strict=True)
     memory = number("memory", memory, minimum=0.0, strict=True)
-    times, mus = time_grid(t_end, steps)
+    adaptive = isinstance(steps, Adaptive)
+    if adaptive and path == "proportional":
+        raise InputError("path='proportional' needs all steps beforehand; Adaptive cannot tell")
+    if adaptive and scheme == "auto" and process.rate_independent:
+        scheme = "sdirk2"
     tableau = choose(scheme, process.rate_independent)
+    if adaptive and tableau.exact:
+        raise InputError("scheme 'exact' has no error in time that steps could be adapted to")
+    frame = Frame(steps, process, t_end, tableau, save) if adaptive else None
+    times, mus = frame.grid() if frame else time_grid(t_end, steps)
     members = process.check(evaluation_times(times, mus, tableau))
     plan = make_plan(process, members, tableau, solver, tol, path)
-    wanted = saving(save, times, plan.entering, memory)
+    plan = of_all_unknowns(plan) if frame else plan
+    walked = Walked(times, mus, plan, saving(save, times, plan.entering, memory))
     process.check_start(float(times[0]))
     check_stability(process, tableau, float(mus.max()), on_unstable)
+    bar = _progress_bar(None if adaptive else len(mus)) if progress else None
+    refined = Refined(())
+    if frame:
+        walked, refined = adapt(
+            frame, process, plan, save, memory, bar.update if bar is not None else _nothing
+        )
+    times, mus, plan, wanted = walked.times, walked.mus, walked.plan, walked.wanted
 
     moved = plan.reduction.process if plan.reduction else process
     move = mover(moved, plan.of_entering)
     lift = Lift(plan, times, mus)
     beside = lift.seconds
-    keeper = Keeper(wanted.steps, moved.u0)
-    bar = _progress_bar(len(mus)) if progress else None
     blocks = BlockWriter(wanted.path, float(times[0]), process.u0) if wanted.path else None
     recorded: list[Any] = []
 
@@ -191,16 +213,20 @@ def solve(
             recorded.append(wanted.function(t, u, z))
         return callback(StepInfo(i, t, u, z, certificate)) if callback is not None else None
 
-    watched = any(one is not None for one in (bar, callback, blocks, wanted.function))
-    finished = False
+    watched = any(one is not None for one in (callback, blocks, wanted.function))
+    run, keeper, finished = walked.run, walked.keeper, False
     try:
-        run = move(
-            times,
-            mus,
-            keeper,
-            look if watched else None,
-            lift.prove if plan.reduction else None,
-        )
+        if run is None or keeper is None or watched:
+            keeper = Keeper(wanted.steps, moved.u0)
+            run = move(
+                times,
+                mus,
+                keeper,
+                look if watched or bar is not None else None,
+                lift.prove if plan.reduction else None,
+            )
+        if refined.cause and run.done == len(mus):
+            run.status, run.cause = Status.INEXACT, refined.cause
         failed = run.status in (Status.INEXACT, Status.SWITCHING) and on_failure == "raise"
         finished = not failed
     finally:
@@ -230,10 +256,15 @@ def solve(
         cause=run.cause,
         exact=lift.trajectory(run.exact),
         recorded=recorded if wanted.function is not None else None,
+        passes=refined.passes,
     )
 
 
-def _progress_bar(steps: int) -> Any:
+def _nothing() -> None:
+    """What a run without a progress bar does after a step."""
+
+
+def _progress_bar(steps: int | None) -> Any:
     try:
         from tqdm.auto import tqdm
     except ImportError as error:

@@ -35,15 +35,17 @@ def march(
     keeper: Keeper,
     look: Look | None = None,
     prove: Prove | None = None,
+    velocities: Velocities | None = None,
 ) -> Run:
     """Move u through time; `look` sees every state, velocity and certificate, True from it stops.
 
     `prove` adds to a step's certificate, from its number, its first state and its velocity.
+    `velocities` are the compiled programs of an earlier run of the same process.
     Ctrl-C ends the loop, also in `look`: the keeper has the steps that are done.
     """
     steps = len(mus)
     grid, sizes = times.tolist(), mus.tolist()
-    velocities = _Velocities(process, plan)
+    velocities = velocities or Velocities(process, plan)
     critical = _critical(process, plan.scheme)
     run = Run(Log(steps))
     u = process.u0
@@ -140,7 +142,7 @@ class Run:
     exact: Trajectory | None = None
 
 
-class _Velocities:
+class Velocities:
     """Compiled velocity programs, one per matrix A + gamma B."""
 
     LIMIT = 16  # irregular grids would otherwise keep one factorisation per step
@@ -164,7 +166,7 @@ class _Velocities:
 def step(
     process: SweepingProcess,
     scheme: Scheme,
-    velocities: _Velocities,
+    velocities: Velocities,
     t: float,
     mu: float,
     u: np.ndarray,

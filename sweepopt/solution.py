@@ -62,6 +62,22 @@ class Energy(NamedTuple):
         return self.stored + self.viscous + self.friction - self.work
 
 
+class Pass(NamedTuple):
+    """One pass of adaptive steps over the run.
+
+    Attributes
+    ----------
+    steps : int
+    error : float
+        Estimate of max_i |u_i - u(t_i)|_A, |.|_B where A = 0; nan for the first pass.
+    seconds : float
+    """
+
+    steps: int
+    error: float
+    seconds: float
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """The piecewise-linear interpolant u_n and its diagnostics.
@@ -87,6 +103,8 @@ class Solution:
         What the function given as `save` returned, one entry a step.
     exact : Trajectory or None
         With ``scheme="exact"`` the trajectory itself: u at any time to rounding, its `switches`.
+    passes : tuple of Pass
+        All passes of adaptive steps, the last one is the run; empty for steps given beforehand.
     """
 
     process: SweepingProcess
@@ -99,6 +117,7 @@ class Solution:
     cause: str = ""
     recorded: list[Any] | None = None
     exact: Trajectory | None = None
+    passes: tuple[Pass, ...] = ()
 
     @cached_property
     def u(self) -> np.ndarray:

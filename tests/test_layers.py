@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parent.parent / "sweepopt"
 # a module may import from its own level (inside one package) and from levels below
 LEVELS = [
     {"errors"},
-    {"checks", "csvtable"},
+    {"checks", "csvtable", "grids"},
     {"linalg", "loads", "secular"},
     {"sets"},
     {"states", "multigrid"},
@@ -27,8 +27,8 @@ LEVELS = [
     {"norms"},
     {"march"},
     {"exact"},
-    {"lifting", "defects", "refinement"},
-    {"certificate"},
+    {"adaptive", "lifting", "defects", "refinement"},
+    {"certificate", "passes"},
     {"evolve"},
     {"library"},
     {"fem"},

@@ -7,7 +7,7 @@ serves them all.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -91,6 +91,10 @@ class MovingSet:
                 kept.append((t, C))
             last = C
         return kept
+
+    def breakpoints(self, a: float, b: float) -> np.ndarray:
+        """Kinks of the motion strictly inside (a, b), increasing, as far as its data tell them."""
+        return np.empty(0)
 
     def _member(self, t: float) -> ConvexSet:
         try:
@@ -210,6 +214,9 @@ class Moving(MovingSet):
         C.require_nonempty(f"C(t) at t = {first:g}")
         return [(first, C)]
 
+    def breakpoints(self, a: float, b: float) -> np.ndarray:
+        return _kinks((self.center, self.scale), a, b)
+
     def at(self, t: float) -> ConvexSet:
         scaled = self.shape if self.scale is None else algebra.scale(self.scale_at(t), self.shape)
         if self.center is None:
@@ -233,3 +240,12 @@ class MovingOffsets(MovingSet):
     def __init__(self, shape: Any, offsets: Callable[[float], Any]) -> None:
         self.shape, self.offsets = shape, offsets
         super().__init__(lambda t: shape.with_offsets(offsets(t)), shape.dim)
+
+    def breakpoints(self, a: float, b: float) -> np.ndarray:
+        return _kinks((self.offsets,), a, b)
+
+
+def _kinks(functions: Iterable[Any], a: float, b: float) -> np.ndarray:
+    """Breakpoints of those functions of time that tell them."""
+    found = [one.breakpoints(a, b) for one in functions if hasattr(one, "breakpoints")]
+    return np.unique(np.concatenate([np.empty(0), *found]))

@@ -1,7 +1,7 @@
 """The small problems of the studies, their loads as data; the exact solution of each is known.
 
 Letters of the names: S scalar, V and B on a disc or with B = 0, P polyhedral, L linear, M Moreau's
-(A = 0), E elastoplastic. All are dimensionless.
+(A = 0), E elastoplastic, H a hold. All are dimensionless.
 """
 
 from __future__ import annotations
@@ -88,6 +88,9 @@ LATTICE = ((61 / 60, 11 / 12, -0.25, -0.25), (11 / 12, 67 / 60, -0.25, -0.25),
 EYE = ((1.0, 0.0), (0.0, 1.0))
 ZERO = ((0.0, 0.0), (0.0, 0.0))
 
+BURST = ((0.0, 40.0, 40.1, 40.25, 40.4, 40.55, 40.7, 40.8, 100.0),
+         (0.0, 0.5, 3.0, -3.0, 3.0, -3.0, 3.0, 0.8, 0.4))  # fmt: skip
+
 PROBLEMS = {
     problem.name: problem
     for problem in (
@@ -142,6 +145,9 @@ PROBLEMS = {
             np.zeros((4, 4)), LATTICE, (0.0, 0.0, 0.0, 0.0),
             lambda: Moving(Box([-1, -1.1, -0.8, -0.9], [1, 1.1, 0.8, 0.9]), along(
                 (Table([0, 2, 6, 10], [0, 6, -6, 6]), [2 / 3, 2 / 3, 3 / 4, 3 / 4])))),
+        Problem("H18", "a long hold with a short burst in it", 100.0,
+            [[0.02]], [[2.0]], (0.0,),
+            lambda: Moving(interval(1), along((Table(*BURST), [1])))),
     )
 }  # fmt: skip
 

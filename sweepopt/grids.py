@@ -1,0 +1,124 @@
+"""Grids of steps that are halved where the differences of the velocities are large."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+FLOOR = 0.4  # no step is longer than 1 / FLOOR times what the average density asks for
+
+
+@dataclass(frozen=True, eq=False)
+class Density:
+    """How many steps a unit of time needs, between `edges`, up to a common factor."""
+
+    edges: np.ndarray
+    rho: np.ndarray
+    errors: float
+
+    @property
+    def total(self) -> float:
+        return float(self.rho @ np.diff(self.edges))
+
+
+def density(times: np.ndarray, cuts: np.ndarray, sizes: np.ndarray, order: float) -> Density:
+    """Steps per time that spread the local errors evenly.
+
+    A kink of the velocity is in two windows of three steps, but in both only from the middle of
+    one step to that of the next: the lesser of both windows finds the place. Windows across a
+    breakpoint count only where a segment has no window of its own.
+    """
+    n = len(times) - 1
+    segment = np.searchsorted(cuts[1:-1], times[:-1], side="right")
+    own = segment[order:] == segment[: n - order]
+    gaps = _least(np.where(own, sizes, np.inf), order)
+    across = _least(sizes, order)
+    gaps[(segment[1:] != segment[:-1]) | ~np.isfinite(gaps)] = np.nan
+    left, right = np.append(np.nan, gaps), np.append(gaps, np.nan)
+    left, right = np.where(np.isnan(left), right, left), np.where(np.isnan(right), left, right)
+    alone = np.maximum(np.append(0.0, across), np.append(across, 0.0))
+    halves = np.column_stack([np.where(np.isnan(side), alone, side) for side in (left, right)])
+    factor = 2.0 if order == 1 else 6.0
+    errors = float(np.sum(halves.max(axis=1) * np.diff(times) ** (order + 1)) / factor)
+    middle = 0.5 * (times[1:] + times[:-1])
+    edges = np.append(times[0], np.column_stack([middle, times[1:]]).ravel())
+    rho = (halves.ravel() / factor) ** (1 / (order + 1))
+    mean = float(rho @ np.diff(edges)) / (edges[-1] - edges[0])
+    return Density(edges, np.maximum(rho, FLOOR * mean) if mean > 0 else np.ones(2 * n), errors)
+
+
+def _least(windows: np.ndarray, order: float) -> np.ndarray:
+    """Between two steps the lesser of the windows that have both."""
+    if order == 1:
+        return windows.copy()
+    return np.minimum(np.append(np.inf, windows), np.append(windows, np.inf))
+
+
+def first_grid(cuts: np.ndarray, longest: float) -> np.ndarray:
+    """Each segment in 2^k equal steps that are not too long."""
+    return _halve(cuts, lambda _, sizes: sizes <= longest * (1 + 1e-9))
+
+
+def finer_grid(wanted: Density, cuts: np.ndarray, longest: float, n: float) -> np.ndarray:
+    """About n steps, each a segment's length over 2^k, that follow the density."""
+    n = max(math.ceil(n), 1)
+    middle = 0.5 * (wanted.edges[1:] + wanted.edges[:-1])
+
+    def grid(count: float) -> np.ndarray:
+        # 2^(1/2): halving rounds to the nearer power
+        sizes = math.sqrt(2) * wanted.total / count / wanted.rho
+        sizes = np.minimum(sizes, 2 * longest)
+        # the next step is at most about twice as long
+        sizes = np.minimum(sizes, middle + np.minimum.accumulate(sizes - middle))
+        sizes = np.minimum.accumulate((sizes + middle)[::-1])[::-1] - middle
+        return _halve(
+            cuts, lambda starts, h: h <= _smallest(wanted.edges, sizes, starts, h, longest)
+        )
+
+    few, many, count = grid(n / 4), None, float(n)
+    low, high = n / 4, 4.0 * n
+    for _ in range(12):
+        found = grid(count)
+        if len(found) - 1 > n:
+            many, high = found, count
+        else:
+            few, low = found, count
+        if len(found) - 1 == n:
+            break
+        count = math.sqrt(low * high)
+    if many is None or len(few) - 1 >= n:
+        return few
+    # steps that ask for the same length change it together: some of them go first, evenly spread
+    more = np.intersect1d(many, 0.5 * (few[1:] + few[:-1]))
+    chosen = np.linspace(0, len(more) - 1, min(n + 1 - len(few), len(more)))
+    return np.union1d(few, more[np.unique(chosen.astype(int))])
+
+
+def _halve(cuts: np.ndarray, fine: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+    """The nodes of steps that are halved until they are fine; the same step has the same floats."""
+    starts, ends, nodes = cuts[:-1], cuts[1:], [cuts]
+    while starts.size:
+        coarse = ~fine(starts, ends - starts)
+        starts, ends = starts[coarse], ends[coarse]
+        middle = 0.5 * (starts + ends)
+        inside = (middle > starts) & (middle < ends)
+        starts, middle, ends = starts[inside], middle[inside], ends[inside]
+        nodes.append(middle)
+        starts, ends = np.append(starts, middle), np.append(middle, ends)
+        order = np.argsort(starts, kind="stable")
+        starts, ends = starts[order], ends[order]
+    return np.unique(np.concatenate(nodes))
+
+
+def _smallest(
+    edges: np.ndarray, sizes: np.ndarray, starts: np.ndarray, h: np.ndarray, longest: float
+) -> np.ndarray:
+    """The smallest size that is asked for within each step."""
+    slack = 1e-6 * h
+    i = np.searchsorted(edges, starts + slack, side="right") - 1
+    j = np.maximum(np.searchsorted(edges, starts + h - slack, side="left"), i + 1)
+    within = np.minimum.reduceat(np.append(sizes, np.inf), np.column_stack([i, j]).ravel())[::2]
+    return np.minimum(within, longest) * (1 + 1e-9)

@@ -1,0 +1,144 @@
+"""Adaptive steps for a process: its breakpoints, its passes, and the run they end with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sweepopt.adaptive import CHECKED, FIRST, Adaptive, Refined, Watch, refine
+from sweepopt.checks import number, vector
+from sweepopt.control import evaluation_times, time_grid
+from sweepopt.errors import InputError
+from sweepopt.grids import first_grid
+from sweepopt.march import Run, Velocities, march
+from sweepopt.plan import Plan
+from sweepopt.process import SweepingProcess
+from sweepopt.schemes import Scheme
+from sweepopt.sets import MovingSet
+from sweepopt.states import Keeper, Saving, saving
+
+SHARE = 0.05  # of the tolerance that inexact programs may take
+EXACT = 1e-9  # no certificate below it is asked for
+
+
+@dataclass(eq=False)
+class Walked:
+    """A grid, what is kept of it, and the run over it if there is one already."""
+
+    times: np.ndarray
+    mus: np.ndarray
+    plan: Plan
+    wanted: Saving
+    keeper: Keeper | None = None
+    run: Run | None = None
+
+
+class Frame:
+    """What every grid of adaptive steps has in common.
+
+    Attributes
+    ----------
+    cuts : ndarray
+        0, the breakpoints of C(t), the times that are to be saved, and t_end.
+    longest : float
+        Longest step.
+    """
+
+    def __init__(
+        self, steps: Adaptive, process: SweepingProcess, t_end: Any, scheme: Scheme, save: Any
+    ) -> None:
+        if t_end is None:
+            raise InputError("t_end is missing; Adaptive steps need it")
+        end = number("t_end", t_end, minimum=0.0, strict=True)
+        cuts = [np.array([0.0, end])]
+        if isinstance(process.C, MovingSet):
+            cuts.append(process.C.breakpoints(0.0, end))
+        if is_times(save):
+            times = vector("save", save)
+            cuts.append(times[(times > 0.0) & (times < end)])  # `saving` refuses the others
+        self.steps, self.cuts = steps, _apart(np.unique(np.concatenate(cuts)))
+        self.longest = min(end / FIRST if steps.first is None else steps.first, end / 4)
+        if scheme.explicit and process.B is not None and process.Lam > 0:
+            self.longest = min(self.longest, 1 / process.Lam)
+        self.order = scheme.order
+
+    def grid(self) -> tuple[np.ndarray, np.ndarray]:
+        """The times and steps of the first pass."""
+        return time_grid(None, first_grid(self.cuts, self.longest))
+
+
+def is_times(save: Any) -> bool:
+    """Whether `save` is an array of times."""
+    return not isinstance(save, str) and not callable(save) and np.ndim(save) == 1
+
+
+def of_all_unknowns(plan: Plan) -> Plan:
+    """The plan without a reduction: its coefficients need to know all steps beforehand."""
+    if plan.reduction is None:
+        return plan
+    reason = "proportional path: the load's coefficients need all steps beforehand, these adapt"
+    return replace(plan, reduction=None, left_out=(*plan.left_out, reason))
+
+
+def adapt(
+    frame: Frame,
+    process: SweepingProcess,
+    plan: Plan,
+    save: Any,
+    memory: float,
+    tick: Callable[[], Any],
+) -> tuple[Walked, Refined]:
+    """Choose the steps and move u along them.
+
+    Returns
+    -------
+    Walked
+        The last pass; without its run where the steps became too short.
+    Refined
+    """
+    programs = Velocities(process, plan)
+    norm = process.metric.norm
+    last: Walked | None = None
+
+    def walk(times: np.ndarray, watch: Watch) -> Run:
+        nonlocal last, plan, programs
+        times, mus = time_grid(None, times)
+        process.check(evaluation_times(times, mus, plan.scheme))
+        wanted = saving(save, times, plan.entering, memory)
+        keeper = Keeper(wanted.steps, process.u0)
+
+        def look(i: int, u: np.ndarray, z: np.ndarray, _: float) -> None:
+            watch.see(i, u, z)
+            tick()
+
+        run = march(process, plan, times, mus, keeper, look, velocities=programs)
+        first, last = last is None, Walked(times, mus, plan, wanted, keeper, run)
+        asked = max(SHARE * frame.steps.tol / watch.length, EXACT) if watch.length > 0 else 1.0
+        if first and asked < plan.tol:
+            # what the programs miss adds up along the way of u
+            plan = replace(plan, tol=asked)
+            programs = Velocities(process, plan)
+        return run
+
+    # three passes' worth of states, a tenth of the memory
+    checked = max(min(CHECKED, int(memory / (240.0 * process.dim))), 16)
+    refined = refine(frame.steps, frame.cuts, frame.longest, frame.order, norm, walk, checked)
+    assert last is not None
+    if refined.failed is None:
+        return last, refined
+    reached = max(int(np.searchsorted(last.times, refined.failed, side="right")) - 1, 1)
+    times, mus = last.times[: reached + 1], last.mus[:reached]
+    if is_times(save):
+        save = np.append([t for t in np.ravel(save) if t <= times[-1]], times[-1])
+    return Walked(times, mus, plan, saving(save, times, plan.entering, memory)), refined
+
+
+def _apart(cuts: np.ndarray) -> np.ndarray:
+    """Breakpoints that differ by rounding are one."""
+    far = np.append(True, np.diff(cuts) > 1e-12 * cuts[-1])
+    far[-1] = True
+    kept = cuts[far]
+    return kept if kept[-1] - kept[-2] > 1e-12 * cuts[-1] else np.delete(kept, -2)
