@@ -88,7 +88,7 @@ class Watch:
     order 1: times the step to the power order + 1 it is the local error, up to a factor.
     """
 
-    def __init__(self, times: np.ndarray, nodes: set[float], order: float, norm: Norm) -> None:
+    def __init__(self, times: np.ndarray, nodes: set[float], order: int, norm: Norm) -> None:
         self._middle, self._mus = 0.5 * (times[1:] + times[:-1]), np.diff(times).tolist()
         self._order, self._norm = order, norm
         self._nodes = {i: t for i, t in enumerate(times[1:].tolist()) if t in nodes}
@@ -135,7 +135,7 @@ def refine(
     steps: Adaptive,
     cuts: np.ndarray,
     longest: float,
-    order: float,
+    order: int,
     norm: Norm,
     walk: Callable[[np.ndarray, Watch], Run],
     checked: int = CHECKED,
@@ -204,7 +204,7 @@ def _error(
     wanted: Density,
     states: dict[float, np.ndarray],
     before: Before,
-    order: float,
+    order: int,
     norm: Norm,
 ) -> float:
     """The error of a pass from its distance to the one before."""

@@ -24,7 +24,7 @@ class Density:
         return float(self.rho @ np.diff(self.edges))
 
 
-def density(times: np.ndarray, cuts: np.ndarray, sizes: np.ndarray, order: float) -> Density:
+def density(times: np.ndarray, cuts: np.ndarray, sizes: np.ndarray, order: int) -> Density:
     """Steps per time that spread the local errors evenly.
 
     A kink of the velocity is in two windows of three steps, but in both only from the middle of
@@ -50,7 +50,7 @@ def density(times: np.ndarray, cuts: np.ndarray, sizes: np.ndarray, order: float
     return Density(edges, np.maximum(rho, FLOOR * mean) if mean > 0 else np.ones(2 * n), errors)
 
 
-def _least(windows: np.ndarray, order: float) -> np.ndarray:
+def _least(windows: np.ndarray, order: int) -> np.ndarray:
     """Between two steps the lesser of the windows that have both."""
     if order == 1:
         return windows.copy()

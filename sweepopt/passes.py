@@ -63,7 +63,7 @@ class Frame:
         self.longest = min(end / FIRST if steps.first is None else steps.first, end / 4)
         if scheme.explicit and process.B is not None and process.Lam > 0:
             self.longest = min(self.longest, 1 / process.Lam)
-        self.order = scheme.order
+        self.order = int(scheme.order)
 
     def grid(self) -> tuple[np.ndarray, np.ndarray]:
         """The times and steps of the first pass."""
