@@ -82,7 +82,8 @@ def solve(
         Each program's certificate is at most tol * max(|z|_M, |M^-1 q|_M); a step that misses it
         is tried with tighter settings, then with another solver, then handled as on_failure says.
     error : float, optional
-        Refine the steps until `Solution.error_bound` is at most this; needs a load as data.
+        Refine the steps until `Solution.error_bound` is at most this; needs a load as data. The
+        callback sees, and save= counts, the steps of the last run only, which is run once more.
     path : {"auto", "proportional", "eliminated", "full", "multigrid"}
         Which unknowns enter a step: with "full" all of them; with "eliminated" the few that C(t)
         acts on enter a program and the others two substitutions; with "proportional" (B = rho A
@@ -139,6 +140,8 @@ def solve(
     (True, 0.0, 3.063)
     """
     if error is not None:
+        if isinstance(steps, Adaptive):
+            raise InputError("error= chooses the steps itself; leave Adaptive out, or error=")
         again = partial(
             solve,
             process,
@@ -146,16 +149,16 @@ def solve(
             solver=solver,
             tol=tol,
             path=path,
-            save=save,
             memory=memory,
-            progress=progress,
-            callback=callback,
             on_failure=on_failure,
             on_unstable=on_unstable,
         )
         first, _ = time_grid(t_end, steps)
         wanted_error = number("error", error, minimum=0.0, strict=True)
-        return refine(lambda times: again(steps=times), first, wanted_error)
+        sol = refine(lambda times: again(steps=times), first, wanted_error)
+        if save is None and callback is None and not progress:
+            return sol
+        return again(steps=sol.t, save=save, callback=callback, progress=progress)
     for name, value, allowed in (
         ("path", path, tuple(PATHS)),
         ("on_failure", on_failure, ("raise", "stop")),
