@@ -20,8 +20,10 @@ from sweepopt.errors import (
     SweepoptWarning,
     UnstableStepError,
     VariationWarning,
+    VelocityError,
 )
 from sweepopt.evolve import StepInfo, solve
+from sweepopt.field import velocity_field
 from sweepopt.loads import Constant, Polynomial, Separable, Sine, Table, Triangle
 from sweepopt.plan import Plan
 from sweepopt.process import EvolutionVI, SweepingProcess
@@ -95,8 +97,10 @@ __all__ = [
     "Triangle",
     "UnstableStepError",
     "VariationWarning",
+    "VelocityError",
     "WholeSpace",
     "image",
     "product",
     "solve",
+    "velocity_field",
 ]

@@ -24,6 +24,11 @@ class Status(Enum):
         "The run stopped early: a step missed tol with every solver tried. The steps before it are "
         "certified. Loosen tol, change the solver or look at the step's data."
     )
+    SWITCHING = (
+        "The run stopped early: the active set changes without end, over 100,000 times or again "
+        "and again within rounding. The steps before it are exact. Use implicit-euler, midpoint or "
+        "sdirk2, which need no switch times."
+    )
     STOPPED = "The callback stopped the run; all steps computed until then are returned."
     INTERRUPTED = "The run was interrupted; all steps computed until then are returned."
 
@@ -89,6 +94,22 @@ class AccuracyError(SweepoptError):
     def __init__(self, message: str, solution: Solution) -> None:
         super().__init__(message)
         self.solution = solution
+
+
+class VelocityError(SweepoptError):
+    """A velocity that was asked for directly missed its tolerance with every solver tried.
+
+    Attributes
+    ----------
+    t : float
+    u : ndarray, shape (dim,)
+    certificate : float
+        Best certificate reached, relative to max(\\|z\\|_A, \\|A^-1 q\\|_A).
+    """
+
+    def __init__(self, message: str, t: float, u: np.ndarray, certificate: float) -> None:
+        super().__init__(message)
+        self.t, self.u, self.certificate = t, u, certificate
 
 
 class SweepoptWarning(UserWarning):

@@ -22,8 +22,8 @@ from sweepopt.errors import (
     Status,
     StepError,
 )
+from sweepopt.exact import mover
 from sweepopt.lifting import Lift
-from sweepopt.march import march
 from sweepopt.plan import PATHS, make_plan
 from sweepopt.process import EvolutionVI, SweepingProcess
 from sweepopt.refinement import refine
@@ -70,7 +70,9 @@ def solve(
         Number of equal steps, or the increasing times themselves (the first one is where u0 holds).
     scheme : str
         "auto" (midpoint; implicit-euler when A = 0), "catching-up", "implicit-euler", "midpoint",
-        "trapezoid" (A coercive only), "sdirk2".
+        "trapezoid" (A coercive only), "sdirk2"; "exact" for polyhedra and loads as data
+        (`Separable`): closed forms between switches that are located, in `Solution.exact` also
+        between the nodes.
     solver : str or Solver
         "auto", "clarabel", "osqp", "daqp", "newton", "cvxpy" or an object: ``OSQP(tol=1e-10)``.
     tol : float
@@ -169,6 +171,7 @@ def solve(
     check_stability(process, tableau, float(mus.max()), on_unstable)
 
     moved = plan.reduction.process if plan.reduction else process
+    move = mover(moved, plan.of_entering)
     lift = Lift(plan, times, mus)
     beside = lift.seconds
     keeper = Keeper(wanted.steps, moved.u0)
@@ -191,16 +194,15 @@ def solve(
     watched = any(one is not None for one in (bar, callback, blocks, wanted.function))
     finished = False
     try:
-        run = march(
-            moved,
-            plan.of_entering,
+        run = move(
             times,
             mus,
             keeper,
             look if watched else None,
             lift.prove if plan.reduction else None,
         )
-        finished = run.status is not Status.INEXACT or on_failure == "stop"
+        failed = run.status in (Status.INEXACT, Status.SWITCHING) and on_failure == "raise"
+        finished = not failed
     finally:
         if bar is not None:
             bar.close()
@@ -209,7 +211,7 @@ def solve(
     if run.overshot is not None:
         warn_of_overshoot(tableau, float(times[run.overshot]), on_unstable)
     kept_steps, kept = keeper.close()
-    if run.status is Status.INEXACT and on_failure == "raise":
+    if failed:
         u = lift.state(run.done, kept.nodes[-1])
         raise StepError(run.cause, float(times[run.done]), run.done, u, run.relative)
     stats = run.log.table(times[1 : run.done + 1])
@@ -226,6 +228,7 @@ def solve(
         stats=stats,
         status=run.status,
         cause=run.cause,
+        exact=lift.trajectory(run.exact),
         recorded=recorded if wanted.function is not None else None,
     )
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from sweepopt.errors import Status, SweepoptError
-from sweepopt.march import Summary, march
+from sweepopt.exact import Lifting, Trajectory, mover
+from sweepopt.march import Run, Summary
 from sweepopt.plan import Plan
 from sweepopt.states import Keeper, Kept, Lifted, States
 
@@ -19,18 +21,18 @@ class Lift:
         self._plan, self._times, self._mus = plan, times, mus
 
     @cached_property
-    def _moved(self) -> tuple[Kept, np.ndarray]:
-        """The coefficients of the whole run, and the seconds of each of their steps."""
+    def _moved(self) -> tuple[Kept, Run]:
+        """The coefficients of the whole run."""
         assert self._plan.reduction is not None
         process = self._plan.reduction.coefficients
         n = len(self._mus)
         keeper = Keeper(np.arange(n), process.u0)
-        run = march(process, self._plan.of_coefficients, self._times, self._mus, keeper)
+        run = mover(process, self._plan.of_coefficients)(self._times, self._mus, keeper)
         if run.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         if run.done < n:
             raise SweepoptError(f"the load's coefficients: {run.cause or run.status.value}")
-        return keeper.close()[1], run.log.table(self._times[1:])["seconds"]
+        return keeper.close()[1], run
 
     @property
     def _alpha(self) -> Kept:
@@ -39,7 +41,9 @@ class Lift:
     @property
     def seconds(self) -> np.ndarray:
         """What each step costs beside the loop."""
-        return np.zeros(len(self._mus)) if self._plan.reduction is None else self._moved[1]
+        if self._plan.reduction is None:
+            return np.zeros(len(self._mus))
+        return self._moved[1].log.table(self._times[1:])["seconds"]
 
     def state(self, node: int, u: np.ndarray) -> np.ndarray:
         """The state at a node of the grid."""
@@ -62,6 +66,15 @@ class Lift:
             size = max(size, step.certificate / step.relative)
         relative = certificate / size if certificate > 0 else certificate
         return step._replace(certificate=certificate, relative=relative)
+
+    def trajectory(self, few: Trajectory | None) -> Trajectory | None:
+        """The exact trajectory of all unknowns from that of those that entered."""
+        reduction = self._plan.reduction
+        if few is None or reduction is None:
+            return few
+        exact = self._moved[1].exact
+        assert exact is not None  # the same scheme moves the coefficients
+        return replace(few, lifting=Lifting(exact, reduction.lift))
 
     def of(self, kept: Kept, steps: np.ndarray) -> States:
         """The kept states as states of all unknowns."""

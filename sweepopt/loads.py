@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -76,7 +76,7 @@ class Constant:
         _numbers(self, "value")
 
     def __call__(self, t: ArrayLike) -> Array:
-        return np.full(_times(t).shape, self.value)
+        return np.full(np.shape(_times(t)), self.value)
 
     def variation(self, a: float, b: float) -> float:
         """Zero."""
@@ -192,7 +192,10 @@ class Triangle:
         _numbers(self, "amplitude", "period")
 
     def __call__(self, t: ArrayLike) -> Array:
-        quarters = np.mod(4.0 * (_times(t) / self.period), 4.0)
+        quarters = (4.0 * (_times(t) / self.period)) % 4.0
+        if type(quarters) is float:
+            rising = min(quarters, 2.0 - quarters) if quarters <= 3.0 else quarters - 4.0
+            return np.asarray(self.amplitude * rising)
         rising = np.where(quarters <= 3.0, np.minimum(quarters, 2.0 - quarters), quarters - 4.0)
         return np.asarray(self.amplitude * rising)
 
@@ -270,11 +273,13 @@ class Table:
     def __call__(self, t: ArrayLike) -> Array:
         at = _times(t)
         first, last = self.times[0], self.times[-1]
+        if type(at) is float and first <= at <= last:
+            return np.asarray(np.interp(at, self.times, self.values))
         slack = TIME_SLACK * max(abs(first), abs(last))
         outside = ~((at >= first - slack) & (at <= last + slack))
         if np.any(outside):
             raise InputError(
-                f"t = {at[outside].flat[0]:g} lies outside the table, which covers "
+                f"t = {np.asarray(at)[outside].flat[0]:g} lies outside the table, which covers "
                 f"[{first:g}, {last:g}]; extend the table or shorten the run"
             )
         return np.asarray(np.interp(at, self.times, self.values))
@@ -350,7 +355,7 @@ class Separable:
 
     def coefficients(self, t: float) -> Array:
         """Values ``phi_k(t)``, shape (k,)."""
-        return np.array([self._value(k, t) for k in range(len(self.terms))])
+        return np.array([self.value(k, t) for k in range(len(self.terms))])
 
     def values(self, times: Array) -> Array:
         """Values ``phi_k(t)`` at many times, shape (len(times), k)."""
@@ -358,12 +363,17 @@ class Separable:
         for k, (history, _) in enumerate(self.terms):
             values = history(times) if isinstance(history, DATA) else None
             if values is None or not np.isfinite(values).all():
-                values = [self._value(k, t) for t in times.tolist()]
+                values = [self.value(k, t) for t in times.tolist()]
             table[:, k] = values
         return table
 
-    def _value(self, k: int, t: float) -> float:
+    def value(self, k: int, t: float) -> float:
+        """phi_k(t)."""
         value = self.terms[k][0](t)
+        if type(value) is np.ndarray and value.size == 1 and value.dtype == float:
+            value = value.item()
+        if type(value) is float and math.isfinite(value):
+            return value
         if type(value) is not float:
             entries = np.asarray(value, dtype=object)
             value = entries.item() if entries.size == 1 else entries.tolist()
@@ -429,7 +439,10 @@ def check_points(name: str, times: ArrayLike, values: ArrayLike) -> tuple[Array,
     return t, phi
 
 
-def _times(t: ArrayLike) -> Array:
+def _times(t: Any) -> Any:
+    """The times as floats; one float stays what it is, as numpy is slow with one number."""
+    if type(t) is float:
+        return t
     try:
         return np.asarray(t, dtype=float)
     except (TypeError, ValueError):

@@ -6,7 +6,7 @@ import math
 import time as clock
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,13 @@ from sweepopt.solution import STATS
 from sweepopt.states import Keeper
 from sweepopt.velocity import Solved, VelocityOf
 
+if TYPE_CHECKING:
+    from sweepopt.exact import Trajectory
+
+
+Look = Callable[[int, np.ndarray, np.ndarray, float], "bool | None"]
+Prove = Callable[[int, np.ndarray, np.ndarray, "Summary"], "Summary"]
+
 
 def march(
     process: SweepingProcess,
@@ -26,8 +33,8 @@ def march(
     times: np.ndarray,
     mus: np.ndarray,
     keeper: Keeper,
-    look: Callable[[int, np.ndarray, np.ndarray, float], bool | None] | None = None,
-    prove: Callable[[int, np.ndarray, np.ndarray, Summary], Summary] | None = None,
+    look: Look | None = None,
+    prove: Prove | None = None,
 ) -> Run:
     """Move u through time; `look` sees every state, velocity and certificate, True from it stops.
 
@@ -124,7 +131,7 @@ class Log:
 
 @dataclass
 class Run:
-    """How a run ended, and the first step that may have overshot."""
+    """How a run ended, the first step that may have overshot, the dense exact trajectory."""
 
     log: Log
     done: int = 0
@@ -132,6 +139,7 @@ class Run:
     cause: str = ""
     relative: float = 0.0
     overshot: int | None = None
+    exact: Trajectory | None = None
 
 
 class _Velocities:

@@ -114,6 +114,10 @@ class Plan:
         """How many unknowns leave the program before it is solved."""
         return 0 if self.contact is None or self.multigrid else self.unknowns - len(self.contact)
 
+    @property
+    def _order(self) -> str:
+        return "" if self.scheme.exact else f" (order {self.scheme.order})"
+
     def velocity(self, M: Matrix) -> VelocityOf:
         """Compile (q, C) -> certified velocity for one matrix; not to be shared by threads.
 
@@ -147,6 +151,8 @@ class Plan:
         solver = self.solvers[0].name if self.solvers else "linear solves, no optimiser"
         if self.solver == "auto" and self.solvers:
             solver += ", a formula where M is diagonal"
+        if self.scheme.exact:
+            solver = "closed forms between the switches, which are located"
         if self.multigrid:
             solver = "conjugate gradients with a multigrid cycle"
         lines = [
@@ -154,7 +160,7 @@ class Plan:
             f"unknowns            {self.unknowns}",
             f"nonsmooth unknowns  {self.nonsmooth_unknowns}",
             f"eliminated          {self.eliminated}",
-            f"scheme              {self.scheme.name} (order {self.scheme.order})",
+            f"scheme              {self.scheme.name}{self._order}",
             f"solver              {solver}",
             f"tolerance           {self.tol:g} (relative certificate of each program)",
         ]
@@ -215,6 +221,8 @@ def make_plan(
     multigrid = path == "multigrid" or (path == "auto" and isinstance(process.metric, Multigrid))
     if multigrid:
         _require_multigrid(process, members, contact, solver)
+    if scheme.exact and multigrid:
+        raise InputError("path='multigrid' has no closed form; use another scheme than 'exact'")
     reduced: Reduction | str = "the unknowns shall be kept"
     if len(scheme.b) > 1:
         reduced = f"scheme {scheme.name!r} has several stages"
@@ -222,6 +230,8 @@ def make_plan(
         reduced = reduce(process, tol)
     if path == "proportional" and isinstance(reduced, str):
         raise InputError(f"path='proportional' does not apply: {reduced}")
+    if scheme.exact and isinstance(reduced, str):
+        contact = None  # the closed form has all unknowns in it
     return Plan(
         unknowns=process.dim,
         nonsmooth_unknowns=max(C.nonsmooth_dim for _, C in members),

@@ -203,8 +203,9 @@ def is_rounding(missed: np.ndarray, q: np.ndarray, anchor: np.ndarray) -> bool:
 
 def rate(z: np.ndarray, certificate: float, size_z: float, size_q: float) -> Velocity:
     """A velocity with its certificate in relation to max(|z|_M, |M^-1 q|_M)."""
-    relative = certificate / max(size_z, size_q) if certificate else 0.0
-    return Velocity(z, certificate, float(relative))
+    size = max(size_z, size_q)
+    relative = certificate / size if size else math.inf
+    return Velocity(z, certificate, float(relative) if certificate else 0.0)
 
 
 def has_closed_form(M: Factor, C: ConvexSet) -> bool:

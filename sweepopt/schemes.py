@@ -26,8 +26,8 @@ class Scheme:
         Row k has k + 1 entries; its last one is the implicit weight of the stage.
     b, c : tuples
         Weights of the stages and their times in units of mu.
-    order : int
-        For translated sets with smooth loads.
+    order : float
+        For translated sets with smooth loads; infinite if the scheme has no error in time.
     overshoots : float
         mu Lam from which a step can overshoot into a wrong stuck state although it is stable.
     """
@@ -36,13 +36,18 @@ class Scheme:
     a: tuple[tuple[float, ...], ...]
     b: tuple[float, ...]
     c: tuple[float, ...]
-    order: int
+    order: float
     overshoots: float = math.inf
 
     @property
     def implicit(self) -> bool:
         """Whether every stage is implicit in u, so that A = 0 is allowed."""
         return all(row[-1] > 0 for row in self.a)
+
+    @property
+    def exact(self) -> bool:
+        """Whether closed forms take the place of steps; the tableau is then the inclusion's."""
+        return math.isinf(self.order)
 
     @property
     def explicit(self) -> bool:
@@ -71,6 +76,7 @@ SCHEMES = {
             order=2,
             overshoots=20.0,
         ),
+        Scheme("exact", a=((1.0,),), b=(1.0,), c=(1.0,), order=math.inf),
     )
 }
 
@@ -84,6 +90,6 @@ def choose(name: str, rate_independent: bool) -> Scheme:
     scheme = SCHEMES[name]
     if rate_independent and not scheme.implicit:
         raise InputError(
-            f"scheme {name!r} needs A coercive; with A = 0 use implicit-euler or sdirk2"
+            f"scheme {name!r} needs A coercive; with A = 0 use implicit-euler, sdirk2 or exact"
         )
     return scheme

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
     from sweepopt.certificate import ErrorBound
+    from sweepopt.exact import Trajectory
 
 STATS = np.dtype(
     [
@@ -84,6 +85,8 @@ class Solution:
         Which step failed and why, when the run stopped at it.
     recorded : list or None
         What the function given as `save` returned, one entry a step.
+    exact : Trajectory or None
+        With ``scheme="exact"`` the trajectory itself: u at any time to rounding, its `switches`.
     """
 
     process: SweepingProcess
@@ -95,6 +98,7 @@ class Solution:
     status: Status
     cause: str = ""
     recorded: list[Any] | None = None
+    exact: Trajectory | None = None
 
     @cached_property
     def u(self) -> np.ndarray:

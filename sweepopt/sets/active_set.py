@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -14,7 +14,14 @@ from sweepopt.sets.base import ROUNDING
 DEPENDENT = 1e-14  # the part of a unit row outside of the span of others that counts as none
 
 
-def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> np.ndarray | None:
+class Nearest(NamedTuple):
+    """The shortest u, and the independent rows that hold it: their multipliers are >= 0."""
+
+    u: np.ndarray
+    active: np.ndarray
+
+
+def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> Nearest | None:
     """The shortest u with G u <= slack, exact to rounding on the active set it finds.
 
     Goldfarb and Idnani, A numerically stable dual method for solving strictly convex quadratic
@@ -29,7 +36,7 @@ def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> np.ndarra
 
     Returns
     -------
-    ndarray, shape (dim,), or None
+    Nearest or None
         None if rounding keeps the method from an answer.
 
     Raises
@@ -62,7 +69,7 @@ def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> np.ndarra
         over = excess - rounding - ROUNDING * np.linalg.norm(u)
         over[active + implied] = -np.inf
         if over.max(initial=-np.inf) <= 0:
-            return u
+            return Nearest(u, rows[active])
         new = int(np.argmax(over))
         row = G[[new]].toarray()[0] if sp.issparse(G) else G[new]
         entering = 0.0
@@ -99,7 +106,8 @@ def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> np.ndarra
             del active[last]
             multipliers = np.delete(multipliers, last)
     # an active set came back: rounding turns in circles; good if nothing is really violated
-    return u if (G @ u - slack).max() <= 1e-12 * np.abs(slack).max() else None
+    met = (G @ u - slack).max() <= 1e-12 * np.abs(slack).max()
+    return Nearest(u, rows[active]) if met else None
 
 
 def _append(Q: np.ndarray, R: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -120,8 +120,8 @@ class Polyhedron(ConvexSet):
         if self.dim > ACTIVE_DIM:
             return None
         rounding = ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(v))
-        u = least_distance(self.G, slack, rounding)
-        return None if u is None else 0.0 - u
+        found = least_distance(self.G, slack, rounding)
+        return None if found is None else 0.0 - found.u
 
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
@@ -255,10 +255,12 @@ class Polytope(ConvexSet):
             return w
         ones = np.ones(len(arms))
         try:
-            u = least_distance(-arms / size, -ones, ROUNDING * ones)
+            found = least_distance(-arms / size, -ones, ROUNDING * ones)
         except EmptySetError:
             return w
-        return project_by_program(self, w) if u is None else w + size * u / (u @ u)
+        if found is None:
+            return project_by_program(self, w)
+        return w + size * found.u / (found.u @ found.u)
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp

@@ -1,0 +1,177 @@
+"""The velocity as a function of time and state, for anyone's ODE solver.
+
+u' = Phi(t, u) = A^-1 (P_{C(t)}(B u) - B u), P the projection in the A^-1 metric (MATH.md section
+3): the minimiser of the velocity program with M = A, q = B u. Phi is Lipschitz in u, with constant
+Lam, and as smooth in t as C(t); its kinks at switches are what an ODE solver must step over.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from sweepopt.checks import number, vector
+from sweepopt.errors import InputError, VelocityError
+from sweepopt.loads import Separable
+from sweepopt.plan import make_plan
+from sweepopt.process import EvolutionVI, SweepingProcess
+from sweepopt.program import EPS
+from sweepopt.schemes import SCHEMES
+from sweepopt.sets import AnySet, Box, ConvexSet, Moving
+from sweepopt.sets.base import ROUNDING
+from sweepopt.velocity import VelocityOf
+
+Field = Callable[[float, Any], np.ndarray]
+FIRST_STAGE = SCHEMES["trapezoid"]  # its first stage is this velocity
+
+
+def velocity_field(
+    process: SweepingProcess | EvolutionVI, *, solver: Any = "auto", tol: float = 1e-6
+) -> Field:
+    """Phi(t, u), the certified velocity of a state u at a time t.
+
+    Parameters
+    ----------
+    process : SweepingProcess or EvolutionVI
+        With A coercive.
+    solver : str or Solver
+        As in `solve`.
+    tol : float
+        The certificate of each call is at most tol * max(|z|_A, |A^-1 q|_A), q = B u - (C's
+        translation).
+
+    Returns
+    -------
+    callable (t, u) -> ndarray, shape (dim,)
+        Compiled once; not to be shared by threads. It raises InputError for a t or u that is not
+        finite or has the wrong shape, VelocityError where the certificate is above tol.
+
+    Raises
+    ------
+    InputError
+        If A = 0, or C has no certificates.
+    SolverRefusedError
+        If the solver is not known or cannot treat C.
+
+    Notes
+    -----
+    In a body at rest all derivatives are zero, and a solver that chooses its steps by them may pass
+    a whole slip phase without a look: give it a `max_step` of a fraction of the load's period.
+
+    Examples
+    --------
+    >>> import sweepopt as so
+    >>> from scipy.integrate import solve_ivp
+    >>> C = so.Moving(so.Box([-1], [1]), so.Separable([(so.Polynomial([0.0, 1.5]), [1.0])]))
+    >>> process = so.SweepingProcess(A=[[0.5]], B=[[2.0]], C=C, u0=[0.0])
+    >>> velocity = so.velocity_field(process)
+    >>> velocity(0.5, [0.0]), velocity(1.0, [0.0])
+    (array([0.]), array([1.]))
+    >>> found = solve_ivp(velocity, (0.0, 5.0), process.u0, method="LSODA", rtol=1e-10, atol=1e-12)
+    >>> found.y[:, -1].round(8)
+    array([3.06250001])
+    """
+    if not isinstance(process, (SweepingProcess, EvolutionVI)):
+        raise InputError(f"process must be a SweepingProcess or an EvolutionVI: {process!r:.60}")
+    process = process.as_sweeping()
+    tol = number("tol", tol, minimum=0.0, strict=True)
+    if process.rate_independent:
+        raise InputError(
+            "velocity_field needs A coercive: with A = 0 the velocity is no function of (t, u); "
+            "use so.solve with implicit-euler, sdirk2 or exact"
+        )
+    if solver == "auto" and process.dim == 1:
+        scalar = _scalar(process, tol)
+        if scalar is not None:
+            return scalar
+    return _compiled(process, solver, tol)
+
+
+def _compiled(process: SweepingProcess, solver: Any, tol: float) -> Field:
+    """By the plan's velocity, as a step of a run finds it."""
+
+    def compiled(t: float, C: ConvexSet) -> VelocityOf:
+        if not C.certifiable:
+            raise InputError(
+                f"velocity_field needs a set with certificates, which {type(C).__name__} has not; "
+                "state C with other shapes, such as a Box or the image of a small set"
+            )
+        plan = make_plan(process, process.check(np.array([t])), FIRST_STAGE, solver, tol)
+        return plan.velocity(process.A)
+
+    try:
+        start = process.C.at(0.0)
+    except InputError:
+        found = None  # C is not known at t = 0: the first call compiles
+    else:
+        found = compiled(0.0, start)
+
+    def field(t: float, u: Any) -> np.ndarray:
+        nonlocal found
+        t, u = _time(t), vector("u", u, process.dim)
+        C = process.C.at(t)
+        if found is None:
+            found = compiled(t, C)
+        velocity = found(process.times_B(u), C).velocity
+        if not velocity.relative <= tol:
+            raise _missed(t, u, velocity.relative, tol)
+        return velocity.z
+
+    return field
+
+
+def _scalar(process: SweepingProcess, tol: float) -> Field | None:
+    """One unknown and an interval: `closed_form` on plain numbers, as arrays of one are slow."""
+    C = process.C
+    shape = C.shape if isinstance(C, Moving) and C.scale is None else C
+    if not isinstance(shape, Box):
+        return None
+    lower, upper = float(shape.lower[0]), float(shape.upper[0])
+    a, b = float(process.A[0, 0]), float(process.times_B(np.ones(1))[0])
+    centre = _centre(C)
+
+    def field(t: float, u: Any) -> np.ndarray:
+        t = _time(t)
+        state = u if type(u) is np.ndarray and u.shape == (1,) else vector("u", u, 1)
+        c = centre(t)
+        q = b * float(state[0])
+        v = q - c
+        missed, size = v - min(max(v, lower), upper), abs(q) + abs(c)
+        if abs(missed) <= ROUNDING * size:
+            return np.zeros(1)
+        if not math.isfinite(missed):
+            vector("u", u, 1)  # says which number is not finite
+        certificate, scale = EPS * (abs(missed) + size), max(abs(missed), abs(v))
+        if not certificate <= tol * scale:
+            raise _missed(t, state, certificate / scale, tol)
+        return np.array([-missed / a])
+
+    return field
+
+
+def _centre(C: AnySet) -> Callable[[float], float]:
+    """center(t) of a set in one dimension."""
+    if not isinstance(C, Moving) or C.center is None:
+        return lambda t: 0.0
+    if isinstance(C.center, Separable):
+        weights = C.center.shapes[0].tolist()
+        value = C.center.value
+        return lambda t: sum([weight * value(k, t) for k, weight in enumerate(weights)])
+    return lambda t: float(C.center_at(t)[0])
+
+
+def _time(t: Any) -> float:
+    return t if type(t) is float and math.isfinite(t) else number("t", t)
+
+
+def _missed(t: float, u: np.ndarray, relative: float, tol: float) -> VelocityError:
+    return VelocityError(
+        f"the velocity at t = {t:g} is known to {relative:.2g} of its size only, tol is {tol:g}; "
+        "loosen tol or try another solver",
+        t,
+        u,
+        relative,
+    )

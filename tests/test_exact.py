@@ -1,0 +1,386 @@
+"""The exact trajectory: the reference values, and what proves it where nobody has them."""
+
+from __future__ import annotations
+
+import json
+import time
+import warnings
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cases import DATA, GRIDS, case, embedded
+
+import sweepopt as so
+from sweepopt.errors import Status
+from sweepopt.exact import Trajectory, trajectory
+from sweepopt.exact.modes import modes
+from sweepopt.linalg import Factor
+from sweepopt.program import VelocityProgram
+from sweepopt.study.problems import problem
+
+POLYHEDRAL = ("S01", "S02", "S03", "S04", "P09", "P10", "B15", "M16", "E20")
+SWITCHES = {
+    name: data["switch_times"]
+    for name, data in json.loads((DATA / "reference_cases.json").read_text())["cases"].items()
+}
+SLIDING = so.Separable([(so.Sine(3.0, np.pi), [1.0])])
+
+
+def block(A: float = 0.5, B: float = 2.0, load: Any = SLIDING, g: float = 1.0, u0: float = 0.0):
+    return so.SweepingProcess([[A]], [[B]], so.Moving(so.Box([-g], [g]), load), [u0])
+
+
+def exact(process: so.SweepingProcess, t_end: float, steps: Any = 100, **more: Any) -> Trajectory:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", so.InitialStateWarning)
+        sol = so.solve(process, t_end=t_end, steps=steps, scheme="exact", **more)
+    assert sol.success
+    assert sol.exact is not None
+    assert np.abs(sol.exact(sol.t) - sol.u).max() <= 1e-14 * np.abs(sol.u).max()
+    return sol.exact
+
+
+def size_of(process: so.SweepingProcess, found: Trajectory, times: np.ndarray) -> float:
+    norm = process.metric.norm
+    return max(*map(norm, found.velocity(times)), 1e-2 * process.metric.dual_norm(process.u0 + 1))
+
+
+def misses(process: so.SweepingProcess, found: Trajectory, times: np.ndarray) -> float:
+    """How far -u' in N_C(A u' + B u) is missed, by the set's own projection; relative."""
+    worst, M = 0.0, Factor(process.metric.M)
+    for t, u, z in zip(times, found(times), found.velocity(times), strict=True):
+        C, q = process.C.at(float(t)), process.times_B(u)
+        q = q - M.M @ z if process.rate_independent else q
+        near = VelocityProgram(M, C).certify(q, C, z, np.zeros(C.offsets.size))
+        worst = max(worst, near.certificate + M.norm(z - near.z))
+    return worst / size_of(process, found, times)
+
+
+def gaps(found: Trajectory) -> float:
+    """How far u is from u0 + int u', by Gauss's rule on fine intervals in every phase."""
+    x, weights = np.polynomial.legendre.leggauss(12)
+    worst, u = 0.0, found.phases[0].u
+    ends = [*found.starts[1:], found.end]
+    for phase, end in zip(found.phases, ends, strict=True):
+        worst = max(worst, np.abs(phase.u - u).max())
+        cuts = phase.start + (end - phase.start) * np.append(0.0, np.geomspace(1e-6, 1.0, 60))
+        for a, b in pairwise(cuts):
+            total = weights @ phase.velocity(0.5 * (a + b) + 0.5 * (b - a) * x) * 0.5 * (b - a)
+            change = phase.state(np.array([a, b]))
+            worst = max(worst, np.abs(change[1] - change[0] - total).max())
+        u = phase.state(np.array([end]))[0]
+    return worst
+
+
+@pytest.mark.parametrize("name", POLYHEDRAL)
+def test_values_and_switch_times_are_those_of_the_reference(name: str) -> None:
+    this, process = problem(name), problem(name).process()
+    found = exact(process, this.t_end)
+    for n in GRIDS:
+        times = np.append(np.arange(n) * (this.t_end / n), this.t_end)
+        apart = found(times) - case(name).exact(n)
+        assert max(map(process.metric.norm, apart)) <= 1e-12
+    assert found.switches == pytest.approx(SWITCHES[name], abs=1e-10)
+    assert len(found.phases) == len(found.switches) + 1
+
+
+def test_a_linear_problem_is_exact_too() -> None:
+    found = exact(problem("L13").process(), 6.0)
+    assert np.abs(found(np.linspace(0, 6, 102)) - case("L13").exact(101)).max() <= 1e-13
+
+
+@pytest.mark.parametrize("path", ["auto", "full"])
+@pytest.mark.parametrize("name", ["S02", "P09", "P10", "M16", "E20"])
+def test_as_the_contact_of_a_larger_body_a_case_is_as_exact(name: str, path: str) -> None:
+    this, body = case(name), embedded(case(name))
+    center, E = problem(name).C().center, np.eye(body.dim)[-this.process.dim :]
+    load = so.Separable([(phi, E.T @ f) for phi, f in center.terms])
+    C = so.Moving(so.image(E.T, this.process.C.shape), load)
+    process = so.SweepingProcess(body.A, body.B, C, body.u0)
+    sol = so.solve(process, t_end=this.t_end, steps=101, scheme="exact", path=path)
+    assert sol.stats["relative"].max() <= 1e-9
+    apart = sol.u[:, -this.process.dim :] - this.exact(101)
+    assert max(map(this.process.metric.norm, apart)) <= 1e-12
+    assert sol.exact is not None
+    assert sol.exact.switches == pytest.approx(SWITCHES[name], abs=1e-10)
+    assert np.abs(sol.exact(sol.t) - sol.u).max() <= 1e-15
+
+
+def test_every_node_carries_the_certificate_of_its_inclusion() -> None:
+    sol = so.solve(problem("P09").process(), t_end=10.0, steps=200, scheme="exact")
+    assert set(sol.stats["solver"]) == {"closed form"}
+    assert sol.stats["relative"].max() <= 1e-12
+    assert sol.stats["iterations"].sum() == 31  # phases
+    assert sol.viability().max() <= 1e-12
+    assert "closed forms between the switches" in str(sol.plan)
+    assert np.array_equal(sol.velocity, np.diff(sol.u, axis=0) / 0.05)
+
+
+def test_a_node_that_misses_tol_stops_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    honest = trajectory.Phase.velocity
+    wrong = lambda self, t: honest(self, t) * (1 + 1e-3 * (self.start > 3))  # noqa: E731
+    monkeypatch.setattr(trajectory.Phase, "velocity", wrong)
+    with pytest.raises(so.StepError, match=r"the closed form misses the inclusion .* tol is 1e-06"):
+        so.solve(block(), t_end=8.0, steps=100, scheme="exact")
+    sol = so.solve(block(), t_end=8.0, steps=100, scheme="exact", on_failure="stop")
+    assert sol.status is Status.INEXACT
+    assert sol.t[-1] == pytest.approx(2.96)
+
+
+def history(random: np.random.Generator, T: float) -> Any:
+    """Any kind of load from 0 on, in numbers without a meeting of switches."""
+    times, values = np.sort(random.uniform(0, T, 5)), np.cumsum(random.normal(size=6) * 1.5)
+    return [
+        so.Sine(2 * random.normal(), random.uniform(0.3, 1.5) * T),
+        so.Triangle(3 * random.normal(), random.uniform(0.3, 1.5) * T),
+        so.Polynomial(random.normal(size=3) * [0, 3 / T, 3 / T**2]),
+        so.Table([0.0, *times, T], np.append(0.0, values)),
+    ][random.integers(4)]
+
+
+def whole_numbers(random: np.random.Generator, T: float) -> Any:
+    """Loads that meet thresholds, kinks and each other exactly."""
+    steps = np.cumsum(random.integers(-1, 2, 12))
+    return [
+        so.Triangle(float(random.integers(1, 4)), float(random.choice([4, 6, 8]))),
+        so.Table(np.arange(13.0), np.append(0.0, steps)),
+        so.Sine(float(random.integers(1, 4)), float(random.choice([4, 6, 12]))),
+        so.Polynomial([0.0, 1.0, -1 / 12]),
+    ][random.integers(4)]
+
+
+def sets(random: np.random.Generator, n: int, load: so.Separable, entries: Any) -> Any:
+    m = int(random.integers(1, 3 * n + 2))
+    G = entries((m, n))
+    G = G[np.abs(G).sum(axis=1) > 0]
+    lower, upper = -random.integers(0, 2, n) * 1.0, random.integers(0, 2, n) * 1.0
+    lower[random.random(n) < 0.2], upper[random.random(n) < 0.2] = -np.inf, np.inf
+    corners = np.vstack([np.eye(n), -np.eye(n)])
+    moving = [(so.Constant(2.0), np.ones(m)), (so.Triangle(1.0, 4.0), np.sign(entries(m)))]
+    return [
+        lambda: so.Moving(so.Box(-np.ones(n), np.ones(n)), load),
+        lambda: so.Moving(so.Box(lower, upper), load),
+        lambda: so.Moving(so.Orthant(n), load),
+        lambda: so.Moving(so.Polytope(corners), load),  # corners with more rows than unknowns
+        lambda: so.Moving(
+            so.Polyhedron(np.vstack([G, 2.5 * G]), np.repeat([1, 2.5], len(G))), load
+        ),
+        lambda: so.Polyhedron(entries((m, n)), so.Separable(moving)),
+    ][random.integers(6)]()
+
+
+def any_process(seed: int, degenerate: bool) -> tuple[so.SweepingProcess, float]:
+    random = np.random.default_rng(seed)
+    n, T = int(random.integers(1, 6)), 12.0
+    singular = random.normal(size=(n, int(random.integers(0, n + 1))))
+    A, B = random.normal(size=(n, n)), singular @ singular.T * random.choice([0.1, 1, 10])
+    A = A @ A.T / n + 0.3 * np.eye(n)
+    entries: Any = lambda size: random.normal(size=size)  # noqa: E731
+    kind = history
+    if degenerate:
+        chain = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+        A = random.choice([0.0, 1.0]) * chain + np.eye(n)
+        B = random.choice([0.0, 1.0, 2.0]) * chain
+        entries = lambda size: random.integers(-1, 2, size) * 1.0  # noqa: E731
+        kind = whole_numbers
+    if random.random() < 0.4:
+        A, B = 0 * A, A
+    terms = [(kind(random, T), entries(n)) for _ in range(2)]
+    C = sets(random, n, so.Separable(terms), entries)
+    return so.SweepingProcess(A, B, C, np.zeros(n)), T
+
+
+@pytest.mark.parametrize("degenerate", [False, True], ids=["generic", "degenerate"])
+@pytest.mark.parametrize("seed", range(25))
+def test_the_inclusion_holds_at_any_time_and_u_is_the_integral_of_its_derivative(
+    seed: int, degenerate: bool
+) -> None:
+    process, T = any_process(seed, degenerate)
+    found = exact(process, T)
+    times = np.random.default_rng(seed).uniform(0.0, T, 40)
+    assert misses(process, found, times) <= 1e-10
+    assert gaps(found) <= 1e-11 * max(1.0, np.abs(found(times)).max())
+
+
+def test_implicit_schemes_converge_to_it() -> None:
+    process, T = any_process(3, degenerate=False)
+    found = exact(process, T)
+    errors = []
+    for n in (250, 500, 1000, 2000):
+        sol = so.solve(process, t_end=T, steps=n, scheme="sdirk2")
+        errors.append(np.abs(sol.u - found(sol.t)).max())
+    assert -np.polyfit(np.log([250, 500, 1000, 2000]), np.log(errors), 1)[0] >= 1.7
+    assert errors[-1] <= 1e-3 * np.abs(found.velocity(sol.t)).max()
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("A", [[[1.0, 0.2], [0.2, 1.0]], [[0.0, 0.0], [0.0, 0.0]]])
+def test_a_third_row_may_cut_the_corner_that_holds_the_motion(seed: int, A: Any) -> None:
+    third = np.random.default_rng(seed).uniform(0.05, 3.0, 2)
+    both = third.sum()
+    h = [(so.Constant(1.0), [1, 1, both + 1]), (so.Polynomial([0, -1.0]), [2, 2, 2 * both + 1])]
+    C = so.Polyhedron(np.vstack([np.eye(2), third]), so.Separable(h))
+    process = so.SweepingProcess(A, [[1.0, 0.1], [0.1, 2.0]], C, [0.0, 0.0])
+    found = exact(process, 2.0)
+    assert found.switches[:2] == pytest.approx([0.5, 1.0], abs=1e-14)
+    assert misses(process, found, np.linspace(0.01, 1.99, 50)) <= 1e-12
+
+
+@pytest.mark.parametrize(
+    "load",
+    [
+        so.Triangle(1.0, 4.0),
+        so.Sine(1.0, 4.0),
+        so.Sine(1.0, 3.7, phase=0.3),
+        so.Table([0, 1, 3, 4, 5, 12], [0, 1, 1, 0, -1, -1]),
+        so.Polynomial([0, 1 / 3, -1 / 36]),
+    ],
+)
+@pytest.mark.parametrize("A", [0.5, 0.0])
+def test_a_load_that_just_reaches_the_threshold_moves_nothing(load: Any, A: float) -> None:
+    found = exact(block(A, load=so.Separable([(load, [1.0])])), 12.0)
+    assert found.switches.size == 0
+    assert not found.velocity(np.linspace(0, 12, 301)).any()
+
+
+def test_equal_blocks_switch_together_and_a_held_one_stays() -> None:
+    load = so.Separable([(so.Sine(3.0, np.pi), np.ones(4))])
+    C = so.Moving(so.Box([-1, -1, 0, -1e12], [1, 1, 0, 1e12]), load)
+    found = exact(so.SweepingProcess(0.5 * np.eye(4), 2 * np.eye(4), C, np.zeros(4)), 8.0)
+    alone = exact(block(), 8.0)
+    times = np.linspace(0, 8, 200)
+    assert found.switches == pytest.approx(alone.switches, abs=1e-14)
+    assert np.abs(found(times)[:, :2] - alone(times)).max() <= 1e-15
+    assert not found(times)[:, 3].any()
+    # no threshold at all: 0.5 u' + 2 u = 3 sin 2t
+    linear = 1.2 * np.sin(2 * times) - 0.6 * np.cos(2 * times) + 0.6 * np.exp(-4 * times)
+    assert np.abs(found(times)[:, 2] - linear).max() <= 1e-15
+
+
+def test_four_thousand_switches_are_all_found_where_they_are() -> None:
+    started = time.process_time()
+    found = exact(block(), 1000 * np.pi, steps=2)
+    assert time.process_time() - started < 20.0
+    assert len(found.switches) == 4001
+    # after the first few the motion is periodic, with four switches a period
+    late = found.switches[41:]
+    assert np.abs(late[4:] - late[:-4] - np.pi).max() <= 1e-11
+
+
+@pytest.mark.parametrize("A", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10])
+def test_small_viscosity_tends_to_the_process_without_any(A: float) -> None:
+    times = np.linspace(0, 8, 500)
+    apart = exact(block(A), 8.0)(times) - exact(block(0.0), 8.0)(times)
+    assert np.abs(apart).max() <= 1.6 * A  # |u' / B| <= 1.5 |f'| / 2
+
+
+@pytest.mark.parametrize("rates", [(1.0, 1e10), (1e10, 1.0), (1.0, 1e-10), (1e5, 1e-5)])
+def test_stiff_bodies_lose_no_digits(rates: tuple[float, float]) -> None:
+    # slow and fast modes known in closed form: A = X^T X, B = X^T diag(rates) X
+    X = np.array([[1.0, 0.5], [0.0, 1.0]] if rates[0] < rates[1] else [[1.0, 0.0], [0.5, 1.0]])
+    A, B = X.T @ X, X.T @ np.diag(rates) @ X
+    lam, _ = modes(A, B)
+    assert np.sort(lam) == pytest.approx(np.sort(rates), rel=1e-14)
+    C = so.Moving(so.Point([0.0, 0.0]), so.Separable([(so.Constant(1.0), X.T @ np.array(rates))]))
+    times = np.geomspace(1e-11, 5.0, 40)
+    expected = np.linalg.solve(X, -np.expm1(-np.outer(rates, times))).T
+    found = exact(so.SweepingProcess(A, B, C, [0.0, 0.0]), 5.0)
+    assert np.abs(found(times) - expected).max() <= 1e-13
+
+
+@pytest.mark.parametrize(
+    ("lengths", "force", "second"),
+    [
+        ((1, 1, 1), 2.0**40, 1.0),
+        ((2.0**-40,) * 3, 2.0**-40, 1.0),
+        ((1, 1, 1), 1.0, 2.0**40),
+        ((2.0**40,) * 3, 2.0**40, 2.0**-40),
+        ((1, 1e5, 1e-5), 3.7, 1e-3),
+    ],
+)
+def test_answers_do_not_depend_on_units(lengths: Any, force: float, second: float) -> None:
+    plain, T = problem("P09").process(), problem("P09").t_end
+    D = 1 / np.array(lengths, dtype=float)
+    work = force * np.outer(D, D)
+    load = [(so.Sine(s.amplitude, s.period * second, s.phase), force * D * f)
+            for s, f in plain.C.center.terms]  # fmt: skip
+    box = so.Box(force * D * plain.C.shape.lower, force * D * plain.C.shape.upper)
+    C = so.Moving(box, so.Separable(load))
+    scaled = so.SweepingProcess(work * second * plain.A, work * plain.B, C, np.zeros(3))
+    times = np.linspace(0, T, 300)
+    here, there = exact(plain, T), exact(scaled, T * second)
+    assert np.abs(there(times * second) * D - here(times)).max() <= 1e-12
+    assert there.switches / second == pytest.approx(here.switches, rel=1e-12)
+
+
+def test_a_start_outside_of_the_set_begins_with_a_velocity() -> None:
+    found = exact(block(u0=5.0), 8.0)
+    # 0.5 u' + 2 u = 3 sin 2t + 1 at first
+    assert found.velocity(1e-300) == pytest.approx([-18.0])
+    assert misses(block(u0=5.0), found, np.linspace(0.01, 8, 60)) <= 1e-12
+
+
+def test_endless_switching_is_a_status_and_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trajectory, "PHASES", 5)
+    with pytest.raises(so.StepError, match=r"after 8 phases"):
+        so.solve(block(), t_end=8.0, steps=80, scheme="exact")
+    sol = so.solve(block(), t_end=8.0, steps=80, scheme="exact", on_failure="stop")
+    assert sol.status is Status.SWITCHING
+    assert not sol.success
+    assert "Use implicit-euler" in sol.message
+    assert sol.exact is not None
+    assert sol.t[-1] <= sol.exact.end < 8.0
+    with pytest.raises(so.InputError, match="is outside of"):
+        sol.exact(8.0)
+
+
+def test_what_is_saved_and_seen_is_as_with_other_schemes(tmp_path: Path) -> None:
+    process, seen = problem("S03").process(), []
+    everything = so.solve(process, t_end=8.0, steps=50, scheme="exact")
+    last = so.solve(process, t_end=8.0, steps=50, scheme="exact", save="last")
+    assert np.array_equal(last.u[-1], everything.u[-1])
+    stored = so.solve(process, t_end=8.0, steps=50, scheme="exact", save=tmp_path / "run.nc")
+    assert np.array_equal(stored.u, everything.u)
+    stopped = so.solve(process, t_end=8.0, steps=50, scheme="exact",
+                       callback=lambda info: seen.append(info.u) or info.step == 9)  # fmt: skip
+    assert stopped.status is Status.STOPPED
+    assert np.array_equal(np.ravel(seen), everything.u[1:11, 0])
+
+
+BOX = so.Box([-1, -1], [1, 1])
+
+
+@pytest.mark.parametrize(
+    ("C", "message"),
+    [
+        (
+            so.Moving(so.Ball([0, 0], 1), so.Separable([(so.Sine(1, 1), [1, 0])])),
+            "polyhedron.*Ball",
+        ),
+        (so.Moving(BOX, lambda t: [t, 0.0]), "black-box center.*so.Separable"),
+        (so.Moving(BOX, scale=lambda t: 1 + t), "scale moves.*Polyhedron"),
+        (so.MovingSet(lambda t: BOX), "function of time.*so.Moving"),
+        (so.Moving(BOX, so.Separable([(np.sin, [1, 0])])), r"terms\[0\]\[0\].*no closed form"),
+        (so.Moving(so.Box([-1], [1]) + so.Polytope([[0.0], [1.0]]), None), "Sum"),
+    ],
+)
+def test_what_has_no_closed_form_is_refused_by_name_before_anything_runs(
+    C: Any, message: str
+) -> None:
+    process = so.SweepingProcess(np.eye(C.dim), None, C, np.zeros(C.dim))
+    with pytest.raises(so.InputError, match=f"(?s)scheme 'exact' does not apply.*{message}"):
+        so.solve(process, t_end=1.0, steps=10, scheme="exact")
+
+
+def test_too_many_unknowns_and_solvers_are_refused() -> None:
+    load = so.Separable([(so.Sine(1.0, 1.0), np.ones(51))])
+    C = so.Moving(so.Box(-np.ones(51), np.ones(51)), load)
+    process = so.SweepingProcess(np.eye(51), None, C, np.zeros(51))
+    with pytest.raises(so.InputError, match=r"51 nonsmooth unknowns, more than 50; use midpoint"):
+        so.solve(process, t_end=1.0, steps=10, scheme="exact")
+    with pytest.raises(so.InputError, match=r"no use for solver='osqp'"):
+        so.solve(block(), t_end=1.0, steps=10, scheme="exact", solver="osqp")
+    assert so.solve(block(), t_end=1.0, steps=10).plan.scheme.name == "midpoint"

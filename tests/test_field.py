@@ -1,0 +1,153 @@
+"""The velocity field: the certified minimiser as a callable, alone and in SciPy's ODE solvers."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+from cases import SETS, case, embedded
+from scipy.integrate import odeint, solve_ivp
+
+import sweepopt as so
+from sweepopt.linalg import Factor
+from sweepopt.program import VelocityProgram, closed_form
+from sweepopt.study.problems import problem
+
+COERCIVE = [name for name in SETS if name not in ("M16", "M17", "E20")]
+
+
+@pytest.mark.parametrize("name", COERCIVE)
+def test_it_is_the_first_velocity_of_a_step_of_the_paper(name: str) -> None:
+    this = case(name)
+    velocity = so.velocity_field(this.process)
+    for t in np.linspace(0.1, 0.9, 9) * this.t_end:
+        mu = 1e-3
+        u = np.random.default_rng(int(1e3 * t)).normal(size=this.process.dim)
+        moved = so.SweepingProcess(this.process.A, this.process.B, this.process.C, u)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", so.InitialStateWarning)
+            sol = so.solve(moved, steps=[t - mu, t], scheme="catching-up")
+        z = velocity(t, u)
+        assert z.shape == u.shape
+        assert this.process.metric.norm(z - sol.velocity[0]) <= 1e-9 * (1 + np.abs(z).max())
+        # z = A^-1 (P_C(B u) - B u): the inclusion, by the set's own projection
+        C, q = this.process.C.at(float(t)), this.process.times_B(u)
+        program = VelocityProgram(Factor(this.process.A), C)
+        near = program.certify(q, C, z, np.zeros(C.offsets.size))
+        assert near.certificate + program.M.norm(z - near.z) <= 1e-9 * (1 + np.abs(z).max())
+
+
+@pytest.mark.parametrize("name", ["S01", "S02", "S03", "P10"])
+def test_one_unknown_has_the_formula_of_many_bit_for_bit(name: str) -> None:
+    process, random = problem(name).process(), np.random.default_rng(0)
+    velocity = so.velocity_field(process)
+    for _ in range(300):
+        t, u = random.uniform(0, 5), random.normal(size=1)
+        found = closed_form(process.metric, process.times_B(u), process.C.at(t)).z
+        assert velocity(t, u) == pytest.approx(found, rel=1e-15, abs=1e-15)
+    assert velocity(0.0, [0.0]).tolist() == [0.0]
+
+
+def test_at_the_threshold_to_rounding_nothing_moves() -> None:
+    C = so.Moving(so.Box([-0.3], [0.3]), so.Separable([(so.Constant(1.0), [0.1])]))
+    velocity = so.velocity_field(so.SweepingProcess([[1.0]], [[1.0]], C, [0.0]))
+    assert velocity(0.0, [0.1 + 0.2 + 0.1]).tolist() == [0.0]
+    assert velocity(0.0, [0.4 + 1e-13])[0] < 0.0
+
+
+def test_contact_unknowns_are_eliminated_as_in_a_run() -> None:
+    this = case("P09")
+    body, random = embedded(this), np.random.default_rng(1)
+    velocity = so.velocity_field(body)
+    whole = so.velocity_field(body, solver="clarabel", tol=1e-5)
+    for t in (0.3, 1.4, 7.0):
+        u = random.normal(size=body.dim)
+        z = velocity(t, u)
+        C, q = body.C.at(t), body.times_B(u)
+        program = VelocityProgram(Factor(body.A), C)
+        near = program.certify(q, C, z, np.zeros(C.offsets.size))
+        size = program.M.norm(z)
+        assert near.certificate + program.M.norm(z - near.z) <= 1e-8 * size
+        assert program.M.norm(whole(t, u) - z) <= 1e-5 * size
+
+
+def test_lsoda_reaches_5e_10_on_a_scalar_case_in_milliseconds() -> None:
+    this = problem("S03")
+    process, times = this.process(), np.linspace(0.0, 8.0, 81)
+    velocity = so.velocity_field(process)
+    exact = so.solve(process, t_end=8.0, steps=80, scheme="exact").u
+    started = time.process_time()
+    u = odeint(velocity, process.u0, times, tfirst=True, rtol=1e-10, atol=1e-11)
+    assert time.process_time() - started < 0.1  # 6 ms where nothing else runs
+    assert np.abs(u - exact).max() <= 5e-10
+
+
+@pytest.mark.parametrize("name", ["V05", "P09"])
+def test_scipy_follows_the_reference(name: str) -> None:
+    this = case(name)
+    found = solve_ivp(
+        so.velocity_field(this.process), (0.0, this.t_end), this.process.u0, method="LSODA",
+        rtol=1e-9, atol=1e-10, max_step=0.1, t_eval=np.linspace(0, this.t_end, 102),
+    )  # fmt: skip
+    assert np.abs(found.y.T - this.exact(101)).max() <= 1e-7
+
+
+def test_a_process_without_viscosity_is_refused() -> None:
+    with pytest.raises(so.InputError, match=r"needs A coercive.*implicit-euler"):
+        so.velocity_field(case("M16").process)
+
+
+def test_a_set_without_certificates_and_what_is_no_process_are_refused() -> None:
+    import cvxpy as cp
+
+    C = so.Constraints(2, lambda w: [cp.norm(w, 1) <= 1])
+    with pytest.raises(so.InputError, match=r"needs a set with certificates, which Constraints"):
+        so.velocity_field(so.SweepingProcess(np.eye(2), None, C, [0.0, 0.0]))
+    with pytest.raises(so.InputError, match="process must be"):
+        so.velocity_field(C)  # type: ignore[arg-type]
+    with pytest.raises(so.SolverRefusedError, match="no-such-solver"):
+        so.velocity_field(case("P09").process, solver="no-such-solver")
+    with pytest.raises(so.InputError, match="tol must be > 0"):
+        so.velocity_field(case("S01").process, tol=0.0)
+
+
+@pytest.mark.parametrize("name", ["S03", "P09"])
+@pytest.mark.parametrize(
+    ("t", "u", "message"),
+    [
+        (np.nan, None, "t is nan"),
+        ("now", None, "t must be"),
+        (1.0, [0.0, 0.0], "u must have . entries, got 2"),
+        (1.0, np.nan, r"u\[0\] is nan"),
+    ],
+)
+def test_times_and_states_are_checked(name: str, t: Any, u: Any, message: str) -> None:
+    process = case(name).process
+    if u is None or u is np.nan:
+        u = np.full(process.dim, 0.0 if u is None else u)
+    with pytest.raises(so.InputError, match=message):
+        so.velocity_field(process)(t, u)
+
+
+@pytest.mark.parametrize("name", ["S03", "V05", "P09"])
+def test_a_missed_tolerance_raises_with_its_time(name: str) -> None:
+    velocity = so.velocity_field(case(name).process, tol=1e-19)
+    with pytest.raises(
+        so.VelocityError, match=r"at t = 1\.5 is known to .* tol is 1e-19"
+    ) as caught:
+        velocity(1.5, np.full(case(name).process.dim, 5.0))
+    assert caught.value.t == 1.5
+    assert caught.value.certificate > 1e-19
+    assert caught.value.u.tolist() == [5.0] * case(name).process.dim
+
+
+def test_a_set_that_is_known_later_only_is_compiled_by_the_first_call() -> None:
+    record = so.Table([2.0, 3.0, 4.0], [0.0, 2.0, 2.0])
+    C = so.Moving(so.Ball([0.0, 0.0], 1.0), so.Separable([(record, [1.0, 0.0])]))
+    velocity = so.velocity_field(so.SweepingProcess(np.eye(2), None, C, [0.0, 0.0]))
+    assert velocity(3.5, [0.0, 0.0]) == pytest.approx([1.0, 0.0])
+    with pytest.raises(so.InputError, match="lies outside the table"):
+        velocity(1.0, [0.0, 0.0])
