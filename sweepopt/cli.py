@@ -1,4 +1,4 @@
-"""The command line: ``sweepopt run SCENE``, ``sweepopt list`` and ``sweepopt bench``.
+"""The command line: ``sweepopt run SCENE``, ``list``, ``study``, ``compare`` and ``bench``.
 
 Thin on purpose: it parses, runs, and hands the run to `store` and `plot`. What a command needs is
 imported when it runs, so that the list works with the core install.
@@ -41,6 +41,8 @@ NEEDED = {
     "h5netcdf": ("h5netcdf", "fem"),
     "h5py": ("h5py", "fem"),
     "matplotlib": ("matplotlib", "plot"),
+    "pandas": ("pandas", "study"),
+    "threadpoolctl": ("threadpoolctl", "study"),
 }
 """Packages whose absence would only show when a long run is over, and who brings them."""
 
@@ -89,6 +91,20 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--tol", type=float, help="bound of each step's relative certificate")
     run.add_argument("--no-progress", action="store_true", help="no progress bar")
 
+    study = commands.add_parser("study", help="what accuracy costs, cell by cell; resumable")
+    study.set_defaults(command=_study)
+    study.add_argument("study", metavar="STUDY", help="a TOML file, or accuracy")
+    study.add_argument("--out", type=Path, metavar="FOLDER", help="default: results/<study name>")
+    where = study.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=int, metavar="N", help="processes; default: none, serial")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="of a running dask scheduler")
+
+    compare = commands.add_parser("compare", help="all solvers on the programs of a scene")
+    compare.set_defaults(command=_compare)
+    compare.add_argument("scene", metavar="SCENE", help="a TOML file, a name, or as P09 in studies")
+    compare.add_argument("--steps", type=int, default=50, help="of the run that has the programs")
+    compare.add_argument("--csv", type=Path, metavar="FILE", help="write the rows too")
+
     bench = commands.add_parser("bench", help="time every path against loops by hand")
     bench.set_defaults(command=_bench)
     bench.add_argument(
@@ -131,12 +147,28 @@ def _bench(chosen: argparse.Namespace) -> int:
     return DONE
 
 
+def _study(chosen: argparse.Namespace) -> int:
+    _require_packages(["pandas", "threadpoolctl", "matplotlib"])
+    from sweepopt.study.commands import study_command
+
+    study_command(chosen)
+    return DONE
+
+
+def _compare(chosen: argparse.Namespace) -> int:
+    _require_packages(["pandas", "threadpoolctl"])
+    from sweepopt.study.commands import compare_command
+
+    compare_command(chosen)
+    return DONE
+
+
 def _run(chosen: argparse.Namespace) -> int:
     _require_packages()
     from sweepopt.fem import read_scene
     from sweepopt.store import make_report
 
-    path = _locate(chosen.scene)
+    path = library.find_scene(chosen.scene)
     given = {name: getattr(chosen, name) for name in ("steps", "scheme", "solver", "tol")}
     scene = read_scene(path)
     scene = replace(scene, **{name: value for name, value in given.items() if value is not None})
@@ -157,11 +189,6 @@ def _run(chosen: argparse.Namespace) -> int:
     files = _write(report, folder)
     _close(report, folder, files)
     return _exit_code(solution)
-
-
-def _locate(scene: str) -> Path:
-    path = Path(scene)
-    return path if path.suffix == ".toml" or path.is_file() else library.find_problem(scene)
 
 
 def _announce(scene: Scene) -> None:

@@ -46,6 +46,35 @@ def find_problem(name: str) -> Path:
     return path
 
 
+def find_scene(scene: str) -> Path:
+    """The file of a scene that is given by its path or by the name of a problem."""
+    path = Path(scene)
+    return path if path.suffix == ".toml" or path.is_file() else find_problem(scene)
+
+
+def find_study(study: str) -> Path:
+    """The file of a study that is given by its path or by the name of one of the library.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name; the message lists those there are.
+
+    Examples
+    --------
+    >>> find_study("accuracy").name
+    'accuracy.toml'
+    """
+    given, folder = Path(study), _folder() / "studies"
+    if given.suffix == ".toml" or given.is_file():
+        return given
+    path = folder / f"{study}.toml"
+    if given.name != study or not path.is_file():
+        known = ", ".join(sorted(file.stem for file in folder.glob("*.toml"))) or "none"
+        raise InputError(f"{study!r} is neither a study file nor a study; there are: {known}")
+    return path
+
+
 def _folder() -> Path:
     package = Path(__file__).resolve().parent
     installed = package / "problems"

@@ -44,7 +44,7 @@ def plot_solution(solution: Solution, ax: Any = None) -> Any:
     matplotlib Axes
     """
     if ax is None:
-        ax = _figure((7.0, 4.0)).add_subplot()
+        ax = new_figure((7.0, 4.0)).add_subplot()
     dim = solution.u.shape[1]
     drawn = _spread(np.ptp(solution.u, axis=0), MOST_COMPONENTS)
     stuck = solution.velocity == 0.0
@@ -92,7 +92,7 @@ def displacement_figure(
     scale, length = _prefix(np.abs(body.points).max(), _unit(scene, "m"))
     points = scale * body.points
     rows, columns, size = _grid(points, len(moments))
-    figure = _figure(size)
+    figure = new_figure(size)
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     outline = points[_boundary_edges(body.triangles)]
     for panel in panels.flat[len(moments) :]:
@@ -142,7 +142,7 @@ def contact_figure(scene: Scene, slip: Slip) -> Any:
     -------
     matplotlib Figure
     """
-    figure = _figure((8.5, 9.0))
+    figure = new_figure((8.5, 9.0))
     zone, moved, traction = figure.subplots(3, 1, sharex=True, height_ratios=[1.3, 1.0, 1.0])
     _draw_zone(zone, scene, slip)
     _state_legend(zone, loc="lower center", bbox_to_anchor=(0.5, 1.0))
@@ -334,7 +334,8 @@ def _in(unit: str) -> str:
     return f" ({unit})" if unit else ""
 
 
-def _figure(size: tuple[float, float]) -> Any:
+def new_figure(size: tuple[float, float]) -> Any:
+    """A figure of so many inches, without pyplot and its global state."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:

@@ -117,14 +117,18 @@ class VelocityProgram:
         return Expressions(z, y, 0.5 * cp.quad_form(x, cp.psd_wrap(scaled)), constraints)
 
     def statement(self) -> Statement:
-        """The program in cvxpy (DPP: only the linear part of the objective has parameters)."""
+        """The program with M / stiffness for M in cvxpy, so that solvers see numbers without units.
+
+        Only the linear part of the objective has parameters (DPP).
+        """
         import cvxpy as cp
 
         z, y, quadratic, constraints = self._expressions()
         y = cp.Constant(np.zeros(1)) if y is None else y
         q = cp.Parameter(self.M.dim)
         offsets = cp.Parameter(max(self.cone.offsets.size, 1))
-        problem = cp.Problem(cp.Minimize(quadratic + q @ z + offsets @ y), constraints)
+        objective = quadratic / self.stiffness + q @ z + offsets @ y
+        problem = cp.Problem(cp.Minimize(objective), constraints)
         return Statement(problem, q, offsets, z, y)
 
     def canonical(self, solver: str) -> Canonical:

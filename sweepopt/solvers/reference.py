@@ -57,9 +57,9 @@ class Cvxpy:
         import cvxpy as cp
 
         name = self.solver.upper()
-        if name not in cp.installed_solvers():
+        if name not in installed():
             raise SolverRefusedError(
-                f"cvxpy has no solver {name!r} here; it has {', '.join(cp.installed_solvers())}"
+                f"cvxpy has no solver {name!r} here; it has {', '.join(installed())}"
             )
         settings = self.settings or TIGHT.get(name, {})
         statement = program.statement()
@@ -84,7 +84,15 @@ class Cvxpy:
             if statement.z.value is None:
                 return Answer(np.zeros(n), np.zeros(size), 0, str(statement.problem.status))
             iterations = statement.problem.solver_stats.num_iters or 0
-            z, y = statement.z.value * force, np.asarray(statement.y.value)[:size] * force
+            scale = force / program.stiffness
+            z, y = statement.z.value * scale, np.asarray(statement.y.value)[:size] * scale
             return Answer(z, y, iterations, str(statement.problem.status))
 
         return solve
+
+
+def installed() -> list[str]:
+    """The solvers that cvxpy finds here."""
+    import cvxpy as cp
+
+    return list(cp.installed_solvers())

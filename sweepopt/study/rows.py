@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 from collections.abc import Sequence
+from functools import cache
 from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
@@ -135,13 +136,25 @@ def _block(rows: Sequence[Row]) -> str:
 
 def machine() -> str:
     """Processor, threads and versions, in one line."""
+    threads = os.environ.get("OMP_NUM_THREADS", "unset")
+    packages = ", ".join(f"{name} {number}" for name, number in versions().items())
+    return f"{processor()}, OMP_NUM_THREADS {threads}, {platform.system()}; {packages}"
+
+
+@cache
+def processor() -> str:
+    """Name and number of cores."""
     cpuinfo = Path("/proc/cpuinfo")
     lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    processor = names[0] if names else platform.processor() or platform.machine()
-    threads = os.environ.get("OMP_NUM_THREADS", "unset")
-    versions = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
-    return (
-        f"{processor}, {os.cpu_count()} cores, OMP_NUM_THREADS {threads}, {platform.system()}; "
-        f"sweepopt {__version__}, Python {platform.python_version()}, {versions}"
-    )
+    name = names[0] if names else platform.processor() or platform.machine()
+    return f"{name}, {os.cpu_count()} cores"
+
+
+def versions() -> dict[str, str]:
+    """Of the library, of Python and of what computes."""
+    found = {name: _version(name) for name in PACKAGES}
+    return {"sweepopt": __version__, "python": platform.python_version(), **found}
+
+
+_version = cache(version)  # a file is read

@@ -1,0 +1,56 @@
+"""The commands ``sweepopt study`` and ``sweepopt compare``, behind the parser of `cli`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from pathlib import Path
+
+from sweepopt.library import find_study
+from sweepopt.study.advice import summary
+from sweepopt.study.comparison import compare, comparison_text
+from sweepopt.study.executors import Processes, Serial, dask_executor
+from sweepopt.study.files import read_study
+from sweepopt.study.outputs import write_outputs
+from sweepopt.study.sources import find_source
+from sweepopt.study.study import run
+
+
+def study_command(chosen: argparse.Namespace) -> None:
+    """Run a study, or go on with it, and write what it found."""
+    path = find_study(chosen.study)
+    study = read_study(path)
+    folder = chosen.out or Path("results") / path.stem
+    with _executor(chosen) as executor:
+        table = run(study, folder, executor=executor, progress=_say)
+    files = write_outputs(study, table, folder)
+    print(summary(table))
+    print(f"written: {folder}: {', '.join(files)}")
+
+
+def compare_command(chosen: argparse.Namespace) -> None:
+    """Compare all solvers on the programs of a scene."""
+    if chosen.csv is not None:
+        chosen.csv.touch()  # says so now if it cannot be written
+    source = find_source(chosen.scene)
+    table = compare(source, steps=chosen.steps, progress=_say)
+    print(comparison_text(table))
+    if chosen.csv is not None:
+        table.to_csv(chosen.csv, index=False)
+
+
+@contextmanager
+def _executor(chosen: argparse.Namespace) -> Iterator[Executor]:
+    if chosen.scheduler is not None:
+        with dask_executor(chosen.scheduler) as executor:
+            yield executor
+    else:
+        with Processes(chosen.workers) if chosen.workers else Serial() as executor:
+            yield executor
+
+
+def _say(words: str) -> None:
+    print(words, file=sys.stderr, flush=True)

@@ -1,0 +1,153 @@
+"""Where cells are computed: here, in processes, on a dask cluster. All give the same rows.
+
+A study asks for no more than `concurrent.futures` has: submit(function, *arguments) -> Future.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import get_context, parent_process
+from typing import Any
+
+from sweepopt.checks import count
+from sweepopt.errors import InputError, MissingExtraError, SweepoptError
+
+ATTEMPTS = 2
+
+
+class WorkerDiedError(SweepoptError):
+    """The process of a worker ended while it was computing, each time it was tried."""
+
+
+class Serial(Executor):
+    """Here and at once."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Compute and return a future that is done."""
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+class Processes(Executor):
+    """Worker processes that are replaced when they die.
+
+    Each has a pool of its own, so that a death takes no other cell with it: `ProcessPoolExecutor`
+    gives up all that it was handed. They end with the process that started them, even by kill -9.
+
+    Parameters
+    ----------
+    workers : int
+
+    Notes
+    -----
+    Workers are started anew ("spawn"): a script guards its own code with
+    ``if __name__ == "__main__":``.
+    """
+
+    def __init__(self, workers: int) -> None:
+        self._threads = ThreadPoolExecutor(count("workers", workers))
+        self._own = threading.local()
+        self._pools: list[ProcessPoolExecutor] = []
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Have the next free worker compute; a second one if it dies.
+
+        The future raises WorkerDiedError if that dies too.
+        """
+        return self._threads.submit(self._attend, fn, args, kwargs)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the workers when what they compute is done."""
+        self._threads.shutdown(wait=wait, cancel_futures=cancel_futures)
+        for pool in self._pools:
+            pool.shutdown(wait=wait, cancel_futures=cancel_futures)
+
+    def _attend(self, fn: Callable[..., Any], args: Any, kwargs: Any) -> Any:
+        for _ in range(ATTEMPTS):
+            pool = self._pool()
+            try:
+                return pool.submit(fn, *args, **kwargs).result()
+            except BrokenProcessPool:
+                self._own.pool = None
+                pool.shutdown()
+        raise WorkerDiedError(
+            f"the worker's process ended while it was computing, {ATTEMPTS} times: out of memory, "
+            "or a crash in compiled code"
+        )
+
+    def _pool(self) -> ProcessPoolExecutor:
+        """The pool of this thread."""
+        if getattr(self._own, "pool", None) is None:
+            self._own.pool = ProcessPoolExecutor(1, get_context("spawn"), _end_with_parent)
+            self._pools.append(self._own.pool)
+        pool: ProcessPoolExecutor = self._own.pool
+        return pool
+
+
+@contextmanager
+def dask_executor(client: Any) -> Iterator[Executor]:
+    """The workers of a dask cluster as an executor.
+
+    Parameters
+    ----------
+    client : dask.distributed.Client or str
+        A client, or the address of a running scheduler, such as "tcp://127.0.0.1:8786".
+
+    Raises
+    ------
+    InputError
+        If the scheduler does not answer, or a worker has several threads: cells in one process
+        would share its time. Start workers with ``--nthreads 1``.
+    MissingExtraError
+        If distributed is not installed.
+
+    Notes
+    -----
+    What a lost worker was computing is computed by another one. A cell that several workers died of
+    becomes a failed row (dask's setting distributed.scheduler.allowed-failures).
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise MissingExtraError("distributed", "study") from error
+    if isinstance(client, str):
+        try:
+            connected = Client(client, timeout=10)
+        except (OSError, ValueError) as error:
+            raise InputError(f"scheduler {client!r} does not answer: {error}") from error
+        with connected, dask_executor(connected) as executor:
+            yield executor
+        return
+    workers = client.scheduler_info(n_workers=-1)["workers"]
+    for address, worker in workers.items():
+        if worker["nthreads"] > 1:
+            raise InputError(
+                f"worker {address} has {worker['nthreads']} threads, which would share a cell's "
+                "time; start workers with --nthreads 1"
+            )
+    with warnings.catch_warnings():
+        # the references of large problems, each of which a worker needs once
+        warnings.filterwarnings("ignore", message="Sending large graph")
+        yield client.get_executor(pure=False)
+
+
+def _end_with_parent() -> None:
+    """Leave no worker behind when the process that started it is killed."""
+    parent = parent_process()
+    if parent is not None:
+
+        def watch() -> None:
+            parent.join()
+            os._exit(1)
+
+        threading.Thread(target=watch, daemon=True).start()

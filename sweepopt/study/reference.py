@@ -1,0 +1,114 @@
+"""What a cell's error is measured against: the exact states, or a fine run that knows its error."""
+
+from __future__ import annotations
+
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+
+from sweepopt.errors import SweepoptError, SweepoptWarning
+from sweepopt.evolve import solve
+from sweepopt.study.sources import Source
+from sweepopt.study.threads import one_thread
+
+REFINED, FINE, SMALL = 16, 4096, 32
+"""A fine run has at least so many times the steps, and so many steps if the problem is small."""
+TOL = 1e-8
+SAFETY = 20.0
+"""How far below an error the reference's own error must lie for the error to be a number."""
+
+
+class Reference(NamedTuple):
+    """States on the nodes of a cell, shape (steps+1, dim).
+
+    Attributes
+    ----------
+    u : ndarray
+        Empty if there are none.
+    uncertainty : float
+        Of u, sup over the nodes in |.|_A: the distance from the run with half the steps, which for
+        a run of order p is 2^p - 1 times its own error; 0 if exact, inf if there are none.
+    kind : {"exact", "certified", ""}
+    message : str
+        Why there are none.
+    """
+
+    u: np.ndarray
+    uncertainty: float
+    kind: str
+    message: str = ""
+
+
+class Error(NamedTuple):
+    """A cell's error and what it was taken against; nan if the reference is not good enough."""
+
+    value: float
+    kind: str
+
+
+def make_reference(source: Source, steps: int) -> Reference:
+    """The states of a problem on a grid of equal steps, as well as the library knows them.
+
+    A pure function of plain data: it runs in workers.
+
+    Parameters
+    ----------
+    source : Source
+    steps : int
+    """
+    with one_thread(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", SweepoptWarning)
+        try:
+            return _exact(source, steps) or _refined(source, steps)
+        except Exception as error:  # what goes wrong here is a row without an error
+            return absent(f"{type(error).__name__}: {error}")
+
+
+def absent(message: str) -> Reference:
+    """No states, and why."""
+    return Reference(np.empty((0, 0)), float("inf"), "", message)
+
+
+def distance(source: Source, u: np.ndarray, v: np.ndarray) -> float:
+    """sup over the nodes of |u_i - v_i|_A, of |.|_B where A = 0."""
+    return max(map(source.open().process.metric.norm, u - v))
+
+
+def error_of(source: Source, u: np.ndarray, reference: Reference) -> Error:
+    """The error of the states on the nodes, if the reference's is far below."""
+    if not reference.kind or len(u) != len(reference.u):
+        return Error(float("nan"), "")
+    error = distance(source, u, reference.u)
+    known = error >= SAFETY * reference.uncertainty
+    return Error(error, reference.kind) if known else Error(float("nan"), "")
+
+
+def _exact(source: Source, steps: int) -> Reference | None:
+    """The event-exact integrator's states, None where it does not apply."""
+    process, t_end = source.open()
+    try:
+        sol = solve(process, t_end=t_end, steps=steps, scheme="exact")
+    except SweepoptError:
+        return None
+    return Reference(sol.u, 0.0, "exact") if sol.success else None
+
+
+def _refined(source: Source, steps: int) -> Reference:
+    process, t_end = source.open()
+    factor = REFINED
+    if process.dim <= SMALL:
+        factor = max(factor, 2 * -(-FINE // (2 * steps)))
+    fine, coarse = (
+        solve(
+            process,
+            t_end=t_end,
+            steps=steps * times,
+            scheme="sdirk2",
+            tol=TOL,
+            save=times,
+            on_unstable="ignore",
+        ).u
+        for times in (factor, factor // 2)
+    )
+    return Reference(fine, distance(source, fine, coarse), "certified")

@@ -1,0 +1,135 @@
+"""Where the problem of a cell comes from, and a digest of its data: an edited scene is another."""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from sweepopt.errors import InputError, SweepoptError
+from sweepopt.library import find_problem
+from sweepopt.process import SweepingProcess
+from sweepopt.study import problems
+
+
+class Posed(NamedTuple):
+    """A process and how long it runs."""
+
+    process: SweepingProcess
+    t_end: float
+
+
+class Source(NamedTuple):
+    """A problem by name, as plain data that a worker opens.
+
+    Attributes
+    ----------
+    name : str
+        In the table: of a problem of `sweepopt.study.problems`, or of a scene's file.
+    path : str
+        The scene's file; empty for a problem of `sweepopt.study.problems`.
+    digest : str
+        SHA-256 of all files that state the problem.
+    """
+
+    name: str
+    path: str
+    digest: str
+
+    def open(self) -> Posed:
+        """The process, built once in each worker.
+
+        Raises
+        ------
+        SweepoptError
+            If the files are not those the digest was taken of.
+        """
+        return _opened(self)
+
+
+def find_source(name: str, folder: str | Path = ".") -> Source:
+    """The problem of that name.
+
+    Parameters
+    ----------
+    name : str
+        A name of `sweepopt.study.problems`, of a scene that comes with the library, or the path of
+        a scene file.
+    folder : str or Path
+        Where relative paths start.
+
+    Raises
+    ------
+    InputError
+        If there is none, or its files cannot be read.
+
+    Examples
+    --------
+    >>> find_source("S03").name, Path(find_source("tube").path).name
+    ('S03', 'tube.toml')
+    """
+    if name in problems.PROBLEMS:
+        return Source(name, "", _digest_of(""))
+    path = Path(folder, name)
+    if path.suffix != ".toml":
+        try:
+            path = find_problem(name)
+        except InputError as error:
+            known = ", ".join(problems.PROBLEMS)
+            raise InputError(f"{error}, and for studies {known}") from error
+    path = path.resolve()
+    return Source(path.stem, str(path), _digest_of(str(path)))
+
+
+@lru_cache(maxsize=8)
+def _opened(source: Source) -> Posed:
+    if _digest_of(source.path) != source.digest:
+        where = source.path or problems.__file__
+        raise SweepoptError(f"{where} is not as it was when the study started; start it again")
+    if not source.path:
+        small = problems.problem(source.name)
+        return Posed(small.process(), small.t_end)
+    from sweepopt.fem import read_scene
+
+    scene = read_scene(source.path)
+    assert scene.t_end is not None  # a file has it
+    return Posed(scene.problem.as_sweeping(), scene.t_end)
+
+
+def _digest_of(scene: str) -> str:
+    """Of a scene's file, its mesh and its tables; of the module with the small problems."""
+    digest = hashlib.sha256()
+    for path in _files(Path(scene)) if scene else [Path(problems.__file__)]:
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+        digest.update(hashlib.sha256(content).digest())
+    return digest.hexdigest()
+
+
+def _files(scene: Path) -> Iterator[Path]:
+    """A scene's file and those it names."""
+    yield scene
+    try:
+        data = tomllib.loads(scene.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{scene}: cannot be read ({error})") from error
+    for name in _named(data):
+        yield scene.parent / name
+
+
+def _named(data: Any) -> Iterator[str]:
+    """The values of the keys mesh and csv, wherever they are."""
+    if isinstance(data, list):
+        for entry in data:
+            yield from _named(entry)
+    elif isinstance(data, dict):
+        for key, value in data.items():
+            if key in ("mesh", "csv") and isinstance(value, str):
+                yield value
+            else:
+                yield from _named(value)

@@ -1,0 +1,77 @@
+"""A study's table made by hand: orders, costs and failures are chosen, nothing is run."""
+
+from __future__ import annotations
+
+from math import inf, nan
+from typing import Any
+
+import pandas as pd
+
+from sweepopt.errors import Status
+
+STEPS = (50, 100, 200, 400)
+SCHEMES = {"catching-up": 1, "implicit-euler": 1, "midpoint": 2}
+NASTY = "a step missed tol </script><script>window.hacked = true</script> & 'more' \u2028 \"text\""
+WARNED = Status.SUCCESS.value + " StabilityWarning: mu Lam = 1.2"
+PACKAGES = {
+    "sweepopt": "0.1.0",
+    "numpy": "2.4.6",
+    "scipy": "1.17.1",
+    "cvxpy": "1.9.3",
+    "clarabel": "0.11.1",
+    "osqp": "1.1.3",
+    "python": "3.11.7",
+}
+
+
+def study_table() -> pd.DataFrame:
+    """49 cells: 2 problems, 3 schemes, 2 solvers, 4 numbers of steps, and one exact run."""
+    cells = [
+        cell(problem, scheme, solver, steps)
+        for problem in ("block", "pipe")
+        for scheme in SCHEMES
+        for solver in ("clarabel", "osqp")
+        for steps in STEPS
+    ]
+    exact = cell("block", "midpoint", "clarabel", 4) | {"scheme": "exact", "error": 0.0}
+    rows = [*cells, exact | {"bound": nan, "guaranteed": False}]
+    return pd.DataFrame(rows).assign(cell=[f"{k:08x}" for k in range(len(rows))])
+
+
+def cell(problem: str, scheme: str, solver: str, steps: int) -> dict[str, Any]:
+    error = (2.0 if problem == "pipe" else 0.3) * steps ** -float(SCHEMES[scheme])
+    wall = (3e-4 if solver == "osqp" else 2e-4) * steps
+    row = {
+        "problem": problem,
+        "scheme": scheme,
+        "solver": solver,
+        "steps": steps,
+        "tol": 1e-8,
+        "status": "SUCCESS",
+        "success": True,
+        "message": Status.SUCCESS.value,
+        "error": error,
+        "error_is": "exact",
+        "bound": 1.7 * error,
+        "guaranteed": problem == "block",
+        "certificate": 3e-11,
+        "wall": wall,
+        "cpu": 1.1 * wall,
+        "repeats": 3,
+        "steps_done": steps,
+        "solver_calls": steps + 2,
+        "unknowns": 100,
+        "path": "eliminated",
+        "machine": "A processor, 2 cores, Linux",
+        **PACKAGES,
+    }
+    nothing = {"success": False, "error": nan, "error_is": "", "bound": nan, "guaranteed": False}
+    if problem == "block" and solver == "osqp" and steps == 400:
+        row |= nothing | {"status": "INEXACT", "message": NASTY, "steps_done": 17}
+    if problem == "pipe" and scheme == "catching-up" and steps == 50:
+        text = "mu Lam = 2.4 > 2: take more steps"
+        row |= nothing | {"status": "UnstableStepError", "message": text, "steps_done": 0}
+        row |= {"solver_calls": nan, "wall": nan, "cpu": nan, "bound": inf}
+    if problem == "pipe" and scheme == "midpoint" and steps == 400:
+        row |= {"error": nan, "error_is": "", "message": WARNED}
+    return row

@@ -1,0 +1,182 @@
+"""Solvers compared by certificate, and the commands that study and compare."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_cli import make_scene
+
+import sweepopt as so
+from sweepopt import cli
+from sweepopt.linalg import Factor
+from sweepopt.program import VelocityProgram
+from sweepopt.solvers import Answer, Solve
+from sweepopt.study.comparison import (
+    SHIFT,
+    ComparedRow,
+    compare,
+    comparison_text,
+    recorded,
+    shifted_mean,
+    tried,
+)
+from sweepopt.study.settings import ACCURACIES, Contestant, contestants
+from sweepopt.study.sources import find_source
+
+STUDY = """
+title = "small"
+problems = ["S03", "ring.toml"]
+schemes = ["implicit-euler", "midpoint"]
+solvers = ["auto"]
+steps = [6, 12]
+repeats = 1
+"""
+
+
+@dataclass(frozen=True)
+class Liar:
+    """Calls everything solved."""
+
+    name = "liar"
+
+    def treats(self, C: so.ConvexSet) -> bool:
+        return True
+
+    def refined(self) -> None:
+        return None
+
+    def compile(self, program: VelocityProgram) -> Solve:
+        size = program.cone.offsets.size
+        return lambda q, C: Answer(np.ones_like(q), np.zeros(size), 1, "solved")
+
+
+@dataclass(frozen=True)
+class Broken(Liar):
+    """Raises."""
+
+    name = "broken"
+
+    def compile(self, program: VelocityProgram) -> Solve:
+        raise ArithmeticError("no")
+
+
+@pytest.fixture(scope="module")
+def table() -> pd.DataFrame:
+    return compare(find_source("P09"), steps=8)
+
+
+def test_every_installed_solver_is_compared_at_three_accuracies(table: pd.DataFrame) -> None:
+    assert list(table.columns) == list(ComparedRow._fields)
+    for solver in ("clarabel", "osqp", "cvxpy:clarabel", "cvxpy:osqp", "cvxpy:scs"):
+        assert set(table[table.solver == solver].setting) == set(ACCURACIES)
+    assert table.programs.nunique() == 1
+    assert (table.time > 0.0).all()
+    exact = table[table.solver.isin(["newton", "daqp"])]
+    assert (exact.solved == 1.0).all()
+    assert (table.certificate <= table.worst).all()
+    for _, group in table.groupby("accuracy"):
+        assert group[group.solved == 1.0].ratio.min() == 1.0
+
+
+def test_a_solver_is_judged_by_its_certificates_and_not_by_what_it_says() -> None:
+    programs = recorded(find_source("P09"), 8)
+    lied = tried(Contestant("liar", "low", 1e-3, Liar()), programs)
+    assert all(one.certificate > 1e-3 for one in lied.trials)
+    broken = tried(Contestant("broken", "low", 1e-3, Broken()), programs)
+    assert (broken.trials, broken.message) == ([], "ArithmeticError: no")
+
+
+def test_only_solvers_that_treat_the_set_take_part() -> None:
+    names = {contestant.name for contestant in contestants(so.Ball([0.0, 0.0], 1.0))}
+    assert "clarabel" in names
+    assert "osqp" not in names
+    assert "cvxpy:daqp" not in names
+
+
+def test_a_run_without_a_program_is_refused() -> None:
+    with pytest.raises(so.InputError, match="L13 has no program to compare solvers on"):
+        compare(find_source("L13"), steps=5)
+
+
+def test_the_mean_is_shifted_and_geometric() -> None:
+    assert shifted_mean([2.0, 2.0]) == pytest.approx(2.0)
+    assert shifted_mean([0.0, 3 * SHIFT]) == pytest.approx(SHIFT)
+
+
+@pytest.mark.parametrize("name", ["CLARABEL", "OSQP"])
+def test_what_a_solver_reaches_through_cvxpy_does_not_depend_on_units(name: str) -> None:
+    M, q, C = np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([3.0, -1.0]), so.Box([-1, -1], [1, 1])
+    found = []
+    for stiff in (1.0, 2.0**40):
+        program = VelocityProgram(Factor(stiff * M), C)
+        answer = so.Cvxpy(name).compile(program)(q, C)
+        found.append(program.certify(q, C, answer.z, answer.y).relative)
+    assert found[0] == pytest.approx(found[1], abs=1e-12)
+    assert max(found) <= 1e-7
+
+
+def test_the_comparison_prints_a_line_a_row(table: pd.DataFrame) -> None:
+    lines = comparison_text(table).splitlines()
+    assert lines[0].split() == [
+        *("solver", "setting", "accuracy", "solved", "ms", "x", "best", "median", "worst")
+    ]
+    assert len(lines) == 1 + len(table) + 4
+
+
+# ---- commands -------------------------------------------------------------------------------
+
+
+def test_compare_prints_its_table_and_writes_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    make_scene(tmp_path)
+    assert cli.main(["compare", "ring.toml", "--steps", "5", "--csv", "rows.csv"]) == 0
+    shown = capsys.readouterr()
+    assert "cvxpy:clarabel" in shown.out
+    assert "programs of" in shown.err
+    assert len(pd.read_csv("rows.csv")) >= 12
+    assert cli.main(["compare", "nowhere"]) == 2
+    assert "'nowhere' is neither a scene file nor a problem" in capsys.readouterr().err
+
+
+def test_study_writes_its_files_goes_on_and_advises(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    make_scene(tmp_path)
+    Path("mine.toml").write_text(STUDY)
+    assert cli.main(["study", "mine.toml"]) == 0
+    shown = capsys.readouterr()
+    assert "8 cells, 0 of them finished before" in shown.err
+    assert "the fastest way to each accuracy" in shown.out
+    folder = Path("results/mine")
+    assert {"table.csv", "diagram.png", "report.html", "study.json"} <= {
+        path.name for path in folder.iterdir()
+    }
+    rows = pd.read_csv(folder / "table.csv", keep_default_na=False)
+    assert set(rows.problem) == {"S03", "ring"}
+    assert "<title>small</title>" in (folder / "report.html").read_text(encoding="utf-8")
+    assert cli.main(["study", "mine.toml"]) == 0
+    assert "8 cells, 8 of them finished before" in capsys.readouterr().err
+
+
+def test_a_bad_study_gives_one_clean_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(STUDY.replace("steps", "step"))
+    assert cli.main(["study", str(path)]) == 2
+    shown = capsys.readouterr().err
+    assert "step: unknown key" in shown
+    assert shown.count("\n") == 1
+    assert cli.main(["study", "nowhere"]) == 2
+    assert "'nowhere' is neither a study file nor a study; there are: accuracy" in (
+        capsys.readouterr().err
+    )
+    with pytest.raises(SystemExit):
+        cli.main(["study", str(path), "--workers", "2", "--scheduler", "tcp://127.0.0.1:1"])

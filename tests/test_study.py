@@ -1,0 +1,453 @@
+"""A study: its table, what a kill leaves, executors that agree bit for bit, failures as rows."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import Executor, Future
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import psutil
+import pytest
+from cases import case
+from test_cli import make_scene
+
+import sweepopt as so
+from sweepopt import library
+from sweepopt.study import Processes, Study, dask_executor, read_study, read_table, run
+from sweepopt.study.advice import advice, summary
+from sweepopt.study.cells import COLUMNS
+from sweepopt.study.executors import Serial, WorkerDiedError
+from sweepopt.study.ledger import Ledger
+from sweepopt.study.measure import Cell, CellRow, run_cell
+from sweepopt.study.problems import problem
+from sweepopt.study.reference import SAFETY, Reference, absent, error_of
+from sweepopt.study.sources import find_source
+
+TIMES = ["wall", "cpu"]
+TEXT = """
+title = "two hundred small cells"
+problems = ["S03", "V05"]
+schemes = ["implicit-euler", "midpoint", "trapezoid", "sdirk2", "catching-up"]
+solvers = ["auto", "daqp"]
+steps = [14, 20]
+tols = [1e-5, 1e-6, 1e-7, 1e-8, 1e-9]
+repeats = 1
+"""
+SMALL = Study(("S03", "M16"), ("midpoint", "catching-up"), ("auto",), (8, 16), repeats=1)
+
+
+def same(one: pd.DataFrame, other: pd.DataFrame) -> None:
+    """Equal bit for bit, times apart."""
+    pd.testing.assert_frame_equal(
+        one.drop(columns=TIMES), other.drop(columns=TIMES), check_exact=True
+    )
+
+
+def finished(folder: Path) -> dict[str, int]:
+    """When each finished cell was written."""
+    return {path.name: path.stat().st_mtime_ns for path in (folder / "cells").glob("*.json")}
+
+
+def wait_for(condition: Any, seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "timed out"
+        time.sleep(0.01)
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
+    path = tmp_path_factory.mktemp("study") / "two_hundred.toml"
+    path.write_text(TEXT, encoding="utf-8")
+    return read_study(path)
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a small study, to be copied."""
+    folder = tmp_path_factory.mktemp("small") / "small"
+    run(SMALL, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def killed(study: Study, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the study when its process was killed at half."""
+    folder = tmp_path_factory.mktemp("killed")
+    path = Path(study.folder) / "two_hundred.toml"
+    command = [sys.executable, "-m", "sweepopt.cli", "study", str(path), "--out", str(folder)]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
+        wait_for(lambda: len(finished(folder)) >= 100)
+        process.send_signal(signal.SIGKILL)
+        assert process.wait() == -signal.SIGKILL
+    assert 100 <= len(finished(folder)) < 200
+    return folder
+
+
+@pytest.fixture(scope="module")
+def table(study: Study, killed: Path) -> pd.DataFrame:
+    """The study's table after it went on."""
+    before, said = finished(killed), []
+    table = run(study, killed, progress=said.append)
+    after = finished(killed)
+    assert len(table) == len(after) == 200
+    # none of the finished cells is lost, none is computed again
+    assert {name: after[name] for name in before} == before
+    computed = [line for line in said if " of " in line and ":" in line]
+    assert len(computed) == 200 - len(before)
+    return table
+
+
+# ---- the table ------------------------------------------------------------------------------
+
+
+def test_a_study_killed_at_half_goes_on_where_it_was(table: pd.DataFrame) -> None:
+    assert list(table.columns) == list(CellRow._fields)
+    assert set(COLUMNS) <= set(table.columns)  # what the report and the diagram read
+    assert table.cell.is_unique
+    assert (table.success == (table.status == "SUCCESS")).all()
+    for name, kind in (("steps", "int"), ("success", "bool"), ("error", "float")):
+        assert str(table[name].dtype).startswith(kind)
+
+
+def test_a_finished_study_computes_nothing(study: Study, killed: Path, table: pd.DataFrame) -> None:
+    class Nobody(Executor):
+        def submit(self, *_: Any, **__: Any) -> Future[Any]:
+            raise AssertionError
+
+    pd.testing.assert_frame_equal(run(study, killed, executor=Nobody()), table, check_exact=True)
+    pd.testing.assert_frame_equal(read_table(study, killed), table, check_exact=True)
+
+
+def test_errors_and_certificates_are_those_of_the_library(table: pd.DataFrame) -> None:
+    chosen = (table.problem == "S03") & (table.solver == "auto") & (table.tol == 1e-6)
+    process = problem("S03").process()
+    for row in table[chosen & table.success].itertuples():
+        sol = so.solve(process, t_end=8.0, steps=row.steps, scheme=row.scheme, on_unstable="ignore")
+        assert row.certificate == sol.stats["relative"].max()
+        assert row.size == pytest.approx(np.abs(sol.u).max() * np.sqrt(0.5), rel=1e-14)
+        assert row.bound == sol.error_bound()
+        assert row.guaranteed
+        assert row.steps_done == row.steps
+        assert row.wall > 0.0
+
+
+def test_an_error_is_that_against_the_exact_solution() -> None:
+    this, source = case("S03"), find_source("S03")
+    sol = so.solve(this.process, t_end=8.0, steps=101, scheme="midpoint")
+    exact = Reference(this.exact(101), 0.0, "exact")
+    assert error_of(source, sol.u, exact).value == this.error(sol)
+
+
+def test_the_fine_run_knows_its_error(tmp_path: Path) -> None:
+    study = Study(("V05",), ("midpoint",), ("auto",), (101,), repeats=1)
+    row = run(study, tmp_path).iloc[0]
+    reference = Ledger(tmp_path).reference(study.cells()[0])
+    assert reference is not None
+    this = case("V05")
+    away = max(map(this.process.metric.norm, reference.u - this.exact(101)))
+    assert away <= reference.uncertainty == row.reference_error
+    assert row.error_is == "certified"
+    assert row.error == pytest.approx(this.errors["midpoint"]["101"], rel=0.03)
+
+
+def test_an_error_that_the_reference_cannot_tell_is_no_number() -> None:
+    source, u = find_source("S03"), np.zeros((3, 1))
+    near = Reference(u + 1e-6, 1e-6, "certified")
+    assert np.isnan(error_of(source, u, near).value)
+    assert error_of(source, u, near).kind == ""
+    far = near._replace(u=u + 1.5 * SAFETY * 1e-6)
+    assert error_of(source, u, far).value == pytest.approx(1.5 * SAFETY * 1e-6 * np.sqrt(0.5))
+    assert np.isnan(error_of(source, u[:2], far).value)  # a run that stopped early
+
+
+def test_a_run_without_a_reference_says_why() -> None:
+    cell = Cell(find_source("S03"), "midpoint", "auto", 8, 1e-6, 1)
+    row = run_cell(cell, absent("StepError: missed"))
+    assert (row.status, row.error_is) == ("SUCCESS", "")
+    assert np.isnan(row.error)
+    assert row.message.endswith("No reference: StepError: missed.")
+
+
+def test_failures_are_rows(table: pd.DataFrame, tmp_path: Path) -> None:
+    refused = table[(table.problem == "V05") & (table.solver == "daqp")]
+    assert set(refused.status) == {"SolverRefusedError"}
+    assert refused.message.str.startswith("daqp cannot treat Ball").all()
+    unstable = table[(table.scheme == "catching-up") & (table.problem == "S03")]
+    assert set(unstable[unstable.steps == 14].status) == {"UnstableStepError"}
+    # a warning of a run that succeeded is told
+    assert unstable[unstable.steps == 20].message.str.contains("can overshoot").all()
+    solvers = ("cvxpy:nope", "cvxpy:clarabel")
+    rows = run(Study(("S03",), ("midpoint",), solvers, (8,), repeats=1), tmp_path)
+    assert list(rows.status) == ["SolverRefusedError", "SUCCESS"]
+    assert rows.error.isna().tolist() == [True, False]
+    assert rows.machine.str.len().min() > 0
+    assert rows.python.str.startswith("3.").all()
+
+
+def test_any_exception_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: Any, **__: Any) -> None:
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr("sweepopt.study.measure.solve", broken)
+    cell = Cell(find_source("S03"), "midpoint", "auto", 8, 1e-6, 1)
+    row = run_cell(cell, Reference(np.empty((0, 0)), np.inf, ""))
+    assert (row.status, row.message, row.success) == ("ZeroDivisionError", "a bug", False)
+
+
+# ---- files ----------------------------------------------------------------------------------
+
+
+def test_files_that_are_not_whole_are_computed_again(small: Path, tmp_path: Path) -> None:
+    shutil.copytree(small, tmp_path, dirs_exist_ok=True)
+    whole = read_table(SMALL, tmp_path)
+    cells = sorted((tmp_path / "cells").glob("*.json"))
+    cells[0].write_bytes(cells[0].read_bytes()[:-20])
+    text = cells[1].read_text()
+    assert '"steps_done": ' in text
+    cells[1].write_text(text.replace('"steps_done": ', '"steps_done": 1'))
+    cells[2].write_text("{}")
+    cells[3].unlink()
+    states = sorted((tmp_path / "references").glob("*.npy"))
+    states[0].write_bytes(states[0].read_bytes()[:-8])
+    (tmp_path / "cells" / f".{cells[3].name}.1.part").write_text("{")
+    untouched = {path.name: path.stat().st_mtime_ns for path in cells[4:]}
+    said: list[str] = []
+    again = run(SMALL, tmp_path, progress=said.append)
+    assert said[0] == "8 cells, 4 of them finished before"
+    same(again, whole)
+    assert {name: finished(tmp_path)[name] for name in untouched} == untouched
+
+
+def test_numbers_that_are_not_finite_are_kept(tmp_path: Path) -> None:
+    cell = SMALL.cells()[0]
+    row = CellRow("S03", "midpoint", "auto", 8, 1e-6, bound=np.inf, cell=cell.id)
+    ledger = Ledger(tmp_path)
+    ledger.keep(row)
+    kept = ledger.row(cell)
+    assert kept is not None
+    assert kept.bound == np.inf
+    assert np.isnan(kept.error)
+
+
+def test_an_edited_scene_is_another_cell_and_a_moved_one_is_not(tmp_path: Path) -> None:
+    def cell(folder: Path) -> str:
+        return Cell(find_source("ring.toml", folder), "midpoint", "auto", 4, 1e-6, 1).id
+
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        make_scene(tmp_path / name)
+    here = cell(tmp_path / "a")
+    assert cell(tmp_path / "b") == here
+    scene = tmp_path / "b" / "ring.toml"
+    text = scene.read_text()
+    scene.write_text(text.replace("g = 0.6", "g = 0.7"))
+    assert cell(tmp_path / "b") != here
+    scene.write_text(text)
+    assert cell(tmp_path / "b") == here
+    mesh = tmp_path / "b" / "ring.msh"
+    mesh.write_bytes(mesh.read_bytes() + b"\n")
+    assert cell(tmp_path / "b") != here
+
+
+def test_a_scene_that_is_edited_during_a_study_is_a_failed_row(tmp_path: Path) -> None:
+    make_scene(tmp_path)
+    source = find_source("ring.toml", tmp_path)
+    reference = Reference(np.empty((0, 0)), np.inf, "")
+    cell = Cell(source, "midpoint", "auto", 4, 1e-6, 1)
+    good = run_cell(cell, reference)
+    assert (good.status, good.problem, good.steps_done) == ("SUCCESS", "ring", 4)
+    edited = replace(cell, problem=source._replace(digest="0"))
+    assert "not as it was when the study started" in run_cell(edited, reference).message
+
+
+# ---- executors ------------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")  # sockets of the worker that is killed
+def test_a_dask_cluster_with_one_worker_killed_gives_the_same_rows(
+    study: Study, table: pd.DataFrame, tmp_path: Path
+) -> None:
+    distributed = pytest.importorskip("distributed")
+    written: list[dict[str, int]] = []
+
+    def kill_one(words: str) -> None:
+        if words.startswith("100 of 200"):
+            written.append(finished(tmp_path))
+            worker = next(iter(client.run(os.getpid).values()))
+            os.kill(worker, signal.SIGKILL)
+
+    cluster = distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    )
+    address = cluster.scheduler_address
+    with cluster, distributed.Client(cluster) as client, dask_executor(address) as executor:
+        found = run(study, tmp_path, executor=executor, progress=kill_one)
+    same(found, table)
+    assert len(written[0]) == 100
+    assert {name: finished(tmp_path)[name] for name in written[0]} == written[0]
+
+
+def test_workers_with_several_threads_are_refused() -> None:
+    distributed = pytest.importorskip("distributed")
+    cluster = distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
+    )
+    with cluster, distributed.Client(cluster) as client:
+        with pytest.raises(so.InputError, match="has 2 threads"), dask_executor(client):
+            pass
+        with (
+            pytest.raises(so.InputError, match="--nthreads 1"),
+            dask_executor(cluster.scheduler_address),
+        ):
+            pass
+
+
+def test_a_scheduler_that_is_not_there_is_refused() -> None:
+    pytest.importorskip("distributed")
+    with (
+        pytest.raises(so.InputError, match="scheduler 'nowhere' does not answer"),
+        dask_executor("nowhere"),
+    ):
+        pass
+
+
+def test_processes_give_the_same_rows_though_one_is_killed(small: Path, tmp_path: Path) -> None:
+    killed: list[int] = []
+
+    def kill_one(words: str) -> None:
+        if words.startswith("reference 2 of 4"):
+            children = psutil.Process().children()
+            workers = [each.pid for each in children if "spawn_main" in str(each.cmdline())]
+            killed.append(workers[0])
+            os.kill(workers[0], signal.SIGKILL)
+
+    with Processes(2) as executor:
+        found = run(SMALL, tmp_path, executor=executor, progress=kill_one)
+    assert killed
+    same(found, read_table(SMALL, small))
+
+
+def test_a_task_that_kills_its_workers_fails_alone() -> None:
+    with Processes(1) as executor:
+        deadly = executor.submit(signal.raise_signal, signal.SIGKILL)
+        harmless = executor.submit(abs, -1)
+        with pytest.raises(WorkerDiedError, match="2 times"):
+            deadly.result()
+        assert harmless.result() == 1
+
+
+def test_a_cell_that_its_workers_die_of_is_a_row_and_other_breakdowns_end_the_study(
+    small: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(small / "references", tmp_path / "references")
+
+    class Falling(Serial):
+        error: Exception = WorkerDiedError("killed")
+
+        def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+            if fn is run_cell and args[0].steps == 16:
+                future: Future[Any] = Future()
+                future.set_exception(self.error)
+                return future
+            return super().submit(fn, *args, **kwargs)
+
+    executor = Falling()
+    executor.error = ConnectionError("the scheduler is gone")
+    with pytest.raises(ConnectionError):
+        run(SMALL, tmp_path, executor=executor)
+    assert len(finished(tmp_path)) == 1
+    executor.error = WorkerDiedError("killed")
+    table = run(SMALL, tmp_path, executor=executor)
+    assert set(table[table.steps == 16].status) == {"WorkerDiedError"}
+    assert "WorkerDiedError" not in set(table[table.steps == 8].status)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at the process tree")
+def test_workers_end_with_a_study_that_is_killed(
+    study: Study, killed: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(killed / "references", tmp_path / "references")
+    path = Path(study.folder) / "two_hundred.toml"
+    command = [sys.executable, "-m", "sweepopt.cli", "study", str(path), "--workers", "2"]
+    command += ["--out", str(tmp_path)]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
+        wait_for(lambda: len(finished(tmp_path)) >= 2)
+        children = psutil.Process(process.pid).children(recursive=True)
+        assert len(children) >= 2
+        process.kill()
+    _, alive = psutil.wait_procs(children, timeout=20)
+    assert not alive
+
+
+# ---- what a study may be --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("repeats = 1", "repeat = 1", "repeat: unknown key; there are: problems, schemes"),
+        ("repeats = 1", "repeats = 0", "repeats must be a positive whole number, got 0"),
+        ('problems = ["S03", "V05"]', "", "problems: is missing"),
+        ('"S03", "V05"', '"S03", "S99"', "problems[1]: 'S99' is neither a scene file nor"),
+        ('"S03", "V05"', '"S03", "S03"', "problems[1]: 'S03' is there twice"),
+        ('"S03", "V05"', '"S03", 5', "problems[1] must be text, got 5"),
+        ('"S03", "V05"', '"none.toml"', "none.toml: cannot be read"),
+        ('"sdirk2"', '"leapfrog"', "schemes[3]: 'leapfrog' is not known; use auto, catching-up"),
+        ('"daqp"', '"magic"', "solvers[1]: 'magic' is not known; use auto, clarabel"),
+        ("14, 20", "14, 20.5", "steps[1] must be a positive whole number, got 20.5"),
+        ("14, 20", "", "steps must be a list with one entry or more, got []"),
+        ("[14, 20]", "14", "steps must be a list with one entry or more, got 14"),
+        ("1e-5,", "-1e-5,", "tols[0] must be > 0, got -1e-05"),
+        ("steps =", "steps", "is not TOML"),
+    ],
+)
+def test_a_bad_study_is_refused_by_file_and_key(
+    old: str, new: str, words: str, tmp_path: Path
+) -> None:
+    assert old in TEXT
+    path = tmp_path / "bad.toml"
+    path.write_text(TEXT.replace(old, new, 1))
+    with pytest.raises(so.InputError) as raised:
+        read_study(path)
+    assert str(raised.value).startswith(f"{path}: ")
+    assert words in str(raised.value)
+
+
+def test_the_studies_of_the_library_can_be_run_and_are_no_problems() -> None:
+    folder = library.find_study("accuracy").parent
+    for path in folder.glob("*.toml"):
+        assert len(read_study(library.find_study(path.stem)).cells()) > 0
+        assert path.stem not in library.list_problems()
+    with pytest.raises(so.InputError, match="'nowhere' is neither a study file nor a study"):
+        library.find_study("nowhere")
+
+
+# ---- advice ---------------------------------------------------------------------------------
+
+
+def test_the_advice_is_the_fastest_cell_that_is_accurate_enough() -> None:
+    def row(error: float, wall: float, success: bool = True, scheme: str = "midpoint") -> CellRow:
+        status = "SUCCESS" if success else "INEXACT"
+        return CellRow(
+            "P", scheme, "auto", 10, 1e-6, status, success, "", error, size=2.0, wall=wall
+        )
+
+    rows = [row(1e-3, 5.0), row(1e-2, 2.0, scheme="best"), row(3e-2, 1.0), row(1e-9, 0.1, False)]
+    table = pd.DataFrame([*rows, row(np.nan, 0.1)])
+    chosen = advice(table, (1e-2, 1e-3, 1e-5))
+    assert list(chosen.target) == [1e-2, 1e-3]
+    assert list(chosen.wall) == [2.0, 5.0]
+    shown = summary(table)
+    assert "best 10 auto, 2e+03 ms" in shown
+    assert "5 cells, 1 failed" in shown
+    assert "1  succeeded, but no reference is good enough for an error" in shown
