@@ -55,6 +55,9 @@ HOMES = {
     "pandas": {"study"},
     "threadpoolctl": {"study/threads"},
     "distributed": {"study/executors"},
+    "casadi": {"study/peer_runs"},
+    "nosnoc": {"study/peer_runs"},
+    "solve_nivp": {"study/peer_runs"},
 }
 
 
