@@ -138,9 +138,9 @@ def _by_steps(task: Task, way: Steps, wanted: float, most: int) -> Found:
         need = _needed(fails, passing, wanted)
         if passing and (not fails or passing[0] <= LOOSE * need):
             break
-        if need > most and not passing:
+        if not passing and need > most and fails[-1][0] * LOOSE > most:
             return _extrapolated(fails, found, need, most)
-        steps = _multiple(min(need * MARGIN, GROWTH * fails[-1][0]))
+        steps = _multiple(min(need * MARGIN, GROWTH * fails[-1][0], most))
         if steps <= fails[-1][0] or (passing and steps >= passing[0]):
             break
     return passing[1] if passing else found._replace(note="not reached")

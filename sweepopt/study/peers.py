@@ -101,10 +101,11 @@ class PeerRow(NamedTuple):
 
 def _steps(form: str, method: str) -> Callable[[float], Iterator[Settings]]:
     """Numbers of equal steps, a factor 1.4 apart; 3,000 at most with order 1."""
-    most = 3_000 if method == "backward_euler" else 40_000
+    most = 3_000.0 if method == "backward_euler" else 40_000.0
 
     def rungs(wanted: float) -> Iterator[Settings]:
-        steps = 30.0 if wanted > 1e-4 else 300.0 if wanted > 1e-6 else 5_000.0
+        steps = 30.0 if wanted > 1e-4 else 300.0 if wanted > 1e-6 else 8_000.0
+        steps = min(steps, most)
         while steps <= most:
             yield {"form": form, "method": method, "steps": int(steps), "tol": 1e-3 * wanted}
             steps *= 1.4
@@ -129,7 +130,7 @@ def _elements(mode: str) -> Callable[[float], Iterator[Settings]]:
         stages = (2, 3) if wanted > 1e-4 else (3, 4) if wanted > 1e-6 else (4, 5)
         for intervals, count, elements in itertools.product((5, 10, 20, 30), stages, (2, 3)):
             sizes = {"intervals": intervals, "stages": count, "elements": elements}
-            yield {"mode": mode, **sizes, "tol": min(0.1 * wanted, 1e-6), "repeats": 1}
+            yield {"mode": mode, **sizes, "tol": min(0.1 * wanted, 1e-6)}
 
     return rungs
 
@@ -260,7 +261,7 @@ def error_at_nodes(t: np.ndarray, u: np.ndarray) -> float:
 
 
 def _words(settings: Settings) -> str:
-    left_out = ("form", "method", "mode", "h_max", "tol", "repeats")
+    left_out = ("form", "method", "mode", "h_max", "tol")
     return ", ".join(f"{key} {value:.3g}" for key, value in settings.items() if key not in left_out)
 
 

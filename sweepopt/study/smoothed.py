@@ -22,6 +22,8 @@ from sweepopt.sets import Box, Moving
 Method = Literal["Radau", "BDF", "LSODA"]
 METHODS: tuple[Method, ...] = ("BDF", "Radau", "LSODA")
 NEWTON, CLOSE = 50, 1e-14
+MOST_STEPS = 100_000
+"""Between two times."""
 
 
 class Friction(NamedTuple):
@@ -168,20 +170,41 @@ def solve_smoothed(
     >>> bool(abs(u - exact).max() < 1e-6)
     True
     """
-    from scipy.integrate import solve_ivp
-
     law = smooth(friction, eps)
-    found = solve_ivp(
-        law.velocity,
-        (times[0], times[-1]),
-        [friction.u0],
-        method=method,
-        t_eval=times,
-        jac=law.slope,
-        rtol=rtol,
-        atol=0.1 * rtol,
-        max_step=max_step,
+    return integrate(
+        law.velocity, np.array([friction.u0]), times, method, rtol, max_step, law.slope
     )
-    u = np.full((len(times), 1), np.nan)  # what a solver that gave up did not reach
+
+
+def integrate(
+    velocity: Callable[[float, Any], Any],
+    u0: np.ndarray,
+    times: np.ndarray,
+    method: Method,
+    rtol: float,
+    max_step: float,
+    slope: Callable[[float, Any], Any] | None = None,
+) -> np.ndarray:
+    """u' = velocity(t, u) by SciPy, atol a tenth of rtol; nan where a solver did not come.
+
+    LSODA by `odeint`, which calls back from compiled code only for velocities.
+    """
+    from scipy.integrate import odeint, solve_ivp
+
+    tolerances = {"rtol": rtol, "atol": 0.1 * rtol}
+    if method == "LSODA":
+        limit = max_step if math.isfinite(max_step) else 0.0
+        u, told = odeint(
+            velocity, u0, times, Dfun=slope, tfirst=True, hmax=limit, mxstep=MOST_STEPS,
+            full_output=True, **tolerances,
+        )  # fmt: skip
+        return np.asarray(u) if "successful" in told["message"] else np.full_like(u, np.nan)
+    span = (times[0], times[-1])
+    with np.errstate(divide="ignore"):  # Radau divides by its error, which is 0 at rest
+        found = solve_ivp(
+            velocity, span, u0, method=method, t_eval=times, jac=slope, max_step=max_step,
+            **tolerances,
+        )  # fmt: skip
+    u = np.full((len(times), len(u0)), np.nan)
     u[: found.y.shape[1]] = found.y.T
     return u

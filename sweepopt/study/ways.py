@@ -19,7 +19,7 @@ from sweepopt.errors import SweepoptWarning
 from sweepopt.evolve import solve
 from sweepopt.field import velocity_field
 from sweepopt.process import SweepingProcess
-from sweepopt.study.smoothed import METHODS, Method, friction_of, solve_smoothed
+from sweepopt.study.smoothed import METHODS, Method, friction_of, integrate, solve_smoothed
 
 REPORTS = 100
 """Equal intervals at whose ends everyone reports u."""
@@ -134,15 +134,10 @@ def by_hand(task: Task) -> Steps:
 
 def field_solver(task: Task, method: Method) -> Ladder:
     """SciPy's solver on `velocity_field`, which it compiles for itself."""
-    from scipy.integrate import solve_ivp
 
     def states(rtol: float) -> np.ndarray:
-        velocity = velocity_field(task.process)
-        span, u0, limit = (0.0, task.t_end), task.process.u0, task.t_end / LOOKS
-        tolerances = {"rtol": rtol, "atol": 0.1 * rtol, "max_step": limit}
-        with np.errstate(divide="ignore"):  # Radau divides by its error, which is 0 at rest
-            found = solve_ivp(velocity, span, u0, method=method, t_eval=task.times, **tolerances)
-        return np.asarray(found.y).T
+        velocity, limit = velocity_field(task.process), task.t_end / LOOKS
+        return integrate(velocity, task.process.u0, task.times, method, rtol, limit)
 
     def rungs(wanted: float) -> Iterator[Run]:
         for rtol in _tolerances(wanted):
