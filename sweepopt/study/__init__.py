@@ -4,7 +4,7 @@ table = run(read_study("accuracy.toml"), "results/accuracy")   # a work-precisio
 work_precision(table); write_report(table, "report.html")      # a diagram, an HTML page
 rows = bench(cells=[32, 100])                                  # every path against loops by hand
 
-`equal_error` compares all schemes with a smoothed friction law at one error, `peers` other packages.
+`equal_error` sets all schemes beside a smoothed friction law at one error, `peers` beside others.
 """
 
 from sweepopt.study.bench import bench
