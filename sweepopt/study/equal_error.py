@@ -103,7 +103,7 @@ def equal_error(
     for way in all_ways(task) if ways is None else ways:
         found.append(cheapest(task, way, wanted, most))
         say(f"{way.name}: {found[-1].run.setting}, error {found[-1].error:.1e}")
-    return timed(_fastest(found), wanted, rounds)
+    return timed(_fastest(found), rounds)
 
 
 def cheapest(task: Task, way: Way, wanted: float, most: int = MOST) -> Found:
@@ -199,7 +199,7 @@ def _fastest(found: Sequence[Found]) -> list[Found]:
     return list(chosen.values())
 
 
-def timed(found: Sequence[Found], wanted: float, rounds: int) -> list[Cost]:
+def timed(found: Sequence[Found], rounds: int) -> list[Cost]:
     """All in turn, several rounds; slow ones keep the time they took when they were found."""
     seconds: dict[str, list[float]] = {
         one.way: [one.seconds] if one.seconds > SLOW else [] for one in found

@@ -24,7 +24,7 @@ import numpy as np
 
 from sweepopt.errors import InputError
 from sweepopt.evolve import solve
-from sweepopt.study.equal_error import equal_error
+from sweepopt.study.equal_error import Found, cheapest, timed
 from sweepopt.study.peer_settings import PEERS, Peer, Settings
 from sweepopt.study.problems import BLOCK
 from sweepopt.study.rows import aligned, machine
@@ -118,14 +118,22 @@ def compare_peers(
     ]
     say, task = progress or (lambda _: None), Task(BLOCK.process(), BLOCK.t_end)
     for wanted in errors if pythons else ():
+        best = our_best(task, wanted)
         for peer in PEERS:
             if peer.package in pythons:
-                say(f"{wanted:g}: {peer.name}")
-                rows.append(_compared(peer, pythons[peer.package], wanted, task, rounds))
+                rows.append(_compared(peer, pythons[peer.package], wanted, best, rounds))
+                say(peer_table(rows[-1:]))
     return rows
 
 
-def _compared(peer: Peer, python: str, wanted: float, task: Task, rounds: int) -> PeerRow:
+def our_best(task: Task, wanted: float) -> Found:
+    """The fastest of our ways at an error."""
+    found = [cheapest(task, way, wanted) for way in ours(task)]
+    fastest = timed(found, rounds=3)[0].way
+    return next(one for one in found if one.way == fastest)
+
+
+def _compared(peer: Peer, python: str, wanted: float, best: Found, rounds: int) -> PeerRow:
     row = PeerRow(wanted, peer.name)
     tried: list[tuple[Answer, Settings]] = []
     for settings in peer.rungs(wanted):
@@ -141,19 +149,18 @@ def _compared(peer: Peer, python: str, wanted: float, task: Task, rounds: int) -
     theirs, mine = [], []
     for _ in range(rounds):
         theirs.append(ask(python, peer.package, settings).seconds)
-        mine.append(equal_error(task, wanted, ways=ours(task)[1:], rounds=3)[0])
-    way = sorted(mine, key=lambda cost: cost.seconds)[len(mine) // 2]
+        mine.append(timed([best], rounds=5)[0].seconds)
     return PeerRow(
         wanted,
         peer.name,
         _words(settings),
         answer.error,
         median(theirs),
-        way.way,
-        way.setting,
-        way.error,
-        way.seconds,
-        median(a / b.seconds for a, b in zip(theirs, mine, strict=True)),
+        best.way,
+        best.run.setting,
+        best.error,
+        median(mine),
+        median(a / b for a, b in zip(theirs, mine, strict=True)),
         answer.version,
     )
 
