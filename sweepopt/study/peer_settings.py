@@ -34,7 +34,7 @@ class Peer(NamedTuple):
 
 def _steps(form: str, method: str) -> Callable[[float], Iterator[Settings]]:
     """Numbers of equal steps, a factor 1.4 apart; 3,000 at most with order 1."""
-    most = 3_000.0 if method == "backward_euler" else 40_000.0
+    most = 3_000.0 if method == "backward_euler" else 60_000.0
 
     def rungs(wanted: float) -> Iterator[Settings]:
         steps = 30.0 if wanted > 1e-4 else 300.0 if wanted > 1e-6 else 8_000.0
