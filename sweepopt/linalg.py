@@ -126,6 +126,10 @@ class Factor:
         forces = self._spread * euclidean(self.root * z) + euclidean(q / self.root)
         return UNIT * forces * self._bound_factor
 
+    def resolution(self, z: np.ndarray) -> float:
+        """What entries of z that are rounded twice move it, in |.|_M."""
+        return 2 * UNIT * math.sqrt(self._spread) * euclidean(self.root * z)
+
     @cached_property
     def _spread(self) -> float:
         """Rounding units a row, times the largest row sum of | D^-1/2 M D^-1/2 |."""

@@ -151,10 +151,15 @@ def _in_polyhedron(
     N: np.ndarray, q: np.ndarray, G: np.ndarray, h: np.ndarray, near: np.ndarray
 ) -> np.ndarray:
     """Murty's least-index pivoting of  slack = h - G q + G N G^T y,  y >= 0, slack >= 0."""
-    y = scipy.optimize.nnls(G.T, -near)[0] if near.any() else np.zeros(len(h))
-    active = y > 1e-6 * y.max()
-    G, h = _exactly(G), _exactly(h)
+    rows, G, h = G, _exactly(G), _exactly(h)
     H, start = G @ N @ G.T, h - G @ q
+    slack = np.asarray(h - G @ (N @ _exactly(near) + q), dtype=float)
+    # an active set with one multiplier for each vector, as the method of nnls leaves it
+    met = np.flatnonzero(slack <= 1e-6 * np.abs(np.asarray(start, dtype=float)))
+    active = np.zeros(len(h), dtype=bool)
+    if met.size:
+        multipliers = scipy.optimize.nnls(rows[met].T, -near)[0]
+        active[met[multipliers > 1e-9 * multipliers.max()]] = True
     for _ in range(TURNS):
         y, on = np.full(len(h), h[0] * 0, dtype=object), np.flatnonzero(active)
         if on.size:
