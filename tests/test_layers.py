@@ -56,6 +56,7 @@ HOMES = {
     "tqdm": {"evolve"},
     "pandas": {"study"},
     "threadpoolctl": {"study/threads"},
+    "mpmath": {"study/hard"},
     "distributed": {"study/executors"},
 }
 
@@ -120,7 +121,7 @@ def test_outside_packages_are_imported_only_where_they_live(module: str) -> None
 
 def test_importing_the_library_loads_no_heavy_package() -> None:
     heavy = ["cvxpy", "skfem", "matplotlib", "xarray", "pydantic", "pandas", "tqdm", "meshio"]
-    heavy += ["distributed", "threadpoolctl"]
+    heavy += ["distributed", "threadpoolctl", "mpmath"]
     code = f"import sys, sweepopt; print([name for name in {heavy} if name in sys.modules])"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert shown.stdout.strip() == "[]"

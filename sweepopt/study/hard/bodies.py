@@ -64,7 +64,7 @@ def slivers(random: Random) -> np.ndarray:
             nodes = corner + np.array(triangle)
             M[np.ix_(nodes, nodes)] += _laplace(points[nodes])
     free = np.array([k for k in range(49) if k % 7 and k // 7])
-    return M[np.ix_(free, free)]
+    return 0.5 * (M + M.T)[np.ix_(free, free)]
 
 
 def _laplace(p: np.ndarray) -> np.ndarray:

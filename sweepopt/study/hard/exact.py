@@ -24,10 +24,20 @@ NOISE = 1e-45  # relative: below is rounding of 60 digits
 
 
 class Exact(NamedTuple):
-    """The velocity as mpmath numbers, shape (dim,), and max(|z|_M, |M^-1 q|_M)."""
+    """The velocity as mpmath numbers, shape (dim,), and sizes in |.|_M.
+
+    Attributes
+    ----------
+    size : float
+        max(|z|_M, |M^-1 q|_M), q the full linear term.
+    forces : float
+        |M^-1 q|_M + |M^-1 c|_M of C = c + S, which cancel in the full linear term: rounding of
+        the two is rounding of the data.
+    """
 
     z: np.ndarray
     size: float
+    forces: float
 
 
 class Program:
@@ -70,9 +80,12 @@ class Program:
         forward, pull = condensed.reduce(force)
         zeta = _small(condensed.N, pull, part, near[few])
         z = condensed.recover(forward, zeta)
-        unloaded = condensed.solve(force)
-        size = max(_root(z @ self.M @ z), _root(unloaded @ force))
-        return Exact(z, size)
+
+        def dual(w: np.ndarray) -> float:
+            return _root(condensed.solve(w) @ w)
+
+        size = max(_root(z @ self.M @ z), dual(force))
+        return Exact(z, size, dual(_exactly(q)) + dual(_exactly(shift)))
 
     def error(self, z: np.ndarray, exact: Exact) -> float:
         """|z - z*|_M."""
@@ -137,8 +150,8 @@ def _in_box(N: np.ndarray, q: np.ndarray, C: Box, near: np.ndarray) -> np.ndarra
         wanted = side.copy()
         wanted[(side * z > 0) & ~pinned] = 0
         sticks = (side == 0) & ~pinned
-        wanted[sticks & (w > upper + noise)] = 1
-        wanted[sticks & (w < lower - noise)] = -1
+        wanted[np.flatnonzero(sticks & (w > upper + noise).astype(bool))] = 1
+        wanted[np.flatnonzero(sticks & (w < lower - noise).astype(bool))] = -1
         changed = np.flatnonzero(wanted != side)
         if not changed.size:
             return z
@@ -174,41 +187,36 @@ def _in_polyhedron(
 
 
 def _in_balls(N: np.ndarray, q: np.ndarray, C: Ball | Balls, near: np.ndarray) -> np.ndarray:
-    """Newton's method on w_k + r_k z_k / |z_k| = c_k where ball k slips."""
+    """Newton's method on w_k + r_k z_k / |z_k| = 0 where |w_k - T_k z_k| > r_k, z_k = 0 elsewhere."""
     center, radii, block = (
         (C.center, np.array([C.radius]), C.dim)
         if isinstance(C, Ball)
         else (np.zeros(C.dim), C.radii, C.block)
     )
-    force, radii = q - _exactly(center), _exactly(radii)
-    z = _exactly(near)
-    slips = near.reshape(-1, block).any(axis=1)
-    for turn in range(60):
-        free = np.flatnonzero(np.repeat(slips, block))
-        missed = N @ z + force
-        J = N.copy()
-        for k in np.flatnonzero(slips):
-            at = slice(k * block, (k + 1) * block)
+    force, radii, z = q - _exactly(center), _exactly(radii), _exactly(near)
+    unit = _exactly(np.eye(block))
+    places = [slice(k * block, (k + 1) * block) for k in range(len(radii))]
+    for _ in range(TURNS):
+        w = N @ z + force
+        missed, J, free = w.copy(), N.copy(), []
+        for at, r in zip(places, radii, strict=True):
+            T = N[at, at].trace()
+            v = w[at] - T * z[at]
+            size = _sqrt(v @ v)
+            if size <= r * (1 + NOISE):
+                z[at] = z[at] * 0
+                continue
+            if not z[at].any():
+                z[at] = -(1 - r / size) / T * v
             length = _sqrt(z[at] @ z[at])
             n = z[at] / length
-            missed[at] += radii[k] * n
-            J[at, at] += radii[k] / length * (_exactly(np.eye(block)) - np.outer(n, n))
-        if free.size:
-            z[free] -= _solve(J[np.ix_(free, free)], missed[free])
-        small = abs(missed[free]).max(initial=0) <= 1e-40 * abs(q).max()
-        if turn > 8 or small:
-            w = N @ z + force
-            over = [
-                k
-                for k in np.flatnonzero(~slips)
-                if _sqrt(w[k * block :][:block] @ w[k * block :][:block])
-                > radii[k] * (1 + NOISE) + NOISE * abs(q).max()
-            ]
-            if small and not over:
-                return z
-            for k in over[:1] if small else []:
-                slips[k] = True
-                z[k * block :][:block] = -1e-20 * w[k * block :][:block] / N[k * block, k * block]
+            missed[at] = w[at] + r * n
+            J[at, at] += r / length * (unit - np.outer(n, n))
+            free += range(at.start, at.stop)
+        missed = (N @ z + force) + (missed - w)
+        if abs(missed[free]).max(initial=0) <= 1e-40 * abs(q).max():
+            return z
+        z[free] -= _solve(J[np.ix_(free, free)], missed[free])
     raise SweepoptError("the exact active set was not found")
 
 

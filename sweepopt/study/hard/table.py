@@ -22,7 +22,7 @@ from sweepopt.study.hard.exact import Exact, Program
 TARGET = 1e-8
 """True error, relative to max(|z*|_M, |M^-1 q|_M), that every step has to meet."""
 SLACK = 16 * float(np.finfo(float).eps)
-"""What a certificate may miss, relative to the same: rounding of q and of C(t) themselves."""
+"""What a certificate may miss, relative to the forces: rounding of q and of C(t) themselves."""
 PATHS = ("full", "eliminated", "proportional")
 SOLVERS: dict[str, Any] = {
     "auto": "auto",
@@ -43,7 +43,7 @@ class HardRow(NamedTuple):
     error, certificate : float
         True and stated |z - z*|_M, relative to max(|z*|_M, |M^-1 q|_M).
     excess : float
-        Largest error - certificate, in the same unit: above SLACK a certificate was wrong.
+        Largest error - certificate in the unit of the forces: above SLACK a certificate was wrong.
     rung, attempts : str, int
         Who found the last step, and the longest way to a step.
     seconds : float
@@ -192,10 +192,12 @@ def _row(
     process, u = solution.process, solution.process.u0
     error = certificate = excess = 0.0
     for step in steps:
-        exact = judge.of(process.times_B(u), step.t, step.velocity)
+        # the time as a step makes it: a load may change within a rounding unit of t
+        t = float(solution.t[step.step]) + hard.t_end / hard.steps
+        exact = judge.of(process.times_B(u), t, step.velocity)
         missed, size = judge.error(step.velocity, exact), exact.size or 1.0
         error, certificate = max(error, missed / size), max(certificate, step.certificate / size)
-        excess = max(excess, (missed - step.certificate) / size)
+        excess = max(excess, (missed - step.certificate) / (exact.forces or 1.0))
         u = step.u
     verdict = "met"
     if hard.refused is not None:
