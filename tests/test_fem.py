@@ -678,3 +678,15 @@ def test_overlapping_and_missing_groups_of_a_coefficient_are_refused():
     ):
         with pytest.raises(InputError, match=message):
             antiplane(everything, clamped="inner", effects=[Viscosity(eta)])
+
+
+def test_a_boundary_with_infinite_friction_is_glued():
+    g = {"left": np.inf, "right": 0.2}
+    effects = [*VISCOUS, Friction(["left", "right"], g), Traction("bottom", Sine(3.0, 4.0))]
+    problem = antiplane(square(4), clamped="top", effects=effects)
+    contact = problem.contact
+    left = contact.boundary == "left"
+    assert np.isinf(contact.threshold[left]).all()
+    solution = solve(problem.as_sweeping(), t_end=2.0, steps=8)
+    assert not solution.u[:, contact.unknown[left]].any()
+    assert solution.u[:, contact.unknown[~left]].any()

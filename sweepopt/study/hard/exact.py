@@ -187,7 +187,7 @@ def _in_polyhedron(
 
 
 def _in_balls(N: np.ndarray, q: np.ndarray, C: Ball | Balls, near: np.ndarray) -> np.ndarray:
-    """Newton's method on w_k + r_k z_k / |z_k| = 0 where |w_k - T_k z_k| > r_k, z_k = 0 elsewhere."""
+    """Newton's method on w_k + r_k z_k / |z_k| = 0 where |w_k - T_k z_k| > r_k, else z_k = 0."""
     center, radii, block = (
         (C.center, np.array([C.radius]), C.dim)
         if isinstance(C, Ball)

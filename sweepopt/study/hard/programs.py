@@ -196,3 +196,29 @@ def parts(random: Random) -> Hard:
     part = product(Box(-ends, ends), Box([-np.inf] * 2, [np.inf] * 2), Orthant(3))
     few = np.sort(random.permutation(N)[: part.dim])
     return pushed(chain(random), 3 * random.normal(size=N), part, few)
+
+
+def combined_box(random: Random) -> Hard:
+    """Condition 1e6 to 1e12, mixed units, g from 0 to 1e12 and inf."""
+    M = spectral(random, np.logspace(-random.uniform(6, 12), 0, N))
+    units = 2.0 ** random.integers(-40, 41, N)
+    few, g = some(random), 10 ** random.uniform(-6, 2, FEW)
+    g[random.permutation(FEW)[:4]] = [0.0, np.inf, 1e12, 1e-12]
+    part = Box(-units[few] * g, units[few] * g)
+    return pushed(units[:, None] * M * units, units * random.normal(size=N), part, few)
+
+
+def combined_balls(random: Random) -> Hard:
+    """Second-order-cone friction, condition 1e6 to 1e12, radii from 1e-6 to 1e2."""
+    M = spectral(random, np.logspace(-random.uniform(6, 12), 0, N))
+    few, radii = some(random, 8), 10 ** random.uniform(-6, 2, 4)
+    return pushed(M, random.normal(size=N), Balls(radii, 2), few)
+
+
+def combined_rows(random: Random) -> Hard:
+    """A polyhedron whose rows differ by 1e-6, condition 1e4 to 1e10, forces x 2^40."""
+    M = spectral(random, np.logspace(-random.uniform(4, 10), 0, N))
+    row, scale = random.normal(size=5), 2.0**40
+    G = np.concatenate([row + 1e-6 * random.normal(size=(2, 5)), random.normal(size=(3, 5))])
+    few = some(random, 5)
+    return pushed(scale * M, scale * random.normal(size=N), Polyhedron(G, scale * np.ones(5)), few)
