@@ -12,7 +12,7 @@ pytest.importorskip("skfem")
 import skfem
 from meshes import annulus, square, write_msh
 
-from sweepopt import Constant, InputError, Sine, Table
+from sweepopt import Constant, InputError, Sine, Table, solve
 from sweepopt.fem import (
     BodyForce,
     Elasticity,
@@ -687,6 +687,6 @@ def test_a_boundary_with_infinite_friction_is_glued():
     contact = problem.contact
     left = contact.boundary == "left"
     assert np.isinf(contact.threshold[left]).all()
-    solution = solve(problem.as_sweeping(), t_end=2.0, steps=8)
+    solution = solve(problem.problem, t_end=2.0, steps=8)
     assert not solution.u[:, contact.unknown[left]].any()
     assert solution.u[:, contact.unknown[~left]].any()

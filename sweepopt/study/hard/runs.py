@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from sweepopt.loads import Separable
 from sweepopt.process import SweepingProcess
 from sweepopt.sets import Balls, Box, Moving, Polyhedron
 from sweepopt.study.hard.bodies import Hard, Random, chain, moved, some, spectral
@@ -23,7 +24,7 @@ def _run(
 ) -> Hard:
     few, g = some(random, HALF, DIM), random.uniform(0.2, 1.0, HALF)
     shape = 3 * random.normal(size=DIM)
-    C = moved(Box(-g, g), lambda t: phi(t) * shape, few, DIM)
+    C = moved(Box(-g, g), Separable([(phi, shape)]), few, DIM)
     return Hard(lambda: SweepingProcess(A, B, C, np.zeros(DIM)), t_end, steps)
 
 
