@@ -75,7 +75,10 @@ def matrix(name: str, value: Any) -> Matrix:
 
 
 def symmetric(name: str, value: Any, dim: int | None = None) -> Matrix:
-    """A finite symmetric matrix; an asymmetry above rounding is refused with its entry."""
+    """A finite symmetric matrix; an asymmetry above rounding is refused with its entry.
+
+    One of rounding is taken out: factors look at one triangle, residuals at both.
+    """
     result = matrix(name, value)
     rows, columns = result.shape
     if not rows:
@@ -91,6 +94,8 @@ def symmetric(name: str, value: Any, dim: int | None = None) -> Matrix:
             f"{name} must be symmetric: {name}[{i}, {j}] = {result[i, j]:g} but "
             f"{name}[{j}, {i}] = {result[j, i]:g}; pass ({name} + {name}.T) / 2 if that is meant"
         )
+    if rows and difference.max() > 0:
+        result = matrix(name, 0.5 * (result + result.T))
     return result
 
 

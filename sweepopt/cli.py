@@ -43,6 +43,7 @@ NEEDED = {
     "matplotlib": ("matplotlib", "plot"),
     "pandas": ("pandas", "study"),
     "threadpoolctl": ("threadpoolctl", "study"),
+    "mpmath": ("mpmath", "study"),
 }
 """Packages whose absence would only show when a long run is over, and who brings them."""
 
@@ -93,7 +94,7 @@ def _parser() -> argparse.ArgumentParser:
 
     study = commands.add_parser("study", help="what accuracy costs, cell by cell; resumable")
     study.set_defaults(command=_study)
-    study.add_argument("study", metavar="STUDY", help="a TOML file, or accuracy")
+    study.add_argument("study", metavar="STUDY", help="a TOML file, accuracy, or hard")
     study.add_argument("--out", type=Path, metavar="FOLDER", help="default: results/<study name>")
     where = study.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, metavar="N", help="processes; default: none, serial")
@@ -148,7 +149,7 @@ def _bench(chosen: argparse.Namespace) -> int:
 
 
 def _study(chosen: argparse.Namespace) -> int:
-    _require_packages(["pandas", "threadpoolctl", "matplotlib"])
+    _require_packages(["pandas", "threadpoolctl", "matplotlib", "mpmath"])
     from sweepopt.study.commands import study_command
 
     study_command(chosen)

@@ -65,14 +65,14 @@ def find_study(study: str) -> Path:
     >>> find_study("accuracy").name
     'accuracy.toml'
     """
-    given, folder = Path(study), _folder() / "studies"
+    given = Path(study)
     if given.suffix == ".toml" or given.is_file():
         return given
-    path = folder / f"{study}.toml"
-    if given.name != study or not path.is_file():
-        known = ", ".join(sorted(file.stem for file in folder.glob("*.toml"))) or "none"
-        raise InputError(f"{study!r} is neither a study file nor a study; there are: {known}")
-    return path
+    known = {path.stem: path for path in _folder().glob("*/*.toml")}
+    if study not in known:
+        names = ", ".join(sorted(known)) or "none"
+        raise InputError(f"{study!r} is neither a study file nor a study; there are: {names}")
+    return known[study]
 
 
 def _folder() -> Path:

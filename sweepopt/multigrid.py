@@ -204,6 +204,10 @@ class Multigrid(Factor):
         """
         return 1.1 * self._size(w / self.root) / math.sqrt(self._smallest)
 
+    def rounding(self, z: np.ndarray, q: np.ndarray) -> float:
+        """0: what M @ z rounds is not bounded here, as lambda_min(M) is not known."""
+        return 0.0
+
     def dual_norm_floor(self, w: np.ndarray) -> float:
         """A number below |w|_{M^-1} that costs one cycle: sqrt(<V w, w> / lambda_max(V M))."""
         return self._size(w / self.root) / math.sqrt(self._largest)

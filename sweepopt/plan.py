@@ -20,15 +20,8 @@ from sweepopt.schemes import Scheme
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.base import same_array
 from sweepopt.solvers import Solver, choose
-from sweepopt.velocity import (
-    SelectedVelocity,
-    Solved,
-    VelocityOf,
-    eliminated,
-    iterated,
-    linear,
-    programmed,
-)
+from sweepopt.substitution import SelectedVelocity, Solved, VelocityOf, eliminated, linear
+from sweepopt.velocity import iterated, programmed
 
 PATHS = {
     "auto": "the first that applies",

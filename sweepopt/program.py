@@ -161,15 +161,13 @@ class VelocityProgram:
         is short of an exact pair by `gap` adds 2 gap under the root.
         """
         M = self.M
-        witness = C.witness(-z, M.M @ z + q, M.diagonal, y)
+        witness = C.witness(-z, M.apply(z, q).value, M.diagonal, y)
         if witness is None:
             return Velocity(z, float("nan"), float("nan"))
         z = 0.0 - witness.p
-        force = M.M @ z
-        rho = force + q - witness.w
         # norms that cost a solve are taken only where cheaper ones do not show rounding alone
-        size_z = math.sqrt(max(z @ force, 0.0))
-        size_rho = M.dual_norm_within(rho, POLISHED * size_z)
+        rho, size_z, rounding = M.apply(z, q, -witness.w)
+        size_rho = M.dual_norm_within(rho, POLISHED * size_z) + rounding
         certificate = math.sqrt(2 * witness.gap + size_rho**2)
         size_q = 0.0 if certificate <= POLISHED * size_z else M.dual_norm(q - C.anchor)
         return rate(z, certificate, size_z, size_q)

@@ -31,6 +31,7 @@ import scipy.sparse as sp
 from sweepopt.checks import Matrix
 from sweepopt.linalg import Elimination
 from sweepopt.loads import Constant, Separable
+from sweepopt.precise import Precise
 from sweepopt.process import SweepingProcess
 from sweepopt.sets import AnySet, ConvexSet, Moving
 
@@ -155,7 +156,7 @@ def reduce(process: SweepingProcess, tol: float) -> Reduction | str:
     A = Elimination(process.A, unknowns, process.metric.order)
     held = [_held(A, f) for _, f in terms]
     responses = np.array([A.dual_norm(f) for _, f in terms])
-    errors = np.array([A.dual_norm(one.missed) for one in held])
+    errors = np.array([A.dual_norm(one.missed) + A.resolution(one.F) for one in held])
     share = _accuracy(A)
     if (errors > (worst := min(ACCURATE, FLOOR * tol)) * responses).any() or share > worst:
         return "A is too badly conditioned to apply its inverse beforehand"
@@ -184,14 +185,14 @@ def _held(A: Elimination, f: np.ndarray) -> Held:
     nothing = np.zeros(few.size)
     F, pull = np.zeros(A.dim), nothing
     for _ in range(2):  # the second one refines
-        missed = inner - A.M @ F
+        missed = A.precisely(-F, inner)
         missed[few] -= pull
         if not missed.any():
             break
         forward, more = A.reduce(missed)
         # held at 0, the contact takes the force N E A^-1 r
         F, pull = F + A.recover(forward, nothing), pull + more
-    missed = inner - A.M @ F
+    missed = A.precisely(-F, inner)
     missed[few] -= pull
     return Held(F, f[few] + pull, missed)
 
@@ -204,13 +205,21 @@ def _follow(A: Elimination, zeta: np.ndarray) -> np.ndarray:
 
 
 def _accuracy(A: Elimination) -> float:
-    """|A v - E^T N d|_{A^-1} / |v|_A of v = A^-1 E^T N d: twice the worst of three d."""
-    m = A.unknowns.size
-    worst = 0.0
-    for d in (np.ones(m), np.cos(np.arange(m) + 1.0), (-1.0) ** np.arange(m)):
-        v, pull = _follow(A, d), np.zeros(A.dim)
-        pull[A.unknowns] = A.N @ d
-        worst = max(worst, A.dual_norm(A.M @ v - pull) / A.norm(v))
+    """|A v - E^T N d|_{A^-1} / |v|_A of v = A^-1 E^T N d: twice the worst of six d.
+
+    Three are given, the others are the displacements under these as forces: smooth ones, of which
+    a badly conditioned A leaves less.
+    """
+    few, worst, precisely = A.unknowns, 0.0, Precise(A.N)
+    m = few.size
+    for force in (np.ones(m), np.cos(np.arange(m) + 1.0), (-1.0) ** np.arange(m)):
+        on_few = np.zeros(A.dim)
+        on_few[few] = force
+        for d in (force, A.solve(on_few)[few]):
+            v, pull = _follow(A, d), np.zeros(A.dim)
+            pull[few] = precisely(d)
+            missed = A.dual_norm(A.precisely(v, -pull)) + A.resolution(v)
+            worst = max(worst, missed / A.norm(v))
     return 2 * worst
 
 

@@ -6,89 +6,24 @@ any other set the whole program.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from sweepopt.linalg import Elimination, Factor, dense, euclidean
+from sweepopt.linalg import Elimination, Factor
 from sweepopt.multigrid import Multigrid
-from sweepopt.program import (
-    POLISHED,
-    Velocity,
-    VelocityProgram,
-    closed_form,
-    has_closed_form,
-    rate,
-    untranslated,
-)
+from sweepopt.polish import judged
+from sweepopt.program import Velocity, VelocityProgram, closed_form, has_closed_form, untranslated
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.algebra import Translation
-from sweepopt.sets.base import Selection, same_array
-from sweepopt.solvers import NEWTON, Answer, Solve, Solver, choose
+from sweepopt.sets.base import Selection
+from sweepopt.solvers import Solve, Solver, choose
 from sweepopt.solvers.multigrid import MultigridProgram
-from sweepopt.solvers.newton import Iteration
+from sweepopt.substitution import ACCURATE, SelectedVelocity, Solved, VelocityOf, eliminated
 
-ACCURATE = 1e-9  # what multigrid iterates to, and above which rounding is looked at closely
 SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
-
-
-class Solved(NamedTuple):
-    """A velocity, who found it and what was tried before."""
-
-    velocity: Velocity
-    solver: str
-    iterations: int
-    attempts: int
-
-
-VelocityOf = Callable[[np.ndarray, ConvexSet], Solved]
-SelectedVelocity = Callable[[np.ndarray, Selection], Solved]
-Polish = Callable[[np.ndarray, ConvexSet, np.ndarray], Velocity | None]
-
-
-def linear(M: Factor) -> VelocityOf:
-    """C is a point c: M z = c - q."""
-
-    def solve(q: np.ndarray, C: ConvexSet) -> Solved:
-        force = C.anchor - q
-        z = M.solve(force)
-        size = math.sqrt(abs(force.dot(z)))  # both |z|_M and |M^-1 q|_M
-        rounding = M.dual_norm_within(M.M @ z - force, ACCURATE * size)
-        velocity = rate(z, rounding, size, size)
-        return Solved(velocity, "linear", 0, 1)
-
-    return solve
-
-
-def eliminated(M: Elimination, small: VelocityOf) -> SelectedVelocity:
-    """C = c + E^T S: the velocity of the unknowns zeta = E z solves a small program.
-
-    N = (E M^-1 E^T)^-1, linear term N E M^-1 (q - c), set S (MATH.md section 5). From zeta the
-    force w = N (zeta + E M^-1 (q - c)) gives z = M^-1 (c - q + E^T w), whose E z is zeta: z
-    misses the inclusion by what zeta misses it, in the same norm, plus rounding. `small` is the
-    velocity for the matrix N.
-    """
-
-    def solve(q: np.ndarray, selection: Selection) -> Solved:
-        force = -q if selection.shift is None else selection.shift - q
-        forward, pull = M.reduce(force)
-        size_q = euclidean(forward)
-        solved = small(-pull, selection.part)
-        zeta = solved.velocity.z
-        total = M.N @ zeta
-        z = M.recover(forward, total)
-        z[M.unknowns] = zeta  # to the last bit: stuck is 0.0
-        force[M.unknowns] += total - pull
-        size_z = math.sqrt(abs(force.dot(z)))
-        rounding = M.dual_norm_within(M.M @ z - force, ACCURATE * size_z)
-        certificate = solved.velocity.certificate + rounding
-        velocity = rate(z, certificate, size_z, size_q)
-        return Solved(velocity, solved.solver, solved.iterations, solved.attempts)
-
-    return solve
 
 
 def iterated(M: Multigrid, contact: np.ndarray, tol: float) -> SelectedVelocity:
@@ -109,15 +44,22 @@ def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> 
     formula = False
     rungs: list[Solver] = []
     compiled: dict[int, Solve] = {}
-    judge = _judge(cache(lambda: polisher(M, order)))
+    judge = judged(M, order)
+
+    @cache
+    def alone(unknowns: tuple[int, ...]) -> SelectedVelocity:
+        """The program of the few unknowns, where that of all of them fails."""
+        body = Elimination(M.M, np.array(unknowns), order)
+        return eliminated(body, programmed(Factor(body.N), "auto", tol, None))
 
     def solve(q: np.ndarray, C: ConvexSet) -> Solved:
-        nonlocal program, formula, rungs
+        nonlocal program, formula, rungs, judge
         shape = C.part if isinstance(C, Translation) else C
         if program is None or not (program.cone is shape or program.cone.same_cone(shape)):
             program = VelocityProgram(M, shape)
             formula = solver == "auto" and has_closed_form(M, shape)
             rungs = ladder(choose(solver, shape))
+            judge = judged(M, order)
             compiled.clear()
         if formula:
             return Solved(closed_form(M, q, C), "closed form", 0, 0)
@@ -141,74 +83,15 @@ def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> 
             if found.velocity.relative < best.velocity.relative:
                 best = found
             if best.velocity.relative <= tol:
-                break
+                return best._replace(attempts=attempt + 1)
+        selection = C.selection
+        if selection is not None:
+            few = alone(tuple(selection.unknowns))(q, selection)
+            if few.velocity.relative < best.velocity.relative:
+                return few._replace(attempts=attempt + 1 + few.attempts)
         return best._replace(attempts=attempt + 1)
 
     return solve
-
-
-def _judge(
-    polish: Callable[[], Polish],
-) -> Callable[[VelocityProgram, np.ndarray, ConvexSet, Answer], Velocity]:
-    """Certify an answer, polished if that is better; who needed it last is polished at once."""
-    needed = False
-
-    def judge(program: VelocityProgram, q: np.ndarray, C: ConvexSet, answer: Answer) -> Velocity:
-        nonlocal needed
-        raw = None if needed else program.certify(q, C, answer.z, answer.y)
-        if raw is not None and raw.relative <= POLISHED:
-            return raw
-        better = polish()(q, C, answer.z)
-        needed = better is not None and better.relative <= POLISHED
-        if better is not None and needed:
-            return better
-        raw = raw or program.certify(q, C, answer.z, answer.y)
-        return raw if better is None or raw.relative <= better.relative else better
-
-    return judge
-
-
-def polisher(M: Factor, order: np.ndarray | None) -> Polish:
-    """(q, C, z) -> the velocity of Newton steps from z; None where they do not apply.
-
-    They are taken on the unknowns that the set acts on, all others are eliminated.
-    """
-    start = np.zeros(0)
-    elimination: Elimination | None = None
-    selected: SelectedVelocity | None = None
-
-    def newton(N: Factor, cone: ConvexSet) -> VelocityOf:
-        program, iterate = VelocityProgram(N, cone), Iteration(dense(N.M))
-
-        def solve(q: np.ndarray, C: ConvexSet) -> Solved:
-            z = start
-            for limit in (1, NEWTON.max_iter):  # one step is enough from a good answer
-                z, iterations = iterate(q, C, z, limit)
-                velocity = program.certify(q, C, z, np.zeros(C.offsets.size))
-                if velocity.relative <= POLISHED:
-                    break
-            return Solved(velocity, NEWTON.name, iterations, 1)
-
-        return solve
-
-    whole: VelocityOf | None = None
-
-    def polish(q: np.ndarray, C: ConvexSet, z: np.ndarray) -> Velocity | None:
-        nonlocal start, elimination, selected, whole
-        selection = C.selection
-        if selection is None or not NEWTON.treats(selection.part):
-            if not NEWTON.treats(C):
-                return None
-            start, whole = z, whole or newton(M, C)
-            return whole(q, C).velocity
-        few = selection.unknowns
-        if elimination is None or selected is None or not same_array(few, elimination.unknowns):
-            elimination = Elimination(M.M, few, order)
-            selected = eliminated(elimination, newton(Factor(elimination.N), selection.part))
-        start = z[few]
-        return selected(q, selection).velocity
-
-    return polish
 
 
 def ladder(solvers: Sequence[Solver]) -> list[Solver]:

@@ -12,7 +12,7 @@ pytest.importorskip("skfem")
 import skfem
 from meshes import annulus, square, write_msh
 
-from sweepopt import Constant, InputError, Sine, Table
+from sweepopt import Constant, InputError, Sine, Table, solve
 from sweepopt.fem import (
     BodyForce,
     Elasticity,
@@ -631,7 +631,8 @@ def test_bad_arguments_are_refused_by_name(arguments, message):
         (lambda: Viscosity({"core": -1.0}), "eta.core must be > 0"),
         (lambda: Elasticity(-2.0), "kappa must be >= 0"),
         (lambda: Friction("outer", -1.0), "g must be >= 0"),
-        (lambda: Friction("outer", np.inf), "g must be finite, got inf; glue a boundary"),
+        (lambda: Friction("outer", np.nan), "g must be finite, got nan"),
+        (lambda: Friction("outer", -np.inf), "g must be >= 0, got -inf"),
         (lambda: Friction(3, 1.0), "on must be a name or a list of names"),
         (lambda: Friction("outer", Profile("x", [0, 1], [1, -1])), "g.values must be >= 0"),
         (lambda: Traction("outer", 5.0), "history must be a function of time"),
@@ -677,3 +678,15 @@ def test_overlapping_and_missing_groups_of_a_coefficient_are_refused():
     ):
         with pytest.raises(InputError, match=message):
             antiplane(everything, clamped="inner", effects=[Viscosity(eta)])
+
+
+def test_a_boundary_with_infinite_friction_is_glued():
+    g = {"left": np.inf, "right": 0.2}
+    effects = [*VISCOUS, Friction(["left", "right"], g), Traction("bottom", Sine(3.0, 4.0))]
+    problem = antiplane(square(4), clamped="top", effects=effects)
+    contact = problem.contact
+    left = contact.boundary == "left"
+    assert np.isinf(contact.threshold[left]).all()
+    solution = solve(problem.problem, t_end=2.0, steps=8)
+    assert not solution.u[:, contact.unknown[left]].any()
+    assert solution.u[:, contact.unknown[~left]].any()

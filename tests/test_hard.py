@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+pytest.importorskip("mpmath")
+
 import sweepopt as so
+from sweepopt.cli import main
 from sweepopt.plan import make_plan
 from sweepopt.schemes import SCHEMES
+from sweepopt.study.hard import FAMILIES, Program
+from sweepopt.study.hard.bodies import chain, pushed
+from sweepopt.study.hard.table import rows
 
 RNG = np.random.default_rng(0)
 N = 60
@@ -17,7 +26,7 @@ A = 2.001 * np.eye(N) - np.eye(N, k=1) - np.eye(N, k=-1)
 LOAD, G = 3 * RNG.normal(size=N), RNG.uniform(0.5, 2, N)
 BASIS = np.linalg.qr(RNG.normal(size=(N, N)))[0]
 UNITS = np.logspace(-6, 6, N)
-Program = tuple[np.ndarray, np.ndarray, np.ndarray]
+Data = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def spectral(values: np.ndarray) -> np.ndarray:
@@ -26,7 +35,7 @@ def spectral(values: np.ndarray) -> np.ndarray:
 
 
 # M, q, g and the certificate that can be asked for
-HARD: dict[str, tuple[Callable[[], Program], float]] = {
+HARD: dict[str, tuple[Callable[[], Data], float]] = {
     "plain": (lambda: (A, LOAD, G), 1e-12),
     "beta 1e-8": (lambda: (A - (np.linalg.eigvalsh(A)[0] - 1e-8) * np.eye(N), LOAD, G), 1e-12),
     "condition 1e12": (lambda: (spectral(np.logspace(-12, 0, N)), LOAD, G), 1e-6),
@@ -54,3 +63,165 @@ def test_hard_programs_are_solved_with_a_proof(name: str, solver: str) -> None:
     size = np.abs(M) @ np.abs(velocity.z) + np.abs(q)
     assert (np.abs(force[~slips]) <= g[~slips] + 1e-5 * size[~slips]).all()
     assert (np.abs(force + g * np.sign(velocity.z))[slips] <= 1e-5 * size[slips]).all()
+
+
+# ---- every family, judged by its exact velocity -----------------------------------------------
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_hard_families_are_met_within_their_certificates(family: str) -> None:
+    solvers = ["auto", "osqp", "clarabel", "cvxpy:osqp"]
+    found = list(rows([family], [0], solvers=solvers))
+    assert found
+    assert [row for row in found if not row.good] == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(1, 7))
+@pytest.mark.parametrize("family", FAMILIES)
+def test_hard_families_are_met_for_every_seed_and_solver(family: str, seed: int) -> None:
+    assert [row for row in rows([family], [seed]) if not row.good] == []
+
+
+def test_the_exact_velocity_is_that_of_a_closed_form() -> None:
+    # M = diag, a box: z = (P(q) - q) / M; a ball in the plane, M = 2 I: the same
+    q = np.array([3.0, -0.5, -4.0])
+    z = Program(np.diag([2.0, 1.0, 4.0])).solve(q, so.Box([-1] * 3, [1] * 3), np.zeros(3)).z
+    assert [float(x) for x in z] == [-1.0, 0.0, 0.75]
+    ball = Program(2 * np.eye(2)).solve(np.array([3.0, 4.0]), so.Ball([0, 0], 1.0), -np.ones(2)).z
+    assert [float(x) for x in ball] == pytest.approx([-1.2, -1.6], abs=1e-15)
+    half = so.Polyhedron([[1.0, 1.0]], [1.0])
+    rows_ = Program(np.eye(2)).solve(np.array([1.0, 2.0]), half, np.zeros(2)).z
+    assert [float(x) for x in rows_] == [-1.0, -1.0]
+
+
+def test_an_answer_that_is_wrong_is_seen_and_so_is_a_certificate_that_is_too_small() -> None:
+    made = pushed(np.diag([1.0, 2.0]), np.array([3.0, 0.0]), so.Box([-1, -1], [1, 1]))
+    process = made.process()
+    C = process.C.at(1.0)
+    z = np.array([2.0 + 1e-6, 0.0])
+    exact = Program(process.A).solve(np.zeros(2), C, z)
+    assert Program(process.A).error(z, exact) == pytest.approx(1e-6, rel=1e-9)
+
+
+def test_units_change_nothing() -> None:
+    few, M = np.array([1, 4, 7, 9]), chain(np.random.default_rng(3), 12)
+    f, g = 3 * np.random.default_rng(4).normal(size=12), np.array([0.1, 0.5, 1.0, 2.0])
+
+    def velocity(force: float, length: float, solver: str, path: str) -> np.ndarray:
+        # energies in force * length: A in force / length, loads in force
+        made = pushed(force / length * M, force * f, so.Box(-force * g, force * g), few)
+        with pytest.warns(so.InitialStateWarning):
+            sol = so.solve(made.process(), t_end=1.0, steps=1, solver=solver, path=path)
+        return sol.velocity[0] / length
+
+    for solver in ("auto", "osqp", "clarabel"):
+        for path in ("full", "eliminated", "proportional"):
+            plain = velocity(1.0, 1.0, solver, path)
+            for force, length in ((2.0**40, 1.0), (2.0**-40, 1.0), (1.0, 2.0**40), (1.0, 2.0**-40)):
+                scaled = velocity(force, length, solver, path)
+                assert np.abs(scaled - plain).max() <= 1e-12 * np.abs(plain).max()
+                assert ((scaled == 0) == (plain == 0)).all()
+
+
+@pytest.mark.parametrize("share", [0.5, 0.999, 1.0])
+@pytest.mark.parametrize("steps", [1000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_a_body_that_is_held_does_not_drift(share: float, steps: int) -> None:
+    rng = np.random.default_rng(5)
+    M, g, u0 = chain(rng, 6), rng.uniform(0.5, 2.0, 6), rng.normal(size=6)
+    held = share * g * rng.choice([-1.0, 1.0], 6)
+    C = so.Moving(so.Box(-g, g), M @ u0 + held)
+    sol = so.solve(so.SweepingProcess(M, M, C, u0), t_end=100.0, steps=steps)
+    assert not sol.velocity.any()
+    assert (sol.u == u0).all()
+
+
+def test_small_viscosity_tends_to_the_rate_independent_process() -> None:
+    rng = np.random.default_rng(6)
+    A, B, g = chain(rng, 8), chain(rng, 8), rng.uniform(0.2, 1.0, 8)
+    shape = 3 * rng.normal(size=8)
+    C = so.Moving(so.Box(-g, g), lambda t: np.sin(t) * shape)
+
+    def run(nu: float) -> np.ndarray:
+        process = so.SweepingProcess(nu * A, B, C, np.zeros(8))
+        return so.solve(process, t_end=6.0, steps=120, scheme="implicit-euler").u
+
+    limit, size = run(0.0), np.abs(run(0.0)).max()
+    errors = [np.abs(run(10.0**-k) - limit).max() / size for k in range(13)]
+    assert all(later < 0.2 * earlier for earlier, later in pairwise(errors[2:9]))
+    assert max(errors[9:]) < 1e-8
+
+
+# ---- what must not move, and what is there twice ----------------------------------------------
+
+
+@pytest.mark.parametrize("solver", ["auto", "newton", "daqp", "osqp", "clarabel", "cvxpy"])
+def test_glued_unknowns_have_exactly_no_velocity(solver: str) -> None:
+    g = np.array([np.inf, 0.3, 0.0, np.inf, 1e12])
+    load = so.Separable([(so.Sine(3.0, 4.0), np.ones(5))])
+    vi = so.EvolutionVI(A[:5, :5], A[:5, :5], load=load, dissipation=so.Box(-g, g), u0=np.ones(5))
+    with pytest.warns(so.InitialStateWarning):
+        sol = so.solve(vi, t_end=4.0, steps=20, solver=solver)
+    assert (sol.u[:, [0, 3, 4]] == 1.0).all()
+    assert sol.velocity[:, [1, 2]].any(axis=0).all()
+
+
+def test_a_contact_that_is_named_twice_has_the_sum_of_its_bounds() -> None:
+    E = np.eye(4)[:, [2, 0, 2, 2]]
+    merged = so.image(E, so.Box([-1, -2, -3, -np.inf], [1, 2, 3, 4]))
+    assert merged.selection is not None
+    assert list(merged.selection.unknowns) == [0, 2]
+    assert list(merged.part.lower) == [-2.0, -np.inf]
+    assert list(merged.part.upper) == [2.0, 8.0]
+    # columns of zeros do nothing
+    nothing = so.image(np.array([[1.0, 0.0], [0.0, 0.0]]), so.Box([-1, -5], [1, 5]))
+    assert list(nothing.part.upper) == [1.0]
+
+
+def test_the_active_set_solver_stands_alone() -> None:
+    M, q = spectral(np.logspace(-12, 0, N)), LOAD
+    process = so.SweepingProcess(M, None, so.Moving(so.Box(-G, G), -q), np.zeros(N))
+    with pytest.warns(so.InitialStateWarning):
+        sol = so.solve(process, t_end=1.0, steps=1, solver="active-set")
+    exact = Program(process.A).solve(np.zeros(N), process.C.at(1.0), sol.velocity[0])
+    error = Program(process.A).error(sol.velocity[0], exact) / exact.size
+    assert error <= 1e-9
+    assert error <= sol.stats["relative"][0]
+    assert sol.stats["solver"][0] == "active-set"
+
+
+# ---- the command -------------------------------------------------------------------------------
+
+
+def test_the_command_writes_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "few.toml"
+    path.write_text('[hard]\nseeds = [3]\nfamilies = ["threshold", "empty"]\nsolvers = ["osqp"]\n')
+    assert main(["study", str(path), "--out", str(tmp_path / "out")]) == 0
+    assert "4 runs, 0 wrong" in capsys.readouterr().out
+    with (tmp_path / "out" / "hard.csv").open(newline="") as file:
+        table = list(csv.DictReader(file))
+    assert [row["verdict"] for row in table] == ["met", "refused", "refused", "refused"]
+    assert float(table[0]["error"]) <= 1e-8
+    page = (tmp_path / "out" / "hard.html").read_text()
+    assert "threshold: Each load is its friction bound" in page
+    assert "class=wrong" not in page
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("hard = 3", "hard must be a table"),
+        ("[hard]\nseed = [1]", "hard.seed: unknown key; there are: seeds"),
+        ("[hard]\nseeds = []", "hard.seeds must be a list with one entry or more"),
+        ("[hard]\nseeds = [-1]", "hard.seeds[0] must be a whole number >= 0, got -1"),
+        ('[hard]\nfamilies = ["soft"]', "hard.families[0]: 'soft' is not known; there are: thr"),
+        ('[hard]\nsolvers = ["magic"]', "hard.solvers[0]: 'magic' is not known; there are: auto"),
+    ],
+)
+def test_a_bad_table_is_refused(
+    text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    assert main(["study", str(path), "--out", str(tmp_path / "out")]) == 2
+    assert words in capsys.readouterr().err

@@ -15,13 +15,16 @@ PACKAGE = Path(__file__).parent.parent / "sweepopt"
 LEVELS = [
     {"errors"},
     {"checks", "csvtable", "grids"},
+    {"precise"},
     {"linalg", "loads", "secular"},
     {"sets"},
     {"states", "multigrid"},
     {"blocks", "process"},
     {"program", "reduction"},
     {"solvers", "schemes"},
-    {"velocity", "control"},
+    {"substitution", "control"},
+    {"polish"},
+    {"velocity"},
     {"plan"},
     {"field", "motion", "solution"},
     {"norms"},
@@ -55,6 +58,7 @@ HOMES = {
     "tqdm": {"evolve"},
     "pandas": {"study"},
     "threadpoolctl": {"study/threads"},
+    "mpmath": {"study/hard"},
     "distributed": {"study/executors"},
     "casadi": {"study/peer_runs"},
     "nosnoc": {"study/peer_runs"},
@@ -122,7 +126,7 @@ def test_outside_packages_are_imported_only_where_they_live(module: str) -> None
 
 def test_importing_the_library_loads_no_heavy_package() -> None:
     heavy = ["cvxpy", "skfem", "matplotlib", "xarray", "pydantic", "pandas", "tqdm", "meshio"]
-    heavy += ["distributed", "threadpoolctl"]
+    heavy += ["distributed", "threadpoolctl", "mpmath"]
     code = f"import sys, sweepopt; print([name for name in {heavy} if name in sys.modules])"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert shown.stdout.strip() == "[]"

@@ -202,7 +202,12 @@ def test_what_daqp_cannot_treat_or_find_is_said(monkeypatch: pytest.MonkeyPatch)
     with pytest.raises(so.MissingExtraError, match="speed"):
         so.DAQP().compile(VelocityProgram(Factor(np.eye(1)), C))
     monkeypatch.setattr("sweepopt.solvers.installed", lambda: False)
-    assert [solver.name for solver in choose("auto", C)] == ["newton", "osqp", "clarabel"]
+    assert [solver.name for solver in choose("auto", C)] == [
+        "newton",
+        "osqp",
+        "clarabel",
+        "active-set",
+    ]
 
 
 @pytest.mark.parametrize("dim", [20, 60])

@@ -227,7 +227,7 @@ BAD = [
         "effects.elasticity.kappa.values must be >= 0, got -1",
     ),
     ("effects.friction", {"on": "left", "g": -1.0}, "effects.friction.g must be >= 0, got -1"),
-    ("effects.friction", {"on": "left", "g": float("inf")}, "effects.friction.g must be finite"),
+    ("effects.friction", {"on": "left", "g": float("nan")}, "effects.friction.g must be finite"),
     ("effects.friction", {"on": "wall", "g": 1.0}, "effects.friction.on: 'wall' is not a boundary"),
     ("effects.friction", {"on": "top", "g": 1.0}, "effects.friction.on: all of top is clamped"),
     ("effects.friction", {"on": 3, "g": 1.0}, "effects.friction.on must be a name"),

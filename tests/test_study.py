@@ -425,6 +425,7 @@ def test_a_bad_study_is_refused_by_file_and_key(
 
 def test_the_studies_of_the_library_can_be_run_and_are_no_problems() -> None:
     folder = library.find_study("accuracy").parent
+    assert library.find_study("hard").parent.name == "hard"
     for path in folder.glob("*.toml"):
         assert len(read_study(library.find_study(path.stem)).cells()) > 0
         assert path.stem not in library.list_problems()

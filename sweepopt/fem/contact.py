@@ -76,7 +76,8 @@ def contact_on(body: Discretisation, on: Sequence[str], g: Datum) -> Contact:
     weight = np.bincount(nodes.ravel(), weights.ravel(), size)
     with np.errstate(over="ignore"):
         threshold = np.bincount(nodes.ravel(), (weights * bounds).ravel(), size)
-    refuse_overflow("g", threshold)
+    glued = np.bincount(nodes.ravel(), np.isinf(bounds).ravel(), size) > 0
+    refuse_overflow("g", threshold[~glued])
 
     walks, arcs, names = [], [], []
     for name, mine in edge_groups(body, on, facets).items():

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from sweepopt.errors import InputError
 from sweepopt.fem.contact import Contact, contact_on
 from sweepopt.fem.discretisation import Discretisation
-from sweepopt.fem.fields import NON_NEGATIVE, POSITIVE, Datum, check_datum
+from sweepopt.fem.fields import FRICTION, NON_NEGATIVE, POSITIVE, Datum, check_datum
 from sweepopt.fem.forms import boundary_load, stiffness, volume_load
 
 Array = NDArray[np.float64]
@@ -107,7 +107,8 @@ class Friction:
     on : str or sequence of str
         The boundaries that make up Gamma_3.
     g : number, mapping of boundary to number, Profile or callable
-        Friction bound (Pa), >= 0. Where it is zero there is no friction and nothing to simulate.
+        Friction bound (Pa), >= 0. Where it is zero there is no friction and nothing to simulate;
+        where it is inf the body is glued: it stays where u0 has it.
     """
 
     on: Sequence[str]
@@ -115,8 +116,7 @@ class Friction:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "on", names("on", self.on))
-        hint = "; glue a boundary by naming it under clamped"
-        object.__setattr__(self, "g", check_datum("g", self.g, NON_NEGATIVE, hint))
+        object.__setattr__(self, "g", check_datum("g", self.g, FRICTION))
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The contact; none if g is zero everywhere."""

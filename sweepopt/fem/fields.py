@@ -78,11 +78,12 @@ class Range:
 
     minimum: float = -np.inf
     strict: bool = False
+    infinite: bool = False
 
     def check(self, name: str, values: ArrayLike, hint: str = "") -> None:
         """Refuse values that are not finite or lie below the minimum."""
         array = np.asarray(values, dtype=float)
-        bad = ~np.isfinite(array)
+        bad = np.isnan(array) if self.infinite else ~np.isfinite(array)
         if np.any(bad):
             raise InputError(f"{name} must be finite, got {array[bad].flat[0]}{hint}")
         bad = array <= self.minimum if self.strict else array < self.minimum
@@ -96,6 +97,7 @@ class Range:
 ANY = Range()
 NON_NEGATIVE = Range(0.0)
 POSITIVE = Range(0.0, strict=True)
+FRICTION = Range(0.0, infinite=True)
 
 
 def check_datum(name: str, datum: Any, allowed: Range = ANY, hint: str = "") -> Datum:
@@ -169,7 +171,7 @@ def _by_group(
         if key not in groups:
             raise InputError(f"{name}.{key} is not a group here; there are: {names}")
         cells = groups[key]
-        if np.any(np.isfinite(values[cells])):
+        if not np.all(np.isnan(values[cells])):
             raise InputError(f"{name}.{key} overlaps another group of {name}; name disjoint ones")
         values[cells] = float(value)
     missing = np.isnan(values[:, 0])

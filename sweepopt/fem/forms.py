@@ -17,7 +17,7 @@ from skfem.helpers import dot, grad
 
 from sweepopt.errors import InputError
 from sweepopt.fem.discretisation import ELEMENTS, QUADRATURE, Discretisation
-from sweepopt.fem.fields import NON_NEGATIVE, Datum, Range, evaluate
+from sweepopt.fem.fields import FRICTION, Datum, Range, evaluate
 from sweepopt.fem.mesh import Indices
 
 Array = NDArray[np.float64]
@@ -87,7 +87,7 @@ def friction_weights(
         quadrature=(np.array([where]), np.array(rule)),
     )
     x = np.asarray(basis.global_coordinates())
-    return facets, basis.dx, evaluate(name, bound, x, edge_groups(body, on, facets), NON_NEGATIVE)
+    return facets, basis.dx, evaluate(name, bound, x, edge_groups(body, on, facets), FRICTION)
 
 
 def edge_groups(body: Discretisation, on: Sequence[str], facets: Indices) -> dict[str, Indices]:

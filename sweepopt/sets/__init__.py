@@ -10,7 +10,7 @@ from sweepopt.errors import InputError
 from sweepopt.sets.algebra import Product
 from sweepopt.sets.base import ConvexSet, Features, Witness
 from sweepopt.sets.constraints import Constraints
-from sweepopt.sets.image import Image
+from sweepopt.sets.image import Image, gathered
 from sweepopt.sets.moving import Moving, MovingOffsets, MovingSet
 from sweepopt.sets.polyhedra import HalfSpace, Polyhedron, Polytope
 from sweepopt.sets.shapes import (
@@ -60,6 +60,8 @@ def image(M: Any, C: Any) -> Any:
         return MovingSet(lambda t: template.with_part(C.at(t)), template.dim)
     if not isinstance(C, ConvexSet):
         raise InputError(f"image(M, C): C must be a set, got {type(C).__name__}")
+    if isinstance(C, Box) and C.dim == np.shape(M)[-1]:
+        M, C = gathered(M, C) or (M, C)
     found = Image(M, C)
     if isinstance(C, Point):
         return Point(found.M @ C.offsets)

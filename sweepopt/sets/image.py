@@ -298,6 +298,28 @@ def _selected(M: Matrix) -> np.ndarray | None:
     return rows if distinct else None
 
 
+def gathered(M: Any, box: Box) -> tuple[Matrix, Box] | None:
+    """M and a box with intervals on one unknown added up, those on none left out.
+
+    For an M whose columns are unit vectors or zero; None if there is nothing to gather. A contact
+    node that is named twice is one with the sum of its bounds.
+    """
+    M = matrix("M", M)
+    entries = sp.coo_array(M)
+    entries.eliminate_zeros()
+    if np.unique(entries.col).size < entries.nnz or not (entries.data == 1).all():
+        return None
+    rows, place = np.unique(entries.row, return_inverse=True)
+    if not rows.size or rows.size == M.shape[1]:
+        return None
+    lower, upper = np.zeros((2, rows.size))
+    np.add.at(lower, place, box.lower[entries.col])
+    np.add.at(upper, place, box.upper[entries.col])
+    unit = (np.ones(rows.size), (rows, np.arange(rows.size)))
+    E = sp.csc_array(unit, shape=(M.shape[0], rows.size))
+    return (E if sp.issparse(M) else E.toarray()), Box(lower, upper)
+
+
 def _nearest_in_box(M: np.ndarray, box: Box, w: np.ndarray) -> np.ndarray:
     """s in the box with M s nearest to w, exact on the bounds it ends with."""
     s = box.lower.copy()

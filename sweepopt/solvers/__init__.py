@@ -7,6 +7,7 @@ from typing import Any
 
 from sweepopt.errors import SolverRefusedError
 from sweepopt.sets import ConvexSet
+from sweepopt.solvers.active_set import ActiveSet
 from sweepopt.solvers.base import Answer, Solve, Solver
 from sweepopt.solvers.clarabel import Clarabel
 from sweepopt.solvers.daqp import DAQP, installed
@@ -15,13 +16,14 @@ from sweepopt.solvers.osqp import OSQP
 from sweepopt.solvers.reference import Cvxpy
 from sweepopt.solvers.secular import Secular
 
-NEWTON, FASTEST, FORMULA = Newton(), DAQP(), Secular()
+NEWTON, FASTEST, FORMULA, LAST = Newton(), DAQP(), Secular(), ActiveSet()
 REGISTRY: dict[str, Callable[[], Solver]] = {
     "clarabel": Clarabel,
     "osqp": OSQP,
     "newton": Newton,
     "secular": Secular,
     "daqp": DAQP,
+    "active-set": ActiveSet,
     "cvxpy": Cvxpy,
 }
 
@@ -44,7 +46,7 @@ def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
     SolverRefusedError
         If the name is unknown or the solver cannot treat C.
     """
-    general: list[Solver] = [other for other in (OSQP(), Clarabel()) if other.treats(C)]
+    general: list[Solver] = [other for other in (OSQP(), Clarabel(), LAST) if other.treats(C)]
     if solver == "auto":
         small: list[Solver] = [NEWTON] if NEWTON.treats(C) else []
         fastest: list[Solver] = [FASTEST] if installed() and FASTEST.treats(C) else []
@@ -79,8 +81,10 @@ def _names() -> str:
 
 __all__ = [
     "DAQP",
+    "LAST",
     "NEWTON",
     "OSQP",
+    "ActiveSet",
     "Answer",
     "Clarabel",
     "Cvxpy",

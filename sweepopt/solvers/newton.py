@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
 from sweepopt.checks import count
-from sweepopt.linalg import dense, euclidean
+from sweepopt.linalg import Factor, dense, euclidean
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
 from sweepopt.solvers.base import Answer, Solve, Solver
@@ -68,7 +68,7 @@ class Newton:
 
     def compile(self, program: VelocityProgram) -> Solve:
         """A function that starts from the velocity it found last."""
-        iterate, z = Iteration(dense(program.M.M)), np.zeros(program.M.dim)
+        iterate, z = Iteration(program.M), np.zeros(program.M.dim)
 
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:
             nonlocal z
@@ -79,17 +79,17 @@ class Newton:
 
 
 class Iteration:
-    """Newton steps for one dense M; the last factorised block is kept.
+    """Newton steps for one M; the last factorised block is kept.
 
     Contact states change rarely from step to step, and with them the block: that of M for the
     slipping entries, or that of M^-1 for the stuck ones where these are fewer.
     """
 
-    def __init__(self, M: np.ndarray) -> None:
-        self.M, self._diagonal = M, M.diagonal()
+    def __init__(self, M: Factor) -> None:
+        self._factor, self.M, self._diagonal = M, dense(M.M), M.diagonal
         self._stuck: np.ndarray | None = None
         self._kept = np.zeros(0, dtype=int)
-        self._block, self._inverted = M, False
+        self._block, self._inverted = self.M, False
 
     def __call__(
         self, q: np.ndarray, C: ConvexSet, z: np.ndarray, max_iter: int
@@ -99,11 +99,11 @@ class Iteration:
         weights = 1 / np.sqrt(T)
         smallest, stalled = math.inf, 0
         for iteration in range(max_iter):
-            w, pulled = self.M @ z + q, T * z
+            (w, size_z, _), pulled = self._factor.apply(z, q), T * z
             v = w - pulled
             missed = C.project(v) - w
             size = euclidean(missed * weights)
-            rounding = EPS * euclidean((np.abs(w) + np.abs(pulled)) * weights)
+            rounding = EPS * (euclidean(w * weights) + size_z)
             # at rounding the equation cannot get better: stop when it does not, or when it cycles
             stalled += size >= smallest
             if size <= rounding or (size <= 1e3 * rounding and stalled) or stalled == PATIENCE:

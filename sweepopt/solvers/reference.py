@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import warnings
 from dataclasses import dataclass, field
 from typing import Any
@@ -71,7 +73,8 @@ class Cvxpy:
             force = max(np.abs(q).max(), np.abs(offsets).max(initial=0.0)) or 1.0
             statement.q.value = q / force
             statement.offsets.value = offsets / force if size else np.zeros(1)
-            with warnings.catch_warnings():
+            # OSQP's polish reports an empty active set even when it is told to be quiet
+            with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
                 warnings.filterwarnings("ignore", message="Solution may be inaccurate")
                 try:
                     statement.problem.solve(solver=name, enforce_dpp=True, **settings)

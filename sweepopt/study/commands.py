@@ -9,11 +9,15 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from pathlib import Path
 
+from sweepopt.errors import InputError
 from sweepopt.library import find_study
 from sweepopt.study.advice import summary
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.executors import Processes, Serial, dask_executor
-from sweepopt.study.files import read_study
+from sweepopt.study.files import read_study, read_toml
+from sweepopt.study.hard.files import hard_study
+from sweepopt.study.hard.page import hard_summary, write_hard
+from sweepopt.study.hard.table import rows as hard_rows
 from sweepopt.study.outputs import write_outputs
 from sweepopt.study.sources import find_source
 from sweepopt.study.study import run
@@ -22,12 +26,29 @@ from sweepopt.study.study import run
 def study_command(chosen: argparse.Namespace) -> None:
     """Run a study, or go on with it, and write what it found."""
     path = find_study(chosen.study)
-    study = read_study(path)
     folder = chosen.out or Path("results") / path.stem
+    data = read_toml(path)
+    if "hard" in data:
+        _hard_command(path, data["hard"], folder)
+        return
+    study = read_study(path)
     with _executor(chosen) as executor:
         table = run(study, folder, executor=executor, progress=_say)
     files = write_outputs(study, table, folder)
     print(summary(table))
+    print(f"written: {folder}: {', '.join(files)}")
+
+
+def _hard_command(path: Path, data: object, folder: Path) -> None:
+    """The table of the hard cases, in one process: it takes a minute a seed."""
+    try:
+        study = hard_study(data)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    folder.mkdir(parents=True, exist_ok=True)
+    found = list(hard_rows(**vars(study), progress=_say))
+    files = write_hard(found, folder)
+    print(hard_summary(found))
     print(f"written: {folder}: {', '.join(files)}")
 
 

@@ -1,0 +1,100 @@
+"""The polish: any answer is moved to one that is exact but for rounding, if that is better.
+
+Newton steps on sets whose projection has a derivative, an active set on other small polyhedra; both
+on the unknowns that the set acts on, with all others eliminated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+
+from sweepopt.linalg import Elimination, Factor
+from sweepopt.program import POLISHED, Velocity, VelocityProgram
+from sweepopt.sets import ConvexSet
+from sweepopt.sets.base import same_array
+from sweepopt.solvers import LAST, NEWTON, Answer
+from sweepopt.solvers.newton import Iteration
+from sweepopt.substitution import SelectedVelocity, Solved, VelocityOf, eliminated
+
+Polish = Callable[[np.ndarray, ConvexSet, np.ndarray], Velocity | None]
+Judge = Callable[[VelocityProgram, np.ndarray, ConvexSet, Answer], Velocity]
+
+
+def judged(M: Factor, order: np.ndarray | None) -> Judge:
+    """Certify an answer, polished if that is better; who needed it last is polished at once."""
+    polish = cache(lambda: _polisher(M, order))
+    needed = False
+
+    def judge(program: VelocityProgram, q: np.ndarray, C: ConvexSet, answer: Answer) -> Velocity:
+        nonlocal needed
+        raw = None if needed else program.certify(q, C, answer.z, answer.y)
+        if raw is not None and raw.relative <= POLISHED:
+            return raw
+        better = polish()(q, C, answer.z)
+        needed = better is not None and better.relative <= POLISHED
+        if better is not None and needed:
+            return better
+        raw = raw or program.certify(q, C, answer.z, answer.y)
+        return raw if better is None or raw.relative <= better.relative else better
+
+    return judge
+
+
+def _polisher(M: Factor, order: np.ndarray | None) -> Polish:
+    """(q, C, z) -> the velocity of exact steps from z; None where they do not apply."""
+    start = np.zeros(0)
+    elimination: Elimination | None = None
+    selected: SelectedVelocity | None = None
+    whole: VelocityOf | None = None
+
+    def newton(N: Factor, cone: ConvexSet) -> VelocityOf:
+        program, iterate = VelocityProgram(N, cone), Iteration(N)
+
+        def solve(q: np.ndarray, C: ConvexSet) -> Solved:
+            z = start
+            for limit in (1, NEWTON.max_iter):  # one step is enough from a good answer
+                z, iterations = iterate(q, C, z, limit)
+                velocity = program.certify(q, C, z, np.zeros(C.offsets.size))
+                if velocity.relative <= POLISHED:
+                    break
+            return Solved(velocity, NEWTON.name, iterations, 1)
+
+        return solve
+
+    def active_set(N: Factor, cone: ConvexSet) -> VelocityOf:
+        program = VelocityProgram(N, cone)
+        compiled = LAST.compile(program)
+
+        def solve(q: np.ndarray, C: ConvexSet) -> Solved:
+            answer = compiled(q, C)
+            velocity = program.certify(q, C, answer.z, answer.y)
+            return Solved(velocity, LAST.name, answer.iterations, 1)
+
+        return solve
+
+    def exact(N: Factor, cone: ConvexSet) -> VelocityOf:
+        return newton(N, cone) if NEWTON.treats(cone) else active_set(N, cone)
+
+    def polish(q: np.ndarray, C: ConvexSet, z: np.ndarray) -> Velocity | None:
+        nonlocal start, elimination, selected, whole
+        selection = C.selection
+        if selection is None or not _treats(selection.part):
+            if not _treats(C):
+                return None
+            start, whole = z, whole or exact(M, C)
+            return whole(q, C).velocity
+        few = selection.unknowns
+        if elimination is None or selected is None or not same_array(few, elimination.unknowns):
+            elimination = Elimination(M.M, few, order)
+            selected = eliminated(elimination, exact(Factor(elimination.N), selection.part))
+        start = z[few]
+        return selected(q, selection).velocity
+
+    return polish
+
+
+def _treats(C: ConvexSet) -> bool:
+    return NEWTON.treats(C) or LAST.treats(C)

@@ -1,0 +1,88 @@
+"""M z + q rounded once: where M is badly conditioned, M z cancels to less than its own rounding.
+
+M and z are cut into slices of few bits (Ozaki, Ogita, Oishi, Rump, Numer. Algorithms 59, 2012): the
+products of slices are exact in double precision, and their sum is taken with its rounding errors.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from sweepopt.checks import Matrix
+
+SLICES = 4  # of 20 bits or more: 2^-80 of the largest term is left
+
+
+class Precise:
+    """Products with a symmetric positive definite matrix as if in twice the precision.
+
+    Parameters
+    ----------
+    M : ndarray or sparse, shape (dim, dim)
+
+    Examples
+    --------
+    >>> M = np.array([[1.0, 1.0], [1.0, 1.0 + 2**-50]])
+    >>> Precise(M)(np.array([1.0, -1.0]), np.array([0.0, 2.0**-50]))
+    array([0., 0.])
+    """
+
+    def __init__(self, M: Matrix) -> None:
+        # in units of the diagonal, by powers of 2: nothing is rounded
+        self._unit = np.exp2(np.floor(0.5 * np.log2(M.diagonal())))
+        rest = _scaled(M, 1 / self._unit)
+        entries = rest.data if sp.issparse(rest) else rest
+        terms = int(np.diff(rest.tocsr().indptr).max()) if sp.issparse(rest) else rest.shape[1]
+        self._bits = int((53 - math.ceil(math.log2(terms + 1))) // 2)
+        self._slices = []
+        for part in _cut(entries, self._bits):
+            one = rest.copy()
+            if sp.issparse(one):
+                one.data = part
+            else:
+                one = part
+            self._slices.append(one)
+
+    def __call__(self, z: np.ndarray, *more: np.ndarray) -> np.ndarray:
+        """M z + the sum of the others."""
+        columns = np.array(_cut(self._unit * z, self._bits)).T
+        terms = [entry / self._unit for entry in more]
+        for k, part in enumerate(self._slices):
+            terms += list((part @ columns[:, : SLICES - k]).T)
+        return self._unit * _sum(terms)
+
+
+def _cut(x: np.ndarray, bits: int) -> list[np.ndarray]:
+    """Slices with x = their sum, each of few bits in relation to the largest entry."""
+    largest = float(np.abs(x).max(initial=0.0))
+    parts = []
+    for _ in range(SLICES):
+        # adding and taking away a large number rounds to its last bit
+        shift = math.ldexp(0.75, math.frexp(largest)[1] + 54 - bits) if largest else 0.0
+        part = (x + shift) - shift
+        parts.append(part)
+        x = x - part
+        largest = math.ldexp(largest, -bits) if largest else 0.0
+    return parts
+
+
+def _sum(terms: list[np.ndarray]) -> np.ndarray:
+    """The sum, with what each addition rounds away (Knuth's two-sum)."""
+    total, lost = terms[0], np.zeros_like(terms[0])
+    for term in terms[1:]:
+        following = total + term
+        added = following - total
+        lost += (total - (following - added)) + (term - added)
+        total = following
+    return total + lost
+
+
+def _scaled(M: Matrix, weights: np.ndarray) -> Any:
+    if sp.issparse(M):
+        W = sp.diags_array(weights)
+        return sp.csr_array(W @ M @ W)
+    return weights[:, None] * M * weights

@@ -1,0 +1,93 @@
+"""A dual active-set method for small polyhedra: the last rung, for badly conditioned bodies.
+
+For C = { w : G w <= h } the velocity program is the projection of q on C in the M^-1 metric. With
+M = L L^T and w = q + L x this is the shortest x with  G L x <= h - G q,  z = L^-T x: the condition
+of L is the square root of that of M, and no tolerance enters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+
+from sweepopt.checks import count
+from sweepopt.errors import EmptySetError
+from sweepopt.linalg import NEGLIGIBLE, dense, euclidean
+from sweepopt.program import VelocityProgram
+from sweepopt.sets import ConvexSet
+from sweepopt.sets.active_set import least_distance
+from sweepopt.sets.base import ROUNDING
+from sweepopt.solvers.base import Answer, Solve, Solver
+
+REFINEMENTS = 3  # corrections of what L rounds
+
+
+@dataclass(frozen=True)
+class ActiveSet:
+    """The library's own active-set method, for small sets that are written as rows.
+
+    Parameters
+    ----------
+    max_dim : int
+        Larger programs are left to the other solvers: a row that enters costs dim^2 operations.
+
+    Raises
+    ------
+    InputError
+        If max_dim is not positive.
+
+    Examples
+    --------
+    >>> from sweepopt.sets import Ball, Box
+    >>> ActiveSet().treats(Box([-1.0], [1.0])), ActiveSet().treats(Ball([0.0, 0.0], 1.0))
+    (True, False)
+    """
+
+    max_dim: int = 300
+    name = "active-set"
+
+    def __post_init__(self) -> None:
+        count("max_dim", self.max_dim)
+
+    def treats(self, C: ConvexSet) -> bool:
+        """Whether C is small and written as rows."""
+        return C.polyhedral and C.dim <= self.max_dim and C.rows() is not None
+
+    def refined(self) -> Solver | None:
+        """None: it goes to rounding."""
+        return None
+
+    def compile(self, program: VelocityProgram) -> Solve:
+        """Factorise M once; a call starts from no active rows."""
+        M = program.M
+        L = scipy.linalg.cholesky(dense(M.M), lower=True)
+
+        def nearest(q: np.ndarray, G: np.ndarray, h: np.ndarray) -> np.ndarray | None:
+            rounding = ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(q))
+            found = least_distance(G @ L, h - G @ q, rounding)
+            return None if found is None else found.u
+
+        def solve(q: np.ndarray, C: ConvexSet) -> Answer:
+            rows = C.rows()
+            assert rows is not None
+            G, h = dense(rows[0]) if sp.issparse(rows[0]) else rows[0], rows[1]
+            z, nothing = np.zeros_like(q), np.zeros(C.offsets.size)
+            moved = q
+            for _ in range(1 + REFINEMENTS):
+                try:
+                    x = nearest(moved, G, h)
+                except EmptySetError:  # C was looked at before: M L^-T is rounding here
+                    x = None
+                if x is None:
+                    return Answer(z, nothing, 0, "failed: rounding")
+                z = scipy.linalg.solve_triangular(L, x, lower=True, trans=1)
+                if M.rounding(z, q) <= NEGLIGIBLE * euclidean(x):
+                    break
+                # what L L^T misses of M goes to the linear term
+                moved = M.precisely(z, q, -(L @ (L.T @ z)))
+            return Answer(z, nothing, 1, "solved")
+
+        return solve

@@ -1,0 +1,271 @@
+"""The exact velocity of a small program in 60 digits, to judge what double precision answers.
+
+-z in N_C(M z + q) for C = c + E^T S, S a box, balls or a polyhedron: the unknowns beside E z are
+eliminated, the rest is an active set that is changed until no sign and no bound is violated. The
+solution is unique, so that a start from somebody's answer favours nobody.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.optimize
+
+from sweepopt.checks import Matrix
+from sweepopt.errors import InputError, SweepoptError
+from sweepopt.linalg import dense
+from sweepopt.sets import Ball, Balls, Box, ConvexSet, Point
+from sweepopt.sets.algebra import Translation
+
+DIGITS = 60
+TURNS = 2000  # changes of the active set
+NOISE = 1e-45  # relative: below is rounding of 60 digits
+
+
+class Exact(NamedTuple):
+    """The velocity as mpmath numbers, shape (dim,), and sizes in |.|_M.
+
+    Attributes
+    ----------
+    size : float
+        max(|z|_M, |M^-1 q|_M), q the full linear term.
+    forces : float
+        |M^-1 q|_M + |M^-1 c|_M of C = c + S, which cancel in the full linear term: rounding of
+        the two is rounding of the data.
+    """
+
+    z: np.ndarray
+    size: float
+    forces: float
+
+
+class Program:
+    """M in 60 digits, for the exact velocities of many linear terms.
+
+    Parameters
+    ----------
+    M : ndarray or sparse, shape (dim, dim)
+        Small: the elimination takes dim^3 operations of a microsecond.
+    """
+
+    def __init__(self, M: Matrix) -> None:
+        import mpmath
+
+        mpmath.mp.dps = DIGITS
+        self.M = _exactly(dense(M))
+        self._eliminated: dict[bytes, _Condensed] = {}
+
+    def solve(self, q: np.ndarray, C: ConvexSet, near: np.ndarray) -> Exact:
+        """The velocity for a linear term and a set, from an answer that may be near it.
+
+        Raises
+        ------
+        InputError
+            If C is none of the kinds that this module knows.
+        """
+        shift = np.zeros(q.size)
+        if C.selection is not None:
+            few, part, moved = C.selection
+            shift = shift if moved is None else moved
+        else:
+            few, part = np.arange(q.size), C
+            while isinstance(part, Translation):
+                shift, part = shift + part.v, part.part
+        force = _exactly(q) - _exactly(shift)
+        key = few.tobytes()
+        if key not in self._eliminated:
+            self._eliminated[key] = _Condensed(self.M, few)
+        condensed = self._eliminated[key]
+        forward, pull = condensed.reduce(force)
+        zeta = _small(condensed.N, pull, part, near[few])
+        z = condensed.recover(forward, zeta)
+
+        def dual(w: np.ndarray) -> float:
+            return _root(condensed.solve(w) @ w)
+
+        size = max(_root(z @ self.M @ z), dual(force))
+        return Exact(z, size, dual(_exactly(q)) + dual(_exactly(shift)))
+
+    def error(self, z: np.ndarray, exact: Exact) -> float:
+        """|z - z*|_M."""
+        apart = _exactly(z) - exact.z
+        return _root(apart @ self.M @ apart)
+
+
+class _Condensed:
+    """L D L^T of M with the unknowns beside `few` first."""
+
+    def __init__(self, M: np.ndarray, few: np.ndarray) -> None:
+        beside = np.setdiff1d(np.arange(len(M)), few)
+        self.order, self.m = np.concatenate([beside, few]), len(beside)
+        self.L, self.D = _factor(M[np.ix_(self.order, self.order)])
+        tail = self.L[self.m :, self.m :]
+        self.N = (tail * self.D[self.m :]) @ tail.T
+
+    def reduce(self, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        forward = _forward(self.L[: self.m, : self.m], force[self.order[: self.m]])
+        pull = force[self.order[self.m :]] - self.L[self.m :, : self.m] @ forward
+        return forward, pull
+
+    def recover(self, forward: np.ndarray, zeta: np.ndarray) -> np.ndarray:
+        z = np.empty(len(self.order), dtype=object)
+        z[self.order[self.m :]] = zeta
+        right = -forward / self.D[: self.m] - self.L[self.m :, : self.m].T @ zeta
+        z[self.order[: self.m]] = _backward(self.L[: self.m, : self.m], right)
+        return z
+
+    def solve(self, force: np.ndarray) -> np.ndarray:
+        z = np.empty(len(self.order), dtype=object)
+        z[self.order] = _backward(self.L, _forward(self.L, force[self.order]) / self.D)
+        return z
+
+
+def _small(N: np.ndarray, q: np.ndarray, C: ConvexSet, near: np.ndarray) -> np.ndarray:
+    if isinstance(C, Point):
+        return _solve(N, _exactly(C.offsets) - q)
+    if isinstance(C, Box):
+        return _in_box(N, q, C, near)
+    if isinstance(C, (Ball, Balls)):
+        return _in_balls(N, q, C, near)
+    rows = C.rows()
+    if rows is None:
+        raise InputError(f"no exact velocity is known for a {type(C).__name__}")
+    return _in_polyhedron(N, q, dense(rows[0]), rows[1], near)
+
+
+def _in_box(N: np.ndarray, q: np.ndarray, C: Box, near: np.ndarray) -> np.ndarray:
+    """A primal-dual active set; one entry at a time once blocks of them go round."""
+    lower, upper = _exactly(C.lower), _exactly(C.upper)
+    side = -np.sign(near).astype(int)  # of its bound where an entry slips, 0 where it sticks
+    pinned = C.lower == C.upper
+    for turn in range(TURNS):
+        free = np.flatnonzero((side != 0) | pinned)
+        z = np.full(len(q), q[0] * 0, dtype=object)
+        bound = np.where(side > 0, upper, lower)
+        if free.size:
+            z[free] = _solve(N[np.ix_(free, free)], bound[free] - q[free])
+        w = N @ z + q
+        noise = NOISE * (abs(N) @ abs(z) + abs(q))
+        wanted = side.copy()
+        wanted[(side * z > 0) & ~pinned] = 0
+        sticks = (side == 0) & ~pinned
+        wanted[np.flatnonzero(sticks & (w > upper + noise).astype(bool))] = 1
+        wanted[np.flatnonzero(sticks & (w < lower - noise).astype(bool))] = -1
+        changed = np.flatnonzero(wanted != side)
+        if not changed.size:
+            return z
+        changed = changed if turn < 20 else changed[:1]
+        side[changed] = wanted[changed]
+    raise SweepoptError("the exact active set was not found")
+
+
+def _in_polyhedron(
+    N: np.ndarray, q: np.ndarray, G: np.ndarray, h: np.ndarray, near: np.ndarray
+) -> np.ndarray:
+    """Murty's least-index pivoting of  slack = h - G q + G N G^T y,  y >= 0, slack >= 0."""
+    rows, G, h = G, _exactly(G), _exactly(h)
+    H, start = G @ N @ G.T, h - G @ q
+    slack = np.asarray(h - G @ (N @ _exactly(near) + q), dtype=float)
+    # an active set with one multiplier for each vector, as the method of nnls leaves it
+    met = np.flatnonzero(slack <= 1e-6 * np.abs(np.asarray(start, dtype=float)))
+    active = np.zeros(len(h), dtype=bool)
+    if met.size:
+        multipliers = scipy.optimize.nnls(rows[met].T, -near)[0]
+        active[met[multipliers > 1e-9 * multipliers.max()]] = True
+    for _ in range(TURNS):
+        y, on = np.full(len(h), h[0] * 0, dtype=object), np.flatnonzero(active)
+        if on.size:
+            y[on] = _solve(H[np.ix_(on, on)], -start[on])
+        slack = start + H @ y
+        noise = NOISE * (abs(start) + abs(H) @ abs(y))
+        wrong = np.flatnonzero(np.where(active, y < 0, slack < -noise))
+        if not wrong.size:
+            return -(G.T @ y)
+        active[wrong[0]] ^= True
+    raise SweepoptError("the exact active set was not found")
+
+
+def _in_balls(N: np.ndarray, q: np.ndarray, C: Ball | Balls, near: np.ndarray) -> np.ndarray:
+    """Newton's method on w_k + r_k z_k / |z_k| = 0 where |w_k - T_k z_k| > r_k, else z_k = 0."""
+    center, radii, block = (
+        (C.center, np.array([C.radius]), C.dim)
+        if isinstance(C, Ball)
+        else (np.zeros(C.dim), C.radii, C.block)
+    )
+    force, radii, z = q - _exactly(center), _exactly(radii), _exactly(near)
+    unit = _exactly(np.eye(block))
+    places = [slice(k * block, (k + 1) * block) for k in range(len(radii))]
+    for _ in range(TURNS):
+        w = N @ z + force
+        missed, J = w.copy(), N.copy()
+        free: list[int] = []
+        for at, r in zip(places, radii, strict=True):
+            T = N[at, at].trace()
+            v = w[at] - T * z[at]
+            size = _sqrt(v @ v)
+            if size <= r * (1 + NOISE):
+                z[at] = z[at] * 0
+                continue
+            if not z[at].any():
+                z[at] = -(1 - r / size) / T * v
+            length = _sqrt(z[at] @ z[at])
+            n = z[at] / length
+            missed[at] = w[at] + r * n
+            J[at, at] += r / length * (unit - np.outer(n, n))
+            free += range(at.start, at.stop)
+        missed = (N @ z + force) + (missed - w)
+        if abs(missed[free]).max(initial=0) <= 1e-40 * abs(q).max():
+            return z
+        z[free] -= _solve(J[np.ix_(free, free)], missed[free])
+    raise SweepoptError("the exact active set was not found")
+
+
+def _exactly(x: Any) -> np.ndarray:
+    """Doubles as mpmath numbers, without rounding."""
+    import mpmath
+
+    x = np.asarray(x, dtype=float)
+    result = np.empty(x.shape, dtype=object)
+    result.ravel()[:] = [mpmath.mpf(float(entry)) for entry in x.ravel()]
+    return result
+
+
+def _factor(M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """L and D with L D L^T = M."""
+    S, n = M.copy(), len(M)
+    L, D = _exactly(np.eye(n)), _exactly(np.zeros(n))
+    for k in range(n):
+        D[k] = S[k, k]
+        L[k + 1 :, k] = S[k + 1 :, k] / D[k]
+        S[k + 1 :, k + 1 :] -= np.outer(L[k + 1 :, k], S[k, k + 1 :])
+    return L, D
+
+
+def _forward(L: np.ndarray, b: np.ndarray) -> np.ndarray:
+    b = b.copy()
+    for k in range(len(b)):
+        b[k + 1 :] -= L[k + 1 :, k] * b[k]
+    return b
+
+
+def _backward(L: np.ndarray, b: np.ndarray) -> np.ndarray:
+    b = b.copy()
+    for k in range(len(b) - 1, -1, -1):
+        b[:k] -= L[k, :k] * b[k]
+    return b
+
+
+def _solve(M: np.ndarray, b: np.ndarray) -> np.ndarray:
+    L, D = _factor(M)
+    return _backward(L, _forward(L, b) / D)
+
+
+def _sqrt(x: Any) -> Any:
+    import mpmath
+
+    return mpmath.sqrt(x)
+
+
+def _root(x: Any) -> float:
+    return float(_sqrt(x)) if x > 0 else 0.0

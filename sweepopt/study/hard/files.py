@@ -1,0 +1,72 @@
+"""Files of hard cases: which families, seeds, solvers and paths a table is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sweepopt.errors import InputError
+from sweepopt.study.hard import FAMILIES
+from sweepopt.study.hard.table import PATHS, SOLVERS
+
+NAMES = {"families": tuple(FAMILIES), "solvers": tuple(SOLVERS), "paths": PATHS}
+
+
+@dataclass(frozen=True)
+class HardStudy:
+    """What `sweepopt study hard` runs; all there is by default.
+
+    Parameters
+    ----------
+    seeds : sequence of int
+        Whole numbers >= 0; each makes every family anew.
+    families, solvers, paths : sequence of str
+
+    Raises
+    ------
+    InputError
+        Naming the key and the entry.
+
+    Examples
+    --------
+    >>> HardStudy(seeds=[0, 1], families=["threshold"]).families
+    ['threshold']
+    """
+
+    seeds: Sequence[int] = (0,)
+    families: Sequence[str] = NAMES["families"]
+    solvers: Sequence[str] = NAMES["solvers"]
+    paths: Sequence[str] = NAMES["paths"]
+
+    def __post_init__(self) -> None:
+        for key in ("seeds", *NAMES):
+            if not isinstance(listed := getattr(self, key), (list, tuple)) or not listed:
+                raise InputError(f"{key} must be a list with one entry or more, got {listed!r:.60}")
+        for i, seed in enumerate(self.seeds):
+            if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+                raise InputError(f"seeds[{i}] must be a whole number >= 0, got {seed!r:.60}")
+        for key, known in NAMES.items():
+            for i, name in enumerate(getattr(self, key)):
+                if name not in known:
+                    words = f"{key}[{i}]: {name!r:.60} is not known; there are: "
+                    raise InputError(words + ", ".join(known))
+
+
+def hard_study(data: Any) -> HardStudy:
+    """The table [hard] of a study file.
+
+    Raises
+    ------
+    InputError
+        Naming the key at fault.
+    """
+    if not isinstance(data, dict):
+        raise InputError(f"hard must be a table, got {data!r:.60}")
+    for key in data:
+        if key not in ("seeds", *NAMES):
+            raise InputError(f"hard.{key}: unknown key; there are: {', '.join(('seeds', *NAMES))}")
+    try:
+        return HardStudy(**data)
+    except InputError as error:
+        raise InputError(f"hard.{error}") from error

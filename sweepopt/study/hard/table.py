@@ -1,0 +1,212 @@
+"""Every hard case through every path and solver: the true error beside the certificate."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sweepopt.errors import SolverRefusedError, SweepoptError, SweepoptWarning
+from sweepopt.evolve import StepInfo, solve
+from sweepopt.process import SweepingProcess
+from sweepopt.sets import Moving
+from sweepopt.solution import Solution
+from sweepopt.solvers import Cvxpy
+from sweepopt.study.hard import FAMILIES
+from sweepopt.study.hard.bodies import Hard
+from sweepopt.study.hard.exact import Exact, Program
+
+TARGET = 1e-8
+"""True error, relative to max(|z*|_M, |M^-1 q|_M), that every step has to meet."""
+SLACK = 16 * float(np.finfo(float).eps)
+"""What a certificate may miss, relative to the forces: rounding of q and of C(t) themselves."""
+PATHS = ("full", "eliminated", "proportional")
+SOLVERS: dict[str, Any] = {
+    "auto": "auto",
+    "newton": "newton",
+    "daqp": "daqp",
+    "osqp": "osqp",
+    "clarabel": "clarabel",
+    "cvxpy:osqp": Cvxpy("OSQP"),
+    "cvxpy:clarabel": Cvxpy("CLARABEL"),
+}
+
+
+class HardRow(NamedTuple):
+    """One hard case, path and solver; the worst of its steps.
+
+    Attributes
+    ----------
+    error, certificate : float
+        True and stated |z - z*|_M, relative to max(|z*|_M, |M^-1 q|_M).
+    excess : float
+        Largest error - certificate in the unit of the forces: above SLACK a certificate was wrong.
+    rung, attempts : str, int
+        Who found the last step, and the longest way to a step.
+    seconds : float
+        Of the run.
+    verdict : str
+        "met", "refused" where that is right, else what is wrong.
+    """
+
+    family: str
+    seed: int
+    path: str
+    solver: str
+    error: float
+    certificate: float
+    excess: float
+    rung: str
+    attempts: int
+    seconds: float
+    verdict: str
+
+    @property
+    def good(self) -> bool:
+        """Whether the right answer was given."""
+        return self.verdict in ("met", "refused")
+
+
+class Judge:
+    """The exact velocities of one case, found once for all of its runs."""
+
+    def __init__(self, process: SweepingProcess, gamma: float) -> None:
+        M = process.A if process.B is None else process.A + gamma * process.B
+        self._program, self._process = Program(M), process
+        self._known: dict[bytes, Exact] = {}
+
+    def of(self, q: np.ndarray, t: float, near: np.ndarray) -> Exact:
+        """The velocity for the linear term q and C(t)."""
+        C = self._process.C.at(t)
+        key = q.tobytes() + (C.anchor.tobytes() if isinstance(self._process.C, Moving) else b"")
+        if not isinstance(self._process.C, Moving):
+            key += np.float64(t).tobytes()
+        if key not in self._known:
+            self._known[key] = self._program.solve(q, C, near)
+        return self._known[key]
+
+    def error(self, z: np.ndarray, exact: Exact) -> float:
+        """|z - z*|_M."""
+        return self._program.error(z, exact)
+
+
+def rows(
+    families: Iterable[str] = FAMILIES,
+    seeds: Iterable[int] = (0,),
+    *,
+    solvers: Iterable[str] = SOLVERS,
+    paths: Iterable[str] = PATHS,
+    progress: Callable[[str], None] = lambda words: None,
+) -> Iterator[HardRow]:
+    """Run the cases.
+
+    Parameters
+    ----------
+    families : iterable of str
+        Names in FAMILIES.
+    seeds : iterable of int
+    solvers : iterable of str
+        Names in SOLVERS; those that cannot treat a case leave no row.
+    paths : iterable of str
+    progress : callable
+        Told each family.
+
+    Yields
+    ------
+    HardRow
+
+    Examples
+    --------
+    >>> row = next(rows(["threshold"], solvers=["auto"]))
+    >>> row.verdict, row.error < 1e-12
+    ('met', True)
+    """
+    seeds, solvers, paths = list(seeds), list(solvers), list(paths)
+    for name in families:
+        progress(name)
+        for seed in seeds:
+            hard = FAMILIES[name](np.random.default_rng(seed))
+            process, judge = hard.process(), None
+            for path in paths:
+                for solver in solvers:
+                    found = _run(hard, process, path, SOLVERS[solver])
+                    if found is None:
+                        continue
+                    if isinstance(found, _Run) and judge is None:
+                        judge = Judge(process, hard.t_end / hard.steps)
+                    yield _row(name, seed, path, solver, hard, found, judge)
+
+
+class _Run(NamedTuple):
+    solution: Solution
+    steps: list[StepInfo]
+    seconds: float
+
+
+def _run(hard: Hard, process: SweepingProcess, path: str, solver: Any) -> _Run | str | None:
+    """The run, an error as a sentence, or None if the path or the solver does not apply."""
+    steps: list[StepInfo] = []
+
+    def keep(step: StepInfo) -> None:
+        steps.append(step)
+
+    started = time.perf_counter()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SweepoptWarning)
+            solution = solve(
+                process,
+                t_end=hard.t_end,
+                steps=hard.steps,
+                scheme="implicit-euler",
+                solver=solver,
+                path=path,
+                callback=keep,
+            )
+    except SolverRefusedError:
+        return None
+    except SweepoptError as error:
+        if hard.refused is not None and isinstance(error, hard.refused):
+            return ""
+        return None if "path=" in str(error) else f"{type(error).__name__}: {error}"
+    return _Run(solution, steps, time.perf_counter() - started)
+
+
+def _row(
+    name: str,
+    seed: int,
+    path: str,
+    solver: str,
+    hard: Hard,
+    found: _Run | str,
+    judge: Judge | None,
+) -> HardRow:
+    nan = float("nan")
+    if isinstance(found, str) or judge is None:
+        verdict = str(found) or "refused"
+        return HardRow(name, seed, path, solver, nan, nan, nan, "", 0, nan, verdict)
+    solution, steps, seconds = found
+    process, u = solution.process, solution.process.u0
+    error = certificate = excess = 0.0
+    for step in steps:
+        # the time as a step makes it: a load may change within a rounding unit of t
+        t = float(solution.t[step.step]) + hard.t_end / hard.steps
+        exact = judge.of(process.times_B(u), t, step.velocity)
+        missed, size = judge.error(step.velocity, exact), exact.size or 1.0
+        error, certificate = max(error, missed / size), max(certificate, step.certificate / size)
+        excess = max(excess, (missed - step.certificate) / (exact.forces or 1.0))
+        u = step.u
+    verdict = "met"
+    if hard.refused is not None:
+        verdict = f"not refused: {hard.refused.__name__} is right"
+    elif error > TARGET:
+        verdict = f"error above {TARGET:g}"
+    elif excess > SLACK:
+        verdict = "certificate below the error"
+    attempts, rung = int(solution.stats["attempts"].max()), str(solution.stats["solver"][-1])
+    return HardRow(
+        name, seed, path, solver, error, certificate, excess, rung, attempts, seconds, verdict
+    )

@@ -1,0 +1,113 @@
+"""What costs substitutions only: a body without a set, and all unknowns beside a small program.
+
+Where a matrix is so badly conditioned that its factors are not enough, both are refined.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from sweepopt.linalg import Elimination, Factor, euclidean
+from sweepopt.precise import Precise
+from sweepopt.program import Velocity, rate
+from sweepopt.sets import ConvexSet
+from sweepopt.sets.base import Selection
+
+ACCURATE = 1e-9  # what multigrid iterates to, and above which rounding is looked at closely
+REFINEMENTS = 5  # corrections of what a factorisation rounds
+
+
+class Solved(NamedTuple):
+    """A velocity, who found it and what was tried before."""
+
+    velocity: Velocity
+    solver: str
+    iterations: int
+    attempts: int
+
+
+VelocityOf = Callable[[np.ndarray, ConvexSet], Solved]
+SelectedVelocity = Callable[[np.ndarray, Selection], Solved]
+
+
+def linear(M: Factor) -> VelocityOf:
+    """C is a point c: M z = c - q."""
+
+    def solve(q: np.ndarray, C: ConvexSet) -> Solved:
+        force = C.anchor - q
+        z = M.solve(force)
+        best = _of_force(M, z, force)
+        for _ in range(REFINEMENTS):
+            if best.relative <= ACCURATE:
+                break
+            z = z + M.solve(M.precisely(-z, force))
+            best = min(best, _of_force(M, z, force), key=lambda one: one.relative)
+        return Solved(best, "linear", 0, 1)
+
+    return solve
+
+
+def _of_force(M: Factor, z: np.ndarray, force: np.ndarray) -> Velocity:
+    """z with M z = force but for rounding: both |z|_M and |M^-1 q|_M are |force|_{M^-1}."""
+    rho, size, rounding = M.apply(z, -force, enough=ACCURATE)
+    return rate(z, M.dual_norm_within(rho, ACCURATE * size) + rounding, size, size)
+
+
+def eliminated(M: Elimination, small: VelocityOf) -> SelectedVelocity:
+    """C = c + E^T S: the velocity of the unknowns zeta = E z solves a small program.
+
+    N = (E M^-1 E^T)^-1, linear term N E M^-1 (q - c), set S (MATH.md section 5). From zeta the
+    force w = N (zeta + E M^-1 (q - c)) gives z = M^-1 (c - q + E^T w), whose E z is zeta: z
+    misses the inclusion by what zeta misses it, in the same norm, plus rounding. `small` is the
+    velocity for the matrix N.
+
+    Where M is so badly conditioned that this is not enough, the residual r = c - q - M z, rounded
+    once, frames the program of the correction: that for zeta again, with N zeta - N E M^-1 r for
+    its linear term, as iterative refinement does for linear equations.
+    """
+    few = M.unknowns
+    precisely = cache(lambda: Precise(M.N))
+
+    def proven(
+        z: np.ndarray, solved: Solved, force: np.ndarray, linear: np.ndarray, size_q: float
+    ) -> Solved:
+        on_few = np.zeros_like(z)
+        on_few[few] = M.N @ z[few] + linear
+        size_z = math.sqrt(abs(z.dot(force + on_few)))
+        rounding = 2 * M.rounding(z, force)  # of M z, and of N zeta, which is less
+        if rounding <= ACCURATE * size_z:
+            rho = M.M @ z - force - on_few
+        else:
+            on_few[few], rounding = precisely()(z[few], linear), 0.0
+            rho = M.precisely(z, -force, -on_few)
+        missed = M.dual_norm_within(rho, ACCURATE * size_z) + rounding
+        velocity = rate(z, solved.velocity.certificate + missed, size_z, size_q)
+        return solved._replace(velocity=velocity)
+
+    def solve(q: np.ndarray, selection: Selection) -> Solved:
+        force = -q if selection.shift is None else selection.shift - q
+        forward, pull = M.reduce(force)
+        size_q, linear = euclidean(forward), -pull
+        solved = small(linear, selection.part)
+        zeta = solved.velocity.z
+        z = M.recover(forward, M.N @ zeta)
+        z[few] = zeta  # to the last bit: stuck is 0.0
+        best = proven(z, solved, force, linear, size_q)
+        for _ in range(REFINEMENTS):
+            if best.velocity.relative <= ACCURATE:
+                break
+            forward, pull = M.reduce(M.precisely(-z, force))
+            linear = precisely()(-zeta, -pull)
+            solved = small(linear, selection.part)
+            z = z + M.recover(forward, M.N @ (solved.velocity.z - zeta))
+            z[few] = zeta = solved.velocity.z
+            refined = proven(z, solved, force, linear, size_q)
+            best = min(best, refined, key=lambda one: one.velocity.relative)
+        return best
+
+    return solve
