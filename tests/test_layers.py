@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parent.parent / "sweepopt"
 # a module may import from its own level (inside one package) and from levels below
 LEVELS = [
     {"errors"},
-    {"checks", "csvtable", "grids"},
+    {"checks", "csvtable", "files", "grids"},
     {"linalg", "loads", "secular"},
     {"sets"},
     {"states", "multigrid"},

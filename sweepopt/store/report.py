@@ -1,14 +1,10 @@
-"""A run of a scene: what its files and pictures have in common, and how files are put in place."""
+"""A run of a scene: what its files and pictures have in common."""
 
 from __future__ import annotations
 
-import os
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sweepopt.errors import MissingExtraError
@@ -74,17 +70,6 @@ def make_report(
     """Compute slip and energies of a run, once."""
     slip, energy = slip_of(scene, solution), solution.energy()
     return Report(name, text, scene, solution, slip, energy, seconds)
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A new file that takes the place of `path` when the block ends well, and else disappears."""
-    part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
-    try:
-        yield part
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def require(package: str, extra: str) -> None:
