@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from importlib import metadata
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from sweepopt import versions
 from sweepopt.errors import MissingExtraError
 from sweepopt.slip import Slip, slip_of
 
@@ -95,15 +95,7 @@ def versions_of(solution: Solution) -> dict[str, str]:
     """Versions of what computed the solution."""
     solver = solver_name(solution).split(":")[-1]
     names = ["sweepopt", "numpy", "scipy", "cvxpy", "osqp", "clarabel", "scikit-fem", solver]
-    found = {}
-    for name in dict.fromkeys(names):
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    from sweepopt import __version__  # a clone on the path has no metadata
-
-    return {**found, "sweepopt": __version__}
+    return versions.versions_of(names)
 
 
 def materials_of(scene: Scene) -> dict[str, Any]:
