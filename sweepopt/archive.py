@@ -22,6 +22,7 @@ from sweepopt.errors import DamagedFileError
 from sweepopt.files import replacing, sealed, unsealed
 
 RECORD = "record"
+PLAIN = "biuf"  # kinds of entries: truth, whole numbers, floats
 PARSING = (  # what zipfile, json and numpy raise for bytes that make no sense
     OSError,
     ValueError,
@@ -30,7 +31,6 @@ PARSING = (  # what zipfile, json and numpy raise for bytes that make no sense
     IndexError,
     EOFError,
     OverflowError,
-    SyntaxError,
     RuntimeError,
     struct.error,
     zlib.error,
@@ -44,12 +44,12 @@ def write_archive(
     arrays: Mapping[str, np.ndarray],
     previous: Path | None = None,
 ) -> None:
-    """Replace a file by one with these arrays; the file that was there goes to `previous`."""
+    """Replace a file by one with these arrays of numbers; the one before it goes to `previous`."""
     arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     about = {name: _about(array) for name, array in arrays.items()}
     head = np.frombuffer(sealed({"record": record, "arrays": about}), dtype=np.uint8)
     with replacing(path, previous) as part, part.open("wb") as file:
-        np.savez(file, allow_pickle=False, **{RECORD: head, **arrays})
+        np.savez(file, **{RECORD: head, **arrays})  # type: ignore[arg-type]
 
 
 def read_archive(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -78,6 +78,8 @@ def read_archive(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 
 def _about(array: np.ndarray) -> dict[str, Any]:
+    if array.dtype.kind not in PLAIN:
+        raise TypeError(f"arrays of {array.dtype} are not written")
     digest = hashlib.sha256(array.data if array.size else b"").hexdigest()
     return {"dtype": array.dtype.str, "shape": list(array.shape), "sha256": digest}
 
@@ -91,19 +93,20 @@ def _check_sizes(members: list[zipfile.ZipInfo], size: int) -> None:
         raise ValueError("its arrays are larger than the file")
 
 
-def _member(
-    file: zipfile.ZipFile, info: zipfile.ZipInfo, about: dict[str, Any] | None
-) -> np.ndarray:
-    """One array; `about` is what it must be, None for the record."""
+def _member(file: zipfile.ZipFile, info: zipfile.ZipInfo, about: Any) -> np.ndarray:
+    """One array; `about` is what it must be, None for the record, which has no other record."""
     with file.open(info) as stream:
-        if np.lib.format.read_magic(stream) != (1, 0):
+        lead = stream.read(10)
+        if lead[:8] != b"\x93NUMPY\x01\x00":
             raise ValueError(f"{info.filename!r} is written in another format")
-        shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-        size = math.prod(shape) * dtype.itemsize
-        if dtype.hasobject or fortran or size != info.file_size - stream.tell():
-            raise ValueError(f"{info.filename!r} has another size than it says")
-        content = stream.read()
-    array = np.frombuffer(content, dtype).reshape(shape)
-    if about is not None and about != _about(array):
+        # numpy's own header is not parsed: the record has type and shape
+        stream.read(int.from_bytes(lead[8:], "little"))
+        rest = info.file_size - stream.tell()
+        about = about or {"dtype": "|u1", "shape": [rest]}
+        dtype = np.dtype(about["dtype"])
+        if dtype.kind not in PLAIN or math.prod(about["shape"]) * dtype.itemsize != rest:
+            raise ValueError(f"{info.filename!r} has another size than it should")
+        array = np.frombuffer(stream.read(), dtype).reshape(about["shape"])
+    if "sha256" in about and about != _about(array):
         raise ValueError(f"{info.filename!r} is not what was written")
     return array
