@@ -12,7 +12,7 @@ import numpy as np
 
 from sweepopt.checks import Matrix, is_finite
 from sweepopt.errors import Status
-from sweepopt.plan import Plan
+from sweepopt.plan import Factors, Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.schemes import Scheme
 from sweepopt.solution import STATS
@@ -61,7 +61,7 @@ def march(
 
     `prove` adds to a step's certificate, from its number, its first state and its velocity.
     `velocities` are the compiled programs of an earlier run of the same process; at `marks` they
-    are compiled anew, so that a run which is continued there is the same to the last bit.
+    forget all steps, so that a run which is continued there is the same to the last bit.
     Ctrl-C ends the loop, also in `look`: the keeper has the steps that are done.
     """
     steps = len(mus)
@@ -94,7 +94,7 @@ def march(
             run.done = i + 1
             stop = look is not None and look(i, u, z, found.certificate)
             if marks is not None and marks(run, keeper, Place(u, lost)):
-                velocities = Velocities(process, plan)
+                velocities.forget()
             if stop:
                 run.status = Status.STOPPED if run.done < steps else run.status
                 break
@@ -189,14 +189,23 @@ class Velocities:
 
     def __init__(self, process: SweepingProcess, plan: Plan) -> None:
         self._process, self._plan = process, plan
+        self._factors: dict[float, Factors] = {}
         self._compiled: dict[float, VelocityOf] = {}
 
     def __call__(self, gamma: float) -> VelocityOf:
         if gamma not in self._compiled:
-            if len(self._compiled) == self.LIMIT:
-                self._compiled.pop(next(iter(self._compiled)))
-            self._compiled[gamma] = self._plan.velocity(self._matrix(gamma))
+            if gamma not in self._factors:
+                if len(self._factors) == self.LIMIT:
+                    oldest = next(iter(self._factors))
+                    del self._factors[oldest]
+                    self._compiled.pop(oldest, None)
+                self._factors[gamma] = self._plan.factors(self._matrix(gamma))
+            self._compiled[gamma] = self._plan.velocity(self._factors[gamma])
         return self._compiled[gamma]
+
+    def forget(self) -> None:
+        """Drop what programs remember of earlier steps, but not the factorisations."""
+        self._compiled.clear()
 
     def _matrix(self, gamma: float) -> Matrix:
         process = self._process
