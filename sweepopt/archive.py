@@ -29,6 +29,7 @@ PARSING = (  # what zipfile, json and numpy raise for bytes that make no sense
     KeyError,
     TypeError,
     IndexError,
+    AttributeError,
     EOFError,
     OverflowError,
     RuntimeError,

@@ -5,6 +5,7 @@ A checkpoint is an archive (`sweepopt.archive`); `sweepopt.marks` writes it.
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 from collections.abc import Mapping
@@ -17,11 +18,12 @@ import numpy as np
 
 from sweepopt.archive import read_archive
 from sweepopt.checks import count, number
-from sweepopt.errors import InputError
+from sweepopt.errors import DamagedFileError, InputError
 from sweepopt.solvers import REGISTRY
 from sweepopt.versions import versions_of
 
 SCHEMA = 1
+PARTS = {"schema", "versions", "problem", "plan", "settings", "checkpoint", "run"}
 PACKAGES = ("numpy", "scipy", "cvxpy", "osqp", "clarabel", "daqp", "pyamg")
 SOLVERS: dict[str, Any] = {getattr(kind, "__name__", name): kind for name, kind in REGISTRY.items()}
 
@@ -46,9 +48,12 @@ class Checkpoint:
 
     Notes
     -----
-    A run that is continued is equal to the last bit, so solvers and factorisations start anew
-    after every `steps` steps, whether a file is written there or not. It costs what the first step
-    of a run costs more than the others: choose `steps` so that this is a small share.
+    A run that is continued is equal to the last bit, so solvers forget earlier steps after every
+    `steps` steps, whether a file is written there or not: a run with checkpoints differs from one
+    without by rounding, and two runs with the same `steps` do not differ. Factorisations stay.
+    Forgetting costs about 1 ms, with OSQP and Clarabel 10 ms (measured, bodies of 1,056 and 4,160
+    unknowns). A file takes the time of a disk to write the kept states, all of them each time: keep
+    few (``save=``) in a long run.
 
     Examples
     --------
@@ -115,6 +120,8 @@ def read_stored(file: Path) -> Stored:
         If another version of the library has written it in another form.
     """
     record, arrays = read_archive(file)
+    if not isinstance(record, dict) or not set(record) >= PARTS:
+        raise DamagedFileError(f"{file} is no checkpoint")
     if record.get("schema") != SCHEMA:
         raise InputError(
             f"{file} is a checkpoint of form {record.get('schema')!r}; this version of sweepopt "
@@ -146,12 +153,20 @@ def encoded(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, np.n
         elif name == "save" and callable(value):
             plain[name] = {"function": True}
         elif name == "solver" and SOLVERS.get(type(value).__name__) is type(value):
-            plain[name] = {"solver": type(value).__name__, **asdict(value)}
+            plain[name] = {"solver": type(value).__name__, **_plain(asdict(value))}
         elif name in ("steps", "save"):
             plain[name], arrays[f"settings.{name}"] = {"array": True}, np.asarray(value, float)
         else:
             raise InputError(f"{name}: with checkpoint= it must be one of the library's own")
     return plain, arrays
+
+
+def _plain(fields: dict[str, Any]) -> dict[str, Any]:
+    try:
+        json.dumps(fields, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"solver: with checkpoint= its settings must be plain: {error}") from error
+    return fields
 
 
 def decoded(stored: Stored) -> dict[str, Any]:

@@ -118,7 +118,8 @@ def solve(
     `tol` is lowered where the error asks for it. The proportional path is not used.
 
     Checkpoints are for steps given beforehand and states in memory, not for `error`, Adaptive,
-    "exact" or NetCDF. Solvers start anew after a hundredth of the steps, or as `Checkpoint` says.
+    "exact" or NetCDF. Solvers forget earlier steps at each hundredth of the run, or as `Checkpoint`
+    says, which moves the result by rounding.
 
     t_i = t_0 + i mu; u_{i+1} = u_i + mu sum_k b_k z_k with compensated summation. Ctrl-C returns
     the steps computed so far with status INTERRUPTED.

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -35,6 +36,14 @@ def replacing(path: Path, previous: Path | None = None) -> Iterator[Path]:
             _force(path.parent, os.O_RDONLY)
     finally:
         part.unlink(missing_ok=True)
+
+
+def remove_parts(path: Path) -> None:
+    """Remove what writers of `path` that were killed have left beside it."""
+    name = rf"\.{re.escape(path.stem)}\.\d+\.part{re.escape(path.suffix)}"
+    for file in path.parent.iterdir():
+        if re.fullmatch(name, file.name):
+            file.unlink(missing_ok=True)
 
 
 def put(path: Path, content: bytes) -> None:

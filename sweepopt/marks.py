@@ -28,6 +28,7 @@ from sweepopt.checkpoint import (
     read_stored,
 )
 from sweepopt.errors import CheckpointError, DamagedFileError, InputError, Status
+from sweepopt.files import remove_parts
 from sweepopt.fingerprint import fingerprint
 from sweepopt.march import Place, Run
 from sweepopt.plan import Plan
@@ -120,6 +121,7 @@ class Checkpoints:
         return 0 if self._stored is None else int(self._stored.record["run"]["done"])
 
     def begin(self, run: Run, keeper: Keeper, start: Place) -> Place:
+        remove_parts(self._checkpoint.file)
         if self._stored is None:
             self._checkpoint.previous.unlink(missing_ok=True)  # that of another run
             self._write(run, keeper, start, None)
@@ -163,10 +165,11 @@ class Checkpoints:
         try:
             write_archive(file, {**self._about, "run": state}, arrays, previous)
         except OSError as error:
-            left = f"{file} is the last one, continue from it" if file.exists() else "there is none"
+            older = file.exists() or self._checkpoint.previous.exists()
             raise CheckpointError(
                 f"the checkpoint after step {run.done} cannot be written "
-                f"({error.strerror or error}): {left} when that is mended"
+                f"({error.strerror or error}); "
+                + (f"the one before is whole: resume {file}" if older else "there is none before")
             ) from error
 
     def _restore(self, stored: Stored, run: Run, keeper: Keeper) -> Place:

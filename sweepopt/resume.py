@@ -87,7 +87,8 @@ def resume(
         raise InputError(f"process must be a SweepingProcess or an EvolutionVI: {process!r:.60}")
     settings = decoded(stored)
     times, _ = time_grid(settings["t_end"], settings["steps"])
-    _compare(stored, process.as_sweeping(), times)
+    process = process.as_sweeping()
+    _compare(stored, process, times)
     wanted = stored.record["settings"]["save"]
     if (wanted == {"function": True}) != callable(save):
         need = "needs" if save is None else "had no"

@@ -357,6 +357,7 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before_it(share: float, tmp_p
     whole = so.solve(process, checkpoint=so.Checkpoint(tmp_path / "a", steps=9), **settings)
     path = tmp_path / "run.npz"
     killed(path, "full", 40)
+    (tmp_path / ".run.123.part.npz").write_bytes(b"of a run that was killed while it wrote")
     content = path.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
     with pytest.raises(so.InputError, match="resume looks"):
@@ -366,6 +367,7 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before_it(share: float, tmp_p
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert same(so.resume(path, process), whole)  # it was replaced by a whole one
+    assert len(list(tmp_path.glob("*run*"))) == 2
 
 
 def test_two_damaged_files_are_an_error_and_none_is_one(tmp_path: Path) -> None:
@@ -439,7 +441,7 @@ def test_a_full_disk_leaves_the_old_checkpoint_and_says_so(
 
     steps = [0]
     monkeypatch.setattr(files, "_force", full)
-    with pytest.raises(so.CheckpointError, match=r"after step 36 .*No space left.*continue"):
+    with pytest.raises(so.CheckpointError, match=r"after step 36 .*No space left.*is whole"):
         so.solve(
             process,
             checkpoint=so.Checkpoint(path, steps=9),
@@ -461,7 +463,7 @@ def test_a_file_that_may_not_grow_leaves_the_old_checkpoint(tmp_path: Path) -> N
         [sys.executable, "-c", limit + CHILD.format(**fields)], capture_output=True, text=True
     )
     assert "CheckpointError" in child.stderr
-    assert "continue from it" in child.stderr
+    assert "is whole" in child.stderr
     done = archive.read_archive(path)[0]["run"]["done"]
     assert 0 < done < 80
     assert so.resume(path, body()).success
@@ -477,6 +479,7 @@ def test_a_file_that_may_not_grow_leaves_the_old_checkpoint(tmp_path: Path) -> N
         ({"scheme": "exact"}, "exact"),
         ({"save": "run.nc"}, "NetCDF"),
         ({"error": 1e-3}, "error="),
+        ({"solver": so.Cvxpy("OSQP", {"callback": print})}, "plain"),
         ({"checkpoint": 3}, "file's name"),
         ({"checkpoint": "no/such/folder/run.npz"}, "cannot be written"),
     ],
