@@ -27,6 +27,7 @@ from sweepopt.march import Run
 from sweepopt.solution import Pass
 
 PASSES = 24
+STEPS = 1_000_000  # of the finest pass
 CHECKED = 256  # nodes at which passes are compared, fewer where states are large
 AIM = 1.4  # the error that a pass is made for, in units of tol
 ACCEPTED, DOUBTED = 2.7, 1.9  # what it may have after a pass that was nearly as fine, or was not
@@ -192,6 +193,8 @@ def refine(
         else:
             next_n = n * (error / (AIM * tol)) ** (1 / order)
             next_n = max(next_n / LAST if next_n > 1.5 * LAST * n else next_n, 1.3 * n)
+        if min(next_n, GROWTH * n) > STEPS:
+            return Refined(tuple(passes), None, _too_many(passes[-1], next_n, tol))
         before = Before(n, wanted, {t: watch.states[t] for t in own})
         times = finer_grid(wanted, cuts, longest, min(next_n, GROWTH * n))
         failure = _failure(times, cuts, minimum, passes)
@@ -213,6 +216,14 @@ def _error(
     ratio = min(math.sqrt(promised * local), 0.7)
     common = states.keys() & before.states.keys()
     return ratio / (1 - ratio) * max(norm(states[t] - before.states[t]) for t in common)
+
+
+def _too_many(last: Pass, n: float, tol: float) -> str:
+    estimate = "" if math.isnan(last.error) else f" and an estimated error of {last.error:.2g}"
+    return (
+        f"tol = {tol:g} would take about {n:.2g} steps, more than {STEPS:g}; the run has "
+        f"{last.steps}{estimate}. Loosen the tolerance or take a scheme of higher order"
+    )
 
 
 def _failure(times: np.ndarray, cuts: np.ndarray, minimum: float, passes: list[Pass]) -> str:

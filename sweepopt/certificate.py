@@ -13,7 +13,9 @@ Then for e = u - v, as monotonicity of the normal cone gives <e', A e' + B e + r
 K(tau) = min(exp(nu tau), 1 + sqrt(Lam tau / 2), sqrt(Lam / lam)), nu = (Lam - lam)^2 / (8 (Lam +
 lam)), with lam <= Lam the extreme eigenvalues of A^-1 B. Where A = 0, | | are those of B and
 
-    |e(t)|_B <= R + sqrt(R^2 + 2 int G),   R = sup |r| + int |r'|.
+    |e(t)|_B <= R + sqrt(R^2 + 2 int G),   R = sup |r| + int |r'|,
+
+r continuous: <e', B e> <= G - <e', r>, and int <e', r> = <e, r> - int <e, r'> for e(0) = 0.
 
 v is taken through the nodes of a run: cubic on each step with the slopes Phi(t_i, u_i), or linear
 where sigma would be infinite. w(t) = center(t) + scale(t) s(t), s a curve in S between projections,
@@ -61,7 +63,7 @@ class ErrorBound(float):
     B : ndarray, shape (n,)
         The bound of |u(t) - u_n(t)|_B on each step.
     lower : float
-        A lower bound of max_i |u(t_i) - u_n(t_i)|_A; 0 where none is known.
+        A lower bound of the same supremum; 0 where none is known.
     """
 
     guaranteed: bool
@@ -127,7 +129,7 @@ def nodes(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Path:
         if march(process, replace(plan, tol=tol), times, mus, keeper).done == len(mus):
             break
     kept = keeper.close()[1]
-    return Path(times, kept.nodes, np.diff(kept.nodes, axis=0) / np.diff(times)[:, None])
+    return Path(times, kept.nodes, kept.velocities)
 
 
 class _After(NamedTuple):

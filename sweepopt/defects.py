@@ -93,7 +93,10 @@ def defects(
     """
     moved = motion(process.C)
     if moved is not None and variation is not None and not moved.center.known:
-        moved = replace(moved, center=replace(moved.center, variation=variation))
+        # translates of a bounded set are as far apart as their centres
+        bounded = math.isfinite(moved.shape.magnitude())
+        known = replace(moved, center=replace(moved.center, variation=variation))
+        moved = known if bounded else None
     candidates = _candidates(process, phi, near)
     if moved is not None and moved.scale.function is None:
         return _best(_of_motion(process, norms, near, candidates, moved), norms.still)
@@ -194,6 +197,11 @@ def _on_intervals(
     size = np.broadcast_to(scale.values, pull.shape)
     aim = pull - norms.steps(moved.shape, h)[:, None] * (basis(2, theta) @ slopes[i])
     wanted = TO_BERNSTEIN @ np.divide(aim, size, out=np.zeros_like(aim), where=size > 0)
+    if norms.still:
+        # at the ends without tau v', which jumps there: r must be continuous
+        ends = TO_BERNSTEIN[[0, -1]] @ pull
+        last = TO_BERNSTEIN[[0, -1]] @ size
+        wanted[:, [0, -1]] = np.divide(ends, last, out=np.zeros_like(ends), where=last > 0)
     if not moved.scale.constant:  # a moving scale times a line has degree 5
         wanted = wanted[:, [0, -1]]
     s = np.array([moved.shape.project(w) for w in wanted.reshape(-1, wanted.shape[-1])])
@@ -235,7 +243,8 @@ def _companions(
     ends = basis(2, begin[:, None] + share[:, None] * np.array([0.0, 0.5, 1.0])) @ slopes
     p = -np.where(whole[:, None, None], slopes, THIRDS @ ends) * reach[:, None]
     if S.selection is not None:
-        p, s, S = p[..., S.selection.unknowns], s[..., S.selection.unknowns], S.selection.part
+        few, S, shift = S.selection
+        p, s = p[..., few], s[..., few] - (0.0 if shift is None else shift[few])
     most = reach.max(axis=1)
     # where A = 0 the curve must be continuous: no arcs
     ratios = np.full(len(p), math.inf) if norms.still else most**2 / norms.beta

@@ -70,7 +70,8 @@ def solve(
         Each program's certificate is at most tol * max(|z|_M, |M^-1 q|_M); a step that misses it
         is tried with tighter settings, then with another solver, then handled as on_failure says.
     error : float, optional
-        Refine the steps until `Solution.error_bound` is at most this; needs a load as data.
+        Refine the steps until `Solution.error_bound` is at most this; needs a load as data. The
+        callback sees, and save= counts, the steps of the last run only, which is run once more.
     path : {"auto", "proportional", "eliminated", "full", "multigrid"}
         Which unknowns enter a step: with "full" all of them; with "eliminated" the few that C(t)
         acts on enter a program and the others two substitutions; with "proportional" (B = rho A
@@ -140,7 +141,6 @@ def solve(
         "solver": solver,
         "tol": tol,
         "path": path,
-        "save": save,
         "memory": memory,
         "on_failure": on_failure,
         "on_unstable": on_unstable,
@@ -148,10 +148,15 @@ def solve(
     if error is not None:
         if checkpoint is not None:
             raise InputError("checkpoint= is for one run, but error= takes several; give steps")
-        again = partial(solve, process, progress=progress, callback=callback, **settings)
+        if isinstance(steps, Adaptive):
+            raise InputError("error= chooses the steps itself; leave Adaptive out, or error=")
+        again = partial(solve, process, **settings)
         first, _ = time_grid(t_end, steps)
         wanted_error = number("error", error, minimum=0.0, strict=True)
-        return refine(lambda times: again(steps=times), first, wanted_error)
+        sol = refine(lambda times: again(steps=times), first, wanted_error)
+        if save is None and callback is None and not progress:
+            return sol
+        return again(steps=sol.t, save=save, callback=callback, progress=progress)
     for name, value, allowed in (
         ("path", path, tuple(PATHS)),
         ("on_failure", on_failure, ("raise", "stop")),
@@ -182,9 +187,8 @@ def solve(
     walked = Walked(times, mus, plan, saving(save, times, plan.entering, memory))
     process.check_start(float(times[0]))
     check_stability(process, tableau, float(mus.max()), on_unstable)
-    marks = checkpoints(
-        checkpoint, process, plan, times, {**settings, "t_end": t_end, "steps": steps}
-    )
+    settings |= {"t_end": t_end, "steps": steps, "save": save}
+    marks = checkpoints(checkpoint, process, plan, times, settings)
     bar = Bar(progress, None if adaptive else len(mus), marks.done if marks else 0)
     refined = Refined(())
     if frame:

@@ -403,7 +403,7 @@ class Separable:
             if not hasattr(history, "variation"):
                 raise InputError(
                     f"terms[{k}][0], {history!r:.40}, does not tell its variation; use Table, "
-                    "Sine, Triangle or Constant, or give it a method variation(a, b)"
+                    "Sine, Triangle, Polynomial or Constant, or give it a method variation(a, b)"
                 )
             size = np.linalg.norm(shape) if norm is None else norm(shape)
             total += float(history.variation(a, b)) * float(size)

@@ -43,17 +43,17 @@ def refine(run: Callable[[np.ndarray], Solution], times: np.ndarray, error: floa
         bound = solution.error_bound()
         if not bound.guaranteed:
             raise InputError(
-                "error= needs a guaranteed bound, but C(t) is a function of time of which only "
-                "samples are known; give the load as so.Separable of tables and waveforms, or "
-                "look at sol.error_bound(variation=v)"
+                "error= needs a guaranteed bound, but only samples are known of this C(t): give "
+                "the load as so.Separable of tables and waveforms (offsets h(t) with one entry a "
+                "row of G), or look at sol.error_bound(variation=v)"
             )
         if bound <= error:
             return solution
-        if bound > LEAST_GAIN * last:
+        if bound > LEAST_GAIN * last and math.isfinite(last):
             break
         last = float(bound)
-        parts = math.ceil((1.1 * bound / error) ** (1 / solution.plan.scheme.order))
-        times = divided(times, min(max(parts, 2), MOST))
+        factor = min((1.1 * bound / error) ** (1 / solution.plan.scheme.order), MOST)
+        times = divided(times, max(math.ceil(factor), 2))
     raise AccuracyError(
         f"error = {error:g} was asked for, but the bound is {float(bound):.3g} with "
         f"{len(solution.t) - 1} steps and finer grids do not help or take more than {STEPS:g} "

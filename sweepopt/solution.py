@@ -287,6 +287,9 @@ class Solution:
 
         if self.complete:
             run = Path(self.t, self.u, self.velocity)
+        elif self.exact is not None:
+            u = self.exact(self._grid)
+            run = Path(self._grid, u, np.diff(u, axis=0) / np.diff(self._grid)[:, None])
         else:
             run = nodes(self.process, replace(self.plan, reduction=None), self._grid)
         return error_bound(self.process, self.plan, run, variation)

@@ -16,6 +16,7 @@ import pytest
 import scipy.sparse as sp
 
 import sweepopt as so
+from sweepopt.sets.curves import basis
 
 Rng = np.random.Generator
 Constraints = list[cp.Constraint]
@@ -779,6 +780,32 @@ def witness_error_is_as_small_as_the_perturbation(entry: Entry, s: Sample, rng: 
         assert np.sqrt(found.gap) <= reach * unit
 
 
+def gap_is_what_a_pair_misses(entry: Entry, s: Sample, rng: Rng) -> None:
+    p, w = normals(s, rng), s.C.project(far_and_near(rng, s.C.dim))
+    unit = size(w, s.C.offsets) * size(p)
+    gap = s.C.gap(p, w)
+    assert gap >= 0
+    close(gap, s.C.support(p) - p @ w, max(entry.tol, entry.support_tol, entry.edge_tol), unit)
+
+
+def companion_bounds_the_gap_between_samples_too(entry: Entry, s: Sample, rng: Rng) -> None:
+    C = s.C
+    p = np.array([normals(s, rng) for _ in range(3)])
+    w = np.array([C.project(far_and_near(rng, C.dim)) for _ in range(4)])
+    if rng.random() < 0.5:  # a curve that goes round a corner little by little
+        v = far_and_near(rng, C.dim) + 0.1 * rng.normal(size=(4, C.dim))
+        w, p = np.array([C.project(x) for x in v]), np.array([C.normal(x) for x in v[[0, 1, 3]]])
+    for ratio in (0.0, 1.0, np.inf):
+        found = C.companion(p, w, ratio)
+        theta = (np.arange(40) + 0.5) / 40
+        at, along = basis(2, theta) @ p, basis(3, theta) @ w
+        missed = np.array([C.support(x) - x @ y for x, y in zip(at, along, strict=True)])
+        moved = found.away * np.linalg.norm(at, axis=1) if found.away else 0.0
+        slack = max(entry.tol, entry.support_tol, entry.edge_tol) * size(w, C.offsets) * size(p)
+        # the midpoint rule on a smooth curve of degree 5
+        assert np.mean(missed - moved) <= found.gap + slack + 2e-3 * np.abs(missed).max()
+
+
 LAWS: dict[Callable[[Entry, Sample, Rng], None], int] = {
     # each with the number of random examples per entry
     support_is_sublinear: 3,
@@ -803,4 +830,6 @@ LAWS: dict[Callable[[Entry, Sample, Rng], None], int] = {
     descriptions_are_consistent: 2,
     witness_proves_a_pair_near_any_guess: 4,
     witness_error_is_as_small_as_the_perturbation: 3,
+    gap_is_what_a_pair_misses: 4,
+    companion_bounds_the_gap_between_samples_too: 3,
 }

@@ -277,3 +277,18 @@ def test_a_body_that_never_moves_is_done_after_two_coarse_passes() -> None:
     sol = so.solve(process, t_end=1.0, steps=so.Adaptive(1e-6))
     assert not sol.u.any()
     assert [one.steps for one in sol.passes] == [16, 24]
+
+
+def test_a_tolerance_that_takes_too_many_steps_ends_with_what_there_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("sweepopt.adaptive.STEPS", 500)
+    process = problem("S03").process()
+    sol = so.solve(
+        process, t_end=8.0, steps=so.Adaptive(1e-6), scheme="implicit-euler", on_failure="stop"
+    )
+    assert sol.status is so.Status.INEXACT
+    assert "more than 500; the run has" in sol.cause
+    assert sol.t[-1] == 8.0
+    with pytest.raises(so.StepError, match="Loosen the tolerance"):
+        so.solve(process, t_end=8.0, steps=so.Adaptive(1e-6), scheme="implicit-euler")

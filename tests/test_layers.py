@@ -36,7 +36,8 @@ LEVELS = [
     {"slip"},
     {"store", "plot"},
     {"study"},
-    {"cli", "__main__"},
+    {"cli"},
+    {"__main__"},
 ]
 # conveniences of Solution that call upward by a local import
 UPWARD = {("solution", above) for above in ("store", "plot", "certificate", "defects")}
@@ -56,6 +57,9 @@ HOMES = {
     "pandas": {"study"},
     "threadpoolctl": {"study/threads"},
     "distributed": {"study/executors"},
+    "casadi": {"study/peer_runs"},
+    "nosnoc": {"study/peer_runs"},
+    "solve_nivp": {"study/peer_runs"},
 }
 
 

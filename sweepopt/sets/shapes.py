@@ -146,7 +146,7 @@ class Box(ConvexSet):
         # entry by entry: what cancels cancels to 0.0
         side = np.where(p == 0, 0.0, np.where(p > 0, self.upper, self.lower))
         slack = np.where(p[:, None] == 0, 0.0, side[:, None] - w)
-        return np.einsum("jkd,jd->jk", slack, p)
+        return np.maximum(np.einsum("jkd,jd->jk", slack, p), 0.0)
 
     def features(self, p: cp.Expression) -> Features:
         # bounded entries: centre * p + halfwidth * |p|; a one-sided entry allows one sign of p

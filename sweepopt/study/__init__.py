@@ -3,6 +3,8 @@
 table = run(read_study("accuracy.toml"), "results/accuracy")   # a work-precision study, resumable
 work_precision(table); write_report(table, "report.html")      # a diagram, an HTML page
 rows = bench(cells=[32, 100])                                  # every path against loops by hand
+
+`equal_error` sets all schemes beside a smoothed friction law at one error, `peers` beside others.
 """
 
 from sweepopt.study.bench import bench

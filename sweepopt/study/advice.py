@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from math import isnan
 from typing import TYPE_CHECKING
 
+from sweepopt.study.rows import aligned
+
 if TYPE_CHECKING:
     from pandas import DataFrame
 
@@ -51,12 +53,8 @@ def summary(table: DataFrame, targets: Sequence[float] = TARGETS) -> str:
             chosen[(chosen.problem == problem) & (chosen.target == target)] for target in targets
         ]
         lines.append([problem, *(_said(cell.iloc[0]) if len(cell) else "-" for cell in cells)])
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    text = [
-        "  ".join(entry.ljust(width) for entry, width in zip(line, widths, strict=True)).rstrip()
-        for line in lines
-    ]
-    return "\n".join(["the fastest way to each accuracy", *text, "", *_failures(table)])
+    text = aligned(lines)
+    return "\n".join(["the fastest way to each accuracy", text, "", *_failures(table)])
 
 
 def _said(cell: object) -> str:

@@ -26,6 +26,7 @@ from sweepopt.evolve import solve
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
 from sweepopt.solvers import Answer, Clarabel, Solve, Solver
+from sweepopt.study.rows import aligned
 from sweepopt.study.settings import ACCURACIES, Contestant, contestants
 from sweepopt.study.sources import Source
 from sweepopt.study.threads import one_thread
@@ -254,15 +255,10 @@ def comparison_text(table: DataFrame) -> str:
                 row.message[:60],
             ]
         )
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    text = [
-        "  ".join(entry.ljust(width) for entry, width in zip(line, widths, strict=True)).rstrip()
-        for line in lines
-    ]
     legend = (
         "solved   share of programs with a relative certificate within the accuracy\n"
         "ms       shifted geometric mean; unsolved programs count with the longest time of all\n"
         "x best   of those that solved all programs at that accuracy\n"
         "median, worst   relative certificates of the solver's own answers, unpolished"
     )
-    return "\n".join([*text, legend])
+    return f"{aligned(lines)}\n{legend}"

@@ -151,9 +151,14 @@ PROBLEMS = {
     )
 }  # fmt: skip
 
+BLOCK = Problem(
+    "block", "a block that other packages integrate too", 10.0, [[1.0]], [[1.0]], (0.0,),
+    lambda: Moving(interval(0.3), along((sine(1.0, 1.0), [1]))),
+)  # fmt: skip
+
 
 def problem(name: str) -> Problem:
-    """The problem of that name.
+    """The problem of that name, in `PROBLEMS` or `BLOCK`.
 
     Raises
     ------
@@ -165,6 +170,8 @@ def problem(name: str) -> Problem:
     >>> problem("S03").process().dim
     1
     """
+    if name == BLOCK.name:
+        return BLOCK
     if name not in PROBLEMS:
-        raise InputError(f"there is no problem {name!r}; there are: {', '.join(PROBLEMS)}")
+        raise InputError(f"there is no problem {name!r}; there are: {', '.join(PROBLEMS)}, block")
     return PROBLEMS[name]

@@ -134,6 +134,15 @@ def _block(rows: Sequence[Row]) -> str:
     return "\n".join([title, *aligned])
 
 
+def aligned(lines: Sequence[Sequence[str]]) -> str:
+    """Lines of cells as text in columns."""
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+        for line in lines
+    )
+
+
 def machine() -> str:
     """Processor, threads and versions, in one line."""
     threads = os.environ.get("OMP_NUM_THREADS", "unset")
