@@ -7,8 +7,11 @@ from __future__ import annotations
 
 from sweepopt.adaptive import Adaptive
 from sweepopt.certificate import ErrorBound
+from sweepopt.checkpoint import Checkpoint
 from sweepopt.errors import (
     AccuracyError,
+    CheckpointError,
+    CheckpointWarning,
     EmptySetError,
     InitialStateWarning,
     InputError,
@@ -23,11 +26,13 @@ from sweepopt.errors import (
     VariationWarning,
     VelocityError,
 )
-from sweepopt.evolve import StepInfo, solve
+from sweepopt.evolve import solve
 from sweepopt.field import velocity_field
 from sweepopt.loads import Constant, Polynomial, Separable, Sine, Table, Triangle
+from sweepopt.observers import StepInfo
 from sweepopt.plan import Plan
 from sweepopt.process import EvolutionVI, SweepingProcess
+from sweepopt.resume import resume
 from sweepopt.sets import (
     Ball,
     Balls,
@@ -60,6 +65,9 @@ __all__ = [
     "Ball",
     "Balls",
     "Box",
+    "Checkpoint",
+    "CheckpointError",
+    "CheckpointWarning",
     "Clarabel",
     "Constant",
     "Constraints",
@@ -105,6 +113,7 @@ __all__ = [
     "WholeSpace",
     "image",
     "product",
+    "resume",
     "solve",
     "velocity_field",
 ]

@@ -60,6 +60,14 @@ class UnstableStepError(SweepoptError):
     """The explicit part of a scheme would amplify errors at this step size."""
 
 
+class CheckpointError(SweepoptError):
+    """A checkpoint could not be written or is damaged; the message says what is left of the run."""
+
+
+class DamagedFileError(CheckpointError):
+    """A file is not as it was written."""
+
+
 class StepError(SweepoptError):
     """A step missed its tolerance with every solver tried.
 
@@ -126,3 +134,7 @@ class VariationWarning(SweepoptWarning):
 
 class StabilityWarning(SweepoptWarning):
     """The step size lets an explicit scheme overshoot."""
+
+
+class CheckpointWarning(SweepoptWarning):
+    """A run is continued from an older checkpoint, or with other versions than it began with."""

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from os import PathLike
+from typing import Any, Literal
 
 import numpy as np
 
 from sweepopt.adaptive import Adaptive, Refined
-from sweepopt.blocks import BlockWriter, Stored
+from sweepopt.checkpoint import Checkpoint
 from sweepopt.checks import number
 from sweepopt.control import (
     check_stability,
@@ -17,31 +17,18 @@ from sweepopt.control import (
     time_grid,
     warn_of_overshoot,
 )
-from sweepopt.errors import (
-    InputError,
-    MissingExtraError,
-    Status,
-    StepError,
-)
+from sweepopt.errors import InputError, Status, StepError
 from sweepopt.exact import mover
 from sweepopt.lifting import Lift
+from sweepopt.marks import checkpoints
+from sweepopt.observers import Bar, Callback, Observers
 from sweepopt.passes import Frame, Walked, adapt, of_all_unknowns
 from sweepopt.plan import PATHS, make_plan
 from sweepopt.process import EvolutionVI, SweepingProcess
 from sweepopt.refinement import refine
 from sweepopt.schemes import choose
 from sweepopt.solution import Solution
-from sweepopt.states import MEMORY, Keeper, States, saving
-
-
-class StepInfo(NamedTuple):
-    """What a callback sees after a step: its index, end time, state, velocity, certificate."""
-
-    step: int
-    t: float
-    u: np.ndarray
-    velocity: np.ndarray
-    certificate: float
+from sweepopt.states import MEMORY, Keeper, saving
 
 
 def solve(
@@ -57,7 +44,8 @@ def solve(
     save: Any = None,
     memory: float = MEMORY,
     progress: bool = False,
-    callback: Callable[[StepInfo], bool | None] | None = None,
+    callback: Callback | None = None,
+    checkpoint: Checkpoint | str | PathLike[str] | None = None,
     on_failure: Literal["raise", "stop"] = "raise",
     on_unstable: Literal["raise", "warn", "ignore"] = "raise",
 ) -> Solution:
@@ -100,6 +88,9 @@ def solve(
         Show a progress bar (needs tqdm).
     callback : callable, optional
         Called after each step; returning True stops the run and keeps what was computed.
+    checkpoint : Checkpoint, str or Path, optional
+        A file that the run is written to again and again, so that ``so.resume(path, process)``
+        continues it if it is killed, with the same result bit for bit (see Notes).
     on_failure : {"raise", "stop"}
         Raise StepError, or return the steps that are certified with status INEXACT.
     on_unstable : {"raise", "warn", "ignore"}
@@ -117,6 +108,8 @@ def solve(
     UnstableStepError, StepError
     AccuracyError
         If refining does not reach `error`; the finest run is in it.
+    CheckpointError
+        If a checkpoint cannot be written; the one before it is whole.
 
     Notes
     -----
@@ -124,6 +117,10 @@ def solve(
     the Solution has them all. They hit the breakpoints of loads that are data and the times given
     as `save`. A callback, a function or a file gets the steps of the last pass, in one more run.
     `tol` is lowered where the error asks for it. The proportional path is not used.
+
+    Checkpoints are for steps given beforehand and states in memory, not for `error`, Adaptive,
+    "exact" or NetCDF. Solvers forget earlier steps at each hundredth of the run, or as `Checkpoint`
+    says, which moves the result by rounding.
 
     t_i = t_0 + i mu; u_{i+1} = u_i + mu sum_k b_k z_k with compensated summation. Ctrl-C returns
     the steps computed so far with status INTERRUPTED.
@@ -139,20 +136,21 @@ def solve(
     >>> sol.success, float(sol(0.5)[0]), round(float(sol(5.0)[0]), 3)
     (True, 0.0, 3.063)
     """
+    settings: dict[str, Any] = {
+        "scheme": scheme,
+        "solver": solver,
+        "tol": tol,
+        "path": path,
+        "memory": memory,
+        "on_failure": on_failure,
+        "on_unstable": on_unstable,
+    }
     if error is not None:
+        if checkpoint is not None:
+            raise InputError("checkpoint= is for one run, but error= takes several; give steps")
         if isinstance(steps, Adaptive):
             raise InputError("error= chooses the steps itself; leave Adaptive out, or error=")
-        again = partial(
-            solve,
-            process,
-            scheme=scheme,
-            solver=solver,
-            tol=tol,
-            path=path,
-            memory=memory,
-            on_failure=on_failure,
-            on_unstable=on_unstable,
-        )
+        again = partial(solve, process, **settings)
         first, _ = time_grid(t_end, steps)
         wanted_error = number("error", error, minimum=0.0, strict=True)
         sol = refine(lambda times: again(steps=times), first, wanted_error)
@@ -189,54 +187,32 @@ def solve(
     walked = Walked(times, mus, plan, saving(save, times, plan.entering, memory))
     process.check_start(float(times[0]))
     check_stability(process, tableau, float(mus.max()), on_unstable)
-    bar = _progress_bar(None if adaptive else len(mus)) if progress else None
+    settings |= {"t_end": t_end, "steps": steps, "save": save}
+    marks = checkpoints(checkpoint, process, plan, times, settings)
+    bar = Bar(progress, None if adaptive else len(mus), marks.done if marks else 0)
     refined = Refined(())
     if frame:
-        walked, refined = adapt(
-            frame, process, plan, save, memory, bar.update if bar is not None else _nothing
-        )
+        walked, refined = adapt(frame, process, plan, save, memory, bar.update)
     times, mus, plan, wanted = walked.times, walked.mus, walked.plan, walked.wanted
 
     moved = plan.reduction.process if plan.reduction else process
-    move = mover(moved, plan.of_entering)
+    move = mover(moved, plan.of_entering, marks)
     lift = Lift(plan, times, mus)
     beside = lift.seconds
-    blocks = BlockWriter(wanted.path, float(times[0]), process.u0) if wanted.path else None
-    recorded: list[Any] = []
-
-    def look(i: int, u: np.ndarray, z: np.ndarray, certificate: float) -> bool | None:
-        if bar is not None:
-            bar.update()
-        if callback is None and blocks is None and wanted.function is None:
-            return None
-        t, u, z = float(times[i + 1]), lift.state(i + 1, u).copy(), lift.velocity(i, z).copy()
-        if blocks is not None:
-            blocks.put(t, u, z)
-        if wanted.function is not None:
-            recorded.append(wanted.function(t, u, z))
-        return callback(StepInfo(i, t, u, z, certificate)) if callback is not None else None
-
-    watched = any(one is not None for one in (callback, blocks, wanted.function))
+    recorded = marks.recorded if marks else []
+    observers = Observers(wanted, lift, times, process.u0, bar, callback, recorded)
     run, keeper, finished = walked.run, walked.keeper, False
     try:
-        if run is None or keeper is None or watched:
+        if run is None or keeper is None or observers.need_states:
             keeper = Keeper(wanted.steps, moved.u0)
-            run = move(
-                times,
-                mus,
-                keeper,
-                look if watched or bar is not None else None,
-                lift.prove if plan.reduction else None,
-            )
+            prove = lift.prove if plan.reduction else None
+            run = move(times, mus, keeper, observers.look, prove)
         if refined.cause and run.done == len(mus):
             run.status, run.cause = Status.INEXACT, refined.cause
         failed = run.status in (Status.INEXACT, Status.SWITCHING) and on_failure == "raise"
         finished = not failed
     finally:
-        if bar is not None:
-            bar.close()
-        if blocks is not None:
-            blocks.close(finished)
+        observers.close(finished)
     if run.overshot is not None:
         warn_of_overshoot(tableau, float(times[run.overshot]), on_unstable)
     kept_steps, kept = keeper.close()
@@ -245,9 +221,7 @@ def solve(
         raise StepError(run.cause, float(times[run.done]), run.done, u, run.relative)
     stats = run.log.table(times[1 : run.done + 1])
     stats["seconds"] += beside[: run.done]
-    states: States = lift.of(kept, kept_steps)
-    if blocks is not None:
-        states, kept_steps = Stored(blocks.path, blocks.run), np.arange(blocks.steps)
+    states, kept_steps = observers.kept(kept, kept_steps)
     return Solution(
         process=process,
         plan=plan,
@@ -258,18 +232,6 @@ def solve(
         status=run.status,
         cause=run.cause,
         exact=lift.trajectory(run.exact),
-        recorded=recorded if wanted.function is not None else None,
+        recorded=None if wanted.function is None else recorded,
         passes=refined.passes,
     )
-
-
-def _nothing() -> None:
-    """What a run without a progress bar does after a step."""
-
-
-def _progress_bar(steps: int | None) -> Any:
-    try:
-        from tqdm.auto import tqdm
-    except ImportError as error:
-        raise MissingExtraError("tqdm", "fem") from error
-    return tqdm(total=steps, unit="step")

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
 from sweepopt.checks import Matrix, is_finite
 from sweepopt.errors import Status
-from sweepopt.plan import Plan
+from sweepopt.plan import Factors, Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.schemes import Scheme
 from sweepopt.solution import STATS
@@ -27,6 +27,25 @@ Look = Callable[[int, np.ndarray, np.ndarray, float], "bool | None"]
 Prove = Callable[[int, np.ndarray, np.ndarray, "Summary"], "Summary"]
 
 
+class Place(NamedTuple):
+    """Where a run is: u after the steps that are done, and what rounding kept out of it."""
+
+    u: np.ndarray
+    lost: np.ndarray
+
+
+class Marks(Protocol):
+    """Steps after which a run can be continued: what the programs remember ends there."""
+
+    def begin(self, run: Run, keeper: Keeper, start: Place) -> Place:
+        """Where the run begins: at `start`, or where an earlier one has come."""
+        ...
+
+    def __call__(self, run: Run, keeper: Keeper, place: Place) -> bool:
+        """Whether the step that is done is a mark."""
+        ...
+
+
 def march(
     process: SweepingProcess,
     plan: Plan,
@@ -36,11 +55,13 @@ def march(
     look: Look | None = None,
     prove: Prove | None = None,
     velocities: Velocities | None = None,
+    marks: Marks | None = None,
 ) -> Run:
     """Move u through time; `look` sees every state, velocity and certificate, True from it stops.
 
     `prove` adds to a step's certificate, from its number, its first state and its velocity.
-    `velocities` are the compiled programs of an earlier run of the same process.
+    `velocities` are the compiled programs of an earlier run of the same process; at `marks` they
+    forget all steps, so that a run which is continued there is the same to the last bit.
     Ctrl-C ends the loop, also in `look`: the keeper has the steps that are done.
     """
     steps = len(mus)
@@ -48,10 +69,10 @@ def march(
     velocities = velocities or Velocities(process, plan)
     critical = _critical(process, plan.scheme)
     run = Run(Log(steps))
-    u = process.u0
-    lost = np.zeros(process.dim)
+    place = Place(process.u0, np.zeros(process.dim))
+    u, lost = place if marks is None else marks.begin(run, keeper, place)
     try:
-        for i in range(steps):
+        for i in range(run.done, steps):
             started = clock.perf_counter()
             mu = sizes[i]
             z, stages = step(process, plan.scheme, velocities, grid[i], mu, u)
@@ -71,7 +92,10 @@ def march(
             keeper.put(i, u, z)
             run.log.add(i, found, clock.perf_counter() - started)
             run.done = i + 1
-            if look is not None and look(i, u, z, found.certificate):
+            stop = look is not None and look(i, u, z, found.certificate)
+            if marks is not None and marks(run, keeper, Place(u, lost)):
+                velocities.forget()
+            if stop:
                 run.status = Status.STOPPED if run.done < steps else run.status
                 break
     except KeyboardInterrupt:
@@ -118,6 +142,22 @@ class Log:
         self._seconds[i] = seconds
         self._solver[i] = self._names.setdefault(step.solver, len(self._names))
 
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """All columns; those of the solvers are numbers of `solvers`."""
+        return {**self._columns, "seconds": self._seconds, "solver": self._solver}
+
+    @property
+    def solvers(self) -> list[str]:
+        """Who found the velocities, in order of appearance."""
+        return list(self._names)
+
+    def restore(self, columns: Mapping[str, np.ndarray], solvers: list[str]) -> None:
+        """Take the columns of the first steps from an earlier run."""
+        for name, column in self.columns.items():
+            column[: len(columns[name])] = columns[name]
+        self._names = {name: number for number, name in enumerate(solvers)}
+
     def table(self, ends: np.ndarray) -> np.ndarray:
         """The records of the steps that end at the given times."""
         n = len(ends)
@@ -149,14 +189,23 @@ class Velocities:
 
     def __init__(self, process: SweepingProcess, plan: Plan) -> None:
         self._process, self._plan = process, plan
+        self._factors: dict[float, Factors] = {}
         self._compiled: dict[float, VelocityOf] = {}
 
     def __call__(self, gamma: float) -> VelocityOf:
         if gamma not in self._compiled:
-            if len(self._compiled) == self.LIMIT:
-                self._compiled.pop(next(iter(self._compiled)))
-            self._compiled[gamma] = self._plan.velocity(self._matrix(gamma))
+            if gamma not in self._factors:
+                if len(self._factors) == self.LIMIT:
+                    oldest = next(iter(self._factors))
+                    del self._factors[oldest]
+                    self._compiled.pop(oldest, None)
+                self._factors[gamma] = self._plan.factors(self._matrix(gamma))
+            self._compiled[gamma] = self._plan.velocity(self._factors[gamma])
         return self._compiled[gamma]
+
+    def forget(self) -> None:
+        """Drop what programs remember of earlier steps, but not the factorisations."""
+        self._compiled.clear()
 
     def _matrix(self, gamma: float) -> Matrix:
         process = self._process

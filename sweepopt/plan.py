@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,32 @@ PATHS = {
     "eliminated": "a program for the contact, two substitutions for the others",
     "full": "a program for all unknowns",
 }
+
+
+@dataclass(frozen=True, eq=False)
+class Factors:
+    """A matrix factorised in the ways that somebody asks for."""
+
+    M: Matrix
+    contact: np.ndarray
+    order: np.ndarray | None
+
+    @cached_property
+    def whole(self) -> Factor:
+        return Factor(self.M)
+
+    @cached_property
+    def hierarchy(self) -> Multigrid:
+        return Multigrid(self.M)
+
+    @cached_property
+    def elimination(self) -> Elimination:
+        return Elimination(self.M, self.contact, self.order)
+
+    @cached_property
+    def small(self) -> Factor:
+        """What is left for the contact."""
+        return Factor(self.elimination.N)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,21 +131,21 @@ class Plan:
     def _order(self) -> str:
         return "" if self.scheme.exact else f" (order {self.scheme.order})"
 
-    def velocity(self, M: Matrix) -> VelocityOf:
+    def velocity(self, M: Matrix | Factors) -> VelocityOf:
         """Compile (q, C) -> certified velocity for one matrix; not to be shared by threads.
 
         Each C is looked at again: a point needs a linear solve only, a set on the contact unknowns
         a small program, any other set the full one. What a C needs is compiled when it comes.
         """
-        contact = np.zeros(0, dtype=int) if self.contact is None else self.contact
-        program = cache(lambda: programmed(Factor(M), self.solver, self.tol, self.order))
+        factors = M if isinstance(M, Factors) else self.factors(M)
+        contact = factors.contact
+        program = cache(lambda: programmed(factors.whole, self.solver, self.tol, self.order))
         if self.multigrid:
-            hierarchy = cache(lambda: Multigrid(M))
-            point = cache(lambda: linear(hierarchy()))
-            selected = cache(lambda: iterated(hierarchy(), contact, self.tol))
+            point = cache(lambda: linear(factors.hierarchy))
+            selected = cache(lambda: iterated(factors.hierarchy, contact, self.tol))
         else:
-            point = cache(lambda: linear(Factor(M)))
-            selected = cache(lambda: self._eliminated(Elimination(M, contact, self.order)))
+            point = cache(lambda: linear(factors.whole))
+            selected = cache(lambda: self._eliminated(factors))
 
         def solve(q: np.ndarray, C: ConvexSet) -> Solved:
             if C.singleton:
@@ -131,8 +157,14 @@ class Plan:
 
         return solve
 
-    def _eliminated(self, M: Elimination) -> SelectedVelocity:
-        return eliminated(M, programmed(Factor(M.N), self.solver, self.tol, None))
+    def factors(self, M: Matrix) -> Factors:
+        """What is known of a matrix before any velocity: nothing in it depends on steps."""
+        contact = np.zeros(0, dtype=int) if self.contact is None else self.contact
+        return Factors(M, contact, self.order)
+
+    def _eliminated(self, factors: Factors) -> SelectedVelocity:
+        small = programmed(factors.small, self.solver, self.tol, None)
+        return eliminated(factors.elimination, small)
 
     def __str__(self) -> str:
         solver = self.solvers[0].name if self.solvers else "linear solves, no optimiser"

@@ -62,7 +62,8 @@ def _cut(x: np.ndarray, bits: int) -> list[np.ndarray]:
     parts = []
     for _ in range(SLICES):
         # adding and taking away a large number rounds to its last bit
-        shift = math.ldexp(0.75, math.frexp(largest)[1] + 54 - bits) if largest else 0.0
+        power = math.frexp(largest)[1] + 54 - bits
+        shift = math.ldexp(0.75, power) if largest and power < 1024 else 0.0
         part = (x + shift) - shift
         parts.append(part)
         x = x - part

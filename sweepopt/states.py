@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from os import PathLike
@@ -198,6 +198,24 @@ class Keeper:
             self._last = None
         else:
             self._last = (i, u, z)
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """What is kept so far; `last` is the step that is kept only if none follows."""
+        last = [] if self._last is None else [np.stack(self._last[1:])]
+        return {
+            "nodes": self._u[: self._row + 1],
+            "velocities": self._z[: self._row],
+            "last": np.array(last).reshape(-1, 2, self.u0.size),
+        }
+
+    def restore(self, done: int, columns: Mapping[str, np.ndarray]) -> None:
+        """Take what an earlier run kept of its steps."""
+        self._row = int(np.searchsorted(self.steps, done))
+        self._u[: self._row + 1], self._z[: self._row] = columns["nodes"], columns["velocities"]
+        self._next = int(self.steps[self._row]) if self._row < self.steps.size else -1
+        for u, z in columns["last"]:
+            self._last = (done - 1, u, z)
 
     def close(self) -> tuple[np.ndarray, Kept]:
         """The kept steps, with the last one that was done, and their states."""

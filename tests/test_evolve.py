@@ -100,7 +100,8 @@ def hard() -> so.SweepingProcess:
     return so.SweepingProcess(M, None, C, [0, 0])
 
 
-def test_a_solver_that_lies_is_repaired_by_another_one() -> None:
+def test_a_solver_that_lies_is_repaired_by_another_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sweepopt.polish.POLISHED", np.inf)  # which would repair it alone
     with pytest.warns(so.InitialStateWarning):
         sol = so.solve(hard(), t_end=1.0, steps=10, solver=Lying())
     assert sol.success

@@ -54,7 +54,7 @@ def same(one: pd.DataFrame, other: pd.DataFrame) -> None:
 
 def finished(folder: Path) -> dict[str, int]:
     """When each finished cell was written."""
-    return {path.name: path.stat().st_mtime_ns for path in (folder / "cells").glob("*.json")}
+    return {path.name: path.stat().st_mtime_ns for path in (folder / "cells").glob("[!.]*.json")}
 
 
 def wait_for(condition: Any, seconds: float = 60.0) -> None:

@@ -13,7 +13,7 @@ from sweepopt.errors import InputError, Status
 from sweepopt.exact.rows import Rows, rows_of
 from sweepopt.exact.trajectory import Phase, Trajectory, integrate
 from sweepopt.linalg import Factor
-from sweepopt.march import Log, Look, Prove, Run, Summary, march
+from sweepopt.march import Log, Look, Marks, Prove, Run, Summary, march
 from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.program import Velocity, VelocityProgram, rate
@@ -37,8 +37,10 @@ class Move(Protocol):
     ) -> Run: ...
 
 
-def mover(process: SweepingProcess, plan: Plan) -> Move:
+def mover(process: SweepingProcess, plan: Plan, marks: Marks | None = None) -> Move:
     """What moves a process through a grid: the scheme's steps, or the exact trajectory.
+
+    `marks` are for steps only.
 
     Raises
     ------
@@ -46,7 +48,7 @@ def mover(process: SweepingProcess, plan: Plan) -> Move:
         If the scheme is "exact" and the process is not one of polyhedra and loads as data.
     """
     if not plan.scheme.exact:
-        return partial(march, process, plan)
+        return partial(march, process, plan, marks=marks)
     if plan.solver != "auto":
         raise InputError(
             f"scheme 'exact' has no use for solver={plan.solver!r:.60}; leave one of them out"

@@ -6,8 +6,9 @@ one, and a run that fails leaves the files of the run before it whole.
 
 from __future__ import annotations
 
+from sweepopt.files import replacing
 from sweepopt.store.netcdf import to_xarray, write_netcdf
-from sweepopt.store.report import Report, Units, make_report, replacing
+from sweepopt.store.report import Report, Units, make_report
 from sweepopt.store.summary import SUMMARY, summary_of, write_summary
 from sweepopt.store.vtu import MOST_VTU, write_vtu
 

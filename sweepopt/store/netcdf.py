@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweepopt.errors import MissingExtraError
+from sweepopt.files import replacing
 from sweepopt.slip import STATES, Slip
 from sweepopt.store.report import (
     DIMENSIONLESS,
     Report,
     Units,
-    replacing,
     require,
     solver_name,
     versions_of,

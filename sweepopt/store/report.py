@@ -1,16 +1,12 @@
-"""A run of a scene: what its files and pictures have in common, and how files are put in place."""
+"""A run of a scene: what its files and pictures have in common."""
 
 from __future__ import annotations
 
-import os
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib import metadata
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from sweepopt import versions
 from sweepopt.errors import MissingExtraError
 from sweepopt.slip import Slip, slip_of
 
@@ -76,17 +72,6 @@ def make_report(
     return Report(name, text, scene, solution, slip, energy, seconds)
 
 
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A new file that takes the place of `path` when the block ends well, and else disappears."""
-    part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
-    try:
-        yield part
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
-
-
 def require(package: str, extra: str) -> None:
     """Refuse to go on without a package, naming the extra that brings it."""
     try:
@@ -110,15 +95,7 @@ def versions_of(solution: Solution) -> dict[str, str]:
     """Versions of what computed the solution."""
     solver = solver_name(solution).split(":")[-1]
     names = ["sweepopt", "numpy", "scipy", "cvxpy", "osqp", "clarabel", "scikit-fem", solver]
-    found = {}
-    for name in dict.fromkeys(names):
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    from sweepopt import __version__  # a clone on the path has no metadata
-
-    return {**found, "sweepopt": __version__}
+    return versions.versions_of(names)
 
 
 def materials_of(scene: Scene) -> dict[str, Any]:

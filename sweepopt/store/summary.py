@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from sweepopt.files import replacing
 from sweepopt.store.report import (
     Report,
     materials_of,
-    replacing,
     solver_counts,
     solver_name,
     versions_of,

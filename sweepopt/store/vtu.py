@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sweepopt.store.report import Report, materials_of, replacing, require
+from sweepopt.files import replacing
+from sweepopt.store.report import Report, materials_of, require
 
 MOST_VTU = 50
 """At most so many VTU files a run."""

@@ -11,12 +11,12 @@ import hashlib
 import io
 import json
 import math
-import os
 from pathlib import Path
 from typing import Any, get_type_hints
 
 import numpy as np
 
+from sweepopt.files import put, sealed, unsealed
 from sweepopt.study.measure import Cell, CellRow
 from sweepopt.study.reference import Reference
 
@@ -39,11 +39,11 @@ class Ledger:
 
     def describe(self, study: dict[str, Any]) -> None:
         """Keep what was asked."""
-        _put(self.folder / "study.json", json.dumps(study, indent=2).encode())
+        put(self.folder / "study.json", json.dumps(study, indent=2).encode())
 
     def row(self, cell: Cell) -> CellRow | None:
         """The row of a finished cell, None if it is not finished."""
-        found = _unsealed(self._cell(cell.id))
+        found = _read(self._cell(cell.id))
         if found is None or set(found) != set(KINDS):
             return None
         return CellRow(**{name: KINDS[name](found[name]) for name in CellRow._fields})
@@ -51,12 +51,12 @@ class Ledger:
     def keep(self, row: CellRow) -> None:
         """Keep a finished cell."""
         content = {name: _plain(value) for name, value in row._asdict().items()}
-        _put(self._cell(row.cell), _sealed(content))
+        put(self._cell(row.cell), sealed(content))
 
     def reference(self, cell: Cell) -> Reference | None:
         """The reference of a cell, None if it is not finished."""
         path = self._reference(cell)
-        found = _unsealed(path)
+        found = _read(path)
         try:
             content = path.with_suffix(".npy").read_bytes()
         except OSError:
@@ -72,7 +72,7 @@ class Ledger:
         np.save(buffer, reference.u, allow_pickle=False)
         content = buffer.getvalue()
         path = self._reference(cell)
-        _put(path.with_suffix(".npy"), content)
+        put(path.with_suffix(".npy"), content)
         about = {
             "problem": cell.problem.name,
             "steps": cell.steps,
@@ -81,7 +81,7 @@ class Ledger:
             "message": reference.message,
             "states": hashlib.sha256(content).hexdigest(),
         }
-        _put(path, _sealed(about))
+        put(path, sealed(about))
 
     def _cell(self, name: str) -> Path:
         return self.folder / "cells" / f"{name}.json"
@@ -98,38 +98,9 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _sealed(content: dict[str, Any]) -> bytes:
-    return json.dumps(
-        {"sha256": _checksum(content), "content": content}, indent=1, allow_nan=False
-    ).encode()
-
-
-def _unsealed(path: Path) -> Any:
+def _read(path: Path) -> Any:
     """The content of a file, None if it is not there or not whole."""
     try:
-        data = json.loads(path.read_bytes())
-        content = data["content"]
-        return content if data["sha256"] == _checksum(content) else None
-    except (OSError, ValueError, KeyError, TypeError):
+        return unsealed(path.read_bytes())
+    except (OSError, ValueError):
         return None
-
-
-def _checksum(content: Any) -> str:
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _put(path: Path, content: bytes) -> None:
-    """Replace a file as a whole, on the disk when this returns."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    with part.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(part, path)
-    if os.name == "posix":  # the folder's entry too
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)

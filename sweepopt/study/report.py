@@ -24,7 +24,7 @@ import numpy as np
 
 from sweepopt.checks import count, vector
 from sweepopt.errors import InputError, Status
-from sweepopt.store import replacing
+from sweepopt.files import replacing
 from sweepopt.study.cells import ACCURACIES, COSTS, VERSIONS, distinct, read_cells
 
 if TYPE_CHECKING:

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.errors import SolverRefusedError, SweepoptError, SweepoptWarning
-from sweepopt.evolve import StepInfo, solve
+from sweepopt.evolve import solve
+from sweepopt.observers import StepInfo
 from sweepopt.process import SweepingProcess
 from sweepopt.sets import Moving
 from sweepopt.solution import Solution

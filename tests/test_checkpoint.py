@@ -1,0 +1,506 @@
+"""A run that is killed loses nothing: resumed, it is the same to the last bit."""
+
+from __future__ import annotations
+
+import errno
+import json
+import random
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_reduction import process as chain
+
+import sweepopt as so
+from sweepopt import archive, files, records
+from sweepopt.errors import DamagedFileError
+
+HERE = Path(__file__).parent
+
+
+def body(**changes: Any) -> so.SweepingProcess:
+    return chain(**{"u0": np.zeros(40), **changes})
+
+
+def balls(load: float = 1.5) -> so.SweepingProcess:
+    """Four contact points that slip in two directions, on unknowns of their own."""
+    A, B = 2 * np.eye(8) - 0.3 * (np.eye(8, k=1) + np.eye(8, k=-1)), np.diag(np.arange(1.0, 9.0))
+    f = so.Separable([(so.Sine(load, 2.0), np.ones(8)), (so.Triangle(load, 3.0), np.arange(8.0))])
+    return so.SweepingProcess(A, B, so.Moving(so.Balls([0.5, 1.0, 1.5, 0.0], 2), f), np.zeros(8))
+
+
+def polygon() -> so.SweepingProcess:
+    """Rows that are given by a function, at A = 0."""
+    G = np.array([[1.0, 0.2], [-1.0, 0.1], [0.3, 1.0], [-0.2, -1.0]])
+    C = so.Polyhedron(G, lambda t: [1 + t, 1 - 0.8 * t, 1 + np.sin(3 * t), 1 - t])
+    return so.SweepingProcess(np.zeros((2, 2)), [[2.0, 0.5], [0.5, 1.0]], C, [0.0, 0.0])
+
+
+def section() -> so.EvolutionVI:
+    """A square body whose contact is all that enters a program."""
+    import skfem
+
+    from sweepopt.fem import Elasticity, Friction, Traction, Viscosity, antiplane
+
+    mesh = skfem.MeshTri().refined(3).with_defaults()
+    effects = [
+        Viscosity(1.0),
+        Elasticity(lambda x: 1 + x[0]),
+        Friction("left", g=0.3),
+        Traction("right", so.Sine(2.0, 2.0)),
+    ]
+    return antiplane(mesh, clamped="top", effects=effects).problem
+
+
+def free() -> so.SweepingProcess:
+    """Nothing nonsmooth, and no proof: a set of the user's."""
+    import cvxpy as cp
+
+    C = so.Moving(so.Constraints(2, lambda w: [cp.norm(w) <= 1]), center=lambda t: [2 * t, t])
+    return so.SweepingProcess(np.eye(2), np.eye(2), C, [0.0, 0.0])
+
+
+RUNS: dict[str, tuple[Callable[[], Any], dict[str, Any]]] = {
+    "proportional": (body, {"path": "proportional"}),
+    "eliminated": (body, {"path": "eliminated", "solver": so.OSQP(tol=1e-7), "save": 5}),
+    "full": (body, {"path": "full", "solver": "osqp"}),
+    "newton": (body, {"path": "eliminated", "solver": "newton", "save": "last"}),
+    "two stages": (body, {"scheme": "sdirk2", "solver": "clarabel", "save": [1.0, 3.0]}),
+    "balls": (balls, {"solver": "clarabel"}),
+    "section": (section, {"path": "eliminated", "solver": "osqp"}),
+    "polygon": (polygon, {"solver": "osqp", "t_end": 0.8}),
+    "uncertified": (free, {"steps": 24}),
+}
+
+
+def arguments(name: str) -> tuple[Any, dict[str, Any]]:
+    make, settings = RUNS[name]
+    return make(), {"t_end": 4.0, "steps": 80, **settings}
+
+
+def same(a: so.Solution, b: so.Solution) -> bool:
+    """Equal to the last bit, but for wall times."""
+    names = [name for name in a.stats.dtype.names or () if name != "seconds"]
+    return (
+        a.status is b.status
+        and a.t.tobytes() == b.t.tobytes()
+        and a.u.tobytes() == b.u.tobytes()
+        and a.velocity.tobytes() == b.velocity.tobytes()
+        and all(a.stats[name].tobytes() == b.stats[name].tobytes() for name in names)
+    )
+
+
+class Killed(Exception):
+    """Stands for a kill where a real one would take long."""
+
+
+def stopping(step: int) -> Callable[[so.StepInfo], None]:
+    def stop(info: so.StepInfo) -> None:
+        if info.step == step:
+            raise Killed
+
+    return stop
+
+
+def killed(path: Path, name: str = "proportional", at: int = 40, **changes: Any) -> None:
+    process, settings = arguments(name)
+    where = so.Checkpoint(path, steps=9)
+    with pytest.raises(Killed):
+        so.solve(process, checkpoint=where, callback=stopping(at), **(settings | changes))
+
+
+# ---- the same to the last bit ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_a_resumed_run_is_the_whole_run(name: str, tmp_path: Path) -> None:
+    process, settings = arguments(name)
+    whole = so.solve(process, checkpoint=so.Checkpoint(tmp_path / "a", steps=9), **settings)
+    for at in (0, 8, 9, 21):
+        path = tmp_path / f"b{at}.npz"
+        killed(path, name, at)
+        resumed = so.resume(path, arguments(name)[0])
+        assert same(resumed, whole), at
+        assert np.array_equal(resumed.plan.solvers, whole.plan.solvers)
+        assert same(so.resume(path, process), whole)  # the end is in the file too
+
+
+def test_where_files_are_written_does_not_change_the_run(tmp_path: Path) -> None:
+    process, settings = arguments("full")
+    often = so.Checkpoint(tmp_path / "often", steps=9)
+    never = so.Checkpoint(tmp_path / "never", steps=9, seconds=1e6)
+    first, second = (so.solve(process, checkpoint=at, **settings) for at in (often, never))
+    assert same(first, second)
+
+
+def test_a_run_can_be_killed_again_and_again(tmp_path: Path) -> None:
+    process, settings = arguments("eliminated")
+    whole = so.solve(process, checkpoint=so.Checkpoint(tmp_path / "a", steps=9), **settings)
+    path = tmp_path / "b.npz"
+    killed(path, "eliminated", 12)
+    for at in (20, 41, 79):
+        with pytest.raises(Killed):
+            so.resume(path, process, callback=stopping(at))
+    assert same(so.resume(path, process), whole)
+
+
+def test_times_of_the_user_and_a_callable_load_come_back(tmp_path: Path) -> None:
+    times = np.linspace(0.0, 2.0, 61) ** 2
+
+    def process() -> so.SweepingProcess:
+        C = so.Moving(so.Box([-1.0], [1.0]), center=lambda t: [3 * np.sin(4 * t)])
+        return so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
+
+    whole = so.solve(process(), steps=times)
+    where = so.Checkpoint(tmp_path / "run.npz", steps=7)
+    with pytest.raises(Killed):
+        so.solve(process(), steps=times, checkpoint=where, callback=stopping(33))
+    assert same(so.resume(tmp_path / "run.npz", process()), whole)
+
+
+RECORDS: dict[str, Callable[[float, np.ndarray, np.ndarray], Any]] = {
+    "numbers": lambda t, u, z: float(u[3]),
+    "scalars": lambda t, u, z: u[3],
+    "arrays": lambda t, u, z: u[:3],
+    "nested": lambda t, u, z: {"t": t, "z": (z[4], [1, True, None])},
+    "nothing": lambda t, u, z: None,
+}
+
+
+@pytest.mark.parametrize("name", RECORDS)
+def test_what_a_function_recorded_comes_back(name: str, tmp_path: Path) -> None:
+    process, settings = arguments("proportional")
+    whole = so.solve(process, save=RECORDS[name], **settings)
+    path = tmp_path / "run.npz"
+    killed(path, save=RECORDS[name])
+    with pytest.raises(so.InputError, match="needs function"):
+        so.resume(path, process)
+    resumed = so.resume(path, process, save=RECORDS[name])
+    assert repr(resumed.recorded) == repr(whole.recorded)
+    assert len(resumed.recorded or []) == 80
+
+
+@pytest.mark.parametrize("bad", [object(), "word", 2**70, {1: 2.0}, np.array(["a"])], ids=repr)
+def test_records_that_no_file_can_hold_are_refused_at_the_first_step(
+    bad: Any, tmp_path: Path
+) -> None:
+    process, settings = arguments("proportional")
+    where, seen = so.Checkpoint(tmp_path / "run.npz", steps=50), []
+    with pytest.raises(so.InputError, match="numbers or arrays"):
+        so.solve(
+            process,
+            checkpoint=where,
+            save=lambda t, u, z: bad,
+            callback=lambda info: seen.append(info.step),
+            **settings,
+        )
+    assert seen == [0]
+    with pytest.raises(so.InputError, match="alike"):
+        records.packed([1.0, (1.0, 2.0)])
+
+
+# ---- kill -9 --------------------------------------------------------------------------------
+
+CHILD = """
+import sys
+sys.path.insert(0, {tests!r})
+import test_checkpoint, sweepopt as so
+process, settings = test_checkpoint.arguments({name!r})
+settings["steps"] = {steps}
+so.solve(process, checkpoint=so.Checkpoint({path!r}, steps={every}), **settings)
+"""
+
+
+def kill_and_resume(tmp_path: Path, name: str, delays: list[float], steps: int, every: int) -> int:
+    """How many of the runs that were killed at these times after their start had not ended."""
+    process, settings = arguments(name)
+    settings["steps"] = steps
+    whole = so.solve(process, checkpoint=so.Checkpoint(tmp_path / "a", steps=every), **settings)
+    alive = 0
+    for k, delay in enumerate(delays):
+        path = tmp_path / f"{name}-{k}.npz"
+        fields = {"tests": str(HERE), "name": name, "path": str(path)}
+        code = CHILD.format(**fields, steps=steps, every=every)
+        child = subprocess.Popen([sys.executable, "-c", code])
+        while not path.exists():
+            assert child.poll() is None
+            time.sleep(0.002)
+        time.sleep(delay)
+        child.send_signal(signal.SIGKILL)
+        alive += child.wait() != 0
+        assert same(so.resume(path, process), whole), f"{name}, killed after {delay} s"
+    return alive
+
+
+def test_runs_that_are_killed_lose_nothing(tmp_path: Path) -> None:
+    assert kill_and_resume(tmp_path, "proportional", [0.1], 1200, 5) == 1
+    assert kill_and_resume(tmp_path, "full", [0.2], 300, 5) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "steps", "every"),
+    [("proportional", 1200, 5), ("full", 400, 5), ("section", 300, 6), ("newton", 1200, 5)],
+)
+def test_100_kills_at_random_moments_lose_nothing(
+    name: str, steps: int, every: int, tmp_path: Path
+) -> None:
+    rng = random.Random(name)
+    delays = [rng.uniform(0.0, 1.2) for _ in range(25)]
+    assert kill_and_resume(tmp_path, name, delays, steps, every) >= 15
+
+
+# ---- another problem, another form ----------------------------------------------------------
+
+
+def test_a_checkpoint_of_another_problem_is_refused_and_says_what_differs(tmp_path: Path) -> None:
+    path = tmp_path / "run.npz"
+    killed(path, "balls", 40)
+    ours = balls()
+    other = so.SweepingProcess(2 * ours.A, ours.B, ours.C, ours.u0)
+    with pytest.raises(so.InputError, match=r"another problem: A differs"):
+        so.resume(path, other)
+    other = so.SweepingProcess(ours.A, None, ours.C, ours.u0 + 0.01)
+    with pytest.raises(so.InputError, match=r"another problem: B, u0 differ"):
+        so.resume(path, other)
+    with pytest.raises(so.InputError, match=r"another problem: C\(t\) differs"):
+        so.resume(path, balls(load=1.5 + 1e-15))
+    with pytest.raises(so.InputError, match="another problem: A, B, u0, C"):
+        so.resume(path, body())
+    with pytest.raises(so.InputError, match="had no function"):
+        so.resume(path, ours, save=lambda t, u, z: t)
+    with pytest.raises(so.InputError, match="process must be"):
+        so.resume(path, "balls")  # type: ignore[arg-type]
+    assert so.resume(path, ours).success
+
+
+def test_a_load_that_differs_late_is_another_problem(tmp_path: Path) -> None:
+    def process(late: float) -> so.SweepingProcess:
+        C = so.Moving(so.Box([-1.0], [1.0]), center=lambda t: [t if t < 3.9 else late])
+        return so.SweepingProcess([[1.0]], None, C, [0.0])
+
+    path = tmp_path / "run.npz"
+    with pytest.raises(Killed):
+        so.solve(process(3.0), t_end=4.0, steps=80, checkpoint=path, callback=stopping(5))
+    with pytest.raises(so.InputError, match=r"C\(t\) differs"):
+        so.resume(path, process(3.1))
+    assert so.resume(path, process(3.0)).success
+
+
+def rewritten(path: Path, change: Callable[[dict[str, Any], dict[str, Any]], None]) -> None:
+    record, arrays = archive.read_archive(path)
+    change(record, arrays)
+    archive.write_archive(path, record, arrays)
+
+
+def test_another_form_and_other_versions_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "run.npz"
+    killed(path)
+    rewritten(path, lambda record, _: record["versions"].update(numpy="1.0"))
+    with pytest.warns(so.CheckpointWarning, match=r"numpy 1\.0 -> "):
+        so.resume(path, body())
+    rewritten(path, lambda record, _: record["versions"].update(numpy=np.__version__))
+    rewritten(path, lambda record, _: record.update(plan="another"))
+    with pytest.raises(so.InputError, match="planned differently"):
+        so.resume(path, body())
+    rewritten(path, lambda record, _: record.update(schema=99))
+    with pytest.raises(so.InputError, match="form 99"):
+        so.resume(path, body())
+
+
+def test_states_that_do_not_fit_the_run_are_damage(tmp_path: Path) -> None:
+    path = tmp_path / "run.npz"
+    killed(path)
+    rewritten(path, lambda _, arrays: arrays.update({"kept.nodes": np.zeros((3, 2))}))
+    with pytest.raises(so.CheckpointError, match="does not fit"):
+        so.resume(path, body())
+
+
+# ---- damage ---------------------------------------------------------------------------------
+
+
+def flipped(content: bytes, bit: int) -> bytes:
+    changed = bytearray(content)
+    changed[bit // 8] ^= 1 << bit % 8
+    return bytes(changed)
+
+
+def test_300_bit_flips_are_detected_or_harmless(tmp_path: Path) -> None:
+    path = tmp_path / "run.npz"
+    killed(path, "full")
+    content, rng = path.read_bytes(), random.Random(7)
+    record, arrays = archive.read_archive(path)
+    detected = 0
+    for _ in range(300):
+        path.write_bytes(flipped(content, rng.randrange(8 * len(content))))
+        try:
+            found, read = archive.read_archive(path)
+        except DamagedFileError:
+            detected += 1
+            continue
+        assert found == record
+        assert read.keys() == arrays.keys()
+        assert all(read[name].tobytes() == arrays[name].tobytes() for name in arrays)
+    assert detected > 250
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9, 0.999])
+def test_a_damaged_checkpoint_gives_way_to_the_one_before_it(share: float, tmp_path: Path) -> None:
+    process, settings = arguments("full")
+    whole = so.solve(process, checkpoint=so.Checkpoint(tmp_path / "a", steps=9), **settings)
+    path = tmp_path / "run.npz"
+    killed(path, "full", 40)
+    (tmp_path / ".run.123.part.npz").write_bytes(b"of a run that was killed while it wrote")
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    with pytest.raises(so.InputError, match="resume looks"):
+        so.solve(process, checkpoint=path, **settings)
+    with pytest.warns(so.CheckpointWarning, match="damaged.*before it, after step 27"):
+        assert same(so.resume(path, process), whole)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert same(so.resume(path, process), whole)  # it was replaced by a whole one
+    assert len(list(tmp_path.glob("*run*"))) == 2
+
+
+def test_two_damaged_files_are_an_error_and_none_is_one(tmp_path: Path) -> None:
+    path = tmp_path / "run.npz"
+    with pytest.raises(so.InputError, match="there is no checkpoint"):
+        so.resume(path, body())
+    killed(path)
+    for file in (path, tmp_path / "run.npz.previous"):
+        file.write_bytes(flipped(file.read_bytes(), 8 * 3000))
+    with pytest.raises(so.CheckpointError, match="is damaged"):
+        so.resume(path, body())
+
+
+def test_a_kill_between_the_two_renamings_loses_nothing(tmp_path: Path) -> None:
+    process, settings = arguments("full")
+    whole = so.solve(process, checkpoint=so.Checkpoint(tmp_path / "a", steps=9), **settings)
+    path = tmp_path / "run.npz"
+    killed(path, "full", 40)
+    path.unlink()
+    assert same(so.resume(path, process), whole)
+
+
+def test_a_file_cannot_ask_for_more_memory_than_it_has_bytes(tmp_path: Path) -> None:
+    path = tmp_path / "run.npz"
+    killed(path)
+    record, arrays = archive.read_archive(path)
+    about = {name: archive._about(array) for name, array in arrays.items()}
+
+    def written(entry: dict[str, Any], write: Any) -> None:
+        content = {"record": record, "arrays": about | {"u": about["u"] | entry}}
+        head = np.frombuffer(files.sealed(content), dtype=np.uint8)
+        write(path, record=head, **arrays)
+
+    for entry in ({"shape": [10**15]}, {"shape": [2**64, 4]}, {"dtype": "|O8"}):
+        written(entry, np.savez)
+        with pytest.raises(DamagedFileError, match="has another size"):
+            archive.read_archive(path)
+    written({}, np.savez_compressed)
+    with pytest.raises(DamagedFileError, match="compressed"):
+        archive.read_archive(path)
+    written({}, np.savez)
+    assert archive.read_archive(path)[1]["u"].tobytes() == arrays["u"].tobytes()
+
+
+def test_no_pickle_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "run.npz"
+    np.savez(path, record=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(so.CheckpointError):
+        so.resume(path, body())
+    path.write_text(json.dumps({"schema": 1}))
+    with pytest.raises(so.CheckpointError):
+        so.resume(path, body())
+
+
+# ---- a full disk ----------------------------------------------------------------------------
+
+
+def test_a_full_disk_leaves_the_old_checkpoint_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    process, settings = arguments("full")
+    whole = so.solve(process, checkpoint=so.Checkpoint(tmp_path / "a", steps=9), **settings)
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    path, force = folder / "run.npz", files._force
+
+    def full(file: Path, flags: int) -> None:
+        if (folder / "run.npz").exists() and steps[-1] > 30:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        force(file, flags)
+
+    steps = [0]
+    monkeypatch.setattr(files, "_force", full)
+    with pytest.raises(so.CheckpointError, match=r"after step 36 .*No space left.*is whole"):
+        so.solve(
+            process,
+            checkpoint=so.Checkpoint(path, steps=9),
+            callback=lambda info: steps.append(info.step) or None,
+            **settings,
+        )
+    monkeypatch.undo()
+    assert sorted(file.name for file in folder.iterdir()) == ["run.npz", "run.npz.previous"]
+    assert archive.read_archive(path)[0]["run"]["done"] == 27
+    assert same(so.resume(path, process), whole)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limits of files there")
+def test_a_file_that_may_not_grow_leaves_the_old_checkpoint(tmp_path: Path) -> None:
+    path = tmp_path / "run.npz"
+    limit = "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))\n"
+    fields = {"tests": str(HERE), "name": "full", "path": str(path), "steps": 80, "every": 9}
+    child = subprocess.run(
+        [sys.executable, "-c", limit + CHILD.format(**fields)], capture_output=True, text=True
+    )
+    assert "CheckpointError" in child.stderr
+    assert "is whole" in child.stderr
+    done = archive.read_archive(path)[0]["run"]["done"]
+    assert 0 < done < 80
+    assert so.resume(path, body()).success
+
+
+# ---- what is refused ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"steps": so.Adaptive(1e-3)}, "Adaptive"),
+        ({"scheme": "exact"}, "exact"),
+        ({"save": "run.nc"}, "NetCDF"),
+        ({"error": 1e-3}, "error="),
+        ({"solver": so.Cvxpy("OSQP", {"callback": print})}, "plain"),
+        ({"checkpoint": 3}, "file's name"),
+        ({"checkpoint": "no/such/folder/run.npz"}, "cannot be written"),
+    ],
+    ids=str,
+)
+def test_what_cannot_be_continued_is_refused(
+    changes: dict[str, Any], words: str, tmp_path: Path
+) -> None:
+    given = {"t_end": 4.0, "steps": 80, "checkpoint": tmp_path / "run.npz", **changes}
+    with pytest.raises(so.InputError, match=words):
+        so.solve(body(), **given)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_run_that_is_not_finished_is_not_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "run.npz"
+    killed(path)
+    with pytest.raises(so.InputError, match="has done 36 of 80 steps; continue it"):
+        so.solve(body(), t_end=4.0, steps=80, checkpoint=path)
+    so.resume(path, body())
+    assert so.solve(body(), t_end=4.0, steps=40, checkpoint=path).success
+    for wrong in ({"steps": 0}, {"seconds": -1.0}):
+        with pytest.raises(so.InputError):
+            so.Checkpoint(path, **wrong)  # type: ignore[arg-type]
