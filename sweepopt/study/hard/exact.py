@@ -198,7 +198,8 @@ def _in_balls(N: np.ndarray, q: np.ndarray, C: Ball | Balls, near: np.ndarray) -
     places = [slice(k * block, (k + 1) * block) for k in range(len(radii))]
     for _ in range(TURNS):
         w = N @ z + force
-        missed, J, free = w.copy(), N.copy(), []
+        missed, J = w.copy(), N.copy()
+        free: list[int] = []
         for at, r in zip(places, radii, strict=True):
             T = N[at, at].trace()
             v = w[at] - T * z[at]
