@@ -53,7 +53,7 @@ from sweepopt.sets import (
     product,
 )
 from sweepopt.solution import Energy, Pass, Solution
-from sweepopt.solvers import DAQP, OSQP, Clarabel, Cvxpy, Newton, Secular
+from sweepopt.solvers import DAQP, OSQP, ActiveSet, Clarabel, Cvxpy, Newton, Secular
 
 __version__ = "0.1.0"
 
@@ -61,6 +61,7 @@ __all__ = [
     "DAQP",
     "OSQP",
     "AccuracyError",
+    "ActiveSet",
     "Adaptive",
     "Ball",
     "Balls",

@@ -126,6 +126,11 @@ class Factor:
         forces = self._spread * euclidean(self.root * z) + euclidean(q / self.root)
         return UNIT * forces * self._bound_factor
 
+    @cached_property
+    def is_sharp(self) -> bool:
+        """Whether M @ z never rounds more than a negligible share of |z|_M."""
+        return UNIT * self._spread * self._bound_factor**2 <= NEGLIGIBLE
+
     def resolution(self, z: np.ndarray) -> float:
         """What entries of z that are rounded twice move it, in |.|_M."""
         return 2 * UNIT * math.sqrt(self._spread) * euclidean(self.root * z)

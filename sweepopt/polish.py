@@ -19,6 +19,7 @@ from sweepopt.solvers import LAST, NEWTON, Answer
 from sweepopt.solvers.newton import Iteration
 from sweepopt.substitution import SelectedVelocity, Solved, VelocityOf, eliminated
 
+ROUGH = 1e-2  # relative certificate above which an answer is wrong, and no polish is called for
 Polish = Callable[[np.ndarray, ConvexSet, np.ndarray], Velocity | None]
 Judge = Callable[[VelocityProgram, np.ndarray, ConvexSet, Answer], Velocity]
 
@@ -69,6 +70,9 @@ def _polisher(M: Factor, order: np.ndarray | None) -> Polish:
         compiled = LAST.compile(program)
 
         def solve(q: np.ndarray, C: ConvexSet) -> Solved:
+            rough = program.certify(q, C, start, np.zeros(C.offsets.size))
+            if not rough.relative <= ROUGH:
+                return Solved(rough, LAST.name, 0, 1)
             answer = compiled(q, C)
             velocity = program.certify(q, C, answer.z, answer.y)
             return Solved(velocity, LAST.name, answer.iterations, 1)

@@ -43,7 +43,7 @@ def linear(M: Factor) -> VelocityOf:
         z = M.solve(force)
         best = _of_force(M, z, force)
         for _ in range(REFINEMENTS):
-            if best.relative <= ACCURATE:
+            if not best.relative > ACCURATE:
                 break
             z = z + M.solve(M.precisely(-z, force))
             best = min(best, _of_force(M, z, force), key=lambda one: one.relative)
@@ -99,7 +99,8 @@ def eliminated(M: Elimination, small: VelocityOf) -> SelectedVelocity:
         z[few] = zeta  # to the last bit: stuck is 0.0
         best = proven(z, solved, force, linear, size_q)
         for _ in range(REFINEMENTS):
-            if best.velocity.relative <= ACCURATE:
+            # nan: no proof, nothing to compare; above 1 there is nothing to refine
+            if not ACCURATE < best.velocity.relative < 1:
                 break
             forward, pull = M.reduce(M.precisely(-z, force))
             linear = precisely()(-zeta, -pull)

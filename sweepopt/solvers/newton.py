@@ -99,7 +99,11 @@ class Iteration:
         weights = 1 / np.sqrt(T)
         smallest, stalled = math.inf, 0
         for iteration in range(max_iter):
-            (w, size_z, _), pulled = self._factor.apply(z, q), T * z
+            pulled = T * z
+            if self._factor.is_sharp:
+                w, size_z = self.M @ z + q, euclidean(pulled * weights)
+            else:
+                w, size_z, _ = self._factor.apply(z, q)
             v = w - pulled
             missed = C.project(v) - w
             size = euclidean(missed * weights)
