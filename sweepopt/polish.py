@@ -19,6 +19,7 @@ from sweepopt.solvers import LAST, NEWTON, Answer
 from sweepopt.solvers.newton import Iteration
 from sweepopt.substitution import SelectedVelocity, Solved, VelocityOf, eliminated
 
+ENOUGH = 1e-11  # what a polish is called for again: its certificate counts rounding that is there
 ROUGH = 1e-2  # relative certificate above which an answer is wrong, and no polish is called for
 Polish = Callable[[np.ndarray, ConvexSet, np.ndarray], Velocity | None]
 Judge = Callable[[VelocityProgram, np.ndarray, ConvexSet, Answer], Velocity]
@@ -35,7 +36,7 @@ def judged(M: Factor, order: np.ndarray | None) -> Judge:
         if raw is not None and raw.relative <= POLISHED:
             return raw
         better = polish()(q, C, answer.z)
-        needed = better is not None and better.relative <= POLISHED
+        needed = better is not None and better.relative <= ENOUGH
         if better is not None and needed:
             return better
         raw = raw or program.certify(q, C, answer.z, answer.y)
