@@ -161,8 +161,9 @@ def refine(
     Notes
     -----
     With n steps after n' < n ones the error is E = r / (1 - r) max |u - u'|, where r is what an
-    order promises, (n' / n)^order, or what the local errors say, in the geometric mean. For order p
-    the next pass has n (E / tol)^(1/p) steps.
+    order promises, (n' / n)^order, or what the local errors say, in the geometric mean; the
+    largest local error of a step that both passes have is added. For order p the next pass has
+    n (E / tol)^(1/p) steps.
     """
     tol, span = steps.tol, float(cuts[-1] - cuts[0])
     minimum = 2.0**-40 * span if steps.minimum is None else steps.minimum
@@ -186,13 +187,9 @@ def refine(
         enough = error <= (ACCEPTED if near else DOUBTED) * tol
         if run.status not in (Status.SUCCESS, Status.UNCERTIFIED) or enough:
             return Refined(tuple(passes))
-        if before is None:
-            share = GUESS * wanted.errors * n**order
-            next_n = (share / (AIM * tol)) ** (1 / order) / LAST
-            next_n = max(next_n, 1.5 * n)
-        else:
-            next_n = n * (error / (AIM * tol)) ** (1 / order)
-            next_n = max(next_n / LAST if next_n > 1.5 * LAST * n else next_n, 1.3 * n)
+        guess = GUESS * wanted.errors if before is None else error
+        next_n = n * (guess / (AIM * tol)) ** (1 / order)
+        next_n = max(next_n / LAST if next_n > 1.5 * LAST * n else next_n, 1.3 * n)
         if min(next_n, GROWTH * n) > STEPS:
             return Refined(tuple(passes), None, _too_many(passes[-1], next_n, tol))
         before = Before(n, wanted, {t: watch.states[t] for t in own})
@@ -214,8 +211,10 @@ def _error(
     promised = min((before.steps / n) ** order, 0.7)
     local = wanted.errors / before.wanted.errors if before.wanted.errors > 0 else 1.0
     ratio = min(math.sqrt(promised * local), 0.7)
+    # what both passes miss in a step that they share, their distance does not show
+    hidden = wanted.shared(before.wanted.times)
     common = states.keys() & before.states.keys()
-    return ratio / (1 - ratio) * max(norm(states[t] - before.states[t]) for t in common)
+    return hidden + ratio / (1 - ratio) * max(norm(states[t] - before.states[t]) for t in common)
 
 
 def _too_many(last: Pass, n: float, tol: float) -> str:

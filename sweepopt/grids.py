@@ -13,15 +13,33 @@ FLOOR = 0.4  # no step is longer than 1 / FLOOR times what the average density a
 
 @dataclass(frozen=True, eq=False)
 class Density:
-    """How many steps a unit of time needs, between `edges`, up to a common factor."""
+    """How many steps a unit of time needs, between `edges`, up to a common factor.
+
+    Attributes
+    ----------
+    times, local : ndarray
+        The grid of n steps and the n local errors on it, up to a factor.
+    """
 
     edges: np.ndarray
     rho: np.ndarray
-    errors: float
+    times: np.ndarray
+    local: np.ndarray
 
     @property
     def total(self) -> float:
         return float(self.rho @ np.diff(self.edges))
+
+    @property
+    def errors(self) -> float:
+        """The sum of the local errors."""
+        return float(self.local.sum())
+
+    def shared(self, times: np.ndarray) -> float:
+        """The largest local error in a step that another grid has too."""
+        i = np.minimum(np.searchsorted(times, self.times[:-1]), len(times) - 2)
+        same = (times[i] == self.times[:-1]) & (times[i + 1] == self.times[1:])
+        return float(self.local[same].max(initial=0.0))
 
 
 def density(times: np.ndarray, cuts: np.ndarray, sizes: np.ndarray, order: int) -> Density:
@@ -29,25 +47,28 @@ def density(times: np.ndarray, cuts: np.ndarray, sizes: np.ndarray, order: int) 
 
     A kink of the velocity is in two windows of three steps, but in both only from the middle of
     one step to that of the next: the lesser of both windows finds the place. Windows across a
-    breakpoint count only where a segment has no window of its own.
+    breakpoint count only where a segment has no window of its own, and the greater of them.
     """
     n = len(times) - 1
     segment = np.searchsorted(cuts[1:-1], times[:-1], side="right")
     own = segment[order:] == segment[: n - order]
     gaps = _least(np.where(own, sizes, np.inf), order)
-    across = _least(sizes, order)
+    across = sizes
+    if order == 2:
+        across = np.maximum(np.append(0.0, sizes), np.append(sizes, 0.0))
     gaps[(segment[1:] != segment[:-1]) | ~np.isfinite(gaps)] = np.nan
     left, right = np.append(np.nan, gaps), np.append(gaps, np.nan)
     left, right = np.where(np.isnan(left), right, left), np.where(np.isnan(right), left, right)
     alone = np.maximum(np.append(0.0, across), np.append(across, 0.0))
     halves = np.column_stack([np.where(np.isnan(side), alone, side) for side in (left, right)])
     factor = 2.0 if order == 1 else 6.0
-    errors = float(np.sum(halves.max(axis=1) * np.diff(times) ** (order + 1)) / factor)
+    local = halves.max(axis=1) * np.diff(times) ** (order + 1) / factor
     middle = 0.5 * (times[1:] + times[:-1])
     edges = np.append(times[0], np.column_stack([middle, times[1:]]).ravel())
     rho = (halves.ravel() / factor) ** (1 / (order + 1))
     mean = float(rho @ np.diff(edges)) / (edges[-1] - edges[0])
-    return Density(edges, np.maximum(rho, FLOOR * mean) if mean > 0 else np.ones(2 * n), errors)
+    rho = np.maximum(rho, FLOOR * mean) if mean > 0 else np.ones(2 * n)
+    return Density(edges, rho, times, local)
 
 
 def _least(windows: np.ndarray, order: int) -> np.ndarray:
