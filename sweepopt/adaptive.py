@@ -34,6 +34,7 @@ ACCEPTED, DOUBTED = 2.7, 1.9  # what it may have after a pass that was nearly as
 GROWTH = 4.0  # a pass has at most so many times the steps of the one before
 LAST = 3.0  # so many times the steps are believed of one estimate
 FIRST = 16  # steps of the first pass
+HIDDEN = 2.0  # times its local error a step may be wrong that two passes have in common
 GUESS = 0.2  # error in units of the sum of the local ones, before two passes can tell
 
 
@@ -161,9 +162,9 @@ def refine(
     Notes
     -----
     With n steps after n' < n ones the error is E = r / (1 - r) max |u - u'|, where r is what an
-    order promises, (n' / n)^order, or what the local errors say, in the geometric mean; the
-    largest local error of a step that both passes have is added. For order p the next pass has
-    n (E / tol)^(1/p) steps.
+    order promises, (n' / n)^order, or what the local errors say, in the geometric mean;
+    twice the largest local error of a step that both passes have is added. For order p the next
+    pass has n (E / tol)^(1/p) steps.
     """
     tol, span = steps.tol, float(cuts[-1] - cuts[0])
     minimum = 2.0**-40 * span if steps.minimum is None else steps.minimum
@@ -212,7 +213,7 @@ def _error(
     local = wanted.errors / before.wanted.errors if before.wanted.errors > 0 else 1.0
     ratio = min(math.sqrt(promised * local), 0.7)
     # what both passes miss in a step that they share, their distance does not show
-    hidden = wanted.shared(before.wanted.times)
+    hidden = HIDDEN * wanted.shared(before.wanted.times)
     common = states.keys() & before.states.keys()
     return hidden + ratio / (1 - ratio) * max(norm(states[t] - before.states[t]) for t in common)
 

@@ -126,17 +126,12 @@ def random_errors(seed: int) -> list[float]:
     return found
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_the_tolerance_is_met_by_processes_that_the_method_was_not_made_for(seed: int) -> None:
-    assert max(random_errors(seed)) <= FACTOR
-
-
-@pytest.mark.slow
-def test_the_estimate_misses_the_error_of_few_random_processes() -> None:
+@pytest.mark.parametrize("seeds", [range(8), pytest.param(range(8, 60), marks=pytest.mark.slow)])
+def test_few_processes_that_the_method_was_not_made_for_miss_the_tolerance(seeds: range) -> None:
     """An estimate is no bound: an event between two nodes can stay unseen."""
-    errors = np.ravel([random_errors(seed) for seed in range(10, 60)])
-    print(np.sort(errors)[-10:])
+    errors = np.ravel([random_errors(seed) for seed in seeds])
     assert np.mean(errors <= FACTOR) >= 0.95
+    assert errors.max() <= 2 * FACTOR
 
 
 @pytest.mark.slow
