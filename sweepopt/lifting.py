@@ -12,7 +12,6 @@ import numpy as np
 
 from sweepopt.errors import Status, SweepoptError
 from sweepopt.exact import Lifting, Trajectory, mover
-from sweepopt.march import Summary, compensated, step
 from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.program import POLISHED, Velocity
@@ -20,6 +19,7 @@ from sweepopt.reduction import OfLoad, Reduction
 from sweepopt.schemes import Scheme
 from sweepopt.sets import Moving, Point
 from sweepopt.states import Keeper, Kept, Lifted, States
+from sweepopt.stepping import Summary, compensated, step
 from sweepopt.velocity import Solved
 
 
