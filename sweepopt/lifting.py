@@ -77,7 +77,10 @@ class Lift:
         return z if reduction is None else reduction.lift(z, self._alpha.velocities[i])
 
     def prove(self, i: int, zeta: np.ndarray, velocity: np.ndarray, step: Summary) -> Summary:
-        """The certificate of all unknowns from that of those that entered the step."""
+        """The certificate of all unknowns from that of those that entered the step.
+
+        The load takes no part in parts of a step: it is linear, and its own scheme takes the whole.
+        """
         assert self._plan.reduction is not None
         error, size = self._plan.reduction.residual(zeta, velocity, self._of_load[i])
         certificate = step.certificate + error
