@@ -40,9 +40,12 @@ class Velocities:
         self._process, self._plan = process, plan
         self._factors: dict[float, Factors] = {}
         self._compiled: dict[float, VelocityOf] = {}
+        self._refused: set[float] = set()
 
     def __call__(self, gamma: float) -> VelocityOf:
         if gamma not in self._compiled:
+            if gamma in self._refused:
+                raise IndefiniteError("A + gamma B is not positive definite to rounding")
             if gamma not in self._factors:
                 _make_room(self._factors, self.LIMIT)
                 self._factors[gamma] = self._plan.factors(self._matrix(gamma))
@@ -54,6 +57,12 @@ class Velocities:
     def forget(self) -> None:
         """Drop what programs remember of earlier steps, but not the factorisations."""
         self._compiled.clear()
+        self._refused.clear()
+
+    def refuse(self, gamma: float) -> None:
+        """Do not factorise a matrix again that has shown not to be positive definite."""
+        self._refused.add(gamma)
+        self._compiled.pop(gamma, None)
 
     def _matrix(self, gamma: float) -> Matrix:
         process = self._process
@@ -84,6 +93,7 @@ def step(
         try:
             solved = velocities(gamma)(process.times_B(known), process.C.at(t + c * mu))
         except IndefiniteError:
+            velocities.refuse(gamma)
             nothing = Velocity(np.zeros_like(u), math.inf, math.inf)
             return nothing.z, [*stages, Solved(nothing, INDEFINITE, 0, 0)]
         stages.append(solved)

@@ -13,6 +13,7 @@ from test_reduction import process as chain
 
 import sweepopt as so
 from sweepopt import march, stepping
+from sweepopt.linalg import Factor
 from sweepopt.program import VelocityProgram
 from sweepopt.solvers import Answer
 
@@ -253,3 +254,20 @@ def test_a_workspace_that_failed_is_not_used_again(monkeypatch: pytest.MonkeyPat
 
 def one_load(t: float) -> np.ndarray:
     return 3.0 * np.sin(t) * np.array([1.0, -0.9])
+
+
+def test_a_matrix_that_is_indefinite_to_rounding_is_factorised_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made: list[float] = []
+    factorise = Factor.__init__
+
+    def counting(self: Factor, M: Any, name: str = "M") -> None:
+        made.append(float(M[0, 0]))
+        factorise(self, M, name)
+
+    process = stiff(4e15)
+    monkeypatch.setattr(Factor, "__init__", counting)
+    sol = so.solve(process, t_end=12.0, steps=12, scheme="implicit-euler", path="full")
+    assert parts(sol) == [8] * 12
+    assert made == [1 + 4e15 / k for k in (1, 2, 4, 8)]
