@@ -11,6 +11,7 @@ import scipy.sparse as sp
 
 from sweepopt.errors import InputError
 
+FEW = 8  # entries that plain numbers are faster for
 Matrix: TypeAlias = Any  # np.ndarray or scipy.sparse.csc_array, as `matrix` returns them
 
 
@@ -56,7 +57,10 @@ def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -
 
 def is_finite(array: np.ndarray) -> bool:
     """Whether all entries of a vector are finite; its square tells it sooner if that is."""
-    return math.isfinite(array.dot(array)) or bool(np.isfinite(array).all())
+    if array.size < FEW:
+        return all(map(math.isfinite, array.tolist()))
+    # vdot: dot warns where the square is too large
+    return math.isfinite(np.vdot(array, array)) or bool(np.isfinite(array).all())
 
 
 def matrix(name: str, value: Any) -> Matrix:

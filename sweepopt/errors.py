@@ -45,6 +45,10 @@ class EmptySetError(InputError):
     """A constraint set has no point (at some time)."""
 
 
+class IndefiniteError(InputError):
+    """A matrix is not positive definite, or not to rounding."""
+
+
 class SolverRefusedError(InputError):
     """The chosen solver cannot treat the set (a cone set given to OSQP), or is not known."""
 
@@ -69,12 +73,14 @@ class DamagedFileError(CheckpointError):
 
 
 class StepError(SweepoptError):
-    """A step missed its tolerance with every solver tried.
+    """A step missed its tolerance with every solver tried, whole and in parts.
+
+    The message says why, as far as that can be told.
 
     Attributes
     ----------
     t : float
-        Time of the program that failed.
+        Beginning of the step.
     step : int
         Index of the step, counted from 0.
     u : ndarray, shape (dim,)

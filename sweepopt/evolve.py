@@ -68,7 +68,8 @@ def solve(
         "auto", "clarabel", "osqp", "daqp", "newton", "cvxpy" or an object: ``OSQP(tol=1e-10)``.
     tol : float
         Each program's certificate is at most tol * max(|z|_M, |M^-1 q|_M); a step that misses it
-        is tried with tighter settings, then with another solver, then handled as on_failure says.
+        is tried with tighter settings, then with another solver, then in 2 to 16 parts (see Notes),
+        then handled as on_failure says.
     error : float, optional
         Refine the steps until `Solution.error_bound` is at most this; needs a load as data. The
         callback sees, and save= counts, the steps of the last run only, which is run once more.
@@ -124,6 +125,10 @@ def solve(
 
     t_i = t_0 + i mu; u_{i+1} = u_i + mu sum_k b_k z_k with compensated summation. Ctrl-C returns
     the steps computed so far with status INTERRUPTED.
+
+    A step in parts moves as so many steps of the scheme, and its velocity is their mean: u_n stays
+    linear on the grid. Its certificate is the worst of them, its solver in `stats` is "osqp/4" for
+    4 parts. `error_bound` looks at the nodes and velocities only, and holds as for any other run.
 
     Examples
     --------

@@ -12,7 +12,6 @@ import numpy as np
 
 from sweepopt.errors import Status, SweepoptError
 from sweepopt.exact import Lifting, Trajectory, mover
-from sweepopt.march import Summary, compensated, step
 from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.program import POLISHED, Velocity
@@ -20,6 +19,7 @@ from sweepopt.reduction import OfLoad, Reduction
 from sweepopt.schemes import Scheme
 from sweepopt.sets import Moving, Point
 from sweepopt.states import Keeper, Kept, Lifted, States
+from sweepopt.stepping import Summary, compensated, step
 from sweepopt.velocity import Solved
 
 
@@ -77,7 +77,10 @@ class Lift:
         return z if reduction is None else reduction.lift(z, self._alpha.velocities[i])
 
     def prove(self, i: int, zeta: np.ndarray, velocity: np.ndarray, step: Summary) -> Summary:
-        """The certificate of all unknowns from that of those that entered the step."""
+        """The certificate of all unknowns from that of those that entered the step.
+
+        The load takes no part in parts of a step: it is linear, and its own scheme takes the whole.
+        """
         assert self._plan.reduction is not None
         error, size = self._plan.reduction.residual(zeta, velocity, self._of_load[i])
         certificate = step.certificate + error

@@ -14,7 +14,7 @@ import scipy.sparse.linalg as spla
 from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
 from sweepopt.checks import Matrix
-from sweepopt.errors import InputError, SolverRefusedError
+from sweepopt.errors import IndefiniteError, SolverRefusedError
 from sweepopt.precise import Precise
 
 SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
@@ -47,7 +47,7 @@ class Factor:
 
     Raises
     ------
-    InputError
+    IndefiniteError
         If M is not positive definite.
     """
 
@@ -58,7 +58,7 @@ class Factor:
         self.diagonal = np.asarray(M.diagonal(), dtype=float)
         if not (self.diagonal > 0).all():
             i = int(np.flatnonzero(self.diagonal <= 0)[0])
-            raise InputError(
+            raise IndefiniteError(
                 f"{name} must be positive definite, but {name}[{i}, {i}] = {self.diagonal[i]:g}"
             )
         entries = M.count_nonzero() if sp.issparse(M) else np.count_nonzero(M)
@@ -75,7 +75,7 @@ class Factor:
             ) from error
         # relative to the diagonal: the test does not depend on units
         if not pivots.min() > 16 * np.finfo(float).eps:
-            raise InputError(f"{name} must be positive definite; it has an eigenvalue <= 0")
+            raise IndefiniteError(f"{name} must be positive definite; it has an eigenvalue <= 0")
 
     def _factorise_sparse(self) -> np.ndarray:
         self._lu = spla.splu(sp.csc_matrix(self.M), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC)
@@ -283,7 +283,7 @@ def largest_eigenvalue(M: Matrix) -> float:
 def is_semidefinite(M: Matrix, factorise: Callable[[Matrix], Any] = Factor) -> bool:
     """Whether a symmetric matrix is positive semidefinite up to rounding, in its own units.
 
-    `factorise` raises InputError if its argument is not positive definite.
+    `factorise` raises IndefiniteError if its argument is not positive definite.
     """
     diagonal = np.asarray(M.diagonal(), dtype=float)
     if (diagonal < 0).any():
@@ -299,7 +299,7 @@ def is_semidefinite(M: Matrix, factorise: Callable[[Matrix], Any] = Factor) -> b
     shifted = M + (sp.diags_array(shift, format="csc") if sp.issparse(M) else np.diag(shift))
     try:
         factorise(shifted)
-    except InputError:
+    except IndefiniteError:
         return False
     return True
 

@@ -411,15 +411,16 @@ class Separable:
 
     def breakpoints(self, a: float, b: float) -> Array:
         """Kinks of all histories strictly between a and b, increasing."""
-        kinks = [
-            history.breakpoints(a, b)
-            for history, _ in self.terms
-            if hasattr(history, "breakpoints")
-        ]
-        return np.unique(np.concatenate([np.empty(0), *kinks]))
+        return kinks((history for history, _ in self.terms), a, b)
 
     def __repr__(self) -> str:
         return f"Separable({len(self.terms)} terms, dim {self.dim})"
+
+
+def kinks(histories: Iterable[Any], a: float, b: float) -> Array:
+    """Breakpoints strictly between a and b, increasing, of those histories that tell them."""
+    found = [one.breakpoints(a, b) for one in histories if hasattr(one, "breakpoints")]
+    return np.unique(np.concatenate([np.empty(0), *found]))
 
 
 def check_points(name: str, times: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:

@@ -4,20 +4,31 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from sweepopt.checks import Matrix, is_finite
+from sweepopt.checks import is_finite
 from sweepopt.errors import Status
-from sweepopt.plan import Factors, Plan
+from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.schemes import Scheme
 from sweepopt.solution import STATS
 from sweepopt.states import Keeper
-from sweepopt.velocity import Solved, VelocityOf
+from sweepopt.stepping import (
+    INDEFINITE,
+    PARTS,
+    Parts,
+    Stages,
+    Summary,
+    Velocities,
+    compensated,
+    in_parts,
+    step,
+    summary,
+)
 
 if TYPE_CHECKING:
     from sweepopt.exact import Trajectory
@@ -59,7 +70,8 @@ def march(
 ) -> Run:
     """Move u through time; `look` sees every state, velocity and certificate, True from it stops.
 
-    `prove` adds to a step's certificate, from its number, its first state and its velocity.
+    A step that misses tol is taken in parts. `prove` adds to a step's certificate, from its number,
+    its first state and its velocity.
     `velocities` are the compiled programs of an earlier run of the same process; at `marks` they
     forget all steps, so that a run which is continued there is the same to the last bit.
     Ctrl-C ends the loop, also in `look`: the keeper has the steps that are done.
@@ -76,19 +88,24 @@ def march(
             started = clock.perf_counter()
             mu = sizes[i]
             z, stages = step(process, plan.scheme, velocities, grid[i], mu, u)
-            found = _summary(stages)
-            if prove is not None:
+            found, parts = summary(stages), None
+            if found.relative > plan.tol:
+                parts = in_parts(process, plan, velocities, grid[i], mu, u, found)
+                z, found = parts.z, parts.found
+            if prove is not None and not found.relative > plan.tol:
                 found = prove(i, u, z, found)
             following, lost = compensated(u, mu * z, lost)
             if found.relative > plan.tol or not is_finite(following):
-                run.cause = _cause(i, grid[i], found, plan.tol)
+                run.cause = _cause(process, i, grid[i], found, parts, plan.tol)
                 run.status, run.relative = Status.INEXACT, found.relative
                 break
             if found.relative != found.relative:
                 run.status = Status.UNCERTIFIED
             u = following
-            if mu > critical and run.overshot is None and _has_slowed(process, stages):
-                run.overshot = i
+            if mu > critical and run.overshot is None:
+                each = parts.stages if parts else [stages]
+                if mu > critical * len(each) and any(_has_slowed(process, one) for one in each):
+                    run.overshot = i
             keeper.put(i, u, z)
             run.log.add(i, found, clock.perf_counter() - started)
             run.done = i + 1
@@ -101,30 +118,6 @@ def march(
     except KeyboardInterrupt:
         run.status = Status.INTERRUPTED
     return run
-
-
-class Summary(NamedTuple):
-    """What the stages of a step have in common: their worst certificate, all their work."""
-
-    iterations: int
-    attempts: int
-    certificate: float
-    relative: float
-    solver: str
-
-
-def _summary(stages: list[Solved]) -> Summary:
-    last = stages[-1]
-    if len(stages) == 1:
-        _, certificate, relative = last.velocity
-        return Summary(last.iterations, last.attempts, certificate, relative, last.solver)
-    return Summary(
-        sum(solved.iterations for solved in stages),
-        max(solved.attempts for solved in stages),
-        _worst(solved.velocity.certificate for solved in stages),
-        _worst(solved.velocity.relative for solved in stages),
-        last.solver,
-    )
 
 
 class Log:
@@ -182,54 +175,6 @@ class Run:
     exact: Trajectory | None = None
 
 
-class Velocities:
-    """Compiled velocity programs, one per matrix A + gamma B."""
-
-    LIMIT = 16  # irregular grids would otherwise keep one factorisation per step
-
-    def __init__(self, process: SweepingProcess, plan: Plan) -> None:
-        self._process, self._plan = process, plan
-        self._factors: dict[float, Factors] = {}
-        self._compiled: dict[float, VelocityOf] = {}
-
-    def __call__(self, gamma: float) -> VelocityOf:
-        if gamma not in self._compiled:
-            if gamma not in self._factors:
-                if len(self._factors) == self.LIMIT:
-                    oldest = next(iter(self._factors))
-                    del self._factors[oldest]
-                    self._compiled.pop(oldest, None)
-                self._factors[gamma] = self._plan.factors(self._matrix(gamma))
-            self._compiled[gamma] = self._plan.velocity(self._factors[gamma])
-        return self._compiled[gamma]
-
-    def forget(self) -> None:
-        """Drop what programs remember of earlier steps, but not the factorisations."""
-        self._compiled.clear()
-
-    def _matrix(self, gamma: float) -> Matrix:
-        process = self._process
-        return process.A if process.B is None or not gamma else process.A + gamma * process.B
-
-
-def step(
-    process: SweepingProcess,
-    scheme: Scheme,
-    velocities: Velocities,
-    t: float,
-    mu: float,
-    u: np.ndarray,
-) -> tuple[np.ndarray, list[Solved]]:
-    """One step of the tableau: its mean velocity and what its stages solved."""
-    stages: list[Solved] = []
-    for weights, c in zip(scheme.a, scheme.c, strict=True):
-        known = u + mu * _combine(weights[:-1], stages) if stages else u
-        gamma = mu * weights[-1] if process.B is not None else 0.0
-        solved = velocities(gamma)(process.times_B(known), process.C.at(t + c * mu))
-        stages.append(solved)
-    return _combine(scheme.b, stages), stages
-
-
 def _critical(process: SweepingProcess, scheme: Scheme) -> float:
     """The step size above which the scheme can overshoot."""
     if math.isinf(scheme.overshoots) or process.B is None or process.rate_independent:
@@ -237,7 +182,7 @@ def _critical(process: SweepingProcess, scheme: Scheme) -> float:
     return scheme.overshoots / process.Lam
 
 
-def _has_slowed(process: SweepingProcess, stages: list[Solved]) -> bool:
+def _has_slowed(process: SweepingProcess, stages: Stages) -> bool:
     """Whether the velocity halved within a step: what decays there decays unresolved.
 
     The last stage of a scheme that can overshoot is the velocity at its end.
@@ -247,34 +192,26 @@ def _has_slowed(process: SweepingProcess, stages: list[Solved]) -> bool:
     return float(force @ last) < 0.5 * float(force @ first)
 
 
-def compensated(u: Any, increment: Any, lost: Any) -> tuple[Any, Any]:
-    """u + increment, and what rounding keeps out of it (Kahan); `lost` is that of before."""
-    increment = increment - lost
-    following = u + increment
-    return following, (following - u) - increment
-
-
-def _combine(weights: Sequence[float], stages: list[Solved]) -> np.ndarray:
-    """sum of weights_k z_k; a single weight 1 keeps z itself."""
-    if weights == (1.0,):
-        return stages[0].velocity.z
-    total = weights[0] * stages[0].velocity.z
-    for weight, solved in zip(weights[1:], stages[1:], strict=True):
-        total += weight * solved.velocity.z
-    return total
-
-
-def _worst(values: Iterable[float]) -> float:
-    """The largest, or nan if one of them has no proof."""
-    return max(values, key=lambda value: math.inf if math.isnan(value) else value)
-
-
-def _cause(i: int, t: float, step: Summary, tol: float) -> str:
-    if not step.relative > tol:
-        return f"step {i} from t = {t:g}: the state is not finite any more; take smaller steps"
-    return (
-        f"step {i} from t = {t:g}: the best certificate of {step.attempts} attempts is "
-        f"{step.relative:.2g} of the velocity's size, tol is {tol:g}. The data of this step are "
-        "scaled too badly for double precision, C(t) is nearly empty, or its projection is not "
-        "exact enough; loosen tol or try another solver"
+def _cause(
+    process: SweepingProcess, i: int, t: float, found: Summary, parts: Parts | None, tol: float
+) -> str:
+    """Where and why a step failed, as far as that can be told."""
+    where = f"step {i} from t = {t:g}"
+    if not found.relative > tol:
+        return f"{where}: the state is not finite any more; take smaller steps"
+    best = (
+        f"the best certificate of {found.attempts} attempts is {found.relative:.2g} of the "
+        f"velocity's size, tol is {tol:g}"
     )
+    tried = f", and to take it in {PARTS[0]} to {PARTS[-1]} parts does not help"
+    likely = "The data of this step are scaled too badly for double precision"
+    if parts is None or parts.stages:
+        tried, likely = "", "A is too badly conditioned to recover all unknowns"
+    elif parts.cause:
+        tried, likely = "", f"It cannot be taken in parts: {parts.cause}"
+    elif found.solver == INDEFINITE:
+        best = "A + gamma B is not positive definite to rounding"
+        likely = "B is so large, or its rows cancel so far, that A is lost in the sum"
+    elif not process.C.at(t).exact:
+        likely = "C(t) is nearly empty, or its projection is not exact enough"
+    return f"{where}: {best}{tried}. {likely}; loosen tol, take smaller steps or another solver"

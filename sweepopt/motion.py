@@ -20,7 +20,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import number
 from sweepopt.errors import InputError
-from sweepopt.loads import Constant, Piece, Separable
+from sweepopt.loads import Constant, Piece, Separable, kinks
 from sweepopt.sets import AnySet, Box, ConvexSet, Moving, MovingOffsets
 from sweepopt.sets.curves import basis, to_bernstein
 
@@ -93,10 +93,6 @@ class Data:
         if self.terms:
             values += Separable(self.terms).at_many(times)
         return values
-
-    def breakpoints(self, a: float, b: float) -> np.ndarray:
-        """Kinks of the histories strictly inside (a, b)."""
-        return Separable(self.terms).breakpoints(a, b) if self.terms else np.empty(0)
 
     def on(self, begin: np.ndarray, end: np.ndarray) -> Between:
         """The polynomials of the histories on intervals without a kink, and how far they are."""
@@ -203,8 +199,8 @@ class Motion:
 
     def grid(self, t: np.ndarray) -> Grid:
         """The steps between the times t, cut at the kinks of the histories."""
-        kinks = [data.breakpoints(t[0], t[-1]) for data in (self.center, self.scale)]
-        cuts = np.unique(np.concatenate([t, *kinks]))
+        histories = [phi for phi, _ in (*self.center.terms, *self.scale.terms)]
+        cuts = np.unique(np.concatenate([t, kinks(histories, t[0], t[-1])]))
         step = np.searchsorted(t, cuts[:-1], side="right") - 1
         return Grid(step, cuts[:-1], cuts[1:])
 

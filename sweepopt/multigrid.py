@@ -17,7 +17,7 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
-from sweepopt.errors import InputError, MissingExtraError, SolverRefusedError
+from sweepopt.errors import IndefiniteError, MissingExtraError, SolverRefusedError
 from sweepopt.linalg import Factor
 
 RESIDUAL = 1e-13  # of a solve, in the norm of V
@@ -99,7 +99,7 @@ class Multigrid(Factor):
 
     Raises
     ------
-    InputError
+    IndefiniteError
         If M is not positive definite, as far as the hierarchy and one solve show.
     SolverRefusedError
         If multigrid does not converge for M.
@@ -246,7 +246,9 @@ def _conjugate_gradients(
         image[cycle.stuck] = 0.0
         curvature = float(direction @ image)
         if not (size > 0 and curvature > 0):
-            raise InputError("the matrix must be positive definite; multigrid met a curvature <= 0")
+            raise IndefiniteError(
+                "the matrix must be positive definite; multigrid met a curvature <= 0"
+            )
         alphas.append(size / curvature)
         x += alphas[-1] * direction
         r = r - alphas[-1] * image

@@ -13,12 +13,13 @@ from sweepopt.checks import number, vector
 from sweepopt.control import evaluation_times, time_grid
 from sweepopt.errors import InputError
 from sweepopt.grids import first_grid
-from sweepopt.march import Run, Velocities, march
+from sweepopt.march import Run, march
 from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.schemes import Scheme
 from sweepopt.sets import MovingSet
 from sweepopt.states import Keeper, Saving, saving
+from sweepopt.stepping import Velocities
 
 SHARE = 0.05  # of the tolerance that inexact programs may take
 EXACT = 1e-9  # no certificate below it is asked for

@@ -31,7 +31,7 @@ STATS = np.dtype(
         ("attempts", int),
         ("certificate", float),
         ("relative", float),
-        ("solver", "U16"),
+        ("solver", "U20"),
     ]
 )
 
@@ -95,7 +95,9 @@ class Solution:
     stats : structured ndarray, shape (n,)
         One row a step: t (its end), seconds, iterations, attempts, certificate (a bound of
         |z - z*|_M), relative (the certificate in units of the program's size, what tol bounds),
-        solver (who found it: a solver's name, "linear", "multigrid", "closed form" or "at rest").
+        solver (who found it: a solver's name, "linear", "multigrid", "closed form" or "at rest";
+        "clarabel/4" for a step that missed tol as a whole and was taken in 4 parts, whose worst
+        certificate it has).
     status : Status
     cause : str
         Which step failed and why, when the run stopped at it.

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from sweepopt.checks import is_finite
 from sweepopt.linalg import Elimination, Factor
 from sweepopt.multigrid import Multigrid
 from sweepopt.polish import judged
@@ -67,7 +68,8 @@ def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> 
         if rest is not None:
             return Solved(rest, "at rest", 0, 0)
         q, C = untranslated(q, C)  # the same program
-        best = Solved(Velocity(np.zeros_like(q), np.inf, np.inf), "none", 0, 0)
+        nothing = Velocity(np.zeros_like(q), np.inf, np.inf)
+        best = Solved(nothing, "none", 0, 0)
         for attempt, rung in enumerate(rungs):
             if attempt not in compiled:
                 compiled[attempt] = rung.compile(program)
@@ -77,8 +79,11 @@ def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> 
                 if answer.status in SOLVED:
                     velocity = program.certify(q, C, answer.z, answer.y)
                     return Solved(velocity, rung.name, answer.iterations, attempt + 1)
+                del compiled[attempt]
                 continue
-            velocity = judge(program, q, C, answer)
+            velocity = judge(program, q, C, answer) if is_finite(answer.z) else nothing
+            if not velocity.relative <= tol:
+                del compiled[attempt]  # a workspace that failed is not used again
             found = Solved(velocity, rung.name, answer.iterations, attempt + 1)
             if found.velocity.relative < best.velocity.relative:
                 best = found

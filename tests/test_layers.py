@@ -28,6 +28,7 @@ LEVELS = [
     {"plan"},
     {"field", "motion", "solution"},
     {"norms"},
+    {"stepping"},
     {"march"},
     {"exact"},
     {"adaptive", "lifting", "defects", "refinement"},

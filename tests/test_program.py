@@ -14,6 +14,7 @@ import sweepopt as so
 from sweepopt.linalg import Factor
 from sweepopt.program import VelocityProgram
 from sweepopt.solvers import choose
+from sweepopt.velocity import programmed
 
 SOLVERS = [so.Clarabel(), so.OSQP(), so.DAQP(), so.Cvxpy("CLARABEL"), so.Cvxpy("OSQP")]
 
@@ -238,3 +239,69 @@ def test_a_huge_force_on_one_contact_does_not_hold_another_past_its_threshold(sh
         assert (program.at_rest(q, C) is not None) == rests
     q[[1, 3]] = 1e-6, shift  # beside the contact nothing holds
     assert program.at_rest(q, C) is None
+
+
+# ---- what is out of reach --------------------------------------------------------------------
+
+FEW = [1, 4, 5, 9]
+HELD = np.array([0.7, 1e300, 0.4, 1e12])
+
+
+def far(kind: str) -> so.ConvexSet:
+    """Bounds from 0.4 to 1e300 in one set."""
+    E, ends = np.eye(12)[:, FEW], np.where(np.arange(12) % 2, 1e300, 0.5)
+    return {
+        "box": lambda: so.Box(-ends, ends),
+        "one side": lambda: so.Box(-ends, np.full(12, 0.5)),
+        "contact": lambda: so.image(E, so.Box(-HELD, HELD)) + np.full(12, 0.3),
+        "half-lines": lambda: so.image(E, so.Box(-HELD, np.full(4, np.inf))),
+        "discs": lambda: so.image(E, so.Balls(HELD[:2], 2)),
+        "scaled": lambda: 2.0 * -so.product(so.Balls([1e150, 0.3], 2), so.Box(-ends[:8], ends[:8])),
+    }[kind]()
+
+
+def held_program() -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(7)
+    chain = 2.05 * np.eye(12) - np.eye(12, k=1) - np.eye(12, k=-1)
+    return chain, 3 * rng.normal(size=12)
+
+
+@pytest.mark.parametrize("kind", ["box", "one side", "contact", "half-lines", "discs", "scaled"])
+def test_bounds_out_of_reach_blind_no_solver(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    (M, q), C = held_program(), far(kind)
+    program = VelocityProgram(Factor(M), C)
+    found = programmed(program.M, "auto", 1e-9, None)(q, C).velocity
+    assert found.relative <= 1e-9
+    for solver in (so.OSQP(), so.Clarabel(), so.Cvxpy("OSQP"), so.Cvxpy("CLARABEL")):
+        if not solver.treats(C):
+            continue
+        answer = solver.compile(program)(q, C)
+        # neither the polish nor another solver helps; the certificate is that of the given set
+        velocity = program.certify(q, C, answer.z, answer.y)
+        assert velocity.relative <= (1e-6 if "osqp" in solver.name else 2e-4)
+        assert program.M.norm(velocity.z - found.z) <= velocity.certificate + 1e-9
+    monkeypatch.setattr("sweepopt.program.FAR", np.inf)
+    blind = so.Clarabel().compile(program)(q, C)
+    with np.errstate(over="ignore", invalid="ignore"):
+        assert not program.M.norm(blind.z - found.z) <= 1e-2 * program.M.norm(found.z)
+
+
+@pytest.mark.parametrize("kind", ["box", "one side", "contact", "half-lines", "discs"])
+def test_what_is_out_of_reach_changes_no_solution(kind: str) -> None:
+    pytest.importorskip("mpmath")
+    from sweepopt.study.hard import Program
+
+    (M, q), C = held_program(), far(kind)
+    capped = VelocityProgram(Factor(M), C).capped(q, C)
+    assert np.abs(capped.offsets).max() <= 100 * np.abs(q).max()
+    assert np.abs(C.offsets).max() >= 1e299
+    near = np.zeros(12)
+    z, same = (Program(M).solve(q, shape, near).z for shape in (C, capped))
+    assert max(abs(float(a - b)) for a, b in zip(z, same, strict=True)) <= 1e-40
+    assert any(z)
+
+
+def test_bounds_of_the_size_of_the_forces_are_left_alone() -> None:
+    M, q = held_program()
+    C = so.Box(-np.ones(12), np.ones(12))
+    assert VelocityProgram(Factor(M), C).capped(q, C) is C

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sweepopt.exact.curves import Basis, Curve
-from sweepopt.loads import Piece
+from sweepopt.loads import Piece, kinks
 
 FLAT = 0.5  # a wave with less than this angle left is a power series: 1 / w would cancel
 TERMS = 16  # of that series, and FLAT^17 / 17! is below rounding
@@ -39,8 +39,7 @@ class Forces:
 
     def breakpoints(self, a: float, b: float) -> np.ndarray:
         """All kinks strictly between a and b, increasing."""
-        kinks = [np.asarray(phi.breakpoints(a, b), dtype=float) for phi in self.histories]
-        return np.unique(np.concatenate([np.empty(0), *kinks]))
+        return kinks(self.histories, a, b)
 
     def between(self, a: float, b: float) -> Smooth:
         """d between two neighbouring kinks."""

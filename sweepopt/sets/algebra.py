@@ -66,6 +66,9 @@ class Translation(ConvexSet):
         y, constraints = self.part.features(p)
         return Features([p, *y], constraints)
 
+    def within(self, center: np.ndarray, reach: np.ndarray) -> Translation:
+        return Translation(self.part.within(center - self.v, reach), self.v)
+
     def witness(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:
@@ -147,6 +150,9 @@ class Scaling(ConvexSet):
 
     def features(self, p: cp.Expression) -> Features:
         return self.part.features(p)
+
+    def within(self, center: np.ndarray, reach: np.ndarray) -> Scaling:
+        return Scaling(self.factor, self.part.within(center / self.factor, reach / self.factor))
 
     def witness(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
@@ -230,6 +236,9 @@ class Negation(ConvexSet):
 
     def features(self, p: cp.Expression) -> Features:
         return self.part.features(-p)
+
+    def within(self, center: np.ndarray, reach: np.ndarray) -> Negation:
+        return Negation(self.part.within(-center, reach))
 
     def witness(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
@@ -327,6 +336,10 @@ class Product(ConvexSet):
             more, others = part.features(p[start : start + part.dim])
             y, constraints, start = y + more, constraints + others, start + part.dim
         return Features(y, constraints)
+
+    def within(self, center: np.ndarray, reach: np.ndarray) -> Product:
+        blocks = zip(self.parts, *(np.split(x, self._cuts) for x in (center, reach)), strict=True)
+        return Product(tuple(part.within(*one) for part, *one in blocks))
 
     def witness(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray

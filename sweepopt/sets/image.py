@@ -205,6 +205,12 @@ class Image(ConvexSet):
     def features(self, p: cp.Expression) -> Features:
         return self.part.features(self.M.T @ p)
 
+    def within(self, center: np.ndarray, reach: np.ndarray) -> Image:
+        if self._selected is None:
+            return self
+        few = self._selected
+        return self.with_part(self.part.within(center[few], reach[few]))
+
     def witness(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:

@@ -7,14 +7,14 @@ serves them all.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from sweepopt.checks import number, vector
 from sweepopt.errors import InputError
-from sweepopt.loads import Separable
+from sweepopt.loads import Separable, kinks
 from sweepopt.sets import algebra
 from sweepopt.sets.base import ConvexSet, require_same_dim
 from sweepopt.sets.shapes import Point, dimension
@@ -215,7 +215,7 @@ class Moving(MovingSet):
         return [(first, C)]
 
     def breakpoints(self, a: float, b: float) -> np.ndarray:
-        return _kinks((self.center, self.scale), a, b)
+        return kinks((self.center, self.scale), a, b)
 
     def at(self, t: float) -> ConvexSet:
         scaled = self.shape if self.scale is None else algebra.scale(self.scale_at(t), self.shape)
@@ -242,10 +242,4 @@ class MovingOffsets(MovingSet):
         super().__init__(lambda t: shape.with_offsets(offsets(t)), shape.dim)
 
     def breakpoints(self, a: float, b: float) -> np.ndarray:
-        return _kinks((self.offsets,), a, b)
-
-
-def _kinks(functions: Iterable[Any], a: float, b: float) -> np.ndarray:
-    """Breakpoints of those functions of time that tell them."""
-    found = [one.breakpoints(a, b) for one in functions if hasattr(one, "breakpoints")]
-    return np.unique(np.concatenate([np.empty(0), *found]))
+        return kinks((self.offsets,), a, b)

@@ -176,6 +176,12 @@ class Box(ConvexSet):
     def derivative(self, v: np.ndarray) -> np.ndarray:
         return ((v >= self.lower) & (v <= self.upper)).astype(float)
 
+    def within(self, center: np.ndarray, reach: np.ndarray) -> Box:
+        # finite bounds only: an infinite one is part of the cone
+        lower = np.maximum(self.lower, np.minimum(center - reach, self.upper))
+        upper = np.minimum(self.upper, np.maximum(center + reach, self.lower))
+        return Box(np.where(self._low, lower, self.lower), np.where(self._up, upper, self.upper))
+
     def same_cone(self, other: ConvexSet) -> bool:
         return (
             isinstance(other, Box)
@@ -321,6 +327,10 @@ class Ball(ConvexSet):
         size = cp.Variable(1)
         return Features([p, size], _norms_below(p, size, self.dim))
 
+    def within(self, center: np.ndarray, reach: np.ndarray) -> Ball:
+        farthest = float(np.linalg.norm(np.abs(center - self.center) + reach))
+        return Ball(self.center, min(self.radius, farthest))
+
     def magnitude(self) -> float:
         return float(np.linalg.norm(self.center) + self.radius)
 
@@ -394,6 +404,10 @@ class Balls(ConvexSet):
         ]
         gaps, away = np.array(each).T
         return Companion(float(gaps.sum()), float(np.linalg.norm(away)))
+
+    def within(self, center: np.ndarray, reach: np.ndarray) -> Balls:
+        farthest = np.linalg.norm((np.abs(center) + reach).reshape(-1, self.block), axis=1)
+        return Balls(np.minimum(self.radii, farthest), self.block)
 
     def steps(self, tau: np.ndarray) -> np.ndarray:
         return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)

@@ -7,26 +7,26 @@ of L is the square root of that of M, and no tolerance enters.
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from sweepopt.checks import count
 from sweepopt.errors import EmptySetError
 from sweepopt.linalg import NEGLIGIBLE, dense, euclidean
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.active_set import least_distance
 from sweepopt.sets.base import ROUNDING
-from sweepopt.solvers.base import Answer, Solve, Solver
+from sweepopt.solvers.base import Answer, Small, Solve
 
 REFINEMENTS = 3  # corrections of what L rounds
 
 
 @dataclass(frozen=True)
-class ActiveSet:
+class ActiveSet(Small):
     """The library's own active-set method, for small sets that are written as rows.
 
     Parameters
@@ -46,24 +46,17 @@ class ActiveSet:
     (True, False)
     """
 
-    max_dim: int = 300
     name = "active-set"
-
-    def __post_init__(self) -> None:
-        count("max_dim", self.max_dim)
 
     def treats(self, C: ConvexSet) -> bool:
         """Whether C is small and written as rows."""
         return C.polyhedral and C.dim <= self.max_dim and C.rows() is not None
 
-    def refined(self) -> Solver | None:
-        """None: it goes to rounding."""
-        return None
-
     def compile(self, program: VelocityProgram) -> Solve:
         """Factorise M once; a call starts from no active rows."""
-        M = program.M
-        L = scipy.linalg.cholesky(dense(M.M), lower=True)
+        M, L = program.M, np.zeros((0, 0))
+        with contextlib.suppress(scipy.linalg.LinAlgError):  # M may be indefinite to rounding
+            L = scipy.linalg.cholesky(dense(M.M), lower=True)
 
         def nearest(q: np.ndarray, G: np.ndarray, h: np.ndarray) -> np.ndarray | None:
             rounding = ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(q))
@@ -76,6 +69,8 @@ class ActiveSet:
             G, h = dense(rows[0]) if sp.issparse(rows[0]) else rows[0], rows[1]
             z, nothing = np.zeros_like(q), np.zeros(C.offsets.size)
             moved = q
+            if not L.size:
+                return Answer(z, nothing, 0, "failed: rounding")
             for _ in range(1 + REFINEMENTS):
                 try:
                     x = nearest(moved, G, h)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from sweepopt.checks import count
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
 
@@ -45,3 +47,28 @@ class Solver(Protocol):
     def refined(self) -> Solver | None:
         """The same solver with tighter settings, for a step that missed its tolerance."""
         ...
+
+
+@dataclass(frozen=True)
+class Small:
+    """What solvers of small programs have in common: they go to rounding, or fail.
+
+    Parameters
+    ----------
+    max_dim : int
+        Larger programs are left to the other solvers.
+
+    Raises
+    ------
+    InputError
+        If max_dim is not positive.
+    """
+
+    max_dim: int = 300
+
+    def __post_init__(self) -> None:
+        count("max_dim", self.max_dim)
+
+    def refined(self) -> Solver | None:
+        """None: there is nothing to tighten."""
+        return None

@@ -14,6 +14,8 @@ from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
 from sweepopt.solvers.base import Answer, Solve
 
+SOLVED = {"Solved", "AlmostSolved"}
+
 
 @dataclass(frozen=True)
 class Clarabel:
@@ -68,7 +70,7 @@ class Clarabel:
         engine: Any = None
 
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:
-            offsets = C.offsets
+            offsets = program.capped(q, C).offsets
             nonlocal engine
             linear = canonical.map @ np.concatenate([q, offsets])
             force = float(np.abs(linear).max())
@@ -80,8 +82,9 @@ class Clarabel:
                 engine.update(q=linear / force)
             solution = engine.solve()
             x = np.array(solution.x) * (force / program.stiffness)
-            if not np.isfinite(x).all():
-                engine, x = None, np.zeros_like(x)
+            if str(solution.status) not in SOLVED or not np.isfinite(x).all():
+                engine = None  # a workspace that failed once is not used again
+                x = np.where(np.isfinite(x), x, 0.0)
             answer = transposed @ x
             return Answer(answer[:n], answer[n:], solution.iterations, str(solution.status))
 

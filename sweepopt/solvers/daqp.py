@@ -18,18 +18,17 @@ from typing import Any
 import numpy as np
 from scipy.linalg import lapack
 
-from sweepopt.checks import count
 from sweepopt.errors import MissingExtraError
 from sweepopt.linalg import dense
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
-from sweepopt.solvers.base import Answer, Solve, Solver
+from sweepopt.solvers.base import Answer, Small, Solve
 
 FAR, INFINITE = 1e150, 1e30  # beyond any bound of a set; what DAQP takes for no bound
 
 
 @dataclass(frozen=True)
-class DAQP:
+class DAQP(Small):
     """DAQP for small programs over boxes (needs the extra "speed").
 
     Parameters
@@ -50,11 +49,7 @@ class DAQP:
     (True, False)
     """
 
-    max_dim: int = 300
     name = "daqp"
-
-    def __post_init__(self) -> None:
-        count("max_dim", self.max_dim)
 
     def treats(self, C: ConvexSet) -> bool:
         """Whether C is small and a box: its projection has a diagonal derivative."""
@@ -62,10 +57,6 @@ class DAQP:
             return False
         D = C.derivative(C.anchor)
         return D is not None and D.ndim == 1
-
-    def refined(self) -> Solver | None:
-        """None: an active set is right or wrong."""
-        return None
 
     def compile(self, program: VelocityProgram) -> Solve:
         """Invert M once; a call updates the linear term and the bounds."""

@@ -21,7 +21,7 @@ from sweepopt.checks import count
 from sweepopt.linalg import Factor, dense, euclidean
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
-from sweepopt.solvers.base import Answer, Solve, Solver
+from sweepopt.solvers.base import Answer, Small, Solve
 
 EPS = float(np.finfo(float).eps)
 SMALL = 40  # up to so many slipping entries an inverse is not worth it
@@ -29,19 +29,19 @@ PATIENCE = 5  # steps that may fail to improve on the best one: more are a cycle
 
 
 @dataclass(frozen=True)
-class Newton:
+class Newton(Small):
     """Semismooth Newton for sets whose projection has a derivative.
 
     Parameters
     ----------
-    max_iter : int
     max_dim : int
         Larger programs are left to the other solvers; a step solves a dense system.
+    max_iter : int
 
     Raises
     ------
     InputError
-        If max_iter or max_dim is not positive.
+        If max_dim or max_iter is not positive.
 
     Examples
     --------
@@ -50,21 +50,17 @@ class Newton:
     (True, False)
     """
 
-    max_iter: int = 15
     max_dim: int = 1500
+    max_iter: int = 15
     name = "newton"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         count("max_iter", self.max_iter)
-        count("max_dim", self.max_dim)
 
     def treats(self, C: ConvexSet) -> bool:
         """Whether C is small and the derivative of its projection is known."""
         return C.dim <= self.max_dim and C.derivative(C.anchor) is not None
-
-    def refined(self) -> Solver | None:
-        """None: it goes to rounding."""
-        return None
 
     def compile(self, program: VelocityProgram) -> Solve:
         """A function that starts from the velocity it found last."""

@@ -76,7 +76,7 @@ class OSQP:
             return fresh
 
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:
-            offsets = C.offsets
+            offsets = program.capped(q, C).offsets
             nonlocal engine
             linear = canonical.map @ np.concatenate([q, offsets])
             force = float(np.abs(linear).max())

@@ -68,7 +68,7 @@ class Cvxpy:
         n, size = program.M.dim, program.cone.offsets.size
 
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:
-            offsets = C.offsets
+            offsets = program.capped(q, C).offsets
             # forces in units of the largest one: solvers' absolute tolerances need it
             force = max(np.abs(q).max(), np.abs(offsets).max(initial=0.0)) or 1.0
             statement.q.value = q / force

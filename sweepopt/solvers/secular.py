@@ -12,17 +12,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sweepopt.checks import count
 from sweepopt.linalg import dense
 from sweepopt.program import VelocityProgram
 from sweepopt.secular import secular
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.base import ROUNDING
-from sweepopt.solvers.base import Answer, Solve, Solver
+from sweepopt.solvers.base import Answer, Small, Solve
 
 
 @dataclass(frozen=True)
-class Secular:
+class Secular(Small):
     """The formula for a set that is one ball.
 
     Parameters
@@ -42,19 +41,11 @@ class Secular:
     (True, False)
     """
 
-    max_dim: int = 300
     name = "secular"
-
-    def __post_init__(self) -> None:
-        count("max_dim", self.max_dim)
 
     def treats(self, C: ConvexSet) -> bool:
         """Whether C is small and one ball."""
         return C.dim <= self.max_dim and C.sphere is not None
-
-    def refined(self) -> Solver | None:
-        """None: it goes to rounding."""
-        return None
 
     def compile(self, program: VelocityProgram) -> Solve:
         """Find the eigenvectors of M once; a call solves for one number."""

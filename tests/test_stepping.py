@@ -1,0 +1,273 @@
+"""The last rung: a step that misses its tolerance as a whole is taken in parts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_checkpoint import Killed, same, stopping
+from test_reduction import process as chain
+
+import sweepopt as so
+from sweepopt import march, stepping
+from sweepopt.linalg import Factor
+from sweepopt.program import VelocityProgram
+from sweepopt.solvers import Answer
+
+LOAD = so.Sine(3.0, 6.0)
+SCHEMES = ["implicit-euler", "midpoint", "trapezoid", "sdirk2"]
+
+
+def stiff(k: float) -> so.SweepingProcess:
+    """Two blocks tied by a spring k, which move as one: A is lost in A + mu B for mu k > 1e15."""
+    B = k * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    C = so.Moving(so.Box([-1, -1], [1, 1]), so.Separable([(LOAD, [1.0, 1.0])]))
+    return so.SweepingProcess(np.eye(2), B, C, [0.0, 0.0])
+
+
+def one() -> so.SweepingProcess:
+    C = so.Moving(so.Box([-1], [1]), so.Separable([(LOAD, [1.0])]))
+    return so.SweepingProcess([[1.0]], None, C, [0.0])
+
+
+def thin(gap: Callable[[float], float]) -> so.SweepingProcess:
+    """Two discs that meet in a lens of the width 2 gap(t)."""
+
+    def lens(t: float) -> so.ConvexSet:
+        d = 1 - gap(t)
+        return (so.Ball([-d, 0.0], 1.0) & so.Ball([d, 0.0], 1.0)) + np.array([3 * t, 1.0])
+
+    A = np.array([[2.0, 0.5], [0.5, 1.0]])
+    return so.SweepingProcess(A, np.eye(2), so.MovingSet(lens), [0.0, 0.0])
+
+
+def parts(sol: so.Solution) -> list[int]:
+    """In how many parts each step was taken."""
+    return [int(name.partition("/")[2] or 1) for name in sol.stats["solver"]]
+
+
+# not trapezoid: its explicit stage makes motion of what B u rounds
+@pytest.mark.parametrize("scheme", ["implicit-euler", "midpoint", "sdirk2"])
+def test_a_step_that_is_too_long_for_its_matrix_is_rescued(scheme: str) -> None:
+    sol = so.solve(stiff(4e15), t_end=4.0, steps=4, scheme=scheme, on_unstable="ignore")
+    assert sol.success
+    assert max(parts(sol)) > 1
+    assert sol.stats["relative"].max() <= 1e-6
+    assert sol.t.shape == (5,)
+    assert sol.velocity == pytest.approx(np.diff(sol.u, axis=0) / np.diff(sol.t)[:, None])
+    # the same as so many steps of the same scheme
+    fine = np.concatenate(
+        [
+            np.linspace(a, b, k, endpoint=False)
+            for a, b, k in zip(sol.t, sol.t[1:], parts(sol), strict=False)
+        ]
+    )
+    by_hand = so.solve(one(), steps=np.append(fine, 4.0), scheme=scheme, on_unstable="ignore")
+    assert sol.u[:, 0] == pytest.approx(by_hand(sol.t)[:, 0], abs=1e-6)
+    assert np.abs(sol.u).max() > 0.3
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_the_bound_of_a_run_with_parts_is_not_below_its_error(scheme: str) -> None:
+    sol = so.solve(stiff(4e15), t_end=4.0, steps=4, scheme=scheme, on_unstable="ignore")
+    assert max(parts(sol)) > 1
+    exact = so.solve(one(), t_end=4.0, steps=1, scheme="exact").exact
+    assert exact is not None
+    times = np.linspace(0.0, 4.0, 401)
+    error = np.sqrt(2) * np.abs(sol(times)[:, 0] - exact(times)[:, 0]).max()
+    bound = sol.error_bound()
+    assert bound.guaranteed
+    assert 1e-3 < error <= bound
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+def test_a_set_that_is_thin_at_one_time_is_looked_at_at_others() -> None:
+    process = thin(lambda t: 1e-10 + abs(t - 0.5))
+    sol = so.solve(process, t_end=1.0, steps=1, scheme="midpoint")
+    assert list(sol.stats["solver"]) == ["clarabel/2"]
+    assert sol.stats["attempts"][0] > 4  # the whole step and its parts
+    halves = so.solve(process, t_end=1.0, steps=2, scheme="midpoint")
+    assert sol.u[-1] == pytest.approx(halves.u[-1], abs=1e-12)
+    assert sol.stats["relative"][0] == pytest.approx(halves.stats["relative"].max())
+
+
+def test_a_step_that_no_parts_help_ends_the_run_and_says_where_and_why() -> None:
+    times = [0.0, 1e-3, 2e-3, 1.0]
+    with pytest.raises(so.StepError, match="not positive definite to rounding") as failure:
+        so.solve(stiff(1e17), steps=times, scheme="midpoint")
+    error = failure.value
+    assert (error.t, error.step, error.certificate) == (2e-3, 2, np.inf)
+    assert "step 2 from t = 0.002" in str(error)
+    assert "2 to 16 parts does not help. B is so large" in str(error)
+    sol = so.solve(stiff(1e17), steps=times, scheme="midpoint", on_failure="stop")
+    assert sol.status is so.Status.INEXACT
+    assert np.array_equal(sol.t, times[:3])
+    assert np.array_equal(sol.u[-1], error.u)
+    assert sol.message.endswith(str(error))
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+def test_a_set_that_is_empty_between_the_times_of_the_grid_is_named() -> None:
+    process = thin(lambda t: 1e-10 + abs(t - 0.5) if t in (0.0, 0.5, 1.0) else -1.0)
+    with pytest.raises(so.StepError, match=r"parts: C\(t\) at t = 0.25 is empty") as failure:
+        so.solve(process, t_end=1.0, steps=1, scheme="midpoint")
+    assert 1e-6 < failure.value.certificate < 1e-3
+    assert failure.value.step == 0
+
+
+@pytest.fixture
+def spoiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No step meets its tolerance as a whole."""
+
+    def missing(*args: Any) -> tuple[np.ndarray, stepping.Stages]:
+        z, stages = stepping.step(*args)
+        bad = [one._replace(velocity=one.velocity._replace(relative=1.0)) for one in stages]
+        return z, bad
+
+    monkeypatch.setattr(march, "step", missing)
+
+
+@pytest.mark.usefixtures("spoiled")
+@pytest.mark.parametrize("scheme", ["catching-up", *SCHEMES])
+@pytest.mark.parametrize("path", ["full", "eliminated", "proportional"])
+def test_every_scheme_and_path_takes_steps_in_parts(scheme: str, path: str) -> None:
+    process = chain(u0=np.zeros(40))
+    if path == "proportional" and scheme in ("trapezoid", "sdirk2"):
+        return  # it has no stages
+    how: dict[str, Any] = {"t_end": 4.0, "scheme": scheme, "path": path, "on_unstable": "ignore"}
+    sol = so.solve(process, steps=50, **how)
+    assert set(parts(sol)) == {2}
+    assert sol.stats["relative"].max() <= 1e-6
+    assert np.diff(sol.u, axis=0) == pytest.approx(0.08 * sol.velocity, abs=1e-13)
+    bound = sol.error_bound()
+    fine = so.solve(process, t_end=4.0, steps=400, path="eliminated", scheme="midpoint")
+    error = max(map(process.metric.norm, fine(sol.t) - sol.u))
+    assert bound.guaranteed
+    assert error <= bound + fine.error_bound()
+    assert bound <= 2.5 * so.solve(process, steps=50, **how).error_bound()
+
+
+@pytest.mark.usefixtures("spoiled")
+def test_a_process_without_viscosity_takes_steps_in_parts() -> None:
+    process = so.SweepingProcess([[0.0]], [[2.0]], one().C, [0.0])
+    sol = so.solve(process, t_end=4.0, steps=40)
+    assert set(parts(sol)) == {2}
+    exact = so.solve(process, t_end=4.0, steps=40, scheme="exact").u
+    assert np.abs(sol.u - exact).max() <= sol.error_bound()
+
+
+def test_parts_may_be_short_enough_not_to_overshoot(monkeypatch: pytest.MonkeyPatch) -> None:
+    process = so.SweepingProcess([[1.0]], [[1.0]], so.Box([-0.1], [2.0]), u0=[-1.0])
+    how: dict[str, Any] = {"t_end": 20.0, "steps": 1, "scheme": "trapezoid"}
+    with pytest.warns() as seen:
+        so.solve(process, **how)
+    assert so.StabilityWarning in [one.category for one in seen]
+    monkeypatch.setattr(stepping, "PARTS", (8,))
+    whole = march.step
+
+    def missing(*args: Any) -> tuple[np.ndarray, stepping.Stages]:
+        z, stages = whole(*args)
+        return z, [one._replace(velocity=one.velocity._replace(relative=1.0)) for one in stages]
+
+    monkeypatch.setattr(march, "step", missing)
+    with pytest.warns() as seen:
+        sol = so.solve(process, **how)
+    assert parts(sol) == [8]
+    assert {one.category for one in seen} == {so.InitialStateWarning}
+
+
+# ---- bit for bit after a kill ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("solver", ["newton", "osqp"])
+def test_a_resumed_run_with_parts_is_the_whole_run(solver: str, tmp_path: Path) -> None:
+    how: dict[str, Any] = {"steps": 40, "t_end": 40.0, "scheme": "midpoint", "solver": solver}
+    whole = so.solve(stiff(4e15), checkpoint=so.Checkpoint(tmp_path / "a", steps=7), **how)
+    assert max(parts(whole)) > 1
+    path = tmp_path / "b"
+    with pytest.raises(Killed):
+        so.solve(stiff(4e15), checkpoint=so.Checkpoint(path, steps=7), callback=stopping(20), **how)
+    assert same(so.resume(path, stiff(4e15)), whole)
+
+
+def test_a_resumed_run_of_many_step_sizes_is_the_whole_run(tmp_path: Path) -> None:
+    # more sizes than matrices are kept: which are dropped must not depend on where a run began
+    sizes = 0.02 + 0.001 * np.arange(20)
+    order = np.concatenate([np.arange(16), [0, 16, 0, 17, 1, 0, 18, 1, 19], np.arange(20)])
+    times = np.append(0.0, np.cumsum(sizes[order]))
+    process = chain(u0=np.zeros(40))
+    how: dict[str, Any] = {"steps": times, "solver": so.OSQP(tol=1e-4), "path": "eliminated"}
+    how |= {"tol": 1e-3}
+    whole = so.solve(process, checkpoint=so.Checkpoint(tmp_path / "a", steps=16), **how)
+    path = tmp_path / "b"
+    with pytest.raises(Killed):
+        so.solve(process, checkpoint=so.Checkpoint(path, steps=16), callback=stopping(16), **how)
+    assert same(so.resume(path, process), whole)
+
+
+# ---- workspaces ------------------------------------------------------------------------------
+
+
+class Spoils:
+    """Right until it is asked for something hard: then the workspace is spoiled for good."""
+
+    name = "spoils"
+
+    def __init__(self) -> None:
+        self.compiled = 0
+
+    def treats(self, C: object) -> bool:
+        return True
+
+    def refined(self) -> None:
+        return None
+
+    def compile(self, program: VelocityProgram) -> Any:
+        inner, spoiled = so.Newton().compile(program), False
+        self.compiled += 1
+
+        def solve(q: np.ndarray, C: so.ConvexSet) -> Answer:
+            nonlocal spoiled
+            spoiled = spoiled or bool(np.abs(q).max() > 2.99)
+            found = inner(q, C)
+            return found._replace(z=np.full(q.size, np.nan)) if spoiled else found
+
+        return solve
+
+
+def test_a_workspace_that_failed_is_not_used_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sweepopt.polish.POLISHED", np.inf)  # which would repair it alone
+    M = np.array([[2.0, -1.0], [-1.0, 2.0]])
+    process = so.SweepingProcess(M, None, so.Moving(so.Box([-1, -1], [1, 1]), one_load), [0, 0])
+    solver = Spoils()
+    sol = so.solve(process, t_end=6.0, steps=60, solver=solver)
+    names = list(sol.stats["solver"])
+    last = max(i for i, name in enumerate(names) if name == "osqp")
+    assert sol.success
+    assert 0 < names.count("osqp") < 10
+    assert "spoils" in names[last:]
+    assert solver.compiled == 1 + names.count("osqp")
+
+
+def one_load(t: float) -> np.ndarray:
+    return 3.0 * np.sin(t) * np.array([1.0, -0.9])
+
+
+def test_a_matrix_that_is_indefinite_to_rounding_is_factorised_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made: list[float] = []
+    factorise = Factor.__init__
+
+    def counting(self: Factor, M: Any, name: str = "M") -> None:
+        made.append(float(M[0, 0]))
+        factorise(self, M, name)
+
+    process = stiff(4e15)
+    monkeypatch.setattr(Factor, "__init__", counting)
+    sol = so.solve(process, t_end=12.0, steps=12, scheme="implicit-euler", path="full")
+    assert parts(sol) == [8] * 12
+    assert made == [1 + 4e15 / k for k in (1, 2, 4, 8)]
