@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from sweepopt.alone import in_turn
 from sweepopt.linalg import Factor, euclidean
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.algebra import Translation
@@ -118,6 +119,7 @@ class VelocityProgram:
         # M is known to be positive definite: it was factorised
         return Expressions(z, y, 0.5 * cp.quad_form(x, cp.psd_wrap(scaled)), constraints)
 
+    @in_turn
     def statement(self) -> Statement:
         """The program with M / stiffness for M in cvxpy, so that solvers see numbers without units.
 
@@ -133,6 +135,7 @@ class VelocityProgram:
         problem = cp.Problem(cp.Minimize(objective), constraints)
         return Statement(problem, q, offsets, z, y)
 
+    @in_turn
     def canonical(self, solver: str) -> Canonical:
         """What cvxpy hands to the solver, with the linear term as a map of q and the offsets.
 
