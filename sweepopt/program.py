@@ -20,7 +20,7 @@ from sweepopt.alone import in_turn
 from sweepopt.linalg import Factor, euclidean
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.algebra import Translation
-from sweepopt.sets.base import ROUNDING
+from sweepopt.sets.base import ROUNDING, Selection
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -181,15 +181,25 @@ class VelocityProgram:
         A force that misses C by rounding counts as inside.
         """
         few = C.selection
-        if few is not None and few.shift is not None:
-            # what acts beside the few unknowns of C settles most steps of a moving body
-            beside = q - few.shift
-            beside[few.unknowns] = 0.0
-            if not _is_near(beside, q, few.shift):
-                return None
+        if few is not None:
+            return at_rest_on(q, few)
         force, shape = untranslated(q, C)
         rests = is_rounding(force - shape.project(force), q, C.anchor)
         return Velocity(np.zeros_like(q), 0.0, 0.0) if rests else None
+
+
+def at_rest_on(q: np.ndarray, few: Selection) -> Velocity | None:
+    """The same where C acts on few unknowns: what acts beside them settles most steps."""
+    shift = np.zeros_like(q) if few.shift is None else few.shift
+    missed = q - shift
+    force = missed[few.unknowns]
+    missed[few.unknowns] = 0.0
+    if not _is_near(missed, q, shift):
+        return None
+    missed[few.unknowns] = force - few.part.project(force)
+    anchor = np.abs(shift)
+    anchor[few.unknowns] += np.abs(few.part.anchor)
+    return Velocity(np.zeros_like(q), 0.0, 0.0) if is_rounding(missed, q, anchor) else None
 
 
 def _derivative(
