@@ -182,13 +182,14 @@ class VelocityProgram:
         """
         few = C.selection
         if few is not None:
-            return at_rest_on(q, few)
+            return at_rest_on(q, few, self.M.diagonal)
         force, shape = untranslated(q, C)
-        rests = is_rounding(force - shape.project(force), q, C.anchor)
+        nearest = shape.nearest(force, self.M.diagonal)
+        rests = is_rounding(force - nearest, q, C.anchor)
         return Velocity(np.zeros_like(q), 0.0, 0.0) if rests else None
 
 
-def at_rest_on(q: np.ndarray, few: Selection) -> Velocity | None:
+def at_rest_on(q: np.ndarray, few: Selection, diagonal: np.ndarray) -> Velocity | None:
     """The same where C acts on few unknowns: what acts beside them settles most steps."""
     shift = np.zeros_like(q) if few.shift is None else few.shift
     missed = q - shift
@@ -196,7 +197,7 @@ def at_rest_on(q: np.ndarray, few: Selection) -> Velocity | None:
     missed[few.unknowns] = 0.0
     if not _is_near(missed, q, shift):
         return None
-    missed[few.unknowns] = force - few.part.project(force)
+    missed[few.unknowns] = force - few.part.nearest(force, diagonal[few.unknowns])
     anchor = np.abs(shift)
     anchor[few.unknowns] += np.abs(few.part.anchor)
     return Velocity(np.zeros_like(q), 0.0, 0.0) if is_rounding(missed, q, anchor) else None

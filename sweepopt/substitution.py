@@ -91,7 +91,7 @@ def eliminated(M: Elimination, small: VelocityOf) -> SelectedVelocity:
 
     def solve(q: np.ndarray, selection: Selection) -> Solved:
         # looked at before q and C are reduced to forces on the few, whose rounding is larger
-        rest = at_rest_on(q, selection)
+        rest = at_rest_on(q, selection, M.diagonal)
         if rest is not None:
             return Solved(rest, "at rest", 0, 0)
         force = -q if selection.shift is None else selection.shift - q

@@ -83,7 +83,10 @@ def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> 
             if found.velocity.relative < best.velocity.relative:
                 best = found
             if best.velocity.relative <= tol:
-                return best._replace(attempts=attempt + 1)
+                break
+        if best.velocity.relative <= min(tol, ACCURATE):
+            return best._replace(attempts=attempt + 1)
+        # an answer that no polish made exact: the few unknowns alone are better conditioned
         selection = C.selection
         if selection is not None:
             few = alone(tuple(selection.unknowns))(q, selection)

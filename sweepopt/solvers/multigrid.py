@@ -78,7 +78,7 @@ class MultigridProgram:
         """
         M, contact, part = self.M, self.contact, selection.part
         force = q if selection.shift is None else q - selection.shift
-        rest = at_rest_on(q, selection)
+        rest = at_rest_on(q, selection, M.diagonal)
         if rest is not None:
             self._last = self._before = np.zeros(M.dim)
             return Step(rest, 0, 0)
