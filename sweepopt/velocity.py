@@ -50,7 +50,7 @@ def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> 
     def alone(unknowns: tuple[int, ...]) -> SelectedVelocity:
         """The program of the few unknowns, where that of all of them fails."""
         body = Elimination(M.M, np.array(unknowns), order)
-        return eliminated(body, programmed(Factor(body.N), "auto", tol, None))
+        return eliminated(body, programmed(Factor(body.N), "auto", min(tol, ACCURATE), None))
 
     def solve(q: np.ndarray, C: ConvexSet) -> Solved:
         nonlocal program, formula, rungs, judge
