@@ -337,7 +337,7 @@ def test_4001_switches_and_the_trajectory_are_those_of_formulas_in_40_digits() -
 def test_steps_see_4001_switches_and_come_to_the_exact_trajectory_with_order_two() -> None:
     found = exact(block(), 1000 * np.pi, steps=2)
     errors = []
-    for steps in (50_000, 100_000, 200_000, 400_000):
+    for steps in (100_000, 200_000, 400_000, 800_000):
         sol = so.solve(block(), t_end=1000 * np.pi, steps=steps)
         moves = sol.velocity[:, 0] != 0
         assert np.count_nonzero(moves[1:] != moves[:-1]) == 4001
@@ -347,7 +347,7 @@ def test_steps_see_4001_switches_and_come_to_the_exact_trajectory_with_order_two
         errors.append(float(np.abs(sol.u - found(sol.t)).max()))
     slope = np.polyfit(np.log([1.0, 2.0, 4.0, 8.0]), np.log(errors), 1)[0]
     assert slope <= -1.9
-    assert errors[-1] <= 1e-4
+    assert errors[-1] <= 3e-5
 
 
 @pytest.mark.parametrize("A", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10])
