@@ -124,8 +124,9 @@ class Log:
     """The statistics of each step, a column each: rows of records are slow to write."""
 
     def __init__(self, steps: int) -> None:
-        self._columns = {name: np.zeros(steps, STATS[name]) for name in Summary._fields[:-1]}
-        self._seconds, self._solver = np.zeros(steps), np.zeros(steps, dtype=np.int16)
+        # written to, all of it is in memory from here on: a run grows by nothing later
+        self._columns = {name: np.full(steps, 0, STATS[name]) for name in Summary._fields[:-1]}
+        self._seconds, self._solver = np.full(steps, 0.0), np.full(steps, 0, dtype=np.int16)
         self._names: dict[str, int] = {}
         self._write = list(self._columns.values())
 

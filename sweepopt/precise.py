@@ -56,6 +56,27 @@ class Precise:
         return self._unit * _sum(terms)
 
 
+def product_error(factor: float, M: Matrix) -> Any:
+    """What rounding keeps out of `factor * M`, entry by entry and exactly (Dekker's product)."""
+    rest = M.copy()
+    entries = rest.data if sp.issparse(rest) else rest
+    high, low = _halves(entries)
+    factor_high, factor_low = _halves(np.float64(factor))
+    missed = factor_high * high - factor * entries
+    missed = ((missed + factor_high * low) + factor_low * high) + factor_low * low
+    if sp.issparse(rest):
+        rest.data = missed
+        return rest
+    return missed
+
+
+def _halves(x: Any) -> tuple[Any, Any]:
+    """x as a sum of two numbers of half its bits (Veltkamp)."""
+    shifted = (2.0**27 + 1) * x
+    high = shifted - (shifted - x)
+    return high, x - high
+
+
 def _cut(x: np.ndarray, bits: int) -> list[np.ndarray]:
     """Slices with x = their sum, each of few bits in relation to the largest entry."""
     largest = float(np.abs(x).max(initial=0.0))

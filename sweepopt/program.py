@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from sweepopt.alone import in_turn
 from sweepopt.linalg import Factor, euclidean
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.algebra import Translation
-from sweepopt.sets.base import ROUNDING
+from sweepopt.sets.base import ROUNDING, Selection
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -119,6 +120,7 @@ class VelocityProgram:
         # M is known to be positive definite: it was factorised
         return Expressions(z, y, 0.5 * cp.quad_form(x, cp.psd_wrap(scaled)), constraints)
 
+    @in_turn
     def statement(self) -> Statement:
         """The program with M / stiffness for M in cvxpy, so that solvers see numbers without units.
 
@@ -134,6 +136,7 @@ class VelocityProgram:
         problem = cp.Problem(cp.Minimize(objective), constraints)
         return Statement(problem, q, offsets, z, y)
 
+    @in_turn
     def canonical(self, solver: str) -> Canonical:
         """What cvxpy hands to the solver, with the linear term as a map of q and the offsets.
 
@@ -190,15 +193,26 @@ class VelocityProgram:
         A force that misses C by rounding counts as inside.
         """
         few = C.selection
-        if few is not None and few.shift is not None:
-            # what acts beside the few unknowns of C settles most steps of a moving body
-            beside = q - few.shift
-            beside[few.unknowns] = 0.0
-            if not _is_near(beside, q, few.shift):
-                return None
+        if few is not None:
+            return at_rest_on(q, few, self.M.diagonal)
         force, shape = untranslated(q, C)
-        rests = is_rounding(force - shape.project(force), q, C.anchor)
+        nearest = shape.nearest(force, self.M.diagonal)
+        rests = is_rounding(force - nearest, q, C.anchor)
         return Velocity(np.zeros_like(q), 0.0, 0.0) if rests else None
+
+
+def at_rest_on(q: np.ndarray, few: Selection, diagonal: np.ndarray) -> Velocity | None:
+    """The same where C acts on few unknowns: what acts beside them settles most steps."""
+    shift = np.zeros_like(q) if few.shift is None else few.shift
+    missed = q - shift
+    force = missed[few.unknowns]
+    missed[few.unknowns] = 0.0
+    if not _is_near(missed, q, shift):
+        return None
+    missed[few.unknowns] = force - few.part.nearest(force, diagonal[few.unknowns])
+    anchor = np.abs(shift)
+    anchor[few.unknowns] += np.abs(few.part.anchor)
+    return Velocity(np.zeros_like(q), 0.0, 0.0) if is_rounding(missed, q, anchor) else None
 
 
 def _derivative(

@@ -31,7 +31,7 @@ import scipy.sparse as sp
 from sweepopt.checks import Matrix
 from sweepopt.linalg import Elimination
 from sweepopt.loads import Constant, Separable
-from sweepopt.precise import Precise
+from sweepopt.precise import Precise, product_error
 from sweepopt.process import SweepingProcess
 from sweepopt.sets import AnySet, ConvexSet, Moving
 
@@ -81,6 +81,7 @@ class Reduction:
     _A: Elimination
     _errors: np.ndarray
     _responses: np.ndarray
+    _uneven: np.ndarray
     _share: float
 
     def lift(self, zeta: np.ndarray, alpha: np.ndarray) -> np.ndarray:
@@ -101,7 +102,8 @@ class Reduction:
         """What the load brings into the residual of each step.
 
         With M = (1 + gamma rho) A, q = rho A u and both lifted, M z + q - f holds what each F_k
-        misses times phi_k = (1 + gamma rho) alpha_k' + rho alpha_k, and what A^-1 E^T N misses.
+        misses times phi_k = (1 + gamma rho) alpha_k' + rho alpha_k, and what A^-1 E^T N misses;
+        beside that what A + gamma B and B miss of multiples of A, where nothing cancels.
 
         Parameters
         ----------
@@ -113,7 +115,9 @@ class Reduction:
         phi = np.abs(ratios[:, None] * alphas[1] + self.rho * alphas[0])
         # A^-1 E^T N zeta and the F_k are orthogonal in the metric of A
         squares = np.einsum("ik,kl,il->i", alphas[1], self._gram, alphas[1])
-        columns = (phi @ self._errors, FLOOR * (phi @ self._responses), squares, ratios)
+        apart = np.abs(ratios[:, None] * alphas[1]) + np.abs(self.rho * alphas[0])
+        errors = phi @ self._errors + apart @ self._uneven
+        columns = (errors, FLOOR * (phi @ self._responses), squares, ratios)
         return [OfLoad(*row) for row in zip(*(column.tolist() for column in columns), strict=True)]
 
     def residual(self, zeta: np.ndarray, velocity: np.ndarray, load: OfLoad) -> Residual:
@@ -157,17 +161,20 @@ def reduce(process: SweepingProcess, tol: float) -> Reduction | str:
     held = [_held(A, f) for _, f in terms]
     responses = np.array([A.dual_norm(f) for _, f in terms])
     errors = np.array([A.dual_norm(one.missed) + A.resolution(one.F) for one in held])
-    share = _accuracy(A)
-    if (errors > (worst := min(ACCURATE, FLOOR * tol)) * responses).any() or share > worst:
-        return "A is too badly conditioned to apply its inverse beforehand"
     rest = process.u0 - _follow(A, process.u0[unknowns])
     shapes = np.column_stack([*(one.F for one in held), rest])
+    uneven = _Uneven(A, process.B, rho)
+    missed = np.array([uneven(F) for F in shapes.T])
+    share = _accuracy(A, uneven)
+    worst = min(ACCURATE, FLOOR * tol)
+    if (np.maximum(errors, missed[:-1]) > worst * responses).any() or share > worst:
+        return "A is too badly conditioned to apply its inverse beforehand"
     load = [(phi, one.pull) for (phi, _), one in zip(terms, held, strict=True)]
     small = SweepingProcess(A.N, rho * A.N if rho else None, moving(load), process.u0[unknowns])
     histories = [*(phi for phi, _ in terms), Constant(0.0)]
     alpha = Separable(list(zip(histories, np.eye(len(histories)), strict=True)))
     errors, responses = np.append(errors, 0.0), np.append(responses, 0.0)
-    return Reduction(rho, small, alpha, shapes, A, errors, responses, share)
+    return Reduction(rho, small, alpha, shapes, A, errors, responses, missed, share)
 
 
 class Held(NamedTuple):
@@ -204,11 +211,30 @@ def _follow(A: Elimination, zeta: np.ndarray) -> np.ndarray:
     return u
 
 
-def _accuracy(A: Elimination) -> float:
-    """|A v - E^T N d|_{A^-1} / |v|_A of v = A^-1 E^T N d: twice the worst of six d.
+class _Uneven:
+    """|(M - (1 + gamma rho) A) v|_{A^-1} and |(B - rho A) v|_{A^-1}, relative to the factors.
 
-    Three are given, the others are the displacements under these as forces: smooth ones, of which
-    a badly conditioned A leaves less.
+    B is a multiple of A up to rounding, and A + gamma B is rounded; what that moves grows with the
+    condition of A. The rounding of A + gamma B is that of another multiple of A.
+    """
+
+    OTHER = 4 / 3
+
+    def __init__(self, A: Elimination, B: Matrix | None, rho: float) -> None:
+        self._A = A
+        self._missed = [(1 / self.OTHER, product_error(self.OTHER, A.M))]
+        if B is not None:
+            self._missed.append((1 / rho, (B - rho * A.M) - product_error(rho, A.M)))
+
+    def __call__(self, v: np.ndarray) -> float:
+        return 2 * sum(share * self._A.dual_norm(E @ v) for share, E in self._missed)
+
+
+def _accuracy(A: Elimination, uneven: _Uneven) -> float:
+    """|A v - E^T N d|_{A^-1} / |v|_A of v = A^-1 E^T N d, and what is uneven: twice the worst.
+
+    Of six d: three are given, the others are the displacements under these as forces: smooth ones,
+    of which a badly conditioned A leaves less.
     """
     few, worst, precisely = A.unknowns, 0.0, Precise(A.N)
     m = few.size
@@ -218,7 +244,7 @@ def _accuracy(A: Elimination) -> float:
         for d in (force, A.solve(on_few)[few]):
             v, pull = _follow(A, d), np.zeros(A.dim)
             pull[few] = precisely(d)
-            missed = A.dual_norm(A.precisely(v, -pull)) + A.resolution(v)
+            missed = A.dual_norm(A.precisely(v, -pull)) + A.resolution(v) + uneven(v)
             worst = max(worst, missed / A.norm(v))
     return 2 * worst
 

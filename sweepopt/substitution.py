@@ -14,7 +14,7 @@ import numpy as np
 
 from sweepopt.linalg import Elimination, Factor, euclidean
 from sweepopt.precise import Precise
-from sweepopt.program import Velocity, rate
+from sweepopt.program import Velocity, at_rest_on, rate
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.base import Selection
 
@@ -90,6 +90,10 @@ def eliminated(M: Elimination, small: VelocityOf) -> SelectedVelocity:
         return solved._replace(velocity=velocity)
 
     def solve(q: np.ndarray, selection: Selection) -> Solved:
+        # looked at before q and C are reduced to forces on the few, whose rounding is larger
+        rest = at_rest_on(q, selection, M.diagonal)
+        if rest is not None:
+            return Solved(rest, "at rest", 0, 0)
         force = -q if selection.shift is None else selection.shift - q
         forward, pull = M.reduce(force)
         size_q, linear = euclidean(forward), -pull

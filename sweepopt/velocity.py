@@ -51,7 +51,7 @@ def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> 
     def alone(unknowns: tuple[int, ...]) -> SelectedVelocity:
         """The program of the few unknowns, where that of all of them fails."""
         body = Elimination(M.M, np.array(unknowns), order)
-        return eliminated(body, programmed(Factor(body.N), "auto", tol, None))
+        return eliminated(body, programmed(Factor(body.N), "auto", min(tol, ACCURATE), None))
 
     def solve(q: np.ndarray, C: ConvexSet) -> Solved:
         nonlocal program, formula, rungs, judge
@@ -88,7 +88,10 @@ def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> 
             if found.velocity.relative < best.velocity.relative:
                 best = found
             if best.velocity.relative <= tol:
-                return best._replace(attempts=attempt + 1)
+                break
+        if best.velocity.relative <= min(tol, ACCURATE):
+            return best._replace(attempts=attempt + 1)
+        # an answer that no polish made exact: the few unknowns alone are better conditioned
         selection = C.selection
         if selection is not None:
             few = alone(tuple(selection.unknowns))(q, selection)

@@ -18,7 +18,7 @@ from sweepopt.plan import make_plan
 from sweepopt.schemes import SCHEMES
 from sweepopt.study.hard import FAMILIES, Program
 from sweepopt.study.hard.bodies import chain, pushed
-from sweepopt.study.hard.table import rows
+from sweepopt.study.hard.table import UNKNOWN, rows
 
 RNG = np.random.default_rng(0)
 N = 60
@@ -81,6 +81,20 @@ def test_hard_families_are_met_within_their_certificates(family: str) -> None:
 @pytest.mark.parametrize("family", FAMILIES)
 def test_hard_families_are_met_for_every_seed_and_solver(family: str, seed: int) -> None:
     assert [row for row in rows([family], [seed]) if not row.good] == []
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_combinations_drawn_by_chance_are_met(seed: int) -> None:
+    found = list(rows([], [seed], solvers=["auto", "osqp", "clarabel"], combinations=4))
+    assert len({row.drawn for row in found}) == 4
+    assert [row for row in found if not row.good] == []  # all true answers are known, too
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(100, 106))
+def test_combinations_are_met_for_every_seed_and_solver(seed: int) -> None:
+    found = rows([], [seed], combinations=10)
+    assert [row for row in found if not row.good and row.answer != UNKNOWN] == []
 
 
 def test_the_exact_velocity_is_that_of_a_closed_form() -> None:
@@ -195,16 +209,21 @@ def test_the_active_set_solver_stands_alone() -> None:
 
 def test_the_command_writes_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "few.toml"
-    path.write_text('[hard]\nseeds = [3]\nfamilies = ["threshold", "empty"]\nsolvers = ["osqp"]\n')
+    path.write_text(
+        '[hard]\nseeds = [3]\nfamilies = ["threshold", "empty"]\nsolvers = ["osqp"]\n'
+        "combinations = 0\n"
+    )
     assert main(["study", str(path), "--out", str(tmp_path / "out")]) == 0
     assert "4 runs, 0 wrong" in capsys.readouterr().out
     with (tmp_path / "out" / "hard.csv").open(newline="") as file:
         table = list(csv.DictReader(file))
     assert [row["verdict"] for row in table] == ["met", "refused", "refused", "refused"]
     assert float(table[0]["error"]) <= 1e-8
-    page = (tmp_path / "out" / "hard.html").read_text()
-    assert "threshold: Each load is its friction bound" in page
-    assert "class=wrong" not in page
+    assert "36 move" in table[0]["answer"]
+    assert {row["answer"] for row in table[1:]} == {"refuse: EmptySetError"}
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Each load is its friction bound" in page
+    assert '"good":false' not in page
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parent.parent / "sweepopt"
 # a module may import from its own level (inside one package) and from levels below
 LEVELS = [
     {"errors", "files"},
-    {"archive", "checks", "csvtable", "grids", "records", "versions"},
+    {"alone", "archive", "checks", "csvtable", "grids", "records", "versions"},
     {"precise"},
     {"linalg", "loads", "secular"},
     {"sets"},

@@ -21,7 +21,9 @@ from selenium.webdriver.support.select import Select
 from study_table import NASTY, WARNED, study_table
 
 import sweepopt as so
+from sweepopt.cli import main
 from sweepopt.study import Trajectory, write_report
+from sweepopt.study.hard.table import HardRow
 
 TITLE = "What <accuracy> & certainty cost"
 T = np.linspace(0.0, 8.0, 81)
@@ -117,6 +119,10 @@ def driver(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 
 @pytest.fixture
 def browser(driver: Any, page: Path) -> Iterator[Browser]:
+    yield from watched(driver, page)
+
+
+def watched(driver: Any, page: Path) -> Iterator[Browser]:
     """The page, freshly opened; afterwards: no errors, no requests, no script of a message."""
     for kind in ("browser", "performance"):
         driver.get_log(kind)  # forget what was before
@@ -329,6 +335,7 @@ def test_a_table_that_went_through_csv_gives_the_same_cells(page: Path, tmp_path
     ("call", "words"),
     [
         (lambda path: write_report(study_table()[["problem"]], path), "table lacks the columns"),
+        (lambda path: write_report(None, path), "there are no hard cases: nothing to report"),
         (lambda path: write_report(study_table(), path / "no" / "a.html"), "does not exist"),
         (lambda path: write_report(study_table(), path.parent), "is a folder; name a file in it"),
         (lambda path: write_report(study_table(), path, trajectories=[T]), r"trajectories\[0\]"),
@@ -345,3 +352,129 @@ def test_what_cannot_be_shown_is_refused(
     with pytest.raises(so.InputError, match=words):
         call(tmp_path / "report.html")
     assert not list(tmp_path.iterdir())
+
+
+# ---- the page of hard cases -------------------------------------------------------------------
+
+RIGHT = HardRow(
+    *("threshold", 3, "full", "osqp", "", "|z| = 0, 0 of 36 move"),
+    *(2e-13, 4e-12, 0.0, "at rest", 0, 0.0021, "met"),
+)
+HARD = (
+    RIGHT,
+    RIGHT._replace(solver="clarabel", rung="clarabel", error=3e-10, attempts=4, seconds=0.5),
+    RIGHT._replace(
+        family="condition", path="eliminated", drawn="mixed units", answer="|z| = 2.5, 9 of 36 move"
+    ),
+    RIGHT._replace(
+        family="condition", error=2e-6, certificate=1e-9, verdict="certificate below the error"
+    ),
+    RIGHT._replace(family="condition", solver="clarabel", error=np.nan, rung="", verdict=NASTY),
+    HardRow(
+        *("empty", 3, "full", "osqp", "", "refuse: EmptySetError"),
+        *(np.nan, np.nan, np.nan, "", 0, np.nan, "refused"),
+    ),
+)
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("both") / "report.html"
+    return write_report(study_table(), path, trajectories=RUNS, hard=HARD, title=TITLE)
+
+
+@pytest.fixture
+def opened(driver: Any, both: Path) -> Iterator[Browser]:
+    yield from watched(driver, both)
+
+
+def hard_rows(browser: Browser) -> list[list[str]]:
+    rows = browser.all("#hard-table tbody tr")
+    return [[cell.text for cell in row.find_elements(By.TAG_NAME, "td")] for row in rows]
+
+
+def test_hard_cases_are_a_page_of_the_report(opened: Browser) -> None:
+    assert [button.text for button in opened.all("#pages button")] == [
+        "What accuracy costs",
+        "Hard cases",
+    ]
+    assert opened.one("#study").is_displayed()
+    assert not opened.one("#hard").is_displayed()
+    opened.click('[data-page="hard"]')
+    assert opened.one("#hard").is_displayed()
+    assert not opened.one("#study").is_displayed()
+    assert opened.one('[data-page="hard"]').get_attribute("aria-pressed") == "true"
+    rows = hard_rows(opened)
+    assert len(rows) == len(HARD)
+    assert rows[0][0].startswith("threshold\nEach load is its friction bound")
+    assert rows[0][1:] == [
+        *("3", "full", "osqp", "|z| = 0, 0 of 36 move", "2.0e-13", "4.0e-12", "at rest", "0"),
+        *("2.1", "✓ met"),
+    ]
+    nothing = "\N{EN DASH}"
+    refused = ["refuse: EmptySetError", nothing, nothing, "none", nothing, nothing, "✓ refused"]
+    assert rows[5][4:] == refused
+    opened.click('[data-page="study"]')
+    assert opened.marks() == list(range(49))
+    assert opened.one("#curves svg").is_displayed()
+
+
+def test_wrong_answers_are_seen_first_of_all(opened: Browser) -> None:
+    opened.click('[data-page="hard"]')
+    assert opened.one("#hard .tile.bad").text == "2\nwrong"
+    reasons = opened.one("#hard .reasons").text
+    assert reasons.startswith("certificate below the error \N{MULTIPLICATION SIGN} 1, ")
+    assert NASTY.split("<")[0] in reasons
+    assert len(opened.all("#hard tr.failed")) == 2
+    (hidden,) = opened.all(
+        "#hard tr.failed:last-of-type .badge, #hard tr.failed + tr.failed .badge"
+    )
+    assert hidden.get_property("textContent") == "✗ " + NASTY
+    assert len(opened.all("script")) == 2
+
+
+def test_hard_cases_are_filtered_and_sorted(opened: Browser) -> None:
+    opened.click('[data-page="hard"]')
+    assert opened.one("#hard-count").text == "6 of 6 runs"
+    opened.click('#hard-filters [data-filter="family:condition"]')
+    opened.click('#hard-filters [data-filter="outcome:wrong"]')
+    assert opened.one("#hard-count").text == "2 of 6 runs"
+    assert {row[0].split("\n")[0] for row in hard_rows(opened)} == {"condition"}
+    assert opened.all('#hard-filters [data-filter="solver:osqp"] small')[0].text == "1"
+    opened.click("#hard-clear")
+    opened.click('#hard-table [data-sort="error"]')
+    found = [row[5] for row in hard_rows(opened)]
+    assert found == ["2.0e-13", "2.0e-13", "3.0e-10", "2.0e-6", "\N{EN DASH}", "\N{EN DASH}"]
+    assert opened.one("#study .scroller").get_attribute("id") == "table"
+    opened.click('[data-page="study"]')
+    assert opened.one("#count").text == "49 of 49 cells"  # the other page has filters of its own
+
+
+def test_hard_cases_alone_are_a_report_with_versions(driver: Any, tmp_path: Path) -> None:
+    path = write_report(None, tmp_path / "report.html", hard=HARD, title="Hard cases")
+    for browser in watched(driver, path):
+        assert browser.one("#hard").is_displayed()
+        assert not browser.one("#study").is_displayed()
+        assert not browser.all("#pages button")
+        assert len(hard_rows(browser)) == len(HARD)
+        versions = browser.one("#versions").text.replace("\n", " ")
+        assert f"sweepopt {so.__version__}" in versions
+        assert f"numpy {np.__version__}" in versions
+        assert "cores" in browser.one("#when").text
+        assert browser.driver.execute_script("return document.documentElement.scrollWidth") <= 1000
+
+
+def test_a_study_file_with_hard_cases_writes_one_report(tmp_path: Path) -> None:
+    path = tmp_path / "both.toml"
+    path.write_text(
+        'title = "Both"\nproblems = ["S01"]\nschemes = ["midpoint"]\nsolvers = ["auto"]\n'
+        'steps = [20]\nrepeats = 1\n[hard]\nfamilies = ["threshold"]\nsolvers = ["auto"]\n'
+        'paths = ["full"]\ncombinations = 0\n'
+    )
+    assert main(["study", str(path), "--out", str(tmp_path / "out")]) == 0
+    data = data_of(tmp_path / "out" / "report.html")
+    assert data["title"] == "Both"
+    assert len(data["cells"]) == len(data["hard"]["rows"]) == 1
+    assert data["hard"]["rows"][0]["good"]
+    assert (tmp_path / "out" / "hard.csv").exists()
+    assert (tmp_path / "out" / "table.csv").exists()

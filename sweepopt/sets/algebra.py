@@ -59,6 +59,9 @@ class Translation(ConvexSet):
     def steps(self, tau: np.ndarray) -> np.ndarray:
         return self.part.steps(tau)
 
+    def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        return self.part.nearest(w - self.v, tau) + self.v
+
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         return self.part.derivative(v - self.v)
 
@@ -144,6 +147,9 @@ class Scaling(ConvexSet):
 
     def steps(self, tau: np.ndarray) -> np.ndarray:
         return self.part.steps(tau)
+
+    def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        return self.factor * self.part.nearest(w / self.factor, tau)
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         return self.part.derivative(v / self.factor)
@@ -231,6 +237,9 @@ class Negation(ConvexSet):
     def steps(self, tau: np.ndarray) -> np.ndarray:
         return self.part.steps(tau)
 
+    def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        return -self.part.nearest(-w, tau)
+
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         return self.part.derivative(-v)
 
@@ -317,6 +326,10 @@ class Product(ConvexSet):
     def steps(self, tau: np.ndarray) -> np.ndarray:
         blocks = np.split(tau, self._cuts)
         return np.concatenate([part.steps(x) for part, x in zip(self.parts, blocks, strict=True)])
+
+    def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        cut = zip(self.parts, np.split(w, self._cuts), np.split(tau, self._cuts), strict=True)
+        return np.concatenate([part.nearest(*blocks) for part, *blocks in cut])
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         blocks = np.split(v, self._cuts)

@@ -140,6 +140,10 @@ class ConvexSet(ABC):
         """
         return np.full(self.dim, float(np.mean(tau)))
 
+    def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """The point of C nearest to w in the metric of 1 / tau, or in one that is like it."""
+        return self.project(w)
+
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         """A generalised derivative of `project` at v; None where none is known.
 

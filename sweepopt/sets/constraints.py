@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sweepopt.alone import in_turn
 from sweepopt.checks import vector
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
 from sweepopt.sets.base import ConvexSet, Features
@@ -49,6 +50,7 @@ class Constraints(ConvexSet):
 
     certifiable = exact = False
 
+    @in_turn
     def __init__(self, dim: int, build: Any) -> None:
         import cvxpy as cp
 
@@ -83,6 +85,7 @@ class Constraints(ConvexSet):
         known = heights[np.isfinite(heights) & (heights > 0)]
         return np.array([known.max() if known.size else 1.0])
 
+    @in_turn
     def support(self, z: np.ndarray) -> float:
         import cvxpy as cp
 
@@ -92,6 +95,7 @@ class Constraints(ConvexSet):
         found = self._solve(cp.Maximize((z / np.abs(z).max()) @ self._w))
         return float("inf") if found is None else float(z @ found)
 
+    @in_turn
     def project(self, w: np.ndarray) -> np.ndarray:
         import cvxpy as cp
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sweepopt.alone import in_turn
 from sweepopt.errors import EmptySetError, SweepoptError
 from sweepopt.sets.base import ROUNDING, ConvexSet
 
@@ -21,6 +22,7 @@ MEMORY = 10  # steps that Anderson's acceleration looks back
 RUNAWAY = 1e3  # the longest step of it, in units of the data
 
 
+@in_turn
 def support_by_program(C: ConvexSet, z: np.ndarray) -> float:
     """sigma(C, z) from its epigraph, for sets without a closed form; infeasible means +inf."""
     import cvxpy as cp
@@ -40,6 +42,7 @@ def project_by_program(C: ConvexSet, w: np.ndarray) -> np.ndarray:
     return w - normal_by_program(C, w)[0]
 
 
+@in_turn
 def normal_by_program(C: ConvexSet, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """w - P_C(w) = argmin 1/2 |p|^2 - <w, p> + sigma(C, p), and the value of its features.
 

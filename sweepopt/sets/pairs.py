@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sweepopt.alone import in_turn
 from sweepopt.checks import vector
 from sweepopt.errors import EmptySetError
 from sweepopt.sets.base import (
@@ -223,6 +224,7 @@ class Intersection(ConvexSet):
         if not self._parts_meet():
             raise EmptySetError(f"{where} is empty: the two sets of C & D do not meet")
 
+    @in_turn
     def _parts_meet(self) -> bool:
         """Whether alternating projections find a common point, or no plane separates the parts."""
         import cvxpy as cp

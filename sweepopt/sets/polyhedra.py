@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -11,6 +11,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import matrix, number, vector
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
+from sweepopt.linalg import dense
 from sweepopt.sets.active_set import least_distance
 from sweepopt.sets.base import (
     ROUNDING,
@@ -25,6 +26,13 @@ if TYPE_CHECKING:
     import cvxpy as cp
 
 ACTIVE_DIM = 1000  # up to here the active-set projection is used, beyond a sparse QP
+
+
+class _Normal(NamedTuple):
+    """A normal of a polyhedron, and the rows that it is made of."""
+
+    normal: np.ndarray
+    active: np.ndarray
 
 
 class Polyhedron(ConvexSet):
@@ -109,19 +117,23 @@ class Polyhedron(ConvexSet):
 
     def normal(self, v: np.ndarray) -> np.ndarray:
         v = vector("v", v, self.dim)
-        exact = self._exact_normal(v)
-        return v - project_by_program(self, v) if exact is None else exact
+        exact = self._exact_normal(v, np.ones(self.dim))
+        return v - project_by_program(self, v) if exact is None else exact.normal
 
-    def _exact_normal(self, v: np.ndarray) -> np.ndarray | None:
-        """v - P(v) from the active rows; None in large dimensions and where they are not found."""
+    def _exact_normal(self, v: np.ndarray, tau: np.ndarray) -> _Normal | None:
+        """(v - w) / tau from the active rows, w the nearest point in the metric of 1 / tau.
+
+        None in large dimensions and where the rows are not found.
+        """
         slack = self.h - self.G @ v
         if (slack >= 0).all():
-            return np.zeros(self.dim)
+            return _Normal(np.zeros(self.dim), np.zeros(0, dtype=int))
         if self.dim > ACTIVE_DIM:
             return None
-        rounding = ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(v))
-        found = least_distance(self.G, slack, rounding)
-        return None if found is None else 0.0 - found.u
+        units = np.sqrt(tau)
+        G = self.G @ sp.diags_array(units) if sp.issparse(self.G) else self.G * units
+        found = least_distance(G, slack, self._rounding(v))
+        return None if found is None else _Normal(0.0 - found.u / units, found.active)
 
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
@@ -130,10 +142,32 @@ class Polyhedron(ConvexSet):
     def witness(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:
-        step = float(np.mean(tau))
-        v = w + step * p
-        normal = self._exact_normal(v)
-        return None if normal is None else Witness(normal / step, v - normal, 0.0)
+        v = w + tau * p
+        found = self._exact_normal(v, tau)
+        if found is None:
+            return None
+        # v is rounded where tau * p is large beside w: on the face of the normal w is, once more
+        inside = v - tau * found.normal
+        for near in (w, inside):
+            on_face = near if not found.active.size else self._on_face(near, found.active, tau)
+            if (self.h - self.G @ on_face >= -self._rounding(on_face)).all():
+                return Witness(found.normal, on_face, 0.0)
+        return Witness(found.normal, inside, 0.0)
+
+    def _on_face(self, w: np.ndarray, active: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """The point with equality in these rows that is nearest in the metric of 1 / tau."""
+        rows = dense(self.G[active])
+        units = np.sqrt(tau)
+        Q, R = np.linalg.qr((rows * units).T)
+        missed = scipy.linalg.solve_triangular(R, rows @ w - self.h[active], trans=1)
+        return w - units * (Q @ missed)
+
+    def _rounding(self, w: np.ndarray) -> np.ndarray:
+        return ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(w))
+
+    def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        found = self._exact_normal(w, tau)
+        return self.project(w) if found is None else w - tau * found.normal
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -201,10 +235,11 @@ class HalfSpace(Polyhedron):
             return float("inf")
         return factor * self.offset
 
-    def _exact_normal(self, v: np.ndarray) -> np.ndarray:
-        row, length = self.G[0], float(np.linalg.norm(self.G[0]))
+    def _exact_normal(self, v: np.ndarray, tau: np.ndarray) -> _Normal:
+        row = self.G[0]
+        length = float(np.linalg.norm(row * np.sqrt(tau)))
         excess = float(row @ v) - self.offset
-        return max(excess, 0.0) / length * (row / length)
+        return _Normal(max(excess, 0.0) / length * (row / length), np.flatnonzero([excess > 0]))
 
     def _distance(self, other: ConvexSet) -> float | None:
         if not (isinstance(other, HalfSpace) and same_array(self.G, other.G)):

@@ -47,8 +47,8 @@ def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
         If the name is unknown or the solver cannot treat C.
     """
     general: list[Solver] = [other for other in (OSQP(), Clarabel(), LAST) if other.treats(C)]
+    small: list[Solver] = [NEWTON] if NEWTON.treats(C) else []
     if solver == "auto":
-        small: list[Solver] = [NEWTON] if NEWTON.treats(C) else []
         fastest: list[Solver] = [FASTEST] if installed() and FASTEST.treats(C) else []
         formula: list[Solver] = [FORMULA] if FORMULA.treats(C) else []
         return (*formula, *fastest, *small, *general)
@@ -64,7 +64,7 @@ def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
             "polyhedra, Newton and DAQP small programs with simple sets, Secular a small ball; use "
             'solver="clarabel"'
         )
-    return (solver, *(other for other in general if other.name != solver.name))
+    return (solver, *(other for other in (*small, *general) if other.name != solver.name))
 
 
 def describe(C: ConvexSet) -> str:

@@ -20,7 +20,7 @@ import numpy as np
 
 from sweepopt.errors import SolverRefusedError
 from sweepopt.multigrid import Multigrid
-from sweepopt.program import Velocity, is_rounding, rate
+from sweepopt.program import Velocity, at_rest_on, rate
 from sweepopt.sets.base import ConvexSet, Selection
 
 # reduction of the residual while the contact state changes; less and less loose if that goes on
@@ -78,9 +78,10 @@ class MultigridProgram:
         """
         M, contact, part = self.M, self.contact, selection.part
         force = q if selection.shift is None else q - selection.shift
-        if _at_rest(q, selection, force):
+        rest = at_rest_on(q, selection, M.diagonal)
+        if rest is not None:
             self._last = self._before = np.zeros(M.dim)
-            return Step(Velocity(np.zeros(M.dim), 0.0, 0.0), 0, 0)
+            return Step(rest, 0, 0)
         T = part.steps(M.diagonal[contact])
         size_q = M.dual_norm_floor(force)
         z, best = 2 * self._last - self._before, Velocity(self._last, math.inf, math.inf)
@@ -157,10 +158,3 @@ class MultigridProgram:
         size_z = math.sqrt(max(float(z @ (rho - force)), 0.0))
         rho[self.contact] -= target
         return rate(z, self.M.dual_norm_bound(rho), size_z, size_q)
-
-
-def _at_rest(q: np.ndarray, selection: Selection, force: np.ndarray) -> bool:
-    """Whether q is in C, by the rule of `VelocityProgram.at_rest`."""
-    missed = force.copy()
-    missed[selection.unknowns] = selection.part.normal(force[selection.unknowns])
-    return is_rounding(missed, q, q - force)  # q - force is the translation

@@ -168,5 +168,8 @@ class Iteration:
             return dz
         rows = self.M[free]
         rows = rows - D[free] @ self.M + D[free] * T
-        dz[free] = np.linalg.solve(rows[:, free], missed[free] - rows[:, stuck] @ dz[stuck])
+        right = missed[free] - rows[:, stuck] @ dz[stuck]
+        # in units of the steps: pivots are chosen by size
+        units = np.sqrt(T[free])
+        dz[free] = np.linalg.solve(rows[:, free] / np.outer(units, units), right / units) / units
         return dz

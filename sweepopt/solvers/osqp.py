@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
+from sweepopt.alone import silence
 from sweepopt.checks import count, number
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
@@ -87,7 +86,7 @@ class OSQP:
             else:
                 engine.update(q=linear / force)
             # its polish reports an empty active set even when it is told to be quiet
-            with contextlib.redirect_stdout(io.StringIO()):
+            with silence():
                 result = engine.solve(raise_error=False)
             x = np.array(result.x, dtype=float)
             if not np.isfinite(x).all() or result.info.status_val not in (1, 2):

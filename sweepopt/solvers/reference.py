@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import warnings
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from sweepopt.alone import in_turn, silence
 from sweepopt.errors import SolverRefusedError
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
@@ -67,6 +66,7 @@ class Cvxpy:
         statement = program.statement()
         n, size = program.M.dim, program.cone.offsets.size
 
+        @in_turn
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:
             offsets = program.capped(q, C).offsets
             # forces in units of the largest one: solvers' absolute tolerances need it
@@ -74,7 +74,7 @@ class Cvxpy:
             statement.q.value = q / force
             statement.offsets.value = offsets / force if size else np.zeros(1)
             # OSQP's polish reports an empty active set even when it is told to be quiet
-            with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+            with warnings.catch_warnings(), silence():
                 warnings.filterwarnings("ignore", message="Solution may be inaccurate")
                 try:
                     statement.problem.solve(solver=name, enforce_dpp=True, **settings)

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from sweepopt.errors import InputError
 from sweepopt.library import find_study
@@ -15,41 +16,50 @@ from sweepopt.study.advice import summary
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.executors import Processes, Serial, dask_executor
 from sweepopt.study.files import read_study, read_toml
-from sweepopt.study.hard.files import hard_study
-from sweepopt.study.hard.page import hard_summary, write_hard
-from sweepopt.study.hard.table import rows as hard_rows
-from sweepopt.study.outputs import write_outputs
+from sweepopt.study.hard.files import HardStudy, hard_study
+from sweepopt.study.hard.page import hard_summary
+from sweepopt.study.hard.table import HardRow, rows
+from sweepopt.study.outputs import write_hard_outputs, write_outputs
 from sweepopt.study.sources import find_source
 from sweepopt.study.study import run
 
 
 def study_command(chosen: argparse.Namespace) -> None:
-    """Run a study, or go on with it, and write what it found."""
+    """Run a study, or go on with it, and write what it found; a table [hard] is run after it."""
     path = find_study(chosen.study)
     folder = chosen.out or Path("results") / path.stem
     data = read_toml(path)
-    if "hard" in data:
-        _hard_command(path, data["hard"], folder)
-        return
-    study = read_study(path)
-    with _executor(chosen) as executor:
-        table = run(study, folder, executor=executor, progress=_say)
-    files = write_outputs(study, table, folder)
-    print(summary(table))
+    wanted = _hard_of(path, data)
+    hard: list[HardRow] = []
+    if wanted is not None and set(data) <= {"hard", "title"}:
+        folder.mkdir(parents=True, exist_ok=True)
+        hard = _run_hard(wanted)
+        files = write_hard_outputs(hard, folder, data.get("title", ""))
+    else:
+        study = read_study(path)
+        with _executor(chosen) as executor:
+            table = run(study, folder, executor=executor, progress=_say)
+        hard = [] if wanted is None else _run_hard(wanted)
+        files = write_outputs(study, table, folder, hard)
+        print(summary(table))
+    if hard:
+        print(hard_summary(hard))
     print(f"written: {folder}: {', '.join(files)}")
 
 
-def _hard_command(path: Path, data: object, folder: Path) -> None:
-    """The table of the hard cases, in one process: it takes a minute a seed."""
+def _hard_of(path: Path, data: dict[str, Any]) -> HardStudy | None:
+    """What the table [hard] of a study file asks for, checked."""
+    if "hard" not in data:
+        return None
     try:
-        study = hard_study(data)
+        return hard_study(data["hard"])
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    folder.mkdir(parents=True, exist_ok=True)
-    found = list(hard_rows(**vars(study), progress=_say))
-    files = write_hard(found, folder)
-    print(hard_summary(found))
-    print(f"written: {folder}: {', '.join(files)}")
+
+
+def _run_hard(study: HardStudy) -> list[HardRow]:
+    """In this process, from the start: they take a minute a seed."""
+    return list(rows(**vars(study), progress=_say))
 
 
 def compare_command(chosen: argparse.Namespace) -> None:

@@ -58,16 +58,19 @@ def read_study(path: str | Path) -> Study:
         steps = [100, 1000]
         tols = [1e-6]                                   # optional
         repeats = 3                                     # optional
+        [hard]                                          # optional: hard cases, run afterwards
+        seeds = [0]
     """
     path = Path(path)
     data = read_toml(path)
     for key in data:
-        if key not in KEYS:
+        if key not in (*KEYS, "hard"):
             raise InputError(f"{path}: {key}: unknown key; there are: {', '.join(KEYS)}")
     for key, field in KEYS.items():
         if field.default is MISSING and key not in data:
             raise InputError(f"{path}: {key}: is missing")
     try:
+        data.pop("hard", None)
         study = Study(**data, folder=str(path.parent))
         study.sources()
     except InputError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,8 @@ from sweepopt.errors import SweepoptError, SweepoptWarning
 from sweepopt.solution import Solution
 from sweepopt.study.advice import advice
 from sweepopt.study.diagram import work_precision
+from sweepopt.study.hard.page import write_hard
+from sweepopt.study.hard.table import HardRow
 from sweepopt.study.measure import Cell, solution_of
 from sweepopt.study.report import Trajectory, write_report
 from sweepopt.study.study import Study
@@ -19,13 +22,15 @@ from sweepopt.study.study import Study
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-TABLE, DIAGRAM, REPORT = "table.csv", "diagram.png", "report.html"
+TABLE, DIAGRAM, REPORT, HARD = "table.csv", "diagram.png", "report.html", "hard.csv"
 SHOWN = 1e-2
 """Relative error of the trajectories in the report: their bands can be seen."""
 
 
-def write_outputs(study: Study, table: DataFrame, folder: Path) -> list[str]:
-    """Write all files of a finished study; their names.
+def write_outputs(
+    study: Study, table: DataFrame, folder: Path, hard: Sequence[HardRow] = ()
+) -> list[str]:
+    """Write all files of a finished study, with its hard cases if it has some; their names.
 
     Raises
     ------
@@ -35,8 +40,19 @@ def write_outputs(study: Study, table: DataFrame, folder: Path) -> list[str]:
     table.to_csv(folder / TABLE, index=False)
     work_precision(table).figure.savefig(folder / DIAGRAM)
     title = study.title or "What accuracy costs"
-    write_report(table, folder / REPORT, trajectories=trajectories(study, table), title=title)
-    return [TABLE, DIAGRAM, REPORT]
+    shown = trajectories(study, table)
+    write_report(table, folder / REPORT, trajectories=shown, hard=hard, title=title)
+    if not hard:
+        return [TABLE, DIAGRAM, REPORT]
+    write_hard(hard, folder / HARD)
+    return [TABLE, DIAGRAM, HARD, REPORT]
+
+
+def write_hard_outputs(hard: Sequence[HardRow], folder: Path, title: str) -> list[str]:
+    """Write the files of hard cases alone; their names."""
+    write_hard(hard, folder / HARD)
+    write_report(None, folder / REPORT, hard=hard, title=title or "Hard cases")
+    return [HARD, REPORT]
 
 
 def trajectories(study: Study, table: DataFrame) -> list[Trajectory]:

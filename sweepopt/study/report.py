@@ -11,6 +11,7 @@ import hashlib
 import html
 import json
 import os
+import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -26,11 +27,18 @@ from sweepopt.checks import count, vector
 from sweepopt.errors import InputError, Status
 from sweepopt.files import replacing
 from sweepopt.study.cells import ACCURACIES, COSTS, VERSIONS, distinct, read_cells
+from sweepopt.study.hard.page import hard_page
+from sweepopt.study.rows import processor, versions
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-SCRIPTS = ("helpers.js", "table.js", "diagram.js", "trajectory.js", "main.js")
+    from sweepopt.study.hard.table import HardRow
+
+SCRIPTS = tuple(
+    f"{name}.js"
+    for name in ("helpers", "filters", "table", "diagram", "trajectory", "hard", "main")
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,24 +93,27 @@ class Trajectory:
 
 
 def write_report(
-    table: DataFrame,
+    table: DataFrame | None,
     path: str | os.PathLike[str],
     *,
     trajectories: Sequence[Trajectory] = (),
+    hard: Sequence[HardRow] = (),
     title: str = "Accuracy and what it costs",
 ) -> Path:
     """Write a study as one HTML file; nothing is fetched when it is opened.
 
     Parameters
     ----------
-    table : pandas DataFrame
-        Of a study, one row a cell.
+    table : pandas DataFrame or None
+        Of a study, one row a cell; None if there are hard cases only.
     path : path
         The file to write; one that is there is replaced.
     trajectories : sequence of Trajectory
         Drawn below the table; those of one problem and component share a picture.
+    hard : sequence of HardRow
+        Runs of hard cases of this session, a page of their own.
     title : str
-        The page's heading.
+        The report's heading.
 
     Returns
     -------
@@ -126,7 +137,9 @@ def write_report(
     ...     "<title>One cell</title>" in path.read_text(encoding="utf-8")
     True
     """
-    cells = read_cells(table)
+    if table is None and not hard:
+        raise InputError("table is None and there are no hard cases: nothing to report")
+    cells = [] if table is None else read_cells(table)
     for k, trajectory in enumerate(trajectories):
         if not isinstance(trajectory, Trajectory):
             raise InputError(
@@ -140,17 +153,25 @@ def write_report(
     data = {
         "title": title,
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        "machines": distinct(cells, "machine"),
-        "versions": {name: distinct(cells, name) for name in VERSIONS},
+        "machines": _seen(distinct(cells, "machine"), f"{processor()}, {platform.system()}", hard),
+        "versions": {
+            name: _seen(distinct(cells, name), versions()[name], hard) for name in VERSIONS
+        },
         "costs": COSTS,
         "accuracies": ACCURACIES,
         "usual": Status.SUCCESS.value,  # the one message that need not be shown
         "cells": cells,
         "trajectories": [vars(trajectory) for trajectory in trajectories],
+        "hard": hard_page(hard) if hard else None,
     }
     with replacing(target) as part:
         part.write_text(_page(title, data), encoding="utf-8")
     return target
+
+
+def _seen(of_cells: list[Any], here: str, hard: Sequence[HardRow]) -> list[Any]:
+    """With those of this process, where hard cases were run in it."""
+    return list(dict.fromkeys([*of_cells, here])) if hard else of_cells
 
 
 def _page(title: str, data: dict[str, Any]) -> str:

@@ -26,12 +26,15 @@ class Hard:
         Makes it: a refusal counts as an answer.
     refused : type or None
         The error that is the right answer.
+    drawn : str
+        What is hard about a case that was drawn by chance.
     """
 
     process: Callable[[], SweepingProcess]
     t_end: float = 1.0
     steps: int = 1
     refused: type[SweepoptError] | None = None
+    drawn: str = ""
 
 
 Family = Callable[[Random], Hard]

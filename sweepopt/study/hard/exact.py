@@ -20,6 +20,7 @@ from sweepopt.sets.algebra import Translation
 
 DIGITS = 60
 TURNS = 2000  # changes of the active set
+NEWTON = 15  # steps of Newton's method from one start
 NOISE = 1e-45  # relative: below is rounding of 60 digits
 
 
@@ -28,14 +29,15 @@ class Exact(NamedTuple):
 
     Attributes
     ----------
-    size : float
-        max(|z|_M, |M^-1 q|_M), q the full linear term.
+    length, size : float
+        |z|_M, and max(|z|_M, |M^-1 q|_M), q the full linear term.
     forces : float
         |M^-1 q|_M + |M^-1 c|_M of C = c + S, which cancel in the full linear term: rounding of
         the two is rounding of the data.
     """
 
     z: np.ndarray
+    length: float
     size: float
     forces: float
 
@@ -84,8 +86,8 @@ class Program:
         def dual(w: np.ndarray) -> float:
             return _root(condensed.solve(w) @ w)
 
-        size = max(_root(z @ self.M @ z), dual(force))
-        return Exact(z, size, dual(_exactly(q)) + dual(_exactly(shift)))
+        length = _root(z @ self.M @ z)
+        return Exact(z, length, max(length, dual(force)), dual(_exactly(q)) + dual(_exactly(shift)))
 
     def error(self, z: np.ndarray, exact: Exact) -> float:
         """|z - z*|_M."""
@@ -186,38 +188,89 @@ def _in_polyhedron(
     raise SweepoptError("the exact active set was not found")
 
 
+class _Balls(NamedTuple):
+    """min 1/2 <N z, z> + <force, z> + sum r_k |z_k| over blocks z_k, `places` of z."""
+
+    N: np.ndarray
+    force: np.ndarray
+    radii: np.ndarray
+    places: list[slice]
+
+    def newton(self, z: np.ndarray) -> np.ndarray | None:
+        """Semismooth steps on w = P_C(w - T z), one T for each ball; None if they go round."""
+        N, unit = self.N, _exactly(np.eye(self.places[0].stop))
+        for _ in range(NEWTON):
+            w, dz = N @ z + self.force, -z
+            size = abs(N) @ abs(z) + abs(self.force)
+            J, missed, free, off = N.copy(), w * 0, np.zeros(len(z), dtype=bool), 0
+            for at, r in zip(self.places, self.radii, strict=True):
+                T = N[at, at].trace()
+                v = w[at] - T * z[at]
+                length = _sqrt(v @ v)
+                if length > r * (1 + NOISE):
+                    # of w - P(v), with I - P' divided out: what is left is symmetric
+                    across = r / (length - r) * (unit - np.outer(v, v) / length**2)
+                    missed[at] = w[at] - r / length * v
+                    free[at] = True
+                    off += int((abs(missed[at]) > NOISE * size[at]).any())
+                    missed[at] += across @ missed[at]
+                    J[at, at] += T * across
+                else:
+                    off += int(z[at].any())
+            if not off:
+                return z
+            right = -missed[free] - N[np.ix_(free, ~free)] @ dz[~free]
+            dz[free] = _solve(J[np.ix_(free, free)], right)
+            z = z + dz
+        return None
+
+    def rounded(self, z: np.ndarray, share: Any) -> np.ndarray:
+        """The minimiser with r sqrt(|z_k|^2 + e_k^2) for r |z_k|, by Newton's method with a search.
+
+        e_k is a share of the velocity that the forces on the ball alone would cause.
+        """
+        e = [share * (r + _sqrt(self.force[at] @ self.force[at])) / self.N[at, at].trace()
+             for at, r in zip(self.places, self.radii, strict=True)]  # fmt: skip
+
+        def value(z: np.ndarray) -> Any:
+            roots = [_sqrt(z[at] @ z[at] + ek**2) for at, ek in zip(self.places, e, strict=True)]
+            return z @ (self.N @ z) / 2 + self.force @ z + self.radii @ np.array(roots)
+
+        now = value(z)
+        for _ in range(50):
+            slope, bend = self.N @ z + self.force, self.N.copy()
+            for at, r, ek in zip(self.places, self.radii, e, strict=True):
+                root = _sqrt(z[at] @ z[at] + ek**2)
+                slope[at] += r / root * z[at]
+                unit = _exactly(np.eye(len(z[at])))
+                bend[at, at] += r / root * (unit - np.outer(z[at], z[at]) / root**2)
+            dz = -_solve(bend, slope)
+            gain, length = -(slope @ dz), 1.0
+            while (following := value(z + length * dz)) > now - 0.1 * length * gain:
+                length /= 2
+                if length < 1e-12:
+                    return z
+            z, now = z + length * dz, following
+            if gain <= NOISE * abs(now):
+                break
+        return z
+
+
 def _in_balls(N: np.ndarray, q: np.ndarray, C: Ball | Balls, near: np.ndarray) -> np.ndarray:
-    """Newton's method on w_k + r_k z_k / |z_k| = 0 where |w_k - T_k z_k| > r_k, else z_k = 0."""
-    center, radii, block = (
-        (C.center, np.array([C.radius]), C.dim)
-        if isinstance(C, Ball)
-        else (np.zeros(C.dim), C.radii, C.block)
-    )
-    force, radii, z = q - _exactly(center), _exactly(radii), _exactly(near)
-    unit = _exactly(np.eye(block))
+    """Newton's method; where it goes round, from minimisers that come closer and closer."""
+    if isinstance(C, Ball):
+        center, radii, block = C.center, np.array([C.radius]), C.dim
+    else:
+        center, radii, block = np.zeros(C.dim), C.radii, C.block
     places = [slice(k * block, (k + 1) * block) for k in range(len(radii))]
-    for _ in range(TURNS):
-        w = N @ z + force
-        missed, J = w.copy(), N.copy()
-        free: list[int] = []
-        for at, r in zip(places, radii, strict=True):
-            T = N[at, at].trace()
-            v = w[at] - T * z[at]
-            size = _sqrt(v @ v)
-            if size <= r * (1 + NOISE):
-                z[at] = z[at] * 0
-                continue
-            if not z[at].any():
-                z[at] = -(1 - r / size) / T * v
-            length = _sqrt(z[at] @ z[at])
-            n = z[at] / length
-            missed[at] = w[at] + r * n
-            J[at, at] += r / length * (unit - np.outer(n, n))
-            free += range(at.start, at.stop)
-        missed = (N @ z + force) + (missed - w)
-        if abs(missed[free]).max(initial=0) <= 1e-40 * abs(q).max():
-            return z
-        z[free] -= _solve(J[np.ix_(free, free)], missed[free])
+    balls = _Balls(N, q - _exactly(center), _exactly(radii), places)
+    z = _exactly(near)
+    found = balls.newton(z)
+    for digits in range(1, 40):
+        if found is not None:
+            return found
+        z = balls.rounded(z, _exactly(10.0**-digits).item())
+        found = balls.newton(z)
     raise SweepoptError("the exact active set was not found")
 
 

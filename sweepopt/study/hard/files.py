@@ -10,6 +10,7 @@ from sweepopt.errors import InputError
 from sweepopt.study.hard import FAMILIES
 from sweepopt.study.hard.table import PATHS, SOLVERS
 
+KEYS = ("seeds", "families", "solvers", "paths", "combinations")
 NAMES = {"families": tuple(FAMILIES), "solvers": tuple(SOLVERS), "paths": PATHS}
 
 
@@ -22,6 +23,8 @@ class HardStudy:
     seeds : sequence of int
         Whole numbers >= 0; each makes every family anew.
     families, solvers, paths : sequence of str
+    combinations : int
+        How many cases are drawn by chance for each seed.
 
     Raises
     ------
@@ -38,6 +41,7 @@ class HardStudy:
     families: Sequence[str] = NAMES["families"]
     solvers: Sequence[str] = NAMES["solvers"]
     paths: Sequence[str] = NAMES["paths"]
+    combinations: int = 8
 
     def __post_init__(self) -> None:
         for key in ("seeds", *NAMES):
@@ -46,6 +50,9 @@ class HardStudy:
         for i, seed in enumerate(self.seeds):
             if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
                 raise InputError(f"seeds[{i}] must be a whole number >= 0, got {seed!r:.60}")
+        drawn = self.combinations
+        if isinstance(drawn, bool) or not isinstance(drawn, int) or drawn < 0:
+            raise InputError(f"combinations must be a whole number >= 0, got {drawn!r:.60}")
         for key, known in NAMES.items():
             for i, name in enumerate(getattr(self, key)):
                 if name not in known:
@@ -64,8 +71,8 @@ def hard_study(data: Any) -> HardStudy:
     if not isinstance(data, dict):
         raise InputError(f"hard must be a table, got {data!r:.60}")
     for key in data:
-        if key not in ("seeds", *NAMES):
-            raise InputError(f"hard.{key}: unknown key; there are: {', '.join(('seeds', *NAMES))}")
+        if key not in KEYS:
+            raise InputError(f"hard.{key}: unknown key; there are: {', '.join(KEYS)}")
     try:
         return HardStudy(**data)
     except InputError as error:

@@ -1,35 +1,36 @@
-"""The hard cases as files: a table to read, one to compute with."""
+"""The hard cases as a table to compute with, a page of the report, and lines to read."""
 
 from __future__ import annotations
 
 import csv
-import html
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-import sweepopt
-from sweepopt.store import replacing
+from sweepopt.files import replacing
 from sweepopt.study.hard import FAMILIES
 from sweepopt.study.hard.table import TARGET, HardRow
 
-TABLE, PAGE = "hard.csv", "hard.html"
-STYLE = """
-body { font: 14px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 75rem; padding: 0 1rem }
-table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums }
-th, td { border-bottom: 1px solid #ddd; padding: .2rem .6rem; text-align: left }
-thead th { position: sticky; top: 0; background: #fff } .wrong { background: #fdd }
-tbody th { padding-top: 1rem }
-"""
-COLUMNS = ("seed", "path", "solver", "true error", "certificate", "found by", "attempts", "ms", "")
 
-
-def write_hard(rows: Sequence[HardRow], folder: Path) -> list[str]:
-    """Write the table as CSV and as a page without scripts; their names."""
-    with replacing(folder / TABLE) as part, part.open("w", newline="", encoding="utf-8") as file:
+def write_hard(rows: Sequence[HardRow], path: Path) -> None:
+    """Write the table as CSV."""
+    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([HardRow._fields, *rows])
-    with replacing(folder / PAGE) as part:
-        part.write_text(_page(rows), encoding="utf-8")
-    return [TABLE, PAGE]
+
+
+def hard_page(rows: Sequence[HardRow]) -> dict[str, Any]:
+    """What the report's page of hard cases is drawn from."""
+    return {
+        "target": TARGET,
+        "about": {name: FAMILIES[name].__doc__ for name in _families(rows) if name in FAMILIES},
+        "rows": [_entry(row) for row in rows],
+    }
+
+
+def _entry(row: HardRow) -> dict[str, Any]:
+    """What was not measured is None, not 0."""
+    entry = row._asdict() | {"good": row.good, "milliseconds": 1e3 * row.seconds}
+    return entry | ({} if row.rung else {"rung": "none", "attempts": None})
 
 
 def hard_summary(rows: Sequence[HardRow]) -> str:
@@ -52,39 +53,3 @@ def _families(rows: Sequence[HardRow]) -> dict[str, list[HardRow]]:
     for row in rows:
         found.setdefault(row.family, []).append(row)
     return found
-
-
-def _page(rows: Sequence[HardRow]) -> str:
-    body = []
-    for name, mine in _families(rows).items():
-        title = html.escape(f"{name}: {FAMILIES[name].__doc__}")
-        body.append(f'<tr><th colspan="{len(COLUMNS)}">{title}</th></tr>')
-        body += [_row(row) for row in mine]
-    head = "".join(f"<th>{name}</th>" for name in COLUMNS)
-    wrong = sum(not row.good for row in rows)
-    return (
-        '<!doctype html><html lang="en"><meta charset="utf-8">'
-        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
-        "style-src 'unsafe-inline'\">"
-        f"<title>Hard cases</title><style>{STYLE}</style><h1>Hard cases</h1>"
-        f"<p>{len(rows)} runs, {wrong} wrong; sweepopt {sweepopt.__version__}. Errors are "
-        "|z - z*|_M / max(|z*|_M, |M<sup>-1</sup> q|_M) of the worst step, z* in 60 digits; right "
-        f"is at most {TARGET:g} with a certificate that is not below it, or the right refusal.</p>"
-        f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table></html>\n"
-    )
-
-
-def _row(row: HardRow) -> str:
-    cells = (
-        row.seed,
-        row.path,
-        row.solver,
-        f"{row.error:.1e}" if row.rung else "",
-        f"{row.certificate:.1e}" if row.rung else "",
-        row.rung,
-        row.attempts or "",
-        f"{1e3 * row.seconds:.3g}" if row.rung else "",
-        row.verdict,
-    )
-    shown = "".join(f"<td>{html.escape(str(cell))}</td>" for cell in cells)
-    return f"<tr{'' if row.good else ' class=wrong'}>{shown}</tr>"

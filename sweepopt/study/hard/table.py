@@ -18,12 +18,15 @@ from sweepopt.solution import Solution
 from sweepopt.solvers import Cvxpy
 from sweepopt.study.hard import FAMILIES
 from sweepopt.study.hard.bodies import Hard
+from sweepopt.study.hard.combinations import combination
 from sweepopt.study.hard.exact import Exact, Program
 
 TARGET = 1e-8
 """True error, relative to max(|z*|_M, |M^-1 q|_M), that every step has to meet."""
 SLACK = 16 * float(np.finfo(float).eps)
 """What a certificate may miss, relative to the forces: rounding of q and of C(t) themselves."""
+UNKNOWN = "not known"
+"""The answer of a case that 60 digits did not solve: nothing is said of the solvers then."""
 PATHS = ("full", "eliminated", "proportional")
 SOLVERS: dict[str, Any] = {
     "auto": "auto",
@@ -41,6 +44,10 @@ class HardRow(NamedTuple):
 
     Attributes
     ----------
+    drawn : str
+        What is hard about a combination.
+    answer : str
+        The true one: of the last step, or the error that is right.
     error, certificate : float
         True and stated |z - z*|_M, relative to max(|z*|_M, |M^-1 q|_M).
     excess : float
@@ -57,6 +64,8 @@ class HardRow(NamedTuple):
     seed: int
     path: str
     solver: str
+    drawn: str
+    answer: str
     error: float
     certificate: float
     excess: float
@@ -100,6 +109,7 @@ def rows(
     *,
     solvers: Iterable[str] = SOLVERS,
     paths: Iterable[str] = PATHS,
+    combinations: int = 0,
     progress: Callable[[str], None] = lambda words: None,
 ) -> Iterator[HardRow]:
     """Run the cases.
@@ -112,8 +122,10 @@ def rows(
     solvers : iterable of str
         Names in SOLVERS; those that cannot treat a case leave no row.
     paths : iterable of str
+    combinations : int
+        How many cases are drawn by chance for each seed.
     progress : callable
-        Told each family.
+        Told each case.
 
     Yields
     ------
@@ -126,19 +138,37 @@ def rows(
     ('met', True)
     """
     seeds, solvers, paths = list(seeds), list(solvers), list(paths)
+    for case in _cases(families, seeds, combinations):
+        progress(f"{case.name}, seed {case.seed}")
+        try:
+            process, judge = case.hard.process(), None
+        except SweepoptError as error:
+            yield _row(case, "", "", f"{type(error).__name__}: {error}", None)
+            continue
+        for path in paths:
+            for solver in solvers:
+                found = _run(case.hard, process, path, SOLVERS[solver])
+                if found is None:
+                    continue
+                if isinstance(found, _Run) and judge is None:
+                    judge = Judge(process, case.hard.t_end / case.hard.steps)
+                yield _row(case, path, solver, found, judge)
+
+
+class _Case(NamedTuple):
+    name: str
+    seed: int
+    hard: Hard
+
+
+def _cases(families: Iterable[str], seeds: list[int], combinations: int) -> Iterator[_Case]:
     for name in families:
-        progress(name)
         for seed in seeds:
-            hard = FAMILIES[name](np.random.default_rng(seed))
-            process, judge = hard.process(), None
-            for path in paths:
-                for solver in solvers:
-                    found = _run(hard, process, path, SOLVERS[solver])
-                    if found is None:
-                        continue
-                    if isinstance(found, _Run) and judge is None:
-                        judge = Judge(process, hard.t_end / hard.steps)
-                    yield _row(name, seed, path, solver, hard, found, judge)
+            yield _Case(name, seed, FAMILIES[name](np.random.default_rng(seed)))
+    for seed in seeds:
+        for k in range(combinations):
+            random = np.random.default_rng([seed, k])
+            yield _Case(f"combination {k}", seed, combination(random))
 
 
 class _Run(NamedTuple):
@@ -176,38 +206,47 @@ def _run(hard: Hard, process: SweepingProcess, path: str, solver: Any) -> _Run |
     return _Run(solution, steps, time.perf_counter() - started)
 
 
-def _row(
-    name: str,
-    seed: int,
-    path: str,
-    solver: str,
-    hard: Hard,
-    found: _Run | str,
-    judge: Judge | None,
-) -> HardRow:
-    nan = float("nan")
+def _row(case: _Case, path: str, solver: str, found: _Run | str, judge: Judge | None) -> HardRow:
+    hard, nan = case.hard, float("nan")
+    which = case.name, case.seed, path, solver, hard.drawn
     if isinstance(found, str) or judge is None:
-        verdict = str(found) or "refused"
-        return HardRow(name, seed, path, solver, nan, nan, nan, "", 0, nan, verdict)
-    solution, steps, seconds = found
-    process, u = solution.process, solution.process.u0
-    error = certificate = excess = 0.0
-    for step in steps:
-        # the time as a step makes it: a load may change within a rounding unit of t
-        t = float(solution.t[step.step]) + hard.t_end / hard.steps
-        exact = judge.of(process.times_B(u), t, step.velocity)
-        missed, size = judge.error(step.velocity, exact), exact.size or 1.0
-        error, certificate = max(error, missed / size), max(certificate, step.certificate / size)
-        excess = max(excess, (missed - step.certificate) / (exact.forces or 1.0))
-        u = step.u
+        answer = "" if hard.refused is None else f"refuse: {hard.refused.__name__}"
+        return HardRow(*which, answer, nan, nan, nan, "", 0, nan, str(found) or "refused")
+    try:
+        judged = _judged(hard, found, judge)
+    except SweepoptError as error:
+        return HardRow(*which, UNKNOWN, nan, nan, nan, "", 0, found.seconds, str(error))
     verdict = "met"
     if hard.refused is not None:
         verdict = f"not refused: {hard.refused.__name__} is right"
-    elif error > TARGET:
+    elif judged.error > TARGET:
         verdict = f"error above {TARGET:g}"
-    elif excess > SLACK:
+    elif judged.excess > SLACK:
         verdict = "certificate below the error"
-    attempts, rung = int(solution.stats["attempts"].max()), str(solution.stats["solver"][-1])
-    return HardRow(
-        name, seed, path, solver, error, certificate, excess, rung, attempts, seconds, verdict
-    )
+    stats = found.solution.stats
+    found_by = str(stats["solver"][-1]), int(stats["attempts"].max())
+    return HardRow(*which, *judged, *found_by, found.seconds, verdict)
+
+
+class _Judged(NamedTuple):
+    answer: str
+    error: float
+    certificate: float
+    excess: float
+
+
+def _judged(hard: Hard, run: _Run, judge: Judge) -> _Judged:
+    """The last answer in words, and the worst of all steps."""
+    process, t = run.solution.process, run.solution.t
+    error = certificate = excess = 0.0
+    answer, u = "", process.u0
+    for step in run.steps:
+        # the time as a step makes it: a load may change within a rounding unit of t
+        at = float(t[step.step]) + hard.t_end / hard.steps
+        exact = judge.of(process.times_B(u), at, step.velocity)
+        missed, size = judge.error(step.velocity, exact), exact.size or 1.0
+        error, certificate = max(error, missed / size), max(certificate, step.certificate / size)
+        excess = max(excess, (missed - step.certificate) / (exact.forces or 1.0))
+        answer = f"|z| = {exact.length:.3g}, {np.count_nonzero(exact.z)} of {process.dim} move"
+        u = step.u
+    return _Judged(answer, error, certificate, excess)

@@ -15,6 +15,7 @@ const el = (tag, attributes = {}, ...children) => fill(document.createElement(ta
 const svg = (tag, attributes = {}, ...children) => fill(document.createElementNS(SVG, tag), attributes, children);
 const byId = (id) => document.getElementById(id);
 const distinct = (values) => [...new Set(values)];
+const flip = (set, value) => (set.has(value) ? set.delete(value) : set.add(value));
 
 // null is unknown, the word "inf" is infinity: JSON has neither
 function number(value) {

@@ -1,4 +1,4 @@
-// State, filters and what follows from them.
+// The pages, the state of the first one and what follows from it.
 
 const DATA = JSON.parse(byId("data").textContent);
 DATA.cells.forEach((cell, k) => {
@@ -7,18 +7,10 @@ DATA.cells.forEach((cell, k) => {
 });
 const schemes = distinct([...DATA.cells, ...DATA.trajectories].map((item) => item.scheme));
 const solvers = distinct(DATA.cells.map((cell) => cell.solver));
-const FILTERS = ["problem", "scheme", "solver", "outcome"];
-const state = {
-  picked: Object.fromEntries(FILTERS.map((name) => [name, new Set()])), // none picked: all shown
-  hidden: new Set(),
-  sort: { column: "", down: false },
-  x: "wall",
-  y: "error",
-  withBounds: true,
-};
-
-const passes = (cell, names = FILTERS) => names.every((name) => !state.picked[name].size || state.picked[name].has(cell[name]));
-const flip = (set, value) => (set.has(value) ? set.delete(value) : set.add(value));
+const state = { hidden: new Set(), sort: { column: "", down: false }, x: "wall", y: "error", withBounds: true };
+const chosen = filters(byId("filters"), DATA.cells, [
+  { name: "problem" }, { name: "scheme" }, { name: "solver" }, { name: "outcome", title: "status", values: ["succeeded", "failed"] },
+], { noun: "cells", redraw: draw });
 
 function onResize(place, draw) {
   let width = place.clientWidth;
@@ -38,50 +30,8 @@ function drawHeader() {
 }
 
 function drawSummary() {
-  const failed = DATA.cells.filter((cell) => !cell.success);
-  const tile = (value, name, kind) => el("div", { class: `tile ${kind}` }, el("strong", {}, whole(value)), el("span", {}, name));
-  const reasons = [...Map.groupBy(failed, (cell) => cell.status)].map(([status, cells]) => `${status} × ${cells.length}`);
-  byId("summary").append(
-    tile(distinct(DATA.cells.map((cell) => cell.problem)).length, "problems", ""),
-    tile(DATA.cells.length, "cells", ""),
-    tile(DATA.cells.length - failed.length, "succeeded", "good"),
-    tile(failed.length, "failed", failed.length ? "bad" : ""),
-    ...(failed.length ? [el("p", { class: "reasons" }, reasons.join(", "))] : []));
-}
-
-function drawFilters() {
-  const focused = document.activeElement?.dataset.filter;
-  const groups = FILTERS.map((name) => {
-    const others = FILTERS.filter((other) => other !== name);
-    const values = name === "outcome" ? ["succeeded", "failed"] : distinct(DATA.cells.map((cell) => cell[name]));
-    return el("fieldset", {}, el("legend", {}, name === "outcome" ? "status" : name), values.map((value) => {
-      const found = DATA.cells.filter((cell) => cell[name] === value && passes(cell, others)).length;
-      return el("button", {
-        type: "button",
-        class: "chip",
-        "data-filter": `${name}:${value}`,
-        "aria-pressed": String(state.picked[name].has(value)),
-        onclick: () => {
-          flip(state.picked[name], value);
-          draw();
-        },
-      }, value, " ", el("small", {}, String(found)));
-    }));
-  });
-  const found = DATA.cells.filter((cell) => passes(cell)).length;
-  const clear = el("button", {
-    type: "button",
-    id: "clear",
-    "data-filter": "clear",
-    disabled: FILTERS.every((name) => !state.picked[name].size),
-    onclick: () => {
-      FILTERS.forEach((name) => state.picked[name].clear());
-      draw();
-    },
-  }, "Show all");
-  byId("filters").replaceChildren(...groups, el("p", { class: "count" },
-    el("span", { id: "count", role: "status" }, `${whole(found)} of ${whole(DATA.cells.length)} cells`), clear));
-  if (focused) byId("filters").querySelector(`[data-filter="${CSS.escape(focused)}"]`)?.focus();
+  const counts = [["problems", distinct(DATA.cells.map((cell) => cell.problem)).length], ["cells", DATA.cells.length]];
+  drawTiles(byId("summary"), counts, "succeeded", "failed", DATA.cells.filter((cell) => !cell.success), (cell) => cell.status);
 }
 
 function drawControls() {
@@ -119,23 +69,41 @@ function drawLegend(cells) {
   if (focused) byId("legend").querySelector(`[data-series="${CSS.escape(focused)}"]`)?.focus();
 }
 
-function sortBy(column) {
-  state.sort = { column, down: state.sort.column === column && !state.sort.down };
-  draw();
-  byId("table").querySelector(`[data-sort="${column}"]`).focus();
-}
-
 function draw() {
-  const cells = DATA.cells.filter((cell) => passes(cell));
-  drawFilters();
+  const cells = chosen.passing();
+  chosen.draw();
   drawLegend(cells);
   drawDiagram(cells.filter((cell) => !state.hidden.has(seriesOf(cell))), state);
-  drawTable(cells, state.sort, sortBy);
+  drawTable(byId("table"), COLUMNS, cells, state.sort, draw, drawRow);
+}
+
+function drawStudy() {
+  drawSummary();
+  drawControls();
+  draw();
+  drawTrajectories();
+  onResize(byId("diagram"), draw);
+}
+
+// a page is drawn when it is first seen: pictures need its width
+function openPages(pages) {
+  const open = (chosen) => {
+    for (const page of pages) {
+      byId(page.id).hidden = page !== chosen;
+      page.button.setAttribute("aria-pressed", String(page === chosen));
+    }
+    chosen.draw?.();
+    chosen.draw = null;
+  };
+  for (const page of pages) {
+    page.button = el("button", { type: "button", class: "chip", "data-page": page.id, onclick: () => open(page) }, page.title);
+  }
+  if (pages.length > 1) byId("pages").append(...pages.map((page) => page.button));
+  open(pages[0]);
 }
 
 drawHeader();
-drawSummary();
-drawControls();
-draw();
-drawTrajectories();
-onResize(byId("diagram"), draw);
+openPages([
+  ...(DATA.cells.length ? [{ id: "study", title: "What accuracy costs", draw: drawStudy }] : []),
+  ...(DATA.hard ? [{ id: "hard", title: "Hard cases", draw: hardPage(DATA.hard) }] : []),
+]);

@@ -1,0 +1,232 @@
+"""Hard cases drawn by chance: a matrix, units, a set, a load and a history, each easy or hard.
+
+What makes a program hard was listed one by one; solvers fail where two or three of it meet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from sweepopt.loads import Separable
+from sweepopt.process import SweepingProcess
+from sweepopt.sets import Balls, Box, ConvexSet, HalfSpace, Orthant, Polyhedron
+from sweepopt.study.hard.bodies import Hard, N, Random, chain, moved, rod, slivers, some, spectral
+
+Chosen = TypeVar("Chosen")
+STEPS = 4  # of a run
+
+
+class Shape(NamedTuple):
+    """A set on few unknowns: `scaled(units)` is it in other units; `edge` a force on its edge."""
+
+    scaled: Callable[[np.ndarray], ConvexSet]
+    edge: np.ndarray | None
+    block: int = 1  # so many unknowns in a row have one unit
+
+
+def combination(random: Random) -> Hard:
+    """Any matrix, units, set, load and history of those that are hard."""
+    body, M = _any(random, BODIES)
+    kind, make = _any(random, SHAPES)
+    load, push = _any(random, LOADS)
+    unit, measure = _any(random, UNITS)
+    past, follow = _any(random, HISTORIES)
+    A = M(random)
+    few, shape = make(random)
+    units, force = measure(random, few, shape.block)
+    f = push(random, few, shape.edge)
+    start, B = follow(random, A)
+    again = _repeated(random, few) if shape.block == 1 and random.uniform() < 0.2 else None
+    part = shape.scaled(force * units[few])
+    where = few
+    if again is not None and isinstance(part, Box):
+        where, part = np.concatenate([few, few[again]]), _added(part, again)
+    measured = force * np.outer(units, units)
+    A, B = measured * start, None if B is None else measured * B
+    steps = 1 if past == "one step" else STEPS
+    center: Any = force * units * f
+    if steps > 1:
+        # what is at the threshold comes there and stays
+        rise = np.sin if load in EASY else lambda t: np.minimum(t, 1.0)
+        center = Separable([(rise, center)])
+    C = moved(part, center, where)
+    words = [body, kind, load, unit, past, "contacts named again" if len(where) > len(few) else ""]
+    return Hard(
+        lambda: SweepingProcess(A, B, C, np.zeros(N)),
+        float(steps),
+        steps,
+        drawn=", ".join(word for word in words if word not in ("", *EASY)),
+    )
+
+
+def _any(random: Random, options: Mapping[str, Chosen]) -> tuple[str, Chosen]:
+    return list(options.items())[random.integers(len(options))]
+
+
+# ---- matrices ---------------------------------------------------------------------------------
+
+
+def _nearly_singular(random: Random) -> np.ndarray:
+    M = chain(random)
+    return M - (np.linalg.eigvalsh(M)[0] - 1e-8) * np.eye(N)
+
+
+BODIES: dict[str, Callable[[Random], np.ndarray]] = {
+    "a chain": chain,
+    "cond 1e12": lambda random: spectral(random, np.logspace(-12, 0, N)),
+    "cond 1e7": lambda random: spectral(random, np.logspace(-7, 0, N)),
+    "beta 1e-8": _nearly_singular,
+    "cells 1 to 1e-6": lambda random: rod(1 / random.permutation(np.logspace(-6, 0, N + 1))),
+    "jumps of 1e8": lambda random: rod(random.choice([1.0, 1e8], N + 1)),
+    "slivers": slivers,
+}
+
+# ---- sets -------------------------------------------------------------------------------------
+
+
+def _box(random: Random, g: np.ndarray) -> tuple[np.ndarray, Shape]:
+    def scaled(units: np.ndarray) -> Box:
+        return Box(-units * g, units * g)
+
+    edge = np.where(np.isfinite(g), g, 1.0) * random.choice([-1.0, 1.0], g.size)
+    return some(random, g.size), Shape(scaled, edge)
+
+
+def _mixed(random: Random, count: int, low: float, high: float) -> np.ndarray:
+    g = 10 ** random.uniform(low, high, count)
+    return random.permutation(np.concatenate([[0.0, np.inf, 1e12, 1e-12], g[4:]]))
+
+
+def _discs(random: Random, radii: np.ndarray) -> tuple[np.ndarray, Shape]:
+    few, angle = random.permutation(N)[: 2 * radii.size], random.uniform(0, 6, radii.size)
+    edge = (radii * np.array([np.cos(angle), np.sin(angle)])).T.ravel()
+    return few, Shape(lambda units: Balls(units[::2] * radii, 2), edge, 2)
+
+
+def _rows(random: Random, G: np.ndarray) -> tuple[np.ndarray, Shape]:
+    def scaled(units: np.ndarray) -> Polyhedron:
+        return Polyhedron(G / units, np.ones(len(G)))
+
+    return some(random, G.shape[1]), Shape(scaled, None)
+
+
+def _half_space(random: Random) -> tuple[np.ndarray, Shape]:
+    row = random.normal(size=6)
+    edge = 0.3 * row / (row @ row)
+    return some(random, 6), Shape(lambda units: HalfSpace(row / units, 0.3), edge)
+
+
+SHAPES: dict[str, Callable[[Random], tuple[np.ndarray, Shape]]] = {
+    "a box": lambda random: _box(random, random.uniform(0.2, 2.0, 14)),
+    "a box on all": lambda random: _box(random, random.uniform(0.2, 2.0, N)),
+    "g from 0 to inf": lambda random: _box(random, _mixed(random, 14, -12, 12)),
+    "g from 0 to inf on all": lambda random: _box(random, _mixed(random, N, -6, 2)),
+    "a thin box": lambda random: _box(random, 10 ** random.uniform(-14, 0, N)),
+    "discs": lambda random: _discs(random, random.uniform(0.2, 1.0, 5)),
+    "radii from 1e-12 to 1e12": lambda random: _discs(random, 10 ** random.uniform(-12, 12, 6)),
+    "an orthant": lambda random: (some(random, 9), Shape(lambda units: Orthant(9), np.zeros(9))),
+    "a half-space": _half_space,
+    "a polyhedron": lambda random: _rows(random, random.normal(size=(10, 5))),
+    "rows that differ by 1e-7": lambda random: _rows(
+        random, random.normal(size=4) + 1e-7 * random.normal(size=(3, 4))
+    ),
+}
+
+
+def _repeated(random: Random, few: np.ndarray) -> np.ndarray:
+    """Places of contacts that are named once more."""
+    return random.permutation(few.size)[:4]
+
+
+def _added(part: Box, again: np.ndarray) -> Box:
+    """The same set if the contacts at those places share their bounds between two names."""
+    share = np.ones(part.dim)
+    share[again] = 0.5
+    lower, upper = share * part.lower, share * part.upper
+    return Box(np.concatenate([lower, lower[again]]), np.concatenate([upper, upper[again]]))
+
+
+# ---- loads ------------------------------------------------------------------------------------
+
+Push = Callable[[Random, np.ndarray, "np.ndarray | None"], np.ndarray]
+
+
+def _anything(random: Random, few: np.ndarray, edge: np.ndarray | None) -> np.ndarray:
+    return 3 * random.normal(size=N)
+
+
+def _beside(random: Random, few: np.ndarray, edge: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    f = np.zeros(N)
+    f[few] = edge * (1 + shares)
+    return f
+
+
+def _threshold(random: Random, few: np.ndarray, edge: np.ndarray | None) -> np.ndarray:
+    if edge is None:
+        return _anything(random, few, edge)
+    return _beside(random, few, edge, random.choice([0, 0, 0, 1e-14, -1e-14], few.size))
+
+
+def _weakly(random: Random, few: np.ndarray, edge: np.ndarray | None) -> np.ndarray:
+    if edge is None:
+        return _anything(random, few, edge)
+    shares = random.choice([-1.0, 1.0], few.size) * 10 ** random.uniform(-13, -3, few.size)
+    return _beside(random, few, edge, shares)
+
+
+LOADS: dict[str, Push] = {
+    "any load": _anything,
+    "another load": _anything,
+    "at the threshold": _threshold,
+    "weakly active": _weakly,
+}
+
+# ---- units ------------------------------------------------------------------------------------
+
+Measure = Callable[[Random, np.ndarray, int], tuple[np.ndarray, float]]
+
+
+def _mixed_units(random: Random, few: np.ndarray, block: int) -> tuple[np.ndarray, float]:
+    units = 2.0 ** random.integers(-40, 41, N)
+    units[few] = np.repeat(units[few[::block]], block)
+    return units, 1.0
+
+
+UNITS: dict[str, Measure] = {
+    "plain": lambda random, few, block: (np.ones(N), 1.0),
+    "no units": lambda random, few, block: (np.ones(N), 1.0),
+    "forces x 2^40": lambda random, few, block: (np.ones(N), 2.0**40),
+    "forces x 2^-40": lambda random, few, block: (np.ones(N), 2.0**-40),
+    "lengths x 2^40": lambda random, few, block: (np.full(N, 2.0**-40), 1.0),
+    "lengths x 2^-40": lambda random, few, block: (np.full(N, 2.0**40), 1.0),
+    "units from 2^-40 to 2^40": _mixed_units,
+}
+
+# ---- history ----------------------------------------------------------------------------------
+
+Pair = tuple[np.ndarray, "np.ndarray | None"]
+
+
+def _singular(random: Random, A: np.ndarray) -> Pair:
+    row = random.normal(size=N)
+    return A, np.outer(row, row)
+
+
+def _small_viscosity(random: Random, A: np.ndarray) -> Pair:
+    return 10.0 ** -random.integers(2, 13) * A, chain(random)
+
+
+HISTORIES: dict[str, Callable[[Random, np.ndarray], Pair]] = {
+    "one step": lambda random, A: (A, None),
+    "B = 0": lambda random, A: (A, None),
+    "any B": lambda random, A: (A, chain(random)),
+    "B of rank one": _singular,
+    "B = rho A": lambda random, A: (A, 10.0 ** random.integers(-6, 7) * A),
+    "B up to 1e10": lambda random, A: (A, spectral(random, np.logspace(0, 10, N))),
+    "a small viscosity": _small_viscosity,
+    "A = 0": lambda random, A: (np.zeros((N, N)), A),
+}
+EASY = ("a chain", "a box", "any load", "another load", "plain", "no units", "one step", "any B")

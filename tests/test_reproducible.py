@@ -1,0 +1,265 @@
+"""The same process gives the same solution, bit for bit: again, in threads, in processes.
+
+And a long run keeps nothing of the steps that it was not asked to keep.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_checkpoint import same
+
+import sweepopt as so
+from sweepopt.alone import silence
+from sweepopt.study.hard.bodies import chain
+
+HERE = Path(__file__).parent
+N = 12
+FEW = np.array([1, 4, 5, 8, 10])
+LOAD = so.Separable([
+    (so.Sine(2.0, 3.0), np.cos(np.arange(N))),
+    (so.Triangle(1.5, 2.0), np.sin(2.0 * np.arange(N))),
+])  # fmt: skip
+GAP = np.linspace(0.3, 1.2, N)
+A, B = chain(np.random.default_rng(1), N), chain(np.random.default_rng(2), N)
+
+
+def body(A: Any = A, B: Any = B, C: Any = None) -> so.SweepingProcess:
+    return so.SweepingProcess(A, B, so.Moving(C or so.Box(-GAP, GAP), LOAD), np.zeros(len(A)))
+
+
+def on_few(B: Any = B) -> so.SweepingProcess:
+    return body(B=B, C=so.image(np.eye(N)[:, FEW], so.Box(-GAP[FEW], GAP[FEW])))
+
+
+def stated() -> so.SweepingProcess:
+    """A set that is written in cvxpy and asked for its projection at every time."""
+    import cvxpy as cp
+
+    C = so.Moving(so.Constraints(2, lambda w: [cp.norm(w) <= 1]), lambda t: [2 * t, np.sin(t)])
+    return so.SweepingProcess(np.eye(2), np.eye(2), C, [0.0, 0.0])
+
+
+def two_sets() -> so.SweepingProcess:
+    """An intersection, whose support function is a program of its own."""
+    C = so.Box([-1, -1, -1], [1, 1, 1]) & so.Ball([0, 0, 0], 1.2)
+    load = so.Separable([(so.Sine(3.0, 3.0), np.array([1.0, 0.5, -1.0]))])
+    return so.SweepingProcess(A[:3, :3], B[:3, :3], so.Moving(C, load), np.zeros(3))
+
+
+def three() -> so.SweepingProcess:
+    load = so.Separable([(so.Sine(3.0, 3.0), np.array([1.0, 0.5, -1.0]))])
+    C = so.Moving(so.Box(-GAP[:3], GAP[:3]), load)
+    return so.SweepingProcess(A[:3, :3], B[:3, :3], C, np.zeros(3))
+
+
+def polygon() -> so.SweepingProcess:
+    G = np.array([[1.0, 0.2], [-1.0, 0.1], [0.3, 1.0], [-0.2, -1.0]])
+    C = so.Polyhedron(G, lambda t: [1 + t, 0.5 - 2 * t, 1 + np.sin(t), 0.5 - t])
+    return so.SweepingProcess(np.zeros((2, 2)), [[2.0, 0.5], [0.5, 1.0]], C, [0.0, 0.0])
+
+
+ROUTES: dict[str, tuple[Callable[[], so.SweepingProcess], dict[str, Any]]] = {
+    "closed form": (lambda: body(A=np.diag(A.diagonal()), B=None), {}),
+    "linear": (lambda: body(C=so.Point(np.zeros(N))), {}),
+    "secular": (lambda: body(C=so.Ball(np.zeros(N), 1.0)), {"solver": "secular"}),
+    "newton": (body, {"solver": "newton"}),
+    "daqp": (body, {"solver": "daqp"}),
+    "clarabel": (body, {"solver": "clarabel"}),
+    "clarabel, discs": (lambda: body(C=so.Balls(GAP[:6], 2)), {"solver": "clarabel"}),
+    "osqp": (body, {"solver": "osqp"}),
+    "cvxpy": (body, {"solver": "cvxpy", "steps": 12}),
+    "cvxpy:osqp": (body, {"solver": so.Cvxpy("OSQP"), "steps": 12}),
+    "eliminated": (on_few, {"path": "eliminated", "solver": "osqp"}),
+    "proportional": (lambda: on_few(B=2 * A), {"path": "proportional"}),
+    "two stages": (on_few, {"path": "full", "scheme": "sdirk2", "solver": "osqp"}),
+    "adaptive": (body, {"steps": so.Adaptive(1e-2)}),
+    "exact": (three, {"scheme": "exact"}),
+    "rows that move": (polygon, {"t_end": 0.6}),
+    "stated in cvxpy": (stated, {"steps": 8}),
+    "two sets": (two_sets, {"steps": 12}),
+}
+
+
+def run(name: str, process: so.SweepingProcess | None = None) -> so.Solution:
+    make, settings = ROUTES[name]
+    return so.solve(process or make(), **{"t_end": 4.0, "steps": 60, **settings})
+
+
+def result(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What a process can send."""
+    sol = run(name)
+    return sol.u, sol.velocity, sol.stats
+
+
+@pytest.fixture
+def hasty() -> Iterator[None]:
+    """Threads that take turns as often as they can."""
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(interval)
+
+
+@pytest.mark.parametrize("name", ROUTES)
+def test_again_is_the_same(name: str) -> None:
+    first = run(name)
+    assert first.velocity.any()
+    process = ROUTES[name][0]()
+    assert same(run(name, process), first)
+    assert same(run(name, process), first)  # what the first run left in it changes nothing
+
+
+@pytest.mark.usefixtures("hasty")
+@pytest.mark.parametrize("name", ROUTES)
+def test_four_threads_at_once_are_one_after_the_other(name: str) -> None:
+    alone, shared = run(name), ROUTES[name][0]()
+    ready = threading.Barrier(4)
+
+    def at_once(process: so.SweepingProcess | None) -> so.Solution:
+        ready.wait()
+        return run(name, process)
+
+    with ThreadPoolExecutor(4) as pool:
+        apart = list(pool.map(at_once, [None] * 4))
+        together = list(pool.map(at_once, [shared] * 4))
+    assert all(same(sol, alone) for sol in apart)
+    assert all(same(sol, alone) for sol in together)
+
+
+@pytest.mark.usefixtures("hasty")
+def test_threads_on_different_routes_do_not_meet() -> None:
+    names = [name for name in ROUTES if name != "adaptive"]
+    alone = [run(name) for name in names]
+    with ThreadPoolExecutor(4) as pool:
+        for sol, expected in zip(pool.map(run, names[::-1]), alone[::-1], strict=True):
+            assert same(sol, expected)
+
+
+def test_processes_give_what_this_one_gives() -> None:
+    # spawned: nothing is inherited from this process
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for name, (u, velocity, stats) in zip(ROUTES, pool.map(result, ROUTES), strict=True):
+            sol = run(name)
+            assert u.tobytes() == sol.u.tobytes(), name
+            assert velocity.tobytes() == sol.velocity.tobytes(), name
+            for column in set(stats.dtype.names) - {"seconds"}:
+                assert stats[column].tobytes() == sol.stats[column].tobytes(), (name, column)
+
+
+@pytest.mark.usefixtures("hasty")
+def test_what_is_printed_in_other_threads_is_not_lost(capsys: pytest.CaptureFixture[str]) -> None:
+    before, done = sys.stdout, threading.Event()
+
+    def talk() -> int:
+        lines = 0
+        while not done.is_set():
+            print("line", lines)
+            lines += 1
+        return lines
+
+    with ThreadPoolExecutor(4) as pool:
+        talking = pool.submit(talk)
+        for future in [pool.submit(run, "osqp") for _ in range(3)]:
+            future.result()
+        done.set()
+        lines = talking.result()
+    assert capsys.readouterr().out.splitlines() == [f"line {k}" for k in range(lines)]
+    assert sys.stdout is before
+    with silence():
+        print("nothing")
+        with silence():
+            print("nothing")
+        print("nothing")
+    assert sys.stdout is before
+    assert not capsys.readouterr().out
+
+
+# ---- memory -----------------------------------------------------------------------------------
+
+SMALL: dict[str, dict[str, Any]] = {
+    "closed form": {"A": np.diag([1.0, 2.0]), "B": np.diag([2.0, 1.0])},
+    "newton": {"solver": "newton"},
+    "daqp": {"solver": "daqp"},
+    "osqp": {"solver": "osqp"},
+    "clarabel": {"solver": "clarabel"},
+    "secular": {"solver": "secular", "C": so.Ball([0.0, 0.0], 1.0)},
+}
+PAGE = 4096 if sys.platform == "win32" else __import__("resource").getpagesize()
+
+
+def resident() -> int:
+    """Bytes of this process that are in memory (proc(5), Linux)."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * PAGE
+
+
+def watched(name: str, steps: int, kept: int = 0) -> None:
+    """Print what is resident at a hundred steps of a run; it runs in a process of its own."""
+    given = {"A": A[:2, :2], "B": B[:2, :2], "C": so.Box([-0.5, -1.0], [0.5, 1.0])} | SMALL[name]
+    load = so.Separable([(so.Sine(3.0, 1.0), np.array([1.0, -1.0]))])
+    C = so.Moving(given.pop("C"), load)
+    process = so.SweepingProcess(given.pop("A"), given.pop("B"), C, [0.0, 0.0])
+    every, hoard = steps // 100, []
+
+    def look(info: so.StepInfo) -> None:
+        hoard.append(bytes(kept))
+        if info.step % every == every - 1:
+            print(info.step + 1, resident(), flush=True)
+        if not kept:
+            hoard.clear()
+
+    sol = so.solve(process, t_end=steps / 100, steps=steps, save="last", callback=look, **given)
+    assert len(sol.u) == 2
+    assert (sol.stats["attempts"] > 0).mean() > 0.5 or name == "closed form"
+
+
+def growth(name: str, steps: int, kept: int = 0) -> float:
+    """Bytes that a step adds to what is resident after a tenth of the run.
+
+    The statistics of all steps are written to before the first one; the table that is made of them
+    after the last one is not in it.
+    """
+    code = f"import sys; sys.path.insert(0, {str(HERE)!r}); import test_reproducible as this; "
+    code += f"this.watched({name!r}, {steps}, {kept})"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert found.returncode == 0, found.stderr
+    done, size = np.array([line.split() for line in found.stdout.splitlines()], dtype=float).T
+    print(f"{name}: {(size[-1] - size[9]) / 1e6:.2f} MB from step {done[9]:.0f} to {done[-1]:.0f}")
+    return float(np.polyfit(done[9:], size[9:], 1)[0])
+
+
+LEAK = 5e6 / 1e5  # bytes a step
+
+
+@pytest.mark.skipif(
+    not Path("/proc/self/statm").exists(), reason="only Linux says what is resident"
+)
+@pytest.mark.parametrize("name", SMALL)
+def test_a_long_run_does_not_grow(name: str) -> None:
+    # the C library takes memory in pieces of 132 kB: one of them is 37 bytes a step here
+    assert growth(name, 4000) <= 2 * LEAK
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    not Path("/proc/self/statm").exists(), reason="only Linux says what is resident"
+)
+@pytest.mark.parametrize("name", SMALL)
+def test_a_run_of_100_000_steps_grows_by_less_than_5_mb(name: str) -> None:
+    assert growth(name, 100_000) <= LEAK
+
+
+@pytest.mark.skipif(
+    not Path("/proc/self/statm").exists(), reason="only Linux says what is resident"
+)
+def test_a_leak_of_200_bytes_a_step_would_be_seen() -> None:
+    assert growth("closed form", 4000, kept=200) > 2 * LEAK
