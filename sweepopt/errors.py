@@ -11,6 +11,14 @@ if TYPE_CHECKING:
     from sweepopt.solution import Solution
 
 
+def shown(value: object) -> str:
+    """What a user passed, as a message can show it."""
+    try:
+        return f"{value!r:.80}"
+    except (ValueError, RecursionError):  # thousands of digits, lists in lists without end
+        return f"{type(value).__name__} too long to print"
+
+
 class Status(Enum):
     """How a run ended; the value is the sentence shown to the user."""
 

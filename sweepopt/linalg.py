@@ -13,7 +13,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
-from sweepopt.checks import Matrix
+from sweepopt.checks import HUGE, Matrix
 from sweepopt.errors import InputError, SolverRefusedError
 from sweepopt.precise import Precise
 
@@ -60,6 +60,12 @@ class Factor:
             i = int(np.flatnonzero(self.diagonal <= 0)[0])
             raise InputError(
                 f"{name} must be positive definite, but {name}[{i}, {i}] = {self.diagonal[i]:g}"
+            )
+        if self.diagonal.min() < 1 / HUGE:
+            i = int(np.argmin(self.diagonal))
+            raise InputError(
+                f"{name}[{i}, {i}] is {self.diagonal[i]:g}, below {1 / HUGE:g}: what it divides "
+                "would overflow; choose other units"
             )
         entries = M.count_nonzero() if sp.issparse(M) else np.count_nonzero(M)
         self.is_diagonal = bool(entries == self.dim)

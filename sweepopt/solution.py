@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from sweepopt import checks
 from sweepopt.errors import InputError, Status, SweepoptError
 from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
@@ -314,10 +315,7 @@ class Solution:
         return np.array(values).reshape(times.shape)
 
     def _inside(self, t: Any) -> np.ndarray:
-        try:
-            times = np.asarray(t, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"t must be a time or an array of times, got {t!r:.60}") from error
+        times = checks.times("t", t)
         if len(self.t) < 2:
             raise InputError("the run has no complete step to interpolate")
         slack = TIME_SLACK * max(abs(self.t[0]), abs(self.t[-1]))

@@ -9,7 +9,7 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from sweepopt.checks import number, symmetric, vector
-from sweepopt.errors import EmptySetError, InputError
+from sweepopt.errors import EmptySetError, InputError, shown
 from sweepopt.secular import secular
 from sweepopt.sets.base import (
     ROUNDING,
@@ -566,7 +566,7 @@ def entries(name: str, value: Any, finite: bool = True) -> np.ndarray:
 def dimension(dim: Any) -> int:
     """A positive whole number of unknowns."""
     if isinstance(dim, bool) or not isinstance(dim, (int, np.integer)) or dim < 1:
-        raise InputError(f"dim must be a positive whole number, got {dim!r}")
+        raise InputError(f"dim must be a positive whole number, got {shown(dim)}")
     return int(dim)
 
 
