@@ -19,7 +19,7 @@ HUGE = 1e75
 
 def number(name: str, value: Any, minimum: float | None = None, strict: bool = False) -> float:
     """A finite float, at least (or above) `minimum`."""
-    array = _floats(name, value, "one number")
+    array = floats(name, value, "one number")
     if array.size != 1:
         raise InputError(f"{name} must be one number, got {array.size} of them")
     result = float(array.ravel()[0])
@@ -57,7 +57,7 @@ def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -
             return ready
     except (TypeError, ValueError):
         pass  # said in full below
-    array = _floats(name, value, "an array of numbers", ndmin=1)
+    array = floats(name, value, "an array of numbers", ndmin=1)
     if array.ndim != 1:
         raise InputError(f"{name} must have one axis, got shape {array.shape}")
     if dim is not None and array.size != dim:
@@ -73,7 +73,7 @@ def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -
 
 def times(name: str, value: Any) -> np.ndarray:
     """Finite times as floats, of any shape; () for one of them."""
-    array = _floats(name, value, "a time or an array of times")
+    array = floats(name, value, "a time or an array of times")
     allowed = np.abs(array) <= HUGE
     if not allowed.all():
         raise _refused(name, array[~allowed].flat[0], "finite times")
@@ -95,9 +95,9 @@ def matrix(name: str, value: Any) -> Matrix:
     """A finite float matrix with two axes: dense as an ndarray, sparse as CSC."""
     if sp.issparse(value):
         result = sp.csc_array(value)
-        entries = result.data = _floats(name, result.data, "a matrix of numbers")
+        entries = result.data = floats(name, result.data, "a matrix of numbers")
     else:
-        result = entries = _floats(name, value, "a matrix of numbers")
+        result = entries = floats(name, value, "a matrix of numbers")
     if result.ndim != 2:
         raise InputError(f"{name} must have two axes, got shape {result.shape}")
     if not (np.abs(entries) <= HUGE).all():
@@ -131,7 +131,7 @@ def symmetric(name: str, value: Any, dim: int | None = None) -> Matrix:
     return result
 
 
-def _floats(name: str, value: Any, what: str, ndmin: int = 0) -> np.ndarray:
+def floats(name: str, value: Any, what: str, ndmin: int = 0) -> np.ndarray:
     """A float copy of value; complex numbers and words are refused, not cast."""
     try:
         array = np.array(value, ndmin=ndmin)

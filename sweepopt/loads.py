@@ -122,8 +122,15 @@ class Polynomial:
 
     def variation(self, a: float, b: float) -> float:
         """Total variation on [a, b]."""
-        slope = np.trim_zeros(np.polynomial.polynomial.polyder(self.coefficients), "b")
-        turns = np.polynomial.polynomial.polyroots(slope) if slope.size else slope
+        a, b = _interval(a, b)
+        self(np.array([a, b]))  # refuses what overflows
+        # in units of the larger time; a leading term that is nothing beside the others has no root
+        unit = max(abs(a), abs(b)) or 1.0
+        slope = np.polynomial.polynomial.polyder(self.coefficients)
+        slope = slope * unit ** np.arange(slope.size)
+        slope[np.abs(slope) < 1e-30 * np.abs(slope).max()] = 0.0
+        slope = np.trim_zeros(slope, "b")
+        turns = unit * np.polynomial.polynomial.polyroots(slope) if slope.size else slope
         turns = np.sort(turns.real)  # more points than needed do no harm
         return _variation_through(self, [a, *turns[(turns > a) & (turns < b)], b])
 
@@ -210,6 +217,7 @@ class Triangle:
 
     def breakpoints(self, a: float, b: float) -> Array:
         """The peaks strictly between a and b."""
+        a, b = _interval(a, b)
         return _lattice(self.period / 4.0, self.period / 2.0, a, b)
 
     def piece(self, a: float, b: float) -> Piece:
@@ -291,10 +299,12 @@ class Table:
 
     def variation(self, a: float, b: float) -> float:
         """Total variation on [a, b]."""
+        a, b = _interval(a, b)
         return _variation_through(self, [a, *self.breakpoints(a, b), b])
 
     def breakpoints(self, a: float, b: float) -> Array:
         """The table's times strictly between a and b."""
+        a, b = _interval(a, b)
         inside = slice(
             np.searchsorted(self.times, a, side="right"), np.searchsorted(self.times, b, "left")
         )
@@ -475,6 +485,13 @@ def _variation_through(history: Callable[[ArrayLike], Array], times: Sequence[fl
     return float(np.sum(np.abs(np.diff(history(np.asarray(times, dtype=float))))))
 
 
+def _interval(a: Any, b: Any) -> tuple[float, float]:
+    a, b = number("a", a), number("b", b)
+    if b < a:
+        raise InputError(f"b = {b:g} is before a = {a:g}; give an interval [a, b]")
+    return a, b
+
+
 def _lattice(origin: float, step: float, a: float, b: float) -> Array:
     """Points ``origin + k step`` strictly between a and b."""
     if (b - a) / step > KINKS:
@@ -482,7 +499,8 @@ def _lattice(origin: float, step: float, a: float, b: float) -> Array:
             f"period {2 * step:g} is too short: there are more than {KINKS:g} of them between "
             f"t = {a:g} and {b:g}"
         )
-    k = np.arange(math.floor((a - origin) / step), math.ceil((b - origin) / step) + 1)
+    first = math.floor((a - origin) / step)
+    k = float(first) + np.arange(math.ceil((b - origin) / step) + 1 - first)
     points = origin + k * step
     return np.asarray(points[(points > a) & (points < b)])
 
@@ -496,6 +514,7 @@ def _periodic_variation(
     b: float,
 ) -> float:
     """Whole periods count four amplitudes each, so a long interval costs no more than a short."""
+    a, b = _interval(a, b)
     whole = max(math.floor((b - a) / period), 0)
     rest = b - whole * period
     turns = _lattice(crest, period / 2.0, a, rest)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.checks import choice, vector
+from sweepopt.checks import choice, floats, vector
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.mesh import Indices
 
@@ -81,7 +81,7 @@ class Range:
 
     def check(self, name: str, values: ArrayLike, hint: str = "") -> None:
         """Refuse values that are not finite or lie below the minimum."""
-        array = np.asarray(values, dtype=float)
+        array = floats(name, values, "a number")
         bad = np.isnan(array) if self.infinite else ~np.isfinite(array)
         if np.any(bad):
             raise InputError(f"{name} must be finite, got {array[bad].flat[0]}{hint}")

@@ -112,6 +112,8 @@ def _build(raw: Gmsh) -> skfem.MeshTri:
     check_nodes(points[used].T)
     if np.ptp(points[used, 2]) > 1e-9 * np.ptp(points[used, :2]):
         raise InputError("is not flat: z varies; the section must lie in a plane z = constant")
+    if kind == "triangle6":
+        _require_middles(cells)
     # corners first, as scikit-fem numbers them; nodes of no triangle are dropped
     corners = np.unique(cells[:, :3])
     number = np.full(len(points), -1)
@@ -130,6 +132,16 @@ def _build(raw: Gmsh) -> skfem.MeshTri:
         for name, members in _groups(raw, 1, LINES).items()
     }
     return mesh.with_boundaries(boundaries).with_subdomains(_groups(raw, 2, (kind,)))
+
+
+def _require_middles(cells: Indices) -> None:
+    """Refuse six-node triangles unless each edge has one middle node, and that no other edge."""
+    edges = np.sort(np.vstack([cells[:, [0, 1]], cells[:, [1, 2]], cells[:, [2, 0]]]), axis=1)
+    middles = cells[:, 3:].T.ravel()
+    both = np.column_stack([edges, middles])
+    counts = {len(np.unique(one, axis=0)) for one in (edges, middles, both)}
+    if len(counts) > 1 or np.isin(middles, cells[:, :3]).any():
+        raise InputError("is damaged: the edges of its triangles have not one middle node each")
 
 
 def _groups(raw: Gmsh, dimension: int, kinds: tuple[str, ...]) -> dict[str, Indices]:

@@ -48,6 +48,7 @@ class Translation(ConvexSet):
         return np.concatenate([self.v, self.part.offsets])
 
     def support(self, z: np.ndarray) -> float:
+        z = vector("z", z, self.dim)
         return self.part.support(z) + float(self.v @ z)
 
     def project(self, w: np.ndarray) -> np.ndarray:

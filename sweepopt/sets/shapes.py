@@ -8,7 +8,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from sweepopt.checks import number, symmetric, vector
+from sweepopt.checks import HUGE, number, symmetric, vector
 from sweepopt.errors import EmptySetError, InputError, shown
 from sweepopt.secular import secular
 from sweepopt.sets.base import (
@@ -449,7 +449,7 @@ class Ellipsoid(ConvexSet):
         full = symmetric("shape", shape, self.dim)
         self.shape = full if isinstance(full, np.ndarray) else full.toarray()
         self._squares, self._axes = np.linalg.eigh(self.shape)  # semi-axes squared, directions
-        if self._squares[0] <= 1e-14 * self._squares[-1]:
+        if self._squares[0] <= max(1e-14 * self._squares[-1], 1 / HUGE):
             raise InputError(
                 f"shape must be positive definite, its smallest eigenvalue is {self._squares[0]:g}"
             )
