@@ -1,4 +1,8 @@
-"""What can go wrong: statuses are sentences, every exception of ours is a SweepoptError."""
+"""What can go wrong: statuses are sentences, every exception of ours is a SweepoptError.
+
+The contract for any input: in time a certified, finite answer or one of these. What a function that
+a user passes raises goes through as it is.
+"""
 
 from __future__ import annotations
 

@@ -183,7 +183,8 @@ class Factor:
     def smallest_eigenvalue(self) -> float:
         """beta: the largest number with <Mx, x> >= beta |x|^2."""
         if not sp.issparse(self.M) or self.dim < SMALL:
-            return float(np.linalg.eigvalsh(dense(self.M))[0])
+            # from above: that of M itself would be lost beside its largest one
+            return float(1 / np.linalg.eigvalsh(self.solve_many(np.eye(self.dim)))[-1])
         inverse = spla.LinearOperator((self.dim, self.dim), matvec=self.solve, dtype=float)
         start = _start(self.dim)
         return float(

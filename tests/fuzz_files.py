@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from fuzz_inputs import INF, LONG, NAN, made, rarely
-from fuzz_runs import check_run
+from fuzz_judge import check_run
 from hypothesis import strategies as st
 
 import sweepopt as so

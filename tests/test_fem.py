@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -446,6 +448,57 @@ $Elements
 4 5 1 7
 $EndElements
 """
+
+
+TUBES = Path(__file__).parent / "data" / "gmsh"
+
+
+@pytest.mark.parametrize("version", ["2.2", "4.1"])
+def test_binary_files_and_text_files_hold_the_same_mesh(version):
+    text, binary = (read_mesh(TUBES / f"tube_{version}{kind}.msh") for kind in ("", "_binary"))
+    np.testing.assert_allclose(text.doflocs, binary.doflocs, rtol=0, atol=1e-17)  # 16 digits
+    assert np.array_equal(text.t, binary.t)
+    for groups, others in (
+        (text.boundaries, binary.boundaries),
+        (text.subdomains, binary.subdomains),
+    ):
+        assert len(groups) == len(others) >= 2
+        assert all(np.array_equal(groups[name], others[name]) for name in groups)
+
+
+@pytest.mark.parametrize("version", ["2.2", "4.1"])
+@pytest.mark.parametrize("kind", ["", "_binary"])
+def test_what_a_damaged_file_announces_is_not_allocated(tmp_path, version, kind):
+    content = (TUBES / f"tube_{version}{kind}.msh").read_bytes()
+    path = tmp_path / "bad.msh"
+    announced = {  # a count of nodes, of elements, the tag of a node
+        "2.2": [
+            (b"$Nodes\n24", b"$Nodes\n9999999999"),
+            (b"$Elements\n48", b"$Elements\n9999999999"),
+        ],
+        "4.1": [(b"\n22 183 1 183\n", b"\n9999999999 9999999999 1 9999999999\n")],
+    }[version]
+    if (version, kind) == ("4.1", "_binary"):
+        counts = content.index(b"$Nodes\n") + 7
+        announced = [(content[counts : counts + 16], np.array([10**12, 10**12], "<u8").tobytes())]
+    if (version, kind) == ("2.2", ""):
+        announced.append((b"\n24 ", b"\n99999999999 "))
+    for old, new in announced:
+        assert old in content, old
+        path.write_bytes(content.replace(old, new, 1))
+        tracemalloc.start()
+        with pytest.raises(InputError, match=r"bad.msh: is damaged"):
+            read_mesh(path)
+        assert tracemalloc.get_traced_memory()[1] < 50 * len(content) + 200_000
+        tracemalloc.stop()
+
+
+def test_a_middle_node_belongs_to_one_edge(tmp_path):
+    content = (TUBES / "tube_4.1.msh").read_text()
+    assert "\n66 84 2 89 " in content
+    (tmp_path / "bad.msh").write_text(content.replace("\n66 84 2 89 ", "\n66 84 3 89 "))
+    with pytest.raises(InputError, match=r"bad.msh: is damaged: the edges of its triangles"):
+        read_mesh(tmp_path / "bad.msh")
 
 
 def test_a_gmsh_41_file_with_sparse_tags_and_shared_groups(tmp_path):

@@ -20,7 +20,9 @@ pytest.importorskip("skfem")
 
 import fuzz_files as files
 import fuzz_runs as runs
-from fuzz_inputs import ANYTHING, ODD_NUMBERS, convex, history, made, moving, number, rarely, vector
+from fuzz_inputs import ANYTHING, ODD_NUMBERS, history, made, rarely, vector
+from fuzz_judge import judge
+from fuzz_sets import convex, moving
 
 import sweepopt as so
 
@@ -97,14 +99,18 @@ def test_bad_input_gets_an_error_of_ours_or_a_right_answer(
     name: str, times: int, folder: Path
 ) -> None:
     inputs, drawn, ask = TARGETS[name]
+    asked = 0
     more = (expected(folder),) if name == "checkpoints" else ()
 
     @profile(inputs, times)
     @given(drawn)
     def holds(arguments: tuple[Any, ...]) -> None:
-        runs.judge(lambda: ask(folder, *made(arguments), *more))
+        nonlocal asked
+        asked += 1
+        judge(lambda: ask(folder, *made(arguments), *more))
 
     holds()
+    assert asked >= inputs * times
 
 
 @pytest.mark.parametrize("times", [1, pytest.param(20, marks=pytest.mark.slow)])
@@ -112,6 +118,6 @@ def test_right_input_gets_a_right_answer(times: int) -> None:
     @profile(RIGHT_RUNS, times)
     @given(runs.right_run())
     def holds(arguments: tuple[Any, ...]) -> None:
-        runs.judge(lambda: runs.ask_run(*arguments), right=True)
+        judge(lambda: runs.ask_right(*arguments), right=True)
 
     holds()

@@ -126,6 +126,18 @@ def test_one_compiled_program_serves_all_translates_scales_and_offsets() -> None
         assert len(compiled) == 1
 
 
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+def test_a_point_that_is_given_twice_is_that_point() -> None:
+    # how p splits between the two is left open: nothing else in the program ties it
+    p = np.array([0.0, -2.75])
+    twice, once = (
+        so.solve(so.SweepingProcess(np.eye(2), np.eye(2), C, -p), t_end=1.0, steps=4)
+        for C in (3 * (so.Point(p) & so.Point(p)), so.Point(3 * p))
+    )
+    assert twice.success
+    np.testing.assert_allclose(twice.u, once.u, rtol=1e-9)
+
+
 def test_an_image_of_a_small_set_gives_the_velocity_of_the_full_program() -> None:
     rng = np.random.default_rng(5)
     n, m = 12, 3

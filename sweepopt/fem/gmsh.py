@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from sweepopt.errors import InputError, shown
 
 FORMATS = ("2.2", "4.1")
-Floats, Integers = NDArray[np.float64], NDArray[np.int64]
+Floats: TypeAlias = NDArray[np.float64]
+Integers: TypeAlias = NDArray[np.int64]
 INT, SIZE, FLOAT = np.dtype("<i4"), np.dtype("<u8"), np.dtype("<f8")
 
 
