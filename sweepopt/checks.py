@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.linalg import blas
 
 from sweepopt.errors import InputError, shown
 
@@ -27,11 +28,18 @@ def number(name: str, value: Any, minimum: float | None = None, strict: bool = F
         raise _refused(name, result, "a finite number")
     if minimum is not None and (result < minimum or (strict and result == minimum)):
         raise InputError(f"{name} must be {'>' if strict else '>='} {minimum:g}, got {result:g}")
-    if strict and minimum == 0 and result < 1 / HUGE:
-        raise InputError(
-            f"{name} is {result:g}, below {1 / HUGE:g}: what it divides would overflow"
-        )
+    if strict and minimum == 0:
+        divisor(name, result)
     return result
+
+
+def divisor(name: str, value: float) -> None:
+    """Refuse a positive number by which nothing can be divided without overflow."""
+    if value < 1 / HUGE:
+        raise InputError(
+            f"{name} is {value:g}, below {1 / HUGE:g}: what it divides would overflow; choose "
+            "other units"
+        )
 
 
 def count(name: str, value: Any) -> int:
@@ -53,7 +61,7 @@ def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -
     """A float array of shape (dim,); a scalar counts as one entry."""
     try:  # most are right, and nothing else is looked at
         ready = np.array(value)
-        if ready.dtype == float and ready.shape == (dim,) and square(ready) <= HUGE**2:
+        if ready.dtype == float and dim and ready.shape == (dim,) and blas.dnrm2(ready) <= HUGE:
             return ready
     except (TypeError, ValueError):
         pass  # said in full below
@@ -80,15 +88,10 @@ def times(name: str, value: Any) -> np.ndarray:
     return array
 
 
-def square(array: np.ndarray) -> float:
-    """|x|^2 of a vector, inf where it overflows."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        return float(array.dot(array))
-
-
 def is_finite(array: np.ndarray) -> bool:
-    """Whether all entries of a vector are finite; its square tells it sooner if that is."""
-    return math.isfinite(square(array)) or bool(np.isfinite(array).all())
+    """Whether all entries of a vector are finite."""
+    # the plain call: scaled, so that it neither overflows nor warns, and quick
+    return not array.size or math.isfinite(blas.dnrm2(array))
 
 
 def matrix(name: str, value: Any) -> Matrix:

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
-from sweepopt.checks import HUGE, Matrix
+from sweepopt.checks import Matrix, divisor
 from sweepopt.errors import InputError, SolverRefusedError
 from sweepopt.precise import Precise
 
@@ -61,12 +61,8 @@ class Factor:
             raise InputError(
                 f"{name} must be positive definite, but {name}[{i}, {i}] = {self.diagonal[i]:g}"
             )
-        if self.diagonal.min() < 1 / HUGE:
-            i = int(np.argmin(self.diagonal))
-            raise InputError(
-                f"{name}[{i}, {i}] is {self.diagonal[i]:g}, below {1 / HUGE:g}: what it divides "
-                "would overflow; choose other units"
-            )
+        i = int(np.argmin(self.diagonal))
+        divisor(f"{name}[{i}, {i}]", self.diagonal[i])
         entries = M.count_nonzero() if sp.issparse(M) else np.count_nonzero(M)
         self.is_diagonal = bool(entries == self.dim)
         self.root = np.sqrt(self.diagonal)

@@ -42,6 +42,9 @@ class Call:
         words += [f"{key}={value!r}" for key, value in self.keywords.items()]
         return f"{self.name}({', '.join(words)})"
 
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        printer.text(repr(self))  # how hypothesis shows a failure
+
 
 def made(value: Any) -> Any:
     """The value with the calls in it made."""
@@ -57,14 +60,11 @@ def made(value: Any) -> Any:
 LONG = Call("pow", pow, (10, 5000))  # Python refuses to print it
 
 
-def call(name: str, *args: Any, **keywords: Any) -> st.SearchStrategy[Call]:
+@st.composite
+def call(draw: Any, name: str, *args: Any, **keywords: Any) -> Call:
     """Calls of a name of sweepopt whose arguments are drawn."""
-    function = getattr(so, name)
-    return st.builds(
-        lambda args, keywords: Call(f"so.{name}", function, args, keywords),
-        st.tuples(*args),
-        st.fixed_dictionaries(keywords),
-    )
+    drawn = {key: draw(one) for key, one in keywords.items()}
+    return Call(f"so.{name}", getattr(so, name), tuple(map(draw, args)), drawn)
 
 
 @dataclass(frozen=True)

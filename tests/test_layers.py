@@ -52,7 +52,7 @@ HOMES = {
     "daqp": {"solvers/daqp"},
     "pyamg": {"multigrid"},
     "skfem": {"fem", "study/cases"},
-    "meshio": {"fem", "store/vtu"},
+    "meshio": {"store/vtu"},
     "pydantic": {"fem"},
     "matplotlib": {"plot", "study/diagram"},
     "xarray": {"store/netcdf"},

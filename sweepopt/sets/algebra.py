@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from sweepopt.checks import number, vector
+from sweepopt.checks import divisor, number, vector
 from sweepopt.errors import InputError
 from sweepopt.sets.base import (
     Companion,
@@ -422,6 +422,7 @@ def scale(factor: Any, C: ConvexSet) -> ConvexSet:
                 "scale 0 of an unbounded set is not closed in the limit; use scale > 0"
             )
         return Point(np.zeros(C.dim))
+    divisor("scale", r)
     return Scaling(r, C)
 
 
