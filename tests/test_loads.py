@@ -75,6 +75,7 @@ def test_waves_far_from_the_start_keep_their_kinks_and_variation():
     far = 2.0**80  # beyond 64-bit integers
     assert Triangle(1.0, 2.0**70).variation(far, far + 2.0**70) == pytest.approx(4.0)
     assert Triangle(1.0, 2.0**70).breakpoints(far, far + 2.0**70).size == 2
+    assert Triangle(0.5, 3.0).variation(0.0, 1e40) == pytest.approx(2e40 / 3.0)
 
 
 def test_a_table_and_its_load_cannot_be_changed_afterwards():
