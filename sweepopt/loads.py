@@ -515,7 +515,8 @@ def _periodic_variation(
 ) -> float:
     """Whole periods count four amplitudes each, so a long interval costs no more than a short."""
     a, b = _interval(a, b)
-    whole = max(math.floor((b - a) / period), 0)
-    rest = a + math.fmod(b - a, period) if whole else b  # exact however many periods there are
+    part = math.fmod(b - a, period)  # exact, however many periods there are
+    whole = round((b - a - part) / period)
+    rest = a + part if whole else b
     turns = _lattice(crest, period / 2.0, a, rest)
     return 4.0 * abs(amplitude) * whole + _variation_through(history, [a, *turns, rest])
