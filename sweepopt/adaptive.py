@@ -38,6 +38,8 @@ HIDDEN = 2.0  # times its local error a step may be wrong that two passes have i
 GUESS = 0.2  # error in units of the sum of the local ones, before two passes can tell
 
 
+EPS = float(np.finfo(float).eps)
+
 Norm = Callable[[np.ndarray], float]
 
 
@@ -182,12 +184,15 @@ def refine(
             wanted = density(times, cuts, np.array(watch.sizes), order)
             if before is not None:
                 error = _error(n, wanted, watch.states, before, order, norm)
+            size = max(map(norm, watch.states.values()))
         passes.append(Pass(run.done, error, clock.perf_counter() - began))
         # a much coarser pass has too few nodes where the steps are short now
         near = before is not None and n <= 1.1 * LAST * before.steps
         enough = error <= (ACCEPTED if near else DOUBTED) * tol
         if run.status not in (Status.SUCCESS, Status.UNCERTIFIED) or enough:
             return Refined(tuple(passes))
+        if tol < EPS * size:
+            return Refined(tuple(passes), None, _below_rounding(tol, EPS * size))
         guess = GUESS * wanted.errors if before is None else error
         next_n = n * (guess / (AIM * tol)) ** (1 / order)
         next_n = max(next_n / LAST if next_n > 1.5 * LAST * n else next_n, 1.3 * n)
@@ -216,6 +221,10 @@ def _error(
     hidden = HIDDEN * wanted.shared(before.wanted.times)
     common = states.keys() & before.states.keys()
     return hidden + ratio / (1 - ratio) * max(norm(states[t] - before.states[t]) for t in common)
+
+
+def _below_rounding(tol: float, rounding: float) -> str:
+    return f"tol = {tol:g} is less than the rounding of u, {rounding:.2g}; loosen it"
 
 
 def _too_many(last: Pass, n: float, tol: float) -> str:

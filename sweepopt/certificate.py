@@ -76,9 +76,11 @@ class ErrorBound(float):
     def make(
         cls, guaranteed: bool, t: np.ndarray, of_t: np.ndarray, B: np.ndarray, lower: float
     ) -> ErrorBound:
+        # what overflows on the way, inf - inf for example, is not bounded
+        of_t, B = (np.where(np.isnan(one), np.inf, one) for one in (of_t, B))
         bound = cls(of_t.max(initial=0.0))
         bound.guaranteed, bound.t, bound.of_t, bound.B = guaranteed, t, of_t, B
-        bound.lower = lower
+        bound.lower = lower if math.isfinite(lower) else 0.0
         return bound
 
 

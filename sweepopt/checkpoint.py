@@ -18,7 +18,7 @@ import numpy as np
 
 from sweepopt.archive import read_archive
 from sweepopt.checks import count, number
-from sweepopt.errors import DamagedFileError, InputError
+from sweepopt.errors import DamagedFileError, InputError, shown
 from sweepopt.solvers import REGISTRY
 from sweepopt.versions import versions_of
 
@@ -72,7 +72,7 @@ class Checkpoint:
         if self.seconds is not None:
             number("seconds", self.seconds, minimum=0.0)
         if not isinstance(self.path, (str, PathLike)):
-            raise InputError(f"checkpoint: the path must be a file's name, got {self.path!r:.60}")
+            raise InputError(f"checkpoint: the path must be a file's name, got {shown(self.path)}")
         if self.file.is_dir() or not os.access(self.file.parent, os.W_OK):
             raise InputError(f"checkpoint: {str(self.path)!r} cannot be written there")
 
@@ -126,7 +126,7 @@ def read_stored(file: Path) -> Stored:
     if record.get("schema") != SCHEMA:
         raise InputError(
             f"{file} is a checkpoint of form {record.get('schema')!r}; this version of sweepopt "
-            f"reads form {SCHEMA}, continue with sweepopt {record.get('versions')!r:.300}"
+            f"reads form {SCHEMA}, continue with sweepopt {shown(record.get('versions'))}"
         )
     return Stored(file, record, arrays)
 

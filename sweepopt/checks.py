@@ -3,78 +3,109 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.linalg import blas
 
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, shown
 
-FEW = 8  # entries that plain numbers are faster for
 Matrix: TypeAlias = Any  # np.ndarray or scipy.sparse.csc_array, as `matrix` returns them
+
+HUGE = 1e75
+"""Numbers beyond this overflow when a few of them are multiplied."""
 
 
 def number(name: str, value: Any, minimum: float | None = None, strict: bool = False) -> float:
     """A finite float, at least (or above) `minimum`."""
-    array = _floats(name, value, "one number")
+    array = floats(name, value, "one number")
     if array.size != 1:
         raise InputError(f"{name} must be one number, got {array.size} of them")
     result = float(array.ravel()[0])
-    if not math.isfinite(result):
-        raise InputError(f"{name} is {result}; give a finite number")
+    if not abs(result) <= HUGE:
+        raise _refused(name, result, "a finite number")
     if minimum is not None and (result < minimum or (strict and result == minimum)):
         raise InputError(f"{name} must be {'>' if strict else '>='} {minimum:g}, got {result:g}")
+    if strict and minimum == 0:
+        divisor(name, result)
     return result
+
+
+def divisor(name: str, value: float) -> None:
+    """Refuse a positive number by which nothing can be divided without overflow."""
+    if value < 1 / HUGE:
+        raise InputError(
+            f"{name} is {value:g}, below {1 / HUGE:g}: what it divides would overflow; choose "
+            "other units"
+        )
 
 
 def count(name: str, value: Any) -> int:
     """A positive whole number."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-        raise InputError(f"{name} must be a positive whole number, got {value!r:.60}")
+        raise InputError(f"{name} must be a positive whole number, got {shown(value)}")
     return int(value)
+
+
+def choice(name: str, value: Any, allowed: Iterable[str]) -> str:
+    """One of the words that are allowed."""
+    words = tuple(allowed)
+    if not isinstance(value, str) or value not in words:
+        raise InputError(f"{name} must be one of {', '.join(words)}; got {shown(value)}")
+    return value
 
 
 def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -> np.ndarray:
     """A float array of shape (dim,); a scalar counts as one entry."""
     try:  # most are right, and nothing else is looked at
         ready = np.array(value)
-        if ready.dtype == float and ready.shape == (dim,) and is_finite(ready):
+        if ready.dtype == float and dim and ready.shape == (dim,) and blas.dnrm2(ready) <= HUGE:
             return ready
     except (TypeError, ValueError):
         pass  # said in full below
-    array = _floats(name, value, "an array of numbers", ndmin=1)
+    array = floats(name, value, "an array of numbers", ndmin=1)
     if array.ndim != 1:
         raise InputError(f"{name} must have one axis, got shape {array.shape}")
     if dim is not None and array.size != dim:
         raise InputError(f"{name} must have {dim} entries, got {array.size}")
-    bad = ~np.isfinite(array) if finite else np.isnan(array)
-    if bad.any():
-        i = int(np.flatnonzero(bad)[0])
-        raise InputError(f"{name}[{i}] is {array[i]}; give {'finite ' if finite else ''}numbers")
+    allowed = np.abs(array) <= HUGE
+    if not finite:
+        allowed |= np.isinf(array)
+    if not allowed.all():
+        i = int(np.argmin(allowed))
+        raise _refused(f"{name}[{i}]", array[i], "finite numbers" if finite else "numbers")
+    return array
+
+
+def times(name: str, value: Any) -> np.ndarray:
+    """Finite times as floats, of any shape; () for one of them."""
+    array = floats(name, value, "a time or an array of times")
+    allowed = np.abs(array) <= HUGE
+    if not allowed.all():
+        raise _refused(name, array[~allowed].flat[0], "finite times")
     return array
 
 
 def is_finite(array: np.ndarray) -> bool:
-    """Whether all entries of a vector are finite; its square tells it sooner if that is."""
-    if array.size < FEW:
-        return all(map(math.isfinite, array.tolist()))
-    # vdot: dot warns where the square is too large
-    return math.isfinite(np.vdot(array, array)) or bool(np.isfinite(array).all())
+    """Whether all entries of a vector are finite."""
+    # the plain call: scaled, so that it neither overflows nor warns, and quick
+    return not array.size or math.isfinite(blas.dnrm2(array))
 
 
 def matrix(name: str, value: Any) -> Matrix:
     """A finite float matrix with two axes: dense as an ndarray, sparse as CSC."""
     if sp.issparse(value):
         result = sp.csc_array(value)
-        entries = result.data = _floats(name, result.data, "a matrix of numbers")
+        entries = result.data = floats(name, result.data, "a matrix of numbers")
     else:
-        result = entries = _floats(name, value, "a matrix of numbers")
+        result = entries = floats(name, value, "a matrix of numbers")
     if result.ndim != 2:
         raise InputError(f"{name} must have two axes, got shape {result.shape}")
-    if not np.isfinite(entries).all():
-        i, j, entry = _first(result, lambda data: ~np.isfinite(data))
-        raise InputError(f"{name}[{i}, {j}] is {entry}; give finite numbers")
+    if not (np.abs(entries) <= HUGE).all():
+        i, j, entry = _first(result, lambda data: ~(np.abs(data) <= HUGE))
+        raise _refused(f"{name}[{i}, {j}]", entry, "finite numbers")
     return result
 
 
@@ -103,15 +134,24 @@ def symmetric(name: str, value: Any, dim: int | None = None) -> Matrix:
     return result
 
 
-def _floats(name: str, value: Any, what: str, ndmin: int = 0) -> np.ndarray:
+def floats(name: str, value: Any, what: str, ndmin: int = 0) -> np.ndarray:
     """A float copy of value; complex numbers and words are refused, not cast."""
     try:
         array = np.array(value, ndmin=ndmin)
         if array.dtype.kind not in "biufO":
             raise TypeError(f"entries are {array.dtype}")
         return array.astype(float)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must be {what}, got {value!r:.80} ({error})") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name} must be {what}, got {shown(value)} ({error})") from error
+
+
+def _refused(name: str, value: float, wanted: str) -> InputError:
+    """The error for an entry that is not finite, or too large to be multiplied."""
+    if not math.isfinite(value):
+        return InputError(f"{name} is {value}; give {wanted}")
+    return InputError(
+        f"{name} is {value:g}, beyond {HUGE:g}: products overflow; choose other units"
+    )
 
 
 def _first(value: Matrix, found: Callable[[np.ndarray], np.ndarray]) -> tuple[int, int, float]:

@@ -8,9 +8,12 @@ from typing import Any
 import numpy as np
 
 from sweepopt.checks import count, number, vector
-from sweepopt.errors import InputError, StabilityWarning, UnstableStepError
+from sweepopt.errors import InputError, StabilityWarning, UnstableStepError, shown
 from sweepopt.process import SweepingProcess
 from sweepopt.schemes import Scheme
+
+MOST = 10**8
+"""Steps of one run: their times and statistics alone are gigabytes."""
 
 
 def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -21,6 +24,8 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
     end = None if t_end is None else number("t_end", t_end, minimum=0.0, strict=True)
     if np.ndim(steps) == 0:
         n = count("steps", steps)
+        if n > MOST:
+            raise InputError(f"steps is {shown(n)}, more than {MOST:.0e}; run it in parts")
         if end is None:
             raise InputError("t_end is missing; give it or pass the times as steps")
         return np.append(np.arange(n) * (end / n), end), np.full(n, end / n)

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, shown
+from sweepopt.texts import read_text
 
 Array = NDArray[np.float64]
 
@@ -65,13 +66,8 @@ def read_columns(path: str | Path, *names: str) -> tuple[Array, list[int]]:
 
 def _text(path: str | Path) -> str:
     if not isinstance(path, (str, os.PathLike)):
-        raise InputError(f"path must be the path of a CSV file, got {path!r:.80}")
-    try:
-        return Path(path).read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is not UTF-8 text; export it as CSV") from None
+        raise InputError(f"path must be the path of a CSV file, got {shown(path)}")
+    return read_text(Path(path), "; export it as CSV", "utf-8-sig")
 
 
 def _rows(path: str | Path, text: str) -> Iterator[tuple[int, list[str]]]:
@@ -89,5 +85,5 @@ def _number(where: str, cell: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(f"{where}: {cell!r:.80} is not a finite number")
+        raise InputError(f"{where}: {shown(cell)} is not a finite number")
     return value

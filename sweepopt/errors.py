@@ -1,4 +1,8 @@
-"""What can go wrong: statuses are sentences, every exception of ours is a SweepoptError."""
+"""What can go wrong: statuses are sentences, every exception of ours is a SweepoptError.
+
+The contract for any input: in time a certified, finite answer or one of these. What a function that
+a user passes raises goes through as it is.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,14 @@ if TYPE_CHECKING:
     import numpy as np
 
     from sweepopt.solution import Solution
+
+
+def shown(value: object) -> str:
+    """What a user passed, as a message can show it."""
+    try:
+        return f"{value!r:.80}"
+    except (ValueError, RecursionError):  # thousands of digits, lists in lists without end
+        return f"{type(value).__name__} too long to print"
 
 
 class Status(Enum):

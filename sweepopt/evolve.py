@@ -10,14 +10,14 @@ import numpy as np
 
 from sweepopt.adaptive import Adaptive, Refined
 from sweepopt.checkpoint import Checkpoint
-from sweepopt.checks import number
+from sweepopt.checks import choice, number
 from sweepopt.control import (
     check_stability,
     evaluation_times,
     time_grid,
     warn_of_overshoot,
 )
-from sweepopt.errors import InputError, Status, StepError
+from sweepopt.errors import InputError, Status, StepError, shown
 from sweepopt.exact import mover
 from sweepopt.lifting import Lift
 from sweepopt.marks import checkpoints
@@ -167,19 +167,18 @@ def solve(
         ("on_failure", on_failure, ("raise", "stop")),
         ("on_unstable", on_unstable, ("raise", "warn", "ignore")),
     ):
-        if value not in allowed:
-            raise InputError(f"{name} must be one of {', '.join(allowed)}; got {value!r}")
+        choice(name, value, allowed)
     if not isinstance(process, (SweepingProcess, EvolutionVI)):
-        raise InputError(f"process must be a SweepingProcess or an EvolutionVI: {process!r:.60}")
+        raise InputError(f"process must be a SweepingProcess or an EvolutionVI: {shown(process)}")
     if callback is not None and not callable(callback):
-        raise InputError(f"callback must be a function of a StepInfo, got {callback!r:.60}")
+        raise InputError(f"callback must be a function of a StepInfo, got {shown(callback)}")
     process = process.as_sweeping()
     tol = number("tol", tol, minimum=0.0, strict=True)
     memory = number("memory", memory, minimum=0.0, strict=True)
     adaptive = isinstance(steps, Adaptive)
     if adaptive and path == "proportional":
         raise InputError("path='proportional' needs all steps beforehand; Adaptive cannot tell")
-    if adaptive and scheme == "auto" and process.rate_independent:
+    if adaptive and isinstance(scheme, str) and scheme == "auto" and process.rate_independent:
         scheme = "sdirk2"
     tableau = choose(scheme, process.rate_independent)
     if adaptive and tableau.exact:

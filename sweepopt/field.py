@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from sweepopt.checks import number, vector
-from sweepopt.errors import InputError, VelocityError
+from sweepopt.errors import InputError, VelocityError, shown
 from sweepopt.loads import Separable
 from sweepopt.plan import make_plan
 from sweepopt.process import EvolutionVI, SweepingProcess
@@ -75,7 +75,7 @@ def velocity_field(
     array([3.06250001])
     """
     if not isinstance(process, (SweepingProcess, EvolutionVI)):
-        raise InputError(f"process must be a SweepingProcess or an EvolutionVI: {process!r:.60}")
+        raise InputError(f"process must be a SweepingProcess or an EvolutionVI: {shown(process)}")
     process = process.as_sweeping()
     tol = number("tol", tol, minimum=0.0, strict=True)
     if process.rate_independent:
@@ -83,7 +83,7 @@ def velocity_field(
             "velocity_field needs A coercive: with A = 0 the velocity is no function of (t, u); "
             "use so.solve with implicit-euler, sdirk2 or exact"
         )
-    if solver == "auto" and process.dim == 1:
+    if process.dim == 1 and isinstance(solver, str) and solver == "auto":
         scalar = _scalar(process, tol)
         if scalar is not None:
             return scalar

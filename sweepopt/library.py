@@ -6,6 +6,7 @@ with the core install alone: a listing reads titles and assembles nothing.
 
 from __future__ import annotations
 
+import os
 import tomllib
 from pathlib import Path
 
@@ -40,7 +41,7 @@ def find_problem(name: str) -> Path:
     'tube.toml'
     """
     path = _folder() / f"{name}.toml"
-    if Path(name).name != name or not path.is_file():
+    if Path(name).name != name or not os.path.isfile(path):
         known = ", ".join(sorted(file.stem for file in _folder().glob("*.toml"))) or "none"
         raise InputError(f"{name!r} is neither a scene file nor a problem; there are: {known}")
     return path
@@ -49,7 +50,7 @@ def find_problem(name: str) -> Path:
 def find_scene(scene: str) -> Path:
     """The file of a scene that is given by its path or by the name of a problem."""
     path = Path(scene)
-    return path if path.suffix == ".toml" or path.is_file() else find_problem(scene)
+    return path if path.suffix == ".toml" or os.path.isfile(path) else find_problem(scene)
 
 
 def find_study(study: str) -> Path:
@@ -66,7 +67,7 @@ def find_study(study: str) -> Path:
     'accuracy.toml'
     """
     given = Path(study)
-    if given.suffix == ".toml" or given.is_file():
+    if given.suffix == ".toml" or os.path.isfile(given):
         return given
     known = {path.stem: path for path in _folder().glob("*/*.toml")}
     if study not in known:

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
-from sweepopt.checks import Matrix
+from sweepopt.checks import Matrix, divisor
 from sweepopt.errors import IndefiniteError, SolverRefusedError
 from sweepopt.precise import Precise
 
@@ -61,6 +61,8 @@ class Factor:
             raise IndefiniteError(
                 f"{name} must be positive definite, but {name}[{i}, {i}] = {self.diagonal[i]:g}"
             )
+        i = int(np.argmin(self.diagonal))
+        divisor(f"{name}[{i}, {i}]", self.diagonal[i])
         entries = M.count_nonzero() if sp.issparse(M) else np.count_nonzero(M)
         self.is_diagonal = bool(entries == self.dim)
         self.root = np.sqrt(self.diagonal)
@@ -177,7 +179,8 @@ class Factor:
     def smallest_eigenvalue(self) -> float:
         """beta: the largest number with <Mx, x> >= beta |x|^2."""
         if not sp.issparse(self.M) or self.dim < SMALL:
-            return float(np.linalg.eigvalsh(dense(self.M))[0])
+            # from above: that of M itself would be lost beside its largest one
+            return float(1 / np.linalg.eigvalsh(self.solve_many(np.eye(self.dim)))[-1])
         inverse = spla.LinearOperator((self.dim, self.dim), matvec=self.solve, dtype=float)
         start = _start(self.dim)
         return float(

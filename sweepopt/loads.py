@@ -17,12 +17,13 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.checks import number, vector
+from sweepopt.checks import HUGE, number, times, vector
 from sweepopt.csvtable import read_columns
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, shown
 
 Array = NDArray[np.float64]
 
+KINKS = 10_000_000  # of one history that are looked at
 TIME_SLACK = 1e-12
 """Share of the time scale by which a time may miss a table's range: rounding of ``t0 + i mu``."""
 
@@ -113,12 +114,23 @@ class Polynomial:
         object.__setattr__(self, "coefficients", _frozen_vector("coefficients", coefficients))
 
     def __call__(self, t: ArrayLike) -> Array:
-        return np.asarray(np.polynomial.polynomial.polyval(_times(t), self.coefficients))
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = np.asarray(np.polynomial.polynomial.polyval(_times(t), self.coefficients))
+        if not np.isfinite(values).all():
+            raise InputError(f"{self!r:.80} overflows at t = {shown(t)}; choose other units")
+        return values
 
     def variation(self, a: float, b: float) -> float:
         """Total variation on [a, b]."""
+        a, b = _interval(a, b)
+        self(np.array([a, b]))  # refuses what overflows
+        # in units of the larger time; a leading term that is nothing beside the others has no root
+        unit = max(abs(a), abs(b)) or 1.0
         slope = np.polynomial.polynomial.polyder(self.coefficients)
-        turns = np.polynomial.polynomial.polyroots(np.trim_zeros(slope, "b"))
+        slope = slope * unit ** np.arange(slope.size)
+        slope[np.abs(slope) < 1e-30 * np.abs(slope).max()] = 0.0
+        slope = np.trim_zeros(slope, "b")
+        turns = unit * np.polynomial.polynomial.polyroots(slope) if slope.size else slope
         turns = np.sort(turns.real)  # more points than needed do no harm
         return _variation_through(self, [a, *turns[(turns > a) & (turns < b)], b])
 
@@ -205,6 +217,7 @@ class Triangle:
 
     def breakpoints(self, a: float, b: float) -> Array:
         """The peaks strictly between a and b."""
+        a, b = _interval(a, b)
         return _lattice(self.period / 4.0, self.period / 2.0, a, b)
 
     def piece(self, a: float, b: float) -> Piece:
@@ -286,10 +299,12 @@ class Table:
 
     def variation(self, a: float, b: float) -> float:
         """Total variation on [a, b]."""
+        a, b = _interval(a, b)
         return _variation_through(self, [a, *self.breakpoints(a, b), b])
 
     def breakpoints(self, a: float, b: float) -> Array:
         """The table's times strictly between a and b."""
+        a, b = _interval(a, b)
         inside = slice(
             np.searchsorted(self.times, a, side="right"), np.searchsorted(self.times, b, "left")
         )
@@ -333,15 +348,15 @@ class Separable:
     def __init__(self, terms: Iterable[tuple[Callable[[float], ArrayLike], ArrayLike]]) -> None:
         pairs = list(terms) if isinstance(terms, Iterable) else []
         if not pairs:
-            raise InputError(f"terms must hold one pair (phi, f) or more, got {terms!r:.80}")
+            raise InputError(f"terms must hold one pair (phi, f) or more, got {shown(terms)}")
         columns = []
         for k, pair in enumerate(pairs):
             try:
                 history, shape = pair
             except (TypeError, ValueError):
-                raise InputError(f"terms[{k}] must be a pair (phi, f), got {pair!r:.80}") from None
+                raise InputError(f"terms[{k}] must be a pair (phi, f), got {shown(pair)}") from None
             if not callable(history):
-                raise InputError(f"terms[{k}][0] must be callable, got {history!r:.80}")
+                raise InputError(f"terms[{k}][0] must be callable, got {shown(history)}")
             columns.append(_frozen_vector(f"terms[{k}][1]", shape))
             if columns[k].size != columns[0].size:
                 raise InputError(
@@ -379,7 +394,7 @@ class Separable:
             value = entries.item() if entries.size == 1 else entries.tolist()
         if not isinstance(value, Real) or not math.isfinite(value):
             raise InputError(
-                f"terms[{k}][0] is {value!r:.80} at t = {t:g}; it must be one finite number"
+                f"terms[{k}][0] is {shown(value)} at t = {t:g}; it must be one finite number"
             )
         return float(value)
 
@@ -402,7 +417,7 @@ class Separable:
         for k, (history, shape) in enumerate(self.terms):
             if not hasattr(history, "variation"):
                 raise InputError(
-                    f"terms[{k}][0], {history!r:.40}, does not tell its variation; use Table, "
+                    f"terms[{k}][0], {shown(history)}, does not tell its variation; use Table, "
                     "Sine, Triangle, Polynomial or Constant, or give it a method variation(a, b)"
                 )
             size = np.linalg.norm(shape) if norm is None else norm(shape)
@@ -430,7 +445,7 @@ def check_points(name: str, times: ArrayLike, values: ArrayLike) -> tuple[Array,
         raise InputError(f"{name} must have two entries or more; for one value, use Constant")
     if phi.shape != t.shape:
         raise InputError(f"values has {phi.size} entries for {t.size} times; give one each")
-    late = np.flatnonzero(np.diff(t) <= 0.0)
+    late = np.flatnonzero(np.diff(t) < 1 / HUGE)
     if late.size:
         k = int(late[0])
         raise InputError(
@@ -442,12 +457,7 @@ def check_points(name: str, times: ArrayLike, values: ArrayLike) -> tuple[Array,
 
 def _times(t: Any) -> Any:
     """The times as floats; one float stays what it is, as numpy is slow with one number."""
-    if type(t) is float:
-        return t
-    try:
-        return np.asarray(t, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"t must be a time or an array of times, got {t!r:.80}") from None
+    return t if type(t) is float and abs(t) <= HUGE else times("t", t)
 
 
 def _numbers(record: object, *names: str) -> None:
@@ -476,9 +486,22 @@ def _variation_through(history: Callable[[ArrayLike], Array], times: Sequence[fl
     return float(np.sum(np.abs(np.diff(history(np.asarray(times, dtype=float))))))
 
 
+def _interval(a: Any, b: Any) -> tuple[float, float]:
+    a, b = number("a", a), number("b", b)
+    if b < a:
+        raise InputError(f"b = {b:g} is before a = {a:g}; give an interval [a, b]")
+    return a, b
+
+
 def _lattice(origin: float, step: float, a: float, b: float) -> Array:
     """Points ``origin + k step`` strictly between a and b."""
-    k = np.arange(math.floor((a - origin) / step), math.ceil((b - origin) / step) + 1)
+    if (b - a) / step > KINKS:
+        raise InputError(
+            f"period {2 * step:g} is too short: there are more than {KINKS:g} of them between "
+            f"t = {a:g} and {b:g}"
+        )
+    first = math.floor((a - origin) / step)
+    k = float(first) + np.arange(math.ceil((b - origin) / step) + 1 - first)
     points = origin + k * step
     return np.asarray(points[(points > a) & (points < b)])
 
@@ -492,7 +515,9 @@ def _periodic_variation(
     b: float,
 ) -> float:
     """Whole periods count four amplitudes each, so a long interval costs no more than a short."""
-    whole = max(math.floor((b - a) / period), 0)
-    rest = b - whole * period
+    a, b = _interval(a, b)
+    part = math.fmod(b - a, period)  # exact, however many periods there are
+    whole = round((b - a - part) / period)
+    rest = a + part if whole else b
     turns = _lattice(crest, period / 2.0, a, rest)
     return 4.0 * abs(amplitude) * whole + _variation_through(history, [a, *turns, rest])

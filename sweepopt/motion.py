@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import number
+from sweepopt.checks import number, vector
 from sweepopt.errors import InputError
 from sweepopt.loads import Constant, Piece, Separable, kinks
 from sweepopt.sets import AnySet, Box, ConvexSet, Moving, MovingOffsets
@@ -87,7 +87,10 @@ class Data:
         """Values, shape (len(times), dim)."""
         if self.function is not None:
             return np.array(
-                [np.broadcast_to(self.function(t), (self.dim,)) for t in times.tolist()]
+                [
+                    vector(f"the function of C(t) at t = {t:g}", self.function(t), self.dim)
+                    for t in times.tolist()
+                ]
             )
         values = np.zeros((len(times), self.dim))
         if self.terms:

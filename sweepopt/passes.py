@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.adaptive import CHECKED, FIRST, Adaptive, Refined, Watch, refine
+from sweepopt.adaptive import CHECKED, FIRST, STEPS, Adaptive, Refined, Watch, refine
 from sweepopt.checks import number, vector
 from sweepopt.control import evaluation_times, time_grid
 from sweepopt.errors import InputError
@@ -64,6 +64,11 @@ class Frame:
         self.longest = min(end / FIRST if steps.first is None else steps.first, end / 4)
         if scheme.explicit and process.B is not None and process.Lam > 0:
             self.longest = min(self.longest, 1 / process.Lam)
+        if end / self.longest > STEPS:
+            raise InputError(
+                f"Adaptive: steps of at most {self.longest:.3g} up to t_end = {end:g} are more "
+                f"than {STEPS:g}; make first longer"
+            )
         self.order = int(scheme.order)
 
     def grid(self) -> tuple[np.ndarray, np.ndarray]:

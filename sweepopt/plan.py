@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
-from sweepopt.errors import InputError, SolverRefusedError
+from sweepopt.errors import InputError, SolverRefusedError, shown
 from sweepopt.linalg import Elimination, Factor
 from sweepopt.multigrid import Multigrid
 from sweepopt.process import SweepingProcess
@@ -275,7 +275,7 @@ def _require_multigrid(
     """Refuse what the multigrid path does not treat."""
     if solver != "auto":
         raise SolverRefusedError(
-            f"path='multigrid' has no use for solver={solver!r:.60}; leave one of them out"
+            f"path='multigrid' has no use for solver={shown(solver)}; leave one of them out"
         )
     if not sp.issparse(process.A):
         raise InputError("path='multigrid' needs A as a sparse matrix")

@@ -230,7 +230,8 @@ class SweepingProcess:
         start = 8 * v if paper else v + distance
         with np.errstate(over="ignore"):
             growth = float(np.exp(norm_B * (times[-1] - times[0]) / self.beta))
-        return VelocityBound(start / self.beta * growth, v, distance, self.beta, norm_B)
+        value = start / self.beta * growth if start else 0.0
+        return VelocityBound(value, v, distance, self.beta, norm_B)
 
 
 class EvolutionVI:

@@ -113,8 +113,12 @@ class VelocityProgram:
         scaled = 0.5 * (scaled + scaled.T)
         features, constraints = self.cone.features(-z)
         y = cp.hstack(features) if features else None
-        if y is not None and any(any(own.attributes.values()) for own in y.variables()):
-            # cvxpy replaces variables with attributes (nonneg=True): y gets one that it keeps
+        tied = {own.id for constraint in constraints for own in constraint.variables()} | {x.id}
+        if y is not None and any(
+            any(own.attributes.values()) or own.id not in tied for own in y.variables()
+        ):
+            # cvxpy replaces variables with attributes (nonneg=True) and drops those that nothing
+            # ties (how a point splits between two points): y gets one that it keeps
             kept = cp.Variable(y.size)
             y, constraints = kept, [*constraints, kept == y]
         # M is known to be positive definite: it was factorised

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, shown
 
 PLAIN = {"bool": bool, "int": int, "float": float}
 LARGEST = {bool: 1, int: 2**63 - 1, float: np.inf}  # that an array holds
@@ -30,7 +30,7 @@ def packed(recorded: list[Any]) -> tuple[Any, list[np.ndarray]]:
         if own != form:
             raise InputError(
                 "save: with checkpoint= all records must be alike, the same types and shapes; one "
-                f"is {recorded[0]!r:.60}, another {record!r:.60}"
+                f"is {shown(recorded[0])}, another {shown(record)}"
             )
         rows.append(leaves)
     return form, [np.array(column) for column in zip(*rows, strict=True)]
@@ -58,7 +58,7 @@ def _split(record: Any) -> tuple[Any, list[Any]]:
     else:
         raise InputError(
             "save: a function returns numbers or arrays, or tuples, lists and dicts of them, if "
-            f"there is a checkpoint=; it returned {record!r:.60}"
+            f"there is a checkpoint=; it returned {shown(record)}"
         )
     return form, [leaf for _, leaves in parts for leaf in leaves]
 

@@ -14,6 +14,7 @@ from sweepopt.solution import Solution
 MOST = 8  # times the steps, from one run to the next
 LEAST_GAIN = 0.9  # a bound that falls by less does not come closer to what was asked for
 STEPS = 1_000_000  # of the finest grid
+HOPELESS = 100 * STEPS  # that would be needed: coarse grids may promise less than they keep
 
 
 def refine(run: Callable[[np.ndarray], Solution], times: np.ndarray, error: float) -> Solution:
@@ -35,7 +36,7 @@ def refine(run: Callable[[np.ndarray], Solution], times: np.ndarray, error: floa
     AccuracyError
         If finer grids do not help any more.
     """
-    last = math.inf
+    last: float | None = None
     while len(times) <= STEPS:
         solution = run(times)
         if not solution.success:
@@ -49,11 +50,13 @@ def refine(run: Callable[[np.ndarray], Solution], times: np.ndarray, error: floa
             )
         if bound <= error:
             return solution
-        if bound > LEAST_GAIN * last and math.isfinite(last):
+        if last is not None and not bound < LEAST_GAIN * last:
             break
         last = float(bound)
-        factor = min((1.1 * bound / error) ** (1 / solution.plan.scheme.order), MOST)
-        times = divided(times, max(math.ceil(factor), 2))
+        factor = (1.1 * bound / error) ** (1 / solution.plan.scheme.order)
+        if math.isfinite(bound) and factor * len(times) > HOPELESS:
+            break
+        times = divided(times, max(math.ceil(min(factor, MOST)), 2))
     raise AccuracyError(
         f"error = {error:g} was asked for, but the bound is {float(bound):.3g} with "
         f"{len(solution.t) - 1} steps and finer grids do not help or take more than {STEPS:g} "

@@ -18,7 +18,7 @@ from sweepopt.checkpoint import (
     read_stored,
 )
 from sweepopt.control import time_grid
-from sweepopt.errors import CheckpointWarning, DamagedFileError, InputError
+from sweepopt.errors import CheckpointWarning, DamagedFileError, InputError, shown
 from sweepopt.evolve import solve
 from sweepopt.fingerprint import fingerprint
 from sweepopt.observers import StepInfo
@@ -84,7 +84,7 @@ def resume(
     """
     stored = _newest(Checkpoint(path))
     if not isinstance(process, (SweepingProcess, EvolutionVI)):
-        raise InputError(f"process must be a SweepingProcess or an EvolutionVI: {process!r:.60}")
+        raise InputError(f"process must be a SweepingProcess or an EvolutionVI: {shown(process)}")
     settings = decoded(stored)
     times, _ = time_grid(settings["t_end"], settings["steps"])
     process = process.as_sweeping()

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, shown
 
 
 @dataclass(frozen=True)
@@ -83,10 +83,10 @@ SCHEMES = {
 
 def choose(name: str, rate_independent: bool) -> Scheme:
     """The scheme of that name; "auto" is midpoint, or implicit-euler when A = 0."""
-    if name == "auto":
+    if isinstance(name, str) and name == "auto":
         name = "implicit-euler" if rate_independent else "midpoint"
     if not isinstance(name, str) or name not in SCHEMES:
-        raise InputError(f"scheme {name!r} is not known; use auto, {', '.join(SCHEMES)}")
+        raise InputError(f"scheme {shown(name)} is not known; use auto, {', '.join(SCHEMES)}")
     scheme = SCHEMES[name]
     if rate_independent and not scheme.implicit:
         raise InputError(

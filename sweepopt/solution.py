@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.errors import InputError, Status, SweepoptError
+from sweepopt import checks
+from sweepopt.errors import InputError, Status, SweepoptError, shown
 from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.states import TIME_SLACK, States
@@ -277,6 +278,8 @@ class Solution:
         """
         if variation is None:
             return self._bound
+        if not callable(variation):
+            raise InputError(f"variation must be a function of time, got {shown(variation)}")
         return self._bound_with(variation)
 
     @cached_property
@@ -294,7 +297,8 @@ class Solution:
             run = Path(self._grid, u, np.diff(u, axis=0) / np.diff(self._grid)[:, None])
         else:
             run = nodes(self.process, replace(self.plan, reduction=None), self._grid)
-        return error_bound(self.process, self.plan, run, variation)
+        with np.errstate(over="ignore", invalid="ignore"):  # a bound may be infinite
+            return error_bound(self.process, self.plan, run, variation)
 
     def _distance(self, force: np.ndarray, C: Any) -> float:
         # the velocity program with M = A, q = w is the projection of w on C in the A^-1 metric
@@ -316,10 +320,7 @@ class Solution:
         return np.array(values).reshape(times.shape)
 
     def _inside(self, t: Any) -> np.ndarray:
-        try:
-            times = np.asarray(t, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"t must be a time or an array of times, got {t!r:.60}") from error
+        times = checks.times("t", t)
         if len(self.t) < 2:
             raise InputError("the run has no complete step to interpolate")
         slack = TIME_SLACK * max(abs(self.t[0]), abs(self.t[-1]))

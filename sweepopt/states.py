@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from sweepopt.checks import vector
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, shown
 
 TIME_SLACK = 1e-12
 """Share of the time scale by which a time may miss a node of the grid: rounding."""
@@ -148,7 +148,7 @@ def saving(save: Any, times: np.ndarray, dim: int, memory: float) -> Saving:
     else:
         raise InputError(
             f"save must be None, 'last', a stride, times, a function of (t, u, z) or the name of "
-            f"an .nc file; got {save!r:.60}"
+            f"an .nc file; got {shown(save)}"
         )
     size = 8.0 * dim * (2 * chosen.steps.size + 1)
     if size > memory:

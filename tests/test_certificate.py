@@ -407,6 +407,14 @@ def _holds(seed: int, still: bool) -> None:
     assert bound.lower <= bound
 
 
+def test_a_bound_that_overflows_is_infinite_and_not_nan() -> None:
+    vi = so.EvolutionVI([[0.0]], [[0.5]], dissipation=so.Box([-1], [1]), u0=[0.5])
+    bound = so.solve(vi, t_end=1e74, steps=2).error_bound()
+    assert bound == np.inf
+    assert np.isinf(bound.of_t).all()
+    assert bound.lower == 0.0
+
+
 @pytest.mark.parametrize("still", [False, True])
 def test_the_bound_holds_for_random_processes_on_coarse_grids(still: bool) -> None:
     for seed in range(12):

@@ -127,6 +127,43 @@ CASES: list[tuple[str, Callable[[], Any], str]] = [
     ("interpolate complex", lambda: run()(1j), r"t must be a time"),
     ("times empty", lambda: process().velocity_bound([]), r"at least two strictly increasing"),
     ("interpolate outside", lambda: run()(7.0), r"t = 7 is outside"),
+    # found by fuzzing (test_fuzz.py), shrunken
+    ("A beyond floats", lambda: process(A=[[10**400, 0], [0, 1]]), r"A must be a matrix of numbers"),
+    ("u0 beyond floats", lambda: process(u0=[10**400, 0]), r"u0 must be an array of numbers"),
+    ("u0 not to be printed", lambda: process(u0=10**5000), r"u0 must .* int too long to print"),
+    ("A too large", lambda: process(A=1e300 * EYE), r"A\[0, 0\] is 1e\+300, beyond 1e\+75"),
+    ("A too small", lambda: process(A=1e-320 * EYE), r"A\[0, 0\] is .*, below 1e-75"),
+    ("u0 too large", lambda: process(u0=[0, -1e155]), r"u0\[1\] is -1e\+155, beyond 1e\+75"),
+    ("t_end too small", lambda: run(t_end=5e-324), r"t_end is .*, below 1e-75"),
+    ("steps without end", lambda: run(steps=10**15), r"steps is 1000000000000000, more than 1e\+08"),
+    ("steps beyond floats", lambda: run(steps=10**400), r"steps is 1000"),
+    ("on_unstable an array", lambda: run(on_unstable=np.ones(2)), r"on_unstable must be one of"),
+    ("scheme an array", lambda: run(scheme=np.ones(2)), r"scheme array.* is not known"),
+    ("solver an array", lambda: run(solver=np.ones(2)), r"solver must be a name"),
+    ("field's solver an array", lambda: so.velocity_field(
+        so.SweepingProcess([[1]], None, so.Box([0], [1]), [0]), solver=np.ones(2)), r"solver must be"),
+    ("error out of reach", lambda: run(vi(load=so.Separable([(so.Sine(3, 1), [1, 1])]),
+        dissipation=BOX), error=1e-70), r"error = 1e-70 was asked for, but the bound is"),
+    ("first without end", lambda: run(steps=so.Adaptive(0.5, first=1e-70)), r"make first longer"),
+    ("adaptive below rounding", lambda: run(
+        process(u0=[1e20, 0]), steps=so.Adaptive(0.5)), r"tol = 0.5 is less than the rounding of u"),
+    ("variation a number", lambda: run().error_bound(variation=np.nan), r"variation must be a func"),
+    ("center wrong between nodes", lambda: run(process(C=so.Moving(
+        BOX, lambda t: [0, 0] if t in (0, 1, 0.5) else 10**30)), steps=[0, 1]).error_bound(),
+        r"the function of C\(t\) at t = .* must have 2 entries"),
+    ("scale too small", lambda: 5e-324 * BOX, r"scale is .*, below 1e-75"),
+    ("image ragged", lambda: so.image([[1, 2], [3]], BOX), r"M must be a matrix of numbers"),
+    ("ellipsoid too small", lambda: so.Ellipsoid([1], [[1e-323]]), r"shape must be positive def"),
+    ("no number times a set", lambda: (BOX + [1, 1]).support(["a", 1]), r"z must be an array"),
+    ("interpolate beyond floats", lambda: run()(10**400), r"t must be a time"),
+    ("history at nan", lambda: so.Sine(1, 1)(np.nan), r"t is nan; give finite times"),
+    ("history beyond floats", lambda: so.Constant(1)(10**400), r"t must be a time"),
+    ("history of complex times", lambda: so.Constant(1)(np.array([1j])), r"t must be a time"),
+    ("period too small", lambda: so.Sine(1, 5e-324), r"period is .*, below 1e-75"),
+    ("kinks without end", lambda: so.Triangle(1, 1e-30).breakpoints(0, 1), r"period 1e-30 is too sh"),
+    ("variation without end", lambda: so.Sine(1, 1).variation(0, np.inf), r"b is inf"),
+    ("interval reversed", lambda: so.Sine(1, 1).variation(1e20, 0), r"b = 0 is before a = 1e\+20"),
+    ("polynomial overflows", lambda: so.Polynomial(np.ones(9))(1e74), r"overflows at t = 1e\+74"),
 ]  # fmt: skip
 
 

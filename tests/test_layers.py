@@ -14,7 +14,8 @@ PACKAGE = Path(__file__).parent.parent / "sweepopt"
 # a module may import from its own level (inside one package) and from levels below
 LEVELS = [
     {"errors", "files"},
-    {"alone", "archive", "checks", "csvtable", "grids", "records", "versions"},
+    {"alone", "archive", "checks", "grids", "records", "texts", "versions"},
+    {"csvtable"},
     {"precise"},
     {"linalg", "loads", "secular"},
     {"sets"},
@@ -52,7 +53,7 @@ HOMES = {
     "daqp": {"solvers/daqp"},
     "pyamg": {"multigrid"},
     "skfem": {"fem", "study/cases"},
-    "meshio": {"fem", "store/vtu"},
+    "meshio": {"store/vtu"},
     "pydantic": {"fem"},
     "matplotlib": {"plot", "study/diagram"},
     "xarray": {"store/netcdf"},

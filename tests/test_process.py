@@ -159,6 +159,19 @@ def test_a_variation_that_is_not_known_is_refused() -> None:
         process.variation([1.0, 0.0])
 
 
+def test_the_bound_of_a_body_at_rest_is_zero_whatever_its_constants() -> None:
+    # exp(|B| T / beta) is infinite here, and nothing times it is nothing
+    process = so.SweepingProcess([[1e-20]], [[1.0]], so.Box([0], [0]), [0.0])
+    assert process.velocity_bound([0.0, 1.0]).value == 0.0
+
+
+def test_beta_is_found_beside_entries_of_another_size() -> None:
+    A = np.array([[5e-20, 1.5e-30, 5e-21], [1.5e-30, 4.5e-40, 0.0], [5e-21, 0.0, 4.25e-20]])
+    beta = so.SweepingProcess(A, None, so.WholeSpace(3), np.zeros(3)).beta
+    # the determinant of the first two unknowns alone, over the first entry
+    assert beta == pytest.approx(4.5e-40 - 2.25e-60 / 5e-20, rel=0.02)
+
+
 def test_a_jump_to_an_unbounded_set_is_not_of_bounded_variation() -> None:
     C = so.MovingSet(lambda t: so.Box([-1], [1 if t < 0.5 else np.inf]))
     with pytest.warns(so.VariationWarning, match=r"t = 0\.5"):

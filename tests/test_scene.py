@@ -171,6 +171,8 @@ BAD = [
     # domain, time, solve
     ("domain.mesh", MISSING, "domain.mesh: is missing"),
     ("domain.mesh", 3, "domain.mesh: must be a valid string"),
+    ("domain.mesh", "\0", "domain.mesh: .*cannot be read"),
+    ("effects.viscosity.eta", 10**400, "effects.viscosity.eta must be a number, got 1000"),
     ("domain.mesh", "absent.msh", "domain.mesh: .*absent.msh: cannot be read"),
     ("domain.mesh", "broken.msh", "domain.mesh: .*broken.msh: is cut short"),
     ("domain.mesh", "loads.csv", "domain.mesh: .*loads.csv: is not a Gmsh .msh file"),
@@ -312,6 +314,11 @@ def test_a_bad_entry_is_refused_with_its_path(folder, path, value, message):
         (3, "source must be a path, the name of a problem, TOML text or a mapping, got 3"),
         (None, "source must be .*, got None"),
         (b"", "source must be .*, got b''"),
+        # found by fuzzing (test_fuzz.py), shrunken
+        pytest.param("x = " + 5000 * "9" + "\n", "is not TOML: Exceeds", id="digits"),
+        pytest.param("x = " + 3000 * "[" + "\n", "is not TOML: brackets within", id="brackets"),
+        pytest.param(5000 * "x", "is neither a scene file nor a problem", id="a long name"),
+        ("a\0b.toml", r"a\\x00b.toml': cannot be read \(embedded null byte"),
     ],
 )
 def test_a_bad_file_is_refused(source, message):

@@ -39,6 +39,12 @@ def test_two_sets_of_one_family_share_their_cone_and_differ_in_offsets(name: str
     assert one.offsets.shape == two.offsets.shape
 
 
+def test_a_cone_that_is_mapped_to_zero_is_a_point() -> None:
+    C = so.image([[0.0]], so.Orthant(1))
+    assert C.magnitude() == 0.0
+    assert C.support([3.0]) == 0.0
+
+
 def test_another_matrix_is_another_cone() -> None:
     eye = np.eye(2)
     pairs = [

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from sweepopt.checks import Matrix
-from sweepopt.errors import InputError, Status
+from sweepopt.errors import InputError, Status, shown
 from sweepopt.exact.rows import Rows, rows_of
 from sweepopt.exact.trajectory import Phase, Trajectory, integrate
 from sweepopt.linalg import Factor
@@ -52,7 +52,7 @@ def mover(process: SweepingProcess, plan: Plan, marks: Marks | None = None) -> M
         return partial(march, process, plan, marks=marks)
     if plan.solver != "auto":
         raise InputError(
-            f"scheme 'exact' has no use for solver={plan.solver!r:.60}; leave one of them out"
+            f"scheme 'exact' has no use for solver={shown(plan.solver)}; leave one of them out"
         )
     return partial(follow, rows_of(process), process, plan.tol)
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.linalg
 
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, shown
 from sweepopt.exact.forces import Forces
 from sweepopt.exact.halfspaces import halfspaces
 from sweepopt.linalg import dense
@@ -145,7 +145,7 @@ def _terms(load: Any, name: str) -> list[tuple[Any, np.ndarray]]:
     for k, (history, _) in enumerate(load.terms):
         if not hasattr(history, "piece") or not hasattr(history, "breakpoints"):
             raise _refused(
-                f"has {name} whose terms[{k}][0], {history!r:.40}, has no closed form; use "
+                f"has {name} whose terms[{k}][0], {shown(history)}, has no closed form; use "
                 "Constant, Polynomial, Sine, Triangle or Table, or give it piece(a, b) and "
                 "breakpoints(a, b)"
             )

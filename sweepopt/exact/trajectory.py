@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sweepopt import checks
 from sweepopt.errors import InputError
 from sweepopt.exact.active import Active, just_after
 from sweepopt.exact.crossing import first_crossing
@@ -118,10 +119,7 @@ class Trajectory:
 
     def seen(self, t: Any, look: Callable[[Phase, np.ndarray], np.ndarray]) -> np.ndarray:
         """What `look` sees of the phases at the times."""
-        try:
-            times = np.asarray(t, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"t must be a time or an array of times, got {t!r:.60}") from error
+        times = checks.times("t", t)
         start = self.phases[0].start
         slack = SLACK * max(abs(start), abs(self.end))
         bad = ~((times >= start - slack) & (times <= self.end + slack))

@@ -11,7 +11,8 @@ import scipy.sparse as sp
 import skfem
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.errors import InputError
+from sweepopt.checks import choice
+from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import Datum, check_datum, evaluate
 from sweepopt.fem.mesh import Indices, check_mesh, group
 
@@ -53,11 +54,10 @@ class Discretisation:
     element: str = "P1"
 
     def __init__(self, mesh: skfem.MeshTri, clamped: Sequence[str], element: str = "P1") -> None:
-        if element not in tuple(ELEMENTS):
-            raise InputError(f"element must be one of {', '.join(ELEMENTS)}; got {element!r}")
+        choice("element", element, ELEMENTS)
         if not isinstance(mesh, skfem.MeshTri):
             raise InputError(
-                f"mesh must be a path or a mesh of triangles (skfem.MeshTri), got {mesh!r:.80}"
+                f"mesh must be a path or a mesh of triangles (skfem.MeshTri), got {shown(mesh)}"
             )
         check_mesh(mesh)
         object.__setattr__(self, "mesh", mesh)

@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Contact, contact_on
 from sweepopt.fem.discretisation import Discretisation
 from sweepopt.fem.fields import FRICTION, NON_NEGATIVE, POSITIVE, Datum, check_datum
@@ -195,7 +195,7 @@ def names(argument: str, value: object) -> tuple[str, ...]:
         or not listed
         or not all(isinstance(name, str) and name for name in listed)
     ):
-        raise InputError(f"{argument} must be a name or a list of names, got {value!r:.80}")
+        raise InputError(f"{argument} must be a name or a list of names, got {shown(value)}")
     if len(set(listed)) < len(listed):
         raise InputError(f"{argument} names a boundary twice: {', '.join(listed)}")
     return tuple(listed)
@@ -205,5 +205,5 @@ def check_history(history: object) -> None:
     """Refuse a history that is not a function of time."""
     if not callable(history):
         raise InputError(
-            f"history must be a function of time such as Table or Sine, got {history!r:.80}"
+            f"history must be a function of time such as Table or Sine, got {shown(history)}"
         )

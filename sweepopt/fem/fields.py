@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.checks import vector
-from sweepopt.errors import InputError
+from sweepopt.checks import choice, floats, vector
+from sweepopt.errors import InputError, shown
 from sweepopt.fem.mesh import Indices
 
 Array = NDArray[np.float64]
@@ -48,8 +48,7 @@ class Profile:
     values: Array
 
     def __init__(self, along: str, at: ArrayLike, values: ArrayLike) -> None:
-        if along not in tuple(DIRECTIONS):
-            raise InputError(f"along must be one of {', '.join(DIRECTIONS)}; got {along!r}")
+        choice("along", along, DIRECTIONS)
         object.__setattr__(self, "along", along)
         object.__setattr__(self, "at", vector("at", at))
         object.__setattr__(self, "values", vector("values", values, self.at.size))
@@ -82,7 +81,7 @@ class Range:
 
     def check(self, name: str, values: ArrayLike, hint: str = "") -> None:
         """Refuse values that are not finite or lie below the minimum."""
-        array = np.asarray(values, dtype=float)
+        array = floats(name, values, "a number")
         bad = np.isnan(array) if self.infinite else ~np.isfinite(array)
         if np.any(bad):
             raise InputError(f"{name} must be finite, got {array[bad].flat[0]}{hint}")
@@ -186,6 +185,6 @@ def _by_group(
 
 def _check_number(name: str, value: Any, allowed: Range, hint: str) -> float:
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.number)):
-        raise InputError(f"{name} must be a number, got {value!r:.80}")
+        raise InputError(f"{name} must be a number, got {shown(value)}")
     allowed.check(name, value, hint)
     return float(value)

@@ -8,7 +8,6 @@ error starts with the path of the key at fault, such as ``effects.friction.g``.
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
@@ -16,14 +15,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, shown
 from sweepopt.fem.discretisation import Discretisation
 from sweepopt.fem.effects import EFFECTS, Effect, names
 from sweepopt.fem.fields import Profile
-from sweepopt.fem.mesh import as_path, read_mesh
+from sweepopt.fem.mesh import read_mesh
 from sweepopt.fem.scene import Scene, build, check_names, located
 from sweepopt.library import find_problem
 from sweepopt.loads import Constant, History, Sine, Table, Triangle, check_points
+from sweepopt.texts import as_path, parse_toml, read_toml
 
 WAVEFORMS: dict[str, type] = {"constant": Constant, "sine": Sine, "triangle": Triangle}
 """Histories by the name of their waveform in a scene file."""
@@ -159,25 +159,14 @@ def _load(source: str | Path | Mapping[str, Any], folder: Path) -> tuple[Mapping
     if not isinstance(source, (str, os.PathLike)):
         raise InputError(
             "source must be a path, the name of a problem, TOML text or a mapping, "
-            f"got {source!r:.80}"
+            f"got {shown(source)}"
         )
     if isinstance(source, str) and "\n" in source:
-        where, text = "the scene", source
-    else:
-        path = Path(source)
-        if isinstance(source, str) and path.suffix != ".toml" and not path.is_file():
-            path = find_problem(source)
-        where, folder = str(path), path.parent
-        try:
-            text = path.read_text(encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-        except UnicodeDecodeError:
-            raise InputError(f"{path}: is not UTF-8 text, as TOML must be") from None
-    try:
-        return tomllib.loads(text), folder
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{where}: is not TOML: {error}") from error
+        return parse_toml("the scene", source), folder
+    path = Path(source)
+    if isinstance(source, str) and path.suffix != ".toml" and not os.path.isfile(path):
+        path = find_problem(source)
+    return read_toml(path), path.parent
 
 
 def _validate(data: Mapping[str, Any]) -> _File:
@@ -190,7 +179,7 @@ def _validate(data: Mapping[str, Any]) -> _File:
             path = ".".join(str(key) for key in fault["loc"] if key not in ("str", "list[str]"))
             asked = fault["msg"].replace("Input should be", "must be")
             message = {"extra_forbidden": "unknown key", "missing": "is missing"}.get(
-                fault["type"], f"{asked}, got {fault['input']!r:.80}"
+                fault["type"], f"{asked}, got {shown(fault['input'])}"
             )
             faults.append(f"{path}: {message}")
         raise InputError("; ".join(dict.fromkeys(faults))) from error
@@ -211,7 +200,7 @@ def _effects(tables: Mapping[str, Any], folder: Path) -> dict[str, Effect]:
 def _record(kind: Callable[..., Any], table: Any, path: str, folder: Path) -> Any:
     """A record from a table whose keys are the record's fields."""
     if not isinstance(table, Mapping):
-        raise InputError(f"{path}: must be a table, got {table!r:.80}")
+        raise InputError(f"{path}: must be a table, got {shown(table)}")
     known = {field.name: field for field in fields(kind)}  # type: ignore[arg-type]
     for key in table:
         if key not in known:
@@ -224,7 +213,7 @@ def _record(kind: Callable[..., Any], table: Any, path: str, folder: Path) -> An
         wanted = {"float": (int, float), "str": (str,)}.get(str(known[key].type))
         if wanted and (not isinstance(value, wanted) or isinstance(value, bool)):
             kinds = "a number" if float in wanted else "a string"
-            raise InputError(f"{path}.{key}: must be {kinds}, got {value!r:.80}")
+            raise InputError(f"{path}.{key}: must be {kinds}, got {shown(value)}")
     with located(path):
         return kind(**values)
 
@@ -239,7 +228,7 @@ def _value(key: str, value: Any, path: str, folder: Path) -> Any:
 
 def _history(table: Any, path: str, folder: Path) -> History:
     if not isinstance(table, Mapping):
-        raise InputError(f"{path}: must be a table with csv, waveform or table; got {table!r:.80}")
+        raise InputError(f"{path}: must be a table with csv, waveform or table; got {shown(table)}")
     if "csv" in table:
         source: _CsvColumn = _record(_CsvColumn, table, path, folder)
         with located(path):
@@ -250,7 +239,7 @@ def _history(table: Any, path: str, folder: Path) -> History:
         rest = dict(table)
         name = rest.pop("waveform")
         if name not in tuple(WAVEFORMS):
-            raise InputError(f"{path}.waveform: {name!r} is not among {', '.join(WAVEFORMS)}")
+            raise InputError(f"{path}.waveform: {shown(name)} is not among {', '.join(WAVEFORMS)}")
         return _record(WAVEFORMS[name], rest, path, folder)
     if set(table) == {"table"}:
         rows: _Rows = _record(_Rows, table["table"], f"{path}.table", folder)

@@ -7,25 +7,23 @@ nothing holds) is refused here, with its place.
 
 from __future__ import annotations
 
-import os
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import meshio
 import numpy as np
 import skfem
 from numpy.typing import NDArray
 
 from sweepopt.errors import InputError
+from sweepopt.fem.gmsh import Gmsh, read_gmsh
+from sweepopt.texts import as_path, read_bytes
 
 Indices = NDArray[np.int64]
 
 FLAT = 1e-10
 """An area below this share of the square of the longest edge is no triangle."""
-VERSIONS = ("2", "2.2", "4", "4.0", "4.1")
-"""Of the MSH format, those meshio knows; it would take any other 2.x or 4.x for 2.2 or 4.1."""
+LINES = ("line", "line3")
 HUGE = 1e100
 """Coordinates beyond this overflow when they are squared."""
 
@@ -49,27 +47,11 @@ def read_mesh(path: str | Path) -> skfem.MeshTri:
         If the file is not such a mesh; the message names the file and the fault.
     """
     path = as_path("path", path)
-    raw = _read_gmsh(path)
-    kinds = {block.type for block in raw.cells}
-    foreign = kinds - {"triangle", "triangle6", "line", "line3", "vertex"}
-    if foreign:
-        raise InputError(f"{path}: only triangles are supported, not {', '.join(sorted(foreign))}")
-    surfaces = kinds & {"triangle", "triangle6"}
-    if not surfaces:
-        raise InputError(f"{path}: has no triangles; save the meshed surface in a physical group")
-    if len(surfaces) == 2:
-        raise InputError(f"{path}: mixes triangles of first and second order; use one order")
     try:
-        return _build(raw, surfaces.pop())
+        return _build(read_gmsh(read_bytes(path)))
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-
-
-def as_path(name: str, value: Any) -> Path:
-    """A path, or an error that names the argument."""
-    if not isinstance(value, (str, os.PathLike)):
-        raise InputError(f"{name} must be a path, got {value!r:.80}")
-    return Path(value)
+        where = "" if str(error).startswith(str(path)) else f"{path}: "
+        raise InputError(f"{where}{error}") from error
 
 
 def check_mesh(mesh: skfem.MeshTri) -> None:
@@ -80,9 +62,7 @@ def check_mesh(mesh: skfem.MeshTri) -> None:
     InputError
         Naming the triangle (its number in the mesh) and where it is.
     """
-    bad = np.flatnonzero(~(np.abs(mesh.doflocs) < HUGE).all(axis=0))
-    if bad.size:
-        raise InputError(f"node {bad[0]} has coordinates {mesh.doflocs[:, bad[0]]}; mesh again")
+    check_nodes(mesh.doflocs)
     corners = mesh.p[:, mesh.t]
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     longest = np.maximum(np.sum(first**2, axis=0), np.sum(second**2, axis=0))
@@ -103,6 +83,13 @@ def check_mesh(mesh: skfem.MeshTri) -> None:
         _refuse_triangles(mesh, turned, "is inverted: its curved edges cross")
 
 
+def check_nodes(points: NDArray[np.float64]) -> None:
+    """Refuse coordinates, shape (2 or 3, N), that are not numbers or overflow when squared."""
+    bad = np.flatnonzero(~(np.abs(points) < HUGE).all(axis=0))
+    if bad.size:
+        raise InputError(f"node {bad[0]} has coordinates {points[:, bad[0]]}; mesh again")
+
+
 def group(groups: Mapping[str, Any] | None, name: str, what: str) -> Indices:
     """Members of a named group of edges or triangles, or an error that lists the names."""
     known = groups or {}
@@ -112,42 +99,21 @@ def group(groups: Mapping[str, Any] | None, name: str, what: str) -> Indices:
     return np.asarray(known[name], dtype=np.int64)
 
 
-def _read_gmsh(path: Path) -> meshio.Mesh:
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    if not content.startswith(b"$MeshFormat"):
-        raise InputError(f"{path}: is not a Gmsh .msh file (it does not start with $MeshFormat)")
-    if b"$EndElements" not in content:
-        raise InputError(f"{path}: is cut short ($EndElements is missing); save it again")
-    version = b"".join(content[:100].split()[1:2]).decode(errors="replace")
-    if version not in VERSIONS:
-        raise InputError(
-            f"{path}: MSH version {version!r} is not among {', '.join(VERSIONS)}; "
-            "save it as version 4.1 (Mesh.MshFileVersion)"
-        )
-    try:
-        with warnings.catch_warnings():
-            # numpy only warns when a block of numbers ends early
-            warnings.simplefilter("error")
-            return meshio.gmsh.read(path)
-    except Exception as error:  # the parser raises whatever it stumbles on
-        reason = str(error) or type(error).__name__
-        raise InputError(
-            f"{path}: cannot be read as a Gmsh mesh ({reason}); "
-            "is every saved element in a physical group?"
-        ) from error
-
-
-def _build(raw: meshio.Mesh, kind: str) -> skfem.MeshTri:
-    points = np.asarray(raw.points, dtype=float)
-    cells = np.vstack([block.data for block in raw.cells if block.type == kind])
+def _build(raw: Gmsh) -> skfem.MeshTri:
+    surfaces = {block.kind for block in raw.blocks if len(block.nodes)} & {"triangle", "triangle6"}
+    if not surfaces:
+        raise InputError("has no triangles; save the meshed surface in a physical group")
+    if len(surfaces) == 2:
+        raise InputError("mixes triangles of first and second order; use one order")
+    (kind,) = surfaces
+    points = raw.points
+    cells = np.vstack([block.nodes for block in raw.blocks if block.kind == kind])
     used = np.unique(cells)
-    if used[0] < 0 or used[-1] >= len(points):
-        raise InputError("a triangle names a node that is not in the file")
+    check_nodes(points[used].T)
     if np.ptp(points[used, 2]) > 1e-9 * np.ptp(points[used, :2]):
         raise InputError("is not flat: z varies; the section must lie in a plane z = constant")
+    if kind == "triangle6":
+        _require_middles(cells)
     # corners first, as scikit-fem numbers them; nodes of no triangle are dropped
     corners = np.unique(cells[:, :3])
     number = np.full(len(points), -1)
@@ -159,33 +125,36 @@ def _build(raw: meshio.Mesh, kind: str) -> skfem.MeshTri:
     mesh = skfem.MeshTri2(xy, t) if kind == "triangle6" else skfem.MeshTri(xy, t)
     check_mesh(mesh)
 
-    lines = [block.data[:, :2] for block in raw.cells if block.type in ("line", "line3")]
+    lines = [block.nodes[:, :2] for block in raw.blocks if block.kind in LINES]
     edges = number[np.vstack(lines)] if lines else np.empty((0, 2), dtype=int)
     boundaries = {
         name: _facets(mesh, edges[members], name)
-        for name, members in _groups(raw, 1, ("line", "line3")).items()
+        for name, members in _groups(raw, 1, LINES).items()
     }
     return mesh.with_boundaries(boundaries).with_subdomains(_groups(raw, 2, (kind,)))
 
 
-def _groups(raw: meshio.Mesh, dimension: int, kinds: tuple[str, ...]) -> dict[str, Indices]:
+def _require_middles(cells: Indices) -> None:
+    """Refuse six-node triangles unless each edge has one middle node, and that no other edge."""
+    edges = np.sort(np.vstack([cells[:, [0, 1]], cells[:, [1, 2]], cells[:, [2, 0]]]), axis=1)
+    middles = cells[:, 3:].T.ravel()
+    both = np.column_stack([edges, middles])
+    counts = {len(np.unique(one, axis=0)) for one in (edges, middles, both)}
+    if len(counts) > 1 or np.isin(middles, cells[:, :3]).any():
+        raise InputError("is damaged: the edges of its triangles have not one middle node each")
+
+
+def _groups(raw: Gmsh, dimension: int, kinds: tuple[str, ...]) -> dict[str, Indices]:
     """Physical groups of one dimension: name -> indices into the blocks of `kinds`, joined."""
-    names = {int(tag): name for name, (tag, dim) in raw.field_data.items() if dim == dimension}
-    tags = raw.cell_data.get("gmsh:physical", [])
     found: dict[str, list[Indices]] = {}
     offset = 0
-    for k, block in enumerate(raw.cells):
-        if block.type not in kinds:
+    for block in raw.blocks:
+        if block.kind not in kinds:
             continue
-        if tags:
-            for tag in np.unique(tags[k]):
-                members = offset + np.flatnonzero(tags[k] == tag)
-                found.setdefault(names.get(int(tag), str(tag)), []).append(members)
-        for name in names.values():
-            # a curve or surface in several groups is listed here only
-            if name in raw.cell_sets and len(raw.cell_sets[name][k]):
-                found.setdefault(name, []).append(offset + np.asarray(raw.cell_sets[name][k], int))
-        offset += len(block)
+        for number in np.unique(block.groups[block.groups != 0]).tolist():
+            members = offset + np.flatnonzero((block.groups == number).any(axis=1))
+            found.setdefault(raw.names.get((dimension, number), str(number)), []).append(members)
+        offset += len(block.nodes)
     return {name: np.unique(np.concatenate(members)) for name, members in found.items()}
 
 

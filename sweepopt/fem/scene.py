@@ -14,8 +14,8 @@ import skfem
 from numpy.typing import ArrayLike
 
 from sweepopt import schemes, solvers
-from sweepopt.checks import number
-from sweepopt.errors import InputError
+from sweepopt.checks import choice, number
+from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Contact
 from sweepopt.fem.discretisation import Discretisation
 from sweepopt.fem.effects import Contribution, Effect, names
@@ -135,7 +135,7 @@ def antiplane(
     """
     if not isinstance(effects, Iterable):
         raise InputError(
-            f"effects must be a list of effects such as [Viscosity(1.0)], got {effects!r:.80}"
+            f"effects must be a list of effects such as [Viscosity(1.0)], got {shown(effects)}"
         )
     if t_end is not None:
         t_end = number("t_end", t_end, minimum=0.0, strict=True)
@@ -149,8 +149,7 @@ def antiplane(
         "units": units,
         "title": title,
     }
-    if units not in UNITS:
-        raise InputError(f"units must be one of {', '.join(UNITS)}; got {units!r}")
+    choice("units", units, UNITS)
     if isinstance(mesh, (str, Path)):
         mesh = read_mesh(mesh)
     body = Discretisation(mesh, names("clamped", clamped), element)
@@ -169,7 +168,7 @@ def build(
     parts: list[Contribution] = []
     for label, effect in effects.items():
         if isinstance(effect, type) or not hasattr(effect, "contribute"):
-            raise InputError(f"{label} is no effect such as Viscosity(1.0): {effect!r:.80}")
+            raise InputError(f"{label} is no effect such as Viscosity(1.0): {shown(effect)}")
         with located(label):
             parts.append(effect.contribute(body))
             _check_duration(parts[-1], settings["t_end"])

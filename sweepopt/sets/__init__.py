@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from sweepopt.checks import matrix
 from sweepopt.errors import InputError
 from sweepopt.sets.algebra import Product
 from sweepopt.sets.base import ConvexSet, Features, Witness
@@ -60,7 +61,8 @@ def image(M: Any, C: Any) -> Any:
         return MovingSet(lambda t: template.with_part(C.at(t)), template.dim)
     if not isinstance(C, ConvexSet):
         raise InputError(f"image(M, C): C must be a set, got {type(C).__name__}")
-    if isinstance(C, Box) and C.dim == np.shape(M)[-1]:
+    M = matrix("M", M)
+    if isinstance(C, Box) and C.dim == M.shape[1]:
         M, C = gathered(M, C) or (M, C)
     found = Image(M, C)
     if isinstance(C, Point):

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from sweepopt.checks import number, vector
+from sweepopt.checks import divisor, number, vector
 from sweepopt.errors import InputError
 from sweepopt.sets.base import (
     Companion,
@@ -48,6 +48,7 @@ class Translation(ConvexSet):
         return np.concatenate([self.v, self.part.offsets])
 
     def support(self, z: np.ndarray) -> float:
+        z = vector("z", z, self.dim)
         return self.part.support(z) + float(self.v @ z)
 
     def project(self, w: np.ndarray) -> np.ndarray:
@@ -447,6 +448,7 @@ def scale(factor: Any, C: ConvexSet) -> ConvexSet:
                 "scale 0 of an unbounded set is not closed in the limit; use scale > 0"
             )
         return Point(np.zeros(C.dim))
+    divisor("scale", r)
     return Scaling(r, C)
 
 

@@ -258,7 +258,7 @@ class Image(ConvexSet):
 
     def magnitude(self) -> float:
         norm = np.sqrt(self._diagonal.max()) if self._orthogonal else np.linalg.norm(_dense(self.M))
-        return float(norm) * self.part.magnitude()
+        return float(norm) * self.part.magnitude() if norm else 0.0
 
     def _distance(self, other: ConvexSet) -> float | None:
         if not (isinstance(other, Image) and same_array(self.M, other.M)):

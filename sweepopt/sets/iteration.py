@@ -123,9 +123,12 @@ def _clarabel_failures_named() -> Iterator[None]:
 
 
 def fixed_point(
-    step: Callable[[np.ndarray], np.ndarray], x: np.ndarray, like: np.ndarray
+    step: Callable[[np.ndarray], np.ndarray],
+    x: np.ndarray,
+    like: np.ndarray,
+    sweeps: int = SWEEPS,
 ) -> np.ndarray | None:
-    """x = step(x) to rounding for a nonexpansive step; None if SWEEPS do not suffice.
+    """x = step(x) to rounding for a nonexpansive step; None if so many sweeps do not suffice.
 
     Anderson's acceleration (Walker and Ni, SIAM J. Numer. Anal. 49, 2011), with the plain
     iteration, whose residual never grows, as the safeguard of Zhang, O'Donoghue and Boyd (2020).
@@ -141,7 +144,7 @@ def fixed_point(
     images: list[np.ndarray] = []
     residuals: list[np.ndarray] = []
     size = float(max(np.abs(like).max(initial=0.0), np.abs(x).max()))
-    for _ in range(SWEEPS):
+    for _ in range(sweeps):
         image = step(x)
         residual = image - x
         if np.abs(residual).max() <= ROUNDING * max(size, np.abs(image).max()):

@@ -68,7 +68,9 @@ class Sum(ConvexSet):
         def sweep(second: np.ndarray) -> np.ndarray:
             return self.second.project(w - self.first.project(w - second))
 
-        second = fixed_point(sweep, self.second.project(np.zeros(self.dim)), w)
+        # where a part iterates too, the work multiplies, and a program for both is near
+        sweeps = SWEEPS if self.first.exact and self.second.exact else SWEEPS // 10
+        second = fixed_point(sweep, self.second.project(np.zeros(self.dim)), w, sweeps)
         return None if second is None else (self.first.project(w - second), second)
 
     def features(self, p: cp.Expression) -> Features:

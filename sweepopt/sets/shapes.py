@@ -8,8 +8,8 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from sweepopt.checks import number, symmetric, vector
-from sweepopt.errors import EmptySetError, InputError
+from sweepopt.checks import HUGE, number, symmetric, vector
+from sweepopt.errors import EmptySetError, InputError, shown
 from sweepopt.secular import secular
 from sweepopt.sets.base import (
     ROUNDING,
@@ -463,7 +463,7 @@ class Ellipsoid(ConvexSet):
         full = symmetric("shape", shape, self.dim)
         self.shape = full if isinstance(full, np.ndarray) else full.toarray()
         self._squares, self._axes = np.linalg.eigh(self.shape)  # semi-axes squared, directions
-        if self._squares[0] <= 1e-14 * self._squares[-1]:
+        if self._squares[0] <= max(1e-14 * self._squares[-1], 1 / HUGE):
             raise InputError(
                 f"shape must be positive definite, its smallest eigenvalue is {self._squares[0]:g}"
             )
@@ -580,7 +580,7 @@ def entries(name: str, value: Any, finite: bool = True) -> np.ndarray:
 def dimension(dim: Any) -> int:
     """A positive whole number of unknowns."""
     if isinstance(dim, bool) or not isinstance(dim, (int, np.integer)) or dim < 1:
-        raise InputError(f"dim must be a positive whole number, got {dim!r}")
+        raise InputError(f"dim must be a positive whole number, got {shown(dim)}")
     return int(dim)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from sweepopt.errors import SolverRefusedError
+from sweepopt.errors import SolverRefusedError, shown
 from sweepopt.sets import ConvexSet
 from sweepopt.solvers.active_set import ActiveSet
 from sweepopt.solvers.base import Answer, Solve, Solver
@@ -48,7 +48,7 @@ def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
     """
     general: list[Solver] = [other for other in (OSQP(), Clarabel(), LAST) if other.treats(C)]
     small: list[Solver] = [NEWTON] if NEWTON.treats(C) else []
-    if solver == "auto":
+    if isinstance(solver, str) and solver == "auto":
         fastest: list[Solver] = [FASTEST] if installed() and FASTEST.treats(C) else []
         formula: list[Solver] = [FORMULA] if FORMULA.treats(C) else []
         return (*formula, *fastest, *small, *general)
@@ -57,7 +57,9 @@ def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
             raise SolverRefusedError(f"solver {solver!r} is not known; use auto, {_names()}")
         solver = REGISTRY[solver]()
     if not hasattr(solver, "compile") or isinstance(solver, type):
-        raise SolverRefusedError(f"solver must be a name ({_names()}) or an object: {solver!r:.60}")
+        raise SolverRefusedError(
+            f"solver must be a name ({_names()}) or an object: {shown(solver)}"
+        )
     if not solver.treats(C):
         raise SolverRefusedError(
             f"{solver.name} cannot treat {describe(C)}: OSQP solves quadratic programs over "

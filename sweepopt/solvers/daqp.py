@@ -24,7 +24,7 @@ from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
 from sweepopt.solvers.base import Answer, Small, Solve
 
-FAR, INFINITE = 1e150, 1e30  # beyond any bound of a set; what DAQP takes for no bound
+FAR, INFINITE = 1e60, 1e30  # beyond any bound of a set; what DAQP takes for no bound
 
 
 @dataclass(frozen=True)

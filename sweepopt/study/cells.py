@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from math import nan
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, shown
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -103,5 +103,5 @@ def distinct(cells: Iterable[Cell], name: str) -> list[Any]:
 def choice(name: str, value: Any, among: Iterable[str]) -> str:
     """One of the words of a list."""
     if value not in (words := list(among)):
-        raise InputError(f"{name} must be one of {', '.join(words)}, got {value!r:.60}")
+        raise InputError(f"{name} must be one of {', '.join(words)}, got {shown(value)}")
     return str(value)

@@ -15,13 +15,14 @@ from sweepopt.library import find_study
 from sweepopt.study.advice import summary
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.executors import Processes, Serial, dask_executor
-from sweepopt.study.files import read_study, read_toml
+from sweepopt.study.files import read_study
 from sweepopt.study.hard.files import HardStudy, hard_study
 from sweepopt.study.hard.page import hard_summary
 from sweepopt.study.hard.table import HardRow, rows
 from sweepopt.study.outputs import write_hard_outputs, write_outputs
 from sweepopt.study.sources import find_source
 from sweepopt.study.study import run
+from sweepopt.texts import read_toml
 
 
 def study_command(chosen: argparse.Namespace) -> None:

@@ -2,33 +2,14 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import MISSING, fields
 from pathlib import Path
-from typing import Any
 
 from sweepopt.errors import InputError
 from sweepopt.study.study import Study
+from sweepopt.texts import as_path, read_toml
 
 KEYS = {field.name: field for field in fields(Study) if field.name != "folder"}
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file.
-
-    Raises
-    ------
-    InputError
-        Naming the file.
-    """
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is not UTF-8 text, as TOML must be") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: is not TOML: {error}") from error
 
 
 def read_study(path: str | Path) -> Study:
@@ -61,7 +42,7 @@ def read_study(path: str | Path) -> Study:
         [hard]                                          # optional: hard cases, run afterwards
         seeds = [0]
     """
-    path = Path(path)
+    path = as_path("path", path)
     data = read_toml(path)
     for key in data:
         if key not in (*KEYS, "hard"):

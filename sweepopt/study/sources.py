@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -13,6 +12,7 @@ from sweepopt.errors import InputError, SweepoptError
 from sweepopt.library import find_problem
 from sweepopt.process import SweepingProcess
 from sweepopt.study import problems
+from sweepopt.texts import read_bytes, read_toml
 
 
 class Posed(NamedTuple):
@@ -103,22 +103,14 @@ def _digest_of(scene: str) -> str:
     """Of a scene's file, its mesh and its tables; of the module with the small problems."""
     digest = hashlib.sha256()
     for path in _files(Path(scene)) if scene else [Path(problems.__file__)]:
-        try:
-            content = path.read_bytes()
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-        digest.update(hashlib.sha256(content).digest())
+        digest.update(hashlib.sha256(read_bytes(path)).digest())
     return digest.hexdigest()
 
 
 def _files(scene: Path) -> Iterator[Path]:
     """A scene's file and those it names."""
     yield scene
-    try:
-        data = tomllib.loads(scene.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{scene}: cannot be read ({error})") from error
-    for name in _named(data):
+    for name in _named(read_toml(scene)):
         yield scene.parent / name
 
 

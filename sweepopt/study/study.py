@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sweepopt import schemes, solvers
 from sweepopt.checks import count, number
-from sweepopt.errors import InputError, MissingExtraError
+from sweepopt.errors import InputError, MissingExtraError, shown
 from sweepopt.study.executors import Serial
 from sweepopt.study.ledger import Ledger
 from sweepopt.study.measure import THROUGH_CVXPY, Cell, CellRow, blank, failed, run_cell
@@ -86,11 +86,13 @@ class Study:
         for name, check in checks.items():
             entries = getattr(self, name)
             if not isinstance(entries, (list, tuple)) or not entries:
-                raise InputError(f"{name} must be a list with one entry or more, got {entries!r}")
+                raise InputError(
+                    f"{name} must be a list with one entry or more, got {shown(entries)}"
+                )
             for k, entry in enumerate(entries):
                 check(f"{name}[{k}]", entry)
                 if entry in entries[:k]:
-                    raise InputError(f"{name}[{k}]: {entry!r} is there twice")
+                    raise InputError(f"{name}[{k}]: {shown(entry)} is there twice")
             object.__setattr__(self, name, tuple(entries))
         count("repeats", self.repeats)
         _text("title", self.title)
@@ -234,7 +236,7 @@ def _harvest(running: dict[Future[Any], Cell], patience: float) -> Iterator[Done
 
 def _text(name: str, value: Any) -> None:
     if not isinstance(value, str):
-        raise InputError(f"{name} must be text, got {value!r:.60}")
+        raise InputError(f"{name} must be text, got {shown(value)}")
 
 
 def _scheme(name: str, value: Any) -> None:
@@ -248,7 +250,7 @@ def _solver(name: str, value: Any) -> None:
 
 def _known(name: str, value: Any, names: Iterable[str]) -> None:
     if value not in (names := tuple(dict.fromkeys(names))):
-        raise InputError(f"{name}: {value!r} is not known; use {', '.join(names)}")
+        raise InputError(f"{name}: {shown(value)} is not known; use {', '.join(names)}")
 
 
 def _require_pandas() -> None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, shown
 from sweepopt.study.hard import FAMILIES
 from sweepopt.study.hard.table import PATHS, SOLVERS
 
@@ -46,17 +46,19 @@ class HardStudy:
     def __post_init__(self) -> None:
         for key in ("seeds", *NAMES):
             if not isinstance(listed := getattr(self, key), (list, tuple)) or not listed:
-                raise InputError(f"{key} must be a list with one entry or more, got {listed!r:.60}")
+                raise InputError(
+                    f"{key} must be a list with one entry or more, got {shown(listed)}"
+                )
         for i, seed in enumerate(self.seeds):
             if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-                raise InputError(f"seeds[{i}] must be a whole number >= 0, got {seed!r:.60}")
+                raise InputError(f"seeds[{i}] must be a whole number >= 0, got {shown(seed)}")
         drawn = self.combinations
         if isinstance(drawn, bool) or not isinstance(drawn, int) or drawn < 0:
-            raise InputError(f"combinations must be a whole number >= 0, got {drawn!r:.60}")
+            raise InputError(f"combinations must be a whole number >= 0, got {shown(drawn)}")
         for key, known in NAMES.items():
             for i, name in enumerate(getattr(self, key)):
                 if name not in known:
-                    words = f"{key}[{i}]: {name!r:.60} is not known; there are: "
+                    words = f"{key}[{i}]: {shown(name)} is not known; there are: "
                     raise InputError(words + ", ".join(known))
 
 
@@ -69,7 +71,7 @@ def hard_study(data: Any) -> HardStudy:
         Naming the key at fault.
     """
     if not isinstance(data, dict):
-        raise InputError(f"hard must be a table, got {data!r:.60}")
+        raise InputError(f"hard must be a table, got {shown(data)}")
     for key in data:
         if key not in KEYS:
             raise InputError(f"hard.{key}: unknown key; there are: {', '.join(KEYS)}")

@@ -1,0 +1,276 @@
+"""Files that are nearly right: scenes, studies, tables, meshes and checkpoints, with damage."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from fuzz_inputs import INF, LONG, NAN, made, rarely
+from fuzz_judge import check_run
+from hypothesis import strategies as st
+
+import sweepopt as so
+from sweepopt import library, resume
+from sweepopt.fem import read_mesh, read_scene
+from sweepopt.loads import Table
+from sweepopt.study import read_study
+from sweepopt.study.hard.files import hard_study
+from sweepopt.texts import read_toml
+
+DATA = Path(__file__).parent / "data"
+MESHES = ["tube_2.2.msh", "tube_2.2_binary.msh", "tube_4.1.msh", "tube_4.1_binary.msh"]
+ROWS = ["0,0,0", "60,3e3,1", "90.5,-1e3,0", "120,0,0"]
+CSV = "\n".join(["# a comment, with a comma", "t,f2,command", *ROWS, ""])
+FULL = """
+[effects.body_force]
+f0 = { core = 2.0, sleeve = 1.0 }
+history = { waveform = "sine", amplitude = 1.0, period = 4.0 }
+[[effects.traction]]
+on = ["pulled"]
+f2 = { along = "radius", at = [0.0, 3.0], values = [1.0, 2.0] }
+history = { table = { t = [0.0, 60.0, 120.0], values = [0.0, 1.0, 0.0] } }
+"""
+
+
+def write_seeds(folder: Path) -> None:
+    """The files that are damaged later: a small tube, its loads, its meshes, a checkpoint."""
+    for path in (DATA / "gmsh").glob("*.msh"):
+        (folder / path.name).write_bytes(path.read_bytes())
+    (folder / "tube.msh").write_bytes((DATA / "gmsh" / "tube_2.2.msh").read_bytes())
+    (folder / "tube_loads.csv").write_text(CSV)
+    (folder / "folder.msh").mkdir()
+    tube = library.find_problem("tube").read_text()
+    (folder / "tube.toml").write_text(tube)
+    full = tube.replace("[effects.traction]", "[[effects.traction]]").replace('"P2"', '"P1"')
+    (folder / "full.toml").write_text(full + FULL)
+    for name in ("accuracy", "hard"):
+        (folder / f"{name}.toml").write_text(library.find_study(name).read_text())
+    so.solve(body(), t_end=1.0, steps=12, checkpoint=so.Checkpoint(folder / "run.npz", steps=3))
+
+
+def body() -> so.SweepingProcess:
+    """The process of the checkpoint."""
+    f = so.Separable([(so.Sine(3.0, 1.0), [1.0, 0.5])])
+    return so.SweepingProcess(np.eye(2), np.eye(2), so.Moving(so.Box([-1, -1], [1, 1]), f), [0, 0])
+
+
+# ---- damage ---------------------------------------------------------------------------------
+
+TOKENS = [b"nan", b"inf", b"-1", b"0", b"1e400", b"9" * 5000, b"9" * 30, b"\x00", b"\xff", b'"']
+TOKENS += [
+    b"'",
+    b"[",
+    b"]",
+    b"{",
+    b"}",
+    b"[" * 3000,
+    b"true",
+    b"1979-05-27",
+    b"\n",
+    b",",
+    b"\xef\xbb\xbf",
+]
+TOKENS += [
+    b"",
+    b"=",
+    b".",
+    b"#",
+    b"1,5",
+    b"1e300",
+    b"-1e-320",
+    b'"\\u0000"',
+    b"\r",
+    b"\xe2\x80\xa8",
+    b" ",
+]
+TOKENS += [
+    b"99999999999",
+    b"-9223372036854775808",
+    b"a" * 5000,
+    b"$EndElements",
+    b"\x85",
+    b";",
+    b"\t",
+]
+
+
+@dataclass(frozen=True)
+class Damage:
+    """What is done to the bytes of a file, at shares of its length."""
+
+    kind: str
+    at: float
+    more: Any
+
+    def __call__(self, content: bytes) -> bytes:
+        at = int(self.at * len(content))
+        if self.kind == "cut":
+            return content[:at]
+        if self.kind == "flip" and content:
+            at = min(at, len(content) - 1)
+            return content[:at] + bytes([content[at] ^ (1 << self.more)]) + content[at + 1 :]
+        if self.kind == "insert":
+            return content[:at] + self.more + content[at:]
+        lines = content.split(b"\n")
+        k = min(int(self.at * len(lines)), len(lines) - 1)
+        if self.kind == "drop":
+            return b"\n".join(lines[:k] + lines[k + 1 :])
+        if self.kind == "twice":
+            return b"\n".join(lines[:k] + [lines[k]] + lines[k:])
+        if self.kind == "word":  # one word of a line
+            place, token = self.more
+            for mark in (b" = ", b",", b" "):
+                words = lines[k].split(mark)
+                if len(words) > 1:
+                    words[place % len(words)] = token
+                    return b"\n".join(lines[:k] + [mark.join(words)] + lines[k + 1 :])
+            return b"\n".join(lines[:k] + [token] + lines[k + 1 :])
+        if self.kind == "swap":
+            other = min(int(self.more * len(lines)), len(lines) - 1)
+            lines[k], lines[other] = lines[other], lines[k]
+            return b"\n".join(lines)
+        return content
+
+
+SHARE = st.floats(0, 1, width=32)
+TOKEN = st.sampled_from(TOKENS)
+DAMAGE = st.one_of(
+    st.builds(Damage, st.just("cut"), SHARE, st.none()),
+    st.builds(Damage, st.just("flip"), SHARE, st.integers(0, 7)),
+    st.builds(Damage, st.just("insert"), SHARE, TOKEN),
+    st.builds(Damage, st.sampled_from(["drop", "twice"]), SHARE, st.none()),
+    st.builds(Damage, st.just("word"), SHARE, st.tuples(st.integers(0, 9), TOKEN)),
+    st.builds(Damage, st.just("word"), SHARE, st.tuples(st.integers(0, 9), TOKEN)),
+    st.builds(Damage, st.just("swap"), SHARE, SHARE),
+)
+DAMAGES = st.lists(DAMAGE, max_size=2)
+
+
+def damaged(folder: Path, name: str, damages: list[Damage]) -> Path:
+    """The file after all of it, beside its neighbours."""
+    content = (folder / name).read_bytes()
+    for damage in damages:
+        content = damage(content)
+    path = folder / f"damaged{Path(name).suffix}"
+    path.write_bytes(content)
+    return path
+
+
+# ---- scenes and studies ---------------------------------------------------------------------
+
+DEEP: Any = 1.0
+for _ in range(300):
+    DEEP = [DEEP]
+VALUES = [NAN, INF, -INF, 1e300, -1e300, 5e-324, 10**400, LONG, 0, -1, 1, 2.5, True, None, ""]
+VALUES += ["x", "contact", "core", "\0", "a" * 5000, "../tube.msh", "folder.msh", "absent.csv", []]
+VALUES += [[1.0], {}, {"core": 1.0}, {"core": 1.0, "sleeve": "x"}, {"a": {"b": {"c": 1}}}, DEEP]
+VALUES += [{"along": "x", "at": [0, 1], "values": [1, 2]}, {"waveform": "sine"}, {"csv": "\0"}]
+VALUES += [{"csv": "tube_loads.csv", "column": "f2"}, ["contact", "pulled"], b"x", object(), 1j]
+VALUES += [{"table": {"t": [0, 120], "values": [10**400, 1]}}, *MESHES, "exact"]
+
+
+@dataclass(frozen=True)
+class Change:
+    """A key of a nest of tables that gets another value, is dropped or renamed."""
+
+    at: int
+    kind: str
+    value: Any
+
+    def __call__(self, data: dict[str, Any]) -> None:
+        places = list(_places(data))
+        if not places:
+            return
+        table, key = places[self.at % len(places)]
+        if self.kind == "drop":
+            del table[key]
+        elif self.kind == "rename" and isinstance(table, dict):
+            table[f"{key}x"] = table.pop(key)
+        elif self.kind == "wrap":
+            table[key] = [table[key]]
+        else:
+            table[key] = copy.deepcopy(made(self.value))
+
+
+def _places(data: Any) -> Any:
+    keys = data if isinstance(data, dict) else range(len(data))
+    for key in list(keys):
+        yield data, key
+        if isinstance(data[key], (dict, list)):
+            yield from _places(data[key])
+
+
+CHANGE = st.builds(
+    Change,
+    st.integers(0, 60),
+    st.sampled_from(["set", "set", "set", "set", "drop", "rename", "wrap"]),
+    st.sampled_from(VALUES),
+)
+CHANGES = st.lists(CHANGE, max_size=2)
+SCENES = st.sampled_from(["tube.toml", "full.toml"])
+STUDIES = st.sampled_from(["accuracy.toml", "hard.toml"])
+
+
+def ask_scene(folder: Path, name: str, damages: list[Damage], changes: list[Change]) -> None:
+    """A scene that is read is simulated, for three steps."""
+    if changes:
+        data = copy.deepcopy(read_toml(folder / name))
+        for change in changes:
+            change(data)
+        scene = read_scene(data, folder=folder)
+    else:
+        scene = read_scene(damaged(folder, name, damages))
+    check_run(scene.solve(steps=3))
+
+
+def ask_study(folder: Path, name: str, damages: list[Damage], changes: list[Change]) -> None:
+    """A study that is read has cells; its problems are found."""
+    path = damaged(folder, name, damages)
+    data = read_toml(path)
+    if name == "hard.toml":
+        for change in changes:
+            change(data)
+        hard_study(data.get("hard"))
+    else:
+        assert read_study(path).cells()
+
+
+# ---- tables, meshes, checkpoints --------------------------------------------------------------
+
+
+def ask_table(folder: Path, damages: list[Damage], column: Any, scale: Any) -> None:
+    """A table that is read is finite and increases."""
+    table = Table.from_csv(damaged(folder, "tube_loads.csv", damages), column, scale=scale)
+    assert (np.diff(table.times) > 0).all()
+    assert np.isfinite(table.times).all()
+    assert np.isfinite(table(table.times)).all()
+
+
+def ask_mesh(folder: Path, name: str, damages: list[Damage]) -> None:
+    """A mesh that is read has finite nodes and triangles that name them."""
+    mesh = read_mesh(damaged(folder, name, damages))
+    assert np.isfinite(mesh.doflocs).all()
+    assert 0 <= mesh.t.min() <= mesh.t.max() < mesh.p.shape[1]
+    for members in (mesh.boundaries or {}).values():
+        assert members.max(initial=0) < mesh.facets.shape[1]
+    for members in (mesh.subdomains or {}).values():
+        assert members.max(initial=0) < mesh.nelements
+
+
+def ask_checkpoint(folder: Path, damages: list[Damage], expected: np.ndarray) -> None:
+    """A checkpoint that is read continues to the same answer bit for bit."""
+    path = damaged(folder, "run.npz", damages)
+    path.with_name(path.name + ".previous").unlink(missing_ok=True)
+    found = resume(path, body())
+    assert found.u.tobytes() == expected.tobytes()
+
+
+def table_arguments() -> tuple[Any, Any]:
+    """Column and scale."""
+    return (
+        rarely(st.just("f2"), st.sampled_from(["f9", "", 3, None, "t", "command"]), 8),
+        rarely(st.just(1.0), st.sampled_from([NAN, 1e300, "1", None, 10**400, -2]), 8),
+    )

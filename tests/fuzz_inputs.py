@@ -1,0 +1,244 @@
+"""What fuzzing puts into the Python face: recipes of calls, mostly right, now and then hostile.
+
+A recipe is a tree of calls that are made when the library is asked, not when it is drawn, and that
+prints as the code a reader can copy: the shrunken example of a failure is a test already.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from decimal import Decimal
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from hypothesis import strategies as st
+
+import sweepopt as so
+
+INF, NAN = float("inf"), float("nan")
+FORMATS = ("csr", "csc", "coo", "bsr", "dia", "lil", "dok")
+
+
+class MineError(Exception):
+    """What a user's own function raises: it passes through the library as it is."""
+
+
+@dataclass(frozen=True)
+class Call:
+    """A call that is not made yet."""
+
+    name: str
+    function: Callable[..., Any]
+    args: tuple[Any, ...] = ()
+    keywords: dict[str, Any] = field(default_factory=dict)
+
+    def make(self) -> Any:
+        return self.function(*made(self.args), **made(self.keywords))
+
+    def __repr__(self) -> str:
+        words = [repr(arg) for arg in self.args]
+        words += [f"{key}={value!r}" for key, value in self.keywords.items()]
+        return f"{self.name}({', '.join(words)})"
+
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        printer.text(repr(self))  # how hypothesis shows a failure
+
+
+def made(value: Any) -> Any:
+    """The value with the calls in it made."""
+    if isinstance(value, Call):
+        return value.make()
+    if type(value) in (list, tuple):
+        return type(value)(made(entry) for entry in value)
+    if type(value) is dict:
+        return {key: made(entry) for key, entry in value.items()}
+    return value
+
+
+LONG = Call("pow", pow, (10, 5000))  # Python refuses to print it
+
+
+@st.composite
+def call(draw: Any, name: str, *args: Any, **keywords: Any) -> Call:
+    """Calls of a name of sweepopt whose arguments are drawn."""
+    drawn = {key: draw(one) for key, one in keywords.items()}
+    return Call(f"so.{name}", getattr(so, name), tuple(map(draw, args)), drawn)
+
+
+@dataclass(frozen=True)
+class Late:
+    """A function of time that is right before `t` and wrong from then on."""
+
+    right: Any
+    wrong: Any
+    t: float
+
+    def __call__(self, t: float) -> Any:
+        if t < self.t:
+            return made(self.right)
+        if self.wrong is MineError:
+            raise MineError
+        return made(self.wrong)
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """t -> t v."""
+
+    v: tuple[float, ...]
+
+    def __call__(self, t: float) -> np.ndarray:
+        return t * np.array(self.v)
+
+
+# ---- values ---------------------------------------------------------------------------------
+
+SIZES = [1e300, -1e155, 5e-324, 1e74, -1e74, 1e-74, 1e40, 1e-40, 1e20, 1e-20, -1e8, 1e-8]
+ODD_NUMBERS = [NAN, INF, -INF, *SIZES, -1.0, 0.0, -0.0, 10**400, -(10**400), 10**30, True, None]
+ODD_NUMBERS += ["1", "x", 1j, [1.0], [], np.float32(2), np.int8(3), Decimal(2), np.array([1, 2])]
+ODD = [*ODD_NUMBERS, "", "auto", b"x", [[1, 2], [3]], (), {}, {"a": 1}, np.array([]), object()]
+ODD += [np.zeros((2, 2)), np.zeros((1, 1, 1)), np.array("x"), np.array([1, None], dtype=object)]
+ODD += [
+    np.array([1, 2j]),
+    np.array(["2020-01-01"], dtype="datetime64[D]"),
+    np.ma.array([1.0]),
+    LONG,
+]
+ODD += [[[[[1.0]]]], [None], ["a", 1.0], range(3), {1.0}, slice(None), Ellipsis, np.nan]
+RIGHT = st.sampled_from([0.5, 1.0, 2.0, 0.25, 3.0, 0.1, -1.0, 1.5, -0.5])
+ANYTHING = st.sampled_from(ODD)
+
+
+@st.composite
+def rarely(draw: Any, usual: Any, strange: Any, odds: int = 24) -> Any:
+    """Mostly the one, seldom the other; shrinks to the one."""
+    return draw(strange if draw(st.integers(0, odds)) == odds else usual)
+
+
+def positive(strange: bool = True) -> st.SearchStrategy[Any]:
+    usual = st.sampled_from([1.0, 0.5, 2.0, 3, 0.1, 10.0])
+    return rarely(usual, st.sampled_from(ODD_NUMBERS)) if strange else usual
+
+
+def number() -> st.SearchStrategy[Any]:
+    return rarely(RIGHT, st.sampled_from(ODD_NUMBERS))
+
+
+@st.composite
+def vector(draw: Any, dim: int, strange: bool = True, low: float = -3.0) -> Any:
+    """An array_like of dim numbers, of any kind that numpy takes or does not."""
+    usual = st.floats(low, 3.0, width=16)
+    entries = draw(st.lists(usual, min_size=dim, max_size=dim))
+    if not strange:
+        return entries
+    kind = draw(st.integers(0, 60)) - 30
+    if kind == 30:
+        return draw(ANYTHING)
+    if kind == 29:
+        return entries + [1.0] * draw(st.integers(1, 2))
+    if kind in (27, 28):
+        entries[draw(st.integers(0, dim - 1))] = draw(st.sampled_from(ODD_NUMBERS))
+        return entries
+    if kind == 26:
+        size = draw(st.sampled_from(SIZES))
+        return [entry and size for entry in entries]
+    if kind > 20:
+        kinds = [np.float32, np.float16, np.int8, np.longdouble, object, bool, np.uint64]
+        return np.abs(np.array(entries)).astype(draw(st.sampled_from(kinds)))
+    return draw(st.sampled_from([entries, np.array(entries), tuple(entries)]))
+
+
+@st.composite
+def definite(draw: Any, dim: int, strange: bool = True) -> Any:
+    """A symmetric positive definite matrix in one of many forms, or something near it."""
+    shift = draw(st.sampled_from([0.5, 1.0, 3.0]))
+    root = np.array(draw(st.lists(st.integers(-2, 2), min_size=dim**2, max_size=dim**2)))
+    root = root.reshape(dim, dim) / 2
+    M = root @ root.T + shift * np.eye(dim)
+    if draw(st.booleans()):
+        M = np.diag(M.diagonal())
+    if not strange:
+        return M
+    kind = draw(st.integers(0, 80)) - 40
+    if kind == 40:
+        return draw(ANYTHING)
+    if kind in (36, 37, 38, 39):
+        i, j = draw(st.tuples(*2 * [st.integers(0, dim - 1)]))
+        entries = M.tolist()
+        entries[i][j] = entries[j][i] = draw(st.sampled_from(ODD_NUMBERS))
+        if kind == 39:
+            entries[i][j] = 0.37
+        return entries
+    if kind == 35:
+        return draw(st.sampled_from([M[:-1], M[:, :-1], M.ravel(), M[None], -M, 0 * M, M - shift]))
+    if kind in (32, 33, 34):
+        scales = np.array(draw(st.lists(st.sampled_from(SIZES), min_size=dim, max_size=dim)))
+        with np.errstate(all="ignore"):
+            return np.abs(scales[:, None]) ** 0.5 * M * np.abs(scales) ** 0.5
+    if kind in (29, 30, 31):
+        kinds = [np.float32, np.float16, np.int8, np.longdouble, object, complex, bool]
+        return M.astype(draw(st.sampled_from(kinds)))
+    if kind > 4:
+        return draw(sparse(M))
+    return draw(st.sampled_from([M, M.tolist(), np.asfortranarray(M), 0.5 * M]))
+
+
+@st.composite
+def sparse(draw: Any, M: np.ndarray) -> Call:
+    """M as a sparse matrix of any format: entries in parts, zeros, wrong ones among them."""
+    rows, columns = np.nonzero(M)
+    data = M[rows, columns]
+    extra = draw(st.integers(0, 6))
+    at = draw(st.integers(0, len(M) - 1))
+    if extra == 1:  # duplicates
+        rows, columns, data = np.r_[rows, rows], np.r_[columns, columns], np.r_[data, data] / 2
+    elif extra == 2:  # explicit zeros
+        rows, columns, data = np.r_[rows, at], np.r_[columns, 0], np.r_[data, 0.0]
+    elif extra == 3:
+        rows, columns = np.r_[rows, at], np.r_[columns, at]
+        data = np.r_[data, draw(st.sampled_from([NAN, INF, 1e300]))]
+    kind = draw(st.sampled_from([sp.coo_array, sp.coo_matrix]))
+    form = draw(st.sampled_from(FORMATS))
+    dtype = draw(st.sampled_from([float, np.float32, complex, int])) if extra == 4 else float
+
+    def build(rows: Any, columns: Any, data: Any) -> Any:
+        entries = np.array(data).astype(dtype)
+        return kind((entries, (rows, columns)), shape=M.shape).asformat(form)
+
+    return Call(
+        f"{form} {dtype.__name__} {kind.__name__}", build, tuple(map(list, (rows, columns, data)))
+    )
+
+
+# ---- histories ------------------------------------------------------------------------------
+
+
+def history() -> st.SearchStrategy[Call]:
+    """Scalar functions of time as data."""
+    n = number()
+    times = rarely(st.sampled_from([[0.0, 1.0], [0, 0.5, 1, 4], [-1, 9]]), vector(3))
+    return st.one_of(
+        call("Constant", n),
+        call("Polynomial", st.integers(1, 4).flatmap(vector)),
+        call("Sine", n, positive(), n, n),
+        call("Triangle", n, positive()),
+        times.flatmap(lambda t: call("Table", st.just(t), vector(np.size(t) or 1))),
+    )
+
+
+@st.composite
+def function(draw: Any, dim: int) -> Any:
+    """A function of time: data, a plain one, one that goes wrong."""
+    kind = draw(st.integers(0, 9))
+    if kind < 4:
+        wrong_phi = st.sampled_from([3.0, None, Late(1.0, NAN, 0.5), Late(1.0, MineError, 0.5)])
+        pair = st.tuples(rarely(history(), wrong_phi), vector(dim))
+        terms = st.lists(rarely(pair, ANYTHING, 60), min_size=1, max_size=2)
+        return draw(call("Separable", rarely(terms, ANYTHING, 60)))
+    right = draw(vector(dim, strange=False))
+    if kind < 8:
+        return Ramp(tuple(right))
+    wrong = draw(st.one_of(ANYTHING, vector(dim), st.just(MineError)))
+    return Late(right, wrong, draw(st.sampled_from([0.0, 0.3, 0.6, 0.95])))

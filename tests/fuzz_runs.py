@@ -1,0 +1,249 @@
+"""Recipes of problems and runs, and what is asked of them."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+from fuzz_inputs import (
+    ANYTHING,
+    INF,
+    NAN,
+    ODD_NUMBERS,
+    Call,
+    Late,
+    Ramp,
+    call,
+    definite,
+    function,
+    made,
+    number,
+    rarely,
+    vector,
+)
+from fuzz_judge import check_run
+from fuzz_sets import convex, moving, shape
+from hypothesis import strategies as st
+
+import sweepopt as so
+
+# ---- sets and histories ---------------------------------------------------------------------
+
+
+def ask_set(recipe: Any, z: Any, w: Any) -> None:
+    """Support and projection are finite and fit: w - P(w) is normal to C at P(w)."""
+    C = made(recipe)
+    if isinstance(C, so.MovingSet):
+        C = C.at(0.5)
+    if not isinstance(C, so.ConvexSet):
+        return  # a hostile value in place of a set
+    C.require_nonempty()
+    sigma, P, Z = C.support(z), C.project(w), C.project(z)
+    assert isinstance(sigma, float)
+    assert sigma == sigma, "support is nan"
+    assert P.shape == (C.dim,)
+    assert np.isfinite(P).all(), "projection is not finite"
+    w = np.asarray(w, dtype=float).ravel()
+    size = np.linalg.norm(np.abs(P)) + np.linalg.norm(w) + np.linalg.norm(Z)
+    if not np.isfinite(size * size):
+        return
+    slack = (1e-9 if C.exact else 1e-4) * size + 1e-300
+    assert np.linalg.norm(C.project(P) - P) <= slack, "projected twice is not projected once"
+    assert (w - P) @ (Z - P) <= slack * size, "another point of the set is nearer"
+    assert C.contains(P, tol=10 * slack)
+    magnitude = C.magnitude()
+    assert magnitude >= np.linalg.norm(P) * (1 - 1e-6) - slack, "a point outside of the magnitude"
+    assert C.distance_bound(C) == 0
+    with suppress(so.InputError):
+        C.polar()
+
+
+def ask_history(recipe: Any, a: Any, b: Any) -> None:
+    """Values are finite and lie within the variation."""
+    phi = made(recipe)
+    start, end = phi(a), phi(b)
+    assert np.isfinite(start).all()
+    assert np.isfinite(end).all()
+    if not hasattr(phi, "variation") or np.ndim(start) or np.ndim(end):
+        return
+    variation, kinks = phi.variation(a, b), phi.breakpoints(a, b)
+    assert np.isfinite(variation)
+    if a < b:
+        size = np.abs(start) + np.abs(end)
+        assert variation >= np.abs(end - start) * (1 - 1e-9) - 1e-9 * size
+        assert ((kinks > float(a)) & (kinks < float(b))).all()
+
+
+# ---- problems and runs ----------------------------------------------------------------------
+
+
+@st.composite
+def problem(draw: Any, dim: int | None = None) -> Call:
+    """A process or a variational inequality."""
+    dim = draw(st.integers(1, 3)) if dim is None else dim
+    u0 = rarely(st.just([0.0] * dim), vector(dim), 3)
+    still = draw(st.integers(0, 9)) == 0
+    A = st.just(np.zeros((dim, dim))) if still else definite(dim)
+    B = rarely(definite(dim), rarely(st.none(), ANYTHING, 9), 6)
+    if draw(st.integers(0, 2)):
+        C = rarely(moving(dim), ANYTHING, 60)
+        return draw(call("SweepingProcess", A, B, C, u0))
+    given = {
+        "load": rarely(function(dim), st.one_of(st.none(), vector(dim), ANYTHING), 5),
+        "dissipation": rarely(
+            shape(dim), rarely(st.none(), st.one_of(convex(dim), ANYTHING), 2), 3
+        ),
+        "cone": rarely(st.none(), st.one_of(shape(dim), ANYTHING), 3),
+    }
+    return draw(call("EvolutionVI", A, B, u0=u0, **given))
+
+
+@st.composite
+def right_run(draw: Any) -> tuple[Call, dict[str, Any]]:
+    """A run with nothing wrong in it: bounded sets, moderate numbers."""
+    dim = draw(st.integers(1, 3))
+    size = st.sampled_from([0.5, 1.0, 2.0])
+    C = st.one_of(
+        call("Ball", vector(dim, False), size),
+        st.tuples(*dim * [size]).map(lambda u: Call("so.Box", so.Box, (tuple(-x for x in u), u))),
+        call("Ellipsoid", vector(dim, False), definite(dim, False)),
+        call("Balls", st.tuples(*dim * [size]), st.just(1)),
+    )
+    center = st.one_of(
+        vector(dim, False).map(lambda v: Ramp(tuple(v))),
+        vector(dim, False).map(
+            lambda v: Call("so.Separable", so.Separable, ([(so.Sine(2.0, 1.5), v)],))
+        ),
+    )
+    process = call(
+        "SweepingProcess",
+        definite(dim, False),
+        st.one_of(st.none(), definite(dim, False)),
+        call("Moving", C, center),
+        vector(dim, False),
+    )
+    options = {
+        "t_end": draw(st.sampled_from([0.5, 1.0, 3.0])),
+        "steps": draw(st.integers(1, 6)),
+        "scheme": draw(st.sampled_from(["auto", "implicit-euler", "midpoint", "sdirk2"])),
+        "path": draw(st.sampled_from(["auto", "full"])),
+        "solver": draw(st.sampled_from(["auto", "clarabel"])),
+    }
+    return draw(process), options
+
+
+SOLVERS = ["auto", "clarabel", "osqp", "newton", "daqp", "secular", "active-set", "cvxpy"]
+SCHEMES = ["auto", "catching-up", "implicit-euler", "midpoint", "trapezoid", "sdirk2", "exact"]
+TIMES = [[0, 0.5, 1], [0.0, 0.1, 1.0], [0, 0.5, 0.2], [1, 0], [0, NAN], [0, 1, 1], [[0, 1]], [0]]
+TIMES += [[0, 1e-300, 1], [-1, 0, 1], [0, 1e300], np.array([0, 1]), [0, INF], [0.5, "1"], range(4)]
+COUNTS = [0, -1, True, 2.5, 10**400, 10**15, 10**9, np.int64(3), "4", None, [], NAN, [1, 2, 3]]
+SAVES = ["last", 2, 0, -1, 10**20, [1.0], [0.33], "x.txt", "/nowhere/x.nc", print, {}, [], NAN]
+SOLVED = [so.Clarabel(tol=1e-10), so.OSQP(max_iter=50), so.Newton(), so.Cvxpy("SCS"), so.Clarabel]
+
+
+@st.composite
+def options(draw: Any) -> dict[str, Any]:
+    """Arguments of solve, most left out."""
+    odd = {
+        "t_end": st.sampled_from([*ODD_NUMBERS, 1e-9, 1e9, 100.0]),
+        "steps": st.sampled_from([*TIMES, *COUNTS]),
+        "scheme": rarely(st.sampled_from(SCHEMES), ANYTHING, 3),
+        "solver": rarely(st.sampled_from(SOLVERS), st.one_of(st.sampled_from(SOLVED), ANYTHING), 3),
+        "tol": st.sampled_from([*ODD_NUMBERS, 1e-3, 1e-9, 1e-15]),
+        "path": rarely(
+            st.sampled_from(["full", "eliminated", "proportional", "multigrid"]), ANYTHING, 3
+        ),
+        "save": rarely(st.sampled_from(SAVES), ANYTHING, 3),
+        "memory": st.sampled_from([*ODD_NUMBERS, 100]),
+        "error": st.sampled_from([*ODD_NUMBERS, 0.5, 1e-2]),
+        "on_failure": rarely(st.just("stop"), ANYTHING, 1),
+        "on_unstable": rarely(st.sampled_from(["warn", "ignore"]), ANYTHING, 1),
+        "checkpoint": ANYTHING,
+        "callback": rarely(st.just(len), ANYTHING, 1),
+    }
+    chosen = {"t_end": 1.0, "steps": draw(st.integers(1, 4))}
+    names = draw(st.lists(st.sampled_from(list(odd)), max_size=2, unique=True))
+    return chosen | {name: draw(odd[name]) for name in names}
+
+
+@st.composite
+def adaptive(draw: Any) -> Call:
+    """Steps that are chosen."""
+    tol = rarely(st.sampled_from([0.5, 0.1, 0.02]), st.sampled_from(ODD_NUMBERS), 5)
+    limit = rarely(st.none(), st.sampled_from([*ODD_NUMBERS, 0.2]), 4)
+    return draw(call("Adaptive", tol, limit, limit))
+
+
+def ask_run(recipe: Any, chosen: dict[str, Any], later: Any = None) -> None:
+    """A run is finite and certified, its velocities satisfy the inclusion by the set's laws."""
+    sol = so.solve(made(recipe), **made(chosen))
+    check_run(sol)
+    if later is not None:
+        ask_later(sol, *later)
+
+
+def ask_right(recipe: Any, chosen: dict[str, Any]) -> None:
+    """A run with nothing wrong in it agrees with plain cvxpy."""
+    process = made(recipe)
+    sol, reference = (
+        so.solve(process, **(chosen | other)) for other in ({}, {"solver": "cvxpy", "path": "full"})
+    )
+    check_run(sol)
+    assert sol.success
+    size = np.abs(reference.u).max() + np.abs(reference.velocity).max()
+    np.testing.assert_allclose(sol.u, reference.u, rtol=0, atol=1e-5 * size)
+
+
+def later() -> st.SearchStrategy[tuple[str, Any]]:
+    """What is asked of a solution afterwards."""
+    times = rarely(st.sampled_from([0.5, [0.0, 1.0], [0.25, 0.75], 1.0]), ANYTHING, 2)
+    variation = st.one_of(
+        st.none(), st.just(Late(1.0, 0.0, 0.5)), st.just(Late(0.0, NAN, 0.5)), ANYTHING
+    )
+    return st.one_of(
+        st.tuples(st.sampled_from(["__call__", "viability", "residual"]), times),
+        st.tuples(st.just("error_bound"), variation),
+        st.tuples(st.just("energy"), st.none()),
+    )
+
+
+def ask_later(sol: so.Solution, name: str, argument: Any) -> None:
+    if name == "energy":
+        assert np.isfinite(sol.energy().balance).all()
+    elif name == "error_bound":
+        bound = sol.error_bound(variation=argument)
+        assert bound >= 0
+        assert not bound.guaranteed or bound >= bound.lower * (1 - 1e-9)
+    elif argument is not None or name != "__call__":
+        found = getattr(sol, name)(argument)
+        assert not np.isnan(found).any()
+        assert name == "residual" or np.isfinite(found).all()
+
+
+def ask_field(recipe: Any, t: Any, u: Any, tol: Any) -> None:
+    """A velocity at any time and state."""
+    velocity = so.velocity_field(made(recipe), **({} if tol is None else {"tol": tol}))
+    z = velocity(t, u)
+    assert np.isfinite(z).all()
+
+
+def ask_problem(recipe: Any, times: Any) -> None:
+    """Conversions and constants of a problem."""
+    process = made(recipe).as_sweeping()
+    assert process.beta >= 0
+    assert process.Lam >= 0
+    process.check(np.array([0.0, 0.5]))
+    process.check_start(0.0)
+    with suppress(so.InputError):  # not every C(t) is a translate
+        assert process.as_vi().as_sweeping().dim == process.dim
+    bound = process.velocity_bound(times)
+    assert bound.value >= 0
+
+
+def fields() -> st.SearchStrategy[tuple[Any, ...]]:
+    return st.integers(1, 3).flatmap(
+        lambda dim: st.tuples(
+            problem(dim), number(), vector(dim), rarely(st.none(), st.sampled_from(ODD_NUMBERS), 4)
+        )
+    )

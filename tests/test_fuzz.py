@@ -1,0 +1,123 @@
+"""Bad input, generated: the library's own error or a right answer, and nothing else.
+
+Each input ends in time in a finite, certified answer that satisfies the laws, or in a SweepoptError
+with a message. No other exception, no warning of numpy, no nan. What a user's own function raises
+passes through as it is. 500 inputs here, the same every time; `-m slow` draws 10,000 new ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+pytest.importorskip("skfem")
+
+import fuzz_files as files
+import fuzz_runs as runs
+from fuzz_inputs import ANYTHING, ODD_NUMBERS, history, made, rarely, vector
+from fuzz_judge import judge
+from fuzz_sets import convex, moving
+
+import sweepopt as so
+
+POINTS = st.integers(1, 4).flatmap(
+    lambda dim: st.tuples(rarely(convex(dim), moving(dim), 5), vector(dim), vector(dim))
+)
+TIMES = rarely(st.sampled_from([0.0, 1.0, 2.5]), st.sampled_from(ODD_NUMBERS), 6)
+GRID = rarely(st.just([0.0, 0.5, 1.0]), ANYTHING, 5)
+RUN = st.tuples(runs.problem(), runs.options(), st.none())
+LATER = st.tuples(runs.problem(), runs.options(), runs.later())
+ADAPTIVE = st.tuples(
+    runs.problem(), st.builds(lambda steps: {"t_end": 1.0, "steps": steps}, runs.adaptive())
+)
+FILE = st.one_of(
+    st.tuples(files.DAMAGES, st.just([])),
+    st.tuples(st.just([]), files.CHANGES),
+)
+Ask = Callable[..., Any]
+
+
+def on_file(ask: Ask) -> Ask:
+    return lambda folder, name, both: ask(folder, name, *both)
+
+
+# name: (inputs of 500, what is drawn, what is asked of it)
+TARGETS: dict[str, tuple[int, Any, Ask]] = {
+    "sets": (110, POINTS, lambda _, *drawn: runs.ask_set(*drawn)),
+    "histories": (40, st.tuples(history(), TIMES, TIMES), lambda _, *d: runs.ask_history(*d)),
+    "problems": (40, st.tuples(runs.problem(), GRID), lambda _, *d: runs.ask_problem(*d)),
+    "runs": (80, RUN, lambda _, *drawn: runs.ask_run(*drawn)),
+    "solutions": (30, LATER, lambda _, *drawn: runs.ask_run(*drawn)),
+    "adaptive": (10, ADAPTIVE, lambda _, *drawn: runs.ask_run(*drawn)),
+    "fields": (20, runs.fields(), lambda _, *drawn: runs.ask_field(*drawn)),
+    "scenes": (40, st.tuples(files.SCENES, FILE), on_file(files.ask_scene)),
+    "studies": (20, st.tuples(files.STUDIES, FILE), on_file(files.ask_study)),
+    "tables": (35, st.tuples(files.DAMAGES, *files.table_arguments()), files.ask_table),
+    "meshes": (40, st.tuples(st.sampled_from(files.MESHES), files.DAMAGES), files.ask_mesh),
+    "checkpoints": (20, st.tuples(files.DAMAGES), files.ask_checkpoint),
+}
+RIGHT_RUNS = 15
+TOTAL = 500
+
+
+def profile(inputs: int, times: int) -> Callable[[Any], Any]:
+    """The same inputs every time, or `times` as many new ones."""
+    return settings(
+        max_examples=inputs * times,
+        derandomize=times == 1,
+        deadline=None,  # `judge` has a clock of its own
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("fuzz")
+    files.write_seeds(path)
+    return path
+
+
+def expected(folder: Path) -> np.ndarray:
+    """The states that every checkpoint which can be read continues to."""
+    return so.resume(folder / "run.npz", files.body()).u
+
+
+def test_the_inputs_are_five_hundred() -> None:
+    assert sum(inputs for inputs, _, _ in TARGETS.values()) + RIGHT_RUNS == TOTAL
+
+
+@pytest.mark.parametrize("times", [1, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", TARGETS)
+def test_bad_input_gets_an_error_of_ours_or_a_right_answer(
+    name: str, times: int, folder: Path
+) -> None:
+    inputs, drawn, ask = TARGETS[name]
+    asked = 0
+    more = (expected(folder),) if name == "checkpoints" else ()
+
+    @profile(inputs, times)
+    @given(drawn)
+    def holds(arguments: tuple[Any, ...]) -> None:
+        nonlocal asked
+        asked += 1
+        judge(lambda: ask(folder, *made(arguments), *more))
+
+    holds()
+    assert asked >= inputs * times
+
+
+@pytest.mark.parametrize("times", [1, pytest.param(20, marks=pytest.mark.slow)])
+def test_right_input_gets_a_right_answer(times: int) -> None:
+    @profile(RIGHT_RUNS, times)
+    @given(runs.right_run())
+    def holds(arguments: tuple[Any, ...]) -> None:
+        judge(lambda: runs.ask_right(*arguments), right=True)
+
+    holds()
