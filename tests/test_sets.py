@@ -45,6 +45,17 @@ def test_a_cone_that_is_mapped_to_zero_is_a_point() -> None:
     assert C.support([3.0]) == 0.0
 
 
+@pytest.mark.parametrize("distance", [1.0, 1e10, 1e74])
+def test_the_projection_on_a_polytope_is_in_it_however_far_away(distance: float) -> None:
+    corner = so.Polytope([[0.0, 0.0, 1.0]])
+    assert corner.project([0.0, 0.0, distance]).tolist() == [0.0, 0.0, 1.0]
+    edge = so.Polytope([[0.0, 1.0], [4.0, 1.0], [2.0, -3.0]])
+    found = edge.project([distance, distance])
+    assert edge.contains(found)
+    if distance < 1e15:  # else which corner is nearest is rounding
+        assert found.tolist() == pytest.approx([min(distance, 4.0), 1.0])
+
+
 def test_another_matrix_is_another_cone() -> None:
     eye = np.eye(2)
     pairs = [

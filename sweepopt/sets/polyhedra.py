@@ -295,7 +295,11 @@ class Polytope(ConvexSet):
             return w
         if found is None:
             return project_by_program(self, w)
-        return w + size * found.u / (found.u @ found.u)
+        # a mean of the vertices that hold it: a point of the hull, however far away w is
+        held = self.vertices[found.active]
+        edges = (held[1:] - held[0]).T
+        shares = np.maximum(np.linalg.lstsq(edges, w - held[0], rcond=None)[0], 0.0)
+        return held[0] + edges @ (shares / max(shares.sum(), 1.0))
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     import cvxpy as cp
 
 
+MOST = 10**9  # unknowns
+
+
 class Point(ConvexSet):
     """The single point {p}:  sigma(z) = <p, z>.  Its process is linear.
 
@@ -581,6 +584,8 @@ def dimension(dim: Any) -> int:
     """A positive whole number of unknowns."""
     if isinstance(dim, bool) or not isinstance(dim, (int, np.integer)) or dim < 1:
         raise InputError(f"dim must be a positive whole number, got {shown(dim)}")
+    if dim > MOST:
+        raise InputError(f"dim is {shown(dim)}, more than {MOST:.0e}; no vector fits in memory")
     return int(dim)
 
 
