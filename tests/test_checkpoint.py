@@ -187,7 +187,11 @@ def test_what_a_function_recorded_comes_back(name: str, tmp_path: Path) -> None:
     assert len(resumed.recorded or []) == 80
 
 
-@pytest.mark.parametrize("bad", [object(), "word", 2**70, {1: 2.0}, np.array(["a"])], ids=repr)
+@pytest.mark.parametrize(
+    "bad",
+    [object(), "word", 2**70, {1: 2.0}, np.array(["a"])],
+    ids=["object", "text", "integer", "dict", "array of text"],
+)
 def test_records_that_no_file_can_hold_are_refused_at_the_first_step(
     bad: Any, tmp_path: Path
 ) -> None:

@@ -30,9 +30,11 @@ def test_the_interpolant_is_piecewise_linear_and_meets_its_nodes() -> None:
     assert sol.velocity == pytest.approx(
         np.diff(sol.u, axis=0) / np.diff(sol.t)[:, None], abs=1e-12
     )
-    for outside in (-0.1, 5.1, np.nan):
-        with pytest.raises(so.InputError, match=r"outside|finite"):
+    for outside in (-0.1, 5.1):
+        with pytest.raises(so.InputError, match="outside"):
             sol(outside)
+    with pytest.raises(so.InputError, match="t is nan"):
+        sol(np.nan)
 
 
 def test_times_are_t0_plus_i_mu_and_never_accumulated() -> None:

@@ -1,7 +1,8 @@
 """Gmsh files of the formats 2.2 and 4.1, ASCII and binary: nodes, lines, triangles and groups.
 
 Nothing that a file announces is believed: no array is made before the file is known to have its
-numbers, whatever a damaged count or tag says. Sections that are not needed are skipped.
+numbers, whatever a damaged count or tag says (general readers make arrays as long as the largest
+tag, and a flipped bit takes all memory). Sections that are not needed are skipped.
 """
 
 from __future__ import annotations

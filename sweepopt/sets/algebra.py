@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from sweepopt.checks import divisor, number, vector
+from sweepopt.checks import HUGE, number, vector
 from sweepopt.errors import InputError
 from sweepopt.sets.base import (
     Companion,
@@ -434,7 +434,7 @@ def add(C: ConvexSet, other: Any) -> Any:
 
 
 def scale(factor: Any, C: ConvexSet) -> ConvexSet:
-    """r C for any finite r; 0 C is {0} and asks for a bounded C."""
+    """r C for any finite r; 0 C is {0} and asks for a bounded C; below 1e-75 r is 0."""
     if hasattr(factor, "at"):
         raise InputError("C * D is not defined; use so.product(C, D) or C & D")
     r = number("scale", factor)
@@ -442,13 +442,12 @@ def scale(factor: Any, C: ConvexSet) -> ConvexSet:
         return scale(-r, -C)
     if isinstance(C, Point):
         return Point(r * C.offsets)
-    if r == 0:
+    if r < 1 / HUGE:  # what it divides would overflow
         if not np.isfinite(C.magnitude()):
             raise InputError(
                 "scale 0 of an unbounded set is not closed in the limit; use scale > 0"
             )
         return Point(np.zeros(C.dim))
-    divisor("scale", r)
     return Scaling(r, C)
 
 
