@@ -48,6 +48,8 @@ def ask_set(recipe: Any, z: Any, w: Any) -> None:
     size = np.linalg.norm(np.abs(P)) + np.linalg.norm(w) + np.linalg.norm(Z)
     if not np.isfinite(size * size):
         return
+    if not C.exact:  # a program's accuracy is in units of the set
+        size += float(np.abs(C.offsets).max(initial=0.0))
     slack = (1e-9 if C.exact else 1e-4) * size + 1e-300
     assert np.linalg.norm(C.project(P) - P) <= slack, "projected twice is not projected once"
     assert (w - P) @ (Z - P) <= slack * size, "another point of the set is nearer"
