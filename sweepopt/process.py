@@ -56,7 +56,7 @@ class SweepingProcess:
     >>> from sweepopt.sets import Box, Moving
     >>> C = Moving(Box([-1], [1]), center=lambda t: [1.5 * t])
     >>> process = SweepingProcess([[0.5]], [[2.0]], C, u0=[0])
-    >>> process.beta
+    >>> round(process.beta, 12)
     0.5
     """
 
