@@ -6,7 +6,6 @@ A checkpoint is an archive (`sweepopt.archive`); `sweepopt.marks` writes it.
 from __future__ import annotations
 
 import json
-import os
 import platform
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -20,6 +19,7 @@ from sweepopt.archive import read_archive
 from sweepopt.checks import count, number
 from sweepopt.errors import DamagedFileError, InputError, shown
 from sweepopt.solvers import REGISTRY
+from sweepopt.texts import writable
 from sweepopt.versions import versions_of
 
 SCHEMA = 1
@@ -71,10 +71,7 @@ class Checkpoint:
             count("steps", self.steps)
         if self.seconds is not None:
             number("seconds", self.seconds, minimum=0.0)
-        if not isinstance(self.path, (str, PathLike)):
-            raise InputError(f"checkpoint: the path must be a file's name, got {shown(self.path)}")
-        if self.file.is_dir() or not os.access(self.file.parent, os.W_OK):
-            raise InputError(f"checkpoint: {str(self.path)!r} cannot be written there")
+        writable("checkpoint", self.path)
 
     @property
     def file(self) -> Path:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from sweepopt.loads import DATA, Separable
 from sweepopt.process import SweepingProcess
 from sweepopt.sets import ConvexSet
 
@@ -17,14 +18,15 @@ ENTRIES = 2e7  # that their vectors may have in all
 
 
 def fingerprint(process: SweepingProcess, times: np.ndarray) -> dict[str, str]:
-    """sha256 of A, B, u0 and of C(t) at up to SAMPLES of the given times.
+    """sha256 of A, B, u0, of the data that move C(t), and of C(t) at up to SAMPLES of the times.
 
-    A function of time is compared by the values it gives, data and shapes by their numbers.
+    A function of time is compared by the values it gives there, data and shapes by their numbers.
     """
     count = int(np.clip(ENTRIES / process.dim, 16, SAMPLES))
     some = np.unique(np.linspace(0, len(times) - 1, count).astype(int))
     members = [process.C.at(t) for t in times[some].tolist()]
-    parts = {"A": process.A, "B": process.B, "u0": process.u0, "C(t)": members}
+    data = [getattr(process.C, name, None) for name in ("center", "scale", "offsets")]
+    parts = {"A": process.A, "B": process.B, "u0": process.u0, "C(t)": [*data, *members]}
     return {name: _Digest()(part) for name, part in parts.items()}
 
 
@@ -47,6 +49,10 @@ class _Digest:
             array = np.ascontiguousarray(value)
             content = hashlib.sha256(array.tobytes()).hexdigest()
             return self._of(array.dtype.str, str(array.shape), content)
+        if isinstance(value, Separable):
+            return self._of("Separable", *value.terms)
+        if isinstance(value, DATA):
+            return self._of(type(value).__name__, *(vars(value)[name] for name in vars(value)))
         if isinstance(value, (list, tuple)):
             return self._of("list", *value)
         value = value.item() if isinstance(value, np.generic) else value

@@ -66,7 +66,7 @@ SCHEMES = {
         Scheme("implicit-euler", a=((1.0,),), b=(1.0,), c=(1.0,), order=1),
         Scheme("midpoint", a=((0.5,),), b=(1.0,), c=(0.5,), order=2),
         Scheme(
-            "trapezoid", a=((0.0,), (0.5, 0.5)), b=(0.5, 0.5), c=(0.0, 1.0), order=2, overshoots=4.0
+            "trapezoid", a=((0.0,), (0.5, 0.5)), b=(0.5, 0.5), c=(0.0, 1.0), order=2, overshoots=2.0
         ),
         Scheme(
             "sdirk2",
@@ -74,7 +74,7 @@ SCHEMES = {
             b=(1 - GAMMA, GAMMA),
             c=(GAMMA, 1.0),
             order=2,
-            overshoots=20.0,
+            overshoots=1 + math.sqrt(2),
         ),
         Scheme("exact", a=((1.0,),), b=(1.0,), c=(1.0,), order=math.inf),
     )

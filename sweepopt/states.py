@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,6 +13,7 @@ import numpy as np
 
 from sweepopt.checks import vector
 from sweepopt.errors import InputError, shown
+from sweepopt.texts import writable
 
 TIME_SLACK = 1e-12
 """Share of the time scale by which a time may miss a node of the grid: rounding."""
@@ -129,14 +129,9 @@ def saving(save: Any, times: np.ndarray, dim: int, memory: float) -> Saving:
     elif isinstance(save, str) and save == "last":
         chosen = Saving(last)
     elif isinstance(save, (str, PathLike)):
-        path = Path(save).resolve()
-        if path.suffix != ".nc":
-            raise InputError(f"save is {str(save)!r}; a file must end with .nc, or say 'last'")
-        if not path.parent.is_dir():
-            raise InputError(f"save is {str(save)!r}, but there is no folder {Path(save).parent}")
-        if path.is_dir() or not os.access(path.parent, os.W_OK):
-            raise InputError(f"save is {str(save)!r}, which cannot be written there")
-        chosen = Saving(last, path=path)
+        if Path(save).suffix != ".nc":
+            raise InputError(f"save is {shown(str(save))}; a file must end with .nc, or say 'last'")
+        chosen = Saving(last, path=writable("save", save))
     elif callable(save):
         chosen = Saving(last, function=save)
     elif isinstance(save, (int, np.integer)) and not isinstance(save, bool):

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.checks import Matrix
-from sweepopt.errors import IndefiniteError, InputError
+from sweepopt.errors import IndefiniteError
 from sweepopt.plan import Factors, Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.program import Velocity
@@ -131,8 +131,8 @@ def in_parts(
         starts = t + h * np.arange(count)
         try:
             process.C.members(np.unique(starts[:, None] + h * np.array(plan.scheme.c)))
-        except InputError as error:  # nobody has looked at these C(t) before
-            cause = str(error)
+        except Exception as error:  # these C(t) nobody asked for: what is done stays
+            cause = str(error) or type(error).__name__
             break
         v, lost, z = u, np.zeros_like(u), np.zeros_like(u)
         stages: list[Stages] = []

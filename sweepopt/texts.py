@@ -17,6 +17,21 @@ def as_path(name: str, value: Any) -> Path:
     return Path(value)
 
 
+def writable(name: str, value: Any) -> Path:
+    """The path of a file that can be written, or an error that names the argument."""
+    path, given = as_path(name, value), shown(str(value))
+    try:
+        path = path.resolve()
+        taken, folder = path.is_dir(), path.parent.is_dir()
+    except (OSError, ValueError, RuntimeError) as error:  # too long, a zero byte, a circle of links
+        raise InputError(f"{name} is {given}, which is no path: {error}") from error
+    if not folder:
+        raise InputError(f"{name} is {given}, but there is no folder {shown(str(path.parent))}")
+    if taken or not os.access(path.parent, os.W_OK):
+        raise InputError(f"{name} is {given}, which cannot be written there")
+    return path
+
+
 def read_bytes(path: Path) -> bytes:
     """The content of a file.
 

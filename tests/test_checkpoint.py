@@ -21,6 +21,7 @@ from test_reduction import process as chain
 import sweepopt as so
 from sweepopt import archive, files, records
 from sweepopt.errors import DamagedFileError
+from sweepopt.fingerprint import fingerprint
 
 HERE = Path(__file__).parent
 
@@ -484,8 +485,8 @@ def test_a_file_that_may_not_grow_leaves_the_old_checkpoint(tmp_path: Path) -> N
         ({"save": "run.nc"}, "NetCDF"),
         ({"error": 1e-3}, "error="),
         ({"solver": so.Cvxpy("OSQP", {"callback": print})}, "plain"),
-        ({"checkpoint": 3}, "file's name"),
-        ({"checkpoint": "no/such/folder/run.npz"}, "cannot be written"),
+        ({"checkpoint": 3}, "checkpoint must be a path"),
+        ({"checkpoint": "no/such/folder/run.npz"}, "there is no folder"),
     ],
     ids=str,
 )
@@ -508,3 +509,20 @@ def test_a_run_that_is_not_finished_is_not_overwritten(tmp_path: Path) -> None:
     for wrong in ({"steps": 0}, {"seconds": -1.0}):
         with pytest.raises(so.InputError):
             so.Checkpoint(path, **wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["x" * 300 + ".npz", "a\0b.npz"])
+def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(so.InputError, match="checkpoint is"):
+        so.Checkpoint(str(tmp_path / name))
+
+
+def test_a_load_that_differs_between_the_times_that_are_compared_is_another_problem() -> None:
+    def process(spike: float) -> so.SweepingProcess:
+        times = [0.0, 0.50001, 0.50002, 0.50003, 1.0]
+        load = so.Separable([(so.Table(times, [0.0, 1.0, spike, 1.0, 2.0]), [1.0])])
+        return so.SweepingProcess([[1.0]], [[1.0]], so.Moving(so.Box([-1], [1]), load), [0.0])
+
+    grid = np.linspace(0.0, 1.0, 10_001)
+    one, other = (fingerprint(process(spike), grid) for spike in (1.0, 1e6))
+    assert one["C(t)"] != other["C(t)"]

@@ -240,7 +240,13 @@ def test_steps_that_grow_by_little_each_keep_their_own_size_at_large_times() -> 
 
 
 @pytest.mark.parametrize(
-    ("scheme", "mu", "reached"), [("trapezoid", 20, 2.55), ("sdirk2", 100, 1.1)]
+    ("scheme", "mu", "reached"),
+    [
+        ("trapezoid", 3.9, 0.755),
+        ("trapezoid", 20, 2.55),
+        ("sdirk2", 19.9, 0.855),
+        ("sdirk2", 100, 1.1),
+    ],
 )
 def test_a_step_that_overshoots_is_warned_of(scheme: str, mu: float, reached: float) -> None:
     # it should rise from -1 to -0.1 and stick there
@@ -269,3 +275,19 @@ def test_a_stiff_body_that_slides_steadily_is_not_said_to_overshoot() -> None:
     process = so.SweepingProcess([[1.0]], [[50.0]], C, u0=[0.02])
     sol = so.solve(process, t_end=20.0, steps=20, scheme="sdirk2")
     assert sol.u[-1, 0] == pytest.approx(20.0, abs=0.1)
+
+
+@pytest.mark.parametrize("scheme", ["implicit-euler", "midpoint"])
+@pytest.mark.parametrize("mu", [1e-10, 1e-4, 0.1, 1.0, 30.0, 1e6])
+def test_without_a_load_the_energy_never_grows(scheme: str, mu: float) -> None:
+    random = np.random.default_rng(3)
+    roots = random.normal(size=(2, 3, 3))
+    A, B = (root @ root.T + 0.1 * np.eye(3) for root in roots)
+    process = so.SweepingProcess(
+        A, B, so.Box(-0.2 * np.ones(3), 0.2 * np.ones(3)), [1.0, -2.0, 3.0]
+    )
+    with pytest.warns(so.InitialStateWarning):
+        sol = so.solve(process, t_end=40 * mu, steps=40, scheme=scheme)
+    energy = np.array([0.5 * u @ B @ u for u in sol.u])
+    assert energy[0] > energy[-1]
+    assert (np.diff(energy) <= 1e-14 * energy[0]).all()

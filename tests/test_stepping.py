@@ -165,7 +165,7 @@ def test_parts_may_be_short_enough_not_to_overshoot(monkeypatch: pytest.MonkeyPa
     with pytest.warns() as seen:
         so.solve(process, **how)
     assert so.StabilityWarning in [one.category for one in seen]
-    monkeypatch.setattr(stepping, "PARTS", (8,))
+    monkeypatch.setattr(stepping, "PARTS", (16,))
     whole = march.step
 
     def missing(*args: Any) -> tuple[np.ndarray, stepping.Stages]:
@@ -175,7 +175,7 @@ def test_parts_may_be_short_enough_not_to_overshoot(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(march, "step", missing)
     with pytest.warns() as seen:
         sol = so.solve(process, **how)
-    assert parts(sol) == [8]
+    assert parts(sol) == [16]
     assert {one.category for one in seen} == {so.InitialStateWarning}
 
 
