@@ -101,10 +101,15 @@ class Polyhedron(ConvexSet):
         # seen from a point of the set: h - G x >= 0 is as large as the set, wherever that is
         inside = self.project(np.zeros(self.dim))
         slack = np.maximum(self.h - self.G @ inside, 0.0)
+        # rows of length 1: HiGHS looks at absolute numbers
+        lengths = np.sqrt(np.asarray((self.G * self.G).sum(axis=1), dtype=float)).ravel()
+        weights = 1 / np.where(lengths > 0, lengths, 1.0)
+        slack = weights * slack
+        rows = self.G.T * weights
         scale = float(slack.max()) or 1.0
         result = scipy.optimize.linprog(
             slack / scale,
-            A_eq=self.G.T,
+            A_eq=rows,
             b_eq=z / size,
             method="highs",
             options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
@@ -275,7 +280,8 @@ class Polytope(ConvexSet):
         if not self.vertices.size:
             raise EmptySetError("vertices is empty; give at least one point")
         self.dim = self.vertices.shape[1]
-        self.offsets = np.ones(1)
+        # the feature is the support function of the set in units of its size
+        self.offsets = np.array([float(np.abs(self.vertices).max()) or 1.0])
 
     def support(self, z: np.ndarray) -> float:
         return float((self.vertices @ vector("z", z, self.dim)).max())
@@ -305,7 +311,7 @@ class Polytope(ConvexSet):
         import cvxpy as cp
 
         size = cp.Variable(1)
-        return Features([size], [self.vertices @ p <= size])
+        return Features([size], [(self.vertices / self.offsets) @ p <= size])
 
     def same_cone(self, other: ConvexSet) -> bool:
         return isinstance(other, Polytope) and same_array(self.vertices, other.vertices)
