@@ -173,3 +173,8 @@ CASES: list[tuple[str, Callable[[], Any], str]] = [
 def test_bad_input_is_refused_by_name(call: Callable[[], Any], message: str) -> None:
     with pytest.raises(so.SweepoptError, match=message):
         call()
+
+
+def test_a_solver_of_cvxpy_is_a_name() -> None:
+    with pytest.raises(so.InputError, match="the name of a solver"):
+        so.Cvxpy(5)  # type: ignore[arg-type]

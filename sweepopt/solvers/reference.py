@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sweepopt.alone import in_turn, silence
-from sweepopt.errors import SolverRefusedError
+from sweepopt.errors import InputError, SolverRefusedError, shown
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
 from sweepopt.solvers.base import Answer, Solve, Solver
@@ -32,6 +32,11 @@ class Cvxpy:
     settings : dict
         Passed on to the solver; tight ones are chosen for CLARABEL and OSQP when empty.
 
+    Raises
+    ------
+    InputError
+        If the solver is no name or the settings are no dict.
+
     Examples
     --------
     >>> Cvxpy("OSQP", {"eps_abs": 1e-9}).name
@@ -40,6 +45,13 @@ class Cvxpy:
 
     solver: str = "CLARABEL"
     settings: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.solver, str) or not isinstance(self.settings, dict):
+            given = shown((self.solver, self.settings))
+            raise InputError(
+                f"Cvxpy takes the name of a solver and a dict of settings, got {given}"
+            )
 
     @property
     def name(self) -> str:

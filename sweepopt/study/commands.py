@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, shown
 from sweepopt.library import find_study
 from sweepopt.study.advice import summary
 from sweepopt.study.comparison import compare, comparison_text
@@ -33,9 +33,12 @@ def study_command(chosen: argparse.Namespace) -> None:
     wanted = _hard_of(path, data)
     hard: list[HardRow] = []
     if wanted is not None and set(data) <= {"hard", "title"}:
+        title = data.get("title", "")
+        if not isinstance(title, str):
+            raise InputError(f"{path}: title must be a string, got {shown(title)}")
         folder.mkdir(parents=True, exist_ok=True)
         hard = _run_hard(wanted)
-        files = write_hard_outputs(hard, folder, data.get("title", ""))
+        files = write_hard_outputs(hard, folder, title)
     else:
         study = read_study(path)
         with _executor(chosen) as executor:
