@@ -8,7 +8,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from sweepopt.checks import HUGE, number, symmetric, vector
+from sweepopt.checks import HUGE, count, number, symmetric, vector
 from sweepopt.errors import EmptySetError, InputError, shown
 from sweepopt.secular import secular
 from sweepopt.sets.base import (
@@ -582,11 +582,10 @@ def entries(name: str, value: Any, finite: bool = True) -> np.ndarray:
 
 def dimension(dim: Any) -> int:
     """A positive whole number of unknowns."""
-    if isinstance(dim, bool) or not isinstance(dim, (int, np.integer)) or dim < 1:
-        raise InputError(f"dim must be a positive whole number, got {shown(dim)}")
-    if dim > MOST:
-        raise InputError(f"dim is {shown(dim)}, more than {MOST:.0e}; no vector fits in memory")
-    return int(dim)
+    found = count("dim", dim)
+    if found > MOST:
+        raise InputError(f"dim is {shown(found)}, more than {MOST:.0e}; no vector fits in memory")
+    return found
 
 
 def _ball_derivative(arm: np.ndarray, radius: float) -> np.ndarray:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from math import nan
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from sweepopt.errors import InputError, shown
+from sweepopt.errors import InputError
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -98,10 +98,3 @@ def _column(name: str, column: Any) -> list[Any]:
 def distinct(cells: Iterable[Cell], name: str) -> list[Any]:
     """The values of a column, each once, in the order of the table."""
     return list(dict.fromkeys(cell[name] for cell in cells))
-
-
-def choice(name: str, value: Any, among: Iterable[str]) -> str:
-    """One of the words of a list."""
-    if value not in (words := list(among)):
-        raise InputError(f"{name} must be one of {', '.join(words)}, got {shown(value)}")
-    return str(value)

@@ -12,9 +12,10 @@ from itertools import groupby
 from math import inf
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from sweepopt.checks import choice
 from sweepopt.errors import InputError
 from sweepopt.plot import new_figure
-from sweepopt.study.cells import ACCURACIES, COSTS, Cell, choice, distinct, read_cells
+from sweepopt.study.cells import ACCURACIES, COSTS, Cell, distinct, read_cells
 
 if TYPE_CHECKING:
     from pandas import DataFrame
