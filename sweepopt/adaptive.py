@@ -2,12 +2,12 @@
 
 The flow forgets and forgives (MATH.md section 3): what a step's error does to u later, nobody knows
 at the step. So the grid is chosen for the run as a whole. A pass moves u along a grid of times; the
-differences of its velocities say where the steps must be short, the distance to the pass before it
-says how many there must be. Passes that come before the last one are coarse and cheap. To the loop
-over time an adaptive grid is a grid as any other.
+differences of its velocities say where the steps must be short, and, carried along, how large the
+error is and so how many steps there must be. Two passes whose distance their errors do not explain
+know less than they think. To the loop over time an adaptive grid is a grid as any other.
 
-Each segment between breakpoints is halved again and again: steps are H / 2^k, so that the compiled
-programs are shared, and every pass has the nodes of the first one, where passes are compared.
+Each segment between breakpoints is in equal parts that are halved again and again, so that steps
+share the compiled programs.
 """
 
 from __future__ import annotations
@@ -22,25 +22,24 @@ import numpy as np
 
 from sweepopt.checks import number
 from sweepopt.errors import InputError, Status
-from sweepopt.grids import Density, density, finer_grid, first_grid
+from sweepopt.grids import density, finer_grid, first_grid
 from sweepopt.march import Run
 from sweepopt.solution import Pass
+from sweepopt.watch import Flow, Watch
 
 PASSES = 24
 STEPS = 1_000_000  # of the finest pass
 CHECKED = 256  # nodes at which passes are compared, fewer where states are large
-AIM = 1.4  # the error that a pass is made for, in units of tol
-ACCEPTED, DOUBTED = 2.7, 1.9  # what it may have after a pass that was nearly as fine, or was not
-GROWTH = 4.0  # a pass has at most so many times the steps of the one before
-LAST = 3.0  # so many times the steps are believed of one estimate
+AIM, FIRST_AIM = 1.6, 1.2  # the error that a pass is made for, in units of tol; the second pass
+ACCEPTED = 2.7  # the error that it may have
+ALONE = 1.9  # what the first one may have,
+RESOLVED = 0.02  # and in units of the way that u goes: the steps have seen it move
+GROWTH, LEAST = 4.0, 1.35  # a pass has at most, and at least, so many times the steps before
+MISTRUST = 2.0  # the most that an error counts for where two passes are too far apart
 FIRST = 16  # steps of the first pass
-HIDDEN = 2.0  # times its local error a step may be wrong that two passes have in common
-GUESS = 0.2  # error in units of the sum of the local ones, before two passes can tell
-
+HIDDEN = 1 / 16  # of a jump of the velocity times the steps beside it: the error of a kink there
 
 EPS = float(np.finfo(float).eps)
-
-Norm = Callable[[np.ndarray], float]
 
 
 @dataclass(frozen=True)
@@ -85,48 +84,6 @@ class Adaptive:
             raise InputError(f"minimum, {self.minimum:g}, is longer than first, {self.first:g}")
 
 
-class Watch:
-    """Sees the velocities of a pass and keeps the size of their differences only.
-
-    The second difference of three steps for a scheme of order 2, the first one of two steps for
-    order 1: times the step to the power order + 1 it is the local error, up to a factor.
-    """
-
-    def __init__(self, times: np.ndarray, nodes: set[float], order: int, norm: Norm) -> None:
-        self._middle, self._mus = 0.5 * (times[1:] + times[:-1]), np.diff(times).tolist()
-        self._order, self._norm = order, norm
-        self._nodes = {i: t for i, t in enumerate(times[1:].tolist()) if t in nodes}
-        self._last: list[np.ndarray] = []
-        self.states: dict[float, np.ndarray] = {}  # at those nodes that the grid has
-        self.sizes: list[float] = []
-        self.length = 0.0  # of the way that u goes
-
-    def see(self, i: int, u: np.ndarray, z: np.ndarray) -> None:
-        """Take the state after step i and its velocity."""
-        if i in self._nodes:
-            self.states[self._nodes[i]] = u.copy()
-        self.length += self._mus[i] * self._norm(z)
-        self._last = [*self._last[-self._order :], z]
-        if len(self._last) == self._order + 1:
-            self.sizes.append(self._norm(self._difference(self._middle[i - self._order : i + 1])))
-
-    def _difference(self, t: np.ndarray) -> np.ndarray:
-        slopes = [
-            (b - a) / dt for a, b, dt in zip(self._last, self._last[1:], np.diff(t), strict=False)
-        ]
-        if self._order == 1:
-            return slopes[0]
-        return (slopes[1] - slopes[0]) / (t[2] - t[0])
-
-
-class Before(NamedTuple):
-    """What is remembered of the pass before."""
-
-    steps: int
-    wanted: Density
-    states: dict[float, np.ndarray]
-
-
 class Refined(NamedTuple):
     """The passes, and where and why they did not suffice."""
 
@@ -139,12 +96,11 @@ def refine(
     steps: Adaptive,
     cuts: np.ndarray,
     longest: float,
-    order: int,
-    norm: Norm,
+    flow: Flow,
     walk: Callable[[np.ndarray, Watch], Run],
     checked: int = CHECKED,
 ) -> Refined:
-    """Walk over better and better grids until two passes agree.
+    """Walk over better and better grids until the error of a pass is small.
 
     Parameters
     ----------
@@ -152,10 +108,8 @@ def refine(
         The start, the breakpoints and the end.
     longest : float
         Longest step.
-    order : int
+    flow : Flow
         Of the scheme.
-    norm : callable
-        The norm of u.
     walk : callable
         (times, watch) -> Run: moves u along the grid and shows each step to the watch.
     checked : int
@@ -163,64 +117,54 @@ def refine(
 
     Notes
     -----
-    With n steps after n' < n ones the error is E = r / (1 - r) max |u - u'|, where r is what an
-    order promises, (n' / n)^order, or what the local errors say, in the geometric mean;
-    twice the largest local error of a step that both passes have is added. For order p the next
-    pass has n (E / tol)^(1/p) steps.
+    A pass carries its error along (see `Watch`). Where two passes are further apart than their
+    errors let expect, the error is greater in that ratio. For order p the next pass has
+    n (E / tol)^(1/p) steps.
     """
     tol, span = steps.tol, float(cuts[-1] - cuts[0])
     minimum = 2.0**-40 * span if steps.minimum is None else steps.minimum
     times = first_grid(cuts, longest)
     passes: list[Pass] = []
-    before: Before | None = None
+    watch: Watch | None = None
     while True:
-        began, n = clock.perf_counter(), len(times) - 1
-        # some nodes more where the steps are short: what is wrong there may soon be forgotten
-        own = times[1:][np.unique(np.linspace(0, n - 1, checked).astype(int))].tolist()
-        watch = Watch(times, {*own, *(before.states if before else ())}, order, norm)
+        began, n, before = clock.perf_counter(), len(times) - 1, watch
+        watch = Watch(times, cuts, flow, before.nodes if before else [], checked)
         run = walk(times, watch)
-        error = math.nan
-        if run.status in (Status.SUCCESS, Status.UNCERTIFIED):
-            wanted = density(times, cuts, np.array(watch.sizes), order)
-            if before is not None:
-                error = _error(n, wanted, watch.states, before, order, norm)
-            size = max(map(norm, watch.states.values()))
+        walked = run.status in (Status.SUCCESS, Status.UNCERTIFIED)
+        error = _error(times, watch, before) if walked else math.nan
         passes.append(Pass(run.done, error, clock.perf_counter() - began))
-        # a much coarser pass has too few nodes where the steps are short now
-        near = before is not None and n <= 1.1 * LAST * before.steps
-        enough = error <= (ACCEPTED if near else DOUBTED) * tol
-        if run.status not in (Status.SUCCESS, Status.UNCERTIFIED) or enough:
+        doubtful = before is None and not error < RESOLVED * watch.length
+        enough = error <= (ALONE if before is None else ACCEPTED) * tol and not doubtful
+        if not walked or enough:
             return Refined(tuple(passes))
-        if tol < EPS * size:
-            return Refined(tuple(passes), None, _below_rounding(tol, EPS * size))
-        guess = GUESS * wanted.errors if before is None else error
-        next_n = n * (guess / (AIM * tol)) ** (1 / order)
-        next_n = max(next_n / LAST if next_n > 1.5 * LAST * n else next_n, 1.3 * n)
+        if tol < EPS * watch.size:
+            return Refined(tuple(passes), None, _below_rounding(tol, EPS * watch.size))
+        aim = AIM if before else FIRST_AIM
+        # where hardly anything was seen to move, steps twice as short look again
+        least = 2.0 * n if doubtful else LEAST * n
+        next_n = max(n * (error / (aim * tol)) ** (1 / flow.order), least)
         if min(next_n, GROWTH * n) > STEPS:
             return Refined(tuple(passes), None, _too_many(passes[-1], next_n, tol))
-        before = Before(n, wanted, {t: watch.states[t] for t in own})
+        wanted = density(times, cuts, np.array(watch.sizes), flow.order, watch.jumps)
         times = finer_grid(wanted, cuts, longest, min(next_n, GROWTH * n))
         failure = _failure(times, cuts, minimum, passes)
         if failure:
             return Refined(tuple(passes), float(times[np.argmin(np.diff(times))]), failure)
 
 
-def _error(
-    n: int,
-    wanted: Density,
-    states: dict[float, np.ndarray],
-    before: Before,
-    order: int,
-    norm: Norm,
-) -> float:
-    """The error of a pass from its distance to the one before."""
-    promised = min((before.steps / n) ** order, 0.7)
-    local = wanted.errors / before.wanted.errors if before.wanted.errors > 0 else 1.0
-    ratio = min(math.sqrt(promised * local), 0.7)
-    # what both passes miss in a step that they share, their distance does not show
-    hidden = HIDDEN * wanted.shared(before.wanted.times)
-    common = states.keys() & before.states.keys()
-    return hidden + ratio / (1 - ratio) * max(norm(states[t] - before.states[t]) for t in common)
+def _error(times: np.ndarray, watch: Watch, before: Watch | None) -> float:
+    """The error of a pass: what it carried along, and what its distance to another one adds."""
+    mus = np.diff(times)
+    # a kink just beside a breakpoint: a jump of the velocity over a part of a step
+    jump = max((size * (mus[i] + mus[i + 1]) for i, size in watch.jumps.items()), default=0.0)
+    error = watch.error + HIDDEN * float(jump)
+    if before is None or not watch.apart:
+        return error
+    expected = watch.expected + 0.5 * (watch.spread + before.spread)
+    if not expected:
+        return watch.apart
+    # the root: the coarser one of both may be to blame
+    return error * min(max(math.sqrt(watch.apart / expected), 1.0), MISTRUST)
 
 
 def _below_rounding(tol: float, rounding: float) -> str:

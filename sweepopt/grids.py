@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 FLOOR = 0.4  # no step is longer than 1 / FLOOR times what the average density asks for
+JUMP = 0.75  # a jump at a breakpoint as second difference of steps there, times the step squared
+BASES = 4  # so many longest steps are tried, which differ by less than two
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,37 +19,38 @@ class Density:
 
     Attributes
     ----------
-    times, local : ndarray
-        The grid of n steps and the n local errors on it, up to a factor.
+    rho : ndarray
+        One value between two edges; the local error of a step h is about (h rho)^(order + 1).
     """
 
     edges: np.ndarray
     rho: np.ndarray
-    times: np.ndarray
-    local: np.ndarray
+    order: int
 
     @property
     def total(self) -> float:
         return float(self.rho @ np.diff(self.edges))
 
-    @property
-    def errors(self) -> float:
-        """The sum of the local errors."""
-        return float(self.local.sum())
-
-    def shared(self, times: np.ndarray) -> float:
-        """The largest local error in a step that another grid has too."""
-        i = np.minimum(np.searchsorted(times, self.times[:-1]), len(times) - 2)
-        same = (times[i] == self.times[:-1]) & (times[i + 1] == self.times[1:])
-        return float(self.local[same].max(initial=0.0))
+    def errors(self, times: np.ndarray) -> float:
+        """The sum of the local errors on a grid, up to a factor."""
+        parts = np.append(0.0, np.cumsum(self.rho ** (self.order + 1) * np.diff(self.edges)))
+        inside = np.diff(np.interp(times, self.edges, parts))
+        return float(inside @ np.diff(times) ** self.order)
 
 
-def density(times: np.ndarray, cuts: np.ndarray, sizes: np.ndarray, order: int) -> Density:
+def density(
+    times: np.ndarray,
+    cuts: np.ndarray,
+    sizes: np.ndarray,
+    order: int,
+    jumps: Mapping[int, float] | None = None,
+) -> Density:
     """Steps per time that spread the local errors evenly.
 
     A kink of the velocity is in two windows of three steps, but in both only from the middle of
     one step to that of the next: the lesser of both windows finds the place. Windows across a
-    breakpoint count only where a segment has no window of its own, and the greater of them.
+    breakpoint count only where a segment has no window of its own, and the greater of them. A jump
+    of the velocity at the end of a step, where it has none, is a kink in one of the halves there.
     """
     n = len(times) - 1
     segment = np.searchsorted(cuts[1:-1], times[:-1], side="right")
@@ -61,14 +64,16 @@ def density(times: np.ndarray, cuts: np.ndarray, sizes: np.ndarray, order: int) 
     left, right = np.where(np.isnan(left), right, left), np.where(np.isnan(right), left, right)
     alone = np.maximum(np.append(0.0, across), np.append(across, 0.0))
     halves = np.column_stack([np.where(np.isnan(side), alone, side) for side in (left, right)])
+    for i, jump in (jumps or {}).items():
+        before, after = JUMP * jump / np.diff(times[i : i + 3]) ** 2
+        halves[i, 1], halves[i + 1, 0] = max(halves[i, 1], before), max(halves[i + 1, 0], after)
     factor = 2.0 if order == 1 else 6.0
-    local = halves.max(axis=1) * np.diff(times) ** (order + 1) / factor
     middle = 0.5 * (times[1:] + times[:-1])
     edges = np.append(times[0], np.column_stack([middle, times[1:]]).ravel())
     rho = (halves.ravel() / factor) ** (1 / (order + 1))
     mean = float(rho @ np.diff(edges)) / (edges[-1] - edges[0])
     rho = np.maximum(rho, FLOOR * mean) if mean > 0 else np.ones(2 * n)
-    return Density(edges, rho, times, local)
+    return Density(edges, rho, order)
 
 
 def _least(windows: np.ndarray, order: int) -> np.ndarray:
@@ -79,11 +84,38 @@ def _least(windows: np.ndarray, order: int) -> np.ndarray:
 
 
 def first_grid(cuts: np.ndarray, longest: float) -> np.ndarray:
-    """Each segment in 2^k equal steps that are not too long."""
-    return _halve(cuts, lambda _, sizes: sizes <= longest * (1 + 1e-9))
+    """Each segment in equal steps that are not too long."""
+    return _parts(cuts, np.ceil(np.diff(cuts) / longest * (1 - 1e-9)))
 
 
 def finer_grid(wanted: Density, cuts: np.ndarray, longest: float, n: float) -> np.ndarray:
+    """About n steps that follow the density, in each segment halves of halves of equal parts.
+
+    Steps twice as long have eight times the local error: how many equal parts a segment has before
+    they are halved is tried, so that few steps are much shorter than they need be.
+    """
+    span = float(cuts[-1] - cuts[0])
+    least = max(math.ceil(span / longest - 1e-9), 1)
+    counts = {round(least * 2 ** (k / BASES)) for k in range(BASES)}
+    if n >= least:
+        counts.add(round(n / 2 ** math.floor(math.log2(n / least))))
+    grids = [
+        _following(wanted, _parts(cuts, np.diff(cuts) * count / span), longest, n)
+        for count in sorted(counts)
+    ]
+    return min(grids, key=lambda times: wanted.errors(times) * len(times) ** wanted.order)
+
+
+def _parts(cuts: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Each segment in about so many equal parts."""
+    numbers = np.maximum(np.round(counts), 1).astype(int).tolist()
+    ends = zip(cuts, cuts[1:], numbers, strict=False)
+    return np.append(
+        np.concatenate([np.linspace(a, b, k, endpoint=False) for a, b, k in ends]), cuts[-1]
+    )
+
+
+def _following(wanted: Density, cuts: np.ndarray, longest: float, n: float) -> np.ndarray:
     """About n steps, each a segment's length over 2^k, that follow the density."""
     n = max(math.ceil(n), 1)
     middle = 0.5 * (wanted.edges[1:] + wanted.edges[:-1])

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.adaptive import CHECKED, FIRST, STEPS, Adaptive, Refined, Watch, refine
+from sweepopt.adaptive import CHECKED, FIRST, STEPS, Adaptive, Refined, refine
 from sweepopt.checks import number, vector
 from sweepopt.control import evaluation_times, time_grid
 from sweepopt.errors import InputError
@@ -20,6 +20,7 @@ from sweepopt.schemes import Scheme
 from sweepopt.sets import MovingSet
 from sweepopt.states import Keeper, Saving, saving
 from sweepopt.stepping import Velocities
+from sweepopt.watch import Flow, Watch
 
 SHARE = 0.05  # of the tolerance that inexact programs may take
 EXACT = 1e-9  # no certificate below it is asked for
@@ -69,7 +70,7 @@ class Frame:
                 f"Adaptive: steps of at most {self.longest:.3g} up to t_end = {end:g} are more "
                 f"than {STEPS:g}; make first longer"
             )
-        self.order = int(scheme.order)
+        self.flow = Flow(process, scheme)
 
     def grid(self) -> tuple[np.ndarray, np.ndarray]:
         """The times and steps of the first pass."""
@@ -106,7 +107,6 @@ def adapt(
     Refined
     """
     programs = Velocities(process, plan)
-    norm = process.metric.norm
     last: Walked | None = None
 
     def walk(times: np.ndarray, watch: Watch) -> Run:
@@ -129,9 +129,9 @@ def adapt(
             programs = Velocities(process, plan)
         return run
 
-    # three passes' worth of states, a tenth of the memory
-    checked = max(min(CHECKED, int(memory / (240.0 * process.dim))), 16)
-    refined = refine(frame.steps, frame.cuts, frame.longest, frame.order, norm, walk, checked)
+    # two passes' worth of states and errors, a tenth of the memory
+    checked = max(min(CHECKED, int(memory / (320.0 * process.dim))), 16)
+    refined = refine(frame.steps, frame.cuts, frame.longest, frame.flow, walk, checked)
     assert last is not None
     if refined.failed is None:
         return last, refined

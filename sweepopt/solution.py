@@ -70,7 +70,7 @@ class Pass(NamedTuple):
     ----------
     steps : int
     error : float
-        Estimate of max_i |u_i - u(t_i)|_A, |.|_B where A = 0; nan for the first pass.
+        Estimate of max_i |u_i - u(t_i)|_A, |.|_B where A = 0; nan if the pass was stopped.
     seconds : float
     """
 

@@ -214,7 +214,8 @@ def test_breakpoints_and_requested_times_are_hit_exactly() -> None:
 
 def test_steps_are_halves_of_halves_so_that_programs_are_shared() -> None:
     sol = run("S03", so.Adaptive(1e-4))
-    halvings = np.log2(8.0 / np.diff(sol.t))
+    sizes = np.diff(sol.t)
+    halvings = np.log2(sizes.max() / sizes)
     assert np.abs(halvings - np.round(halvings)).max() <= 1e-9
     assert np.unique(np.round(halvings)).size <= 16
 
@@ -321,7 +322,7 @@ def test_a_body_that_never_moves_is_done_after_two_coarse_passes() -> None:
     process = so.SweepingProcess([[1.0]], [[1.0]], so.Box([-1], [1]), u0=[0.0])
     sol = so.solve(process, t_end=1.0, steps=so.Adaptive(1e-6))
     assert not sol.u.any()
-    assert [one.steps for one in sol.passes] == [16, 21]
+    assert [one.steps for one in sol.passes] == [16, 32]
 
 
 def test_a_tolerance_that_takes_too_many_steps_ends_with_what_there_is(

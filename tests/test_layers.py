@@ -29,7 +29,7 @@ LEVELS = [
     {"plan"},
     {"field", "motion", "solution"},
     {"norms"},
-    {"stepping"},
+    {"stepping", "watch"},
     {"march"},
     {"exact"},
     {"adaptive", "lifting", "defects", "refinement"},
