@@ -30,11 +30,12 @@ from sweepopt.watch import Flow, Watch
 PASSES = 24
 STEPS = 1_000_000  # of the finest pass
 CHECKED = 256  # nodes at which passes are compared, fewer where states are large
-AIM, FIRST_AIM = 1.6, 1.2  # the error that a pass is made for, in units of tol; the second pass
+AIM, FIRST_AIM = 1.7, 1.2  # the error that a pass is made for, in units of tol; the second pass
 ACCEPTED = 2.7  # the error that it may have
 ALONE = 1.9  # what the first one may have,
 RESOLVED = 0.02  # and in units of the way that u goes: the steps have seen it move
 GROWTH, LEAST = 4.0, 1.35  # a pass has at most, and at least, so many times the steps before
+LAST = 0.33  # of the steps that are wanted, in the pass before
 MISTRUST = 2.0  # the most that an error counts for where two passes are too far apart
 FIRST = 16  # steps of the first pass
 HIDDEN = 1 / 16  # of a jump of the velocity times the steps beside it: the error of a kink there
@@ -143,10 +144,13 @@ def refine(
         # where hardly anything was seen to move, steps twice as short look again
         least = 2.0 * n if doubtful else LEAST * n
         next_n = max(n * (error / (aim * tol)) ** (1 / flow.order), least)
-        if min(next_n, GROWTH * n) > STEPS:
+        if next_n > 1.2 * GROWTH * n:
+            # one pass between: as few steps as the last one can come after
+            next_n = max(min(LAST * next_n, GROWTH * n), least)
+        if next_n > STEPS:
             return Refined(tuple(passes), None, _too_many(passes[-1], next_n, tol))
         wanted = density(times, cuts, np.array(watch.sizes), flow.order, watch.jumps)
-        times = finer_grid(wanted, cuts, longest, min(next_n, GROWTH * n))
+        times = finer_grid(wanted, cuts, longest, next_n)
         failure = _failure(times, cuts, minimum, passes)
         if failure:
             return Refined(tuple(passes), float(times[np.argmin(np.diff(times))]), failure)

@@ -21,6 +21,8 @@ from sweepopt.process import SweepingProcess
 from sweepopt.schemes import Scheme
 
 STIFF = 1e6  # h times a rate that is as good as infinite
+# at A = 0: what turns misses more than what goes on to move, which its last stage corrects
+TURNS, STARTS = 1.5, 0.5
 SPREAD = 0.9  # standard deviations that are added to the error carried along
 
 
@@ -53,7 +55,9 @@ class Flow:
         delays = self._a @ c if self.order == 2 else self._a.sum(axis=1)
         self.chain = float(self._b @ delays) - 1 / (self.order * (self.order + 1)) - self.mean
         turns = self._turns(c) if process.rate_independent else np.zeros(1)
-        self.turn, self.turn_spread = float(turns.mean()), float(turns.std())
+        self.turn, self.turn_spread = float(turns.mean()), TURNS * float(turns.std())
+        if process.rate_independent:
+            self.spread *= STARTS
 
     def _turns(self, c: np.ndarray) -> np.ndarray:
         """How far u goes too far at A = 0 where a load turns within a step, in h^2 times its z'."""
