@@ -131,7 +131,12 @@ class Factor:
     @cached_property
     def is_sharp(self) -> bool:
         """Whether M @ z never rounds more than a negligible share of |z|_M."""
-        return UNIT * self._spread * self._bound_factor**2 <= NEGLIGIBLE
+        return self._worst <= NEGLIGIBLE
+
+    @cached_property
+    def _worst(self) -> float:
+        """What M @ z may round, as a share of |z|_M."""
+        return UNIT * self._spread * self._bound_factor**2
 
     def resolution(self, z: np.ndarray) -> float:
         """What entries of z that are rounded twice move it, in |.|_M."""
@@ -147,7 +152,9 @@ class Factor:
     @cached_property
     def precisely(self) -> Precise:
         """(z, *more) -> M z + the others, rounded once."""
-        return Precise(self.M)
+        brief = Precise(self.M, slices=2)
+        enough = brief.left * self._worst <= 1e-2 * NEGLIGIBLE
+        return brief if enough else Precise(self.M)
 
     @cached_property
     def _bound_factor(self) -> float:

@@ -20,7 +20,14 @@ from sweepopt.schemes import Scheme
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.base import same_array
 from sweepopt.solvers import Solver, choose
-from sweepopt.substitution import SelectedVelocity, Solved, VelocityOf, eliminated, linear
+from sweepopt.substitution import (
+    SelectedVelocity,
+    Solved,
+    VelocityOf,
+    eliminated,
+    linear,
+    unless_at_rest,
+)
 from sweepopt.velocity import iterated, programmed
 
 PATHS = {
@@ -164,7 +171,8 @@ class Plan:
 
     def _eliminated(self, factors: Factors) -> SelectedVelocity:
         small = programmed(factors.small, self.solver, self.tol, None)
-        return eliminated(factors.elimination, small)
+        moving = eliminated(factors.elimination, small)
+        return unless_at_rest(factors.elimination.diagonal, moving)
 
     def __str__(self) -> str:
         solver = self.solvers[0].name if self.solvers else "linear solves, no optimiser"

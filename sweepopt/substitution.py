@@ -58,6 +58,16 @@ def _of_force(M: Factor, z: np.ndarray, force: np.ndarray) -> Velocity:
     return rate(z, M.dual_norm_within(rho, ACCURATE * size) + rounding, size, size)
 
 
+def unless_at_rest(diagonal: np.ndarray, moving: SelectedVelocity) -> SelectedVelocity:
+    """Nothing moves where q is in C: seen on all unknowns, for forces on the few round more."""
+
+    def solve(q: np.ndarray, selection: Selection) -> Solved:
+        rest = at_rest_on(q, selection, diagonal)
+        return moving(q, selection) if rest is None else Solved(rest, "at rest", 0, 0)
+
+    return solve
+
+
 def eliminated(M: Elimination, small: VelocityOf) -> SelectedVelocity:
     """C = c + E^T S: the velocity of the unknowns zeta = E z solves a small program.
 
@@ -76,24 +86,22 @@ def eliminated(M: Elimination, small: VelocityOf) -> SelectedVelocity:
     def proven(
         z: np.ndarray, solved: Solved, force: np.ndarray, linear: np.ndarray, size_q: float
     ) -> Solved:
-        on_few = np.zeros_like(z)
-        on_few[few] = M.N @ z[few] + linear
-        size_z = math.sqrt(abs(z.dot(force + on_few)))
+        zeta = z[few]
+        pull = M.N @ zeta + linear
+        size_z = math.sqrt(abs(z.dot(force) + zeta.dot(pull)))
         rounding = 2 * M.rounding(z, force)  # of M z, and of N zeta, which is less
         if rounding <= ACCURATE * size_z:
-            rho = M.M @ z - force - on_few
+            rho = M.M @ z - force
+            rho[few] -= pull
         else:
-            on_few[few], rounding = precisely()(z[few], linear), 0.0
+            on_few, rounding = np.zeros_like(z), 0.0
+            on_few[few] = precisely()(zeta, linear)
             rho = M.precisely(z, -force, -on_few)
         missed = M.dual_norm_within(rho, ACCURATE * size_z) + rounding
         velocity = rate(z, solved.velocity.certificate + missed, size_z, size_q)
-        return solved._replace(velocity=velocity)
+        return Solved(velocity, solved.solver, solved.iterations, solved.attempts)
 
     def solve(q: np.ndarray, selection: Selection) -> Solved:
-        # looked at before q and C are reduced to forces on the few, whose rounding is larger
-        rest = at_rest_on(q, selection, M.diagonal)
-        if rest is not None:
-            return Solved(rest, "at rest", 0, 0)
         force = -q if selection.shift is None else selection.shift - q
         forward, pull = M.reduce(force)
         size_q, linear = euclidean(forward), -pull

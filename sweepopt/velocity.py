@@ -84,9 +84,8 @@ def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> 
             velocity = judge(program, q, C, answer) if is_finite(answer.z) else nothing
             if not velocity.relative <= tol:
                 del compiled[attempt]  # a workspace that failed is not used again
-            found = Solved(velocity, rung.name, answer.iterations, attempt + 1)
-            if found.velocity.relative < best.velocity.relative:
-                best = found
+            if velocity.relative < best.velocity.relative:
+                best = Solved(velocity, rung.name, answer.iterations, attempt + 1)
             if best.velocity.relative <= tol:
                 break
         if best.velocity.relative <= min(tol, ACCURATE):

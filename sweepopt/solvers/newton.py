@@ -83,7 +83,8 @@ class Iteration:
 
     def __init__(self, M: Factor) -> None:
         self._factor, self.M, self._diagonal = M, dense(M.M), M.diagonal
-        self._stuck: np.ndarray | None = None
+        self._steps, self._weights = self._diagonal, 1 / M.root
+        self._stuck = b""
         self._kept = np.zeros(0, dtype=int)
         self._block, self._inverted = self.M, False
 
@@ -92,7 +93,9 @@ class Iteration:
     ) -> tuple[np.ndarray, int]:
         """Newton steps from z until nothing changes; returns the last z and their number."""
         T = C.steps(self._diagonal)
-        weights = 1 / np.sqrt(T)
+        if T is not self._steps:
+            self._steps, self._weights = T, 1 / np.sqrt(T)
+        weights = self._weights
         smallest, stalled = math.inf, 0
         for iteration in range(max_iter):
             pulled = T * z
@@ -125,16 +128,17 @@ class Iteration:
 
     def _separable(self, stuck: np.ndarray, z: np.ndarray, missed: np.ndarray) -> np.ndarray:
         """Stuck entries get 0, slipping ones solve M dz = missed; nothing reverses."""
-        if self._stuck is None or (stuck != self._stuck).any():
-            self._stuck = None
+        if stuck.tobytes() != self._stuck:
+            self._stuck = b""
             free = np.flatnonzero(~stuck)
             self._inverted = free.size > max(stuck.size // 2, SMALL)
             self._kept = np.flatnonzero(stuck) if self._inverted else free
             matrix = self._inverse if self._inverted else self.M
-            self._block, info = lapack.dpotrf(matrix[np.ix_(self._kept, self._kept)], lower=True)
+            block = matrix[self._kept][:, self._kept]
+            self._block, info = lapack.dpotrf(block, lower=True)
             if info:
                 raise np.linalg.LinAlgError("the block is not positive definite to rounding")
-            self._stuck = stuck
+            self._stuck = stuck.tobytes()
         following = np.where(stuck, 0.0, z)
         held, kept = following - z, self._kept
         if self._inverted:
