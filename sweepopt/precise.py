@@ -18,11 +18,12 @@ SLICES = 4  # of 20 bits or more: 2^-80 of the largest term is left
 
 
 class Precise:
-    """Products with a symmetric positive definite matrix as if in twice the precision.
+    """Products with a symmetric positive semidefinite matrix as if in twice the precision.
 
     Parameters
     ----------
     M : ndarray or sparse, shape (dim, dim)
+        Rows with a zero on the diagonal are zero.
 
     Examples
     --------
@@ -33,7 +34,8 @@ class Precise:
 
     def __init__(self, M: Matrix) -> None:
         # in units of the diagonal, by powers of 2: nothing is rounded
-        self._unit = np.exp2(np.floor(0.5 * np.log2(M.diagonal())))
+        diagonal = M.diagonal()
+        self._unit = np.exp2(np.floor(0.5 * np.log2(np.where(diagonal > 0, diagonal, 1.0))))
         rest = _scaled(M, 1 / self._unit)
         entries = rest.data if sp.issparse(rest) else rest
         terms = int(np.diff(rest.tocsr().indptr).max()) if sp.issparse(rest) else rest.shape[1]
@@ -68,6 +70,12 @@ def product_error(factor: float, M: Matrix) -> Any:
         rest.data = missed
         return rest
     return missed
+
+
+def sum_error(A: Matrix, B: Matrix, total: Matrix) -> Any:
+    """What rounding keeps out of `total` = A + B, entry by entry and exactly (Knuth's two-sum)."""
+    added = total - A
+    return (A - (total - added)) + (B - added)
 
 
 def _halves(x: Any) -> tuple[Any, Any]:
