@@ -75,9 +75,9 @@ class _Unrounded:
         z, certificate, relative = found.velocity
         if not relative <= 1:  # no proof, or nothing to improve
             return found
-        missed = self._bound(z, u)
         # at rest by a rule in units of the forces
         size = certificate / relative if relative else self._forces(q, C)
+        missed = self._bound(z, u, size)
         if missed > self._enough * size:
             return self._precise(u, C, found)
         if not relative:
@@ -85,11 +85,12 @@ class _Unrounded:
         velocity = Velocity(z, certificate + missed, relative + missed / size)
         return Solved(velocity, found.solver, found.iterations, found.attempts)
 
-    def _bound(self, z: np.ndarray, u: np.ndarray) -> float:
-        """At least |d|_{M^-1}: a product of two norms each for the sum and for the product."""
+    def _bound(self, z: np.ndarray, u: np.ndarray, size: float) -> float:
+        """At least |d|_{M^-1}, for |z|_M <= size."""
         root = self._M.root
-        of_z, of_u = self._shares
-        return of_z * euclidean(root * z) + of_u * euclidean(root * u)
+        of_size, of_z, of_u = self._shares
+        of_sum = of_size * size if of_size <= NEGLIGIBLE else of_z * euclidean(root * z)
+        return of_sum + of_u * euclidean(root * u)
 
     @cached_property
     def _M(self) -> Factor:
@@ -97,13 +98,13 @@ class _Unrounded:
         return self._factors.elimination if contact else self._factors.whole
 
     @cached_property
-    def _shares(self) -> tuple[float, float]:
-        """What M z and B u round, for |z| and |u| in units of the diagonal of M."""
+    def _shares(self) -> tuple[float, float, float]:
+        """What M rounds for |z|_M, and what M and B u for |z| and |u| in units of M's diagonal."""
         of_B = row_sum(self._B, self._M.root)
         entries = np.diff(self._B.indptr).max() if sp.issparse(self._B) else len(self._B)
         unit = UNIT * self._M.bound_factor
         of_M = unit * (self._stretch**2 + self._gamma * of_B) if self._gamma else 0.0
-        return of_M, unit * (3 + math.sqrt(entries)) * of_B
+        return of_M * self._M.bound_factor, of_M, unit * (3 + math.sqrt(entries)) * of_B
 
     @cached_property
     def _stretch(self) -> float:
@@ -148,8 +149,8 @@ class _Unrounded:
             if not relative <= 1:
                 break
             rest = self._product(u, self._lost @ z, -c, -term)
-            missed = self._M.dual_norm(rest) + SLICED * self._bound(z, u)
             size = certificate / relative if relative else self._forces(term, S)
+            missed = self._M.dual_norm(rest) + SLICED * self._bound(z, u, size)
             velocity = self._proven(z, certificate + missed, size)
             if velocity.relative < best.velocity.relative:
                 best = solved._replace(velocity=velocity)
