@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.errors import SolverRefusedError, SweepoptError, SweepoptWarning
+from sweepopt.errors import PathError, SolverRefusedError, SweepoptError, SweepoptWarning
 from sweepopt.evolve import solve
 from sweepopt.observers import StepInfo
 from sweepopt.process import SweepingProcess
@@ -198,12 +198,12 @@ def _run(hard: Hard, process: SweepingProcess, path: str, solver: Any) -> _Run |
                 path=path,
                 callback=keep,
             )
-    except SolverRefusedError:
+    except (SolverRefusedError, PathError):
         return None
     except SweepoptError as error:
         if hard.refused is not None and isinstance(error, hard.refused):
             return ""
-        return None if "path=" in str(error) else f"{type(error).__name__}: {error}"
+        return f"{type(error).__name__}: {error}"
     return _Run(solution, steps, time.perf_counter() - started)
 
 
