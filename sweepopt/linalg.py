@@ -131,7 +131,12 @@ class Factor:
     @cached_property
     def is_sharp(self) -> bool:
         """Whether M @ z never rounds more than a negligible share of |z|_M."""
-        return UNIT * self._spread * self.bound_factor**2 <= NEGLIGIBLE
+        return self._mistrust <= NEGLIGIBLE
+
+    @cached_property
+    def _mistrust(self) -> float:
+        """What factors that are rounded miss of |w|_{M^-1}, relative to it."""
+        return UNIT * self._spread * self.bound_factor**2
 
     def resolution(self, z: np.ndarray) -> float:
         """What entries of z that are rounded twice move it, in |.|_M."""
@@ -172,9 +177,11 @@ class Factor:
         return float(np.sqrt(max(w @ self.solve(w), 0.0))) if w.any() else 0.0
 
     def dual_norm_within(self, w: np.ndarray, enough: float) -> float:
-        """|w|_{M^-1}, or a bound of it that costs no solve if that is at most `enough`."""
+        """A bound of |w|_{M^-1}, one that costs no solve if that is at most `enough`."""
         bound = self.dual_norm_bound(w)
-        return bound if bound <= enough else min(bound, self.dual_norm(w))
+        if bound <= enough:
+            return bound
+        return min(bound, (1 + min(self._mistrust, 1.0)) * self.dual_norm(w))
 
     def smallest_eigenvalue(self) -> float:
         """beta: the largest number with <Mx, x> >= beta |x|^2."""

@@ -16,7 +16,6 @@ from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
@@ -128,11 +127,11 @@ class _Unrounded:
         """|M^-1/2 (A + gamma B - M) M^-1/2|: by how much the two metrics differ."""
         if not self._gamma:
             return 0.0
-        share = row_sum(self._lost, self._M.root) * self._M.bound_factor**2
-        if share > NEGLIGIBLE and self._M.dim <= 10 * SMALL:
-            units = np.outer(self._M.root, self._M.root)
-            lost, M = dense(self._lost) / units, dense(self._M.M) / units
-            share = float(np.abs(scipy.linalg.eigh(lost, M, eigvals_only=True)).max())
+        M = self._M
+        share = row_sum(self._lost, M.root) * M.bound_factor**2
+        if share > NEGLIGIBLE and M.dim <= 10 * SMALL:
+            similar = M.solve_many(dense(self._lost)) * M.root / M.root[:, None]
+            share = float(np.abs(np.linalg.eigvals(similar)).max())
         return share
 
     def _precise(self, u: np.ndarray, C: ConvexSet, found: Solved) -> Solved:

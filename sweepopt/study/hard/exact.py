@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.optimize
 
 from sweepopt.checks import Matrix
 from sweepopt.errors import InputError, SweepoptError
@@ -148,10 +147,7 @@ def _small(N: np.ndarray, q: np.ndarray, C: ConvexSet, near: np.ndarray) -> np.n
         return _in_box(N, q, C, near)
     if isinstance(C, (Ball, Balls)):
         return _in_balls(N, q, C, near)
-    rows = C.rows()
-    if rows is None:
-        raise InputError(f"no exact velocity is known for a {type(C).__name__}")
-    return _in_polyhedron(N, q, dense(rows[0]), rows[1], near)
+    return _in_polyhedron(N, q, C)
 
 
 def _in_box(N: np.ndarray, q: np.ndarray, C: Box, near: np.ndarray) -> np.ndarray:
@@ -180,29 +176,45 @@ def _in_box(N: np.ndarray, q: np.ndarray, C: Box, near: np.ndarray) -> np.ndarra
     raise SweepoptError("the exact active set was not found")
 
 
-def _in_polyhedron(
-    N: np.ndarray, q: np.ndarray, G: np.ndarray, h: np.ndarray, near: np.ndarray
-) -> np.ndarray:
-    """Murty's least-index pivoting of  slack = h - G q + G N G^T y,  y >= 0, slack >= 0."""
-    rows, G, h = G, digits.exactly(G), digits.exactly(h)
-    H, start = G @ N @ G.T, h - G @ q
-    slack = np.asarray(h - G @ (N @ digits.exactly(near) + q), dtype=float)
-    # an active set with one multiplier for each vector, as the method of nnls leaves it
-    met = np.flatnonzero(slack <= 1e-6 * np.abs(np.asarray(start, dtype=float)))
-    active = np.zeros(len(h), dtype=bool)
-    if met.size:
-        multipliers = scipy.optimize.nnls(rows[met].T, -near)[0]
-        active[met[multipliers > 1e-9 * multipliers.max()]] = True
+def _in_polyhedron(N: np.ndarray, q: np.ndarray, C: ConvexSet) -> np.ndarray:
+    """w = q - N G^T y in C with y >= 0: the most violated row enters, rows with y < 0 leave.
+
+    Goldfarb and Idnani's dual method, Math. Programming 27 (1983), in the metric of N^-1: finite,
+    whatever the rows, as those that hold w stay independent.
+    """
+    rows = C.rows()
+    if rows is None:
+        raise InputError(f"no exact velocity is known for a {type(C).__name__}")
+    G, h = digits.exactly(dense(rows[0])), digits.exactly(rows[1])
+    H, start, active = G @ N @ G.T, h - G @ q, np.zeros(0, dtype=int)
+    y, lengths = 0 * h, np.array([digits.sqrt(x) for x in H.diagonal()])
     for _ in range(TURNS):
-        y, on = np.full(len(h), h[0] * 0, dtype=object), np.flatnonzero(active)
-        if on.size:
-            y[on] = digits.solve(H[np.ix_(on, on)], -start[on])
         slack = start + H @ y
         noise = NOISE * (abs(start) + abs(H) @ abs(y))
-        wrong = np.flatnonzero(np.where(active, y < 0, slack < -noise))
-        if not wrong.size:
+        violated = np.where(slack < -noise, slack / lengths, 0)
+        violated[active] = 0
+        new = int(np.argmin(violated))
+        if not violated[new] < 0:
             return -(G.T @ y)
-        active[wrong[0]] ^= True
+        while new not in active:
+            shares = digits.solve(H[np.ix_(active, active)], H[active, new])
+            free = H[new, new] - H[new, active] @ shares
+            wanted = -slack[new] / free if free > NOISE * H[new, new] else None
+            falling = active[(shares > 0).astype(bool)]
+            limits = y[falling] / shares[(shares > 0).astype(bool)]
+            last = int(np.argmin(limits)) if falling.size else -1
+            if wanted is None and last < 0:
+                raise SweepoptError("C has no point")
+            whole = last < 0 or (wanted is not None and wanted <= limits[last])
+            length = wanted if whole else limits[last]
+            y[active] -= length * shares
+            y[new] += length
+            slack = start + H @ y
+            if whole:
+                active = np.append(active, new)
+            else:
+                y[falling[last]] *= 0
+                active = active[active != falling[last]]
     raise SweepoptError("the exact active set was not found")
 
 
