@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import csv
+import warnings
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -19,8 +20,9 @@ from sweepopt.observers import StepInfo
 from sweepopt.plan import make_plan
 from sweepopt.schemes import SCHEMES
 from sweepopt.study.hard import FAMILIES, Program, table
-from sweepopt.study.hard.bodies import chain, pushed
-from sweepopt.study.hard.table import PATHS, HardRow, rows
+from sweepopt.study.hard.bodies import Hard, chain, pushed
+from sweepopt.study.hard.combinations import combination
+from sweepopt.study.hard.table import PATHS, SLACK, HardRow, Judge, rows
 
 RNG = np.random.default_rng(0)
 N = 60
@@ -90,6 +92,57 @@ def test_combinations_drawn_by_chance_are_met(seed: int) -> None:
     found = list(rows([], [seed], solvers=["auto", "osqp", "clarabel"], combinations=4))
     assert len({row.drawn for row in found}) == 4
     assert [row for row in found if not row.good] == []  # all true answers are known, too
+
+
+class Step(NamedTuple):
+    """A step of a run and the state before it."""
+
+    t: float
+    before: np.ndarray
+    velocity: np.ndarray
+    certificate: float
+
+
+def stepped(process: so.SweepingProcess, made: Hard, solver: str) -> list[Step]:
+    found: list[Step] = []
+    states = [process.u0]
+
+    def look(step: StepInfo) -> None:
+        found.append(Step(step.t, states[-1], step.velocity, step.certificate))
+        states.append(step.u)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", so.InitialStateWarning)
+        so.solve(
+            process,
+            t_end=made.t_end,
+            steps=made.steps,
+            scheme="implicit-euler",
+            solver=solver,
+            callback=look,
+        )
+    return found
+
+
+@pytest.mark.parametrize(
+    ("seed", "number"),
+    [
+        pytest.param(211, 2, id="a polyhedron beside jumps of 1e8, in mixed units, A = 0"),
+        pytest.param(317, 7, id="a polyhedron beside jumps of 1e8, A = 0"),
+        pytest.param(23, 5, id="discs in mixed units, condition 1e12"),
+        pytest.param(0, 3, id="a polyhedron in mixed units, B up to 1e10"),
+        pytest.param(2, 0, id="B of rank one"),
+    ],
+)
+def test_combinations_that_were_missed_once(seed: int, number: int) -> None:
+    process = (made := combination(np.random.default_rng([seed, number]))).process()
+    judge = Judge(process, made.t_end / made.steps)
+    for solver in ("auto", "clarabel"):
+        for step in stepped(process, made, solver):
+            exact = judge.of(step.before, step.t, step.velocity)
+            error = judge.error(step.velocity, exact)
+            assert error <= 1e-9 * exact.size
+            assert error <= step.certificate + SLACK * exact.forces
 
 
 @pytest.mark.slow
