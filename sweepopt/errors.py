@@ -61,6 +61,10 @@ class IndefiniteError(InputError):
     """A matrix is not positive definite, or not to rounding."""
 
 
+class PathError(InputError):
+    """path= names a way to simulate that this process or scheme does not allow."""
+
+
 class SolverRefusedError(InputError):
     """The chosen solver cannot treat the set (a cone set given to OSQP), or is not known."""
 

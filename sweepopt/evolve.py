@@ -17,7 +17,7 @@ from sweepopt.control import (
     time_grid,
     warn_of_overshoot,
 )
-from sweepopt.errors import InputError, Status, StepError, shown
+from sweepopt.errors import InputError, PathError, Status, StepError, shown
 from sweepopt.exact import mover
 from sweepopt.lifting import Lift
 from sweepopt.marks import checkpoints
@@ -177,7 +177,7 @@ def solve(
     memory = number("memory", memory, minimum=0.0, strict=True)
     adaptive = isinstance(steps, Adaptive)
     if adaptive and path == "proportional":
-        raise InputError("path='proportional' needs all steps beforehand; Adaptive cannot tell")
+        raise PathError("path='proportional' needs all steps beforehand; Adaptive cannot tell")
     if adaptive and isinstance(scheme, str) and scheme == "auto" and process.rate_independent:
         scheme = "sdirk2"
     tableau = choose(scheme, process.rate_independent)

@@ -117,15 +117,13 @@ class _EveryStep:
         self.C = self
         self._phi = phi
 
-    def times_B(self, alpha: np.ndarray) -> np.ndarray:
-        return (self.B or 0.0) * alpha
-
     def at(self, times: np.ndarray) -> np.ndarray | float:
         return self._phi(times)
 
     def velocity(self, gamma: np.ndarray) -> Callable[[np.ndarray, np.ndarray], Solved]:
-        return lambda q, phi: Solved(
-            Velocity((phi - q) / (1 + self.times_B(gamma)), 0.0, 0.0), "formula", 0, 1
+        rho = self.B or 0.0
+        return lambda alpha, phi: Solved(
+            Velocity((phi - rho * alpha) / (1 + rho * gamma), 0.0, 0.0), "formula", 0, 1
         )
 
 

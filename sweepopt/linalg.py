@@ -108,7 +108,7 @@ class Factor:
 
         lambda_min is that of D^-1/2 M D^-1/2.
         """
-        return euclidean(w / self.root) * self._bound_factor
+        return euclidean(w / self.root) * self.bound_factor
 
     def apply(self, z: np.ndarray, *more: np.ndarray, enough: float = NEGLIGIBLE) -> Applied:
         """M z + the others, in higher precision where rounding may exceed `enough` * |z|_M."""
@@ -126,17 +126,17 @@ class Factor:
         Comput. 41, 2019), and | |M| |z| |_{M^-1} is bounded as D^-1/2 M D^-1/2 is.
         """
         forces = self._spread * euclidean(self.root * z) + euclidean(q / self.root)
-        return UNIT * forces * self._bound_factor
+        return UNIT * forces * self.bound_factor
 
     @cached_property
     def is_sharp(self) -> bool:
         """Whether M @ z never rounds more than a negligible share of |z|_M."""
-        return self._worst <= NEGLIGIBLE
+        return self._mistrust <= NEGLIGIBLE
 
     @cached_property
-    def _worst(self) -> float:
-        """What M @ z may round, as a share of |z|_M."""
-        return UNIT * self._spread * self._bound_factor**2
+    def _mistrust(self) -> float:
+        """What M @ z may round as a share of |z|_M, and rounded factors of |w|_{M^-1}."""
+        return UNIT * self._spread * self.bound_factor**2
 
     def resolution(self, z: np.ndarray) -> float:
         """What entries of z that are rounded twice move it, in |.|_M."""
@@ -146,18 +146,18 @@ class Factor:
     def _spread(self) -> float:
         """Rounding units a row, times the largest row sum of | D^-1/2 M D^-1/2 |."""
         entries = np.diff(self.M.indptr).max() if sp.issparse(self.M) else self.dim
-        rows = np.asarray(abs(self.M) @ (1 / self.root)).ravel() / self.root
-        return (2 + math.sqrt(entries)) * float(rows.max())
+        return (2 + math.sqrt(entries)) * row_sum(self.M, self.root)
 
     @cached_property
     def precisely(self) -> Precise:
         """(z, *more) -> M z + the others, rounded once."""
         brief = Precise(self.M, slices=2)
-        enough = brief.left * self._worst <= 1e-2 * NEGLIGIBLE
+        enough = brief.left * self._mistrust <= 1e-2 * NEGLIGIBLE
         return brief if enough else Precise(self.M)
 
     @cached_property
-    def _bound_factor(self) -> float:
+    def bound_factor(self) -> float:
+        """1 / sqrt(lambda_min), lambda_min that of D^-1/2 M D^-1/2, D = diag(M)."""
         if self.dim < SMALL:
             columns = [self._solve_scaled(e) for e in np.eye(self.dim)]
             return float(np.sqrt(np.linalg.eigvalsh(np.array(columns))[-1]))
@@ -179,9 +179,11 @@ class Factor:
         return float(np.sqrt(max(w @ self.solve(w), 0.0))) if w.any() else 0.0
 
     def dual_norm_within(self, w: np.ndarray, enough: float) -> float:
-        """|w|_{M^-1}, or a bound of it that costs no solve if that is at most `enough`."""
+        """A bound of |w|_{M^-1}, one that costs no solve if that is at most `enough`."""
         bound = self.dual_norm_bound(w)
-        return bound if bound <= enough else min(bound, self.dual_norm(w))
+        if bound <= enough:
+            return bound
+        return min(bound, (1 + min(self._mistrust, 1.0)) * self.dual_norm(w))
 
     def smallest_eigenvalue(self) -> float:
         """beta: the largest number with <Mx, x> >= beta |x|^2."""
@@ -312,6 +314,11 @@ def is_semidefinite(M: Matrix, factorise: Callable[[Matrix], Any] = Factor) -> b
     except IndefiniteError:
         return False
     return True
+
+
+def row_sum(M: Matrix, root: np.ndarray) -> float:
+    """The largest row sum of |D^-1/2 M D^-1/2|, `root` the diagonal of D^1/2."""
+    return float((np.asarray(abs(M) @ (1 / root)).ravel() / root).max())
 
 
 def euclidean(x: np.ndarray) -> float:

@@ -16,7 +16,7 @@ from sweepopt.checks import Matrix
 
 
 class Precise:
-    """Products with a symmetric positive definite matrix as if in more than twice the precision.
+    """Products with a symmetric positive semidefinite matrix in more than twice the precision.
 
     Of `slices` slices the last one is all that is left; its products are rounded, the others are
     exact and summed with their rounding errors: of what a product in double precision rounds, a
@@ -25,6 +25,7 @@ class Precise:
     Parameters
     ----------
     M : ndarray or sparse, shape (dim, dim)
+        Rows with a zero on the diagonal are zero.
     slices : int
 
     Examples
@@ -36,7 +37,8 @@ class Precise:
 
     def __init__(self, M: Matrix, slices: int = 3) -> None:
         # in units of the diagonal, by powers of 2: nothing is rounded
-        self._unit = np.exp2(np.floor(0.5 * np.log2(M.diagonal())))
+        diagonal = M.diagonal()
+        self._unit = np.exp2(np.floor(0.5 * np.log2(np.where(diagonal > 0, diagonal, 1.0))))
         rest = _scaled(M, 1 / self._unit)
         entries = rest.data if sp.issparse(rest) else rest
         terms = int(np.diff(rest.tocsr().indptr).max()) if sp.issparse(rest) else rest.shape[1]
@@ -76,6 +78,12 @@ def product_error(factor: float, M: Matrix) -> Any:
         rest.data = missed
         return rest
     return missed
+
+
+def sum_error(A: Matrix, B: Matrix, total: Matrix) -> Any:
+    """What rounding keeps out of `total` = A + B, entry by entry and exactly (Knuth's two-sum)."""
+    added = total - A
+    return (A - (total - added)) + (B - added)
 
 
 def _halves(x: Any) -> tuple[Any, Any]:

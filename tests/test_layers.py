@@ -27,6 +27,7 @@ LEVELS = [
     {"polish"},
     {"velocity"},
     {"plan"},
+    {"unrounded"},
     {"field", "motion", "solution"},
     {"norms"},
     {"stepping"},

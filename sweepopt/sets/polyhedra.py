@@ -35,6 +35,23 @@ class _Normal(NamedTuple):
     active: np.ndarray
 
 
+class _Face:
+    """Independent rows with equality, in the metric of 1 / tau, `units` the root of tau."""
+
+    def __init__(self, rows: np.ndarray, h: np.ndarray, units: np.ndarray) -> None:
+        self.rows, self._h, self._units = rows, h, units
+        self._Q, self._R = np.linalg.qr((rows * units).T)
+
+    def nearest(self, w: np.ndarray) -> np.ndarray:
+        """The point of the face nearest to w."""
+        missed = scipy.linalg.solve_triangular(self._R, self.rows @ w - self._h, trans=1)
+        return w - self._units * (self._Q @ missed)
+
+    def multipliers(self, p: np.ndarray) -> np.ndarray:
+        """y with the sum of y_k times the rows nearest to p."""
+        return scipy.linalg.solve_triangular(self._R, self._Q.T @ (self._units * p))
+
+
 class Polyhedron(ConvexSet):
     """{ w : G w <= h }:  sigma(z) = min { <h, y> : G^T y = z, y >= 0 }.
 
@@ -151,21 +168,20 @@ class Polyhedron(ConvexSet):
         found = self._exact_normal(v, tau)
         if found is None:
             return None
-        # v is rounded where tau * p is large beside w: on the face of the normal w is, once more
         inside = v - tau * found.normal
-        for near in (w, inside):
-            on_face = near if not found.active.size else self._on_face(near, found.active, tau)
+        if not found.active.size:
+            faces, normal = (w, inside), found.normal
+        else:
+            # v is rounded where tau * p is large beside w: on the face of the normal w and p are,
+            # once more
+            face = _Face(dense(self.G[found.active]), self.h[found.active], np.sqrt(tau))
+            faces = face.nearest(w), face.nearest(inside)
+            multipliers = face.multipliers(p)
+            normal = face.rows.T @ multipliers if (multipliers >= 0).all() else found.normal
+        for on_face in faces:
             if (self.h - self.G @ on_face >= -self._rounding(on_face)).all():
-                return Witness(found.normal, on_face, 0.0)
-        return Witness(found.normal, inside, 0.0)
-
-    def _on_face(self, w: np.ndarray, active: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """The point with equality in these rows that is nearest in the metric of 1 / tau."""
-        rows = dense(self.G[active])
-        units = np.sqrt(tau)
-        Q, R = np.linalg.qr((rows * units).T)
-        missed = scipy.linalg.solve_triangular(R, rows @ w - self.h[active], trans=1)
-        return w - units * (Q @ missed)
+                return Witness(normal, on_face, 0.0)
+        return Witness(normal, inside, 0.0)
 
     def _rounding(self, w: np.ndarray) -> np.ndarray:
         return ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(w))
