@@ -138,6 +138,11 @@ class Factor:
         """What factors that are rounded miss of |w|_{M^-1}, relative to it."""
         return UNIT * self._spread * self.bound_factor**2
 
+    @cached_property
+    def margin(self) -> float:
+        """How much larger |w|_{M^-1} may be than rounded factors say."""
+        return 1 + min(self._mistrust, 1.0)
+
     def resolution(self, z: np.ndarray) -> float:
         """What entries of z that are rounded twice move it, in |.|_M."""
         return 2 * UNIT * math.sqrt(self._spread) * euclidean(self.root * z)
@@ -181,7 +186,7 @@ class Factor:
         bound = self.dual_norm_bound(w)
         if bound <= enough:
             return bound
-        return min(bound, (1 + min(self._mistrust, 1.0)) * self.dual_norm(w))
+        return min(bound, self.margin * self.dual_norm(w))
 
     def smallest_eigenvalue(self) -> float:
         """beta: the largest number with <Mx, x> >= beta |x|^2."""
