@@ -25,6 +25,11 @@ class Precise:
     M : ndarray or sparse, shape (dim, dim)
         Rows with a zero on the diagonal are zero.
 
+    Attributes
+    ----------
+    share : float
+        Of what a product in double precision may round, for what is left of it here.
+
     Examples
     --------
     >>> M = np.array([[1.0, 1.0], [1.0, 1.0 + 2**-50]])
@@ -40,6 +45,7 @@ class Precise:
         entries = rest.data if sp.issparse(rest) else rest
         terms = int(np.diff(rest.tocsr().indptr).max()) if sp.issparse(rest) else rest.shape[1]
         self._bits = int((53 - math.ceil(math.log2(terms + 1))) // 2)
+        self.share = (SLICES + 1) * terms * 2.0 ** (53 - SLICES * self._bits)
         self._slices = []
         for part in _cut(entries, self._bits):
             one = rest.copy()
