@@ -22,7 +22,7 @@ from sweepopt.program import Velocity, VelocityProgram, closed_form, has_closed_
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.algebra import Translation
 from sweepopt.sets.base import Selection
-from sweepopt.solvers import Solve, Solver, choose
+from sweepopt.solvers import NEWTON, Solve, Solver, choose
 from sweepopt.solvers.multigrid import MultigridProgram
 from sweepopt.substitution import ACCURATE, SelectedVelocity, Solved, VelocityOf, eliminated
 
@@ -72,6 +72,12 @@ def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> 
         moved, part = untranslated(q, C)  # the same program
         return _without(M, climbed(program, moved, part), q, C)
 
+    def enough(relative: float, rung: Solver, C: ConvexSet) -> bool:
+        """Whether tol is met: a solver is refined for a small program that no polish made exact."""
+        if not relative <= tol:
+            return False
+        return relative <= ACCURATE or rung.refined() is None or not NEWTON.treats(C)
+
     def climbed(program: VelocityProgram, q: np.ndarray, C: ConvexSet) -> Solved:
         """The best answer of the ladder."""
         nothing = Velocity(np.zeros_like(q), np.inf, np.inf)
@@ -93,7 +99,7 @@ def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> 
             found = Solved(velocity, rung.name, answer.iterations, attempt + 1)
             if found.velocity.relative < best.velocity.relative:
                 best = found
-            if best.velocity.relative <= tol:
+            if enough(best.velocity.relative, rung, C):
                 break
         if best.velocity.relative <= min(tol, ACCURATE):
             return best._replace(attempts=attempt + 1)
