@@ -117,7 +117,7 @@ class Factor:
         rounding = self.rounding(z, more[0])
         if rounding <= enough * size:
             return Applied(sum(more, start=force), size, rounding)
-        return Applied(self.precisely(z, *more), size, 0.0)
+        return Applied(self.precisely(z, *more), size, self.precisely.share * rounding)
 
     def rounding(self, z: np.ndarray, q: np.ndarray) -> float:
         """A bound in |.|_{M^-1} of what M @ z + q rounds, without a solve.
@@ -138,6 +138,11 @@ class Factor:
         """What M @ z may round as a share of |z|_M, and rounded factors of |w|_{M^-1}."""
         return UNIT * self._spread * self.bound_factor**2
 
+    @cached_property
+    def margin(self) -> float:
+        """How much larger |w|_{M^-1} may be than rounded factors say."""
+        return 1 + min(self._mistrust, 1.0)
+
     def resolution(self, z: np.ndarray) -> float:
         """What entries of z that are rounded twice move it, in |.|_M."""
         return 2 * UNIT * math.sqrt(self._spread) * euclidean(self.root * z)
@@ -152,7 +157,7 @@ class Factor:
     def precisely(self) -> Precise:
         """(z, *more) -> M z + the others, rounded once."""
         brief = Precise(self.M, slices=2)
-        enough = brief.left * self._mistrust <= 1e-2 * NEGLIGIBLE
+        enough = brief.share * self._mistrust <= 0.1 * NEGLIGIBLE
         return brief if enough else Precise(self.M)
 
     @cached_property
@@ -183,7 +188,7 @@ class Factor:
         bound = self.dual_norm_bound(w)
         if bound <= enough:
             return bound
-        return min(bound, (1 + min(self._mistrust, 1.0)) * self.dual_norm(w))
+        return min(bound, self.margin * self.dual_norm(w))
 
     def smallest_eigenvalue(self) -> float:
         """beta: the largest number with <Mx, x> >= beta |x|^2."""

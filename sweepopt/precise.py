@@ -19,14 +19,18 @@ class Precise:
     """Products with a symmetric positive semidefinite matrix in more than twice the precision.
 
     Of `slices` slices the last one is all that is left; its products are rounded, the others are
-    exact and summed with their rounding errors: of what a product in double precision rounds, a
-    share `left` stays.
+    exact and summed with their rounding errors.
 
     Parameters
     ----------
     M : ndarray or sparse, shape (dim, dim)
         Rows with a zero on the diagonal are zero.
     slices : int
+
+    Attributes
+    ----------
+    share : float
+        Of what a product in double precision may round, for what is left of it here.
 
     Examples
     --------
@@ -43,7 +47,7 @@ class Precise:
         entries = rest.data if sp.issparse(rest) else rest
         terms = int(np.diff(rest.tocsr().indptr).max()) if sp.issparse(rest) else rest.shape[1]
         self._bits = int((53 - math.ceil(math.log2(terms + 1))) // 2)
-        self.left = 2.0 ** (-self._bits * (slices - 1))
+        self.share = slices * math.sqrt(len(diagonal)) * 2.0 ** (-self._bits * (slices - 1))
         self._slices = []
         for part in _cut(entries, self._bits, slices):
             one = rest.copy()

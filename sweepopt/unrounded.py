@@ -29,7 +29,6 @@ from sweepopt.sets.algebra import Translation
 from sweepopt.substitution import ACCURATE, Solved, VelocityOf
 
 REFINEMENTS = 20  # corrections of the linear term; each leaves a share |M^-1 (A + gamma B - M)|
-SLICED = 2.0**-27  # of the rounding of plain products, at most, is left in precise ones
 StateVelocity = Callable[[np.ndarray, ConvexSet], Solved]
 
 
@@ -149,15 +148,18 @@ class _Unrounded:
                 break
             rest = self._product(u, self._lost @ z, -c, -term)
             size = certificate / relative if relative else self._forces(term, S)
-            missed = self._M.dual_norm(rest) + SLICED * self._bound(z, u, size)
+            missed = self._M.dual_norm(rest) + self._product.share * self._bound(z, u, size)
             velocity = self._proven(z, certificate + missed, size)
             if velocity.relative < best.velocity.relative:
                 best = solved._replace(velocity=velocity)
-            if missed <= max(NEGLIGIBLE * size, certificate) or missed > 0.5 * left:
-                break
+            negligible = missed <= max(NEGLIGIBLE * size, certificate)
             if S is not C:
+                if negligible or missed > 0.5 * left:
+                    break
                 left = missed
-            # from here on q and C are apart from each other: what they have in common cancels
+            elif negligible and velocity.relative <= self._enough:
+                break
+            # from here on q - c is rounded once: what the two have in common cancels before that
             c, S = _split(C)
         return best
 
