@@ -87,7 +87,7 @@ def test_the_bound_of_a_run_with_parts_is_not_below_its_error(scheme: str) -> No
 def test_a_set_that_is_thin_at_one_time_is_looked_at_at_others() -> None:
     process = thin(lambda t: 1e-10 + abs(t - 0.5))
     sol = so.solve(process, t_end=1.0, steps=1, scheme="midpoint")
-    assert list(sol.stats["solver"]) == ["clarabel/2"]
+    assert [name.partition("/")[2] for name in sol.stats["solver"]] == ["2"]
     assert sol.stats["attempts"][0] > 4  # the whole step and its parts
     halves = so.solve(process, t_end=1.0, steps=2, scheme="midpoint")
     assert sol.u[-1] == pytest.approx(halves.u[-1], abs=1e-12)

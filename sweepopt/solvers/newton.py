@@ -21,6 +21,7 @@ from sweepopt.checks import count
 from sweepopt.linalg import Factor, dense, euclidean
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
+from sweepopt.sets.base import binary
 from sweepopt.solvers.base import Answer, Small, Solve
 
 EPS = float(np.finfo(float).eps)
@@ -45,8 +46,8 @@ class Newton(Small):
 
     Examples
     --------
-    >>> from sweepopt.sets import Ball, Polytope
-    >>> Newton().treats(Ball([0.0, 0.0], 1.0)), Newton().treats(Polytope([[0.0], [1.0]]))
+    >>> from sweepopt.sets import Ball, HalfSpace
+    >>> Newton().treats(Ball([0.0, 0.0], 1.0)), Newton().treats(HalfSpace([1.0, 1.0], 0.0))
     (True, False)
     """
 
@@ -59,8 +60,14 @@ class Newton(Small):
         count("max_iter", self.max_iter)
 
     def treats(self, C: ConvexSet) -> bool:
-        """Whether C is small and the derivative of its projection is known."""
-        return C.dim <= self.max_dim and C.derivative(C.anchor) is not None
+        """Whether C is small and the derivative of its projection is known.
+
+        Rows are left to the active sets, which end after finitely many of them.
+        """
+        if C.dim > self.max_dim:
+            return False
+        D = C.derivative(C.anchor)
+        return D is not None and (D.ndim == 1 or C.rows() is None)
 
     def compile(self, program: VelocityProgram) -> Solve:
         """A function that starts from the velocity it found last."""
@@ -92,7 +99,9 @@ class Iteration:
     ) -> tuple[np.ndarray, int]:
         """Newton steps from z until nothing changes; returns the last z and their number."""
         T = C.steps(self._diagonal)
-        weights = 1 / np.sqrt(T)
+        # roots of T in its own units: the same numbers whatever power of two the units are
+        roots = np.sqrt(T / binary(T.max()))
+        weights = 1 / roots
         smallest, stalled = math.inf, 0
         for iteration in range(max_iter):
             pulled = T * z
@@ -110,12 +119,13 @@ class Iteration:
                 return z, iteration
             smallest = min(smallest, size)
             D = C.derivative(v)
-            assert D is not None
+            if D is None:
+                return z, iteration
             try:
                 if D.ndim == 1:
                     following = self._separable(D == 1, z, missed)
                 else:
-                    following = z + self._coupled(T, D, z, missed)
+                    following = z + self._coupled(T, roots, D, z, missed)
             except np.linalg.LinAlgError:
                 return z, iteration
             if not math.isfinite(following @ following):
@@ -158,7 +168,7 @@ class Iteration:
         return np.tril(lower) + np.tril(lower, -1).T
 
     def _coupled(
-        self, T: np.ndarray, D: np.ndarray, z: np.ndarray, missed: np.ndarray
+        self, T: np.ndarray, roots: np.ndarray, D: np.ndarray, z: np.ndarray, missed: np.ndarray
     ) -> np.ndarray:
         """Solve (M - D (M - T)) dz = missed, with the rows where D is the identity taken out."""
         stuck = (D.diagonal() == 1) & (np.abs(D).sum(axis=1) == 1)
@@ -170,6 +180,6 @@ class Iteration:
         rows = rows - D[free] @ self.M + D[free] * T
         right = missed[free] - rows[:, stuck] @ dz[stuck]
         # in units of the steps: pivots are chosen by size
-        units = np.sqrt(T[free])
+        units = roots[free]
         dz[free] = np.linalg.solve(rows[:, free] / np.outer(units, units), right / units) / units
         return dz
