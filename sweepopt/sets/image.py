@@ -303,6 +303,17 @@ def _selected(M: Matrix) -> np.ndarray | None:
     return rows if distinct else None
 
 
+def with_own_columns(M: Matrix, box: Box) -> tuple[Matrix, Box]:
+    """The same set with columns of numbers near 1: their units, powers of two, go to the box."""
+    largest = abs(M).max(axis=0)
+    largest = largest.toarray() if sp.issparse(M) else largest
+    units = np.array([binary(column) for column in largest])
+    if (units == 1).all():
+        return M, box
+    columns = M @ sp.diags_array(1 / units, format="csc") if sp.issparse(M) else M / units
+    return columns, Box(units * box.lower, units * box.upper)
+
+
 def gathered(M: Any, box: Box) -> tuple[Matrix, Box] | None:
     """M and a box with intervals on one unknown added up, those on none left out.
 
