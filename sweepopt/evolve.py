@@ -127,8 +127,9 @@ def solve(
     the steps computed so far with status INTERRUPTED.
 
     A step in parts moves as so many steps of the scheme, and its velocity is their mean: u_n stays
-    linear on the grid. Its certificate is the worst of them, its solver in `stats` is "osqp/4" for
-    4 parts. `error_bound` looks at the nodes and velocities only, and holds as for any other run.
+    linear on the grid. Its certificate is the worst of its parts' programs and says nothing of the
+    step as a whole; its solver in `stats` is "osqp/4" for 4 parts. `error_bound` looks at the nodes
+    and velocities only, at no certificate, and holds as for any other run.
 
     Examples
     --------

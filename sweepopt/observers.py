@@ -15,7 +15,10 @@ from sweepopt.states import Kept, Saving, States
 
 
 class StepInfo(NamedTuple):
-    """What a callback sees after a step: its index, end time, state, velocity, certificate."""
+    """What a callback sees after a step: its index, end time, state, velocity, certificate.
+
+    The certificate is that of `Solution.stats`: the worst of the programs that the step solved.
+    """
 
     step: int
     t: float

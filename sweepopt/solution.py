@@ -94,11 +94,12 @@ class Solution:
     states : States
         Where `u` and `velocity` come from: ``states.u(i)`` gives some nodes without the others.
     stats : structured ndarray, shape (n,)
-        One row a step: t (its end), seconds, iterations, attempts, certificate (a bound of
-        |z - z*|_M), relative (the certificate in units of the program's size, what tol bounds),
-        solver (who found it: a solver's name, "linear", "multigrid", "closed form" or "at rest";
-        "clarabel/4" for a step that missed tol as a whole and was taken in 4 parts, whose worst
-        certificate it has).
+        One row a step: t (its end), seconds, iterations, attempts, certificate (the largest bound
+        of |z - z*|_M over the programs that the step solved), relative (the certificate in units of
+        the program's size, what tol bounds), solver (who found it: a solver's name, "linear",
+        "multigrid", "closed form" or "at rest"; "clarabel/4" for a step that missed tol as a whole
+        and was taken in 4 parts: its programs are those of the parts, M = A + gamma mu / 4 B, and
+        no bound of how far its mean velocity is from that of one whole step).
     status : Status
     cause : str
         Which step failed and why, when the run stopped at it.
@@ -194,7 +195,8 @@ class Solution:
         ----------
         t : float or array_like, shape (k,), optional
             Without it: for each step a bound of the distance of the stage's M z + q to its C, from
-            the certificate: |.|_{A^-1} <= sqrt(1 + mu a_kk Lam) |.|_{M^-1}. With it: the distance
+            the certificate: |.|_{A^-1} <= sqrt(1 + mu a_kk Lam) |.|_{M^-1}; of a step in parts it
+            bounds those of all stages of the parts. With it: the distance
             of A u_n'(t) + B u_n(t) to C(t), u_n' the left derivative (the right one at t[0]);
             O(mu) for the first-order schemes.
 

@@ -117,8 +117,10 @@ def in_parts(
     """The step in 2, 4, .. equal parts of the same scheme, until all of them meet tol.
 
     A + gamma mu / k B is nearer to A, and C(t) is asked for at other times. u moves through the
-    parts as through steps; the certificate is the worst of theirs, the work is all that was done.
-    Where no number of parts helps, `found` has the certificate of the whole.
+    parts as through steps, so that the result is that of a finer grid. The certificate is the worst
+    of the parts' programs, each exact to it: no bound of what one whole step would have been, which
+    nobody knows. The work is all that was done. Where no number of parts helps, `found` has the
+    certificate of the whole.
     """
     iterations, attempts = whole.iterations, whole.attempts
     cause = ""

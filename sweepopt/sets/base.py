@@ -15,6 +15,7 @@ and through the projection on C. Two facts make one small contract enough:
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -342,6 +343,20 @@ class ConvexSet(ABC):
 
     __radd__ = __add__
     __mul__ = __rmul__
+
+
+def binary(size: float) -> float:
+    """The power of two below a size, 1 for none: to divide by it rounds nothing.
+
+    In units that are such powers of the data the numbers are the same, to the last bit, whatever
+    powers of two forces and lengths are multiplied by.
+
+    Examples
+    --------
+    >>> binary(5.0), binary(0.0)
+    (4.0, 1.0)
+    """
+    return math.ldexp(0.5, math.frexp(size)[1]) if size else 1.0
 
 
 def same_array(a: Any, b: Any) -> bool:

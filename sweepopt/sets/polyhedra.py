@@ -18,6 +18,7 @@ from sweepopt.sets.base import (
     ConvexSet,
     Features,
     Witness,
+    binary,
     same_array,
 )
 from sweepopt.sets.iteration import project_by_program
@@ -91,13 +92,18 @@ class Polyhedron(ConvexSet):
         if not self.dim:
             raise InputError("G must have at least one column")
         self.exact = self.certifiable = self.dim <= ACTIVE_DIM
+        largest = abs(self.G).max(axis=1)
+        largest = largest.toarray() if sp.issparse(self.G) else largest
+        # programs see rows of numbers near 1
+        self._units = np.array([binary(row) for row in largest])
         self._set_offsets(h)
 
     def __getnewargs__(self) -> tuple[Any, Any]:
         return self.G, self.h  # for copy and pickle
 
     def _set_offsets(self, h: Any) -> None:
-        self.offsets = self.h = vector("h", h, self.G.shape[0], finite=False)
+        self.h = vector("h", h, self.G.shape[0], finite=False)
+        self.offsets = self.h / self._units
         if np.isinf(self.h).any():
             i = int(np.flatnonzero(np.isinf(self.h))[0])
             raise InputError(f"h[{i}] is {self.h[i]}; leave out rows without a bound")
@@ -107,6 +113,7 @@ class Polyhedron(ConvexSet):
         other = object.__new__(Polyhedron)
         other.G, other.dim = self.G, self.dim
         other.exact, other.certifiable = self.exact, self.certifiable
+        other._units = self._units
         other._set_offsets(h)
         return other
 
@@ -161,6 +168,12 @@ class Polyhedron(ConvexSet):
         w = vector("w", w, self.dim)
         return w - self.normal(w)
 
+    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        found = self._exact_normal(v, np.ones(self.dim))
+        if found is None:
+            return None
+        return np.eye(self.dim) - _projector(dense(self.G[found.active]))
+
     def witness(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:
@@ -194,7 +207,12 @@ class Polyhedron(ConvexSet):
         import cvxpy as cp
 
         y = cp.Variable(self.h.size)
-        return Features([y], [self.G.T @ y == p, y >= 0])
+        rows = (
+            self.G.T @ sp.diags_array(1 / self._units)
+            if sp.issparse(self.G)
+            else (self.G.T / self._units)
+        )
+        return Features([y], [rows @ y == p, y >= 0])
 
     def same_cone(self, other: ConvexSet) -> bool:
         return isinstance(other, Polyhedron) and same_array(self.G, other.G)
@@ -297,31 +315,41 @@ class Polytope(ConvexSet):
             raise EmptySetError("vertices is empty; give at least one point")
         self.dim = self.vertices.shape[1]
         # the feature is the support function of the set in units of its size
-        self.offsets = np.array([float(np.abs(self.vertices).max()) or 1.0])
+        self.offsets = np.array([binary(np.abs(self.vertices).max())])
 
     def support(self, z: np.ndarray) -> float:
         return float((self.vertices @ vector("z", z, self.dim)).max())
 
     def project(self, w: np.ndarray) -> np.ndarray:
+        w = vector("w", w, self.dim)
+        held = self._held(w)
+        if held is None:
+            return project_by_program(self, w)
+        if held is self.vertices:
+            return w
+        # a mean of the vertices that hold it: a point of the hull, however far away w is
+        edges = (held[1:] - held[0]).T
+        shares = np.maximum(np.linalg.lstsq(edges, w - held[0], rcond=None)[0], 0.0)
+        return held[0] + edges @ (shares / max(shares.sum(), 1.0))
+
+    def _held(self, w: np.ndarray) -> np.ndarray | None:
+        """The vertices of the face nearest to w, all of them if w is in the hull."""
         # with a_i = v_i - w: if u is the shortest with <a_i, u> >= 1 for all i, then u / |u|^2 is
         # the point of the hull of the a_i nearest to 0; no such u exists if 0 is in the hull
-        w = vector("w", w, self.dim)
         arms = self.vertices - w
         size = float(np.abs(arms).max())
         if size == 0:
-            return w
+            return self.vertices
         ones = np.ones(len(arms))
         try:
             found = least_distance(-arms / size, -ones, ROUNDING * ones)
         except EmptySetError:
-            return w
-        if found is None:
-            return project_by_program(self, w)
-        # a mean of the vertices that hold it: a point of the hull, however far away w is
-        held = self.vertices[found.active]
-        edges = (held[1:] - held[0]).T
-        shares = np.maximum(np.linalg.lstsq(edges, w - held[0], rcond=None)[0], 0.0)
-        return held[0] + edges @ (shares / max(shares.sum(), 1.0))
+            return self.vertices
+        return None if found is None else self.vertices[found.active]
+
+    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        held = self._held(v)
+        return None if held is None else _projector(held[1:] - held[0])
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -339,3 +367,10 @@ class Polytope(ConvexSet):
         if not (isinstance(other, Polytope) and self.vertices.shape == other.vertices.shape):
             return None
         return float(np.linalg.norm(self.vertices - other.vertices, axis=1).max())
+
+
+def _projector(rows: np.ndarray) -> np.ndarray:
+    """The orthogonal projection on the span of the rows."""
+    U, sizes, _ = np.linalg.svd(rows.T, full_matrices=False)
+    basis = U[:, sizes > 1e-13 * sizes.max(initial=0.0)]
+    return basis @ basis.T

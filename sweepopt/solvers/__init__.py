@@ -33,7 +33,8 @@ def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
 
     "auto" is the formula for one small ball, DAQP for small boxes if it is installed, Newton for
     small sets whose projection has a derivative, then OSQP for polyhedra and Clarabel for the rest:
-    in this order of speed, as measured by `sweepopt bench`.
+    in this order of speed, as measured by `sweepopt bench`. Where a polyhedron couples its unknowns
+    OSQP is faster than Newton.
 
     Parameters
     ----------
@@ -51,6 +52,9 @@ def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
     if isinstance(solver, str) and solver == "auto":
         fastest: list[Solver] = [FASTEST] if installed() and FASTEST.treats(C) else []
         formula: list[Solver] = [FORMULA] if FORMULA.treats(C) else []
+        D = C.derivative(C.anchor) if small and C.polyhedral else None
+        if D is not None and D.ndim == 2:
+            return (*formula, *fastest, general[0], *small, *general[1:])
         return (*formula, *fastest, *small, *general)
     if isinstance(solver, str):
         if solver not in REGISTRY:
