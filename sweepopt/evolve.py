@@ -95,8 +95,9 @@ def solve(
     on_failure : {"raise", "stop"}
         Raise StepError, or return the steps that are certified with status INEXACT.
     on_unstable : {"raise", "warn", "ignore"}
-        What catching-up does when mu Lam > 2; between 1 and 2 it warns unless "ignore". trapezoid
-        and sdirk2 warn of a step that may have overshot, unless "ignore".
+        What catching-up does when mu Lam > 2; between 1 and 2 it warns unless "ignore". midpoint,
+        trapezoid (mu Lam > 2) and sdirk2 (mu Lam > 1 + sqrt 2) warn of the first step that starts
+        with B u far outside of C(t) and may have gone past the true rest, unless "ignore".
 
     Returns
     -------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time as clock
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -12,9 +11,9 @@ import numpy as np
 
 from sweepopt.checks import is_finite
 from sweepopt.errors import Status
+from sweepopt.overshoot import longest_safe, overshot
 from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
-from sweepopt.schemes import Scheme
 from sweepopt.solution import STATS
 from sweepopt.states import Keeper
 from sweepopt.stepping import (
@@ -24,6 +23,7 @@ from sweepopt.stepping import (
     Stages,
     Summary,
     Velocities,
+    combined,
     compensated,
     in_parts,
     step,
@@ -79,7 +79,7 @@ def march(
     steps = len(mus)
     grid, sizes = times.tolist(), mus.tolist()
     velocities = velocities or Velocities(process, plan)
-    critical = _critical(process, plan.scheme)
+    safe = longest_safe(process, plan, mus)
     run = Run(Log(steps))
     place = Place(process.u0, np.zeros(process.dim))
     u, lost = place if marks is None else marks.begin(run, keeper, place)
@@ -101,11 +101,11 @@ def march(
                 break
             if found.relative != found.relative:
                 run.status = Status.UNCERTIFIED
-            u = following
-            if mu > critical and run.overshot is None:
+            if mu > safe and run.overshot is None:
                 each = parts.stages if parts else [stages]
-                if mu > critical * len(each) and any(_has_slowed(process, one) for one in each):
+                if mu > safe * len(each) and _overshot(process, plan, grid, i, u, each):
                     run.overshot = i
+            u = following
             keeper.put(i, u, z)
             run.log.add(i, found, clock.perf_counter() - started)
             run.done = i + 1
@@ -176,21 +176,27 @@ class Run:
     exact: Trajectory | None = None
 
 
-def _critical(process: SweepingProcess, scheme: Scheme) -> float:
-    """The step size above which the scheme can overshoot."""
-    if math.isinf(scheme.overshoots) or process.B is None or process.rate_independent:
-        return math.inf  # at A = 0 nothing starts outside of C(t)
-    return scheme.overshoots / process.Lam
-
-
-def _has_slowed(process: SweepingProcess, stages: Stages) -> bool:
-    """Whether the velocity halved within a step: what decays there decays unresolved.
-
-    The last stage of a scheme that can overshoot is the velocity at its end.
-    """
-    first, last = stages[0].velocity.z, stages[-1].velocity.z
-    force = process.metric.M @ first
-    return float(force @ last) < 0.5 * float(force @ first)
+def _overshot(
+    process: SweepingProcess,
+    plan: Plan,
+    grid: list[float],
+    i: int,
+    u: np.ndarray,
+    parts: list[Stages],
+) -> bool:
+    """Whether step i from u, in so many equal parts, may have overshot."""
+    inner = np.linspace(grid[i], grid[i + 1], len(parts) + 1).tolist()
+    nodes = grid[max(i - 2, 0) : i] + inner + grid[i + 2 : i + 3]
+    for k, stages in enumerate(parts, start=min(i, 2)):
+        try:
+            if overshot(process, plan, nodes, k, u, stages):
+                return True
+        except Exception:
+            if len(parts) == 1:
+                raise
+            return False  # these C(t) nobody asked for
+        u = u + (nodes[k + 1] - nodes[k]) * combined(plan.scheme.b, stages)
+    return False
 
 
 def _cause(

@@ -30,6 +30,7 @@ LEVELS = [
     {"field", "motion", "solution"},
     {"norms"},
     {"stepping"},
+    {"overshoot"},
     {"march"},
     {"exact"},
     {"adaptive", "lifting", "defects", "refinement"},
