@@ -224,13 +224,13 @@ def solve(
     if failed:
         u = lift.state(run.done, kept.nodes[-1])
         raise StepError(run.cause, float(times[run.done]), run.done, u, run.relative)
-    stats = run.log.table(times[1 : run.done + 1])
-    stats["seconds"] += beside[: run.done]
+    stats = run.log.table(times[1 : run.done + 1], beside)
     states, kept_steps = observers.kept(kept, kept_steps)
+    thinned = len(kept_steps) < run.done  # else the times are there already
     return Solution(
         process=process,
         plan=plan,
-        t=np.append(times[0], times[kept_steps + 1]),
+        t=times[np.append(0, kept_steps + 1)] if thinned else times[: run.done + 1],
         steps=kept_steps,
         states=states,
         stats=stats,

@@ -292,14 +292,14 @@ def test_no_overshoot_is_seen_where_a_load_carries_the_body(scheme: str) -> None
     # steps that are far too long for these cases, mu Lam > 2, and bodies that are stiffer still
     for name in ("S01", "S02", "S03", "S04", "V05", "P09", "P10", "L13"):
         this = case(name)
-        for n in range(2, int(this.t_end * this.process.Lam / 2)):
+        for n in np.unique(np.linspace(2, this.t_end * this.process.Lam / 2, 6).astype(int)):
             assert not overshoots(this.process, t_end=this.t_end, steps=n, scheme=scheme)[1]
     held = so.Table([0, 1.013, 2, 3.507, 6, 10], [0, 2, 2, -2, -2, -2])
     for load in (so.Sine(3.0, 4.0), so.Triangle(3.0, 4.0), held):
-        for viscosity in (0.1, 1e-3, 1e-8):
+        for viscosity in (0.1, 1e-8):
             C = so.Moving(so.Box([-1], [1]), so.Separable([(load, [1.0])]))
             process = so.SweepingProcess([[viscosity]], [[1.0]], C, [0.0])
-            for n in (17, 33, 101):
+            for n in (17, 101):
                 assert not overshoots(process, t_end=10.0, steps=n, scheme=scheme)[1]
 
 
@@ -322,7 +322,7 @@ def test_a_load_that_jumps_lets_stiff_bodies_overshoot(scheme: str, jump: float)
 
 def test_bodies_that_start_far_outside_of_their_set_and_overshoot_are_told_of() -> None:
     random, seen = np.random.default_rng(0), 0
-    for _ in range(40):
+    for _ in range(25):
         n = int(random.integers(1, 6))
         roots = random.normal(size=(2, n, n))
         A, B = (root @ root.T + 0.1 * np.eye(n) for root in roots)
@@ -330,7 +330,7 @@ def test_bodies_that_start_far_outside_of_their_set_and_overshoot_are_told_of() 
         process = so.SweepingProcess(A, B, so.Box(-0.2 * np.ones(n), 0.2 * np.ones(n)), u0)
         mu = 3 * 10 ** random.uniform(-1, 2) / process.Lam
         sol, said = overshoots(process, t_end=5 * mu, steps=5)
-        right = overshoots(process, t_end=5 * mu, steps=400, scheme="implicit-euler")[0].u[-1]
+        right = overshoots(process, t_end=5 * mu, steps=80, scheme="implicit-euler")[0].u[-1]
         size = np.sqrt((right - u0) @ B @ (right - u0))
         error = np.sqrt((sol.u[-1] - right) @ B @ (sol.u[-1] - right)) / size
         seen += error > 0.2
