@@ -155,7 +155,7 @@ class VariationWarning(SweepoptWarning):
 
 
 class StabilityWarning(SweepoptWarning):
-    """The step size lets an explicit scheme overshoot."""
+    """The step size lets a scheme overshoot into a wrong stuck state."""
 
 
 class CheckpointWarning(SweepoptWarning):

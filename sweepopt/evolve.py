@@ -95,8 +95,9 @@ def solve(
     on_failure : {"raise", "stop"}
         Raise StepError, or return the steps that are certified with status INEXACT.
     on_unstable : {"raise", "warn", "ignore"}
-        What catching-up does when mu Lam > 2; between 1 and 2 it warns unless "ignore". trapezoid
-        and sdirk2 warn of a step that may have overshot, unless "ignore".
+        What catching-up does when mu Lam > 2; between 1 and 2 it warns unless "ignore". midpoint,
+        trapezoid (mu Lam > 2) and sdirk2 (mu Lam > 1 + sqrt 2) warn of the first step that starts
+        with B u far outside of C(t) and may have gone past the true rest, unless "ignore".
 
     Returns
     -------
@@ -224,13 +225,13 @@ def solve(
     if failed:
         u = lift.state(run.done, kept.nodes[-1])
         raise StepError(run.cause, float(times[run.done]), run.done, u, run.relative)
-    stats = run.log.table(times[1 : run.done + 1])
-    stats["seconds"] += beside[: run.done]
+    stats = run.log.table(times[1 : run.done + 1], beside)
     states, kept_steps = observers.kept(kept, kept_steps)
+    thinned = len(kept_steps) < run.done  # else the times are there already
     return Solution(
         process=process,
         plan=plan,
-        t=np.append(times[0], times[kept_steps + 1]),
+        t=times[np.append(0, kept_steps + 1)] if thinned else times[: run.done + 1],
         steps=kept_steps,
         states=states,
         stats=stats,

@@ -62,9 +62,9 @@ class Lift:
         return self._moved.alpha
 
     @property
-    def seconds(self) -> np.ndarray:
+    def seconds(self) -> float:
         """What each step costs beside the loop."""
-        return np.full(len(self._mus), self._moved.seconds if self._plan.reduction else 0.0)
+        return self._moved.seconds if self._plan.reduction else 0.0
 
     def state(self, node: int, u: np.ndarray) -> np.ndarray:
         """The state at a node of the grid."""

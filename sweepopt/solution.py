@@ -13,6 +13,7 @@ from sweepopt.errors import InputError, Status, SweepoptError, shown
 from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.states import TIME_SLACK, States
+from sweepopt.statistics import Statistics
 from sweepopt.velocity import VelocityOf
 
 if TYPE_CHECKING:
@@ -23,18 +24,6 @@ if TYPE_CHECKING:
 
     from sweepopt.certificate import ErrorBound
     from sweepopt.exact import Trajectory
-
-STATS = np.dtype(
-    [
-        ("t", float),
-        ("seconds", float),
-        ("iterations", int),
-        ("attempts", int),
-        ("certificate", float),
-        ("relative", float),
-        ("solver", "U20"),
-    ]
-)
 
 
 class Energy(NamedTuple):
@@ -93,13 +82,14 @@ class Solution:
         The kept steps, counted from 0.
     states : States
         Where `u` and `velocity` come from: ``states.u(i)`` gives some nodes without the others.
-    stats : structured ndarray, shape (n,)
-        One row a step: t (its end), seconds, iterations, attempts, certificate (the largest bound
-        of |z - z*|_M over the programs that the step solved), relative (the certificate in units of
-        the program's size, what tol bounds), solver (who found it: a solver's name, "linear",
-        "multigrid", "closed form" or "at rest"; "clarabel/4" for a step that missed tol as a whole
-        and was taken in 4 parts: its programs are those of the parts, M = A + gamma mu / 4 B, and
-        no bound of how far its mean velocity is from that of one whole step).
+    stats : Statistics, shape (n,)
+        Used as a structured array, one row a step: t (its end), seconds, iterations, attempts,
+        certificate (the largest bound of |z - z*|_M over the programs that the step solved),
+        relative (the certificate in units of the program's size, what tol bounds), solver (who
+        found it: a solver's name, "linear", "multigrid", "closed form" or "at rest"; "clarabel/4"
+        for a step that missed tol as a whole and was taken in 4 parts: its programs are those of
+        the parts, M = A + gamma mu / 4 B, and no bound of how far its mean velocity is from that of
+        one whole step).
     status : Status
     cause : str
         Which step failed and why, when the run stopped at it.
@@ -116,7 +106,7 @@ class Solution:
     t: np.ndarray
     steps: np.ndarray
     states: States
-    stats: np.ndarray
+    stats: Statistics | np.ndarray
     status: Status
     cause: str = ""
     recorded: list[Any] | None = None
@@ -141,7 +131,7 @@ class Solution:
     @cached_property
     def _grid(self) -> np.ndarray:
         """All times of the run, kept or not, shape (n+1,)."""
-        return np.append(self.t[0], self.stats["t"])
+        return self.t if self.complete else np.append(self.t[0], self.stats["t"])
 
     @property
     def success(self) -> bool:

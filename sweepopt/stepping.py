@@ -84,7 +84,7 @@ def step(
     """
     stages: Stages = []
     for weights, c in zip(scheme.a, scheme.c, strict=True):
-        known = u + mu * _combine(weights[:-1], stages) if stages else u
+        known = u + mu * combined(weights[:-1], stages) if stages else u
         gamma = mu * weights[-1] if process.B is not None else 0.0
         try:
             solved = velocities(gamma)(known, process.C.at(t + c * mu))
@@ -93,7 +93,7 @@ def step(
             nothing = Velocity(np.zeros_like(u), math.inf, math.inf)
             return nothing.z, [*stages, Solved(nothing, INDEFINITE, 0, 0)]
         stages.append(solved)
-    return _combine(scheme.b, stages), stages
+    return combined(scheme.b, stages), stages
 
 
 class Parts(NamedTuple):
@@ -177,7 +177,7 @@ def compensated(u: Any, increment: Any, lost: Any) -> tuple[Any, Any]:
     return following, (following - u) - increment
 
 
-def _combine(weights: Sequence[float], stages: Stages) -> np.ndarray:
+def combined(weights: Sequence[float], stages: Stages) -> np.ndarray:
     """sum of weights_k z_k; a single weight 1 keeps z itself."""
     if weights == (1.0,):
         return stages[0].velocity.z

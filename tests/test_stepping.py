@@ -185,6 +185,7 @@ def test_parts_may_be_short_enough_not_to_overshoot(monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize("solver", ["newton", "osqp"])
 def test_a_resumed_run_with_parts_is_the_whole_run(solver: str, tmp_path: Path) -> None:
     how: dict[str, Any] = {"steps": 40, "t_end": 40.0, "scheme": "midpoint", "solver": solver}
+    how["on_unstable"] = "ignore"  # the last bit of u is a force of 1: it overshoots
     whole = so.solve(stiff(4e15), checkpoint=so.Checkpoint(tmp_path / "a", steps=7), **how)
     assert max(parts(whole)) > 1
     path = tmp_path / "b"

@@ -83,7 +83,7 @@ class MovingSet:
         """
         kept: list[tuple[float, ConvexSet]] = []
         last = None
-        for t in times.tolist():
+        for t in map(float, times):  # no list: of many steps it is large
             C = self.at(t)
             if C is not last:
                 C.require_nonempty(f"C(t) at t = {t:g}")
@@ -207,7 +207,7 @@ class Moving(MovingSet):
         if isinstance(self.center, Separable):
             self.center.values(times)
         elif callable(self.center):
-            for t in times.tolist():
+            for t in map(float, times):
                 self.center_at(t)
         first = float(times[0])
         C = self.at(first)
