@@ -24,7 +24,7 @@ from sweepopt.study.hard.exact import Exact, Program
 TARGET = 1e-8
 """True error, relative to max(|z*|_M, |M^-1 q|_M), that every step has to meet."""
 SLACK = 16 * float(np.finfo(float).eps)
-"""What a certificate may miss, relative to the forces: rounding of q and of C(t) themselves."""
+"""What a certificate may miss, relative to the forces: what the rule of rest calls rounding."""
 UNKNOWN = "not known"
 """The answer of a case that 60 digits did not solve: nothing is said of the solvers then."""
 PATHS = ("full", "eliminated", "proportional")
