@@ -100,7 +100,8 @@ class Iteration:
         """Newton steps from z until nothing changes; returns the last z and their number."""
         T = C.steps(self._diagonal)
         # roots of T in its own units: the same numbers whatever power of two the units are
-        roots = np.sqrt(T / binary(T.max()))
+        unit = binary(T.max())
+        roots = np.sqrt(T / unit)
         weights = 1 / roots
         smallest, stalled = math.inf, 0
         for iteration in range(max_iter):
@@ -109,6 +110,7 @@ class Iteration:
                 w, size_z = self.M @ z + q, euclidean(pulled * weights)
             else:
                 w, size_z, _ = self._factor.apply(z, q)
+                size_z *= math.sqrt(unit)
             v = w - pulled
             missed = C.project(v) - w
             size = euclidean(missed * weights)
