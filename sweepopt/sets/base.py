@@ -81,7 +81,10 @@ class ConvexSet(ABC):
     """A non-empty closed convex set C in R^dim.
 
     A new shape gives `support`, `project`, `offsets` and `features`, also `same_cone` if matrices
-    are part of it and `normal` if it is unbounded; the laws in tests/laws.py then test it.
+    are part of it, `normal` if it is unbounded and `derivative` so that Newton's method solves its
+    programs to rounding; the laws in tests/laws.py then test it. Offsets and what `features` states
+    are in the set's own units: where data of several kinds meet, powers of two (`binary`) of their
+    sizes are divided out, so that a solver gets the same bits whatever forces are measured in.
 
     Attributes
     ----------

@@ -25,7 +25,9 @@ class Constraints(ConvexSet):
     with the status "uncertified".
 
     Its programs are solved in units of the largest constant of the constraints and of w, and are
-    as accurate as that: write cp.norm(w) <= r, not cp.sum_squares(w) <= r**2, for a small r.
+    as accurate as that: write cp.norm(w) <= r, not cp.sum_squares(w) <= r**2, for a small r. In the
+    program of a velocity cvxpy hides these units from the solver, so that other than for all other
+    sets they matter: measure forces in units in which C is of the size 1.
 
     Parameters
     ----------

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 TIGHT: dict[str, float] = {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12}
 SWEEPS = 500  # alternating projections before a program takes over
-FEW = 30  # of them, before Newton's method and to confirm it
+FEW = (10, 40, 160)  # of them, before Newton's method tries to finish
+CONFIRMING = 5  # and after it
 NEWTON_STEPS = 30
 DENSE = 300  # unknowns up to which a step of it is cheap
 MEMORY = 10  # steps that Anderson's acceleration looks back
@@ -146,8 +147,8 @@ def fixed_point(
 ) -> np.ndarray | None:
     """x = step(x) to rounding for a nonexpansive step; None if so many sweeps do not suffice.
 
-    Sweeps crawl where two sets are nearly tangent: with a `slope` Newton's method takes over after
-    a few, and sweeps only confirm what it finds.
+    Sweeps crawl where two sets are nearly tangent. With a `slope`, Newton's method tries to finish
+    when a few plain ones have come to the right faces, and sweeps only confirm what it finds.
 
     Parameters
     ----------
@@ -160,12 +161,16 @@ def fixed_point(
         x -> a generalised derivative of `step`, shape (dim, dim), or None.
     """
     if slope is not None and x.size <= DENSE:
-        reached = _sweep(step, x, like, FEW)
-        if not reached.fixed:
-            reached = _sweep(step, _newton(step, slope, reached.x, _size(x, like)), like, FEW)
-        if reached.fixed:
-            return reached.x
-    reached = _sweep(step, x, like, sweeps)
+        start = x
+        for few in (few for few in FEW if few <= sweeps):
+            reached = _sweep(step, start, like, few, memory=0)
+            start = reached.x
+            if not reached.fixed:
+                ahead = _newton(step, slope, start, _size(start, like))
+                reached = _sweep(step, ahead, like, CONFIRMING, memory=0)
+            if reached.fixed:
+                return reached.x
+    reached = _sweep(step, x, like, sweeps, MEMORY)
     return reached.x if reached.fixed else None
 
 
@@ -191,9 +196,11 @@ def _newton(
     return x
 
 
-def _sweep(step: Step, x: np.ndarray, like: np.ndarray, sweeps: int) -> _Reached:
+def _sweep(step: Step, x: np.ndarray, like: np.ndarray, sweeps: int, memory: int) -> _Reached:
     """Anderson's acceleration (Walker and Ni, SIAM J. Numer. Anal. 49, 2011), with the plain
     iteration, whose residual never grows, as the safeguard of Zhang, O'Donoghue and Boyd (2020).
+
+    Without memory the plain iteration: slow, but it never leaves the faces that it comes to.
     """
     images: list[np.ndarray] = []
     residuals: list[np.ndarray] = []
@@ -206,7 +213,8 @@ def _sweep(step: Step, x: np.ndarray, like: np.ndarray, sweeps: int) -> _Reached
         if residuals and np.linalg.norm(residual) > np.linalg.norm(residuals[-1]):
             x, images, residuals = images[-1], [], []
             continue
-        images, residuals = [*images[-MEMORY:], image], [*residuals[-MEMORY:], residual]
+        old = max(len(images) - memory, 0)
+        images, residuals = [*images[old:], image], [*residuals[old:], residual]
         x = image
         if len(images) > 1:
             mix = np.linalg.lstsq(np.diff(residuals, axis=0).T, residual, rcond=1e-12)[0]

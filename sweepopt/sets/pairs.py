@@ -237,7 +237,8 @@ class Intersection(ConvexSet):
             slopes = self._slopes(v, one, self.second.normal(v - one))
             return slopes and slopes.first @ slopes.second
 
-        found = fixed_point(sweep, one, v, slope=slope)
+        nested = not (self.first.exact and self.second.exact)  # as in a sum
+        found = fixed_point(sweep, one, v, SWEEPS // 10 if nested else SWEEPS, slope)
         return None if found is None else (found, self.second.normal(v - found))
 
     def _slopes(self, v: np.ndarray, one: np.ndarray, two: np.ndarray) -> _Slopes | None:
