@@ -169,7 +169,7 @@ def _exact_coefficients(
         raise KeyboardInterrupt
     if run.done < len(mus):
         raise SweepoptError(f"the load's coefficients: {run.cause or run.status.value}")
-    return keeper.close()[1], run.exact
+    return keeper.close(run.done)[1], run.exact
 
 
 def _follow(

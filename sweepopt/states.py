@@ -183,9 +183,12 @@ class Keeper:
         self._u[0] = self.u0
         self._next = int(self.steps[0])
         self._last: tuple[int, np.ndarray, np.ndarray] | None = None
+        # Ctrl-C may come between a step and its count
+        self._before: tuple[int, np.ndarray, np.ndarray] | None = None
 
     def put(self, i: int, u: np.ndarray, z: np.ndarray) -> None:
         """Take the state after step i and the velocity of the step."""
+        self._before = self._last
         if i == self._next:
             self._u[self._row + 1], self._z[self._row] = u, z
             self._row += 1
@@ -212,13 +215,13 @@ class Keeper:
         for u, z in columns["last"]:
             self._last = (done - 1, u, z)
 
-    def close(self) -> tuple[np.ndarray, Kept]:
-        """The kept steps, with the last one that was done, and their states."""
-        k = self._row
+    def close(self, done: int) -> tuple[np.ndarray, Kept]:
+        """The kept ones of the steps that are done, with the last one, and their states."""
+        k = int(np.searchsorted(self.steps, done))
         steps = self.steps[:k]
-        if self._last is not None:
-            i, u, z = self._last
-            steps = np.append(steps, i)
-            self._u[k + 1], self._z[k] = u, z
-            k += 1
+        for last in (self._last, self._before):
+            if last is not None and last[0] == done - 1 and done - 1 not in steps[-1:]:
+                steps = np.append(steps, done - 1)
+                self._u[k + 1], self._z[k] = last[1:]
+                k += 1
         return steps, Kept(self._u[: k + 1], self._z[:k])
