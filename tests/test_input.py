@@ -162,6 +162,7 @@ CASES: list[tuple[str, Callable[[], Any], str]] = [
     ("no number times a set", lambda: (BOX + [1, 1]).support(["a", 1]), r"z must be an array"),
     ("interpolate beyond floats", lambda: run()(10**400), r"t must be a time"),
     ("history at nan", lambda: so.Sine(1, 1)(np.nan), r"t is nan; give finite times"),
+    ("terms without an axis", lambda: so.Separable(np.array("x")), r"terms must hold one pair"),
     ("history beyond floats", lambda: so.Constant(1)(10**400), r"t must be a time"),
     ("history of complex times", lambda: so.Constant(1)(np.array([1j])), r"t must be a time"),
     ("period too small", lambda: so.Sine(1, 5e-324), r"period is .*, below 1e-75"),
