@@ -221,7 +221,7 @@ def solve(
         observers.close(finished)
     if run.overshot is not None:
         warn_of_overshoot(tableau, float(times[run.overshot]), on_unstable)
-    kept_steps, kept = keeper.close()
+    kept_steps, kept = keeper.close(run.done)
     if failed:
         u = lift.state(run.done, kept.nodes[-1])
         raise StepError(run.cause, float(times[run.done]), run.done, u, run.relative)

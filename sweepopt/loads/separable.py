@@ -43,7 +43,10 @@ class Separable:
     """
 
     def __init__(self, terms: Iterable[tuple[Callable[[float], ArrayLike], ArrayLike]]) -> None:
-        pairs = list(terms) if isinstance(terms, Iterable) else []
+        try:
+            pairs = list(terms)
+        except TypeError:  # also of an array without axes, which has an __iter__
+            pairs = []
         if not pairs:
             raise InputError(f"terms must hold one pair (phi, f) or more, got {shown(terms)}")
         columns = []

@@ -17,6 +17,7 @@ from sweepopt.solvers.reference import Cvxpy
 from sweepopt.solvers.secular import Secular
 
 NEWTON, FASTEST, FORMULA, LAST = Newton(), DAQP(), Secular(), ActiveSet()
+CONTRACT = ("name", "treats", "compile", "refined")
 REGISTRY: dict[str, Callable[[], Solver]] = {
     "clarabel": Clarabel,
     "osqp": OSQP,
@@ -60,9 +61,11 @@ def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
         if solver not in REGISTRY:
             raise SolverRefusedError(f"solver {solver!r} is not known; use auto, {_names()}")
         solver = REGISTRY[solver]()
-    if not hasattr(solver, "compile") or isinstance(solver, type):
+    lacks = [name for name in CONTRACT if not hasattr(solver, name)]
+    if lacks or isinstance(solver, type):
+        missing = f" (it has no {lacks[0]}, see help(sweepopt.solvers.Solver))" if lacks else ""
         raise SolverRefusedError(
-            f"solver must be a name ({_names()}) or an object: {shown(solver)}"
+            f"solver must be a name ({_names()}) or an object: {shown(solver)}{missing}"
         )
     if not solver.treats(C):
         raise SolverRefusedError(
