@@ -225,7 +225,7 @@ def solve(
     if failed:
         u = lift.state(run.done, kept.nodes[-1])
         raise StepError(run.cause, float(times[run.done]), run.done, u, run.relative)
-    stats = run.log.table(times[1 : run.done + 1], beside)
+    statistics = run.log.of(times[1 : run.done + 1], beside)
     states, kept_steps = observers.kept(kept, kept_steps)
     thinned = len(kept_steps) < run.done  # else the times are there already
     return Solution(
@@ -234,7 +234,7 @@ def solve(
         t=times[np.append(0, kept_steps + 1)] if thinned else times[: run.done + 1],
         steps=kept_steps,
         states=states,
-        stats=stats,
+        statistics=statistics,
         status=run.status,
         cause=run.cause,
         exact=lift.trajectory(run.exact),

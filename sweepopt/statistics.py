@@ -1,8 +1,8 @@
-"""What is known of each step of a run, in 30 bytes: columns are made when they are asked for."""
+"""What is known of each step of a run, in 30 bytes; the table of it is made when asked for."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,58 +29,29 @@ WRITTEN = {  # in the order of a step's summary
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """A table of one row a step that is used as a structured array of dtype STATS.
-
-    A name gives a column, anything else rows of such an array, `numpy.asarray` all of it.
+    """What is kept of n steps.
 
     Attributes
     ----------
     columns : mapping of ndarray, shape (n,)
-        As they are kept; that of the solvers holds numbers of `solvers`.
+        That of the solvers holds numbers of `solvers`.
     solvers : tuple of str
     """
 
     columns: Mapping[str, np.ndarray]
     solvers: tuple[str, ...]
 
-    dtype = STATS
-
     def __len__(self) -> int:
         return len(self.columns["t"])
 
-    @property
-    def shape(self) -> tuple[int]:
-        """(n,), as that of the array."""
-        return (len(self),)
-
-    def __getitem__(self, key: Any) -> Any:
-        if isinstance(key, str) and key in self.columns:
-            return self._column(key, slice(None))
-        if isinstance(key, (str, list)):
-            return self.copy()[key]
-        return self._rows(key)
-
-    def __iter__(self) -> Iterator[Any]:
-        return iter(self.copy())
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        return self.copy() if dtype is None else self.copy().astype(dtype)
-
-    def copy(self) -> np.ndarray:
-        """All of it as an array, shape (n,)."""
-        return self._rows(slice(None))
-
-    def _rows(self, key: Any) -> Any:
-        rows = np.zeros(self.columns["t"][key].shape, dtype=STATS)
-        for name in self.columns:
-            rows[name] = self._column(name, key)
-        return rows[()]
-
-    def _column(self, name: str, key: Any) -> np.ndarray:
-        column = self.columns[name][key]
-        if name == "solver":
-            return np.array([*self.solvers, ""], dtype=STATS[name])[column]
-        return column.astype(STATS[name])
+    def table(self) -> np.ndarray:
+        """A structured array of dtype STATS, shape (n,)."""
+        rows = np.zeros(len(self), dtype=STATS)
+        for name in self.columns.keys() - {"solver"}:
+            rows[name] = self.columns[name]
+        names = np.array([*self.solvers, ""], dtype=STATS["solver"])
+        rows["solver"] = names[self.columns["solver"]]
+        return rows
 
 
 class Log:
@@ -117,7 +88,7 @@ class Log:
             column[: len(columns[name])] = columns[name]
         self._names = {name: number for number, name in enumerate(solvers)}
 
-    def table(self, ends: np.ndarray, beside: float) -> Statistics:
+    def of(self, ends: np.ndarray, beside: float) -> Statistics:
         """The steps that end at the given times, with the seconds that each took beside."""
         n = len(ends)
         self._seconds[:n] += np.float32(beside)

@@ -6,6 +6,7 @@ import tracemalloc
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import sweepopt as so
@@ -18,23 +19,14 @@ def slider(steps: int, **how: Any) -> so.Solution:
     return so.solve(process, t_end=steps / 100, steps=steps, **how)
 
 
-def test_all_columns_and_rows_are_those_of_one_array() -> None:
-    stats = slider(40).stats
-    table = np.asarray(stats)
-    assert table.dtype == stats.dtype == STATS
-    assert table.shape == stats.shape == (len(stats),) == (40,)
-    for name in STATS.names or ():
-        assert stats[name].dtype == STATS[name]
-        assert (stats[name] == table[name]).all()
-        assert stats[name].tobytes() == stats.copy()[name].tobytes()
+def test_all_columns_are_those_of_one_array() -> None:
+    table = slider(40).stats
+    assert table.dtype == STATS
+    assert table.shape == (40,)
     assert table["t"] == pytest.approx(0.01 * np.arange(1, 41))
-    assert stats[3] == table[3]
-    assert stats[-1]["solver"] == table["solver"][-1] == "closed form"
-    assert (stats[5:9] == table[5:9]).all()
-    assert (stats[["t", "solver"]] == table[["t", "solver"]]).all()
-    assert [row["t"] for row in stats] == table["t"].tolist()
-    with pytest.raises(ValueError, match="no field of name"):
-        stats["tee"]
+    assert set(table["solver"]) == {"closed form"}
+    assert (table["seconds"] > 0).all() and (table["relative"] < 1e-12).all()
+    assert len(pd.DataFrame(table).columns) == len(STATS)
 
 
 def test_a_run_keeps_less_than_fifty_bytes_a_step() -> None:
@@ -45,5 +37,5 @@ def test_a_run_keeps_less_than_fifty_bytes_a_step() -> None:
     sol = slider(steps, save="last")
     grown = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
-    assert len(sol.stats) == steps
+    assert sol.success
     assert grown < 50 * steps, f"{grown / steps:.0f} bytes a step"
