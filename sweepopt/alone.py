@@ -6,6 +6,7 @@ cannot have of their own they take in turns here.
 
 from __future__ import annotations
 
+import io
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -34,18 +35,26 @@ def in_turn(function: Callable[Arguments, Result]) -> Callable[Arguments, Result
     return alone
 
 
+PLAIN = io.TextIOBase()  # what a stream that lacks something does: nothing, or say that it cannot
+
+
 class _ForTheOthers:
-    """Standard output of all threads but some."""
+    """Standard output of all threads but some; whatever it is, code that is silenced can use it."""
 
     def __init__(self) -> None:
         self.stream: Any = None
         self.silent: set[int] = set()
 
     def write(self, text: str) -> int:
-        return len(text) if threading.get_ident() in self.silent else self.stream.write(text)
+        if self.stream is None or threading.get_ident() in self.silent:
+            return len(text)
+        return self.stream.write(text)
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self.stream, name)
+        try:
+            return getattr(self.stream, name)
+        except AttributeError:
+            return getattr(PLAIN, name)
 
 
 # never freed: CPython's print() holds sys.stdout without counting the reference (3.11), so that a

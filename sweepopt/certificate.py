@@ -128,9 +128,10 @@ def nodes(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Path:
     wanted = saving(None, times, process.dim, MEMORY)
     for tol in (plan.tol, math.inf):
         keeper = Keeper(wanted.steps, process.u0)
-        if march(process, replace(plan, tol=tol), times, mus, keeper).done == len(mus):
+        done = march(process, replace(plan, tol=tol), times, mus, keeper).done
+        if done == len(mus):
             break
-    kept = keeper.close()[1]
+    kept = keeper.close(done)[1]
     return Path(times, kept.nodes, kept.velocities)
 
 

@@ -112,12 +112,17 @@ def read_stored(file: Path) -> Stored:
 
     Raises
     ------
-    OSError
+    FileNotFoundError
     DamagedFileError
     InputError
-        If another version of the library has written it in another form.
+        If it cannot be read; if another version of the library has written it in another form.
     """
-    record, arrays = read_archive(file)
+    try:
+        record, arrays = read_archive(file)
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        raise InputError(f"{file} cannot be read ({error.strerror or error})") from error
     if not isinstance(record, dict) or not set(record) >= PARTS:
         raise DamagedFileError(f"{file} is no checkpoint")
     if record.get("schema") != SCHEMA:

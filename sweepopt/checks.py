@@ -33,6 +33,11 @@ def number(name: str, value: Any, minimum: float | None = None, strict: bool = F
     return result
 
 
+def instant(name: str, value: Any) -> float:
+    """A finite time; one that is a float already costs nothing."""
+    return value if type(value) is float and value - value == 0 else number(name, value)
+
+
 def divisor(name: str, value: float) -> None:
     """Refuse a positive number by which nothing can be divided without overflow."""
     if value < 1 / HUGE:

@@ -67,8 +67,8 @@ def check_stability(process: SweepingProcess, scheme: Scheme, mu: float, on_unst
     if number_ <= 1:
         return
     remedy = (
-        f"mu Lam = {number_:.3g}; take mu <= {1 / process.Lam:.3g}, or implicit-euler or midpoint, "
-        "which need no such step"
+        f"mu Lam = {number_:.3g}; take mu <= {1 / process.Lam:.3g}, or implicit-euler, which needs "
+        "no such step and never overshoots"
     )
     if number_ > 2 and on_unstable == "raise":
         raise UnstableStepError(
@@ -79,12 +79,12 @@ def check_stability(process: SweepingProcess, scheme: Scheme, mu: float, on_unst
 
 
 def warn_of_overshoot(scheme: Scheme, t: float, on_unstable: str) -> None:
-    """Tell of a step in which the velocity fell while mu Lam is too large to resolve that."""
+    """Tell of a step that decays from outside of C(t) while mu Lam is too large to resolve that."""
     if on_unstable != "ignore":
         warnings.warn(
             f"scheme {scheme.name!r} may have overshot into a wrong stuck state in the step from "
-            f"t = {t:g}: the velocity fell there and mu Lam is above {scheme.overshoots:g}; take "
-            "smaller steps, or implicit-euler, which cannot overshoot",
+            f"t = {t:g}: B u starts far outside of C(t) there and mu Lam is above "
+            f"{scheme.overshoots:.3g}; take smaller steps, or implicit-euler, which never does",
             StabilityWarning,
             stacklevel=3,
         )

@@ -61,6 +61,10 @@ class IndefiniteError(InputError):
     """A matrix is not positive definite, or not to rounding."""
 
 
+class PathError(InputError):
+    """path= names a way to simulate that this process or scheme does not allow."""
+
+
 class SolverRefusedError(InputError):
     """The chosen solver cannot treat the set (a cone set given to OSQP), or is not known."""
 
@@ -151,7 +155,7 @@ class VariationWarning(SweepoptWarning):
 
 
 class StabilityWarning(SweepoptWarning):
-    """The step size lets an explicit scheme overshoot."""
+    """The step size lets a scheme overshoot into a wrong stuck state."""
 
 
 class CheckpointWarning(SweepoptWarning):

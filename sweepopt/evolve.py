@@ -17,7 +17,7 @@ from sweepopt.control import (
     time_grid,
     warn_of_overshoot,
 )
-from sweepopt.errors import InputError, Status, StepError, shown
+from sweepopt.errors import InputError, PathError, Status, StepError, shown
 from sweepopt.exact import mover
 from sweepopt.lifting import Lift
 from sweepopt.marks import checkpoints
@@ -95,8 +95,9 @@ def solve(
     on_failure : {"raise", "stop"}
         Raise StepError, or return the steps that are certified with status INEXACT.
     on_unstable : {"raise", "warn", "ignore"}
-        What catching-up does when mu Lam > 2; between 1 and 2 it warns unless "ignore". trapezoid
-        and sdirk2 warn of a step that may have overshot, unless "ignore".
+        What catching-up does when mu Lam > 2; between 1 and 2 it warns unless "ignore". midpoint,
+        trapezoid (mu Lam > 2) and sdirk2 (mu Lam > 1 + sqrt 2) warn of the first step that starts
+        with B u far outside of C(t) and may have gone past the true rest, unless "ignore".
 
     Returns
     -------
@@ -127,8 +128,9 @@ def solve(
     the steps computed so far with status INTERRUPTED.
 
     A step in parts moves as so many steps of the scheme, and its velocity is their mean: u_n stays
-    linear on the grid. Its certificate is the worst of them, its solver in `stats` is "osqp/4" for
-    4 parts. `error_bound` looks at the nodes and velocities only, and holds as for any other run.
+    linear on the grid. Its certificate is the worst of its parts' programs and says nothing of the
+    step as a whole; its solver in `stats` is "osqp/4" for 4 parts. `error_bound` looks at the nodes
+    and velocities only, at no certificate, and holds as for any other run.
 
     Examples
     --------
@@ -177,7 +179,7 @@ def solve(
     memory = number("memory", memory, minimum=0.0, strict=True)
     adaptive = isinstance(steps, Adaptive)
     if adaptive and path == "proportional":
-        raise InputError("path='proportional' needs all steps beforehand; Adaptive cannot tell")
+        raise PathError("path='proportional' needs all steps beforehand; Adaptive cannot tell")
     if adaptive and isinstance(scheme, str) and scheme == "auto" and process.rate_independent:
         scheme = "sdirk2"
     tableau = choose(scheme, process.rate_independent)
@@ -219,20 +221,20 @@ def solve(
         observers.close(finished)
     if run.overshot is not None:
         warn_of_overshoot(tableau, float(times[run.overshot]), on_unstable)
-    kept_steps, kept = keeper.close()
+    kept_steps, kept = keeper.close(run.done)
     if failed:
         u = lift.state(run.done, kept.nodes[-1])
         raise StepError(run.cause, float(times[run.done]), run.done, u, run.relative)
-    stats = run.log.table(times[1 : run.done + 1])
-    stats["seconds"] += beside[: run.done]
+    statistics = run.log.of(times[1 : run.done + 1], beside)
     states, kept_steps = observers.kept(kept, kept_steps)
+    thinned = len(kept_steps) < run.done  # else the times are there already
     return Solution(
         process=process,
         plan=plan,
-        t=np.append(times[0], times[kept_steps + 1]),
+        t=times[np.append(0, kept_steps + 1)] if thinned else times[: run.done + 1],
         steps=kept_steps,
         states=states,
-        stats=stats,
+        statistics=statistics,
         status=run.status,
         cause=run.cause,
         exact=lift.trajectory(run.exact),

@@ -22,7 +22,7 @@ from sweepopt.program import EPS
 from sweepopt.schemes import SCHEMES
 from sweepopt.sets import AnySet, Box, ConvexSet, Moving
 from sweepopt.sets.base import ROUNDING
-from sweepopt.velocity import VelocityOf
+from sweepopt.unrounded import StateVelocity, of_state
 
 Field = Callable[[float, Any], np.ndarray]
 FIRST_STAGE = SCHEMES["trapezoid"]  # its first stage is this velocity
@@ -93,14 +93,14 @@ def velocity_field(
 def _compiled(process: SweepingProcess, solver: Any, tol: float) -> Field:
     """By the plan's velocity, as a step of a run finds it."""
 
-    def compiled(t: float, C: ConvexSet) -> VelocityOf:
+    def compiled(t: float, C: ConvexSet) -> StateVelocity:
         if not C.certifiable:
             raise InputError(
                 f"velocity_field needs a set with certificates, which {type(C).__name__} has not; "
                 "state C with other shapes, such as a Box or the image of a small set"
             )
         plan = make_plan(process, process.check(np.array([t])), FIRST_STAGE, solver, tol)
-        return plan.velocity(process.A)
+        return of_state(process, plan, 0.0, plan.factors(process.A))
 
     try:
         start = process.C.at(0.0)
@@ -115,7 +115,7 @@ def _compiled(process: SweepingProcess, solver: Any, tol: float) -> Field:
         C = process.C.at(t)
         if found is None:
             found = compiled(t, C)
-        velocity = found(process.times_B(u), C).velocity
+        velocity = found(u, C).velocity
         if not velocity.relative <= tol:
             raise _missed(t, u, velocity.relative, tol)
         return velocity.z

@@ -14,12 +14,13 @@ import scipy.sparse.linalg as spla
 from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
 from sweepopt.checks import Matrix, divisor
-from sweepopt.errors import IndefiniteError, SolverRefusedError
+from sweepopt.errors import IndefiniteError, InputError, SolverRefusedError
 from sweepopt.precise import Precise
 
 SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 UNIT = 0.5 * float(np.finfo(float).eps)
 NEGLIGIBLE = 1e-12  # of |z|_M: more rounding of M z than this is avoided
+MARGINS = (1e-9, 1e-6, 1e-3, *(10.0**k for k in range(-2, 16)))  # of a bound of an eigenvalue
 SMALL = 50  # below this dense eigenvalues are cheaper than Lanczos
 
 
@@ -63,8 +64,7 @@ class Factor:
             )
         i = int(np.argmin(self.diagonal))
         divisor(f"{name}[{i}, {i}]", self.diagonal[i])
-        entries = M.count_nonzero() if sp.issparse(M) else np.count_nonzero(M)
-        self.is_diagonal = bool(entries == self.dim)
+        self.is_diagonal = _is_diagonal(M)
         self.root = np.sqrt(self.diagonal)
         try:
             pivots = self._factorise_sparse() if sp.issparse(M) else self._factorise_dense()
@@ -108,7 +108,7 @@ class Factor:
 
         lambda_min is that of D^-1/2 M D^-1/2.
         """
-        return euclidean(w / self.root) * self._bound_factor
+        return euclidean(w / self.root) * self.bound_factor
 
     def apply(self, z: np.ndarray, *more: np.ndarray, enough: float = NEGLIGIBLE) -> Applied:
         """M z + the others, in higher precision where rounding may exceed `enough` * |z|_M."""
@@ -117,7 +117,7 @@ class Factor:
         rounding = self.rounding(z, more[0])
         if rounding <= enough * size:
             return Applied(sum(more, start=force), size, rounding)
-        return Applied(self.precisely(z, *more), size, 0.0)
+        return Applied(self.precisely(z, *more), size, self.precisely.share * rounding)
 
     def rounding(self, z: np.ndarray, q: np.ndarray) -> float:
         """A bound in |.|_{M^-1} of what M @ z + q rounds, without a solve.
@@ -126,12 +126,22 @@ class Factor:
         Comput. 41, 2019), and | |M| |z| |_{M^-1} is bounded as D^-1/2 M D^-1/2 is.
         """
         forces = self._spread * euclidean(self.root * z) + euclidean(q / self.root)
-        return UNIT * forces * self._bound_factor
+        return UNIT * forces * self.bound_factor
 
     @cached_property
     def is_sharp(self) -> bool:
         """Whether M @ z never rounds more than a negligible share of |z|_M."""
-        return UNIT * self._spread * self._bound_factor**2 <= NEGLIGIBLE
+        return self._mistrust <= NEGLIGIBLE
+
+    @cached_property
+    def _mistrust(self) -> float:
+        """What M @ z may round as a share of |z|_M, and rounded factors of |w|_{M^-1}."""
+        return UNIT * self._spread * self.bound_factor**2
+
+    @cached_property
+    def margin(self) -> float:
+        """How much larger |w|_{M^-1} may be than rounded factors say."""
+        return 1 + min(self._mistrust, 1.0)
 
     def resolution(self, z: np.ndarray) -> float:
         """What entries of z that are rounded twice move it, in |.|_M."""
@@ -141,16 +151,18 @@ class Factor:
     def _spread(self) -> float:
         """Rounding units a row, times the largest row sum of | D^-1/2 M D^-1/2 |."""
         entries = np.diff(self.M.indptr).max() if sp.issparse(self.M) else self.dim
-        rows = np.asarray(abs(self.M) @ (1 / self.root)).ravel() / self.root
-        return (2 + math.sqrt(entries)) * float(rows.max())
+        return (2 + math.sqrt(entries)) * row_sum(self.M, self.root)
 
     @cached_property
     def precisely(self) -> Precise:
         """(z, *more) -> M z + the others, rounded once."""
-        return Precise(self.M)
+        brief = Precise(self.M, slices=2)
+        enough = brief.share * self._mistrust <= 0.1 * NEGLIGIBLE
+        return brief if enough else Precise(self.M)
 
     @cached_property
-    def _bound_factor(self) -> float:
+    def bound_factor(self) -> float:
+        """1 / sqrt(lambda_min), lambda_min that of D^-1/2 M D^-1/2, D = diag(M)."""
         if self.dim < SMALL:
             columns = [self._solve_scaled(e) for e in np.eye(self.dim)]
             return float(np.sqrt(np.linalg.eigvalsh(np.array(columns))[-1]))
@@ -172,9 +184,11 @@ class Factor:
         return float(np.sqrt(max(w @ self.solve(w), 0.0))) if w.any() else 0.0
 
     def dual_norm_within(self, w: np.ndarray, enough: float) -> float:
-        """|w|_{M^-1}, or a bound of it that costs no solve if that is at most `enough`."""
+        """A bound of |w|_{M^-1}, one that costs no solve if that is at most `enough`."""
         bound = self.dual_norm_bound(w)
-        return bound if bound <= enough else min(bound, self.dual_norm(w))
+        if bound <= enough:
+            return bound
+        return min(bound, self.margin * self.dual_norm(w))
 
     def smallest_eigenvalue(self) -> float:
         """beta: the largest number with <Mx, x> >= beta |x|^2."""
@@ -185,18 +199,6 @@ class Factor:
         start = _start(self.dim)
         return float(
             1 / spla.eigsh(inverse, k=1, which="LA", v0=start, return_eigenvectors=False)[0]
-        )
-
-    def largest_ratio(self, B: Matrix) -> float:
-        """Lam: the largest eigenvalue of M^-1 B, for B positive semidefinite."""
-        if not sp.issparse(self.M) or self.dim < SMALL:
-            return float(scipy.linalg.eigh(dense(B), dense(self.M), eigvals_only=True)[-1])
-        inverse = spla.LinearOperator((self.dim, self.dim), matvec=self.solve, dtype=float)
-        start = _start(self.dim)
-        return float(
-            spla.eigsh(
-                B, k=1, M=self.M, Minv=inverse, which="LA", v0=start, return_eigenvectors=False
-            )[0]
         )
 
 
@@ -283,6 +285,58 @@ def largest_eigenvalue(M: Matrix) -> float:
     return float(spla.eigsh(M, k=1, which="LA", v0=start, return_eigenvectors=False)[0])
 
 
+def largest_ratio(A: Factor, B: Matrix, factorise: Callable[[Matrix], Any] = Factor) -> float:
+    """A number that no eigenvalue of A^-1 B exceeds, for B positive semidefinite.
+
+    Iterations find the largest eigenvalue from below, or miss it: what they find, and a little
+    more, is proved by `exceeds_none`, or raised until it is. So it is above the eigenvalue by 1e-9
+    of it where rounding lets that be seen, and not at all where both matrices are diagonal.
+
+    Parameters
+    ----------
+    factorise : callable
+        Raises IndefiniteError if its argument is not positive definite.
+    """
+    # in a body of few materials the eigenvalue itself
+    least = float((np.asarray(B.diagonal(), dtype=float) / A.diagonal).max())
+    if A.is_diagonal and _is_diagonal(B):
+        return least
+    s = (1 + MARGINS[0]) * least
+    if exceeds_none(A, B, s, factorise):
+        return s
+    found = _found(A, B, least)
+    candidates = ((1 + margin) * found for margin in MARGINS)
+    return next((s for s in candidates if exceeds_none(A, B, s, factorise)), math.inf)
+
+
+def exceeds_none(A: Factor, B: Matrix, s: float, factorise: Callable[[Matrix], Any]) -> bool:
+    """Whether s is proved to be no less than all eigenvalues of A^-1 B, up to rounding.
+
+    That is if the pivots of s A - B are positive (Sylvester's law of inertia).
+    """
+    difference = s * A.M - B
+    if _is_dominant(difference):
+        return True
+    try:
+        factorise(difference)
+    except InputError:
+        return False
+    return True
+
+
+def _found(A: Factor, B: Matrix, least: float) -> float:
+    """The largest eigenvalue of A^-1 B, or what of it can be seen."""
+    if not sp.issparse(A.M) or A.dim < SMALL:
+        return float(scipy.linalg.eigh(dense(B), dense(A.M), eigvals_only=True)[-1])
+    inverse = spla.LinearOperator((A.dim, A.dim), matvec=A.solve, dtype=float)
+    how: dict[str, Any] = {"M": A.M, "Minv": inverse, "which": "LA", "v0": _start(A.dim)}
+    try:  # the eigenvalue is as exact as the square of tol
+        found = spla.eigsh(B, k=1, tol=1e-6, return_eigenvectors=False, **how)[0]
+        return max(float(found), least)
+    except spla.ArpackError:  # it does not converge
+        return least
+
+
 def is_semidefinite(M: Matrix, factorise: Callable[[Matrix], Any] = Factor) -> bool:
     """Whether a symmetric matrix is positive semidefinite up to rounding, in its own units.
 
@@ -295,9 +349,8 @@ def is_semidefinite(M: Matrix, factorise: Callable[[Matrix], Any] = Factor) -> b
     empty = diagonal == 0
     if abs(M[empty]).sum() > 0:
         return False
-    rest = np.asarray(abs(M).sum(axis=1)).ravel() - diagonal
-    if (rest <= (1 + 1e-10) * diagonal).all():
-        return True  # Gershgorin
+    if _is_dominant(M, slack=1e-10):
+        return True
     shift = np.where(empty, 1.0, 1e-10 * diagonal)
     shifted = M + (sp.diags_array(shift, format="csc") if sp.issparse(M) else np.diag(shift))
     try:
@@ -305,6 +358,23 @@ def is_semidefinite(M: Matrix, factorise: Callable[[Matrix], Any] = Factor) -> b
     except IndefiniteError:
         return False
     return True
+
+
+def row_sum(M: Matrix, root: np.ndarray) -> float:
+    """The largest row sum of |D^-1/2 M D^-1/2|, `root` the diagonal of D^1/2."""
+    return float((np.asarray(abs(M) @ (1 / root)).ravel() / root).max())
+
+
+def _is_dominant(M: Matrix, slack: float = 0.0) -> bool:
+    """Whether no diagonal entry is less than the others of its row: semidefinite (Gershgorin)."""
+    diagonal = np.asarray(M.diagonal(), dtype=float)
+    rest = np.asarray(abs(M).sum(axis=1)).ravel() - np.abs(diagonal)
+    return bool((rest <= (1 + slack) * diagonal).all())
+
+
+def _is_diagonal(M: Matrix) -> bool:
+    entries = M.count_nonzero() if sp.issparse(M) else np.count_nonzero(M)
+    return bool(entries == np.count_nonzero(M.diagonal()))
 
 
 def euclidean(x: np.ndarray) -> float:

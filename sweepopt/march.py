@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import time as clock
-from collections.abc import Callable, Mapping
+from array import array
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -12,11 +12,11 @@ import numpy as np
 
 from sweepopt.checks import is_finite
 from sweepopt.errors import Status
+from sweepopt.overshoot import longest_safe, overshot
 from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
-from sweepopt.schemes import Scheme
-from sweepopt.solution import STATS
 from sweepopt.states import Keeper
+from sweepopt.statistics import Log
 from sweepopt.stepping import (
     INDEFINITE,
     PARTS,
@@ -24,6 +24,7 @@ from sweepopt.stepping import (
     Stages,
     Summary,
     Velocities,
+    combined,
     compensated,
     in_parts,
     step,
@@ -77,9 +78,9 @@ def march(
     Ctrl-C ends the loop, also in `look`: the keeper has the steps that are done.
     """
     steps = len(mus)
-    grid, sizes = times.tolist(), mus.tolist()
+    grid, sizes = _plain(times), _plain(mus)
     velocities = velocities or Velocities(process, plan)
-    critical = _critical(process, plan.scheme)
+    safe = longest_safe(process, plan, mus)
     run = Run(Log(steps))
     place = Place(process.u0, np.zeros(process.dim))
     u, lost = place if marks is None else marks.begin(run, keeper, place)
@@ -101,11 +102,11 @@ def march(
                 break
             if found.relative != found.relative:
                 run.status = Status.UNCERTIFIED
-            u = following
-            if mu > critical and run.overshot is None:
+            if mu > safe and run.overshot is None:
                 each = parts.stages if parts else [stages]
-                if mu > critical * len(each) and any(_has_slowed(process, one) for one in each):
+                if mu > safe * len(each) and _overshot(process, plan, grid, i, u, each):
                     run.overshot = i
+            u = following
             keeper.put(i, u, z)
             run.log.add(i, found, clock.perf_counter() - started)
             run.done = i + 1
@@ -118,49 +119,6 @@ def march(
     except KeyboardInterrupt:
         run.status = Status.INTERRUPTED
     return run
-
-
-class Log:
-    """The statistics of each step, a column each: rows of records are slow to write."""
-
-    def __init__(self, steps: int) -> None:
-        # written to, all of it is in memory from here on: a run grows by nothing later
-        self._columns = {name: np.full(steps, 0, STATS[name]) for name in Summary._fields[:-1]}
-        self._seconds, self._solver = np.full(steps, 0.0), np.full(steps, 0, dtype=np.int16)
-        self._names: dict[str, int] = {}
-        self._write = list(self._columns.values())
-
-    def add(self, i: int, step: Summary, seconds: float) -> None:
-        for column, value in zip(self._write, step, strict=False):
-            column[i] = value
-        self._seconds[i] = seconds
-        self._solver[i] = self._names.setdefault(step.solver, len(self._names))
-
-    @property
-    def columns(self) -> dict[str, np.ndarray]:
-        """All columns; those of the solvers are numbers of `solvers`."""
-        return {**self._columns, "seconds": self._seconds, "solver": self._solver}
-
-    @property
-    def solvers(self) -> list[str]:
-        """Who found the velocities, in order of appearance."""
-        return list(self._names)
-
-    def restore(self, columns: Mapping[str, np.ndarray], solvers: list[str]) -> None:
-        """Take the columns of the first steps from an earlier run."""
-        for name, column in self.columns.items():
-            column[: len(columns[name])] = columns[name]
-        self._names = {name: number for number, name in enumerate(solvers)}
-
-    def table(self, ends: np.ndarray) -> np.ndarray:
-        """The records of the steps that end at the given times."""
-        n = len(ends)
-        stats = np.zeros(n, dtype=STATS)
-        stats["t"], stats["seconds"] = ends, self._seconds[:n]
-        for name, column in self._columns.items():
-            stats[name] = column[:n]
-        stats["solver"] = np.array([*self._names, ""], dtype=STATS["solver"])[self._solver[:n]]
-        return stats
 
 
 @dataclass
@@ -176,21 +134,32 @@ class Run:
     exact: Trajectory | None = None
 
 
-def _critical(process: SweepingProcess, scheme: Scheme) -> float:
-    """The step size above which the scheme can overshoot."""
-    if math.isinf(scheme.overshoots) or process.B is None or process.rate_independent:
-        return math.inf  # at A = 0 nothing starts outside of C(t)
-    return scheme.overshoots / process.Lam
+def _plain(numbers: np.ndarray) -> array[float]:
+    """Floats of Python, as a list has them, in a quarter of its memory."""
+    return array("d", np.ascontiguousarray(numbers, dtype=float).tobytes())
 
 
-def _has_slowed(process: SweepingProcess, stages: Stages) -> bool:
-    """Whether the velocity halved within a step: what decays there decays unresolved.
-
-    The last stage of a scheme that can overshoot is the velocity at its end.
-    """
-    first, last = stages[0].velocity.z, stages[-1].velocity.z
-    force = process.metric.M @ first
-    return float(force @ last) < 0.5 * float(force @ first)
+def _overshot(
+    process: SweepingProcess,
+    plan: Plan,
+    grid: array[float],
+    i: int,
+    u: np.ndarray,
+    parts: list[Stages],
+) -> bool:
+    """Whether step i from u, in so many equal parts, may have overshot."""
+    inner = np.linspace(grid[i], grid[i + 1], len(parts) + 1).tolist()
+    nodes = [*grid[max(i - 2, 0) : i], *inner, *grid[i + 2 : i + 3]]
+    for k, stages in enumerate(parts, start=min(i, 2)):
+        try:
+            if overshot(process, plan, nodes, k, u, stages):
+                return True
+        except Exception:
+            if len(parts) == 1:
+                raise
+            return False  # these C(t) nobody asked for
+        u = u + (nodes[k + 1] - nodes[k]) * combined(plan.scheme.b, stages)
+    return False
 
 
 def _cause(

@@ -9,7 +9,8 @@ the last bit.
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -121,9 +122,11 @@ class Checkpoints:
         return 0 if self._stored is None else int(self._stored.record["run"]["done"])
 
     def begin(self, run: Run, keeper: Keeper, start: Place) -> Place:
-        remove_parts(self._checkpoint.file)
+        with self._on_disk():
+            remove_parts(self._checkpoint.file)
+            if self._stored is None:
+                self._checkpoint.previous.unlink(missing_ok=True)  # that of another run
         if self._stored is None:
-            self._checkpoint.previous.unlink(missing_ok=True)  # that of another run
             self._write(run, keeper, start, None)
             return start
         try:
@@ -132,8 +135,19 @@ class Checkpoints:
             raise DamagedFileError(f"{self._stored.file} does not fit together: {error}") from error
         if self._stored.file == self._checkpoint.previous:
             # the whole one must not give way to the damaged one
-            self._checkpoint.file.unlink(missing_ok=True)
+            with self._on_disk():
+                self._checkpoint.file.unlink(missing_ok=True)
         return place
+
+    @contextmanager
+    def _on_disk(self) -> Iterator[None]:
+        """What a disk refuses is told of as the library's own error."""
+        try:
+            yield
+        except OSError as error:
+            raise CheckpointError(
+                f"{self._checkpoint.file} cannot be replaced ({error.strerror or error})"
+            ) from error
 
     def __call__(self, run: Run, keeper: Keeper, place: Place) -> bool:
         if run.done == 1:
@@ -192,10 +206,10 @@ def _group(arrays: Mapping[str, np.ndarray], group: str) -> dict[str, np.ndarray
 def _require_free(checkpoint: Checkpoint) -> None:
     """Refuse to overwrite a run that is not finished, or any other file."""
     file = checkpoint.file if checkpoint.file.exists() else checkpoint.previous
-    if not file.exists():
-        return
     try:
         state = read_stored(file).record["run"]
+    except FileNotFoundError:
+        return
     except DamagedFileError as error:
         raise InputError(
             f"checkpoint: {error}. It is not overwritten: so.resume looks for the one before it, "

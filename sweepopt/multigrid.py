@@ -107,6 +107,8 @@ class Multigrid(Factor):
         If pyamg is not installed.
     """
 
+    _mistrust = 0.0  # what its solves miss is not bounded here, as lambda_min(M) is not known
+
     def __init__(self, M: Matrix, name: str = "M") -> None:
         _pyamg()
         super().__init__(sp.csr_array(M.T), name)  # M = M^T: no copy of a CSC matrix

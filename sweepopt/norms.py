@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg
 
 from sweepopt.errors import InputError
-from sweepopt.linalg import SMALL, dense
+from sweepopt.linalg import SMALL, dense, largest_ratio
 from sweepopt.motion import Between, Data
 from sweepopt.multigrid import factorise
 from sweepopt.process import SweepingProcess
@@ -86,9 +86,8 @@ def _rates(process: SweepingProcess) -> tuple[float, float]:
     rho = proportion(process.A, process.B)
     if rho is not None:
         return rho, rho
-    # Lanczos meets both from inside, to rounding; one per cent is added
     try:
-        lam = 0.99 / factorise(process.B, "B").largest_ratio(process.A)
+        lam = 1 / largest_ratio(factorise(process.B, "B"), process.A, factorise)
     except InputError:  # B is singular
         lam = 0.0
-    return lam, 1.01 * process.Lam
+    return lam, process.Lam

@@ -8,14 +8,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.blocks import BlockWriter, Stored
-from sweepopt.errors import MissingExtraError
+from sweepopt.errors import InputError, MissingExtraError, shown
 from sweepopt.lifting import Lift
 from sweepopt.march import Look
 from sweepopt.states import Kept, Saving, States
 
 
 class StepInfo(NamedTuple):
-    """What a callback sees after a step: its index, end time, state, velocity, certificate."""
+    """What a callback sees after a step: its index, end time, state, velocity, certificate.
+
+    The certificate is that of `Solution.stats`: the worst of the programs that the step solved.
+    """
 
     step: int
     t: float
@@ -98,7 +101,15 @@ class Observers:
             self._blocks.put(t, u, z)
         if self._function is not None:
             self.recorded.append(self._function(t, u, z))
-        return None if self._callback is None else self._callback(StepInfo(i, t, u, z, certificate))
+        if self._callback is None:
+            return None
+        stop = self._callback(StepInfo(i, t, u, z, certificate))
+        try:
+            return bool(stop)
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"callback must return True to stop the run, or nothing; got {shown(stop)}"
+            ) from error
 
     def close(self, finished: bool) -> None:
         """The run is over, well or not."""

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
-from sweepopt.errors import InputError, SolverRefusedError, shown
+from sweepopt.errors import PathError, SolverRefusedError, shown
 from sweepopt.linalg import Elimination, Factor
 from sweepopt.multigrid import Multigrid
 from sweepopt.process import SweepingProcess
@@ -20,7 +20,14 @@ from sweepopt.schemes import Scheme
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.base import same_array
 from sweepopt.solvers import Solver, choose
-from sweepopt.substitution import SelectedVelocity, Solved, VelocityOf, eliminated, linear
+from sweepopt.substitution import (
+    SelectedVelocity,
+    Solved,
+    VelocityOf,
+    eliminated,
+    linear,
+    unless_at_rest,
+)
 from sweepopt.velocity import iterated, programmed
 
 PATHS = {
@@ -164,7 +171,8 @@ class Plan:
 
     def _eliminated(self, factors: Factors) -> SelectedVelocity:
         small = programmed(factors.small, self.solver, self.tol, None)
-        return eliminated(factors.elimination, small)
+        moving = eliminated(factors.elimination, small)
+        return unless_at_rest(factors.elimination.diagonal, moving)
 
     def __str__(self) -> str:
         solver = self.solvers[0].name if self.solvers else "linear solves, no optimiser"
@@ -206,7 +214,7 @@ def make_plan(
 
     Raises
     ------
-    InputError
+    PathError
         If the path does not apply.
     SolverRefusedError
         If the solver is not known or cannot treat one of the sets.
@@ -233,7 +241,7 @@ def make_plan(
     same = all(np.array_equal(contact, contacts[0]) for contact in contacts)
     contact = contacts[0] if few and same else None
     if path in ("eliminated", "proportional") and contact is None:
-        raise InputError(
+        raise PathError(
             f"path={path!r} needs a C(t) that acts on the same few unknowns at all times: write it "
             "as so.image(E^T, S) with E selecting them"
         )
@@ -241,14 +249,14 @@ def make_plan(
     if multigrid:
         _require_multigrid(process, members, contact, solver)
     if scheme.exact and multigrid:
-        raise InputError("path='multigrid' has no closed form; use another scheme than 'exact'")
+        raise PathError("path='multigrid' has no closed form; use another scheme than 'exact'")
     reduced: Reduction | str = "the unknowns shall be kept"
     if len(scheme.b) > 1:
         reduced = f"scheme {scheme.name!r} has several stages"
     elif path in ("auto", "proportional") and contact is not None and not multigrid:
         reduced = reduce(process, tol)
     if path == "proportional" and isinstance(reduced, str):
-        raise InputError(f"path='proportional' does not apply: {reduced}")
+        raise PathError(f"path='proportional' does not apply: {reduced}")
     if scheme.exact and isinstance(reduced, str):
         contact = None  # the closed form has all unknowns in it
     return Plan(
@@ -278,11 +286,11 @@ def _require_multigrid(
             f"path='multigrid' has no use for solver={shown(solver)}; leave one of them out"
         )
     if not sp.issparse(process.A):
-        raise InputError("path='multigrid' needs A as a sparse matrix")
+        raise PathError("path='multigrid' needs A as a sparse matrix")
     parts = [C.selection.part for _, C in members if C.selection is not None and not C.singleton]
     derivatives = [part.derivative(part.anchor) for part in parts]
     separable = all(D is not None and D.ndim == 1 for D in derivatives)
     if not all(C.singleton for _, C in members) and (contact is None or not separable):
-        raise InputError(
+        raise PathError(
             "path='multigrid' needs a C(t) that acts on few unknowns, each alone: an image of a Box"
         )

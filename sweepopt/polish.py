@@ -51,6 +51,7 @@ def _polisher(M: Factor, order: np.ndarray | None) -> Polish:
     elimination: Elimination | None = None
     selected: SelectedVelocity | None = None
     whole: VelocityOf | None = None
+    treated: bool | None = None  # C as it is; one cone comes here, and to look at it may cost
 
     def newton(N: Factor, cone: ConvexSet) -> VelocityOf:
         program, iterate = VelocityProgram(N, cone), Iteration(N)
@@ -84,10 +85,11 @@ def _polisher(M: Factor, order: np.ndarray | None) -> Polish:
         return newton(N, cone) if NEWTON.treats(cone) else active_set(N, cone)
 
     def polish(q: np.ndarray, C: ConvexSet, z: np.ndarray) -> Velocity | None:
-        nonlocal start, elimination, selected, whole
+        nonlocal start, elimination, selected, whole, treated
         selection = C.selection
         if selection is None or not _treats(selection.part):
-            if not _treats(C):
+            treated = _treats(C) if treated is None else treated
+            if not treated:
                 return None
             start, whole = z, whole or exact(M, C)
             return whole(q, C).velocity

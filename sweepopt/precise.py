@@ -14,15 +14,23 @@ import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
 
-SLICES = 4  # of 20 bits or more: 2^-80 of the largest term is left
-
 
 class Precise:
-    """Products with a symmetric positive definite matrix as if in twice the precision.
+    """Products with a symmetric positive semidefinite matrix in more than twice the precision.
+
+    Of `slices` slices the last one is all that is left; its products are rounded, the others are
+    exact and summed with their rounding errors.
 
     Parameters
     ----------
     M : ndarray or sparse, shape (dim, dim)
+        Rows with a zero on the diagonal are zero.
+    slices : int
+
+    Attributes
+    ----------
+    share : float
+        Of what a product in double precision may round, for what is left of it here.
 
     Examples
     --------
@@ -31,15 +39,17 @@ class Precise:
     array([0., 0.])
     """
 
-    def __init__(self, M: Matrix) -> None:
+    def __init__(self, M: Matrix, slices: int = 3) -> None:
         # in units of the diagonal, by powers of 2: nothing is rounded
-        self._unit = np.exp2(np.floor(0.5 * np.log2(M.diagonal())))
+        diagonal = M.diagonal()
+        self._unit = np.exp2(np.floor(0.5 * np.log2(np.where(diagonal > 0, diagonal, 1.0))))
         rest = _scaled(M, 1 / self._unit)
         entries = rest.data if sp.issparse(rest) else rest
         terms = int(np.diff(rest.tocsr().indptr).max()) if sp.issparse(rest) else rest.shape[1]
         self._bits = int((53 - math.ceil(math.log2(terms + 1))) // 2)
+        self.share = slices * math.sqrt(len(diagonal)) * 2.0 ** (-self._bits * (slices - 1))
         self._slices = []
-        for part in _cut(entries, self._bits):
+        for part in _cut(entries, self._bits, slices):
             one = rest.copy()
             if sp.issparse(one):
                 one.data = part
@@ -49,11 +59,15 @@ class Precise:
 
     def __call__(self, z: np.ndarray, *more: np.ndarray) -> np.ndarray:
         """M z + the sum of the others."""
-        columns = np.array(_cut(self._unit * z, self._bits)).T
+        parts = _cut(self._unit * z, self._bits, len(self._slices))
         terms = [entry / self._unit for entry in more]
-        for k, part in enumerate(self._slices):
-            terms += list((part @ columns[:, : SLICES - k]).T)
-        return self._unit * _sum(terms)
+        tail, rounded = np.zeros_like(z), np.zeros_like(z)
+        for M in self._slices:
+            tail = parts.pop() + tail  # what the slices before leave of z
+            products = (M @ np.array([*parts, tail]).T).T
+            terms += list(products[:-1])
+            rounded += products[-1]
+        return self._unit * _sum([*terms, rounded])
 
 
 def product_error(factor: float, M: Matrix) -> Any:
@@ -70,6 +84,12 @@ def product_error(factor: float, M: Matrix) -> Any:
     return missed
 
 
+def sum_error(A: Matrix, B: Matrix, total: Matrix) -> Any:
+    """What rounding keeps out of `total` = A + B, entry by entry and exactly (Knuth's two-sum)."""
+    added = total - A
+    return (A - (total - added)) + (B - added)
+
+
 def _halves(x: Any) -> tuple[Any, Any]:
     """x as a sum of two numbers of half its bits (Veltkamp)."""
     shifted = (2.0**27 + 1) * x
@@ -77,11 +97,11 @@ def _halves(x: Any) -> tuple[Any, Any]:
     return high, x - high
 
 
-def _cut(x: np.ndarray, bits: int) -> list[np.ndarray]:
-    """Slices with x = their sum, each of few bits in relation to the largest entry."""
+def _cut(x: np.ndarray, bits: int, slices: int) -> list[np.ndarray]:
+    """Slices with x = their sum, each but the last of few bits beside the largest entry."""
     largest = float(np.abs(x).max(initial=0.0))
     parts = []
-    for _ in range(SLICES):
+    for _ in range(slices - 1):
         # adding and taking away a large number rounds to its last bit
         power = math.frexp(largest)[1] + 54 - bits
         shift = math.ldexp(0.75, power) if largest and power < 1024 else 0.0
@@ -89,7 +109,7 @@ def _cut(x: np.ndarray, bits: int) -> list[np.ndarray]:
         parts.append(part)
         x = x - part
         largest = math.ldexp(largest, -bits) if largest else 0.0
-    return parts
+    return [*parts, x]
 
 
 def _sum(terms: list[np.ndarray]) -> np.ndarray:

@@ -18,7 +18,7 @@ import numpy as np
 
 from sweepopt.checks import Matrix, symmetric, vector
 from sweepopt.errors import InitialStateWarning, InputError, VariationWarning
-from sweepopt.linalg import is_semidefinite, largest_eigenvalue
+from sweepopt.linalg import is_semidefinite, largest_eigenvalue, largest_ratio
 from sweepopt.multigrid import factorise
 from sweepopt.sets import AnySet, ConvexSet, Moving, MovingSet, Point
 
@@ -111,10 +111,15 @@ class SweepingProcess:
 
     @cached_property
     def Lam(self) -> float:
-        """The largest eigenvalue of A^-1 B: |B(u - v)|_{A^-1} <= Lam |u - v|_A."""
+        """A bound of the eigenvalues of A^-1 B: |B(u - v)|_{A^-1} <= Lam |u - v|_A.
+
+        The largest one or a little more, never less (`sweepopt.linalg.largest_ratio`).
+        """
         if self.B is None:
             return 0.0
-        return float("inf") if self.rate_independent else self.metric.largest_ratio(self.B)
+        if self.rate_independent:
+            return float("inf")
+        return largest_ratio(self.metric, self.B, factorise)
 
     def times_B(self, u: np.ndarray) -> np.ndarray:
         """B u, zero where there is no B."""

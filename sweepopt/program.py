@@ -97,15 +97,15 @@ class VelocityProgram:
 
     @cached_property
     def stiffness(self) -> float:
-        """A number in the units of M: the geometric mean of its diagonal."""
-        return float(np.exp(np.log(self.M.diagonal).mean()))
+        """A power of two in the units of M: the geometric mean of its diagonal, nearly."""
+        return math.ldexp(1.0, int(np.frexp(self.M.diagonal)[1].sum()) // self.M.dim)
 
     def _expressions(self) -> Expressions:
         """The program without its linear term."""
         import cvxpy as cp
 
         # Jacobi scaling: the solver sees a matrix of constant diagonal, whatever the units of z
-        scale = np.sqrt(self.stiffness) / self.M.root
+        scale = np.sqrt(self.stiffness / self.M.diagonal)
         x = cp.Variable(self.M.dim)
         z = cp.multiply(scale, x)
         weights = sp.diags_array(scale) if sp.issparse(self.M.M) else np.diag(scale)

@@ -108,10 +108,10 @@ def _newest(checkpoint: Checkpoint) -> Stored:
     try:
         return read_stored(checkpoint.file)
     except FileNotFoundError:
-        # killed just before the new file took its name
-        if not checkpoint.previous.exists():
+        try:  # killed just before the new file took its name
+            return read_stored(checkpoint.previous)
+        except FileNotFoundError:
             raise InputError(f"there is no checkpoint {checkpoint.file}") from None
-        return read_stored(checkpoint.previous)
     except DamagedFileError as damage:
         try:
             stored = read_stored(checkpoint.previous)
@@ -124,8 +124,6 @@ def _newest(checkpoint: Checkpoint) -> Stored:
             stacklevel=3,
         )
         return stored
-    except OSError as error:
-        raise InputError(f"{checkpoint.file} cannot be read ({error.strerror})") from error
 
 
 def _compare(stored: Stored, process: SweepingProcess, times: np.ndarray) -> None:

@@ -29,7 +29,8 @@ class Scheme:
     order : float
         For translated sets with smooth loads; infinite if the scheme has no error in time.
     overshoots : float
-        mu Lam from which a step can overshoot into a wrong stuck state although it is stable.
+        mu Lam from which a step can overshoot into a wrong stuck state although it is stable: where
+        the stability function turns negative. Never for implicit-euler.
     """
 
     name: str
@@ -64,7 +65,7 @@ SCHEMES = {
         Scheme("catching-up", a=((0.0,),), b=(1.0,), c=(1.0,), order=1),
         # at A = 0 this is Moreau's catching-up algorithm
         Scheme("implicit-euler", a=((1.0,),), b=(1.0,), c=(1.0,), order=1),
-        Scheme("midpoint", a=((0.5,),), b=(1.0,), c=(0.5,), order=2),
+        Scheme("midpoint", a=((0.5,),), b=(1.0,), c=(0.5,), order=2, overshoots=2.0),
         Scheme(
             "trapezoid", a=((0.0,), (0.5, 0.5)), b=(0.5, 0.5), c=(0.0, 1.0), order=2, overshoots=2.0
         ),

@@ -13,6 +13,7 @@ from sweepopt.errors import InputError, Status, SweepoptError, shown
 from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.states import TIME_SLACK, States
+from sweepopt.statistics import Statistics
 from sweepopt.velocity import VelocityOf
 
 if TYPE_CHECKING:
@@ -23,18 +24,6 @@ if TYPE_CHECKING:
 
     from sweepopt.certificate import ErrorBound
     from sweepopt.exact import Trajectory
-
-STATS = np.dtype(
-    [
-        ("t", float),
-        ("seconds", float),
-        ("iterations", int),
-        ("attempts", int),
-        ("certificate", float),
-        ("relative", float),
-        ("solver", "U20"),
-    ]
-)
 
 
 class Energy(NamedTuple):
@@ -93,12 +82,8 @@ class Solution:
         The kept steps, counted from 0.
     states : States
         Where `u` and `velocity` come from: ``states.u(i)`` gives some nodes without the others.
-    stats : structured ndarray, shape (n,)
-        One row a step: t (its end), seconds, iterations, attempts, certificate (a bound of
-        |z - z*|_M), relative (the certificate in units of the program's size, what tol bounds),
-        solver (who found it: a solver's name, "linear", "multigrid", "closed form" or "at rest";
-        "clarabel/4" for a step that missed tol as a whole and was taken in 4 parts, whose worst
-        certificate it has).
+    statistics : Statistics
+        What `stats` is made of.
     status : Status
     cause : str
         Which step failed and why, when the run stopped at it.
@@ -115,7 +100,7 @@ class Solution:
     t: np.ndarray
     steps: np.ndarray
     states: States
-    stats: np.ndarray
+    statistics: Statistics
     status: Status
     cause: str = ""
     recorded: list[Any] | None = None
@@ -132,15 +117,28 @@ class Solution:
         """u_n' in the kept steps, shape (k, dim): (u_{i+1} - u_i) / mu of each."""
         return self.states.velocity(slice(None))
 
+    @cached_property
+    def stats(self) -> np.ndarray:
+        """A structured array, one row a step, shape (n,).
+
+        t (its end), seconds, iterations, attempts, certificate (the largest bound of |z - z*|_M
+        over the programs that the step solved), relative (the certificate in units of the program's
+        size, what tol bounds), solver (who found it: a solver's name, "linear", "multigrid",
+        "closed form" or "at rest"; "clarabel/4" for a step that missed tol as a whole and was taken
+        in 4 parts: its programs are those of the parts, M = A + gamma mu / 4 B, and no bound of how
+        far its mean velocity is from that of one whole step).
+        """
+        return self.statistics.table()
+
     @property
     def complete(self) -> bool:
         """Whether all steps are kept."""
-        return len(self.steps) == len(self.stats)
+        return len(self.steps) == len(self.statistics)
 
     @cached_property
     def _grid(self) -> np.ndarray:
         """All times of the run, kept or not, shape (n+1,)."""
-        return np.append(self.t[0], self.stats["t"])
+        return self.t if self.complete else np.append(self.t[0], self.statistics.columns["t"])
 
     @property
     def success(self) -> bool:
@@ -194,7 +192,8 @@ class Solution:
         ----------
         t : float or array_like, shape (k,), optional
             Without it: for each step a bound of the distance of the stage's M z + q to its C, from
-            the certificate: |.|_{A^-1} <= sqrt(1 + mu a_kk Lam) |.|_{M^-1}. With it: the distance
+            the certificate: |.|_{A^-1} <= sqrt(1 + mu a_kk Lam) |.|_{M^-1}; of a step in parts it
+            bounds those of all stages of the parts. With it: the distance
             of A u_n'(t) + B u_n(t) to C(t), u_n' the left derivative (the right one at t[0]);
             O(mu) for the first-order schemes.
 

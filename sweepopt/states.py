@@ -51,7 +51,7 @@ class Kept:
 
 @dataclass(frozen=True, eq=False)
 class Lifted:
-    """States of few unknowns in memory; `lift` gives all unknowns of a node or of a step.
+    """States of few unknowns in memory, and what gives all unknowns of a node or of a step.
 
     Attributes
     ----------
@@ -60,7 +60,8 @@ class Lifted:
         Coefficients of the load at every node and step of the run, computed when asked for.
     steps : ndarray, shape (k,)
         The kept steps, counted in the run.
-    lift : callable (few, alpha) -> ndarray, shape (dim,)
+    state, lift : callable (few, alpha) -> ndarray, shape (dim,)
+        Of a node, and of a velocity.
     dim : int
         How many unknowns there are in all.
     """
@@ -68,23 +69,31 @@ class Lifted:
     few: Kept
     alpha: Callable[[], Kept]
     steps: np.ndarray
+    state: Callable[[np.ndarray, np.ndarray], np.ndarray]
     lift: Callable[[np.ndarray, np.ndarray], np.ndarray]
     dim: int
 
     def u(self, i: Index) -> np.ndarray:
-        return self._lift(self.few.nodes[i], self.alpha().nodes[self._nodes[i]])
+        alpha = self.alpha().nodes[self._nodes[i]]
+        return self._each(self.state, self.few.nodes[i], alpha)
 
     def velocity(self, i: Index) -> np.ndarray:
-        return self._lift(self.few.velocities[i], self.alpha().velocities[self.steps[i]])
+        alpha = self.alpha().velocities[self.steps[i]]
+        return self._each(self.lift, self.few.velocities[i], alpha)
 
     @cached_property
     def _nodes(self) -> np.ndarray:
         return np.append(0, self.steps + 1)
 
-    def _lift(self, few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    def _each(
+        self,
+        lift: Callable[[np.ndarray, np.ndarray], np.ndarray],
+        few: np.ndarray,
+        alpha: np.ndarray,
+    ) -> np.ndarray:
         lifted = np.zeros((*few.shape[:-1], self.dim))
         for index in np.ndindex(few.shape[:-1]):
-            lifted[index] = self.lift(few[index], alpha[index])
+            lifted[index] = lift(few[index], alpha[index])
         return lifted
 
 
@@ -183,9 +192,12 @@ class Keeper:
         self._u[0] = self.u0
         self._next = int(self.steps[0])
         self._last: tuple[int, np.ndarray, np.ndarray] | None = None
+        # Ctrl-C may come between a step and its count
+        self._before: tuple[int, np.ndarray, np.ndarray] | None = None
 
     def put(self, i: int, u: np.ndarray, z: np.ndarray) -> None:
         """Take the state after step i and the velocity of the step."""
+        self._before = self._last
         if i == self._next:
             self._u[self._row + 1], self._z[self._row] = u, z
             self._row += 1
@@ -212,13 +224,13 @@ class Keeper:
         for u, z in columns["last"]:
             self._last = (done - 1, u, z)
 
-    def close(self) -> tuple[np.ndarray, Kept]:
-        """The kept steps, with the last one that was done, and their states."""
-        k = self._row
+    def close(self, done: int) -> tuple[np.ndarray, Kept]:
+        """The kept ones of the steps that are done, with the last one, and their states."""
+        k = int(np.searchsorted(self.steps, done))
         steps = self.steps[:k]
-        if self._last is not None:
-            i, u, z = self._last
-            steps = np.append(steps, i)
-            self._u[k + 1], self._z[k] = u, z
-            k += 1
+        for last in (self._last, self._before):
+            if last is not None and last[0] == done - 1 and done - 1 not in steps[-1:]:
+                steps = np.append(steps, done - 1)
+                self._u[k + 1], self._z[k] = last[1:]
+                k += 1
         return steps, Kept(self._u[: k + 1], self._z[:k])

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import Matrix
 from sweepopt.errors import IndefiniteError
 from sweepopt.plan import Factors, Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.program import Velocity
 from sweepopt.schemes import Scheme
-from sweepopt.velocity import Solved, VelocityOf
+from sweepopt.unrounded import StateVelocity, matrix, of_state
+from sweepopt.velocity import Solved
 
 PARTS = (2, 4, 8, 16)  # that a step which missed is tried in
 INDEFINITE = "indefinite"  # who answers where M is no matrix of a program
@@ -39,19 +39,19 @@ class Velocities:
     def __init__(self, process: SweepingProcess, plan: Plan) -> None:
         self._process, self._plan = process, plan
         self._factors: dict[float, Factors] = {}
-        self._compiled: dict[float, VelocityOf] = {}
+        self._compiled: dict[float, StateVelocity] = {}
         self._refused: set[float] = set()
 
-    def __call__(self, gamma: float) -> VelocityOf:
+    def __call__(self, gamma: float) -> StateVelocity:
         if gamma not in self._compiled:
             if gamma in self._refused:
                 raise IndefiniteError("A + gamma B is not positive definite to rounding")
             if gamma not in self._factors:
                 _make_room(self._factors, self.LIMIT)
-                self._factors[gamma] = self._plan.factors(self._matrix(gamma))
+                self._factors[gamma] = self._plan.factors(matrix(self._process, gamma))
             # apart from the factorisations: what is dropped depends on the steps since `forget`
             _make_room(self._compiled, self.LIMIT)
-            self._compiled[gamma] = self._plan.velocity(self._factors[gamma])
+            self._compiled[gamma] = of_state(self._process, self._plan, gamma, self._factors[gamma])
         return self._compiled[gamma]
 
     def forget(self) -> None:
@@ -63,10 +63,6 @@ class Velocities:
         """Do not factorise a matrix again that has shown not to be positive definite."""
         self._refused.add(gamma)
         self._compiled.pop(gamma, None)
-
-    def _matrix(self, gamma: float) -> Matrix:
-        process = self._process
-        return process.A if process.B is None or not gamma else process.A + gamma * process.B
 
 
 def _make_room(cache: dict[float, Any], limit: int) -> None:
@@ -88,16 +84,16 @@ def step(
     """
     stages: Stages = []
     for weights, c in zip(scheme.a, scheme.c, strict=True):
-        known = u + mu * _combine(weights[:-1], stages) if stages else u
+        known = u + mu * combined(weights[:-1], stages) if stages else u
         gamma = mu * weights[-1] if process.B is not None else 0.0
         try:
-            solved = velocities(gamma)(process.times_B(known), process.C.at(t + c * mu))
+            solved = velocities(gamma)(known, process.C.at(t + c * mu))
         except IndefiniteError:
             velocities.refuse(gamma)
             nothing = Velocity(np.zeros_like(u), math.inf, math.inf)
             return nothing.z, [*stages, Solved(nothing, INDEFINITE, 0, 0)]
         stages.append(solved)
-    return _combine(scheme.b, stages), stages
+    return combined(scheme.b, stages), stages
 
 
 class Parts(NamedTuple):
@@ -121,8 +117,10 @@ def in_parts(
     """The step in 2, 4, .. equal parts of the same scheme, until all of them meet tol.
 
     A + gamma mu / k B is nearer to A, and C(t) is asked for at other times. u moves through the
-    parts as through steps; the certificate is the worst of theirs, the work is all that was done.
-    Where no number of parts helps, `found` has the certificate of the whole.
+    parts as through steps, so that the result is that of a finer grid. The certificate is the worst
+    of the parts' programs, each exact to it: no bound of what one whole step would have been, which
+    nobody knows. The work is all that was done. Where no number of parts helps, `found` has the
+    certificate of the whole.
     """
     iterations, attempts = whole.iterations, whole.attempts
     cause = ""
@@ -179,7 +177,7 @@ def compensated(u: Any, increment: Any, lost: Any) -> tuple[Any, Any]:
     return following, (following - u) - increment
 
 
-def _combine(weights: Sequence[float], stages: Stages) -> np.ndarray:
+def combined(weights: Sequence[float], stages: Stages) -> np.ndarray:
     """sum of weights_k z_k; a single weight 1 keeps z itself."""
     if weights == (1.0,):
         return stages[0].velocity.z

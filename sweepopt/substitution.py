@@ -39,23 +39,40 @@ def linear(M: Factor) -> VelocityOf:
     """C is a point c: M z = c - q."""
 
     def solve(q: np.ndarray, C: ConvexSet) -> Solved:
-        force = C.anchor - q
-        z = M.solve(force)
-        best = _of_force(M, z, force)
+        c = C.anchor
+        z = M.solve(c - q)
+        best = _of_force(M, z, c, q)
         for _ in range(REFINEMENTS):
             if not best.relative > ACCURATE:
                 break
-            z = z + M.solve(M.precisely(-z, force))
-            best = min(best, _of_force(M, z, force), key=lambda one: one.relative)
+            z = z + M.solve(M.precisely(-z, c, -q))
+            best = min(best, _of_force(M, z, c, q), key=lambda one: one.relative)
         return Solved(best, "linear", 0, 1)
 
     return solve
 
 
-def _of_force(M: Factor, z: np.ndarray, force: np.ndarray) -> Velocity:
-    """z with M z = force but for rounding: both |z|_M and |M^-1 q|_M are |force|_{M^-1}."""
-    rho, size, rounding = M.apply(z, -force, enough=ACCURATE)
+def _of_force(M: Factor, z: np.ndarray, c: np.ndarray, q: np.ndarray) -> Velocity:
+    """z with M z = c - q but for rounding: both |z|_M and |M^-1 q|_M are |c - q|_{M^-1}."""
+    rho, size, rounding = M.apply(z, q, -c, enough=ACCURATE)
     return rate(z, M.dual_norm_within(rho, ACCURATE * size) + rounding, size, size)
+
+
+class _Load(NamedTuple):
+    """The force c - q, rounded, and what it is made of: q, and -c where there is one."""
+
+    force: np.ndarray
+    missing: tuple[np.ndarray, ...]
+
+
+def unless_at_rest(diagonal: np.ndarray, moving: SelectedVelocity) -> SelectedVelocity:
+    """Nothing moves where q is in C: seen on all unknowns, for forces on the few round more."""
+
+    def solve(q: np.ndarray, selection: Selection) -> Solved:
+        rest = at_rest_on(q, selection, diagonal)
+        return moving(q, selection) if rest is None else Solved(rest, "at rest", 0, 0)
+
+    return solve
 
 
 def eliminated(M: Elimination, small: VelocityOf) -> SelectedVelocity:
@@ -74,44 +91,47 @@ def eliminated(M: Elimination, small: VelocityOf) -> SelectedVelocity:
     precisely = cache(lambda: Precise(M.N))
 
     def proven(
-        z: np.ndarray, solved: Solved, force: np.ndarray, linear: np.ndarray, size_q: float
+        z: np.ndarray, solved: Solved, load: _Load, linear: np.ndarray, size_q: float
     ) -> Solved:
-        on_few = np.zeros_like(z)
-        on_few[few] = M.N @ z[few] + linear
-        size_z = math.sqrt(abs(z.dot(force + on_few)))
+        force, zeta = load.force, z[few]
+        pull = M.N @ zeta + linear
+        size_z = math.sqrt(abs(z.dot(force) + zeta.dot(pull)))
         rounding = 2 * M.rounding(z, force)  # of M z, and of N zeta, which is less
         if rounding <= ACCURATE * size_z:
-            rho = M.M @ z - force - on_few
+            rho = M.M @ z - force
+            rho[few] -= pull
         else:
-            on_few[few], rounding = precisely()(z[few], linear), 0.0
-            rho = M.precisely(z, -force, -on_few)
+            on_few, lost = np.zeros_like(z), np.zeros_like(z)
+            on_few[few] = precisely()(zeta, linear)
+            lost[few] = precisely()(zeta, linear, -on_few[few])
+            rho = M.precisely(z, *load.missing, -on_few, -lost)
+            rounding *= M.precisely.share
         missed = M.dual_norm_within(rho, ACCURATE * size_z) + rounding
-        velocity = rate(z, solved.velocity.certificate + missed, size_z, size_q)
-        return solved._replace(velocity=velocity)
+        # N is made of rounded factors
+        certificate = M.margin * solved.velocity.certificate + missed
+        velocity = rate(z, certificate, size_z, size_q)
+        return Solved(velocity, solved.solver, solved.iterations, solved.attempts)
 
     def solve(q: np.ndarray, selection: Selection) -> Solved:
-        # looked at before q and C are reduced to forces on the few, whose rounding is larger
-        rest = at_rest_on(q, selection, M.diagonal)
-        if rest is not None:
-            return Solved(rest, "at rest", 0, 0)
-        force = -q if selection.shift is None else selection.shift - q
-        forward, pull = M.reduce(force)
+        shift = selection.shift
+        load = _Load(-q, (q,)) if shift is None else _Load(shift - q, (q, -shift))
+        forward, pull = M.reduce(load.force)
         size_q, linear = euclidean(forward), -pull
         solved = small(linear, selection.part)
         zeta = solved.velocity.z
         z = M.recover(forward, M.N @ zeta)
         z[few] = zeta  # to the last bit: stuck is 0.0
-        best = proven(z, solved, force, linear, size_q)
+        best = proven(z, solved, load, linear, size_q)
         for _ in range(REFINEMENTS):
             # nan: no proof, nothing to compare; above 1 there is nothing to refine
             if not ACCURATE < best.velocity.relative < 1:
                 break
-            forward, pull = M.reduce(M.precisely(-z, force))
+            forward, pull = M.reduce(-M.precisely(z, *load.missing))
             linear = precisely()(-zeta, -pull)
             solved = small(linear, selection.part)
             z = z + M.recover(forward, M.N @ (solved.velocity.z - zeta))
             z[few] = zeta = solved.velocity.z
-            refined = proven(z, solved, force, linear, size_q)
+            refined = proven(z, solved, load, linear, size_q)
             best = min(best, refined, key=lambda one: one.velocity.relative)
         return best
 

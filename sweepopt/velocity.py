@@ -6,6 +6,7 @@ any other set the whole program.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import cache
 from typing import Any
@@ -16,11 +17,12 @@ from sweepopt.checks import is_finite
 from sweepopt.linalg import Elimination, Factor
 from sweepopt.multigrid import Multigrid
 from sweepopt.polish import judged
+from sweepopt.precise import sum_error
 from sweepopt.program import Velocity, VelocityProgram, closed_form, has_closed_form, untranslated
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.algebra import Translation
 from sweepopt.sets.base import Selection
-from sweepopt.solvers import Solve, Solver, choose
+from sweepopt.solvers import NEWTON, Solve, Solver, choose
 from sweepopt.solvers.multigrid import MultigridProgram
 from sweepopt.substitution import ACCURATE, SelectedVelocity, Solved, VelocityOf, eliminated
 
@@ -67,7 +69,17 @@ def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> 
         rest = program.at_rest(q, C)
         if rest is not None:
             return Solved(rest, "at rest", 0, 0)
-        q, C = untranslated(q, C)  # the same program
+        moved, part = untranslated(q, C)  # the same program
+        return _without(M, climbed(program, moved, part), q, C)
+
+    def enough(relative: float, rung: Solver, C: ConvexSet) -> bool:
+        """Whether tol is met: a solver is refined for a small program that no polish made exact."""
+        if not relative <= tol:
+            return False
+        return relative <= ACCURATE or rung.refined() is None or not NEWTON.treats(C)
+
+    def climbed(program: VelocityProgram, q: np.ndarray, C: ConvexSet) -> Solved:
+        """The best answer of the ladder."""
         nothing = Velocity(np.zeros_like(q), np.inf, np.inf)
         best = Solved(nothing, "none", 0, 0)
         for attempt, rung in enumerate(rungs):
@@ -84,10 +96,9 @@ def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> 
             velocity = judge(program, q, C, answer) if is_finite(answer.z) else nothing
             if not velocity.relative <= tol:
                 del compiled[attempt]  # a workspace that failed is not used again
-            found = Solved(velocity, rung.name, answer.iterations, attempt + 1)
-            if found.velocity.relative < best.velocity.relative:
-                best = found
-            if best.velocity.relative <= tol:
+            if velocity.relative < best.velocity.relative:
+                best = Solved(velocity, rung.name, answer.iterations, attempt + 1)
+            if enough(best.velocity.relative, rung, C):
                 break
         if best.velocity.relative <= min(tol, ACCURATE):
             return best._replace(attempts=attempt + 1)
@@ -100,6 +111,16 @@ def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> 
         return best._replace(attempts=attempt + 1)
 
     return solve
+
+
+def _without(M: Factor, found: Solved, q: np.ndarray, C: ConvexSet) -> Solved:
+    """What is found for q - c, rounded, as the answer for q and C = c + S."""
+    z, certificate, relative = found.velocity
+    if M.is_sharp or not isinstance(C, Translation) or not 0 < relative < math.inf:
+        return found
+    lost = M.dual_norm_bound(sum_error(q, -C.v, q - C.v))
+    velocity = Velocity(z, certificate + lost, relative * (1 + lost / certificate))
+    return found._replace(velocity=velocity)
 
 
 def ladder(solvers: Sequence[Solver]) -> list[Solver]:

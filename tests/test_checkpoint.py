@@ -526,3 +526,42 @@ def test_a_load_that_differs_between_the_times_that_are_compared_is_another_prob
     grid = np.linspace(0.0, 1.0, 10_001)
     one, other = (fingerprint(process(spike), grid) for spike in (1.0, 1e6))
     assert one["C(t)"] != other["C(t)"]
+
+
+@pytest.mark.parametrize("name", ["run.npz", "run.npz.previous"])
+def test_a_file_that_cannot_be_read_is_named(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, process = tmp_path / "run.npz", body()
+    so.solve(process, t_end=1.0, steps=12, checkpoint=so.Checkpoint(path, steps=3))
+    if name != path.name:
+        path.write_bytes(b"damaged")
+    plain = Path.open
+
+    def refusing(file: Path, *how: Any, **more: Any) -> Any:
+        if file.name == name:
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return plain(file, *how, **more)
+
+    monkeypatch.setattr(Path, "open", refusing)
+    with pytest.raises(so.InputError, match=f"{name} cannot be read .Permission denied"):
+        so.resume(path, process)
+    if name != path.name:
+        path.unlink()
+        with pytest.raises(so.InputError, match=f"{name} cannot be read .Permission denied"):
+            so.resume(path, process)
+    with pytest.raises(so.InputError, match=f"{name} cannot be read .Permission denied"):
+        so.solve(process, t_end=1.0, steps=12, checkpoint=path)
+
+
+def test_a_folder_that_refuses_is_told_of_as_an_error_of_ours(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, process = tmp_path / "run.npz", body()
+
+    def refuse(*_: Any, **__: Any) -> Any:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    with pytest.raises(so.CheckpointError, match=r"run.npz cannot be replaced .Permission denied"):
+        so.solve(process, t_end=1.0, steps=12, checkpoint=path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import numpy as np
 import pytest
@@ -239,9 +240,25 @@ def test_steps_that_grow_by_little_each_keep_their_own_size_at_large_times() -> 
     assert np.unique(equal).size == 1
 
 
+def overshoots(process: so.SweepingProcess, **how: Any) -> tuple[so.Solution, list[str]]:
+    """A run, and what it says of stability."""
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        sol = so.solve(process, **how)
+    return sol, [str(w.message) for w in seen if w.category is so.StabilityWarning]
+
+
+def far_outside() -> so.SweepingProcess:
+    """It should rise from -1 to -0.1 and stick there."""
+    return so.SweepingProcess([[1.0]], [[1.0]], so.Box([-0.1], [2.0]), u0=[-1.0])
+
+
 @pytest.mark.parametrize(
     ("scheme", "mu", "reached"),
     [
+        ("midpoint", 2.1, -0.078),
+        ("midpoint", 20, 0.636),
+        ("midpoint", 1e6, 0.8),
         ("trapezoid", 3.9, 0.755),
         ("trapezoid", 20, 2.55),
         ("sdirk2", 19.9, 0.855),
@@ -249,36 +266,89 @@ def test_steps_that_grow_by_little_each_keep_their_own_size_at_large_times() -> 
     ],
 )
 def test_a_step_that_overshoots_is_warned_of(scheme: str, mu: float, reached: float) -> None:
-    # it should rise from -1 to -0.1 and stick there
-    process = so.SweepingProcess([[1.0]], [[1.0]], so.Box([-0.1], [2.0]), u0=[-1.0])
-
-    def run(scheme: str, on_unstable: str = "raise") -> tuple[float, list[str]]:
-        with warnings.catch_warnings(record=True) as seen:
-            warnings.simplefilter("always")
-            sol = so.solve(process, t_end=mu, steps=1, scheme=scheme, on_unstable=on_unstable)
-        said = [str(w.message) for w in seen if w.category is so.StabilityWarning]
-        return sol.u[-1, 0], said
-
-    end, said = run(scheme)
-    assert end == pytest.approx(reached, abs=0.01)
+    how: dict[str, Any] = {"t_end": mu, "steps": 1}
+    sol, said = overshoots(far_outside(), scheme=scheme, **how)
+    assert sol.u[-1, 0] == pytest.approx(reached, abs=0.01)
     assert len(said) == 1
     assert f"{scheme!r} may have overshot into a wrong stuck state" in said[0]
     assert "in the step from t = 0:" in said[0]
-    assert not run(scheme, "ignore")[1]
-    end, said = run("implicit-euler")
-    assert -1 <= end <= -0.1
+    assert not overshoots(far_outside(), scheme=scheme, on_unstable="ignore", **how)[1]
+    sol, said = overshoots(far_outside(), scheme="implicit-euler", **how)
+    assert -1 <= sol.u[-1, 0] <= -0.1
     assert not said
+
+
+@pytest.mark.parametrize("path", ["full", "eliminated", "proportional"])
+def test_every_path_tells_of_an_overshoot(path: str) -> None:
+    A = np.array([[3.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])
+    C = so.image(np.eye(3)[:, :1], so.Box([-0.1], [2.0]))
+    process = so.SweepingProcess(A, A, C, u0=[-1.0, 0.0, 0.0])
+    assert overshoots(process, t_end=40.0, steps=2, path=path)[1]
+    assert not overshoots(process, t_end=4.0, steps=4, path=path)[1]
+
+
+@pytest.mark.parametrize("scheme", ["midpoint", "trapezoid", "sdirk2"])
+def test_no_overshoot_is_seen_where_a_load_carries_the_body(scheme: str) -> None:
+    # steps that are far too long for these cases, mu Lam > 2, and bodies that are stiffer still
+    for name in ("S01", "S02", "S03", "S04", "V05", "P09", "P10", "L13"):
+        this = case(name)
+        for n in np.unique(np.linspace(2, this.t_end * this.process.Lam / 2, 6).astype(int)):
+            assert not overshoots(this.process, t_end=this.t_end, steps=n, scheme=scheme)[1]
+    held = so.Table([0, 1.013, 2, 3.507, 6, 10], [0, 2, 2, -2, -2, -2])
+    for load in (so.Sine(3.0, 4.0), so.Triangle(3.0, 4.0), held):
+        for viscosity in (0.1, 1e-8):
+            C = so.Moving(so.Box([-1], [1]), so.Separable([(load, [1.0])]))
+            process = so.SweepingProcess([[viscosity]], [[1.0]], C, [0.0])
+            for n in (17, 101):
+                assert not overshoots(process, t_end=10.0, steps=n, scheme=scheme)[1]
+
+
+@pytest.mark.parametrize("scheme", ["midpoint", "trapezoid", "sdirk2"])
+@pytest.mark.parametrize("jump", [2.45, 2.5, 2.55])
+def test_a_load_that_jumps_lets_stiff_bodies_overshoot(scheme: str, jump: float) -> None:
+    C = so.Moving(so.Box([-1], [1]), lambda t: [3.0 * (t >= jump)])
+    process = so.SweepingProcess([[0.01]], [[1.0]], C, [0.0])
+    sol, said = overshoots(process, t_end=10.0, steps=100, scheme=scheme)
+    assert sol.u[-1, 0] > 2.3  # it should rest at 2
+    assert len(said) == 1
+    sol, said = overshoots(process, t_end=10.0, steps=100, scheme="implicit-euler")
+    assert sol.u[-1, 0] == pytest.approx(2.0)
+    assert not said
+    # short steps overshoot no more
+    sol, said = overshoots(process, t_end=10.0, steps=1000, scheme=scheme)
+    assert sol.u[-1, 0] == pytest.approx(2.0, abs=1e-4)
+    assert not said
+
+
+def test_bodies_that_start_far_outside_of_their_set_and_overshoot_are_told_of() -> None:
+    random, seen = np.random.default_rng(0), 0
+    for _ in range(25):
+        n = int(random.integers(1, 6))
+        roots = random.normal(size=(2, n, n))
+        A, B = (root @ root.T + 0.1 * np.eye(n) for root in roots)
+        u0 = 3 * random.normal(size=n)
+        process = so.SweepingProcess(A, B, so.Box(-0.2 * np.ones(n), 0.2 * np.ones(n)), u0)
+        mu = 3 * 10 ** random.uniform(-1, 2) / process.Lam
+        sol, said = overshoots(process, t_end=5 * mu, steps=5)
+        right = overshoots(process, t_end=5 * mu, steps=80, scheme="implicit-euler")[0].u[-1]
+        size = np.sqrt((right - u0) @ B @ (right - u0))
+        error = np.sqrt((sol.u[-1] - right) @ B @ (sol.u[-1] - right)) / size
+        seen += error > 0.2
+        assert said or error <= 0.2, (mu * process.Lam, error)
+        assert mu * process.Lam > 2 or not said
+    assert seen > 5
 
 
 def test_a_stiff_body_that_slides_steadily_is_not_said_to_overshoot() -> None:
     C = so.Moving(so.Box([-1.0], [1.0]), center=lambda t: [2.0 + 50 * t])
     process = so.SweepingProcess([[1.0]], [[50.0]], C, u0=[0.02])
-    sol = so.solve(process, t_end=20.0, steps=20, scheme="sdirk2")
-    assert sol.u[-1, 0] == pytest.approx(20.0, abs=0.1)
+    for scheme in ("midpoint", "trapezoid", "sdirk2"):
+        sol = so.solve(process, t_end=20.0, steps=20, scheme=scheme)
+        assert sol.u[-1, 0] == pytest.approx(20.0, abs=0.1)
 
 
 @pytest.mark.parametrize("scheme", ["implicit-euler", "midpoint"])
-@pytest.mark.parametrize("mu", [1e-10, 1e-4, 0.1, 1.0, 30.0, 1e6])
+@pytest.mark.parametrize("mu", [1e-10, 1e-7, 1e-4, 0.1, 1.0, 30.0, 1e3, 1e6])
 def test_without_a_load_the_energy_never_grows(scheme: str, mu: float) -> None:
     random = np.random.default_rng(3)
     roots = random.normal(size=(2, 3, 3))
@@ -286,8 +356,8 @@ def test_without_a_load_the_energy_never_grows(scheme: str, mu: float) -> None:
     process = so.SweepingProcess(
         A, B, so.Box(-0.2 * np.ones(3), 0.2 * np.ones(3)), [1.0, -2.0, 3.0]
     )
-    with pytest.warns(so.InitialStateWarning):
-        sol = so.solve(process, t_end=40 * mu, steps=40, scheme=scheme)
+    sol, said = overshoots(process, t_end=40 * mu, steps=40, scheme=scheme)
+    assert bool(said) == (scheme == "midpoint" and mu * process.Lam > 2)
     energy = np.array([0.5 * u @ B @ u for u in sol.u])
     assert energy[0] > energy[-1]
     assert (np.diff(energy) <= 1e-14 * energy[0]).all()

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip("skfem")
 
+import fuzz_bodies as bodies
 import fuzz_files as files
 import fuzz_runs as runs
 from fuzz_inputs import ANYTHING, ODD_NUMBERS, history, made, rarely, vector
@@ -49,12 +50,13 @@ def on_file(ask: Ask) -> Ask:
 
 # name: (inputs of 500, what is drawn, what is asked of it)
 TARGETS: dict[str, tuple[int, Any, Ask]] = {
-    "sets": (110, POINTS, lambda _, *drawn: runs.ask_set(*drawn)),
+    "sets": (90, POINTS, lambda _, *drawn: runs.ask_set(*drawn)),
     "histories": (40, st.tuples(history(), TIMES, TIMES), lambda _, *d: runs.ask_history(*d)),
     "problems": (40, st.tuples(runs.problem(), GRID), lambda _, *d: runs.ask_problem(*d)),
     "runs": (80, RUN, lambda _, *drawn: runs.ask_run(*drawn)),
     "solutions": (30, LATER, lambda _, *drawn: runs.ask_run(*drawn)),
     "adaptive": (10, ADAPTIVE, lambda _, *drawn: runs.ask_run(*drawn)),
+    "bodies": (20, bodies.bodies(), lambda _, *drawn: bodies.ask_body(*drawn)),
     "fields": (20, runs.fields(), lambda _, *drawn: runs.ask_field(*drawn)),
     "scenes": (40, st.tuples(files.SCENES, FILE), on_file(files.ask_scene)),
     "studies": (20, st.tuples(files.STUDIES, FILE), on_file(files.ask_study)),

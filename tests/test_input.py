@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -10,6 +13,7 @@ import pytest
 import scipy.sparse as sp
 
 import sweepopt as so
+from sweepopt.alone import silence
 
 EYE = np.eye(2)
 BOX = so.Box([-1, -1], [1, 1])
@@ -158,6 +162,7 @@ CASES: list[tuple[str, Callable[[], Any], str]] = [
     ("no number times a set", lambda: (BOX + [1, 1]).support(["a", 1]), r"z must be an array"),
     ("interpolate beyond floats", lambda: run()(10**400), r"t must be a time"),
     ("history at nan", lambda: so.Sine(1, 1)(np.nan), r"t is nan; give finite times"),
+    ("terms without an axis", lambda: so.Separable(np.array("x")), r"terms must hold one pair"),
     ("history beyond floats", lambda: so.Constant(1)(10**400), r"t must be a time"),
     ("history of complex times", lambda: so.Constant(1)(np.array([1j])), r"t must be a time"),
     ("period too small", lambda: so.Sine(1, 5e-324), r"period is .*, below 1e-75"),
@@ -178,3 +183,53 @@ def test_bad_input_is_refused_by_name(call: Callable[[], Any], message: str) -> 
 def test_a_solver_of_cvxpy_is_a_name() -> None:
     with pytest.raises(so.InputError, match="the name of a solver"):
         so.Cvxpy(5)  # type: ignore[arg-type]
+
+
+def block() -> so.SweepingProcess:
+    C = so.Moving(so.Box([-1], [1]), center=lambda t: [3 * t])
+    return so.SweepingProcess([[1.0]], [[1.0]], C, [0.0])
+
+
+def test_what_a_callback_returns_is_a_yes_or_a_no() -> None:
+    for wrong in (np.zeros(2), np.ones(3)):
+        with pytest.raises(so.InputError, match="callback must return True to stop"):
+            so.solve(block(), t_end=1.0, steps=4, callback=lambda _, wrong=wrong: wrong)
+    for right in (None, False, np.False_, 0, np.zeros(1)):
+        sol = so.solve(block(), t_end=1.0, steps=4, callback=lambda _, right=right: right)
+        assert sol.status is so.Status.SUCCESS
+    for stop in (True, np.True_, 1):
+        sol = so.solve(block(), t_end=1.0, steps=4, callback=lambda _, stop=stop: stop)
+        assert sol.status is so.Status.STOPPED
+        assert len(sol.stats) == 1
+
+
+@pytest.mark.parametrize("lacks", ["name", "treats", "compile", "refined"])
+def test_an_object_that_lacks_a_part_of_a_solver_is_refused(lacks: str) -> None:
+    class Half:
+        pass
+
+    for name in {"name", "treats", "compile", "refined"} - {lacks}:
+        setattr(Half, name, lambda *_: None)
+    with pytest.raises(so.SolverRefusedError, match=f"it has no {lacks}"):
+        so.solve(block(), t_end=1.0, steps=4, solver=Half())
+
+
+class Bare:
+    """The least that `print` and contextlib.redirect_stdout ask of a stream."""
+
+    def write(self, text: str) -> int:
+        return len(text)
+
+
+@pytest.mark.parametrize("stream", [Bare(), io.StringIO(), None], ids=["bare", "text", "none"])
+@pytest.mark.parametrize("solver", ["osqp", "cvxpy"])
+def test_output_may_be_redirected_to_anything(stream: Any, solver: str) -> None:
+    with contextlib.redirect_stdout(stream):
+        assert so.solve(block(), t_end=1.0, steps=4, solver=solver).success
+        with silence():
+            print("of no interest", flush=True)
+            assert not sys.stdout.isatty()
+            with pytest.raises(OSError, match="fileno"):
+                sys.stdout.fileno()
+        assert sys.stdout is stream
+    assert stream is None or isinstance(stream, Bare) or not stream.getvalue()

@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parent.parent / "sweepopt"
 # a module may import from its own level (inside one package) and from levels below
 LEVELS = [
     {"errors", "files"},
-    {"alone", "archive", "checks", "grids", "records", "texts", "versions"},
+    {"alone", "archive", "checks", "grids", "records", "statistics", "texts", "versions"},
     {"csvtable"},
     {"precise"},
     {"linalg", "loads", "secular"},
@@ -27,9 +27,11 @@ LEVELS = [
     {"polish"},
     {"velocity"},
     {"plan"},
+    {"unrounded"},
     {"field", "motion", "solution"},
     {"norms"},
     {"stepping", "watch"},
+    {"overshoot"},
     {"march"},
     {"exact"},
     {"adaptive", "lifting", "defects", "refinement"},

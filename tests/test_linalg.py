@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.sparse as sp
+import scipy.sparse.linalg as spla
 
 from sweepopt.errors import InputError
-from sweepopt.linalg import Elimination, Factor, is_semidefinite
+from sweepopt.linalg import Elimination, Factor, is_semidefinite, largest_ratio
 
 
 def laplacian(n: int) -> np.ndarray:
@@ -75,3 +77,43 @@ def test_indefinite_and_singular_matrices_are_refused(convert: type) -> None:
     assert not is_semidefinite(convert(neumann - 1e-6 * np.eye(n)))
     assert is_semidefinite(convert(np.diag([1e-12, 0.0, 1e12])))
     assert not is_semidefinite(convert(np.array([[0.0, 1.0], [1.0, 5.0]])))
+
+
+def missed(n: int = 200) -> tuple[sp.csc_array, float]:
+    """A matrix whose largest eigenvector no Lanczos iteration from the usual start ever meets."""
+    start = np.random.default_rng(0).normal(size=n)
+    # within the first entries the rest is a multiple of 1: powers of it turn no start into v
+    rest = np.append(np.full(60, 0.5), np.linspace(0.0, 1.0, n - 60))
+    rest[-1] = 2.0
+    v = np.random.default_rng(5).normal(size=60)
+    v -= start[:60] * (v @ start[:60]) / (start[:60] @ start[:60])
+    v = np.append(v / np.linalg.norm(v), np.zeros(n - 60))
+    return sp.csc_array(np.diag(rest) + 2.0 * np.outer(v, v)), 2.5
+
+
+def test_the_largest_ratio_is_never_below_the_eigenvalue() -> None:
+    B, exact = missed()
+    A = Factor(sp.csc_array(np.diag(np.ones(200))))
+    found = spla.eigsh(
+        B, k=1, v0=np.random.default_rng(0).normal(size=200), tol=1e-4, return_eigenvectors=False
+    )
+    assert found[0] == pytest.approx(2.0)  # what there is to see from that start
+    assert exact <= largest_ratio(A, B) <= 2.0 * exact
+    root = sp.csc_array(laplacian(200))
+    scaled = sp.csc_array(root @ B @ root.T)
+    assert exact <= largest_ratio(Factor(sp.csc_array(root @ root.T)), scaled) <= 2.0 * exact
+
+
+@pytest.mark.parametrize("n", [1, 3, 30, 80, 200])
+@pytest.mark.parametrize("convert", [np.asarray, sp.csc_array])
+def test_the_largest_ratio_is_just_above_the_eigenvalue(n: int, convert: type) -> None:
+    random = np.random.default_rng(n)
+    tridiagonal = laplacian(n) * np.outer(*2 * [10.0 ** random.uniform(-3, 3, n)])
+    for B in (2.0 * tridiagonal, np.diag(random.uniform(0, 1, n)), np.diag([3.0] + (n - 1) * [0])):
+        for A in (tridiagonal, np.diag(random.uniform(1, 2, n)), laplacian(n)):
+            exact = scipy.linalg.eigh(B, A, eigvals_only=True)[-1]
+            found = largest_ratio(Factor(convert(A)), convert(B))
+            assert exact * (1 - 1e-12) <= found <= 1.0021 * exact, (exact, found)
+    diagonals = np.diag(random.uniform(1, 2, n)), np.diag(random.uniform(0, 1, n))
+    exact = max(diagonals[1].diagonal() / diagonals[0].diagonal())
+    assert largest_ratio(Factor(convert(diagonals[0])), convert(diagonals[1])) == exact

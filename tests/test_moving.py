@@ -204,6 +204,13 @@ MALFORMED: dict[str, tuple[Any, str]] = {
         lambda: so.Moving(BALL, scale=lambda t: 1 - t).at(3.0),
         r"scale\(t\) at t = 3 must be >= 0, got -2",
     ),
+    "C at a word": (lambda: so.Moving(BALL, lambda t: [t, t]).at("x"), "t must be one number"),
+    "C that rests at a word": (lambda: so.Moving(BALL).at("x"), "t must be one number"),
+    "any C at a word": (lambda: FAMILIES["any"].at("x"), "t must be one number"),
+    "C at no time": (lambda: FAMILIES["any"].at(None), "t is nan"),
+    "C at inf": (lambda: so.Moving(BALL, lambda t: [t, t]).at(np.inf), "t is inf"),
+    "a center at a word": (lambda: so.Moving(BALL, lambda t: [t, t]).center_at("x"), "t must be"),
+    "a scale at a word": (lambda: so.Moving(BALL, scale=lambda t: t).scale_at("x"), "t must be"),
     "scale(t) of nothing": (
         lambda: so.Moving(BALL, scale=lambda t: None).at(3.0),
         r"scale\(t\) at t = 3",

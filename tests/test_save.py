@@ -16,6 +16,7 @@ from test_reduction import CONTACT, SETS, chain, load, process, select
 
 import sweepopt as so
 from sweepopt import blocks
+from sweepopt.states import Keeper
 
 PATHS = ["proportional", "eliminated"]
 
@@ -214,6 +215,36 @@ def test_ctrl_c_in_a_users_function_leaves_a_consistent_solution(path: str, tmp_
         assert sol.t[-1] == whole.t[7]
         assert np.array_equal(sol.u[-1], whole.u[7])
         assert len(sol.velocity) == len(sol.t) - 1
+
+
+@pytest.mark.parametrize("save", [None, "last", 3, 7, [0.35, 1.0]], ids=str)
+@pytest.mark.parametrize("step", [0, 5, 6, 7, 79])
+@pytest.mark.parametrize("late", [False, True])
+def test_ctrl_c_between_a_step_and_its_count_leaves_a_consistent_solution(
+    step: int, save: Any, late: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    whole, file, put = run("eliminated"), tmp_path / "run.npz", Keeper.put
+
+    def interrupted(keeper: Keeper, i: int, u: np.ndarray, z: np.ndarray) -> None:
+        if i < step or late:
+            put(keeper, i, u, z)
+        if i == step:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Keeper, "put", interrupted)
+    where = so.Checkpoint(file, steps=3)
+    sol = run("eliminated", save=save, checkpoint=where)
+    monkeypatch.undo()
+    assert sol.status is so.Status.INTERRUPTED
+    assert len(sol.stats) == step
+    assert sol.t[-1] == whole.t[step]
+    assert sol.u[-1] == pytest.approx(whole.u[step], abs=1e-12)
+    assert len(sol.velocity) == len(sol.t) - 1 == len(sol.steps)
+    found = so.resume(file, process(u0=np.zeros(40)))
+    expected = run("eliminated", save=save, checkpoint=so.Checkpoint(tmp_path / "a", steps=3))
+    assert found.u.tobytes() == expected.u.tobytes()
+    assert found.t.tobytes() == expected.t.tobytes()
+    assert found.velocity.tobytes() == expected.velocity.tobytes()
 
 
 def test_the_first_instant_of_a_thinned_run_has_no_velocity_to_judge() -> None:

@@ -13,11 +13,12 @@ from sweepopt.errors import InputError, Status, shown
 from sweepopt.exact.rows import Rows, rows_of
 from sweepopt.exact.trajectory import Phase, Trajectory, integrate
 from sweepopt.linalg import Factor
-from sweepopt.march import Log, Look, Marks, Prove, Run, march
+from sweepopt.march import Look, Marks, Prove, Run, march
 from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.program import Velocity, VelocityProgram, rate
 from sweepopt.states import Keeper
+from sweepopt.statistics import Log
 from sweepopt.stepping import Summary
 
 FLOOR = 0.01

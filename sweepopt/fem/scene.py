@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -133,10 +133,12 @@ def antiplane(
     >>> scene.left_out
     ('no elasticity: B is not formed', 'no load: f = 0')
     """
-    if not isinstance(effects, Iterable):
+    try:
+        effects = list(effects)
+    except TypeError:
         raise InputError(
             f"effects must be a list of effects such as [Viscosity(1.0)], got {shown(effects)}"
-        )
+        ) from None
     if t_end is not None:
         t_end = number("t_end", t_end, minimum=0.0, strict=True)
     labelled = {f"effects[{k}]": effect for k, effect in enumerate(effects)}

@@ -11,7 +11,7 @@ from sweepopt.errors import InputError
 from sweepopt.sets.algebra import Product
 from sweepopt.sets.base import ConvexSet, Features, Witness
 from sweepopt.sets.constraints import Constraints
-from sweepopt.sets.image import Image, gathered
+from sweepopt.sets.image import Image, gathered, with_own_columns
 from sweepopt.sets.moving import Moving, MovingOffsets, MovingSet
 from sweepopt.sets.polyhedra import HalfSpace, Polyhedron, Polytope
 from sweepopt.sets.shapes import (
@@ -63,6 +63,7 @@ def image(M: Any, C: Any) -> Any:
         raise InputError(f"image(M, C): C must be a set, got {type(C).__name__}")
     M = matrix("M", M)
     if isinstance(C, Box) and C.dim == M.shape[1]:
+        M, C = with_own_columns(M, C)
         M, C = gathered(M, C) or (M, C)
     found = Image(M, C)
     if isinstance(C, Point):

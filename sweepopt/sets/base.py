@@ -15,6 +15,7 @@ and through the projection on C. Two facts make one small contract enough:
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -80,7 +81,10 @@ class ConvexSet(ABC):
     """A non-empty closed convex set C in R^dim.
 
     A new shape gives `support`, `project`, `offsets` and `features`, also `same_cone` if matrices
-    are part of it and `normal` if it is unbounded; the laws in tests/laws.py then test it.
+    are part of it, `normal` if it is unbounded and `derivative` so that Newton's method solves its
+    programs to rounding; the laws in tests/laws.py then test it. Offsets and what `features` states
+    are in the set's own units: where data of several kinds meet, powers of two (`binary`) of their
+    sizes are divided out, so that a solver gets the same bits whatever forces are measured in.
 
     Attributes
     ----------
@@ -342,6 +346,20 @@ class ConvexSet(ABC):
 
     __radd__ = __add__
     __mul__ = __rmul__
+
+
+def binary(size: float) -> float:
+    """The power of two below a size, 1 for none: to divide by it rounds nothing.
+
+    In units that are such powers of the data the numbers are the same, to the last bit, whatever
+    powers of two forces and lengths are multiplied by.
+
+    Examples
+    --------
+    >>> binary(5.0), binary(0.0)
+    (4.0, 1.0)
+    """
+    return math.ldexp(0.5, math.frexp(size)[1]) if size else 1.0
 
 
 def same_array(a: Any, b: Any) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from sweepopt.alone import in_turn
 from sweepopt.checks import vector
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
-from sweepopt.sets.base import ConvexSet, Features
+from sweepopt.sets.base import ConvexSet, Features, binary
 from sweepopt.sets.iteration import solve_in_own_units
 from sweepopt.sets.shapes import dimension
 
@@ -25,7 +25,9 @@ class Constraints(ConvexSet):
     with the status "uncertified".
 
     Its programs are solved in units of the largest constant of the constraints and of w, and are
-    as accurate as that: write cp.norm(w) <= r, not cp.sum_squares(w) <= r**2, for a small r.
+    as accurate as that: write cp.norm(w) <= r, not cp.sum_squares(w) <= r**2, for a small r. In the
+    program of a velocity cvxpy hides these units from the solver, so that other than for all other
+    sets they matter: measure forces in units in which C is of the size 1.
 
     Parameters
     ----------
@@ -83,7 +85,7 @@ class Constraints(ConvexSet):
         direction = np.cos(np.arange(self.dim) + 1.0)
         heights = np.abs([self.support(direction), self.support(-direction)])
         known = heights[np.isfinite(heights) & (heights > 0)]
-        return np.array([known.max() if known.size else 1.0])
+        return np.array([binary(known.max(initial=0.0))])
 
     @in_turn
     def support(self, z: np.ndarray) -> float:

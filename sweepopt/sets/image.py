@@ -17,10 +17,12 @@ from sweepopt.sets.base import (
     Features,
     Selection,
     Witness,
+    binary,
     require_same_dim,
     same_array,
 )
 from sweepopt.sets.iteration import (
+    DENSE,
     fixed_point,
     project_by_program,
 )
@@ -52,6 +54,8 @@ class Image(ConvexSet):
         self._selected = _selected(self.M)
         # made once: a transpose costs a sparse matrix each time
         self._transposed = self.M.T.tocsr() if sp.issparse(self.M) else self.M.T
+        # programs see a matrix of numbers near 1
+        self._unit = binary(abs(self.M).max())
         self._squares = self._transposed * self._transposed
         gram = self.M.T @ self.M
         gram = gram.toarray() if sp.issparse(gram) and columns <= 2000 else gram
@@ -72,7 +76,7 @@ class Image(ConvexSet):
         self._set_part(part)
 
     def _set_part(self, part: ConvexSet) -> None:
-        self.part, self.offsets = part, part.offsets
+        self.part, self.offsets = part, self._unit * part.offsets
         self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
         separable = isinstance(part, Box) or self._uniform
         self._closed_form = self._orthogonal and self.injective and separable
@@ -160,12 +164,14 @@ class Image(ConvexSet):
         def descend(s: np.ndarray) -> np.ndarray:
             return self.part.project(self._descended(s, w))
 
-        found = fixed_point(descend, s, s)
-        if found is not None:
-            return found
-        if isinstance(self.part, Box):
+        def slope(s: np.ndarray) -> np.ndarray | None:
+            known = self._implicit(self._descended(s, w))
+            return None if known is None else np.eye(s.size) - known[1]
+
+        found = fixed_point(descend, s, s, slope=slope)
+        if found is None and isinstance(self.part, Box):
             return fixed_point(descend, _nearest_in_box(_dense(self.M), self.part, w), s)
-        return fixed_point(descend, self._newton(w, s), s)
+        return found
 
     def _descended(self, s: np.ndarray, w: np.ndarray) -> np.ndarray:
         """The gradient step whose projection leaves s where it is if M s is nearest to w."""
@@ -180,19 +186,12 @@ class Image(ConvexSet):
         gram = _dense(self.M.T @ self.M) / self._square_norm
         return D, np.eye(D.shape[0]) - D + D @ gram
 
-    def _newton(self, w: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """The s with M s nearest to w, by semismooth Newton steps; the start if C has none."""
-        for _ in range(30):
-            x = self._descended(s, w)
-            known = self._implicit(x)
-            if known is None:
-                break
-            s = s + np.linalg.lstsq(known[1], self.part.project(x) - s, rcond=1e-13)[0]
-        return self.part.project(s)
-
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
-        """M ds/dv for the s with M s = P(v), where M is not injective."""
-        if self.injective or self._dual is not None or not self._square_norm:
+        """M ds/dv for the s with M s = P(v); None for a selection, whose part has one."""
+        if self._dual is not None:
+            normal = self._dual.derivative(v)
+            return None if normal is None else np.eye(self.dim) - normal
+        if self._selected is not None or not self._square_norm or self.part.dim > DENSE:
             return None
         s = self._nearest(v)
         known = self._implicit(self._descended(self._solve(v) if s is None else s, v))
@@ -203,7 +202,7 @@ class Image(ConvexSet):
         return _dense(self.M) @ np.linalg.lstsq(jacobian, pulled, rcond=1e-13)[0]
 
     def features(self, p: cp.Expression) -> Features:
-        return self.part.features(self.M.T @ p)
+        return self.part.features((self._transposed / self._unit) @ p)
 
     def within(self, center: np.ndarray, reach: np.ndarray) -> Image:
         if self._selected is None:
@@ -220,7 +219,7 @@ class Image(ConvexSet):
             return self._witness_of_nearest(w + float(np.mean(tau)) * p, float(np.mean(tau)))
         inner = self._pull(p)
         weights = (self._squares @ tau) / self._diagonal**2  # tau in the units of s
-        found = self.part.witness(inner, self._solve(w), weights, y)
+        found = self.part.witness(inner, self._solve(w), weights, self._unit * y)
         assert found is not None  # the part is certifiable
         return Witness(self._lifted(p, found.p), self._push(found.w), found.gap)
 
@@ -302,6 +301,17 @@ def _selected(M: Matrix) -> np.ndarray | None:
         return None
     distinct = np.unique(entries.col).size == np.unique(entries.row).size == entries.nnz
     return rows if distinct else None
+
+
+def with_own_columns(M: Matrix, box: Box) -> tuple[Matrix, Box]:
+    """The same set with columns of numbers near 1: their units, powers of two, go to the box."""
+    largest = abs(M).max(axis=0)
+    largest = largest.toarray() if sp.issparse(M) else largest
+    units = np.array([binary(column) for column in largest])
+    if (units == 1).all():
+        return M, box
+    columns = M @ sp.diags_array(1 / units, format="csc") if sp.issparse(M) else M / units
+    return columns, Box(units * box.lower, units * box.upper)
 
 
 def gathered(M: Any, box: Box) -> tuple[Matrix, Box] | None:

@@ -5,19 +5,23 @@ from __future__ import annotations
 import contextlib
 import warnings
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from sweepopt.alone import in_turn
 from sweepopt.errors import EmptySetError, SweepoptError
-from sweepopt.sets.base import ROUNDING, ConvexSet
+from sweepopt.sets.base import ROUNDING, ConvexSet, binary
 
 if TYPE_CHECKING:
     import cvxpy as cp
 
 TIGHT: dict[str, float] = {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12}
 SWEEPS = 500  # alternating projections before a program takes over
+FEW = (10, 40, 160)  # of them, before Newton's method tries to finish
+CONFIRMING = 5  # and after it
+NEWTON_STEPS = 30
+DENSE = 300  # unknowns up to which a step of it is cheap
 MEMORY = 10  # steps that Anderson's acceleration looks back
 RUNAWAY = 1e3  # the longest step of it, in units of the data
 
@@ -27,14 +31,16 @@ def support_by_program(C: ConvexSet, z: np.ndarray) -> float:
     """sigma(C, z) from its epigraph, for sets without a closed form; infeasible means +inf."""
     import cvxpy as cp
 
-    value, constraints = C.epigraph(cp.Constant(z))
+    y, constraints = C.features(cp.Constant(z))
+    unit = binary(np.abs(C.offsets).max(initial=0.0))
+    value = (C.offsets / unit) @ cp.hstack(y) if y else cp.Constant(0.0)
     problem = cp.Problem(cp.Minimize(value), constraints)
     solve_tightly(problem)
     if problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE):
         return float("inf")
     if problem.value is None or not np.isfinite(problem.value):
         raise EmptySetError(f"{type(C).__name__} has no point: its support function is not finite")
-    return float(problem.value)
+    return unit * float(problem.value)
 
 
 def project_by_program(C: ConvexSet, w: np.ndarray) -> np.ndarray:
@@ -56,7 +62,7 @@ def normal_by_program(C: ConvexSet, w: np.ndarray) -> tuple[np.ndarray, np.ndarr
     features, constraints = C.features(p)
     y = cp.hstack(features) if features else cp.Constant(np.zeros(1))
     offsets = C.offsets if features else np.zeros(1)
-    size = float(max(np.abs(w).max(initial=0.0), np.abs(C.offsets).max(initial=0.0))) or 1.0
+    size = binary(max(np.abs(w).max(initial=0.0), np.abs(C.offsets).max(initial=0.0)))
 
     def solve(unit: float) -> tuple[np.ndarray, np.ndarray]:
         objective = 0.5 * cp.sum_squares(p) + (offsets @ y - w @ p) / unit
@@ -71,7 +77,7 @@ def normal_by_program(C: ConvexSet, w: np.ndarray) -> tuple[np.ndarray, np.ndarr
     if distance < 0.01 * size:
         # a failure at this scale says nothing about the set
         with contextlib.suppress(SweepoptError):
-            found = solve(max(distance, 1e-6 * size))
+            found = solve(binary(max(distance, 1e-6 * size)))
     return found
 
 
@@ -102,7 +108,7 @@ def solve_in_own_units(problem: cp.Problem) -> float:
 
     with _clarabel_failures_named():
         data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts=dict(TIGHT))
-        unit = float(np.abs(data["b"]).max(initial=0.0)) or 1.0
+        unit = binary(np.abs(data["b"]).max(initial=0.0))
         data["b"] = data["b"] / unit
         problem.unpack_results(
             chain.solve_via_data(problem, data, solver_opts=TIGHT), chain, inverse
@@ -122,16 +128,27 @@ def _clarabel_failures_named() -> Iterator[None]:
             raise SweepoptError(f"Clarabel failed on a side program: {error}") from error
 
 
+Step = Callable[[np.ndarray], np.ndarray]
+
+
+class _Reached(NamedTuple):
+    """Where sweeps ended, and whether that is a fixed point to rounding."""
+
+    x: np.ndarray
+    fixed: bool
+
+
 def fixed_point(
-    step: Callable[[np.ndarray], np.ndarray],
+    step: Step,
     x: np.ndarray,
     like: np.ndarray,
     sweeps: int = SWEEPS,
+    slope: Callable[[np.ndarray], np.ndarray | None] | None = None,
 ) -> np.ndarray | None:
     """x = step(x) to rounding for a nonexpansive step; None if so many sweeps do not suffice.
 
-    Anderson's acceleration (Walker and Ni, SIAM J. Numer. Anal. 49, 2011), with the plain
-    iteration, whose residual never grows, as the safeguard of Zhang, O'Donoghue and Boyd (2020).
+    Sweeps crawl where two sets are nearly tangent. With a `slope`, Newton's method tries to finish
+    when a few plain ones have come to the right faces, and sweeps only confirm what it finds.
 
     Parameters
     ----------
@@ -140,23 +157,68 @@ def fixed_point(
         Start.
     like : ndarray
         Data in the units of x: rounding is relative to the larger of the two.
+    slope : callable
+        x -> a generalised derivative of `step`, shape (dim, dim), or None.
+    """
+    if slope is not None and x.size <= DENSE:
+        start = x
+        for few in (few for few in FEW if few <= sweeps):
+            reached = _sweep(step, start, like, few, memory=0)
+            start = reached.x
+            if not reached.fixed:
+                ahead = _newton(step, slope, start, _size(start, like))
+                reached = _sweep(step, ahead, like, CONFIRMING, memory=0)
+            if reached.fixed:
+                return reached.x
+    reached = _sweep(step, x, like, sweeps, MEMORY)
+    return reached.x if reached.fixed else None
+
+
+def _size(x: np.ndarray, like: np.ndarray) -> float:
+    return float(max(np.abs(like).max(initial=0.0), np.abs(x).max()))
+
+
+def _newton(
+    step: Step, slope: Callable[[np.ndarray], np.ndarray | None], x: np.ndarray, size: float
+) -> np.ndarray:
+    """Semismooth Newton steps on x - step(x) = 0, the shortest ones where many x solve it."""
+    start = x
+    for _ in range(NEWTON_STEPS):
+        D = slope(x)
+        if D is None:
+            break
+        change = np.linalg.lstsq(np.eye(x.size) - D, step(x) - x, rcond=1e-13)[0]
+        x = x + change
+        if np.abs(x).max() > RUNAWAY * size:
+            return start  # nearly parallel faces: what solves x = step(x) there is rounding of x
+        if np.abs(change).max() <= ROUNDING * np.abs(x).max():
+            break
+    return x
+
+
+def _sweep(step: Step, x: np.ndarray, like: np.ndarray, sweeps: int, memory: int) -> _Reached:
+    """Anderson's acceleration (Walker and Ni, SIAM J. Numer. Anal. 49, 2011), with the plain
+    iteration, whose residual never grows, as the safeguard of Zhang, O'Donoghue and Boyd (2020).
+
+    Without memory the plain iteration: slow, but it never leaves the faces that it comes to.
     """
     images: list[np.ndarray] = []
     residuals: list[np.ndarray] = []
-    size = float(max(np.abs(like).max(initial=0.0), np.abs(x).max()))
+    size = _size(x, like)
     for _ in range(sweeps):
         image = step(x)
         residual = image - x
         if np.abs(residual).max() <= ROUNDING * max(size, np.abs(image).max()):
-            return image
+            return _Reached(image, True)
         if residuals and np.linalg.norm(residual) > np.linalg.norm(residuals[-1]):
             x, images, residuals = images[-1], [], []
             continue
-        images, residuals = [*images[-MEMORY:], image], [*residuals[-MEMORY:], residual]
+        old = max(len(images) - memory, 0)
+        images, residuals = [*images[old:], image], [*residuals[old:], residual]
         x = image
         if len(images) > 1:
             mix = np.linalg.lstsq(np.diff(residuals, axis=0).T, residual, rcond=1e-12)[0]
             ahead = image - np.diff(images, axis=0).T @ mix
             # no fixed point: the acceleration runs off, and would hide the residual in its size
             x = ahead if np.abs(ahead).max() <= RUNAWAY * size else image
-    return None
+    return _Reached(x, False)

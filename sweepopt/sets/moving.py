@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import number, vector
+from sweepopt.checks import instant, number, vector
 from sweepopt.errors import InputError
 from sweepopt.loads import Separable, kinks
 from sweepopt.sets import algebra
@@ -62,6 +62,7 @@ class MovingSet:
 
     def at(self, t: float) -> ConvexSet:
         """C(t)."""
+        t = instant("t", t)
         C = self._member(t)
         if C.dim != self.dim:
             raise InputError(f"C(t) at t = {t:g} has dim {C.dim}, not {self.dim}")
@@ -83,7 +84,7 @@ class MovingSet:
         """
         kept: list[tuple[float, ConvexSet]] = []
         last = None
-        for t in times.tolist():
+        for t in map(float, times):  # no list: of many steps it is large
             C = self.at(t)
             if C is not last:
                 C.require_nonempty(f"C(t) at t = {t:g}")
@@ -185,6 +186,7 @@ class Moving(MovingSet):
 
     def center_at(self, t: float) -> np.ndarray:
         """center(t), shape (dim,)."""
+        t = instant("t", t)
         if self.center is None:
             return np.zeros(self.dim)
         value = self.center(t) if callable(self.center) else self.center
@@ -195,6 +197,7 @@ class Moving(MovingSet):
 
     def scale_at(self, t: float) -> float:
         """scale(t)."""
+        t = instant("t", t)
         if self.scale is None:
             return 1.0
         value = self.scale(t) if callable(self.scale) else self.scale
@@ -207,7 +210,7 @@ class Moving(MovingSet):
         if isinstance(self.center, Separable):
             self.center.values(times)
         elif callable(self.center):
-            for t in times.tolist():
+            for t in map(float, times):
                 self.center_at(t)
         first = float(times[0])
         C = self.at(first)
@@ -220,6 +223,7 @@ class Moving(MovingSet):
     def at(self, t: float) -> ConvexSet:
         scaled = self.shape if self.scale is None else algebra.scale(self.scale_at(t), self.shape)
         if self.center is None:
+            instant("t", t)
             return scaled
         if isinstance(scaled, Point):
             return Point(scaled.offsets + self.center_at(t))

@@ -6,7 +6,7 @@ sigma(C & D, z) = min { sigma(C, p) + sigma(D, z - p) }   (and its closure)
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,9 +18,11 @@ from sweepopt.sets.base import (
     ConvexSet,
     Features,
     Witness,
+    binary,
     require_same_dim,
 )
 from sweepopt.sets.iteration import (
+    DENSE,
     SWEEPS,
     fixed_point,
     normal_by_program,
@@ -31,6 +33,27 @@ from sweepopt.sets.iteration import (
 
 if TYPE_CHECKING:
     import cvxpy as cp
+
+
+class _Slopes(NamedTuple):
+    """Derivatives of two maps f and g, for the pair  a = f(v - b),  b = g(v - a)."""
+
+    first: np.ndarray
+    second: np.ndarray
+
+    @property
+    def of_both(self) -> np.ndarray:
+        """d(a + b)/dv, the same for all such pairs."""
+        one = np.eye(len(self.first))
+        mixed, alone = one - self.first @ self.second, self.first @ (one - self.second)
+        a = np.linalg.lstsq(mixed, alone, rcond=1e-13)[0]
+        return self.second + (one - self.second) @ a
+
+
+def _slopes(first: np.ndarray | None, second: np.ndarray | None) -> _Slopes | None:
+    if first is None or second is None:
+        return None
+    return _Slopes(*(np.diag(D) if D.ndim == 1 else D for D in (first, second)))
 
 
 class Sum(ConvexSet):
@@ -68,10 +91,27 @@ class Sum(ConvexSet):
         def sweep(second: np.ndarray) -> np.ndarray:
             return self.second.project(w - self.first.project(w - second))
 
-        # where a part iterates too, the work multiplies, and a program for both is near
-        sweeps = SWEEPS if self.first.exact and self.second.exact else SWEEPS // 10
-        second = fixed_point(sweep, self.second.project(np.zeros(self.dim)), w, sweeps)
+        def slope(second: np.ndarray) -> np.ndarray | None:
+            first = self.first.project(w - second)
+            slopes = self._slopes(w, first, second)
+            return slopes and slopes.second @ slopes.first
+
+        # where a part iterates too, the work and what it rounds multiply, and a program is near
+        nested = not (self.first.exact and self.second.exact)
+        sweeps, rounding = (SWEEPS // 10, 10.0) if nested else (SWEEPS, 1.0)
+        start = self.second.project(np.zeros(self.dim))
+        like = rounding * np.concatenate([w, start, self.first.project(w - start)])
+        second = fixed_point(sweep, start, like, sweeps, slope)
         return None if second is None else (self.first.project(w - second), second)
+
+    def _slopes(self, w: np.ndarray, first: np.ndarray, second: np.ndarray) -> _Slopes | None:
+        return _slopes(self.first.derivative(w - second), self.second.derivative(w - first))
+
+    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        """That of a + b for a = P_C(v - b), b = P_D(v - a)."""
+        parts = None if self.dim > DENSE else self._nearest(v)
+        slopes = None if parts is None else self._slopes(v, *parts)
+        return slopes and slopes.of_both
 
     def features(self, p: cp.Expression) -> Features:
         y, constraints = self.first.features(p)
@@ -193,8 +233,24 @@ class Intersection(ConvexSet):
         def sweep(one: np.ndarray) -> np.ndarray:
             return self.first.normal(v - self.second.normal(v - one))
 
-        found = fixed_point(sweep, one, v)
+        def slope(one: np.ndarray) -> np.ndarray | None:
+            slopes = self._slopes(v, one, self.second.normal(v - one))
+            return slopes and slopes.first @ slopes.second
+
+        nested = not (self.first.exact and self.second.exact)  # as in a sum
+        found = fixed_point(sweep, one, v, SWEEPS // 10 if nested else SWEEPS, slope)
         return None if found is None else (found, self.second.normal(v - found))
+
+    def _slopes(self, v: np.ndarray, one: np.ndarray, two: np.ndarray) -> _Slopes | None:
+        """Those of the normals: I - derivative of the projection."""
+        found = _slopes(self.first.derivative(v - two), self.second.derivative(v - one))
+        return found and _Slopes(*(np.eye(self.dim) - D for D in found))
+
+    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        """That of v - p_1 - p_2 for normals p_1 of C at v - p_2 and p_2 of D at v - p_1."""
+        split = None if self.dim > DENSE else self._split(v, np.zeros(self.dim))
+        slopes = None if split is None else self._slopes(v, *split)
+        return slopes and np.eye(self.dim) - slopes.of_both
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -238,7 +294,7 @@ class Intersection(ConvexSet):
             nearest = fixed_point(lambda b: self.second.project(self.first.project(b)), b, b)
             b = b if nearest is None else nearest
         a = self.first.project(b)
-        size = max(np.abs(a).max(), np.abs(b).max(), unit)
+        size = binary(max(np.abs(a).max(), np.abs(b).max(), unit))
         if np.abs(a - b).max() <= tol * size:
             return True
         # a plane between the nearest points a and b proves that there is none

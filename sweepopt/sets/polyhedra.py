@@ -18,6 +18,7 @@ from sweepopt.sets.base import (
     ConvexSet,
     Features,
     Witness,
+    binary,
     same_array,
 )
 from sweepopt.sets.iteration import project_by_program
@@ -33,6 +34,23 @@ class _Normal(NamedTuple):
 
     normal: np.ndarray
     active: np.ndarray
+
+
+class _Face:
+    """Independent rows with equality, in the metric of 1 / tau, `units` the root of tau."""
+
+    def __init__(self, rows: np.ndarray, h: np.ndarray, units: np.ndarray) -> None:
+        self.rows, self._h, self._units = rows, h, units
+        self._Q, self._R = np.linalg.qr((rows * units).T)
+
+    def nearest(self, w: np.ndarray) -> np.ndarray:
+        """The point of the face nearest to w."""
+        missed = scipy.linalg.solve_triangular(self._R, self.rows @ w - self._h, trans=1)
+        return w - self._units * (self._Q @ missed)
+
+    def multipliers(self, p: np.ndarray) -> np.ndarray:
+        """y with the sum of y_k times the rows nearest to p."""
+        return scipy.linalg.solve_triangular(self._R, self._Q.T @ (self._units * p))
 
 
 class Polyhedron(ConvexSet):
@@ -74,13 +92,18 @@ class Polyhedron(ConvexSet):
         if not self.dim:
             raise InputError("G must have at least one column")
         self.exact = self.certifiable = self.dim <= ACTIVE_DIM
+        largest = abs(self.G).max(axis=1)
+        largest = largest.toarray() if sp.issparse(self.G) else largest
+        # programs see rows of numbers near 1
+        self._units = np.array([binary(row) for row in largest])
         self._set_offsets(h)
 
     def __getnewargs__(self) -> tuple[Any, Any]:
         return self.G, self.h  # for copy and pickle
 
     def _set_offsets(self, h: Any) -> None:
-        self.offsets = self.h = vector("h", h, self.G.shape[0], finite=False)
+        self.h = vector("h", h, self.G.shape[0], finite=False)
+        self.offsets = self.h / self._units
         if np.isinf(self.h).any():
             i = int(np.flatnonzero(np.isinf(self.h))[0])
             raise InputError(f"h[{i}] is {self.h[i]}; leave out rows without a bound")
@@ -90,6 +113,7 @@ class Polyhedron(ConvexSet):
         other = object.__new__(Polyhedron)
         other.G, other.dim = self.G, self.dim
         other.exact, other.certifiable = self.exact, self.certifiable
+        other._units = self._units
         other._set_offsets(h)
         return other
 
@@ -144,6 +168,12 @@ class Polyhedron(ConvexSet):
         w = vector("w", w, self.dim)
         return w - self.normal(w)
 
+    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        found = self._exact_normal(v, np.ones(self.dim))
+        if found is None:
+            return None
+        return np.eye(self.dim) - _projector(dense(self.G[found.active]))
+
     def witness(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:
@@ -151,21 +181,20 @@ class Polyhedron(ConvexSet):
         found = self._exact_normal(v, tau)
         if found is None:
             return None
-        # v is rounded where tau * p is large beside w: on the face of the normal w is, once more
         inside = v - tau * found.normal
-        for near in (w, inside):
-            on_face = near if not found.active.size else self._on_face(near, found.active, tau)
+        if not found.active.size:
+            faces, normal = (w, inside), found.normal
+        else:
+            # v is rounded where tau * p is large beside w: on the face of the normal w and p are,
+            # once more
+            face = _Face(dense(self.G[found.active]), self.h[found.active], np.sqrt(tau))
+            faces = face.nearest(w), face.nearest(inside)
+            multipliers = face.multipliers(p)
+            normal = face.rows.T @ multipliers if (multipliers >= 0).all() else found.normal
+        for on_face in faces:
             if (self.h - self.G @ on_face >= -self._rounding(on_face)).all():
-                return Witness(found.normal, on_face, 0.0)
-        return Witness(found.normal, inside, 0.0)
-
-    def _on_face(self, w: np.ndarray, active: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """The point with equality in these rows that is nearest in the metric of 1 / tau."""
-        rows = dense(self.G[active])
-        units = np.sqrt(tau)
-        Q, R = np.linalg.qr((rows * units).T)
-        missed = scipy.linalg.solve_triangular(R, rows @ w - self.h[active], trans=1)
-        return w - units * (Q @ missed)
+                return Witness(normal, on_face, 0.0)
+        return Witness(normal, inside, 0.0)
 
     def _rounding(self, w: np.ndarray) -> np.ndarray:
         return ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(w))
@@ -178,7 +207,12 @@ class Polyhedron(ConvexSet):
         import cvxpy as cp
 
         y = cp.Variable(self.h.size)
-        return Features([y], [self.G.T @ y == p, y >= 0])
+        rows = (
+            self.G.T @ sp.diags_array(1 / self._units)
+            if sp.issparse(self.G)
+            else (self.G.T / self._units)
+        )
+        return Features([y], [rows @ y == p, y >= 0])
 
     def same_cone(self, other: ConvexSet) -> bool:
         return isinstance(other, Polyhedron) and same_array(self.G, other.G)
@@ -281,31 +315,41 @@ class Polytope(ConvexSet):
             raise EmptySetError("vertices is empty; give at least one point")
         self.dim = self.vertices.shape[1]
         # the feature is the support function of the set in units of its size
-        self.offsets = np.array([float(np.abs(self.vertices).max()) or 1.0])
+        self.offsets = np.array([binary(np.abs(self.vertices).max())])
 
     def support(self, z: np.ndarray) -> float:
         return float((self.vertices @ vector("z", z, self.dim)).max())
 
     def project(self, w: np.ndarray) -> np.ndarray:
+        w = vector("w", w, self.dim)
+        held = self._held(w)
+        if held is None:
+            return project_by_program(self, w)
+        if held is self.vertices:
+            return w
+        # a mean of the vertices that hold it: a point of the hull, however far away w is
+        edges = (held[1:] - held[0]).T
+        shares = np.maximum(np.linalg.lstsq(edges, w - held[0], rcond=None)[0], 0.0)
+        return held[0] + edges @ (shares / max(shares.sum(), 1.0))
+
+    def _held(self, w: np.ndarray) -> np.ndarray | None:
+        """The vertices of the face nearest to w, all of them if w is in the hull."""
         # with a_i = v_i - w: if u is the shortest with <a_i, u> >= 1 for all i, then u / |u|^2 is
         # the point of the hull of the a_i nearest to 0; no such u exists if 0 is in the hull
-        w = vector("w", w, self.dim)
         arms = self.vertices - w
         size = float(np.abs(arms).max())
         if size == 0:
-            return w
+            return self.vertices
         ones = np.ones(len(arms))
         try:
             found = least_distance(-arms / size, -ones, ROUNDING * ones)
         except EmptySetError:
-            return w
-        if found is None:
-            return project_by_program(self, w)
-        # a mean of the vertices that hold it: a point of the hull, however far away w is
-        held = self.vertices[found.active]
-        edges = (held[1:] - held[0]).T
-        shares = np.maximum(np.linalg.lstsq(edges, w - held[0], rcond=None)[0], 0.0)
-        return held[0] + edges @ (shares / max(shares.sum(), 1.0))
+            return self.vertices
+        return None if found is None else self.vertices[found.active]
+
+    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        held = self._held(v)
+        return None if held is None else _projector(held[1:] - held[0])
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -323,3 +367,10 @@ class Polytope(ConvexSet):
         if not (isinstance(other, Polytope) and self.vertices.shape == other.vertices.shape):
             return None
         return float(np.linalg.norm(self.vertices - other.vertices, axis=1).max())
+
+
+def _projector(rows: np.ndarray) -> np.ndarray:
+    """The orthogonal projection on the span of the rows."""
+    U, sizes, _ = np.linalg.svd(rows.T, full_matrices=False)
+    basis = U[:, sizes > 1e-13 * sizes.max(initial=0.0)]
+    return basis @ basis.T

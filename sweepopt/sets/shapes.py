@@ -17,6 +17,7 @@ from sweepopt.sets.base import (
     ConvexSet,
     Features,
     Sphere,
+    binary,
     difference,
     same_array,
 )
@@ -470,7 +471,8 @@ class Ellipsoid(ConvexSet):
             raise InputError(
                 f"shape must be positive definite, its smallest eigenvalue is {self._squares[0]:g}"
             )
-        self.offsets = np.append(self.center, 1.0)
+        self._unit = binary(np.sqrt(self._squares[-1]))
+        self.offsets = np.append(self.center, self._unit)
 
     def support(self, z: np.ndarray) -> float:
         z = vector("z", z, self.dim)
@@ -502,7 +504,7 @@ class Ellipsoid(ConvexSet):
         import cvxpy as cp
 
         size = cp.Variable(1)
-        root = np.sqrt(self._squares)[:, None] * self._axes.T
+        root = np.sqrt(self._squares)[:, None] / self._unit * self._axes.T
         return Features([p, size], _norms_below(root @ p, size, self.dim))
 
     def same_cone(self, other: ConvexSet) -> bool:
@@ -562,6 +564,18 @@ class SecondOrderCone(ConvexSet):
             return np.zeros(self.dim)
         top = 0.5 * (height + length)
         return np.concatenate([[top], top / length * w[1:]])
+
+    def derivative(self, v: np.ndarray) -> np.ndarray:
+        height, length = v[0], float(np.linalg.norm(v[1:]))
+        if length <= height:
+            return np.eye(self.dim)
+        if length <= -height:
+            return np.zeros((self.dim, self.dim))
+        n, slope = v[1:] / length, height / length
+        D = np.diag(np.full(self.dim, 0.5 * (1 + slope)))
+        D[1:, 1:] -= 0.5 * slope * np.outer(n, n)
+        D[0] = D[:, 0] = 0.5 * np.append(1.0, n)
+        return D
 
     def features(self, p: cp.Expression) -> Features:
         if self.dim == 1:

@@ -17,6 +17,7 @@ from sweepopt.solvers.reference import Cvxpy
 from sweepopt.solvers.secular import Secular
 
 NEWTON, FASTEST, FORMULA, LAST = Newton(), DAQP(), Secular(), ActiveSet()
+CONTRACT = ("name", "treats", "compile", "refined")
 REGISTRY: dict[str, Callable[[], Solver]] = {
     "clarabel": Clarabel,
     "osqp": OSQP,
@@ -33,7 +34,8 @@ def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
 
     "auto" is the formula for one small ball, DAQP for small boxes if it is installed, Newton for
     small sets whose projection has a derivative, then OSQP for polyhedra and Clarabel for the rest:
-    in this order of speed, as measured by `sweepopt bench`.
+    in this order of speed, as measured by `sweepopt bench`. Where a polyhedron couples its unknowns
+    OSQP is faster than Newton.
 
     Parameters
     ----------
@@ -51,14 +53,19 @@ def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
     if isinstance(solver, str) and solver == "auto":
         fastest: list[Solver] = [FASTEST] if installed() and FASTEST.treats(C) else []
         formula: list[Solver] = [FORMULA] if FORMULA.treats(C) else []
+        D = C.derivative(C.anchor) if small and C.polyhedral else None
+        if D is not None and D.ndim == 2:
+            return (*formula, *fastest, general[0], *small, *general[1:])
         return (*formula, *fastest, *small, *general)
     if isinstance(solver, str):
         if solver not in REGISTRY:
             raise SolverRefusedError(f"solver {solver!r} is not known; use auto, {_names()}")
         solver = REGISTRY[solver]()
-    if not hasattr(solver, "compile") or isinstance(solver, type):
+    lacks = [name for name in CONTRACT if not hasattr(solver, name)]
+    if lacks or isinstance(solver, type):
+        missing = f" (it has no {lacks[0]}, see help(sweepopt.solvers.Solver))" if lacks else ""
         raise SolverRefusedError(
-            f"solver must be a name ({_names()}) or an object: {shown(solver)}"
+            f"solver must be a name ({_names()}) or an object: {shown(solver)}{missing}"
         )
     if not solver.treats(C):
         raise SolverRefusedError(

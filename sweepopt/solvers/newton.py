@@ -21,6 +21,7 @@ from sweepopt.checks import count
 from sweepopt.linalg import Factor, dense, euclidean
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
+from sweepopt.sets.base import binary
 from sweepopt.solvers.base import Answer, Small, Solve
 
 EPS = float(np.finfo(float).eps)
@@ -45,8 +46,8 @@ class Newton(Small):
 
     Examples
     --------
-    >>> from sweepopt.sets import Ball, Polytope
-    >>> Newton().treats(Ball([0.0, 0.0], 1.0)), Newton().treats(Polytope([[0.0], [1.0]]))
+    >>> from sweepopt.sets import Ball, HalfSpace
+    >>> Newton().treats(Ball([0.0, 0.0], 1.0)), Newton().treats(HalfSpace([1.0, 1.0], 0.0))
     (True, False)
     """
 
@@ -59,8 +60,14 @@ class Newton(Small):
         count("max_iter", self.max_iter)
 
     def treats(self, C: ConvexSet) -> bool:
-        """Whether C is small and the derivative of its projection is known."""
-        return C.dim <= self.max_dim and C.derivative(C.anchor) is not None
+        """Whether C is small and the derivative of its projection is known.
+
+        Rows are left to the active sets, which end after finitely many of them.
+        """
+        if C.dim > self.max_dim:
+            return False
+        D = C.derivative(C.anchor)
+        return D is not None and (D.ndim == 1 or C.rows() is None)
 
     def compile(self, program: VelocityProgram) -> Solve:
         """A function that starts from the velocity it found last."""
@@ -83,7 +90,9 @@ class Iteration:
 
     def __init__(self, M: Factor) -> None:
         self._factor, self.M, self._diagonal = M, dense(M.M), M.diagonal
-        self._stuck: np.ndarray | None = None
+        self._steps, self._roots = self._diagonal, _roots(self._diagonal)
+        self._weights = 1 / self._roots
+        self._stuck = b""
         self._kept = np.zeros(0, dtype=int)
         self._block, self._inverted = self.M, False
 
@@ -92,25 +101,29 @@ class Iteration:
     ) -> tuple[np.ndarray, int]:
         """Newton steps from z until nothing changes; returns the last z and their number."""
         T = C.steps(self._diagonal)
-        weights = 1 / np.sqrt(T)
+        if T is not self._steps:
+            self._steps, self._roots = T, _roots(T)
+            self._weights = 1 / self._roots
+        weights = self._weights
         smallest, stalled = math.inf, 0
         for iteration in range(max_iter):
             pulled = T * z
             if self._factor.is_sharp:
-                w, size_z = self.M @ z + q, euclidean(pulled * weights)
+                w = self.M @ z + q
             else:
-                w, size_z, _ = self._factor.apply(z, q)
+                w = self._factor.apply(z, q).value
             v = w - pulled
             missed = C.project(v) - w
             size = euclidean(missed * weights)
-            rounding = EPS * (euclidean(w * weights) + size_z)
+            rounding = EPS * (euclidean(w * weights) + euclidean(pulled * weights))
             # at rounding the equation cannot get better: stop when it does not, or when it cycles
             stalled += size >= smallest
             if size <= rounding or (size <= 1e3 * rounding and stalled) or stalled == PATIENCE:
                 return z, iteration
             smallest = min(smallest, size)
             D = C.derivative(v)
-            assert D is not None
+            if D is None:
+                return z, iteration
             try:
                 if D.ndim == 1:
                     following = self._separable(D == 1, z, missed)
@@ -125,16 +138,17 @@ class Iteration:
 
     def _separable(self, stuck: np.ndarray, z: np.ndarray, missed: np.ndarray) -> np.ndarray:
         """Stuck entries get 0, slipping ones solve M dz = missed; nothing reverses."""
-        if self._stuck is None or (stuck != self._stuck).any():
-            self._stuck = None
+        if stuck.tobytes() != self._stuck:
+            self._stuck = b""
             free = np.flatnonzero(~stuck)
             self._inverted = free.size > max(stuck.size // 2, SMALL)
             self._kept = np.flatnonzero(stuck) if self._inverted else free
             matrix = self._inverse if self._inverted else self.M
-            self._block, info = lapack.dpotrf(matrix[np.ix_(self._kept, self._kept)], lower=True)
+            block = matrix[self._kept][:, self._kept]
+            self._block, info = lapack.dpotrf(block, lower=True)
             if info:
                 raise np.linalg.LinAlgError("the block is not positive definite to rounding")
-            self._stuck = stuck
+            self._stuck = stuck.tobytes()
         following = np.where(stuck, 0.0, z)
         held, kept = following - z, self._kept
         if self._inverted:
@@ -170,6 +184,11 @@ class Iteration:
         rows = rows - D[free] @ self.M + D[free] * T
         right = missed[free] - rows[:, stuck] @ dz[stuck]
         # in units of the steps: pivots are chosen by size
-        units = np.sqrt(T[free])
+        units = self._roots[free]
         dz[free] = np.linalg.solve(rows[:, free] / np.outer(units, units), right / units) / units
         return dz
+
+
+def _roots(T: np.ndarray) -> np.ndarray:
+    """Roots of T in its own units: the same numbers whatever power of two the units are."""
+    return np.sqrt(T / binary(T.max()))

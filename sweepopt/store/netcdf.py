@@ -160,7 +160,7 @@ def _times(solution: Solution, units: Units) -> dict[str, Any]:
 def _steps(solution: Solution, units: Units) -> dict[str, Any]:
     stats = solution.stats
     described = {
-        "certificate": ("bound of the error of the step's velocity program", units.certificate),
+        "certificate": ("largest error bound of the step's velocity programs", units.certificate),
         "relative": ("certificate relative to the size of the program, what tol bounds", "1"),
         "iterations": ("iterations of the solver", "1"),
         "attempts": ("solvers and settings tried; 0 where the body is at rest", "1"),

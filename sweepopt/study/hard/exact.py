@@ -10,15 +10,14 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.optimize
 
 from sweepopt.checks import Matrix
 from sweepopt.errors import InputError, SweepoptError
 from sweepopt.linalg import dense
 from sweepopt.sets import Ball, Balls, Box, ConvexSet, Point
 from sweepopt.sets.algebra import Translation
+from sweepopt.study.hard import digits
 
-DIGITS = 60
 TURNS = 2000  # changes of the active set
 NEWTON = 15  # steps of Newton's method from one start
 NOISE = 1e-45  # relative: below is rounding of 60 digits
@@ -43,23 +42,36 @@ class Exact(NamedTuple):
 
 
 class Program:
-    """M in 60 digits, for the exact velocities of many linear terms.
+    """M = A + gamma B in 60 digits, for the exact velocities of many linear terms.
 
     Parameters
     ----------
-    M : ndarray or sparse, shape (dim, dim)
-        Small: the elimination takes dim^3 operations of a microsecond.
+    A, B : ndarray or sparse, shape (dim, dim)
+        Small: the elimination takes dim^3 operations of a microsecond. B may be None.
+    gamma : float
     """
 
-    def __init__(self, M: Matrix) -> None:
-        import mpmath
-
-        mpmath.mp.dps = DIGITS
-        self.M = _exactly(dense(M))
+    def __init__(self, A: Matrix, B: Matrix | None = None, gamma: float = 0.0) -> None:
+        self.M = digits.exactly(dense(A))
+        self._B = None if B is None else digits.exactly(dense(B))
+        if self._B is not None:
+            self.M = self.M + digits.exactly(gamma) * self._B
         self._eliminated: dict[bytes, _Condensed] = {}
+
+    def term(self, u: np.ndarray) -> np.ndarray:
+        """The linear term B u, as mpmath numbers."""
+        u = digits.exactly(u)
+        return 0 * u if self._B is None else self._B @ u
 
     def solve(self, q: np.ndarray, C: ConvexSet, near: np.ndarray) -> Exact:
         """The velocity for a linear term and a set, from an answer that may be near it.
+
+        Parameters
+        ----------
+        q : ndarray, shape (dim,)
+            Of doubles or mpmath numbers.
+        C : ConvexSet
+        near : ndarray, shape (dim,)
 
         Raises
         ------
@@ -74,7 +86,7 @@ class Program:
             few, part = np.arange(q.size), C
             while isinstance(part, Translation):
                 shift, part = shift + part.v, part.part
-        force = _exactly(q) - _exactly(shift)
+        force = digits.exactly(q) - digits.exactly(shift)
         key = few.tobytes()
         if key not in self._eliminated:
             self._eliminated[key] = _Condensed(self.M, few)
@@ -84,15 +96,20 @@ class Program:
         z = condensed.recover(forward, zeta)
 
         def dual(w: np.ndarray) -> float:
-            return _root(condensed.solve(w) @ w)
+            return digits.root(condensed.solve(w) @ w)
 
-        length = _root(z @ self.M @ z)
-        return Exact(z, length, max(length, dual(force)), dual(_exactly(q)) + dual(_exactly(shift)))
+        length = digits.root(z @ self.M @ z)
+        return Exact(
+            z,
+            length,
+            max(length, dual(force)),
+            dual(digits.exactly(q)) + dual(digits.exactly(shift)),
+        )
 
     def error(self, z: np.ndarray, exact: Exact) -> float:
         """|z - z*|_M."""
-        apart = _exactly(z) - exact.z
-        return _root(apart @ self.M @ apart)
+        apart = digits.exactly(z) - exact.z
+        return digits.root(apart @ self.M @ apart)
 
 
 class _Condensed:
@@ -101,12 +118,12 @@ class _Condensed:
     def __init__(self, M: np.ndarray, few: np.ndarray) -> None:
         beside = np.setdiff1d(np.arange(len(M)), few)
         self.order, self.m = np.concatenate([beside, few]), len(beside)
-        self.L, self.D = _factor(M[np.ix_(self.order, self.order)])
+        self.L, self.D = digits.factor(M[np.ix_(self.order, self.order)])
         tail = self.L[self.m :, self.m :]
         self.N = (tail * self.D[self.m :]) @ tail.T
 
     def reduce(self, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        forward = _forward(self.L[: self.m, : self.m], force[self.order[: self.m]])
+        forward = digits.forward(self.L[: self.m, : self.m], force[self.order[: self.m]])
         pull = force[self.order[self.m :]] - self.L[self.m :, : self.m] @ forward
         return forward, pull
 
@@ -114,31 +131,28 @@ class _Condensed:
         z = np.empty(len(self.order), dtype=object)
         z[self.order[self.m :]] = zeta
         right = -forward / self.D[: self.m] - self.L[self.m :, : self.m].T @ zeta
-        z[self.order[: self.m]] = _backward(self.L[: self.m, : self.m], right)
+        z[self.order[: self.m]] = digits.backward(self.L[: self.m, : self.m], right)
         return z
 
     def solve(self, force: np.ndarray) -> np.ndarray:
         z = np.empty(len(self.order), dtype=object)
-        z[self.order] = _backward(self.L, _forward(self.L, force[self.order]) / self.D)
+        z[self.order] = digits.backward(self.L, digits.forward(self.L, force[self.order]) / self.D)
         return z
 
 
 def _small(N: np.ndarray, q: np.ndarray, C: ConvexSet, near: np.ndarray) -> np.ndarray:
     if isinstance(C, Point):
-        return _solve(N, _exactly(C.offsets) - q)
+        return digits.solve(N, digits.exactly(C.offsets) - q)
     if isinstance(C, Box):
         return _in_box(N, q, C, near)
     if isinstance(C, (Ball, Balls)):
         return _in_balls(N, q, C, near)
-    rows = C.rows()
-    if rows is None:
-        raise InputError(f"no exact velocity is known for a {type(C).__name__}")
-    return _in_polyhedron(N, q, dense(rows[0]), rows[1], near)
+    return _in_polyhedron(N, q, C)
 
 
 def _in_box(N: np.ndarray, q: np.ndarray, C: Box, near: np.ndarray) -> np.ndarray:
     """A primal-dual active set; one entry at a time once blocks of them go round."""
-    lower, upper = _exactly(C.lower), _exactly(C.upper)
+    lower, upper = digits.exactly(C.lower), digits.exactly(C.upper)
     side = -np.sign(near).astype(int)  # of its bound where an entry slips, 0 where it sticks
     pinned = C.lower == C.upper
     for turn in range(TURNS):
@@ -146,7 +160,7 @@ def _in_box(N: np.ndarray, q: np.ndarray, C: Box, near: np.ndarray) -> np.ndarra
         z = np.full(len(q), q[0] * 0, dtype=object)
         bound = np.where(side > 0, upper, lower)
         if free.size:
-            z[free] = _solve(N[np.ix_(free, free)], bound[free] - q[free])
+            z[free] = digits.solve(N[np.ix_(free, free)], bound[free] - q[free])
         w = N @ z + q
         noise = NOISE * (abs(N) @ abs(z) + abs(q))
         wanted = side.copy()
@@ -162,29 +176,45 @@ def _in_box(N: np.ndarray, q: np.ndarray, C: Box, near: np.ndarray) -> np.ndarra
     raise SweepoptError("the exact active set was not found")
 
 
-def _in_polyhedron(
-    N: np.ndarray, q: np.ndarray, G: np.ndarray, h: np.ndarray, near: np.ndarray
-) -> np.ndarray:
-    """Murty's least-index pivoting of  slack = h - G q + G N G^T y,  y >= 0, slack >= 0."""
-    rows, G, h = G, _exactly(G), _exactly(h)
-    H, start = G @ N @ G.T, h - G @ q
-    slack = np.asarray(h - G @ (N @ _exactly(near) + q), dtype=float)
-    # an active set with one multiplier for each vector, as the method of nnls leaves it
-    met = np.flatnonzero(slack <= 1e-6 * np.abs(np.asarray(start, dtype=float)))
-    active = np.zeros(len(h), dtype=bool)
-    if met.size:
-        multipliers = scipy.optimize.nnls(rows[met].T, -near)[0]
-        active[met[multipliers > 1e-9 * multipliers.max()]] = True
+def _in_polyhedron(N: np.ndarray, q: np.ndarray, C: ConvexSet) -> np.ndarray:
+    """w = q - N G^T y in C with y >= 0: the most violated row enters, rows with y < 0 leave.
+
+    Goldfarb and Idnani's dual method, Math. Programming 27 (1983), in the metric of N^-1: finite,
+    whatever the rows, as those that hold w stay independent.
+    """
+    rows = C.rows()
+    if rows is None:
+        raise InputError(f"no exact velocity is known for a {type(C).__name__}")
+    G, h = digits.exactly(dense(rows[0])), digits.exactly(rows[1])
+    H, start, active = G @ N @ G.T, h - G @ q, np.zeros(0, dtype=int)
+    y, lengths = 0 * h, np.array([digits.sqrt(x) for x in H.diagonal()])
     for _ in range(TURNS):
-        y, on = np.full(len(h), h[0] * 0, dtype=object), np.flatnonzero(active)
-        if on.size:
-            y[on] = _solve(H[np.ix_(on, on)], -start[on])
         slack = start + H @ y
         noise = NOISE * (abs(start) + abs(H) @ abs(y))
-        wrong = np.flatnonzero(np.where(active, y < 0, slack < -noise))
-        if not wrong.size:
+        violated = np.where(slack < -noise, slack / lengths, 0)
+        violated[active] = 0
+        new = int(np.argmin(violated))
+        if not violated[new] < 0:
             return -(G.T @ y)
-        active[wrong[0]] ^= True
+        while new not in active:
+            shares = digits.solve(H[np.ix_(active, active)], H[active, new])
+            free = H[new, new] - H[new, active] @ shares
+            wanted = -slack[new] / free if free > NOISE * H[new, new] else None
+            falling = active[(shares > 0).astype(bool)]
+            limits = y[falling] / shares[(shares > 0).astype(bool)]
+            last = int(np.argmin(limits)) if falling.size else -1
+            if wanted is None and last < 0:
+                raise SweepoptError("C has no point")
+            whole = last < 0 or (wanted is not None and wanted <= limits[last])
+            length = wanted if whole else limits[last]
+            y[active] -= length * shares
+            y[new] += length
+            slack = start + H @ y
+            if whole:
+                active = np.append(active, new)
+            else:
+                y[falling[last]] *= 0
+                active = active[active != falling[last]]
     raise SweepoptError("the exact active set was not found")
 
 
@@ -198,7 +228,7 @@ class _Balls(NamedTuple):
 
     def newton(self, z: np.ndarray) -> np.ndarray | None:
         """Semismooth steps on w = P_C(w - T z), one T for each ball; None if they go round."""
-        N, unit = self.N, _exactly(np.eye(self.places[0].stop))
+        N, unit = self.N, digits.exactly(np.eye(self.places[0].stop))
         for _ in range(NEWTON):
             w, dz = N @ z + self.force, -z
             size = abs(N) @ abs(z) + abs(self.force)
@@ -206,7 +236,7 @@ class _Balls(NamedTuple):
             for at, r in zip(self.places, self.radii, strict=True):
                 T = N[at, at].trace()
                 v = w[at] - T * z[at]
-                length = _sqrt(v @ v)
+                length = digits.sqrt(v @ v)
                 if length > r * (1 + NOISE):
                     # of w - P(v), with I - P' divided out: what is left is symmetric
                     across = r / (length - r) * (unit - np.outer(v, v) / length**2)
@@ -220,7 +250,7 @@ class _Balls(NamedTuple):
             if not off:
                 return z
             right = -missed[free] - N[np.ix_(free, ~free)] @ dz[~free]
-            dz[free] = _solve(J[np.ix_(free, free)], right)
+            dz[free] = digits.solve(J[np.ix_(free, free)], right)
             z = z + dz
         return None
 
@@ -229,22 +259,24 @@ class _Balls(NamedTuple):
 
         e_k is a share of the velocity that the forces on the ball alone would cause.
         """
-        e = [share * (r + _sqrt(self.force[at] @ self.force[at])) / self.N[at, at].trace()
+        e = [share * (r + digits.sqrt(self.force[at] @ self.force[at])) / self.N[at, at].trace()
              for at, r in zip(self.places, self.radii, strict=True)]  # fmt: skip
 
         def value(z: np.ndarray) -> Any:
-            roots = [_sqrt(z[at] @ z[at] + ek**2) for at, ek in zip(self.places, e, strict=True)]
+            roots = [
+                digits.sqrt(z[at] @ z[at] + ek**2) for at, ek in zip(self.places, e, strict=True)
+            ]
             return z @ (self.N @ z) / 2 + self.force @ z + self.radii @ np.array(roots)
 
         now = value(z)
         for _ in range(50):
             slope, bend = self.N @ z + self.force, self.N.copy()
             for at, r, ek in zip(self.places, self.radii, e, strict=True):
-                root = _sqrt(z[at] @ z[at] + ek**2)
+                root = digits.sqrt(z[at] @ z[at] + ek**2)
                 slope[at] += r / root * z[at]
-                unit = _exactly(np.eye(len(z[at])))
+                unit = digits.exactly(np.eye(len(z[at])))
                 bend[at, at] += r / root * (unit - np.outer(z[at], z[at]) / root**2)
-            dz = -_solve(bend, slope)
+            dz = -digits.solve(bend, slope)
             gain, length = -(slope @ dz), 1.0
             while (following := value(z + length * dz)) > now - 0.1 * length * gain:
                 length /= 2
@@ -263,62 +295,12 @@ def _in_balls(N: np.ndarray, q: np.ndarray, C: Ball | Balls, near: np.ndarray) -
     else:
         center, radii, block = np.zeros(C.dim), C.radii, C.block
     places = [slice(k * block, (k + 1) * block) for k in range(len(radii))]
-    balls = _Balls(N, q - _exactly(center), _exactly(radii), places)
-    z = _exactly(near)
+    balls = _Balls(N, q - digits.exactly(center), digits.exactly(radii), places)
+    z = digits.exactly(near)
     found = balls.newton(z)
-    for digits in range(1, 40):
+    for count in range(1, 40):
         if found is not None:
             return found
-        z = balls.rounded(z, _exactly(10.0**-digits).item())
+        z = balls.rounded(z, digits.exactly(10.0**-count).item())
         found = balls.newton(z)
     raise SweepoptError("the exact active set was not found")
-
-
-def _exactly(x: Any) -> np.ndarray:
-    """Doubles as mpmath numbers, without rounding."""
-    import mpmath
-
-    x = np.asarray(x, dtype=float)
-    result = np.empty(x.shape, dtype=object)
-    result.ravel()[:] = [mpmath.mpf(float(entry)) for entry in x.ravel()]
-    return result
-
-
-def _factor(M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """L and D with L D L^T = M."""
-    S, n = M.copy(), len(M)
-    L, D = _exactly(np.eye(n)), _exactly(np.zeros(n))
-    for k in range(n):
-        D[k] = S[k, k]
-        L[k + 1 :, k] = S[k + 1 :, k] / D[k]
-        S[k + 1 :, k + 1 :] -= np.outer(L[k + 1 :, k], S[k, k + 1 :])
-    return L, D
-
-
-def _forward(L: np.ndarray, b: np.ndarray) -> np.ndarray:
-    b = b.copy()
-    for k in range(len(b)):
-        b[k + 1 :] -= L[k + 1 :, k] * b[k]
-    return b
-
-
-def _backward(L: np.ndarray, b: np.ndarray) -> np.ndarray:
-    b = b.copy()
-    for k in range(len(b) - 1, -1, -1):
-        b[:k] -= L[k, :k] * b[k]
-    return b
-
-
-def _solve(M: np.ndarray, b: np.ndarray) -> np.ndarray:
-    L, D = _factor(M)
-    return _backward(L, _forward(L, b) / D)
-
-
-def _sqrt(x: Any) -> Any:
-    import mpmath
-
-    return mpmath.sqrt(x)
-
-
-def _root(x: Any) -> float:
-    return float(_sqrt(x)) if x > 0 else 0.0

@@ -1,0 +1,26 @@
+"""Loads as data: scalar histories and ``f(t) = sum_k phi_k(t) f_k``.
+
+A guaranteed error bound needs the variation of the load on a step, and a cheap step needs the
+load's few shapes. A black-box callable has neither, so histories here are small records that know
+their exact variation and their kinks, and `Separable` keeps shapes and histories apart.
+"""
+
+from sweepopt.loads.history import History, Piece, kinks
+from sweepopt.loads.periodic import Sine, Triangle
+from sweepopt.loads.separable import DATA, Separable
+from sweepopt.loads.smooth import Constant, Polynomial
+from sweepopt.loads.table import Table, check_points
+
+__all__ = [
+    "DATA",
+    "Constant",
+    "History",
+    "Piece",
+    "Polynomial",
+    "Separable",
+    "Sine",
+    "Table",
+    "Triangle",
+    "check_points",
+    "kinks",
+]

@@ -1,0 +1,132 @@
+"""``f(t) = sum_k phi_k(t) f_k``: shapes and histories apart."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from numbers import Real
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sweepopt.errors import InputError, shown
+from sweepopt.loads.history import Array, frozen_vector, kinks
+from sweepopt.loads.periodic import Sine, Triangle
+from sweepopt.loads.smooth import Constant, Polynomial
+from sweepopt.loads.table import Table
+
+DATA = (Constant, Polynomial, Sine, Triangle, Table)  # histories that take all times at once
+
+
+class Separable:
+    """A load ``f(t) = sum_k phi_k(t) f_k``.
+
+    Parameters
+    ----------
+    terms : iterable of (callable, array_like of shape (dim,))
+        Histories ``phi_k`` and shapes ``f_k``.
+
+    Attributes
+    ----------
+    terms : tuple of (callable, ndarray)
+    shapes : ndarray, shape (dim, k)
+        The shapes as columns, so that one evaluation is one product.
+    dim : int
+
+    Examples
+    --------
+    >>> f = Separable([(Constant(1.0), [1.0, 0.0]), (Sine(1.0, period=4.0), [0.0, 2.0])])
+    >>> f(1.0)
+    array([1., 2.])
+    >>> f.variation(0.0, 4.0)
+    8.0
+    """
+
+    def __init__(self, terms: Iterable[tuple[Callable[[float], ArrayLike], ArrayLike]]) -> None:
+        try:
+            pairs = list(terms)
+        except TypeError:  # also of an array without axes, which has an __iter__
+            pairs = []
+        if not pairs:
+            raise InputError(f"terms must hold one pair (phi, f) or more, got {shown(terms)}")
+        columns = []
+        for k, pair in enumerate(pairs):
+            try:
+                history, shape = pair
+            except (TypeError, ValueError):
+                raise InputError(f"terms[{k}] must be a pair (phi, f), got {shown(pair)}") from None
+            if not callable(history):
+                raise InputError(f"terms[{k}][0] must be callable, got {shown(history)}")
+            columns.append(frozen_vector(f"terms[{k}][1]", shape))
+            if columns[k].size != columns[0].size:
+                raise InputError(
+                    f"terms[{k}][1] has {columns[k].size} entries, terms[0][1] has "
+                    f"{columns[0].size}; all must agree"
+                )
+        self.shapes: Array = np.column_stack(columns)
+        self.shapes.setflags(write=False)
+        self.terms = tuple((pair[0], column) for pair, column in zip(pairs, columns, strict=True))
+        self.dim: int = self.shapes.shape[0]
+
+    def coefficients(self, t: float) -> Array:
+        """Values ``phi_k(t)``, shape (k,)."""
+        return np.array([self.value(k, t) for k in range(len(self.terms))])
+
+    def values(self, times: Array) -> Array:
+        """Values ``phi_k(t)`` at many times, shape (len(times), k)."""
+        table = np.empty((len(times), len(self.terms)))
+        for k, (history, _) in enumerate(self.terms):
+            values = history(times) if isinstance(history, DATA) else None
+            if values is None or not np.isfinite(values).all():
+                values = [self.value(k, t) for t in times.tolist()]
+            table[:, k] = values
+        return table
+
+    def value(self, k: int, t: float) -> float:
+        """phi_k(t)."""
+        value = self.terms[k][0](t)
+        if type(value) is np.ndarray and value.size == 1 and value.dtype == float:
+            value = value.item()
+        if type(value) is float and math.isfinite(value):
+            return value
+        if type(value) is not float:
+            entries = np.asarray(value, dtype=object)
+            value = entries.item() if entries.size == 1 else entries.tolist()
+        if not isinstance(value, Real) or not math.isfinite(value):
+            raise InputError(
+                f"terms[{k}][0] is {shown(value)} at t = {t:g}; it must be one finite number"
+            )
+        return float(value)
+
+    def at_many(self, times: Array) -> Array:
+        """The load at many times, shape (len(times), dim)."""
+        return np.asarray(self.values(times) @ self.shapes.T)
+
+    def __call__(self, t: float) -> Array:
+        return np.asarray(self.shapes.dot(self.coefficients(t)))
+
+    def variation(self, a: float, b: float, norm: Callable[[Array], float] | None = None) -> float:
+        """Upper bound ``sum_k var(phi_k; a, b) |f_k|`` of the load's variation on [a, b].
+
+        Parameters
+        ----------
+        norm : callable, optional
+            The norm of forces; Euclidean by default. The theory's is the dual norm of A.
+        """
+        total = 0.0
+        for k, (history, shape) in enumerate(self.terms):
+            if not hasattr(history, "variation"):
+                raise InputError(
+                    f"terms[{k}][0], {shown(history)}, does not tell its variation; use Table, "
+                    "Sine, Triangle, Polynomial or Constant, or give it a method variation(a, b)"
+                )
+            size = np.linalg.norm(shape) if norm is None else norm(shape)
+            total += float(history.variation(a, b)) * float(size)
+        return total
+
+    def breakpoints(self, a: float, b: float) -> Array:
+        """Kinks of all histories strictly between a and b, increasing."""
+        return kinks((history for history, _ in self.terms), a, b)
+
+    def __repr__(self) -> str:
+        return f"Separable({len(self.terms)} terms, dim {self.dim})"

@@ -1,0 +1,104 @@
+"""Histories without kinks: a constant, a polynomial."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sweepopt.errors import InputError, shown
+from sweepopt.loads.history import (
+    Array,
+    Piece,
+    frozen_vector,
+    interval,
+    moments,
+    numbers,
+    variation_through,
+)
+
+
+@dataclass(frozen=True)
+class Constant:
+    """``phi(t) = value``.
+
+    Examples
+    --------
+    >>> Constant(3.0)(10.0)
+    array(3.)
+    """
+
+    value: float = 1.0
+
+    def __post_init__(self) -> None:
+        numbers(self, "value")
+
+    def __call__(self, t: ArrayLike) -> Array:
+        return np.full(np.shape(moments(t)), self.value)
+
+    def variation(self, a: float, b: float) -> float:
+        """Zero."""
+        return 0.0
+
+    def breakpoints(self, a: float, b: float) -> Array:
+        """None."""
+        return np.empty(0)
+
+    def piece(self, a: float, b: float) -> Piece:
+        """The value."""
+        return Piece(a, (self.value,))
+
+
+@dataclass(frozen=True, eq=False)
+class Polynomial:
+    """``phi(t) = sum_k coefficients[k] t^k``.
+
+    Parameters
+    ----------
+    coefficients : array_like, shape (m,)
+        The constant one first.
+
+    Examples
+    --------
+    >>> ramp = Polynomial([0.0, 1.5])
+    >>> ramp(2.0), Polynomial([0.0, 2.0, -1.0]).variation(0.0, 2.0)
+    (array(3.), 2.0)
+    """
+
+    coefficients: Array
+
+    def __init__(self, coefficients: ArrayLike) -> None:
+        object.__setattr__(self, "coefficients", frozen_vector("coefficients", coefficients))
+
+    def __call__(self, t: ArrayLike) -> Array:
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = np.asarray(np.polynomial.polynomial.polyval(moments(t), self.coefficients))
+        if not np.isfinite(values).all():
+            raise InputError(f"{self!r:.80} overflows at t = {shown(t)}; choose other units")
+        return values
+
+    def variation(self, a: float, b: float) -> float:
+        """Total variation on [a, b]."""
+        a, b = interval(a, b)
+        self(np.array([a, b]))  # refuses what overflows
+        # in units of the larger time; a leading term that is nothing beside the others has no root
+        unit = max(abs(a), abs(b)) or 1.0
+        slope = np.polynomial.polynomial.polyder(self.coefficients)
+        slope = slope * unit ** np.arange(slope.size)
+        slope[np.abs(slope) < 1e-30 * np.abs(slope).max()] = 0.0
+        slope = np.trim_zeros(slope, "b")
+        turns = unit * np.polynomial.polynomial.polyroots(slope) if slope.size else slope
+        turns = np.sort(turns.real)  # more points than needed do no harm
+        return variation_through(self, [a, *turns[(turns > a) & (turns < b)], b])
+
+    def breakpoints(self, a: float, b: float) -> Array:
+        """None: a polynomial is smooth."""
+        return np.empty(0)
+
+    def piece(self, a: float, b: float) -> Piece:
+        """Itself."""
+        return Piece(0.0, tuple(self.coefficients.tolist()))
+
+    def __repr__(self) -> str:
+        return f"Polynomial({self.coefficients.tolist()})"

@@ -1,0 +1,135 @@
+"""Measured points, and the lines between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sweepopt.checks import HUGE, number
+from sweepopt.csvtable import read_columns
+from sweepopt.errors import InputError
+from sweepopt.loads.history import (
+    Array,
+    Piece,
+    frozen_vector,
+    interval,
+    line,
+    moments,
+    variation_through,
+)
+
+TIME_SLACK = 1e-12
+"""Share of the time scale by which a time may miss a table's range: rounding of ``t0 + i mu``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Piecewise linear history through measured points.
+
+    Parameters
+    ----------
+    times : array_like, shape (m,)
+        Strictly increasing; nothing is said, hence nothing answered, outside them.
+    values : array_like, shape (m,)
+
+    Examples
+    --------
+    >>> force = Table([0.0, 1.0, 3.0], [0.0, 2.0, 1.0])
+    >>> force([0.5, 2.0]), force.variation(0.5, 2.0)
+    (array([1. , 1.5]), 1.5)
+    """
+
+    times: Array
+    values: Array
+
+    def __init__(self, times: ArrayLike, values: ArrayLike) -> None:
+        points = check_points("times", times, values)
+        object.__setattr__(self, "times", points[0])
+        object.__setattr__(self, "values", points[1])
+
+    @classmethod
+    def from_csv(
+        cls, path: str | Path, column: str, *, time: str = "t", scale: float = 1.0
+    ) -> Table:
+        """Read two columns of a CSV file.
+
+        Parameters
+        ----------
+        path : str or Path
+            First line that is neither empty nor a ``#`` comment: the column names.
+        column, time : str
+            Names of the value and of the time column.
+        scale : float
+            Factor on the values, e.g. 1e3 for kPa to Pa.
+
+        Raises
+        ------
+        InputError
+            Naming the file, the column and the row (line of the file) at fault.
+        """
+        factor = number("scale", scale)
+        (times, values), rows = read_columns(path, time, column)
+        late = np.flatnonzero(np.diff(times) <= 0.0)
+        if late.size:
+            k = int(late[0]) + 1
+            raise InputError(
+                f"{path}, column {time!r}, row {rows[k]}: time {times[k]:g} does not come after "
+                f"{times[k - 1]:g}; times must increase strictly"
+            )
+        if len(times) < 2:
+            raise InputError(f"{path}: {len(times)} data rows; a history needs two or more")
+        return cls(times, factor * values)
+
+    def __call__(self, t: ArrayLike) -> Array:
+        at = moments(t)
+        first, last = self.times[0], self.times[-1]
+        if type(at) is float and first <= at <= last:
+            return np.asarray(np.interp(at, self.times, self.values))
+        slack = TIME_SLACK * max(abs(first), abs(last))
+        outside = ~((at >= first - slack) & (at <= last + slack))
+        if np.any(outside):
+            raise InputError(
+                f"t = {np.asarray(at)[outside].flat[0]:g} lies outside the table, which covers "
+                f"[{first:g}, {last:g}]; extend the table or shorten the run"
+            )
+        return np.asarray(np.interp(at, self.times, self.values))
+
+    def variation(self, a: float, b: float) -> float:
+        """Total variation on [a, b]."""
+        a, b = interval(a, b)
+        return variation_through(self, [a, *self.breakpoints(a, b), b])
+
+    def breakpoints(self, a: float, b: float) -> Array:
+        """The table's times strictly between a and b."""
+        a, b = interval(a, b)
+        inside = slice(
+            np.searchsorted(self.times, a, side="right"), np.searchsorted(self.times, b, "left")
+        )
+        return self.times[inside]
+
+    def piece(self, a: float, b: float) -> Piece:
+        """The line between a and b, where no time of the table lies between them."""
+        return line(self, a, b)
+
+    def __repr__(self) -> str:
+        return f"Table({self.times.size} points on [{self.times[0]:g}, {self.times[-1]:g}])"
+
+
+def check_points(name: str, times: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
+    """The points of a table as read-only vectors; `name` is what errors call its times."""
+    t, phi = frozen_vector(name, times), frozen_vector("values", values)
+    if t.size < 2:
+        raise InputError(f"{name} must have two entries or more; for one value, use Constant")
+    if phi.shape != t.shape:
+        raise InputError(f"values has {phi.size} entries for {t.size} times; give one each")
+    late = np.flatnonzero(np.diff(t) < 1 / HUGE)
+    if late.size:
+        k = int(late[0])
+        raise InputError(
+            f"{name} must increase strictly, but entry {k + 1} ({t[k + 1]:g}) follows "
+            f"entry {k} ({t[k]:g}); sort the table and keep one value a time"
+        )
+    return t, phi

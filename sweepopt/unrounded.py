@@ -1,0 +1,185 @@
+"""The velocity of A, B and u, where a program sees their rounded sum and product.
+
+M = A + gamma B and q = B u are rounded before any program starts. What that hides of the residual,
+
+    d = (A + gamma B - M) z + (B u - q),
+
+is bounded at each step, and counts as the residual of the program does, in |.|_{M^-1}. Where the
+bound is no small share of the velocity (|B| / beta = 1e10, a state that is large beside its forces)
+d is computed in twice the precision and goes to the linear term, until nothing of it is left.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from sweepopt.checks import Matrix
+from sweepopt.linalg import NEGLIGIBLE, SMALL, UNIT, Factor, dense, euclidean, row_sum
+from sweepopt.plan import Factors, Plan
+from sweepopt.precise import Precise, product_error, sum_error
+from sweepopt.process import SweepingProcess
+from sweepopt.program import Velocity
+from sweepopt.sets import ConvexSet, Point
+from sweepopt.sets.algebra import Translation
+from sweepopt.substitution import ACCURATE, Solved, VelocityOf
+
+REFINEMENTS = 20  # corrections of the linear term; each leaves a share |M^-1 (A + gamma B - M)|
+StateVelocity = Callable[[np.ndarray, ConvexSet], Solved]
+
+
+def matrix(process: SweepingProcess, gamma: float) -> Matrix:
+    """A + gamma B, rounded."""
+    return process.A if process.B is None or not gamma else process.A + gamma * process.B
+
+
+def of_state(process: SweepingProcess, plan: Plan, gamma: float, factors: Factors) -> StateVelocity:
+    """Compile (u, C) -> the velocity z with -z in N_C(A z + B (u + gamma z)), certified.
+
+    Parameters
+    ----------
+    process : SweepingProcess
+    plan : Plan
+    gamma : float
+    factors : Factors
+        Of `matrix(process, gamma)`.
+    """
+    velocity = plan.velocity(factors)
+    if process.B is None or plan.multigrid:  # whose rounding is not bounded at all
+        return lambda u, C: velocity(process.times_B(u), C)
+    return _Unrounded(process.A, process.B, gamma, factors, velocity, min(ACCURATE, 0.1 * plan.tol))
+
+
+class _Unrounded:
+    def __init__(
+        self,
+        A: Matrix,
+        B: Matrix,
+        gamma: float,
+        factors: Factors,
+        velocity: VelocityOf,
+        enough: float,
+    ) -> None:
+        self._A, self._B, self._gamma = A, B, gamma
+        self._factors, self._velocity, self._enough = factors, velocity, enough
+
+    def __call__(self, u: np.ndarray, C: ConvexSet) -> Solved:
+        q = self._B.dot(u)
+        found = self._velocity(q, C)
+        z, certificate, relative = found.velocity
+        if not relative <= 1:  # no proof, or nothing to improve
+            return found
+        # at rest by a rule in units of the forces
+        size = certificate / relative if relative else self._forces(q, C)
+        missed = self._bound(z, u, size)
+        if missed > self._enough * size:
+            return self._precise(u, C, found)
+        if not relative:
+            return found
+        velocity = Velocity(z, certificate + missed, relative + missed / size)
+        return Solved(velocity, found.solver, found.iterations, found.attempts)
+
+    def _bound(self, z: np.ndarray, u: np.ndarray, size: float) -> float:
+        """At least |d|_{M^-1}, for |z|_M <= size."""
+        root = self._M.root
+        of_size, of_z, of_u = self._shares
+        of_sum = of_size * size if of_size <= NEGLIGIBLE else of_z * euclidean(root * z)
+        return of_sum + of_u * euclidean(root * u)
+
+    @cached_property
+    def _M(self) -> Factor:
+        contact = self._factors.contact.size
+        return self._factors.elimination if contact else self._factors.whole
+
+    @cached_property
+    def _shares(self) -> tuple[float, float, float]:
+        """What M rounds for |z|_M, and what M and B u for |z| and |u| in units of M's diagonal."""
+        of_B = row_sum(self._B, self._M.root)
+        entries = np.diff(self._B.indptr).max() if sp.issparse(self._B) else len(self._B)
+        unit = UNIT * self._M.bound_factor
+        of_M = unit * (self._stretch**2 + self._gamma * of_B) if self._gamma else 0.0
+        return of_M * self._M.bound_factor, of_M, unit * (3 + math.sqrt(entries)) * of_B
+
+    @cached_property
+    def _stretch(self) -> float:
+        """|z|_M <= this times |z| in units of the diagonal of M."""
+        return math.sqrt(row_sum(self._M.M, self._M.root))
+
+    @cached_property
+    def _product(self) -> Precise:
+        return Precise(self._B)
+
+    @cached_property
+    def _lost(self) -> Matrix:
+        """A + gamma B - M."""
+        if not self._gamma:
+            return 0.0 * self._A
+        product = self._gamma * self._B
+        return product_error(self._gamma, self._B) + sum_error(self._A, product, self._M.M)
+
+    @cached_property
+    def _share(self) -> float:
+        """|M^-1/2 (A + gamma B - M) M^-1/2|: by how much the two metrics differ."""
+        if not self._gamma:
+            return 0.0
+        M = self._M
+        share = row_sum(self._lost, M.root) * M.bound_factor**2
+        if share > NEGLIGIBLE and M.dim <= 10 * SMALL:
+            similar = M.solve_many(dense(self._lost)) * M.root / M.root[:, None]
+            share = float(np.abs(np.linalg.eigvals(similar)).max())
+        return share
+
+    def _precise(self, u: np.ndarray, C: ConvexSet, found: Solved) -> Solved:
+        """The same from a linear term that is rounded once, with d of the z before in it."""
+        c, S, z = np.zeros_like(u), C, np.zeros_like(u)
+        best, left = found._replace(velocity=Velocity(z, math.inf, math.inf)), math.inf
+        for _ in range(REFINEMENTS):
+            known = (self._lost @ z, -c)
+            term = self._product(u, *known)
+            solved = self._velocity(term, S)
+            if S is C and not solved.velocity.relative:
+                return solved  # at rest by the rule, which looks at q and C as they are
+            z, certificate, relative = solved.velocity
+            if not relative <= 1:
+                break
+            rest = self._product(u, self._lost @ z, -c, -term)
+            size = certificate / relative if relative else self._forces(term, S)
+            missed = self._M.dual_norm(rest) + self._product.share * self._bound(z, u, size)
+            velocity = self._proven(z, certificate + missed, size)
+            if velocity.relative < best.velocity.relative:
+                best = solved._replace(velocity=velocity)
+            negligible = missed <= max(NEGLIGIBLE * size, certificate)
+            if S is not C:
+                if negligible or missed > 0.5 * left:
+                    break
+                left = missed
+            elif negligible and velocity.relative <= self._enough:
+                break
+            # from here on q - c is rounded once: what the two have in common cancels before that
+            c, S = _split(C)
+        return best
+
+    def _forces(self, q: np.ndarray, C: ConvexSet) -> float:
+        """A number below |M^-1 q|_M + |M^-1 c|_M, which need a solve."""
+        root, anchor = self._M.root, C.anchor
+        return (euclidean(q / root) + euclidean(anchor / root)) / self._stretch
+
+    def _proven(self, z: np.ndarray, certificate: float, size: float) -> Velocity:
+        """In the norm of A + gamma B, as far as that of M tells."""
+        left = 1 - self._share
+        if left <= 0:
+            return Velocity(z, math.inf, math.inf)
+        certificate /= math.sqrt(left)
+        return Velocity(z, certificate, certificate / (size * math.sqrt(left)) if size else 0.0)
+
+
+def _split(C: ConvexSet) -> tuple[np.ndarray, ConvexSet]:
+    """c and S with C = c + S."""
+    c = np.zeros(C.dim)
+    while isinstance(C, Translation):
+        c, C = c + C.v, C.part
+    return (C.anchor, Point(c)) if C.singleton else (c, C)
