@@ -160,7 +160,7 @@ def _error(times: np.ndarray, watch: Watch, before: Watch | None) -> float:
     """The error of a pass: what it carried along, and what its distance to another one adds."""
     mus = np.diff(times)
     # a kink just beside a breakpoint: a jump of the velocity over a part of a step
-    jump = max((size * (mus[i] + mus[i + 1]) for i, size in watch.jumps.items()), default=0.0)
+    jump = max((size * mus[i : i + 2].sum() for i, size in watch.jumps.items()), default=0.0)
     error = watch.error + HIDDEN * float(jump)
     if before is None or not watch.apart:
         return error

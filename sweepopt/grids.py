@@ -65,8 +65,10 @@ def density(
     alone = np.maximum(np.append(0.0, across), np.append(across, 0.0))
     halves = np.column_stack([np.where(np.isnan(side), alone, side) for side in (left, right)])
     for i, jump in (jumps or {}).items():
-        before, after = JUMP * jump / np.diff(times[i : i + 3]) ** 2
-        halves[i, 1], halves[i + 1, 0] = max(halves[i, 1], before), max(halves[i + 1, 0], after)
+        beside = JUMP * jump / np.diff(times[i : i + 3]) ** 2
+        halves[i, 1] = max(halves[i, 1], beside[0])
+        if i + 1 < n:
+            halves[i + 1, 0] = max(halves[i + 1, 0], beside[1])
     factor = 2.0 if order == 1 else 6.0
     middle = 0.5 * (times[1:] + times[:-1])
     edges = np.append(times[0], np.column_stack([middle, times[1:]]).ravel())

@@ -78,6 +78,15 @@ class Flow:
         direction = z / size
         return float(direction @ self._process.times_B(direction))
 
+    def unheld(self, t: float, u: np.ndarray, z: np.ndarray) -> float:
+        """About the velocity that unknowns have at time t which rested in the step before."""
+        A = self._process.A
+        force = A @ z + self._process.times_B(u)
+        diagonal = A.diagonal()
+        missed = force - self._process.C.at(t).nearest(force, diagonal)
+        missed[z != 0] = 0.0
+        return math.sqrt(missed @ (missed / diagonal))
+
     def decay(self, x: float) -> tuple[float, float]:
         """What is left after a step of an error, and of what the step itself misses."""
         stages: list[float] = []
@@ -115,8 +124,8 @@ class Watch:
     sizes : list of float
         Of the r-th difference quotient of r + 1 steps, the first steps first.
     jumps : dict
-        From a step that ends at a breakpoint to the jump of the velocity there: it has none, so
-        that something happened between the breakpoint and the middle of a step beside it.
+        From a step that ends at a breakpoint, or at the end, to the jump of the velocity there: it
+        has none, so that something happened between that time and the middle of a step beside it.
     error, spread : float
         The largest error on the way, and the largest standard deviation.
     apart, expected : float
@@ -209,6 +218,14 @@ class Watch:
         self.error = max(self.error, flow.norm(self._carried) + SPREAD * self._deviation)
         if flow.continuous and r == 2 and i + 2 < len(self._mus):
             self._meet(i)
+        if (
+            flow.continuous
+            and not z.all()
+            and self._segment[i : i + 1] != self._segment[i + 1 : i + 2]
+        ):
+            # no step of the segment follows, in which it would be seen to move
+            jump = flow.unheld(self._times[i + 1], self._u[i + 1], z)
+            self.jumps[i] = max(self.jumps.get(i, 0.0), jump)
         self._compare(i, old, first)
         if i in self._kept:
             u = self._u[i + 1]
