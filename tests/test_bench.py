@@ -109,7 +109,8 @@ def test_library_paths_are_certified_and_loops_by_hand_are_not(rows: list[Row]) 
         assert (row.certificate is None) == by_hand, row.path
         assert (row.attempts is None) == by_hand, row.path
         if row.certificate is not None:
-            assert row.certificate <= (1e-12 if row.path in REFERENCES else 1e-6), row.path
+            # a step near equilibrium, |z| = |u| / 400, sees more of what B u rounds
+            assert row.certificate <= (1e-10 if row.path in REFERENCES else 1e-6), row.path
 
 
 def test_times_and_ratios_are_complete(rows: list[Row]) -> None:

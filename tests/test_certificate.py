@@ -76,13 +76,19 @@ def test_the_bound_is_never_below_the_error_and_the_lower_one_never_above(
         assert len(bound.of_t) == len(bound.B) == steps
 
 
+def sloppily(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take answers as solvers give them: neither polished nor solved again."""
+    monkeypatch.setattr("sweepopt.polish.POLISHED", np.inf)
+    monkeypatch.setattr("sweepopt.velocity.ACCURATE", np.inf)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "scheme"), [one for one in RUNS if one[1] != "exact"])
 @pytest.mark.parametrize("tol", [1e-9, 1e-6, 1e-3])
 def test_the_bound_holds_on_all_grids_and_with_sloppy_solvers(
     name: str, scheme: str, tol: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sweepopt.polish.POLISHED", np.inf)
+    sloppily(monkeypatch)
     for steps in (11, 101, 211, 503, 1009, 2003)[name in CURVED :]:
         sol = run(name, steps, scheme, solver=so.Clarabel(tol=tol), tol=max(tol, 1e-6))
         bound = sol.error_bound()
@@ -96,7 +102,7 @@ def test_what_a_sloppy_solver_misses_is_inside_the_bound(
     name: str, scheme: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sharp = run(name, 101, scheme).error_bound()
-    monkeypatch.setattr("sweepopt.polish.POLISHED", np.inf)
+    sloppily(monkeypatch)
     sol = run(name, 101, scheme, solver=so.Clarabel(tol=1e-3), tol=1e-2)
     bound = sol.error_bound()
     assert sol.stats["relative"].max() > 1e-6

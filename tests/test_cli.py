@@ -292,7 +292,9 @@ def test_an_unstable_step_is_refused_with_advice_that_the_command_line_can_follo
     assert cli.main(["run", "ring.toml", "--scheme", "catching-up", "--no-progress"]) == 2
     shown = capsys.readouterr().err
     assert "'catching-up' amplifies errors: mu Lam = " in shown
-    assert shown.endswith("which need no such step; use --steps or --scheme\n")
+    assert shown.endswith(
+        "which needs no such step and never overshoots; use --steps or --scheme\n"
+    )
     assert shown.count("\n") == 1
 
 

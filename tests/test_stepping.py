@@ -66,7 +66,8 @@ def test_a_step_that_is_too_long_for_its_matrix_is_rescued(scheme: str) -> None:
         ]
     )
     by_hand = so.solve(one(), steps=np.append(fine, 4.0), scheme=scheme, on_unstable="ignore")
-    assert sol.u[:, 0] == pytest.approx(by_hand(sol.t)[:, 0], abs=1e-6)
+    # velocities of 1 that are right to tol, for 4 units of time
+    assert sol.u[:, 0] == pytest.approx(by_hand(sol.t)[:, 0], abs=4e-6)
     assert np.abs(sol.u).max() > 0.3
 
 

@@ -20,6 +20,7 @@ from sweepopt import store
 from sweepopt.fem import BodyForce, Elasticity, Friction, Scene, Traction, Viscosity, antiplane
 from sweepopt.slip import slip_of
 from sweepopt.states import Kept
+from sweepopt.statistics import Log
 
 
 def ring(**changes: Any) -> Scene:
@@ -290,9 +291,11 @@ def test_summary_is_plain_finite_json_with_the_solutions_numbers(
 
 
 def test_numbers_that_are_not_finite_become_null(report: store.Report) -> None:
-    stats = report.solution.stats.copy()
-    stats["certificate"][3] = np.nan
-    broken = replace(report.solution, stats=stats, status=so.Status.UNCERTIFIED)
+    kept = report.solution.statistics
+    certificate = kept.columns["certificate"].copy()
+    certificate[3] = np.nan
+    spoiled = replace(kept, columns={**kept.columns, "certificate": certificate})
+    broken = replace(report.solution, statistics=spoiled, status=so.Status.UNCERTIFIED)
     summary = store.summary_of(store.make_report(report.scene, broken, seconds=math.inf))
     assert summary["worst"]["certificate"] is None
     assert summary["seconds"] is None
@@ -375,7 +378,7 @@ def test_vtu_files_are_few_and_include_start_and_end(
         t=t,
         steps=np.arange(steps),
         states=Kept(u, u[1:]),
-        stats=np.zeros(steps, report.solution.stats.dtype),
+        statistics=Log(steps).of(t[1:], 0.0),
     )
     few = store.Report("", "", report.scene, many, None, report.energy, 0.0)
     series, *files = store.write_vtu(few, tmp_path)

@@ -90,8 +90,7 @@ class Iteration:
 
     def __init__(self, M: Factor) -> None:
         self._factor, self.M, self._diagonal = M, dense(M.M), M.diagonal
-        self._steps, self._roots = self._diagonal, _roots(self._diagonal)
-        self._weights = 1 / self._roots
+        self._take(self._diagonal)
         self._stuck = b""
         self._kept = np.zeros(0, dtype=int)
         self._block, self._inverted = self.M, False
@@ -102,20 +101,20 @@ class Iteration:
         """Newton steps from z until nothing changes; returns the last z and their number."""
         T = C.steps(self._diagonal)
         if T is not self._steps:
-            self._steps, self._roots = T, _roots(T)
-            self._weights = 1 / self._roots
+            self._take(T)
         weights = self._weights
         smallest, stalled = math.inf, 0
         for iteration in range(max_iter):
             pulled = T * z
             if self._factor.is_sharp:
-                w = self.M @ z + q
+                w, size_z = self.M @ z + q, euclidean(pulled * weights)
             else:
-                w = self._factor.apply(z, q).value
+                w, size_z, _ = self._factor.apply(z, q)
+                size_z *= self._unit
             v = w - pulled
             missed = C.project(v) - w
             size = euclidean(missed * weights)
-            rounding = EPS * (euclidean(w * weights) + euclidean(pulled * weights))
+            rounding = EPS * (euclidean(w * weights) + size_z)
             # at rounding the equation cannot get better: stop when it does not, or when it cycles
             stalled += size >= smallest
             if size <= rounding or (size <= 1e3 * rounding and stalled) or stalled == PATIENCE:
@@ -135,6 +134,12 @@ class Iteration:
                 return z, iteration
             z = following
         return z, max_iter
+
+    def _take(self, T: np.ndarray) -> None:
+        """Roots of T in its own units: the same numbers whatever power of two the units are."""
+        unit = binary(T.max())
+        self._steps, self._roots, self._unit = T, np.sqrt(T / unit), math.sqrt(unit)
+        self._weights = 1 / self._roots
 
     def _separable(self, stuck: np.ndarray, z: np.ndarray, missed: np.ndarray) -> np.ndarray:
         """Stuck entries get 0, slipping ones solve M dz = missed; nothing reverses."""
@@ -187,8 +192,3 @@ class Iteration:
         units = self._roots[free]
         dz[free] = np.linalg.solve(rows[:, free] / np.outer(units, units), right / units) / units
         return dz
-
-
-def _roots(T: np.ndarray) -> np.ndarray:
-    """Roots of T in its own units: the same numbers whatever power of two the units are."""
-    return np.sqrt(T / binary(T.max()))
