@@ -30,7 +30,7 @@ from sweepopt.watch import Flow, Watch
 PASSES = 24
 STEPS = 1_000_000  # of the finest pass
 CHECKED = 256  # nodes at which passes are compared, fewer where states are large
-AIM, FIRST_AIM = 1.7, 1.2  # the error that a pass is made for, in units of tol; the second pass
+AIM, FIRST_AIM = 1.7, 1.15  # the error that a pass is made for, in units of tol; the second pass
 ACCEPTED = 2.7  # the error that it may have
 ALONE = 1.9  # what the first one may have,
 RESOLVED = 0.02  # and in units of the way that u goes: the steps have seen it move
