@@ -36,14 +36,11 @@ class Lift:
 
     def __init__(self, plan: Plan, times: np.ndarray, mus: np.ndarray) -> None:
         self._plan, self._times, self._mus = plan, times, mus
-        self._reduction = plan.reduction
-        if plan.reduction is not None and not plan.scheme.exact:
-            self._reduction = plan.reduction.begun(float(times[0]))
 
     @cached_property
     def _moved(self) -> _Coefficients:
         """The coefficients of the whole run, which come first."""
-        reduction, scheme = self._reduction, self._plan.scheme
+        reduction, scheme = self._plan.reduction, self._plan.scheme
         assert reduction is not None
         begun = clock.perf_counter()
         if scheme.exact:
@@ -55,10 +52,10 @@ class Lift:
     @cached_property
     def _of_load(self) -> list[OfLoad]:
         """What the load brings into the proof of each step."""
-        assert self._reduction is not None
+        assert self._plan.reduction is not None
         gammas = self._mus * self._plan.scheme.a[-1][-1]
         alphas = self._alpha.nodes[:-1], self._alpha.velocities
-        return self._reduction.of_load(alphas, gammas)
+        return self._plan.reduction.of_load(alphas, gammas)
 
     @property
     def _alpha(self) -> Kept:
@@ -71,12 +68,12 @@ class Lift:
 
     def state(self, node: int, u: np.ndarray) -> np.ndarray:
         """The state at a node of the grid."""
-        reduction = self._reduction
-        return u if reduction is None else reduction.state(u, self._alpha.nodes[node])
+        reduction = self._plan.reduction
+        return u if reduction is None else reduction.lift(u, self._alpha.nodes[node])
 
     def velocity(self, i: int, z: np.ndarray) -> np.ndarray:
         """The velocity of a step."""
-        reduction = self._reduction
+        reduction = self._plan.reduction
         return z if reduction is None else reduction.lift(z, self._alpha.velocities[i])
 
     def prove(self, i: int, zeta: np.ndarray, velocity: np.ndarray, step: Summary) -> Summary:
@@ -84,8 +81,8 @@ class Lift:
 
         The load takes no part in parts of a step: it is linear, and its own scheme takes the whole.
         """
-        assert self._reduction is not None
-        error, size = self._reduction.residual(zeta, velocity, self._of_load[i])
+        assert self._plan.reduction is not None
+        error, size = self._plan.reduction.residual(zeta, velocity, self._of_load[i])
         certificate = step.certificate + error
         if step.relative > 0:
             size = max(size, step.certificate / step.relative)
@@ -94,7 +91,7 @@ class Lift:
 
     def trajectory(self, few: Trajectory | None) -> Trajectory | None:
         """The exact trajectory of all unknowns from that of those that entered."""
-        reduction = self._reduction
+        reduction = self._plan.reduction
         if few is None or reduction is None:
             return few
         exact = self._moved.exact
@@ -103,11 +100,10 @@ class Lift:
 
     def of(self, kept: Kept, steps: np.ndarray) -> States:
         """The kept states as states of all unknowns."""
-        reduction = self._reduction
+        reduction = self._plan.reduction
         if reduction is None:
             return kept
-        lifts = reduction.state, reduction.lift
-        return Lifted(kept, lambda: self._alpha, steps, *lifts, self._plan.unknowns)
+        return Lifted(kept, lambda: self._alpha, steps, reduction.lift, self._plan.unknowns)
 
 
 class _EveryStep:
@@ -137,8 +133,8 @@ def _coefficients(reduction: Reduction, scheme: Scheme, times: np.ndarray, mus: 
     The velocity of a step is affine in its first state: the tableau is asked twice for all steps,
     for the constant and for the slope.
     """
-    n = len(mus)
-    shape = n, len(reduction.load.terms)
+    load, n = reduction.load, len(mus)
+    shape = n, len(load.terms)
     starts: Any = times[:-1, None]  # a row where `step` has a number
     sizes: Any = mus[:, None]
 
@@ -146,7 +142,7 @@ def _coefficients(reduction: Reduction, scheme: Scheme, times: np.ndarray, mus: 
         every: Any = _EveryStep(reduction.rho, phi)
         return step(every, scheme, every.velocity, starts, sizes, alpha)[0]
 
-    constant = asked(lambda t: reduction.moves(t.ravel()), np.zeros(shape))
+    constant = asked(lambda t: load.values(t.ravel()), np.zeros(shape))
     slope = asked(lambda t: 0.0, np.ones((n, 1)))
     starts_at = np.eye(shape[1])[-1]  # alpha_0 = 1, all others 0
     columns = [

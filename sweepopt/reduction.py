@@ -14,15 +14,14 @@ again a sweeping process: the library solves it as any other. The other unknowns
 
 F_k the response to f_k of the body whose contact is held, F_0 what u0 has beyond the response to
 its contact. The same scheme moves alpha, from alpha_0(t_0) = 1 and all others 0. u is computed when
-somebody asks for it. `Reduction.begun` moves the coefficients beside those of the load at t_0, so
-that a body which is held under it is u0 to the last bit.
+somebody asks for it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -38,7 +37,6 @@ from sweepopt.sets import AnySet, ConvexSet, Moving
 
 SAME = 8 * np.finfo(float).eps  # entries of B and rho A may differ by this share
 ACCURATE = 1e-10  # |A F - f|_{A^-1} in units of |F|_A: worse solves leave it to the general path
-HELD = 1e-13  # of |u0|_A that rounding may miss of an equilibrium
 FLOOR = 1e-3  # of the velocity that the load alone would cause: less counts as this
 Pair = tuple[np.ndarray, np.ndarray]
 
@@ -85,43 +83,9 @@ class Reduction:
     _responses: np.ndarray
     _uneven: np.ndarray
     _share: float
-    _u0: np.ndarray
-    _rest: np.ndarray | None = None
-
-    def begun(self, t: float) -> Reduction:
-        """The same, with all coefficients but alpha_0 beside phi(t) / rho, where the load rests.
-
-        They stay exactly 0 while the load does. F_0 becomes G = F_0 - sum_k phi_k(t) / rho F_k; it
-        counts as 0, and u stays, if it is what rounding misses of a u0 in equilibrium.
-        """
-        if not self.rho:
-            return replace(self, _rest=np.zeros(len(self.load.terms)))
-        rest = self.load.values(np.array([t]))[0] / self.rho
-        G = self._shapes @ np.append(-rest[:-1], 1.0)
-        size = self._A.norm(G)
-        seen = self._A.rounding(self._u0, self._A.M @ self._u0) + np.abs(rest) @ self._errors
-        uneven = np.append(self._uneven[:-1], self._uneven @ np.append(np.abs(rest[:-1]), 1.0))
-        if size <= min(2 * float(seen), HELD * self._A.norm(self._u0)):
-            G, uneven[-1] = 0 * G, size
-        shapes = np.column_stack([self._shapes[:, :-1], G])
-        return replace(self, _shapes=shapes, _uneven=uneven, _rest=rest)
-
-    def moves(self, t: np.ndarray) -> np.ndarray:
-        """The right hand sides of alpha, shape (n, k + 1)."""
-        values = self.load.values(t)
-        return values if self._rest is None else values - self.rho * self._rest
-
-    def state(self, zeta: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-        """u from the few and the coefficients; u0 to the last bit where these have not moved."""
-        if self._rest is None:
-            return self.lift(zeta, alpha)
-        start = np.eye(len(alpha))[-1]
-        u = self._u0 + self.lift(zeta - self._u0[self._A.unknowns], alpha - start)
-        u[self._A.unknowns] = zeta
-        return u
 
     def lift(self, zeta: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-        """All unknowns of a velocity, or of u without `begun`, from the few and the coefficients.
+        """All unknowns, of u or of a velocity, from the few and the coefficients of the load.
 
         Parameters
         ----------
@@ -148,11 +112,10 @@ class Reduction:
         gammas : ndarray, shape (n,)
         """
         ratios = 1 + gammas * self.rho
-        nodes = alphas[0] if self._rest is None else alphas[0] + self._rest
-        phi = np.abs(ratios[:, None] * alphas[1] + self.rho * nodes)
+        phi = np.abs(ratios[:, None] * alphas[1] + self.rho * alphas[0])
         # A^-1 E^T N zeta and the F_k are orthogonal in the metric of A
         squares = np.einsum("ik,kl,il->i", alphas[1], self._gram, alphas[1])
-        apart = np.abs(ratios[:, None] * alphas[1]) + np.abs(self.rho * nodes)
+        apart = np.abs(ratios[:, None] * alphas[1]) + np.abs(self.rho * alphas[0])
         errors = phi @ self._errors + apart @ self._uneven
         columns = (errors, FLOOR * (phi @ self._responses), squares, ratios)
         return [OfLoad(*row) for row in zip(*(column.tolist() for column in columns), strict=True)]
@@ -211,7 +174,7 @@ def reduce(process: SweepingProcess, tol: float) -> Reduction | str:
     histories = [*(phi for phi, _ in terms), Constant(0.0)]
     alpha = Separable(list(zip(histories, np.eye(len(histories)), strict=True)))
     errors, responses = np.append(errors, 0.0), np.append(responses, 0.0)
-    return Reduction(rho, small, alpha, shapes, A, errors, responses, missed, share, process.u0)
+    return Reduction(rho, small, alpha, shapes, A, errors, responses, missed, share)
 
 
 class Held(NamedTuple):

@@ -51,7 +51,7 @@ class Kept:
 
 @dataclass(frozen=True, eq=False)
 class Lifted:
-    """States of few unknowns in memory, and what gives all unknowns of a node or of a step.
+    """States of few unknowns in memory; `lift` gives all unknowns of a node or of a step.
 
     Attributes
     ----------
@@ -60,8 +60,7 @@ class Lifted:
         Coefficients of the load at every node and step of the run, computed when asked for.
     steps : ndarray, shape (k,)
         The kept steps, counted in the run.
-    state, lift : callable (few, alpha) -> ndarray, shape (dim,)
-        Of a node, and of a velocity.
+    lift : callable (few, alpha) -> ndarray, shape (dim,)
     dim : int
         How many unknowns there are in all.
     """
@@ -69,31 +68,23 @@ class Lifted:
     few: Kept
     alpha: Callable[[], Kept]
     steps: np.ndarray
-    state: Callable[[np.ndarray, np.ndarray], np.ndarray]
     lift: Callable[[np.ndarray, np.ndarray], np.ndarray]
     dim: int
 
     def u(self, i: Index) -> np.ndarray:
-        alpha = self.alpha().nodes[self._nodes[i]]
-        return self._each(self.state, self.few.nodes[i], alpha)
+        return self._lift(self.few.nodes[i], self.alpha().nodes[self._nodes[i]])
 
     def velocity(self, i: Index) -> np.ndarray:
-        alpha = self.alpha().velocities[self.steps[i]]
-        return self._each(self.lift, self.few.velocities[i], alpha)
+        return self._lift(self.few.velocities[i], self.alpha().velocities[self.steps[i]])
 
     @cached_property
     def _nodes(self) -> np.ndarray:
         return np.append(0, self.steps + 1)
 
-    def _each(
-        self,
-        lift: Callable[[np.ndarray, np.ndarray], np.ndarray],
-        few: np.ndarray,
-        alpha: np.ndarray,
-    ) -> np.ndarray:
+    def _lift(self, few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
         lifted = np.zeros((*few.shape[:-1], self.dim))
         for index in np.ndindex(few.shape[:-1]):
-            lifted[index] = lift(few[index], alpha[index])
+            lifted[index] = self.lift(few[index], alpha[index])
         return lifted
 
 
