@@ -315,7 +315,7 @@ def exceeds_none(A: Factor, B: Matrix, s: float, factorise: Callable[[Matrix], A
     That is if the pivots of s A - B are positive (Sylvester's law of inertia).
     """
     difference = s * A.M - B
-    if _is_dominant(difference):
+    if _is_dominant(difference, slack=32 * UNIT):
         return True
     try:
         factorise(difference)

@@ -90,4 +90,5 @@ def _rates(process: SweepingProcess) -> tuple[float, float]:
         lam = 1 / largest_ratio(factorise(process.B, "B"), process.A, factorise)
     except InputError:  # B is singular
         lam = 0.0
-    return lam, process.Lam
+    # of a body too large to be factorised they are as far as a hierarchy of grids shows
+    return 0.99 * lam, 1.01 * process.Lam

@@ -85,8 +85,7 @@ class _Unrounded:
 
     def _bound(self, z: np.ndarray, u: np.ndarray, size: float) -> float:
         """At least |d|_{M^-1}, for |z|_M <= size."""
-        root = self._M.root
-        of_size, of_z, of_u = self._shares
+        root, of_size, of_z, of_u = self._shares
         of_sum = of_size * size if of_size <= NEGLIGIBLE else of_z * euclidean(root * z)
         return of_sum + of_u * euclidean(root * u)
 
@@ -96,13 +95,18 @@ class _Unrounded:
         return self._factors.elimination if contact else self._factors.whole
 
     @cached_property
-    def _shares(self) -> tuple[float, float, float]:
-        """What M rounds for |z|_M, and what M and B u for |z| and |u| in units of M's diagonal."""
+    def _shares(self) -> tuple[np.ndarray, float, float, float]:
+        """D^1/2, D = diag(M); what M rounds for |z|_M, and M and B u for |z| and |u| in it."""
         of_B = row_sum(self._B, self._M.root)
         entries = np.diff(self._B.indptr).max() if sp.issparse(self._B) else len(self._B)
         unit = UNIT * self._M.bound_factor
         of_M = unit * (self._stretch**2 + self._gamma * of_B) if self._gamma else 0.0
-        return of_M * self._M.bound_factor, of_M, unit * (3 + math.sqrt(entries)) * of_B
+        return (
+            self._M.root,
+            of_M * self._M.bound_factor,
+            of_M,
+            unit * (3 + math.sqrt(entries)) * of_B,
+        )
 
     @cached_property
     def _stretch(self) -> float:
@@ -137,7 +141,7 @@ class _Unrounded:
         """The same from a linear term that is rounded once, with d of the z before in it."""
         c, S, z = np.zeros_like(u), C, np.zeros_like(u)
         best, left = found._replace(velocity=Velocity(z, math.inf, math.inf)), math.inf
-        for _ in range(REFINEMENTS):
+        for attempt in range(REFINEMENTS):
             known = (self._lost @ z, -c)
             term = self._product(u, *known)
             solved = self._velocity(term, S)
@@ -153,7 +157,7 @@ class _Unrounded:
             if velocity.relative < best.velocity.relative:
                 best = solved._replace(velocity=velocity)
             negligible = missed <= max(NEGLIGIBLE * size, certificate)
-            if S is not C:
+            if attempt:
                 if negligible or missed > 0.5 * left:
                     break
                 left = missed

@@ -40,7 +40,9 @@ class Flow:
 
     def __init__(self, process: SweepingProcess, scheme: Scheme) -> None:
         self.norm = process.metric.norm
-        self.order = int(scheme.order)
+        # at A = 0 a scheme that does not end with its last stage is of order 1
+        stiff = scheme.a[-1] == scheme.b
+        self.order = int(scheme.order) if stiff or not process.rate_independent else 1
         self.continuous = not process.rate_independent  # the velocity, where the load has a kink
         self._process = process
         n = len(scheme.b)

@@ -33,7 +33,11 @@ MESH = rarely(
     30,
 )
 SIDES = st.sampled_from(["left", "right", "bottom"])
-ON = rarely(st.one_of(SIDES, st.lists(SIDES, min_size=1, max_size=2, unique=True)), st.one_of(st.sampled_from(["x", "top"]), ANYTHING), 40)
+ON = rarely(
+    st.one_of(SIDES, st.lists(SIDES, min_size=1, max_size=2, unique=True)),
+    st.one_of(st.sampled_from(["x", "top"]), ANYTHING),
+    40,
+)
 
 
 def of_x(x: Any) -> Any:

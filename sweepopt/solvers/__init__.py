@@ -35,7 +35,7 @@ def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
     "auto" is the formula for one small ball, DAQP for small boxes if it is installed, Newton for
     small sets whose projection has a derivative, then OSQP for polyhedra and Clarabel for the rest:
     in this order of speed, as measured by `sweepopt bench`. Where a polyhedron couples its unknowns
-    OSQP is faster than Newton.
+    OSQP is faster than Newton, and Clarabel where a projection is itself an iteration.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
         fastest: list[Solver] = [FASTEST] if installed() and FASTEST.treats(C) else []
         formula: list[Solver] = [FORMULA] if FORMULA.treats(C) else []
         D = C.derivative(C.anchor) if small and C.polyhedral else None
-        if D is not None and D.ndim == 2:
+        if (D is not None and D.ndim == 2) or not C.exact:
             return (*formula, *fastest, general[0], *small, *general[1:])
         return (*formula, *fastest, *small, *general)
     if isinstance(solver, str):
