@@ -53,6 +53,23 @@ def process(**changes: Any) -> so.SweepingProcess:
 
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+@pytest.mark.parametrize("rho", [1e-4, 1e-8, 1e-14, 1e-60])
+def test_a_body_that_hardly_remembers_loses_no_digits(rho: float) -> None:
+    # a load of 1 beside rho: an equilibrium that is 1 / rho away must enter nothing
+    this = process(
+        B=rho * chain(), C=so.Moving(-so.image(select(CONTACT), SETS["intervals"]), load(3))
+    )
+    few, all_ = (
+        so.solve(this, t_end=3.0, steps=30, path=path) for path in ("proportional", "full")
+    )
+    norm = this.metric.norm
+    assert max(map(norm, few.u - all_.u)) <= 1e-11 * max(map(norm, all_.u))
+    exact = so.solve(this, t_end=3.0, steps=1, scheme="exact").exact
+    assert exact is not None
+    assert few.error_bound() >= max(norm(few.u[i] - exact(t)) for i, t in enumerate(few.t))
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 @pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "midpoint"])
 @pytest.mark.parametrize("part", SETS)
 def test_the_contact_alone_gives_the_trajectory_of_all_unknowns(part: str, scheme: str) -> None:
