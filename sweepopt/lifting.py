@@ -143,14 +143,25 @@ def _coefficients(reduction: Reduction, scheme: Scheme, times: np.ndarray, mus: 
         return step(every, scheme, every.velocity, starts, sizes, alpha)[0]
 
     constant = asked(lambda t: load.values(t.ravel()), np.zeros(shape))
-    slope = asked(lambda t: 0.0, np.ones((n, 1)))
+    slope = asked(lambda t: 0.0, np.ones((n, 1)))[:, 0]
+    still = _still(reduction, times[:-1] + scheme.c[0] * mus)
+    constant[:still] = 0.0
+    slope[:still] = 0.0
     starts_at = np.eye(shape[1])[-1]  # alpha_0 = 1, all others 0
     columns = [
-        _follow(alpha, values, slope[:, 0], mus)
+        _follow(alpha, values, slope, mus)
         for alpha, values in zip(starts_at.tolist(), constant.T, strict=True)
     ]
     nodes, velocities = (np.column_stack(parts) for parts in zip(*columns, strict=True))
     return Kept(nodes, velocities)
+
+
+def _still(reduction: Reduction, times: np.ndarray) -> int:
+    """How many steps ask for a load under which nothing beside the contact begins to move."""
+    if reduction.balanced is None:
+        return 0
+    moves = (reduction.load.values(times) != reduction.balanced).any(axis=1)
+    return int(moves.argmax()) if moves.any() else len(times)
 
 
 def _exact_coefficients(

@@ -254,7 +254,7 @@ def make_plan(
     if len(scheme.b) > 1:
         reduced = f"scheme {scheme.name!r} has several stages"
     elif path in ("auto", "proportional") and contact is not None and not multigrid:
-        reduced = reduce(process, tol)
+        reduced = reduce(process, tol, members[0][0])
     if path == "proportional" and isinstance(reduced, str):
         raise PathError(f"path='proportional' does not apply: {reduced}")
     if scheme.exact and isinstance(reduced, str):

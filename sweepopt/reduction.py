@@ -15,6 +15,10 @@ again a sweeping process: the library solves it as any other. The other unknowns
 F_k the response to f_k of the body whose contact is held, F_0 what u0 has beyond the response to
 its contact. The same scheme moves alpha, from alpha_0(t_0) = 1 and all others 0. u is computed when
 somebody asks for it.
+
+Where sum_k phi_k F_k = rho F_0 nothing moves beside the contact, as long as the phi_k stay what
+they are: alpha stays at its start, and u and u' beside a contact that is held are u0 and 0 to the
+last bit.
 """
 
 from __future__ import annotations
@@ -33,6 +37,7 @@ from sweepopt.linalg import Elimination
 from sweepopt.loads import Constant, Separable
 from sweepopt.precise import Precise, product_error
 from sweepopt.process import SweepingProcess
+from sweepopt.program import is_rounding
 from sweepopt.sets import AnySet, ConvexSet, Moving
 
 SAME = 8 * np.finfo(float).eps  # entries of B and rho A may differ by this share
@@ -72,11 +77,14 @@ class Reduction:
         That of zeta = E u, shape (m,).
     load : Separable
         Its k + 1 values are the right hand sides of alpha; the last one is that of alpha_0.
+    balanced : ndarray, shape (k + 1,), or None
+        Values of the load under which u0 does not move beside the contact.
     """
 
     rho: float
     process: SweepingProcess
     load: Separable
+    balanced: np.ndarray | None
     _shapes: np.ndarray
     _A: Elimination
     _errors: np.ndarray
@@ -96,7 +104,9 @@ class Reduction:
         -------
         ndarray, shape (dim,)
         """
-        return self._shapes @ alpha + _follow(self._A, zeta)
+        u = self._shapes @ alpha + _follow(self._A, zeta - alpha[-1] * self.process.u0)
+        u[self._A.unknowns] = zeta  # to the last bit
+        return u
 
     def of_load(self, alphas: Pair, gammas: np.ndarray) -> list[OfLoad]:
         """What the load brings into the residual of each step.
@@ -139,14 +149,21 @@ class Reduction:
 
     @cached_property
     def _gram(self) -> np.ndarray:
-        return self._shapes.T @ (self._A.M @ self._shapes)
+        shapes = self._shapes.copy()
+        shapes[:, -1] -= _follow(self._A, self.process.u0)
+        return shapes.T @ (self._A.M @ shapes)
 
 
-def reduce(process: SweepingProcess, tol: float) -> Reduction | str:
+def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     """The reduction of a process, or a sentence that says what it lacks.
 
     The solves with A that come beforehand must be a thousand times as accurate as `tol` asks of
     each step.
+
+    Parameters
+    ----------
+    t : float
+        When the first step asks for the load.
     """
     if process.rate_independent:
         return "A is zero"
@@ -159,22 +176,46 @@ def reduce(process: SweepingProcess, tol: float) -> Reduction | str:
     unknowns, terms, moving = motion
     A = Elimination(process.A, unknowns, process.metric.order)
     held = [_held(A, f) for _, f in terms]
+    load = [(phi, one.pull) for (phi, _), one in zip(terms, held, strict=True)]
+    small = SweepingProcess(A.N, rho * A.N if rho else None, moving(load), process.u0[unknowns])
+    uneven = _Uneven(A, process.B, rho)
+    share = _accuracy(A, uneven)
     responses = np.array([A.dual_norm(f) for _, f in terms])
     errors = np.array([A.dual_norm(one.missed) + A.resolution(one.F) for one in held])
-    rest = process.u0 - _follow(A, process.u0[unknowns])
-    shapes = np.column_stack([*(one.F for one in held), rest])
-    uneven = _Uneven(A, process.B, rho)
+    shapes = np.column_stack([*(one.F for one in held), process.u0])
     missed = np.array([uneven(F) for F in shapes.T])
-    share = _accuracy(A, uneven)
+    missed[-1] += share * math.sqrt(small.u0 @ (A.N @ small.u0))
     worst = min(ACCURATE, FLOOR * tol)
     if (np.maximum(errors, missed[:-1]) > worst * responses).any() or share > worst:
         return "A is too badly conditioned to apply its inverse beforehand"
-    load = [(phi, one.pull) for (phi, _), one in zip(terms, held, strict=True)]
-    small = SweepingProcess(A.N, rho * A.N if rho else None, moving(load), process.u0[unknowns])
     histories = [*(phi for phi, _ in terms), Constant(0.0)]
     alpha = Separable(list(zip(histories, np.eye(len(histories)), strict=True)))
-    errors, responses = np.append(errors, 0.0), np.append(responses, 0.0)
-    return Reduction(rho, small, alpha, shapes, A, errors, responses, missed, share)
+    phi = alpha.values(np.array([t]))[0]
+    f = sum((c * f for c, (_, f) in zip(phi, terms, strict=False)), np.zeros(A.dim))
+    pull = sum((c * one.pull for c, one in zip(phi, held, strict=False)), 0.0 * unknowns)
+    left = _left(A, process, f, rho * small.u0, pull) if rho else None
+    # alpha_0 = 1 weighs what F_0 misses with rho
+    errors = np.append(errors, 0.0 if left is None else left / rho)
+    responses = np.append(responses, 0.0 if left is None else A.dual_norm(f) / rho)
+    balanced = None if left is None else phi
+    return Reduction(rho, small, alpha, balanced, shapes, A, errors, responses, missed, share)
+
+
+def _left(
+    A: Elimination, process: SweepingProcess, f: np.ndarray, strain: np.ndarray, pull: np.ndarray
+) -> float | None:
+    """|f - B u0|_{A^-1} beside what the contact takes, if no more than rounding is left of it.
+
+    The contact takes N strain - pull: rho u0 there, and what the response to f pulls.
+    """
+    few, q = A.unknowns, process.times_B(process.u0)
+    missed = -Precise(process.B)(process.u0, -f)
+    beside = missed.copy()
+    beside[few] = 0.0
+    if not is_rounding(beside, q, f):
+        return None
+    missed[few] += Precise(A.N)(strain, -pull)
+    return A.dual_norm(missed)
 
 
 class Held(NamedTuple):

@@ -230,6 +230,35 @@ def test_the_certificate_bounds_the_error_of_all_unknowns_of_each_step(contrast:
     assert 0 < worst <= 1e-9
 
 
+@pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "midpoint"])
+def test_a_body_held_for_a_while_is_u0_to_the_last_bit_and_then_moves_as_it_should(
+    scheme: str,
+) -> None:
+    u0 = 1e3 * np.cos(np.arange(40))
+    on_contact = np.zeros(40)
+    on_contact[CONTACT] = 1.0
+    table = so.Table([0.0, 1.0, 2.0, 4.0], [0.0, 0.0, 3.0, -3.0])
+    late = so.Table([0.0, 2.0, 3.0, 4.0], [0.0, 0.0, 1.0, 0.0])
+    terms = [
+        (so.Constant(1.0), RHO * chain() @ u0),
+        (table, on_contact),  # from t = 1: the contact slips, nothing else feels it but through it
+        (late, np.sin(np.arange(40))),
+    ]
+    C = so.Moving(-so.image(select(CONTACT), SETS["intervals"]), so.Separable(terms))
+    few, general = (
+        so.solve(process(u0=u0, C=C), t_end=4.0, steps=80, scheme=scheme, path=path)
+        for path in ("proportional", "eliminated")
+    )
+    held = few.t <= 1.0
+    assert (few.u[held] == u0).all()
+    assert (few.velocity[held[1:]] == 0.0).all()
+    norm = process().metric.norm
+    moved = max(map(norm, general.u - u0))
+    assert moved > 0.1
+    assert max(map(norm, few.u - general.u)) <= 1e-12 * max(map(norm, general.u))
+    assert few.stats["relative"].max() <= 1e-6
+
+
 @pytest.mark.parametrize("B", [None, RHO * chain()], ids=["without B", "with B"])
 def test_a_contact_at_its_threshold_stays_where_it_is(B: Any) -> None:
     g = np.array([0.1, 0.7, 1.3, 0.3])
