@@ -119,7 +119,7 @@ def _companion(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Path:
     """Midpoint on the same grid; where A = 0 implicit Euler on a finer one."""
     if process.rate_independent:
         return nodes(process, replace(plan, scheme=SCHEMES["implicit-euler"]), divided(t, PARTS))
-    return nodes(process, replace(plan, scheme=SCHEMES["midpoint"]), t)
+    return nodes(process, replace(plan, scheme=SCHEMES["midpoint"].unwatched), t)
 
 
 def nodes(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Path:

@@ -78,13 +78,12 @@ def check_stability(process: SweepingProcess, scheme: Scheme, mu: float, on_unst
     warnings.warn(f"scheme {scheme.name!r} {effect}: {remedy}", StabilityWarning, stacklevel=3)
 
 
-def warn_of_overshoot(scheme: Scheme, t: float, on_unstable: str) -> None:
+def warn_of_overshoot(scheme: Scheme, t: float) -> None:
     """Tell of a step that decays from outside of C(t) while mu Lam is too large to resolve that."""
-    if on_unstable != "ignore":
-        warnings.warn(
-            f"scheme {scheme.name!r} may have overshot into a wrong stuck state in the step from "
-            f"t = {t:g}: B u starts far outside of C(t) there and mu Lam is above "
-            f"{scheme.overshoots:.3g}; take smaller steps, or implicit-euler, which never does",
-            StabilityWarning,
-            stacklevel=3,
-        )
+    warnings.warn(
+        f"scheme {scheme.name!r} may have overshot into a wrong stuck state in the step from "
+        f"t = {t:g}: B u starts far outside of C(t) there and mu Lam is above "
+        f"{scheme.overshoots:.3g}; take smaller steps, or implicit-euler, which never does",
+        StabilityWarning,
+        stacklevel=3,
+    )

@@ -183,6 +183,8 @@ def solve(
     if adaptive and isinstance(scheme, str) and scheme == "auto" and process.rate_independent:
         scheme = "sdirk2"
     tableau = choose(scheme, process.rate_independent)
+    if on_unstable == "ignore":
+        tableau = tableau.unwatched
     if adaptive and tableau.exact:
         raise InputError("scheme 'exact' has no error in time that steps could be adapted to")
     frame = Frame(steps, process, t_end, tableau, save) if adaptive else None
@@ -220,7 +222,7 @@ def solve(
     finally:
         observers.close(finished)
     if run.overshot is not None:
-        warn_of_overshoot(tableau, float(times[run.overshot]), on_unstable)
+        warn_of_overshoot(tableau, float(times[run.overshot]))
     kept_steps, kept = keeper.close(run.done)
     if failed:
         u = lift.state(run.done, kept.nodes[-1])

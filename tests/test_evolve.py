@@ -278,6 +278,18 @@ def test_a_step_that_overshoots_is_warned_of(scheme: str, mu: float, reached: fl
     assert not said
 
 
+def test_nothing_is_looked_at_where_no_warning_is_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
+    def looked_at(*_: Any) -> Any:
+        raise AssertionError("a matrix or a step is looked at for nothing")
+
+    monkeypatch.setattr("sweepopt.overshoot.exceeds_none", looked_at)
+    monkeypatch.setattr("sweepopt.march.overshot", looked_at)
+    with pytest.raises(AssertionError):
+        so.solve(far_outside(), t_end=20.0, steps=1)
+    so.solve(far_outside(), t_end=20.0, steps=1, on_unstable="ignore")
+    so.solve(far_outside(), t_end=20.0, steps=1, scheme="implicit-euler").error_bound()
+
+
 @pytest.mark.parametrize("path", ["full", "eliminated", "proportional"])
 def test_every_path_tells_of_an_overshoot(path: str) -> None:
     A = np.array([[3.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])
