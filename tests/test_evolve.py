@@ -278,6 +278,7 @@ def test_a_step_that_overshoots_is_warned_of(scheme: str, mu: float, reached: fl
     assert not said
 
 
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 def test_nothing_is_looked_at_where_no_warning_is_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
     def looked_at(*_: Any) -> Any:
         raise AssertionError("a matrix or a step is looked at for nothing")
