@@ -22,6 +22,7 @@ from sweepopt.errors import MissingExtraError
 from sweepopt.linalg import dense
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
+from sweepopt.sets.base import binary
 from sweepopt.solvers.base import Answer, Small, Solve
 
 FAR, INFINITE = 1e60, 1e30  # beyond any bound of a set; what DAQP takes for no bound
@@ -73,19 +74,23 @@ class DAQP(Small):
         far = np.full(n, FAR)
         engine: Any = None
         box: ConvexSet | None = None
-        bounds = np.zeros((2, n))
+        unit, above, below = 0.0, far, -far
 
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:
-            nonlocal engine, box, bounds
-            if C is not box:
-                box, bounds = C, np.array([C.project(far), C.project(-far)]) / root
+            nonlocal engine, box, unit, above, below
             q = q / root
-            force = float(np.abs(q).max()) or 1.0
-            above, below = np.maximum(np.minimum(bounds / force, INFINITE), -INFINITE)
+            force = binary(np.abs(q).max())
             linear = -(inverse @ q) / force
+            same = C is box and force == unit
+            if not same:
+                box, unit = C, force
+                bounds = np.array([C.project(far), C.project(-far)]) / root
+                above, below = np.maximum(np.minimum(bounds / force, INFINITE), -INFINITE)
             if engine is None:
                 engine = daqp.Model()
                 engine.setup(inverse, linear, no_rows, above, below, sense)
+            elif same:
+                engine.update(f=linear)
             else:
                 engine.update(f=linear, bupper=above, blower=below)
             w, _, flag, info = engine.solve()
