@@ -209,11 +209,11 @@ def _left(
     The contact takes N strain - pull: rho u0 there, and what the response to f pulls.
     """
     few, q = A.unknowns, process.times_B(process.u0)
-    missed = -Precise(process.B)(process.u0, -f)
-    beside = missed.copy()
+    beside = f - q
     beside[few] = 0.0
     if not is_rounding(beside, q, f):
         return None
+    missed = -Precise(process.B)(process.u0, -f)
     missed[few] += Precise(A.N)(strain, -pull)
     return A.dual_norm(missed)
 
