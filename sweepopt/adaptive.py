@@ -129,7 +129,7 @@ def refine(
     watch: Watch | None = None
     while True:
         began, n, before = clock.perf_counter(), len(times) - 1, watch
-        watch = Watch(times, cuts, flow, before.nodes if before else [], checked)
+        watch = Watch(times, cuts, flow, before.nodes if before else None, checked)
         run = walk(times, watch)
         walked = run.status in (Status.SUCCESS, Status.UNCERTIFIED)
         error = _error(times, watch, before) if walked else math.nan
@@ -149,7 +149,7 @@ def refine(
             next_n = max(min(LAST * next_n, GROWTH * n), least)
         if next_n > STEPS:
             return Refined(tuple(passes), None, _too_many(passes[-1], next_n, tol))
-        wanted = density(times, cuts, np.array(watch.sizes), flow.order, watch.jumps)
+        wanted = density(times, cuts, watch.sizes, flow.order, watch.jumps)
         times = finer_grid(wanted, cuts, longest, next_n)
         failure = _failure(times, cuts, minimum, passes)
         if failure:

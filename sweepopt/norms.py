@@ -28,13 +28,13 @@ class Norms:
 
     def A(self, x: np.ndarray) -> np.ndarray:
         """|x|_A (of B where A = 0), over the last axis."""
-        return np.sqrt(np.maximum(_pairs(self._metric.M, x), 0.0))
+        return np.sqrt(np.maximum(squares(self._metric.M, x), 0.0))
 
     def B(self, x: np.ndarray) -> np.ndarray:
         """|x|_B over the last axis."""
         if self._B is None:
             return np.zeros(x.shape[:-1])
-        return np.sqrt(np.maximum(_pairs(self._B, x), 0.0))
+        return np.sqrt(np.maximum(squares(self._B, x), 0.0))
 
     def dual(self, w: np.ndarray) -> np.ndarray:
         """|w|_{A^-1} over the last axis."""
@@ -71,7 +71,8 @@ class Norms:
         return np.min(bounds, axis=0)
 
 
-def _pairs(M: Any, x: np.ndarray) -> np.ndarray:
+def squares(M: Any, x: np.ndarray) -> np.ndarray:
+    """<Mx, x> over the last axis."""
     rows = x.reshape(-1, x.shape[-1])
     return ((M @ rows.T).T * rows).sum(axis=1).reshape(x.shape[:-1])
 

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sweepopt.norms import squares
 from sweepopt.process import SweepingProcess
 from sweepopt.schemes import Scheme
 
@@ -24,6 +25,7 @@ STIFF = 1e6  # h times a rate that is as good as infinite
 # at A = 0: what turns misses more than what goes on to move, which its last stage corrects
 TURNS, STARTS = 1.5, 0.5
 SPREAD = 0.9  # standard deviations that are added to the error carried along
+BLOCK, BESIDE = 65536, 4  # numbers of the steps that are looked at together, and steps beside them
 
 
 class Flow:
@@ -39,7 +41,6 @@ class Flow:
     """
 
     def __init__(self, process: SweepingProcess, scheme: Scheme) -> None:
-        self.norm = process.metric.norm
         # at A = 0 a scheme that does not end with its last stage is of order 1
         stiff = scheme.a[-1] == scheme.b
         self.order = int(scheme.order) if stiff or not process.rate_independent else 1
@@ -70,15 +71,19 @@ class Flow:
             z[k] = np.maximum(free / self._a[k, k], 0.0)
         return self._b @ z - 0.5 * turn**2
 
-    def rate(self, z: np.ndarray) -> float:
-        """How fast an error along the velocity decays."""
-        size = self.norm(z)
-        if not size:
-            return 0.0
+    def norms(self, rows: np.ndarray) -> np.ndarray:
+        """|u|_A of each row, |u|_B where A = 0."""
+        return np.sqrt(np.maximum(squares(self._process.metric.M, rows), 0.0))
+
+    def rates(self, z: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+        """How fast errors along the velocities decay, whose norms are `sizes`."""
+        moving = sizes > 0
         if self._process.rate_independent:
-            return math.inf
-        direction = z / size
-        return float(direction @ self._process.times_B(direction))
+            return np.where(moving, math.inf, 0.0)
+        if self._process.B is None:
+            return np.zeros(len(z))
+        directions = z / np.where(moving, sizes, 1.0)[:, None]
+        return squares(self._process.B, directions)
 
     def unheld(self, t: float, u: np.ndarray, z: np.ndarray) -> float:
         """About the velocity that unknowns have at time t which rested in the step before."""
@@ -89,10 +94,10 @@ class Flow:
         missed[z != 0] = 0.0
         return math.sqrt(missed @ (missed / diagonal))
 
-    def decay(self, x: float) -> tuple[float, float]:
-        """What is left after a step of an error, and of what the step itself misses."""
-        stages: list[float] = []
-        own = 1.0
+    def decay(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What is left after steps of an error, and of what the steps themselves miss."""
+        stages: list[np.ndarray] = []
+        own = np.ones_like(x)
         for row in self._rows:
             known = sum(weight * stage for weight, stage in zip(row, stages, strict=False))
             own /= 1 + x * row[-1]
@@ -100,10 +105,10 @@ class Flow:
         return 1 - x * sum(b * stage for b, stage in zip(self._weights, stages, strict=True)), own
 
 
-class Node(NamedTuple):
-    """A state of a pass, and the error it is thought to have."""
+class Nodes(NamedTuple):
+    """States of a pass, a row each, and the errors they are thought to have."""
 
-    t: float
+    t: np.ndarray
     u: np.ndarray
     error: np.ndarray
 
@@ -111,20 +116,20 @@ class Node(NamedTuple):
 class Watch:
     """Sees the velocities of a pass and carries the error along; keeps a few nodes of it.
 
+    Steps are looked at in blocks, when those that follow them are known.
+
     Parameters
     ----------
     times, cuts : ndarray
         The grid; the start, the breakpoints and the end.
     flow : Flow
-    before : list of Node
+    before : Nodes, optional
         Of the pass before: where this one is compared with it.
     kept : int
         So many nodes are kept.
 
     Attributes
     ----------
-    sizes : list of float
-        Of the r-th difference quotient of r + 1 steps, the first steps first.
     jumps : dict
         From a step that ends at a breakpoint, or at the end, to the jump of the velocity there: it
         has none, so that something happened between that time and the middle of a step beside it.
@@ -137,124 +142,186 @@ class Watch:
     """
 
     def __init__(
-        self, times: np.ndarray, cuts: np.ndarray, flow: Flow, before: list[Node], kept: int
+        self, times: np.ndarray, cuts: np.ndarray, flow: Flow, before: Nodes | None, kept: int
     ) -> None:
-        self._flow, self._times, self._mus = flow, times.tolist(), np.diff(times).tolist()
-        self._middle = (0.5 * (times[1:] + times[:-1])).tolist()
-        self._segment = np.searchsorted(cuts[1:-1], times[:-1], side="right").tolist()
+        self._flow, self._times, self._mus = flow, times, np.diff(times)
+        self._middle = 0.5 * (times[1:] + times[:-1])
+        self._segment = np.searchsorted(cuts[1:-1], times[:-1], side="right")
+        self._window = _windows(self._segment, flow.order)
         # some nodes more where the steps are short: what is wrong there may soon be forgotten
-        self._kept = set(np.linspace(0, len(times) - 2, kept).astype(int).tolist())
-        self._before = iter(before)
-        self._next = next(self._before, None)
-        self._z: dict[int, np.ndarray] = {}
-        self._u: dict[int, np.ndarray] = {}
-        self._windows: dict[int, np.ndarray] = {}
-        self._last = np.zeros(0)
-        self._carried, self._deviation = np.zeros(0), 0.0
-        self.nodes: list[Node] = []
-        self.sizes: list[float] = []
+        self._kept = np.unique(np.linspace(0, len(times) - 2, kept).astype(int))
+        self._before = before
+        self._z = self._u = self._carried = self._last = np.zeros(0)
+        self._first = self._done = 0  # the step in the first row; how many were looked at
+        self._deviation = 0.0
+        self._sizes: list[np.ndarray] = []
+        self._nodes: list[Nodes] = []
         self.jumps: dict[int, float] = {}
         self.error = self.spread = self.apart = self.expected = self.length = self.size = 0.0
 
+    @property
+    def sizes(self) -> np.ndarray:
+        """Of the r-th difference quotient of r + 1 steps, the first steps first."""
+        return np.concatenate(self._sizes)
+
+    @property
+    def nodes(self) -> Nodes:
+        """The nodes that are kept."""
+        return Nodes(*(np.concatenate(parts) for parts in zip(*self._nodes, strict=True)))
+
     def see(self, i: int, u: np.ndarray, z: np.ndarray) -> None:
         """Take the state after step i and its velocity."""
-        flow, r = self._flow, self._flow.order
         if i == 0:
-            self._carried = np.zeros_like(u)
+            rows = min(len(self._mus), max(BLOCK // u.size, 1) + BESIDE)
+            self._z, self._u = np.empty((rows, u.size)), np.empty((rows + 1, u.size))
             self._u[0] = u - self._mus[0] * z
-        self._z[i], self._u[i + 1] = z, u.copy()
-        self.length += self._mus[i] * flow.norm(z)
-        if i >= r:
-            self._windows[i - r] = self._quotient(i - r)
-            self.sizes.append(flow.norm(self._windows[i - r]) / r)
-        for k in range(max(i - 2, 0), len(self._mus) if i == len(self._mus) - 1 else i - 1):
-            self._step(k)
-        for memory in (self._z, self._u, self._windows):
-            memory.pop(i - 4, None)
+            self._carried = self._last = np.zeros_like(u)
+        row = i - self._first
+        self._z[row], self._u[row + 1] = z, u
+        if i + 1 == len(self._mus):
+            self._look(i + 1)
+        elif row + 1 == len(self._z):
+            self._look(i - 1)
+            self._z[:BESIDE] = self._z[-BESIDE:]
+            self._u[: BESIDE + 1] = self._u[-BESIDE - 1 :]
+            self._first = i + 1 - BESIDE
 
-    def _slope(self, k: int) -> np.ndarray:
-        return (self._z[k + 1] - self._z[k]) / (self._middle[k + 1] - self._middle[k])
+    def _look(self, stop: int) -> None:
+        """Carry the error over the steps that nobody has looked at, up to step `stop`."""
+        flow, r = self._flow, self._flow.order
+        steps = np.arange(self._done, stop)
+        rows = steps - self._first
+        z, h, segment = self._z[rows], self._mus[steps], self._segment
+        start = max(self._done - 2, 0)
+        slopes = self._slopes(start, min(stop + 1, len(self._mus) - 1))
+        windows = slopes
+        if r == 2:
+            width = 0.5 * (self._middle[2:] - self._middle[:-2])[start : start + len(slopes) - 1]
+            windows = (slopes[1:] - slopes[:-1]) / width[:, None]
+        known = sum(map(len, self._sizes)) - start
+        self._sizes.append(flow.norms(windows[known:]) / r)
 
-    def _quotient(self, k: int) -> np.ndarray:
-        """The r-th derivative of the velocity in the steps from k to k + r."""
-        if self._flow.order == 1:
-            return self._slope(k)
-        width = 0.5 * (self._middle[k + 2] - self._middle[k])
-        return (self._slope(k + 1) - self._slope(k)) / width
-
-    def _window(self, i: int) -> int:
-        """The window that a step takes its derivatives from: within its segment if there is one."""
-        r = self._flow.order
-        nearest = [k for k in (i - 1, i, i - 2)[: r + 1] if k in self._windows]
-        own = [k for k in nearest if self._segment[k] == self._segment[k + r]]
-        return (own or nearest)[0]
-
-    def _step(self, i: int) -> None:
-        """Carry the error over step i."""
-        flow, r, h, z = self._flow, self._flow.order, self._mus[i], self._z[i]
-        k = self._window(i)
-        high = self._windows[k]
-        slopes = [self._slope(j) for j in (i - 1, i) if k <= j < k + r]
-        first = 0.5 * (slopes[0] + slopes[-1])
-        x = min(h * flow.rate(z), STIFF)
+        window = self._window[steps]
+        high = windows[window - start]
+        left, right = np.maximum(steps - 1, window), np.minimum(steps, window + r - 1)
+        first = 0.5 * (slopes[left - start] + slopes[right - start])
+        size = flow.norms(z)
+        self.length += float(h @ size)
+        x = np.minimum(h * flow.rates(z, size), STIFF)
         rest, own = flow.decay(x)
         mean: Any = flow.mean
         kink: Any = flow.spread
         if flow.continuous:
-            chain = flow.chain * x * (first if r == 2 else z)
-            missed = own * h**r * (h * mean * high - chain)
+            chain = (flow.chain * x)[:, None] * (first if r == 2 else z)
+            missed = (own * h**r)[:, None] * ((h * mean)[:, None] * high - chain)
         else:
-            stops = self._z.get(i + 1, z) == 0
+            stops = self._z[np.minimum(rows + 1, len(self._mus) - 1 - self._first)] == 0
             mean = np.where(stops, flow.turn if r == 2 else mean, mean)
             kink = np.where(stops, flow.turn_spread if r == 2 else kink, kink)
-            missed = h ** (r + 1) * mean * high
+            missed = (h ** (r + 1))[:, None] * mean * high
+
+        inside = np.append(False, segment[1:] == segment[:-1])[steps]
+        apart = kink * (high - np.vstack([self._last, high[:-1]]))
+        shorter = np.minimum(h, self._mus[steps - 1])
+        scatter = np.where(inside, shorter ** (r + 1) * flow.norms(apart), 0.0)
+        self._last = high[-1]
+
+        moves = z != 0
         old = self._carried
-        self._carried = np.where(z != 0, rest * old, old) + missed
-        scatter = 0.0
-        if i and self._segment[i - 1] == self._segment[i]:
-            scatter = min(h, self._mus[i - 1]) ** (r + 1) * flow.norm(kink * (high - self._last))
-        self._last = high
-        left = rest if z.any() else 1.0
-        self._deviation = float(np.hypot(left * self._deviation, scatter))
-        self.spread = max(self.spread, self._deviation)
-        self.error = max(self.error, flow.norm(self._carried) + SPREAD * self._deviation)
-        if flow.continuous and r == 2 and i + 2 < len(self._mus):
-            self._meet(i)
-        if (
-            flow.continuous
-            and not z.all()
-            and self._segment[i : i + 1] != self._segment[i + 1 : i + 2]
-        ):
-            # no step of the segment follows, in which it would be seen to move
-            jump = flow.unheld(self._times[i + 1], self._u[i + 1], z)
-            self.jumps[i] = max(self.jumps.get(i, 0.0), jump)
-        self._compare(i, old, first)
-        if i in self._kept:
-            u = self._u[i + 1]
-            self.nodes.append(Node(self._times[i + 1], u, self._carried))
-            self.size = max(self.size, flow.norm(u))
+        carried = _recursion(np.where(moves, rest[:, None], 1.0), missed, old)
+        left_over = np.where(moves.any(axis=1), rest, 1.0)
+        deviation = self._deviations(left_over, scatter)
+        self.error = max(self.error, float((flow.norms(carried) + SPREAD * deviation).max()))
+        self._carried = carried[-1]
+        for i in steps[np.append(segment[1:] != segment[:-1], True)[steps]].tolist():
+            self._end(i)
+        self._compare(steps, np.vstack([old, carried]), first)
+        kept = self._kept[np.searchsorted(self._kept, steps[0]) : np.searchsorted(self._kept, stop)]
+        if kept.size:
+            u = self._u[kept - self._first + 1]
+            self._nodes.append(Nodes(self._times[kept + 1], u, carried[kept - steps[0]]))
+            self.size = max(self.size, float(flow.norms(u).max()))
+        self._done = stop
 
-    def _meet(self, i: int) -> None:
-        """Compare the velocities that both sides have at a breakpoint."""
-        segment = self._segment
-        if segment[i] == segment[i + 1]:
+    def _slopes(self, start: int, stop: int) -> np.ndarray:
+        z = self._z[start - self._first : stop + 1 - self._first]
+        return np.diff(z, axis=0) / np.diff(self._middle[start : stop + 1])[:, None]
+
+    def _deviations(self, left: np.ndarray, scatter: np.ndarray) -> np.ndarray:
+        """Of the error after each step: what the steps scatter adds up as a variance."""
+        found, last = [], self._deviation
+        for factor, own in zip(left.tolist(), scatter.tolist(), strict=True):
+            last = math.hypot(factor * last, own)
+            found.append(last)
+        self._deviation = last
+        self.spread = max(self.spread, *found)
+        return np.array(found)
+
+    def _end(self, i: int) -> None:
+        """Look at the velocities where a segment ends: at a breakpoint, or at the end."""
+        flow = self._flow
+        if not flow.continuous:
             return
-        cut, gap = self._times[i + 1], self._z[i + 1] - self._z[i]
-        if i and segment[i - 1] == segment[i]:
-            gap = gap - (cut - self._middle[i]) * self._slope(i - 1)
-        if segment[i + 2] == segment[i + 1]:
-            gap = gap - (self._middle[i + 1] - cut) * self._slope(i + 1)
-        self.jumps[i] = self._flow.norm(gap)
+        if flow.order == 2 and i + 2 < len(self._mus):
+            self.jumps[i] = self._gap(i)
+        z, u = self._z[i - self._first], self._u[i + 1 - self._first]
+        if not z.all():
+            # no step of the segment follows, in which it would be seen to move
+            jump = flow.unheld(float(self._times[i + 1]), u, z)
+            self.jumps[i] = max(self.jumps.get(i, 0.0), jump)
 
-    def _compare(self, i: int, old: np.ndarray, first: np.ndarray) -> None:
-        """Look at the nodes of the pass before within step i; the parabola has its slopes."""
-        start, end = self._times[i : i + 2]
-        while self._next is not None and self._next.t <= end:
-            t, v, error = self._next
-            share = (t - start) / (end - start)
-            u = (1 - share) * self._u[i] + share * self._u[i + 1]
-            u += 0.5 * (t - start) * (t - end) * first
-            carried = (1 - share) * old + share * self._carried
-            self.apart = max(self.apart, self._flow.norm(u - v))
-            self.expected = max(self.expected, self._flow.norm(carried - error))
-            self._next = next(self._before, None)
+    def _gap(self, i: int) -> float:
+        """How far the velocities apart are that both sides have at a breakpoint."""
+        segment, middle, cut = self._segment, self._middle, self._times[i + 1]
+        z = self._z[i - self._first :]
+        gap = z[1] - z[0]
+        if i and segment[i - 1] == segment[i]:
+            gap = gap - (cut - middle[i]) * self._slopes(i - 1, i)[0]
+        if segment[i + 2] == segment[i + 1]:
+            gap = gap - (middle[i + 1] - cut) * self._slopes(i + 1, i + 2)[0]
+        return float(self._flow.norms(gap[None])[0])
+
+    def _compare(self, steps: np.ndarray, carried: np.ndarray, first: np.ndarray) -> None:
+        """Look at the nodes of the pass before in these steps; the parabola has its slopes."""
+        if self._before is None:
+            return
+        start, stop = steps[0], steps[-1] + 1
+        known = slice(*np.searchsorted(self._before.t, self._times[[start, stop]], side="right"))
+        t, v, error = (part[known] for part in self._before)
+        if not t.size:
+            return
+        i = np.searchsorted(self._times[1:], t)
+        begin, end = self._times[i], self._times[i + 1]
+        share = ((t - begin) / (end - begin))[:, None]
+        row, u = i - start, self._u[i - self._first]
+        u = (1 - share) * u + share * self._u[i + 1 - self._first]
+        u += (0.5 * (t - begin) * (t - end))[:, None] * first[row]
+        expected = (1 - share) * carried[row] + share * carried[row + 1] - error
+        self.apart = max(self.apart, float(self._flow.norms(u - v).max()))
+        self.expected = max(self.expected, float(self._flow.norms(expected).max()))
+
+
+def _windows(segment: np.ndarray, r: int) -> np.ndarray:
+    """The window that each step takes its derivatives from: within its segment if there is one.
+
+    Window k has the velocities of the steps from k to k + r.
+    """
+    steps = np.arange(len(segment))
+    chosen = np.full(len(steps), -1)
+    last = len(steps) - 1 - r
+    for same in (True, False):
+        for k in (steps - 1, steps, steps - 2)[: r + 1]:
+            there = (k >= 0) & (k <= last) & (chosen < 0)
+            inner = np.clip(k, 0, last)
+            fits = segment[inner] == segment[inner + r] if same else True
+            chosen = np.where(there & fits, k, chosen)
+    return chosen
+
+
+def _recursion(factors: np.ndarray, added: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """x_k = factor_k x_(k-1) + added_k, a row each."""
+    x, rows = start, np.empty_like(added)
+    for k, factor in enumerate(factors):
+        x = factor * x + added[k]
+        rows[k] = x
+    return rows
