@@ -22,10 +22,11 @@ import numpy as np
 
 from sweepopt.checks import number
 from sweepopt.errors import InputError, Status
+from sweepopt.flow import Flow
 from sweepopt.grids import density, finer_grid, first_grid
 from sweepopt.march import Run
 from sweepopt.solution import Pass
-from sweepopt.watch import Flow, Watch
+from sweepopt.watch import Watch
 
 PASSES = 24
 STEPS = 1_000_000  # of the finest pass

@@ -12,6 +12,7 @@ from sweepopt.adaptive import CHECKED, FIRST, STEPS, Adaptive, Refined, refine
 from sweepopt.checks import number, vector
 from sweepopt.control import evaluation_times, time_grid
 from sweepopt.errors import InputError
+from sweepopt.flow import Flow
 from sweepopt.grids import first_grid
 from sweepopt.march import Run, march
 from sweepopt.plan import Plan
@@ -20,7 +21,7 @@ from sweepopt.schemes import Scheme
 from sweepopt.sets import MovingSet
 from sweepopt.states import Keeper, Saving, saving
 from sweepopt.stepping import Velocities
-from sweepopt.watch import Flow, Watch
+from sweepopt.watch import Watch
 
 SHARE = 0.05  # of the tolerance that inexact programs may take
 EXACT = 1e-9  # no certificate below it is asked for

@@ -1,0 +1,97 @@
+"""How errors of a step arise in u' = Phi(t, u), and how they decay.
+
+A step of order r misses h^(r+1) (p u^(r+1) + (q - p) J u^(r)) to leading order, J the derivative of
+Phi by u; p and q follow from the tableau. J is not known; along the velocity z it is
+-<Bz, z> / <Az, z> where unknowns move and nothing where they stick (an unknown that sticks has the
+velocity 0 exactly).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sweepopt.norms import squares
+from sweepopt.process import SweepingProcess
+from sweepopt.schemes import Scheme
+
+# at A = 0: what turns misses more than what goes on to move, which its last stage corrects
+TURNS, STARTS = 1.5, 0.5
+
+
+class Flow:
+    """How a scheme's errors in a process arise and decay.
+
+    Attributes
+    ----------
+    order : int
+    mean, chain : float
+        p and q - p.
+    spread : float
+        Standard deviation of the error over the place of a kink; its mean is p.
+    """
+
+    def __init__(self, process: SweepingProcess, scheme: Scheme) -> None:
+        # at A = 0 a scheme that does not end with its last stage is of order 1
+        stiff = scheme.a[-1] == scheme.b
+        self.order = int(scheme.order) if stiff or not process.rate_independent else 1
+        self.continuous = not process.rate_independent  # the velocity, where the load has a kink
+        self._process = process
+        n = len(scheme.b)
+        self._rows, self._weights = scheme.a, scheme.b
+        self._a = np.array([[*row, *[0.0] * (n - len(row))] for row in scheme.a])
+        self._b, c = np.array(scheme.b), np.array(scheme.c)
+        # the Peano kernel of the scheme's quadrature
+        s = (np.arange(1000) + 0.5) / 1000
+        late = np.maximum(c[:, None] - s, 0.0) ** (self.order - 1) * (c[:, None] > s)
+        kernel = self._b @ late - (1 - s) ** self.order / self.order
+        self.mean, self.spread = float(kernel.mean()), float(kernel.std())
+        delays = self._a @ c if self.order == 2 else self._a.sum(axis=1)
+        self.chain = float(self._b @ delays) - 1 / (self.order * (self.order + 1)) - self.mean
+        turns = self._turns(c) if process.rate_independent else np.zeros(1)
+        self.turn, self.turn_spread = float(turns.mean()), TURNS * float(turns.std())
+        if process.rate_independent:
+            self.spread *= STARTS
+
+    def _turns(self, c: np.ndarray) -> np.ndarray:
+        """How far u goes too far at A = 0 where a load turns within a step, in h^2 times its z'."""
+        turn = (np.arange(100) + 0.5) / 100
+        z = np.zeros((len(c), 100))
+        for k in range(len(c)):
+            free = turn * c[k] - 0.5 * c[k] ** 2 - self._a[k, :k] @ z[:k]
+            z[k] = np.maximum(free / self._a[k, k], 0.0)
+        return self._b @ z - 0.5 * turn**2
+
+    def norms(self, rows: np.ndarray) -> np.ndarray:
+        """|u|_A of each row, |u|_B where A = 0."""
+        return np.sqrt(np.maximum(squares(self._process.metric.M, rows), 0.0))
+
+    def rates(self, z: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+        """How fast errors along the velocities decay, whose norms are `sizes`."""
+        moving = sizes > 0
+        if self._process.rate_independent:
+            return np.where(moving, math.inf, 0.0)
+        if self._process.B is None:
+            return np.zeros(len(z))
+        directions = z / np.where(moving, sizes, 1.0)[:, None]
+        return squares(self._process.B, directions)
+
+    def unheld(self, t: float, u: np.ndarray, z: np.ndarray) -> float:
+        """About the velocity that unknowns have at time t which rested in the step before."""
+        A = self._process.A
+        force = A @ z + self._process.times_B(u)
+        diagonal = A.diagonal()
+        missed = force - self._process.C.at(t).nearest(force, diagonal)
+        missed[z != 0] = 0.0
+        return math.sqrt(missed @ (missed / diagonal))
+
+    def decay(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What is left after steps of an error, and of what the steps themselves miss."""
+        stages: list[np.ndarray] = []
+        own = np.ones_like(x)
+        for row in self._rows:
+            known = sum(weight * stage for weight, stage in zip(row, stages, strict=False))
+            own /= 1 + x * row[-1]
+            stages.append((1 - x * known) / (1 + x * row[-1]))
+        return 1 - x * sum(b * stage for b, stage in zip(self._weights, stages, strict=True)), own
