@@ -86,6 +86,32 @@ class Flow:
         missed[z != 0] = 0.0
         return math.sqrt(missed @ (missed / diagonal))
 
+    def missed(
+        self, h: np.ndarray, x: np.ndarray, own: np.ndarray, lower: np.ndarray, high: np.ndarray
+    ) -> np.ndarray:
+        """What steps h miss where the velocity is continuous.
+
+        Parameters
+        ----------
+        h, x, own : ndarray, shape (k,)
+            Steps, steps times rates, what of a step is left of what it misses.
+        lower, high : ndarray, shape (k, dim)
+            The (r-1)-th and the r-th derivative of the velocity.
+        """
+        chain = (self.chain * x)[:, None] * lower
+        return (own * h**self.order)[:, None] * ((h * self.mean)[:, None] * high - chain)
+
+    def missed_without_A(self, h: np.ndarray, stops: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """What steps h miss at A = 0, where entries of u stop after them or go on to move."""
+        mean = np.where(stops, self.turn if self.order == 2 else self.mean, self.mean)
+        return (h ** (self.order + 1))[:, None] * mean * high
+
+    def scatter(self, stops: np.ndarray) -> np.ndarray | float:
+        """Standard deviations of what steps miss over the place of a kink, in h^(r+1) times it."""
+        if self.continuous or self.order == 1:
+            return self.spread
+        return np.where(stops, self.turn_spread, self.spread)
+
     def decay(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What is left after steps of an error, and of what the steps themselves miss."""
         stages: list[np.ndarray] = []

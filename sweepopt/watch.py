@@ -11,7 +11,7 @@ By how much it misses is estimated from the differences of neighbours and summed
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -108,57 +108,54 @@ class Watch:
         flow, r = self._flow, self._flow.order
         steps = np.arange(self._done, stop)
         rows = steps - self._first
-        z, h, segment = self._z[rows], self._mus[steps], self._segment
-        start = max(self._done - 2, 0)
-        slopes = self._slopes(start, min(stop + 1, len(self._mus) - 1))
+        z, h = self._z[rows], self._mus[steps]
+        first, high = self._derivatives(steps)
+        size = flow.norms(z)
+        self.length += float(h @ size)
+        x = np.minimum(h * flow.rates(z, size), STIFF)
+        rest, own = flow.decay(x)
+        following = self._z[np.minimum(rows + 1, len(self._mus) - 1 - self._first)]
+        if flow.continuous:
+            missed = flow.missed(h, x, own, first if r == 2 else z, high)
+        else:
+            missed = flow.missed_without_A(h, following == 0, high)
+
+        first_of_segment = np.append(True, self._segment[1:] != self._segment[:-1])
+        apart = flow.scatter(following == 0) * (high - np.vstack([self._last, high[:-1]]))
+        shorter = np.minimum(h, self._mus[steps - 1]) ** (r + 1)
+        scatter = np.where(first_of_segment[steps], 0.0, shorter * flow.norms(apart))
+
+        moves, old = z != 0, self._carried
+        carried = _recursion(np.where(moves, rest[:, None], 1.0), missed, old)
+        deviation = self._deviations(np.where(moves.any(axis=1), rest, 1.0), scatter)
+        self.error = max(self.error, float((flow.norms(carried) + SPREAD * deviation).max()))
+        for i in steps[np.append(first_of_segment[1:], True)[steps]].tolist():
+            self._end(i)
+        self._compare(steps, np.vstack([old, carried]), first)
+        self._keep(steps, carried)
+        self._carried, self._last, self._done = carried[-1], high[-1], stop
+
+    def _derivatives(self, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The first and the r-th derivative of the velocity in these steps."""
+        flow, r, start = self._flow, self._flow.order, max(int(steps[0]) - 2, 0)
+        slopes = self._slopes(start, min(int(steps[-1]) + 2, len(self._mus) - 1))
         windows = slopes
         if r == 2:
             width = 0.5 * (self._middle[2:] - self._middle[:-2])[start : start + len(slopes) - 1]
             windows = (slopes[1:] - slopes[:-1]) / width[:, None]
         known = sum(map(len, self._sizes)) - start
         self._sizes.append(flow.norms(windows[known:]) / r)
-
         window = self._window[steps]
-        high = windows[window - start]
         left, right = np.maximum(steps - 1, window), np.minimum(steps, window + r - 1)
         first = 0.5 * (slopes[left - start] + slopes[right - start])
-        size = flow.norms(z)
-        self.length += float(h @ size)
-        x = np.minimum(h * flow.rates(z, size), STIFF)
-        rest, own = flow.decay(x)
-        mean: Any = flow.mean
-        kink: Any = flow.spread
-        if flow.continuous:
-            chain = (flow.chain * x)[:, None] * (first if r == 2 else z)
-            missed = (own * h**r)[:, None] * ((h * mean)[:, None] * high - chain)
-        else:
-            stops = self._z[np.minimum(rows + 1, len(self._mus) - 1 - self._first)] == 0
-            mean = np.where(stops, flow.turn if r == 2 else mean, mean)
-            kink = np.where(stops, flow.turn_spread if r == 2 else kink, kink)
-            missed = (h ** (r + 1))[:, None] * mean * high
+        return first, windows[window - start]
 
-        inside = np.append(False, segment[1:] == segment[:-1])[steps]
-        apart = kink * (high - np.vstack([self._last, high[:-1]]))
-        shorter = np.minimum(h, self._mus[steps - 1])
-        scatter = np.where(inside, shorter ** (r + 1) * flow.norms(apart), 0.0)
-        self._last = high[-1]
-
-        moves = z != 0
-        old = self._carried
-        carried = _recursion(np.where(moves, rest[:, None], 1.0), missed, old)
-        left_over = np.where(moves.any(axis=1), rest, 1.0)
-        deviation = self._deviations(left_over, scatter)
-        self.error = max(self.error, float((flow.norms(carried) + SPREAD * deviation).max()))
-        self._carried = carried[-1]
-        for i in steps[np.append(segment[1:] != segment[:-1], True)[steps]].tolist():
-            self._end(i)
-        self._compare(steps, np.vstack([old, carried]), first)
-        kept = self._kept[np.searchsorted(self._kept, steps[0]) : np.searchsorted(self._kept, stop)]
+    def _keep(self, steps: np.ndarray, carried: np.ndarray) -> None:
+        kept = self._kept[(self._kept >= steps[0]) & (self._kept <= steps[-1])]
         if kept.size:
             u = self._u[kept - self._first + 1]
             self._nodes.append(Nodes(self._times[kept + 1], u, carried[kept - steps[0]]))
-            self.size = max(self.size, float(flow.norms(u).max()))
-        self._done = stop
+            self.size = max(self.size, float(self._flow.norms(u).max()))
 
     def _slopes(self, start: int, stop: int) -> np.ndarray:
         z = self._z[start - self._first : stop + 1 - self._first]
