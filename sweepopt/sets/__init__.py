@@ -9,21 +9,15 @@ import numpy as np
 from sweepopt.checks import matrix
 from sweepopt.errors import InputError
 from sweepopt.sets.algebra import Product
+from sweepopt.sets.balls import Ball, Balls
 from sweepopt.sets.base import ConvexSet, Features, Witness
+from sweepopt.sets.cones import SecondOrderCone
 from sweepopt.sets.constraints import Constraints
+from sweepopt.sets.ellipsoid import Ellipsoid
 from sweepopt.sets.image import Image, gathered, with_own_columns
 from sweepopt.sets.moving import Moving, MovingOffsets, MovingSet
 from sweepopt.sets.polyhedra import HalfSpace, Polyhedron, Polytope
-from sweepopt.sets.shapes import (
-    Ball,
-    Balls,
-    Box,
-    Ellipsoid,
-    Orthant,
-    Point,
-    SecondOrderCone,
-    WholeSpace,
-)
+from sweepopt.sets.shapes import Box, Orthant, Point, WholeSpace
 
 AnySet = ConvexSet | MovingSet
 

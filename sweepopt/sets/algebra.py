@@ -377,12 +377,9 @@ class Product(ConvexSet):
         return sum(part.gap(*one) for part, *one in blocks)
 
     def companion(self, p: np.ndarray, w: np.ndarray, ratio: float) -> Companion:
-        directions, points = (np.split(x, self._cuts, axis=1) for x in (p, w))
-        each = [
-            part.companion(directions[k], points[k], ratio) for k, part in enumerate(self.parts)
-        ]
-        gaps, away = np.array(each).T
-        return Companion(float(gaps.sum()), float(np.linalg.norm(away)))
+        cut = (np.split(x, self._cuts, axis=1) for x in (p, w))
+        each = zip(self.parts, *cut, strict=True)
+        return Companion.beside(part.companion(a, b, ratio) for part, a, b in each)
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (

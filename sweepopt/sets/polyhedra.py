@@ -309,8 +309,7 @@ class Polytope(ConvexSet):
     polyhedral = True
 
     def __init__(self, vertices: Any) -> None:
-        full = matrix("vertices", vertices)
-        self.vertices = full.toarray() if sp.issparse(full) else np.asarray(full)
+        self.vertices = dense(matrix("vertices", vertices))
         if not self.vertices.size:
             raise EmptySetError("vertices is empty; give at least one point")
         self.dim = self.vertices.shape[1]
