@@ -16,7 +16,8 @@ from sweepopt.sets.constraints import Constraints
 from sweepopt.sets.ellipsoid import Ellipsoid
 from sweepopt.sets.image import Image, gathered, with_own_columns
 from sweepopt.sets.moving import Moving, MovingOffsets, MovingSet
-from sweepopt.sets.polyhedra import HalfSpace, Polyhedron, Polytope
+from sweepopt.sets.polyhedra import HalfSpace, Polyhedron
+from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.shapes import Box, Orthant, Point, WholeSpace
 
 AnySet = ConvexSet | MovingSet
