@@ -140,6 +140,7 @@ def product(*sets: Any) -> Any:
 
     Examples
     --------
+    >>> from sweepopt.sets import Ball
     >>> product(Ball([0.0, 0.0], 1.0), Box([-1], [1])).support([3.0, 4.0, 2.0])
     7.0
     """
