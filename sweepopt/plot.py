@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweepopt.errors import InputError, MissingExtraError
+from sweepopt.errors import InputError, brought_by
 from sweepopt.slip import STATES, Slip
 
 if TYPE_CHECKING:
@@ -336,8 +336,6 @@ def _in(unit: str) -> str:
 
 def new_figure(size: tuple[float, float]) -> Any:
     """A figure of so many inches, without pyplot and its global state."""
-    try:
+    with brought_by("plot"):
         from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingExtraError("matplotlib", "plot") from error
     return Figure(figsize=size, dpi=DPI, layout="constrained")

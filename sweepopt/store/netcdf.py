@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweepopt.errors import MissingExtraError
+from sweepopt.blocks import netcdf_package
+from sweepopt.errors import brought_by
 from sweepopt.files import replacing
 from sweepopt.slip import STATES, Slip
 from sweepopt.store.report import (
     DIMENSIONLESS,
     Report,
     Units,
-    require,
     solver_name,
     versions_of,
 )
@@ -127,8 +127,7 @@ def dataset_of(report: Report) -> xr.Dataset:
 
 def write_netcdf(report: Report, path: Path) -> None:
     """Write `dataset_of` a run, compressed."""
-    for package in ("h5netcdf", "h5py"):  # h5netcdf alone cannot write: h5py is its backend
-        require(package, "fem")
+    netcdf_package()  # says so now if it is missing
     dataset = dataset_of(report)
     packed = {"zlib": True, "complevel": 1, "shuffle": True}
     encoding = {
@@ -251,8 +250,6 @@ def _attributes(title: str, solution: Solution) -> dict[str, Any]:
 
 
 def _xarray() -> Any:
-    try:
+    with brought_by("fem"):
         import xarray
-    except ImportError as error:
-        raise MissingExtraError("xarray", "fem") from error
     return xarray

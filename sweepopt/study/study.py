@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sweepopt import schemes, solvers
 from sweepopt.checks import count, number
-from sweepopt.errors import InputError, MissingExtraError, shown
+from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.study.executors import Serial
 from sweepopt.study.ledger import Ledger
 from sweepopt.study.measure import THROUGH_CVXPY, Cell, CellRow, blank, failed, run_cell
@@ -240,7 +240,7 @@ def _text(name: str, value: Any) -> None:
 
 
 def _scheme(name: str, value: Any) -> None:
-    _known(name, value, ("auto", *schemes.SCHEMES, "exact"))
+    _known(name, value, ("auto", *schemes.SCHEMES))
 
 
 def _solver(name: str, value: Any) -> None:
@@ -248,13 +248,11 @@ def _solver(name: str, value: Any) -> None:
         _known(name, value, ("auto", *solvers.REGISTRY, f"{THROUGH_CVXPY}NAME"))
 
 
-def _known(name: str, value: Any, names: Iterable[str]) -> None:
-    if value not in (names := tuple(dict.fromkeys(names))):
+def _known(name: str, value: Any, names: tuple[str, ...]) -> None:
+    if value not in names:
         raise InputError(f"{name}: {shown(value)} is not known; use {', '.join(names)}")
 
 
 def _require_pandas() -> None:
-    try:
+    with brought_by("study"):
         import pandas  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("pandas", "study") from error
