@@ -1,0 +1,206 @@
+"""A symmetric positive definite matrix factorised once: solves and the two norms it defines."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
+from scipy.linalg import lapack  # the plain calls: no checks in the loop
+
+from sweepopt.checks import Matrix, divisor
+from sweepopt.errors import IndefiniteError, SolverRefusedError
+from sweepopt.linalg.matrices import (
+    SMALL,
+    SYMMETRIC,
+    UNIT,
+    euclidean,
+    is_diagonal,
+    lanczos_start,
+    row_sum,
+)
+from sweepopt.precise import Precise
+
+NEGLIGIBLE = 1e-12  # of |z|_M: more rounding of M z than this is avoided
+
+
+class Applied(NamedTuple):
+    """M z + q, |z|_M and a bound of what rounding misses, in |.|_{M^-1}."""
+
+    value: np.ndarray
+    size: float
+    rounding: float
+
+
+class Factor:
+    """M = M^T > 0 with its factorisation.
+
+    Parameters
+    ----------
+    M : ndarray or sparse, shape (dim, dim)
+    name : str
+        How error messages call M.
+
+    Attributes
+    ----------
+    order : ndarray of int or None
+        An order of the unknowns with little fill, for a sparse M.
+
+    Raises
+    ------
+    IndefiniteError
+        If M is not positive definite.
+    """
+
+    order: np.ndarray | None = None
+
+    def __init__(self, M: Matrix, name: str = "M") -> None:
+        self.M, self.dim = M, M.shape[0]
+        self.diagonal = np.asarray(M.diagonal(), dtype=float)
+        if not (self.diagonal > 0).all():
+            i = int(np.flatnonzero(self.diagonal <= 0)[0])
+            raise IndefiniteError(
+                f"{name} must be positive definite, but {name}[{i}, {i}] = {self.diagonal[i]:g}"
+            )
+        i = int(np.argmin(self.diagonal))
+        divisor(f"{name}[{i}, {i}]", self.diagonal[i])
+        self.is_diagonal = is_diagonal(M)
+        self.root = np.sqrt(self.diagonal)
+        try:
+            pivots = self._factorise_sparse() if sp.issparse(M) else self._factorise_dense()
+        except (scipy.linalg.LinAlgError, RuntimeError):
+            pivots = np.zeros(1)
+        except MemoryError as error:
+            raise SolverRefusedError(
+                f"the factors of {name}, {self.dim} unknowns, do not fit in memory; take fewer, or "
+                "path='multigrid' (the extra \"speed\")"
+            ) from error
+        # relative to the diagonal: the test does not depend on units
+        if not pivots.min() > 16 * np.finfo(float).eps:
+            raise IndefiniteError(f"{name} must be positive definite; it has an eigenvalue <= 0")
+
+    def _factorise_sparse(self) -> np.ndarray:
+        self._lu = spla.splu(sp.csc_matrix(self.M), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC)
+        self.order = np.argsort(self._lu.perm_c)
+        # with pivots on the diagonal their signs are the inertia (Sylvester)
+        return self._lu.U.diagonal()[self._lu.perm_c] / self.diagonal
+
+    def _factorise_dense(self) -> np.ndarray:
+        self._cholesky = scipy.linalg.cho_factor(self.M, lower=True)[0]
+        return self._cholesky.diagonal() ** 2 / self.diagonal
+
+    def solve(self, w: np.ndarray) -> np.ndarray:
+        """M^-1 w."""
+        if sp.issparse(self.M):
+            return self._lu.solve(w)
+        return lapack.dpotrs(self._cholesky, w, lower=True)[0]
+
+    def solve_many(self, rows: np.ndarray) -> np.ndarray:
+        """M^-1 of each row, shape (k, dim)."""
+        return self.solve(np.asfortranarray(rows.T)).T
+
+    def _solve_scaled(self, w: np.ndarray) -> np.ndarray:
+        """Solve with D^-1/2 M D^-1/2, D = diag(M)."""
+        return self.root * self.solve(self.root * w)
+
+    def dual_norm_bound(self, w: np.ndarray) -> float:
+        """A bound of |w|_{M^-1} that costs no solve: |D^-1/2 w| / sqrt(lambda_min), D = diag(M).
+
+        lambda_min is that of D^-1/2 M D^-1/2.
+        """
+        return euclidean(w / self.root) * self.bound_factor
+
+    def apply(self, z: np.ndarray, *more: np.ndarray, enough: float = NEGLIGIBLE) -> Applied:
+        """M z + the others, in higher precision where rounding may exceed `enough` * |z|_M."""
+        force = self.M @ z
+        size = math.sqrt(max(z.dot(force), 0.0))
+        rounding = self.rounding(z, more[0])
+        if rounding <= enough * size:
+            return Applied(sum(more, start=force), size, rounding)
+        return Applied(self.precisely(z, *more), size, self.precisely.share * rounding)
+
+    def rounding(self, z: np.ndarray, q: np.ndarray) -> float:
+        """A bound in |.|_{M^-1} of what M @ z + q rounds, without a solve.
+
+        Each entry rounds about sqrt(k) times for k entries a row (Higham and Mary, SIAM J. Sci.
+        Comput. 41, 2019), and | |M| |z| |_{M^-1} is bounded as D^-1/2 M D^-1/2 is.
+        """
+        forces = self._spread * euclidean(self.root * z) + euclidean(q / self.root)
+        return UNIT * forces * self.bound_factor
+
+    @cached_property
+    def is_sharp(self) -> bool:
+        """Whether M @ z never rounds more than a negligible share of |z|_M."""
+        return self._mistrust <= NEGLIGIBLE
+
+    @cached_property
+    def _mistrust(self) -> float:
+        """What M @ z may round as a share of |z|_M, and rounded factors of |w|_{M^-1}."""
+        return UNIT * self._spread * self.bound_factor**2
+
+    @cached_property
+    def margin(self) -> float:
+        """How much larger |w|_{M^-1} may be than rounded factors say."""
+        return 1 + min(self._mistrust, 1.0)
+
+    def resolution(self, z: np.ndarray) -> float:
+        """What entries of z that are rounded twice move it, in |.|_M."""
+        return 2 * UNIT * math.sqrt(self._spread) * euclidean(self.root * z)
+
+    @cached_property
+    def _spread(self) -> float:
+        """Rounding units a row, times the largest row sum of | D^-1/2 M D^-1/2 |."""
+        entries = np.diff(self.M.indptr).max() if sp.issparse(self.M) else self.dim
+        return (2 + math.sqrt(entries)) * row_sum(self.M, self.root)
+
+    @cached_property
+    def precisely(self) -> Precise:
+        """(z, *more) -> M z + the others, rounded once."""
+        brief = Precise(self.M, slices=2)
+        enough = brief.share * self._mistrust <= 0.1 * NEGLIGIBLE
+        return brief if enough else Precise(self.M)
+
+    @cached_property
+    def bound_factor(self) -> float:
+        """1 / sqrt(lambda_min), lambda_min that of D^-1/2 M D^-1/2, D = diag(M)."""
+        if self.dim < SMALL:
+            columns = [self._solve_scaled(e) for e in np.eye(self.dim)]
+            return float(np.sqrt(np.linalg.eigvalsh(np.array(columns))[-1]))
+        # Lanczos meets the largest eigenvalue of the inverse from below, here to 0.1 %; 10 % are
+        # added. The norm is applied to rounding errors only.
+        inverse = spla.LinearOperator((self.dim, self.dim), matvec=self._solve_scaled, dtype=float)
+        start = lanczos_start(self.dim)
+        largest = spla.eigsh(
+            inverse, k=1, which="LA", v0=start, tol=1e-3, return_eigenvectors=False
+        )
+        return float(1.1 * np.sqrt(largest[0]))
+
+    def norm(self, z: np.ndarray) -> float:
+        """|z|_M = sqrt<Mz, z>."""
+        return float(np.sqrt(max(z @ (self.M @ z), 0.0)))
+
+    def dual_norm(self, w: np.ndarray) -> float:
+        """|w|_{M^-1} = sqrt<M^-1 w, w>."""
+        return float(np.sqrt(max(w @ self.solve(w), 0.0))) if w.any() else 0.0
+
+    def dual_norm_within(self, w: np.ndarray, enough: float) -> float:
+        """A bound of |w|_{M^-1}, one that costs no solve if that is at most `enough`."""
+        bound = self.dual_norm_bound(w)
+        if bound <= enough:
+            return bound
+        return min(bound, self.margin * self.dual_norm(w))
+
+    def smallest_eigenvalue(self) -> float:
+        """beta: the largest number with <Mx, x> >= beta |x|^2."""
+        if not sp.issparse(self.M) or self.dim < SMALL:
+            # from above: that of M itself would be lost beside its largest one
+            return float(1 / np.linalg.eigvalsh(self.solve_many(np.eye(self.dim)))[-1])
+        inverse = spla.LinearOperator((self.dim, self.dim), matvec=self.solve, dtype=float)
+        start = lanczos_start(self.dim)
+        return float(
+            1 / spla.eigsh(inverse, k=1, which="LA", v0=start, return_eigenvectors=False)[0]
+        )
