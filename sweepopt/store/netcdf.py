@@ -22,7 +22,8 @@ from sweepopt.store.report import (
 if TYPE_CHECKING:
     import xarray as xr
 
-    from sweepopt.solution import Energy, Solution
+    from sweepopt.energy import Energy
+    from sweepopt.solution import Solution
 
 
 def to_xarray(solution: Solution) -> xr.Dataset:

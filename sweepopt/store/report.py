@@ -10,8 +10,9 @@ from sweepopt import versions
 from sweepopt.slip import Slip, slip_of
 
 if TYPE_CHECKING:
+    from sweepopt.energy import Energy
     from sweepopt.fem import Scene
-    from sweepopt.solution import Energy, Solution
+    from sweepopt.solution import Solution
 
 
 class Units(NamedTuple):
