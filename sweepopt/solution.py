@@ -11,6 +11,7 @@ import numpy as np
 from sweepopt.energy import Energy, energy_of
 from sweepopt.errors import InputError, Status, SweepoptError, shown
 from sweepopt.interpolant import Interpolant
+from sweepopt.nodes import Nodes
 from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.states import States
@@ -248,16 +249,15 @@ class Solution:
         return self._bound_with(None)
 
     def _bound_with(self, variation: Callable[[float], float] | None) -> ErrorBound:
-        from sweepopt.certificate import error_bound, nodes
-        from sweepopt.defects import Path
+        from sweepopt.certificate import error_bound, nodes_of
 
         if self.complete:
-            run = Path(self.t, self.u, self.velocity)
+            run = Nodes(self.t, self.u, self.velocity)
         elif self.exact is not None:
             u = self.exact(self._grid)
-            run = Path(self._grid, u, np.diff(u, axis=0) / np.diff(self._grid)[:, None])
+            run = Nodes(self._grid, u, np.diff(u, axis=0) / np.diff(self._grid)[:, None])
         else:
-            run = nodes(self.process, replace(self.plan, reduction=None), self._grid)
+            run = nodes_of(self.process, replace(self.plan, reduction=None), self._grid)
         with np.errstate(over="ignore", invalid="ignore"):  # a bound may be infinite
             return error_bound(self.process, self.plan, run, variation)
 

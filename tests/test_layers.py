@@ -28,7 +28,7 @@ LEVELS = [
     {"polish"},
     {"velocity"},
     {"plan"},
-    {"unrounded"},
+    {"nodes", "unrounded"},
     {"field", "motion", "solution"},
     {"norms"},
     {"flow", "stepping"},
@@ -48,7 +48,7 @@ LEVELS = [
     {"__main__"},
 ]
 # conveniences of Solution that call upward by a local import
-UPWARD = {("solution", above) for above in ("store", "plot", "certificate", "defects")}
+UPWARD = {("solution", above) for above in ("store", "plot", "certificate")}
 HOMES = {
     "cvxpy": {"program", "sets", "solvers/reference", "study/by_hand"},
     "clarabel": {"solvers/clarabel", "study/by_hand"},
