@@ -72,6 +72,13 @@ def choice(name: str, value: Any, allowed: Iterable[str]) -> str:
     return value
 
 
+def listed(name: str, value: Any) -> tuple[Any, ...]:
+    """A list with one entry or more."""
+    if not isinstance(value, (list, tuple)) or not value:
+        raise InputError(f"{name} must be a list with one entry or more, got {shown(value)}")
+    return tuple(value)
+
+
 def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -> np.ndarray:
     """A float array of shape (dim,); a scalar counts as one entry."""
     try:  # most are right, and nothing else is looked at

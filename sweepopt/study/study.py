@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sweepopt import schemes, solvers
-from sweepopt.checks import count, number
+from sweepopt.checks import count, listed, number
 from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.study.executors import Serial
 from sweepopt.study.ledger import Ledger
@@ -84,16 +84,12 @@ class Study:
             "tols": lambda name, value: number(name, value, minimum=0.0, strict=True),
         }
         for name, check in checks.items():
-            entries = getattr(self, name)
-            if not isinstance(entries, (list, tuple)) or not entries:
-                raise InputError(
-                    f"{name} must be a list with one entry or more, got {shown(entries)}"
-                )
+            entries = listed(name, getattr(self, name))
             for k, entry in enumerate(entries):
                 check(f"{name}[{k}]", entry)
                 if entry in entries[:k]:
                     raise InputError(f"{name}[{k}]: {shown(entry)} is there twice")
-            object.__setattr__(self, name, tuple(entries))
+            object.__setattr__(self, name, entries)
         count("repeats", self.repeats)
         _text("title", self.title)
 
