@@ -254,6 +254,11 @@ class EvolutionVI:
     cone : ConvexSet or None
         K, a closed convex cone; None is the whole space.
 
+    Raises
+    ------
+    InputError
+        If a shape or an entry is wrong, a set moves, or K is not a cone.
+
     Examples
     --------
     >>> from sweepopt.sets import Box

@@ -35,6 +35,11 @@ class Profile:
     at, values : array_like, shape (m,)
         `at` increases strictly and must cover the body where the profile is used.
 
+    Raises
+    ------
+    InputError
+        If `along` is not known or `at` does not increase; when called, if `at` does not cover x.
+
     Examples
     --------
     >>> import numpy as np

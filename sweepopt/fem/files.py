@@ -129,6 +129,12 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
 
     Other histories: ``{ waveform = "triangle", amplitude, period }``,
     ``{ waveform = "constant", value }``, ``{ table = { t = [...], values = [...] } }``.
+
+    Examples
+    --------
+    >>> scene = read_scene("tube")
+    >>> scene.t_end, scene.steps, scene.units
+    (120.0, 480, 'SI')
     """
     data, folder = _load(source, as_path("folder", folder))
     file = _validate(data)

@@ -290,7 +290,18 @@ class Image(ConvexSet):
 
 
 def image(M: Any, C: Any) -> Any:
-    """{ M s : s in C } for a dense or sparse matrix M of shape (dim, C.dim); moving sets too.
+    """{ M s : s in C }; moving sets too.
+
+    Parameters
+    ----------
+    M : array_like or sparse, shape (dim, C.dim)
+        With M = E^T selecting unknowns the set acts on these alone.
+    C : ConvexSet or MovingSet
+
+    Raises
+    ------
+    InputError
+        If M is not a finite matrix with C.dim columns, or C no set.
 
     Examples
     --------

@@ -138,6 +138,16 @@ class Product(ConvexSet):
 def product(*sets: Any) -> Any:
     """C x D x ..., one after the other in the vector; moving sets too.
 
+    Parameters
+    ----------
+    *sets : ConvexSet or MovingSet
+        One or more.
+
+    Raises
+    ------
+    InputError
+        If there is none, or one is no set.
+
     Examples
     --------
     >>> from sweepopt.sets import Ball
