@@ -6,8 +6,7 @@ from sweepopt.linalg.eigenvalues import (
     largest_eigenvalue,
     largest_ratio,
 )
-from sweepopt.linalg.elimination import Elimination
-from sweepopt.linalg.factor import NEGLIGIBLE, Factor
+from sweepopt.linalg.factor import NEGLIGIBLE, Elimination, Factor
 from sweepopt.linalg.matrices import SMALL, UNIT, dense, euclidean, row_sum
 
 __all__ = [

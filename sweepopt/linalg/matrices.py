@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -12,7 +11,6 @@ from sweepopt.checks import Matrix
 
 UNIT = 0.5 * float(np.finfo(float).eps)
 SMALL = 50  # below this dense eigenvalues are cheaper than Lanczos
-SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 
 
 def row_sum(M: Matrix, root: np.ndarray) -> float:
