@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from sweepopt.energy import Energy
+    from sweepopt.fem import Discretisation
     from sweepopt.solution import Solution
 
 
@@ -69,39 +70,10 @@ def dataset_of(report: Report) -> xr.Dataset:
     fields follow the UGRID conventions, flags the CF conventions.
     """
     scene, solution, units = report.scene, report.solution, report.units
-    body, on_mesh = scene.discretisation, {"mesh": "mesh", "location": "node"}
+    body = scene.discretisation
     variables = {
-        "displacement": _variable(
-            ("time", "node"),
-            body.expand(solution.u),
-            "displacement out of the plane",
-            units.length,
-            **on_mesh,
-        ),
-        "velocity": _variable(
-            ("step", "node"),
-            body.expand(solution.velocity),
-            "velocity out of the plane in each step",
-            units.velocity,
-            **on_mesh,
-        ),
-        "mesh": _variable(
-            (),
-            np.int32(0),
-            "mesh of triangles; a quadratic element counts as four",
-            cf_role="mesh_topology",
-            topology_dimension=np.int32(2),
-            node_coordinates="x y",
-            face_node_connectivity="triangles",
-            face_dimension="triangle",
-        ),
-        "triangles": _variable(
-            ("triangle", "corner"),
-            body.triangles.astype(np.int32),
-            "nodes of each triangle",
-            cf_role="face_node_connectivity",
-            start_index=np.int32(0),
-        ),
+        **_fields(body, solution, units),
+        **_mesh(body),
         **_steps(solution, units),
         **_energies(report.energy, units),
     }
@@ -124,6 +96,48 @@ def dataset_of(report: Report) -> xr.Dataset:
             units_of_the_scene=scene.units,
         )
     )
+
+
+def _fields(body: Discretisation, solution: Solution, units: Units) -> dict[str, Any]:
+    on_mesh = {"mesh": "mesh", "location": "node"}
+    return {
+        "displacement": _variable(
+            ("time", "node"),
+            body.expand(solution.u),
+            "displacement out of the plane",
+            units.length,
+            **on_mesh,
+        ),
+        "velocity": _variable(
+            ("step", "node"),
+            body.expand(solution.velocity),
+            "velocity out of the plane in each step",
+            units.velocity,
+            **on_mesh,
+        ),
+    }
+
+
+def _mesh(body: Discretisation) -> dict[str, Any]:
+    return {
+        "mesh": _variable(
+            (),
+            np.int32(0),
+            "mesh of triangles; a quadratic element counts as four",
+            cf_role="mesh_topology",
+            topology_dimension=np.int32(2),
+            node_coordinates="x y",
+            face_node_connectivity="triangles",
+            face_dimension="triangle",
+        ),
+        "triangles": _variable(
+            ("triangle", "corner"),
+            body.triangles.astype(np.int32),
+            "nodes of each triangle",
+            cf_role="face_node_connectivity",
+            start_index=np.int32(0),
+        ),
+    }
 
 
 def write_netcdf(report: Report, path: Path) -> None:
