@@ -8,6 +8,7 @@ from __future__ import annotations
 from sweepopt.adaptive import Adaptive
 from sweepopt.certificate import ErrorBound
 from sweepopt.checkpoint import Checkpoint
+from sweepopt.energy import Energy
 from sweepopt.errors import (
     AccuracyError,
     CheckpointError,
@@ -52,7 +53,7 @@ from sweepopt.sets import (
     image,
     product,
 )
-from sweepopt.solution import Energy, Pass, Solution
+from sweepopt.solution import Pass, Solution
 from sweepopt.solvers import DAQP, OSQP, ActiveSet, Clarabel, Cvxpy, Newton, Secular
 
 __version__ = "0.1.0"

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.errors import InputError, MissingExtraError
+from sweepopt.errors import InputError, brought_by
 from sweepopt.states import Index
 
 BLOCK = 16e6  # bytes that wait in memory
@@ -28,7 +28,7 @@ class BlockWriter:
     """
 
     def __init__(self, path: Path, t: float, u0: np.ndarray) -> None:
-        h5netcdf = _h5netcdf()
+        h5netcdf = netcdf_package()
         self.path = path
         self._part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
         self._file = h5netcdf.File(self._part, "w")
@@ -96,7 +96,7 @@ class Stored:
     def _read(self, name: str, i: Index) -> np.ndarray:
         if not self.path.is_file():
             raise InputError(f"{self.path}, which holds the states of this run, is not there")
-        with _h5netcdf().File(self.path, "r") as file:
+        with netcdf_package().File(self.path, "r") as file:
             if file.attrs.get("run") != self.run:
                 raise InputError(f"another run has written {self.path}: these states are gone")
             variable = file.variables[name]
@@ -106,10 +106,9 @@ class Stored:
             return np.reshape(rows, (*np.shape(i), variable.shape[1]))
 
 
-def _h5netcdf() -> Any:
-    try:
+def netcdf_package() -> Any:
+    """The package h5netcdf, if it is there with all that it needs to write."""
+    with brought_by("fem"):
         import h5netcdf
         import h5py  # noqa: F401  # h5netcdf alone cannot write
-    except ImportError as error:
-        raise MissingExtraError(error.name or "h5netcdf", "fem") from error
     return h5netcdf

@@ -33,8 +33,9 @@ from typing import NamedTuple
 import numpy as np
 
 from sweepopt.control import divided, time_grid
-from sweepopt.defects import Defects, Path, cubic, defects
+from sweepopt.defects import Defects, defects
 from sweepopt.march import march
+from sweepopt.nodes import Nodes, cubic
 from sweepopt.norms import Norms
 from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
@@ -87,7 +88,7 @@ class ErrorBound(float):
 def error_bound(
     process: SweepingProcess,
     plan: Plan,
-    run: Path,
+    run: Nodes,
     variation: Callable[[float], float] | None = None,
 ) -> ErrorBound:
     """The bound of a run: through its own nodes, or beside a companion that is closer to u."""
@@ -115,14 +116,14 @@ def error_bound(
     )
 
 
-def _companion(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Path:
+def _companion(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
     """Midpoint on the same grid; where A = 0 implicit Euler on a finer one."""
     if process.rate_independent:
-        return nodes(process, replace(plan, scheme=SCHEMES["implicit-euler"]), divided(t, PARTS))
-    return nodes(process, replace(plan, scheme=SCHEMES["midpoint"].unwatched), t)
+        return nodes_of(process, replace(plan, scheme=SCHEMES["implicit-euler"]), divided(t, PARTS))
+    return nodes_of(process, replace(plan, scheme=SCHEMES["midpoint"].unwatched), t)
 
 
-def nodes(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Path:
+def nodes_of(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
     """All nodes of a run on the grid t; what its programs miss is in the bound."""
     times, mus = time_grid(None, t)
     wanted = saving(None, times, process.dim, MEMORY)
@@ -132,7 +133,7 @@ def nodes(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Path:
         if done == len(mus):
             break
     kept = keeper.close(done)[1]
-    return Path(times, kept.nodes, kept.velocities)
+    return Nodes(times, kept.nodes, kept.velocities)
 
 
 class _After(NamedTuple):
@@ -174,7 +175,7 @@ def _fan(norms: Norms, t: np.ndarray, once: np.ndarray) -> np.ndarray:
     return some[np.searchsorted(ends, np.arange(n + 1))]
 
 
-def _apart(near: Path, slopes: np.ndarray, u: np.ndarray) -> np.ndarray:
+def _apart(near: Nodes, slopes: np.ndarray, u: np.ndarray) -> np.ndarray:
     """v - u_n on each step: Bernstein coefficients of its halves, shape (n, 7, dim)."""
     h = np.diff(near.t)[:, None, None]
     curve = cubic(near.u[:-1], near.u[1:], h * slopes)

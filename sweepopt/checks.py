@@ -16,6 +16,8 @@ Matrix: TypeAlias = Any  # np.ndarray or scipy.sparse.csc_array, as `matrix` ret
 
 HUGE = 1e75
 """Numbers beyond this overflow when a few of them are multiplied."""
+MOST = 10**9
+"""Unknowns: no vector of more of them fits in memory."""
 
 
 def number(name: str, value: Any, minimum: float | None = None, strict: bool = False) -> float:
@@ -54,12 +56,27 @@ def count(name: str, value: Any) -> int:
     return int(value)
 
 
+def dimension(dim: Any) -> int:
+    """A positive whole number of unknowns."""
+    found = count("dim", dim)
+    if found > MOST:
+        raise InputError(f"dim is {shown(found)}, more than {MOST:.0e}; no vector fits in memory")
+    return found
+
+
 def choice(name: str, value: Any, allowed: Iterable[str]) -> str:
     """One of the words that are allowed."""
     words = tuple(allowed)
     if not isinstance(value, str) or value not in words:
         raise InputError(f"{name} must be one of {', '.join(words)}; got {shown(value)}")
     return value
+
+
+def listed(name: str, value: Any) -> tuple[Any, ...]:
+    """A list with one entry or more."""
+    if not isinstance(value, (list, tuple)) or not value:
+        raise InputError(f"{name} must be a list with one entry or more, got {shown(value)}")
+    return tuple(value)
 
 
 def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -> np.ndarray:
@@ -82,6 +99,14 @@ def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -
         i = int(np.argmin(allowed))
         raise _refused(f"{name}[{i}]", array[i], "finite numbers" if finite else "numbers")
     return array
+
+
+def entries(name: str, value: Any, finite: bool = True) -> np.ndarray:
+    """A float vector with at least one entry: no set lives in a space of dim 0."""
+    result = vector(name, value, finite=finite)
+    if not result.size:
+        raise InputError(f"{name} must have at least one entry")
+    return result
 
 
 def times(name: str, value: Any) -> np.ndarray:

@@ -75,7 +75,7 @@ def check_stability(process: SweepingProcess, scheme: Scheme, mu: float, on_unst
             f"scheme {scheme.name!r} amplifies errors: {remedy}, or say on_unstable='warn'"
         )
     effect = "amplifies errors" if number_ > 2 else "can overshoot into a wrong stuck state"
-    warnings.warn(f"scheme {scheme.name!r} {effect}: {remedy}", StabilityWarning, stacklevel=3)
+    warnings.warn(f"scheme {scheme.name!r} {effect}: {remedy}", StabilityWarning, stacklevel=4)
 
 
 def warn_of_overshoot(scheme: Scheme, t: float) -> None:
@@ -85,5 +85,5 @@ def warn_of_overshoot(scheme: Scheme, t: float) -> None:
         f"t = {t:g}: B u starts far outside of C(t) there and mu Lam is above "
         f"{scheme.overshoots:.3g}; take smaller steps, or implicit-euler, which never does",
         StabilityWarning,
-        stacklevel=3,
+        stacklevel=4,
     )

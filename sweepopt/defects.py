@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from sweepopt.motion import (
     increments,
     motion,
 )
+from sweepopt.nodes import Nodes, cubic, force_along, slopes_of_curves
 from sweepopt.norms import Norms
 from sweepopt.process import SweepingProcess
 from sweepopt.sets import ConvexSet
@@ -35,21 +36,6 @@ from sweepopt.velocity import VelocityOf
 
 THIRDS = to_bernstein(np.array([0.0, 0.5, 1.0]))
 CHUNK = 2_000_000  # numbers that the points of some steps may take
-
-
-class Path(NamedTuple):
-    """Nodes of a trajectory, shape (n+1, dim), and the mean velocities between them."""
-
-    t: np.ndarray
-    u: np.ndarray
-    velocity: np.ndarray
-
-    def at(self, times: np.ndarray) -> np.ndarray:
-        """The interpolant at increasing times; at its own nodes these themselves."""
-        if len(times) == len(self.t):
-            return self.u
-        i = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.velocity) - 1)
-        return self.u[i] + (times - self.t[i])[:, None] * self.velocity[i]
 
 
 class Defects(NamedTuple):
@@ -79,7 +65,7 @@ def defects(
     process: SweepingProcess,
     phi: VelocityOf,
     norms: Norms,
-    near: Path,
+    near: Nodes,
     variation: Callable[[float], float] | None,
 ) -> Defects:
     """The defects of the curve through the nodes of `near`.
@@ -97,41 +83,12 @@ def defects(
         bounded = math.isfinite(moved.shape.magnitude())
         known = replace(moved, center=replace(moved.center, variation=variation))
         moved = known if bounded else None
-    candidates = _candidates(process, phi, near)
+    slopes = slopes_of_curves(process, phi, near)
     if moved is not None and moved.scale.function is None:
-        return _best(_of_motion(process, norms, near, candidates, moved), norms.still)
+        return _best(_of_motion(process, norms, near, slopes, moved), norms.still)
     if variation is not None and not norms.still:
-        return _of_variation(process, norms, near, candidates[-1], variation)
-    return _sampled(process, phi, norms, near, candidates[0 if norms.still else -1])
-
-
-def _candidates(process: SweepingProcess, phi: VelocityOf, near: Path) -> list[np.ndarray]:
-    """Bernstein coefficients of v', shape (n, 3, dim), of several curves through the nodes.
-
-    Straight; for A coercive the cubic with the slopes Phi(t_i, u_i), else those with the slopes of
-    parabolas through three nodes: around the step, before it and after it.
-    """
-    mean = near.velocity
-    if not process.rate_independent:
-        slope = np.array(
-            [
-                phi(process.times_B(u), process.C.at(t)).velocity.z
-                for t, u in zip(near.t.tolist(), near.u, strict=True)
-            ]
-        )
-        ends = [(mean, mean), (slope[:-1], slope[1:])]
-    else:
-        h = np.diff(near.t)[:, None]
-        inner = (h[1:] * mean[:-1] + h[:-1] * mean[1:]) / (h[1:] + h[:-1])
-        slope = np.concatenate([mean[:1], inner, mean[-1:]])
-        before, after = slope[:-1], slope[1:]
-        ends = [
-            (mean, mean),
-            (before, after),
-            (before, 2 * mean - before),
-            (2 * mean - after, after),
-        ]
-    return [np.stack([first, 3 * mean - first - last, last], axis=1) for first, last in ends]
+        return _of_variation(process, norms, near, slopes[-1], variation)
+    return _sampled(process, phi, norms, near, slopes[0 if norms.still else -1])
 
 
 def _best(found: list[Defects], still: bool) -> Defects:
@@ -150,7 +107,7 @@ def _best(found: list[Defects], still: bool) -> Defects:
 
 
 def _of_motion(
-    process: SweepingProcess, norms: Norms, near: Path, slopes: list[np.ndarray], moved: Motion
+    process: SweepingProcess, norms: Norms, near: Nodes, slopes: list[np.ndarray], moved: Motion
 ) -> list[Defects]:
     """Bounds of both integrals for data: intervals without a kink, many of them at once."""
     n, dim = near.velocity.shape
@@ -176,7 +133,7 @@ def _of_motion(
 def _on_intervals(
     process: SweepingProcess,
     norms: Norms,
-    near: Path,
+    near: Nodes,
     slopes: np.ndarray,
     moved: Motion,
     grid: Grid,
@@ -193,7 +150,7 @@ def _on_intervals(
     h, length = near.t[i + 1] - near.t[i], b - a
     begin, share = (a - near.t[i]) / h, length / h
     theta = begin[:, None] + share[:, None] * GAUSS
-    pull = _force(process, near, slopes, i, theta) - center.values
+    pull = force_along(process, near, slopes, i, theta) - center.values
     size = np.broadcast_to(scale.values, pull.shape)
     aim = pull - norms.steps(moved.shape, h)[:, None] * (basis(2, theta) @ slopes[i])
     wanted = TO_BERNSTEIN @ np.divide(aim, size, out=np.zeros_like(aim), where=size > 0)
@@ -253,44 +210,18 @@ def _companions(
     return np.array([gaps, most * away])
 
 
-def _force(
-    process: SweepingProcess,
-    near: Path,
-    slopes: np.ndarray,
-    i: np.ndarray,
-    theta: np.ndarray,
-) -> np.ndarray:
-    """A v' + B v at the shares theta, shape (m, k), of the steps i; slopes of all steps."""
-    velocity = basis(2, theta) @ slopes[i]
-    force = _apply(process.A, velocity)
-    if process.B is not None:
-        h = (near.t[i + 1] - near.t[i])[:, None, None]
-        force += _apply(process.B, basis(3, theta) @ cubic(near.u[i], near.u[i + 1], h * slopes[i]))
-    return force
-
-
-def cubic(begin: np.ndarray, end: np.ndarray, increments: np.ndarray) -> np.ndarray:
-    """Bernstein coefficients of curves, shape (m, 4, dim), from their ends and h times v'."""
-    first, last = begin + increments[:, 0] / 3, end - increments[:, 2] / 3
-    return np.stack([begin, first, last, end], axis=1)
-
-
-def _apply(M: Any, x: np.ndarray) -> np.ndarray:
-    return (M @ x.reshape(-1, x.shape[-1]).T).T.reshape(x.shape)
-
-
 def _of_variation(
     process: SweepingProcess,
     norms: Norms,
-    near: Path,
+    near: Nodes,
     slopes: np.ndarray,
     variation: Callable[[float], float],
 ) -> Defects:
     """w(t) is the point of C(t) nearest to the chord of two projections."""
     h, n = np.diff(near.t), len(near.t) - 1
     members = [process.C.at(t) for t in near.t.tolist()]
-    force = _force(process, near, slopes, np.arange(n), np.zeros((n, 1)))[:, 0]
-    last = _force(process, near, slopes, np.array([n - 1]), np.ones((1, 1)))[:, 0]
+    force = force_along(process, near, slopes, np.arange(n), np.zeros((n, 1)))[:, 0]
+    last = force_along(process, near, slopes, np.array([n - 1]), np.ones((1, 1)))[:, 0]
     nodes = zip(members, np.concatenate([force, last]), strict=True)
     w = np.array([C.project(f) for C, f in nodes])
     v = increments(variation, near.t)
@@ -302,13 +233,13 @@ def _of_variation(
         gaps[i] = np.sum(products(2, 1) * np.array(each)) + 2 * speed * v[i]
     theta = np.broadcast_to(GAUSS, (n, len(GAUSS)))
     chord = (1 - theta)[..., None] * w[:-1, None] + theta[..., None] * w[1:, None]
-    r = norms.dual(_force(process, near, slopes, np.arange(n), theta) - chord)
+    r = norms.dual(force_along(process, near, slopes, np.arange(n), theta) - chord)
     squares = h * (np.sqrt(r**2 @ WEIGHTS) + v / math.sqrt(norms.beta)) ** 2
     return Defects(2 * h * gaps, squares, np.zeros(n), np.zeros(n), slopes, True)
 
 
 def _sampled(
-    process: SweepingProcess, phi: VelocityOf, norms: Norms, near: Path, slopes: np.ndarray
+    process: SweepingProcess, phi: VelocityOf, norms: Norms, near: Nodes, slopes: np.ndarray
 ) -> Defects:
     """One program at each Gauss point: delta = Phi(t, v) - v'."""
     h, n = np.diff(near.t), len(near.t) - 1

@@ -6,6 +6,8 @@ a user passes raises goes through as it is.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import Enum
 from typing import TYPE_CHECKING
 
@@ -74,6 +76,24 @@ class MissingExtraError(SweepoptError, ImportError):
 
     def __init__(self, package: str, extra: str) -> None:
         super().__init__(f'{package} is not installed; run: pip install "sweepopt[{extra}]"')
+
+
+@contextmanager
+def brought_by(extra: str) -> Iterator[None]:
+    """For imports of optional packages: a missing one is a MissingExtraError.
+
+    Examples
+    --------
+    >>> with brought_by("speed"):
+    ...     import no_such_package
+    Traceback (most recent call last):
+    sweepopt.errors.MissingExtraError: no_such_package is not installed; run: pip install ...
+    """
+    try:
+        yield
+    except ImportError as error:
+        package = (error.name or "a package").partition(".")[0]
+        raise MissingExtraError(package, extra) from error
 
 
 class UnstableStepError(SweepoptError):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from os import PathLike
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -20,13 +20,13 @@ from sweepopt.control import (
 from sweepopt.errors import InputError, PathError, Status, StepError, shown
 from sweepopt.exact import mover
 from sweepopt.lifting import Lift
-from sweepopt.marks import checkpoints
+from sweepopt.marks import Checkpoints, checkpoints
 from sweepopt.observers import Bar, Callback, Observers
 from sweepopt.passes import Frame, Walked, adapt, of_all_unknowns
 from sweepopt.plan import PATHS, make_plan
-from sweepopt.process import EvolutionVI, SweepingProcess
+from sweepopt.process import EvolutionVI, SweepingProcess, sweeping
 from sweepopt.refinement import refine
-from sweepopt.schemes import choose
+from sweepopt.schemes import Scheme, choose
 from sweepopt.solution import Solution
 from sweepopt.states import MEMORY, Keeper, saving
 
@@ -143,91 +143,132 @@ def solve(
     >>> sol.success, float(sol(0.5)[0]), round(float(sol(5.0)[0]), 3)
     (True, 0.0, 3.063)
     """
-    settings: dict[str, Any] = {
-        "scheme": scheme,
-        "solver": solver,
-        "tol": tol,
-        "path": path,
-        "memory": memory,
-        "on_failure": on_failure,
-        "on_unstable": on_unstable,
-    }
+    asked = _Asked(t_end, steps, scheme, solver, tol, path, save, memory, on_failure, on_unstable)
     if error is not None:
         if checkpoint is not None:
             raise InputError("checkpoint= is for one run, but error= takes several; give steps")
-        if isinstance(steps, Adaptive):
-            raise InputError("error= chooses the steps itself; leave Adaptive out, or error=")
-        again = partial(solve, process, **settings)
-        first, _ = time_grid(t_end, steps)
-        wanted_error = number("error", error, minimum=0.0, strict=True)
-        sol = refine(lambda times: again(steps=times), first, wanted_error)
-        if save is None and callback is None and not progress:
-            return sol
-        return again(steps=sol.t, save=save, callback=callback, progress=progress)
-    for name, value, allowed in (
-        ("path", path, tuple(PATHS)),
-        ("on_failure", on_failure, ("raise", "stop")),
-        ("on_unstable", on_unstable, ("raise", "warn", "ignore")),
-    ):
-        choice(name, value, allowed)
-    if not isinstance(process, (SweepingProcess, EvolutionVI)):
-        raise InputError(f"process must be a SweepingProcess or an EvolutionVI: {shown(process)}")
+        return _refined(process, asked, error, callback, progress)
+    ready = _checked(process, asked, callback, checkpoint, progress)
+    walked, refined = ready.walked, Refined(())
+    if ready.frame:
+        walked, refined = adapt(
+            ready.frame, ready.process, walked.plan, save, ready.memory, ready.bar.update
+        )
+    return _moved(ready, walked, refined, callback, on_failure)
+
+
+class _Asked(NamedTuple):
+    """The arguments of `solve` that make up a run, as its checkpoint holds them."""
+
+    t_end: Any
+    steps: Any
+    scheme: Any
+    solver: Any
+    tol: Any
+    path: Any
+    save: Any
+    memory: Any
+    on_failure: Any
+    on_unstable: Any
+
+
+class _Ready(NamedTuple):
+    """A run that may start: all of it is checked. `frame` is that of adaptive steps."""
+
+    process: SweepingProcess
+    frame: Frame | None
+    walked: Walked
+    memory: float
+    marks: Checkpoints | None
+    bar: Bar
+
+
+def _refined(
+    process: Any, asked: _Asked, error: float, callback: Callback | None, progress: bool
+) -> Solution:
+    """Runs with more and more steps, until the bound of one is at most `error`."""
+    if isinstance(asked.steps, Adaptive):
+        raise InputError("error= chooses the steps itself; leave Adaptive out, or error=")
+    again = partial(solve, process, **asked._replace(t_end=None, save=None)._asdict())
+    first, _ = time_grid(asked.t_end, asked.steps)
+    wanted = number("error", error, minimum=0.0, strict=True)
+    sol = refine(lambda times: again(steps=times), first, wanted)
+    if asked.save is None and callback is None and not progress:
+        return sol
+    return again(steps=sol.t, save=asked.save, callback=callback, progress=progress)
+
+
+def _checked(
+    process: Any, asked: _Asked, callback: Callback | None, checkpoint: Any, progress: bool
+) -> _Ready:
+    """Refuse what cannot be run, before anything is."""
+    choice("path", asked.path, PATHS)
+    choice("on_failure", asked.on_failure, ("raise", "stop"))
+    choice("on_unstable", asked.on_unstable, ("raise", "warn", "ignore"))
+    process = sweeping(process)
     if callback is not None and not callable(callback):
         raise InputError(f"callback must be a function of a StepInfo, got {shown(callback)}")
-    process = process.as_sweeping()
-    tol = number("tol", tol, minimum=0.0, strict=True)
-    memory = number("memory", memory, minimum=0.0, strict=True)
-    adaptive = isinstance(steps, Adaptive)
-    if adaptive and path == "proportional":
-        raise PathError("path='proportional' needs all steps beforehand; Adaptive cannot tell")
-    if adaptive and isinstance(scheme, str) and scheme == "auto" and process.rate_independent:
-        scheme = "sdirk2"
-    tableau = choose(scheme, process.rate_independent)
-    if on_unstable == "ignore":
-        tableau = tableau.unwatched
-    if adaptive and tableau.exact:
-        raise InputError("scheme 'exact' has no error in time that steps could be adapted to")
-    frame = Frame(steps, process, t_end, tableau, save) if adaptive else None
-    times, mus = frame.grid() if frame else time_grid(t_end, steps)
-    members = process.check(evaluation_times(times, mus, tableau))
-    plan = make_plan(process, members, tableau, solver, tol, path)
+    tol = number("tol", asked.tol, minimum=0.0, strict=True)
+    memory = number("memory", asked.memory, minimum=0.0, strict=True)
+    scheme = _scheme(asked, process.rate_independent)
+    frame = None
+    if isinstance(asked.steps, Adaptive):
+        frame = Frame(asked.steps, process, asked.t_end, scheme, asked.save)
+    times, mus = frame.grid() if frame else time_grid(asked.t_end, asked.steps)
+    members = process.check(evaluation_times(times, mus, scheme))
+    plan = make_plan(process, members, scheme, asked.solver, tol, asked.path)
     plan = of_all_unknowns(plan) if frame else plan
-    walked = Walked(times, mus, plan, saving(save, times, plan.entering, memory))
+    walked = Walked(times, mus, plan, saving(asked.save, times, plan.entering, memory))
     process.check_start(float(times[0]))
-    check_stability(process, tableau, float(mus.max()), on_unstable)
-    settings |= {"t_end": t_end, "steps": steps, "save": save}
-    marks = checkpoints(checkpoint, process, plan, times, settings)
-    bar = Bar(progress, None if adaptive else len(mus), marks.done if marks else 0)
-    refined = Refined(())
-    if frame:
-        walked, refined = adapt(frame, process, plan, save, memory, bar.update)
-    times, mus, plan, wanted = walked.times, walked.mus, walked.plan, walked.wanted
+    check_stability(process, scheme, float(mus.max()), asked.on_unstable)
+    marks = checkpoints(checkpoint, process, plan, times, asked._asdict())
+    bar = Bar(progress, None if frame else len(mus), marks.done if marks else 0)
+    return _Ready(process, frame, walked, memory, marks, bar)
 
+
+def _scheme(asked: _Asked, rate_independent: bool) -> Scheme:
+    """The tableau, if adaptive steps can use it where they are asked for."""
+    name, adaptive = asked.scheme, isinstance(asked.steps, Adaptive)
+    if adaptive and asked.path == "proportional":
+        raise PathError("path='proportional' needs all steps beforehand; Adaptive cannot tell")
+    if adaptive and isinstance(name, str) and name == "auto" and rate_independent:
+        name = "sdirk2"
+    scheme = choose(name, rate_independent)
+    if adaptive and scheme.exact:
+        raise InputError("scheme 'exact' has no error in time that steps could be adapted to")
+    return scheme.unwatched if asked.on_unstable == "ignore" else scheme
+
+
+def _moved(
+    ready: _Ready, walked: Walked, refined: Refined, callback: Callback | None, on_failure: str
+) -> Solution:
+    """The run over the grid that was walked last, unless that was all there is to it."""
+    process, marks = ready.process, ready.marks
+    times, plan, wanted = walked.times, walked.plan, walked.wanted
     moved = plan.reduction.process if plan.reduction else process
     move = mover(moved, plan.of_entering, marks)
-    lift = Lift(plan, times, mus)
+    lift = Lift(plan, times, walked.mus)
     beside = lift.seconds
     recorded = marks.recorded if marks else []
-    observers = Observers(wanted, lift, times, process.u0, bar, callback, recorded)
+    observers = Observers(wanted, lift, times, process.u0, ready.bar, callback, recorded)
     run, keeper, finished = walked.run, walked.keeper, False
     try:
         if run is None or keeper is None or observers.need_states:
             keeper = Keeper(wanted.steps, moved.u0)
             prove = lift.prove if plan.reduction else None
-            run = move(times, mus, keeper, observers.look, prove)
-        if refined.cause and run.done == len(mus):
+            run = move(times, walked.mus, keeper, observers.look, prove)
+        if refined.cause and run.done == len(walked.mus):
             run.status, run.cause = Status.INEXACT, refined.cause
         failed = run.status in (Status.INEXACT, Status.SWITCHING) and on_failure == "raise"
         finished = not failed
     finally:
         observers.close(finished)
     if run.overshot is not None:
-        warn_of_overshoot(tableau, float(times[run.overshot]))
+        warn_of_overshoot(plan.scheme, float(times[run.overshot]))
     kept_steps, kept = keeper.close(run.done)
     if failed:
         u = lift.state(run.done, kept.nodes[-1])
         raise StepError(run.cause, float(times[run.done]), run.done, u, run.relative)
-    statistics = run.log.of(times[1 : run.done + 1], beside)
     states, kept_steps = observers.kept(kept, kept_steps)
     thinned = len(kept_steps) < run.done  # else the times are there already
     return Solution(
@@ -236,7 +277,7 @@ def solve(
         t=times[np.append(0, kept_steps + 1)] if thinned else times[: run.done + 1],
         steps=kept_steps,
         states=states,
-        statistics=statistics,
+        statistics=run.log.of(times[1 : run.done + 1], beside),
         status=run.status,
         cause=run.cause,
         exact=lift.trajectory(run.exact),

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import number, vector
-from sweepopt.errors import InputError, VelocityError, shown
+from sweepopt.checks import instant, number, vector
+from sweepopt.errors import InputError, VelocityError
 from sweepopt.loads import Separable
 from sweepopt.plan import make_plan
-from sweepopt.process import EvolutionVI, SweepingProcess
+from sweepopt.process import EvolutionVI, SweepingProcess, sweeping
 from sweepopt.program import EPS
 from sweepopt.schemes import SCHEMES
 from sweepopt.sets import AnySet, Box, ConvexSet, Moving
@@ -74,9 +74,7 @@ def velocity_field(
     >>> found.y[:, -1].round(8)
     array([3.06250001])
     """
-    if not isinstance(process, (SweepingProcess, EvolutionVI)):
-        raise InputError(f"process must be a SweepingProcess or an EvolutionVI: {shown(process)}")
-    process = process.as_sweeping()
+    process = sweeping(process)
     tol = number("tol", tol, minimum=0.0, strict=True)
     if process.rate_independent:
         raise InputError(
@@ -111,7 +109,7 @@ def _compiled(process: SweepingProcess, solver: Any, tol: float) -> Field:
 
     def field(t: float, u: Any) -> np.ndarray:
         nonlocal found
-        t, u = _time(t), vector("u", u, process.dim)
+        t, u = instant("t", t), vector("u", u, process.dim)
         C = process.C.at(t)
         if found is None:
             found = compiled(t, C)
@@ -134,7 +132,7 @@ def _scalar(process: SweepingProcess, tol: float) -> Field | None:
     centre = _centre(C)
 
     def field(t: float, u: Any) -> np.ndarray:
-        t = _time(t)
+        t = instant("t", t)
         state = u if type(u) is np.ndarray and u.shape == (1,) else vector("u", u, 1)
         c = centre(t)
         q = b * float(state[0])
@@ -161,10 +159,6 @@ def _centre(C: AnySet) -> Callable[[float], float]:
         value = C.center.value
         return lambda t: sum([weight * value(k, t) for k, weight in enumerate(weights)])
     return lambda t: float(C.center_at(t)[0])
-
-
-def _time(t: Any) -> float:
-    return t if type(t) is float and math.isfinite(t) else number("t", t)
 
 
 def _missed(t: float, u: np.ndarray, relative: float, tol: float) -> VelocityError:

@@ -40,17 +40,12 @@ def find_problem(name: str) -> Path:
     >>> find_problem("tube").name
     'tube.toml'
     """
-    path = _folder() / f"{name}.toml"
-    if Path(name).name != name or not os.path.isfile(path):
-        known = ", ".join(sorted(file.stem for file in _folder().glob("*.toml"))) or "none"
-        raise InputError(f"{name!r} is neither a scene file nor a problem; there are: {known}")
-    return path
+    return _listed("*.toml", name, "a scene file nor a problem")
 
 
 def find_scene(scene: str) -> Path:
     """The file of a scene that is given by its path or by the name of a problem."""
-    path = Path(scene)
-    return path if path.suffix == ".toml" or os.path.isfile(path) else find_problem(scene)
+    return _given(scene) or find_problem(scene)
 
 
 def find_study(study: str) -> Path:
@@ -66,14 +61,21 @@ def find_study(study: str) -> Path:
     >>> find_study("accuracy").name
     'accuracy.toml'
     """
-    given = Path(study)
-    if given.suffix == ".toml" or os.path.isfile(given):
-        return given
-    known = {path.stem: path for path in _folder().glob("*/*.toml")}
-    if study not in known:
+    return _given(study) or _listed("*/*.toml", study, "a study file nor a study")
+
+
+def _given(name: str) -> Path | None:
+    """The path that a name is."""
+    path = Path(name)
+    return path if path.suffix == ".toml" or os.path.isfile(path) else None
+
+
+def _listed(pattern: str, name: str, what: str) -> Path:
+    known = {path.stem: path for path in _folder().glob(pattern)}
+    if name not in known:
         names = ", ".join(sorted(known)) or "none"
-        raise InputError(f"{study!r} is neither a study file nor a study; there are: {names}")
-    return known[study]
+        raise InputError(f"{name!r} is neither {what}; there are: {names}")
+    return known[name]
 
 
 def _folder() -> Path:

@@ -17,7 +17,7 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
-from sweepopt.errors import IndefiniteError, MissingExtraError, SolverRefusedError
+from sweepopt.errors import IndefiniteError, SolverRefusedError, brought_by
 from sweepopt.linalg import Factor
 
 RESIDUAL = 1e-13  # of a solve, in the norm of V
@@ -264,10 +264,8 @@ def _others(few: np.ndarray, count: int) -> np.ndarray:
 
 
 def _pyamg() -> Any:
-    try:
+    with brought_by("speed"):
         import pyamg
-    except ImportError as error:
-        raise MissingExtraError("pyamg", "speed") from error
     return pyamg
 
 

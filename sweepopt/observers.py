@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.blocks import BlockWriter, Stored
-from sweepopt.errors import InputError, MissingExtraError, shown
+from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.lifting import Lift
 from sweepopt.march import Look
 from sweepopt.states import Kept, Saving, States
@@ -42,10 +42,8 @@ class Bar:
     def __init__(self, shown: bool, steps: int | None, done: int = 0) -> None:
         self.shown = shown
         if shown:
-            try:
+            with brought_by("fem"):
                 from tqdm.auto import tqdm
-            except ImportError as error:
-                raise MissingExtraError("tqdm", "fem") from error
             self._bar = tqdm(total=steps, initial=done, unit="step")
 
     def update(self) -> None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -219,27 +219,7 @@ def make_plan(
     SolverRefusedError
         If the solver is not known or cannot treat one of the sets.
     """
-    left_out = []
-    if process.B is None:
-        left_out.append("B: there is none, velocities do not depend on history")
-    if process.rate_independent:
-        left_out.append("A: it is zero, the process is rate-independent")
-    solvers: tuple[Solver, ...] = ()
-    contacts: list[np.ndarray] = []
-    for t, C in members:
-        selection = None if path == "full" else C.selection
-        try:
-            chosen = choose(solver, C if selection is None else selection.part)
-        except SolverRefusedError as error:
-            raise SolverRefusedError(f"{error} (C(t) at t = {t:g})") from error
-        if not C.singleton:
-            solvers = solvers or chosen
-            contacts.append(np.arange(C.dim) if selection is None else selection.unknowns)
-    if not solvers:
-        left_out.append("optimiser: C(t) is a point, each step is one linear solve")
-    few = bool(contacts) and contacts[0].size < process.dim
-    same = all(np.array_equal(contact, contacts[0]) for contact in contacts)
-    contact = contacts[0] if few and same else None
+    solvers, contact = _looked(process.dim, members, solver, path)
     if path in ("eliminated", "proportional") and contact is None:
         raise PathError(
             f"path={path!r} needs a C(t) that acts on the same few unknowns at all times: write it "
@@ -266,12 +246,48 @@ def make_plan(
         solvers=solvers,
         scheme=scheme,
         tol=tol,
-        left_out=tuple(left_out),
+        left_out=tuple(_left_out(process, solvers)),
         contact=contact,
         order=process.metric.order,
         multigrid=multigrid,
         reduction=None if isinstance(reduced, str) else reduced,
     )
+
+
+class _Looked(NamedTuple):
+    """Who solves for the sets, and the few unknowns that all of them act on, if there are such."""
+
+    solvers: tuple[Solver, ...]
+    contact: np.ndarray | None
+
+
+def _looked(
+    dim: int, members: Sequence[tuple[float, ConvexSet]], solver: Any, path: str
+) -> _Looked:
+    solvers: tuple[Solver, ...] = ()
+    contacts: list[np.ndarray] = []
+    for t, C in members:
+        selection = None if path == "full" else C.selection
+        try:
+            chosen = choose(solver, C if selection is None else selection.part)
+        except SolverRefusedError as error:
+            raise SolverRefusedError(f"{error} (C(t) at t = {t:g})") from error
+        if not C.singleton:
+            solvers = solvers or chosen
+            contacts.append(np.arange(C.dim) if selection is None else selection.unknowns)
+    few = bool(contacts) and contacts[0].size < dim
+    same = all(np.array_equal(contact, contacts[0]) for contact in contacts)
+    return _Looked(solvers, contacts[0] if few and same else None)
+
+
+def _left_out(process: SweepingProcess, solvers: tuple[Solver, ...]) -> Iterator[str]:
+    """What the process does not have."""
+    if process.B is None:
+        yield "B: there is none, velocities do not depend on history"
+    if process.rate_independent:
+        yield "A: it is zero, the process is rate-independent"
+    if not solvers:
+        yield "optimiser: C(t) is a point, each step is one linear solve"
 
 
 def _require_multigrid(

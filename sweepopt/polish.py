@@ -7,7 +7,6 @@ on the unknowns that the set acts on, with all others eliminated.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 
 import numpy as np
 
@@ -21,13 +20,12 @@ from sweepopt.substitution import SelectedVelocity, Solved, VelocityOf, eliminat
 
 ENOUGH = 1e-11  # what a polish is called for again: its certificate counts rounding that is there
 ROUGH = 1e-2  # relative certificate above which an answer is wrong, and no polish is called for
-Polish = Callable[[np.ndarray, ConvexSet, np.ndarray], Velocity | None]
 Judge = Callable[[VelocityProgram, np.ndarray, ConvexSet, Answer], Velocity]
 
 
 def judged(M: Factor, order: np.ndarray | None) -> Judge:
     """Certify an answer, polished if that is better; who needed it last is polished at once."""
-    polish = cache(lambda: _polisher(M, order))
+    polish = _Polish(M, order)
     needed = False
 
     def judge(program: VelocityProgram, q: np.ndarray, C: ConvexSet, answer: Answer) -> Velocity:
@@ -35,7 +33,7 @@ def judged(M: Factor, order: np.ndarray | None) -> Judge:
         raw = None if needed else program.certify(q, C, answer.z, answer.y)
         if raw is not None and raw.relative <= POLISHED:
             return raw
-        better = polish()(q, C, answer.z)
+        better = polish(q, C, answer.z)
         needed = better is not None and better.relative <= ENOUGH
         if better is not None and needed:
             return better
@@ -45,19 +43,42 @@ def judged(M: Factor, order: np.ndarray | None) -> Judge:
     return judge
 
 
-def _polisher(M: Factor, order: np.ndarray | None) -> Polish:
+class _Polish:
     """(q, C, z) -> the velocity of exact steps from z; None where they do not apply."""
-    start = np.zeros(0)
-    elimination: Elimination | None = None
-    selected: SelectedVelocity | None = None
-    whole: VelocityOf | None = None
-    treated: bool | None = None  # C as it is; one cone comes here, and to look at it may cost
 
-    def newton(N: Factor, cone: ConvexSet) -> VelocityOf:
+    def __init__(self, M: Factor, order: np.ndarray | None) -> None:
+        self._M, self._order = M, order
+        self._start = np.zeros(0)
+        self._elimination: Elimination | None = None
+        self._selected: SelectedVelocity | None = None
+        self._whole: VelocityOf | None = None
+        # C as it is; one cone comes here, and to look at it may cost
+        self._treated: bool | None = None
+
+    def __call__(self, q: np.ndarray, C: ConvexSet, z: np.ndarray) -> Velocity | None:
+        selection = C.selection
+        if selection is None or not _treats(selection.part):
+            self._treated = _treats(C) if self._treated is None else self._treated
+            if not self._treated:
+                return None
+            self._start, self._whole = z, self._whole or self._exact(self._M, C)
+            return self._whole(q, C).velocity
+        few, body = selection.unknowns, self._elimination
+        if body is None or self._selected is None or not same_array(few, body.unknowns):
+            body = self._elimination = Elimination(self._M.M, few, self._order)
+            small = self._exact(Factor(body.N), selection.part)
+            self._selected = eliminated(body, small)
+        self._start = z[few]
+        return self._selected(q, selection).velocity
+
+    def _exact(self, N: Factor, cone: ConvexSet) -> VelocityOf:
+        return self._newton(N, cone) if NEWTON.treats(cone) else self._active_set(N, cone)
+
+    def _newton(self, N: Factor, cone: ConvexSet) -> VelocityOf:
         program, iterate = VelocityProgram(N, cone), Iteration(N)
 
         def solve(q: np.ndarray, C: ConvexSet) -> Solved:
-            z = start
+            z = self._start
             for limit in (1, NEWTON.max_iter):  # one step is enough from a good answer
                 z, iterations = iterate(q, C, z, limit)
                 velocity = program.certify(q, C, z, np.zeros(C.offsets.size))
@@ -67,12 +88,12 @@ def _polisher(M: Factor, order: np.ndarray | None) -> Polish:
 
         return solve
 
-    def active_set(N: Factor, cone: ConvexSet) -> VelocityOf:
+    def _active_set(self, N: Factor, cone: ConvexSet) -> VelocityOf:
         program = VelocityProgram(N, cone)
         compiled = LAST.compile(program)
 
         def solve(q: np.ndarray, C: ConvexSet) -> Solved:
-            rough = program.certify(q, C, start, np.zeros(C.offsets.size))
+            rough = program.certify(q, C, self._start, np.zeros(C.offsets.size))
             if not rough.relative <= ROUGH:
                 return Solved(rough, LAST.name, 0, 1)
             answer = compiled(q, C)
@@ -80,27 +101,6 @@ def _polisher(M: Factor, order: np.ndarray | None) -> Polish:
             return Solved(velocity, LAST.name, answer.iterations, 1)
 
         return solve
-
-    def exact(N: Factor, cone: ConvexSet) -> VelocityOf:
-        return newton(N, cone) if NEWTON.treats(cone) else active_set(N, cone)
-
-    def polish(q: np.ndarray, C: ConvexSet, z: np.ndarray) -> Velocity | None:
-        nonlocal start, elimination, selected, whole, treated
-        selection = C.selection
-        if selection is None or not _treats(selection.part):
-            treated = _treats(C) if treated is None else treated
-            if not treated:
-                return None
-            start, whole = z, whole or exact(M, C)
-            return whole(q, C).velocity
-        few = selection.unknowns
-        if elimination is None or selected is None or not same_array(few, elimination.unknowns):
-            elimination = Elimination(M.M, few, order)
-            selected = eliminated(elimination, exact(Factor(elimination.N), selection.part))
-        start = z[few]
-        return selected(q, selection).velocity
-
-    return polish
 
 
 def _treats(C: ConvexSet) -> bool:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.checks import Matrix, symmetric, vector
-from sweepopt.errors import InitialStateWarning, InputError, VariationWarning
+from sweepopt.errors import InitialStateWarning, InputError, VariationWarning, shown
 from sweepopt.linalg import is_semidefinite, largest_eigenvalue, largest_ratio
 from sweepopt.multigrid import factorise
 from sweepopt.sets import AnySet, ConvexSet, Moving, MovingSet, Point
@@ -173,7 +173,7 @@ class SweepingProcess:
         warnings.warn(
             f"{where}. A is coercive, so the solution exists and starts with a velocity",
             InitialStateWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
 
     def variation(self, times: np.ndarray) -> float:
@@ -254,6 +254,11 @@ class EvolutionVI:
     cone : ConvexSet or None
         K, a closed convex cone; None is the whole space.
 
+    Raises
+    ------
+    InputError
+        If a shape or an entry is wrong, a set moves, or K is not a cone.
+
     Examples
     --------
     >>> from sweepopt.sets import Box
@@ -302,6 +307,13 @@ class EvolutionVI:
         return SweepingProcess(self.A, self.B, C, self.u0)
 
 
+def sweeping(process: Any) -> SweepingProcess:
+    """Either form of the problem as a sweeping process, for solvers that take both."""
+    if not isinstance(process, (SweepingProcess, EvolutionVI)):
+        raise InputError(f"process must be a SweepingProcess or an EvolutionVI: {shown(process)}")
+    return process.as_sweeping()
+
+
 def _check_jump(before: ConvexSet | None, C: ConvexSet, t: float) -> None:
     """Warn of a motion that is not of bounded variation; a change of offsets is a finite one."""
     if before is not None and before.distance_bound(C) == np.inf:
@@ -309,7 +321,7 @@ def _check_jump(before: ConvexSet | None, C: ConvexSet, t: float) -> None:
             f"C(t) jumps by an infinite distance at t = {t:g}: it is not of bounded variation, as "
             "the theory asks; the steps are solved all the same",
             VariationWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
 
 

@@ -18,11 +18,11 @@ from sweepopt.checkpoint import (
     read_stored,
 )
 from sweepopt.control import time_grid
-from sweepopt.errors import CheckpointWarning, DamagedFileError, InputError, shown
+from sweepopt.errors import CheckpointWarning, DamagedFileError, InputError
 from sweepopt.evolve import solve
 from sweepopt.fingerprint import fingerprint
 from sweepopt.observers import StepInfo
-from sweepopt.process import EvolutionVI, SweepingProcess
+from sweepopt.process import EvolutionVI, SweepingProcess, sweeping
 from sweepopt.solution import Solution
 
 
@@ -83,11 +83,8 @@ def resume(
     (122, 201)
     """
     stored = _newest(Checkpoint(path))
-    if not isinstance(process, (SweepingProcess, EvolutionVI)):
-        raise InputError(f"process must be a SweepingProcess or an EvolutionVI: {shown(process)}")
-    settings = decoded(stored)
+    process, settings = sweeping(process), decoded(stored)
     times, _ = time_grid(settings["t_end"], settings["steps"])
-    process = process.as_sweeping()
     _compare(stored, process, times)
     wanted = stored.record["settings"]["save"]
     if (wanted == {"function": True}) != callable(save):

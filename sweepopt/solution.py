@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sweepopt import checks
+from sweepopt.energy import Energy, energy_of
 from sweepopt.errors import InputError, Status, SweepoptError, shown
+from sweepopt.interpolant import Interpolant
+from sweepopt.nodes import Nodes
 from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
-from sweepopt.states import TIME_SLACK, States
+from sweepopt.states import States
 from sweepopt.statistics import Statistics
 from sweepopt.velocity import VelocityOf
 
@@ -24,32 +26,6 @@ if TYPE_CHECKING:
 
     from sweepopt.certificate import ErrorBound
     from sweepopt.exact import Trajectory
-
-
-class Energy(NamedTuple):
-    """Energies from the start to each time, shape (n+1,); dissipated + stored = work + O(mu).
-
-    Attributes
-    ----------
-    stored : ndarray
-        1/2 <B u, u>, its change since t_0.
-    viscous : ndarray
-        int <A u', u'>.
-    friction : ndarray
-        int J(u'), J the support function of D where C(t) = f(t) - D.
-    work : ndarray
-        int <f, u'>.
-    """
-
-    stored: np.ndarray
-    viscous: np.ndarray
-    friction: np.ndarray
-    work: np.ndarray
-
-    @property
-    def balance(self) -> np.ndarray:
-        """stored + viscous + friction - work: zero up to the error of the scheme."""
-        return self.stored + self.viscous + self.friction - self.work
 
 
 class Pass(NamedTuple):
@@ -140,6 +116,10 @@ class Solution:
         """All times of the run, kept or not, shape (n+1,)."""
         return self.t if self.complete else np.append(self.t[0], self.statistics.columns["t"])
 
+    @cached_property
+    def _interpolant(self) -> Interpolant:
+        return Interpolant(self.t, self._grid[self.steps], self.states)
+
     @property
     def success(self) -> bool:
         """Whether the run reached t_end with no step known to be wrong."""
@@ -166,24 +146,7 @@ class Solution:
         InputError
             If a time is outside of [t[0], t[-1]] or in a step that was not kept.
         """
-        times = self._inside(t)
-        start = times == self.t[0]
-        if start.any() and self.steps[0] > 0:  # the start is kept without the first step
-            values = np.zeros((*times.shape, self.process.dim))
-            values[start] = self.states.u(0)
-            values[~start] = self(times[~start]) if not start.all() else 0.0
-            return values
-        # many times in few steps: every node is looked up once
-        i, where = np.unique(self._interval(times), return_inverse=True)
-        where = where.reshape(times.shape)
-        begin, end = self._grid[self.steps[i]][where], self.t[i + 1][where]
-        share = ((times - begin) / (end - begin))[..., None]
-        after = self.states.u(i + 1)[where]
-        if (self._grid[self.steps[i]] == self.t[i]).all():
-            # the form with two weights meets both nodes exactly
-            return (1 - share) * self.states.u(i)[where] + share * after
-        back = (1 - share) * (end - begin)[..., None] * self.states.velocity(i)[where]
-        return after - back
+        return self._interpolant(t)
 
     def viability(self, t: Any = None) -> np.ndarray:
         """How far the viability condition A u' + B u in C(t) is missed, in the A^-1 metric.
@@ -286,16 +249,15 @@ class Solution:
         return self._bound_with(None)
 
     def _bound_with(self, variation: Callable[[float], float] | None) -> ErrorBound:
-        from sweepopt.certificate import error_bound, nodes
-        from sweepopt.defects import Path
+        from sweepopt.certificate import error_bound, nodes_of
 
         if self.complete:
-            run = Path(self.t, self.u, self.velocity)
+            run = Nodes(self.t, self.u, self.velocity)
         elif self.exact is not None:
             u = self.exact(self._grid)
-            run = Path(self._grid, u, np.diff(u, axis=0) / np.diff(self._grid)[:, None])
+            run = Nodes(self._grid, u, np.diff(u, axis=0) / np.diff(self._grid)[:, None])
         else:
-            run = nodes(self.process, replace(self.plan, reduction=None), self._grid)
+            run = nodes_of(self.process, replace(self.plan, reduction=None), self._grid)
         with np.errstate(over="ignore", invalid="ignore"):  # a bound may be infinite
             return error_bound(self.process, self.plan, run, variation)
 
@@ -310,39 +272,14 @@ class Solution:
         return self.process.metric.norm(found.z)
 
     def _at_times(self, t: Any, measure: Any) -> np.ndarray:
-        times = self._inside(t)
+        times = self._interpolant.inside(t)
         values = []
-        for time, i in zip(times.ravel(), self._interval(times).ravel(), strict=True):
+        steps = self._interpolant.step_of(times)
+        for time, i in zip(times.ravel(), steps.ravel(), strict=True):
             z = self.states.velocity(int(i))
             force = self.process.A @ z + self.process.times_B(self(float(time)))
             values.append(measure(z, force, self.process.C.at(float(time))))
         return np.array(values).reshape(times.shape)
-
-    def _inside(self, t: Any) -> np.ndarray:
-        times = checks.times("t", t)
-        if len(self.t) < 2:
-            raise InputError("the run has no complete step to interpolate")
-        slack = TIME_SLACK * max(abs(self.t[0]), abs(self.t[-1]))
-        bad = ~((times >= self.t[0] - slack) & (times <= self.t[-1] + slack))
-        if bad.any():
-            raise InputError(
-                f"t = {times[bad].flat[0]:g} is outside of [{self.t[0]:g}, {self.t[-1]:g}]"
-            )
-        # a time that misses a kept node by rounding is that node
-        nearest = self.t[np.clip(np.searchsorted(self.t, times - slack), 0, len(self.t) - 1)]
-        return np.where(np.abs(nearest - times) <= slack, nearest, times)
-
-    def _interval(self, times: np.ndarray) -> np.ndarray:
-        """i with t in (t_i, t_{i+1}]; the whole of the time must be in the step that ends there."""
-        i = np.maximum(np.searchsorted(self.t, times, side="left") - 1, 0)
-        if not self.complete:
-            lost = times < self._grid[self.steps[i]]
-            if lost.any():
-                raise InputError(
-                    f"t = {times[lost].flat[0]:g} is in a step that was not kept; solve with "
-                    "another save="
-                )
-        return i
 
     def to_xarray(self) -> Dataset:
         """The trajectory and its statistics as an xarray.Dataset (needs the extra "fem")."""
@@ -371,17 +308,4 @@ class Solution:
         """
         if not self.complete:
             raise InputError("energies add up all steps, but not all were kept; leave save= out")
-        mu = np.diff(self.t)
-        viscous, friction, work = np.zeros((3, len(mu)))
-        for i in range(len(mu)):
-            z = self.states.velocity(i)
-            C = self.process.C.at(float(self.t[i] + 0.5 * mu[i]))
-            viscous[i] = z @ (self.process.A @ z)
-            work[i] = C.anchor @ z
-            friction[i] = C.support(-z) + work[i]
-        states = map(self.states.u, range(len(self.t)))
-        stored = np.array([0.5 * u @ self.process.times_B(u) for u in states])
-        viscous, friction, work = (
-            np.append(0.0, np.cumsum(mu * rate)) for rate in (viscous, friction, work)
-        )
-        return Energy(stored - stored[0], viscous, friction, work)
+        return energy_of(self.process, self.t, self.states)

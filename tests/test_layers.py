@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -20,14 +21,14 @@ LEVELS = [
     {"linalg", "loads", "secular"},
     {"sets"},
     {"states", "multigrid"},
-    {"blocks", "process"},
-    {"fingerprint", "program"},
+    {"blocks", "interpolant", "process"},
+    {"energy", "fingerprint", "program"},
     {"reduction", "schemes", "solvers"},
     {"checkpoint", "substitution", "control"},
     {"polish"},
     {"velocity"},
     {"plan"},
-    {"unrounded"},
+    {"nodes", "unrounded"},
     {"field", "motion", "solution"},
     {"norms"},
     {"flow", "stepping"},
@@ -47,7 +48,7 @@ LEVELS = [
     {"__main__"},
 ]
 # conveniences of Solution that call upward by a local import
-UPWARD = {("solution", above) for above in ("store", "plot", "certificate", "defects")}
+UPWARD = {("solution", above) for above in ("store", "plot", "certificate")}
 HOMES = {
     "cvxpy": {"program", "sets", "solvers/reference", "study/by_hand"},
     "clarabel": {"solvers/clarabel", "study/by_hand"},
@@ -71,6 +72,7 @@ HOMES = {
 }
 
 
+@cache
 def modules() -> dict[str, ast.Module]:
     files = [path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py"]
     return {

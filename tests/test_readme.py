@@ -1,4 +1,4 @@
-"""What the README shows is true: its example runs, its two commands are those of CI."""
+"""What README, CONTRIBUTING and MATH say is true: the example runs, what is named is there."""
 
 from __future__ import annotations
 
@@ -33,3 +33,18 @@ def test_it_is_short_and_its_picture_is_there() -> None:
     assert len(README.splitlines()) < 150
     for picture in re.findall(r"!\[.*?\]\((.*?)\)", README):
         assert (ROOT / picture).is_file()
+
+
+def test_what_the_guide_names_is_there() -> None:
+    guide = (ROOT / "CONTRIBUTING.md").read_text()
+    for name in re.findall(r"`((?:\w+/)*\w+(?:\.(?:py|md|toml)|/))`", guide):
+        folders = (ROOT, ROOT / "sweepopt", ROOT / "sweepopt/study/hard")
+        assert any((folder / name).exists() for folder in folders), name
+
+
+def test_the_sections_of_the_mathematics_that_the_code_names_are_there() -> None:
+    sections = re.findall(r"^## (\d)\.", (ROOT / "MATH.md").read_text(), re.MULTILINE)
+    sources = "\n".join(file.read_text() for file in (ROOT / "sweepopt").rglob("*.py"))
+    named = re.findall(r"MATH(?:\.md\s+section)?\s+(\d)", sources)
+    assert len(named) > 5
+    assert set(named) <= set(sections)

@@ -15,9 +15,10 @@ from hypothesis import strategies as st
 from laws import ZOO
 
 import sweepopt as so
-from sweepopt.sets.algebra import Negation, Product, Scaling, Translation
+from sweepopt.sets.algebra import Negation, Scaling, Translation
 from sweepopt.sets.image import Image
 from sweepopt.sets.pairs import Intersection, Sum
+from sweepopt.sets.product import Product
 
 POWERS = (-40, -13, 0, 17, 40)
 ENOUGH = 1e-12

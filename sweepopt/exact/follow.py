@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import time as clock
 from functools import cached_property, partial
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from sweepopt.checks import Matrix
 from sweepopt.errors import InputError, Status, shown
 from sweepopt.exact.rows import Rows, rows_of
 from sweepopt.exact.trajectory import Phase, Trajectory, integrate
@@ -20,6 +19,7 @@ from sweepopt.program import Velocity, VelocityProgram, rate
 from sweepopt.states import Keeper
 from sweepopt.statistics import Log
 from sweepopt.stepping import Summary
+from sweepopt.unrounded import matrix
 
 FLOOR = 0.01
 GOLDEN = 0.381966  # no usual load has this share of a step as its period
@@ -146,7 +146,7 @@ class _Inclusion:
     ) -> Velocity:
         process, C = self._process, self._process.C.at(t)
         if mu not in self._factors:
-            self._factors = {mu: Factor(self._matrix(mu))}
+            self._factors = {mu: Factor(matrix(process, mu))}
         M = self._factors[mu]
         q = process.times_B(u - mu * z)
         found = VelocityProgram(M, C).certify(q, C, z, np.zeros(C.offsets.size))
@@ -156,10 +156,6 @@ class _Inclusion:
         if process.B is not None:
             apart += M.dual_norm(abs(process.B) @ (self._extent + mu * terms))
         return rate(z, certificate, M.norm(z), max(M.dual_norm(q - C.anchor), FLOOR * apart))
-
-    def _matrix(self, mu: float) -> Matrix:
-        process: Any = self._process
-        return process.A if process.B is None else process.A + mu * process.B
 
 
 def _cause(i: int, times: np.ndarray, relative: float, tol: float) -> str:

@@ -10,7 +10,8 @@ from scipy.spatial import ConvexHull, QhullError
 
 from sweepopt.linalg import dense
 from sweepopt.sets import Ball, ConvexSet, Polytope
-from sweepopt.sets.algebra import Negation, Product, Scaling, Translation
+from sweepopt.sets.algebra import Negation, Scaling, Translation
+from sweepopt.sets.product import Product
 
 FLAT = 1e-12  # extent, relative to the largest one, below which a polytope is flat
 HULL = 8  # dimensions up to which a hull is computed

@@ -47,6 +47,17 @@ class Discretisation:
         Where all degrees of freedom sit, clamped ones too.
     triangles : ndarray, shape (m, 3)
         Linear triangles through `points`, for pictures; a quadratic element counts as four.
+
+    Raises
+    ------
+    InputError
+        If the mesh is damaged or a piece of it is not clamped, or a boundary is not known.
+
+    Examples
+    --------
+    >>> square = skfem.MeshTri().refined(2).with_defaults()
+    >>> Discretisation(square, ["top"]).dim
+    20
     """
 
     mesh: skfem.MeshTri

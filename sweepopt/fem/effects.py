@@ -61,6 +61,11 @@ class Viscosity:
     eta : number, mapping of subdomain to number, Profile or callable
         Viscosity (Pa s), > 0. A mapping covers every subdomain.
 
+    Raises
+    ------
+    InputError
+        If a value is not a finite number > 0.
+
     Examples
     --------
     >>> Viscosity({"core": 1.0, "sleeve": 0.2}).eta["sleeve"]
@@ -85,6 +90,16 @@ class Elasticity:
     ----------
     kappa : number, mapping of subdomain to number, Profile or callable
         Shear modulus (Pa), >= 0. A mapping covers every subdomain.
+
+    Raises
+    ------
+    InputError
+        If a value is not a finite number >= 0.
+
+    Examples
+    --------
+    >>> Elasticity(2.0).kappa
+    2.0
     """
 
     kappa: Datum
@@ -109,6 +124,16 @@ class Friction:
     g : number, mapping of boundary to number, Profile or callable
         Friction bound (Pa), >= 0. Where it is zero there is no friction and nothing to simulate;
         where it is inf the body is glued: it stays where u0 has it.
+
+    Raises
+    ------
+    InputError
+        If a name is missing or given twice, or a bound is negative.
+
+    Examples
+    --------
+    >>> Friction("contact", g=0.3).on
+    ('contact',)
     """
 
     on: Sequence[str]
@@ -134,6 +159,17 @@ class BodyForce:
         phi(t): Table, Sine, Triangle, Constant; or any function, which tells no variation.
     f0 : number, mapping of subdomain to number, Profile or callable
         Density at phi = 1 (Pa/m).
+
+    Raises
+    ------
+    InputError
+        If the history is no function, or a value is not finite.
+
+    Examples
+    --------
+    >>> from sweepopt.loads import Sine
+    >>> BodyForce(Sine(1.0, period=4.0), f0=2.0).f0
+    2.0
     """
 
     history: Phi
@@ -160,6 +196,17 @@ class Traction:
         phi(t): Table, Sine, Triangle, Constant; or any function, which tells no variation.
     f2 : number, mapping of boundary to number, Profile or callable
         Traction at phi = 1 (Pa).
+
+    Raises
+    ------
+    InputError
+        If a name is missing or given twice, the history is no function, or a value is not finite.
+
+    Examples
+    --------
+    >>> from sweepopt.loads import Table
+    >>> Traction(["left", "right"], Table([0.0, 1.0], [0.0, 2.0])).on
+    ('left', 'right')
     """
 
     on: Sequence[str]

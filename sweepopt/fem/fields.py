@@ -35,6 +35,11 @@ class Profile:
     at, values : array_like, shape (m,)
         `at` increases strictly and must cover the body where the profile is used.
 
+    Raises
+    ------
+    InputError
+        If `along` is not known or `at` does not increase; when called, if `at` does not cover x.
+
     Examples
     --------
     >>> import numpy as np
@@ -79,17 +84,17 @@ class Range:
     strict: bool = False
     infinite: bool = False
 
-    def check(self, name: str, values: ArrayLike, hint: str = "") -> None:
+    def check(self, name: str, values: ArrayLike) -> None:
         """Refuse values that are not finite or lie below the minimum."""
         array = floats(name, values, "a number")
         bad = np.isnan(array) if self.infinite else ~np.isfinite(array)
         if np.any(bad):
-            raise InputError(f"{name} must be finite, got {array[bad].flat[0]}{hint}")
+            raise InputError(f"{name} must be finite, got {array[bad].flat[0]}")
         bad = array <= self.minimum if self.strict else array < self.minimum
         if np.any(bad):
             relation = ">" if self.strict else ">="
             raise InputError(
-                f"{name} must be {relation} {self.minimum:g}, got {array[bad].flat[0]:g}{hint}"
+                f"{name} must be {relation} {self.minimum:g}, got {array[bad].flat[0]:g}"
             )
 
 
@@ -99,7 +104,7 @@ POSITIVE = Range(0.0, strict=True)
 FRICTION = Range(0.0, infinite=True)
 
 
-def check_datum(name: str, datum: Any, allowed: Range = ANY, hint: str = "") -> Datum:
+def check_datum(name: str, datum: Any, allowed: Range = ANY) -> Datum:
     """Check a coefficient as far as no mesh is needed; a function is checked where it is used.
 
     Raises
@@ -111,14 +116,14 @@ def check_datum(name: str, datum: Any, allowed: Range = ANY, hint: str = "") -> 
         if not datum:
             raise InputError(f"{name} must name a group or more")
         for key, value in datum.items():
-            _check_number(f"{name}.{key}", value, allowed, hint)
+            _check_number(f"{name}.{key}", value, allowed)
         return dict(datum)
     if isinstance(datum, Profile):
-        allowed.check(f"{name}.values", datum.values, hint)
+        allowed.check(f"{name}.values", datum.values)
         return datum
     if callable(datum):
         return datum
-    return _check_number(name, datum, allowed, hint)
+    return _check_number(name, datum, allowed)
 
 
 def evaluate(
@@ -183,8 +188,8 @@ def _by_group(
     return values
 
 
-def _check_number(name: str, value: Any, allowed: Range, hint: str) -> float:
+def _check_number(name: str, value: Any, allowed: Range) -> float:
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.number)):
         raise InputError(f"{name} must be a number, got {shown(value)}")
-    allowed.check(name, value, hint)
+    allowed.check(name, value)
     return float(value)

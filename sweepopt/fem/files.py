@@ -21,7 +21,7 @@ from sweepopt.fem.effects import EFFECTS, Effect, names
 from sweepopt.fem.fields import Profile
 from sweepopt.fem.mesh import read_mesh
 from sweepopt.fem.scene import Scene, build, check_names, located
-from sweepopt.library import find_problem
+from sweepopt.library import find_scene
 from sweepopt.loads import Constant, History, Sine, Table, Triangle, check_points
 from sweepopt.texts import as_path, parse_toml, read_toml
 
@@ -129,6 +129,12 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
 
     Other histories: ``{ waveform = "triangle", amplitude, period }``,
     ``{ waveform = "constant", value }``, ``{ table = { t = [...], values = [...] } }``.
+
+    Examples
+    --------
+    >>> scene = read_scene("tube")
+    >>> scene.t_end, scene.steps, scene.units
+    (120.0, 480, 'SI')
     """
     data, folder = _load(source, as_path("folder", folder))
     file = _validate(data)
@@ -163,9 +169,7 @@ def _load(source: str | Path | Mapping[str, Any], folder: Path) -> tuple[Mapping
         )
     if isinstance(source, str) and "\n" in source:
         return parse_toml("the scene", source), folder
-    path = Path(source)
-    if isinstance(source, str) and path.suffix != ".toml" and not os.path.isfile(path):
-        path = find_problem(source)
+    path = find_scene(source) if isinstance(source, str) else Path(source)
     return read_toml(path), path.parent
 
 

@@ -45,6 +45,12 @@ def read_mesh(path: str | Path) -> skfem.MeshTri:
     ------
     InputError
         If the file is not such a mesh; the message names the file and the fault.
+
+    Examples
+    --------
+    >>> from sweepopt.library import find_problem
+    >>> sorted(read_mesh(find_problem("tube").with_suffix(".msh")).subdomains)
+    ['core', 'sleeve']
     """
     path = as_path("path", path)
     try:

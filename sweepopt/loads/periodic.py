@@ -27,6 +27,16 @@ KINKS = 10_000_000  # of one history that are looked at
 class Sine:
     """``phi(t) = offset + amplitude sin(2 pi t / period + phase)``, phase in radians.
 
+    Parameters
+    ----------
+    amplitude, period, phase, offset : float
+        The period is > 0.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite, or the period not positive.
+
     Examples
     --------
     >>> wave = Sine(amplitude=2.0, period=4.0)
@@ -64,6 +74,16 @@ class Sine:
 @dataclass(frozen=True)
 class Triangle:
     """Triangular wave from 0 at t = 0 up to `amplitude` at a quarter of the period.
+
+    Parameters
+    ----------
+    amplitude, period : float
+        The period is > 0.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite, or the period not positive.
 
     Examples
     --------

@@ -33,6 +33,12 @@ class Separable:
         The shapes as columns, so that one evaluation is one product.
     dim : int
 
+    Raises
+    ------
+    InputError
+        If a term is no pair, a history not callable, or the shapes differ in size; when called, if
+        a history does not return one finite number.
+
     Examples
     --------
     >>> f = Separable([(Constant(1.0), [1.0, 0.0]), (Sine(1.0, period=4.0), [0.0, 2.0])])

@@ -23,6 +23,15 @@ from sweepopt.loads.history import (
 class Constant:
     """``phi(t) = value``.
 
+    Parameters
+    ----------
+    value : float
+
+    Raises
+    ------
+    InputError
+        If the value is not a finite number.
+
     Examples
     --------
     >>> Constant(3.0)(10.0)
@@ -58,6 +67,11 @@ class Polynomial:
     ----------
     coefficients : array_like, shape (m,)
         The constant one first.
+
+    Raises
+    ------
+    InputError
+        If there are none, or one is not finite; when called, if the value overflows.
 
     Examples
     --------

@@ -35,6 +35,12 @@ class Table:
         Strictly increasing; nothing is said, hence nothing answered, outside them.
     values : array_like, shape (m,)
 
+    Raises
+    ------
+    InputError
+        If the times do not increase, or a number is missing or not finite; when called, if a time
+        is outside of the table.
+
     Examples
     --------
     >>> force = Table([0.0, 1.0, 3.0], [0.0, 2.0, 1.0])

@@ -115,3 +115,10 @@ def _append(Q: np.ndarray, R: np.ndarray, column: np.ndarray) -> tuple[np.ndarra
     if R.shape[1] == 0:
         return scipy.linalg.qr(column[:, None])
     return scipy.linalg.qr_insert(Q, R, column, R.shape[1], which="col")
+
+
+def projector(rows: np.ndarray) -> np.ndarray:
+    """The orthogonal projection on the span of the rows."""
+    U, sizes, _ = np.linalg.svd(rows.T, full_matrices=False)
+    basis = U[:, sizes > 1e-13 * sizes.max(initial=0.0)]
+    return basis @ basis.T

@@ -8,11 +8,11 @@ sigma(C & D, z) = min { sigma(C, p) + sigma(D, z - p) }   (and its closure)
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse as sp
 
 from sweepopt.checks import HUGE, number, vector
@@ -34,14 +34,86 @@ if TYPE_CHECKING:
     import cvxpy as cp
 
 
-class Translation(ConvexSet):
+class _Similar(ConvexSet):
+    """T C for a similarity T: the point of T C nearest to T x is T P_C(x)."""
+
+    v: np.ndarray | None = None  # T 0; None is 0
+
+    def __init__(self, part: ConvexSet) -> None:
+        self.part, self.dim = part, part.dim
+        self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
+        self.exact = part.exact
+
+    @abstractmethod
+    def _to(self, x: np.ndarray) -> np.ndarray:
+        """T x."""
+
+    @abstractmethod
+    def _back(self, w: np.ndarray) -> np.ndarray:
+        """T^-1 w."""
+
+    @abstractmethod
+    def _turned(self, C: ConvexSet) -> ConvexSet:
+        """T C - T 0 for a set C of any dimension."""
+
+    def project(self, w: np.ndarray) -> np.ndarray:
+        return self._to(self.part.project(self._back(vector("w", w, self.dim))))
+
+    def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        return self._to(self.part.nearest(self._back(w), tau))
+
+    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        return self.part.derivative(self._back(v))
+
+    def steps(self, tau: np.ndarray) -> np.ndarray:
+        return self.part.steps(tau)
+
+    def same_cone(self, other: ConvexSet) -> bool:
+        if not isinstance(other, _Similar) or type(self) is not type(other):
+            return False
+        return self.part is other.part or self.part.same_cone(other.part)
+
+    def require_nonempty(self, where: str = "C") -> None:
+        self.part.require_nonempty(where)
+
+    @property
+    def nonsmooth_dim(self) -> int:
+        return self.part.nonsmooth_dim
+
+    @property
+    def selection(self) -> Selection | None:
+        found = self.part.selection
+        if found is None:
+            return None
+        shift = self.v if found.shift is None else self._to(found.shift)
+        return Selection(found.unknowns, self._turned(found.part), shift)
+
+    @property
+    def sphere(self) -> Sphere | None:
+        found = self.part.sphere
+        return found and found._replace(center=self._to(found.center))
+
+
+class Translation(_Similar):
     """C + v."""
 
+    v: np.ndarray
+
     def __init__(self, part: ConvexSet, v: np.ndarray) -> None:
-        # one is made each step: v was checked, and the offsets wait until a program asks
+        # one is made each step, in half the time without a call: v was checked, and the offsets
+        # wait until a program asks
         self.part, self.v, self.dim = part, v, part.dim
         self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
         self.exact = part.exact
+
+    def _to(self, x: np.ndarray) -> np.ndarray:
+        return x + self.v
+
+    def _back(self, w: np.ndarray) -> np.ndarray:
+        return w - self.v
+
+    def _turned(self, C: ConvexSet) -> ConvexSet:
+        return C
 
     @cached_property
     def offsets(self) -> np.ndarray:  # type: ignore[override]
@@ -51,20 +123,8 @@ class Translation(ConvexSet):
         z = vector("z", z, self.dim)
         return self.part.support(z) + float(self.v @ z)
 
-    def project(self, w: np.ndarray) -> np.ndarray:
-        return self.part.project(vector("w", w, self.dim) - self.v) + self.v
-
     def normal(self, v: np.ndarray) -> np.ndarray:
         return self.part.normal(v - self.v)
-
-    def steps(self, tau: np.ndarray) -> np.ndarray:
-        return self.part.steps(tau)
-
-    def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        return self.part.nearest(w - self.v, tau) + self.v
-
-    def derivative(self, v: np.ndarray) -> np.ndarray | None:
-        return self.part.derivative(v - self.v)
 
     def features(self, p: cp.Expression) -> Features:
         y, constraints = self.part.features(p)
@@ -79,17 +139,9 @@ class Translation(ConvexSet):
         found = self.part.witness(p, w - self.v, tau, y[self.dim :])
         return found and found._replace(w=found.w + self.v)
 
-    def same_cone(self, other: ConvexSet) -> bool:
-        return isinstance(other, Translation) and (
-            self.part is other.part or self.part.same_cone(other.part)
-        )
-
     def rows(self) -> tuple[Any, np.ndarray] | None:
         found = self.part.rows()
         return found and (found[0], found[1] + found[0] @ self.v)
-
-    def require_nonempty(self, where: str = "C") -> None:
-        self.part.require_nonempty(where)
 
     def magnitude(self) -> float:
         return self.part.magnitude() + float(np.linalg.norm(self.v))
@@ -110,50 +162,28 @@ class Translation(ConvexSet):
     def anchor(self) -> np.ndarray:
         return self.v + self.part.anchor
 
-    @property
-    def nonsmooth_dim(self) -> int:
-        return self.part.nonsmooth_dim
 
-    @property
-    def selection(self) -> Selection | None:
-        found = self.part.selection
-        if found is None:
-            return None
-        shift = self.v if found.shift is None else found.shift + self.v
-        return Selection(found.unknowns, found.part, shift)
-
-    @property
-    def sphere(self) -> Sphere | None:
-        found = self.part.sphere
-        return found and found._replace(center=found.center + self.v)
-
-
-class Scaling(ConvexSet):
+class Scaling(_Similar):
     """r C for r > 0."""
 
     def __init__(self, factor: float, part: ConvexSet) -> None:
-        self.factor, self.part, self.dim = factor, part, part.dim
-        self.offsets = factor * part.offsets
-        self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
-        self.exact = part.exact
+        super().__init__(part)
+        self.factor, self.offsets = factor, factor * part.offsets
+
+    def _to(self, x: np.ndarray) -> np.ndarray:
+        return self.factor * x
+
+    def _back(self, w: np.ndarray) -> np.ndarray:
+        return w / self.factor
+
+    def _turned(self, C: ConvexSet) -> ConvexSet:
+        return scale(self.factor, C)
 
     def support(self, z: np.ndarray) -> float:
         return self.factor * self.part.support(z)
 
-    def project(self, w: np.ndarray) -> np.ndarray:
-        return self.factor * self.part.project(vector("w", w, self.dim) / self.factor)
-
     def normal(self, v: np.ndarray) -> np.ndarray:
         return self.factor * self.part.normal(v / self.factor)
-
-    def steps(self, tau: np.ndarray) -> np.ndarray:
-        return self.part.steps(tau)
-
-    def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        return self.factor * self.part.nearest(w / self.factor, tau)
-
-    def derivative(self, v: np.ndarray) -> np.ndarray | None:
-        return self.part.derivative(v / self.factor)
 
     def features(self, p: cp.Expression) -> Features:
         return self.part.features(p)
@@ -167,15 +197,9 @@ class Scaling(ConvexSet):
         found = self.part.witness(p, w / self.factor, tau / self.factor, y)
         return found and Witness(found.p, self.factor * found.w, self.factor * found.gap)
 
-    def same_cone(self, other: ConvexSet) -> bool:
-        return isinstance(other, Scaling) and self.part.same_cone(other.part)
-
     def rows(self) -> tuple[Any, np.ndarray] | None:
         found = self.part.rows()
         return found and (found[0], self.factor * found[1])
-
-    def require_nonempty(self, where: str = "C") -> None:
-        self.part.require_nonempty(where)
 
     def magnitude(self) -> float:
         return self.factor * self.part.magnitude()
@@ -192,18 +216,6 @@ class Scaling(ConvexSet):
         return None if found is None or np.isinf(moved) else moved + factor * found
 
     @property
-    def nonsmooth_dim(self) -> int:
-        return self.part.nonsmooth_dim
-
-    @property
-    def selection(self) -> Selection | None:
-        found = self.part.selection
-        if found is None:
-            return None
-        shift = None if found.shift is None else self.factor * found.shift
-        return Selection(found.unknowns, scale(self.factor, found.part), shift)
-
-    @property
     def sphere(self) -> Sphere | None:
         found = self.part.sphere
         return found and Sphere(self.factor * found.center, self.factor * found.radius)
@@ -212,19 +224,24 @@ class Scaling(ConvexSet):
         return self.part.polar()
 
 
-class Negation(ConvexSet):
+class Negation(_Similar):
     """-C."""
 
     def __init__(self, part: ConvexSet) -> None:
-        self.part, self.dim, self.offsets = part, part.dim, part.offsets
-        self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
-        self.exact = part.exact
+        super().__init__(part)
+        self.offsets = part.offsets
+
+    def _to(self, x: np.ndarray) -> np.ndarray:
+        return -x
+
+    def _back(self, w: np.ndarray) -> np.ndarray:
+        return -w
+
+    def _turned(self, C: ConvexSet) -> ConvexSet:
+        return -C
 
     def support(self, z: np.ndarray) -> float:
         return self.part.support(-vector("z", z, self.dim))
-
-    def project(self, w: np.ndarray) -> np.ndarray:
-        return -self.part.project(-vector("w", w, self.dim))
 
     def normal(self, v: np.ndarray) -> np.ndarray:
         return -self.part.normal(-v)
@@ -234,15 +251,6 @@ class Negation(ConvexSet):
 
     def companion(self, p: np.ndarray, w: np.ndarray, ratio: float) -> Companion:
         return self.part.companion(-p, -w, ratio)
-
-    def steps(self, tau: np.ndarray) -> np.ndarray:
-        return self.part.steps(tau)
-
-    def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        return -self.part.nearest(-w, tau)
-
-    def derivative(self, v: np.ndarray) -> np.ndarray | None:
-        return self.part.derivative(-v)
 
     def features(self, p: cp.Expression) -> Features:
         return self.part.features(-p)
@@ -256,15 +264,9 @@ class Negation(ConvexSet):
         found = self.part.witness(-p, -w, tau, y)
         return found and Witness(-found.p, -found.w, found.gap)
 
-    def same_cone(self, other: ConvexSet) -> bool:
-        return isinstance(other, Negation) and self.part.same_cone(other.part)
-
     def rows(self) -> tuple[Any, np.ndarray] | None:
         found = self.part.rows()
         return found and (-found[0], found[1])
-
-    def require_nonempty(self, where: str = "C") -> None:
-        self.part.require_nonempty(where)
 
     def magnitude(self) -> float:
         return self.part.magnitude()
@@ -272,149 +274,11 @@ class Negation(ConvexSet):
     def _distance(self, other: ConvexSet) -> float | None:
         return self.part.distance_bound(other.part) if isinstance(other, Negation) else None
 
-    @property
-    def nonsmooth_dim(self) -> int:
-        return self.part.nonsmooth_dim
-
-    @property
-    def selection(self) -> Selection | None:
-        found = self.part.selection
-        if found is None:
-            return None
-        shift = None if found.shift is None else -found.shift
-        return Selection(found.unknowns, -found.part, shift)
-
-    @property
-    def sphere(self) -> Sphere | None:
-        found = self.part.sphere
-        return found and found._replace(center=-found.center)
-
     def polar(self) -> ConvexSet:
         return -self.part.polar()
 
     def __neg__(self) -> ConvexSet:
         return self.part
-
-
-class Product(ConvexSet):
-    """C_1 x C_2 x ...: the parts one after the other in the vector."""
-
-    def __init__(self, parts: tuple[ConvexSet, ...]) -> None:
-        self.parts = parts
-        self.dim = sum(part.dim for part in parts)
-        self.offsets = np.concatenate([part.offsets for part in parts])
-        self.polyhedral = all(part.polyhedral for part in parts)
-        self.certifiable = all(part.certifiable for part in parts)
-        self.exact = all(part.exact for part in parts)
-        self._cuts = np.cumsum([part.dim for part in parts])[:-1]
-        self._offset_cuts = np.cumsum([part.offsets.size for part in parts])[:-1]
-
-    def support(self, z: np.ndarray) -> float:
-        blocks = np.split(vector("z", z, self.dim), self._cuts)
-        return sum(part.support(block) for part, block in zip(self.parts, blocks, strict=True))
-
-    def project(self, w: np.ndarray) -> np.ndarray:
-        blocks = np.split(vector("w", w, self.dim), self._cuts)
-        projected = [part.project(block) for part, block in zip(self.parts, blocks, strict=True)]
-        return np.concatenate(projected)
-
-    def normal(self, v: np.ndarray) -> np.ndarray:
-        blocks = np.split(v, self._cuts)
-        return np.concatenate(
-            [part.normal(block) for part, block in zip(self.parts, blocks, strict=True)]
-        )
-
-    def steps(self, tau: np.ndarray) -> np.ndarray:
-        blocks = np.split(tau, self._cuts)
-        return np.concatenate([part.steps(x) for part, x in zip(self.parts, blocks, strict=True)])
-
-    def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        cut = zip(self.parts, np.split(w, self._cuts), np.split(tau, self._cuts), strict=True)
-        return np.concatenate([part.nearest(*blocks) for part, *blocks in cut])
-
-    def derivative(self, v: np.ndarray) -> np.ndarray | None:
-        blocks = np.split(v, self._cuts)
-        found = [part.derivative(x) for part, x in zip(self.parts, blocks, strict=True)]
-        known = [D for D in found if D is not None]
-        if len(known) < len(found):
-            return None
-        if all(D.ndim == 1 for D in known):
-            return np.concatenate(known)
-        return scipy.linalg.block_diag(*(D if D.ndim == 2 else np.diag(D) for D in known))
-
-    def features(self, p: cp.Expression) -> Features:
-        y: list[Any] = []
-        constraints: list[Any] = []
-        start = 0
-        for part in self.parts:
-            more, others = part.features(p[start : start + part.dim])
-            y, constraints, start = y + more, constraints + others, start + part.dim
-        return Features(y, constraints)
-
-    def within(self, center: np.ndarray, reach: np.ndarray) -> Product:
-        blocks = zip(self.parts, *(np.split(x, self._cuts) for x in (center, reach)), strict=True)
-        return Product(tuple(part.within(*one) for part, *one in blocks))
-
-    def witness(
-        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
-    ) -> Witness | None:
-        cut = [np.split(x, self._cuts) for x in (p, w, tau)]
-        found = [
-            part.witness(*blocks)
-            for part, *blocks in zip(self.parts, *cut, np.split(y, self._offset_cuts), strict=True)
-        ]
-        known = [one for one in found if one is not None]
-        if len(known) < len(found):
-            return None
-        return Witness(
-            np.concatenate([one.p for one in known]),
-            np.concatenate([one.w for one in known]),
-            sum(one.gap for one in known),
-        )
-
-    def gap(self, p: np.ndarray, w: np.ndarray) -> float:
-        blocks = zip(self.parts, np.split(p, self._cuts), np.split(w, self._cuts), strict=True)
-        return sum(part.gap(*one) for part, *one in blocks)
-
-    def companion(self, p: np.ndarray, w: np.ndarray, ratio: float) -> Companion:
-        directions, points = (np.split(x, self._cuts, axis=1) for x in (p, w))
-        each = [
-            part.companion(directions[k], points[k], ratio) for k, part in enumerate(self.parts)
-        ]
-        gaps, away = np.array(each).T
-        return Companion(float(gaps.sum()), float(np.linalg.norm(away)))
-
-    def same_cone(self, other: ConvexSet) -> bool:
-        return (
-            isinstance(other, Product)
-            and len(self.parts) == len(other.parts)
-            and all(a.same_cone(b) for a, b in zip(self.parts, other.parts, strict=True))
-        )
-
-    def require_nonempty(self, where: str = "C") -> None:
-        for part in self.parts:
-            part.require_nonempty(where)
-
-    def magnitude(self) -> float:
-        return float(np.linalg.norm([part.magnitude() for part in self.parts]))
-
-    def _distance(self, other: ConvexSet) -> float | None:
-        if not isinstance(other, Product) or not np.array_equal(self._cuts, other._cuts):
-            return None
-        found = [a.distance_bound(b) for a, b in zip(self.parts, other.parts, strict=True)]
-        known = [distance for distance in found if distance is not None]
-        return float(np.linalg.norm(known)) if len(known) == len(found) else None
-
-    @property
-    def anchor(self) -> np.ndarray:
-        return np.concatenate([part.anchor for part in self.parts])
-
-    @property
-    def nonsmooth_dim(self) -> int:
-        return sum(part.nonsmooth_dim for part in self.parts)
-
-    def polar(self) -> ConvexSet:
-        return Product(tuple(part.polar() for part in self.parts))
 
 
 def add(C: ConvexSet, other: Any) -> Any:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -68,6 +69,12 @@ class Companion(NamedTuple):
 
     gap: float
     away: float
+
+    @classmethod
+    def beside(cls, factors: Iterable[Companion]) -> Companion:
+        """That of a product of sets, from those of its factors."""
+        gaps, away = np.array(list(factors)).T
+        return cls(float(gaps.sum()), float(np.linalg.norm(away)))
 
 
 class Sphere(NamedTuple):

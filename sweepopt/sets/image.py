@@ -6,11 +6,11 @@ import copy
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.optimize
 import scipy.sparse as sp
 
-from sweepopt.checks import Matrix, matrix, vector
+from sweepopt.checks import matrix, vector
 from sweepopt.errors import InputError
+from sweepopt.linalg import dense
 from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
@@ -21,12 +21,12 @@ from sweepopt.sets.base import (
     require_same_dim,
     same_array,
 )
-from sweepopt.sets.iteration import (
-    DENSE,
-    fixed_point,
-    project_by_program,
-)
-from sweepopt.sets.shapes import Box
+from sweepopt.sets.columns import gathered, nearest_in_box, selected, with_own_columns
+from sweepopt.sets.iteration import DENSE, fixed_point, project_by_program
+from sweepopt.sets.moving import MovingSet
+from sweepopt.sets.polyhedra import Polyhedron
+from sweepopt.sets.polytope import Polytope
+from sweepopt.sets.shapes import Box, Point
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -51,7 +51,7 @@ class Image(ConvexSet):
             raise InputError("M must have at least one row")
         if columns != part.dim:
             raise InputError(f"image(M, C): M has {columns} columns but C has dim {part.dim}")
-        self._selected = _selected(self.M)
+        self._selected = selected(self.M)
         # made once: a transpose costs a sparse matrix each time
         self._transposed = self.M.T.tocsr() if sp.issparse(self.M) else self.M.T
         # programs see a matrix of numbers near 1
@@ -69,7 +69,7 @@ class Image(ConvexSet):
             self._pinv, self._square_norm = None, largest
             self.injective = bool((self._diagonal > 0).all())
         else:
-            full = _dense(self.M)
+            full = dense(self.M)
             self._pinv = np.linalg.pinv(full)
             self._square_norm = float(np.linalg.norm(full, 2)) ** 2
             self.injective = bool(np.linalg.matrix_rank(full) == columns)
@@ -170,7 +170,7 @@ class Image(ConvexSet):
 
         found = fixed_point(descend, s, s, slope=slope)
         if found is None and isinstance(self.part, Box):
-            return fixed_point(descend, _nearest_in_box(_dense(self.M), self.part, w), s)
+            return fixed_point(descend, nearest_in_box(dense(self.M), self.part, w), s)
         return found
 
     def _descended(self, s: np.ndarray, w: np.ndarray) -> np.ndarray:
@@ -183,7 +183,7 @@ class Image(ConvexSet):
         if D is None:
             return None
         D = np.diag(D) if D.ndim == 1 else D
-        gram = _dense(self.M.T @ self.M) / self._square_norm
+        gram = dense(self.M.T @ self.M) / self._square_norm
         return D, np.eye(D.shape[0]) - D + D @ gram
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
@@ -198,8 +198,8 @@ class Image(ConvexSet):
         if known is None:
             return None
         D, jacobian = known
-        pulled = D @ _dense(self.M).T / self._square_norm
-        return _dense(self.M) @ np.linalg.lstsq(jacobian, pulled, rcond=1e-13)[0]
+        pulled = D @ dense(self.M).T / self._square_norm
+        return dense(self.M) @ np.linalg.lstsq(jacobian, pulled, rcond=1e-13)[0]
 
     def features(self, p: cp.Expression) -> Features:
         return self.part.features((self._transposed / self._unit) @ p)
@@ -256,7 +256,7 @@ class Image(ConvexSet):
         self.part.require_nonempty(where)
 
     def magnitude(self) -> float:
-        norm = np.sqrt(self._diagonal.max()) if self._orthogonal else np.linalg.norm(_dense(self.M))
+        norm = np.sqrt(self._diagonal.max()) if self._orthogonal else np.linalg.norm(dense(self.M))
         return float(norm) * self.part.magnitude() if norm else 0.0
 
     def _distance(self, other: ConvexSet) -> float | None:
@@ -284,73 +284,43 @@ class Image(ConvexSet):
 
     def _polar_rows(self) -> ConvexSet:
         """<p, M s> <= 0 for all s of the cone: M^T p is in its polar, row by row."""
-        from sweepopt.sets.polyhedra import Polyhedron
-
         rows = self.part.polar().rows()
         assert rows is not None  # the polar of a box is a box
         return Polyhedron(rows[0] @ self.M.T, rows[1])
 
 
-def _selected(M: Matrix) -> np.ndarray | None:
-    """The rows that M picks, if its columns are distinct unit vectors."""
-    entries = sp.coo_array(M)
-    entries.eliminate_zeros()
-    rows = np.zeros(M.shape[1], dtype=int)
-    rows[entries.col] = entries.row
-    if entries.nnz != M.shape[1] or not (entries.data == 1).all():
-        return None
-    distinct = np.unique(entries.col).size == np.unique(entries.row).size == entries.nnz
-    return rows if distinct else None
+def image(M: Any, C: Any) -> Any:
+    """{ M s : s in C }; moving sets too.
 
+    Parameters
+    ----------
+    M : array_like or sparse, shape (dim, C.dim)
+        With M = E^T selecting unknowns the set acts on these alone.
+    C : ConvexSet or MovingSet
 
-def with_own_columns(M: Matrix, box: Box) -> tuple[Matrix, Box]:
-    """The same set with columns of numbers near 1: their units, powers of two, go to the box."""
-    largest = abs(M).max(axis=0)
-    largest = largest.toarray() if sp.issparse(M) else largest
-    units = np.array([binary(column) for column in largest])
-    if (units == 1).all():
-        return M, box
-    columns = M @ sp.diags_array(1 / units, format="csc") if sp.issparse(M) else M / units
-    return columns, Box(units * box.lower, units * box.upper)
+    Raises
+    ------
+    InputError
+        If M is not a finite matrix with C.dim columns, or C no set.
 
-
-def gathered(M: Any, box: Box) -> tuple[Matrix, Box] | None:
-    """M and a box with intervals on one unknown added up, those on none left out.
-
-    For an M whose columns are unit vectors or zero; None if there is nothing to gather. A contact
-    node that is named twice is one with the sum of its bounds.
+    Examples
+    --------
+    >>> image([[1.0], [1.0]], Box([-1], [1])).support([2.0, 3.0])
+    5.0
     """
+    if isinstance(C, MovingSet):
+        # all that depends on M alone is computed once, with a part of the right dim
+        template = Image(M, Point(np.zeros(C.dim)))
+        return MovingSet(lambda t: template.with_part(C.at(t)), template.dim)
+    if not isinstance(C, ConvexSet):
+        raise InputError(f"image(M, C): C must be a set, got {type(C).__name__}")
     M = matrix("M", M)
-    entries = sp.coo_array(M)
-    entries.eliminate_zeros()
-    if np.unique(entries.col).size < entries.nnz or not (entries.data == 1).all():
-        return None
-    rows, place = np.unique(entries.row, return_inverse=True)
-    if not rows.size or rows.size == M.shape[1]:
-        return None
-    lower, upper = np.zeros((2, rows.size))
-    np.add.at(lower, place, box.lower[entries.col])
-    np.add.at(upper, place, box.upper[entries.col])
-    unit = (np.ones(rows.size), (rows, np.arange(rows.size)))
-    E = sp.csc_array(unit, shape=(M.shape[0], rows.size))
-    return (E if sp.issparse(M) else E.toarray()), Box(lower, upper)
-
-
-def _nearest_in_box(M: np.ndarray, box: Box, w: np.ndarray) -> np.ndarray:
-    """s in the box with M s nearest to w, exact on the bounds it ends with."""
-    s = box.lower.copy()
-    free = box.lower < box.upper
-    rest = w - M[:, ~free] @ s[~free]
-    # in units of the data: the tolerances of the method are absolute
-    norm = np.linalg.norm(M[:, free], 2)
-    size = np.abs(rest).max() or 1.0
-    bounds = np.array([box.lower[free], box.upper[free]]) * (norm / size)
-    found = scipy.optimize.lsq_linear(
-        M[:, free] / norm, rest / size, bounds=tuple(bounds), method="bvls", tol=1e-16
-    )
-    s[free] = found.x * (size / norm)
-    return box.project(s)
-
-
-def _dense(M: Any) -> np.ndarray:
-    return M.toarray() if sp.issparse(M) else M
+    if isinstance(C, Box) and C.dim == M.shape[1]:
+        M, C = with_own_columns(M, C)
+        M, C = gathered(M, C) or (M, C)
+    found = Image(M, C)
+    if isinstance(C, Point):
+        return Point(found.M @ C.offsets)
+    if isinstance(C, Polytope) and not found.injective:
+        return Polytope((found.M @ C.vertices.T).T)
+    return found

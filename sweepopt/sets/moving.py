@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import instant, number, vector
+from sweepopt.checks import dimension, instant, number, vector
 from sweepopt.errors import InputError
 from sweepopt.loads import Separable, kinks
 from sweepopt.sets import algebra
 from sweepopt.sets.base import ConvexSet, require_same_dim
-from sweepopt.sets.shapes import Point, dimension
+from sweepopt.sets.shapes import Point
 
 
 class MovingSet:

@@ -19,7 +19,6 @@ from sweepopt.sets.base import (
     Features,
     Witness,
     binary,
-    require_same_dim,
 )
 from sweepopt.sets.iteration import (
     DENSE,
@@ -56,15 +55,38 @@ def _slopes(first: np.ndarray | None, second: np.ndarray | None) -> _Slopes | No
     return _Slopes(*(np.diag(D) if D.ndim == 1 else D for D in (first, second)))
 
 
-class Sum(ConvexSet):
-    """The Minkowski sum C + D."""
+class _Pair(ConvexSet):
+    """What a sum and an intersection have in common."""
+
+    exact = False
 
     def __init__(self, first: ConvexSet, second: ConvexSet) -> None:
-        require_same_dim("C + D", first, second)
         self.first, self.second, self.dim = first, second, first.dim
         self.offsets = np.concatenate([first.offsets, second.offsets])
         self.polyhedral = first.polyhedral and second.polyhedral
-        self.certifiable, self.exact = first.certifiable and second.certifiable, False
+        self.certifiable = first.certifiable and second.certifiable
+        self._nested = not (first.exact and second.exact)
+
+    def same_cone(self, other: ConvexSet) -> bool:
+        return (
+            isinstance(other, _Pair)
+            and type(self) is type(other)
+            and self.first.same_cone(other.first)
+            and self.second.same_cone(other.second)
+        )
+
+    def require_nonempty(self, where: str = "C") -> None:
+        self.first.require_nonempty(where)
+        self.second.require_nonempty(where)
+
+    @property
+    def _sweeps(self) -> int:
+        """Where a part iterates too, the work and what it rounds multiply: a program is near."""
+        return SWEEPS // 10 if self._nested else SWEEPS
+
+
+class Sum(_Pair):
+    """The Minkowski sum C + D."""
 
     def support(self, z: np.ndarray) -> float:
         return self.first.support(z) + self.second.support(z)
@@ -96,12 +118,10 @@ class Sum(ConvexSet):
             slopes = self._slopes(w, first, second)
             return slopes and slopes.second @ slopes.first
 
-        # where a part iterates too, the work and what it rounds multiply, and a program is near
-        nested = not (self.first.exact and self.second.exact)
-        sweeps, rounding = (SWEEPS // 10, 10.0) if nested else (SWEEPS, 1.0)
         start = self.second.project(np.zeros(self.dim))
+        rounding = 10.0 if self._nested else 1.0
         like = rounding * np.concatenate([w, start, self.first.project(w - start)])
-        second = fixed_point(sweep, start, like, sweeps, slope)
+        second = fixed_point(sweep, start, like, self._sweeps, slope)
         return None if second is None else (self.first.project(w - second), second)
 
     def _slopes(self, w: np.ndarray, first: np.ndarray, second: np.ndarray) -> _Slopes | None:
@@ -141,17 +161,6 @@ class Sum(ConvexSet):
         best = int(np.argmin(gaps))
         return Witness(normals[best], first + second, max(gaps[best], 0.0))
 
-    def same_cone(self, other: ConvexSet) -> bool:
-        return (
-            isinstance(other, Sum)
-            and self.first.same_cone(other.first)
-            and self.second.same_cone(other.second)
-        )
-
-    def require_nonempty(self, where: str = "C") -> None:
-        self.first.require_nonempty(where)
-        self.second.require_nonempty(where)
-
     def magnitude(self) -> float:
         return self.first.magnitude() + self.second.magnitude()
 
@@ -170,16 +179,13 @@ class Sum(ConvexSet):
         return self.first.polar() & self.second.polar()
 
 
-class Intersection(ConvexSet):
+class Intersection(_Pair):
     """C & D, non-empty."""
 
     def __init__(self, first: ConvexSet, second: ConvexSet) -> None:
-        require_same_dim("C & D", first, second)
-        self.first, self.second, self.dim = first, second, first.dim
+        super().__init__(first, second)
         # y starts with p_1 of the split p = p_1 + p_2, at no cost: its offsets are zero
-        self.offsets = np.concatenate([np.zeros(self.dim), first.offsets, second.offsets])
-        self.polyhedral = first.polyhedral and second.polyhedral
-        self.certifiable, self.exact = first.certifiable and second.certifiable, False
+        self.offsets = np.concatenate([np.zeros(self.dim), self.offsets])
 
     def support(self, z: np.ndarray) -> float:
         z = vector("z", z, self.dim)
@@ -237,8 +243,7 @@ class Intersection(ConvexSet):
             slopes = self._slopes(v, one, self.second.normal(v - one))
             return slopes and slopes.first @ slopes.second
 
-        nested = not (self.first.exact and self.second.exact)  # as in a sum
-        found = fixed_point(sweep, one, v, SWEEPS // 10 if nested else SWEEPS, slope)
+        found = fixed_point(sweep, one, v, self._sweeps, slope)
         return None if found is None else (found, self.second.normal(v - found))
 
     def _slopes(self, v: np.ndarray, one: np.ndarray, two: np.ndarray) -> _Slopes | None:
@@ -269,16 +274,8 @@ class Intersection(ConvexSet):
         found = self._decompose(w + step * p, step * y[: self.dim])
         return Witness(found.p / step, found.w, found.gap / step)
 
-    def same_cone(self, other: ConvexSet) -> bool:
-        return (
-            isinstance(other, Intersection)
-            and self.first.same_cone(other.first)
-            and self.second.same_cone(other.second)
-        )
-
     def require_nonempty(self, where: str = "C") -> None:
-        self.first.require_nonempty(where)
-        self.second.require_nonempty(where)
+        super().require_nonempty(where)
         if not self._parts_meet():
             raise EmptySetError(f"{where} is empty: the two sets of C & D do not meet")
 

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweepopt.errors import MissingExtraError
+from sweepopt.blocks import netcdf_package
+from sweepopt.errors import brought_by
 from sweepopt.files import replacing
 from sweepopt.slip import STATES, Slip
 from sweepopt.store.report import (
     DIMENSIONLESS,
     Report,
     Units,
-    require,
     solver_name,
     versions_of,
 )
@@ -22,7 +22,9 @@ from sweepopt.store.report import (
 if TYPE_CHECKING:
     import xarray as xr
 
-    from sweepopt.solution import Energy, Solution
+    from sweepopt.energy import Energy
+    from sweepopt.fem import Discretisation
+    from sweepopt.solution import Solution
 
 
 def to_xarray(solution: Solution) -> xr.Dataset:
@@ -68,39 +70,10 @@ def dataset_of(report: Report) -> xr.Dataset:
     fields follow the UGRID conventions, flags the CF conventions.
     """
     scene, solution, units = report.scene, report.solution, report.units
-    body, on_mesh = scene.discretisation, {"mesh": "mesh", "location": "node"}
+    body = scene.discretisation
     variables = {
-        "displacement": _variable(
-            ("time", "node"),
-            body.expand(solution.u),
-            "displacement out of the plane",
-            units.length,
-            **on_mesh,
-        ),
-        "velocity": _variable(
-            ("step", "node"),
-            body.expand(solution.velocity),
-            "velocity out of the plane in each step",
-            units.velocity,
-            **on_mesh,
-        ),
-        "mesh": _variable(
-            (),
-            np.int32(0),
-            "mesh of triangles; a quadratic element counts as four",
-            cf_role="mesh_topology",
-            topology_dimension=np.int32(2),
-            node_coordinates="x y",
-            face_node_connectivity="triangles",
-            face_dimension="triangle",
-        ),
-        "triangles": _variable(
-            ("triangle", "corner"),
-            body.triangles.astype(np.int32),
-            "nodes of each triangle",
-            cf_role="face_node_connectivity",
-            start_index=np.int32(0),
-        ),
+        **_fields(body, solution, units),
+        **_mesh(body),
         **_steps(solution, units),
         **_energies(report.energy, units),
     }
@@ -125,10 +98,51 @@ def dataset_of(report: Report) -> xr.Dataset:
     )
 
 
+def _fields(body: Discretisation, solution: Solution, units: Units) -> dict[str, Any]:
+    on_mesh = {"mesh": "mesh", "location": "node"}
+    return {
+        "displacement": _variable(
+            ("time", "node"),
+            body.expand(solution.u),
+            "displacement out of the plane",
+            units.length,
+            **on_mesh,
+        ),
+        "velocity": _variable(
+            ("step", "node"),
+            body.expand(solution.velocity),
+            "velocity out of the plane in each step",
+            units.velocity,
+            **on_mesh,
+        ),
+    }
+
+
+def _mesh(body: Discretisation) -> dict[str, Any]:
+    return {
+        "mesh": _variable(
+            (),
+            np.int32(0),
+            "mesh of triangles; a quadratic element counts as four",
+            cf_role="mesh_topology",
+            topology_dimension=np.int32(2),
+            node_coordinates="x y",
+            face_node_connectivity="triangles",
+            face_dimension="triangle",
+        ),
+        "triangles": _variable(
+            ("triangle", "corner"),
+            body.triangles.astype(np.int32),
+            "nodes of each triangle",
+            cf_role="face_node_connectivity",
+            start_index=np.int32(0),
+        ),
+    }
+
+
 def write_netcdf(report: Report, path: Path) -> None:
     """Write `dataset_of` a run, compressed."""
-    for package in ("h5netcdf", "h5py"):  # h5netcdf alone cannot write: h5py is its backend
-        require(package, "fem")
+    netcdf_package()  # says so now if it is missing
     dataset = dataset_of(report)
     packed = {"zlib": True, "complevel": 1, "shuffle": True}
     encoding = {
@@ -251,8 +265,6 @@ def _attributes(title: str, solution: Solution) -> dict[str, Any]:
 
 
 def _xarray() -> Any:
-    try:
+    with brought_by("fem"):
         import xarray
-    except ImportError as error:
-        raise MissingExtraError("xarray", "fem") from error
     return xarray

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sweepopt import versions
-from sweepopt.errors import MissingExtraError
 from sweepopt.slip import Slip, slip_of
 
 if TYPE_CHECKING:
+    from sweepopt.energy import Energy
     from sweepopt.fem import Scene
-    from sweepopt.solution import Energy, Solution
+    from sweepopt.solution import Solution
 
 
 class Units(NamedTuple):
@@ -70,14 +70,6 @@ def make_report(
     """Compute slip and energies of a run, once."""
     slip, energy = slip_of(scene, solution), solution.energy()
     return Report(name, text, scene, solution, slip, energy, seconds)
-
-
-def require(package: str, extra: str) -> None:
-    """Refuse to go on without a package, naming the extra that brings it."""
-    try:
-        __import__(package)
-    except ImportError as error:
-        raise MissingExtraError(package, extra) from error
 
 
 def solver_name(solution: Solution) -> str:

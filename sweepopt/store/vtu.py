@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from sweepopt.errors import brought_by
 from sweepopt.files import replacing
-from sweepopt.store.report import Report, materials_of, require
+from sweepopt.store.report import Report, materials_of
 
 MOST_VTU = 50
 """At most so many VTU files a run."""
@@ -25,8 +26,8 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
     list of Path
         The series first.
     """
-    require("meshio", "fem")
-    import meshio
+    with brought_by("fem"):
+        import meshio
 
     scene, solution = report.scene, report.solution
     body = scene.discretisation

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 
 import numpy as np
@@ -114,40 +114,44 @@ def measure(case: Case, contestants: Sequence[Contestant], rounds: int, say: Say
             differences[contestant.path] = max(differences[contestant.path], away)
             runs[contestant.path].append(run._replace(u=np.empty(0)))
 
-    def row(path: str) -> Row:
-        return Row(case.name, case.dim, case.contact.size, case.steps, rounds, path)
-
-    def compared(path: str, other: str) -> float | None:
-        """path / other, each round for itself: what slows the machine slows both."""
-        pairs = zip(runs[path], runs.get(other, []), strict=False)
-        ratios = [one.step / two.step for one, two in pairs]
-        return float(np.median(ratios)) if ratios else None
-
+    blank = Row(case.name, case.dim, case.contact.size, case.steps, rounds, "")
     rows = [
-        row("reference" if friction else "reference, frictionless")._replace(
-            attempts=found.attempts, certificate=found.certificate
+        blank._replace(
+            path="reference" if friction else "reference, frictionless",
+            attempts=found.attempts,
+            certificate=found.certificate,
         )
         for friction, found in references.items()
     ]
     for contestant in contestants:
-        path, found = contestant.path, runs[contestant.path]
-        steps = [run.step for run in found]
-        naive = compared(path, NAIVE)
-        rows.append(
-            row(path)._replace(
-                ms=1e3 * float(np.median(steps)),
-                spread=float(np.ptp(steps) / np.median(steps)),
-                setup=max(float(np.median([run.setup for run in found])), 0.0),
-                recover=1e3 * float(np.median([run.recover for run in found])),
-                attempts=found[0].attempts,
-                certificate=found[0].certificate,
-                difference=differences[path],
-                naive=None if naive is None else 1 / naive,
-                linear=compared(path, LINEAR),
-                overhead=compared(path, contestant.floor),
-            )
-        )
+        row = _measured(blank, contestant, runs)
+        rows.append(row._replace(difference=differences[contestant.path]))
     return rows
+
+
+def _measured(blank: Row, contestant: Contestant, runs: Mapping[str, list[Run]]) -> Row:
+    """The row of a contestant, beside the others' runs."""
+    found = runs[contestant.path]
+    steps = [run.step for run in found]
+    naive = _compared(found, runs.get(NAIVE, []))
+    return blank._replace(
+        path=contestant.path,
+        ms=1e3 * float(np.median(steps)),
+        spread=float(np.ptp(steps) / np.median(steps)),
+        setup=max(float(np.median([run.setup for run in found])), 0.0),
+        recover=1e3 * float(np.median([run.recover for run in found])),
+        attempts=found[0].attempts,
+        certificate=found[0].certificate,
+        naive=None if naive is None else 1 / naive,
+        linear=_compared(found, runs.get(LINEAR, [])),
+        overhead=_compared(found, runs.get(contestant.floor, [])),
+    )
+
+
+def _compared(ones: Sequence[Run], others: Sequence[Run]) -> float | None:
+    """A ratio of times, each round for itself: what slows the machine slows both."""
+    ratios = [one.step / other.step for one, other in zip(ones, others, strict=False)]
+    return float(np.median(ratios)) if ratios else None
 
 
 def difference(case: Case, u: np.ndarray, reference: np.ndarray) -> float:

@@ -16,7 +16,7 @@ from multiprocessing import get_context, parent_process
 from typing import Any
 
 from sweepopt.checks import count
-from sweepopt.errors import InputError, MissingExtraError, SweepoptError
+from sweepopt.errors import InputError, SweepoptError, brought_by
 
 ATTEMPTS = 2
 
@@ -116,10 +116,8 @@ def dask_executor(client: Any) -> Iterator[Executor]:
     What a lost worker was computing is computed by another one. A cell that several workers died of
     becomes a failed row (dask's setting distributed.scheduler.allowed-failures).
     """
-    try:
+    with brought_by("study"):
         from distributed import Client
-    except ImportError as error:
-        raise MissingExtraError("distributed", "study") from error
     if isinstance(client, str):
         try:
             connected = Client(client, timeout=10)

@@ -41,6 +41,12 @@ def read_study(path: str | Path) -> Study:
         repeats = 3                                     # optional
         [hard]                                          # optional: hard cases, run afterwards
         seeds = [0]
+
+    Examples
+    --------
+    >>> from sweepopt.library import find_study
+    >>> read_study(find_study("accuracy")).repeats > 0
+    True
     """
     path = as_path("path", path)
     data = read_toml(path)

@@ -6,13 +6,13 @@ import os
 import platform
 from collections.abc import Sequence
 from functools import cache
-from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
 from sweepopt import __version__
 from sweepopt.study.cases import SCHEME
+from sweepopt.versions import versions_of
 
 PACKAGES = ("numpy", "scipy", "cvxpy", "clarabel", "osqp")
 
@@ -162,8 +162,4 @@ def processor() -> str:
 
 def versions() -> dict[str, str]:
     """Of the library, of Python and of what computes."""
-    found = {name: _version(name) for name in PACKAGES}
-    return {"sweepopt": __version__, "python": platform.python_version(), **found}
-
-
-_version = cache(version)  # a file is read
+    return {"sweepopt": __version__, "python": platform.python_version(), **versions_of(PACKAGES)}

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sweepopt import schemes, solvers
-from sweepopt.checks import count, number
-from sweepopt.errors import InputError, MissingExtraError, shown
+from sweepopt.checks import count, listed, number
+from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.study.executors import Serial
 from sweepopt.study.ledger import Ledger
 from sweepopt.study.measure import THROUGH_CVXPY, Cell, CellRow, blank, failed, run_cell
@@ -84,16 +84,12 @@ class Study:
             "tols": lambda name, value: number(name, value, minimum=0.0, strict=True),
         }
         for name, check in checks.items():
-            entries = getattr(self, name)
-            if not isinstance(entries, (list, tuple)) or not entries:
-                raise InputError(
-                    f"{name} must be a list with one entry or more, got {shown(entries)}"
-                )
+            entries = listed(name, getattr(self, name))
             for k, entry in enumerate(entries):
                 check(f"{name}[{k}]", entry)
                 if entry in entries[:k]:
                     raise InputError(f"{name}[{k}]: {shown(entry)} is there twice")
-            object.__setattr__(self, name, tuple(entries))
+            object.__setattr__(self, name, entries)
         count("repeats", self.repeats)
         _text("title", self.title)
 
@@ -240,7 +236,7 @@ def _text(name: str, value: Any) -> None:
 
 
 def _scheme(name: str, value: Any) -> None:
-    _known(name, value, ("auto", *schemes.SCHEMES, "exact"))
+    _known(name, value, ("auto", *schemes.SCHEMES))
 
 
 def _solver(name: str, value: Any) -> None:
@@ -248,13 +244,11 @@ def _solver(name: str, value: Any) -> None:
         _known(name, value, ("auto", *solvers.REGISTRY, f"{THROUGH_CVXPY}NAME"))
 
 
-def _known(name: str, value: Any, names: Iterable[str]) -> None:
-    if value not in (names := tuple(dict.fromkeys(names))):
+def _known(name: str, value: Any, names: tuple[str, ...]) -> None:
+    if value not in names:
         raise InputError(f"{name}: {shown(value)} is not known; use {', '.join(names)}")
 
 
 def _require_pandas() -> None:
-    try:
+    with brought_by("study"):
         import pandas  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("pandas", "study") from error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager
 
-from sweepopt.errors import MissingExtraError
+from sweepopt.errors import brought_by
 
 
 def one_thread() -> AbstractContextManager[object]:
@@ -15,9 +15,7 @@ def one_thread() -> AbstractContextManager[object]:
     MissingExtraError
         If threadpoolctl is not installed.
     """
-    try:
+    with brought_by("study"):
         from threadpoolctl import threadpool_limits
-    except ImportError as error:
-        raise MissingExtraError("threadpoolctl", "study") from error
     limits: AbstractContextManager[object] = threadpool_limits(limits=1)
     return limits

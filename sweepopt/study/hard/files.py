@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
+from sweepopt.checks import listed
 from sweepopt.errors import InputError, shown
 from sweepopt.study.hard import FAMILIES
 from sweepopt.study.hard.table import PATHS, SOLVERS
 
-KEYS = ("seeds", "families", "solvers", "paths", "combinations")
 NAMES = {"families": tuple(FAMILIES), "solvers": tuple(SOLVERS), "paths": PATHS}
 
 
@@ -45,10 +45,7 @@ class HardStudy:
 
     def __post_init__(self) -> None:
         for key in ("seeds", *NAMES):
-            if not isinstance(listed := getattr(self, key), (list, tuple)) or not listed:
-                raise InputError(
-                    f"{key} must be a list with one entry or more, got {shown(listed)}"
-                )
+            listed(key, getattr(self, key))
         for i, seed in enumerate(self.seeds):
             if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
                 raise InputError(f"seeds[{i}] must be a whole number >= 0, got {shown(seed)}")
@@ -72,9 +69,10 @@ def hard_study(data: Any) -> HardStudy:
     """
     if not isinstance(data, dict):
         raise InputError(f"hard must be a table, got {shown(data)}")
+    known = [field.name for field in fields(HardStudy)]
     for key in data:
-        if key not in KEYS:
-            raise InputError(f"hard.{key}: unknown key; there are: {', '.join(KEYS)}")
+        if key not in known:
+            raise InputError(f"hard.{key}: unknown key; there are: {', '.join(known)}")
     try:
         return HardStudy(**data)
     except InputError as error:

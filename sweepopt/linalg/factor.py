@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -14,14 +13,19 @@ import scipy.sparse.linalg as spla
 from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
 from sweepopt.checks import Matrix, divisor
-from sweepopt.errors import IndefiniteError, InputError, SolverRefusedError
+from sweepopt.errors import IndefiniteError, SolverRefusedError
+from sweepopt.linalg.matrices import (
+    SMALL,
+    UNIT,
+    euclidean,
+    is_diagonal,
+    lanczos_start,
+    row_sum,
+)
 from sweepopt.precise import Precise
 
 SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-UNIT = 0.5 * float(np.finfo(float).eps)
 NEGLIGIBLE = 1e-12  # of |z|_M: more rounding of M z than this is avoided
-MARGINS = (1e-9, 1e-6, 1e-3, *(10.0**k for k in range(-2, 16)))  # of a bound of an eigenvalue
-SMALL = 50  # below this dense eigenvalues are cheaper than Lanczos
 
 
 class Applied(NamedTuple):
@@ -64,7 +68,7 @@ class Factor:
             )
         i = int(np.argmin(self.diagonal))
         divisor(f"{name}[{i}, {i}]", self.diagonal[i])
-        self.is_diagonal = _is_diagonal(M)
+        self.is_diagonal = is_diagonal(M)
         self.root = np.sqrt(self.diagonal)
         try:
             pivots = self._factorise_sparse() if sp.issparse(M) else self._factorise_dense()
@@ -169,7 +173,7 @@ class Factor:
         # Lanczos meets the largest eigenvalue of the inverse from below, here to 0.1 %; 10 % are
         # added. The norm is applied to rounding errors only.
         inverse = spla.LinearOperator((self.dim, self.dim), matvec=self._solve_scaled, dtype=float)
-        start = _start(self.dim)
+        start = lanczos_start(self.dim)
         largest = spla.eigsh(
             inverse, k=1, which="LA", v0=start, tol=1e-3, return_eigenvectors=False
         )
@@ -196,7 +200,7 @@ class Factor:
             # from above: that of M itself would be lost beside its largest one
             return float(1 / np.linalg.eigvalsh(self.solve_many(np.eye(self.dim)))[-1])
         inverse = spla.LinearOperator((self.dim, self.dim), matvec=self.solve, dtype=float)
-        start = _start(self.dim)
+        start = lanczos_start(self.dim)
         return float(
             1 / spla.eigsh(inverse, k=1, which="LA", v0=start, return_eigenvectors=False)[0]
         )
@@ -275,118 +279,3 @@ class Elimination(Factor):
         """z from the forward substitution and the total force N zeta on zeta."""
         forward[-self.unknowns.size :] = lapack.dtrtrs(self._tail, force, lower=True)[0]
         return self._backward(forward)
-
-
-def largest_eigenvalue(M: Matrix) -> float:
-    """The largest eigenvalue of a symmetric matrix, |M| for a positive semidefinite one."""
-    if M.shape[0] < SMALL or not sp.issparse(M):
-        return float(np.linalg.eigvalsh(dense(M))[-1])
-    start = _start(M.shape[0])
-    return float(spla.eigsh(M, k=1, which="LA", v0=start, return_eigenvectors=False)[0])
-
-
-def largest_ratio(A: Factor, B: Matrix, factorise: Callable[[Matrix], Any] = Factor) -> float:
-    """A number that no eigenvalue of A^-1 B exceeds, for B positive semidefinite.
-
-    Iterations find the largest eigenvalue from below, or miss it: what they find, and a little
-    more, is proved by `exceeds_none`, or raised until it is. So it is above the eigenvalue by 1e-9
-    of it where rounding lets that be seen, and not at all where both matrices are diagonal.
-
-    Parameters
-    ----------
-    factorise : callable
-        Raises IndefiniteError if its argument is not positive definite.
-    """
-    # in a body of few materials the eigenvalue itself
-    least = float((np.asarray(B.diagonal(), dtype=float) / A.diagonal).max())
-    if A.is_diagonal and _is_diagonal(B):
-        return least
-    s = (1 + MARGINS[0]) * least
-    if exceeds_none(A, B, s, factorise):
-        return s
-    found = _found(A, B, least)
-    candidates = ((1 + margin) * found for margin in MARGINS)
-    return next((s for s in candidates if exceeds_none(A, B, s, factorise)), math.inf)
-
-
-def exceeds_none(A: Factor, B: Matrix, s: float, factorise: Callable[[Matrix], Any]) -> bool:
-    """Whether s is proved to be no less than all eigenvalues of A^-1 B, up to rounding.
-
-    That is if the pivots of s A - B are positive (Sylvester's law of inertia).
-    """
-    difference = s * A.M - B
-    if _is_dominant(difference, slack=32 * UNIT):
-        return True
-    try:
-        factorise(difference)
-    except InputError:
-        return False
-    return True
-
-
-def _found(A: Factor, B: Matrix, least: float) -> float:
-    """The largest eigenvalue of A^-1 B, or what of it can be seen."""
-    if not sp.issparse(A.M) or A.dim < SMALL:
-        return float(scipy.linalg.eigh(dense(B), dense(A.M), eigvals_only=True)[-1])
-    inverse = spla.LinearOperator((A.dim, A.dim), matvec=A.solve, dtype=float)
-    how: dict[str, Any] = {"M": A.M, "Minv": inverse, "which": "LA", "v0": _start(A.dim)}
-    try:  # the eigenvalue is as exact as the square of tol
-        found = spla.eigsh(B, k=1, tol=1e-6, return_eigenvectors=False, **how)[0]
-        return max(float(found), least)
-    except spla.ArpackError:  # it does not converge
-        return least
-
-
-def is_semidefinite(M: Matrix, factorise: Callable[[Matrix], Any] = Factor) -> bool:
-    """Whether a symmetric matrix is positive semidefinite up to rounding, in its own units.
-
-    `factorise` raises IndefiniteError if its argument is not positive definite.
-    """
-    diagonal = np.asarray(M.diagonal(), dtype=float)
-    if (diagonal < 0).any():
-        return False
-    # a zero on the diagonal of a semidefinite matrix has a zero row
-    empty = diagonal == 0
-    if abs(M[empty]).sum() > 0:
-        return False
-    if _is_dominant(M, slack=1e-10):
-        return True
-    shift = np.where(empty, 1.0, 1e-10 * diagonal)
-    shifted = M + (sp.diags_array(shift, format="csc") if sp.issparse(M) else np.diag(shift))
-    try:
-        factorise(shifted)
-    except IndefiniteError:
-        return False
-    return True
-
-
-def row_sum(M: Matrix, root: np.ndarray) -> float:
-    """The largest row sum of |D^-1/2 M D^-1/2|, `root` the diagonal of D^1/2."""
-    return float((np.asarray(abs(M) @ (1 / root)).ravel() / root).max())
-
-
-def _is_dominant(M: Matrix, slack: float = 0.0) -> bool:
-    """Whether no diagonal entry is less than the others of its row: semidefinite (Gershgorin)."""
-    diagonal = np.asarray(M.diagonal(), dtype=float)
-    rest = np.asarray(abs(M).sum(axis=1)).ravel() - np.abs(diagonal)
-    return bool((rest <= (1 + slack) * diagonal).all())
-
-
-def _is_diagonal(M: Matrix) -> bool:
-    entries = M.count_nonzero() if sp.issparse(M) else np.count_nonzero(M)
-    return bool(entries == np.count_nonzero(M.diagonal()))
-
-
-def euclidean(x: np.ndarray) -> float:
-    """|x| of a vector: numpy's norm looks at its shape first."""
-    return math.sqrt(x.dot(x))
-
-
-def dense(M: Matrix) -> np.ndarray:
-    """M as an ndarray."""
-    return M.toarray() if sp.issparse(M) else M
-
-
-def _start(dim: int) -> np.ndarray:
-    """A start for Lanczos that no structure of a matrix is orthogonal to, the same every time."""
-    return np.random.default_rng(0).normal(size=dim)

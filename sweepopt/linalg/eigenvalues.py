@@ -1,0 +1,102 @@
+"""Bounds of eigenvalues, proved by factorisations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
+
+from sweepopt.checks import Matrix
+from sweepopt.errors import IndefiniteError, InputError
+from sweepopt.linalg.factor import Factor
+from sweepopt.linalg.matrices import SMALL, UNIT, dense, is_diagonal, is_dominant, lanczos_start
+
+MARGINS = (1e-9, 1e-6, 1e-3, *(10.0**k for k in range(-2, 16)))  # of a bound of an eigenvalue
+
+
+def largest_eigenvalue(M: Matrix) -> float:
+    """The largest eigenvalue of a symmetric matrix, |M| for a positive semidefinite one."""
+    if M.shape[0] < SMALL or not sp.issparse(M):
+        return float(np.linalg.eigvalsh(dense(M))[-1])
+    start = lanczos_start(M.shape[0])
+    return float(spla.eigsh(M, k=1, which="LA", v0=start, return_eigenvectors=False)[0])
+
+
+def largest_ratio(A: Factor, B: Matrix, factorise: Callable[[Matrix], Any] = Factor) -> float:
+    """A number that no eigenvalue of A^-1 B exceeds, for B positive semidefinite.
+
+    Iterations find the largest eigenvalue from below, or miss it: what they find, and a little
+    more, is proved by `exceeds_none`, or raised until it is. So it is above the eigenvalue by 1e-9
+    of it where rounding lets that be seen, and not at all where both matrices are diagonal.
+
+    Parameters
+    ----------
+    factorise : callable
+        Raises IndefiniteError if its argument is not positive definite.
+    """
+    # in a body of few materials the eigenvalue itself
+    least = float((np.asarray(B.diagonal(), dtype=float) / A.diagonal).max())
+    if A.is_diagonal and is_diagonal(B):
+        return least
+    s = (1 + MARGINS[0]) * least
+    if exceeds_none(A, B, s, factorise):
+        return s
+    found = _found(A, B, least)
+    candidates = ((1 + margin) * found for margin in MARGINS)
+    return next((s for s in candidates if exceeds_none(A, B, s, factorise)), math.inf)
+
+
+def exceeds_none(A: Factor, B: Matrix, s: float, factorise: Callable[[Matrix], Any]) -> bool:
+    """Whether s is proved to be no less than all eigenvalues of A^-1 B, up to rounding.
+
+    That is if the pivots of s A - B are positive (Sylvester's law of inertia).
+    """
+    difference = s * A.M - B
+    if is_dominant(difference, slack=32 * UNIT):
+        return True
+    try:
+        factorise(difference)
+    except InputError:
+        return False
+    return True
+
+
+def _found(A: Factor, B: Matrix, least: float) -> float:
+    """The largest eigenvalue of A^-1 B, or what of it can be seen."""
+    if not sp.issparse(A.M) or A.dim < SMALL:
+        return float(scipy.linalg.eigh(dense(B), dense(A.M), eigvals_only=True)[-1])
+    inverse = spla.LinearOperator((A.dim, A.dim), matvec=A.solve, dtype=float)
+    how: dict[str, Any] = {"M": A.M, "Minv": inverse, "which": "LA", "v0": lanczos_start(A.dim)}
+    try:  # the eigenvalue is as exact as the square of tol
+        found = spla.eigsh(B, k=1, tol=1e-6, return_eigenvectors=False, **how)[0]
+        return max(float(found), least)
+    except spla.ArpackError:  # it does not converge
+        return least
+
+
+def is_semidefinite(M: Matrix, factorise: Callable[[Matrix], Any] = Factor) -> bool:
+    """Whether a symmetric matrix is positive semidefinite up to rounding, in its own units.
+
+    `factorise` raises IndefiniteError if its argument is not positive definite.
+    """
+    diagonal = np.asarray(M.diagonal(), dtype=float)
+    if (diagonal < 0).any():
+        return False
+    # a zero on the diagonal of a semidefinite matrix has a zero row
+    empty = diagonal == 0
+    if abs(M[empty]).sum() > 0:
+        return False
+    if is_dominant(M, slack=1e-10):
+        return True
+    shift = np.where(empty, 1.0, 1e-10 * diagonal)
+    shifted = M + (sp.diags_array(shift, format="csc") if sp.issparse(M) else np.diag(shift))
+    try:
+        factorise(shifted)
+    except IndefiniteError:
+        return False
+    return True

@@ -1,0 +1,192 @@
+"""Balls and products of balls: friction bounds that are the same in all directions."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.linalg
+
+from sweepopt.checks import dimension, entries, number, vector
+from sweepopt.errors import InputError
+from sweepopt.sets.base import Companion, ConvexSet, Features, Sphere
+from sweepopt.sets.curves import ball_arc
+
+if TYPE_CHECKING:
+    import cvxpy as cp
+
+
+class Ball(ConvexSet):
+    """{ w : |w - center| <= radius }:  sigma(z) = <center, z> + radius |z|.
+
+    Parameters
+    ----------
+    center : array_like, shape (dim,)
+    radius : float, >= 0
+
+    Raises
+    ------
+    InputError
+        If the center is empty, radius < 0, or a number is not finite.
+
+    Examples
+    --------
+    >>> Ball([0.0, 0.0], 2.0).support([3.0, 4.0])
+    10.0
+    """
+
+    def __init__(self, center: Any, radius: float) -> None:
+        self.center = entries("center", center)
+        self.radius = number("radius", radius, minimum=0.0)
+        self.dim = self.center.size
+        self.offsets = np.append(self.center, self.radius)
+        self.polyhedral = self.dim == 1
+
+    def support(self, z: np.ndarray) -> float:
+        z = vector("z", z, self.dim)
+        return float(self.center @ z + self.radius * np.linalg.norm(z))
+
+    def derivative(self, v: np.ndarray) -> np.ndarray:
+        return _ball_derivative(v - self.center, self.radius)
+
+    def project(self, w: np.ndarray) -> np.ndarray:
+        w = vector("w", w, self.dim)
+        arm = w - self.center
+        length = float(np.linalg.norm(arm))
+        return w if length <= self.radius else self.center + self.radius / length * arm
+
+    def companion(self, p: np.ndarray, w: np.ndarray, ratio: float) -> Companion:
+        given = super().companion(p, w, ratio)
+        away = ball_arc(p, w - self.center, self.radius)
+        return Companion(0.0, away) if ratio * away**2 < 2 * given.gap else given
+
+    def features(self, p: cp.Expression) -> Features:
+        import cvxpy as cp
+
+        size = cp.Variable(1)
+        return Features([p, size], norms_below(p, size, self.dim))
+
+    def within(self, center: np.ndarray, reach: np.ndarray) -> Ball:
+        farthest = float(np.linalg.norm(np.abs(center - self.center) + reach))
+        return Ball(self.center, min(self.radius, farthest))
+
+    def magnitude(self) -> float:
+        return float(np.linalg.norm(self.center) + self.radius)
+
+    def _distance(self, other: ConvexSet) -> float | None:
+        if not isinstance(other, Ball):
+            return None
+        return float(np.linalg.norm(self.center - other.center) + abs(self.radius - other.radius))
+
+    @property
+    def sphere(self) -> Sphere:
+        return Sphere(self.center, self.radius)
+
+
+class Balls(ConvexSet):
+    """The product of m balls around 0 in R^dim, one after the other in the vector.
+
+    sigma(z) = sum_k radii_k |z_k|: friction bounds at m contact points, as arrays.
+
+    Parameters
+    ----------
+    radii : array_like, shape (m,), >= 0
+    dim : int
+        Dimension of each ball; the set has dim * m unknowns.
+
+    Raises
+    ------
+    InputError
+        If there is no radius, one is < 0 or not finite, or dim is not positive.
+
+    Examples
+    --------
+    >>> Balls([1.0, 2.0], 2).support([3.0, 4.0, 0.0, 1.0])
+    7.0
+    """
+
+    def __init__(self, radii: Any, dim: int) -> None:
+        self.radii = self.offsets = entries("radii", radii)
+        if (self.radii < 0).any():
+            i = int(np.flatnonzero(self.radii < 0)[0])
+            raise InputError(f"radii[{i}] must be >= 0, got {self.radii[i]:g}")
+        self.block = dimension(dim)
+        self.dim = self.block * self.radii.size
+        self.polyhedral = self.block == 1
+
+    def support(self, z: np.ndarray) -> float:
+        return float(self.radii @ np.linalg.norm(self._blocks("z", z), axis=1))
+
+    def project(self, w: np.ndarray) -> np.ndarray:
+        blocks = self._blocks("w", w)
+        lengths = np.linalg.norm(blocks, axis=1)
+        outside = lengths > self.radii
+        factor = np.ones_like(lengths)
+        factor[outside] = self.radii[outside] / lengths[outside]
+        return (factor[:, None] * blocks).ravel()
+
+    def features(self, p: cp.Expression) -> Features:
+        import cvxpy as cp
+
+        sizes = cp.Variable(self.radii.size)
+        return Features([sizes], norms_below(p, sizes, self.block))
+
+    def companion(self, p: np.ndarray, w: np.ndarray, ratio: float) -> Companion:
+        return Companion.beside(
+            Ball(np.zeros(self.block), radius).companion(directions, points, ratio)
+            for radius, directions, points in zip(
+                self.radii,
+                p.reshape(3, -1, self.block).swapaxes(0, 1),
+                w.reshape(len(w), -1, self.block).swapaxes(0, 1),
+                strict=True,
+            )
+        )
+
+    def within(self, center: np.ndarray, reach: np.ndarray) -> Balls:
+        farthest = np.linalg.norm((np.abs(center) + reach).reshape(-1, self.block), axis=1)
+        return Balls(np.minimum(self.radii, farthest), self.block)
+
+    def steps(self, tau: np.ndarray) -> np.ndarray:
+        return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)
+
+    def derivative(self, v: np.ndarray) -> np.ndarray:
+        arms = v.reshape(-1, self.block)
+        return scipy.linalg.block_diag(*map(_ball_derivative, arms, self.radii))
+
+    def same_cone(self, other: ConvexSet) -> bool:
+        return isinstance(other, Balls) and (self.block, self.dim) == (other.block, other.dim)
+
+    def magnitude(self) -> float:
+        return float(np.linalg.norm(self.radii))
+
+    def _distance(self, other: ConvexSet) -> float | None:
+        if not self.same_cone(other):
+            return None
+        more = self.offsets - other.offsets
+        return float(max(np.linalg.norm(np.maximum(x, 0.0)) for x in (more, -more)))
+
+    @property
+    def sphere(self) -> Sphere | None:
+        one = self.radii.size == 1
+        return Sphere(np.zeros(self.dim), float(self.radii[0])) if one else None
+
+    def _blocks(self, name: str, z: Any) -> np.ndarray:
+        return vector(name, z, self.dim).reshape(-1, self.block)
+
+
+def _ball_derivative(arm: np.ndarray, radius: float) -> np.ndarray:
+    """Derivative of the projection on a ball around 0: I inside, r/|a| (I - n n^T) outside."""
+    length = float(np.linalg.norm(arm))
+    if length <= radius:
+        return np.eye(arm.size)
+    n = arm / length
+    return radius / length * (np.eye(arm.size) - np.outer(n, n))
+
+
+def norms_below(p: cp.Expression, sizes: cp.Expression, block: int) -> list[cp.Constraint]:
+    """|p_k| <= sizes_k for the blocks p_k of p; linear where the blocks have one entry."""
+    import cvxpy as cp
+
+    if block == 1:
+        return [p <= sizes, -p <= sizes]
+    return [cp.SOC(sizes, cp.reshape(p, (sizes.size, block), order="C"), axis=1)]

@@ -1,0 +1,97 @@
+"""Ellipsoids, projected through the secular equation in their axes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sweepopt.checks import HUGE, entries, symmetric, vector
+from sweepopt.errors import InputError
+from sweepopt.linalg import dense
+from sweepopt.secular import secular
+from sweepopt.sets.balls import norms_below
+from sweepopt.sets.base import ConvexSet, Features, binary, same_array
+
+if TYPE_CHECKING:
+    import cvxpy as cp
+
+
+class Ellipsoid(ConvexSet):
+    """{ w : (w-c)^T shape^-1 (w-c) <= 1 }:  sigma(z) = <c, z> + sqrt(<shape z, z>).
+
+    Parameters
+    ----------
+    center : array_like, shape (dim,)
+    shape : array_like, shape (dim, dim)
+        Symmetric positive definite.
+
+    Raises
+    ------
+    InputError
+        If shape is not symmetric positive definite, or the center is empty.
+
+    Examples
+    --------
+    >>> Ellipsoid([0.0, 0.0], [[4.0, 0.0], [0.0, 1.0]]).support([1.0, 0.0])
+    2.0
+    """
+
+    def __init__(self, center: Any, shape: Any) -> None:
+        self.center = entries("center", center)
+        self.dim = self.center.size
+        self.shape = dense(symmetric("shape", shape, self.dim))
+        self._squares, self._axes = np.linalg.eigh(self.shape)  # semi-axes squared, directions
+        if self._squares[0] <= max(1e-14 * self._squares[-1], 1 / HUGE):
+            raise InputError(
+                f"shape must be positive definite, its smallest eigenvalue is {self._squares[0]:g}"
+            )
+        self._unit = binary(np.sqrt(self._squares[-1]))
+        self.offsets = np.append(self.center, self._unit)
+
+    def support(self, z: np.ndarray) -> float:
+        z = vector("z", z, self.dim)
+        return float(self.center @ z + np.sqrt(self._squares @ (self._axes.T @ z) ** 2))
+
+    def project(self, w: np.ndarray) -> np.ndarray:
+        # x_i = e_i d_i / (e_i + lam)
+        w = vector("w", w, self.dim)
+        d, e = self._axes.T @ (w - self.center), self._squares
+        lam = self._multiplier(d)
+        return w if lam is None else self.center + self._axes @ (e * d / (e + lam))
+
+    def derivative(self, v: np.ndarray) -> np.ndarray:
+        d, e = self._axes.T @ (v - self.center), self._squares
+        lam = self._multiplier(d)
+        if lam is None:
+            return np.eye(self.dim)
+        fall = e * d / (e + lam) ** 2  # -dx/dlam
+        inner = np.diag(e / (e + lam)) - np.outer(fall, fall) / (fall @ (d / (e + lam)))
+        return self._axes @ inner @ self._axes.T
+
+    def _multiplier(self, d: np.ndarray) -> float | None:
+        """The root lam >= 0 of sum e_i d_i^2 / (e_i + lam)^2 = 1; None inside."""
+        e = self._squares
+        a = d / np.sqrt(e)
+        return None if a @ a <= 1 else secular(a, 1 / e, 1.0)
+
+    def features(self, p: cp.Expression) -> Features:
+        import cvxpy as cp
+
+        size = cp.Variable(1)
+        root = np.sqrt(self._squares)[:, None] / self._unit * self._axes.T
+        return Features([p, size], norms_below(root @ p, size, self.dim))
+
+    def same_cone(self, other: ConvexSet) -> bool:
+        return isinstance(other, Ellipsoid) and same_array(self.shape, other.shape)
+
+    def magnitude(self) -> float:
+        return float(np.linalg.norm(self.center) + np.sqrt(self._squares[-1]))
+
+    def _distance(self, other: ConvexSet) -> float | None:
+        if not isinstance(other, Ellipsoid):
+            return None
+        # | |R z| - |S z| | <= |(R - S) z| for the symmetric roots R, S of the shapes
+        R, S = ((E._axes * np.sqrt(E._squares)) @ E._axes.T for E in (self, other))
+        apart = 0.0 if self.same_cone(other) else np.linalg.norm(R - S, 2)
+        return float(np.linalg.norm(self.center - other.center) + apart)
