@@ -82,7 +82,7 @@ def listed(name: str, value: Any) -> tuple[Any, ...]:
 def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -> np.ndarray:
     """A float array of shape (dim,); a scalar counts as one entry."""
     try:  # most are right, and nothing else is looked at
-        ready = np.array(value)
+        ready = np.array(unmasked(value))
         if ready.dtype == float and dim and ready.shape == (dim,) and blas.dnrm2(ready) <= HUGE:
             return ready
     except (TypeError, ValueError):
@@ -156,8 +156,8 @@ def symmetric(name: str, value: Any, dim: int | None = None) -> Matrix:
     if rows and difference.max() > 1e-12 * largest:
         i, j, _ = _first(difference, lambda data: data == data.max())
         raise InputError(
-            f"{name} must be symmetric: {name}[{i}, {j}] = {result[i, j]:g} but "
-            f"{name}[{j}, {i}] = {result[j, i]:g}; pass ({name} + {name}.T) / 2 if that is meant"
+            f"{name} must be symmetric: {name}[{i}, {j}] = {result[i, j]:.15g} but "
+            f"{name}[{j}, {i}] = {result[j, i]:.15g}; pass ({name} + {name}.T) / 2 if that is meant"
         )
     if rows and difference.max() > 0:
         result = matrix(name, 0.5 * (result + result.T))
@@ -167,12 +167,19 @@ def symmetric(name: str, value: Any, dim: int | None = None) -> Matrix:
 def floats(name: str, value: Any, what: str, ndmin: int = 0) -> np.ndarray:
     """A float copy of value; complex numbers and words are refused, not cast."""
     try:
-        array = np.array(value, ndmin=ndmin)
+        array = np.array(unmasked(value), ndmin=ndmin)
         if array.dtype.kind not in "biufO":
             raise TypeError(f"entries are {array.dtype}")
         return array.astype(float)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} must be {what}, got {shown(value)} ({error})") from error
+
+
+def unmasked(value: Any) -> Any:
+    """What is masked as nan: under a mask there is any number, a measurement that is missing."""
+    if not isinstance(value, np.ma.MaskedArray):
+        return value
+    return np.ma.filled(value.astype(float), np.nan)
 
 
 def _refused(name: str, value: float, wanted: str) -> InputError:

@@ -71,7 +71,7 @@ class _Unrounded:
         q = self._B.dot(u)
         found = self._velocity(q, C)
         z, certificate, relative = found.velocity
-        if not relative <= 1:  # no proof, or nothing to improve
+        if not relative <= 1 and not C.singleton:  # no proof, or nothing to improve
             return found
         # at rest by a rule in units of the forces
         size = certificate / relative if relative else self._forces(q, C)
@@ -139,7 +139,9 @@ class _Unrounded:
 
     def _precise(self, u: np.ndarray, C: ConvexSet, found: Solved) -> Solved:
         """The same from a linear term that is rounded once, with d of the z before in it."""
-        c, S, z = np.zeros_like(u), C, np.zeros_like(u)
+        z = np.zeros_like(u)
+        # near its equilibrium a body without a set has nothing but rounding in q - c
+        c, S = _split(C) if C.singleton else (z, C)
         best, left = found._replace(velocity=Velocity(z, math.inf, math.inf)), math.inf
         for attempt in range(REFINEMENTS):
             known = (self._lost @ z, -c)

@@ -12,8 +12,9 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
-from sweepopt.checks import is_finite
+from sweepopt.checks import Matrix, is_finite
 from sweepopt.linalg import Elimination, Factor
 from sweepopt.multigrid import Multigrid
 from sweepopt.polish import judged
@@ -22,10 +23,12 @@ from sweepopt.program import Velocity, VelocityProgram, closed_form, has_closed_
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.algebra import Translation
 from sweepopt.sets.base import Selection
+from sweepopt.sets.units import in_units
 from sweepopt.solvers import NEWTON, Solve, Solver, choose
 from sweepopt.solvers.multigrid import MultigridProgram
 from sweepopt.substitution import ACCURATE, SelectedVelocity, Solved, VelocityOf, eliminated
 
+UNEVEN = 2.0**6  # ratio of the roots of M's diagonal up to which one metric serves all entries
 SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
 
 
@@ -42,6 +45,48 @@ def iterated(M: Multigrid, contact: np.ndarray, tol: float) -> SelectedVelocity:
 
 
 def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> VelocityOf:
+    """The program of each C, in units that make the diagonal of M even where C is uneven in it."""
+    plain = _programmed(M, solver, tol, order)
+    roots = np.exp2(np.round(np.log2(M.root)))
+    if roots.max() <= UNEVEN * roots.min():
+        return plain
+    even = cache(lambda: _programmed(Factor(_over(M.M, roots)), solver, tol, order))
+    shape: ConvexSet | None = None
+    other: ConvexSet | None = None
+
+    def solve(q: np.ndarray, C: ConvexSet) -> Solved:
+        nonlocal shape, other
+        part = C.part if isinstance(C, Translation) else C
+        if part is not shape:
+            shape = part
+            other = in_units(part, 1 / roots) if is_uneven(part, M.diagonal) else None
+        if other is None:
+            return plain(q, C)
+        D = Translation(other, C.v / roots) if isinstance(C, Translation) else other
+        found = even()(q / roots, D)
+        z, certificate, relative = found.velocity
+        return found._replace(velocity=Velocity(z / roots, certificate, relative))
+
+    return solve
+
+
+def is_uneven(C: ConvexSet, diagonal: np.ndarray) -> bool:
+    """Whether C has no projection in a metric near the diagonal of M: rows have their own."""
+    if C.selection is not None:
+        return is_uneven(C.selection.part, diagonal[C.selection.unknowns])
+    steps = C.steps(diagonal) / diagonal
+    return C.rows() is None and bool(steps.max() > UNEVEN**2 * steps.min())
+
+
+def _over(M: Matrix, roots: np.ndarray) -> Matrix:
+    """M_ij / (roots_i roots_j), powers of two."""
+    if sp.issparse(M):
+        inverse = sp.diags_array(1 / roots, format="csc")
+        return sp.csc_array(inverse @ M @ inverse)
+    return M / np.outer(roots, roots)
+
+
+def _programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> VelocityOf:
     """One cone at a time: its formula if there is one, else its compiled ladder of solvers."""
     program: VelocityProgram | None = None
     formula = False

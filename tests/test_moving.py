@@ -255,3 +255,17 @@ def test_moving_offsets_that_leave_no_point_are_found() -> None:
     C = so.Polyhedron([[1.0], [-1.0]], lambda t: [1 - t, t - 1 - 1e-9 * t])
     with pytest.raises(so.EmptySetError, match="C\\(t\\) at t = 2 is empty"):
         C.at(2.0).require_nonempty("C(t) at t = 2")
+
+
+@pytest.mark.parametrize("solver", ["auto", "daqp", "osqp"])
+def test_a_box_shrinks_through_all_sizes_to_a_point_and_grows_again(solver: str) -> None:
+    if solver == "daqp":
+        pytest.importorskip("daqp")
+    A, f = np.array([[2.0, -1.0], [-1.0, 2.0]]), np.array([3.0, 1.0])
+    sizes = [4.0, 1e-16, 1e-40, 1e-70, 1e-74, 0.0, 1e-70, 1e-16, 1.0]
+    C = so.Moving(so.Box([-1, -1], [1, 1]), f, scale=lambda t: sizes[round(t)])
+    process = so.SweepingProcess(A, None, C, [0.0, 0.0])
+    sol = so.solve(process, t_end=8.0, steps=8, scheme="implicit-euler", solver=solver)
+    assert sol.success
+    for z, size in zip(sol.velocity, sizes[1:], strict=True):
+        np.testing.assert_allclose(A @ z, f - size, atol=1e-12)

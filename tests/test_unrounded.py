@@ -88,6 +88,20 @@ def test_a_body_that_creeps_to_its_equilibrium_is_certified_there(scheme: str) -
         assert program.error(last, exact) <= 1e-8 * exact.size
 
 
+@pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "trapezoid", "sdirk2"])
+def test_a_body_that_starts_at_its_equilibrium_is_certified_there(scheme: str) -> None:
+    random = np.random.default_rng(13)
+    A, row, u0 = chain(random, N), random.normal(size=N), 1e3 * random.normal(size=N)
+    B = np.outer(row, row)
+    process = so.SweepingProcess(A, B, so.Point(B @ u0), u0)  # but for the rounding of B u0
+    sol = so.solve(process, t_end=3e-6, steps=3, scheme=scheme)
+    assert np.abs(sol.velocity).max() < 1e-9
+    if scheme == "implicit-euler":
+        program = Program(A, B, 1e-6)
+        exact = program.solve(program.term(u0), process.C, sol.velocity[0])
+        assert program.error(sol.velocity[0], exact) <= 1e-8 * exact.size
+
+
 def test_easy_data_never_take_the_precise_way(monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(*_: object) -> None:
         raise AssertionError("the bound of what is rounded is too large")

@@ -9,6 +9,7 @@ from numbers import Real
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sweepopt.checks import unmasked
 from sweepopt.errors import InputError, shown
 from sweepopt.loads.history import Array, frozen_vector, kinks
 from sweepopt.loads.periodic import Sine, Triangle
@@ -96,7 +97,7 @@ class Separable:
         if type(value) is float and math.isfinite(value):
             return value
         if type(value) is not float:
-            entries = np.asarray(value, dtype=object)
+            entries = np.asarray(unmasked(value), dtype=object)
             value = entries.item() if entries.size == 1 else entries.tolist()
         if not isinstance(value, Real) or not math.isfinite(value):
             raise InputError(

@@ -28,7 +28,7 @@ from sweepopt.sets.base import (
 )
 from sweepopt.sets.pairs import Intersection, Sum
 from sweepopt.sets.polyhedra import ACTIVE_DIM, Polyhedron
-from sweepopt.sets.shapes import Point
+from sweepopt.sets.shapes import Box, Point
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -312,7 +312,7 @@ def scale(factor: Any, C: ConvexSet) -> ConvexSet:
                 "scale 0 of an unbounded set is not closed in the limit; use scale > 0"
             )
         return Point(np.zeros(C.dim))
-    return Scaling(r, C)
+    return C.scaled(r) if isinstance(C, Box) else Scaling(r, C)
 
 
 def intersect(C: ConvexSet, D: Any) -> Any:

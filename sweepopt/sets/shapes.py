@@ -214,6 +214,10 @@ class Box(ConvexSet):
 
     __radd__ = __add__
 
+    def scaled(self, factor: float) -> Box:
+        """factor * C for factor > 0: nothing is divided by it, however small it gets."""
+        return Box(factor * self.lower, factor * self.upper)
+
     def __and__(self, other: Any) -> Any:
         if isinstance(other, Box) and other.dim == self.dim:
             return Box(np.maximum(self.lower, other.lower), np.minimum(self.upper, other.upper))
