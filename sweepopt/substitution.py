@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sweepopt.linalg import Elimination, Factor, euclidean
+from sweepopt.linalg import Elimination, Factor
 from sweepopt.precise import Precise
 from sweepopt.program import Velocity, at_rest_on, rate
 from sweepopt.sets import ConvexSet
@@ -116,7 +116,7 @@ def eliminated(M: Elimination, small: VelocityOf) -> SelectedVelocity:
         shift = selection.shift
         load = _Load(-q, (q,)) if shift is None else _Load(shift - q, (q, -shift))
         forward, pull = M.reduce(load.force)
-        size_q, linear = euclidean(forward), -pull
+        size_q, linear = M.size(forward), -pull
         solved = small(linear, selection.part)
         zeta = solved.velocity.z
         z = M.recover(forward, M.N @ zeta)

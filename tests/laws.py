@@ -74,8 +74,6 @@ class Entry:
         The same at points of the boundary of sums, where how w splits into a + b is singular.
     support_tol : float
         Relative accuracy of the support function: rounding unless a program computes it.
-    family : bool
-        Whether two samples of one frame share their cone.
     """
 
     build: Build
@@ -84,7 +82,6 @@ class Entry:
     tol: float = 1e-12
     edge_tol: float = 1e-12
     support_tol: float = 1e-12
-    family: bool = True
 
     def sample(self, seed: int, offsets: int = 0) -> Sample:
         return self.build(np.random.default_rng(seed), np.random.default_rng((seed, offsets)))
@@ -419,7 +416,7 @@ ZOO: dict[str, Entry] = {
     "polyhedron, flat": Entry(flat, bounded=False),
     "polytope": Entry(polytope),
     "second-order cone": Entry(second_order_cone, bounded=False, cone=True),
-    "constraints": Entry(constraints, tol=1e-7, edge_tol=1e-6, support_tol=1e-7, family=False),
+    "constraints": Entry(constraints, tol=1e-9, edge_tol=1e-8, support_tol=1e-9),
     "box + v": Entry(translated(box)),
     "cone + v": Entry(translated(second_order_cone), bounded=False),
     "r ellipsoid": Entry(scaled(ellipsoid)),

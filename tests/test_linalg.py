@@ -54,7 +54,7 @@ def test_elimination_is_exact(M: np.ndarray, count: int) -> None:
     s = np.cos(np.arange(count) + 2.0) * np.sqrt(full.diagonal()[unknowns])
     forward, pull = elimination.reduce(r)
     free = np.linalg.solve(full, r)
-    assert np.linalg.norm(forward) == pytest.approx(elimination.dual_norm(r))
+    assert elimination.size(forward) == pytest.approx(elimination.dual_norm(r))
     assert pull == pytest.approx(N @ free[unknowns])
     z = elimination.recover(forward, pull + s)
     exact = np.linalg.solve(full, r + E.T @ s)

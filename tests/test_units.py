@@ -8,6 +8,7 @@ from __future__ import annotations
 from functools import singledispatch
 from typing import Any
 
+import cvxpy as cp
 import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
@@ -122,17 +123,19 @@ def spd(random: np.random.Generator, dim: int) -> np.ndarray:
     return R @ R.T + np.eye(dim)
 
 
-def run(C: so.ConvexSet, seed: int, F: float = 1.0, L: float = 1.0, T: float = 1.0) -> so.Solution:
+def run(
+    C: so.ConvexSet, seed: int, F: float = 1.0, L: float = 1.0, T: float = 1.0, **how: Any
+) -> so.Solution:
     """Some steps of a small process whose data are in the units F, L and T."""
     random = np.random.default_rng(seed)
     A, B = spd(random, C.dim), spd(random, C.dim)
     f = 3 * random.normal(size=C.dim)
     C = so.Moving(C, center=so.Separable([(so.Sine(1.0, 5.0 * T), F * f)]))
     process = so.SweepingProcess(F * T / L * A, F / L * B, C, np.zeros(f.size))
-    return so.solve(process, t_end=2 * T, steps=4, tol=1e-9)
+    return so.solve(process, t_end=2 * T, steps=4, tol=1e-9, **how)
 
 
-# what a user states in cvxpy has no data that could be told from each other
+# what a user states in cvxpy cannot be restated by anybody else: STATED below
 KINDS = [name for name in ZOO if name != "constraints"]
 
 
@@ -150,6 +153,10 @@ def test_units_change_nothing_but_rounding(
     F, L, T = (2.0**power for power in powers)
     plain, other = run(C, seed), run(rescaled(C, F, where), seed, F, L, T)
     assert plain.stats["relative"].max() <= 1e-9
+    assert_same(plain, other, L, T)
+
+
+def assert_same(plain: so.Solution, other: so.Solution, L: float, T: float = 1.0) -> None:
     for one, two in ((plain.u, other.u / L), (plain.velocity, other.velocity * (T / L))):
         np.testing.assert_allclose(two, one, rtol=0, atol=ENOUGH * np.abs(one).max())
         assert np.array_equal(two == 0, one == 0)
@@ -210,3 +217,92 @@ def test_columns_of_an_image_may_have_units_of_their_own(columns: int) -> None:
     assert found[0].any()
     for u in found[1:]:
         np.testing.assert_allclose(u, found[0], rtol=0, atol=ENOUGH * np.abs(found[0]).max())
+
+
+GENERATORS = np.random.default_rng(1).normal(size=(3, 4))
+SHAPE = np.array([[2.0, 1.0, 0.0], [1.0, 2.0, 0.3], [0.0, 0.3, 1.0]])
+
+
+def generated(w: cp.Variable, F: float) -> list[cp.Constraint]:
+    v = cp.Variable(4, nonneg=True)
+    return [w == GENERATORS @ v, cp.sum(v) <= F]
+
+
+def semidefinite(w: cp.Variable, F: float) -> list[cp.Constraint]:
+    """w w^T <= X, trace X <= F^2: entries in units of F^2, F and 1 in one matrix."""
+    X, column = cp.Variable((3, 3), symmetric=True), cp.reshape(w, (3, 1), order="F")
+    return [cp.bmat([[X, column], [column.T, np.eye(1)]]) >> 0, cp.trace(X) <= F**2]
+
+
+# constraints of somebody who measures forces in units of 1 / F
+STATED: dict[str, Any] = {
+    "sum of sizes": lambda w, F: [cp.norm(w, 1) <= F],
+    "norm": lambda w, F: [cp.norm(w) <= 0.1 * F],
+    "squares": lambda w, F: [cp.sum_squares(w) <= (0.1 * F) ** 2],
+    "squares of ratios": lambda w, F: [cp.sum_squares(w / F) <= 0.01],
+    "squares around a point": lambda w, F: [cp.sum_squares(w - 0.3 * F) <= (0.1 * F) ** 2],
+    "ellipsoid": lambda w, F: [cp.quad_form(w, SHAPE / F**2) <= 1],
+    "generated": generated,
+    "semidefinite": semidefinite,
+    "exponential": lambda w, F: [cp.exp(w[0] / F) <= w[1] / F + 1.2, cp.norm(w) <= 2 * F],
+    "cubes": lambda w, F: [cp.power(w[0], 3) <= F**2 * w[1] + 0.1 * F**3, w >= 0, w <= F],
+    "power cone": lambda w, F: [cp.PowCone3D(w[1] + F, F, w[0], 0.4), cp.norm(w) <= 2 * F],
+    "parabola": lambda w, F: [cp.sum_squares(w[:2]) <= F * w[2]],
+}
+CONTACT = np.eye(5)[:, [1, 2, 4]]
+
+
+def stated(name: str, F: float) -> so.Constraints:
+    return so.Constraints(3, lambda w: STATED[name](w, F))
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+@pytest.mark.parametrize("path", ["full", "eliminated"])
+@pytest.mark.parametrize("name", STATED)
+def test_constraints_may_be_stated_in_any_units(name: str, path: str) -> None:
+    how = {"path": path, "solver": "clarabel" if path == "eliminated" else "auto"}
+    kept = CONTACT if path == "eliminated" else np.eye(3)
+    found = []
+    for force, length in ((0, 0), (40, -40), (-40, 40), (17, 0)):
+        F, L = 2.0**force, 2.0**length
+        C = stated(name, F)
+        found.append((run(so.image(kept, C) if path == "eliminated" else C, 3, F, L, **how), L))
+    plain = found[0][0]
+    assert np.abs(plain.velocity).max() > 1e-3
+    for other, L in found[1:]:
+        assert_same(plain, other, L)
+
+
+@pytest.mark.parametrize("name", ["sum of sizes", "squares"])
+def test_constraints_have_no_units_for_cvxpy_either(name: str) -> None:
+    plain = run(stated(name, 1.0), 3, solver="cvxpy")
+    F = 2.0**-40
+    assert_same(plain, run(stated(name, F), 3, F, solver="cvxpy"), 1.0)
+
+
+@pytest.mark.parametrize("name", STATED)
+def test_supports_and_projections_of_constraints_scale_to_the_last_bit(name: str) -> None:
+    z, w = np.array([0.3, 0.8, -0.5]), np.array([1.7, -0.4, -0.9])
+    C = stated(name, 1.0)
+    for F in (2.0**-40, 2.0**17, 2.0**40):
+        D = stated(name, F)
+        assert D.support(z) == F * C.support(z)
+        assert D.support(F * z) == F * D.support(z)
+        np.testing.assert_array_equal(D.project(F * w), F * C.project(w))
+
+
+@pytest.mark.parametrize("name", ["norm", "squares", "squares of ratios"])
+def test_a_small_ball_that_is_stated_in_cvxpy_is_a_ball(name: str) -> None:
+    F = 2.0**-40
+    ball, same = (run(C, 3, F) for C in (so.Ball(np.zeros(3), 0.1 * F), stated(name, F)))
+    np.testing.assert_allclose(same.u, ball.u, rtol=0, atol=1e-6 * np.abs(ball.u).max())
+
+
+def test_the_logarithm_of_a_force_needs_no_units() -> None:
+    def bounded(F: float) -> so.Constraints:
+        return so.Constraints(3, lambda w: [cp.log(w[0] + F) >= np.log(0.5 * F), cp.norm(w) <= F])
+
+    plain = run(bounded(1.0), 3)
+    for F in (2.0**-40, 2.0**40):
+        other = run(bounded(F), 3, F)
+        np.testing.assert_allclose(other.u, plain.u, rtol=0, atol=1e-6 * np.abs(plain.u).max())

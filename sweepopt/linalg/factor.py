@@ -229,8 +229,10 @@ class Elimination(Factor):
         everyone = np.arange(M.shape[0]) if order is None else order
         first = everyone[~np.isin(everyone, unknowns)]
         self._order = np.concatenate([first, unknowns])
+        # the roots of M / unit are the same to the last bit whatever power of two M is times
+        self._unit = math.ldexp(1.0, math.frexp(float(M.diagonal().max()))[1])
         super().__init__(M)
-        self.N = self._tail @ self._tail.T
+        self.N = self._unit * (self._tail @ self._tail.T)
 
     def _factorise_sparse(self) -> np.ndarray:
         ordered = sp.csc_matrix(self.M[self._order][:, self._order])
@@ -238,7 +240,7 @@ class Elimination(Factor):
         pivots = lu.U.diagonal()
         relative = pivots / self.diagonal[self._order]
         if relative.min() > 0:
-            lower = (lu.L @ sp.diags_array(np.sqrt(pivots))).tocsc()
+            lower = (lu.L @ sp.diags_array(np.sqrt(pivots / self._unit))).tocsc()
             m = self.unknowns.size
             self._tail = lower[-m:, -m:].toarray()
             # the factor factorised gives its substitutions apart, forward and transposed
@@ -247,13 +249,13 @@ class Elimination(Factor):
 
     def _factorise_dense(self) -> np.ndarray:
         ordered = self.M[np.ix_(self._order, self._order)]
-        self._lower = scipy.linalg.cholesky(ordered, lower=True)
+        self._lower = scipy.linalg.cholesky(ordered / self._unit, lower=True)
         m = self.unknowns.size
         self._tail = self._lower[-m:, -m:]
-        return self._lower.diagonal() ** 2 / self.diagonal[self._order]
+        return self._unit * self._lower.diagonal() ** 2 / self.diagonal[self._order]
 
     def _substitute(self, w: np.ndarray, transposed: bool = False) -> np.ndarray:
-        """L^-1 w or L^-T w."""
+        """L^-1 w or L^-T w, L L^T = M / unit."""
         if sp.issparse(self.M):
             return self._triangle.solve(w, "T" if transposed else "N")
         return lapack.dtrtrs(self._lower, w, lower=True, trans=int(transposed))[0]
@@ -264,16 +266,17 @@ class Elimination(Factor):
 
     def _backward(self, forward: np.ndarray) -> np.ndarray:
         z = np.empty_like(forward)
-        z[self._order] = self._substitute(forward, transposed=True)
+        z[self._order] = self._substitute(forward / self._unit, transposed=True)
         return z
 
     def reduce(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Forward substitution of r, and the force N E M^-1 r on zeta.
-
-        The Euclidean norm of the first is |r|_{M^-1}.
-        """
+        """Forward substitution of r, and the force N E M^-1 r on zeta."""
         forward = self._substitute(r[self._order])
         return forward, self._tail @ forward[-self.unknowns.size :]
+
+    def size(self, forward: np.ndarray) -> float:
+        """|r|_{M^-1} from the forward substitution of r."""
+        return euclidean(forward) / math.sqrt(self._unit)
 
     def recover(self, forward: np.ndarray, force: np.ndarray) -> np.ndarray:
         """z from the forward substitution and the total force N zeta on zeta."""

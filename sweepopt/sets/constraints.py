@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,8 +9,9 @@ import numpy as np
 from sweepopt.alone import in_turn
 from sweepopt.checks import vector
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
-from sweepopt.sets.base import ConvexSet, Features, binary
-from sweepopt.sets.iteration import solve_in_own_units
+from sweepopt.sets.base import ConvexSet, Features, same_array
+from sweepopt.sets.conic import conic, in_dual, in_own_units
+from sweepopt.sets.iteration import project_by_program, support_by_program
 from sweepopt.sets.shapes import dimension
 
 if TYPE_CHECKING:
@@ -21,13 +21,12 @@ if TYPE_CHECKING:
 class Constraints(ConvexSet):
     """{ w : the cvxpy constraints that `build(w)` returns }, for sets the shapes do not cover.
 
-    Its support function is cvxpy's conic dual. It cannot prove a solver's answer: a run on it ends
-    with the status "uncertified".
+    They are read once, in conic form (sweepopt/sets/conic.py), with the values that parameters have
+    then. No solver's answer can be proved: a run ends with the status "uncertified" and is as
+    accurate as Clarabel is, about 5 digits.
 
-    Its programs are solved in units of the largest constant of the constraints and of w, and are
-    as accurate as that: write cp.norm(w) <= r, not cp.sum_squares(w) <= r**2, for a small r. In the
-    program of a velocity cvxpy hides these units from the solver, so that other than for all other
-    sets they matter: measure forces in units in which C is of the size 1.
+    Forces may have any units. In others, answers are the same to the last bit if no number of the
+    constraints is rounded otherwise (powers of two), and else to Clarabel's accuracy.
 
     Parameters
     ----------
@@ -59,60 +58,37 @@ class Constraints(ConvexSet):
         self.dim = dimension(dim)
         if not callable(build):
             raise InputError("build must be a function from a cvxpy Variable to constraints")
-        self.build = build
-        self._w = cp.Variable(self.dim)
+        w = cp.Variable(self.dim)
         try:
-            self._constraints = build(self._w)
+            constraints = build(w)
         except Exception as error:  # whatever a user's function raises
             raise InputError(f"build(w) raised {type(error).__name__}: {error}") from error
-        if not isinstance(self._constraints, (list, tuple)):
+        if not isinstance(constraints, (list, tuple)):
             raise InputError("build must return a list of cvxpy constraints")
-        for i, constraint in enumerate(self._constraints):
-            if not (isinstance(constraint, cp.Constraint) and constraint.is_dcp()):
-                raise InputError(f"constraint {i} of build(w) is not a convex cvxpy constraint")
-            if any(not np.isfinite(c.value.sum()) for c in constraint.constants()):
-                raise InputError(f"constraint {i} of build(w) holds a number that is not finite")
-            if any(
-                v.attributes["integer"] or v.attributes["boolean"] for v in constraint.variables()
-            ):
-                raise InputError(f"constraint {i} of build(w) has an integer variable: not convex")
-            if any(parameter.value is None for parameter in constraint.parameters()):
-                raise InputError(f"constraint {i} of build(w) has a parameter without a value")
+        for i, constraint in enumerate(constraints):
+            _check(constraint, f"constraint {i} of build(w)")
+        form = conic(w, list(constraints))
+        if not all(np.isfinite(numbers).all() for numbers in (form.h, form.G.data, form.H.data)):
+            raise InputError("the constraints of build(w) hold a number that is not finite")
+        self.offsets, self.G, self.H, self.cones = in_own_units(form)
 
-    @cached_property
-    def offsets(self) -> np.ndarray:  # type: ignore[override]
-        """The size of C, so that a program over it is stated in C's own units; shape (1,)."""
-        direction = np.cos(np.arange(self.dim) + 1.0)
-        heights = np.abs([self.support(direction), self.support(-direction)])
-        known = heights[np.isfinite(heights) & (heights > 0)]
-        return np.array([binary(known.max(initial=0.0))])
-
-    @in_turn
     def support(self, z: np.ndarray) -> float:
-        import cvxpy as cp
+        value = support_by_program(self, vector("z", z, self.dim))
+        if value == np.inf:
+            self.require_nonempty()
+        return value
 
-        z = vector("z", z, self.dim)
-        if not z.any():
-            return 0.0
-        found = self._solve(cp.Maximize((z / np.abs(z).max()) @ self._w))
-        return float("inf") if found is None else float(z @ found)
-
-    @in_turn
     def project(self, w: np.ndarray) -> np.ndarray:
-        import cvxpy as cp
-
-        w = vector("w", w, self.dim)
-        found = self._solve(cp.Minimize(cp.sum_squares(self._w - w)))
-        if found is None:
-            raise SweepoptError("Clarabel calls a projection on Constraints unbounded")
-        return found
+        return project_by_program(self, vector("w", w, self.dim))
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
 
-        size = cp.Variable(1)
-        w = cp.Variable(self.dim)
-        return Features([size], [cp.suppfunc(w, self.build(w))(p) <= self.offsets[0] * size])
+        if not self.offsets.size:
+            return Features([], [p == 0])
+        y = cp.Variable(self.offsets.size)
+        ties = [M.T @ y == right for M, right in ((self.G, p), (self.H, 0)) if M.shape[1]]
+        return Features([y], [*ties, *in_dual(y, self.cones)])
 
     def witness(self, p: Any, w: Any, tau: Any, y: Any) -> None:
         return None
@@ -121,8 +97,20 @@ class Constraints(ConvexSet):
         raise self._polar_unknown()
 
     def same_cone(self, other: ConvexSet) -> bool:
-        # what build(w) holds cannot be compared: another object is another cone
-        return self is other
+        return (
+            isinstance(other, Constraints)
+            and self.cones == other.cones
+            and same_array(self.G, other.G)
+            and same_array(self.H, other.H)
+        )
+
+    def magnitude(self) -> float:
+        try:
+            return super().magnitude()
+        except EmptySetError:
+            raise
+        except SweepoptError:  # unbounded without a ray, like a parabola: no solver calls it so
+            return float("inf")
 
     def require_nonempty(self, where: str = "C") -> None:
         try:
@@ -130,16 +118,18 @@ class Constraints(ConvexSet):
         except EmptySetError as error:
             raise EmptySetError(f"{where} is empty: no w satisfies the constraints") from error
 
-    def _solve(self, objective: Any) -> np.ndarray | None:
-        """The best w; None if the objective is unbounded."""
-        import cvxpy as cp
 
-        problem = cp.Problem(objective, list(self._constraints))
-        unit = solve_in_own_units(problem)
-        if problem.status in (cp.UNBOUNDED, cp.UNBOUNDED_INACCURATE):
-            return None
-        if problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE):
-            raise EmptySetError("Constraints has no point: no w satisfies the constraints")
-        if self._w.value is None:
-            raise SweepoptError(f"Clarabel failed on Constraints: {problem.status}")
-        return unit * np.array(self._w.value)
+def _check(constraint: Any, name: str) -> None:
+    """Refuse what is no convex constraint with numbers for data."""
+    import cvxpy as cp
+
+    if not (isinstance(constraint, cp.Constraint) and constraint.is_dcp()):
+        raise InputError(f"{name} is not a convex cvxpy constraint")
+    if any(parameter.value is None for parameter in constraint.parameters()):
+        raise InputError(f"{name} has a parameter without a value")
+    leaves = [*constraint.constants(), *constraint.parameters()]
+    if any(not np.isfinite(np.sum(leaf.value)) for leaf in leaves):
+        raise InputError(f"{name} holds a number that is not finite")
+    whole = [v.attributes["integer"] or v.attributes["boolean"] for v in constraint.variables()]
+    if any(whole) or isinstance(constraint, cp.FiniteSet):
+        raise InputError(f"{name} has an integer variable: not convex")

@@ -16,7 +16,13 @@ from sweepopt.sets.base import ROUNDING, ConvexSet, binary
 if TYPE_CHECKING:
     import cvxpy as cp
 
-TIGHT: dict[str, float] = {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12}
+# steps of Clarabel that stay off the boundary of the cones, where it is stuck before its tolerance
+CAREFUL: dict[str, float] = {
+    "max_step_fraction": 0.8,
+    "iterative_refinement_reltol": 1e-15,
+    "iterative_refinement_abstol": 1e-15,
+}
+TIGHT = {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12, **CAREFUL}
 SWEEPS = 500  # alternating projections before a program takes over
 FEW = (10, 40, 160)  # of them, before Newton's method tries to finish
 CONFIRMING = 5  # and after it
@@ -31,7 +37,10 @@ def support_by_program(C: ConvexSet, z: np.ndarray) -> float:
     """sigma(C, z) from its epigraph, for sets without a closed form; infeasible means +inf."""
     import cvxpy as cp
 
-    y, constraints = C.features(cp.Constant(z))
+    length = float(np.abs(z).max())
+    if not length:
+        return 0.0
+    y, constraints = C.features(cp.Constant(z / length))
     unit = binary(np.abs(C.offsets).max(initial=0.0))
     value = (C.offsets / unit) @ cp.hstack(y) if y else cp.Constant(0.0)
     problem = cp.Problem(cp.Minimize(value), constraints)
@@ -40,7 +49,7 @@ def support_by_program(C: ConvexSet, z: np.ndarray) -> float:
         return float("inf")
     if problem.value is None or not np.isfinite(problem.value):
         raise EmptySetError(f"{type(C).__name__} has no point: its support function is not finite")
-    return unit * float(problem.value)
+    return length * unit * float(problem.value)
 
 
 def project_by_program(C: ConvexSet, w: np.ndarray) -> np.ndarray:
@@ -90,30 +99,6 @@ def solve_tightly(problem: cp.Problem) -> None:
 
     with _clarabel_failures_named():
         problem.solve(solver=cp.CLARABEL, **TIGHT)
-
-
-def solve_in_own_units(problem: cp.Problem) -> float:
-    """The same, with all lengths divided by the largest one in the data.
-
-    In conic form the feasible set is { x : b - A x in K } with cones K: a division of b by `unit`
-    divides it by `unit`. The objective must be linear, or a sum of squares of affine expressions
-    (whose constants cvxpy moves to b): then its minimisers scale along.
-
-    Returns
-    -------
-    float
-        The unit, by which the values of the variables must be multiplied.
-    """
-    import cvxpy as cp
-
-    with _clarabel_failures_named():
-        data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts=dict(TIGHT))
-        unit = binary(np.abs(data["b"]).max(initial=0.0))
-        data["b"] = data["b"] / unit
-        problem.unpack_results(
-            chain.solve_via_data(problem, data, solver_opts=TIGHT), chain, inverse
-        )
-    return unit
 
 
 @contextlib.contextmanager

@@ -188,9 +188,7 @@ class Intersection(_Pair):
         self.offsets = np.concatenate([np.zeros(self.dim), self.offsets])
 
     def support(self, z: np.ndarray) -> float:
-        z = vector("z", z, self.dim)
-        size = float(np.abs(z).max())
-        return size * support_by_program(self, z / size) if size else 0.0
+        return support_by_program(self, vector("z", z, self.dim))
 
     def project(self, w: np.ndarray) -> np.ndarray:
         return self._decompose(vector("w", w, self.dim), np.zeros(self.dim)).w

@@ -12,12 +12,15 @@ from functools import singledispatch
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.sets.algebra import Negation, Product, Scaling, Translation
+from sweepopt.sets.algebra import Negation, Scaling, Translation
 from sweepopt.sets.base import ConvexSet
+from sweepopt.sets.ellipsoid import Ellipsoid
 from sweepopt.sets.image import Image
 from sweepopt.sets.pairs import Intersection, Sum
-from sweepopt.sets.polyhedra import HalfSpace, Polyhedron, Polytope
-from sweepopt.sets.shapes import Box, Ellipsoid, Point
+from sweepopt.sets.polyhedra import HalfSpace, Polyhedron
+from sweepopt.sets.polytope import Polytope
+from sweepopt.sets.product import Product
+from sweepopt.sets.shapes import Box, Point
 
 
 @singledispatch

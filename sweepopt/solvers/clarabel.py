@@ -9,9 +9,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import count, number
-from sweepopt.errors import SolverRefusedError
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
+from sweepopt.sets.iteration import CAREFUL
 from sweepopt.solvers.base import Answer, Solve
 
 SOLVED = {"Solved", "AlmostSolved"}
@@ -69,6 +69,9 @@ class Clarabel:
         settings.max_iter = self.max_iter
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = self.tol
         settings.presolve_enable = False  # updates need the problem as it was set up
+        if not program.cone.certifiable:  # an answer stands if Clarabel calls it solved
+            for name, value in CAREFUL.items():
+                setattr(settings, name, value)
         n, transposed = program.M.dim, canonical.map.T.tocsr()
         engine: Any = None
 
@@ -122,11 +125,11 @@ def _units(P: Any, A: sp.csc_array, dims: Any) -> tuple[np.ndarray, np.ndarray]:
 
 def _cones(clarabel: Any, dims: Any) -> list[Any]:
     """cvxpy's cone dimensions in Clarabel's words."""
-    if dims.p3d or getattr(dims, "pnd", []):
-        raise SolverRefusedError("clarabel: power cones are left to so.Cvxpy")
     cones = [clarabel.ZeroConeT(dims.zero)] if dims.zero else []
     cones += [clarabel.NonnegativeConeT(dims.nonneg)] if dims.nonneg else []
     cones += [clarabel.SecondOrderConeT(size) for size in dims.soc]
     cones += [clarabel.PSDTriangleConeT(size) for size in dims.psd]
     cones += [clarabel.ExponentialConeT()] * dims.exp
+    cones += [clarabel.PowerConeT(exponent) for exponent in dims.p3d]
+    cones += [clarabel.GenPowerConeT(exponents, 1) for exponents in getattr(dims, "pnd", [])]
     return cones

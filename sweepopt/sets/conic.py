@@ -1,0 +1,218 @@
+"""Convex sets in conic form, as cvxpy reads them from constraints, in units of their own.
+
+    C = { w : h - G w - H v in K for some v },    K a product of cones, block after block.
+
+Its support function is the dual program,
+
+    sigma(C, p) = min { <h, y> : G^T y = p, H^T y = 0, y in the dual cone of K }.
+
+What units of w and v do to h, G and H is a diagonal scaling: D h, D G and D H E state the same set
+for every automorphism D of K and every diagonal E > 0. Curtis and Reid (J. Inst. Math. Appl. 10,
+1972) choose D and E so that the logarithms of all entries are as near to 0 as can be in least
+squares; here h is measured in one more unknown, the size of C. Other units shift these equations,
+and their solution with them. So in powers of two, which round nothing, the same G and H come out
+whatever forces are measured in, and the same h times the unit of force. As h counts little beside G
+and H, these mostly stay as they are while h moves.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import lsmr
+
+from sweepopt.sets.base import ROUNDING
+
+if TYPE_CHECKING:
+    import cvxpy as cp
+
+WEIGHT = 2.0**-8  # of an entry of h beside one of G and H
+TIE = 0.0137  # exponents are rounded beside the simple fractions that simple numbers give
+
+
+class Block(NamedTuple):
+    """A cone that is not linear: its kind, its rows, and the order or exponents it has."""
+
+    kind: str
+    rows: slice
+    more: Any
+
+
+class Cones(NamedTuple):
+    """K: its blocks, in this order.
+
+    Attributes
+    ----------
+    zero, nonneg : int
+        Numbers of rows that are 0, and of rows that are >= 0.
+    soc : tuple of int
+        Rows of each second-order cone |s[1:]| <= s[0].
+    psd : tuple of int
+        Orders n of positive semidefinite matrices, in n (n + 1) / 2 rows: the upper triangle by
+        columns, with sqrt 2 times what is off the diagonal.
+    exp : int
+        Number of cones s[1] exp(s[0] / s[1]) <= s[2].
+    power : tuple of tuple of float
+        The exponents a > 0 of each cone |s[-1]| <= prod s[i]^a[i]; their sum is 1.
+    """
+
+    zero: int
+    nonneg: int
+    soc: tuple[int, ...]
+    psd: tuple[int, ...]
+    exp: int
+    power: tuple[tuple[float, ...], ...]
+
+    def blocks(self) -> list[Block]:
+        """All blocks behind the linear rows."""
+        sizes: list[tuple[str, int, Any]] = [
+            *(("soc", n, None) for n in self.soc),
+            *(("psd", n * (n + 1) // 2, n) for n in self.psd),
+            *(("exp", 3, None) for _ in range(self.exp)),
+            *(("power", len(a) + 1, a) for a in self.power),
+        ]
+        ends = np.cumsum([self.zero + self.nonneg, *(size for _, size, _ in sizes)]).tolist()
+        return [
+            Block(kind, slice(start, start + size), more)
+            for start, (kind, size, more) in zip(ends, sizes, strict=False)
+        ]
+
+
+class Conic(NamedTuple):
+    """C = { w : h - G w - H v in K for some v }."""
+
+    h: np.ndarray
+    G: sp.csr_array
+    H: sp.csr_array
+    K: Cones
+
+
+def conic(w: cp.Variable, constraints: list[cp.Constraint]) -> Conic:
+    """What cvxpy makes of constraints for Clarabel; parameters count with the values they have."""
+    import cvxpy as cp
+
+    # the objective only makes sure that w takes part
+    problem = cp.Problem(cp.Minimize(cp.sum(w)), constraints)
+    with np.errstate(over="ignore", invalid="ignore"):  # who calls looks for it
+        data, _, _ = problem.get_problem_data(cp.CLARABEL, ignore_dpp=True)
+    A, dims = sp.csc_array(data["A"]), data["dims"]
+    column = np.arange(A.shape[1]) - data["param_prob"].var_id_to_col[w.id]
+    of_w = (column >= 0) & (column < w.size)
+    power: list[tuple[float, ...]] = [(float(a), 1 - float(a)) for a in dims.p3d]
+    power += [tuple(map(float, a)) for a in getattr(dims, "pnd", [])]
+    K = Cones(dims.zero, dims.nonneg, tuple(dims.soc), tuple(dims.psd), dims.exp, tuple(power))
+    h = np.array(data["b"], dtype=float)
+    return Conic(h, sp.csr_array(A[:, of_w]), sp.csr_array(A[:, ~of_w]), K)
+
+
+def in_own_units(C: Conic) -> Conic:
+    """The same set, from numbers that do not depend on the units of w and v."""
+    n, K = C.G.shape[1], C.K
+    A = sp.csr_array(sp.hstack([C.G, C.H, C.h[:, None]]))
+    turn = _turn(K, C.h.size)
+    turned = turn @ A
+    turned = turned.multiply(abs(turned) > ROUNDING * (abs(turn) @ abs(A))).tocsr()
+    D, E = _exponents(turned, _symmetries(K), n)
+    scaled = sp.diags_array(np.exp2(D)) @ turned @ sp.diags_array(np.exp2(E))
+    back = sp.diags_array(1 / (turn @ turn).diagonal()) @ turn
+    A = sp.csr_array(_shear(K, D) @ (back @ scaled))
+    A.eliminate_zeros()
+    return Conic(A[:, [-1]].toarray().ravel(), A[:, :n], A[:, n:-1], K)
+
+
+def _turn(K: Cones, size: int) -> sp.csr_array:
+    """s0 + s1 and s0 - s1 for the first rows of second-order cones; its square is diagonal."""
+    cones = [rows for kind, rows, _ in K.blocks() if kind == "soc"]
+    i = np.array([rows.start for rows in cones if rows.stop - rows.start > 1], dtype=int)
+    change = np.repeat([1.0, 1.0, -2.0], i.size)
+    places = (np.concatenate([i, i + 1, i + 1]), np.concatenate([i + 1, i, i + 1]))
+    return sp.csr_array(sp.eye_array(size) + sp.csr_array((change, places), shape=(size, size)))
+
+
+def _shear(K: Cones, D: np.ndarray) -> sp.csr_array:
+    """s0 + s1 log r in exponential cones whose s2 is multiplied by r times as much as s1."""
+    i = np.array([rows.start for kind, rows, _ in K.blocks() if kind == "exp"], dtype=int)
+    change = np.log(2.0) * (D[i + 2] - D[i + 1])
+    moved = sp.csr_array((change, (i, i + 1)), shape=(D.size, D.size))
+    return sp.csr_array(sp.eye_array(D.size) + moved)
+
+
+def _symmetries(K: Cones) -> sp.csr_array:
+    """S: for every x, shear turn^-1 diag(2^(S x)) turn is an automorphism of K.
+
+    Each linear row has a unit of its own, every other block one for all of its rows. Matrices P s P
+    with diagonal P > 0 are positive semidefinite too. In power cones the s[i] may have any units,
+    so may s2 in exponential ones, s0 corrected, and in second-order cones the two factors of
+    (s0 + s1) (s0 - s1) >= |s[2:]|^2: this is how cvxpy states |w|^2 <= t.
+    """
+    parts: list[Any] = [sp.eye_array(K.zero + K.nonneg)]
+    for kind, rows, more in K.blocks():
+        part = np.ones((rows.stop - rows.start, 1))
+        if kind == "soc" and len(part) > 1:
+            part = np.pad(part, ((0, 0), (0, 1)))
+            part[:2, 1] = [1, -1]
+        elif kind == "exp":
+            part = np.column_stack([part, [0, 0, 1]])
+        elif kind == "psd":
+            # halves: the unit of P is the root of that of s
+            j, i = np.tril_indices(more)
+            part = 0.5 * (np.eye(more)[i] + np.eye(more)[j])
+        elif kind == "power":
+            part = np.vstack([np.eye(len(more)), more])
+        parts.append(part)
+    return sp.csr_array(sp.block_diag(parts))
+
+
+def _exponents(A: sp.csr_array, symmetries: sp.csr_array, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """D = S x and E with 2^D_i |A_ij| 2^E_j near 1, x and E whole numbers.
+
+    The first n columns count as one, by their largest entries, and keep their unit: E_j is 0. So it
+    is for the last one, but only after its own unit, the size of C, is found with all others. What
+    is small beside both its row and its column is rounding, and not counted.
+    """
+    A = abs(A)
+    H = A[:, n:-1].tocoo()
+    row, column = np.zeros(H.shape[0]), np.zeros(H.shape[1])
+    np.maximum.at(row, H.row, H.data)
+    np.maximum.at(column, H.col, H.data)
+    H.data[ROUNDING * np.minimum(row[H.row], column[H.col]) >= H.data] = 0.0
+    H.eliminate_zeros()
+    w = A[:, :n].max(axis=1).toarray().reshape(-1, 1)
+    entries = sp.coo_array(sp.hstack([w, H, A[:, -1:]]))
+    units = sp.eye_array(entries.shape[1], format="csr")[:, 1:]
+    equations = sp.hstack([symmetries[entries.row], units[entries.col]])
+    exact = {"atol": 0.0, "btol": 1e-13, "conlim": 0.0, "maxiter": 10 * sum(equations.shape)}
+    weight = np.where(entries.col < entries.shape[1] - 1, 1.0, WEIGHT)
+    goal = -weight * np.log2(entries.data)
+    found = np.floor(lsmr(sp.diags_array(weight) @ equations, goal, **exact)[0] + 0.5 + TIE)
+    x, E = np.split(found, [symmetries.shape[1]])
+    return symmetries @ x, np.concatenate([np.zeros(n), E[:-1], [0.0]])
+
+
+def in_dual(y: cp.Expression, K: Cones) -> list[cp.Constraint]:
+    """y in the dual cone of K: <y, s> >= 0 for all s in K."""
+    import cvxpy as cp
+
+    found = [y[K.zero : K.zero + K.nonneg] >= 0] if K.nonneg else []
+    for kind, rows, more in K.blocks():
+        part = y[rows]
+        if kind == "soc":
+            found.append(cp.SOC(part[0], part[1:]))
+        elif kind == "psd":
+            found.append(cp.reshape(_matrix(more) @ part, (more, more), order="F") >> 0)
+        elif kind == "exp":
+            found.append(cp.ExpCone(-part[1], -part[0], np.e * part[2]))
+        else:
+            a = np.array(more)
+            found.append(cp.PowConeND(cp.multiply(1 / a, part[:-1]), part[-1], a))
+    return found
+
+
+def _matrix(n: int) -> sp.csr_array:
+    """From the rows of a positive semidefinite block to the n^2 entries of its matrix."""
+    j, i = np.tril_indices(n)
+    weight, rows = np.where(i == j, 0.5, np.sqrt(0.5)), np.arange(i.size)
+    places = (np.concatenate([i + n * j, j + n * i]), np.concatenate([rows, rows]))
+    return sp.csr_array((np.concatenate([weight, weight]), places), shape=(n * n, i.size))
