@@ -49,10 +49,11 @@ def divisor(name: str, value: float) -> None:
         )
 
 
-def count(name: str, value: Any) -> int:
-    """A positive whole number."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-        raise InputError(f"{name} must be a positive whole number, got {shown(value)}")
+def count(name: str, value: Any, least: int = 1) -> int:
+    """A whole number, positive or at least 0."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        wanted = "a positive whole number" if least else "a whole number >= 0"
+        raise InputError(f"{name} must be {wanted}, got {shown(value)}")
     return int(value)
 
 
@@ -152,14 +153,13 @@ def symmetric(name: str, value: Any, dim: int | None = None) -> Matrix:
         wanted = "square" if dim is None else f"of shape ({dim}, {dim})"
         raise InputError(f"{name} must be {wanted}, got shape {result.shape}")
     difference = abs(result - result.T)
-    largest = abs(result).max() if rows else 0.0
-    if rows and difference.max() > 1e-12 * largest:
+    if difference.max() > 1e-12 * abs(result).max():
         i, j, _ = _first(difference, lambda data: data == data.max())
         raise InputError(
             f"{name} must be symmetric: {name}[{i}, {j}] = {result[i, j]:.15g} but "
             f"{name}[{j}, {i}] = {result[j, i]:.15g}; pass ({name} + {name}.T) / 2 if that is meant"
         )
-    if rows and difference.max() > 0:
+    if difference.max() > 0:
         result = matrix(name, 0.5 * (result + result.T))
     return result
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
-from sweepopt.checks import listed
+from sweepopt.checks import count, listed
 from sweepopt.errors import InputError, shown
 from sweepopt.study.hard import FAMILIES
 from sweepopt.study.hard.table import PATHS, SOLVERS
@@ -47,11 +47,8 @@ class HardStudy:
         for key in ("seeds", *NAMES):
             listed(key, getattr(self, key))
         for i, seed in enumerate(self.seeds):
-            if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-                raise InputError(f"seeds[{i}] must be a whole number >= 0, got {shown(seed)}")
-        drawn = self.combinations
-        if isinstance(drawn, bool) or not isinstance(drawn, int) or drawn < 0:
-            raise InputError(f"combinations must be a whole number >= 0, got {shown(drawn)}")
+            count(f"seeds[{i}]", seed, least=0)
+        count("combinations", self.combinations, least=0)
         for key, known in NAMES.items():
             for i, name in enumerate(getattr(self, key)):
                 if name not in known:
