@@ -132,6 +132,7 @@ def run(
     f = 3 * random.normal(size=C.dim)
     C = so.Moving(C, center=so.Separable([(so.Sine(1.0, 5.0 * T), F * f)]))
     process = so.SweepingProcess(F * T / L * A, F / L * B, C, np.zeros(f.size))
+    how = {"on_unstable": "ignore", **how}
     return so.solve(process, t_end=2 * T, steps=4, tol=1e-9, **how)
 
 

@@ -19,6 +19,7 @@ from sweepopt.schemes import SCHEMES
 from sweepopt.sets import ConvexSet
 from sweepopt.study.hard import Program
 from sweepopt.study.hard.bodies import chain, spectral
+from sweepopt.substitution import ACCURATE
 from sweepopt.unrounded import StateVelocity, _Unrounded, matrix, of_state
 
 N = 12
@@ -44,10 +45,11 @@ def of(process: so.SweepingProcess, gamma: float, solver: str = "auto") -> State
 @pytest.mark.parametrize("form", [np.array, sp.csc_array])
 @pytest.mark.parametrize("name", SETS)
 @pytest.mark.parametrize("gamma", [0.0, 1 / 3])
+@pytest.mark.parametrize("seed", range(9, 13))
 def test_stiffness_of_1e10_costs_no_digits(
-    gamma: float, name: str, form: Callable[[np.ndarray], np.ndarray]
+    seed: int, gamma: float, name: str, form: Callable[[np.ndarray], np.ndarray]
 ) -> None:
-    random = np.random.default_rng(9)
+    random = np.random.default_rng(seed)
     # the states that a stiff body comes to: large where it is soft, B u is small beside |B| |u|
     A, B = chain(random, N), spectral(random, np.logspace(0, 10, N))
     u = np.linalg.solve(B, random.normal(size=N))
@@ -57,9 +59,9 @@ def test_stiffness_of_1e10_costs_no_digits(
     program = Program(A, B, gamma)
     exact = program.solve(program.term(u), process.C.at(0.0), found.z)
     error = program.error(found.z, exact)
-    assert error <= 1e-10 * exact.size
     assert error <= found.certificate
-    assert found.certificate <= 1e-8 * exact.size
+    # what every velocity is refined to; without that the errors are 5e-8
+    assert found.certificate <= ACCURATE * exact.size
 
 
 def test_a_state_that_only_rounding_moves_rests() -> None:
