@@ -21,6 +21,7 @@ from sweepopt.sets.base import (
     Companion,
     ConvexSet,
     Features,
+    Lifted,
     Selection,
     Sphere,
     Witness,
@@ -87,6 +88,10 @@ class Translation(ConvexSet):
     def rows(self) -> tuple[Any, np.ndarray] | None:
         found = self.part.rows()
         return found and (found[0], found[1] + found[0] @ self.v)
+
+    def lifted(self) -> Lifted | None:
+        found = self.part.lifted()
+        return found and found._replace(c=found.c + self.v)
 
     def require_nonempty(self, where: str = "C") -> None:
         self.part.require_nonempty(where)
@@ -173,6 +178,10 @@ class Scaling(ConvexSet):
     def rows(self) -> tuple[Any, np.ndarray] | None:
         found = self.part.rows()
         return found and (found[0], self.factor * found[1])
+
+    def lifted(self) -> Lifted | None:
+        found = self.part.lifted()
+        return found and found._replace(c=self.factor * found.c, E=self.factor * found.E)
 
     def require_nonempty(self, where: str = "C") -> None:
         self.part.require_nonempty(where)
@@ -262,6 +271,10 @@ class Negation(ConvexSet):
     def rows(self) -> tuple[Any, np.ndarray] | None:
         found = self.part.rows()
         return found and (-found[0], found[1])
+
+    def lifted(self) -> Lifted | None:
+        found = self.part.lifted()
+        return found and found._replace(c=-found.c, E=-found.E)
 
     def require_nonempty(self, where: str = "C") -> None:
         self.part.require_nonempty(where)

@@ -6,7 +6,6 @@ import copy
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.optimize
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix, matrix, vector
@@ -15,6 +14,7 @@ from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
     Features,
+    Lifted,
     Selection,
     Witness,
     binary,
@@ -22,10 +22,12 @@ from sweepopt.sets.base import (
     same_array,
 )
 from sweepopt.sets.iteration import (
+    CONFIRMING,
     DENSE,
     fixed_point,
     project_by_program,
 )
+from sweepopt.sets.nearest import nearest_in_box, nearest_on_rows
 from sweepopt.sets.shapes import Box
 
 if TYPE_CHECKING:
@@ -168,9 +170,15 @@ class Image(ConvexSet):
             known = self._implicit(self._descended(s, w))
             return None if known is None else np.eye(s.size) - known[1]
 
+        lift = self.part.lifted() if max(self.M.shape) <= DENSE else None
+        direct = None if lift is None else nearest_on_rows(lift.pushed(_dense(self.M)), w)
+        if lift is not None and direct is not None:
+            found = fixed_point(descend, self.part.project(lift.point(direct)), s, CONFIRMING)
+            if found is not None:
+                return found
         found = fixed_point(descend, s, s, slope=slope)
         if found is None and isinstance(self.part, Box):
-            return fixed_point(descend, _nearest_in_box(_dense(self.M), self.part, w), s)
+            return fixed_point(descend, nearest_in_box(_dense(self.M), self.part, w), s)
         return found
 
     def _descended(self, s: np.ndarray, w: np.ndarray) -> np.ndarray:
@@ -244,6 +252,10 @@ class Image(ConvexSet):
         inner = self._pulled_back(normal / step)
         gap = self.part.support(inner) - float(inner @ s)
         return Witness(normal / step, self.M @ s, max(gap, 0.0))
+
+    def lifted(self) -> Lifted | None:
+        found = self.part.lifted()
+        return found and found.pushed(_dense(self.M))
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (
@@ -334,22 +346,6 @@ def gathered(M: Any, box: Box) -> tuple[Matrix, Box] | None:
     unit = (np.ones(rows.size), (rows, np.arange(rows.size)))
     E = sp.csc_array(unit, shape=(M.shape[0], rows.size))
     return (E if sp.issparse(M) else E.toarray()), Box(lower, upper)
-
-
-def _nearest_in_box(M: np.ndarray, box: Box, w: np.ndarray) -> np.ndarray:
-    """s in the box with M s nearest to w, exact on the bounds it ends with."""
-    s = box.lower.copy()
-    free = box.lower < box.upper
-    rest = w - M[:, ~free] @ s[~free]
-    # in units of the data: the tolerances of the method are absolute
-    norm = np.linalg.norm(M[:, free], 2)
-    size = np.abs(rest).max() or 1.0
-    bounds = np.array([box.lower[free], box.upper[free]]) * (norm / size)
-    found = scipy.optimize.lsq_linear(
-        M[:, free] / norm, rest / size, bounds=tuple(bounds), method="bvls", tol=1e-16
-    )
-    s[free] = found.x * (size / norm)
-    return box.project(s)
 
 
 def _dense(M: Any) -> np.ndarray:
