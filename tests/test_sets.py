@@ -690,3 +690,24 @@ def test_rows_and_vertices_in_other_units_are_the_same_set(power: int) -> None:
             for k in (1.0, unit)
         ]
         np.testing.assert_allclose(*found, rtol=0, atol=1e-12 * np.abs(found[0]).max())
+
+
+def test_sums_and_images_of_rows_are_met_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    random, calls, plain = np.random.default_rng(3), 0, so.Polyhedron.normal
+
+    def counted(C: so.Polyhedron, v: np.ndarray) -> np.ndarray:
+        nonlocal calls
+        calls += 1
+        return plain(C, v)
+
+    monkeypatch.setattr(so.Polyhedron, "normal", counted)
+    # alternating projections of these, each of them an iteration, took thousands: 12 s a step
+    half = so.image(random.normal(size=(5, 2)), so.HalfSpace([1.0, -0.4], 0.3))
+    rows = so.Polyhedron(random.integers(-2, 3, size=(11, 7)) + 0.0, random.uniform(size=11))
+    wide = so.image(random.integers(-2, 3, size=(5, 7)) + 0.0, rows)
+    for C in (half + wide, 0.5 * (half + wide) + np.ones(5), so.image(np.eye(5)[:3], half + wide)):
+        v = 9 * random.normal(size=C.dim)
+        w, calls = C.project(v), 0
+        p = v - C.project(v)
+        assert calls < 100
+        assert C.support(p) - p @ w <= 1e-12 * np.linalg.norm(p) * np.linalg.norm(v)

@@ -21,6 +21,7 @@ from sweepopt.sets.base import (
     Companion,
     ConvexSet,
     Features,
+    Lifted,
     Selection,
     Sphere,
     Witness,
@@ -143,6 +144,10 @@ class Translation(_Similar):
         found = self.part.rows()
         return found and (found[0], found[1] + found[0] @ self.v)
 
+    def lifted(self) -> Lifted | None:
+        found = self.part.lifted()
+        return found and found._replace(c=found.c + self.v)
+
     def magnitude(self) -> float:
         return self.part.magnitude() + float(np.linalg.norm(self.v))
 
@@ -200,6 +205,10 @@ class Scaling(_Similar):
     def rows(self) -> tuple[Any, np.ndarray] | None:
         found = self.part.rows()
         return found and (found[0], self.factor * found[1])
+
+    def lifted(self) -> Lifted | None:
+        found = self.part.lifted()
+        return found and found._replace(c=self.factor * found.c, E=self.factor * found.E)
 
     def magnitude(self) -> float:
         return self.factor * self.part.magnitude()
@@ -267,6 +276,10 @@ class Negation(_Similar):
     def rows(self) -> tuple[Any, np.ndarray] | None:
         found = self.part.rows()
         return found and (-found[0], found[1])
+
+    def lifted(self) -> Lifted | None:
+        found = self.part.lifted()
+        return found and found._replace(c=-found.c, E=-found.E)
 
     def magnitude(self) -> float:
         return self.part.magnitude()

@@ -25,6 +25,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import number, vector
 from sweepopt.errors import InputError
+from sweepopt.linalg import dense
 from sweepopt.sets.curves import products
 
 if TYPE_CHECKING:
@@ -82,6 +83,23 @@ class Sphere(NamedTuple):
 
     center: np.ndarray
     radius: float
+
+
+class Lifted(NamedTuple):
+    """C = { c + E s : G s <= h }."""
+
+    c: np.ndarray
+    E: np.ndarray
+    G: np.ndarray
+    h: np.ndarray
+
+    def point(self, s: np.ndarray) -> np.ndarray:
+        """c + E s."""
+        return np.asarray(self.c + self.E @ s)
+
+    def pushed(self, M: np.ndarray) -> Lifted:
+        """M C."""
+        return self._replace(c=M @ self.c, E=M @ self.E)
 
 
 class ConvexSet(ABC):
@@ -298,6 +316,11 @@ class ConvexSet(ABC):
     def rows(self) -> tuple[Any, np.ndarray] | None:
         """G and h with C = { w : G w <= h }, if C is written so."""
         return None
+
+    def lifted(self) -> Lifted | None:
+        """C as the image of rows, if it is made of such sets."""
+        found = self.rows()
+        return found and Lifted(np.zeros(self.dim), np.eye(self.dim), dense(found[0]), found[1])
 
     def polar(self) -> ConvexSet:
         """The polar cone { p : <p, w> <= 0 for all w in C }."""

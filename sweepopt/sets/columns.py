@@ -1,9 +1,8 @@
-"""Matrices of images, column by column: what they select, in which units, nearest in a box."""
+"""Matrices of images, column by column: what they select, and in which units."""
 
 from __future__ import annotations
 
 import numpy as np
-import scipy.optimize
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
@@ -53,19 +52,3 @@ def gathered(M: Matrix, box: Box) -> tuple[Matrix, Box] | None:
     unit = (np.ones(rows.size), (rows, np.arange(rows.size)))
     E = sp.csc_array(unit, shape=(M.shape[0], rows.size))
     return (E if sp.issparse(M) else E.toarray()), Box(lower, upper)
-
-
-def nearest_in_box(M: np.ndarray, box: Box, w: np.ndarray) -> np.ndarray:
-    """s in the box with M s nearest to w, exact on the bounds it ends with."""
-    s = box.lower.copy()
-    free = box.lower < box.upper
-    rest = w - M[:, ~free] @ s[~free]
-    # in units of the data: the tolerances of the method are absolute
-    norm = np.linalg.norm(M[:, free], 2)
-    size = np.abs(rest).max() or 1.0
-    bounds = np.array([box.lower[free], box.upper[free]]) * (norm / size)
-    found = scipy.optimize.lsq_linear(
-        M[:, free] / norm, rest / size, bounds=tuple(bounds), method="bvls", tol=1e-16
-    )
-    s[free] = found.x * (size / norm)
-    return box.project(s)

@@ -15,15 +15,17 @@ from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
     Features,
+    Lifted,
     Selection,
     Witness,
     binary,
     require_same_dim,
     same_array,
 )
-from sweepopt.sets.columns import gathered, nearest_in_box, selected, with_own_columns
-from sweepopt.sets.iteration import DENSE, fixed_point, project_by_program
+from sweepopt.sets.columns import gathered, selected, with_own_columns
+from sweepopt.sets.iteration import CONFIRMING, DENSE, fixed_point, project_by_program
 from sweepopt.sets.moving import MovingSet
+from sweepopt.sets.nearest import nearest_in_box, nearest_on_rows
 from sweepopt.sets.polyhedra import Polyhedron
 from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.shapes import Box, Point
@@ -168,6 +170,12 @@ class Image(ConvexSet):
             known = self._implicit(self._descended(s, w))
             return None if known is None else np.eye(s.size) - known[1]
 
+        lift = self.part.lifted() if max(self.M.shape) <= DENSE else None
+        direct = None if lift is None else nearest_on_rows(lift.pushed(dense(self.M)), w)
+        if lift is not None and direct is not None:
+            found = fixed_point(descend, self.part.project(lift.point(direct)), s, CONFIRMING)
+            if found is not None:
+                return found
         found = fixed_point(descend, s, s, slope=slope)
         if found is None and isinstance(self.part, Box):
             return fixed_point(descend, nearest_in_box(dense(self.M), self.part, w), s)
@@ -244,6 +252,10 @@ class Image(ConvexSet):
         inner = self._pulled_back(normal / step)
         gap = self.part.support(inner) - float(inner @ s)
         return Witness(normal / step, self.M @ s, max(gap, 0.0))
+
+    def lifted(self) -> Lifted | None:
+        found = self.part.lifted()
+        return found and found.pushed(dense(self.M))
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (

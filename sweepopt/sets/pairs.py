@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import scipy.linalg
 
 from sweepopt.alone import in_turn
 from sweepopt.checks import vector
@@ -17,10 +18,12 @@ from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
     Features,
+    Lifted,
     Witness,
     binary,
 )
 from sweepopt.sets.iteration import (
+    CONFIRMING,
     DENSE,
     SWEEPS,
     fixed_point,
@@ -29,6 +32,7 @@ from sweepopt.sets.iteration import (
     solve_tightly,
     support_by_program,
 )
+from sweepopt.sets.nearest import nearest_on_rows
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -121,8 +125,33 @@ class Sum(_Pair):
         start = self.second.project(np.zeros(self.dim))
         rounding = 10.0 if self._nested else 1.0
         like = rounding * np.concatenate([w, start, self.first.project(w - start)])
-        second = fixed_point(sweep, start, like, self._sweeps, slope)
+        direct = self._direct(w)
+        second = None if direct is None else fixed_point(sweep, direct, like, CONFIRMING)
+        if second is None:
+            second = fixed_point(sweep, start, like, self._sweeps, slope)
         return None if second is None else (self.first.project(w - second), second)
+
+    def _direct(self, w: np.ndarray) -> np.ndarray | None:
+        """A start from the rows that the parts are made of: the fixed point itself, as a rule."""
+        if self.dim > DENSE:
+            return None
+        lift, second = self.lifted(), self.second.lifted()
+        if lift is None or second is None or lift.E.shape[1] > DENSE:
+            return None
+        s = nearest_on_rows(lift, w)
+        own = second.E.shape[1]
+        return None if s is None else self.second.project(second.point(s[s.size - own :]))
+
+    def lifted(self) -> Lifted | None:
+        one, two = self.first.lifted(), self.second.lifted()
+        if one is None or two is None:
+            return None
+        return Lifted(
+            one.c + two.c,
+            np.hstack([one.E, two.E]),
+            scipy.linalg.block_diag(one.G, two.G),
+            np.concatenate([one.h, two.h]),
+        )
 
     def _slopes(self, w: np.ndarray, first: np.ndarray, second: np.ndarray) -> _Slopes | None:
         return _slopes(self.first.derivative(w - second), self.second.derivative(w - first))

@@ -1,0 +1,67 @@
+"""The point of a lifted set that is nearest, by the rows above it: no projection is iterated."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.optimize
+
+from sweepopt.errors import EmptySetError
+from sweepopt.sets.active_set import least_distance
+from sweepopt.sets.base import ROUNDING, Lifted
+
+if TYPE_CHECKING:
+    from sweepopt.sets.shapes import Box
+
+BLIND = 1e-6  # weight of directions that M does not see, in units of its norm
+
+
+def nearest_in_box(M: np.ndarray, box: Box, w: np.ndarray) -> np.ndarray:
+    """s in the box with M s nearest to w, exact on the bounds it ends with."""
+    s = box.lower.copy()
+    free = box.lower < box.upper
+    rest = w - M[:, ~free] @ s[~free]
+    # in units of the data: the tolerances of the method are absolute
+    norm = np.linalg.norm(M[:, free], 2)
+    size = np.abs(rest).max() or 1.0
+    bounds = np.array([box.lower[free], box.upper[free]]) * (norm / size)
+    found = scipy.optimize.lsq_linear(
+        M[:, free] / norm, rest / size, bounds=tuple(bounds), method="bvls", tol=1e-16
+    )
+    s[free] = found.x * (size / norm)
+    return box.project(s)
+
+
+def nearest_on_rows(lift: Lifted, w: np.ndarray) -> np.ndarray | None:
+    """s with G s <= h and c + E s nearest to w: the rows by an active set, then exact on these.
+
+    What E does not see is given a small weight, so that the shortest way tells the rows. The caller
+    confirms the answer; None if there is none.
+    """
+    M, G, h = lift.E, lift.G, lift.h
+    w = w - lift.c
+    U, sizes, Vt = np.linalg.svd(M, full_matrices=M.shape[0] < M.shape[1])
+    if not sizes.any():
+        return None
+    seen = sizes > 1e-13 * sizes[0]
+    weights = np.full(len(Vt), BLIND * sizes[0])
+    weights[: len(sizes)][seen] = sizes[seen]
+    back = Vt.T / weights  # s = s0 + back @ x
+    s0 = Vt[: len(sizes)][seen].T @ ((U.T @ w)[: len(sizes)][seen] / sizes[seen])
+    slack = h - G @ s0
+    if (slack >= 0).all():
+        return s0
+    rounding = ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(s0))
+    try:
+        found = least_distance(G @ back, slack, rounding)
+    except EmptySetError:  # the part is not empty: rounding of what M hardly sees
+        return None
+    if found is None or not found.active.size:
+        return None
+    # on the face of these rows: s + Z y with M (s + Z y) nearest to w
+    s, held = s0 + back @ found.u, G[found.active]
+    s = s + np.linalg.lstsq(held, h[found.active] - held @ s, rcond=1e-13)[0]
+    _, edges, turned = np.linalg.svd(held)
+    Z = turned[int((edges > 1e-13 * edges.max(initial=0.0)).sum()) :].T
+    return s + Z @ np.linalg.lstsq(M @ Z, w - M @ s, rcond=1e-13)[0]
