@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweepopt.alone import in_turn
-from sweepopt.checks import vector
+from sweepopt.checks import dimension, vector
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
 from sweepopt.sets.base import ConvexSet, Features, same_array
 from sweepopt.sets.conic import conic, in_dual, in_own_units
 from sweepopt.sets.iteration import project_by_program, support_by_program
-from sweepopt.sets.shapes import dimension
 
 if TYPE_CHECKING:
     import cvxpy as cp

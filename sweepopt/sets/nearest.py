@@ -9,7 +9,7 @@ import scipy.optimize
 
 from sweepopt.errors import EmptySetError
 from sweepopt.sets.active_set import least_distance
-from sweepopt.sets.base import ROUNDING, Lifted
+from sweepopt.sets.base import ROUNDING, Lifted, binary
 
 if TYPE_CHECKING:
     from sweepopt.sets.shapes import Box
@@ -39,8 +39,11 @@ def nearest_on_rows(lift: Lifted, w: np.ndarray) -> np.ndarray | None:
     What E does not see is given a small weight, so that the shortest way tells the rows. The caller
     confirms the answer; None if there is none.
     """
-    M, G, h = lift.E, lift.G, lift.h
-    w = w - lift.c
+    # units of s and of the rows, powers of two, in which columns of E and rows are near 1
+    units = _units(np.abs(lift.E).max(axis=0))
+    M, G, w = lift.E / units, lift.G / units, w - lift.c
+    rows = _units(np.abs(G).max(axis=1))
+    G, h = G / rows[:, None], lift.h / rows
     U, sizes, Vt = np.linalg.svd(M, full_matrices=M.shape[0] < M.shape[1])
     if not sizes.any():
         return None
@@ -51,7 +54,7 @@ def nearest_on_rows(lift: Lifted, w: np.ndarray) -> np.ndarray | None:
     s0 = Vt[: len(sizes)][seen].T @ ((U.T @ w)[: len(sizes)][seen] / sizes[seen])
     slack = h - G @ s0
     if (slack >= 0).all():
-        return s0
+        return s0 / units
     rounding = ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(s0))
     try:
         found = least_distance(G @ back, slack, rounding)
@@ -64,4 +67,8 @@ def nearest_on_rows(lift: Lifted, w: np.ndarray) -> np.ndarray | None:
     s = s + np.linalg.lstsq(held, h[found.active] - held @ s, rcond=1e-13)[0]
     _, edges, turned = np.linalg.svd(held)
     Z = turned[int((edges > 1e-13 * edges.max(initial=0.0)).sum()) :].T
-    return s + Z @ np.linalg.lstsq(M @ Z, w - M @ s, rcond=1e-13)[0]
+    return (s + Z @ np.linalg.lstsq(M @ Z, w - M @ s, rcond=1e-13)[0]) / units
+
+
+def _units(sizes: np.ndarray) -> np.ndarray:
+    return np.array([binary(size) for size in sizes.tolist()])
