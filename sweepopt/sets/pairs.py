@@ -106,8 +106,14 @@ class Sum(_Pair):
 
     def _normal(self, v: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """The common normal of the parts as the part computes it in whose domain it must be."""
-        p = self.second.normal(v - first)
-        return p if np.isfinite(self.support(p)) else self.first.normal(v - second)
+        normals = self.second.normal(v - first), self.first.normal(v - second)
+        p = normals[0] if np.isfinite(self.support(normals[0])) else normals[1]
+        # what one part holds is 0.0, and rounding of the other
+        noise = (p != 0) & (np.abs(p) <= ROUNDING * np.abs(p).max()) & (normals[1] == 0)
+        if not noise.any():
+            return p
+        still = np.where(noise, 0.0, p)
+        return still if np.isfinite(self.support(still)) else p
 
     def _nearest(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Points of C and D whose sum is nearest to w, by alternating projections."""
