@@ -22,7 +22,7 @@ from sweepopt.exact import mover
 from sweepopt.lifting import Lift
 from sweepopt.marks import Checkpoints, checkpoints
 from sweepopt.observers import Bar, Callback, Observers
-from sweepopt.passes import Frame, Walked, adapt, of_all_unknowns
+from sweepopt.passes import Frame, Walked, adapt
 from sweepopt.plan import PATHS, make_plan
 from sweepopt.process import EvolutionVI, SweepingProcess, sweeping
 from sweepopt.refinement import refine
@@ -217,7 +217,10 @@ def _checked(
     times, mus = frame.grid() if frame else time_grid(asked.t_end, asked.steps)
     members = process.check(evaluation_times(times, mus, scheme))
     plan = make_plan(process, members, scheme, asked.solver, tol, asked.path)
-    plan = of_all_unknowns(plan) if frame else plan
+    if frame:
+        plan = plan.of_all_unknowns("its coefficients need all steps beforehand, these adapt")
+    elif plan.reduction and asked.path == "auto" and not plan.reduction.suits(mus, scheme, tol):
+        plan = plan.of_all_unknowns("the steps differ so much that short ones would be rounding")
     walked = Walked(times, mus, plan, saving(asked.save, times, plan.entering, memory))
     process.check_start(float(times[0]))
     check_stability(process, scheme, float(mus.max()), asked.on_unstable)

@@ -83,14 +83,6 @@ def is_times(save: Any) -> bool:
     return not isinstance(save, str) and not callable(save) and np.ndim(save) == 1
 
 
-def of_all_unknowns(plan: Plan) -> Plan:
-    """The plan without a reduction: its coefficients need to know all steps beforehand."""
-    if plan.reduction is None:
-        return plan
-    reason = "proportional path: the load's coefficients need all steps beforehand, these adapt"
-    return replace(plan, reduction=None, left_out=(*plan.left_out, reason))
-
-
 def adapt(
     frame: Frame,
     process: SweepingProcess,

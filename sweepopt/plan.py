@@ -134,6 +134,13 @@ class Plan:
         """How many unknowns leave the program before it is solved."""
         return 0 if self.contact is None or self.multigrid else self.unknowns - len(self.contact)
 
+    def of_all_unknowns(self, reason: str) -> Plan:
+        """The plan without its reduction, which does not suit the steps."""
+        if self.reduction is None:
+            return self
+        left_out = (*self.left_out, f"proportional path: {reason}")
+        return replace(self, reduction=None, left_out=left_out)
+
     @property
     def _order(self) -> str:
         return "" if self.scheme.exact else f" (order {self.scheme.order})"

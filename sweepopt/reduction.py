@@ -33,11 +33,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
-from sweepopt.linalg import Elimination
+from sweepopt.linalg import UNIT, Elimination
 from sweepopt.loads import Constant, Separable
 from sweepopt.precise import Precise, product_error
 from sweepopt.process import SweepingProcess
 from sweepopt.program import is_rounding
+from sweepopt.schemes import Scheme
 from sweepopt.sets import AnySet, ConvexSet, Moving
 
 SAME = 8 * np.finfo(float).eps  # entries of B and rho A may differ by this share
@@ -107,6 +108,16 @@ class Reduction:
         u = self._shapes @ alpha + _follow(self._A, zeta - alpha[-1] * self.process.u0)
         u[self._A.unknowns] = zeta  # to the last bit
         return u
+
+    def suits(self, mus: np.ndarray, scheme: Scheme, tol: float) -> bool:
+        """Whether steps leave the velocities of alpha a thousand times as accurate as tol.
+
+        alpha' = (phi - rho alpha) / (1 + gamma rho) is the difference of two numbers that, far from
+        the start, are as near to each other as the run is long in units of 1 / rho.
+        """
+        gamma, span = scheme.a[-1][-1] * float(mus.min()), float(mus.sum())
+        lost = UNIT * self.rho * span / (1 + gamma * self.rho)
+        return scheme.exact or lost <= FLOOR * tol
 
     def of_load(self, alphas: Pair, gammas: np.ndarray) -> list[OfLoad]:
         """What the load brings into the residual of each step.

@@ -230,6 +230,21 @@ def test_the_certificate_bounds_the_error_of_all_unknowns_of_each_step(contrast:
     assert 0 < worst <= 1e-9
 
 
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+def test_short_steps_long_after_the_start_of_a_stiff_body_are_not_rounding() -> None:
+    # the load's response is at rest but for 1e-11 of it, and then looked at closely
+    grid = np.append(0.0, np.cumsum([400.0, 3000.0, 5e-6, 0.2, 1e-5, 6e-7]))
+    this = process(B=1e8 * chain(), C=so.Moving(-so.image(select(CONTACT), so.Orthant(4)), load()))
+    sol = so.solve(this, steps=grid, scheme="implicit-euler")
+    assert sol.plan.path == "eliminated"
+    assert "short ones would be rounding" in str(sol.plan)
+    assert sol.stats["relative"].max() <= 1e-9
+    with pytest.raises(so.StepError):
+        so.solve(this, steps=grid, scheme="implicit-euler", path="proportional")
+    equal = so.solve(this, t_end=grid[-1], steps=1000, scheme="implicit-euler")
+    assert equal.plan.path == "proportional"
+
+
 @pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "midpoint"])
 def test_a_body_held_for_a_while_is_u0_to_the_last_bit_and_then_moves_as_it_should(
     scheme: str,
