@@ -144,7 +144,7 @@ def _coefficients(reduction: Reduction, scheme: Scheme, times: np.ndarray, mus: 
 
     constant = asked(lambda t: load.values(t.ravel()), np.zeros(shape))
     slope = asked(lambda t: 0.0, np.ones((n, 1)))[:, 0]
-    still = _still(reduction, times[:-1] + scheme.c[0] * mus)
+    still = reduction.still(load.values(times[:-1] + scheme.c[0] * mus))
     constant[:still] = 0.0
     slope[:still] = 0.0
     starts_at = np.eye(shape[1])[-1]  # alpha_0 = 1, all others 0
@@ -154,14 +154,6 @@ def _coefficients(reduction: Reduction, scheme: Scheme, times: np.ndarray, mus: 
     ]
     nodes, velocities = (np.column_stack(parts) for parts in zip(*columns, strict=True))
     return Kept(nodes, velocities)
-
-
-def _still(reduction: Reduction, times: np.ndarray) -> int:
-    """How many steps ask for a load under which nothing beside the contact begins to move."""
-    if reduction.balanced is None:
-        return 0
-    moves = (reduction.load.values(times) != reduction.balanced).any(axis=1)
-    return int(moves.argmax()) if moves.any() else len(times)
 
 
 def _exact_coefficients(

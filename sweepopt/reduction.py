@@ -78,14 +78,12 @@ class Reduction:
         That of zeta = E u, shape (m,).
     load : Separable
         Its k + 1 values are the right hand sides of alpha; the last one is that of alpha_0.
-    balanced : ndarray, shape (k + 1,), or None
-        Values of the load under which u0 does not move beside the contact.
     """
 
     rho: float
     process: SweepingProcess
     load: Separable
-    balanced: np.ndarray | None
+    _balanced: np.ndarray | None
     _shapes: np.ndarray
     _A: Elimination
     _errors: np.ndarray
@@ -108,6 +106,20 @@ class Reduction:
         u = self._shapes @ alpha + _follow(self._A, zeta - alpha[-1] * self.process.u0)
         u[self._A.unknowns] = zeta  # to the last bit
         return u
+
+    def still(self, values: np.ndarray) -> int:
+        """How many steps at the start leave u0 as it is beside the contact.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n, k + 1)
+            Those of the load that the steps ask for.
+        """
+        if self._balanced is None:
+            return 0
+        beside = self._shapes[:, :-1].any(axis=0)
+        moves = (values != self._balanced)[:, :-1][:, beside].any(axis=1)
+        return int(moves.argmax()) if moves.any() else len(values)
 
     def suits(self, mus: np.ndarray, scheme: Scheme, tol: float) -> bool:
         """Whether steps leave the velocities of alpha a thousand times as accurate as tol.
