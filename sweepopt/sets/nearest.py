@@ -39,14 +39,14 @@ def nearest_on_rows(lift: Lifted, w: np.ndarray) -> np.ndarray | None:
     What E does not see is given a small weight, so that the shortest way tells the rows. The caller
     confirms the answer; None if there is none.
     """
+    if not lift.E.any():
+        return None
     # units of s and of the rows, powers of two, in which columns of E and rows are near 1
     units = _units(np.abs(lift.E).max(axis=0))
     M, G, w = lift.E / units, lift.G / units, w - lift.c
     rows = _units(np.abs(G).max(axis=1))
     G, h = G / rows[:, None], lift.h / rows
     U, sizes, Vt = np.linalg.svd(M, full_matrices=M.shape[0] < M.shape[1])
-    if not sizes.any():
-        return None
     seen = sizes > 1e-13 * sizes[0]
     weights = np.full(len(Vt), BLIND * sizes[0])
     weights[: len(sizes)][seen] = sizes[seen]

@@ -10,7 +10,7 @@ from sweepopt.checks import matrix, vector
 from sweepopt.errors import EmptySetError
 from sweepopt.linalg import dense
 from sweepopt.sets.active_set import least_distance, projector
-from sweepopt.sets.base import ROUNDING, ConvexSet, Features, binary, same_array
+from sweepopt.sets.base import ROUNDING, ConvexSet, Features, Lifted, binary, same_array
 from sweepopt.sets.iteration import project_by_program
 
 if TYPE_CHECKING:
@@ -80,6 +80,12 @@ class Polytope(ConvexSet):
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         held = self._held(v)
         return None if held is None else projector(held[1:] - held[0])
+
+    def lifted(self) -> Lifted:
+        # the shares of all vertices but the last, which has the rest
+        last, n = self.vertices[-1], len(self.vertices) - 1
+        edges = (self.vertices[:-1] - last).T
+        return Lifted(last, edges, np.vstack([-np.eye(n), np.ones(n)]), np.append(np.zeros(n), 1.0))
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
