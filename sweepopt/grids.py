@@ -135,7 +135,7 @@ def _following(wanted: Density, cuts: np.ndarray, longest: float, n: float) -> n
 
     few, many, count = grid(n / 4), None, float(n)
     low, high = n / 4, 4.0 * n
-    for _ in range(5):
+    for _ in range(8):
         found = grid(count)
         if len(found) - 1 > n:
             many, high = found, count

@@ -711,3 +711,19 @@ def test_sums_and_images_of_rows_are_met_at_once(monkeypatch: pytest.MonkeyPatch
         p = v - C.project(v)
         assert calls < 100
         assert C.support(p) - p @ w <= 1e-12 * np.linalg.norm(p) * np.linalg.norm(v)
+
+
+def test_sets_of_many_unknowns_are_not_lifted_to_dense_matrices() -> None:
+    wide = so.image(
+        sp.random_array((5, 4000), density=0.01, rng=0), so.Box([-1.0] * 4000, [1.0] * 4000)
+    )
+    large = so.Polyhedron(sp.eye_array(4000), np.ones(4000))
+    hull = so.Polytope(np.random.default_rng(0).normal(size=(4000, 2)))
+    for C in (
+        wide,
+        large,
+        hull,
+        wide + so.HalfSpace(np.ones(5), 1.0),
+        2.0 * -large + np.ones(4000),
+    ):
+        assert C.lifted() is None

@@ -51,7 +51,10 @@ class Ellipsoid(ConvexSet):
 
     def support(self, z: np.ndarray) -> float:
         z = vector("z", z, self.dim)
-        return float(self.center @ z + np.sqrt(self._squares @ (self._axes.T @ z) ** 2))
+        # by the shape itself: its axes are rounded, the short ones most
+        size = np.abs(z).max(initial=0.0) or 1.0
+        square = (z / size) @ (self.shape @ (z / size))
+        return float(self.center @ z + size * np.sqrt(max(square, 0.0)))
 
     def project(self, w: np.ndarray) -> np.ndarray:
         # x_i = e_i d_i / (e_i + lam)

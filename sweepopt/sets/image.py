@@ -12,6 +12,7 @@ from sweepopt.checks import matrix, vector
 from sweepopt.errors import InputError
 from sweepopt.linalg import dense
 from sweepopt.sets.base import (
+    DENSE,
     ROUNDING,
     ConvexSet,
     Features,
@@ -23,7 +24,7 @@ from sweepopt.sets.base import (
     same_array,
 )
 from sweepopt.sets.columns import gathered, selected, with_own_columns
-from sweepopt.sets.iteration import CONFIRMING, DENSE, fixed_point, project_by_program
+from sweepopt.sets.iteration import CONFIRMING, fixed_point, project_by_program
 from sweepopt.sets.moving import MovingSet
 from sweepopt.sets.nearest import nearest_in_box, nearest_on_rows
 from sweepopt.sets.polyhedra import Polyhedron
@@ -170,16 +171,18 @@ class Image(ConvexSet):
             known = self._implicit(self._descended(s, w))
             return None if known is None else np.eye(s.size) - known[1]
 
+        if isinstance(self.part, Box):  # whose projections cost nothing
+            found = fixed_point(descend, s, s, slope=slope)
+            if found is None:
+                found = fixed_point(descend, nearest_in_box(dense(self.M), self.part, w), s)
+            return found
         lift = self.part.lifted() if max(self.M.shape) <= DENSE else None
-        direct = None if lift is None else nearest_on_rows(lift.pushed(dense(self.M)), w)
-        if lift is not None and direct is not None:
-            found = fixed_point(descend, self.part.project(lift.point(direct)), s, CONFIRMING)
+        near = None if lift is None else nearest_on_rows(lift.pushed(dense(self.M)), w)
+        if lift is not None and near is not None:
+            found = fixed_point(descend, self.part.project(lift.point(near)), s, CONFIRMING)
             if found is not None:
                 return found
-        found = fixed_point(descend, s, s, slope=slope)
-        if found is None and isinstance(self.part, Box):
-            return fixed_point(descend, nearest_in_box(dense(self.M), self.part, w), s)
-        return found
+        return fixed_point(descend, s, s, slope=slope)
 
     def _descended(self, s: np.ndarray, w: np.ndarray) -> np.ndarray:
         """The gradient step whose projection leaves s where it is if M s is nearest to w."""
@@ -254,7 +257,7 @@ class Image(ConvexSet):
         return Witness(normal / step, self.M @ s, max(gap, 0.0))
 
     def lifted(self) -> Lifted | None:
-        found = self.part.lifted()
+        found = self.part.lifted() if self.dim <= DENSE else None
         return found and found.pushed(dense(self.M))
 
     def same_cone(self, other: ConvexSet) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 
 from sweepopt.alone import in_turn
 from sweepopt.errors import EmptySetError, SweepoptError
-from sweepopt.sets.base import ROUNDING, ConvexSet, binary
+from sweepopt.sets.base import DENSE, ROUNDING, ConvexSet, binary
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -27,7 +27,6 @@ SWEEPS = 500  # alternating projections before a program takes over
 FEW = (10, 40, 160)  # of them, before Newton's method tries to finish
 CONFIRMING = 5  # and after it
 NEWTON_STEPS = 30
-DENSE = 300  # unknowns up to which a step of it is cheap
 MEMORY = 10  # steps that Anderson's acceleration looks back
 RUNAWAY = 1e3  # the longest step of it, in units of the data
 
@@ -48,7 +47,7 @@ def support_by_program(C: ConvexSet, z: np.ndarray) -> float:
     if problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE):
         return float("inf")
     if problem.value is None or not np.isfinite(problem.value):
-        raise EmptySetError(f"{type(C).__name__} has no point: its support function is not finite")
+        raise EmptySetError(f"{type(C).__name__} has no point: nothing meets all its conditions")
     return length * unit * float(problem.value)
 
 
@@ -78,7 +77,9 @@ def normal_by_program(C: ConvexSet, w: np.ndarray) -> tuple[np.ndarray, np.ndarr
         problem = cp.Problem(cp.Minimize(objective), constraints)
         solve_tightly(problem)
         if p.value is None:
-            raise EmptySetError(f"{type(C).__name__} has no point ({problem.status})")
+            raise EmptySetError(
+                f"{type(C).__name__} has no point: nothing meets all its conditions"
+            )
         return unit * p.value, unit * y.value
 
     found = solve(size)

@@ -15,6 +15,7 @@ from sweepopt.alone import in_turn
 from sweepopt.checks import vector
 from sweepopt.errors import EmptySetError
 from sweepopt.sets.base import (
+    DENSE,
     ROUNDING,
     ConvexSet,
     Features,
@@ -24,7 +25,6 @@ from sweepopt.sets.base import (
 )
 from sweepopt.sets.iteration import (
     CONFIRMING,
-    DENSE,
     SWEEPS,
     fixed_point,
     normal_by_program,
@@ -131,16 +131,21 @@ class Sum(_Pair):
         start = self.second.project(np.zeros(self.dim))
         rounding = 10.0 if self._nested else 1.0
         like = rounding * np.concatenate([w, start, self.first.project(w - start)])
-        direct = self._direct(w)
-        second = None if direct is None else fixed_point(sweep, direct, like, CONFIRMING)
+
+        def direct() -> np.ndarray | None:
+            near = self._direct(w)
+            return None if near is None else fixed_point(sweep, near, like, CONFIRMING)
+
+        # where a part iterates too, iterations of iterations come last
+        second = direct() if self._nested else None
         if second is None:
             second = fixed_point(sweep, start, like, self._sweeps, slope)
+        if second is None and not self._nested:
+            second = direct()
         return None if second is None else (self.first.project(w - second), second)
 
     def _direct(self, w: np.ndarray) -> np.ndarray | None:
         """A start from the rows that the parts are made of: the fixed point itself, as a rule."""
-        if self.dim > DENSE:
-            return None
         lift, second = self.lifted(), self.second.lifted()
         if lift is None or second is None or lift.E.shape[1] > DENSE:
             return None

@@ -10,7 +10,7 @@ from sweepopt.checks import matrix, vector
 from sweepopt.errors import EmptySetError
 from sweepopt.linalg import dense
 from sweepopt.sets.active_set import least_distance, projector
-from sweepopt.sets.base import ROUNDING, ConvexSet, Features, Lifted, binary, same_array
+from sweepopt.sets.base import DENSE, ROUNDING, ConvexSet, Features, Lifted, binary, same_array
 from sweepopt.sets.iteration import project_by_program
 
 if TYPE_CHECKING:
@@ -81,7 +81,9 @@ class Polytope(ConvexSet):
         held = self._held(v)
         return None if held is None else projector(held[1:] - held[0])
 
-    def lifted(self) -> Lifted:
+    def lifted(self) -> Lifted | None:
+        if max(self.vertices.shape) > DENSE:
+            return None
         # the shares of all vertices but the last, which has the rest
         last, n = self.vertices[-1], len(self.vertices) - 1
         edges = (self.vertices[:-1] - last).T
