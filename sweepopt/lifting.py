@@ -143,14 +143,14 @@ def _coefficients(reduction: Reduction, scheme: Scheme, times: np.ndarray, mus: 
         return step(every, scheme, every.velocity, starts, sizes, alpha)[0]
 
     constant = asked(lambda t: load.values(t.ravel()), np.zeros(shape))
-    slope = asked(lambda t: 0.0, np.ones((n, 1)))[:, 0]
+    slope = asked(lambda t: 0.0, np.ones((n, 1))).repeat(shape[1], axis=1)
     still = reduction.still(load.values(times[:-1] + scheme.c[0] * mus))
-    constant[:still] = 0.0
-    slope[:still] = 0.0
+    constant[:still, reduction.beside] = 0.0
+    slope[:still, -1] = 0.0
     starts_at = np.eye(shape[1])[-1]  # alpha_0 = 1, all others 0
     columns = [
-        _follow(alpha, values, slope, mus)
-        for alpha, values in zip(starts_at.tolist(), constant.T, strict=True)
+        _follow(alpha, values, falls, mus)
+        for alpha, values, falls in zip(starts_at.tolist(), constant.T, slope.T, strict=True)
     ]
     nodes, velocities = (np.column_stack(parts) for parts in zip(*columns, strict=True))
     return Kept(nodes, velocities)

@@ -59,7 +59,7 @@ class OfLoad(NamedTuple):
 class Residual(NamedTuple):
     """A residual in |.|_{M^-1} by the measured accuracy of the solves, and what it is compared to.
 
-    The size is |z|_M, at least FLOOR of what the load alone would move.
+    The size is |z|_M, at least FLOOR of what the load and what B u alone would move.
     """
 
     error: float
@@ -117,8 +117,7 @@ class Reduction:
         """
         if self._balanced is None:
             return 0
-        beside = self._shapes[:, :-1].any(axis=0)
-        moves = (values != self._balanced)[:, :-1][:, beside].any(axis=1)
+        moves = (values != self._balanced)[:, self.beside].any(axis=1)
         return int(moves.argmax()) if moves.any() else len(values)
 
     def suits(self, mus: np.ndarray, scheme: Scheme, tol: float) -> bool:
@@ -168,7 +167,13 @@ class Reduction:
         z = math.sqrt(max(square, 0.0))
         error = load.error + self._share * (ratio * z + self.rho * u)
         size = math.sqrt(ratio * max(load.square + square, 0.0))
-        return Residual(error / math.sqrt(ratio), max(size, load.floor / math.sqrt(ratio)))
+        floor = load.floor + FLOOR * self.rho * u
+        return Residual(error / math.sqrt(ratio), max(size, floor / math.sqrt(ratio)))
+
+    @cached_property
+    def beside(self) -> np.ndarray:
+        """Which coefficients have a response beside the contact; shape (k + 1,), that of u0 not."""
+        return np.append(self._shapes[:, :-1].any(axis=0), False)
 
     @cached_property
     def _gram(self) -> np.ndarray:

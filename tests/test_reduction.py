@@ -239,8 +239,13 @@ def test_short_steps_long_after_the_start_of_a_stiff_body_are_not_rounding() -> 
     assert sol.plan.path == "eliminated"
     assert "short ones would be rounding" in str(sol.plan)
     assert sol.stats["relative"].max() <= 1e-9
-    with pytest.raises(so.StepError):
-        so.solve(this, steps=grid, scheme="implicit-euler", path="proportional")
+    forced = so.solve(this, steps=grid, scheme="implicit-euler", path="proportional")
+    norm = this.metric.norm
+    ratios = 1 + 1e8 * np.diff(grid)  # |z|_M^2 = ratio |z|_A^2
+    apart = [norm(z) for z in forced.velocity - sol.velocity] * np.sqrt(ratios)
+    assert max(map(norm, forced.u - sol.u)) <= 1e-12 * max(map(norm, sol.u))
+    assert (apart <= forced.stats["certificate"] + sol.stats["certificate"]).all()
+    assert apart[-1] > 1e-6 * norm(sol.velocity[-1]) * np.sqrt(ratios[-1])
     equal = so.solve(this, t_end=grid[-1], steps=1000, scheme="implicit-euler")
     assert equal.plan.path == "proportional"
 
@@ -272,6 +277,21 @@ def test_a_body_held_for_a_while_is_u0_to_the_last_bit_and_then_moves_as_it_shou
     assert moved > 0.1
     assert max(map(norm, few.u - general.u)) <= 1e-12 * max(map(norm, general.u))
     assert few.stats["relative"].max() <= 1e-6
+
+
+def test_a_body_that_sticks_under_no_load_is_certified() -> None:
+    on_contact = np.zeros(40)
+    on_contact[CONTACT] = 1.0
+    pulled = so.Separable([(so.Table([0.0, 1.0, 2.0, 4.0], [0.0, 6.0, 0.0, 0.0]), on_contact)])
+    C = so.Moving(-so.image(select(CONTACT), SETS["intervals"]), pulled)
+    few, general = (
+        so.solve(process(u0=np.zeros(40), B=0.01 * chain(), C=C), t_end=4.0, steps=80, path=path)
+        for path in ("proportional", "eliminated")
+    )
+    assert (few.velocity[-5:] == 0.0).all()
+    assert few.u[-1, CONTACT].any()
+    assert few.stats["relative"].max() <= 1e-9
+    assert np.abs(few.u - general.u).max() <= 1e-12 * np.abs(general.u).max()
 
 
 @pytest.mark.parametrize("B", [None, RHO * chain()], ids=["without B", "with B"])
