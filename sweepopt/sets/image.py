@@ -330,7 +330,7 @@ def image(M: Any, C: Any) -> Any:
     if not isinstance(C, ConvexSet):
         raise InputError(f"image(M, C): C must be a set, got {type(C).__name__}")
     M = matrix("M", M)
-    if isinstance(C, Box) and C.dim == M.shape[1]:
+    if isinstance(C, Box) and M.shape[0] and C.dim == M.shape[1]:
         M, C = with_own_columns(M, C)
         M, C = gathered(M, C) or (M, C)
     found = Image(M, C)

@@ -9,7 +9,7 @@ import scipy.linalg
 import scipy.optimize
 import scipy.sparse as sp
 
-from sweepopt.checks import matrix, number, vector
+from sweepopt.checks import divisor, matrix, number, vector
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
 from sweepopt.linalg import dense
 from sweepopt.sets.active_set import least_distance, projector
@@ -93,7 +93,11 @@ class Polyhedron(ConvexSet):
             raise InputError("G must have at least one column")
         self.exact = self.certifiable = self.dim <= ACTIVE_DIM
         largest = abs(self.G).max(axis=1)
-        largest = largest.toarray() if sp.issparse(self.G) else largest
+        largest = (largest.toarray() if sp.issparse(self.G) else largest).ravel()
+        rows = np.flatnonzero(largest)
+        if rows.size:
+            i = int(rows[np.argmin(largest[rows])])
+            divisor(f"the largest entry of row {i} of G", largest[i])
         # programs see rows of numbers near 1
         self._units = np.array([binary(row) for row in largest])
         self._set_offsets(h)
