@@ -106,13 +106,14 @@ class Sum(_Pair):
 
     def _normal(self, v: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """The common normal of the parts as the part computes it in whose domain it must be."""
-        normals = self.second.normal(v - first), self.first.normal(v - second)
-        p = normals[0] if np.isfinite(self.support(normals[0])) else normals[1]
-        # what one part holds is 0.0, and rounding of the other
-        noise = (p != 0) & (np.abs(p) <= ROUNDING * np.abs(p).max()) & (normals[1] == 0)
+        p = self.second.normal(v - first)
+        if not np.isfinite(self.support(p)):
+            return self.first.normal(v - second)
+        noise = (p != 0) & (np.abs(p) <= ROUNDING * np.abs(p).max())
         if not noise.any():
             return p
-        still = np.where(noise, 0.0, p)
+        # what one part holds is 0.0, and rounding of the other
+        still = np.where(noise & (self.first.normal(v - second) == 0), 0.0, p)
         return still if np.isfinite(self.support(still)) else p
 
     def _nearest(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
