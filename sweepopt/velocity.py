@@ -7,14 +7,15 @@ any other set the whole program.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import Matrix, is_finite
+from sweepopt.checks import Matrix
+from sweepopt.ladder import Ladder
 from sweepopt.linalg import Elimination, Factor
 from sweepopt.multigrid import Multigrid
 from sweepopt.polish import judged
@@ -24,12 +25,11 @@ from sweepopt.sets import ConvexSet
 from sweepopt.sets.algebra import Translation
 from sweepopt.sets.base import Selection
 from sweepopt.sets.units import in_units
-from sweepopt.solvers import NEWTON, Solve, Solver, choose
+from sweepopt.solvers import choose
 from sweepopt.solvers.multigrid import MultigridProgram
 from sweepopt.substitution import ACCURATE, SelectedVelocity, Solved, VelocityOf, eliminated
 
 UNEVEN = 2.0**6  # ratio of the roots of M's diagonal up to which one metric serves all entries
-SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
 
 
 def iterated(M: Multigrid, contact: np.ndarray, tol: float) -> SelectedVelocity:
@@ -46,28 +46,103 @@ def iterated(M: Multigrid, contact: np.ndarray, tol: float) -> SelectedVelocity:
 
 def programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> VelocityOf:
     """The program of each C, in units that make the diagonal of M even where C is uneven in it."""
-    plain = _programmed(M, solver, tol, order)
+    plain = _Programmed(M, solver, tol, order)
     roots = np.exp2(np.round(np.log2(M.root)))
     if roots.max() <= UNEVEN * roots.min():
         return plain
-    even = cache(lambda: _programmed(Factor(_over(M.M, roots)), solver, tol, order))
-    shape: ConvexSet | None = None
-    other: ConvexSet | None = None
+    even = cache(lambda: _Programmed(Factor(_over(M.M, roots)), solver, tol, order))
+    return _Evened(plain, even, M.diagonal, roots)
 
-    def solve(q: np.ndarray, C: ConvexSet) -> Solved:
-        nonlocal shape, other
-        part = C.part if isinstance(C, Translation) else C
-        if part is not shape:
-            shape = part
-            other = in_units(part, 1 / roots) if is_uneven(part, M.diagonal) else None
-        if other is None:
-            return plain(q, C)
-        D = Translation(other, C.v / roots) if isinstance(C, Translation) else other
-        found = even()(q / roots, D)
+
+class _Programmed:
+    """The velocities of one M: at rest, by formula, or by the solvers of the cone that C has.
+
+    What is compiled is that of one cone, the last one.
+    """
+
+    def __init__(self, M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> None:
+        self._M, self._solver, self._tol, self._order = M, solver, tol, order
+        self._ladder: Ladder | None = None
+        self._has_formula = False
+        self._alone: dict[tuple[int, ...], SelectedVelocity] = {}
+
+    def __call__(self, q: np.ndarray, C: ConvexSet) -> Solved:
+        shape = C.part if isinstance(C, Translation) else C
+        ladder = self._ladder_of(shape)
+        if self._has_formula:
+            return Solved(closed_form(self._M, q, C), "closed form", 0, 0)
+        rest = ladder.program.at_rest(q, C)
+        if rest is not None:
+            return Solved(rest, "at rest", 0, 0)
+        moved, part = untranslated(q, C)  # the same program
+        return _without(self._M, self._climbed(ladder, moved, part), q, C)
+
+    def _ladder_of(self, shape: ConvexSet) -> Ladder:
+        if self._ladder is not None and self._ladder.serves(shape):
+            return self._ladder
+        self._has_formula = self._solver == "auto" and has_closed_form(self._M, shape)
+        self._ladder = Ladder(
+            VelocityProgram(self._M, shape),
+            choose(self._solver, shape),
+            tol=self._tol,
+            judge=judged(self._M, self._order),
+        )
+        return self._ladder
+
+    def _climbed(self, ladder: Ladder, q: np.ndarray, C: ConvexSet) -> Solved:
+        """The best answer of the ladder, or of the few unknowns alone: better conditioned."""
+        best = ladder(q, C)
+        if best.velocity.relative <= min(self._tol, ACCURATE) or not C.certifiable:
+            return best
+        selection = C.selection
+        if selection is None:
+            return best
+        few = self._few(tuple(selection.unknowns))(q, selection)
+        if few.velocity.relative < best.velocity.relative:
+            return few._replace(attempts=best.attempts + few.attempts)
+        return best
+
+    def _few(self, unknowns: tuple[int, ...]) -> SelectedVelocity:
+        if unknowns not in self._alone:
+            body = Elimination(self._M.M, np.array(unknowns), self._order)
+            small = programmed(Factor(body.N), "auto", min(self._tol, ACCURATE), None)
+            self._alone[unknowns] = eliminated(body, small)
+        return self._alone[unknowns]
+
+
+class _Evened:
+    """As `plain`; for a set that is uneven in M in units, `roots`, in which M's diagonal is even.
+
+    The last shape stays in these units while C is a translate of it.
+    """
+
+    def __init__(
+        self,
+        plain: VelocityOf,
+        even: Callable[[], VelocityOf],
+        diagonal: np.ndarray,
+        roots: np.ndarray,
+    ) -> None:
+        self._plain, self._even, self._diagonal, self._roots = plain, even, diagonal, roots
+        self._shape: ConvexSet | None = None
+        self._changed: ConvexSet | None = None  # None too where C stays as it is
+
+    def __call__(self, q: np.ndarray, C: ConvexSet) -> Solved:
+        roots = self._roots
+        S = self._in_units(C.part if isinstance(C, Translation) else C)
+        if S is None:
+            return self._plain(q, C)
+        D = Translation(S, C.v / roots) if isinstance(C, Translation) else S
+        found = self._even()(q / roots, D)
         z, certificate, relative = found.velocity
         return found._replace(velocity=Velocity(z / roots, certificate, relative))
 
-    return solve
+    def _in_units(self, shape: ConvexSet) -> ConvexSet | None:
+        if shape is not self._shape:
+            uneven = is_uneven(shape, self._diagonal)
+            self._shape = shape
+            self._changed = in_units(shape, 1 / self._roots) if uneven else None
+        return self._changed
 
 
 def is_uneven(C: ConvexSet, diagonal: np.ndarray) -> bool:
@@ -86,78 +161,6 @@ def _over(M: Matrix, roots: np.ndarray) -> Matrix:
     return M / np.outer(roots, roots)
 
 
-def _programmed(M: Factor, solver: Any, tol: float, order: np.ndarray | None) -> VelocityOf:
-    """One cone at a time: its formula if there is one, else its compiled ladder of solvers."""
-    program: VelocityProgram | None = None
-    formula = False
-    rungs: list[Solver] = []
-    compiled: dict[int, Solve] = {}
-    judge = judged(M, order)
-
-    @cache
-    def alone(unknowns: tuple[int, ...]) -> SelectedVelocity:
-        """The program of the few unknowns, where that of all of them fails."""
-        body = Elimination(M.M, np.array(unknowns), order)
-        return eliminated(body, programmed(Factor(body.N), "auto", min(tol, ACCURATE), None))
-
-    def solve(q: np.ndarray, C: ConvexSet) -> Solved:
-        nonlocal program, formula, rungs, judge
-        shape = C.part if isinstance(C, Translation) else C
-        if program is None or not (program.cone is shape or program.cone.same_cone(shape)):
-            program = VelocityProgram(M, shape)
-            formula = solver == "auto" and has_closed_form(M, shape)
-            rungs = ladder(choose(solver, shape))
-            judge = judged(M, order)
-            compiled.clear()
-        if formula:
-            return Solved(closed_form(M, q, C), "closed form", 0, 0)
-        rest = program.at_rest(q, C)
-        if rest is not None:
-            return Solved(rest, "at rest", 0, 0)
-        moved, part = untranslated(q, C)  # the same program
-        return _without(M, climbed(program, moved, part), q, C)
-
-    def enough(relative: float, rung: Solver, C: ConvexSet) -> bool:
-        """Whether tol is met: a solver is refined for a small program that no polish made exact."""
-        if not relative <= tol:
-            return False
-        return relative <= ACCURATE or rung.refined() is None or not NEWTON.treats(C)
-
-    def climbed(program: VelocityProgram, q: np.ndarray, C: ConvexSet) -> Solved:
-        """The best answer of the ladder."""
-        nothing = Velocity(np.zeros_like(q), np.inf, np.inf)
-        best = Solved(nothing, "none", 0, 0)
-        for attempt, rung in enumerate(rungs):
-            if attempt not in compiled:
-                compiled[attempt] = rung.compile(program)
-            answer = compiled[attempt](q, C)
-            if not C.certifiable:
-                # nothing to compare: the first answer that its solver calls solved stands
-                if answer.status in SOLVED:
-                    velocity = program.certify(q, C, answer.z, answer.y)
-                    return Solved(velocity, rung.name, answer.iterations, attempt + 1)
-                del compiled[attempt]
-                continue
-            velocity = judge(program, q, C, answer) if is_finite(answer.z) else nothing
-            if not velocity.relative <= tol:
-                del compiled[attempt]  # a workspace that failed is not used again
-            if velocity.relative < best.velocity.relative:
-                best = Solved(velocity, rung.name, answer.iterations, attempt + 1)
-            if enough(best.velocity.relative, rung, C):
-                break
-        if best.velocity.relative <= min(tol, ACCURATE):
-            return best._replace(attempts=attempt + 1)
-        # an answer that no polish made exact: the few unknowns alone are better conditioned
-        selection = C.selection
-        if selection is not None:
-            few = alone(tuple(selection.unknowns))(q, selection)
-            if few.velocity.relative < best.velocity.relative:
-                return few._replace(attempts=attempt + 1 + few.attempts)
-        return best._replace(attempts=attempt + 1)
-
-    return solve
-
-
 def _without(M: Factor, found: Solved, q: np.ndarray, C: ConvexSet) -> Solved:
     """What is found for q - c, rounded, as the answer for q and C = c + S."""
     z, certificate, relative = found.velocity
@@ -166,14 +169,3 @@ def _without(M: Factor, found: Solved, q: np.ndarray, C: ConvexSet) -> Solved:
     lost = M.dual_norm_bound(sum_error(q, -C.v, q - C.v))
     velocity = Velocity(z, certificate + lost, relative * (1 + lost / certificate))
     return found._replace(velocity=velocity)
-
-
-def ladder(solvers: Sequence[Solver]) -> list[Solver]:
-    """The first solver, its refinements, then the other solvers and theirs."""
-    rungs: list[Solver] = []
-    for solver in solvers:
-        rung: Solver | None = solver
-        while rung is not None:
-            rungs.append(rung)
-            rung = rung.refined()
-    return rungs

@@ -79,7 +79,8 @@ def test_the_bound_is_never_below_the_error_and_the_lower_one_never_above(
 def sloppily(monkeypatch: pytest.MonkeyPatch) -> None:
     """Take answers as solvers give them: neither polished nor solved again."""
     monkeypatch.setattr("sweepopt.polish.POLISHED", np.inf)
-    monkeypatch.setattr("sweepopt.velocity.ACCURATE", np.inf)
+    for module in ("ladder", "velocity"):
+        monkeypatch.setattr(f"sweepopt.{module}.ACCURATE", np.inf)
 
 
 @pytest.mark.slow

@@ -26,6 +26,7 @@ LEVELS = [
     {"reduction", "solvers"},
     {"checkpoint", "substitution", "control"},
     {"polish"},
+    {"ladder"},
     {"velocity"},
     {"plan"},
     {"nodes", "unrounded"},
