@@ -49,6 +49,23 @@ class Velocity(NamedTuple):
     relative: float
 
 
+class Translate(NamedTuple):
+    """C = c + S."""
+
+    c: np.ndarray
+    S: ConvexSet
+
+
+def untranslated(C: ConvexSet) -> Translate:
+    """C with all its translations taken out: it enters the program through q - C alone."""
+    if not isinstance(C, Translation):
+        return Translate(np.zeros(C.dim), C)
+    c, S = C.v, C.part
+    while isinstance(S, Translation):
+        c, S = c + S.v, S.part
+    return Translate(c, S)
+
+
 class Expressions(NamedTuple):
     """z, the features y (None if there are none), 1/2 <M z, z> and what ties y to z."""
 
@@ -199,9 +216,9 @@ class VelocityProgram:
         few = C.selection
         if few is not None:
             return at_rest_on(q, few, self.M.diagonal)
-        force, shape = untranslated(q, C)
-        nearest = shape.nearest(force, self.M.diagonal)
-        rests = is_rounding(force - nearest, q, C.anchor)
+        c, S = untranslated(C)
+        force = q - c
+        rests = is_rounding(force - S.nearest(force, self.M.diagonal), q, C.anchor)
         return Velocity(np.zeros_like(q), 0.0, 0.0) if rests else None
 
 
@@ -233,11 +250,6 @@ def _derivative(
         moved = (part.data, (part.row + columns[variable.id], part.col))
         rows.append(sp.csc_array(moved, shape=(size, part.shape[1])))
     return sp.csc_array(sum(rows[1:], start=rows[0]))
-
-
-def untranslated(q: np.ndarray, C: ConvexSet) -> tuple[np.ndarray, ConvexSet]:
-    """(q - v, S) for C = v + S: C enters the program through q - C alone."""
-    return (q - C.v, C.part) if isinstance(C, Translation) else (q, C)
 
 
 def is_rounding(missed: np.ndarray, q: np.ndarray, anchor: np.ndarray) -> bool:

@@ -23,9 +23,8 @@ from sweepopt.linalg import NEGLIGIBLE, SMALL, UNIT, Factor, dense, euclidean, r
 from sweepopt.plan import Factors, Plan
 from sweepopt.precise import Precise, product_error, sum_error
 from sweepopt.process import SweepingProcess
-from sweepopt.program import Velocity
+from sweepopt.program import Translate, Velocity, untranslated
 from sweepopt.sets import ConvexSet, Point
-from sweepopt.sets.algebra import Translation
 from sweepopt.substitution import ACCURATE, Solved, VelocityOf
 
 REFINEMENTS = 20  # corrections of the linear term; each leaves a share |M^-1 (A + gamma B - M)|
@@ -183,9 +182,7 @@ class _Unrounded:
         return Velocity(z, certificate, certificate / (size * math.sqrt(left)) if size else 0.0)
 
 
-def _split(C: ConvexSet) -> tuple[np.ndarray, ConvexSet]:
-    """c and S with C = c + S."""
-    c = np.zeros(C.dim)
-    while isinstance(C, Translation):
-        c, C = c + C.v, C.part
-    return (C.anchor, Point(c)) if C.singleton else (c, C)
+def _split(C: ConvexSet) -> Translate:
+    """C = c + S; a point has its place in c, for what is in S is rounded with q."""
+    c, S = untranslated(C)
+    return Translate(S.anchor, Point(c)) if S.singleton else Translate(c, S)

@@ -67,15 +67,14 @@ class _Programmed:
         self._alone: dict[tuple[int, ...], SelectedVelocity] = {}
 
     def __call__(self, q: np.ndarray, C: ConvexSet) -> Solved:
-        shape = C.part if isinstance(C, Translation) else C
-        ladder = self._ladder_of(shape)
+        c, S = untranslated(C)
+        ladder = self._ladder_of(S)
         if self._has_formula:
             return Solved(closed_form(self._M, q, C), "closed form", 0, 0)
         rest = ladder.program.at_rest(q, C)
         if rest is not None:
             return Solved(rest, "at rest", 0, 0)
-        moved, part = untranslated(q, C)  # the same program
-        return _without(self._M, self._climbed(ladder, moved, part), q, C)
+        return _without(self._M, self._climbed(ladder, q - c, S), q, c)
 
     def _ladder_of(self, shape: ConvexSet) -> Ladder:
         if self._ladder is not None and self._ladder.serves(shape):
@@ -128,12 +127,11 @@ class _Evened:
         self._changed: ConvexSet | None = None  # None too where C stays as it is
 
     def __call__(self, q: np.ndarray, C: ConvexSet) -> Solved:
-        roots = self._roots
-        S = self._in_units(C.part if isinstance(C, Translation) else C)
-        if S is None:
+        c, S = untranslated(C)
+        changed, roots = self._in_units(S), self._roots
+        if changed is None:
             return self._plain(q, C)
-        D = Translation(S, C.v / roots) if isinstance(C, Translation) else S
-        found = self._even()(q / roots, D)
+        found = self._even()(q / roots, Translation(changed, c / roots))
         z, certificate, relative = found.velocity
         return found._replace(velocity=Velocity(z / roots, certificate, relative))
 
@@ -161,11 +159,11 @@ def _over(M: Matrix, roots: np.ndarray) -> Matrix:
     return M / np.outer(roots, roots)
 
 
-def _without(M: Factor, found: Solved, q: np.ndarray, C: ConvexSet) -> Solved:
+def _without(M: Factor, found: Solved, q: np.ndarray, c: np.ndarray) -> Solved:
     """What is found for q - c, rounded, as the answer for q and C = c + S."""
     z, certificate, relative = found.velocity
-    if M.is_sharp or not isinstance(C, Translation) or not 0 < relative < math.inf:
+    if M.is_sharp or not 0 < relative < math.inf:
         return found
-    lost = M.dual_norm_bound(sum_error(q, -C.v, q - C.v))
+    lost = M.dual_norm_bound(sum_error(q, -c, q - c))
     velocity = Velocity(z, certificate + lost, relative * (1 + lost / certificate))
     return found._replace(velocity=velocity)

@@ -14,8 +14,8 @@ import numpy as np
 from sweepopt.checks import Matrix
 from sweepopt.errors import InputError, SweepoptError
 from sweepopt.linalg import dense
+from sweepopt.program import untranslated
 from sweepopt.sets import Ball, Balls, Box, ConvexSet, Point
-from sweepopt.sets.algebra import Translation
 from sweepopt.study.hard import digits
 
 TURNS = 2000  # changes of the active set
@@ -78,14 +78,11 @@ class Program:
         InputError
             If C is none of the kinds that this module knows.
         """
-        shift = np.zeros(q.size)
         if C.selection is not None:
             few, part, moved = C.selection
-            shift = shift if moved is None else moved
+            shift = np.zeros(q.size) if moved is None else moved
         else:
-            few, part = np.arange(q.size), C
-            while isinstance(part, Translation):
-                shift, part = shift + part.v, part.part
+            few, (shift, part) = np.arange(q.size), untranslated(C)
         force = digits.exactly(q) - digits.exactly(shift)
         key = few.tobytes()
         if key not in self._eliminated:
