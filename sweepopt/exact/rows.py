@@ -11,11 +11,11 @@ import scipy.linalg
 
 from sweepopt.errors import InputError, shown
 from sweepopt.exact.forces import Forces
-from sweepopt.exact.halfspaces import halfspaces
 from sweepopt.linalg import dense
 from sweepopt.loads import Constant, Separable
 from sweepopt.process import SweepingProcess
 from sweepopt.sets import AnySet, ConvexSet, Moving, MovingOffsets
+from sweepopt.sets.halfspaces import NoHalfspacesError, halfspaces
 
 NONSMOOTH = 50  # unknowns in a set's inequalities
 UNKNOWNS = 300  # all of them: a phase has a dense eigenproblem of what moves
@@ -124,9 +124,12 @@ def _motion(C: AnySet) -> _Motion:
             "has a set that is a function of time; write it as so.Moving(shape, "
             "center=so.Separable(...)) or so.Polyhedron(G, so.Separable(...))"
         )
-    found = halfspaces(shape)
-    if isinstance(found, str):
-        raise _refused(f"has a set that is not a polyhedron with known rows: {found}; use midpoint")
+    try:
+        found = halfspaces(shape)
+    except NoHalfspacesError as error:
+        raise _refused(
+            f"has a set that is not a polyhedron with known rows: {error}; use midpoint"
+        ) from error
     N = np.vstack([found.N, found.E])
     base = np.concatenate([found.d, found.e])
     if not isinstance(C, MovingOffsets):
