@@ -8,17 +8,16 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import count, number
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.iteration import CAREFUL
-from sweepopt.solvers.base import Answer, Solve
+from sweepopt.solvers.canonical import CanonicalSolver, Found, Workspace
 
 SOLVED = {"Solved", "AlmostSolved"}
 
 
 @dataclass(frozen=True)
-class Clarabel:
+class Clarabel(CanonicalSolver):
     """Clarabel with absolute, relative and feasibility tolerances equal to `tol`.
 
     Parameters
@@ -41,10 +40,6 @@ class Clarabel:
     max_iter: int = 200
     name = "clarabel"
 
-    def __post_init__(self) -> None:
-        number("tol", self.tol, minimum=0.0, strict=True)
-        count("max_iter", self.max_iter)
-
     def treats(self, C: ConvexSet) -> bool:
         """Every set."""
         return True
@@ -53,17 +48,15 @@ class Clarabel:
         """Two digits tighter, as far as double precision goes."""
         return replace(self, tol=self.tol / 100) if self.tol > 1e-13 else None
 
-    def compile(self, program: VelocityProgram) -> Solve:
-        """Canonicalise and set up once; a call updates the linear term."""
+    def workspace(self, program: VelocityProgram, P: sp.csc_array) -> Workspace:
+        """The rows in units of their cones."""
         import clarabel
 
-        canonical = program.canonical("CLARABEL")
-        P = sp.triu(canonical.P / program.stiffness, format="csc")
-        A, b, dims = canonical.data["A"], canonical.data["b"], canonical.data["dims"]
+        data = program.canonical("CLARABEL").data
+        A, b, dims = data["A"], data["b"], data["dims"]
         cones = _cones(clarabel, dims)
         rows, columns = _units(P, sp.csc_array(A), dims)
         A = sp.csc_matrix(sp.diags_array(rows) @ A @ sp.diags_array(columns))
-        b = rows * b
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.max_iter = self.max_iter
@@ -72,29 +65,16 @@ class Clarabel:
         if not program.cone.certifiable:  # an answer stands if Clarabel calls it solved
             for name, value in CAREFUL.items():
                 setattr(settings, name, value)
-        n, transposed = program.M.dim, canonical.map.T.tocsr()
-        engine: Any = None
 
-        def solve(q: np.ndarray, C: ConvexSet) -> Answer:
-            offsets = program.capped(q, C).offsets
-            nonlocal engine
-            linear = columns * (canonical.map @ np.concatenate([q, offsets]))
-            force = float(np.abs(linear).max())
-            if force == 0:
-                return Answer(np.zeros(n), np.zeros(offsets.size), 0, "Solved")
-            if engine is None:
-                engine = clarabel.DefaultSolver(P, linear / force, A, b, cones, settings)
-            else:
-                engine.update(q=linear / force)
+        def build(linear: np.ndarray) -> Any:
+            return clarabel.DefaultSolver(P, linear, A, rows * b, cones, settings)
+
+        def run(engine: Any) -> Found:
             solution = engine.solve()
-            x = np.array(solution.x) * (force / program.stiffness)
-            if str(solution.status) not in SOLVED or not np.isfinite(x).all():
-                engine = None  # a workspace that failed once is not used again
-                x = np.where(np.isfinite(x), x, 0.0)
-            answer = transposed @ (columns * x)
-            return Answer(answer[:n], answer[n:], solution.iterations, str(solution.status))
+            status = str(solution.status)
+            return Found(np.array(solution.x), solution.iterations, status, status in SOLVED)
 
-        return solve
+        return Workspace(build, run, columns)
 
 
 def _units(P: Any, A: sp.csc_array, dims: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -9,14 +9,13 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.alone import silence
-from sweepopt.checks import count, number
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
-from sweepopt.solvers.base import Answer, Solve
+from sweepopt.solvers.canonical import CanonicalSolver, Found, Workspace
 
 
 @dataclass(frozen=True)
-class OSQP:
+class OSQP(CanonicalSolver):
     """OSQP with absolute and relative tolerance `tol`, polished.
 
     Parameters
@@ -39,10 +38,6 @@ class OSQP:
     max_iter: int = 5_000
     name = "osqp"
 
-    def __post_init__(self) -> None:
-        number("tol", self.tol, minimum=0.0, strict=True)
-        count("max_iter", self.max_iter)
-
     def treats(self, C: ConvexSet) -> bool:
         """Polyhedra."""
         return C.polyhedral
@@ -53,19 +48,16 @@ class OSQP:
             return None
         return replace(self, tol=self.tol / 100, max_iter=4 * self.max_iter)
 
-    def compile(self, program: VelocityProgram) -> Solve:
-        """Canonicalise and factorise once; a call updates the linear term."""
+    def workspace(self, program: VelocityProgram, P: sp.csc_array) -> Workspace:
+        """Equations and inequalities as rows between bounds."""
         import osqp
 
-        canonical = program.canonical("OSQP")
-        P = sp.triu(canonical.P / program.stiffness, format="csc")
-        equations, inequalities = canonical.data["A"], canonical.data["F"]
+        data = program.canonical("OSQP").data
+        equations, inequalities = data["A"], data["F"]
         rows = sp.csc_matrix(sp.vstack([equations, inequalities]))
         equal, below = equations.shape[0], inequalities.shape[0]
         lower = np.concatenate([np.zeros(equal), np.full(below, -np.inf)])
         upper = np.zeros(equal + below)
-        n, transposed = program.M.dim, canonical.map.T.tocsr()
-        engine: Any = None
 
         def build(linear: np.ndarray) -> Any:
             fresh = osqp.OSQP()
@@ -74,25 +66,11 @@ class OSQP:
             fresh.setup(*data, verbose=False, polishing=True, **tolerances)
             return fresh
 
-        def solve(q: np.ndarray, C: ConvexSet) -> Answer:
-            offsets = program.capped(q, C).offsets
-            nonlocal engine
-            linear = canonical.map @ np.concatenate([q, offsets])
-            force = float(np.abs(linear).max())
-            if force == 0:
-                return Answer(np.zeros(n), np.zeros(offsets.size), 0, "solved")
-            if engine is None:
-                engine = build(linear / force)
-            else:
-                engine.update(q=linear / force)
+        def run(engine: Any) -> Found:
             # its polish reports an empty active set even when it is told to be quiet
             with silence():
                 result = engine.solve(raise_error=False)
-            x = np.array(result.x, dtype=float)
-            if not np.isfinite(x).all() or result.info.status_val not in (1, 2):
-                engine = None  # a workspace that failed once is not used again
-                x = np.nan_to_num(x, nan=0.0, posinf=0.0, neginf=0.0)
-            answer = transposed @ (x * (force / program.stiffness))
-            return Answer(answer[:n], answer[n:], result.info.iter, result.info.status)
+            x, info = np.array(result.x, dtype=float), result.info
+            return Found(x, info.iter, info.status, info.status_val in (1, 2))
 
-        return solve
+        return Workspace(build, run, np.ones(P.shape[0]))
