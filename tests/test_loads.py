@@ -136,7 +136,7 @@ def test_a_black_box_history_may_be_evaluated_but_not_measured():
         (lambda: Separable([Constant(1.0)]), r"terms\[0\] must be a pair"),
         (lambda: Separable([(1.0, [1.0])]), r"terms\[0\]\[0\] must be callable"),
         (lambda: Separable([(Constant(1.0), [[1.0]])]), r"terms\[0\]\[1\] must have one axis"),
-        (lambda: Separable([(Constant(1.0), [])]), r"terms\[0\]\[1\] must not be empty"),
+        (lambda: Separable([(Constant(1.0), [])]), r"terms\[0\]\[1\] must have at least one entry"),
         (
             lambda: Separable([(Constant(1.0), [1.0]), (Constant(1.0), [1.0, 2.0])]),
             r"terms\[1\]\[1\] has 2 entries, terms\[0\]\[1\] has 1",

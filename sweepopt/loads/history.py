@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.checks import HUGE, number, times, vector
+from sweepopt.checks import HUGE, entries, number, times
 from sweepopt.errors import InputError
 
 Array = NDArray[np.float64]
@@ -67,9 +67,7 @@ def numbers(record: object, *names: str) -> None:
 
 
 def frozen_vector(name: str, values: ArrayLike) -> Array:
-    array = vector(name, values)
-    if array.size == 0:
-        raise InputError(f"{name} must not be empty")
+    array = entries(name, values)
     array.setflags(write=False)
     return array
 
