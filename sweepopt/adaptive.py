@@ -24,6 +24,7 @@ from sweepopt.checks import number
 from sweepopt.errors import InputError, Status
 from sweepopt.flow import Flow
 from sweepopt.grids import density, finer_grid, first_grid
+from sweepopt.linalg import EPS
 from sweepopt.march import Run
 from sweepopt.solution import Pass
 from sweepopt.watch import Watch
@@ -40,8 +41,6 @@ LAST = 0.33  # of the steps that are wanted, in the pass before
 MISTRUST = 2.0  # the most that an error counts for where two passes are too far apart
 FIRST = 16  # steps of the first pass
 HIDDEN = 1 / 16  # of a jump of the velocity times the steps beside it: the error of a kink there
-
-EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)

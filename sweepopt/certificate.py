@@ -34,6 +34,7 @@ import numpy as np
 
 from sweepopt.control import divided, time_grid
 from sweepopt.defects import Defects, defects
+from sweepopt.linalg import EPS
 from sweepopt.march import march
 from sweepopt.nodes import Nodes, cubic
 from sweepopt.norms import Norms
@@ -42,7 +43,7 @@ from sweepopt.process import SweepingProcess
 from sweepopt.schemes import SCHEMES
 from sweepopt.states import MEMORY, Keeper, saving
 
-ROUNDING = 64 * np.finfo(float).eps
+SUMMED = 64 * EPS  # what a run's sums round, in units of |u|_A and the root of its steps
 # de Casteljau at 1/2: a cubic's Bernstein coefficients on both halves
 HALVES = np.array([
     [8, 0, 0, 0], [4, 4, 0, 0], [2, 4, 2, 0], [1, 3, 3, 1], [0, 2, 4, 2], [0, 0, 4, 4], [0, 0, 0, 8]
@@ -101,7 +102,7 @@ def error_bound(
     after = _grown(norms, near.t, missed)
     nodes = run.at(near.t)
     apart = _apart(near, missed.slopes, nodes)
-    rounding = ROUNDING * math.sqrt(len(near.t)) * norms.A(near.u).max()
+    rounding = SUMMED * math.sqrt(len(near.t)) * norms.A(near.u).max()
     parts = (len(near.t) - 1) // (len(run.t) - 1)
 
     def on_steps(bound: np.ndarray) -> np.ndarray:

@@ -16,6 +16,8 @@ Matrix: TypeAlias = Any  # np.ndarray or scipy.sparse.csc_array, as `matrix` ret
 
 HUGE = 1e75
 """Numbers beyond this overflow when a few of them are multiplied."""
+TIME_SLACK = 1e-12
+"""Share of the time scale by which a time may miss a node or a range: rounding of t0 + i mu."""
 MOST = 10**9
 """Unknowns: no vector of more of them fits in memory."""
 

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import count, number, vector
+from sweepopt.checks import TIME_SLACK, count, number, vector
 from sweepopt.errors import InputError, StabilityWarning, UnstableStepError, shown
+from sweepopt.linalg import EPS
 from sweepopt.process import SweepingProcess
 from sweepopt.schemes import Scheme
 
@@ -32,11 +33,11 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
     times = vector("steps", steps)
     if times.size < 2 or not (np.diff(times) > 0).all():
         raise InputError("steps must hold at least two strictly increasing times")
-    if end is not None and abs(times[-1] - end) > 1e-12 * abs(times[-1]):
+    if end is not None and abs(times[-1] - end) > TIME_SLACK * abs(times[-1]):
         raise InputError(f"steps end at {times[-1]:g}, but t_end is {end:g}; leave t_end out")
     mus = np.diff(times)
     order = np.argsort(mus, kind="stable")
-    rounding = 4 * np.finfo(float).eps * np.abs(times).max()
+    rounding = 4 * EPS * np.abs(times).max()
     group = np.cumsum(np.diff(mus[order], prepend=mus[order[0]]) > rounding)
     ordered, counts = mus[order], np.bincount(group)
     last = np.cumsum(counts) - 1

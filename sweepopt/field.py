@@ -15,10 +15,10 @@ import numpy as np
 
 from sweepopt.checks import instant, number, vector
 from sweepopt.errors import InputError, VelocityError
+from sweepopt.linalg import EPS
 from sweepopt.loads import Separable
 from sweepopt.plan import make_plan
 from sweepopt.process import EvolutionVI, SweepingProcess, sweeping
-from sweepopt.program import EPS
 from sweepopt.schemes import SCHEMES
 from sweepopt.sets import AnySet, Box, ConvexSet, Moving
 from sweepopt.sets.base import ROUNDING

@@ -9,7 +9,7 @@ import numpy as np
 
 from sweepopt import checks
 from sweepopt.errors import InputError
-from sweepopt.states import TIME_SLACK, States
+from sweepopt.states import States
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class Interpolant:
         times = checks.times("t", t)
         if len(self.t) < 2:
             raise InputError("the run has no complete step to interpolate")
-        slack = TIME_SLACK * max(abs(self.t[0]), abs(self.t[-1]))
+        slack = checks.TIME_SLACK * max(abs(self.t[0]), abs(self.t[-1]))
         bad = ~((times >= self.t[0] - slack) & (times <= self.t[-1] + slack))
         if bad.any():
             raise InputError(

@@ -18,7 +18,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
 from sweepopt.errors import IndefiniteError, SolverRefusedError, brought_by
-from sweepopt.linalg import Factor
+from sweepopt.linalg import PIVOT, Factor
 
 RESIDUAL = 1e-13  # of a solve, in the norm of V
 LIMIT = 1000  # conjugate gradient steps of one solve
@@ -148,7 +148,7 @@ class Multigrid(Factor):
         else:
             root = np.sqrt(diagonals[-1])
             pivots = np.linalg.eigvalsh(self._coarsest / np.outer(root, root))
-            if not pivots[0] > 16 * np.finfo(float).eps:
+            if not pivots[0] > PIVOT:
                 return pivots
         return self._probe()
 

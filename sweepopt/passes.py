@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sweepopt.adaptive import CHECKED, FIRST, STEPS, Adaptive, Refined, refine
-from sweepopt.checks import number, vector
+from sweepopt.checks import TIME_SLACK, number, vector
 from sweepopt.control import evaluation_times, time_grid
 from sweepopt.errors import InputError
 from sweepopt.flow import Flow
@@ -137,7 +137,7 @@ def adapt(
 
 def _apart(cuts: np.ndarray) -> np.ndarray:
     """Breakpoints that differ by rounding are one."""
-    far = np.append(True, np.diff(cuts) > 1e-12 * cuts[-1])
+    far = np.append(True, np.diff(cuts) > TIME_SLACK * cuts[-1])
     far[-1] = True
     kept = cuts[far]
-    return kept if kept[-1] - kept[-2] > 1e-12 * cuts[-1] else np.delete(kept, -2)
+    return kept if kept[-1] - kept[-2] > TIME_SLACK * cuts[-1] else np.delete(kept, -2)

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.alone import in_turn
-from sweepopt.linalg import Factor, euclidean
+from sweepopt.linalg import EPS, Factor, euclidean
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.algebra import Translation
 from sweepopt.sets.base import ROUNDING, Selection
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 POLISHED = 1e-12  # relative certificates above this are worth a polish
 FAR = 100.0  # offsets that are so many times the forces blind solvers, and may be out of reach
-EPS = float(np.finfo(float).eps)
 
 
 class Velocity(NamedTuple):

@@ -33,7 +33,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
-from sweepopt.linalg import UNIT, Elimination
+from sweepopt.linalg import EPS, UNIT, Elimination
 from sweepopt.loads import Constant, Separable
 from sweepopt.precise import Precise, product_error
 from sweepopt.process import SweepingProcess
@@ -41,7 +41,7 @@ from sweepopt.program import is_rounding
 from sweepopt.schemes import Scheme
 from sweepopt.sets import AnySet, ConvexSet, Moving
 
-SAME = 8 * np.finfo(float).eps  # entries of B and rho A may differ by this share
+SAME = 8 * EPS  # entries of B and rho A may differ by this share
 ACCURATE = 1e-10  # |A F - f|_{A^-1} in units of |F|_A: worse solves leave it to the general path
 FLOOR = 1e-3  # of the velocity that the load alone would cause: less counts as this
 Pair = tuple[np.ndarray, np.ndarray]

@@ -11,12 +11,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from sweepopt.checks import vector
+from sweepopt.checks import TIME_SLACK, vector
 from sweepopt.errors import InputError, shown
 from sweepopt.texts import writable
 
-TIME_SLACK = 1e-12
-"""Share of the time scale by which a time may miss a node of the grid: rounding."""
 MEMORY = 4e9
 """Bytes that the kept states may take."""
 

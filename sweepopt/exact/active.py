@@ -19,12 +19,12 @@ import scipy.linalg
 import scipy.optimize
 
 from sweepopt.errors import EmptySetError, SweepoptError
-from sweepopt.exact.curves import EPS
 from sweepopt.exact.forces import Smooth
 from sweepopt.exact.rows import Rows
+from sweepopt.linalg import EPS
 from sweepopt.sets.active_set import least_distance
 
-ROUNDING = 256 * EPS  # of the terms: a smaller coefficient is none
+NOTHING = 256 * EPS  # of the terms: a smaller coefficient is none
 NEAR = 1e3  # roundings by which a row may miss what an event says of it
 ORDERS = 8  # a row undecided by them is taken for redundant
 SPANNED = 1e-10  # the part of a unit row outside of a span that counts as none
@@ -70,7 +70,7 @@ def just_after(rows: Rows, load: Smooth, t: float, u: np.ndarray, touched: np.nd
     undecided = ~rows.frozen
     if rows.rate_independent:
         slack = force[:, 0] - rows.NB @ u
-        undecided &= slack <= ROUNDING * (size[:, 0] + np.abs(rows.NB) @ np.abs(u))
+        undecided &= slack <= NOTHING * (size[:, 0] + np.abs(rows.NB) @ np.abs(u))
         undecided[touched] = ~rows.frozen[touched]
         grown = np.arange(1, ORDERS + 2)
         force, size = grown * force[:, 1:], grown * size[:, 1:]
@@ -99,10 +99,10 @@ class _State:
 
     def decide(self, k: int, force: np.ndarray, size: np.ndarray, touched: np.ndarray) -> None:
         """Solve the program of order k and decide what its signs decide."""
-        rows, s, noise = self.rows, force, ROUNDING * size + self.carried
+        rows, s, noise = self.rows, force, NOTHING * size + self.carried
         if not rows.rate_independent:
             s = s - rows.NB @ self.u
-            noise = noise + ROUNDING * (np.abs(rows.NB) @ np.abs(self.u))
+            noise = noise + NOTHING * (np.abs(rows.NB) @ np.abs(self.u))
         try:
             active = self._program(s, noise)
         except _Cut:
@@ -196,7 +196,7 @@ def _other_corner(
     )
     if found.x is None:
         raise EmptySetError("C(t) becomes empty: its rows contradict")
-    carried = [row for row, y in zip(tight, found.x, strict=True) if y > ROUNDING]
+    carried = [row for row, y in zip(tight, found.x, strict=True) if y > NOTHING]
     chosen = list(rows.fixed)
     for row in [*carried, *holding]:
         if row in chosen:

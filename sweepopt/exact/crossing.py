@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sweepopt.errors import SweepoptError
-from sweepopt.exact.curves import EPS, Curve
+from sweepopt.exact.curves import Curve
+from sweepopt.linalg import EPS
 
 NOISE = 16 * EPS  # of the sum of absolute terms: what a value may be off by
 STEPS = 100_000

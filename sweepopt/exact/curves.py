@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 
-EPS = float(np.finfo(float).eps)
-
 
 @dataclass(frozen=True, eq=False)
 class Basis:

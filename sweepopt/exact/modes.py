@@ -14,7 +14,8 @@ import numpy as np
 import scipy.linalg
 from scipy.linalg import lapack
 
-from sweepopt.exact.curves import EPS, Basis, Curve
+from sweepopt.exact.curves import Basis, Curve
+from sweepopt.linalg import EPS
 
 SLOW = 1.0  # lam * length up to which a mode is a power series: 1 / lam would cancel
 FAST = 1e-2  # of the largest lam

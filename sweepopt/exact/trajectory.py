@@ -14,15 +14,15 @@ from sweepopt import checks
 from sweepopt.errors import InputError
 from sweepopt.exact.active import Active, just_after
 from sweepopt.exact.crossing import first_crossing
-from sweepopt.exact.curves import EPS, Curve
+from sweepopt.exact.curves import Curve
 from sweepopt.exact.forces import Smooth
 from sweepopt.exact.modes import decay, modes, whitening
 from sweepopt.exact.rows import Rows
+from sweepopt.linalg import EPS
 
 PHASES = 100_000
 """Phases of a run, not counting kinks: more are taken for an accumulation of switches."""
 STALLED = 50  # phases in a row that are as short as rounding
-SLACK = 1e-12  # share of the time scale by which a time may miss the run: rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +121,7 @@ class Trajectory:
         """What `look` sees of the phases at the times."""
         times = checks.times("t", t)
         start = self.phases[0].start
-        slack = SLACK * max(abs(start), abs(self.end))
+        slack = checks.TIME_SLACK * max(abs(start), abs(self.end))
         bad = ~((times >= start - slack) & (times <= self.end + slack))
         if bad.any():
             raise InputError(f"t = {times[bad].flat[0]:g} is outside of [{start:g}, {self.end:g}]")

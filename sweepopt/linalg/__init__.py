@@ -7,10 +7,12 @@ from sweepopt.linalg.eigenvalues import (
     largest_ratio,
 )
 from sweepopt.linalg.factor import NEGLIGIBLE, Elimination, Factor
-from sweepopt.linalg.matrices import SMALL, UNIT, dense, euclidean, row_sum
+from sweepopt.linalg.matrices import EPS, PIVOT, SMALL, UNIT, dense, euclidean, row_sum
 
 __all__ = [
+    "EPS",
     "NEGLIGIBLE",
+    "PIVOT",
     "SMALL",
     "UNIT",
     "Elimination",

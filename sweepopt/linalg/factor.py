@@ -15,6 +15,7 @@ from scipy.linalg import lapack  # the plain calls: no checks in the loop
 from sweepopt.checks import Matrix, divisor
 from sweepopt.errors import IndefiniteError, SolverRefusedError
 from sweepopt.linalg.matrices import (
+    PIVOT,
     SMALL,
     UNIT,
     euclidean,
@@ -80,7 +81,7 @@ class Factor:
                 "path='multigrid' (the extra \"speed\")"
             ) from error
         # relative to the diagonal: the test does not depend on units
-        if not pivots.min() > 16 * np.finfo(float).eps:
+        if not pivots.min() > PIVOT:
             raise IndefiniteError(f"{name} must be positive definite; it has an eigenvalue <= 0")
 
     def _factorise_sparse(self) -> np.ndarray:

@@ -9,7 +9,9 @@ import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
 
-UNIT = 0.5 * float(np.finfo(float).eps)
+EPS = float(np.finfo(float).eps)
+UNIT = 0.5 * EPS
+PIVOT = 16 * EPS  # in units of the diagonal: a smaller pivot of a matrix is none
 SMALL = 50  # below this dense eigenvalues are cheaper than Lanczos
 
 

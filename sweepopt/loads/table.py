@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import HUGE, number
+from sweepopt.checks import HUGE, TIME_SLACK, number
 from sweepopt.csvtable import read_columns
 from sweepopt.errors import InputError
 from sweepopt.loads.history import (
@@ -20,9 +20,6 @@ from sweepopt.loads.history import (
     moments,
     variation_through,
 )
-
-TIME_SLACK = 1e-12
-"""Share of the time scale by which a time may miss a table's range: rounding of ``t0 + i mu``."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,13 +18,12 @@ import numpy as np
 from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
 from sweepopt.checks import count
-from sweepopt.linalg import Factor, dense, euclidean
+from sweepopt.linalg import EPS, Factor, dense, euclidean
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.base import binary
 from sweepopt.solvers.base import Answer, Small, Solve
 
-EPS = float(np.finfo(float).eps)
 SMALL = 40  # up to so many slipping entries an inverse is not worth it
 PATIENCE = 5  # steps that may fail to improve on the best one: more are a cycle
 

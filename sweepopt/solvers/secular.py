@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sweepopt.linalg import dense
+from sweepopt.linalg import EPS, dense
 from sweepopt.program import VelocityProgram
 from sweepopt.secular import secular
 from sweepopt.sets import ConvexSet
@@ -52,7 +52,7 @@ class Secular(Small):
         M = dense(program.M.M)
         k, axes = np.linalg.eigh(M)
         # M was factorised: what is smaller is rounding
-        k = np.maximum(k, np.finfo(float).eps * k[-1])
+        k = np.maximum(k, EPS * k[-1])
         back = np.ascontiguousarray(axes.T)
 
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:

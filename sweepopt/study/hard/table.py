@@ -11,6 +11,7 @@ import numpy as np
 
 from sweepopt.errors import PathError, SolverRefusedError, SweepoptError, SweepoptWarning
 from sweepopt.evolve import solve
+from sweepopt.linalg import EPS
 from sweepopt.observers import StepInfo
 from sweepopt.process import SweepingProcess
 from sweepopt.sets import Moving
@@ -23,7 +24,7 @@ from sweepopt.study.hard.exact import Exact, Program
 
 TARGET = 1e-8
 """True error, relative to max(|z*|_M, |M^-1 q|_M), that every step has to meet."""
-SLACK = 16 * float(np.finfo(float).eps)
+SLACK = 16 * EPS
 """What a body may miss that is at rest, relative to the forces: its rule calls this rounding."""
 UNKNOWN = "not known"
 """The answer of a case that 60 digits did not solve: nothing is said of the solvers then."""
