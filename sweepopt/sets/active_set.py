@@ -12,6 +12,7 @@ from sweepopt.errors import EmptySetError
 from sweepopt.sets.base import ROUNDING
 
 DEPENDENT = 1e-14  # the part of a unit row outside of the span of others that counts as none
+EMPTY = "Polyhedron has no point: { w : G w <= h } is empty"
 
 
 class Nearest(NamedTuple):
@@ -25,8 +26,7 @@ def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> Nearest |
     """The shortest u with G u <= slack, exact to rounding on the active set it finds.
 
     Goldfarb and Idnani, A numerically stable dual method for solving strictly convex quadratic
-    programs, Math. Programming 27 (1983), for the identity: the most violated row enters, rows
-    whose multiplier would turn negative leave, and u is solved anew from the active rows.
+    programs, Math. Programming 27 (1983), for the identity.
 
     Parameters
     ----------
@@ -44,70 +44,120 @@ def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> Nearest |
     EmptySetError
         If no u exists: some rows with weights >= 0 add up to 0 <w> <= (negative number).
     """
-    empty = "Polyhedron has no point: { w : G w <= h } is empty"
     lengths = np.sqrt(np.asarray((G * G).sum(axis=1), dtype=float)).ravel()
     if (slack < -rounding)[lengths == 0].any():
-        raise EmptySetError(empty + ", a zero row of G has a negative h")
+        raise EmptySetError(EMPTY + ", a zero row of G has a negative h")
     rows = np.flatnonzero(lengths > 0)
     weights = 1 / lengths[rows]
-    G = (
+    unit = (
         sp.csr_array(sp.diags_array(weights) @ G[rows])
         if sp.issparse(G)
         else (weights[:, None] * G[rows])
     )
-    slack, rounding = weights * slack[rows], weights * rounding[rows]
-    dim = G.shape[1]
-    u = np.zeros(dim)
-    active: list[int] = []
-    multipliers = np.zeros(0)
-    Q, R = np.eye(dim), np.zeros((dim, 0))  # Q R = the active rows, transposed
-    implied: list[int] = []  # rows that follow from the active ones up to rounding
-    seen: set[frozenset[int]] = set()
-    while frozenset(active) not in seen:
-        seen.add(frozenset(active))
-        excess = G @ u - slack
-        over = excess - rounding - ROUNDING * np.linalg.norm(u)
-        over[active + implied] = -np.inf
-        if over.max(initial=-np.inf) <= 0:
-            return Nearest(u, rows[active])
-        new = int(np.argmax(over))
-        row = G[[new]].toarray()[0] if sp.issparse(G) else G[new]
-        entering = 0.0
+    method = _DualMethod(unit, weights * slack[rows], weights * rounding[rows])
+    return Nearest(method.u, rows[method.active]) if method.run() else None
+
+
+class _Step(NamedTuple):
+    """The directions in which multipliers and u go for one more row, and how far.
+
+    Attributes
+    ----------
+    shares : ndarray, shape (k,)
+        What the row is of the active ones: by this their multipliers fall.
+    outside : ndarray, shape (dim - k,)
+        The rest of the row in the columns of Q beside them: by this u moves.
+    full, partial : float
+        The length at which the row holds, and that at which the multiplier `last` is 0.
+    """
+
+    shares: np.ndarray
+    outside: np.ndarray
+    full: float
+    partial: float
+    last: int
+
+
+class _DualMethod:
+    """u, the active rows that hold it and their multipliers; rows of G are unit vectors."""
+
+    def __init__(self, G: Any, slack: np.ndarray, rounding: np.ndarray) -> None:
+        self._G, self._slack, self._rounding = G, slack, rounding
+        dim = G.shape[1]
+        self.u = np.zeros(dim)
+        self.active: list[int] = []
+        self._multipliers = np.zeros(0)
+        self._Q, self._R = np.eye(dim), np.zeros((dim, 0))  # Q R = the active rows, transposed
+        self._implied: list[int] = []  # rows that follow from the active ones up to rounding
+
+    def run(self) -> bool:
+        """The most violated row enters until none is violated; False if rounding keeps it."""
+        seen: set[frozenset[int]] = set()
+        while frozenset(self.active) not in seen:
+            seen.add(frozenset(self.active))
+            new = self._most_violated()
+            if new is None:
+                return True
+            self._enter(new)
+        # an active set came back: rounding turns in circles; good if nothing is really violated
+        return bool((self._G @ self.u - self._slack).max() <= 1e-12 * np.abs(self._slack).max())
+
+    def _most_violated(self) -> int | None:
+        over = self._G @ self.u - self._slack - self._rounding - ROUNDING * np.linalg.norm(self.u)
+        over[self.active + self._implied] = -np.inf
+        return int(np.argmax(over)) if over.max(initial=-np.inf) > 0 else None
+
+    def _enter(self, new: int) -> None:
+        """Partial steps, each of which drops a row, until a full one adds the new row."""
+        row = self._G[[new]].toarray()[0] if sp.issparse(self._G) else self._G[new]
         while True:
-            k = len(active)
-            inside, outside = np.split(Q.T @ row, [k])
-            shares = scipy.linalg.solve_triangular(R[:k], inside)
-            falling = shares > 0
-            limits = np.where(falling, multipliers / np.where(falling, shares, 1.0), np.inf)
-            last = int(np.argmin(limits)) if k else -1
-            longest = float(limits[last]) if k else np.inf
-            free = float(outside @ outside)
-            wanted = float(row @ u - slack[new]) / free if free > DEPENDENT**2 else np.inf
-            length = min(wanted, longest)
+            step = self._step(row, new)
+            length = min(step.full, step.partial)
             if np.isinf(length):
-                # row = sum of shares <= 0 times active rows: a proof that no u exists, or rounding
-                value = slack[new] - shares @ slack[active]
-                if value < -100 * (rounding[new] + np.abs(shares) @ rounding[active]):
-                    raise EmptySetError(empty)
-                implied.append(new)
-                break
-            multipliers = multipliers - length * shares
-            entering += length
-            if np.isfinite(wanted):
-                u = u - length * (Q[:, k:] @ outside)
-            if wanted <= longest:
-                Q, R = _append(Q, R, row)
-                active.append(new)
-                heights = scipy.linalg.solve_triangular(R[: k + 1], slack[active], trans=1)
-                u = Q[:, : k + 1] @ heights
-                multipliers = np.maximum(-scipy.linalg.solve_triangular(R[: k + 1], heights), 0.0)
-                break
-            Q, R = scipy.linalg.qr_delete(Q, R, last, which="col")
-            del active[last]
-            multipliers = np.delete(multipliers, last)
-    # an active set came back: rounding turns in circles; good if nothing is really violated
-    met = (G @ u - slack).max() <= 1e-12 * np.abs(slack).max()
-    return Nearest(u, rows[active]) if met else None
+                self._imply(new, step.shares)
+                return
+            self._multipliers = self._multipliers - length * step.shares
+            if np.isfinite(step.full):
+                self.u = self.u - length * (self._Q[:, len(self.active) :] @ step.outside)
+            if step.full <= step.partial:
+                self._add(new, row)
+                return
+            self._drop(step.last)
+
+    def _step(self, row: np.ndarray, new: int) -> _Step:
+        k = len(self.active)
+        inside, outside = np.split(self._Q.T @ row, [k])
+        shares = scipy.linalg.solve_triangular(self._R[:k], inside)
+        falling = shares > 0
+        limits = np.where(falling, self._multipliers / np.where(falling, shares, 1.0), np.inf)
+        last = int(np.argmin(limits)) if k else -1
+        free, over = float(outside @ outside), float(row @ self.u - self._slack[new])
+        full = over / free if free > DEPENDENT**2 else np.inf
+        return _Step(shares, outside, full, float(limits[last]) if k else np.inf, last)
+
+    def _imply(self, new: int, shares: np.ndarray) -> None:
+        """The row is a sum of shares <= 0 of active ones: a proof that no u exists, or rounding."""
+        slack, rounding = self._slack, self._rounding
+        value = slack[new] - shares @ slack[self.active]
+        if value < -100 * (rounding[new] + np.abs(shares) @ rounding[self.active]):
+            raise EmptySetError(EMPTY)
+        self._implied.append(new)
+
+    def _add(self, new: int, row: np.ndarray) -> None:
+        """One active row more, and u anew from all of them."""
+        self._Q, self._R = _append(self._Q, self._R, row)
+        self.active.append(new)
+        k = len(self.active)
+        R = self._R[:k]
+        heights = scipy.linalg.solve_triangular(R, self._slack[self.active], trans=1)
+        self.u = self._Q[:, :k] @ heights
+        self._multipliers = np.maximum(-scipy.linalg.solve_triangular(R, heights), 0.0)
+
+    def _drop(self, last: int) -> None:
+        """One active row less, whose multiplier is 0."""
+        self._Q, self._R = scipy.linalg.qr_delete(self._Q, self._R, last, which="col")
+        del self.active[last]
+        self._multipliers = np.delete(self._multipliers, last)
 
 
 def _append(Q: np.ndarray, R: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
