@@ -32,7 +32,7 @@ from sweepopt.norms import Norms
 from sweepopt.process import SweepingProcess
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.curves import basis, products, to_bernstein
-from sweepopt.velocity import VelocityOf
+from sweepopt.substitution import VelocityOf
 
 THIRDS = to_bernstein(np.array([0.0, 0.5, 1.0]))
 CHUNK = 2_000_000  # numbers that the points of some steps may take

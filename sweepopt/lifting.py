@@ -20,7 +20,7 @@ from sweepopt.schemes import Scheme
 from sweepopt.sets import Moving, Point
 from sweepopt.states import Keeper, Kept, Lifted, States
 from sweepopt.stepping import Summary, compensated, step
-from sweepopt.velocity import Solved
+from sweepopt.substitution import Solved
 
 
 class _Coefficients(NamedTuple):

@@ -8,7 +8,7 @@ import numpy as np
 
 from sweepopt.process import SweepingProcess
 from sweepopt.sets.curves import basis
-from sweepopt.velocity import VelocityOf
+from sweepopt.substitution import VelocityOf
 
 
 class Nodes(NamedTuple):

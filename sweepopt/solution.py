@@ -16,7 +16,7 @@ from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.states import States
 from sweepopt.statistics import Statistics
-from sweepopt.velocity import VelocityOf
+from sweepopt.substitution import VelocityOf
 
 if TYPE_CHECKING:
     from collections.abc import Callable

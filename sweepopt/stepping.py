@@ -13,8 +13,8 @@ from sweepopt.plan import Factors, Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.program import Velocity
 from sweepopt.schemes import Scheme
+from sweepopt.substitution import Solved
 from sweepopt.unrounded import StateVelocity, matrix, of_state
-from sweepopt.velocity import Solved
 
 PARTS = (2, 4, 8, 16)  # that a step which missed is tried in
 INDEFINITE = "indefinite"  # who answers where M is no matrix of a program

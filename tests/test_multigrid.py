@@ -19,7 +19,7 @@ from sweepopt.multigrid import Multigrid
 from sweepopt.plan import make_plan
 from sweepopt.schemes import SCHEMES
 from sweepopt.solvers.multigrid import MultigridProgram, Step
-from sweepopt.velocity import Solved
+from sweepopt.substitution import Solved
 
 
 def patches(contrast: float):
