@@ -7,20 +7,16 @@ solution is unique, so that a start from somebody's answer favours nobody.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from sweepopt.checks import Matrix
-from sweepopt.errors import InputError, SweepoptError
 from sweepopt.linalg import dense
 from sweepopt.program import untranslated
-from sweepopt.sets import Ball, Balls, Box, ConvexSet, Point
+from sweepopt.sets import ConvexSet
 from sweepopt.study.hard import digits
-
-TURNS = 2000  # changes of the active set
-NEWTON = 15  # steps of Newton's method from one start
-NOISE = 1e-45  # relative: below is rounding of 60 digits
+from sweepopt.study.hard.active import velocity
 
 
 class Exact(NamedTuple):
@@ -89,7 +85,7 @@ class Program:
             self._eliminated[key] = _Condensed(self.M, few)
         condensed = self._eliminated[key]
         forward, pull = condensed.reduce(force)
-        zeta = _small(condensed.N, pull, part, near[few])
+        zeta = velocity(part, condensed.N, pull, near[few])
         z = condensed.recover(forward, zeta)
 
         def dual(w: np.ndarray) -> float:
@@ -135,169 +131,3 @@ class _Condensed:
         z = np.empty(len(self.order), dtype=object)
         z[self.order] = digits.backward(self.L, digits.forward(self.L, force[self.order]) / self.D)
         return z
-
-
-def _small(N: np.ndarray, q: np.ndarray, C: ConvexSet, near: np.ndarray) -> np.ndarray:
-    if isinstance(C, Point):
-        return digits.solve(N, digits.exactly(C.offsets) - q)
-    if isinstance(C, Box):
-        return _in_box(N, q, C, near)
-    if isinstance(C, (Ball, Balls)):
-        return _in_balls(N, q, C, near)
-    return _in_polyhedron(N, q, C)
-
-
-def _in_box(N: np.ndarray, q: np.ndarray, C: Box, near: np.ndarray) -> np.ndarray:
-    """A primal-dual active set; one entry at a time once blocks of them go round."""
-    lower, upper = digits.exactly(C.lower), digits.exactly(C.upper)
-    side = -np.sign(near).astype(int)  # of its bound where an entry slips, 0 where it sticks
-    pinned = C.lower == C.upper
-    for turn in range(TURNS):
-        free = np.flatnonzero((side != 0) | pinned)
-        z = np.full(len(q), q[0] * 0, dtype=object)
-        bound = np.where(side > 0, upper, lower)
-        if free.size:
-            z[free] = digits.solve(N[np.ix_(free, free)], bound[free] - q[free])
-        w = N @ z + q
-        noise = NOISE * (abs(N) @ abs(z) + abs(q))
-        wanted = side.copy()
-        wanted[(side * z > 0) & ~pinned] = 0
-        sticks = (side == 0) & ~pinned
-        wanted[np.flatnonzero(sticks & (w > upper + noise).astype(bool))] = 1
-        wanted[np.flatnonzero(sticks & (w < lower - noise).astype(bool))] = -1
-        changed = np.flatnonzero(wanted != side)
-        if not changed.size:
-            return z
-        changed = changed if turn < 20 else changed[:1]
-        side[changed] = wanted[changed]
-    raise SweepoptError("the exact active set was not found")
-
-
-def _in_polyhedron(N: np.ndarray, q: np.ndarray, C: ConvexSet) -> np.ndarray:
-    """w = q - N G^T y in C with y >= 0: the most violated row enters, rows with y < 0 leave.
-
-    Goldfarb and Idnani's dual method, Math. Programming 27 (1983), in the metric of N^-1: finite,
-    whatever the rows, as those that hold w stay independent.
-    """
-    rows = C.rows()
-    if rows is None:
-        raise InputError(f"no exact velocity is known for a {type(C).__name__}")
-    G, h = digits.exactly(dense(rows[0])), digits.exactly(rows[1])
-    H, start, active = G @ N @ G.T, h - G @ q, np.zeros(0, dtype=int)
-    y, lengths = 0 * h, np.array([digits.sqrt(x) for x in H.diagonal()])
-    for _ in range(TURNS):
-        slack = start + H @ y
-        noise = NOISE * (abs(start) + abs(H) @ abs(y))
-        violated = np.where(slack < -noise, slack / lengths, 0)
-        violated[active] = 0
-        new = int(np.argmin(violated))
-        if not violated[new] < 0:
-            return -(G.T @ y)
-        while new not in active:
-            shares = digits.solve(H[np.ix_(active, active)], H[active, new])
-            free = H[new, new] - H[new, active] @ shares
-            wanted = -slack[new] / free if free > NOISE * H[new, new] else None
-            falling = active[(shares > 0).astype(bool)]
-            limits = y[falling] / shares[(shares > 0).astype(bool)]
-            last = int(np.argmin(limits)) if falling.size else -1
-            if wanted is None and last < 0:
-                raise SweepoptError("C has no point")
-            whole = last < 0 or (wanted is not None and wanted <= limits[last])
-            length = wanted if whole else limits[last]
-            y[active] -= length * shares
-            y[new] += length
-            slack = start + H @ y
-            if whole:
-                active = np.append(active, new)
-            else:
-                y[falling[last]] *= 0
-                active = active[active != falling[last]]
-    raise SweepoptError("the exact active set was not found")
-
-
-class _Balls(NamedTuple):
-    """min 1/2 <N z, z> + <force, z> + sum r_k |z_k| over blocks z_k, `places` of z."""
-
-    N: np.ndarray
-    force: np.ndarray
-    radii: np.ndarray
-    places: list[slice]
-
-    def newton(self, z: np.ndarray) -> np.ndarray | None:
-        """Semismooth steps on w = P_C(w - T z), one T for each ball; None if they go round."""
-        N, unit = self.N, digits.exactly(np.eye(self.places[0].stop))
-        for _ in range(NEWTON):
-            w, dz = N @ z + self.force, -z
-            size = abs(N) @ abs(z) + abs(self.force)
-            J, missed, free, off = N.copy(), w * 0, np.zeros(len(z), dtype=bool), 0
-            for at, r in zip(self.places, self.radii, strict=True):
-                T = N[at, at].trace()
-                v = w[at] - T * z[at]
-                length = digits.sqrt(v @ v)
-                if length > r * (1 + NOISE):
-                    # of w - P(v), with I - P' divided out: what is left is symmetric
-                    across = r / (length - r) * (unit - np.outer(v, v) / length**2)
-                    missed[at] = w[at] - r / length * v
-                    free[at] = True
-                    off += int((abs(missed[at]) > NOISE * size[at]).any())
-                    missed[at] += across @ missed[at]
-                    J[at, at] += T * across
-                else:
-                    off += int(z[at].any())
-            if not off:
-                return z
-            right = -missed[free] - N[np.ix_(free, ~free)] @ dz[~free]
-            dz[free] = digits.solve(J[np.ix_(free, free)], right)
-            z = z + dz
-        return None
-
-    def rounded(self, z: np.ndarray, share: Any) -> np.ndarray:
-        """The minimiser with r sqrt(|z_k|^2 + e_k^2) for r |z_k|, by Newton's method with a search.
-
-        e_k is a share of the velocity that the forces on the ball alone would cause.
-        """
-        e = [share * (r + digits.sqrt(self.force[at] @ self.force[at])) / self.N[at, at].trace()
-             for at, r in zip(self.places, self.radii, strict=True)]  # fmt: skip
-
-        def value(z: np.ndarray) -> Any:
-            roots = [
-                digits.sqrt(z[at] @ z[at] + ek**2) for at, ek in zip(self.places, e, strict=True)
-            ]
-            return z @ (self.N @ z) / 2 + self.force @ z + self.radii @ np.array(roots)
-
-        now = value(z)
-        for _ in range(50):
-            slope, bend = self.N @ z + self.force, self.N.copy()
-            for at, r, ek in zip(self.places, self.radii, e, strict=True):
-                root = digits.sqrt(z[at] @ z[at] + ek**2)
-                slope[at] += r / root * z[at]
-                unit = digits.exactly(np.eye(len(z[at])))
-                bend[at, at] += r / root * (unit - np.outer(z[at], z[at]) / root**2)
-            dz = -digits.solve(bend, slope)
-            gain, length = -(slope @ dz), 1.0
-            while (following := value(z + length * dz)) > now - 0.1 * length * gain:
-                length /= 2
-                if length < 1e-12:
-                    return z
-            z, now = z + length * dz, following
-            if gain <= NOISE * abs(now):
-                break
-        return z
-
-
-def _in_balls(N: np.ndarray, q: np.ndarray, C: Ball | Balls, near: np.ndarray) -> np.ndarray:
-    """Newton's method; where it goes round, from minimisers that come closer and closer."""
-    if isinstance(C, Ball):
-        center, radii, block = C.center, np.array([C.radius]), C.dim
-    else:
-        center, radii, block = np.zeros(C.dim), C.radii, C.block
-    places = [slice(k * block, (k + 1) * block) for k in range(len(radii))]
-    balls = _Balls(N, q - digits.exactly(center), digits.exactly(radii), places)
-    z = digits.exactly(near)
-    found = balls.newton(z)
-    for count in range(1, 40):
-        if found is not None:
-            return found
-        z = balls.rounded(z, digits.exactly(10.0**-count).item())
-        found = balls.newton(z)
-    raise SweepoptError("the exact active set was not found")
