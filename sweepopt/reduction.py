@@ -35,9 +35,10 @@ import scipy.sparse as sp
 from sweepopt.checks import Matrix
 from sweepopt.linalg import EPS, UNIT, Elimination
 from sweepopt.loads import Constant, Separable
-from sweepopt.precise import Precise, product_error
+from sweepopt.precise import Precise
 from sweepopt.process import SweepingProcess
 from sweepopt.program import is_rounding
+from sweepopt.responses import Uneven, accuracy, follow, held
 from sweepopt.schemes import Scheme
 from sweepopt.sets import AnySet, ConvexSet, Moving
 
@@ -103,7 +104,7 @@ class Reduction:
         -------
         ndarray, shape (dim,)
         """
-        u = self._shapes @ alpha + _follow(self._A, zeta - alpha[-1] * self.process.u0)
+        u = self._shapes @ alpha + follow(self._A, zeta - alpha[-1] * self.process.u0)
         u[self._A.unknowns] = zeta  # to the last bit
         return u
 
@@ -178,7 +179,7 @@ class Reduction:
     @cached_property
     def _gram(self) -> np.ndarray:
         shapes = self._shapes.copy()
-        shapes[:, -1] -= _follow(self._A, self.process.u0)
+        shapes[:, -1] -= follow(self._A, self.process.u0)
         return shapes.T @ (self._A.M @ shapes)
 
 
@@ -203,14 +204,14 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
         return motion
     unknowns, terms, moving = motion
     A = Elimination(process.A, unknowns, process.metric.order)
-    held = [_held(A, f) for _, f in terms]
-    load = [(phi, one.pull) for (phi, _), one in zip(terms, held, strict=True)]
+    at_held = [held(A, f) for _, f in terms]
+    load = [(phi, one.pull) for (phi, _), one in zip(terms, at_held, strict=True)]
     small = SweepingProcess(A.N, rho * A.N if rho else None, moving(load), process.u0[unknowns])
-    uneven = _Uneven(A, process.B, rho)
-    share = _accuracy(A, uneven)
+    uneven = Uneven(A, process.B, rho)
+    share = accuracy(A, uneven)
     responses = np.array([A.dual_norm(f) for _, f in terms])
-    errors = np.array([A.dual_norm(one.missed) + A.resolution(one.F) for one in held])
-    shapes = np.column_stack([*(one.F for one in held), process.u0])
+    errors = np.array([A.dual_norm(one.missed) + A.resolution(one.F) for one in at_held])
+    shapes = np.column_stack([*(one.F for one in at_held), process.u0])
     missed = np.array([uneven(F) for F in shapes.T])
     missed[-1] += share * math.sqrt(small.u0 @ (A.N @ small.u0))
     worst = min(ACCURATE, FLOOR * tol)
@@ -220,7 +221,7 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     alpha = Separable(list(zip(histories, np.eye(len(histories)), strict=True)))
     phi = alpha.values(np.array([t]))[0]
     f = sum((c * f for c, (_, f) in zip(phi, terms, strict=False)), np.zeros(A.dim))
-    pull = sum((c * one.pull for c, one in zip(phi, held, strict=False)), 0.0 * unknowns)
+    pull = sum((c * one.pull for c, one in zip(phi, at_held, strict=False)), 0.0 * unknowns)
     left = _left(A, process, f, rho * small.u0, pull) if rho else None
     # alpha_0 = 1 weighs what F_0 misses with rho
     errors = np.append(errors, 0.0 if left is None else left / rho)
@@ -246,78 +247,6 @@ def _left(
     return A.dual_norm(missed)
 
 
-class Held(NamedTuple):
-    """The response F of a body whose contact is held, the force on that, and what F misses."""
-
-    F: np.ndarray
-    pull: np.ndarray
-    missed: np.ndarray
-
-
-def _held(A: Elimination, f: np.ndarray) -> Held:
-    """A F = f but on the contact, F = 0 there; what acts on the few is theirs to the last bit."""
-    few, inner = A.unknowns, f.copy()
-    inner[few] = 0.0
-    nothing = np.zeros(few.size)
-    F, pull = np.zeros(A.dim), nothing
-    for _ in range(2):  # the second one refines
-        missed = A.precisely(-F, inner)
-        missed[few] -= pull
-        if not missed.any():
-            break
-        forward, more = A.reduce(missed)
-        # held at 0, the contact takes the force N E A^-1 r
-        F, pull = F + A.recover(forward, nothing), pull + more
-    missed = A.precisely(-F, inner)
-    missed[few] -= pull
-    return Held(F, f[few] + pull, missed)
-
-
-def _follow(A: Elimination, zeta: np.ndarray) -> np.ndarray:
-    """A^-1 E^T N zeta: how the body follows its contact."""
-    u = A.recover(np.zeros(A.dim), A.N @ zeta)
-    u[A.unknowns] = zeta  # to the last bit: stuck is 0.0
-    return u
-
-
-class _Uneven:
-    """|(M - (1 + gamma rho) A) v|_{A^-1} and |(B - rho A) v|_{A^-1}, relative to the factors.
-
-    B is a multiple of A up to rounding, and A + gamma B is rounded; what that moves grows with the
-    condition of A. The rounding of A + gamma B is that of another multiple of A.
-    """
-
-    OTHER = 4 / 3
-
-    def __init__(self, A: Elimination, B: Matrix | None, rho: float) -> None:
-        self._A = A
-        self._missed = [(1 / self.OTHER, product_error(self.OTHER, A.M))]
-        if B is not None:
-            self._missed.append((1 / rho, (B - rho * A.M) - product_error(rho, A.M)))
-
-    def __call__(self, v: np.ndarray) -> float:
-        return 2 * sum(share * self._A.dual_norm(E @ v) for share, E in self._missed)
-
-
-def _accuracy(A: Elimination, uneven: _Uneven) -> float:
-    """|A v - E^T N d|_{A^-1} / |v|_A of v = A^-1 E^T N d, and what is uneven: twice the worst.
-
-    Of six d: three are given, the others are the displacements under these as forces: smooth ones,
-    of which a badly conditioned A leaves less.
-    """
-    few, worst, precisely = A.unknowns, 0.0, Precise(A.N)
-    m = few.size
-    for force in (np.ones(m), np.cos(np.arange(m) + 1.0), (-1.0) ** np.arange(m)):
-        on_few = np.zeros(A.dim)
-        on_few[few] = force
-        for d in (force, A.solve(on_few)[few]):
-            v, pull = _follow(A, d), np.zeros(A.dim)
-            pull[few] = precisely(d)
-            missed = A.dual_norm(A.precisely(v, -pull)) + A.resolution(v) + uneven(v)
-            worst = max(worst, missed / A.norm(v))
-    return 2 * worst
-
-
 def proportion(A: Matrix, B: Matrix | None) -> float | None:
     """rho with B = rho A to rounding, entry by entry; None if there is none."""
     if B is None:
@@ -330,10 +259,16 @@ def proportion(A: Matrix, B: Matrix | None) -> float | None:
     return rho if difference.max() <= 0 else None
 
 
-def _motion(
-    C: AnySet,
-) -> tuple[np.ndarray, list[tuple[Any, np.ndarray]], Callable[[list[Any]], Moving]] | str:
-    """The selected unknowns, the terms of f and a maker of S(t) + N a(t)."""
+class _Motion(NamedTuple):
+    """The unknowns that E selects, the terms of f, and what makes S(t) + N a(t) of those of a."""
+
+    unknowns: np.ndarray
+    terms: list[tuple[Any, np.ndarray]]
+    moving: Callable[[list[Any]], Moving]
+
+
+def _motion(C: AnySet) -> _Motion | str:
+    """C(t) = f(t) + E^T S(t), or a sentence that says what it lacks."""
     shape, center, scale = C, None, None
     if isinstance(C, Moving):
         shape, center, scale = C.shape, C.center, C.scale
@@ -356,4 +291,4 @@ def _motion(
     def moving(load: list[Any]) -> Moving:
         return Moving(part, Separable(load) if load else None, scale)
 
-    return selection.unknowns, terms, moving
+    return _Motion(selection.unknowns, terms, moving)

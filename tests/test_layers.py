@@ -22,7 +22,7 @@ LEVELS = [
     {"sets"},
     {"states", "multigrid"},
     {"blocks", "interpolant", "process"},
-    {"energy", "fingerprint", "program", "schemes"},
+    {"energy", "fingerprint", "program", "responses", "schemes"},
     {"reduction", "solvers"},
     {"checkpoint", "substitution", "control"},
     {"polish"},
