@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cache
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -87,12 +87,46 @@ def eliminated(M: Elimination, small: VelocityOf) -> SelectedVelocity:
     once, frames the program of the correction: that for zeta again, with N zeta - N E M^-1 r for
     its linear term, as iterative refinement does for linear equations.
     """
-    few = M.unknowns
-    precisely = cache(lambda: Precise(M.N))
+    return _Eliminated(M, small)
 
-    def proven(
-        z: np.ndarray, solved: Solved, load: _Load, linear: np.ndarray, size_q: float
+
+class _Eliminated:
+    def __init__(self, M: Elimination, small: VelocityOf) -> None:
+        self._M, self._small = M, small
+
+    def __call__(self, q: np.ndarray, selection: Selection) -> Solved:
+        M, few, shift = self._M, self._M.unknowns, selection.shift
+        load = _Load(-q, (q,)) if shift is None else _Load(shift - q, (q, -shift))
+        forward, pull = M.reduce(load.force)
+        size_q, linear = M.size(forward), -pull
+        solved = self._small(linear, selection.part)
+        zeta = solved.velocity.z
+        z = M.recover(forward, M.N @ zeta)
+        z[few] = zeta  # to the last bit: stuck is 0.0
+        best = self._proven(z, solved, load, linear, size_q)
+        for _ in range(REFINEMENTS):
+            # nan: no proof, nothing to compare; above 1 there is nothing to refine
+            if not ACCURATE < best.velocity.relative < 1:
+                break
+            forward, pull = M.reduce(-M.precisely(z, *load.missing))
+            linear = self._precisely(-zeta, -pull)
+            solved = self._small(linear, selection.part)
+            z = z + M.recover(forward, M.N @ (solved.velocity.z - zeta))
+            z[few] = zeta = solved.velocity.z
+            refined = self._proven(z, solved, load, linear, size_q)
+            best = min(best, refined, key=lambda one: one.velocity.relative)
+        return best
+
+    @cached_property
+    def _precisely(self) -> Precise:
+        """(zeta, *more) -> N zeta + the others, rounded once."""
+        return Precise(self._M.N)
+
+    def _proven(
+        self, z: np.ndarray, solved: Solved, load: _Load, linear: np.ndarray, size_q: float
     ) -> Solved:
+        """What was solved for zeta as the answer z, with what all of z misses."""
+        M, few = self._M, self._M.unknowns
         force, zeta = load.force, z[few]
         pull = M.N @ zeta + linear
         size_z = math.sqrt(abs(z.dot(force) + zeta.dot(pull)))
@@ -102,37 +136,11 @@ def eliminated(M: Elimination, small: VelocityOf) -> SelectedVelocity:
             rho[few] -= pull
         else:
             on_few, lost = np.zeros_like(z), np.zeros_like(z)
-            on_few[few] = precisely()(zeta, linear)
-            lost[few] = precisely()(zeta, linear, -on_few[few])
+            on_few[few] = self._precisely(zeta, linear)
+            lost[few] = self._precisely(zeta, linear, -on_few[few])
             rho = M.precisely(z, *load.missing, -on_few, -lost)
             rounding *= M.precisely.share
         missed = M.dual_norm_within(rho, ACCURATE * size_z) + rounding
         # N is made of rounded factors
         certificate = M.margin * solved.velocity.certificate + missed
-        velocity = rate(z, certificate, size_z, size_q)
-        return Solved(velocity, solved.solver, solved.iterations, solved.attempts)
-
-    def solve(q: np.ndarray, selection: Selection) -> Solved:
-        shift = selection.shift
-        load = _Load(-q, (q,)) if shift is None else _Load(shift - q, (q, -shift))
-        forward, pull = M.reduce(load.force)
-        size_q, linear = M.size(forward), -pull
-        solved = small(linear, selection.part)
-        zeta = solved.velocity.z
-        z = M.recover(forward, M.N @ zeta)
-        z[few] = zeta  # to the last bit: stuck is 0.0
-        best = proven(z, solved, load, linear, size_q)
-        for _ in range(REFINEMENTS):
-            # nan: no proof, nothing to compare; above 1 there is nothing to refine
-            if not ACCURATE < best.velocity.relative < 1:
-                break
-            forward, pull = M.reduce(-M.precisely(z, *load.missing))
-            linear = precisely()(-zeta, -pull)
-            solved = small(linear, selection.part)
-            z = z + M.recover(forward, M.N @ (solved.velocity.z - zeta))
-            z[few] = zeta = solved.velocity.z
-            refined = proven(z, solved, load, linear, size_q)
-            best = min(best, refined, key=lambda one: one.velocity.relative)
-        return best
-
-    return solve
+        return solved._replace(velocity=rate(z, certificate, size_z, size_q))

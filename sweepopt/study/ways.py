@@ -159,8 +159,9 @@ def smoothed(task: Task, method: Method, share: float) -> Ladder:
     return Ladder(f"{method} on the smoothed law", rungs)
 
 
-def smoothing(task: Task, eps: float = 1e-7) -> float:
-    """eps / error of the smoothed law's own solution."""
+def smoothing(task: Task) -> float:
+    """eps / error of the smoothed law's own solution, for an eps that leaves little error."""
+    eps = 1e-7
     u = solve_smoothed(
         friction_of(task.process), task.times, eps=eps, method="LSODA", rtol=TIGHT,
         max_step=task.t_end / LOOKS,
