@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 STATES = {-1: "slips_backward", 0: "sticks", 1: "slips_forward"}
 
 
-class Statistics(NamedTuple):
+class SlipStatistics(NamedTuple):
     """How much of the contact slips, how often and how far; shares are of its length.
 
     Attributes
@@ -109,13 +109,13 @@ class Slip:
         names = self.contact.boundary
         return [0, *(np.flatnonzero(names[1:] != names[:-1]) + 1).tolist()]
 
-    def statistics(self) -> Statistics:
+    def statistics(self) -> SlipStatistics:
         """The slip statistics of the run."""
         weight = self.contact.weight / self.contact.weight.sum()
         slipping = self.state != 0
         before, after = self.state[:-1], self.state[1:]
         most = int(np.argmax(self.share))
-        return Statistics(
+        return SlipStatistics(
             ever=min(float(slipping.any(axis=0) @ weight), 1.0),
             most=float(self.share[most]),
             time_of_most=float(self.t[most + 1]) if slipping.any() else None,

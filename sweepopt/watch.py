@@ -22,7 +22,7 @@ SPREAD = 0.9  # standard deviations that are added to the error carried along
 BLOCK, BESIDE = 65536, 4  # numbers of the steps that are looked at together, and steps beside them
 
 
-class Nodes(NamedTuple):
+class PassNodes(NamedTuple):
     """States of a pass, a row each, and the errors they are thought to have."""
 
     t: np.ndarray
@@ -40,7 +40,7 @@ class Watch:
     times, cuts : ndarray
         The grid; the start, the breakpoints and the end.
     flow : Flow
-    before : Nodes, optional
+    before : PassNodes, optional
         Of the pass before: where this one is compared with it.
     kept : int
         So many nodes are kept.
@@ -59,7 +59,7 @@ class Watch:
     """
 
     def __init__(
-        self, times: np.ndarray, cuts: np.ndarray, flow: Flow, before: Nodes | None, kept: int
+        self, times: np.ndarray, cuts: np.ndarray, flow: Flow, before: PassNodes | None, kept: int
     ) -> None:
         self._flow, self._times, self._mus = flow, times, np.diff(times)
         self._middle = 0.5 * (times[1:] + times[:-1])
@@ -72,7 +72,7 @@ class Watch:
         self._first = self._done = 0  # the step in the first row; how many were looked at
         self._deviation = 0.0
         self._sizes: list[np.ndarray] = []
-        self._nodes: list[Nodes] = []
+        self._nodes: list[PassNodes] = []
         self.jumps: dict[int, float] = {}
         self.error = self.spread = self.apart = self.expected = self.length = self.size = 0.0
 
@@ -82,9 +82,9 @@ class Watch:
         return np.concatenate(self._sizes)
 
     @property
-    def nodes(self) -> Nodes:
+    def nodes(self) -> PassNodes:
         """The nodes that are kept."""
-        return Nodes(*(np.concatenate(parts) for parts in zip(*self._nodes, strict=True)))
+        return PassNodes(*(np.concatenate(parts) for parts in zip(*self._nodes, strict=True)))
 
     def see(self, i: int, u: np.ndarray, z: np.ndarray) -> None:
         """Take the state after step i and its velocity."""
@@ -154,7 +154,7 @@ class Watch:
         kept = self._kept[(self._kept >= steps[0]) & (self._kept <= steps[-1])]
         if kept.size:
             u = self._u[kept - self._first + 1]
-            self._nodes.append(Nodes(self._times[kept + 1], u, carried[kept - steps[0]]))
+            self._nodes.append(PassNodes(self._times[kept + 1], u, carried[kept - steps[0]]))
             self.size = max(self.size, float(self._flow.norms(u).max()))
 
     def _slopes(self, start: int, stop: int) -> np.ndarray:
