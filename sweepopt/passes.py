@@ -99,32 +99,11 @@ def adapt(
         The last pass; without its run where the steps became too short.
     Refined
     """
-    programs = Velocities(process, plan)
-    last: Walked | None = None
-
-    def walk(times: np.ndarray, watch: Watch) -> Run:
-        nonlocal last, plan, programs
-        times, mus = time_grid(None, times)
-        process.check(evaluation_times(times, mus, plan.scheme))
-        wanted = saving(save, times, plan.entering, memory)
-        keeper = Keeper(wanted.steps, process.u0)
-
-        def look(i: int, u: np.ndarray, z: np.ndarray, _: float) -> None:
-            watch.see(i, u, z)
-            tick()
-
-        run = march(process, plan, times, mus, keeper, look, velocities=programs)
-        first, last = last is None, Walked(times, mus, plan, wanted, keeper, run)
-        asked = max(SHARE * frame.steps.tol / watch.length, EXACT) if watch.length > 0 else 1.0
-        if first and asked < plan.tol:
-            # what the programs miss adds up along the way of u
-            plan = replace(plan, tol=asked)
-            programs = Velocities(process, plan)
-        return run
-
+    walk = _Walk(frame, process, plan, save, memory, tick)
     # two passes' worth of states and errors, a tenth of the memory
     checked = max(min(CHECKED, int(memory / (320.0 * process.dim))), 16)
     refined = refine(frame.steps, frame.cuts, frame.longest, frame.flow, walk, checked)
+    last, plan = walk.last, walk.plan
     assert last is not None
     if refined.failed is None:
         return last, refined
@@ -133,6 +112,47 @@ def adapt(
     if is_times(save):
         save = np.append([t for t in np.ravel(save) if t <= times[-1]], times[-1])
     return Walked(times, mus, plan, saving(save, times, plan.entering, memory)), refined
+
+
+class _Walk:
+    """Moves u along one grid after the other; the first one says what tol the programs need."""
+
+    def __init__(
+        self,
+        frame: Frame,
+        process: SweepingProcess,
+        plan: Plan,
+        save: Any,
+        memory: float,
+        tick: Callable[[], Any],
+    ) -> None:
+        self._frame, self._process, self._tick = frame, process, tick
+        self._save, self._memory = save, memory
+        self._use(plan)
+        self.last: Walked | None = None
+
+    def _use(self, plan: Plan) -> None:
+        self.plan, self._programs = plan, Velocities(self._process, plan)
+
+    def __call__(self, times: np.ndarray, watch: Watch) -> Run:
+        process, plan = self._process, self.plan
+        times, mus = time_grid(None, times)
+        process.check(evaluation_times(times, mus, plan.scheme))
+        wanted = saving(self._save, times, plan.entering, self._memory)
+        keeper = Keeper(wanted.steps, process.u0)
+
+        def look(i: int, u: np.ndarray, z: np.ndarray, _: float) -> None:
+            watch.see(i, u, z)
+            self._tick()
+
+        run = march(process, plan, times, mus, keeper, look, velocities=self._programs)
+        if self.last is None and watch.length > 0:
+            # what the programs miss adds up along the way of u
+            asked = max(SHARE * self._frame.steps.tol / watch.length, EXACT)
+            if asked < plan.tol:
+                self._use(replace(plan, tol=asked))
+        self.last = Walked(times, mus, plan, wanted, keeper, run)
+        return run
 
 
 def _apart(cuts: np.ndarray) -> np.ndarray:
