@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
@@ -193,8 +193,14 @@ def _refused(name: str, value: float, wanted: str) -> InputError:
     )
 
 
-def _first(value: Matrix, found: Callable[[np.ndarray], np.ndarray]) -> tuple[int, int, float]:
-    """Row, column and value of the first stored entry for which `found` holds."""
+class _Entry(NamedTuple):
+    row: int
+    column: int
+    value: float
+
+
+def _first(value: Matrix, found: Callable[[np.ndarray], np.ndarray]) -> _Entry:
+    """The first stored entry for which `found` holds."""
     entries = sp.coo_array(value)
     k = int(np.flatnonzero(found(entries.data))[0])
-    return int(entries.row[k]), int(entries.col[k]), float(entries.data[k])
+    return _Entry(int(entries.row[k]), int(entries.col[k]), float(entries.data[k]))

@@ -186,7 +186,7 @@ class Multigrid(Factor):
         rest = right if start is None else right - self._A @ x
         target, missed = RESIDUAL * self._size(right), self._size(rest)
         while missed > target:
-            dx, *_ = _conjugate_gradients(self._A, self._cycle, rest, target / missed)
+            dx = _conjugate_gradients(self._A, self._cycle, rest, target / missed).x
             # the recursion's residual drifts from the true one: look again
             rest = right - self._A @ (x + dx)
             before, missed = missed, self._size(rest)
@@ -228,10 +228,18 @@ class Multigrid(Factor):
         return dx / self.root, len(alphas)
 
 
+class _Iterated(NamedTuple):
+    """What conjugate gradients found, and their coefficients: those of a Lanczos iteration."""
+
+    x: np.ndarray
+    alphas: list[float]
+    betas: list[float]
+
+
 def _conjugate_gradients(
     A: sp.csr_array, cycle: Cycle, r: np.ndarray, reduction: float
-) -> tuple[np.ndarray, list[float], list[float]]:
-    """x with A x = r on the unknowns of the cycle, and the coefficients of the iteration."""
+) -> _Iterated:
+    """A x = r on the unknowns of the cycle."""
     x, direction = np.zeros_like(r), np.zeros_like(r)
     first = size = 0.0
     alphas: list[float] = []
@@ -241,7 +249,7 @@ def _conjugate_gradients(
         before, size = size, float(r @ y)
         first = first or size
         if 0 <= size <= reduction**2 * first or len(alphas) == LIMIT:
-            return x, alphas, betas
+            return _Iterated(x, alphas, betas)
         betas.append(size / before if before else 0.0)
         direction = y + betas[-1] * direction
         image = A @ direction

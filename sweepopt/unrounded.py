@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -53,6 +54,17 @@ def of_state(process: SweepingProcess, plan: Plan, gamma: float, factors: Factor
     return _Unrounded(process.A, process.B, gamma, factors, velocity, min(ACCURATE, 0.1 * plan.tol))
 
 
+class _Shares(NamedTuple):
+    """What rounding hides of the residual: M z as a share of |z|_M or of |z|, B u of |u|.
+
+    The lengths of z and u are in units of the diagonal of M.
+    """
+
+    of_size: float
+    of_z: float
+    of_u: float
+
+
 class _Unrounded:
     def __init__(
         self,
@@ -84,9 +96,10 @@ class _Unrounded:
 
     def _bound(self, z: np.ndarray, u: np.ndarray, size: float) -> float:
         """At least |d|_{M^-1}, for |z|_M <= size."""
-        root, of_size, of_z, of_u = self._shares
-        of_sum = of_size * size if of_size <= NEGLIGIBLE else of_z * euclidean(root * z)
-        return of_sum + of_u * euclidean(root * u)
+        root, shares = self._M.root, self._shares
+        by_size = shares.of_size <= NEGLIGIBLE
+        of_sum = shares.of_size * size if by_size else shares.of_z * euclidean(root * z)
+        return of_sum + shares.of_u * euclidean(root * u)
 
     @cached_property
     def _M(self) -> Factor:
@@ -94,18 +107,13 @@ class _Unrounded:
         return self._factors.elimination if contact else self._factors.whole
 
     @cached_property
-    def _shares(self) -> tuple[np.ndarray, float, float, float]:
-        """D^1/2, D = diag(M); what M rounds for |z|_M, and M and B u for |z| and |u| in it."""
+    def _shares(self) -> _Shares:
         of_B = row_sum(self._B, self._M.root)
         entries = np.diff(self._B.indptr).max() if sp.issparse(self._B) else len(self._B)
         unit = UNIT * self._M.bound_factor
         of_M = unit * (self._stretch**2 + self._gamma * of_B) if self._gamma else 0.0
-        return (
-            self._M.root,
-            of_M * self._M.bound_factor,
-            of_M,
-            unit * (3 + math.sqrt(entries)) * of_B,
-        )
+        of_u = unit * (3 + math.sqrt(entries)) * of_B
+        return _Shares(of_M * self._M.bound_factor, of_M, of_u)
 
     @cached_property
     def _stretch(self) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from functools import cached_property, partial
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -105,6 +105,15 @@ def follow(
     return run
 
 
+class _Node(NamedTuple):
+    """u, u', its terms and the number of phases that begin in the step that ends there."""
+
+    u: np.ndarray
+    derivative: np.ndarray
+    terms: np.ndarray
+    phases: int
+
+
 class _Nodes:
     """States and left derivatives at the nodes of a grid, a block of them at once."""
 
@@ -112,8 +121,7 @@ class _Nodes:
         self._exact, self._times, self._first = exact, times, -BLOCK
         self._phases = np.searchsorted(times, exact.starts, side="right")
 
-    def __call__(self, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-        """u, u', its terms and the number of phases that begin in the step that ends there."""
+    def __call__(self, i: int) -> _Node:
         if not 0 <= i - self._first < BLOCK:
             self._first = i
             block = self._times[i : i + BLOCK]
@@ -121,7 +129,7 @@ class _Nodes:
             self._u, self._z = self._exact(block), self._exact.velocity(block)
             self._terms = self._exact.seen(block, Phase.terms)
         j = i - self._first
-        return self._u[j], self._z[j], self._terms[j], self._counts[i]
+        return _Node(self._u[j], self._z[j], self._terms[j], self._counts[i])
 
     @cached_property
     def _counts(self) -> list[int]:

@@ -156,14 +156,14 @@ def integrate(rows: Rows, u0: np.ndarray, start: float, end: float) -> Trajector
         touched = np.zeros(0, dtype=int)
         while s < b:
             active = just_after(rows, load, s, u, touched)
-            phase, watched, f = _phase(rows, load, s, b, u, active)
+            phase, watched, signs = _phase(rows, load, s, b, u, active)
             moves = bool(phase.paths.size)
             if before is not None and (
                 set(active.rows) != before[0] or (s == a and (moves or before[1]))
             ):
                 switches.append(s)
             before = set(active.rows), moves
-            found = first_crossing(f, active.orders[watched]) if watched.size else None
+            found = first_crossing(signs, active.orders[watched]) if watched.size else None
             following = b if found is None else s + found.tau
             if b - following <= 4 * EPS * abs(b):
                 following, found = b, None
@@ -178,10 +178,15 @@ def integrate(rows: Rows, u0: np.ndarray, start: float, end: float) -> Trajector
     return Trajectory(phases, end, np.unique(switches))
 
 
-def _phase(
-    rows: Rows, load: Smooth, s: float, b: float, u: np.ndarray, active: Active
-) -> tuple[Phase, np.ndarray, Curve]:
-    """The closed form from s on, the rows that may end it, and their multipliers or slacks."""
+class _Watched(NamedTuple):
+    """The closed form from a time on, the rows that may end it, and their multipliers or slacks."""
+
+    phase: Phase
+    rows: np.ndarray
+    signs: Curve
+
+
+def _phase(rows: Rows, load: Smooth, s: float, b: float, u: np.ndarray, active: Active) -> _Watched:
     d = load.on(s, b - s)
     holding = active.rows
     N = rows.N[holding]
@@ -211,4 +216,4 @@ def _phase(
     if waves.shape[1]:
         slacks[:, -waves.shape[1] :] -= waves
     multipliers = dp.mapped(V[pushing]).weights
-    return phase, watched, Curve(p.basis, np.vstack([multipliers, slacks]))
+    return _Watched(phase, watched, Curve(p.basis, np.vstack([multipliers, slacks])))

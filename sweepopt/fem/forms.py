@@ -8,6 +8,7 @@ J_h(v)  = sum_k w_k g_k |v_k|              (nodes k of Gamma_3)
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -57,19 +58,11 @@ def boundary_load(body: Discretisation, name: str, on: Sequence[str], density: D
     return np.asarray(body.restrict(_load(name, basis, values)))
 
 
-def friction_weights(
-    body: Discretisation, name: str, on: Sequence[str], bound: Datum
-) -> tuple[Indices, Array, Array]:
-    """Nodal quadrature of ``J(v) = int_{Gamma_3} g |v|``.
+class EdgeRule(NamedTuple):
+    """Nodal quadrature on m edges.
 
-    Trapezoid (P1) or Simpson (P2) on every edge, with the length element of a curved edge taken
-    at its nodes. The nodes of the rule are those of the element, so that
-    ``J_h(v) = sum_k w_k g_k |v_k|`` stays separable: the dissipation is a box on the contact
-    unknowns. Where v does not change sign within an edge the error is O(h^2) for P1 and O(h^4)
-    for P2; on edges where it does, O(h^2) of the edge's own share in both, as |v| has a kink.
-
-    Returns
-    -------
+    Attributes
+    ----------
     facets : ndarray, shape (m,)
         Edges of Gamma_3.
     weights : ndarray, shape (m, 2 or 3)
@@ -77,6 +70,21 @@ def friction_weights(
         `mesh.facets`.
     bounds : ndarray, shape (m, 2 or 3)
         g at these nodes.
+    """
+
+    facets: Indices
+    weights: Array
+    bounds: Array
+
+
+def friction_weights(body: Discretisation, name: str, on: Sequence[str], bound: Datum) -> EdgeRule:
+    """Nodal quadrature of ``J(v) = int_{Gamma_3} g |v|``.
+
+    Trapezoid (P1) or Simpson (P2) on every edge, with the length element of a curved edge taken
+    at its nodes. The nodes of the rule are those of the element, so that
+    ``J_h(v) = sum_k w_k g_k |v_k|`` stays separable: the dissipation is a box on the contact
+    unknowns. Where v does not change sign within an edge the error is O(h^2) for P1 and O(h^4)
+    for P2; on edges where it does, O(h^2) of the edge's own share in both, as |v| has a kink.
     """
     facets = body.facets("on", on)
     where, rule = NODES[body.element]
@@ -87,7 +95,8 @@ def friction_weights(
         quadrature=(np.array([where]), np.array(rule)),
     )
     x = np.asarray(basis.global_coordinates())
-    return facets, basis.dx, evaluate(name, bound, x, edge_groups(body, on, facets), FRICTION)
+    bounds = evaluate(name, bound, x, edge_groups(body, on, facets), FRICTION)
+    return EdgeRule(facets, basis.dx, bounds)
 
 
 def edge_groups(body: Discretisation, on: Sequence[str], facets: Indices) -> dict[str, Indices]:
