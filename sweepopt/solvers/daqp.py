@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from sweepopt.errors import MissingExtraError
-from sweepopt.linalg import dense
+from sweepopt.linalg import Factor, dense
 from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.base import binary
@@ -63,44 +63,52 @@ class DAQP(Small):
         """Invert M once; a call updates the linear term and the bounds."""
         if not installed():
             raise MissingExtraError("daqp", "speed")
-        import daqp
+        return _Workspace(program.M)
 
-        n, root = program.M.dim, program.M.root
+
+class _Workspace:
+    """The inverse of M in units of its diagonal, the last bounds and the engine that has them."""
+
+    def __init__(self, M: Factor) -> None:
+        root = M.root
         # in units of the diagonal: the method's tolerances are absolute
-        factor, _ = lapack.dpotrf(dense(program.M.M) / np.outer(root, root), lower=True)
+        factor, _ = lapack.dpotrf(dense(M.M) / np.outer(root, root), lower=True)
         lower = np.tril(lapack.dpotri(factor, lower=True)[0])
-        inverse = np.ascontiguousarray(lower + np.tril(lower, -1).T)
-        no_rows, sense = np.zeros((0, n)), np.zeros(n, dtype=np.int32)
-        far = np.full(n, FAR)
-        engine: Any = None
-        box: ConvexSet | None = None
-        unit, above, below = 0.0, far, -far
+        self._root, self._inverse = root, np.ascontiguousarray(lower + np.tril(lower, -1).T)
+        self._engine: Any = None
+        self._box: ConvexSet | None = None
+        self._unit = 0.0
 
-        def solve(q: np.ndarray, C: ConvexSet) -> Answer:
-            nonlocal engine, box, unit, above, below
-            q = q / root
-            force = binary(np.abs(q).max())
-            linear = -(inverse @ q) / force
-            same = C is box and force == unit
-            if not same:
-                box, unit = C, force
-                bounds = np.array([C.project(far), C.project(-far)]) / root
-                above, below = np.maximum(np.minimum(bounds / force, INFINITE), -INFINITE)
-            if engine is None:
-                engine = daqp.Model()
-                engine.setup(inverse, linear, no_rows, above, below, sense)
-            elif same:
-                engine.update(f=linear)
-            else:
-                engine.update(f=linear, bupper=above, blower=below)
-            w, _, flag, info = engine.solve()
-            if flag != 1:
-                engine = None  # a workspace that failed once is not used again
-                return Answer(np.zeros(n), np.zeros(C.offsets.size), 0, f"failed: flag {flag}")
-            z = (inverse @ (w * force - q)) / root
-            return Answer(z, np.zeros(C.offsets.size), int(info["iterations"]), "solved")
+    def __call__(self, q: np.ndarray, C: ConvexSet) -> Answer:
+        q, nothing = q / self._root, np.zeros(C.offsets.size)
+        force = binary(np.abs(q).max())
+        self._update(-(self._inverse @ q) / force, C, force)
+        w, _, flag, info = self._engine.solve()
+        if flag != 1:
+            self._engine = None  # a workspace that failed once is not used again
+            return Answer(np.zeros_like(q), nothing, 0, f"failed: flag {flag}")
+        z = (self._inverse @ (w * force - q)) / self._root
+        return Answer(z, nothing, int(info["iterations"]), "solved")
 
-        return solve
+    def _update(self, linear: np.ndarray, C: ConvexSet, unit: float) -> None:
+        """The program of this linear term and of C, both in a unit of force."""
+        same = C is self._box and unit == self._unit
+        if same and self._engine is not None:
+            self._engine.update(f=linear)
+            return
+        if not same:
+            self._box, self._unit = C, unit
+            far = np.full(linear.size, FAR)
+            bounds = np.array([C.project(far), C.project(-far)]) / self._root
+            self._above, self._below = np.maximum(np.minimum(bounds / unit, INFINITE), -INFINITE)
+        if self._engine is None:
+            import daqp
+
+            self._engine = daqp.Model()
+            no_rows, sense = np.zeros((0, linear.size)), np.zeros(linear.size, dtype=np.int32)
+            self._engine.setup(self._inverse, linear, no_rows, self._above, self._below, sense)
+        else:
+            self._engine.update(f=linear, bupper=self._above, blower=self._below)
 
 
 @cache
