@@ -69,7 +69,7 @@ class Ladder:
                 best = Solved(velocity, rung.name, answer.iterations, 0)
             if self._is_enough(best.velocity.relative, rung, C):
                 break
-        return best._replace(attempts=k + 1)
+        return Solved(best.velocity, best.solver, best.iterations, k + 1)
 
     def _stated(self, q: np.ndarray, C: ConvexSet) -> Solved:
         """Nothing to compare: the first answer that its solver calls solved stands."""

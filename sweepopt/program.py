@@ -207,17 +207,18 @@ class VelocityProgram:
         size_q = 0.0 if certificate <= POLISHED * size_z else M.dual_norm(q - C.anchor)
         return rate(z, certificate, size_z, size_q)
 
-    def at_rest(self, q: np.ndarray, C: ConvexSet) -> Velocity | None:
+    def at_rest(self, q: np.ndarray, C: Translate) -> Velocity | None:
         """z = 0 exactly, if q is in C: nothing moves.
 
         A force that misses C by rounding counts as inside.
         """
-        few = C.selection
+        c, S = C
+        few = S.selection
         if few is not None:
-            return at_rest_on(q, few, self.M.diagonal)
-        c, S = untranslated(C)
+            shift = c if few.shift is None else few.shift + c
+            return at_rest_on(q, few._replace(shift=shift), self.M.diagonal)
         force = q - c
-        rests = is_rounding(force - S.nearest(force, self.M.diagonal), q, C.anchor)
+        rests = is_rounding(force - S.nearest(force, self.M.diagonal), q, c + S.anchor)
         return Velocity(np.zeros_like(q), 0.0, 0.0) if rests else None
 
 

@@ -67,11 +67,12 @@ class _Programmed:
         self._alone: dict[tuple[int, ...], SelectedVelocity] = {}
 
     def __call__(self, q: np.ndarray, C: ConvexSet) -> Solved:
-        c, S = untranslated(C)
+        translate = untranslated(C)
+        c, S = translate
         ladder = self._ladder_of(S)
         if self._has_formula:
             return Solved(closed_form(self._M, q, C), "closed form", 0, 0)
-        rest = ladder.program.at_rest(q, C)
+        rest = ladder.program.at_rest(q, translate)
         if rest is not None:
             return Solved(rest, "at rest", 0, 0)
         return _without(self._M, self._climbed(ladder, q - c, S), q, c)
