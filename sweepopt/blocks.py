@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from sweepopt.errors import InputError, brought_by
+from sweepopt.files import part_of
 from sweepopt.states import Index
 
 BLOCK = 16e6  # bytes that wait in memory
@@ -30,7 +31,7 @@ class BlockWriter:
     def __init__(self, path: Path, t: float, u0: np.ndarray) -> None:
         h5netcdf = netcdf_package()
         self.path = path
-        self._part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+        self._part = part_of(path)
         self._file = h5netcdf.File(self._part, "w")
         self.run = uuid.uuid4().hex
         self._file.attrs["run"] = self.run

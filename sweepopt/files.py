@@ -25,7 +25,7 @@ def replacing(path: Path, previous: Path | None = None) -> Iterator[Path]:
     previous : Path, optional
         Where the file that was in its place goes.
     """
-    part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    part = part_of(path)
     try:
         yield part
         _force(part, os.O_RDWR)
@@ -36,6 +36,11 @@ def replacing(path: Path, previous: Path | None = None) -> Iterator[Path]:
             _force(path.parent, os.O_RDONLY)
     finally:
         part.unlink(missing_ok=True)
+
+
+def part_of(path: Path) -> Path:
+    """Where this process writes what is to take the place of `path`."""
+    return path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
 
 
 def remove_parts(path: Path) -> None:
