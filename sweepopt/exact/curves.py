@@ -4,9 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+
+
+class Cuts(NamedTuple):
+    """Where the powers, the sines and the cosines of a basis begin."""
+
+    powers: int
+    sines: int
+    cosines: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +39,10 @@ class Basis:
         return np.arange(self.degree + 1)
 
     @property
-    def cuts(self) -> tuple[int, int, int]:
-        """Where the powers, the sines and the cosines begin."""
-        powers = self.rates.size
-        sines = powers + self.degree + 1
-        return powers, sines, sines + self.waves.size
+    def cuts(self) -> Cuts:
+        """Where its parts begin."""
+        sines = self.rates.size + self.degree + 1
+        return Cuts(self.rates.size, sines, sines + self.waves.size)
 
     def at(self, tau: Any) -> np.ndarray:
         """The functions at tau, shape (..., size)."""
@@ -49,7 +56,7 @@ class Basis:
     def bound(self, tau: float) -> np.ndarray:
         """Bounds of their absolute values on [tau, length], shape (size,); 1 for the waves."""
         k = self.rates.size
-        bounds = np.ones(self.cuts[2] + self.waves.size)
+        bounds = np.ones(self.cuts.cosines + self.waves.size)
         bounds[:k] = np.exp(-self.rates * tau)
         return bounds
 

@@ -190,7 +190,7 @@ def _phase(rows: Rows, load: Smooth, s: float, b: float, u: np.ndarray, active: 
     d = load.on(s, b - s)
     holding = active.rows
     N = rows.N[holding]
-    first = d.basis.cuts[0]
+    first = d.basis.cuts.powers
     rest = Curve(d.basis, -d.weights)
     rest.weights[:, first] += rows.NB @ u  # N B u_s - d
     square = np.ix_(holding, holding)
@@ -209,8 +209,7 @@ def _phase(rows: Rows, load: Smooth, s: float, b: float, u: np.ndarray, active: 
     slacks = p.mapped(rows.SB[off][:, holding] @ V).weights
     if not rows.rate_independent:
         slacks = slacks + dp.mapped(rows.S[off][:, holding] @ V).weights
-    _, sines, _ = d.basis.cuts
-    skipped = p.basis.cuts[0]
+    sines, skipped = d.basis.cuts.sines, p.basis.cuts.powers
     powers, waves = rest.weights[off, :sines], rest.weights[off, sines:]
     slacks[:, skipped : skipped + sines] -= powers
     if waves.shape[1]:

@@ -7,7 +7,7 @@ from sweepopt.linalg.eigenvalues import (
     largest_ratio,
 )
 from sweepopt.linalg.factor import NEGLIGIBLE, Elimination, Factor
-from sweepopt.linalg.matrices import EPS, PIVOT, SMALL, UNIT, dense, euclidean, row_sum
+from sweepopt.linalg.matrices import EPS, PIVOT, SMALL, UNIT, dense, euclidean, row_lengths, row_sum
 
 __all__ = [
     "EPS",
@@ -23,5 +23,6 @@ __all__ = [
     "is_semidefinite",
     "largest_eigenvalue",
     "largest_ratio",
+    "row_lengths",
     "row_sum",
 ]

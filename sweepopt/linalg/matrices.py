@@ -20,6 +20,11 @@ def row_sum(M: Matrix, root: np.ndarray) -> float:
     return float((np.asarray(abs(M) @ (1 / root)).ravel() / root).max())
 
 
+def row_lengths(G: Matrix) -> np.ndarray:
+    """The Euclidean length of each row."""
+    return np.sqrt(np.asarray((G * G).sum(axis=1), dtype=float)).ravel()
+
+
 def is_dominant(M: Matrix, slack: float = 0.0) -> bool:
     """Whether no diagonal entry is less than the others of its row: semidefinite (Gershgorin)."""
     diagonal = np.asarray(M.diagonal(), dtype=float)

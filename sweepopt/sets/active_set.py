@@ -9,6 +9,7 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from sweepopt.errors import EmptySetError
+from sweepopt.linalg import row_lengths
 from sweepopt.sets.base import ROUNDING
 
 DEPENDENT = 1e-14  # the part of a unit row outside of the span of others that counts as none
@@ -44,7 +45,7 @@ def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> Nearest |
     EmptySetError
         If no u exists: some rows with weights >= 0 add up to 0 <w> <= (negative number).
     """
-    lengths = np.sqrt(np.asarray((G * G).sum(axis=1), dtype=float)).ravel()
+    lengths = row_lengths(G)
     if (slack < -rounding)[lengths == 0].any():
         raise EmptySetError(EMPTY + ", a zero row of G has a negative h")
     rows = np.flatnonzero(lengths > 0)

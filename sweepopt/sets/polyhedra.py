@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import divisor, matrix, number, vector
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
-from sweepopt.linalg import dense
+from sweepopt.linalg import dense, row_lengths
 from sweepopt.sets.active_set import least_distance, projector
 from sweepopt.sets.base import (
     ROUNDING,
@@ -130,7 +130,7 @@ class Polyhedron(ConvexSet):
         inside = self.project(np.zeros(self.dim))
         slack = np.maximum(self.h - self.G @ inside, 0.0)
         # rows of length 1: HiGHS looks at absolute numbers
-        lengths = np.sqrt(np.asarray((self.G * self.G).sum(axis=1), dtype=float)).ravel()
+        lengths = row_lengths(self.G)
         weights = 1 / np.where(lengths > 0, lengths, 1.0)
         slack = weights * slack
         rows = self.G.T * weights
