@@ -152,7 +152,7 @@ def _on_intervals(
     theta = begin[:, None] + share[:, None] * GAUSS
     pull = force_along(process, near, slopes, i, theta) - center.values
     size = np.broadcast_to(scale.values, pull.shape)
-    aim = pull - norms.steps(moved.shape, h)[:, None] * (basis(2, theta) @ slopes[i])
+    aim = pull - norms.weights(moved.shape, h)[:, None] * (basis(2, theta) @ slopes[i])
     wanted = TO_BERNSTEIN @ np.divide(aim, size, out=np.zeros_like(aim), where=size > 0)
     if norms.still:
         # at the ends without tau v', which jumps there: r must be continuous

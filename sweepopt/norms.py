@@ -42,9 +42,9 @@ class Norms:
         solved = self._metric.solve_many(rows) if rows.any() else rows
         return np.sqrt(np.maximum((rows * solved).sum(axis=1), 0.0)).reshape(w.shape[:-1])
 
-    def steps(self, S: ConvexSet, h: np.ndarray) -> np.ndarray:
+    def weights(self, S: ConvexSet, h: np.ndarray) -> np.ndarray:
         """Weights that bring velocities to the units of forces, shape (len(h), dim)."""
-        weights = S.steps(self._metric.diagonal)
+        weights = S.weights(self._metric.diagonal)
         return np.outer(h if self.still else np.ones_like(h), weights)
 
     def terms(self, data: Data, between: Between) -> tuple[np.ndarray, np.ndarray]:

@@ -276,7 +276,7 @@ def rate(z: np.ndarray, certificate: float, size_z: float, size_q: float) -> Vel
 
 def has_closed_form(M: Factor, C: ConvexSet) -> bool:
     """Whether M is diagonal and the projection in its metric is C's own (box, uniform ball)."""
-    return C.exact and M.is_diagonal and np.array_equal(C.steps(M.diagonal), M.diagonal)
+    return C.exact and M.is_diagonal and np.array_equal(C.weights(M.diagonal), M.diagonal)
 
 
 def closed_form(M: Factor, q: np.ndarray, C: ConvexSet) -> Velocity:

@@ -148,8 +148,8 @@ def is_uneven(C: ConvexSet, diagonal: np.ndarray) -> bool:
     """Whether C has no projection in a metric near the diagonal of M: rows have their own."""
     if C.selection is not None:
         return is_uneven(C.selection.part, diagonal[C.selection.unknowns])
-    steps = C.steps(diagonal) / diagonal
-    return C.rows() is None and bool(steps.max() > UNEVEN**2 * steps.min())
+    weights = C.weights(diagonal) / diagonal
+    return C.rows() is None and bool(weights.max() > UNEVEN**2 * weights.min())
 
 
 def _over(M: Matrix, roots: np.ndarray) -> Matrix:

@@ -66,8 +66,8 @@ class _Similar(ConvexSet):
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         return self.part.derivative(self._back(v))
 
-    def steps(self, tau: np.ndarray) -> np.ndarray:
-        return self.part.steps(tau)
+    def weights(self, tau: np.ndarray) -> np.ndarray:
+        return self.part.weights(tau)
 
     def same_cone(self, other: ConvexSet) -> bool:
         if not isinstance(other, _Similar) or type(self) is not type(other):

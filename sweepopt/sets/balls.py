@@ -146,7 +146,7 @@ class Balls(ConvexSet):
         farthest = np.linalg.norm((np.abs(center) + reach).reshape(-1, self.block), axis=1)
         return Balls(np.minimum(self.radii, farthest), self.block)
 
-    def steps(self, tau: np.ndarray) -> np.ndarray:
+    def weights(self, tau: np.ndarray) -> np.ndarray:
         return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)
 
     def derivative(self, v: np.ndarray) -> np.ndarray:

@@ -162,7 +162,7 @@ class ConvexSet(ABC):
         """v - P_C(v), exactly 0 in C; sets with an unbounded direction compute it in dom sigma."""
         return v - self.project(v)
 
-    def steps(self, tau: np.ndarray) -> np.ndarray:
+    def weights(self, tau: np.ndarray) -> np.ndarray:
         """Positive weights near tau in whose metric `project` is the projection too.
 
         One number for all entries, but for a product of sets one for each factor: every factor
@@ -205,9 +205,9 @@ class ConvexSet(ABC):
         y : ndarray, shape (k,)
             The solver's value of the features; holds the split of an intersection.
         """
-        steps = self.steps(tau)
-        v = w + steps * p
-        return Witness(self.normal(v) / steps, self.project(v), 0.0)
+        weights = self.weights(tau)
+        v = w + weights * p
+        return Witness(self.normal(v) / weights, self.project(v), 0.0)
 
     def gap(self, p: np.ndarray, w: np.ndarray) -> float:
         """sigma(C, p) - <p, w> >= 0 for w in C; zero exactly if p is normal to C at w."""

@@ -45,9 +45,9 @@ class Product(ConvexSet):
             [part.normal(block) for part, block in zip(self.parts, blocks, strict=True)]
         )
 
-    def steps(self, tau: np.ndarray) -> np.ndarray:
+    def weights(self, tau: np.ndarray) -> np.ndarray:
         blocks = np.split(tau, self._cuts)
-        return np.concatenate([part.steps(x) for part, x in zip(self.parts, blocks, strict=True)])
+        return np.concatenate([part.weights(x) for part, x in zip(self.parts, blocks, strict=True)])
 
     def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
         cut = zip(self.parts, np.split(w, self._cuts), np.split(tau, self._cuts), strict=True)

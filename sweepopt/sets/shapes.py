@@ -159,7 +159,7 @@ class Box(ConvexSet):
             constraints.append(p[free] == 0)
         return Features(y, constraints)
 
-    def steps(self, tau: np.ndarray) -> np.ndarray:
+    def weights(self, tau: np.ndarray) -> np.ndarray:
         return tau
 
     def derivative(self, v: np.ndarray) -> np.ndarray:

@@ -82,7 +82,7 @@ class MultigridProgram:
         if rest is not None:
             self._last = self._before = np.zeros(M.dim)
             return Step(rest, 0, 0)
-        T = part.steps(M.diagonal[contact])
+        T = part.weights(M.diagonal[contact])
         size_q = M.dual_norm_floor(force)
         z, best = 2 * self._last - self._before, Velocity(self._last, math.inf, math.inf)
         fewest, stalled, cycles, tight = contact.size + 1, 0, 0, False

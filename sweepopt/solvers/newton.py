@@ -1,6 +1,6 @@
 """A semismooth Newton method for small programs: exact to rounding, warm started.
 
--z in N_C(M z + q) is the equation  w = P_C(w - T z),  w = M z + q, for steps T > 0. With D a
+-z in N_C(M z + q) is the equation  w = P_C(w - T z),  w = M z + q, for weights T > 0. With D a
 generalised derivative of P_C the Newton step solves  (M - D (M - T)) dz = P_C(v) - w. For a box it
 is the primal-dual active-set method: stuck entries get z = 0 at once, slipping ones solve a linear
 system (Hintermueller, Ito, Kunisch, SIAM J. Optim. 13(3), 2002). There an entry does not reverse
@@ -98,22 +98,22 @@ class Iteration:
         self, q: np.ndarray, C: ConvexSet, z: np.ndarray, max_iter: int
     ) -> tuple[np.ndarray, int]:
         """Newton steps from z until nothing changes; returns the last z and their number."""
-        T = C.steps(self._diagonal)
-        if T is not self._steps:
+        T = C.weights(self._diagonal)
+        if T is not self._T:
             self._take(T)
-        weights = self._weights
+        scale = self._scale
         smallest, stalled = math.inf, 0
         for iteration in range(max_iter):
             pulled = T * z
             if self._factor.is_sharp:
-                w, size_z = self.M @ z + q, euclidean(pulled * weights)
+                w, size_z = self.M @ z + q, euclidean(pulled * scale)
             else:
                 w, size_z, _ = self._factor.apply(z, q)
                 size_z *= self._unit
             v = w - pulled
             missed = C.project(v) - w
-            size = euclidean(missed * weights)
-            rounding = EPS * (euclidean(w * weights) + size_z)
+            size = euclidean(missed * scale)
+            rounding = EPS * (euclidean(w * scale) + size_z)
             # at rounding the equation cannot get better: stop when it does not, or when it cycles
             stalled += size >= smallest
             if size <= rounding or (size <= 1e3 * rounding and stalled) or stalled == PATIENCE:
@@ -137,8 +137,8 @@ class Iteration:
     def _take(self, T: np.ndarray) -> None:
         """Roots of T in its own units: the same numbers whatever power of two the units are."""
         unit = binary(T.max())
-        self._steps, self._roots, self._unit = T, np.sqrt(T / unit), math.sqrt(unit)
-        self._weights = 1 / self._roots
+        self._T, self._roots, self._unit = T, np.sqrt(T / unit), math.sqrt(unit)
+        self._scale = 1 / self._roots
 
     def _separable(self, stuck: np.ndarray, z: np.ndarray, missed: np.ndarray) -> np.ndarray:
         """Stuck entries get 0, slipping ones solve M dz = missed; nothing reverses."""
@@ -187,7 +187,7 @@ class Iteration:
         rows = self.M[free]
         rows = rows - D[free] @ self.M + D[free] * T
         right = missed[free] - rows[:, stuck] @ dz[stuck]
-        # in units of the steps: pivots are chosen by size
+        # in units of T: pivots are chosen by size
         units = self._roots[free]
         dz[free] = np.linalg.solve(rows[:, free] / np.outer(units, units), right / units) / units
         return dz
