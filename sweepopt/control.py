@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
 
 from sweepopt.checks import TIME_SLACK, count, number, vector
-from sweepopt.errors import InputError, StabilityWarning, UnstableStepError, shown
+from sweepopt.errors import InputError, StabilityWarning, UnstableStepError, shown, warn
 from sweepopt.linalg import EPS
 from sweepopt.process import SweepingProcess
 from sweepopt.schemes import Scheme
@@ -76,15 +75,14 @@ def check_stability(process: SweepingProcess, scheme: Scheme, mu: float, on_unst
             f"scheme {scheme.name!r} amplifies errors: {remedy}, or say on_unstable='warn'"
         )
     effect = "amplifies errors" if number_ > 2 else "can overshoot into a wrong stuck state"
-    warnings.warn(f"scheme {scheme.name!r} {effect}: {remedy}", StabilityWarning, stacklevel=4)
+    warn(f"scheme {scheme.name!r} {effect}: {remedy}", StabilityWarning)
 
 
 def warn_of_overshoot(scheme: Scheme, t: float) -> None:
     """Tell of a step that decays from outside of C(t) while mu Lam is too large to resolve that."""
-    warnings.warn(
+    warn(
         f"scheme {scheme.name!r} may have overshot into a wrong stuck state in the step from "
         f"t = {t:g}: B u starts far outside of C(t) there and mu Lam is above "
         f"{scheme.overshoots:.3g}; take smaller steps, or implicit-euler, which never does",
         StabilityWarning,
-        stacklevel=4,
     )

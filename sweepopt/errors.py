@@ -6,6 +6,8 @@ a user passes raises goes through as it is.
 
 from __future__ import annotations
 
+import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import Enum
@@ -164,6 +166,14 @@ class VelocityError(SweepoptError):
 
 class SweepoptWarning(UserWarning):
     """Base of every warning of the library."""
+
+
+def warn(message: str, category: type[SweepoptWarning]) -> None:
+    """Warn at the line outside of the library that led here."""
+    level, frame = 1, sys._getframe()
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] == __package__:
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, category, stacklevel=level)
 
 
 class InitialStateWarning(SweepoptWarning):

@@ -9,8 +9,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
+import scipy.sparse as sp
+from scipy.linalg import blas
 
-from sweepopt.checks import is_finite
+from sweepopt.checks import HUGE
 from sweepopt.errors import Status
 from sweepopt.overshoot import longest_safe, overshot
 from sweepopt.plan import Plan
@@ -80,7 +82,7 @@ def march(
     steps = len(mus)
     grid, sizes = _plain(times), _plain(mus)
     velocities = velocities or Velocities(process, plan)
-    safe = longest_safe(process, plan, mus)
+    safe, limit = longest_safe(process, plan, mus), _limit(process)
     run = Run(Log(steps))
     place = Place(process.u0, np.zeros(process.dim))
     u, lost = place if marks is None else marks.begin(run, keeper, place)
@@ -96,7 +98,7 @@ def march(
             if prove is not None and not found.relative > plan.tol:
                 found = prove(i, u, z, found)
             following, lost = compensated(u, mu * z, lost)
-            if found.relative > plan.tol or not is_finite(following):
+            if found.relative > plan.tol or not blas.dnrm2(following) <= limit:
                 run.cause = _cause(process, i, grid[i], found, parts, plan.tol)
                 run.status, run.relative = Status.INEXACT, found.relative
                 break
@@ -139,6 +141,13 @@ def _plain(numbers: np.ndarray) -> array[float]:
     return array("d", np.ascontiguousarray(numbers, dtype=float).tobytes())
 
 
+def _limit(process: SweepingProcess) -> float:
+    """The largest |u| whose forces B u can be squared: a state beyond it has blown up."""
+    B = process.B
+    entries = np.zeros(0) if B is None else B.data if sp.issparse(B) else B.ravel(order="K")
+    return 1e-5 * HUGE / max(blas.dnrm2(entries) if entries.size else 0.0, 1.0)
+
+
 def _overshot(
     process: SweepingProcess,
     plan: Plan,
@@ -166,7 +175,10 @@ def _cause(
     """Where and why a step failed, as far as that can be told."""
     where = f"step {i} from t = {t:g}"
     if not found.relative > tol:
-        return f"{where}: the state is not finite any more; take smaller steps"
+        return (
+            f"{where}: the state grows beyond all numbers, which only errors do that a scheme "
+            "amplifies; take smaller steps or implicit-euler"
+        )
     best = (
         f"the best certificate of {found.attempts} attempts is {found.relative:.2g} of the "
         f"velocity's size, tol is {tol:g}"

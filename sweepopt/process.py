@@ -10,14 +10,13 @@ any solver runs.
 
 from __future__ import annotations
 
-import warnings
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from sweepopt.checks import Matrix, symmetric, vector
-from sweepopt.errors import InitialStateWarning, InputError, VariationWarning, shown
+from sweepopt.errors import InitialStateWarning, InputError, VariationWarning, shown, warn
 from sweepopt.linalg import is_semidefinite, largest_eigenvalue, largest_ratio
 from sweepopt.multigrid import factorise
 from sweepopt.sets import AnySet, ConvexSet, Moving, MovingSet, Point
@@ -170,11 +169,8 @@ class SweepingProcess:
         where = f"B u0 is not in C({t:g}); its distance is {distance:g}"
         if self.rate_independent:
             raise InputError(f"{where}. With A = 0 no solution starts there: change u0")
-        warnings.warn(
-            f"{where}. A is coercive, so the solution exists and starts with a velocity",
-            InitialStateWarning,
-            stacklevel=4,
-        )
+        message = f"{where}. A is coercive, so the solution exists and starts with a velocity"
+        warn(message, InitialStateWarning)
 
     def variation(self, times: np.ndarray) -> float:
         """The variation v(T) of C over a grid: sum of Hausdorff distances of neighbours.
@@ -317,11 +313,10 @@ def sweeping(process: Any) -> SweepingProcess:
 def _check_jump(before: ConvexSet | None, C: ConvexSet, t: float) -> None:
     """Warn of a motion that is not of bounded variation; a change of offsets is a finite one."""
     if before is not None and before.distance_bound(C) == np.inf:
-        warnings.warn(
+        warn(
             f"C(t) jumps by an infinite distance at t = {t:g}: it is not of bounded variation, as "
             "the theory asks; the steps are solved all the same",
             VariationWarning,
-            stacklevel=5,
         )
 
 

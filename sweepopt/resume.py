@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from os import PathLike
 from typing import Any
@@ -18,7 +17,7 @@ from sweepopt.checkpoint import (
     read_stored,
 )
 from sweepopt.control import time_grid
-from sweepopt.errors import CheckpointWarning, DamagedFileError, InputError
+from sweepopt.errors import CheckpointWarning, DamagedFileError, InputError, warn
 from sweepopt.evolve import solve
 from sweepopt.fingerprint import fingerprint
 from sweepopt.observers import StepInfo
@@ -114,11 +113,10 @@ def _newest(checkpoint: Checkpoint) -> Stored:
             stored = read_stored(checkpoint.previous)
         except FileNotFoundError:
             raise damage from None
-        warnings.warn(
+        warn(
             f"{damage}. The run goes on from the checkpoint before it, after step "
             f"{stored.record['run']['done']}",
             CheckpointWarning,
-            stacklevel=3,
         )
         return stored
 
@@ -139,8 +137,7 @@ def _compare(stored: Stored, process: SweepingProcess, times: np.ndarray) -> Non
         if began.get(name) != here.get(name)
     ]
     if changed:
-        warnings.warn(
+        warn(
             f"the run began with other versions, last bits may differ: {', '.join(changed)}",
             CheckpointWarning,
-            stacklevel=3,
         )

@@ -309,8 +309,9 @@ def test_another_form_and_other_versions_are_told(tmp_path: Path) -> None:
     path = tmp_path / "run.npz"
     killed(path)
     rewritten(path, lambda record, _: record["versions"].update(numpy="1.0"))
-    with pytest.warns(so.CheckpointWarning, match=r"numpy 1\.0 -> "):
+    with pytest.warns(so.CheckpointWarning, match=r"numpy 1\.0 -> ") as told:
         so.resume(path, body())
+    assert told[0].filename == __file__
     rewritten(path, lambda record, _: record["versions"].update(numpy=np.__version__))
     rewritten(path, lambda record, _: record.update(plan="another"))
     with pytest.raises(so.InputError, match="planned differently"):
@@ -367,8 +368,9 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before_it(share: float, tmp_p
     path.write_bytes(content[: int(share * len(content))])
     with pytest.raises(so.InputError, match="resume looks"):
         so.solve(process, checkpoint=path, **settings)
-    with pytest.warns(so.CheckpointWarning, match="damaged.*before it, after step 27"):
+    with pytest.warns(so.CheckpointWarning, match="damaged.*before it, after step 27") as told:
         assert same(so.resume(path, process), whole)
+    assert told[0].filename == __file__
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert same(so.resume(path, process), whole)  # it was replaced by a whole one

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -207,15 +208,52 @@ def test_equal_steps_given_as_times_share_one_program() -> None:
     assert len(compiled) == 2
 
 
-def test_a_state_that_overflows_is_no_success() -> None:
-    C = so.Moving(so.Point([0.0]), center=lambda t: [1.0])
-    process = so.SweepingProcess([[1e-3]], [[1.0]], C, [0.0])
-    how = {"t_end": 1e3, "steps": 1000, "scheme": "catching-up", "on_unstable": "ignore"}
-    with pytest.warns(so.InitialStateWarning), np.errstate(over="ignore", invalid="ignore"):
-        sol = so.solve(process, on_failure="stop", **how)
+@pytest.mark.parametrize("stiffness", [1e-12, 1.0, 1e12])
+@pytest.mark.parametrize(
+    "S",
+    [
+        so.Point([0.0, 0.0]),
+        so.Box([-1, -1], [1, 1]),
+        so.Ball([0, 0], 1.0),
+        so.Polyhedron([[1.0, 2.0], [1.0, -1.0], [-1.0, -0.5]], [1.0, 1.0, 1.0]),
+        so.Ball([0, 0], 1.0) + so.Box([-1, -1], [1, 1]),
+    ],
+    ids=lambda S: type(S).__name__,
+)
+def test_a_state_that_blows_up_is_no_success(S: so.ConvexSet, stiffness: float) -> None:
+    load = so.Separable([(so.Sine(1.0, 2.3), stiffness * np.array([30.0, 60.0]))])
+    A, B = stiffness * np.eye(2), stiffness * np.diag([100.0, 200.0])
+    process = so.SweepingProcess(A, B, so.Moving(stiffness * S, load), [0.0, 0.0])
+    how = {"t_end": 100.0, "steps": 1000, "scheme": "catching-up", "on_unstable": "ignore"}
+    sol = so.solve(process, on_failure="stop", **how)
     assert sol.status is so.Status.INEXACT
-    assert "not finite" in sol.message
+    assert "grows beyond all numbers" in sol.message
     assert np.isfinite(sol.u).all()
+    with pytest.raises(so.StepError, match="smaller steps") as failure:
+        so.solve(process, **how)
+    assert np.array_equal(failure.value.u, sol.u[-1])
+
+
+def test_warnings_name_the_line_of_the_user() -> None:
+    process = so.SweepingProcess([[1.0]], [[1.0]], so.Moving(so.Box([-1], [1]), ramp()), [3.0])
+    how = {"t_end": 1.0, "steps": 10}
+    calls: list[Callable[[], object]] = [
+        lambda: so.solve(process, **how),
+        lambda: so.solve(process, **how, error=1.0),
+        lambda: so.solve(process, **how, error=1.0, save="last"),
+        lambda: so.solve(process, t_end=1.0, steps=so.Adaptive(1e-2)),
+        lambda: so.solve(process, t_end=15.0, steps=10, scheme="catching-up"),
+    ]
+    for call in calls:
+        with warnings.catch_warnings(record=True) as seen:
+            warnings.simplefilter("always")
+            call()
+        assert seen
+        assert {w.filename for w in seen} == {__file__}
+
+
+def ramp() -> so.Separable:
+    return so.Separable([(so.Table([0.0, 100.0], [0.0, 100.0]), [1.0])])
 
 
 def test_a_callback_cannot_change_the_run() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import pickle
 import re
 from typing import Any
@@ -734,3 +735,35 @@ def test_rows_that_nothing_can_be_divided_by_are_refused() -> None:
         so.Polyhedron([[1.0, 0.0], [0.0, 5e-324], [0.0, 0.0]], [1.0, 1.0, 0.0])
     with pytest.raises(so.InputError, match="at least one row"):
         so.image(np.zeros((0, 2)), so.Box([-1.0, -1.0], [1.0, 1.0]))
+
+
+def corners(C: so.Polyhedron) -> np.ndarray:
+    """Of a bounded polyhedron, shape (k, dim)."""
+    found = []
+    for rows in itertools.combinations(range(C.h.size), C.dim):
+        G = C.G[list(rows)]
+        if np.linalg.cond(G) < 1e6:
+            found.append(np.linalg.solve(G, C.h[list(rows)]))
+    size = np.abs(C.G) @ np.abs(np.array(found)).T + np.abs(C.h)[:, None]
+    inside = (C.G @ np.array(found).T - C.h[:, None] <= 1e-10 * size).all(axis=0)
+    return np.array(found)[inside]
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_a_pair_of_a_polyhedron_counts_what_it_misses(seed: int) -> None:
+    """tau p is 1e20 times w, which no sum of the two remembers: p is in N_C(w) but for the gap."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 5))
+    G = np.vstack([rng.normal(size=(2, n)), np.eye(n), -np.eye(n)])
+    C = so.Polyhedron(G, rng.uniform(0, 1, len(G)) * rng.integers(2, size=len(G)))
+    p = G.T @ (rng.uniform(0, 5e3, len(G)) * (rng.random(len(G)) < 0.5))
+    w, tau = 1e4 * rng.normal(size=n), 10.0 ** rng.uniform(-2, 18, size=n)
+    pair = C.witness(p, w, tau, np.zeros(len(G)))
+    if pair is None:
+        return  # no proof at all
+    if pair.gap == 0:
+        assert (G @ pair.w <= C.h + 1e-12).all()
+    others = corners(C)
+    missed = others @ pair.p - pair.w @ pair.p
+    size = 1.0 + np.abs(pair.w).max()
+    assert missed.max() <= pair.gap + 1e-12 * np.abs(pair.p).sum() * size

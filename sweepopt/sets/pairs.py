@@ -25,6 +25,7 @@ from sweepopt.sets.base import (
 )
 from sweepopt.sets.iteration import (
     CONFIRMING,
+    QUICK,
     SWEEPS,
     fixed_point,
     normal_by_program,
@@ -133,16 +134,14 @@ class Sum(_Pair):
         rounding = 10.0 if self._nested else 1.0
         like = rounding * np.concatenate([w, start, self.first.project(w - start)])
 
-        def direct() -> np.ndarray | None:
-            near = self._direct(w)
-            return None if near is None else fixed_point(sweep, near, like, CONFIRMING)
-
-        # where a part iterates too, iterations of iterations come last
-        second = direct() if self._nested else None
+        # many iterations come last, and iterations of iterations
+        second = None if self._nested else fixed_point(sweep, start, like, QUICK, slope)
         if second is None:
-            second = fixed_point(sweep, start, like, self._sweeps, slope)
-        if second is None and not self._nested:
-            second = direct()
+            near = self._direct(w)
+            if near is None:
+                second = fixed_point(sweep, start, like, self._sweeps, slope)
+            else:
+                second = fixed_point(sweep, near, like, CONFIRMING)
         return None if second is None else (self.first.project(w - second), second)
 
     def _direct(self, w: np.ndarray) -> np.ndarray | None:

@@ -26,6 +26,8 @@ from sweepopt.sets.iteration import project_by_program
 if TYPE_CHECKING:
     import cvxpy as cp
 
+REFINEMENTS = 3  # of the nearest point of a face: a long way there rounds
+EPS = float(np.finfo(float).eps)
 ACTIVE_DIM = 1000  # up to here the active-set projection is used, beyond a sparse QP
 
 
@@ -45,8 +47,12 @@ class _Face:
 
     def nearest(self, w: np.ndarray) -> np.ndarray:
         """The point of the face nearest to w."""
-        missed = scipy.linalg.solve_triangular(self._R, self.rows @ w - self._h, trans=1)
+        missed = scipy.linalg.solve_triangular(self._R, self.missed(w), trans=1)
         return w - self._units * (self._Q @ missed)
+
+    def missed(self, w: np.ndarray) -> np.ndarray:
+        """By how much w misses the face."""
+        return np.asarray(self.rows @ w - self._h)
 
     def multipliers(self, p: np.ndarray) -> np.ndarray:
         """y with the sum of y_k times the rows nearest to p."""
@@ -187,18 +193,28 @@ class Polyhedron(ConvexSet):
             return None
         inside = v - tau * found.normal
         if not found.active.size:
-            faces, normal = (w, inside), found.normal
-        else:
-            # v is rounded where tau * p is large beside w: on the face of the normal w and p are,
-            # once more
-            face = _Face(dense(self.G[found.active]), self.h[found.active], np.sqrt(tau))
-            faces = face.nearest(w), face.nearest(inside)
-            multipliers = face.multipliers(p)
-            normal = face.rows.T @ multipliers if (multipliers >= 0).all() else found.normal
-        for on_face in faces:
-            if (self.h - self.G @ on_face >= -self._rounding(on_face)).all():
-                return Witness(normal, on_face, 0.0)
-        return Witness(normal, inside, 0.0)
+            is_in = self._has(w, found.active, w)
+            return Witness(found.normal, w if is_in else inside, 0.0)
+        # v is rounded where tau * p is large beside w: on the face of the normal w and p are, once
+        # more
+        face = _Face(dense(self.G[found.active]), self.h[found.active], np.sqrt(tau))
+        multipliers = face.multipliers(p)
+        if (multipliers < 0).any():
+            multipliers = np.maximum(face.multipliers(found.normal), 0.0)
+        normal = face.rows.T @ multipliers
+        for start in (w, inside):
+            on_face = start
+            for _ in range(REFINEMENTS):
+                on_face = face.nearest(on_face)
+                if self._has(on_face, found.active, start):
+                    return Witness(normal, on_face, 0.0)
+        return Witness(normal, inside, float(multipliers @ np.abs(face.missed(inside))))
+
+    def _has(self, w: np.ndarray, active: np.ndarray, start: np.ndarray) -> bool:
+        """Whether w is in C, and on the rows that are active, but for rounding on the way there."""
+        slack = self.h - self.G @ w
+        rounding = self._rounding(np.abs(w) + EPS * np.abs(start))
+        return bool((slack >= -rounding).all() and (slack <= rounding)[active].all())
 
     def _rounding(self, w: np.ndarray) -> np.ndarray:
         return ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(w))
