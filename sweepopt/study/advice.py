@@ -44,13 +44,13 @@ def advice(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
     return pd.DataFrame(found, columns=columns)
 
 
-def summary(table: DataFrame) -> str:
+def summary(table: DataFrame, targets: Sequence[float] = TARGETS) -> str:
     """The advice as text, a line a problem, and the failures below."""
-    chosen = advice(table)
-    lines = [["relative error", *(f"{target:g}" for target in TARGETS)]]
+    chosen = advice(table, targets)
+    lines = [["relative error", *(f"{target:g}" for target in targets)]]
     for problem in table.problem.unique():
         cells = [
-            chosen[(chosen.problem == problem) & (chosen.target == target)] for target in TARGETS
+            chosen[(chosen.problem == problem) & (chosen.target == target)] for target in targets
         ]
         lines.append([problem, *(_said(cell.iloc[0]) if len(cell) else "-" for cell in cells)])
     text = aligned(lines)
