@@ -23,7 +23,16 @@ class Nearest(NamedTuple):
     active: np.ndarray
 
 
-def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> Nearest | None:
+class Near(NamedTuple):
+    """The slack at a point from which there is less way to go than u, and what rounding it has."""
+
+    slack: np.ndarray
+    rounding: np.ndarray
+
+
+def least_distance(
+    G: Any, slack: np.ndarray, rounding: np.ndarray, near: Near | None = None
+) -> Nearest | None:
     """The shortest u with G u <= slack, exact to rounding on the active set it finds.
 
     Goldfarb and Idnani, A numerically stable dual method for solving strictly convex quadratic
@@ -34,6 +43,9 @@ def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> Nearest |
     G : ndarray or sparse, shape (m, dim)
     slack, rounding : ndarray, shape (m,)
         Right hand side, and how much of it is rounding: a smaller violation is none.
+    near : Near, optional
+        Of rows that the rounding of u hides, the point nearest to this one on the face of the
+        active ones tells.
 
     Returns
     -------
@@ -55,7 +67,8 @@ def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> Nearest |
         if sp.issparse(G)
         else (weights[:, None] * G[rows])
     )
-    method = _DualMethod(unit, weights * slack[rows], weights * rounding[rows])
+    near = None if near is None else Near(*(weights * part[rows] for part in near))
+    method = _DualMethod(unit, weights * slack[rows], weights * rounding[rows], near)
     return Nearest(method.u, rows[method.active]) if method.run() else None
 
 
@@ -82,8 +95,8 @@ class _Step(NamedTuple):
 class _DualMethod:
     """u, the active rows that hold it and their multipliers; rows of G are unit vectors."""
 
-    def __init__(self, G: Any, slack: np.ndarray, rounding: np.ndarray) -> None:
-        self._G, self._slack, self._rounding = G, slack, rounding
+    def __init__(self, G: Any, slack: np.ndarray, rounding: np.ndarray, near: Near | None) -> None:
+        self._G, self._slack, self._rounding, self._near = G, slack, rounding, near
         dim = G.shape[1]
         self.u = np.zeros(dim)
         self.active: list[int] = []
@@ -101,12 +114,29 @@ class _DualMethod:
                 return True
             self._enter(new)
         # an active set came back: rounding turns in circles; good if nothing is really violated
-        return bool((self._G @ self.u - self._slack).max() <= 1e-12 * np.abs(self._slack).max())
+        excess = self._G @ self.u - self._slack
+        return bool((excess <= np.maximum(self._hidden(), 1e-12 * np.abs(self._slack).max())).all())
 
     def _most_violated(self) -> int | None:
-        over = self._G @ self.u - self._slack - self._rounding - ROUNDING * np.linalg.norm(self.u)
+        excess = self._G @ self.u - self._slack
+        hidden = self._hidden()
+        over = excess - hidden
         over[self.active + self._implied] = -np.inf
+        if over.max(initial=-np.inf) <= 0 and self._near is not None:
+            hides = (excess >= -hidden) & np.isfinite(over)
+            over = np.where(hides, self._over(self._near), -np.inf)
         return int(np.argmax(over)) if over.max(initial=-np.inf) > 0 else None
+
+    def _hidden(self) -> np.ndarray:
+        """What rounding of the rows and of u hides of a violation."""
+        return np.asarray(self._rounding + ROUNDING * np.linalg.norm(self.u))
+
+    def _over(self, near: Near) -> np.ndarray:
+        """By how much rows are violated at the point of the face that is nearest to another one."""
+        k = len(self.active)
+        heights = scipy.linalg.solve_triangular(self._R[:k], near.slack[self.active], trans=1)
+        way = self._Q[:, :k] @ heights
+        return self._G @ way - near.slack - near.rounding - ROUNDING * np.linalg.norm(way)
 
     def _enter(self, new: int) -> None:
         """Partial steps, each of which drops a row, until a full one adds the new row."""
@@ -132,7 +162,7 @@ class _DualMethod:
         falling = shares > 0
         limits = np.where(falling, self._multipliers / np.where(falling, shares, 1.0), np.inf)
         last = int(np.argmin(limits)) if k else -1
-        free, over = float(outside @ outside), float(row @ self.u - self._slack[new])
+        free, over = float(outside @ outside), max(float(row @ self.u - self._slack[new]), 0.0)
         full = over / free if free > DEPENDENT**2 else np.inf
         return _Step(shares, outside, full, float(limits[last]) if k else np.inf, last)
 

@@ -11,8 +11,8 @@ import scipy.sparse as sp
 
 from sweepopt.checks import divisor, matrix, number, vector
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
-from sweepopt.linalg import dense, row_lengths
-from sweepopt.sets.active_set import least_distance, projector
+from sweepopt.linalg import EPS, dense, row_lengths
+from sweepopt.sets.active_set import Near, least_distance, projector
 from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
@@ -26,8 +26,7 @@ from sweepopt.sets.iteration import project_by_program
 if TYPE_CHECKING:
     import cvxpy as cp
 
-REFINEMENTS = 3  # of the nearest point of a face: a long way there rounds
-EPS = float(np.finfo(float).eps)
+REFINEMENTS = 3  # of a face, and of its nearest point: a long way there rounds
 ACTIVE_DIM = 1000  # up to here the active-set projection is used, beyond a sparse QP
 
 
@@ -159,10 +158,13 @@ class Polyhedron(ConvexSet):
         exact = self._exact_normal(v, np.ones(self.dim))
         return v - project_by_program(self, v) if exact is None else exact.normal
 
-    def _exact_normal(self, v: np.ndarray, tau: np.ndarray) -> _Normal | None:
+    def _exact_normal(
+        self, v: np.ndarray, tau: np.ndarray, near: np.ndarray | None = None
+    ) -> _Normal | None:
         """(v - w) / tau from the active rows, w the nearest point in the metric of 1 / tau.
 
-        None in large dimensions and where the rows are not found.
+        None in large dimensions and where the rows are not found. Where v is far away, a point
+        `near` w tells rows that rounding of v hides.
         """
         slack = self.h - self.G @ v
         if (slack >= 0).all():
@@ -171,7 +173,8 @@ class Polyhedron(ConvexSet):
             return None
         units = np.sqrt(tau)
         G = self.G @ sp.diags_array(units) if sp.issparse(self.G) else self.G * units
-        found = least_distance(G, slack, self._rounding(v))
+        beside = None if near is None else Near(self.h - self.G @ near, self._rounding(near))
+        found = least_distance(G, slack, self._rounding(v), beside)
         return None if found is None else _Normal(0.0 - found.u / units, found.active)
 
     def project(self, w: np.ndarray) -> np.ndarray:
@@ -187,27 +190,27 @@ class Polyhedron(ConvexSet):
     def witness(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:
-        v = w + tau * p
-        found = self._exact_normal(v, tau)
-        if found is None:
-            return None
-        inside = v - tau * found.normal
-        if not found.active.size:
-            is_in = self._has(w, found.active, w)
-            return Witness(found.normal, w if is_in else inside, 0.0)
-        # v is rounded where tau * p is large beside w: on the face of the normal w and p are, once
-        # more
-        face = _Face(dense(self.G[found.active]), self.h[found.active], np.sqrt(tau))
-        multipliers = face.multipliers(p)
-        if (multipliers < 0).any():
-            multipliers = np.maximum(face.multipliers(found.normal), 0.0)
-        normal = face.rows.T @ multipliers
-        for start in (w, inside):
-            on_face = start
-            for _ in range(REFINEMENTS):
-                on_face = face.nearest(on_face)
-                if self._has(on_face, found.active, start):
-                    return Witness(normal, on_face, 0.0)
+        v, near = w + tau * p, w
+        for _ in range(REFINEMENTS):
+            found = self._exact_normal(v, tau, near)
+            if found is None:
+                return None
+            inside = v - tau * found.normal
+            if not found.active.size:
+                return Witness(found.normal, w if self._has(w, found.active, w) else inside, 0.0)
+            # v is rounded where tau * p is large beside w: on the face of the normal w and p are,
+            # once more
+            face = _Face(dense(self.G[found.active]), self.h[found.active], np.sqrt(tau))
+            multipliers = face.multipliers(p)
+            if (multipliers < 0).any():
+                multipliers = np.maximum(face.multipliers(found.normal), 0.0)
+            normal = face.rows.T @ multipliers
+            for start in (w, inside):
+                near = start
+                for _ in range(REFINEMENTS):
+                    near = face.nearest(near)
+                    if self._has(near, found.active, start):
+                        return Witness(normal, near, 0.0)
         return Witness(normal, inside, float(multipliers @ np.abs(face.missed(inside))))
 
     def _has(self, w: np.ndarray, active: np.ndarray, start: np.ndarray) -> bool:
@@ -294,7 +297,9 @@ class HalfSpace(Polyhedron):
             return float("inf")
         return factor * self.offset
 
-    def _exact_normal(self, v: np.ndarray, tau: np.ndarray) -> _Normal:
+    def _exact_normal(
+        self, v: np.ndarray, tau: np.ndarray, near: np.ndarray | None = None
+    ) -> _Normal:
         row = self.G[0]
         length = float(np.linalg.norm(row * np.sqrt(tau)))
         excess = float(row @ v) - self.offset
