@@ -708,7 +708,7 @@ def test_sums_and_images_of_rows_are_met_at_once(monkeypatch: pytest.MonkeyPatch
     for C in (half + wide, 0.5 * (half + wide) + np.ones(5), so.image(np.eye(5)[:3], half + wide)):
         v = 9 * random.normal(size=C.dim)
         w, calls = C.project(v), 0
-        p = v - C.project(v)
+        p = C.normal(v)
         assert calls < 100
         assert C.support(p) - p @ w <= 1e-12 * np.linalg.norm(p) * np.linalg.norm(v)
 
@@ -726,7 +726,8 @@ def test_sets_of_many_unknowns_are_not_lifted_to_dense_matrices() -> None:
         wide + so.HalfSpace(np.ones(5), 1.0),
         2.0 * -large + np.ones(4000),
     ):
-        assert C.lifted() is None
+        form = C.flat()
+        assert form is None or form.lifted() is None
 
 
 def test_rows_that_nothing_can_be_divided_by_are_refused() -> None:

@@ -21,7 +21,6 @@ from sweepopt.sets.base import (
     Companion,
     ConvexSet,
     Features,
-    Lifted,
     Selection,
     Sphere,
     Witness,
@@ -33,6 +32,8 @@ from sweepopt.sets.shapes import Box, Point
 
 if TYPE_CHECKING:
     import cvxpy as cp
+
+    from sweepopt.sets.flat import Flat
 
 
 class _Similar(ConvexSet):
@@ -144,8 +145,8 @@ class Translation(_Similar):
         found = self.part.rows()
         return found and (found[0], found[1] + found[0] @ self.v)
 
-    def lifted(self) -> Lifted | None:
-        found = self.part.lifted()
+    def flat(self) -> Flat | None:
+        found = self.part.flat()
         return found and found._replace(c=found.c + self.v)
 
     def magnitude(self) -> float:
@@ -206,8 +207,8 @@ class Scaling(_Similar):
         found = self.part.rows()
         return found and (found[0], self.factor * found[1])
 
-    def lifted(self) -> Lifted | None:
-        found = self.part.lifted()
+    def flat(self) -> Flat | None:
+        found = self.part.flat()
         return found and found._replace(c=self.factor * found.c, E=self.factor * found.E)
 
     def magnitude(self) -> float:
@@ -277,8 +278,8 @@ class Negation(_Similar):
         found = self.part.rows()
         return found and (-found[0], found[1])
 
-    def lifted(self) -> Lifted | None:
-        found = self.part.lifted()
+    def flat(self) -> Flat | None:
+        found = self.part.flat()
         return found and found._replace(c=-found.c, E=-found.E)
 
     def magnitude(self) -> float:

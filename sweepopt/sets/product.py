@@ -10,6 +10,7 @@ import scipy.linalg
 from sweepopt.checks import vector
 from sweepopt.errors import InputError
 from sweepopt.sets.base import Companion, ConvexSet, Features, Witness
+from sweepopt.sets.flat import Flat
 from sweepopt.sets.moving import MovingSet
 from sweepopt.sets.shapes import Box, Point
 
@@ -101,6 +102,9 @@ class Product(ConvexSet):
         cut = (np.split(x, self._cuts, axis=1) for x in (p, w))
         each = zip(self.parts, *cut, strict=True)
         return Companion.beside(part.companion(a, b, ratio) for part, a, b in each)
+
+    def flat(self) -> Flat | None:
+        return Flat.beside(self.parts)
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (
