@@ -201,7 +201,10 @@ class Scaling(_Similar):
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:
         found = self.part.witness(p, w / self.factor, tau / self.factor, y)
-        return found and Witness(found.p, self.factor * found.w, self.factor * found.gap)
+        if found is None:
+            return None
+        lost = found.lost and found.lost._replace(w=self.factor * found.lost.w)
+        return Witness(found.p, self.factor * found.w, self.factor * found.gap, lost)
 
     def rows(self) -> tuple[Any, np.ndarray] | None:
         found = self.part.rows()
@@ -272,7 +275,7 @@ class Negation(_Similar):
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:
         found = self.part.witness(-p, -w, tau, y)
-        return found and Witness(-found.p, -found.w, found.gap)
+        return found and found._replace(p=-found.p, w=-found.w)
 
     def rows(self) -> tuple[Any, np.ndarray] | None:
         found = self.part.rows()

@@ -44,12 +44,24 @@ class Features(NamedTuple):
     constraints: list[cp.Constraint]
 
 
+class Lost(NamedTuple):
+    """Bounds, entry by entry, of what rounding moves w and p of a pair."""
+
+    w: np.ndarray
+    p: np.ndarray
+
+
 class Witness(NamedTuple):
-    """A point w of C, a p with finite sigma(C, p), and gap >= sigma(C, p) - <p, w> >= 0."""
+    """A point w of C, a p with finite sigma(C, p), and gap >= sigma(C, p) - <p, w> >= 0.
+
+    Both may be rounded: then a pair for which this is true is as near as `lost` says, to first
+    order. None where that is nothing but the last digits of w and p.
+    """
 
     p: np.ndarray
     w: np.ndarray
     gap: float
+    lost: Lost | None = None
 
 
 class Selection(NamedTuple):

@@ -18,13 +18,16 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg
 
-from sweepopt.sets.base import DENSE, ROUNDING, ConvexSet, binary
+from sweepopt.sets.base import DENSE, ROUNDING, ConvexSet, Lost, binary
 from sweepopt.sets.iteration import fixed_point
 from sweepopt.sets.nearest import Lifted, nearest_on_rows
+from sweepopt.sets.shapes import Box
 
 DEPENDENT = 1e-13  # singular values that are no more than this share of the largest are rounding
+LAST = 2 * float(np.finfo(float).eps)  # what one number of many is rounded
+LIGHT = 1e-4  # columns of what should move little, beside what may
 # sweeps to try, and what counts as rounding of the data: parts may be projected on less exactly
-EFFORTS = ((40, 1.0), (300, 10.0))
+EFFORTS = ((40, 1.0), (300, 10.0), (100, 1e3))
 
 
 class Flat(NamedTuple):
@@ -113,6 +116,17 @@ class Near(NamedTuple):
         """s as the parts see it."""
         return self.s / self.splitting.units
 
+    def lost(self, p: np.ndarray, step: float) -> Lost:
+        """How far w and p / step, p near v - w, are from a pair at most."""
+        found = self.splitting.lost(self, p)
+        return rounded(self.v, step) if found is None else found._replace(p=found.p / step)
+
+
+def rounded(v: np.ndarray, step: float) -> Lost:
+    """The same where nothing is known but v, of which w and step * p are parts."""
+    lost = np.full(v.size, 10 * ROUNDING * np.abs(v).max())
+    return Lost(lost, lost / step)
+
 
 class Normal(NamedTuple):
     """p and lam with E^T p - F^T lam normal to the parts."""
@@ -171,7 +185,7 @@ class Splitting:
             return None if D is None else one + D @ (2 * self._K - one) - self._K
 
         pulled = np.abs(self.E).max() * np.concatenate([v, self.flat.c])
-        like = rounding * np.concatenate([pulled, self.start])
+        like = rounding * np.concatenate([pulled, self.start, x])
         found = fixed_point(step, x, like, sweeps, slope)
         if found is None:
             return None
@@ -195,6 +209,47 @@ class Splitting:
         """Those of the parts, computed by the parts."""
         return np.concatenate([unit * part.normal(x) for part, x, unit in self._each(near.image)])
 
+    def lost(self, near: Near, p: np.ndarray) -> Lost | None:
+        """How far w and p are from a pair, to first order; None where parts have no derivative.
+
+        A part's point s and its normal n move along its normals by  ds = D dx, dn = (I - D) dx. The
+        dx, dlam and the small dw, dp that make  n = E^T p - F^T lam,  F s = g  and  w = c + E s
+        true are linear in what these miss, which is known but for rounding.
+        """
+        D = self._derivative(near.image)
+        if D is None:
+            return None
+        s, n, E, F = near.s, near.image - near.s, self.E, self.F
+        multipliers = np.linalg.lstsq(F.T, E.T @ p - n, rcond=DEPENDENT)[0]
+        turns = np.eye(s.size) - D
+        if not p.any():  # which is normal everywhere
+            n, multipliers, turns = 0 * n, 0 * multipliers, 0 * turns
+        blur = np.concatenate(
+            [
+                np.full(x.size, 0.0 if isinstance(part, Box) else unit * np.abs(x).max())
+                for part, x, unit in self._each(near.image)
+            ]
+        )
+        sizes = np.abs(s) + blur
+        forces = np.abs(E.T) @ np.abs(p) + np.abs(F.T) @ np.abs(multipliers) + p.any() * blur
+        missed = np.concatenate(
+            [
+                np.abs(n - E.T @ p + F.T @ multipliers) + LAST * forces,
+                np.abs(F @ s - self.flat.g) + LAST * (np.abs(F) @ sizes + np.abs(self.flat.g)),
+                LAST * (np.abs(E) @ sizes + np.abs(self.flat.c)),
+            ]
+        )
+        m, k = F.shape[0], p.size
+        system = np.block(
+            [
+                [turns, F.T, np.zeros((s.size, k)), -LIGHT * E.T],
+                [F @ D, np.zeros((m, m + 2 * k))],
+                [E @ D, np.zeros((k, m)), -LIGHT * np.eye(k), np.zeros((k, k))],
+            ]
+        )
+        back = LIGHT * np.abs(np.linalg.pinv(system, rcond=DEPENDENT)[-2 * k :]) @ missed
+        return Lost(back[:k], back[k:])
+
     def derivative(self, near: Near) -> np.ndarray | None:
         """dw/dv."""
         D = self._derivative(near.image)
@@ -207,7 +262,15 @@ class Splitting:
 
 
 class Composed(ConvexSet):
-    """A set made of others."""
+    """A set made of others.
+
+    Attributes
+    ----------
+    nested : bool
+        Whether these are composed too.
+    """
+
+    nested: bool
 
     @cached_property
     def _plain(self) -> Splitting | None:
@@ -246,7 +309,8 @@ class Composed(ConvexSet):
             y = nearest_on_rows(self._rows._replace(c=c, E=E), v)
             if y is not None:
                 starts = [plain.units * self._rows.point(y), *starts]
-        for sweeps, rounding in EFFORTS:
+        # the last one only on flat faces, or where else projections would iterate in projections
+        for sweeps, rounding in EFFORTS if self.nested or self.polyhedral else EFFORTS[:-1]:
             for s in starts:
                 # in units in which the normal is not larger than s: the sum rounds both
                 normal = plain.pull(v, s)

@@ -16,6 +16,7 @@ from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
     Features,
+    Lost,
     Selection,
     Witness,
     binary,
@@ -83,6 +84,7 @@ class Image(Composed):
             self.__dict__.pop(cached, None)
         self.part, self.offsets = part, self._unit * part.offsets
         self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
+        self.nested = not part.exact
         separable = isinstance(part, Box) or self._uniform
         self._closed_form = self._orthogonal and self.injective and separable
         self.exact = self._closed_form and part.exact
@@ -212,7 +214,12 @@ class Image(Composed):
         weights = (self._squares @ tau) / self._diagonal**2  # tau in the units of s
         found = self.part.witness(inner, self._solve(w), weights, self._unit * y)
         assert found is not None  # the part is certifiable
-        return Witness(self._lifted(p, found.p), self._push(found.w), found.gap)
+        lost = found.lost
+        if lost is not None:
+            size = abs(self.M)
+            back = size / self._diagonal if self._pinv is None else np.abs(self._pinv.T)
+            lost = Lost(size @ lost.w, back @ lost.p)
+        return Witness(self._lifted(p, found.p), self._push(found.w), found.gap, lost)
 
     def _witness_of_nearest(self, v: np.ndarray, step: float) -> Witness:
         """The normal pair of the projection of v."""
@@ -221,7 +228,8 @@ class Image(Composed):
             return Witness(normal / step, v - normal, 0.0)
         near = self.near(v)
         if near is not None:
-            return Witness(near.splitting.normal(near).p / step, near.w, 0.0)
+            normal = near.splitting.normal(near).p
+            return Witness(normal / step, near.w, 0.0, near.lost(normal, step))
         s = self._nearest(v)
         if s is not None:
             return Witness((v - self.M @ s) / step, self.M @ s, 0.0)

@@ -21,7 +21,7 @@ from sweepopt.sets.base import (
     Witness,
     binary,
 )
-from sweepopt.sets.flat import Composed, Flat, Near
+from sweepopt.sets.flat import Composed, Flat, Near, rounded
 from sweepopt.sets.iteration import (
     SWEEPS,
     fixed_point,
@@ -45,7 +45,7 @@ class _Pair(Composed):
         self.offsets = np.concatenate([first.offsets, second.offsets])
         self.polyhedral = first.polyhedral and second.polyhedral
         self.certifiable = first.certifiable and second.certifiable
-        self._nested = not (first.exact and second.exact)
+        self.nested = not (first.exact and second.exact)
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (
@@ -62,7 +62,7 @@ class _Pair(Composed):
     @property
     def _sweeps(self) -> int:
         """Where a part iterates too, the work and what it rounds multiply: a program is near."""
-        return SWEEPS // 10 if self._nested else SWEEPS
+        return SWEEPS // 10 if self.nested else SWEEPS
 
 
 class Sum(_Pair):
@@ -93,20 +93,25 @@ class Sum(_Pair):
         return still if np.isfinite(self.support(still)) else p
 
     def _nearest(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Points of C and D whose sum is nearest to w, by alternating projections."""
+        """Points of C and D whose sum is nearest to w."""
         if not self.certifiable:
             return None  # projections that are programs themselves never meet to rounding
         near = self.near(w)
-        if near is not None:
-            (one, two), s = self._flats, near.parts
-            own = one.E.shape[1]
-            return one.point(s[:own]), two.point(s[own:])
+        return self._swept(w) if near is None else self._parts(near)
+
+    def _parts(self, near: Near) -> tuple[np.ndarray, np.ndarray]:
+        (one, two), s = self._flats, near.parts
+        own = one.E.shape[1]
+        return one.point(s[:own]), two.point(s[own:])
+
+    def _swept(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """By alternating projections."""
 
         def sweep(second: np.ndarray) -> np.ndarray:
             return self.second.project(w - self.first.project(w - second))
 
         start = self.second.project(np.zeros(self.dim))
-        rounding = 10.0 if self._nested else 1.0
+        rounding = 10.0 if self.nested else 1.0
         like = rounding * np.concatenate([w, start, self.first.project(w - start)])
 
         found = fixed_point(sweep, start, like, self._sweeps)
@@ -135,9 +140,12 @@ class Sum(_Pair):
             return None
         step = float(np.mean(tau))
         v = w + step * p
-        parts = self._nearest(v)
+        near = self.near(v)
+        parts = self._swept(v) if near is None else self._parts(near)
         if parts is not None:
-            return Witness(self._normal(v, *parts) / step, parts[0] + parts[1], 0.0)
+            normal = self._normal(v, *parts)
+            lost = rounded(v, step) if near is None else near.lost(normal, step)
+            return Witness(normal / step, parts[0] + parts[1], 0.0, lost)
         # no split to rounding: exposed parts, and the gap of the best normal at hand
         first = self.first.project(w)
         second = self.second.project(v - first)
@@ -196,17 +204,17 @@ class Intersection(_Pair):
         for part, other in ((self.first, self.second), (self.second, self.first)):
             alone = part.normal(v) if self.certifiable else v
             if self.certifiable and not other.normal(v - alone).any():
-                return Witness(alone, v - alone, 0.0)
+                return Witness(alone, v - alone, 0.0, rounded(v, 1.0))
         near = self.near(v)
         if near is not None:
-            return Witness(self._cleaned(near), near.w, 0.0)
+            return self._pair(near)
         split = self._split(v, one)
         if split is None:
             p, y = normal_by_program(self, v)
             one, two = y[: self.dim], p - y[: self.dim]
             split = self._split(v, one)
         if split is not None:
-            return Witness(split[0] + split[1], v - split[0] - split[1], 0.0)
+            return Witness(split[0] + split[1], v - split[0] - split[1], 0.0, rounded(v, 1.0))
         w = v - p
         for _ in range(SWEEPS if self.certifiable else 0):
             before, w = w, self.second.project(self.first.project(w))
@@ -220,13 +228,15 @@ class Intersection(_Pair):
             p = p + exact
         return Witness(p, w, max(gap, np.finfo(float).tiny))
 
-    def _cleaned(self, near: Near) -> np.ndarray:
-        """v - w as the sum of the parts' normals: what none of them holds is exactly 0."""
+    def _pair(self, near: Near) -> Witness:
+        """w and v - w as the sum of the parts' normals: what none of them holds is exactly 0."""
         v = near.v
         p, multipliers = near.splitting.normal(near)
         two = self.second.normal(v - p + multipliers[-self.dim :])
         split = self.first.normal(v - two) + two
-        return split if np.abs(split - p).max() <= 10 * ROUNDING * np.abs(v).max() else p
+        if np.abs(split - p).max() <= 10 * ROUNDING * np.abs(v).max():
+            p = split
+        return Witness(p, near.w, 0.0, near.lost(p, 1.0))
 
     def _split(self, v: np.ndarray, one: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """p_1 in N_C(w), p_2 in N_D(w) with w = v - p_1 - p_2, by Dykstra's alternation from p_1.
@@ -260,8 +270,11 @@ class Intersection(_Pair):
         if not self.certifiable:
             return None
         step = float(np.mean(tau))
-        found = self._decompose(w + step * p, step * y[: self.dim])
-        return Witness(found.p / step, found.w, found.gap / step)
+        v = w + step * p
+        near = self.near(v)
+        found = self._decompose(v, step * y[: self.dim]) if near is None else self._pair(near)
+        lost = found.lost and found.lost._replace(p=found.lost.p / step)
+        return Witness(found.p / step, found.w, found.gap / step, lost)
 
     def require_nonempty(self, where: str = "C") -> None:
         super().require_nonempty(where)
