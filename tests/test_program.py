@@ -327,7 +327,6 @@ def test_the_certificate_of_a_long_thin_ellipsoid_is_not_below_the_error(seed: i
     G = rng.integers(-3, 4, size=(4, 4)).astype(float)
     M, p = G @ G.T + 4 * np.eye(4), 2.0 ** rng.integers(4, 12) * corner
     c = rng.integers(-2, 3, size=4).astype(float)
-    C = so.Ellipsoid(c, shape) - (c + corner / 2 + M @ p)
-    sol = so.solve(so.SweepingProcess(M, None, C, np.zeros(4)), t_end=1.0, steps=1, tol=1e-4)
-    error = sol.velocity[0] + p
-    assert np.sqrt(error @ M @ error) <= sol.stats["certificate"][0]
+    program = programmed(Factor(M), "auto", 1e-4, None)
+    found = program(c + corner / 2 + M @ p, so.Ellipsoid(c, shape)).velocity
+    assert Factor(M).norm(found.z + p) <= found.certificate

@@ -721,7 +721,7 @@ def test_cuts_of_images_are_projected_without_iterations_in_iterations(
     def counted(C: so.Polyhedron, v: np.ndarray) -> np.ndarray:
         nonlocal calls
         calls += 1
-        assert calls < 5000, "projections are iterated in projections"
+        assert calls < 300, "projections are iterated in projections"
         return plain(C, v)
 
     monkeypatch.setattr(so.Polyhedron, "normal", counted)
@@ -732,7 +732,7 @@ def test_cuts_of_images_are_projected_without_iterations_in_iterations(
     flat = so.image(random.normal(size=(3, 2)).round(1), hull) + box
     for C in (-flat & thin, flat & (thin + so.HalfSpace([1.0, 2.0, 0.0], 0.1)), thin & thin + flat):
         for v in (np.zeros(3), *9 * random.normal(size=(3, 3))):
-            w = C.project(v)
+            w, calls = C.project(v), 0
             # the nearest point: it stays where it is, and the normal leads back to it
             np.testing.assert_allclose(C.project(w), w, rtol=0, atol=1e-12)
             np.testing.assert_allclose(C.project(w + 3 * (v - w)), w, rtol=0, atol=1e-11)
