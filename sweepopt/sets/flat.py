@@ -232,13 +232,12 @@ class Splitting:
         )
         sizes = np.abs(s) + blur
         forces = np.abs(E.T) @ np.abs(p) + np.abs(F.T) @ np.abs(multipliers) + p.any() * blur
+        places = np.abs(F) @ sizes + np.abs(self.flat.g)
+        points = np.abs(E) @ sizes + np.abs(self.flat.c)
         missed = np.concatenate(
-            [
-                np.abs(n - E.T @ p + F.T @ multipliers) + LAST * forces,
-                np.abs(F @ s - self.flat.g) + LAST * (np.abs(F) @ sizes + np.abs(self.flat.g)),
-                LAST * (np.abs(E) @ sizes + np.abs(self.flat.c)),
-            ]
+            [E.T @ p - F.T @ multipliers - n, self.flat.g - F @ s, np.zeros(p.size)]
         )
+        rounding = LAST * np.concatenate([forces, places, points])
         m, k = F.shape[0], p.size
         system = np.block(
             [
@@ -247,8 +246,10 @@ class Splitting:
                 [E @ D, np.zeros((k, m)), -LIGHT * np.eye(k), np.zeros((k, k))],
             ]
         )
-        back = LIGHT * np.abs(np.linalg.pinv(system, rcond=DEPENDENT)[-2 * k :]) @ missed
-        return Lost(back[:k], back[k:])
+        back = LIGHT * np.linalg.pinv(system, rcond=DEPENDENT)[-2 * k :]
+        # what is known adds up, what is rounding adds up as the root of squares
+        moved = np.abs(back @ missed) + np.sqrt(back**2 @ rounding**2)
+        return Lost(moved[:k], moved[k:])
 
     def derivative(self, near: Near) -> np.ndarray | None:
         """dw/dv."""
