@@ -185,13 +185,13 @@ class Splitting:
             return None if D is None else one + D @ (2 * self._K - one) - self._K
 
         pulled = np.abs(self.E).max() * np.concatenate([v, self.flat.c])
-        like = rounding * np.concatenate([pulled, self.start, x])
-        found = fixed_point(step, x, like, sweeps, slope)
+        like = rounding * np.concatenate([pulled, self.start])
+        found = fixed_point(step, x, np.concatenate([like, rounding * x]), sweeps, slope)
         if found is None:
             return None
         s, image = near(found), 2 * near(found) - found
         held = self.projected(image)
-        size = max(np.abs(part).max(initial=0.0) for part in (s, image, like))
+        size = max(np.abs(part).max(initial=0.0) for part in (rounding * image, like))
         if np.abs(held - s).max() > 10 * ROUNDING * size:
             return None  # the start was so far away that its rounding is all there is
         return Near(v, self.flat.c + self.E @ held, held, image, self)

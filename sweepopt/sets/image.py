@@ -163,11 +163,7 @@ class Image(Composed):
         return p if np.abs(p).max() > ROUNDING * size else np.zeros(self.dim)
 
     def _nearest(self, w: np.ndarray) -> np.ndarray | None:
-        """s in C with M s nearest to w, to rounding: projected gradients where M mixes.
-
-        They crawl where M hardly sees a direction that C leaves open; then an active set or
-        Newton's method finds s, and the gradient only confirms it.
-        """
+        """s in C with M s nearest to w, to rounding; projected gradients where C is not flat."""
         s = self.part.project(self._solve(w))
         if self._closed_form or not self._square_norm:
             return s
