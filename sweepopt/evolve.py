@@ -76,7 +76,9 @@ def solve(
     path : {"auto", "proportional", "eliminated", "full", "multigrid"}
         Which unknowns enter a step: with "full" all of them; with "eliminated" the few that C(t)
         acts on enter a program and the others two substitutions; with "proportional" (B = rho A
-        and a Separable load) the others enter no step at all. "multigrid" iterates on all of them
+        and a Separable load) the others enter no step at all, and certificates are relative to no
+        less than a thousandth of what the load or B u alone would move (near an equilibrium, where
+        the two cancel, "eliminated" sees smaller velocities). "multigrid" iterates on all of them
         and factorises nothing. "auto" takes multigrid where factors would not fit in memory, and
         else proportional, eliminated or full, the first that applies.
     save : None, "last", int, array_like, callable, str or Path
