@@ -21,6 +21,7 @@ from sweepopt.sets.base import (
     Companion,
     ConvexSet,
     Features,
+    Lifted,
     Selection,
     Sphere,
     Witness,
@@ -32,8 +33,6 @@ from sweepopt.sets.shapes import Box, Point
 
 if TYPE_CHECKING:
     import cvxpy as cp
-
-    from sweepopt.sets.flat import Flat
 
 
 class _Similar(ConvexSet):
@@ -145,8 +144,8 @@ class Translation(_Similar):
         found = self.part.rows()
         return found and (found[0], found[1] + found[0] @ self.v)
 
-    def flat(self) -> Flat | None:
-        found = self.part.flat()
+    def lifted(self) -> Lifted | None:
+        found = self.part.lifted()
         return found and found._replace(c=found.c + self.v)
 
     def magnitude(self) -> float:
@@ -201,17 +200,14 @@ class Scaling(_Similar):
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:
         found = self.part.witness(p, w / self.factor, tau / self.factor, y)
-        if found is None:
-            return None
-        lost = found.lost and found.lost._replace(w=self.factor * found.lost.w)
-        return Witness(found.p, self.factor * found.w, self.factor * found.gap, lost)
+        return found and Witness(found.p, self.factor * found.w, self.factor * found.gap)
 
     def rows(self) -> tuple[Any, np.ndarray] | None:
         found = self.part.rows()
         return found and (found[0], self.factor * found[1])
 
-    def flat(self) -> Flat | None:
-        found = self.part.flat()
+    def lifted(self) -> Lifted | None:
+        found = self.part.lifted()
         return found and found._replace(c=self.factor * found.c, E=self.factor * found.E)
 
     def magnitude(self) -> float:
@@ -275,14 +271,14 @@ class Negation(_Similar):
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:
         found = self.part.witness(-p, -w, tau, y)
-        return found and found._replace(p=-found.p, w=-found.w)
+        return found and Witness(-found.p, -found.w, found.gap)
 
     def rows(self) -> tuple[Any, np.ndarray] | None:
         found = self.part.rows()
         return found and (-found[0], found[1])
 
-    def flat(self) -> Flat | None:
-        found = self.part.flat()
+    def lifted(self) -> Lifted | None:
+        found = self.part.lifted()
         return found and found._replace(c=-found.c, E=-found.E)
 
     def magnitude(self) -> float:

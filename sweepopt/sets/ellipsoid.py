@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,10 +9,9 @@ import numpy as np
 from sweepopt.checks import HUGE, entries, symmetric, vector
 from sweepopt.errors import InputError
 from sweepopt.linalg import dense
-from sweepopt.precise import Precise
 from sweepopt.secular import secular
 from sweepopt.sets.balls import norms_below
-from sweepopt.sets.base import ConvexSet, Features, Witness, binary, same_array
+from sweepopt.sets.base import ConvexSet, Features, binary, same_array
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -79,21 +77,6 @@ class Ellipsoid(ConvexSet):
         e = self._squares
         a = d / np.sqrt(e)
         return None if a @ a <= 1 else secular(a, 1 / e, 1.0)
-
-    def witness(
-        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
-    ) -> Witness | None:
-        found = super().witness(p, w, tau, y)
-        if found is None or not found.p.any():
-            return found
-        # the point with this normal by the shape itself: its axes are rounded, the short ones most
-        p = found.p / binary(np.abs(found.p).max())
-        arm = self._precisely(p)
-        return found._replace(w=self.center + arm / np.sqrt(p @ arm))
-
-    @cached_property
-    def _precisely(self) -> Precise:
-        return Precise(self.shape)
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp

@@ -16,7 +16,7 @@ from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
     Features,
-    Lost,
+    Lifted,
     Selection,
     Witness,
     binary,
@@ -24,10 +24,9 @@ from sweepopt.sets.base import (
     same_array,
 )
 from sweepopt.sets.columns import gathered, selected, with_own_columns
-from sweepopt.sets.flat import Composed, Flat
-from sweepopt.sets.iteration import fixed_point, project_by_program
+from sweepopt.sets.iteration import CONFIRMING, fixed_point, project_by_program
 from sweepopt.sets.moving import MovingSet
-from sweepopt.sets.nearest import nearest_in_box
+from sweepopt.sets.nearest import nearest_in_box, nearest_on_rows
 from sweepopt.sets.polyhedra import Polyhedron
 from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.shapes import Box, Point
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
     import cvxpy as cp
 
 
-class Image(Composed):
+class Image(ConvexSet):
     """{ M s : s in C }, C in R^m, M of shape (dim, m).
 
     With M = E^T selecting a few of many unknowns this is how contact enters a large body: the
@@ -80,11 +79,8 @@ class Image(Composed):
         self._set_part(part)
 
     def _set_part(self, part: ConvexSet) -> None:
-        for cached in ("_plain", "_rows", "_splittings"):  # those of another part
-            self.__dict__.pop(cached, None)
         self.part, self.offsets = part, self._unit * part.offsets
         self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
-        self.nested = not part.exact
         separable = isinstance(part, Box) or self._uniform
         self._closed_form = self._orthogonal and self.injective and separable
         self.exact = self._closed_form and part.exact
@@ -138,11 +134,7 @@ class Image(Composed):
         return project_by_program(self, w) if s is None else self._push(s)
 
     def normal(self, v: np.ndarray) -> np.ndarray:
-        near = self.near(v) if self._dual is None and not self._closed_form else None
-        if near is not None:
-            p = near.splitting.normal(near).p
-        else:
-            p = v - self.project(v) if self._dual is None else self._dual.project(v)
+        p = v - self.project(v) if self._dual is None else self._dual.project(v)
         if np.abs(p).max() <= ROUNDING * np.abs(v).max():
             return np.zeros(self.dim)
         # p holds rounding of v; a second look leaves that of p, as the domain of sigma needs it
@@ -163,32 +155,62 @@ class Image(Composed):
         return p if np.abs(p).max() > ROUNDING * size else np.zeros(self.dim)
 
     def _nearest(self, w: np.ndarray) -> np.ndarray | None:
-        """s in C with M s nearest to w, to rounding; projected gradients where C is not flat."""
+        """s in C with M s nearest to w, to rounding: projected gradients where M mixes.
+
+        They crawl where M hardly sees a direction that C leaves open; then an active set or
+        Newton's method finds s, and the gradient only confirms it.
+        """
         s = self.part.project(self._solve(w))
         if self._closed_form or not self._square_norm:
             return s
-        near, form = self.near(w), self.part.flat()
-        if near is not None and form is not None:
-            return form.point(near.parts)
 
         def descend(s: np.ndarray) -> np.ndarray:
             return self.part.project(self._descended(s, w))
 
-        found = fixed_point(descend, s, s)
-        if found is None and isinstance(self.part, Box):
-            found = fixed_point(descend, nearest_in_box(dense(self.M), self.part, w), s)
-        return found
+        def slope(s: np.ndarray) -> np.ndarray | None:
+            known = self._implicit(self._descended(s, w))
+            return None if known is None else np.eye(s.size) - known[1]
+
+        if isinstance(self.part, Box):  # whose projections cost nothing
+            found = fixed_point(descend, s, s, slope=slope)
+            if found is None:
+                found = fixed_point(descend, nearest_in_box(dense(self.M), self.part, w), s)
+            return found
+        lift = self.part.lifted() if max(self.M.shape) <= DENSE else None
+        near = None if lift is None else nearest_on_rows(lift.pushed(dense(self.M)), w)
+        if lift is not None and near is not None:
+            found = fixed_point(descend, self.part.project(lift.point(near)), s, CONFIRMING)
+            if found is not None:
+                return found
+        return fixed_point(descend, s, s, slope=slope)
 
     def _descended(self, s: np.ndarray, w: np.ndarray) -> np.ndarray:
         """The gradient step whose projection leaves s where it is if M s is nearest to w."""
         return s - self.M.T @ (self.M @ s - w) / self._square_norm
 
+    def _implicit(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """D, the derivative of P_C at x = _descended(s, w), and the one of s - P_C(x) in s."""
+        D = self.part.derivative(x)
+        if D is None:
+            return None
+        D = np.diag(D) if D.ndim == 1 else D
+        gram = dense(self.M.T @ self.M) / self._square_norm
+        return D, np.eye(D.shape[0]) - D + D @ gram
+
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
-        """That of P(v); None for a selection, whose part has one."""
+        """M ds/dv for the s with M s = P(v); None for a selection, whose part has one."""
         if self._dual is not None:
             normal = self._dual.derivative(v)
             return None if normal is None else np.eye(self.dim) - normal
-        return None if self._selected is not None else super().derivative(v)
+        if self._selected is not None or not self._square_norm or self.part.dim > DENSE:
+            return None
+        s = self._nearest(v)
+        known = self._implicit(self._descended(self._solve(v) if s is None else s, v))
+        if known is None:
+            return None
+        D, jacobian = known
+        pulled = D @ dense(self.M).T / self._square_norm
+        return dense(self.M) @ np.linalg.lstsq(jacobian, pulled, rcond=1e-13)[0]
 
     def features(self, p: cp.Expression) -> Features:
         return self.part.features((self._transposed / self._unit) @ p)
@@ -210,22 +232,13 @@ class Image(Composed):
         weights = (self._squares @ tau) / self._diagonal**2  # tau in the units of s
         found = self.part.witness(inner, self._solve(w), weights, self._unit * y)
         assert found is not None  # the part is certifiable
-        lost = found.lost
-        if lost is not None:
-            size = abs(self.M)
-            back = size / self._diagonal if self._pinv is None else np.abs(self._pinv.T)
-            lost = Lost(size @ lost.w, back @ lost.p)
-        return Witness(self._lifted(p, found.p), self._push(found.w), found.gap, lost)
+        return Witness(self._lifted(p, found.p), self._push(found.w), found.gap)
 
     def _witness_of_nearest(self, v: np.ndarray, step: float) -> Witness:
         """The normal pair of the projection of v."""
         if self._dual is not None:
             normal = self.normal(v)
             return Witness(normal / step, v - normal, 0.0)
-        near = self.near(v)
-        if near is not None:
-            normal = near.splitting.normal(near).p
-            return Witness(normal / step, near.w, 0.0, near.lost(normal, step))
         s = self._nearest(v)
         if s is not None:
             return Witness((v - self.M @ s) / step, self.M @ s, 0.0)
@@ -243,8 +256,8 @@ class Image(Composed):
         gap = self.part.support(inner) - float(inner @ s)
         return Witness(normal / step, self.M @ s, max(gap, 0.0))
 
-    def flat(self) -> Flat | None:
-        found = self.part.flat() if self.dim <= DENSE else None
+    def lifted(self) -> Lifted | None:
+        found = self.part.lifted() if self.dim <= DENSE else None
         return found and found.pushed(dense(self.M))
 
     def same_cone(self, other: ConvexSet) -> bool:

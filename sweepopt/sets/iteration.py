@@ -24,7 +24,8 @@ CAREFUL: dict[str, float] = {
 }
 TIGHT = {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12, **CAREFUL}
 SWEEPS = 500  # alternating projections before a program takes over
-FEW = (10, 40, 160)  # of them, before Newton's method tries to finish
+QUICK = 10  # of them: most pairs need no more
+FEW = (QUICK, 40, 160)  # of them, before Newton's method tries to finish
 CONFIRMING = 5  # and after it
 NEWTON_STEPS = 30
 MEMORY = 10  # steps that Anderson's acceleration looks back

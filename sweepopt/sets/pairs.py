@@ -6,23 +6,26 @@ sigma(C & D, z) = min { sigma(C, p) + sigma(D, z - p) }   (and its closure)
 
 from __future__ import annotations
 
-from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import scipy.linalg
 
 from sweepopt.alone import in_turn
 from sweepopt.checks import vector
 from sweepopt.errors import EmptySetError
 from sweepopt.sets.base import (
+    DENSE,
     ROUNDING,
     ConvexSet,
     Features,
+    Lifted,
     Witness,
     binary,
 )
-from sweepopt.sets.flat import Composed, Flat, Near, rounded
 from sweepopt.sets.iteration import (
+    CONFIRMING,
+    QUICK,
     SWEEPS,
     fixed_point,
     normal_by_program,
@@ -30,12 +33,34 @@ from sweepopt.sets.iteration import (
     solve_tightly,
     support_by_program,
 )
+from sweepopt.sets.nearest import nearest_on_rows
 
 if TYPE_CHECKING:
     import cvxpy as cp
 
 
-class _Pair(Composed):
+class _Slopes(NamedTuple):
+    """Derivatives of two maps f and g, for the pair  a = f(v - b),  b = g(v - a)."""
+
+    first: np.ndarray
+    second: np.ndarray
+
+    @property
+    def of_both(self) -> np.ndarray:
+        """d(a + b)/dv, the same for all such pairs."""
+        one = np.eye(len(self.first))
+        mixed, alone = one - self.first @ self.second, self.first @ (one - self.second)
+        a = np.linalg.lstsq(mixed, alone, rcond=1e-13)[0]
+        return self.second + (one - self.second) @ a
+
+
+def _slopes(first: np.ndarray | None, second: np.ndarray | None) -> _Slopes | None:
+    if first is None or second is None:
+        return None
+    return _Slopes(*(np.diag(D) if D.ndim == 1 else D for D in (first, second)))
+
+
+class _Pair(ConvexSet):
     """What a sum and an intersection have in common."""
 
     exact = False
@@ -45,7 +70,7 @@ class _Pair(Composed):
         self.offsets = np.concatenate([first.offsets, second.offsets])
         self.polyhedral = first.polyhedral and second.polyhedral
         self.certifiable = first.certifiable and second.certifiable
-        self.nested = not (first.exact and second.exact)
+        self._nested = not (first.exact and second.exact)
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (
@@ -62,7 +87,7 @@ class _Pair(Composed):
     @property
     def _sweeps(self) -> int:
         """Where a part iterates too, the work and what it rounds multiply: a program is near."""
-        return SWEEPS // 10 if self.nested else SWEEPS
+        return SWEEPS // 10 if self._nested else SWEEPS
 
 
 class Sum(_Pair):
@@ -93,40 +118,60 @@ class Sum(_Pair):
         return still if np.isfinite(self.support(still)) else p
 
     def _nearest(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Points of C and D whose sum is nearest to w."""
+        """Points of C and D whose sum is nearest to w, by alternating projections."""
         if not self.certifiable:
             return None  # projections that are programs themselves never meet to rounding
-        near = self.near(w)
-        return self._swept(w) if near is None else self._parts(near)
-
-    def _parts(self, near: Near) -> tuple[np.ndarray, np.ndarray]:
-        (one, two), s = self._flats, near.parts
-        own = one.E.shape[1]
-        return one.point(s[:own]), two.point(s[own:])
-
-    def _swept(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """By alternating projections."""
 
         def sweep(second: np.ndarray) -> np.ndarray:
             return self.second.project(w - self.first.project(w - second))
 
+        def slope(second: np.ndarray) -> np.ndarray | None:
+            first = self.first.project(w - second)
+            slopes = self._slopes(w, first, second)
+            return slopes and slopes.second @ slopes.first
+
         start = self.second.project(np.zeros(self.dim))
-        rounding = 10.0 if self.nested else 1.0
+        rounding = 10.0 if self._nested else 1.0
         like = rounding * np.concatenate([w, start, self.first.project(w - start)])
 
-        found = fixed_point(sweep, start, like, self._sweeps)
-        return None if found is None else (self.first.project(w - found), found)
+        # many iterations come last, and iterations of iterations
+        second = None if self._nested else fixed_point(sweep, start, like, QUICK, slope)
+        if second is None:
+            near = self._direct(w)
+            if near is None:
+                second = fixed_point(sweep, start, like, self._sweeps, slope)
+            else:
+                second = fixed_point(sweep, near, like, CONFIRMING)
+        return None if second is None else (self.first.project(w - second), second)
 
-    @cached_property
-    def _flats(self) -> tuple[Flat, Flat]:
-        one, two = self.first.flat(), self.second.flat()
-        assert one is not None  # asked where the sum is flat
-        assert two is not None
-        return one, two
+    def _direct(self, w: np.ndarray) -> np.ndarray | None:
+        """A start from the rows that the parts are made of: the fixed point itself, as a rule."""
+        lift, second = self.lifted(), self.second.lifted()
+        if lift is None or second is None or lift.E.shape[1] > DENSE:
+            return None
+        s = nearest_on_rows(lift, w)
+        own = second.E.shape[1]
+        return None if s is None else self.second.project(second.point(s[s.size - own :]))
 
-    def flat(self) -> Flat | None:
-        both = Flat.beside((self.first, self.second))
-        return both and both.pushed(np.hstack([np.eye(self.dim)] * 2))
+    def lifted(self) -> Lifted | None:
+        one, two = self.first.lifted(), self.second.lifted()
+        if one is None or two is None:
+            return None
+        return Lifted(
+            one.c + two.c,
+            np.hstack([one.E, two.E]),
+            scipy.linalg.block_diag(one.G, two.G),
+            np.concatenate([one.h, two.h]),
+        )
+
+    def _slopes(self, w: np.ndarray, first: np.ndarray, second: np.ndarray) -> _Slopes | None:
+        return _slopes(self.first.derivative(w - second), self.second.derivative(w - first))
+
+    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        """That of a + b for a = P_C(v - b), b = P_D(v - a)."""
+        parts = None if self.dim > DENSE else self._nearest(v)
+        slopes = None if parts is None else self._slopes(v, *parts)
+        return slopes and slopes.of_both
 
     def features(self, p: cp.Expression) -> Features:
         y, constraints = self.first.features(p)
@@ -140,12 +185,9 @@ class Sum(_Pair):
             return None
         step = float(np.mean(tau))
         v = w + step * p
-        near = self.near(v)
-        parts = self._swept(v) if near is None else self._parts(near)
+        parts = self._nearest(v)
         if parts is not None:
-            normal = self._normal(v, *parts)
-            lost = rounded(v, step) if near is None else near.lost(normal, step)
-            return Witness(normal / step, parts[0] + parts[1], 0.0, lost)
+            return Witness(self._normal(v, *parts) / step, parts[0] + parts[1], 0.0)
         # no split to rounding: exposed parts, and the gap of the best normal at hand
         first = self.first.project(w)
         second = self.second.project(v - first)
@@ -201,20 +243,13 @@ class Intersection(_Pair):
         Alternation starts from the part `one` of the normal. If it comes to no end, it starts again
         from a program's answer; if that does not help, the program's answer is made feasible.
         """
-        for part, other in ((self.first, self.second), (self.second, self.first)):
-            alone = part.normal(v) if self.certifiable else v
-            if self.certifiable and not other.normal(v - alone).any():
-                return Witness(alone, v - alone, 0.0, rounded(v, 1.0))
-        near = self.near(v)
-        if near is not None:
-            return self._pair(near)
         split = self._split(v, one)
         if split is None:
             p, y = normal_by_program(self, v)
             one, two = y[: self.dim], p - y[: self.dim]
             split = self._split(v, one)
         if split is not None:
-            return Witness(split[0] + split[1], v - split[0] - split[1], 0.0, rounded(v, 1.0))
+            return Witness(split[0] + split[1], v - split[0] - split[1], 0.0)
         w = v - p
         for _ in range(SWEEPS if self.certifiable else 0):
             before, w = w, self.second.project(self.first.project(w))
@@ -228,16 +263,6 @@ class Intersection(_Pair):
             p = p + exact
         return Witness(p, w, max(gap, np.finfo(float).tiny))
 
-    def _pair(self, near: Near) -> Witness:
-        """w and v - w as the sum of the parts' normals: what none of them holds is exactly 0."""
-        v = near.v
-        p, multipliers = near.splitting.normal(near)
-        two = self.second.normal(v - p + multipliers[-self.dim :])
-        split = self.first.normal(v - two) + two
-        if np.abs(split - p).max() <= 10 * ROUNDING * np.abs(v).max():
-            p = split
-        return Witness(p, near.w, 0.0, near.lost(p, 1.0))
-
     def _split(self, v: np.ndarray, one: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """p_1 in N_C(w), p_2 in N_D(w) with w = v - p_1 - p_2, by Dykstra's alternation from p_1.
 
@@ -245,16 +270,30 @@ class Intersection(_Pair):
         """
         if not self.certifiable:
             return None
+        alone = self.first.normal(v)
+        if not self.second.normal(v - alone).any():
+            return alone, np.zeros(self.dim)
 
         def sweep(one: np.ndarray) -> np.ndarray:
             return self.first.normal(v - self.second.normal(v - one))
 
-        found = fixed_point(sweep, one, v, self._sweeps)
+        def slope(one: np.ndarray) -> np.ndarray | None:
+            slopes = self._slopes(v, one, self.second.normal(v - one))
+            return slopes and slopes.first @ slopes.second
+
+        found = fixed_point(sweep, one, v, self._sweeps, slope)
         return None if found is None else (found, self.second.normal(v - found))
 
-    def flat(self) -> Flat | None:
-        both, one = Flat.beside((self.first, self.second)), np.eye(self.dim)
-        return both and both.met(np.hstack([one, -one])).pushed(np.hstack([one, 0 * one]))
+    def _slopes(self, v: np.ndarray, one: np.ndarray, two: np.ndarray) -> _Slopes | None:
+        """Those of the normals: I - derivative of the projection."""
+        found = _slopes(self.first.derivative(v - two), self.second.derivative(v - one))
+        return found and _Slopes(*(np.eye(self.dim) - D for D in found))
+
+    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        """That of v - p_1 - p_2 for normals p_1 of C at v - p_2 and p_2 of D at v - p_1."""
+        split = None if self.dim > DENSE else self._split(v, np.zeros(self.dim))
+        slopes = None if split is None else self._slopes(v, *split)
+        return slopes and np.eye(self.dim) - slopes.of_both
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -270,11 +309,8 @@ class Intersection(_Pair):
         if not self.certifiable:
             return None
         step = float(np.mean(tau))
-        v = w + step * p
-        near = self.near(v)
-        found = self._decompose(v, step * y[: self.dim]) if near is None else self._pair(near)
-        lost = found.lost and found.lost._replace(p=found.lost.p / step)
-        return Witness(found.p / step, found.w, found.gap / step, lost)
+        found = self._decompose(w + step * p, step * y[: self.dim])
+        return Witness(found.p / step, found.w, found.gap / step)
 
     def require_nonempty(self, where: str = "C") -> None:
         super().require_nonempty(where)
