@@ -17,6 +17,7 @@ from sweepopt.errors import Status
 from sweepopt.overshoot import longest_safe, overshot
 from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
+from sweepopt.schemes import Scheme
 from sweepopt.states import Keeper
 from sweepopt.statistics import Log
 from sweepopt.stepping import (
@@ -82,7 +83,7 @@ def march(
     steps = len(mus)
     grid, sizes = _plain(times), _plain(mus)
     velocities = velocities or Velocities(process, plan)
-    safe, limit = longest_safe(process, plan, mus), _limit(process)
+    safe, limit = longest_safe(process, plan, mus), _limit(process, plan.scheme)
     run = Run(Log(steps))
     place = Place(process.u0, np.zeros(process.dim))
     u, lost = place if marks is None else marks.begin(run, keeper, place)
@@ -141,10 +142,12 @@ def _plain(numbers: np.ndarray) -> array[float]:
     return array("d", np.ascontiguousarray(numbers, dtype=float).tobytes())
 
 
-def _limit(process: SweepingProcess) -> float:
-    """The largest |u| whose forces B u can be squared: a state beyond it has blown up."""
+def _limit(process: SweepingProcess, scheme: Scheme) -> float:
+    """The largest |u|: where B enters explicitly, B u beyond what can be squared is a blow-up."""
     B = process.B
-    entries = np.zeros(0) if B is None else B.data if sp.issparse(B) else B.ravel(order="K")
+    if B is None or not scheme.explicit:
+        return HUGE**2
+    entries = B.data if sp.issparse(B) else B.ravel(order="K")
     return 1e-5 * HUGE / max(blas.dnrm2(entries) if entries.size else 0.0, 1.0)
 
 

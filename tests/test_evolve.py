@@ -234,6 +234,15 @@ def test_a_state_that_blows_up_is_no_success(S: so.ConvexSet, stiffness: float) 
     assert np.array_equal(failure.value.u, sol.u[-1])
 
 
+@pytest.mark.parametrize("size", [1e-70, 1e70, 1e73])
+def test_numbers_that_input_may_have_do_not_count_as_a_blow_up(size: float) -> None:
+    C = so.Moving(so.Box([-size, -size], [size, size]))
+    process = so.SweepingProcess(np.eye(2), np.eye(2), C, [0.1 * size, 0.0])
+    assert so.solve(process, t_end=1.0, steps=5).success
+    stiff = so.SweepingProcess(np.eye(2), size * np.eye(2), C, [0.5, 0.0])
+    assert so.solve(stiff, t_end=1.0, steps=5).success
+
+
 def test_warnings_name_the_line_of_the_user() -> None:
     process = so.SweepingProcess([[1.0]], [[1.0]], so.Moving(so.Box([-1], [1]), ramp()), [3.0])
     how = {"t_end": 1.0, "steps": 10}
