@@ -785,3 +785,15 @@ def test_what_rounding_of_a_long_way_hides_is_found_beside_it() -> None:
     pairs = [C.witness(p, w, tau, np.zeros(C.h.size)) for C, p, w, tau in map(far, range(200))]
     exact = [pair for pair in pairs if pair is not None and pair.gap == 0]
     assert len(exact) >= 0.7 * len(pairs)
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.0**20])
+def test_a_box_is_cut_with_the_image_of_more_unknowns(scale: float) -> None:
+    """Many s have one image, and a way along them must not hide what the cut misses."""
+    M = [[2.0, 2, 0, -2, -2], [1, 0, 1, 1, 0], [2, -1, 2, 0, 1]]
+    image = so.image(M, so.HalfSpace([3.0, 6, -3, -9, -6], -21.0)) + np.array([2.0, -1, -5])
+    box, row = so.Box([0, 3, 2], [1, 4, 3]), so.HalfSpace([1.0, -1, 0], -4.0)
+    v = scale * np.array([1024.0, -508, -1022])
+    rounding = 1e-14 * np.abs(v).max()
+    assert (box & image).project(v) == pytest.approx([0, 4, 2], abs=rounding)
+    assert (box & row).project(v) == pytest.approx([0, 4, 2], abs=rounding)
