@@ -180,6 +180,8 @@ def interrupt_after(steps: int, monkeypatch: pytest.MonkeyPatch) -> None:
             return shown
 
     monkeypatch.setattr(tqdm.auto, "tqdm", Bar)
+    # tests that run in the background of a shell inherit that Ctrl-C is ignored
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def test_ctrl_c_writes_what_was_computed(
