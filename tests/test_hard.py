@@ -164,6 +164,16 @@ def test_the_exact_velocity_is_that_of_a_closed_form() -> None:
     assert [float(x) for x in rows_] == [-1.0, -1.0]
 
 
+def test_the_exact_velocity_of_discs_is_found_from_any_start() -> None:
+    # radii 3e-24 to 0.2 at the threshold: Newton's method on z alone crawled from most starts
+    process = combination(np.random.default_rng([103, 7])).process()
+    program, q, C = Program(process.A), np.zeros(process.dim), process.C.at(1.0)
+    zero = program.solve(q, C, q)
+    start = 1e-10 * np.random.default_rng(0).normal(size=q.size)
+    assert program.solve(q, C, start).z - zero.z == pytest.approx(0 * q, abs=1e-40)
+    assert zero.length == pytest.approx(2.0657e-15, rel=1e-3)
+
+
 def test_an_answer_that_is_wrong_is_seen_and_so_is_a_certificate_that_is_too_small() -> None:
     made = pushed(np.diag([1.0, 2.0]), np.array([3.0, 0.0]), so.Box([-1, -1], [1, 1]))
     process = made.process()

@@ -129,10 +129,12 @@ class _Balls(NamedTuple):
             z = z + dz
         return None
 
-    def rounded(self, z: np.ndarray, share: Any) -> np.ndarray:
-        """The minimiser with r sqrt(|z_k|^2 + e_k^2) for r |z_k|, by Newton's method with a search.
+    def rounded(self, z: np.ndarray, s: np.ndarray, share: Any) -> tuple[np.ndarray, np.ndarray]:
+        """The minimiser with r sqrt(|z_k|^2 + e_k^2) for r |z_k|, and s_k, the slopes of that.
 
-        e_k is a share of the velocity that the forces on the ball alone would cause.
+        e_k is a share of the velocity that the forces on the ball alone would cause. Newton's
+        method on both, s_k sqrt(|z_k|^2 + e_k^2) = r z_k, with a search: with z alone it crawls
+        where e is small (Andersen, Christiansen, Conn and Overton, SIAM J. Sci. Comput. 22, 2000).
         """
         e = [share * (r + digits.sqrt(self.force[at] @ self.force[at])) / self.N[at, at].trace()
              for at, r in zip(self.places, self.radii, strict=True)]  # fmt: skip
@@ -143,24 +145,29 @@ class _Balls(NamedTuple):
             ]
             return z @ (self.N @ z) / 2 + self.force @ z + self.radii @ np.array(roots)
 
+        unit = digits.exactly(np.eye(self.places[0].stop))
         now = value(z)
         for _ in range(50):
-            slope, bend = self.N @ z + self.force, self.N.copy()
+            pull, bend = 0 * z, 0 * self.N
             for at, r, ek in zip(self.places, self.radii, e, strict=True):
                 root = digits.sqrt(z[at] @ z[at] + ek**2)
-                slope[at] += r / root * z[at]
-                unit = digits.exactly(np.eye(len(z[at])))
-                bend[at, at] += r / root * (unit - np.outer(z[at], z[at]) / root**2)
-            dz = -digits.solve(bend, slope)
+                pull[at] = r / root * z[at]
+                turn = np.outer(s[at], z[at]) / root**2
+                bend[at, at] = r / root * unit - (turn + turn.T) / 2
+            slope = self.N @ z + self.force + pull
+            dz = -digits.solve(self.N + bend, slope)
             gain, length = -(slope @ dz), 1.0
             while (following := value(z + length * dz)) > now - 0.1 * length * gain:
                 length /= 2
                 if length < 1e-12:
-                    return z
+                    return z, s
+            s = pull + bend @ dz
+            for at, r in zip(self.places, self.radii, strict=True):
+                s[at] = s[at] * min(1, r / digits.sqrt(s[at] @ s[at])) if s[at].any() else s[at]
             z, now = z + length * dz, following
             if gain <= NOISE * abs(now):
                 break
-        return z
+        return z, s
 
 
 @velocity.register
@@ -179,10 +186,11 @@ def _in_balls(N: np.ndarray, q: np.ndarray, radii: np.ndarray, near: np.ndarray)
     places = [slice(k * block, (k + 1) * block) for k in range(len(radii))]
     balls = _Balls(N, q, digits.exactly(radii), places)
     z = digits.exactly(near)
+    s = 0 * z
     found = balls.newton(z)
     for count in range(1, 40):
         if found is not None:
             return found
-        z = balls.rounded(z, digits.exactly(10.0**-count).item())
+        z, s = balls.rounded(z, s, digits.exactly(10.0**-count).item())
         found = balls.newton(z)
     raise SweepoptError("the exact active set was not found")
