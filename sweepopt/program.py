@@ -193,7 +193,8 @@ class VelocityProgram:
 
         C gives a pair -z' in N_C(w) near the answer; then rho = M z' + q - w carries all of the
         error, and strong monotonicity of M + N_C^-1 gives |z' - z*|_M <= |rho|_{M^-1}; a set that
-        is short of an exact pair by `gap` adds 2 gap under the root.
+        is short of an exact pair by `gap` adds 2 gap under the root. Of a pair that is rounded an
+        exact one is dw and dp away: then z' moves by |dp|_M, and rho by |dw|_{M^-1} + |dp|_M.
         """
         M = self.M
         witness = C.witness(-z, M.apply(z, q).value, M.diagonal, y)
@@ -204,6 +205,8 @@ class VelocityProgram:
         rho, size_z, rounding = M.apply(z, q, -witness.w)
         size_rho = M.dual_norm_within(rho, POLISHED * size_z) + rounding
         certificate = math.sqrt(2 * witness.gap + size_rho**2)
+        if witness.lost is not None:
+            certificate += M.moved(*witness.lost)
         size_q = 0.0 if certificate <= POLISHED * size_z else M.dual_norm(q - C.anchor)
         return rate(z, certificate, size_z, size_q)
 

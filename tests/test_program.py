@@ -317,3 +317,16 @@ def test_bounds_of_the_size_of_the_forces_are_left_alone() -> None:
     M, q = held_program()
     C = so.Box(-np.ones(12), np.ones(12))
     assert VelocityProgram(Factor(M), C).capped(q, C) is C
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_certificate_of_a_long_thin_ellipsoid_is_not_below_the_error(seed: int) -> None:
+    rng, corner = np.random.default_rng(seed), 1.0 * np.array([1, 1, -1, -1])
+    # p is an eigenvector of the shape, so that w = c + p / |p|: all of these numbers are exact
+    shape = np.eye(4) + 2.0 ** rng.integers(20, 32) * np.ones((4, 4))
+    G = rng.integers(-3, 4, size=(4, 4)).astype(float)
+    M, p = G @ G.T + 4 * np.eye(4), 2.0 ** rng.integers(4, 12) * corner
+    c = rng.integers(-2, 3, size=4).astype(float)
+    program = programmed(Factor(M), "auto", 1e-4, None)
+    found = program(c + corner / 2 + M @ p, so.Ellipsoid(c, shape)).velocity
+    assert Factor(M).norm(found.z + p) <= found.certificate

@@ -709,9 +709,91 @@ def test_sums_and_images_of_rows_are_met_at_once(monkeypatch: pytest.MonkeyPatch
     for C in (half + wide, 0.5 * (half + wide) + np.ones(5), so.image(np.eye(5)[:3], half + wide)):
         v = 9 * random.normal(size=C.dim)
         w, calls = C.project(v), 0
-        p = v - C.project(v)
+        p = C.normal(v)
         assert calls < 100
         assert C.support(p) - p @ w <= 1e-12 * np.linalg.norm(p) * np.linalg.norm(v)
+
+
+def test_cuts_of_images_are_projected_without_iterations_in_iterations(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    random, plain, calls = np.random.default_rng(4), so.Polyhedron.normal, 0
+
+    def counted(C: so.Polyhedron, v: np.ndarray) -> np.ndarray:
+        nonlocal calls
+        calls += 1
+        assert calls < 300, "projections are iterated in projections"
+        return plain(C, v)
+
+    monkeypatch.setattr(so.Polyhedron, "normal", counted)
+    hull = so.Polytope(random.normal(size=(6, 2)))
+    rows = so.Polyhedron([[1.0, 2.0], [-1.0, 1.0], [2.0, -1.0], [-1.0, -2.0]], [1.0, 2.0, 1.0, 2.0])
+    thin = so.image(random.normal(size=(3, 2)).round(1), rows)
+    box = so.Box([-0.5] * 3, [0.5] * 3)
+    flat = so.image(random.normal(size=(3, 2)).round(1), hull) + box
+    for C in (-flat & thin, flat & (thin + so.HalfSpace([1.0, 2.0, 0.0], 0.1)), thin & thin + flat):
+        for v in (np.zeros(3), *9 * random.normal(size=(3, 3))):
+            w, calls = C.project(v), 0
+            # the nearest point: it stays where it is, and the normal leads back to it
+            np.testing.assert_allclose(C.project(w), w, rtol=0, atol=1e-12)
+            np.testing.assert_allclose(C.project(w + 3 * (v - w)), w, rtol=0, atol=1e-11)
+
+
+def test_a_pair_says_how_far_rounding_moved_it() -> None:
+    corner = 1.0 * np.array([1, 1, -1, -1])
+    hull = so.Polytope(np.vstack([2 * corner, np.eye(4), -np.eye(4)]))
+    ball, box = so.Ball(np.zeros(4), 2.0), so.Box([-3.0] * 4, [3.0] * 4)
+    cut = (hull + ball) & so.HalfSpace(corner, 100.0)
+    for C, w in ((hull + ball, 3 * corner), (box + (hull + ball), 6 * corner), (cut, 3 * corner)):
+        for size in (1.0, 2.0**12, 2.0**30):
+            p = size * corner  # beside which w is rounded away
+            found = C.witness(p, w, np.ones(4), np.zeros(C.offsets.size))
+            assert found is not None
+            assert found.lost is not None
+            last = 4 * np.finfo(float).eps
+            assert (np.abs(found.w - w) <= found.lost.w + last * np.abs(w)).all()
+            assert (np.abs(found.p - p) <= found.lost.p + last * size).all()
+            assert found.lost.w.max() <= 1e-12
+            assert found.lost.p.max() <= 1e-12 * size
+
+
+@pytest.mark.parametrize("far", [1.0, 1e3, 1e6])
+def test_a_box_cut_with_a_wide_image_is_projected_on_from_any_distance(far: float) -> None:
+    M = [[0.0, 1, -1, 0, 1, 0], [2, 0, -2, 0, -1, 0], [0, 1, -1, 2, 1, -1]]
+    half = so.HalfSpace([6.0, 0, -6, -6, -3, 3], 6.0)
+    C = (so.image(M, half) + [8.0, -4, -3]) & so.Box([6.0, -3, -10], [8.0, -3, -6])
+    corner, p = np.array([6.0, -3, -6]), far * np.array([3.0, 0, -2])
+    np.testing.assert_allclose(C.project(corner + p), corner, rtol=0, atol=1e-14 * far + 1e-13)
+    np.testing.assert_allclose(C.normal(corner + p), p, rtol=0, atol=1e-14 * far)
+
+
+@pytest.mark.parametrize("far", [1.0, 1e3, 1e7])
+def test_parts_that_are_at_zero_keep_the_normal_of_a_cut(far: float) -> None:
+    C = so.Box([-0.004], [0.0]) & (so.Box([-2.0], [6.0]) + so.Box([-2.0], [-2.0]))
+    found = C.witness(np.array([far]), np.zeros(1), np.ones(1), np.zeros(C.offsets.size))
+    assert found is not None
+    assert found.p == pytest.approx([far], rel=1e-14)
+    assert found.w == pytest.approx([0.0], abs=1e-14)
+
+
+@pytest.mark.parametrize("far", [1.0, 2.0**12, 2.0**24, 2.0**36])
+def test_a_polytope_knows_which_of_its_nearly_equal_vertices_is_nearest(far: float) -> None:
+    # two vertices are on the face of p, and only what is beside p tells them apart
+    C = so.Polytope([[5.0, 7, 7], [4, 2, 8], [5, 3, 5], [4, 8, 8], [3, 3, 7], [4, 5, 5]])
+    p = far * np.array([0.0, 0.0, -5.0])
+    for w, beside in (([4.0, 5, 5], [-1.0, 2, 0]), ([5.0, 3, 5], [1.0, -2, 0])):
+        assert C.project(np.array(w) + beside + p).tolist() == w
+    assert C.project(np.array([4.5, 4, 5]) + p).tolist() == [4.5, 4, 5]
+
+
+def test_a_point_inside_of_a_sum_is_its_own_projection() -> None:
+    # its parts are rounded, but what they miss is not a force
+    random = np.random.default_rng(2)
+    center = random.normal(size=6)
+    C = so.Box(-393 * np.ones(6), 800 * np.ones(6)) + so.Ellipsoid(center, np.diag(np.arange(1, 7)))
+    for w in (np.zeros(6), 1e-6 * random.normal(size=6), 300 * random.normal(size=6)):
+        assert C.project(w).tolist() == w.tolist()
+        assert not C.normal(w).any()
 
 
 def test_sets_of_many_unknowns_are_not_lifted_to_dense_matrices() -> None:
@@ -727,7 +809,8 @@ def test_sets_of_many_unknowns_are_not_lifted_to_dense_matrices() -> None:
         wide + so.HalfSpace(np.ones(5), 1.0),
         2.0 * -large + np.ones(4000),
     ):
-        assert C.lifted() is None
+        form = C.flat()
+        assert form is None or form.raised() is None
 
 
 def test_rows_that_nothing_can_be_divided_by_are_refused() -> None:

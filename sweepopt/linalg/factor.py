@@ -152,11 +152,19 @@ class Factor:
         """What entries of z that are rounded twice move it, in |.|_M."""
         return 2 * UNIT * math.sqrt(self._spread) * euclidean(self.root * z)
 
+    def moved(self, w: np.ndarray, z: np.ndarray) -> float:
+        """A bound of |w|_{M^-1} + 2 |z|_M from bounds of their entries, without a solve."""
+        return self.dual_norm_bound(w) + 2 * math.sqrt(self._row_sum) * euclidean(self.root * z)
+
+    @cached_property
+    def _row_sum(self) -> float:
+        return row_sum(self.M, self.root)
+
     @cached_property
     def _spread(self) -> float:
         """Rounding units a row, times the largest row sum of | D^-1/2 M D^-1/2 |."""
         entries = np.diff(self.M.indptr).max() if sp.issparse(self.M) else self.dim
-        return (2 + math.sqrt(entries)) * row_sum(self.M, self.root)
+        return (2 + math.sqrt(entries)) * self._row_sum
 
     @cached_property
     def precisely(self) -> Precise:

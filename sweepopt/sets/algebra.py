@@ -21,7 +21,6 @@ from sweepopt.sets.base import (
     Companion,
     ConvexSet,
     Features,
-    Lifted,
     Selection,
     Sphere,
     Witness,
@@ -33,6 +32,8 @@ from sweepopt.sets.shapes import Box, Point
 
 if TYPE_CHECKING:
     import cvxpy as cp
+
+    from sweepopt.sets.flat import Flat
 
 
 class _Similar(ConvexSet):
@@ -65,6 +66,10 @@ class _Similar(ConvexSet):
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         return self.part.derivative(self._back(v))
+
+    def blur(self, x: np.ndarray) -> float:
+        moved = 0.0 if self.v is None else float(np.abs(self.v).max())
+        return max(super().blur(x), self.part.blur(self._back(x)), moved)
 
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return self.part.weights(tau)
@@ -144,8 +149,8 @@ class Translation(_Similar):
         found = self.part.rows()
         return found and (found[0], found[1] + found[0] @ self.v)
 
-    def lifted(self) -> Lifted | None:
-        found = self.part.lifted()
+    def flat(self) -> Flat | None:
+        found = self.part.flat()
         return found and found._replace(c=found.c + self.v)
 
     def magnitude(self) -> float:
@@ -200,14 +205,20 @@ class Scaling(_Similar):
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:
         found = self.part.witness(p, w / self.factor, tau / self.factor, y)
-        return found and Witness(found.p, self.factor * found.w, self.factor * found.gap)
+        if found is None:
+            return None
+        lost = found.lost and found.lost._replace(w=self.factor * found.lost.w)
+        return Witness(found.p, self.factor * found.w, self.factor * found.gap, lost)
+
+    def blur(self, x: np.ndarray) -> float:
+        return self.factor * self.part.blur(self._back(x))
 
     def rows(self) -> tuple[Any, np.ndarray] | None:
         found = self.part.rows()
         return found and (found[0], self.factor * found[1])
 
-    def lifted(self) -> Lifted | None:
-        found = self.part.lifted()
+    def flat(self) -> Flat | None:
+        found = self.part.flat()
         return found and found._replace(c=self.factor * found.c, E=self.factor * found.E)
 
     def magnitude(self) -> float:
@@ -271,14 +282,14 @@ class Negation(_Similar):
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:
         found = self.part.witness(-p, -w, tau, y)
-        return found and Witness(-found.p, -found.w, found.gap)
+        return found and found._replace(p=-found.p, w=-found.w)
 
     def rows(self) -> tuple[Any, np.ndarray] | None:
         found = self.part.rows()
         return found and (-found[0], found[1])
 
-    def lifted(self) -> Lifted | None:
-        found = self.part.lifted()
+    def flat(self) -> Flat | None:
+        found = self.part.flat()
         return found and found._replace(c=-found.c, E=-found.E)
 
     def magnitude(self) -> float:

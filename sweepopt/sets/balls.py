@@ -46,6 +46,9 @@ class Ball(ConvexSet):
         z = vector("z", z, self.dim)
         return float(self.center @ z + self.radius * np.linalg.norm(z))
 
+    def blur(self, x: np.ndarray) -> float:
+        return max(super().blur(x), float(np.abs(self.center).max()))
+
     def derivative(self, v: np.ndarray) -> np.ndarray:
         return _ball_derivative(v - self.center, self.radius)
 

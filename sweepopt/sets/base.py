@@ -31,6 +31,8 @@ from sweepopt.sets.curves import products
 if TYPE_CHECKING:
     import cvxpy as cp
 
+    from sweepopt.sets.flat import Flat
+
 DENSE = 300  # unknowns up to which matrices of the square of their number are cheap
 ROUNDING = 8 * float(np.finfo(float).eps)
 
@@ -42,12 +44,24 @@ class Features(NamedTuple):
     constraints: list[cp.Constraint]
 
 
+class Lost(NamedTuple):
+    """Bounds, entry by entry, of what rounding moves w and p of a pair."""
+
+    w: np.ndarray
+    p: np.ndarray
+
+
 class Witness(NamedTuple):
-    """A point w of C, a p with finite sigma(C, p), and gap >= sigma(C, p) - <p, w> >= 0."""
+    """A point w of C, a p with finite sigma(C, p), and gap >= sigma(C, p) - <p, w> >= 0.
+
+    Both may be rounded: then a pair for which this is true is as near as `lost` says, to first
+    order. None where that is nothing but the last digits of w and p.
+    """
 
     p: np.ndarray
     w: np.ndarray
     gap: float
+    lost: Lost | None = None
 
 
 class Selection(NamedTuple):
@@ -184,6 +198,10 @@ class ConvexSet(ABC):
         """
         return None
 
+    def blur(self, x: np.ndarray) -> float:
+        """The size of the numbers whose rounding is in P_C(x)."""
+        return float(np.abs(x).max())
+
     def within(self, center: np.ndarray, reach: np.ndarray) -> ConvexSet:
         """A set of this cone that is C wherever |w_i - center_i| <= reach_i for all i.
 
@@ -319,11 +337,17 @@ class ConvexSet(ABC):
         return None
 
     def lifted(self) -> Lifted | None:
-        """C as the image of rows, if it is made of such sets and small: it is dense."""
+        """C as the image of rows, if it is a small set that is written so."""
         found = self.rows() if self.dim <= DENSE else None
         if found is None or len(found[1]) > 10 * DENSE:
             return None
         return Lifted(np.zeros(self.dim), np.eye(self.dim), dense(found[0]), found[1])
+
+    def flat(self) -> Flat | None:
+        """C made of parts with exact projections, if it is small: matrices of it are dense."""
+        from sweepopt.sets.flat import Flat
+
+        return Flat.alone(self)
 
     def polar(self) -> ConvexSet:
         """The polar cone { p : <p, w> <= 0 for all w in C }."""

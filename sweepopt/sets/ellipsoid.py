@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,9 +10,10 @@ import numpy as np
 from sweepopt.checks import HUGE, entries, symmetric, vector
 from sweepopt.errors import InputError
 from sweepopt.linalg import dense
+from sweepopt.precise import Precise
 from sweepopt.secular import secular
 from sweepopt.sets.balls import norms_below
-from sweepopt.sets.base import ConvexSet, Features, binary, same_array
+from sweepopt.sets.base import ConvexSet, Features, Witness, binary, same_array
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -63,6 +65,9 @@ class Ellipsoid(ConvexSet):
         lam = self._multiplier(d)
         return w if lam is None else self.center + self._axes @ (e * d / (e + lam))
 
+    def blur(self, x: np.ndarray) -> float:
+        return max(super().blur(x), float(np.abs(self.center).max()))
+
     def derivative(self, v: np.ndarray) -> np.ndarray:
         d, e = self._axes.T @ (v - self.center), self._squares
         lam = self._multiplier(d)
@@ -77,6 +82,21 @@ class Ellipsoid(ConvexSet):
         e = self._squares
         a = d / np.sqrt(e)
         return None if a @ a <= 1 else secular(a, 1 / e, 1.0)
+
+    def witness(
+        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
+    ) -> Witness | None:
+        found = super().witness(p, w, tau, y)
+        if found is None or not found.p.any():
+            return found
+        # the point with this normal by the shape itself: its axes are rounded, the short ones most
+        p = found.p / binary(np.abs(found.p).max())
+        arm = self._precisely(p)
+        return found._replace(w=self.center + arm / np.sqrt(p @ arm))
+
+    @cached_property
+    def _precisely(self) -> Precise:
+        return Precise(self.shape)
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp

@@ -16,7 +16,7 @@ from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
     Features,
-    Lifted,
+    Lost,
     Selection,
     Witness,
     binary,
@@ -24,9 +24,11 @@ from sweepopt.sets.base import (
     same_array,
 )
 from sweepopt.sets.columns import gathered, selected, with_own_columns
-from sweepopt.sets.iteration import CONFIRMING, fixed_point, project_by_program
+from sweepopt.sets.composed import Composed
+from sweepopt.sets.flat import Flat
+from sweepopt.sets.iteration import fixed_point, project_by_program
 from sweepopt.sets.moving import MovingSet
-from sweepopt.sets.nearest import nearest_in_box, nearest_on_rows
+from sweepopt.sets.nearest import nearest_in_box
 from sweepopt.sets.polyhedra import Polyhedron
 from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.shapes import Box, Point
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
     import cvxpy as cp
 
 
-class Image(ConvexSet):
+class Image(Composed):
     """{ M s : s in C }, C in R^m, M of shape (dim, m).
 
     With M = E^T selecting a few of many unknowns this is how contact enters a large body: the
@@ -79,8 +81,11 @@ class Image(ConvexSet):
         self._set_part(part)
 
     def _set_part(self, part: ConvexSet) -> None:
+        for cached in ("_plain", "_rows", "_splittings", "_last"):  # those of another part
+            self.__dict__.pop(cached, None)
         self.part, self.offsets = part, self._unit * part.offsets
         self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
+        self.nested = not part.exact
         separable = isinstance(part, Box) or self._uniform
         self._closed_form = self._orthogonal and self.injective and separable
         self.exact = self._closed_form and part.exact
@@ -134,7 +139,11 @@ class Image(ConvexSet):
         return project_by_program(self, w) if s is None else self._push(s)
 
     def normal(self, v: np.ndarray) -> np.ndarray:
-        p = v - self.project(v) if self._dual is None else self._dual.project(v)
+        near = self.near(v) if self._dual is None and not self._closed_form else None
+        if near is not None:
+            p = near.splitting.normal(near).p
+        else:
+            p = v - self.project(v) if self._dual is None else self._dual.project(v)
         if np.abs(p).max() <= ROUNDING * np.abs(v).max():
             return np.zeros(self.dim)
         # p holds rounding of v; a second look leaves that of p, as the domain of sigma needs it
@@ -155,62 +164,34 @@ class Image(ConvexSet):
         return p if np.abs(p).max() > ROUNDING * size else np.zeros(self.dim)
 
     def _nearest(self, w: np.ndarray) -> np.ndarray | None:
-        """s in C with M s nearest to w, to rounding: projected gradients where M mixes.
-
-        They crawl where M hardly sees a direction that C leaves open; then an active set or
-        Newton's method finds s, and the gradient only confirms it.
-        """
+        """s in C with M s nearest to w, to rounding."""
         s = self.part.project(self._solve(w))
         if self._closed_form or not self._square_norm:
             return s
+        near, form = self.near(w), Flat.of(self.part)
+        if near is not None and form is not None:
+            return form.point(near.parts)
+        if self.nested:
+            return None  # projections that iterate in projections
+        found = self._gradients(w, s)
+        if found is None and isinstance(self.part, Box):
+            found = self._gradients(w, nearest_in_box(dense(self.M), self.part, w))
+        return found
 
-        def descend(s: np.ndarray) -> np.ndarray:
-            return self.part.project(self._descended(s, w))
-
-        def slope(s: np.ndarray) -> np.ndarray | None:
-            known = self._implicit(self._descended(s, w))
-            return None if known is None else np.eye(s.size) - known[1]
-
-        if isinstance(self.part, Box):  # whose projections cost nothing
-            found = fixed_point(descend, s, s, slope=slope)
-            if found is None:
-                found = fixed_point(descend, nearest_in_box(dense(self.M), self.part, w), s)
-            return found
-        lift = self.part.lifted() if max(self.M.shape) <= DENSE else None
-        near = None if lift is None else nearest_on_rows(lift.pushed(dense(self.M)), w)
-        if lift is not None and near is not None:
-            found = fixed_point(descend, self.part.project(lift.point(near)), s, CONFIRMING)
-            if found is not None:
-                return found
-        return fixed_point(descend, s, s, slope=slope)
+    def _gradients(self, w: np.ndarray, s: np.ndarray) -> np.ndarray | None:
+        """By projected gradients: they crawl where M hardly sees a direction that C leaves open."""
+        return fixed_point(lambda s: self.part.project(self._descended(s, w)), s, s)
 
     def _descended(self, s: np.ndarray, w: np.ndarray) -> np.ndarray:
         """The gradient step whose projection leaves s where it is if M s is nearest to w."""
         return s - self.M.T @ (self.M @ s - w) / self._square_norm
 
-    def _implicit(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """D, the derivative of P_C at x = _descended(s, w), and the one of s - P_C(x) in s."""
-        D = self.part.derivative(x)
-        if D is None:
-            return None
-        D = np.diag(D) if D.ndim == 1 else D
-        gram = dense(self.M.T @ self.M) / self._square_norm
-        return D, np.eye(D.shape[0]) - D + D @ gram
-
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
-        """M ds/dv for the s with M s = P(v); None for a selection, whose part has one."""
+        """That of P(v); None for a selection, whose part has one."""
         if self._dual is not None:
             normal = self._dual.derivative(v)
             return None if normal is None else np.eye(self.dim) - normal
-        if self._selected is not None or not self._square_norm or self.part.dim > DENSE:
-            return None
-        s = self._nearest(v)
-        known = self._implicit(self._descended(self._solve(v) if s is None else s, v))
-        if known is None:
-            return None
-        D, jacobian = known
-        pulled = D @ dense(self.M).T / self._square_norm
-        return dense(self.M) @ np.linalg.lstsq(jacobian, pulled, rcond=1e-13)[0]
+        return None if self._selected is not None else super().derivative(v)
 
     def features(self, p: cp.Expression) -> Features:
         return self.part.features((self._transposed / self._unit) @ p)
@@ -232,13 +213,22 @@ class Image(ConvexSet):
         weights = (self._squares @ tau) / self._diagonal**2  # tau in the units of s
         found = self.part.witness(inner, self._solve(w), weights, self._unit * y)
         assert found is not None  # the part is certifiable
-        return Witness(self._lifted(p, found.p), self._push(found.w), found.gap)
+        lost = found.lost
+        if lost is not None:
+            size = abs(self.M)
+            back = size / self._diagonal if self._pinv is None else np.abs(self._pinv.T)
+            lost = Lost(size @ lost.w, back @ lost.p)
+        return Witness(self._lifted(p, found.p), self._push(found.w), found.gap, lost)
 
     def _witness_of_nearest(self, v: np.ndarray, step: float) -> Witness:
         """The normal pair of the projection of v."""
         if self._dual is not None:
             normal = self.normal(v)
             return Witness(normal / step, v - normal, 0.0)
+        near = self.near(v)
+        if near is not None:
+            normal = near.splitting.normal(near).p
+            return Witness(normal / step, near.w.copy(), 0.0, near.lost(normal, step))
         s = self._nearest(v)
         if s is not None:
             return Witness((v - self.M @ s) / step, self.M @ s, 0.0)
@@ -250,14 +240,14 @@ class Image(ConvexSet):
             return self.part.project(s + self._solve(w - self.M @ s))
 
         s = meet(np.zeros(self.part.dim))
-        better = fixed_point(meet, s, s)
+        better = fixed_point(meet, s, s, self.sweeps)
         s = s if better is None else better
         inner = self._pulled_back(normal / step)
         gap = self.part.support(inner) - float(inner @ s)
         return Witness(normal / step, self.M @ s, max(gap, 0.0))
 
-    def lifted(self) -> Lifted | None:
-        found = self.part.lifted() if self.dim <= DENSE else None
+    def flat(self) -> Flat | None:
+        found = Flat.of(self.part) if self.dim <= DENSE else None
         return found and found.pushed(dense(self.M))
 
     def same_cone(self, other: ConvexSet) -> bool:

@@ -24,10 +24,11 @@ CAREFUL: dict[str, float] = {
 }
 TIGHT = {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12, **CAREFUL}
 SWEEPS = 500  # alternating projections before a program takes over
-QUICK = 10  # of them: most pairs need no more
-FEW = (QUICK, 40, 160)  # of them, before Newton's method tries to finish
+QUICK = 10  # of them, before anything else is tried
+FEW = (10, 40, 160)  # of them, before Newton's method tries to finish
 CONFIRMING = 5  # and after it
 NEWTON_STEPS = 30
+HALVINGS = 6
 MEMORY = 10  # steps that Anderson's acceleration looks back
 RUNAWAY = 1e3  # the longest step of it, in units of the data
 
@@ -168,19 +169,35 @@ def _size(x: np.ndarray, like: np.ndarray) -> float:
 def _newton(
     step: Step, slope: Callable[[np.ndarray], np.ndarray | None], x: np.ndarray, size: float
 ) -> np.ndarray:
-    """Semismooth Newton steps on x - step(x) = 0, the shortest ones where many x solve it."""
-    start = x
+    """Semismooth Newton steps on x - step(x) = 0, the shortest ones where many x solve it.
+
+    A step that makes the residual larger is halved: sets with hardly a curvature need that.
+    """
+    start, residual = x, step(x) - x
     for _ in range(NEWTON_STEPS):
+        if np.abs(residual).max() <= ROUNDING * max(size, np.abs(x).max()):
+            break
         D = slope(x)
         if D is None:
             break
-        change = np.linalg.lstsq(np.eye(x.size) - D, step(x) - x, rcond=1e-13)[0]
-        x = x + change
-        if np.abs(x).max() > RUNAWAY * size:
+        change = np.linalg.lstsq(np.eye(x.size) - D, residual, rcond=1e-13)[0]
+        ahead = _shortened(step, x, change, float(np.linalg.norm(residual)))
+        if np.abs(ahead).max() > RUNAWAY * size:
             return start  # nearly parallel faces: what solves x = step(x) there is rounding of x
-        if np.abs(change).max() <= ROUNDING * np.abs(x).max():
+        small = np.abs(ahead - x).max() <= ROUNDING * np.abs(x).max()
+        x, residual = ahead, step(ahead) - ahead
+        if small:
             break
     return x
+
+
+def _shortened(step: Step, x: np.ndarray, change: np.ndarray, size: float) -> np.ndarray:
+    """x + change, or on the way there: at a kink no part of it need be better."""
+    for halvings in range(HALVINGS):
+        ahead = x + 0.5**halvings * change
+        if np.linalg.norm(step(ahead) - ahead) < size:
+            return ahead
+    return x + change
 
 
 def _sweep(step: Step, x: np.ndarray, like: np.ndarray, sweeps: int, memory: int) -> _Reached:

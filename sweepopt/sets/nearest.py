@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import scipy.optimize
@@ -14,6 +14,7 @@ from sweepopt.sets.base import ROUNDING, Lifted, binary
 if TYPE_CHECKING:
     from sweepopt.sets.shapes import Box
 
+PRESSED = 1e-9  # multipliers that are no more than this share of the largest may be rounding
 BLIND = 1e-6  # weight of directions that M does not see, in units of its norm
 
 
@@ -33,7 +34,14 @@ def nearest_in_box(M: np.ndarray, box: Box, w: np.ndarray) -> np.ndarray:
     return box.project(s)
 
 
-def nearest_on_rows(lift: Lifted, w: np.ndarray) -> np.ndarray | None:
+class OnRows(NamedTuple):
+    """s and the multipliers of all rows, E^T (w - c - E s) = G^T multipliers."""
+
+    s: np.ndarray
+    multipliers: np.ndarray
+
+
+def nearest_on_rows(lift: Lifted, w: np.ndarray) -> OnRows | None:
     """s with G s <= h and c + E s nearest to w: the rows by an active set, then exact on these.
 
     What E does not see is given a small weight, so that the shortest way tells the rows. The caller
@@ -52,9 +60,9 @@ def nearest_on_rows(lift: Lifted, w: np.ndarray) -> np.ndarray | None:
     weights[: len(sizes)][seen] = sizes[seen]
     back = Vt.T / weights  # s = s0 + back @ x
     s0 = Vt[: len(sizes)][seen].T @ ((U.T @ w)[: len(sizes)][seen] / sizes[seen])
-    slack = h - G @ s0
+    slack, multipliers = h - G @ s0, np.zeros(h.size)
     if (slack >= 0).all():
-        return s0 / units
+        return OnRows(s0 / units, multipliers)
     rounding = ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(s0))
     try:
         found = least_distance(G @ back, slack, rounding)
@@ -67,7 +75,24 @@ def nearest_on_rows(lift: Lifted, w: np.ndarray) -> np.ndarray | None:
     s = s + np.linalg.lstsq(held, h[found.active] - held @ s, rcond=1e-13)[0]
     _, edges, turned = np.linalg.svd(held)
     Z = turned[int((edges > 1e-13 * edges.max(initial=0.0)).sum()) :].T
-    return (s + Z @ np.linalg.lstsq(M @ Z, w - M @ s, rcond=1e-13)[0]) / units
+    s = s + Z @ np.linalg.lstsq(M @ Z, w - M @ s, rcond=1e-13)[0]
+    multipliers[found.active] = np.linalg.lstsq(held.T, M.T @ (w - M @ s), rcond=1e-13)[0]
+    pressed = found.active[multipliers[found.active] > PRESSED * np.abs(multipliers).max()]
+    return OnRows(_inside(G, h, np.vstack([M, G[pressed]]), s) / units, multipliers / rows)
+
+
+def _inside(G: np.ndarray, h: np.ndarray, fixed: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """s with rows that a far w hid in its rounding met too, moved where `fixed` does not see it."""
+    slack, rounding = h - G @ s, ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(s))
+    if (slack >= -10 * rounding).all():
+        return s
+    _, sizes, Vt = np.linalg.svd(fixed)
+    free = Vt[int((sizes > 1e-13 * sizes.max(initial=0.0)).sum()) :].T
+    try:
+        found = least_distance(G @ free, np.where(np.abs(slack) <= rounding, 0, slack), rounding)
+    except EmptySetError:
+        return s
+    return s if found is None else s + free @ found.u
 
 
 def _units(sizes: np.ndarray) -> np.ndarray:

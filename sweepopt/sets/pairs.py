@@ -6,25 +6,24 @@ sigma(C & D, z) = min { sigma(C, p) + sigma(D, z - p) }   (and its closure)
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.linalg
 
 from sweepopt.alone import in_turn
 from sweepopt.checks import vector
 from sweepopt.errors import EmptySetError
 from sweepopt.sets.base import (
-    DENSE,
     ROUNDING,
     ConvexSet,
     Features,
-    Lifted,
     Witness,
     binary,
 )
+from sweepopt.sets.composed import Composed
+from sweepopt.sets.flat import Flat
 from sweepopt.sets.iteration import (
-    CONFIRMING,
     QUICK,
     SWEEPS,
     fixed_point,
@@ -33,34 +32,13 @@ from sweepopt.sets.iteration import (
     solve_tightly,
     support_by_program,
 )
-from sweepopt.sets.nearest import nearest_on_rows
+from sweepopt.sets.splitting import Near, rounded
 
 if TYPE_CHECKING:
     import cvxpy as cp
 
 
-class _Slopes(NamedTuple):
-    """Derivatives of two maps f and g, for the pair  a = f(v - b),  b = g(v - a)."""
-
-    first: np.ndarray
-    second: np.ndarray
-
-    @property
-    def of_both(self) -> np.ndarray:
-        """d(a + b)/dv, the same for all such pairs."""
-        one = np.eye(len(self.first))
-        mixed, alone = one - self.first @ self.second, self.first @ (one - self.second)
-        a = np.linalg.lstsq(mixed, alone, rcond=1e-13)[0]
-        return self.second + (one - self.second) @ a
-
-
-def _slopes(first: np.ndarray | None, second: np.ndarray | None) -> _Slopes | None:
-    if first is None or second is None:
-        return None
-    return _Slopes(*(np.diag(D) if D.ndim == 1 else D for D in (first, second)))
-
-
-class _Pair(ConvexSet):
+class _Pair(Composed):
     """What a sum and an intersection have in common."""
 
     exact = False
@@ -70,7 +48,7 @@ class _Pair(ConvexSet):
         self.offsets = np.concatenate([first.offsets, second.offsets])
         self.polyhedral = first.polyhedral and second.polyhedral
         self.certifiable = first.certifiable and second.certifiable
-        self._nested = not (first.exact and second.exact)
+        self.nested = not (first.exact and second.exact)
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (
@@ -84,11 +62,6 @@ class _Pair(ConvexSet):
         self.first.require_nonempty(where)
         self.second.require_nonempty(where)
 
-    @property
-    def _sweeps(self) -> int:
-        """Where a part iterates too, the work and what it rounds multiply: a program is near."""
-        return SWEEPS // 10 if self._nested else SWEEPS
-
 
 class Sum(_Pair):
     """The Minkowski sum C + D."""
@@ -98,12 +71,12 @@ class Sum(_Pair):
 
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
-        parts = self._nearest(w)
-        return project_by_program(self, w) if parts is None else parts[0] + parts[1]
+        found = self._nearest(w)
+        return project_by_program(self, w) if found is None else found.w
 
     def normal(self, v: np.ndarray) -> np.ndarray:
-        parts = self._nearest(v)
-        return v - self.project(v) if parts is None else self._normal(v, *parts)
+        found = self._nearest(v)
+        return v - self.project(v) if found is None else found.p
 
     def _normal(self, v: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """The common normal of the parts as the part computes it in whose domain it must be."""
@@ -117,61 +90,53 @@ class Sum(_Pair):
         still = np.where(noise & (self.first.normal(v - second) == 0), 0.0, p)
         return still if np.isfinite(self.support(still)) else p
 
-    def _nearest(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Points of C and D whose sum is nearest to w, by alternating projections."""
+    def _nearest(self, v: np.ndarray) -> Witness | None:
+        """P(v) and its normal; None if no points of C and D meet to rounding."""
         if not self.certifiable:
-            return None  # projections that are programs themselves never meet to rounding
+            return None  # projections that are programs themselves never do
+        near = self.near(v)
+        parts = self._swept(v, self.sweeps) if near is None else self._parts(near)
+        if parts is None:
+            return None
+        if near is None:
+            return Witness(self._normal(v, *parts), parts[0] + parts[1], 0.0)
+        p = self._normal(v, *parts) if (near.w != v).any() else np.zeros(self.dim)
+        return Witness(p, near.w.copy(), 0.0)
+
+    def _parts(self, near: Near) -> tuple[np.ndarray, np.ndarray]:
+        (one, two), s = self._flats, near.parts
+        own = one.E.shape[1]
+        return one.point(s[:own]), two.point(s[own:])
+
+    @cached_property
+    def _flats(self) -> tuple[Flat, Flat]:
+        one, two = Flat.of(self.first), Flat.of(self.second)
+        assert one is not None  # asked where the sum is flat
+        assert two is not None
+        return one, two
+
+    def quick(self, v: np.ndarray) -> Near | None:
+        parts = self._swept(v, QUICK)
+        if parts is None:
+            return None
+        p = self._normal(v, *parts)
+        return self.pair(v, np.concatenate(parts), np.concatenate([p, p]))
+
+    def _swept(self, w: np.ndarray, sweeps: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """By alternating projections."""
 
         def sweep(second: np.ndarray) -> np.ndarray:
             return self.second.project(w - self.first.project(w - second))
 
-        def slope(second: np.ndarray) -> np.ndarray | None:
-            first = self.first.project(w - second)
-            slopes = self._slopes(w, first, second)
-            return slopes and slopes.second @ slopes.first
-
         start = self.second.project(np.zeros(self.dim))
-        rounding = 10.0 if self._nested else 1.0
+        rounding = 10.0 if self.nested else 1.0
         like = rounding * np.concatenate([w, start, self.first.project(w - start)])
+        found = fixed_point(sweep, start, like, sweeps)
+        return None if found is None else (self.first.project(w - found), found)
 
-        # many iterations come last, and iterations of iterations
-        second = None if self._nested else fixed_point(sweep, start, like, QUICK, slope)
-        if second is None:
-            near = self._direct(w)
-            if near is None:
-                second = fixed_point(sweep, start, like, self._sweeps, slope)
-            else:
-                second = fixed_point(sweep, near, like, CONFIRMING)
-        return None if second is None else (self.first.project(w - second), second)
-
-    def _direct(self, w: np.ndarray) -> np.ndarray | None:
-        """A start from the rows that the parts are made of: the fixed point itself, as a rule."""
-        lift, second = self.lifted(), self.second.lifted()
-        if lift is None or second is None or lift.E.shape[1] > DENSE:
-            return None
-        s = nearest_on_rows(lift, w)
-        own = second.E.shape[1]
-        return None if s is None else self.second.project(second.point(s[s.size - own :]))
-
-    def lifted(self) -> Lifted | None:
-        one, two = self.first.lifted(), self.second.lifted()
-        if one is None or two is None:
-            return None
-        return Lifted(
-            one.c + two.c,
-            np.hstack([one.E, two.E]),
-            scipy.linalg.block_diag(one.G, two.G),
-            np.concatenate([one.h, two.h]),
-        )
-
-    def _slopes(self, w: np.ndarray, first: np.ndarray, second: np.ndarray) -> _Slopes | None:
-        return _slopes(self.first.derivative(w - second), self.second.derivative(w - first))
-
-    def derivative(self, v: np.ndarray) -> np.ndarray | None:
-        """That of a + b for a = P_C(v - b), b = P_D(v - a)."""
-        parts = None if self.dim > DENSE else self._nearest(v)
-        slopes = None if parts is None else self._slopes(v, *parts)
-        return slopes and slopes.of_both
+    def flat(self) -> Flat | None:
+        both = Flat.beside((self.first, self.second))
+        return both and both.pushed(np.hstack([np.eye(self.dim)] * 2))
 
     def features(self, p: cp.Expression) -> Features:
         y, constraints = self.first.features(p)
@@ -185,9 +150,11 @@ class Sum(_Pair):
             return None
         step = float(np.mean(tau))
         v = w + step * p
-        parts = self._nearest(v)
-        if parts is not None:
-            return Witness(self._normal(v, *parts) / step, parts[0] + parts[1], 0.0)
+        found = self._nearest(v)
+        if found is not None:
+            near = self.near(v)
+            lost = rounded(v, step) if near is None else near.lost(found.p, step)
+            return Witness(found.p / step, found.w, 0.0, lost)
         # no split to rounding: exposed parts, and the gap of the best normal at hand
         first = self.first.project(w)
         second = self.second.project(v - first)
@@ -237,21 +204,36 @@ class Intersection(_Pair):
         found = self._decompose(v, np.zeros(self.dim))
         return v - found.w if found.gap else found.p
 
+    def quick(self, v: np.ndarray) -> Near | None:
+        split = self._split(v, np.zeros(self.dim), QUICK)
+        if split is None:
+            return None
+        w = v - split[0] - split[1]
+        return self.pair(v, np.concatenate([w, w]), np.concatenate(split))
+
     def _decompose(self, v: np.ndarray, one: np.ndarray) -> Witness:
         """w = P(v) and p near v - w, with the gap of p in w: 0 if alternation gets to rounding.
 
-        Alternation starts from the part `one` of the normal. If it comes to no end, it starts again
-        from a program's answer; if that does not help, the program's answer is made feasible.
+        Alternation starts from the part `one` of the normal. If it comes to no end, or would
+        iterate what iterates, it starts from a program's answer; if that does not help, the
+        program's answer is made feasible.
         """
-        split = self._split(v, one)
+        for part, other in ((self.first, self.second), (self.second, self.first)):
+            alone = part.normal(v) if self.certifiable else v
+            if self.certifiable and not other.normal(v - alone).any():
+                return Witness(alone, v - alone, 0.0, rounded(v, 1.0))
+        near = self.near(v)
+        if near is not None:
+            return self._pair(near)
+        split = None if self.nested else self._split(v, one, SWEEPS)
         if split is None:
             p, y = normal_by_program(self, v)
             one, two = y[: self.dim], p - y[: self.dim]
-            split = self._split(v, one)
+            split = self._split(v, one, self.sweeps)
         if split is not None:
-            return Witness(split[0] + split[1], v - split[0] - split[1], 0.0)
+            return Witness(split[0] + split[1], v - split[0] - split[1], 0.0, rounded(v, 1.0))
         w = v - p
-        for _ in range(SWEEPS if self.certifiable else 0):
+        for _ in range(self.sweeps if self.certifiable else 0):
             before, w = w, self.second.project(self.first.project(w))
             if np.abs(w - before).max() <= ROUNDING * np.abs(w).max():
                 break
@@ -263,37 +245,35 @@ class Intersection(_Pair):
             p = p + exact
         return Witness(p, w, max(gap, np.finfo(float).tiny))
 
-    def _split(self, v: np.ndarray, one: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    def _pair(self, near: Near) -> Witness:
+        """w and v - w as the sum of the parts' normals: what none of them holds is exactly 0."""
+        v = near.v
+        p, multipliers = near.splitting.normal(near)
+        two = self.second.normal(v - p + multipliers[-self.dim :])
+        split = self.first.normal(v - two) + two
+        if np.abs(split - p).max() <= 10 * ROUNDING * np.abs(v).max():
+            p = split
+        return Witness(p, near.w.copy(), 0.0, near.lost(p, 1.0))
+
+    def _split(
+        self, v: np.ndarray, one: np.ndarray, sweeps: int
+    ) -> tuple[np.ndarray, np.ndarray] | None:
         """p_1 in N_C(w), p_2 in N_D(w) with w = v - p_1 - p_2, by Dykstra's alternation from p_1.
 
         Boyle and Dykstra (1986); each half sweep minimises the dual in one of the two.
         """
         if not self.certifiable:
             return None
-        alone = self.first.normal(v)
-        if not self.second.normal(v - alone).any():
-            return alone, np.zeros(self.dim)
 
         def sweep(one: np.ndarray) -> np.ndarray:
             return self.first.normal(v - self.second.normal(v - one))
 
-        def slope(one: np.ndarray) -> np.ndarray | None:
-            slopes = self._slopes(v, one, self.second.normal(v - one))
-            return slopes and slopes.first @ slopes.second
-
-        found = fixed_point(sweep, one, v, self._sweeps, slope)
+        found = fixed_point(sweep, one, v, sweeps)
         return None if found is None else (found, self.second.normal(v - found))
 
-    def _slopes(self, v: np.ndarray, one: np.ndarray, two: np.ndarray) -> _Slopes | None:
-        """Those of the normals: I - derivative of the projection."""
-        found = _slopes(self.first.derivative(v - two), self.second.derivative(v - one))
-        return found and _Slopes(*(np.eye(self.dim) - D for D in found))
-
-    def derivative(self, v: np.ndarray) -> np.ndarray | None:
-        """That of v - p_1 - p_2 for normals p_1 of C at v - p_2 and p_2 of D at v - p_1."""
-        split = None if self.dim > DENSE else self._split(v, np.zeros(self.dim))
-        slopes = None if split is None else self._slopes(v, *split)
-        return slopes and np.eye(self.dim) - slopes.of_both
+    def flat(self) -> Flat | None:
+        both, one = Flat.beside((self.first, self.second)), np.eye(self.dim)
+        return both and both.met(np.hstack([one, -one])).pushed(np.hstack([one, 0 * one]))
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -309,8 +289,11 @@ class Intersection(_Pair):
         if not self.certifiable:
             return None
         step = float(np.mean(tau))
-        found = self._decompose(w + step * p, step * y[: self.dim])
-        return Witness(found.p / step, found.w, found.gap / step)
+        v = w + step * p
+        near = self.near(v)
+        found = self._decompose(v, step * y[: self.dim]) if near is None else self._pair(near)
+        lost = found.lost and found.lost._replace(p=found.lost.p / step)
+        return Witness(found.p / step, found.w, found.gap / step, lost)
 
     def require_nonempty(self, where: str = "C") -> None:
         super().require_nonempty(where)

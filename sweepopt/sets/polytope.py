@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from sweepopt.checks import matrix, vector
 from sweepopt.errors import EmptySetError
 from sweepopt.linalg import dense
-from sweepopt.sets.active_set import least_distance, projector
+from sweepopt.sets.active_set import projector
 from sweepopt.sets.base import DENSE, ROUNDING, ConvexSet, Features, Lifted, binary, same_array
 from sweepopt.sets.iteration import project_by_program
 
 if TYPE_CHECKING:
     import cvxpy as cp
+
+
+TURNS = 20  # changes of the face, for each vertex
+
+
+class _Held(NamedTuple):
+    """Vertices, and a mean of them."""
+
+    vertices: np.ndarray
+    point: np.ndarray
 
 
 class Polytope(ConvexSet):
@@ -55,31 +65,58 @@ class Polytope(ConvexSet):
         held = self._held(w)
         if held is None:
             return project_by_program(self, w)
-        if held is self.vertices:
-            return w
-        # a mean of the vertices that hold it: a point of the hull, however far away w is
-        edges = (held[1:] - held[0]).T
-        shares = np.maximum(np.linalg.lstsq(edges, w - held[0], rcond=None)[0], 0.0)
-        return held[0] + edges @ (shares / max(shares.sum(), 1.0))
+        return w if self._at(w, held.point) else held.point
 
-    def _held(self, w: np.ndarray) -> np.ndarray | None:
-        """The vertices of the face nearest to w, all of them if w is in the hull."""
-        # with a_i = v_i - w: if u is the shortest with <a_i, u> >= 1 for all i, then u / |u|^2 is
-        # the point of the hull of the a_i nearest to 0; no such u exists if 0 is in the hull
-        arms = self.vertices - w
-        size = float(np.abs(arms).max())
-        if size == 0:
-            return self.vertices
-        ones = np.ones(len(arms))
-        try:
-            found = least_distance(-arms / size, -ones, ROUNDING * ones)
-        except EmptySetError:
-            return self.vertices
-        return None if found is None else self.vertices[found.active]
+    def _at(self, w: np.ndarray, point: np.ndarray) -> bool:
+        """Whether w is a point of the hull, to rounding."""
+        size = max(np.abs(w).max(), np.abs(self.vertices).max())
+        return bool(np.abs(w - point).max() <= 10 * ROUNDING * size)
+
+    def _held(self, w: np.ndarray) -> _Held | None:
+        """The vertices whose hull is the face nearest to w, and the nearest point.
+
+        Wolfe, Finding the nearest point in a polytope, Math. Programming 11 (1976): a vertex ahead
+        of the point enters, those whose share would be negative leave. All is measured from a
+        vertex, so that the rounding of a far w hides no other one.
+        """
+        V = self.vertices
+        held, shares = [int(np.argmax((V - V.mean(axis=0)) @ w))], np.ones(1)
+        for _ in range(TURNS * len(V)):
+            arms = V - V[held[0]]
+            point = V[held[0]] + shares[1:] @ arms[held[1:]]
+            p = w - point
+            ahead = arms @ p - ROUNDING * (np.abs(arms) @ (np.abs(w) + np.abs(point)))
+            ahead[held] = 0.0
+            new = int(np.argmax(ahead))
+            if self._at(w, point) or not ahead[new] > 0:
+                return _Held(V[held], point)
+            before, held, shares = held, [*held, new], np.append(shares, 0.0)
+            while True:
+                edges = (V[held[1:]] - V[held[0]]).T
+                rest = np.linalg.lstsq(edges, w - V[held[0]], rcond=None)[0]
+                wanted = np.append(1 - rest.sum(), rest)
+                if (wanted > 0).all():
+                    shares = wanted
+                    break
+                falling = wanted <= 0
+                limits = np.where(falling, shares, 1) / np.where(falling, shares - wanted, 1)
+                last = int(np.argmin(limits))
+                shares = np.delete(shares + limits[last] * (wanted - shares), last)
+                del held[last]
+            if held == before:  # the new one left at once: only rounding says that it is ahead
+                return _Held(V[held], point)
+        return None
+
+    def blur(self, x: np.ndarray) -> float:
+        return max(super().blur(x), float(np.abs(self.vertices).max()))
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         held = self._held(v)
-        return None if held is None else projector(held[1:] - held[0])
+        if held is None:
+            return None
+        if self._at(v, held.point):
+            return np.eye(self.dim)
+        return projector(held.vertices[1:] - held.vertices[0])
 
     def lifted(self) -> Lifted | None:
         if max(self.vertices.shape) > DENSE:

@@ -9,7 +9,8 @@ import scipy.linalg
 
 from sweepopt.checks import vector
 from sweepopt.errors import InputError
-from sweepopt.sets.base import Companion, ConvexSet, Features, Witness
+from sweepopt.sets.base import Companion, ConvexSet, Features, Lost, Witness
+from sweepopt.sets.flat import Flat
 from sweepopt.sets.moving import MovingSet
 from sweepopt.sets.shapes import Box, Point
 
@@ -91,6 +92,7 @@ class Product(ConvexSet):
             np.concatenate([one.p for one in known]),
             np.concatenate([one.w for one in known]),
             sum(one.gap for one in known),
+            _beside([one.lost for one in known], [part.dim for part in self.parts]),
         )
 
     def gap(self, p: np.ndarray, w: np.ndarray) -> float:
@@ -101,6 +103,9 @@ class Product(ConvexSet):
         cut = (np.split(x, self._cuts, axis=1) for x in (p, w))
         each = zip(self.parts, *cut, strict=True)
         return Companion.beside(part.companion(a, b, ratio) for part, a, b in each)
+
+    def flat(self) -> Flat | None:
+        return Flat.beside(self.parts)
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (
@@ -133,6 +138,15 @@ class Product(ConvexSet):
 
     def polar(self) -> ConvexSet:
         return Product(tuple(part.polar() for part in self.parts))
+
+
+def _beside(each: list[Lost | None], dims: list[int]) -> Lost | None:
+    """What is lost in all parts, nothing if in none."""
+    if not any(each):
+        return None
+    nothing = (Lost(np.zeros(dim), np.zeros(dim)) for dim in dims)
+    lost = [one or none for one, none in zip(each, nothing, strict=True)]
+    return Lost(np.concatenate([one.w for one in lost]), np.concatenate([one.p for one in lost]))
 
 
 def product(*sets: Any) -> Any:

@@ -162,6 +162,9 @@ class Box(ConvexSet):
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return tau
 
+    def blur(self, x: np.ndarray) -> float:
+        return 0.0
+
     def derivative(self, v: np.ndarray) -> np.ndarray:
         return ((v >= self.lower) & (v <= self.upper)).astype(float)
 
