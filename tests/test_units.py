@@ -18,8 +18,9 @@ from laws import ZOO
 import sweepopt as so
 from sweepopt.sets.algebra import Negation, Scaling, Translation
 from sweepopt.sets.image import Image
-from sweepopt.sets.pairs import Intersection, Sum
+from sweepopt.sets.intersections import Intersection
 from sweepopt.sets.product import Product
+from sweepopt.sets.sums import Sum
 from sweepopt.sets.units import in_units
 from sweepopt.study.hard.bodies import rod
 

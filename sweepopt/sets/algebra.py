@@ -26,9 +26,10 @@ from sweepopt.sets.base import (
     Witness,
     require_same_dim,
 )
-from sweepopt.sets.pairs import Intersection, Sum
+from sweepopt.sets.intersections import Intersection
 from sweepopt.sets.polyhedra import ACTIVE_DIM, Polyhedron
 from sweepopt.sets.shapes import Box, Point
+from sweepopt.sets.sums import Sum
 
 if TYPE_CHECKING:
     import cvxpy as cp

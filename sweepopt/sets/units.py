@@ -16,11 +16,12 @@ from sweepopt.sets.algebra import Negation, Scaling, Translation
 from sweepopt.sets.base import ConvexSet
 from sweepopt.sets.ellipsoid import Ellipsoid
 from sweepopt.sets.image import Image
-from sweepopt.sets.pairs import Intersection, Sum
+from sweepopt.sets.intersections import Intersection
 from sweepopt.sets.polyhedra import HalfSpace, Polyhedron
 from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.product import Product
 from sweepopt.sets.shapes import Box, Point
+from sweepopt.sets.sums import Sum
 
 
 @singledispatch
