@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from sweepopt.errors import EmptySetError
 from sweepopt.linalg import row_lengths
-from sweepopt.sets.base import ROUNDING
+from sweepopt.sets.base import RANK, ROUNDING
 
 DEPENDENT = 1e-14  # the part of a unit row outside of the span of others that counts as none
 EMPTY = "Polyhedron has no point: { w : G w <= h } is empty"
@@ -201,5 +201,5 @@ def _append(Q: np.ndarray, R: np.ndarray, column: np.ndarray) -> tuple[np.ndarra
 def projector(rows: np.ndarray) -> np.ndarray:
     """The orthogonal projection on the span of the rows."""
     U, sizes, _ = np.linalg.svd(rows.T, full_matrices=False)
-    basis = U[:, sizes > 1e-13 * sizes.max(initial=0.0)]
+    basis = U[:, sizes > RANK * sizes.max(initial=0.0)]
     return basis @ basis.T

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 DENSE = 300  # unknowns up to which matrices of the square of their number are cheap
 ROUNDING = 8 * float(np.finfo(float).eps)
+RANK = 1e-13  # singular values that are no more than this share of the largest are rounding
 
 
 class Features(NamedTuple):
@@ -62,6 +63,11 @@ class Witness(NamedTuple):
     w: np.ndarray
     gap: float
     lost: Lost | None = None
+
+    def over(self, step: float) -> Witness:
+        """The pair of p / step."""
+        lost = self.lost and self.lost._replace(p=self.lost.p / step)
+        return Witness(self.p / step, self.w, self.gap / step, lost)
 
 
 class Selection(NamedTuple):

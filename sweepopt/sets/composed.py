@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sweepopt.sets.base import ConvexSet, binary
-from sweepopt.sets.flat import DEPENDENT, Raised
+from sweepopt.sets.base import RANK, ConvexSet, binary
+from sweepopt.sets.flat import Raised
 from sweepopt.sets.iteration import CONFIRMING, SWEEPS
 from sweepopt.sets.nearest import nearest_on_rows
 from sweepopt.sets.splitting import Near, Splitting
@@ -193,7 +193,7 @@ class Composed(ConvexSet):
         s, (_, E, G, _) = rows.held.point(found.s), rows.free
         pull = flat.E.T @ (v - flat.point(s))
         inner = E.T @ pull - G.T @ found.multipliers
-        n = pull - flat.F.T @ np.linalg.lstsq((flat.F @ E).T, inner, rcond=DEPENDENT)[0]
+        n = pull - flat.F.T @ np.linalg.lstsq((flat.F @ E).T, inner, rcond=RANK)[0]
         return Start(plain.units * s, n / plain.units)
 
 

@@ -13,9 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg
 
-from sweepopt.sets.base import DENSE, ConvexSet, Lifted
-
-DEPENDENT = 1e-13  # singular values that are no more than this share of the largest are rounding
+from sweepopt.sets.base import DENSE, RANK, ConvexSet, Lifted
 
 
 class Flat(NamedTuple):
@@ -105,5 +103,5 @@ class Solutions(NamedTuple):
 
 def solutions(F: np.ndarray, g: np.ndarray) -> Solutions:
     U, sizes, Vt = np.linalg.svd(F)
-    rank = int((sizes > DEPENDENT * sizes.max(initial=0.0)).sum())
+    rank = int((sizes > RANK * sizes.max(initial=0.0)).sum())
     return Solutions(Vt[:rank].T @ ((U.T @ g)[:rank] / sizes[:rank]), Vt[rank:].T)

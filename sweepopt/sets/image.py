@@ -187,11 +187,18 @@ class Image(Composed):
         return s - self.M.T @ (self.M @ s - w) / self._square_norm
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
-        """That of P(v); None for a selection, whose part has one."""
         if self._dual is not None:
             normal = self._dual.derivative(v)
             return None if normal is None else np.eye(self.dim) - normal
-        return None if self._selected is not None else super().derivative(v)
+        few = self._selected
+        if few is None:
+            return super().derivative(v)
+        inner = self.part.derivative(v[few]) if self.dim <= DENSE else None
+        if inner is None:
+            return None
+        D = np.zeros((self.dim,) * inner.ndim)
+        D[few if inner.ndim == 1 else np.ix_(few, few)] = inner
+        return D
 
     def features(self, p: cp.Expression) -> Features:
         return self.part.features((self._transposed / self._unit) @ p)
@@ -208,7 +215,8 @@ class Image(Composed):
         if not self.certifiable:
             return None
         if not self.injective:
-            return self._witness_of_nearest(w + float(np.mean(tau)) * p, float(np.mean(tau)))
+            step = float(np.mean(tau))
+            return self._witness_of_nearest(w + step * p).over(step)
         inner = self._pull(p)
         weights = (self._squares @ tau) / self._diagonal**2  # tau in the units of s
         found = self.part.witness(inner, self._solve(w), weights, self._unit * y)
@@ -220,18 +228,18 @@ class Image(Composed):
             lost = Lost(size @ lost.w, back @ lost.p)
         return Witness(self._lifted(p, found.p), self._push(found.w), found.gap, lost)
 
-    def _witness_of_nearest(self, v: np.ndarray, step: float) -> Witness:
+    def _witness_of_nearest(self, v: np.ndarray) -> Witness:
         """The normal pair of the projection of v."""
         if self._dual is not None:
             normal = self.normal(v)
-            return Witness(normal / step, v - normal, 0.0)
+            return Witness(normal, v - normal, 0.0)
         near = self.near(v)
         if near is not None:
             normal = near.splitting.normal(near).p
-            return Witness(normal / step, near.w.copy(), 0.0, near.lost(normal, step))
+            return Witness(normal, near.w.copy(), 0.0, near.lost(normal))
         s = self._nearest(v)
         if s is not None:
-            return Witness((v - self.M @ s) / step, self.M @ s, 0.0)
+            return Witness(v - self.M @ s, self.M @ s, 0.0)
         # not to rounding: the parameters nearest to the program's answer, and what they miss
         normal = v - project_by_program(self, v)
         w = v - normal
@@ -242,9 +250,9 @@ class Image(Composed):
         s = meet(np.zeros(self.part.dim))
         better = fixed_point(meet, s, s, self.sweeps)
         s = s if better is None else better
-        inner = self._pulled_back(normal / step)
+        inner = self._pulled_back(normal)
         gap = self.part.support(inner) - float(inner @ s)
-        return Witness(normal / step, self.M @ s, max(gap, 0.0))
+        return Witness(normal, self.M @ s, max(gap, 0.0))
 
     def flat(self) -> Flat | None:
         found = Flat.of(self.part) if self.dim <= DENSE else None

@@ -61,17 +61,17 @@ class Intersection(Pair):
         for part, other in ((self.first, self.second), (self.second, self.first)):
             alone = part.normal(v) if self.certifiable else v
             if self.certifiable and not other.normal(v - alone).any():
-                return Witness(alone, v - alone, 0.0, rounded(v, 1.0))
+                return Witness(alone, v - alone, 0.0, rounded(v))
         near = self.near(v)
         if near is not None:
-            return self._pair(near)
+            return self._joined(near)
         split = None if self.nested else self._split(v, one, SWEEPS)
         if split is None:
             p, y = normal_by_program(self, v)
             one, two = y[: self.dim], p - y[: self.dim]
             split = self._split(v, one, self.sweeps)
         if split is not None:
-            return Witness(split[0] + split[1], v - split[0] - split[1], 0.0, rounded(v, 1.0))
+            return Witness(split[0] + split[1], v - split[0] - split[1], 0.0, rounded(v))
         w = v - p
         for _ in range(self.sweeps if self.certifiable else 0):
             before, w = w, self.second.project(self.first.project(w))
@@ -85,7 +85,7 @@ class Intersection(Pair):
             p = p + exact
         return Witness(p, w, max(gap, np.finfo(float).tiny))
 
-    def _pair(self, near: Near) -> Witness:
+    def _joined(self, near: Near) -> Witness:
         """w and v - w as the sum of the parts' normals: what none of them holds is exactly 0."""
         v = near.v
         p, multipliers = near.splitting.normal(near)
@@ -93,7 +93,7 @@ class Intersection(Pair):
         split = self.first.normal(v - two) + two
         if np.abs(split - p).max() <= 10 * ROUNDING * np.abs(v).max():
             p = split
-        return Witness(p, near.w.copy(), 0.0, near.lost(p, 1.0))
+        return Witness(p, near.w.copy(), 0.0, near.lost(p))
 
     def _split(
         self, v: np.ndarray, one: np.ndarray, sweeps: int
@@ -123,17 +123,9 @@ class Intersection(Pair):
         more, others = self.second.features(p - one)
         return Features([one, *y, *more], [*constraints, *others])
 
-    def witness(
-        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
-    ) -> Witness | None:
-        if not self.certifiable:
-            return None
-        step = float(np.mean(tau))
-        v = w + step * p
-        near = self.near(v)
-        found = self._decompose(v, step * y[: self.dim]) if near is None else self._pair(near)
-        lost = found.lost and found.lost._replace(p=found.lost.p / step)
-        return Witness(found.p / step, found.w, found.gap / step, lost)
+    def _pair(self, w: np.ndarray, p: np.ndarray, y: np.ndarray) -> Witness:
+        near = self.near(w + p)
+        return self._decompose(w + p, y[: self.dim]) if near is None else self._joined(near)
 
     def require_nonempty(self, where: str = "C") -> None:
         super().require_nonempty(where)

@@ -11,7 +11,7 @@ import numpy as np
 
 from sweepopt.alone import in_turn
 from sweepopt.errors import EmptySetError, SweepoptError
-from sweepopt.sets.base import DENSE, ROUNDING, ConvexSet, binary
+from sweepopt.sets.base import DENSE, RANK, ROUNDING, ConvexSet, binary
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -180,24 +180,28 @@ def _newton(
         D = slope(x)
         if D is None:
             break
-        change = np.linalg.lstsq(np.eye(x.size) - D, residual, rcond=1e-13)[0]
-        ahead = _shortened(step, x, change, float(np.linalg.norm(residual)))
+        change = np.linalg.lstsq(np.eye(x.size) - D, residual, rcond=RANK)[0]
+        ahead, left = _shortened(step, x, change, float(np.linalg.norm(residual)))
         if np.abs(ahead).max() > RUNAWAY * size:
             return start  # nearly parallel faces: what solves x = step(x) there is rounding of x
         small = np.abs(ahead - x).max() <= ROUNDING * np.abs(x).max()
-        x, residual = ahead, step(ahead) - ahead
+        x, residual = ahead, left
         if small:
             break
     return x
 
 
-def _shortened(step: Step, x: np.ndarray, change: np.ndarray, size: float) -> np.ndarray:
-    """x + change, or on the way there: at a kink no part of it need be better."""
+def _shortened(
+    step: Step, x: np.ndarray, change: np.ndarray, size: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """x + change, or on the way there, and its residual: at a kink no part need be better."""
+    tried = []
     for halvings in range(HALVINGS):
         ahead = x + 0.5**halvings * change
-        if np.linalg.norm(step(ahead) - ahead) < size:
-            return ahead
-    return x + change
+        tried.append((ahead, step(ahead) - ahead))
+        if np.linalg.norm(tried[-1][1]) < size:
+            return tried[-1]
+    return tried[0]
 
 
 def _sweep(step: Step, x: np.ndarray, like: np.ndarray, sweeps: int, memory: int) -> _Reached:

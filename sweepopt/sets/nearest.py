@@ -9,7 +9,7 @@ import scipy.optimize
 
 from sweepopt.errors import EmptySetError
 from sweepopt.sets.active_set import least_distance
-from sweepopt.sets.base import ROUNDING, Lifted, binary
+from sweepopt.sets.base import RANK, ROUNDING, Lifted, binary
 
 if TYPE_CHECKING:
     from sweepopt.sets.shapes import Box
@@ -55,7 +55,7 @@ def nearest_on_rows(lift: Lifted, w: np.ndarray) -> OnRows | None:
     rows = _units(np.abs(G).max(axis=1))
     G, h = G / rows[:, None], lift.h / rows
     U, sizes, Vt = np.linalg.svd(M, full_matrices=M.shape[0] < M.shape[1])
-    seen = sizes > 1e-13 * sizes[0]
+    seen = sizes > RANK * sizes[0]
     weights = np.full(len(Vt), BLIND * sizes[0])
     weights[: len(sizes)][seen] = sizes[seen]
     back = Vt.T / weights  # s = s0 + back @ x
@@ -72,11 +72,10 @@ def nearest_on_rows(lift: Lifted, w: np.ndarray) -> OnRows | None:
         return None
     # on the face of these rows: s + Z y with M (s + Z y) nearest to w
     s, held = s0 + back @ found.u, G[found.active]
-    s = s + np.linalg.lstsq(held, h[found.active] - held @ s, rcond=1e-13)[0]
-    _, edges, turned = np.linalg.svd(held)
-    Z = turned[int((edges > 1e-13 * edges.max(initial=0.0)).sum()) :].T
-    s = s + Z @ np.linalg.lstsq(M @ Z, w - M @ s, rcond=1e-13)[0]
-    multipliers[found.active] = np.linalg.lstsq(held.T, M.T @ (w - M @ s), rcond=1e-13)[0]
+    s = s + np.linalg.lstsq(held, h[found.active] - held @ s, rcond=RANK)[0]
+    Z = _unseen(held)
+    s = s + Z @ np.linalg.lstsq(M @ Z, w - M @ s, rcond=RANK)[0]
+    multipliers[found.active] = np.linalg.lstsq(held.T, M.T @ (w - M @ s), rcond=RANK)[0]
     pressed = found.active[multipliers[found.active] > PRESSED * np.abs(multipliers).max()]
     return OnRows(_inside(G, h, np.vstack([M, G[pressed]]), s) / units, multipliers / rows)
 
@@ -86,13 +85,18 @@ def _inside(G: np.ndarray, h: np.ndarray, fixed: np.ndarray, s: np.ndarray) -> n
     slack, rounding = h - G @ s, ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(s))
     if (slack >= -10 * rounding).all():
         return s
-    _, sizes, Vt = np.linalg.svd(fixed)
-    free = Vt[int((sizes > 1e-13 * sizes.max(initial=0.0)).sum()) :].T
+    free = _unseen(fixed)
     try:
         found = least_distance(G @ free, np.where(np.abs(slack) <= rounding, 0, slack), rounding)
     except EmptySetError:
         return s
     return s if found is None else s + free @ found.u
+
+
+def _unseen(G: np.ndarray) -> np.ndarray:
+    """Orthonormal columns that span { y : G y = 0 }."""
+    _, sizes, Vt = np.linalg.svd(G)
+    return np.asarray(Vt[int((sizes > RANK * sizes.max(initial=0.0)).sum()) :].T)
 
 
 def _units(sizes: np.ndarray) -> np.ndarray:

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from abc import abstractmethod
 
 import numpy as np
 
-from sweepopt.sets.base import (
-    ConvexSet,
-)
+from sweepopt.sets.base import ConvexSet, Witness
 from sweepopt.sets.composed import Composed
-
-if TYPE_CHECKING:
-    pass
 
 
 class Pair(Composed):
@@ -34,6 +29,18 @@ class Pair(Composed):
             and self.first.same_cone(other.first)
             and self.second.same_cone(other.second)
         )
+
+    def witness(
+        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
+    ) -> Witness | None:
+        if not self.certifiable:
+            return None
+        step = float(np.mean(tau))
+        return self._pair(w, step * p, step * y).over(step)
+
+    @abstractmethod
+    def _pair(self, w: np.ndarray, p: np.ndarray, y: np.ndarray) -> Witness:
+        """A pair near (w, p), p in the units of w; y are the features of p."""
 
     def require_nonempty(self, where: str = "C") -> None:
         self.first.require_nonempty(where)

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg
 
-from sweepopt.sets.base import ROUNDING, Lost
-from sweepopt.sets.flat import DEPENDENT, Flat, solutions
+from sweepopt.sets.base import RANK, ROUNDING, Lost
+from sweepopt.sets.flat import Flat, solutions
 from sweepopt.sets.iteration import fixed_point
 
 LAST = 2 * float(np.finfo(float).eps)  # what one number of many is rounded
@@ -37,16 +37,15 @@ class Near(NamedTuple):
         """s as the parts see it."""
         return self.s / self.splitting.units
 
-    def lost(self, p: np.ndarray, step: float) -> Lost:
-        """How far w and p / step, p near v - w, are from a pair at most."""
-        found = self.splitting.lost(self, p)
-        return rounded(self.v, step) if found is None else found._replace(p=found.p / step)
+    def lost(self, p: np.ndarray) -> Lost:
+        """How far w and p, near v - w, are from a pair at most."""
+        return self.splitting.lost(self, p) or rounded(self.v)
 
 
-def rounded(v: np.ndarray, step: float) -> Lost:
-    """The same where nothing is known but v, of which w and step * p are parts."""
+def rounded(v: np.ndarray) -> Lost:
+    """The same where nothing is known but v, of which w and p are parts."""
     lost = np.full(v.size, 10 * ROUNDING * np.abs(v).max())
-    return Lost(lost, lost / step)
+    return Lost(lost, lost)
 
 
 class Normal(NamedTuple):
@@ -139,9 +138,9 @@ class Splitting:
         """v - w, changed by what rounding of v keeps it from being one to the parts' normals."""
         inner = self._normals(near)
         p, F, E = near.v - near.w, self.F.T, self.E.T
-        found = np.linalg.lstsq(F, E @ p - inner, rcond=DEPENDENT)[0]
+        found = np.linalg.lstsq(F, E @ p - inner, rcond=RANK)[0]
         missed = inner - E @ p + F @ found
-        change = np.linalg.lstsq(np.hstack([E, -F]), missed, rcond=DEPENDENT)[0]
+        change = np.linalg.lstsq(np.hstack([E, -F]), missed, rcond=RANK)[0]
         return Normal(p + change[: p.size], found + change[p.size :])
 
     def _normals(self, near: Near) -> np.ndarray:
@@ -160,7 +159,7 @@ class Splitting:
         if D is None:
             return None
         s, n, E, F = near.s, near.image - near.s, self.E, self.F
-        multipliers = np.linalg.lstsq(F.T, E.T @ p - n, rcond=DEPENDENT)[0]
+        multipliers = np.linalg.lstsq(F.T, E.T @ p - n, rcond=RANK)[0]
         turns = np.eye(s.size) - D
         if not p.any():  # which is normal everywhere
             n, multipliers, turns = 0 * n, 0 * multipliers, 0 * turns
@@ -193,7 +192,7 @@ class Splitting:
             return None
         one, pull = np.eye(len(D)), self._K @ self.E.T
         jacobian = self._K - D @ (2 * self._K - one)
-        dx = np.linalg.lstsq(jacobian, (2 * D - one) @ pull, rcond=DEPENDENT)[0]
+        dx = np.linalg.lstsq(jacobian, (2 * D - one) @ pull, rcond=RANK)[0]
         return np.asarray(self.E @ (self._K @ dx + pull))
 
 
@@ -204,4 +203,4 @@ def _inverse(wide: np.ndarray, last: int) -> np.ndarray:
         sizes = L.diagonal()
         if sizes.min() > SQUARED * sizes.max():
             return np.asarray(scipy.linalg.cho_solve((L, low), wide[:, -last:]).T)
-    return np.asarray(np.linalg.pinv(wide, rcond=DEPENDENT)[-last:])
+    return np.asarray(np.linalg.pinv(wide, rcond=RANK)[-last:])

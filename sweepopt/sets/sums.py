@@ -98,27 +98,17 @@ class Sum(Pair):
         more, others = self.second.features(p)
         return Features([*y, *more], [*constraints, *others])
 
-    def witness(
-        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
-    ) -> Witness | None:
-        if not self.certifiable:
-            return None
-        step = float(np.mean(tau))
-        v = w + step * p
+    def _pair(self, w: np.ndarray, p: np.ndarray, y: np.ndarray) -> Witness:
+        v = w + p
         found = self._nearest(v)
         if found is not None:
             near = self.near(v)
-            lost = rounded(v, step) if near is None else near.lost(found.p, step)
-            return Witness(found.p / step, found.w, 0.0, lost)
+            return found._replace(lost=rounded(v) if near is None else near.lost(found.p))
         # no split to rounding: exposed parts, and the gap of the best normal at hand
         first = self.first.project(w)
         second = self.second.project(v - first)
         first = self.first.project(v - second)
-        normals = (
-            p,
-            self.first.normal(v - second) / step,
-            self.second.normal(v - first) / step,
-        )
+        normals = (p, self.first.normal(v - second), self.second.normal(v - first))
         gaps = [self.support(n) - float(n @ (first + second)) for n in normals]
         best = int(np.argmin(gaps))
         return Witness(normals[best], first + second, max(gaps[best], 0.0))
