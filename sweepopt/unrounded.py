@@ -161,11 +161,13 @@ class _Unrounded:
                 break
             rest = self._product(u, self._lost @ z, -c, -term)
             size = certificate / relative if relative else self._forces(term, S)
-            missed = self._M.dual_norm(rest) + self._product.share * self._bound(z, u, size)
+            little = max(NEGLIGIBLE * size, certificate)
+            missed = self._M.dual_norm_within(rest, 0.5 * little)
+            missed += self._product.share * self._bound(z, u, size)
             velocity = self._proven(z, certificate + missed, size)
             if velocity.relative < best.velocity.relative:
                 best = solved._replace(velocity=velocity)
-            negligible = missed <= max(NEGLIGIBLE * size, certificate)
+            negligible = missed <= little
             if attempt:
                 if negligible or missed > 0.5 * left:
                     break
