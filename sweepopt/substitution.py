@@ -18,7 +18,8 @@ from sweepopt.program import Velocity, at_rest_on, rate
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.base import Selection
 
-ACCURATE = 4e-9  # above this rounding is looked at closely; two of it are less than 1e-8
+ACCURATE = 1e-9  # what multigrid iterates to, and above which rounding is looked at closely
+MANY = 250_000  # unknowns from which on that look, which costs three steps, is for more
 REFINEMENTS = 5  # corrections of what a factorisation rounds
 
 
@@ -31,19 +32,28 @@ class Solved(NamedTuple):
     attempts: int
 
 
+def accurate(M: Factor) -> float:
+    """What bounds of rounding may be without a closer look, two of them less than 1e-8.
+
+    They grow with the number of unknowns, what is rounded does not.
+    """
+    return ACCURATE * min(max(M.dim / MANY, 1.0), 4.0)
+
+
 VelocityOf = Callable[[np.ndarray, ConvexSet], Solved]
 SelectedVelocity = Callable[[np.ndarray, Selection], Solved]
 
 
 def linear(M: Factor) -> VelocityOf:
     """C is a point c: M z = c - q."""
+    enough = accurate(M)
 
     def solve(q: np.ndarray, C: ConvexSet) -> Solved:
         c = C.anchor
         z = M.solve(c - q)
         best = _of_force(M, z, c, q)
         for _ in range(REFINEMENTS):
-            if not best.relative > ACCURATE:
+            if not best.relative > enough:
                 break
             z = z + M.solve(M.precisely(-z, c, -q))
             best = min(best, _of_force(M, z, c, q), key=lambda one: one.relative)
@@ -54,8 +64,9 @@ def linear(M: Factor) -> VelocityOf:
 
 def _of_force(M: Factor, z: np.ndarray, c: np.ndarray, q: np.ndarray) -> Velocity:
     """z with M z = c - q but for rounding: both |z|_M and |M^-1 q|_M are |c - q|_{M^-1}."""
-    rho, size, rounding = M.apply(z, q, -c, enough=ACCURATE)
-    return rate(z, M.dual_norm_within(rho, ACCURATE * size) + rounding, size, size)
+    enough = accurate(M)
+    rho, size, rounding = M.apply(z, q, -c, enough=enough)
+    return rate(z, M.dual_norm_within(rho, enough * size) + rounding, size, size)
 
 
 class _Load(NamedTuple):
@@ -92,7 +103,7 @@ def eliminated(M: Elimination, small: VelocityOf) -> SelectedVelocity:
 
 class _Eliminated:
     def __init__(self, M: Elimination, small: VelocityOf) -> None:
-        self._M, self._small = M, small
+        self._M, self._small, self._enough = M, small, accurate(M)
 
     def __call__(self, q: np.ndarray, selection: Selection) -> Solved:
         M, few, shift = self._M, self._M.unknowns, selection.shift
@@ -106,7 +117,7 @@ class _Eliminated:
         best = self._proven(z, solved, load, linear, size_q)
         for _ in range(REFINEMENTS):
             # nan: no proof, nothing to compare; above 1 there is nothing to refine
-            if not ACCURATE < best.velocity.relative < 1:
+            if not self._enough < best.velocity.relative < 1:
                 break
             forward, pull = M.reduce(-M.precisely(z, *load.missing))
             linear = self._precisely(-zeta, -pull)
@@ -131,7 +142,7 @@ class _Eliminated:
         pull = M.N @ zeta + linear
         size_z = math.sqrt(abs(z.dot(force) + zeta.dot(pull)))
         rounding = 2 * M.rounding(z, force)  # of M z, and of N zeta, which is less
-        if rounding <= ACCURATE * size_z:
+        if rounding <= self._enough * size_z:
             rho = M.M @ z - force
             rho[few] -= pull
         else:
@@ -140,7 +151,7 @@ class _Eliminated:
             lost[few] = self._precisely(zeta, linear, -on_few[few])
             rho = M.precisely(z, *load.missing, -on_few, -lost)
             rounding *= M.precisely.share
-        missed = M.dual_norm_within(rho, ACCURATE * size_z) + rounding
+        missed = M.dual_norm_within(rho, self._enough * size_z) + rounding
         # N is made of rounded factors
         certificate = M.margin * solved.velocity.certificate + missed
         return solved._replace(velocity=rate(z, certificate, size_z, size_q))

@@ -26,7 +26,7 @@ from sweepopt.precise import Precise, product_error, sum_error
 from sweepopt.process import SweepingProcess
 from sweepopt.program import Translate, Velocity, untranslated
 from sweepopt.sets import ConvexSet, Point
-from sweepopt.substitution import ACCURATE, Solved, VelocityOf
+from sweepopt.substitution import Solved, VelocityOf, accurate
 
 REFINEMENTS = 20  # corrections of the linear term; each leaves a share |M^-1 (A + gamma B - M)|
 StateVelocity = Callable[[np.ndarray, ConvexSet], Solved]
@@ -51,7 +51,7 @@ def of_state(process: SweepingProcess, plan: Plan, gamma: float, factors: Factor
     velocity = plan.velocity(factors)
     if process.B is None or plan.multigrid:  # whose rounding is not bounded at all
         return lambda u, C: velocity(process.times_B(u), C)
-    return _Unrounded(process.A, process.B, gamma, factors, velocity, min(ACCURATE, 0.1 * plan.tol))
+    return _Unrounded(process.A, process.B, gamma, factors, velocity, plan.tol)
 
 
 class _Shares(NamedTuple):
@@ -73,10 +73,10 @@ class _Unrounded:
         gamma: float,
         factors: Factors,
         velocity: VelocityOf,
-        enough: float,
+        tol: float,
     ) -> None:
         self._A, self._B, self._gamma = A, B, gamma
-        self._factors, self._velocity, self._enough = factors, velocity, enough
+        self._factors, self._velocity, self._tol = factors, velocity, tol
 
     def __call__(self, u: np.ndarray, C: ConvexSet) -> Solved:
         q = self._B.dot(u)
@@ -114,6 +114,11 @@ class _Unrounded:
         of_M = unit * (self._stretch**2 + self._gamma * of_B) if self._gamma else 0.0
         of_u = unit * (3 + math.sqrt(entries)) * of_B
         return _Shares(of_M * self._M.bound_factor, of_M, of_u)
+
+    @cached_property
+    def _enough(self) -> float:
+        """The share of the velocity above which d is computed."""
+        return min(accurate(self._M), 0.1 * self._tol)
 
     @cached_property
     def _stretch(self) -> float:

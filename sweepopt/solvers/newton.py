@@ -65,8 +65,9 @@ class Newton(Small):
         """
         if C.dim > self.max_dim:
             return False
-        D = C.derivative(C.anchor)
-        return D is not None and (D.ndim == 1 or C.rows() is None)
+        D, few = C.derivative(C.anchor), C.selection
+        rows = C.rows() if few is None else few.part.rows()
+        return D is not None and (D.ndim == 1 or rows is None)
 
     def compile(self, program: VelocityProgram) -> Solve:
         """A function that starts from the velocity it found last."""
