@@ -24,6 +24,7 @@ from sweepopt.substitution import (
     SelectedVelocity,
     Solved,
     VelocityOf,
+    accurate,
     eliminated,
     linear,
     unless_at_rest,
@@ -152,14 +153,14 @@ class Plan:
         a small program, any other set the full one. What a C needs is compiled when it comes.
         """
         factors = M if isinstance(M, Factors) else self.factors(M)
-        contact = factors.contact
+        contact, enough = factors.contact, accurate(factors.M.shape[0], self.tol)
         program = cache(lambda: programmed(factors.whole, self.solver, self.tol, self.order))
         if self.multigrid:
-            point = cache(lambda: linear(factors.hierarchy))
+            point = cache(lambda: linear(factors.hierarchy, enough))
             selected = cache(lambda: iterated(factors.hierarchy, contact, self.tol))
         else:
-            point = cache(lambda: linear(factors.whole))
-            selected = cache(lambda: self._eliminated(factors))
+            point = cache(lambda: linear(factors.whole, enough))
+            selected = cache(lambda: self._eliminated(factors, enough))
 
         def solve(q: np.ndarray, C: ConvexSet) -> Solved:
             if C.singleton:
@@ -176,9 +177,9 @@ class Plan:
         contact = np.zeros(0, dtype=int) if self.contact is None else self.contact
         return Factors(M, contact, self.order)
 
-    def _eliminated(self, factors: Factors) -> SelectedVelocity:
+    def _eliminated(self, factors: Factors, enough: float) -> SelectedVelocity:
         small = programmed(factors.small, self.solver, self.tol, None)
-        moving = eliminated(factors.elimination, small)
+        moving = eliminated(factors.elimination, small, enough)
         return unless_at_rest(factors.elimination.diagonal, moving)
 
     def __str__(self) -> str:

@@ -16,7 +16,7 @@ from sweepopt.sets import ConvexSet
 from sweepopt.sets.base import same_array
 from sweepopt.solvers import LAST, NEWTON, Answer
 from sweepopt.solvers.newton import Iteration
-from sweepopt.substitution import SelectedVelocity, Solved, VelocityOf, eliminated
+from sweepopt.substitution import ACCURATE, SelectedVelocity, Solved, VelocityOf, eliminated
 
 ENOUGH = 1e-11  # what a polish is called for again: its certificate counts rounding that is there
 ROUGH = 1e-2  # relative certificate above which an answer is wrong, and no polish is called for
@@ -67,7 +67,7 @@ class _Polish:
         if body is None or self._selected is None or not same_array(few, body.unknowns):
             body = self._elimination = Elimination(self._M.M, few, self._order)
             small = self._exact(Factor(body.N), selection.part)
-            self._selected = eliminated(body, small)
+            self._selected = eliminated(body, small, ACCURATE)
         self._start = z[few]
         return self._selected(q, selection).velocity
 

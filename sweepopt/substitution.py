@@ -32,39 +32,37 @@ class Solved(NamedTuple):
     attempts: int
 
 
-def accurate(M: Factor) -> float:
-    """What bounds of rounding may be without a closer look, two of them less than 1e-8.
+def accurate(dim: int, tol: float) -> float:
+    """What bounds of rounding may be without a closer look, two of them less than tol and 1e-8.
 
-    They grow with the number of unknowns, what is rounded does not.
+    They grow with the number of unknowns, what is rounded hardly does.
     """
-    return ACCURATE * min(max(M.dim / MANY, 1.0), 4.0)
+    return min(ACCURATE * min(max(dim / MANY, 1.0), 4.0), 0.3 * tol)
 
 
 VelocityOf = Callable[[np.ndarray, ConvexSet], Solved]
 SelectedVelocity = Callable[[np.ndarray, Selection], Solved]
 
 
-def linear(M: Factor) -> VelocityOf:
-    """C is a point c: M z = c - q."""
-    enough = accurate(M)
+def linear(M: Factor, enough: float) -> VelocityOf:
+    """C is a point c: M z = c - q; refined where the certificate is above `enough`."""
 
     def solve(q: np.ndarray, C: ConvexSet) -> Solved:
         c = C.anchor
         z = M.solve(c - q)
-        best = _of_force(M, z, c, q)
+        best = _of_force(M, z, c, q, enough)
         for _ in range(REFINEMENTS):
             if not best.relative > enough:
                 break
             z = z + M.solve(M.precisely(-z, c, -q))
-            best = min(best, _of_force(M, z, c, q), key=lambda one: one.relative)
+            best = min(best, _of_force(M, z, c, q, enough), key=lambda one: one.relative)
         return Solved(best, "linear", 0, 1)
 
     return solve
 
 
-def _of_force(M: Factor, z: np.ndarray, c: np.ndarray, q: np.ndarray) -> Velocity:
+def _of_force(M: Factor, z: np.ndarray, c: np.ndarray, q: np.ndarray, enough: float) -> Velocity:
     """z with M z = c - q but for rounding: both |z|_M and |M^-1 q|_M are |c - q|_{M^-1}."""
-    enough = accurate(M)
     rho, size, rounding = M.apply(z, q, -c, enough=enough)
     return rate(z, M.dual_norm_within(rho, enough * size) + rounding, size, size)
 
@@ -86,7 +84,7 @@ def unless_at_rest(diagonal: np.ndarray, moving: SelectedVelocity) -> SelectedVe
     return solve
 
 
-def eliminated(M: Elimination, small: VelocityOf) -> SelectedVelocity:
+def eliminated(M: Elimination, small: VelocityOf, enough: float) -> SelectedVelocity:
     """C = c + E^T S: the velocity of the unknowns zeta = E z solves a small program.
 
     N = (E M^-1 E^T)^-1, linear term N E M^-1 (q - c), set S (MATH.md section 5). From zeta the
@@ -94,16 +92,16 @@ def eliminated(M: Elimination, small: VelocityOf) -> SelectedVelocity:
     misses the inclusion by what zeta misses it, in the same norm, plus rounding. `small` is the
     velocity for the matrix N.
 
-    Where M is so badly conditioned that this is not enough, the residual r = c - q - M z, rounded
-    once, frames the program of the correction: that for zeta again, with N zeta - N E M^-1 r for
-    its linear term, as iterative refinement does for linear equations.
+    Where M is so badly conditioned that the certificate is above `enough`, the residual
+    r = c - q - M z, rounded once, frames the program of the correction: that for zeta again, with
+    N zeta - N E M^-1 r for its linear term, as iterative refinement does for linear equations.
     """
-    return _Eliminated(M, small)
+    return _Eliminated(M, small, enough)
 
 
 class _Eliminated:
-    def __init__(self, M: Elimination, small: VelocityOf) -> None:
-        self._M, self._small, self._enough = M, small, accurate(M)
+    def __init__(self, M: Elimination, small: VelocityOf, enough: float) -> None:
+        self._M, self._small, self._enough = M, small, enough
 
     def __call__(self, q: np.ndarray, selection: Selection) -> Solved:
         M, few, shift = self._M, self._M.unknowns, selection.shift

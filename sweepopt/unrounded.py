@@ -51,7 +51,8 @@ def of_state(process: SweepingProcess, plan: Plan, gamma: float, factors: Factor
     velocity = plan.velocity(factors)
     if process.B is None or plan.multigrid:  # whose rounding is not bounded at all
         return lambda u, C: velocity(process.times_B(u), C)
-    return _Unrounded(process.A, process.B, gamma, factors, velocity, plan.tol)
+    enough = accurate(process.dim, plan.tol)
+    return _Unrounded(process.A, process.B, gamma, factors, velocity, enough)
 
 
 class _Shares(NamedTuple):
@@ -73,10 +74,10 @@ class _Unrounded:
         gamma: float,
         factors: Factors,
         velocity: VelocityOf,
-        tol: float,
+        enough: float,
     ) -> None:
         self._A, self._B, self._gamma = A, B, gamma
-        self._factors, self._velocity, self._tol = factors, velocity, tol
+        self._factors, self._velocity, self._enough = factors, velocity, enough
 
     def __call__(self, u: np.ndarray, C: ConvexSet) -> Solved:
         q = self._B.dot(u)
@@ -114,11 +115,6 @@ class _Unrounded:
         of_M = unit * (self._stretch**2 + self._gamma * of_B) if self._gamma else 0.0
         of_u = unit * (3 + math.sqrt(entries)) * of_B
         return _Shares(of_M * self._M.bound_factor, of_M, of_u)
-
-    @cached_property
-    def _enough(self) -> float:
-        """The share of the velocity above which d is computed."""
-        return min(accurate(self._M), 0.1 * self._tol)
 
     @cached_property
     def _stretch(self) -> float:

@@ -106,7 +106,7 @@ class _Programmed:
         if unknowns not in self._alone:
             body = Elimination(self._M.M, np.array(unknowns), self._order)
             small = programmed(Factor(body.N), "auto", min(self._tol, ACCURATE), None)
-            self._alone[unknowns] = eliminated(body, small)
+            self._alone[unknowns] = eliminated(body, small, ACCURATE)
         return self._alone[unknowns]
 
 

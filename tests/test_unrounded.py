@@ -120,6 +120,23 @@ def test_easy_data_never_take_the_precise_way(monkeypatch: pytest.MonkeyPatch) -
     assert 0 < sol.stats["relative"].max() < 1e-10
 
 
+@pytest.mark.parametrize("name", ["a point", "a box on a few"])
+@pytest.mark.parametrize("stiffness", [None, 0.5])
+def test_a_tolerance_near_rounding_is_met_by_a_closer_look(
+    name: str, stiffness: float | None
+) -> None:
+    n = 600
+    K = sp.csc_array(sp.diags_array([-1.0, 2.0 + 1e-6, -1.0], offsets=[-1, 0, 1], shape=(n, n)))
+    few = sp.csc_array((np.ones(3), ([5, 100, 400], range(3))), shape=(n, 3))
+    C = so.Point(np.zeros(n)) if name == "a point" else so.image(few, so.Box([-1.0] * 3, [1.0] * 3))
+    f = np.random.default_rng(0).normal(size=n)
+    moving = so.Moving(C, center=lambda t: t * f)
+    process = so.SweepingProcess(K, stiffness and stiffness * K, moving, np.zeros(n))
+    rough, fine = (so.solve(process, t_end=1.0, steps=5, tol=tol) for tol in (1e-6, 1e-11))
+    assert fine.success
+    assert 0 < fine.stats["relative"].max() <= 1e-11 < rough.stats["relative"].max()
+
+
 def test_errors_of_sums_and_products_are_exact() -> None:
     random = np.random.default_rng(12)
     A, B = (random.normal(size=(4, 4)) * 10.0 ** random.integers(-12, 12, (4, 4)) for _ in "AB")
