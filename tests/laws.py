@@ -459,6 +459,7 @@ ZOO: dict[str, Entry] = {
     ),
     "ball x box x cone": Entry(crossed(ball, box, second_order_cone), bounded=False),
     "polytope x ellipsoid": Entry(crossed(polytope, ellipsoid)),
+    "polyhedron x selection": Entry(crossed(polyhedron, mapped(box, "selection"))),
     "selection of a box": Entry(mapped(box, "selection")),
     "selection of balls": Entry(mapped(balls, "selection")),
     "injective image of a ball": Entry(mapped(ball, "injective")),
@@ -722,6 +723,21 @@ def derivative_is_the_slope_of_the_projection(entry: Entry, s: Sample, rng: Rng)
         close(D * e if D.ndim == 1 else D @ e, ahead, 1e-4, size(e))
 
 
+def rows_are_the_set(entry: Entry, s: Sample, rng: Rng) -> None:
+    rows = s.C.rows()
+    if rows is None:
+        return
+    G, h = rows
+    for v in (far_and_near(rng, s.C.dim), s.C.project(far_and_near(rng, s.C.dim))):
+        w = s.C.project(v)
+        slack, rounding = h - G @ v, entry.tol * size(v, h) * (1 + abs(G).sum(axis=1))
+        assert (G @ w <= h + rounding).all()
+        if (slack >= 0).all():
+            close(w, v, entry.tol, size(v))
+        if (slack < -rounding).any():
+            assert (w != v).any()
+
+
 def magnitude_bounds_the_set(entry: Entry, s: Sample, rng: Rng) -> None:
     bound = s.C.magnitude()
     assert np.isfinite(bound) == entry.bounded
@@ -836,6 +852,7 @@ LAWS: dict[Callable[[Entry, Sample, Rng], None], int] = {
     support_is_lipschitz_in_hausdorff_distance: 2,
     distance_bound_bounds_the_hausdorff_distance: 3,
     derivative_is_the_slope_of_the_projection: 4,
+    rows_are_the_set: 2,
     magnitude_bounds_the_set: 2,
     descriptions_are_consistent: 2,
     witness_proves_a_pair_near_any_guess: 4,
