@@ -187,18 +187,11 @@ class Image(Composed):
         return s - self.M.T @ (self.M @ s - w) / self._square_norm
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        """That of P(v); None for a selection, whose part has one."""
         if self._dual is not None:
             normal = self._dual.derivative(v)
             return None if normal is None else np.eye(self.dim) - normal
-        few = self._selected
-        if few is None:
-            return super().derivative(v)
-        inner = self.part.derivative(v[few]) if self.dim <= DENSE else None
-        if inner is None:
-            return None
-        D = np.zeros((self.dim,) * inner.ndim)
-        D[few if inner.ndim == 1 else np.ix_(few, few)] = inner
-        return D
+        return None if self._selected is not None else super().derivative(v)
 
     def features(self, p: cp.Expression) -> Features:
         return self.part.features((self._transposed / self._unit) @ p)

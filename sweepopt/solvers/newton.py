@@ -65,9 +65,8 @@ class Newton(Small):
         """
         if C.dim > self.max_dim:
             return False
-        D, few = C.derivative(C.anchor), C.selection
-        rows = C.rows() if few is None else few.part.rows()
-        return D is not None and (D.ndim == 1 or rows is None)
+        D = C.derivative(C.anchor)
+        return D is not None and (D.ndim == 1 or C.rows() is None)
 
     def compile(self, program: VelocityProgram) -> Solve:
         """A function that starts from the velocity it found last."""
