@@ -1,7 +1,8 @@
 """The polish: any answer is moved to one that is exact but for rounding, if that is better.
 
-Newton steps on sets whose projection has a derivative, an active set on other small polyhedra; both
-on the unknowns that the set acts on, with all others eliminated.
+Newton steps on sets whose projection has a derivative, an active set on small polyhedra where there
+is none or rounding is too much for it; both on the unknowns that the set acts on, with all others
+eliminated.
 """
 
 from __future__ import annotations
@@ -72,7 +73,20 @@ class _Polish:
         return self._selected(q, selection).velocity
 
     def _exact(self, N: Factor, cone: ConvexSet) -> VelocityOf:
-        return self._newton(N, cone) if NEWTON.treats(cone) else self._active_set(N, cone)
+        ways = [
+            way(N, cone)
+            for method, way in ((NEWTON, self._newton), (LAST, self._active_set))
+            if method.treats(cone)
+        ]
+
+        def solve(q: np.ndarray, C: ConvexSet) -> Solved:
+            best = ways[0](q, C)
+            for way in ways[1:]:
+                if not best.velocity.relative <= ACCURATE:
+                    best = min(best, way(q, C), key=lambda one: one.velocity.relative)
+            return best
+
+        return solve
 
     def _newton(self, N: Factor, cone: ConvexSet) -> VelocityOf:
         program, iterate = VelocityProgram(N, cone), Iteration(N)

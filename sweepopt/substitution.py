@@ -33,9 +33,10 @@ class Solved(NamedTuple):
 
 
 def accurate(dim: int, tol: float) -> float:
-    """What bounds of rounding may be without a closer look, two of them less than tol and 1e-8.
+    """The share of a velocity that a bound of rounding may be without a closer look.
 
-    They grow with the number of unknowns, what is rounded hardly does.
+    There are two, that of the program and that of the state: both together stay below tol and 1e-8.
+    They grow with the number of unknowns, rounding itself hardly does.
     """
     return min(ACCURATE * min(max(dim / MANY, 1.0), 4.0), 0.3 * tol)
 

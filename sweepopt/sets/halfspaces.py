@@ -56,18 +56,16 @@ def halfspaces(C: ConvexSet) -> Halfspaces:
     """
     if C.singleton:
         return Halfspaces(np.zeros((0, C.dim)), np.zeros(0), np.eye(C.dim), C.anchor)
-    return _found(C)
+    found = C.rows()
+    return _found(C) if found is None else Halfspaces.below(dense(found[0]), found[1])
 
 
 @singledispatch
 def _found(C: ConvexSet) -> Halfspaces:
-    """As the set is written; beside the few unknowns that it acts on w is 0."""
+    """The rows of a set that is not written as rows; beside the few unknowns it acts on w is 0."""
     selection = C.selection
     if selection is None:
-        rows = C.rows()
-        if rows is None:
-            raise NoHalfspacesError(type(C).__name__)
-        return Halfspaces.below(dense(rows[0]), rows[1])
+        raise NoHalfspacesError(type(C).__name__)
     inner, unit = halfspaces(selection.part), np.eye(C.dim)
     few, rest = unit[selection.unknowns], np.delete(unit, selection.unknowns, axis=0)
     E, e = np.vstack([inner.E @ few, rest]), np.concatenate([inner.e, np.zeros(len(rest))])

@@ -279,16 +279,6 @@ class Image(Composed):
     def selection(self) -> Selection | None:
         return None if self._selected is None else Selection(self._selected, self.part, None)
 
-    def rows(self) -> tuple[Any, np.ndarray] | None:
-        few = self._selected
-        found = None if few is None else self.part.rows()
-        if few is None or found is None:
-            return None
-        beside = sp.eye_array(self.dim, format="csr")[np.delete(np.arange(self.dim), few)]
-        nothing = np.zeros(self.dim - few.size)
-        G = sp.vstack([sp.csr_array(found[0]) @ self.M.T, beside, -beside], "csr")
-        return G, np.concatenate([found[1], nothing, nothing])
-
     def __neg__(self) -> Image:
         return self.with_part(-self.part)
 

@@ -123,7 +123,7 @@ class Intersection(Pair):
         more, others = self.second.features(p - one)
         return Features([one, *y, *more], [*constraints, *others])
 
-    def _pair(self, w: np.ndarray, p: np.ndarray, y: np.ndarray) -> Witness:
+    def _pair_near(self, w: np.ndarray, p: np.ndarray, y: np.ndarray) -> Witness:
         near = self.near(w + p)
         return self._decompose(w + p, y[: self.dim]) if near is None else self._joined(near)
 

@@ -36,10 +36,10 @@ class Pair(Composed):
         if not self.certifiable:
             return None
         step = float(np.mean(tau))
-        return self._pair(w, step * p, step * y).over(step)
+        return self._pair_near(w, step * p, step * y).over(step)
 
     @abstractmethod
-    def _pair(self, w: np.ndarray, p: np.ndarray, y: np.ndarray) -> Witness:
+    def _pair_near(self, w: np.ndarray, p: np.ndarray, y: np.ndarray) -> Witness:
         """A pair near (w, p), p in the units of w; y are the features of p."""
 
     def require_nonempty(self, where: str = "C") -> None:

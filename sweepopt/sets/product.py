@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.linalg
-import scipy.sparse as sp
 
 from sweepopt.checks import vector
 from sweepopt.errors import InputError
@@ -104,14 +103,6 @@ class Product(ConvexSet):
         cut = (np.split(x, self._cuts, axis=1) for x in (p, w))
         each = zip(self.parts, *cut, strict=True)
         return Companion.beside(part.companion(a, b, ratio) for part, a, b in each)
-
-    def rows(self) -> tuple[Any, np.ndarray] | None:
-        found = [part.rows() for part in self.parts]
-        known = [rows for rows in found if rows is not None]
-        if len(known) < len(found):
-            return None
-        G, h = zip(*known, strict=True)
-        return sp.block_diag(G, "csr"), np.concatenate(h)
 
     def flat(self) -> Flat | None:
         return Flat.beside(self.parts)

@@ -98,7 +98,7 @@ class Sum(Pair):
         more, others = self.second.features(p)
         return Features([*y, *more], [*constraints, *others])
 
-    def _pair(self, w: np.ndarray, p: np.ndarray, y: np.ndarray) -> Witness:
+    def _pair_near(self, w: np.ndarray, p: np.ndarray, y: np.ndarray) -> Witness:
         v = w + p
         found = self._nearest(v)
         if found is not None:

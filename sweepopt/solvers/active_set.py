@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
-import scipy.sparse as sp
 
 from sweepopt.errors import EmptySetError
 from sweepopt.linalg import NEGLIGIBLE, dense, euclidean
@@ -20,6 +19,7 @@ from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.active_set import least_distance
 from sweepopt.sets.base import ROUNDING
+from sweepopt.sets.halfspaces import NoHalfspacesError, halfspaces
 from sweepopt.solvers.base import Answer, Small, Solve
 
 REFINEMENTS = 3  # corrections of what L rounds
@@ -27,7 +27,7 @@ REFINEMENTS = 3  # corrections of what L rounds
 
 @dataclass(frozen=True)
 class ActiveSet(Small):
-    """The library's own active-set method, for small sets that are written as rows.
+    """The library's own active-set method, for small sets whose rows are known.
 
     Parameters
     ----------
@@ -49,8 +49,8 @@ class ActiveSet(Small):
     name = "active-set"
 
     def treats(self, C: ConvexSet) -> bool:
-        """Whether C is small and written as rows."""
-        return C.polyhedral and C.dim <= self.max_dim and C.rows() is not None
+        """Whether C is small and its rows are known."""
+        return C.polyhedral and C.dim <= self.max_dim and _rows(C) is not None
 
     def compile(self, program: VelocityProgram) -> Solve:
         """Factorise M once; a call starts from no active rows."""
@@ -64,9 +64,9 @@ class ActiveSet(Small):
             return None if found is None else found.u
 
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:
-            rows = C.rows()
+            rows = _rows(C)
             assert rows is not None
-            G, h = dense(rows[0]) if sp.issparse(rows[0]) else rows[0], rows[1]
+            G, h = rows
             z, nothing = np.zeros_like(q), np.zeros(C.offsets.size)
             moved = q
             if not L.size:
@@ -86,3 +86,12 @@ class ActiveSet(Small):
             return Answer(z, nothing, 1, "solved")
 
         return solve
+
+
+def _rows(C: ConvexSet) -> tuple[np.ndarray, np.ndarray] | None:
+    """G and h with C = { w : G w <= h }, an equation as two rows."""
+    try:
+        N, d, E, e = halfspaces(C)
+    except NoHalfspacesError:
+        return None
+    return np.vstack([N, E, -E]), np.concatenate([d, e, -e])
