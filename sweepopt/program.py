@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.alone import in_turn
-from sweepopt.linalg import EPS, Factor, euclidean
+from sweepopt.linalg import EPS, UNIT, Factor, euclidean
 from sweepopt.sets import ConvexSet
 from sweepopt.sets.algebra import Translation
 from sweepopt.sets.base import ROUNDING, Selection
@@ -271,8 +271,12 @@ def _is_near(missed: np.ndarray, q: np.ndarray, anchor: np.ndarray) -> bool:
 
 
 def rate(z: np.ndarray, certificate: float, size_z: float, size_q: float) -> Velocity:
-    """A velocity with its certificate in relation to max(|z|_M, |M^-1 q|_M)."""
+    """A velocity with its certificate in relation to max(|z|_M, |M^-1 q|_M).
+
+    What is not exact is known to one rounding of this size at best.
+    """
     size = max(size_z, size_q)
+    certificate += UNIT * size if certificate else 0.0
     relative = certificate / size if size else math.inf
     return Velocity(z, certificate, float(relative) if certificate else 0.0)
 
