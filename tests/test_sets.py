@@ -776,6 +776,12 @@ def test_parts_that_are_at_zero_keep_the_normal_of_a_cut(far: float) -> None:
     assert found.w == pytest.approx([0.0], abs=1e-14)
 
 
+def test_a_vertex_that_only_rounding_says_is_ahead_leaves_a_polytope_quietly() -> None:
+    C = so.Polytope([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    x, y, z = C.project(np.array([5.8e73, 0.0, 7.6e-24]))
+    assert x == y == 0.0 <= z <= 1.0
+
+
 @pytest.mark.parametrize("far", [1.0, 2.0**12, 2.0**24, 2.0**36])
 def test_a_polytope_knows_which_of_its_nearly_equal_vertices_is_nearest(far: float) -> None:
     # two vertices are on the face of p, and only what is beside p tells them apart

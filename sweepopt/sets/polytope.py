@@ -99,7 +99,8 @@ class Polytope(ConvexSet):
                     shares = wanted
                     break
                 falling = wanted <= 0
-                limits = np.where(falling, shares, 1) / np.where(falling, shares - wanted, 1)
+                fall = np.where(falling & (shares > wanted), shares - wanted, 1)
+                limits = np.where(falling, shares, 1) / fall  # 0 where a share is and stays 0
                 last = int(np.argmin(limits))
                 shares = np.delete(shares + limits[last] * (wanted - shares), last)
                 del held[last]
