@@ -16,6 +16,7 @@ import math
 import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +39,7 @@ ALONE = 1.9  # what the first one may have,
 RESOLVED = 0.02  # and in units of the way that u goes: the steps have seen it move
 GROWTH, LEAST = 4.0, 1.35  # a pass has at most, and at least, so many times the steps before
 LAST = 0.33  # of the steps that are wanted, in the pass before
+RISES = 4  # passes one after the other, each with more steps and a greater error, lead nowhere
 MISTRUST = 2.0  # the most that an error counts for where two passes are too far apart
 FIRST = 16  # steps of the first pass
 HIDDEN = 1 / 16  # of a jump of the velocity times the steps beside it: the error of a kink there
@@ -192,7 +194,9 @@ def _failure(times: np.ndarray, cuts: np.ndarray, minimum: float, passes: list[P
     )
     if shortest < min(minimum, float(np.diff(cuts).min())):
         return f"a step shorter than minimum = {minimum:g} is needed; {advice}"
-    if len(passes) == PASSES or (len(passes) > 7 and passes[-1].error > passes[-7].error):
+    errors = [one.error for one in passes]
+    rising = len(passes) > RISES and all(a < b for a, b in pairwise(errors[-RISES - 1 :]))
+    if len(passes) == PASSES or (len(passes) > 7 and errors[-1] > errors[-7]) or rising:
         return (
             f"the estimated error, {passes[-1].error:.2g}, does not fall any more with "
             f"{passes[-1].steps} steps; {advice}"

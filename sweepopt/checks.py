@@ -88,7 +88,7 @@ def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -
         ready = np.array(unmasked(value))
         if ready.dtype == float and dim and ready.shape == (dim,) and blas.dnrm2(ready) <= HUGE:
             return ready
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         pass  # said in full below
     array = floats(name, value, "an array of numbers", ndmin=1)
     if array.ndim != 1:

@@ -215,6 +215,11 @@ def sparse(draw: Any, M: np.ndarray) -> Call:
 # ---- histories ------------------------------------------------------------------------------
 
 
+def entries(t: Any) -> int:
+    """How many there are in the first axis and below, ragged or not."""
+    return np.array(t, dtype=object).size
+
+
 def history() -> st.SearchStrategy[Call]:
     """Scalar functions of time as data."""
     n = number()
@@ -224,7 +229,7 @@ def history() -> st.SearchStrategy[Call]:
         call("Polynomial", st.integers(1, 4).flatmap(vector)),
         call("Sine", n, positive(), n, n),
         call("Triangle", n, positive()),
-        times.flatmap(lambda t: call("Table", st.just(t), vector(np.size(t) or 1))),
+        times.flatmap(lambda t: call("Table", st.just(t), vector(entries(t) or 1))),
     )
 
 

@@ -109,6 +109,7 @@ def _check_inclusion(sol: so.Solution, i: int, z: np.ndarray, a: float, c: float
     missed -= 2 * max(np.linalg.norm(other.project(v) - C.project(v)) for other in near)
     error = sol.stats["certificate"][i] * (2 * math.sqrt(values[-1]) + s / math.sqrt(values[0]))
     rounding = (1e-9 if C.exact else 1e-4) * (size + s * np.linalg.norm(z))
+    rounding += 2e-15 * np.abs(C.offsets).max(initial=0.0)  # of what C is made of
     assert missed <= 1.01 * error + rounding, f"step {i}: misses the inclusion by {missed:g}"
 
 

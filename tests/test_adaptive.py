@@ -338,3 +338,12 @@ def test_a_tolerance_that_takes_too_many_steps_ends_with_what_there_is(
     assert sol.t[-1] == 8.0
     with pytest.raises(so.StepError, match="Loosen the tolerance"):
         so.solve(process, t_end=8.0, steps=so.Adaptive(1e-6), scheme="implicit-euler")
+
+
+def test_steps_that_overshoot_however_short_end_after_few_passes() -> None:
+    process = so.SweepingProcess([[1.0]], [[1e20]], so.Box([-1.0], [1.0]), [1.0])
+    with (
+        pytest.warns(so.SweepoptWarning),
+        pytest.raises(so.StepError, match="does not fall any more with [1-9][0-9]{3} steps"),
+    ):
+        so.solve(process, t_end=1.0, steps=so.Adaptive(0.01))

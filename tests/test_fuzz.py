@@ -22,7 +22,7 @@ import fuzz_bodies as bodies
 import fuzz_files as files
 import fuzz_runs as runs
 from fuzz_inputs import ANYTHING, ODD_NUMBERS, history, made, rarely, vector
-from fuzz_judge import judge
+from fuzz_judge import Hang, judge
 from fuzz_sets import convex, moving
 
 import sweepopt as so
@@ -110,7 +110,11 @@ def test_bad_input_gets_an_error_of_ours_or_a_right_answer(
     def holds(arguments: tuple[Any, ...]) -> None:
         nonlocal asked
         asked += 1
-        judge(lambda: ask(folder, *made(arguments), *more))
+        try:
+            judge(lambda: ask(folder, *made(arguments), *more))
+        except Hang as hang:
+            hang.add_note(f"asked: {arguments!r}")
+            raise
 
     holds()
     assert asked >= inputs * times

@@ -168,6 +168,7 @@ CASES: list[tuple[str, Callable[[], Any], str]] = [
     ("interpolate beyond floats", lambda: run()(10**400), r"t must be a time"),
     ("history at nan", lambda: so.Sine(1, 1)(np.nan), r"t is nan; give finite times"),
     ("terms without an axis", lambda: so.Separable(np.array("x")), r"terms must hold one pair"),
+    ("set less a number beyond floats", lambda: BOX - [10**400, 0], r"v must be an array of numb"),
     ("history beyond floats", lambda: so.Constant(1)(10**400), r"t must be a time"),
     ("history of complex times", lambda: so.Constant(1)(np.array([1j])), r"t must be a time"),
     ("period too small", lambda: so.Sine(1, 5e-324), r"period is .*, below 1e-75"),

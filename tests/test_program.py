@@ -230,6 +230,16 @@ def test_small_boxes_with_missing_bounds_that_move_are_followed_by_one_workspace
             assert program.certify(q, C, answer.z, answer.y).relative <= 1e-11
 
 
+def test_daqp_takes_a_load_of_next_to_nothing() -> None:
+    pytest.importorskip("daqp")
+    q, C = np.array([5e-324, -5e-324, 0.0]), so.Orthant(3)
+    program = VelocityProgram(Factor(np.array([[2.0, 1, 0], [1, 3, 1], [0, 1, 2]])), C)
+    for scale in (1.0, 1e300):
+        answer = so.DAQP().compile(program)(scale * q, C)
+        assert answer.status == "solved"
+        assert program.certify(scale * q, C, answer.z, answer.y).relative <= 1e-11
+
+
 def test_what_daqp_cannot_treat_or_find_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not so.DAQP().treats(so.Balls([1.0], 2))
     assert not so.DAQP().treats(so.Polytope([[0.0, 1], [1, 0], [0, 0]]))

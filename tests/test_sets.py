@@ -886,3 +886,12 @@ def test_a_box_is_cut_with_the_image_of_more_unknowns(scale: float) -> None:
     rounding = 1e-14 * np.abs(v).max()
     assert (box & image).project(v) == pytest.approx([0, 4, 2], abs=rounding)
     assert (box & row).project(v) == pytest.approx([0, 4, 2], abs=rounding)
+
+
+@pytest.mark.parametrize("length", [1.0, 1e8, 1e30, 1e74])
+def test_a_cut_keeps_the_point_of_the_part_that_lies_in_the_other_from_any_distance(
+    length: float,
+) -> None:
+    C = so.Orthant(2) & so.Point([1.0, 0.0])
+    for w in ([length, 0.0], [0.0, length], [-length, -length]):
+        np.testing.assert_array_equal(C.project(np.array(w)), [1.0, 0.0])

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 import skfem
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.checks import choice
+from sweepopt.checks import choice, floats
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import Datum, check_datum, evaluate
 from sweepopt.fem.mesh import Indices, check_mesh, group
@@ -145,7 +145,7 @@ class Discretisation:
         -------
         ndarray, shape (..., N)
         """
-        values = np.asarray(u, dtype=float)
+        values = floats("u", u, "numbers")
         if values.shape[-1:] != (self.dim,):
             raise InputError(f"u must have {self.dim} entries in its last axis, got {values.shape}")
         full = np.zeros((*values.shape[:-1], self.basis.N))

@@ -158,7 +158,7 @@ def evaluate(
         values = np.array(np.broadcast_to(values, shape))
     except InputError as error:
         raise InputError(f"{name}.{error}") from error
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
             f"{name} must turn points of shape (2, ...) into numbers of shape (...); {error}"
         ) from error

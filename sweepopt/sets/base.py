@@ -387,7 +387,7 @@ class ConvexSet(ABC):
 
         if not algebra.is_vector(other):
             raise InputError("C - D is ambiguous; write C + (-D) for the Minkowski sum")
-        return algebra.add(self, -np.asarray(other, dtype=float))
+        return algebra.add(self, -vector("v", other, self.dim))
 
     def __rsub__(self, other: Any) -> Any:
         return -self + other

@@ -59,9 +59,9 @@ class Intersection(Pair):
         program's answer is made feasible.
         """
         for part, other in ((self.first, self.second), (self.second, self.first)):
-            alone = part.normal(v) if self.certifiable else v
-            if self.certifiable and not other.normal(v - alone).any():
-                return Witness(alone, v - alone, 0.0, rounded(v))
+            w = part.project(v) if self.certifiable else v
+            if self.certifiable and not other.normal(w).any():
+                return Witness(part.normal(v), w, 0.0, rounded(v))
         near = self.near(v)
         if near is not None:
             return self._joined(near)

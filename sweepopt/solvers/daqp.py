@@ -100,7 +100,9 @@ class _Workspace:
             self._box, self._unit = C, unit
             far = np.full(linear.size, FAR)
             bounds = np.array([C.project(far), C.project(-far)]) / self._root
-            self._above, self._below = np.maximum(np.minimum(bounds / unit, INFINITE), -INFINITE)
+            with np.errstate(over="ignore"):  # a unit of next to nothing: as far as INFINITE
+                bounds = bounds / unit
+            self._above, self._below = np.maximum(np.minimum(bounds, INFINITE), -INFINITE)
         if self._engine is None:
             import daqp
 
