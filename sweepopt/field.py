@@ -7,7 +7,6 @@ Lam, and as smooth in t as C(t); its kinks at switches are what an ODE solver mu
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -15,13 +14,12 @@ import numpy as np
 
 from sweepopt.checks import instant, number, vector
 from sweepopt.errors import InputError, VelocityError
-from sweepopt.linalg import EPS
+from sweepopt.interval import interval_of, velocity_in
 from sweepopt.loads import Separable
 from sweepopt.plan import make_plan
 from sweepopt.process import EvolutionVI, SweepingProcess, sweeping
 from sweepopt.schemes import SCHEMES
-from sweepopt.sets import AnySet, Box, ConvexSet, Moving
-from sweepopt.sets.base import ROUNDING
+from sweepopt.sets import AnySet, ConvexSet, Moving
 from sweepopt.unrounded import StateVelocity, of_state
 
 Field = Callable[[float, Any], np.ndarray]
@@ -122,30 +120,23 @@ def _compiled(process: SweepingProcess, solver: Any, tol: float) -> Field:
 
 
 def _scalar(process: SweepingProcess, tol: float) -> Field | None:
-    """One unknown and an interval: `closed_form` on plain numbers, as arrays of one are slow."""
+    """One unknown and a translated interval: nothing but plain numbers."""
     C = process.C
     shape = C.shape if isinstance(C, Moving) and C.scale is None else C
-    if not isinstance(shape, Box):
+    interval = interval_of(shape) if isinstance(shape, ConvexSet) else None
+    if interval is None:
         return None
-    lower, upper = float(shape.lower[0]), float(shape.upper[0])
-    a, b = float(process.A[0, 0]), float(process.times_B(np.ones(1))[0])
+    A, B = float(process.A[0, 0]), float(process.times_B(np.ones(1))[0])
     centre = _centre(C)
 
     def field(t: float, u: Any) -> np.ndarray:
         t = instant("t", t)
         state = u if type(u) is np.ndarray and u.shape == (1,) else vector("u", u, 1)
-        c = centre(t)
-        q = b * float(state[0])
-        v = q - c
-        missed, size = v - min(max(v, lower), upper), abs(q) + abs(c)
-        if abs(missed) <= ROUNDING * size:
-            return np.zeros(1)
-        if not math.isfinite(missed):
+        z, _, relative = velocity_in(interval, centre(t), A, B * float(state[0]))
+        if not relative <= tol:
             vector("u", u, 1)  # says which number is not finite
-        certificate, scale = EPS * (abs(missed) + size), max(abs(missed), abs(v))
-        if not certificate <= tol * scale:
-            raise _missed(t, state, certificate / scale, tol)
-        return np.array([-missed / a])
+            raise _missed(t, state, relative, tol)
+        return np.array([z])
 
     return field
 

@@ -819,9 +819,11 @@ def test_sets_of_many_unknowns_are_not_lifted_to_dense_matrices() -> None:
         assert form is None or form.raised() is None
 
 
-def test_rows_that_nothing_can_be_divided_by_are_refused() -> None:
+def test_rows_and_columns_that_nothing_can_be_divided_by_are_refused() -> None:
     with pytest.raises(so.InputError, match=r"row 1 of G is 4.94066e-324.*other units"):
         so.Polyhedron([[1.0, 0.0], [0.0, 5e-324], [0.0, 0.0]], [1.0, 1.0, 0.0])
+    with pytest.raises(so.InputError, match=r"column 0 of M is 4.94066e-324.*other units"):
+        so.image([[0.0, 0.0], [5e-324, 1.0]], so.HalfSpace([1.0, 1.0], 1.0))
     with pytest.raises(so.InputError, match="at least one row"):
         so.image(np.zeros((0, 2)), so.Box([-1.0, -1.0], [1.0, 1.0]))
 

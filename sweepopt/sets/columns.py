@@ -22,11 +22,16 @@ def selected(M: Matrix) -> np.ndarray | None:
     return rows if distinct else None
 
 
+def column_sizes(M: Matrix) -> list[float]:
+    """The largest entry of each column, its sign apart."""
+    largest = abs(M).max(axis=0)
+    found: list[float] = (largest.toarray() if sp.issparse(M) else largest).tolist()
+    return found
+
+
 def with_own_columns(M: Matrix, box: Box) -> tuple[Matrix, Box]:
     """The same set with columns of numbers near 1: their units, powers of two, go to the box."""
-    largest = abs(M).max(axis=0)
-    largest = largest.toarray() if sp.issparse(M) else largest
-    units = np.array([binary(column) for column in largest])
+    units = np.array([binary(size) for size in column_sizes(M)])
     if (units == 1).all():
         return M, box
     columns = M @ sp.diags_array(1 / units, format="csc") if sp.issparse(M) else M / units

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import matrix, vector
+from sweepopt.checks import divisor, matrix, vector
 from sweepopt.errors import InputError
 from sweepopt.linalg import dense
 from sweepopt.sets.base import (
@@ -23,7 +23,7 @@ from sweepopt.sets.base import (
     require_same_dim,
     same_array,
 )
-from sweepopt.sets.columns import gathered, selected, with_own_columns
+from sweepopt.sets.columns import column_sizes, gathered, selected, with_own_columns
 from sweepopt.sets.composed import Composed
 from sweepopt.sets.flat import Flat
 from sweepopt.sets.iteration import fixed_point, project_by_program
@@ -46,7 +46,7 @@ class Image(Composed):
     Raises
     ------
     InputError
-        If M is not a finite matrix with C.dim columns.
+        If M is not a finite matrix with C.dim columns, or one of these is below 1e-75.
     """
 
     def __init__(self, M: Any, part: ConvexSet) -> None:
@@ -56,6 +56,9 @@ class Image(Composed):
             raise InputError("M must have at least one row")
         if columns != part.dim:
             raise InputError(f"image(M, C): M has {columns} columns but C has dim {part.dim}")
+        for j, entry in enumerate(column_sizes(self.M)):
+            if entry:
+                divisor(f"the largest entry of column {j} of M", entry)
         self._selected = selected(self.M)
         # made once: a transpose costs a sparse matrix each time
         self._transposed = self.M.T.tocsr() if sp.issparse(self.M) else self.M.T
@@ -307,7 +310,8 @@ def image(M: Any, C: Any) -> Any:
     Raises
     ------
     InputError
-        If M is not a finite matrix with C.dim columns, or C no set.
+        If M is not a finite matrix with C.dim columns, or C no set; if a column that is not zero
+        has no entry of 1e-75 or more.
 
     Examples
     --------
