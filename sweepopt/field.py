@@ -147,7 +147,9 @@ def _centre(C: AnySet) -> Callable[[float], float]:
         return lambda t: 0.0
     if isinstance(C.center, Separable):
         weights = C.center.shapes[0].tolist()
-        value = C.center.value
+        value, weight = C.center.value, weights[0]
+        if len(weights) == 1:
+            return lambda t: weight * value(0, t)
         return lambda t: sum([weight * value(k, t) for k, weight in enumerate(weights)])
     return lambda t: float(C.center_at(t)[0])
 

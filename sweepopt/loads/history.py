@@ -16,9 +16,11 @@ Array = NDArray[np.float64]
 
 @runtime_checkable
 class History(Protocol):
-    """A scalar function of time that knows its variation; `phi(t)` takes a scalar or an array."""
+    """A scalar function of time that knows its variation."""
 
-    def __call__(self, t: ArrayLike) -> Array: ...
+    def __call__(self, t: ArrayLike) -> Any:
+        """phi(t), a float of a float and an array of an array."""
+        ...
 
     def variation(self, a: float, b: float) -> float:
         """Exact total variation on [a, b]."""

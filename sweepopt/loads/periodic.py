@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -52,9 +53,10 @@ class Sine:
     def __post_init__(self) -> None:
         numbers(self, "amplitude", "period", "phase", "offset")
 
-    def __call__(self, t: ArrayLike) -> Array:
-        angle = 2.0 * np.pi * (moments(t) / self.period) + self.phase
-        return np.asarray(self.offset + self.amplitude * np.sin(angle))
+    def __call__(self, t: ArrayLike) -> Any:
+        angle = 2.0 * math.pi * (moments(t) / self.period) + self.phase
+        wave = math.sin(angle) if type(angle) is float else np.sin(angle)
+        return self.offset + self.amplitude * wave
 
     def variation(self, a: float, b: float) -> float:
         """Total variation on [a, b]: four amplitudes a period, the rest from crest to crest."""
@@ -100,13 +102,13 @@ class Triangle:
     def __post_init__(self) -> None:
         numbers(self, "amplitude", "period")
 
-    def __call__(self, t: ArrayLike) -> Array:
+    def __call__(self, t: ArrayLike) -> Any:
         quarters = (4.0 * (moments(t) / self.period)) % 4.0
         if type(quarters) is float:
             rising = min(quarters, 2.0 - quarters) if quarters <= 3.0 else quarters - 4.0
-            return np.asarray(self.amplitude * rising)
-        rising = np.where(quarters <= 3.0, np.minimum(quarters, 2.0 - quarters), quarters - 4.0)
-        return np.asarray(self.amplitude * rising)
+        else:
+            rising = np.where(quarters <= 3.0, np.minimum(quarters, 2.0 - quarters), quarters - 4.0)
+        return self.amplitude * rising
 
     def variation(self, a: float, b: float) -> float:
         """Total variation on [a, b]."""

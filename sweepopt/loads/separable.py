@@ -92,8 +92,6 @@ class Separable:
     def value(self, k: int, t: float) -> float:
         """phi_k(t)."""
         value = self.terms[k][0](t)
-        if type(value) is np.ndarray and value.size == 1 and value.dtype == float:
-            value = value.item()
         if type(value) is float and math.isfinite(value):
             return value
         if type(value) is not float:

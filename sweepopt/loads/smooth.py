@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,7 +37,7 @@ class Constant:
     Examples
     --------
     >>> Constant(3.0)(10.0)
-    array(3.)
+    3.0
     """
 
     value: float = 1.0
@@ -43,8 +45,9 @@ class Constant:
     def __post_init__(self) -> None:
         numbers(self, "value")
 
-    def __call__(self, t: ArrayLike) -> Array:
-        return np.full(np.shape(moments(t)), self.value)
+    def __call__(self, t: ArrayLike) -> Any:
+        at = moments(t)
+        return self.value if type(at) is float else np.full(np.shape(at), self.value)
 
     def variation(self, a: float, b: float) -> float:
         """Zero."""
@@ -77,7 +80,7 @@ class Polynomial:
     --------
     >>> ramp = Polynomial([0.0, 1.5])
     >>> ramp(2.0), Polynomial([0.0, 2.0, -1.0]).variation(0.0, 2.0)
-    (array(3.), 2.0)
+    (3.0, 2.0)
     """
 
     coefficients: Array
@@ -85,12 +88,25 @@ class Polynomial:
     def __init__(self, coefficients: ArrayLike) -> None:
         object.__setattr__(self, "coefficients", frozen_vector("coefficients", coefficients))
 
-    def __call__(self, t: ArrayLike) -> Array:
-        with np.errstate(over="ignore", invalid="ignore"):
-            values = np.asarray(np.polynomial.polynomial.polyval(moments(t), self.coefficients))
-        if not np.isfinite(values).all():
+    def __call__(self, t: ArrayLike) -> Any:
+        at = moments(t)
+        if type(at) is float:
+            values = self._at(at)
+            finite = math.isfinite(values)
+        else:
+            with np.errstate(over="ignore", invalid="ignore"):
+                values = self._at(at)
+            finite = bool(np.isfinite(values).all())
+        if not finite:
             raise InputError(f"{self!r:.80} overflows at t = {shown(t)}; choose other units")
         return values
+
+    def _at(self, t: Any) -> Any:
+        *lower, highest = self.coefficients.tolist()
+        value = highest + 0.0 * t
+        for coefficient in reversed(lower):
+            value = coefficient + value * t
+        return value
 
     def variation(self, a: float, b: float) -> float:
         """Total variation on [a, b]."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -86,11 +87,11 @@ class Table:
             raise InputError(f"{path}: {len(times)} data rows; a history needs two or more")
         return cls(times, factor * values)
 
-    def __call__(self, t: ArrayLike) -> Array:
+    def __call__(self, t: ArrayLike) -> Any:
         at = moments(t)
         first, last = self.times[0], self.times[-1]
         if type(at) is float and first <= at <= last:
-            return np.asarray(np.interp(at, self.times, self.values))
+            return float(np.interp(at, self.times, self.values))
         slack = TIME_SLACK * max(abs(first), abs(last))
         outside = ~((at >= first - slack) & (at <= last + slack))
         if np.any(outside):

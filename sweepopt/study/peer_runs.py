@@ -119,16 +119,21 @@ def nosnoc(case: Case) -> Run:
 PACKAGES = {"solve_nivp": solve_nivp, "nosnoc": nosnoc}
 
 
-def main() -> None:
-    package, case = sys.argv[1], json.loads(sys.argv[2])
-    answer, sys.stdout = sys.stdout, sys.stderr  # packages print what they like
-    run = PACKAGES[package](case)
+def timed(run: Callable[[], Any]) -> tuple[float, Any]:
+    """Seconds, the median of runs one after the other, and what the last one found."""
     seconds: list[float] = []
     while len(seconds) < RUNS and sum(seconds) < ENOUGH:
         started = time.perf_counter()
-        t, u = run()
+        found = run()
         seconds.append(time.perf_counter() - started)
-    found = {"seconds": statistics.median(seconds), "t": list(map(float, t))}
+    return statistics.median(seconds), found
+
+
+def main() -> None:
+    package, case = sys.argv[1], json.loads(sys.argv[2])
+    answer, sys.stdout = sys.stdout, sys.stderr  # packages print what they like
+    seconds, (t, u) = timed(PACKAGES[package](case))
+    found = {"seconds": seconds, "t": list(map(float, t))}
     found |= {"u": list(map(float, u)), "version": version(package)}
     print(json.dumps(found), file=answer)
 

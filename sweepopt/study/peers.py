@@ -5,7 +5,7 @@
 The packages (solve_nivp 0.1.2, nosnoc 0.2.0) are no dependency: install each in a virtual
 environment and name its python. What is not named is left out, and the table says so. For each
 error the settings of a package are tried from cheap to dear; the first that is accurate enough at
-its own nodes then runs in turn with ours.
+its own nodes then runs in turn with ours, which is timed in the same way.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import numpy as np
 
 from sweepopt.errors import InputError
 from sweepopt.evolve import solve
+from sweepopt.study import peer_runs
 from sweepopt.study.equal_error import Found, cheapest, timed
 from sweepopt.study.peer_settings import PEERS, Peer, Settings
 from sweepopt.study.problems import BLOCK
@@ -31,7 +32,7 @@ from sweepopt.study.rows import aligned, machine
 from sweepopt.study.smoothed import friction_of
 from sweepopt.study.ways import Task, ours
 
-SCRIPT = Path(__file__).with_name("peer_runs.py")
+SCRIPT = Path(peer_runs.__file__)
 ERRORS = (1e-3, 1e-5, 1e-8)
 PATIENCE = 120.0
 """Seconds after which a run of a package is ended."""
@@ -149,7 +150,7 @@ def _compared(peer: Peer, python: str, wanted: float, best: Found, rounds: int) 
     theirs, mine = [], []
     for _ in range(rounds):
         theirs.append(ask(python, peer.package, settings).seconds)
-        mine.append(timed([best], rounds=5)[0].seconds)
+        mine.append(peer_runs.timed(best.run.states)[0])
     return PeerRow(
         wanted,
         peer.name,
