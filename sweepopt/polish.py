@@ -8,6 +8,7 @@ eliminated.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache, partial
 
 import numpy as np
 
@@ -74,16 +75,16 @@ class _Polish:
 
     def _exact(self, N: Factor, cone: ConvexSet) -> VelocityOf:
         ways = [
-            way(N, cone)
+            cache(partial(way, N, cone))  # compiled where the way before is not enough
             for method, way in ((NEWTON, self._newton), (LAST, self._active_set))
             if method.treats(cone)
         ]
 
         def solve(q: np.ndarray, C: ConvexSet) -> Solved:
-            best = ways[0](q, C)
+            best = ways[0]()(q, C)
             for way in ways[1:]:
                 if not best.velocity.relative <= ACCURATE:
-                    best = min(best, way(q, C), key=lambda one: one.velocity.relative)
+                    best = min(best, way()(q, C), key=lambda one: one.velocity.relative)
             return best
 
         return solve

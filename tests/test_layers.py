@@ -20,7 +20,7 @@ LEVELS = [
     {"precise"},
     {"linalg", "loads", "secular"},
     {"sets"},
-    {"states", "multigrid"},
+    {"interval", "states", "multigrid"},
     {"blocks", "interpolant", "process"},
     {"energy", "fingerprint", "program", "responses", "schemes"},
     {"reduction", "solvers"},

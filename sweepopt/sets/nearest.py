@@ -10,6 +10,7 @@ import scipy.optimize
 from sweepopt.errors import EmptySetError
 from sweepopt.sets.active_set import least_distance
 from sweepopt.sets.base import RANK, ROUNDING, Lifted, binary
+from sweepopt.sets.flat import solutions
 
 if TYPE_CHECKING:
     from sweepopt.sets.shapes import Box
@@ -72,8 +73,8 @@ def nearest_on_rows(lift: Lifted, w: np.ndarray) -> OnRows | None:
         return None
     # on the face of these rows: s + Z y with M (s + Z y) nearest to w
     s, held = s0 + back @ found.u, G[found.active]
-    s = s + np.linalg.lstsq(held, h[found.active] - held @ s, rcond=RANK)[0]
-    Z = _unseen(held)
+    change, Z = solutions(held, h[found.active] - held @ s)
+    s = s + change
     s = s + Z @ np.linalg.lstsq(M @ Z, w - M @ s, rcond=RANK)[0]
     multipliers[found.active] = np.linalg.lstsq(held.T, M.T @ (w - M @ s), rcond=RANK)[0]
     pressed = found.active[multipliers[found.active] > PRESSED * np.abs(multipliers).max()]
@@ -85,18 +86,12 @@ def _inside(G: np.ndarray, h: np.ndarray, fixed: np.ndarray, s: np.ndarray) -> n
     slack, rounding = h - G @ s, ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(s))
     if (slack >= -10 * rounding).all():
         return s
-    free = _unseen(fixed)
+    free = solutions(fixed, np.zeros(len(fixed))).Z
     try:
         found = least_distance(G @ free, np.where(np.abs(slack) <= rounding, 0, slack), rounding)
     except EmptySetError:
         return s
     return s if found is None else s + free @ found.u
-
-
-def _unseen(G: np.ndarray) -> np.ndarray:
-    """Orthonormal columns that span { y : G y = 0 }."""
-    _, sizes, Vt = np.linalg.svd(G)
-    return np.asarray(Vt[int((sizes > RANK * sizes.max(initial=0.0)).sum()) :].T)
 
 
 def _units(sizes: np.ndarray) -> np.ndarray:
