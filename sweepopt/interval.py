@@ -32,7 +32,7 @@ def interval_of(C: ConvexSet) -> Interval | None:
     if C.dim > 1 or not C.exact or C.anchor.any():
         return None
     one = np.ones(1)
-    return Interval(-C.support(-one), C.support(one))
+    return Interval(0.0 - C.support(-one), C.support(one))
 
 
 def velocity_in(C: Interval, c: float, M: float, q: float) -> tuple[float, float, float]:
