@@ -42,6 +42,14 @@ def instant(name: str, value: Any) -> float:
     return value if type(value) is float and value - value == 0 else number(name, value)
 
 
+def axes(value: Any) -> int:
+    """How many axes an array_like has; one if its lists have different lengths."""
+    try:
+        return np.ndim(value)
+    except ValueError:
+        return 1
+
+
 def divisor(name: str, value: float) -> None:
     """Refuse a positive number by which nothing can be divided without overflow."""
     if value < 1 / HUGE:

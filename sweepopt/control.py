@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import TIME_SLACK, count, number, vector
+from sweepopt.checks import TIME_SLACK, axes, count, number, vector
 from sweepopt.errors import InputError, StabilityWarning, UnstableStepError, shown, warn
 from sweepopt.linalg import EPS
 from sweepopt.process import SweepingProcess
@@ -22,7 +22,7 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
     Steps that differ by the rounding of the times only get one size: they share a program.
     """
     end = None if t_end is None else number("t_end", t_end, minimum=0.0, strict=True)
-    if np.ndim(steps) == 0:
+    if axes(steps) == 0:
         n = count("steps", steps)
         if n > MOST:
             raise InputError(f"steps is {shown(n)}, more than {MOST:.0e}; run it in parts")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sweepopt.adaptive import CHECKED, FIRST, STEPS, Adaptive, Refined, refine
-from sweepopt.checks import TIME_SLACK, number, vector
+from sweepopt.checks import TIME_SLACK, axes, number, vector
 from sweepopt.control import evaluation_times, time_grid
 from sweepopt.errors import InputError
 from sweepopt.flow import Flow
@@ -80,7 +80,7 @@ class Frame:
 
 def is_times(save: Any) -> bool:
     """Whether `save` is an array of times."""
-    return not isinstance(save, str) and not callable(save) and np.ndim(save) == 1
+    return not isinstance(save, str) and not callable(save) and axes(save) == 1
 
 
 def adapt(

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from sweepopt.checks import TIME_SLACK, vector
+from sweepopt.checks import TIME_SLACK, axes, vector
 from sweepopt.errors import InputError, shown
 from sweepopt.texts import writable
 
@@ -136,7 +136,7 @@ def saving(save: Any, times: np.ndarray, dim: int, memory: float) -> Saving:
         if save < 1:
             raise InputError(f"save is {save}; a stride must be positive")
         chosen = Saving(np.union1d(np.arange(min(save, n) - 1, n, min(save, n)), last))
-    elif isinstance(save, Iterable) and np.ndim(np.asarray(save, dtype=object)):
+    elif isinstance(save, Iterable) and axes(save):
         chosen = Saving(np.union1d(_steps_ending_at(vector("save", save), times), last))
     else:
         raise InputError(

@@ -543,6 +543,15 @@ def crush(mesh):
     return replace(curved, doflocs=points)
 
 
+def pull(mesh):
+    """Middles of curved edges at a quarter: nothing is left of the area at a corner."""
+    curved = skfem.MeshTri2.from_mesh(mesh)
+    points, bottom = curved.doflocs.copy(), mesh.boundaries["bottom"]
+    first, second = (mesh.p[:, ends] for ends in mesh.facets[:, bottom])
+    points[:, curved.dofs.facet_dofs[0, bottom]] = 0.75 * first + 0.25 * second
+    return replace(curved, doflocs=points)
+
+
 @pytest.mark.parametrize(
     ("write", "message"),
     [
@@ -575,6 +584,7 @@ def crush(mesh):
         ),
         (lambda path: write_msh(path, flip(square(2))), "bad.msh: triangle .* is inverted"),
         (lambda path: write_msh(path, crush(square(2))), "bad.msh: .* its curved edges cross"),
+        (lambda path: write_msh(path, pull(square(2))), "bad.msh: .* its curved edges cross"),
     ],
 )
 def test_a_bad_mesh_file_is_refused_with_its_name_and_fault(tmp_path, write, message):

@@ -58,9 +58,10 @@ class Intersection(Pair):
         iterate what iterates, it starts from a program's answer; if that does not help, the
         program's answer is made feasible.
         """
-        for part, other in ((self.first, self.second), (self.second, self.first)):
-            w = part.project(v) if self.certifiable else v
-            if self.certifiable and not other.normal(w).any():
+        each = ((self.first, self.second), (self.second, self.first)) if self.certifiable else ()
+        for part, other in each:
+            w = part.project(v)
+            if not other.normal(w).any():
                 return Witness(part.normal(v), w, 0.0, rounded(v))
         near = self.near(v)
         if near is not None:
