@@ -39,7 +39,7 @@ ALONE = 1.9  # what the first one may have,
 RESOLVED = 0.02  # and in units of the way that u goes: the steps have seen it move
 GROWTH, LEAST = 4.0, 1.35  # a pass has at most, and at least, so many times the steps before
 LAST = 0.33  # of the steps that are wanted, in the pass before
-RISES = 4  # passes one after the other, each with more steps and a greater error, lead nowhere
+RISES = 4  # passes one after the other that overshoot, each with a greater error, lead nowhere
 MISTRUST = 2.0  # the most that an error counts for where two passes are too far apart
 FIRST = 16  # steps of the first pass
 HIDDEN = 1 / 16  # of a jump of the velocity times the steps beside it: the error of a kink there
@@ -153,7 +153,7 @@ def refine(
             return Refined(tuple(passes), None, _too_many(passes[-1], next_n, tol))
         wanted = density(times, cuts, watch.sizes, flow.order, watch.jumps)
         times = finer_grid(wanted, cuts, longest, next_n)
-        failure = _failure(times, cuts, minimum, passes)
+        failure = _failure(times, cuts, minimum, passes, run.overshot is not None)
         if failure:
             return Refined(tuple(passes), float(times[np.argmin(np.diff(times))]), failure)
 
@@ -185,7 +185,9 @@ def _too_many(last: Pass, n: float, tol: float) -> str:
     )
 
 
-def _failure(times: np.ndarray, cuts: np.ndarray, minimum: float, passes: list[Pass]) -> str:
+def _failure(
+    times: np.ndarray, cuts: np.ndarray, minimum: float, passes: list[Pass], overshot: bool
+) -> str:
     """Why it makes no sense to go on, or nothing."""
     shortest = float(np.diff(times).min())
     advice = (
@@ -195,10 +197,14 @@ def _failure(times: np.ndarray, cuts: np.ndarray, minimum: float, passes: list[P
     if shortest < min(minimum, float(np.diff(cuts).min())):
         return f"a step shorter than minimum = {minimum:g} is needed; {advice}"
     errors = [one.error for one in passes]
-    rising = len(passes) > RISES and all(a < b for a, b in pairwise(errors[-RISES - 1 :]))
-    if len(passes) == PASSES or (len(passes) > 7 and errors[-1] > errors[-7]) or rising:
+    if overshot and len(passes) > RISES and all(a < b for a, b in pairwise(errors[-RISES - 1 :])):
         return (
-            f"the estimated error, {passes[-1].error:.2g}, does not fall any more with "
+            f"the estimated error, {errors[-1]:.2g} with {passes[-1].steps} steps, rises with "
+            "shorter steps: they overshoot; take implicit-euler, which never does"
+        )
+    if len(passes) == PASSES or (len(passes) > 7 and errors[-1] > errors[-7]):
+        return (
+            f"the estimated error, {errors[-1]:.2g}, does not fall any more with "
             f"{passes[-1].steps} steps; {advice}"
         )
     return ""

@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from sweepopt.linalg import EPS, UNIT
-from sweepopt.sets import ConvexSet
+from sweepopt.sets import Box, ConvexSet
 from sweepopt.sets.base import ROUNDING
 
 
@@ -20,25 +18,24 @@ class Interval(NamedTuple):
 
 
 def interval_of(C: ConvexSet) -> Interval | None:
-    """An exact set in one dimension, None for others.
+    """A set that says where its one interval ends, None for others.
 
     Examples
     --------
-    >>> from sweepopt.sets import Balls, Box, Orthant
-    >>> interval_of(2.0 * Balls([1.5], 1)), interval_of(Orthant(1))
+    >>> from sweepopt.sets import Orthant
+    >>> interval_of(2.0 * Box([-1.5], [1.5])), interval_of(Orthant(1))
     (Interval(lower=-3.0, upper=3.0), Interval(lower=0.0, upper=inf))
     >>> interval_of(Box([-1.0, -1.0], [1.0, 1.0]))
     """
-    if C.dim > 1 or not C.exact or C.anchor.any():
+    if C.dim > 1 or not isinstance(C, Box):
         return None
-    one = np.ones(1)
-    return Interval(0.0 - C.support(-one), C.support(one))
+    return Interval(float(C.lower[0]), float(C.upper[0]))
 
 
 def velocity_in(C: Interval, c: float, M: float, q: float) -> tuple[float, float, float]:
     """z with -z in N_{c + C}(M z + q), its certificate and that in relation to its size.
 
-    The same as `program.closed_form`, whose words are arrays.
+    The same as `program.closed_form` in plain numbers. All are nan where a number is not finite.
 
     Examples
     --------
@@ -47,7 +44,7 @@ def velocity_in(C: Interval, c: float, M: float, q: float) -> tuple[float, float
     """
     v = q - c
     missed = v - min(max(v, C.lower), C.upper)
-    if abs(missed) <= ROUNDING * (abs(q) + abs(c)):
+    if abs(missed) <= ROUNDING * (abs(q) + abs(c)) < math.inf:
         return 0.0, 0.0, 0.0
     root = math.sqrt(M)
     size_z = abs(missed) / root

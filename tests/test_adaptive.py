@@ -344,6 +344,8 @@ def test_steps_that_overshoot_however_short_end_after_few_passes() -> None:
     process = so.SweepingProcess([[1.0]], [[1e20]], so.Box([-1.0], [1.0]), [1.0])
     with (
         pytest.warns(so.SweepoptWarning),
-        pytest.raises(so.StepError, match=r"does not fall any more with [1-9][0-9]{3} steps"),
+        pytest.raises(
+            so.StepError, match=r"with [1-9][0-9]{3} steps, rises .* take implicit-euler"
+        ),
     ):
         so.solve(process, t_end=1.0, steps=so.Adaptive(0.01))

@@ -897,3 +897,10 @@ def test_a_cut_keeps_the_point_of_the_part_that_lies_in_the_other_from_any_dista
     C = so.Orthant(2) & so.Point([1.0, 0.0])
     for w in ([length, 0.0], [0.0, length], [-length, -length]):
         np.testing.assert_array_equal(C.project(np.array(w)), [1.0, 0.0])
+
+
+def test_a_far_vertex_hides_no_other_one_of_a_polytope() -> None:
+    C = so.Polytope([[0.0, 0, 0, 1], [0.0, 0, -1e8, 0], [0.0, 1, 1, 0]])
+    P = C.project(np.zeros(4))
+    np.testing.assert_allclose(P, [0.0, 0.5, 0.0, 0.5], atol=1e-8)
+    np.testing.assert_allclose(C.project(P), P, rtol=0, atol=1e-15)

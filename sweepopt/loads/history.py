@@ -19,7 +19,7 @@ class History(Protocol):
     """A scalar function of time that knows its variation."""
 
     def __call__(self, t: ArrayLike) -> Any:
-        """phi(t), a float of a float and an array of an array."""
+        """phi(t), a float of a number and an array of an array."""
         ...
 
     def variation(self, a: float, b: float) -> float:
@@ -56,8 +56,11 @@ def kinks(histories: Iterable[Any], a: float, b: float) -> Array:
 
 
 def moments(t: Any) -> Any:
-    """The times as floats; one float stays what it is, as numpy is slow with one number."""
-    return t if type(t) is float and abs(t) <= HUGE else times("t", t)
+    """The times as floats; of one number a float, as numpy is slow with one."""
+    if type(t) is float and abs(t) <= HUGE:
+        return t
+    found = times("t", t)
+    return found if found.ndim else found.item()
 
 
 def numbers(record: object, *names: str) -> None:

@@ -90,8 +90,11 @@ class Table:
     def __call__(self, t: ArrayLike) -> Any:
         at = moments(t)
         first, last = self.times[0], self.times[-1]
-        if type(at) is float and first <= at <= last:
-            return float(np.interp(at, self.times, self.values))
+        value = np.interp(at, self.times, self.values)
+        if type(at) is float:
+            value = float(value)
+            if first <= at <= last:
+                return value
         slack = TIME_SLACK * max(abs(first), abs(last))
         outside = ~((at >= first - slack) & (at <= last + slack))
         if np.any(outside):
@@ -99,7 +102,7 @@ class Table:
                 f"t = {np.asarray(at)[outside].flat[0]:g} lies outside the table, which covers "
                 f"[{first:g}, {last:g}]; extend the table or shorten the run"
             )
-        return np.asarray(np.interp(at, self.times, self.values))
+        return value
 
     def variation(self, a: float, b: float) -> float:
         """Total variation on [a, b]."""

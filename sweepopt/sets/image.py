@@ -46,7 +46,8 @@ class Image(Composed):
     Raises
     ------
     InputError
-        If M is not a finite matrix with C.dim columns, or one of these is below 1e-75.
+        If M is not a finite matrix with C.dim columns; if a column that is not zero has no entry of
+        1e-75 or more.
     """
 
     def __init__(self, M: Any, part: ConvexSet) -> None:

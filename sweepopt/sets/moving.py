@@ -181,8 +181,10 @@ class Moving(MovingSet):
         self.shape, self.dim = shape, shape.dim
         self.center = center if callable(center) or center is None else vector("center", center)
         self.scale = scale if callable(scale) or scale is None else number("scale", scale, 0.0)
-        if isinstance(self.center, np.ndarray) and self.center.size != self.dim:
-            raise InputError(f"center must have {self.dim} entries, got {self.center.size}")
+        known = isinstance(self.center, (np.ndarray, Separable))
+        size = np.shape(getattr(self.center, "shapes", self.center))[0] if known else self.dim
+        if size != self.dim:
+            raise InputError(f"center must have {self.dim} entries, got {size}")
 
     def center_at(self, t: float) -> np.ndarray:
         """center(t), shape (dim,)."""

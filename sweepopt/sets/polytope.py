@@ -76,12 +76,14 @@ class Polytope(ConvexSet):
         """The vertices whose hull is the face nearest to w, and the nearest point.
 
         Wolfe, Finding the nearest point in a polytope, Math. Programming 11 (1976): a vertex ahead
-        of the point enters, those whose share would be negative leave. All is measured from a
-        vertex, so that the rounding of a far w hides no other one.
+        of the point enters, those whose share would be negative leave. All is measured from the
+        vertex with the largest share: no rounding of a far w, or vertex, hides another one.
         """
         V = self.vertices
         held, shares = [int(np.argmax((V - V.mean(axis=0)) @ w))], np.ones(1)
         for _ in range(TURNS * len(V)):
+            order = np.argsort(-shares, kind="stable")
+            held, shares = [held[k] for k in order], shares[order]
             arms = V - V[held[0]]
             point = V[held[0]] + shares[1:] @ arms[held[1:]]
             p = w - point
