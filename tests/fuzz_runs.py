@@ -71,7 +71,7 @@ def ask_history(recipe: Any, a: Any, b: Any) -> None:
         return
     variation, kinks = phi.variation(a, b), phi.breakpoints(a, b)
     assert np.isfinite(variation)
-    if a < b:
+    if float(a) < float(b):
         size = np.abs(start) + np.abs(end)
         assert variation >= np.abs(end - start) * (1 - 1e-9) - 1e-9 * size
         assert ((kinks > float(a)) & (kinks < float(b))).all()
