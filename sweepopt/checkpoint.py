@@ -24,7 +24,7 @@ from sweepopt.versions import versions_of
 
 SCHEMA = 1
 PARTS = {"schema", "versions", "problem", "plan", "settings", "checkpoint", "run"}
-PACKAGES = ("numpy", "scipy", "cvxpy", "osqp", "clarabel", "daqp", "pyamg")
+PACKAGES = ("numpy", "scipy", "cvxpy", "osqp", "clarabel", "cvxopt", "daqp", "pyamg")
 SOLVERS: dict[str, Any] = {getattr(kind, "__name__", name): kind for name, kind in REGISTRY.items()}
 
 

@@ -55,6 +55,7 @@ HOMES = {
     "clarabel": {"solvers/clarabel", "study/by_hand"},
     "osqp": {"solvers/osqp", "study/by_hand"},
     "daqp": {"solvers/daqp"},
+    "cvxopt": {"linalg/cholesky"},
     "pyamg": {"multigrid"},
     "skfem": {"fem", "study/cases"},
     "meshio": {"store/vtu"},

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from sweepopt.errors import InputError
-from sweepopt.linalg import Elimination, Factor, is_semidefinite, largest_ratio
+from sweepopt.linalg import Elimination, Factor, cholesky, is_semidefinite, largest_ratio
 
 
 def laplacian(n: int) -> np.ndarray:
@@ -23,6 +23,17 @@ MATRICES = {
 }
 
 
+@pytest.fixture(params=["cholmod", "cholmod in blocks", "superlu"])
+def engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Who factorises sparse matrices."""
+    if request.param == "superlu":
+        monkeypatch.setattr(cholesky, "installed", lambda: False)
+    elif request.param == "cholmod in blocks":
+        monkeypatch.setattr(cholesky, "BLOCKED", 2)
+    return request.param
+
+
+@pytest.mark.usefixtures("engine")
 @pytest.mark.parametrize("M", MATRICES.values(), ids=MATRICES)
 def test_solves_and_norms_are_those_of_the_matrix(M: np.ndarray) -> None:
     factor, full = Factor(M), M.toarray() if sp.issparse(M) else M
@@ -40,6 +51,7 @@ def test_the_bound_of_the_dual_norm_is_met_by_the_slowest_mode() -> None:
     assert factor.dual_norm(mode) <= factor.dual_norm_bound(mode) <= 1.2 * factor.dual_norm(mode)
 
 
+@pytest.mark.usefixtures("engine")
 @pytest.mark.parametrize("M", MATRICES.values(), ids=MATRICES)
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_elimination_is_exact(M: np.ndarray, count: int) -> None:
@@ -62,6 +74,7 @@ def test_elimination_is_exact(M: np.ndarray, count: int) -> None:
     assert elimination.norm(elimination.solve(r) - free) <= 1e-11 * elimination.norm(free)
 
 
+@pytest.mark.usefixtures("engine")
 @pytest.mark.parametrize("convert", [np.asarray, sp.csc_array])
 def test_indefinite_and_singular_matrices_are_refused(convert: type) -> None:
     for bad in (np.ones((2, 2)), np.diag([1.0, 0.0]), np.array([[1.0, 2.0], [2.0, 1.0]])):
@@ -77,6 +90,56 @@ def test_indefinite_and_singular_matrices_are_refused(convert: type) -> None:
     assert not is_semidefinite(convert(neumann - 1e-6 * np.eye(n)))
     assert is_semidefinite(convert(np.diag([1e-12, 0.0, 1e12])))
     assert not is_semidefinite(convert(np.array([[0.0, 1.0], [1.0, 5.0]])))
+
+
+def plate(side: int) -> sp.csc_array:
+    """The five-point Laplacian of a square, whose factors fill in."""
+    one, line = sp.eye_array(side), sp.csc_array(laplacian(side))
+    return sp.csc_array(sp.kron(one, line) + sp.kron(line, one))
+
+
+@pytest.mark.usefixtures("engine")
+def test_all_factors_of_a_sparse_matrix_agree() -> None:
+    M = plate(25)
+    columns = np.random.default_rng(0).normal(size=(7, M.shape[0]))
+    exact = np.linalg.solve(M.toarray(), columns.T).T
+    few = np.arange(0, M.shape[0], 26)
+    for factor in (Factor(M), Elimination(M, few), Elimination(M, few, Factor(M).order)):
+        assert factor.solve_many(columns) == pytest.approx(exact, rel=1e-12, abs=1e-12)
+        assert factor.solve(columns[3]) == pytest.approx(exact[3], rel=1e-12, abs=1e-12)
+
+
+def test_an_order_has_little_fill(engine: str) -> None:
+    M = plate(40)
+    order = Factor(M).order
+    assert order is not None
+    assert np.array_equal(np.sort(order), np.arange(M.shape[0]))
+    filled = spla.splu(sp.csc_matrix(M[order][:, order]), permc_spec="NATURAL").L.nnz
+    natural = spla.splu(sp.csc_matrix(M), permc_spec="NATURAL").L.nnz
+    assert filled < 0.5 * natural, engine
+
+
+@pytest.mark.usefixtures("engine")
+@pytest.mark.parametrize("power", [1, 7, -30])
+def test_units_that_are_powers_of_two_change_no_bit(power: int) -> None:
+    M, w, few, unit = plate(12), np.sin(np.arange(144.0)), np.arange(12), 2.0**power
+    for one, other in (
+        (Factor(M), Factor(unit * M)),
+        (Elimination(M, few), Elimination(unit * M, few)),
+    ):
+        assert np.array_equal(one.solve(w), unit * other.solve(w))
+        if isinstance(one, Elimination) and isinstance(other, Elimination):
+            assert np.array_equal(unit * one.N, other.N)
+
+
+def test_what_others_set_for_the_factors_module_stays() -> None:
+    cholmod = pytest.importorskip("cvxopt.cholmod")
+    cholmod.options["supernodal"] = 1
+    try:
+        Factor(plate(5))
+        assert cholmod.options == {"supernodal": 1}
+    finally:
+        cholmod.options.clear()
 
 
 def missed(n: int = 200) -> tuple[sp.csc_array, float]:

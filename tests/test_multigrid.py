@@ -333,7 +333,8 @@ def test_what_does_not_fit_is_never_factorised(monkeypatch: pytest.MonkeyPatch) 
     dry = so.EvolutionVI(problem.A, problem.B, load=problem.load, u0=problem.u0)
     expected = [so.solve(one, t_end=2.0, steps=10).u for one in (problem, dry)]
     monkeypatch.setattr("sweepopt.multigrid._physical_memory", lambda: 1e5)
-    monkeypatch.setattr("scipy.sparse.linalg.splu", refuse)
+    for one in ("whole", "halves"):
+        monkeypatch.setattr(f"sweepopt.linalg.factor.{one}", refuse)
     for one, u in zip((problem, dry), expected, strict=True):
         process = one.as_sweeping()
         assert isinstance(process.metric, Multigrid)
@@ -358,6 +359,6 @@ def test_factors_that_memory_refuses_name_the_way_out(monkeypatch: pytest.Monkey
     def full(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("scipy.sparse.linalg.splu", full)
+    monkeypatch.setattr("sweepopt.linalg.factor.whole", full)
     with pytest.raises(so.SolverRefusedError, match=r"do not fit in memory.*multigrid"):
         Factor(chain(10, 0.0))

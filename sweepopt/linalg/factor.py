@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -14,6 +14,7 @@ from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
 from sweepopt.checks import Matrix, divisor
 from sweepopt.errors import IndefiniteError, SolverRefusedError
+from sweepopt.linalg.cholesky import halves, unit_of, whole
 from sweepopt.linalg.matrices import (
     PIVOT,
     SMALL,
@@ -25,7 +26,6 @@ from sweepopt.linalg.matrices import (
 )
 from sweepopt.precise import Precise
 
-SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 NEGLIGIBLE = 1e-12  # of |z|_M: more rounding of M z than this is avoided
 
 
@@ -73,7 +73,7 @@ class Factor:
         self.root = np.sqrt(self.diagonal)
         try:
             pivots = self._factorise_sparse() if sp.issparse(M) else self._factorise_dense()
-        except (scipy.linalg.LinAlgError, RuntimeError):
+        except (scipy.linalg.LinAlgError, RuntimeError, ArithmeticError):
             pivots = np.zeros(1)
         except MemoryError as error:
             raise SolverRefusedError(
@@ -85,10 +85,9 @@ class Factor:
             raise IndefiniteError(f"{name} must be positive definite; it has an eigenvalue <= 0")
 
     def _factorise_sparse(self) -> np.ndarray:
-        self._lu = spla.splu(sp.csc_matrix(self.M), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC)
-        self.order = np.argsort(self._lu.perm_c)
-        # with pivots on the diagonal their signs are the inertia (Sylvester)
-        return self._lu.U.diagonal()[self._lu.perm_c] / self.diagonal
+        self._whole = whole(self.M)
+        self.order = self._whole.order
+        return self._whole.pivots / self.diagonal
 
     def _factorise_dense(self) -> np.ndarray:
         self._cholesky = scipy.linalg.cho_factor(self.M, lower=True)[0]
@@ -97,7 +96,7 @@ class Factor:
     def solve(self, w: np.ndarray) -> np.ndarray:
         """M^-1 w."""
         if sp.issparse(self.M):
-            return self._lu.solve(w)
+            return self._whole.solve(w)
         return lapack.dpotrs(self._cholesky, w, lower=True)[0]
 
     def solve_many(self, rows: np.ndarray) -> np.ndarray:
@@ -117,7 +116,7 @@ class Factor:
 
     def apply(self, z: np.ndarray, *more: np.ndarray, enough: float = NEGLIGIBLE) -> Applied:
         """M z + the others, in higher precision where rounding may exceed `enough` * |z|_M."""
-        force = self.M @ z
+        force = self.M.dot(z)
         size = math.sqrt(max(z.dot(force), 0.0))
         rounding = self.rounding(z, more[0])
         if rounding <= enough * size:
@@ -238,23 +237,16 @@ class Elimination(Factor):
         everyone = np.arange(M.shape[0]) if order is None else order
         first = everyone[~np.isin(everyone, unknowns)]
         self._order = np.concatenate([first, unknowns])
-        # the roots of M / unit are the same to the last bit whatever power of two M is times
-        self._unit = math.ldexp(1.0, math.frexp(float(M.diagonal().max()))[1])
+        self._unit = unit_of(M)
         super().__init__(M)
         self.N = self._unit * (self._tail @ self._tail.T)
 
     def _factorise_sparse(self) -> np.ndarray:
-        ordered = sp.csc_matrix(self.M[self._order][:, self._order])
-        lu = spla.splu(ordered, permc_spec="NATURAL", **SYMMETRIC)
-        pivots = lu.U.diagonal()
-        relative = pivots / self.diagonal[self._order]
-        if relative.min() > 0:
-            lower = (lu.L @ sp.diags_array(np.sqrt(pivots / self._unit))).tocsc()
-            m = self.unknowns.size
-            self._tail = lower[-m:, -m:].toarray()
-            # the factor factorised gives its substitutions apart, forward and transposed
-            self._triangle = spla.splu(lower, permc_spec="NATURAL", **SYMMETRIC)
-        return relative
+        self._halves = halves(self.M, self._order, self.unknowns.size)
+        pivots = self._halves.pivots / self.diagonal
+        if pivots.min() > 0:
+            self._tail = self._halves.tail
+        return pivots
 
     def _factorise_dense(self) -> np.ndarray:
         ordered = self.M[np.ix_(self._order, self._order)]
@@ -263,24 +255,30 @@ class Elimination(Factor):
         self._tail = self._lower[-m:, -m:]
         return self._unit * self._lower.diagonal() ** 2 / self.diagonal[self._order]
 
-    def _substitute(self, w: np.ndarray, transposed: bool = False) -> np.ndarray:
-        """L^-1 w or L^-T w, L L^T = M / unit."""
-        if sp.issparse(self.M):
-            return self._triangle.solve(w, "T" if transposed else "N")
-        return lapack.dtrtrs(self._lower, w, lower=True, trans=int(transposed))[0]
-
     def solve(self, w: np.ndarray) -> np.ndarray:
         """M^-1 w."""
-        return self._backward(self._substitute(w[self._order]))
+        if sp.issparse(self.M):
+            return self._halves.solve(w)
+        return self._backward(self._forward(w))
 
-    def _backward(self, forward: np.ndarray) -> np.ndarray:
-        z = np.empty_like(forward)
-        z[self._order] = self._substitute(forward / self._unit, transposed=True)
+    def _forward(self, w: np.ndarray) -> np.ndarray:
+        """L^-1 P w, P the order, L L^T = P M P^T / unit."""
+        if sp.issparse(self.M):
+            return self._halves.forward(w)
+        return lapack.dtrtrs(self._lower, w[self._order], lower=True)[0]
+
+    def _backward(self, y: np.ndarray) -> np.ndarray:
+        """P^T L^-T y / unit."""
+        y = y / self._unit
+        if sp.issparse(self.M):
+            return self._halves.backward(y)
+        z = np.empty_like(y)
+        z[self._order] = lapack.dtrtrs(self._lower, y, lower=True, trans=1)[0]
         return z
 
     def reduce(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Forward substitution of r, and the force N E M^-1 r on zeta."""
-        forward = self._substitute(r[self._order])
+        forward = self._forward(r)
         return forward, self._tail @ forward[-self.unknowns.size :]
 
     def size(self, forward: np.ndarray) -> float:

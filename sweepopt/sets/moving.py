@@ -181,8 +181,11 @@ class Moving(MovingSet):
         self.shape, self.dim = shape, shape.dim
         self.center = center if callable(center) or center is None else vector("center", center)
         self.scale = scale if callable(scale) or scale is None else number("scale", scale, 0.0)
-        known = isinstance(self.center, (np.ndarray, Separable))
-        size = np.shape(getattr(self.center, "shapes", self.center))[0] if known else self.dim
+        size = self.dim  # of a function of t it is seen when it is called
+        if isinstance(self.center, Separable):
+            size = self.center.dim
+        elif isinstance(self.center, np.ndarray):
+            size = self.center.size
         if size != self.dim:
             raise InputError(f"center must have {self.dim} entries, got {size}")
 

@@ -82,12 +82,12 @@ class _Workspace:
     def __call__(self, q: np.ndarray, C: ConvexSet) -> Answer:
         q, nothing = q / self._root, np.zeros(C.offsets.size)
         force = binary(np.abs(q).max())
-        self._update(-(self._inverse @ q) / force, C, force)
+        self._update(self._inverse.dot(q) / -force, C, force)
         w, _, flag, info = self._engine.solve()
         if flag != 1:
             self._engine = None  # a workspace that failed once is not used again
             return Answer(np.zeros_like(q), nothing, 0, f"failed: flag {flag}")
-        z = (self._inverse @ (w * force - q)) / self._root
+        z = self._inverse.dot(w * force - q) / self._root
         return Answer(z, nothing, int(info["iterations"]), "solved")
 
     def _update(self, linear: np.ndarray, C: ConvexSet, unit: float) -> None:
