@@ -40,7 +40,8 @@ RESOLVED = 0.02  # and in units of the way that u goes: the steps have seen it m
 GROWTH, LEAST = 4.0, 1.35  # a pass has at most, and at least, so many times the steps before
 LAST = 0.33  # of the steps that are wanted, in the pass before
 RISES = 4  # passes one after the other that overshoot, each with a greater error, lead nowhere
-MISTRUST = 2.0  # the most that an error counts for where two passes are too far apart
+APART = 4.0  # times as far apart as their errors let expect two passes may be
+MISTRUST = 2.0  # the most that an error counts for where they are further apart
 FIRST = 16  # steps of the first pass
 HIDDEN = 1 / 16  # of a jump of the velocity times the steps beside it: the error of a kink there
 
@@ -120,9 +121,9 @@ def refine(
 
     Notes
     -----
-    A pass carries its error along (see `Watch`). Where two passes are further apart than their
-    errors let expect, the error is greater in that ratio. For order p the next pass has
-    n (E / tol)^(1/p) steps.
+    A pass carries its error along (see `Watch`). Where two passes are much further apart than their
+    errors let expect, the error counts for more. For order p the next pass has n (E / tol)^(1/p)
+    steps.
     """
     tol, span = steps.tol, float(cuts[-1] - cuts[0])
     minimum = 2.0**-40 * span if steps.minimum is None else steps.minimum
@@ -170,7 +171,7 @@ def _error(times: np.ndarray, watch: Watch, before: Watch | None) -> float:
     if not expected:
         return watch.apart
     # the root: the coarser one of both may be to blame
-    return error * min(max(math.sqrt(watch.apart / expected), 1.0), MISTRUST)
+    return error * min(max(math.sqrt(watch.apart / (APART * expected)), 1.0), MISTRUST)
 
 
 def _below_rounding(tol: float, rounding: float) -> str:
