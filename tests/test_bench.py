@@ -56,7 +56,7 @@ def test_the_reference_satisfies_coulombs_law_at_every_step(case: Case) -> None:
     friction = -forces[:, case.contact] / case.threshold
     assert np.abs(inner).max() <= 1e-12 * np.abs(case.shape).max()
     assert (np.abs(friction) <= 1 + 1e-11).all()
-    # where u sticks its compensated sum still may settle the last bit
+    # of a stuck u the compensated sum may still change the last bit
     slips = np.abs(velocity) > 1e-14
     np.testing.assert_allclose(friction[slips], np.sign(velocity[slips]), atol=1e-10)
     # neither all stuck nor all slipping: the set matters

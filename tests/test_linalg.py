@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 import scipy.linalg
@@ -19,6 +22,10 @@ def laplacian(n: int) -> np.ndarray:
 MATRICES = {
     "dense": laplacian(30),
     "sparse": sp.csc_array(laplacian(80)),
+    "sparse, mixed units": sp.csc_array(
+        laplacian(40) * np.outer(*2 * [10.0 ** (np.arange(40) % 7 - 3.0)])
+    ),
+    "in two parts": sp.csc_array(sp.block_diag([laplacian(9), 3.0 * laplacian(11)])),
     "mixed units": np.diag([1e-6, 1.0, 1e6]) @ laplacian(3) @ np.diag([1e-6, 1.0, 1e6]),
 }
 
@@ -26,6 +33,8 @@ MATRICES = {
 @pytest.fixture(params=["cholmod", "cholmod in blocks", "superlu"])
 def engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """Who factorises sparse matrices."""
+    if request.param != "superlu":
+        pytest.importorskip("cvxopt")
     if request.param == "superlu":
         monkeypatch.setattr(cholesky, "installed", lambda: False)
     elif request.param == "cholmod in blocks":
@@ -57,7 +66,7 @@ def test_the_bound_of_the_dual_norm_is_met_by_the_slowest_mode() -> None:
 def test_elimination_is_exact(M: np.ndarray, count: int) -> None:
     full = M.toarray() if sp.issparse(M) else M
     n = len(full)
-    unknowns = np.array([2, 0, 1])[:count]
+    unknowns = np.array([2, 0, n - 2])[:count]
     E = np.eye(n)[unknowns]
     elimination = Elimination(M, unknowns)
     N = np.linalg.inv(E @ np.linalg.inv(full) @ E.T)
@@ -132,14 +141,71 @@ def test_units_that_are_powers_of_two_change_no_bit(power: int) -> None:
             assert np.array_equal(unit * one.N, other.N)
 
 
-def test_what_others_set_for_the_factors_module_stays() -> None:
+@pytest.mark.usefixtures("engine")
+@pytest.mark.parametrize("order", [None, np.arange(4)])
+def test_unknowns_of_two_parts_stay_last(order: np.ndarray | None) -> None:
+    M = sp.csc_array(sp.block_diag([[[2.0, -1.0], [-1.0, 2.0]], [[3.0, -1.0], [-1.0, 3.0]]]))
+    assert pytest.approx(np.diag([1.5, 8 / 3])) == Elimination(M, np.array([0, 2]), order).N
+
+
+@pytest.mark.usefixtures("engine")
+def test_pivots_are_those_of_their_unknowns() -> None:
+    # one unknown whose pivot is rounding, beside others in units far above and below its own
+    units = 10.0 ** np.array([30.0, 0.0, 0.0, -30.0, 20.0, -20.0])
+    M = np.diag(units)
+    M[1, 2] = M[2, 1] = 1.0 - 1e-17
+    with pytest.raises(InputError, match="positive definite"):
+        Factor(sp.csc_array(M))
+    with pytest.raises(InputError, match="positive definite"):
+        Elimination(sp.csc_array(M), np.array([3]), np.arange(6))
+    M[1, 2] = M[2, 1] = 0.5
+    w = np.sqrt(units)
+    assert Factor(sp.csc_array(M)).solve(w) == pytest.approx(np.linalg.solve(M, w))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.usefixtures("engine")
+def test_what_overflows_in_a_factor_is_refused_without_a_warning() -> None:
+    M = np.diag(np.full(5, 1e-74))
+    M[0, 1] = M[1, 0] = M[3, 2] = M[2, 3] = 1e75
+    with pytest.raises(InputError, match="positive definite"):
+        Factor(sp.csc_array(M))
+
+
+@pytest.mark.usefixtures("engine")
+def test_threads_do_not_disturb_each_other() -> None:
+    matrices = [plate(side) for side in (5, 12, 9, 20)]
+
+    def worked(M: sp.csc_array) -> np.ndarray:
+        few = np.arange(3)
+        return np.append(Elimination(M, few).N.ravel(), Factor(M).solve(np.ones(M.shape[0])))
+
+    alone = [worked(M) for M in matrices]
+    with ThreadPoolExecutor(8) as pool:
+        for found, expected in zip(pool.map(worked, 20 * matrices), 20 * alone, strict=True):
+            assert np.array_equal(found, expected)
+
+
+def test_what_others_set_for_their_factors_is_left_alone() -> None:
     cholmod = pytest.importorskip("cvxopt.cholmod")
-    cholmod.options["supernodal"] = 1
+    M = sp.csc_array(np.diag([1.0, 1e-3, 2.0]))
+    others = {"supernodal": 1, "dbound": 0.5}
+    cholmod.options.update(others)
     try:
-        Factor(plate(5))
-        assert cholmod.options == {"supernodal": 1}
+        assert Factor(M).solve(np.ones(3)) == pytest.approx([1.0, 1e3, 0.5])
+        assert cholmod.options == others
     finally:
         cholmod.options.clear()
+
+
+def test_a_package_that_cannot_be_loaded_is_done_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cvxopt", None)
+    cholesky.installed.cache_clear()
+    try:
+        assert not cholesky.installed()
+        assert Factor(plate(3)).solve(np.zeros(9)).shape == (9,)
+    finally:
+        cholesky.installed.cache_clear()
 
 
 def missed(n: int = 200) -> tuple[sp.csc_array, float]:

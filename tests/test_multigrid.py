@@ -333,8 +333,8 @@ def test_what_does_not_fit_is_never_factorised(monkeypatch: pytest.MonkeyPatch) 
     dry = so.EvolutionVI(problem.A, problem.B, load=problem.load, u0=problem.u0)
     expected = [so.solve(one, t_end=2.0, steps=10).u for one in (problem, dry)]
     monkeypatch.setattr("sweepopt.multigrid._physical_memory", lambda: 1e5)
-    for one in ("whole", "halves"):
-        monkeypatch.setattr(f"sweepopt.linalg.factor.{one}", refuse)
+    for way in ("whole", "halves"):
+        monkeypatch.setattr(f"sweepopt.linalg.factor.{way}", refuse)
     for one, u in zip((problem, dry), expected, strict=True):
         process = one.as_sweeping()
         assert isinstance(process.metric, Multigrid)

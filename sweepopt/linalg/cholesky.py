@@ -1,22 +1,14 @@
 """L L^T = M for a sparse M: by CHOLMOD where cvxopt is installed, else by SuperLU.
 
-CHOLMOD factorises one triangle only and has both substitutions as calls of their own. On the unit
-square with P1 elements a step's pair of them takes, on one core,
-
-    unknowns    CHOLMOD    SuperLU    factorised with some unknowns last
-    10,100       0.21 ms    0.51 ms    0.02 s    0.03 s
-    100,172      9.6  ms   11    ms    0.6  s    0.6  s
-    1,001,000    150  ms    246  ms    5    s     17  s
+TABLE
 """
 
 from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import cache
-from importlib.util import find_spec
 from typing import Any, Protocol
 
 import numpy as np
@@ -26,7 +18,8 @@ import scipy.sparse.linalg as spla
 from sweepopt.checks import Matrix
 
 SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-BLOCKED = 300_000  # unknowns from which on columns are put together: quick to factorise
+BLOCKED = 300_000  # unknowns from which on CHOLMOD puts columns together: quick to factorise
+WHOLE, LOWER, UPPER, DIAGONAL = 0, 4, 5, 6  # CHOLMOD's numbers of M, L, L^T and D
 _settings_lock = threading.Lock()
 
 
@@ -56,7 +49,7 @@ class Halves(Protocol):
     ----------
     pivots : ndarray
     tail : ndarray, shape (m, m)
-        The last rows and columns of L.
+        The last rows and columns of L; only where all pivots are positive.
     """
 
     pivots: np.ndarray
@@ -67,11 +60,11 @@ class Halves(Protocol):
         ...
 
     def forward(self, w: np.ndarray) -> np.ndarray:
-        """L^-1 P w."""
+        """L^-1 P w, of one vector."""
         ...
 
     def backward(self, y: np.ndarray) -> np.ndarray:
-        """P^T L^-T y."""
+        """P^T L^-T y, of one vector."""
         ...
 
 
@@ -88,7 +81,11 @@ def halves(M: Matrix, order: np.ndarray, m: int) -> Halves:
 @cache
 def installed() -> bool:
     """Whether CHOLMOD is there."""
-    return find_spec("cvxopt") is not None
+    try:
+        from cvxopt import amd, cholmod  # noqa: F401
+    except ImportError:  # not installed, or it lacks something itself
+        return False
+    return True
 
 
 def unit_of(M: Matrix) -> float:
@@ -97,69 +94,81 @@ def unit_of(M: Matrix) -> float:
 
 
 class _Cholmod:
-    """P^T L D L^T P = M / unit; D is 1 where columns are put together."""
+    """M / unit = P^T L D L^T P; in blocks D = 1, else the diagonal of L is.
+
+    Where a hard limit of memory (ulimit -v) is met, cvxopt 1.3 may end the process.
+    """
 
     def __init__(self, M: Matrix, order: np.ndarray | None = None, m: int = 0) -> None:
-        from cvxopt import amd, cholmod, matrix, spmatrix
+        from cvxopt import amd, cholmod, matrix
 
         self._matrix, self._solve = matrix, cholmod.solve
         self._unit = unit_of(M)
-        lower = sp.tril(M, format="coo")
-        place = lower.row.astype(np.int64), lower.col.astype(np.int64)
-        A = spmatrix(lower.data / self._unit, *place, M.shape)
+        A = _triangle(M, self._unit)
         self.order = np.ravel(amd.order(A)) if order is None else order
         blocked = len(self.order) >= BLOCKED
-
-        def factor() -> Any:
-            found = cholmod.symbolic(A, p=matrix(self.order.astype(np.int64)))
-            cholmod.numeric(A, found)
-            return found
-
-        with _settings(cholmod, blocked):
-            self._factor = factor()
-            D = 1 / self._system(6, np.ones(len(self.order)))
-            self._root = np.sqrt(np.abs(D))
-            pivots = np.ravel(cholmod.diag(self._factor)) ** 2 if blocked else D
-            self.pivots = np.empty_like(pivots)
-            self.pivots[self.order] = self._unit * pivots
-            if m and pivots.min() > 0:
-                # which takes the numbers out of the factor
-                tail = np.array(matrix(cholmod.getfactor(self._factor)[-m:, -m:]))
-                if not blocked:
-                    np.fill_diagonal(tail, 1.0)  # where D was
-                self.tail = tail * self._root[-m:]
-                self._factor = factor()
+        self._factor = _factorised(A, self.order, blocked)
+        D = 1 / self._system(DIAGONAL, np.ones(len(self.order)))
+        self._root = np.sqrt(np.abs(D))
+        pivots = np.ravel(cholmod.diag(self._factor)) ** 2 if blocked else D
+        self.pivots = np.empty_like(pivots)
+        self.pivots[self.order] = self._unit * pivots
+        if m and pivots.min() > 0:
+            tail = np.array(matrix(cholmod.getfactor(self._factor)[-m:, -m:]))
+            if not blocked:
+                np.fill_diagonal(tail, 1.0)  # where D was
+            self.tail = tail * self._root[-m:]
+            self._factor = _factorised(A, self.order, blocked)  # getfactor has emptied it
 
     def solve(self, w: np.ndarray) -> np.ndarray:
-        z = self._system(0, w)
+        z = self._system(WHOLE, w)
         z /= self._unit
         return z
 
     def forward(self, w: np.ndarray) -> np.ndarray:
-        y = self._system(4, w[self.order])
+        y = self._system(LOWER, w[self.order])
         y /= self._root
         return y
 
     def backward(self, y: np.ndarray) -> np.ndarray:
         z = np.empty_like(y)
-        z[self.order] = self._system(5, y / self._root)
+        z[self.order] = self._system(UPPER, y / self._root)
         return z
 
     def _system(self, which: int, w: np.ndarray) -> np.ndarray:
-        """The solution for one of CHOLMOD's matrices: 0 is M / unit, 4 L, 5 L^T, 6 D."""
-        x = self._matrix(w)
+        x = self._matrix(np.asarray(w, dtype=float))
         self._solve(self._factor, x, sys=which)
-        return np.asarray(x).reshape(w.shape, order="F")
+        return np.asarray(x).reshape(w.shape)
 
 
-@contextmanager
-def _settings(cholmod: Any, blocked: bool) -> Iterator[None]:
-    """The order as it is given; the settings are the module's, of all its users."""
+def _triangle(M: Matrix, unit: float) -> Any:
+    """The lower triangle of M / unit as cvxopt has it."""
+    from cvxopt import spmatrix
+
+    lower = sp.tril(M, format="coo")
+    rows, columns = lower.row.astype(np.int64), lower.col.astype(np.int64)
+    return spmatrix(lower.data / unit, rows, columns, M.shape)
+
+
+def _factorised(A: Any, order: np.ndarray, blocked: bool) -> Any:
+    """The factor of A in this order and no other."""
+    from cvxopt import cholmod, matrix
+
+    settings = {"supernodal": 2 * blocked, "nmethods": 1, "postorder": False}
+    p = matrix(order.astype(np.int64))
+    factor = _with(settings, cholmod, cholmod.symbolic, A, p)
+    _with(settings, cholmod, cholmod.numeric, A, factor)
+    return factor
+
+
+def _with(settings: dict[str, Any], cholmod: Any, call: Callable[..., Any], *args: Any) -> Any:
+    """A call with these settings alone; they are the module's, others have them back at once."""
     with _settings_lock:
         before = dict(cholmod.options)
-        cholmod.options.update(supernodal=2 * blocked, nmethods=1, postorder=False)
         try:
-            yield
+            cholmod.options.clear()
+            cholmod.options.update(settings)
+            return call(*args)
         finally:
             cholmod.options.clear()
             cholmod.options.update(before)

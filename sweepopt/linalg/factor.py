@@ -72,7 +72,9 @@ class Factor:
         self.is_diagonal = is_diagonal(M)
         self.root = np.sqrt(self.diagonal)
         try:
-            pivots = self._factorise_sparse() if sp.issparse(M) else self._factorise_dense()
+            # pivots of inf or nan are refused below
+            with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+                pivots = self._factorise_sparse() if sp.issparse(M) else self._factorise_dense()
         except (scipy.linalg.LinAlgError, RuntimeError, ArithmeticError):
             pivots = np.zeros(1)
         except MemoryError as error:
