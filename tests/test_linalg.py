@@ -30,15 +30,13 @@ MATRICES = {
 }
 
 
-@pytest.fixture(params=["cholmod", "cholmod in blocks", "superlu"])
+@pytest.fixture(params=["cholmod", "superlu"])
 def engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """Who factorises sparse matrices."""
-    if request.param != "superlu":
+    if request.param == "cholmod":
         pytest.importorskip("cvxopt")
-    if request.param == "superlu":
-        monkeypatch.setattr(cholesky, "installed", lambda: False)
-    elif request.param == "cholmod in blocks":
-        monkeypatch.setattr(cholesky, "BLOCKED", 2)
+    else:
+        monkeypatch.setattr(cholesky, "LIMIT", 0)
     return request.param
 
 
