@@ -3,8 +3,10 @@
 The flow forgets and forgives (MATH.md section 3): what a step's error does to u later, nobody knows
 at the step. So the grid is chosen for the run as a whole. A pass moves u along a grid of times; the
 differences of its velocities say where the steps must be short, and, carried along, how large the
-error is and so how many steps there must be. Two passes whose distance their errors do not explain
-know less than they think. To the loop over time an adaptive grid is a grid as any other.
+error is and what another grid would have: the coarsest one whose error is small is next. Where its
+error becomes too large after all, the steps that are to blame are halved, and the pass goes on from
+the first of them. Two passes whose distance their errors do not explain know less than they think.
+To the loop over time an adaptive grid is a grid as any other.
 
 Each segment between breakpoints is in equal parts that are halved again and again, so that steps
 share the compiled programs.
@@ -24,26 +26,31 @@ import numpy as np
 from sweepopt.checks import number
 from sweepopt.errors import InputError, Status
 from sweepopt.flow import Flow
-from sweepopt.grids import density, finer_grid, first_grid
+from sweepopt.grids import Density, density, finer_grid, first_grid
 from sweepopt.linalg import EPS
 from sweepopt.march import Run
 from sweepopt.solution import Pass
-from sweepopt.watch import Watch
+from sweepopt.watch import Limit, PassNodes, Watch
 
 PASSES = 24
 STEPS = 1_000_000  # of the finest pass
 CHECKED = 256  # nodes at which passes are compared, fewer where states are large
-AIM, FIRST_AIM = 1.7, 1.15  # the error that a pass is made for, in units of tol; the second pass
-ACCEPTED = 2.7  # the error that it may have
+AIM = 1.9  # the error that a pass is made for, in units of tol
+ACCEPTED = 2.5  # the error that it may have,
+MENDED = 2.2  # the one that it is mended for,
 ALONE = 1.9  # what the first one may have,
 RESOLVED = 0.02  # and in units of the way that u goes: the steps have seen it move
-GROWTH, LEAST = 4.0, 1.35  # a pass has at most, and at least, so many times the steps before
-LAST = 0.33  # of the steps that are wanted, in the pass before
+TOLD = 40  # steps from which on a pass can tell what another grid would miss
+FARTHEST, FARTHEST_TOLD = 4.8, 8.0  # times the steps of a pass that the last one may have
+BETWEEN, GROWTH = 0.2, (2.0, 4.0)  # of the last one's steps, and times those before, one between
+LEAST = 1.35  # times the steps before that a pass has
+TRIED, NEAR = 6, (0.6, 1.5)  # so many grids are tried, around the steps that the order suggests
+MENDS = 40  # times that a pass goes on from halved steps
 RISES = 4  # passes one after the other that overshoot, each with a greater error, lead nowhere
-APART = 4.0  # times as far apart as their errors let expect two passes may be
+APART = 2.0  # times as far apart as their errors let expect two passes may be
 MISTRUST = 2.0  # the most that an error counts for where they are further apart
 FIRST = 16  # steps of the first pass
-HIDDEN = 1 / 16  # of a jump of the velocity times the steps beside it: the error of a kink there
+HIDDEN = 0.03  # of a jump of the velocity times the steps beside it: the error of a kink there
 
 
 @dataclass(frozen=True)
@@ -101,7 +108,7 @@ def refine(
     cuts: np.ndarray,
     longest: float,
     flow: Flow,
-    walk: Callable[[np.ndarray, Watch], Run],
+    walk: Callable[[np.ndarray, Watch, int], Run],
     checked: int = CHECKED,
 ) -> Refined:
     """Walk over better and better grids until the error of a pass is small.
@@ -115,63 +122,121 @@ def refine(
     flow : Flow
         Of the scheme.
     walk : callable
-        (times, watch) -> Run: moves u along the grid and shows each step to the watch.
+        (times, watch, known) -> Run: moves u along the grid and shows each step to the watch, after
+        the first ones that are known from the walk before; it ends where the watch sees too much.
     checked : int
         At how many nodes passes are compared.
 
     Notes
     -----
-    A pass carries its error along (see `Watch`). Where two passes are much further apart than their
-    errors let expect, the error counts for more. For order p the next pass has n (E / tol)^(1/p)
-    steps.
+    A pass carries its error along (see `Course`). Where two passes are much further apart than
+    their errors let expect, the error counts for more. For order p the next pass has about
+    n (E / tol)^(1/p) steps.
     """
     tol, span = steps.tol, float(cuts[-1] - cuts[0])
     minimum = 2.0**-40 * span if steps.minimum is None else steps.minimum
-    times = first_grid(cuts, longest)
+    times, limit = first_grid(cuts, longest), None
     passes: list[Pass] = []
     watch: Watch | None = None
     while True:
-        began, n, before = clock.perf_counter(), len(times) - 1, watch
-        watch = Watch(times, cuts, flow, before.nodes if before else None, checked)
-        run = walk(times, watch)
+        began, before = clock.perf_counter(), watch
+        nodes = before.nodes if before else None
+
+        def seen(times: np.ndarray, limit: Limit | None, nodes: PassNodes | None = nodes) -> Watch:
+            return Watch(times, cuts, flow, nodes, checked, limit)
+
+        watch, run, made = _walked(times, limit, seen, walk)
+        times, n = watch.times, len(watch.times) - 1
         walked = run.status in (Status.SUCCESS, Status.UNCERTIFIED)
-        error = _error(times, watch, before) if walked else math.nan
-        passes.append(Pass(run.done, error, clock.perf_counter() - began))
+        error, trust = _error(watch, before) if walked else (math.nan, 1.0)
+        passes.append(Pass(made, error, clock.perf_counter() - began))
         doubtful = before is None and not error < RESOLVED * watch.length
         enough = error <= (ALONE if before is None else ACCEPTED) * tol and not doubtful
         if not walked or enough:
             return Refined(tuple(passes))
         if tol < EPS * watch.size:
             return Refined(tuple(passes), None, _below_rounding(tol, EPS * watch.size))
-        aim = AIM if before else FIRST_AIM
         # where hardly anything was seen to move, steps twice as short look again
-        least = 2.0 * n if doubtful else LEAST * n
-        next_n = max(n * (error / (aim * tol)) ** (1 / flow.order), least)
-        if next_n > 1.2 * GROWTH * n:
+        least = (2.0 if doubtful else LEAST) * n
+        next_n = max(n * (error / (AIM * tol)) ** (1 / flow.order), least)
+        wanted = density(times, cuts, watch.sizes, flow.order, watch.jumps)
+        told = watch.whole and n >= TOLD
+        limit = None
+        if next_n <= (FARTHEST_TOLD if told else FARTHEST) * n:
+            limit = Limit(ACCEPTED * tol, MENDED * tol)
+        else:
             # one pass between: as few steps as the last one can come after
-            next_n = max(min(LAST * next_n, GROWTH * n), least)
+            next_n = min(max(BETWEEN * next_n, GROWTH[0] * n), GROWTH[1] * n)
         if next_n > STEPS:
             return Refined(tuple(passes), None, _too_many(passes[-1], next_n, tol))
-        wanted = density(times, cuts, watch.sizes, flow.order, watch.jumps)
-        times = finer_grid(wanted, cuts, longest, next_n)
+        if limit and told:
+            around = max(NEAR[0] * next_n, least), max(NEAR[1] * next_n, least)
+            times = _fewest(watch, flow, wanted, cuts, longest, around, AIM * tol / trust)
+        else:
+            times = finer_grid(wanted, cuts, longest, next_n)
         failure = _failure(times, cuts, minimum, passes, run.overshot is not None)
         if failure:
             return Refined(tuple(passes), float(times[np.argmin(np.diff(times))]), failure)
 
 
-def _error(times: np.ndarray, watch: Watch, before: Watch | None) -> float:
-    """The error of a pass: what it carried along, and what its distance to another one adds."""
-    mus = np.diff(times)
+def _walked(
+    times: np.ndarray,
+    limit: Limit | None,
+    seen: Callable[[np.ndarray, Limit | None], Watch],
+    walk: Callable[[np.ndarray, Watch, int], Run],
+) -> tuple[Watch, Run, int]:
+    """A pass, mended where its error is too large; how many steps were made for it."""
+    known, made, mends = 0, 0, 0
+    while True:
+        watch = seen(times, limit if mends < MENDS else None)
+        run = walk(times, watch, known)
+        made += run.done - known
+        if watch.mended is None:
+            return watch, run, made
+        (times, known), mends = watch.mended, mends + 1
+
+
+def _fewest(
+    watch: Watch,
+    flow: Flow,
+    wanted: Density,
+    cuts: np.ndarray,
+    longest: float,
+    around: tuple[float, float],
+    error: float,
+) -> np.ndarray:
+    """The first one of finer and finer grids that would have no more than this error.
+
+    They follow the density or are of equal steps: where many kinks are close together, what the
+    density gains is less than what it loses by halving.
+    """
+    course = watch.course
+    equal = Density(wanted.edges, np.ones_like(wanted.rho), wanted.order)
+    for n in np.geomspace(*around, TRIED).tolist():
+        for one in (wanted, equal):
+            times = finer_grid(one, cuts, longest, n)
+            if course.on(flow, times).sizes(flow).max() <= error:
+                return times
+    return times
+
+
+def _error(watch: Watch, before: Watch | None) -> tuple[float, float]:
+    """The error of a pass, and how much more it counts than it seems.
+
+    It is what the pass carried along, and what may be hidden beside breakpoints.
+    """
+    mus = np.diff(watch.times)
     # a kink just beside a breakpoint: a jump of the velocity over a part of a step
     jump = max((size * mus[i : i + 2].sum() for i, size in watch.jumps.items()), default=0.0)
     error = watch.error + HIDDEN * float(jump)
     if before is None or not watch.apart:
-        return error
-    expected = watch.expected + 0.5 * (watch.spread + before.spread)
+        return error, 1.0
+    expected = error + before.error
     if not expected:
-        return watch.apart
+        return watch.apart, 1.0
     # the root: the coarser one of both may be to blame
-    return error * min(max(math.sqrt(watch.apart / (APART * expected)), 1.0), MISTRUST)
+    trust = min(max(math.sqrt(watch.apart / (APART * expected)), 1.0), MISTRUST)
+    return trust * error, trust
 
 
 def _below_rounding(tol: float, rounding: float) -> str:

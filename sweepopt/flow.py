@@ -30,6 +30,8 @@ class Flow:
         p and q - p.
     spread : float
         Standard deviation of the error over the place of a kink; its mean is p.
+    locates : bool
+        Whether the place of a kink says what it does.
     """
 
     def __init__(self, process: SweepingProcess, scheme: Scheme) -> None:
@@ -42,30 +44,51 @@ class Flow:
         self._rows, self._weights = scheme.a, scheme.b
         self._a = np.array([[*row, *[0.0] * (n - len(row))] for row in scheme.a])
         self._b, c = np.array(scheme.b), np.array(scheme.c)
-        # the Peano kernel of the scheme's quadrature
-        s = (np.arange(1000) + 0.5) / 1000
-        late = np.maximum(c[:, None] - s, 0.0) ** (self.order - 1) * (c[:, None] > s)
-        kernel = self._b @ late - (1 - s) ** self.order / self.order
+        self._c = c
+        kernel = self.kink((np.arange(1000) + 0.5) / 1000)
         self.mean, self.spread = float(kernel.mean()), float(kernel.std())
         delays = self._a @ c if self.order == 2 else self._a.sum(axis=1)
         self.chain = float(self._b @ delays) - 1 / (self.order * (self.order + 1)) - self.mean
-        turns = self._turns(c) if process.rate_independent else np.zeros(1)
+        turns = np.zeros(1)
+        if process.rate_independent:
+            turns = self.turned((np.arange(100) + 0.5) / 100)
         self.turn, self.turn_spread = float(turns.mean()), TURNS * float(turns.std())
+        # at A = 0 what moves along flat faces is where it should be after each step
+        flat = self.continuous or process.C.at(0.0).polyhedral
+        self.locates = self.order == 2 and flat
         if process.rate_independent:
             self.spread *= STARTS
 
-    def _turns(self, c: np.ndarray) -> np.ndarray:
-        """How far u goes too far at A = 0 where a load turns within a step, in h^2 times its z'."""
-        turn = (np.arange(100) + 0.5) / 100
-        z = np.zeros((len(c), 100))
-        for k in range(len(c)):
-            free = turn * c[k] - 0.5 * c[k] ** 2 - self._a[k, :k] @ z[:k]
+    def kink(self, s: np.ndarray) -> np.ndarray:
+        """What a step misses where the velocity has a kink after a share s of it.
+
+        In h^2 times the jump of the slope, of the velocity itself at order 1: the Peano kernel of
+        the scheme's quadrature.
+        """
+        late = np.maximum(self._c[:, None] - s, 0.0) ** (self.order - 1) * (self._c[:, None] > s)
+        kernel: np.ndarray = self._b @ late - (1 - s) ** self.order / self.order
+        return kernel
+
+    def turned(self, s: np.ndarray) -> np.ndarray:
+        """How far u goes too far at A = 0 where it stops after a share s, in h^2 times the jump."""
+        z = np.zeros((len(self._c), len(s)))
+        for k, c in enumerate(self._c):
+            free = s * c - 0.5 * c**2 - self._a[k, :k] @ z[:k]
             z[k] = np.maximum(free / self._a[k, k], 0.0)
-        return self._b @ z - 0.5 * turn**2
+        far: np.ndarray = self._b @ z - 0.5 * s**2
+        return far
+
+    def beyond(self, s: np.ndarray) -> np.ndarray:
+        """What a kink after a share s of a step does, in h^2 times the jump of the slope."""
+        return self.kink(s) if self.continuous else self.turned(s)
 
     def norms(self, rows: np.ndarray) -> np.ndarray:
         """|u|_A of each row, |u|_B where A = 0."""
         return np.sqrt(np.maximum(squares(self._process.metric.M, rows), 0.0))
+
+    def dual(self, u: np.ndarray) -> np.ndarray:
+        """The gradient of |u|^2 / 2."""
+        return self._process.metric.M @ u
 
     def rates(self, z: np.ndarray, sizes: np.ndarray) -> np.ndarray:
         """How fast errors along the velocities decay, whose norms are `sizes`."""

@@ -14,16 +14,19 @@ from sweepopt.control import evaluation_times, time_grid
 from sweepopt.errors import InputError
 from sweepopt.flow import Flow
 from sweepopt.grids import first_grid
-from sweepopt.march import Run, march
+from sweepopt.linalg import EPS
+from sweepopt.march import Place, Run, march
 from sweepopt.plan import Plan
 from sweepopt.process import SweepingProcess
 from sweepopt.schemes import Scheme
 from sweepopt.sets import MovingSet
 from sweepopt.states import Keeper, Saving, saving
+from sweepopt.statistics import Log
 from sweepopt.stepping import Velocities
 from sweepopt.watch import Watch
 
 SHARE = 0.05  # of the tolerance that inexact programs may take
+TIME_ROUNDING = 4 * EPS  # of the end: sizes of equal steps
 EXACT = 1e-9  # no certificate below it is asked for
 
 
@@ -114,6 +117,37 @@ def adapt(
     return Walked(times, mus, plan, saving(save, times, plan.entering, memory)), refined
 
 
+class _Trail:
+    """The steps of a walk, from any of which another walk can go on."""
+
+    def __init__(self, places: list[Place], velocities: list[np.ndarray], log: Log | None) -> None:
+        self.places, self.velocities, self.log = places, velocities, log
+
+    def until(self, known: int) -> _Trail:
+        """So many steps of it."""
+        return _Trail(self.places[:known], self.velocities[:known], self.log)
+
+    def begin(self, run: Run, keeper: Keeper, start: Place) -> Place:
+        """Give the run the steps that are known."""
+        if not self.places:
+            return start
+        assert self.log is not None
+        run.done = len(self.places)
+        run.log.restore(
+            {name: column[: run.done] for name, column in self.log.columns.items()},
+            self.log.solvers,
+        )
+        for i, (place, z) in enumerate(zip(self.places, self.velocities, strict=True)):
+            keeper.put(i, place.u, z)
+        return self.places[-1]
+
+    def __call__(self, run: Run, keeper: Keeper, place: Place) -> bool:
+        """Take the step that is done, if its velocity was taken."""
+        if len(self.velocities) > len(self.places):
+            self.places.append(place)
+        return False
+
+
 class _Walk:
     """Moves u along one grid after the other; the first one says what tol the programs need."""
 
@@ -129,23 +163,34 @@ class _Walk:
         self._frame, self._process, self._tick = frame, process, tick
         self._save, self._memory = save, memory
         self._use(plan)
+        self._trail = _Trail([], [], None)
+        self._sizes = np.zeros(0)
         self.last: Walked | None = None
 
     def _use(self, plan: Plan) -> None:
         self.plan, self._programs = plan, Velocities(self._process, plan)
 
-    def __call__(self, times: np.ndarray, watch: Watch) -> Run:
+    def __call__(self, times: np.ndarray, watch: Watch, known: int) -> Run:
         process, plan = self._process, self.plan
         times, mus = time_grid(None, times)
+        mus = self._sizes = _alike(mus, self._sizes, times)
         process.check(evaluation_times(times, mus, plan.scheme))
         wanted = saving(self._save, times, plan.entering, self._memory)
         keeper = Keeper(wanted.steps, process.u0)
 
-        def look(i: int, u: np.ndarray, z: np.ndarray, _: float) -> None:
-            watch.see(i, u, z)
-            self._tick()
+        trail = self._trail = self._trail.until(known)
+        for i, (place, z) in enumerate(zip(trail.places, trail.velocities, strict=True)):
+            watch.see(i, place.u, z)
 
-        run = march(process, plan, times, mus, keeper, look, velocities=self._programs)
+        def look(i: int, u: np.ndarray, z: np.ndarray, _: float) -> bool:
+            self._tick()
+            stop = watch.see(i, u, z)
+            if watch.mendable:
+                trail.velocities.append(z)
+            return stop
+
+        run = march(process, plan, times, mus, keeper, look, velocities=self._programs, marks=trail)
+        trail.log = run.log
         if self.last is None and watch.length > 0:
             # what the programs miss adds up along the way of u
             asked = max(SHARE * self._frame.steps.tol / watch.length, EXACT)
@@ -153,6 +198,17 @@ class _Walk:
                 self._use(replace(plan, tol=asked))
         self.last = Walked(times, mus, plan, wanted, keeper, run)
         return run
+
+
+def _alike(mus: np.ndarray, known: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Steps that differ from known ones by rounding only have their size: they share a program."""
+    if not known.size:
+        return mus
+    known = np.unique(known)
+    right = np.clip(np.searchsorted(known, mus), 1, max(len(known) - 1, 1))
+    sides = known[right - 1], known[np.minimum(right, len(known) - 1)]
+    nearest = np.where(mus - sides[0] <= sides[1] - mus, *sides)
+    return np.where(np.abs(nearest - mus) <= TIME_ROUNDING * times[-1], nearest, mus)
 
 
 def _apart(cuts: np.ndarray) -> np.ndarray:

@@ -34,6 +34,7 @@ class Pass(NamedTuple):
     Attributes
     ----------
     steps : int
+        That were made: more than the pass has where it went on from halved ones.
     error : float
         Estimate of max_i |u_i - u(t_i)|_A, |.|_B where A = 0; nan if the pass was stopped.
     seconds : float

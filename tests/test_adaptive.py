@@ -13,8 +13,11 @@ import pytest
 from cases import SETS, case
 
 import sweepopt as so
+from sweepopt.flow import Flow
 from sweepopt.grids import density, finer_grid, first_grid
+from sweepopt.kinks import find_kinks, find_stops
 from sweepopt.study.problems import BURST, problem
+from sweepopt.watch import Watch
 
 TOLERANCES = [1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7]
 FACTOR = 3.0  # by which an error may miss its tolerance
@@ -85,7 +88,7 @@ def test_the_tolerance_is_met(name: str, tol: float) -> None:
     sol = run(name, so.Adaptive(tol))
     assert sol.success
     assert error(name, sol) <= FACTOR * tol
-    assert len(sol.stats) == sol.passes[-1].steps == len(sol.t) - 1
+    assert len(sol.stats) == len(sol.t) - 1 <= sol.passes[-1].steps
     assert sol.passes[-1].error <= FACTOR * tol
 
 
@@ -147,9 +150,8 @@ def test_every_tolerance_is_met_at_about_the_work_of_the_best_fixed_step(name: s
         print(name, *(f"{value:.3g}" for value in rows[-1]))
     table = np.array(rows)
     assert (table[:, 1] <= FACTOR).all()
-    # the aim is 1.5; the two coarse passes alone take 40 steps, which shows at 1e-2 and 1e-3
-    ratios = table[table[:, 0] < 5e-4, 2]
-    assert (ratios[np.isfinite(ratios)] <= 2.0).all()
+    ratios = table[:, 2]
+    assert (ratios[np.isfinite(ratios)] <= 1.5).all()
 
 
 @pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "trapezoid", "sdirk2"])
@@ -349,3 +351,102 @@ def test_steps_that_overshoot_however_short_end_after_few_passes() -> None:
         ),
     ):
         so.solve(process, t_end=1.0, steps=so.Adaptive(0.01))
+
+
+def hat(times: np.ndarray, kink: float) -> np.ndarray:
+    """Velocities in the middle of the steps: one unknown starts to slip, the other goes on."""
+    middle = 0.5 * (times[1:] + times[:-1])
+    late = np.maximum(middle - kink, 0.0)
+    return np.column_stack([2 * late - 0.3 * late**2, np.cos(middle)])
+
+
+@pytest.mark.parametrize("kink", [0.4501, 0.47, 0.4999, 0.5301])
+def test_a_kink_is_found_with_its_place_and_its_jump_and_smooth_unknowns_have_none(
+    kink: float,
+) -> None:
+    times = np.append(np.linspace(0.0, 0.4, 9), np.linspace(0.45, 1.0, 8))
+    kinks, smooth = find_kinks(times, hat(times, kink), np.zeros(16, dtype=int))
+    assert kinks.unknown.tolist() == [0]
+    assert kinks.t[0] == pytest.approx(kink, abs=0.003)
+    assert kinks.jump[0] == pytest.approx(2.0, rel=0.05)
+    assert times[kinks.step[0]] <= kinks.t[0] <= times[kinks.step[0] + 1]
+    assert np.abs(smooth[:, 0]).max() <= 0.61
+    # across a breakpoint nothing is compared
+    segment = (np.arange(16) >= 9).astype(int)
+    kinks, _ = find_kinks(times, hat(times, kink), segment)
+    assert not kinks.t.size or abs(kink - 0.45) > 0.05
+
+
+def test_where_a_block_without_viscosity_stops_is_the_vertex_of_its_way() -> None:
+    times = np.linspace(0.0, 2.0, 14)
+    u = np.sin(np.minimum(times, 0.5 * np.pi))  # it stops at pi / 2, in the eleventh step
+    z = np.diff(u)[:, None] / np.diff(times)[:, None]
+    z[10] += 0.002 / (times[11] - times[10])  # and goes too far
+    stops = find_stops(times, z, np.zeros(13, dtype=int))
+    assert stops.step.tolist() == [10]
+    assert stops.t[0] == pytest.approx(0.5 * np.pi, abs=2e-3)
+    assert stops.jump[0] == pytest.approx(1.0, rel=0.1)
+    assert stops.missed[0] == pytest.approx(0.002, abs=1e-4)
+    assert stops.sure[0]
+
+
+def second_order(name: str) -> dict[str, str]:
+    return {"scheme": "sdirk2"} if case(name).process.rate_independent else {}
+
+
+def watched(name: str, times: np.ndarray) -> tuple[so.Solution, Watch, Flow]:
+    """A run over a grid, and what is seen of it."""
+    sol = run(name, times, **second_order(name))
+    flow = Flow(case(name).process, sol.plan.scheme)
+    watch = Watch(times, times[[0, -1]], flow, None, 100)
+    for i, (u, z) in enumerate(zip(sol.u[1:], sol.velocity, strict=True)):
+        watch.see(i, u, z)
+    return sol, watch, flow
+
+
+@pytest.mark.parametrize("name", ["S02", "S03", "P09", "P10", "V05", "B14", "M16"])
+def test_the_error_of_a_pass_and_that_of_another_grid_are_told_within_a_third(name: str) -> None:
+    """Kinks count by their place: the leading order alone is wrong by 2 to 4 here and there."""
+    scheme = second_order(name)
+    fine, coarse = (np.linspace(0.0, case(name).t_end, n + 1) for n in (1000, 350))
+    _, watch, flow = watched(name, fine)
+    found = error(name, run(name, fine, **scheme), 200)
+    assert watch.error == pytest.approx(found, rel=0.35)
+    found = error(name, run(name, coarse, **scheme), 200)
+    foretold = watch.course.on(flow, coarse).sizes(flow).max()
+    assert foretold == pytest.approx(found, rel=0.35)
+
+
+@pytest.mark.parametrize("name", ["S03", "M16"])
+def test_a_pass_that_is_mended_is_the_run_over_its_grid(name: str) -> None:
+    sol = run(name, so.Adaptive(1e-2))
+    assert sol.passes[-1].steps > len(sol.t) - 1  # some were made again
+    again = run(name, sol.t, scheme=sol.plan.scheme.name)
+    assert np.abs(again.u - sol.u).max() <= 1e-14
+    assert np.array_equal(again.stats["t"], sol.stats["t"])
+    # bit for bit with the same sizes of steps
+    seen: list[Any] = []
+    called = run(name, so.Adaptive(1e-2), callback=lambda info: seen.append(info.velocity.copy()))
+    assert np.array_equal(called.u, sol.u)
+    assert np.array_equal(called.velocity, sol.velocity)
+    assert np.array_equal(np.array(seen), sol.velocity)
+    assert np.array_equal(called.stats["certificate"], sol.stats["certificate"])
+    assert np.array_equal(run(name, so.Adaptive(1e-2), save="last").u[-1], sol.u[-1])
+
+
+@pytest.mark.parametrize("name", ["S03", "P09", "M16"])
+def test_states_that_are_too_large_to_be_kept_are_seen_a_few_at_a_time(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times = np.linspace(0.0, case(name).t_end, 301)
+    _, whole, _ = watched(name, times)
+    monkeypatch.setattr("sweepopt.watch.WHOLE", 0)
+    monkeypatch.setattr("sweepopt.watch.BLOCK", 30)
+    _, watch, _ = watched(name, times)
+    assert whole.whole
+    assert not watch.whole
+    assert watch.error == pytest.approx(whole.error, rel=1e-3)
+    assert np.array_equal(watch.sizes, whole.sizes)
+    sol = run(name, so.Adaptive(1e-3))
+    assert sol.success
+    assert error(name, sol) <= FACTOR * 1e-3

@@ -1,0 +1,174 @@
+"""Where in a step the velocity has a kink: an unknown starts to slip, or stops.
+
+A kink between two midpoints is in the second differences there alone: their sum is the jump of the
+slope, their ratio the place. What they have beyond those beside them is taken for a kink where it
+is more than the curvature on one side at least; the rest of it for curvature.
+
+At A = 0 with flat faces what moves is where it should be at the end of each step: only what stops
+within a step is not. The way there is a parabola or a cubic through the nodes before, and its
+vertex the place.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+BEYOND = 1.5  # times the curvature beside it that a second difference at a kink has
+SLACK = 0.1  # of a step that a kink may seem to be outside of it
+EARLY = 0.5  # of a step that a stop may seem to be before it
+
+
+class Kinks(NamedTuple):
+    """Kinks of single unknowns, an entry each.
+
+    Attributes
+    ----------
+    t : ndarray
+    unknown : ndarray of int
+    jump : ndarray
+        Of the slope of the velocity.
+    step : ndarray of int
+        The step whose end is wrong because of it.
+    missed : ndarray
+        By how much, where that is known from u itself; nan elsewhere.
+    sure : ndarray of bool
+        Whether the place is known to a higher order than the step's.
+    """
+
+    t: np.ndarray
+    unknown: np.ndarray
+    jump: np.ndarray
+    step: np.ndarray
+    missed: np.ndarray
+    sure: np.ndarray
+
+    def within(self, start: int, stop: int, shift: int) -> Kinks:
+        """Those of the steps from `start` to `stop`, which are then counted from `shift` on."""
+        chosen = (self.step >= start) & (self.step < stop)
+        return Kinks(*(part[chosen] for part in self))._replace(step=self.step[chosen] + shift)
+
+
+NONE = Kinks(*(np.zeros(0, kind) for kind in (float, int, float, int, float, bool)))
+
+
+def joined(parts: list[Kinks]) -> Kinks:
+    """All of them in one."""
+    return Kinks(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def find_kinks(times: np.ndarray, z: np.ndarray, segment: np.ndarray) -> tuple[Kinks, np.ndarray]:
+    """The kinks, and the second difference quotients without them.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n+1,)
+    z : ndarray, shape (n, dim)
+    segment : ndarray of int, shape (n,)
+        Between which breakpoints each step is; nothing is compared across one.
+
+    Returns
+    -------
+    Kinks
+    ndarray, shape (n-2, dim)
+        Window k has the velocities of the steps from k to k + 2.
+    """
+    middle = 0.5 * (times[1:] + times[:-1])
+    slopes = np.diff(z, axis=0) / np.diff(middle)[:, None]
+    width = (0.5 * (middle[2:] - middle[:-2]))[:, None]
+    inner = (segment[2:] == segment[:-2])[:, None]
+    curvature = np.diff(slopes, axis=0) / width
+    if len(curvature) < 3:
+        return NONE, curvature
+    # between the midpoints k + 1 and k + 2 are the windows k and k + 1
+    both = inner[1:] & inner[:-1]
+    change = np.where(both, np.diff(slopes, axis=0)[:-1] + np.diff(slopes, axis=0)[1:], 0.0)
+    outer = np.where(inner, np.abs(curvature), np.inf)
+    edge = np.full((1, z.shape[1]), np.inf)
+    beside = np.minimum(np.vstack([edge, outer[:-2]]), np.vstack([outer[2:], edge]))
+    size = np.abs(change)
+    none = np.zeros((1, z.shape[1]))
+    largest = (size >= np.vstack([none, size[:-1]])) & (size > np.vstack([size[1:], none]))
+    share = _share(curvature * width, change)
+    there = (np.abs(share - 0.5) <= 0.5 + SLACK) & largest
+    there &= np.isfinite(beside) & (size > BEYOND * beside * (width[:-1] + width[1:]))
+
+    smooth = _filled(curvature, there, inner)
+    excess = (curvature - smooth) * width
+    jump = excess[:-1] + excess[1:]
+    k, unknown = np.nonzero(there & (jump != 0))
+    place = np.clip(_share(excess, jump)[k, unknown], 0.0, 1.0)
+    t = (1 - place) * middle[k + 1] + place * middle[k + 2]
+    step = k + 1 + (t >= times[k + 2])
+    known = np.full(len(k), np.nan)
+    return Kinks(t, unknown, jump[k, unknown], step, known, np.ones(len(k), bool)), smooth
+
+
+def _share(parts: np.ndarray, sums: np.ndarray) -> np.ndarray:
+    """The second one's share of the sum of two neighbours; nan where there is none."""
+    shares = np.full_like(sums, np.nan)
+    np.divide(parts[1:], sums, out=shares, where=sums != 0)
+    return shares
+
+
+def _filled(curvature: np.ndarray, kinks: np.ndarray, inner: np.ndarray) -> np.ndarray:
+    """The curvature; in both windows of a kink that of their own side, or none."""
+    clean = np.where(inner, curvature, 0.0)
+    windows = np.zeros_like(kinks, shape=curvature.shape)
+    windows[:-1] |= kinks
+    windows[1:] |= kinks
+    clean[windows] = 0.0
+    none = np.zeros((1, curvature.shape[1]))
+    filled = curvature.copy()
+    k, j = np.nonzero(kinks)
+    filled[k, j] = np.vstack([none, clean])[k, j]
+    filled[k + 1, j] = np.vstack([clean, none])[k + 2, j]
+    return filled
+
+
+def find_stops(times: np.ndarray, z: np.ndarray, segment: np.ndarray) -> Kinks:
+    """Where unknowns stop at A = 0: the vertices of the ways before.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n+1,)
+    z : ndarray, shape (n, dim)
+    segment : ndarray of int, shape (n,)
+    """
+    n = len(z)
+    if n < 5:
+        return NONE
+    moves = z != 0
+    # three steps of one motion before the one in which it stops, the first of them from rest on
+    k, j = np.nonzero(moves[3:-1] & moves[2:-2] & moves[1:-3] & ~moves[4:])
+    k += 3
+    alike = (segment[k - 2] == segment[k]) & (z[k - 1, j] * z[k - 2, j] > 0)
+    begun = moves[k - 3, j] & (segment[k - 3] == segment[k - 2])
+    k, j = k[alike & begun], j[alike & begun]
+    if not k.size:
+        return NONE
+    four = np.maximum(k - 4, 0)
+    third = (k >= 4) & moves[four, j] & (segment[four] == segment[k])
+    third &= z[k - 3, j] * z[k - 1, j] > 0
+    a, b, c = (times[k - i] - times[k] for i in (1, 2, 3))
+    f1, f2 = z[k - 1, j], (z[k - 2, j] - z[k - 1, j]) / b
+    f3 = np.where(third, ((z[k - 3, j] - z[k - 2, j]) / (c - a) - f2) / c, 0.0)
+    tau = _vertex(f1 - f2 * a + f3 * a * b, 2 * (f2 - f3 * (a + b)), 3 * f3)
+    h, then = times[k + 1] - times[k], times[np.minimum(k + 2, n)] - times[k]
+    seen = (tau >= -EARLY * h) & (tau <= then)
+    tau = np.maximum(tau, 0.0)
+    slope = 2 * (f2 - f3 * (a + b)) + 6 * f3 * tau
+    seen &= slope * f1 < 0
+    way = tau * (f1 + (tau - a) * (f2 + (tau - b) * f3))
+    found = Kinks(times[k] + tau, j, -slope, k, h * z[k, j] - way, third)
+    return Kinks(*(part[seen] for part in found))
+
+
+def _vertex(c0: np.ndarray, c1: np.ndarray, c2: np.ndarray) -> np.ndarray:
+    """The root of c0 + c1 t + c2 t^2 that is nearest to 0; nan where there is none."""
+    square = c1**2 - 4 * c2 * c0
+    below = c1 + np.copysign(np.sqrt(np.maximum(square, 0.0)), c1)
+    root = np.full_like(c0, np.nan)
+    np.divide(-2 * c0, below, out=root, where=(square >= 0) & (below != 0))
+    return root
