@@ -50,7 +50,7 @@ RISES = 4  # passes one after the other that overshoot, each with a greater erro
 APART = 2.0  # times as far apart as their errors let expect two passes may be
 MISTRUST = 2.0  # the most that an error counts for where they are further apart
 FIRST = 16  # steps of the first pass
-HIDDEN = 0.03  # of a jump of the velocity times the steps beside it: the error of a kink there
+HIDDEN = 0.025  # of a jump of the velocity times the steps beside it: the error of a kink there
 
 
 @dataclass(frozen=True)
@@ -142,8 +142,10 @@ def refine(
         began, before = clock.perf_counter(), watch
         nodes = before.nodes if before else None
 
-        def seen(times: np.ndarray, limit: Limit | None, nodes: PassNodes | None = nodes) -> Watch:
-            return Watch(times, cuts, flow, nodes, checked, limit)
+        def seen(
+            times: np.ndarray, known: int, limit: Limit | None, nodes: PassNodes | None = nodes
+        ) -> Watch:
+            return Watch(times, cuts, flow, nodes, checked, known, limit)
 
         watch, run, made = _walked(times, limit, seen, walk)
         times, n = watch.times, len(watch.times) - 1
@@ -160,7 +162,7 @@ def refine(
         least = (2.0 if doubtful else LEAST) * n
         next_n = max(n * (error / (AIM * tol)) ** (1 / flow.order), least)
         wanted = density(times, cuts, watch.sizes, flow.order, watch.jumps)
-        told = watch.whole and n >= TOLD
+        told = flow.locates and watch.whole and n >= TOLD
         limit = None
         if next_n <= (FARTHEST_TOLD if told else FARTHEST) * n:
             limit = Limit(ACCEPTED * tol, MENDED * tol)
@@ -182,13 +184,13 @@ def refine(
 def _walked(
     times: np.ndarray,
     limit: Limit | None,
-    seen: Callable[[np.ndarray, Limit | None], Watch],
+    seen: Callable[[np.ndarray, int, Limit | None], Watch],
     walk: Callable[[np.ndarray, Watch, int], Run],
 ) -> tuple[Watch, Run, int]:
     """A pass, mended where its error is too large; how many steps were made for it."""
     known, made, mends = 0, 0, 0
     while True:
-        watch = seen(times, limit if mends < MENDS else None)
+        watch = seen(times, known, limit if mends < MENDS else None)
         run = walk(times, watch, known)
         made += run.done - known
         if watch.mended is None:
@@ -205,19 +207,24 @@ def _fewest(
     around: tuple[float, float],
     error: float,
 ) -> np.ndarray:
-    """The first one of finer and finer grids that would have no more than this error.
+    """The coarsest one of some grids that would have no more than this error.
 
     They follow the density or are of equal steps: where many kinks are close together, what the
     density gains is less than what it loses by halving.
     """
-    course = watch.course
-    equal = Density(wanted.edges, np.ones_like(wanted.rho), wanted.order)
-    for n in np.geomspace(*around, TRIED).tolist():
-        for one in (wanted, equal):
-            times = finer_grid(one, cuts, longest, n)
-            if course.on(flow, times).sizes(flow).max() <= error:
-                return times
-    return times
+    course, span = watch.course, cuts[-1] - cuts[0]
+    numbers = np.geomspace(*around, TRIED).tolist()
+    few, many, found = 0, TRIED - 1, None
+    while few <= many:
+        middle = (few + many) // 2
+        n = numbers[middle]
+        grids = finer_grid(wanted, cuts, longest, n), first_grid(cuts, min(span / n, longest))
+        small = [times for times in grids if course.on(flow, times).sizes(flow).max() <= error]
+        if small:
+            found, many = small[0], middle - 1
+        else:
+            few = middle + 1
+    return finer_grid(wanted, cuts, longest, numbers[-1]) if found is None else found
 
 
 def _error(watch: Watch, before: Watch | None) -> tuple[float, float]:

@@ -44,10 +44,10 @@ class Kinks(NamedTuple):
     missed: np.ndarray
     sure: np.ndarray
 
-    def within(self, start: int, stop: int, shift: int) -> Kinks:
-        """Those of the steps from `start` to `stop`, which are then counted from `shift` on."""
+    def within(self, start: int, stop: int) -> Kinks:
+        """Those of the steps from `start` to `stop`, which are counted from `start` on."""
         chosen = (self.step >= start) & (self.step < stop)
-        return Kinks(*(part[chosen] for part in self))._replace(step=self.step[chosen] + shift)
+        return Kinks(*(part[chosen] for part in self))._replace(step=self.step[chosen] - start)
 
 
 NONE = Kinks(*(np.zeros(0, kind) for kind in (float, int, float, int, float, bool)))
@@ -113,17 +113,13 @@ def _share(parts: np.ndarray, sums: np.ndarray) -> np.ndarray:
 
 
 def _filled(curvature: np.ndarray, kinks: np.ndarray, inner: np.ndarray) -> np.ndarray:
-    """The curvature; in both windows of a kink that of their own side, or none."""
+    """The curvature; in both windows of a kink that beside it on their side, or none."""
+    k, unknown = np.nonzero(kinks)
     clean = np.where(inner, curvature, 0.0)
-    windows = np.zeros_like(kinks, shape=curvature.shape)
-    windows[:-1] |= kinks
-    windows[1:] |= kinks
-    clean[windows] = 0.0
-    none = np.zeros((1, curvature.shape[1]))
+    clean[k, unknown] = clean[k + 1, unknown] = 0.0
+    clean = np.pad(clean, ((1, 1), (0, 0)))
     filled = curvature.copy()
-    k, j = np.nonzero(kinks)
-    filled[k, j] = np.vstack([none, clean])[k, j]
-    filled[k + 1, j] = np.vstack([clean, none])[k + 2, j]
+    filled[k, unknown], filled[k + 1, unknown] = clean[k, unknown], clean[k + 3, unknown]
     return filled
 
 

@@ -16,7 +16,7 @@ from sweepopt.flow import Flow
 from sweepopt.kinks import NONE, find_kinks, find_stops
 from sweepopt.mend import Mended, mended
 
-WHOLE = 1 << 21  # numbers of the velocities of a pass that are kept all
+WHOLE = 1 << 20  # numbers of the velocities of a pass that are kept all
 BLOCK = 65536  # numbers of the steps that are looked at together where they are more
 AHEAD, BESIDE = 3, 10  # steps after and before one that its kinks are told from
 LOOKS = 25  # at the error while a pass with a limit goes on
@@ -50,6 +50,8 @@ class Watch:
         Of the pass before: where this one is compared with it.
     kept : int
         So many nodes are kept.
+    known : int
+        So many of the steps were seen before, in a pass that is mended.
     limit : Limit, optional
         An error beyond it stops the pass if it can be mended.
 
@@ -77,6 +79,7 @@ class Watch:
         flow: Flow,
         before: PassNodes | None,
         kept: int,
+        known: int = 0,
         limit: Limit | None = None,
     ) -> None:
         self.times, self._flow, self._mus = times, flow, np.diff(times)
@@ -94,7 +97,7 @@ class Watch:
         self._courses: list[Course] = []
         self._missed: list[Missed] = []
         self._carried: list[Carried] = []
-        self._limit = limit
+        self._known, self._limit = known, limit
         self.whole = self.mendable = False
         self.mended: Mended | None = None
         self.jumps: dict[int, float] = {}
@@ -135,13 +138,14 @@ class Watch:
             self._z[:kept] = self._z[-kept:]
             self._u[: kept + 1] = self._u[-kept - 1 :]
             self._first = i + 1 - kept
-        elif self.whole and self._limit and (i + 1) % max(n // LOOKS, 2) == 0:
+        elif self.mendable and i >= self._known and (i + 1) % max(n // LOOKS, 2) == 0:
             self._look(i + 1 - AHEAD, i + 1)
-        if self.whole and self._limit and self.error > self._limit.error:
+        if self.mendable and self._limit and self.error > self._limit.error:
             self._mend(self._limit)
         return self.mended is not None
 
     def _mend(self, limit: Limit) -> None:
+        """Choose the grid to go on with; if there is none, the pass goes on as it is."""
         missed = Missed(*(np.concatenate(parts) for parts in zip(*self._missed, strict=True)))
         carried = Carried(*(np.concatenate(parts) for parts in zip(*self._carried, strict=True)))
         self.mended = mended(self._flow, self.times, missed, carried, *limit)
@@ -188,33 +192,30 @@ class Watch:
         self._sizes.append(flow.norms(windows[known:]) / r)
 
         here = steps - start
-        moves = z[here] != 0
-        stops = z[np.minimum(here + 1, len(z) - 1)] == 0
         kinks, curvature = NONE, windows
-        if flow.locates:
-            if flow.continuous:
-                kinks, curvature = find_kinks(times, z, segment)
-            else:
-                kinks = find_stops(times, z, segment)
-            kinks = kinks.within(int(here[0]), int(here[-1]) + 1, -int(here[0]))
+        if flow.locates and flow.continuous:
+            kinks, curvature = find_kinks(times, z, segment)
+        elif flow.locates:
+            kinks = find_stops(times, z, segment)
+        kinks = kinks.within(int(here[0]), int(here[-1]) + 1)
+        moves, stops = z[here] != 0, z[np.minimum(here + 1, len(z) - 1)] == 0
         window = self._window[steps]
         left, right = np.maximum(steps - 1, window), np.minimum(steps, window + r - 1)
         slope = 0.5 * (slopes[left - start] + slopes[right - start])
         high = curvature[window - start]
         if flow.locates and not flow.continuous:
+            # but for stops that were not found, what moves is where it should be
             high = np.where(moves & stops, high, 0.0)
             high[kinks.step, kinks.unknown] = 0.0
             bends = high.copy()
-            unsure = ~kinks.sure
-            where = kinks.step[unsure], kinks.unknown[unsure]
-            bends[where] = kinks.jump[unsure] / self._mus[steps][kinks.step[unsure]]
+            open_ = np.where(kinks.sure, 0.0, kinks.jump) / self._mus[steps][kinks.step]
+            bends[kinks.step, kinks.unknown] = open_
         else:
             begins = np.append(True, self._segment[1:] != self._segment[:-1])[steps]
             bends = np.where(begins[:, None], 0.0, high - np.vstack([self._last, high[:-1]]))
-        size = flow.norms(z[here])
         course = Course(
             times=self.times[steps[0] : steps[-1] + 2],
-            rates=flow.rates(z[here], size),
+            rates=flow.rates(z[here], flow.norms(z[here])),
             lower=slope if r == 2 else z[here],
             high=high,
             bends=bends,
