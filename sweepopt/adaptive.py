@@ -50,7 +50,7 @@ RISES = 4  # passes one after the other that overshoot, each with a greater erro
 APART = 2.0  # times as far apart as their errors let expect two passes may be
 MISTRUST = 2.0  # the most that an error counts for where they are further apart
 FIRST = 16  # steps of the first pass
-HIDDEN = 0.025  # of a jump of the velocity times the steps beside it: the error of a kink there
+HIDDEN = 1 / 24  # of a jump of the velocity times the steps beside it: the error of a kink there
 
 
 @dataclass(frozen=True)
