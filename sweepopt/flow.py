@@ -40,6 +40,8 @@ class Flow:
         self.order = int(scheme.order) if stiff or not process.rate_independent else 1
         self.continuous = not process.rate_independent  # the velocity, where the load has a kink
         self._process = process
+        metric = process.metric
+        self._scales = np.sqrt(metric.diagonal) if metric.is_diagonal else None
         n = len(scheme.b)
         self._rows, self._weights = scheme.a, scheme.b
         self._a = np.array([[*row, *[0.0] * (n - len(row))] for row in scheme.a])
@@ -85,6 +87,16 @@ class Flow:
     def norms(self, rows: np.ndarray) -> np.ndarray:
         """|u|_A of each row, |u|_B where A = 0."""
         return np.sqrt(np.maximum(squares(self._process.metric.M, rows), 0.0))
+
+    def parts(self, rows: np.ndarray) -> np.ndarray:
+        """|u| of what the norm takes together: of each unknown, or of all of them.
+
+        A body's unknowns have their kinks together: told one by one, they would fit badly to each
+        other, and |.|_A sees what neighbours differ by.
+        """
+        if self._scales is None:
+            return self.norms(rows)[:, None]
+        return self._scales * np.abs(rows)
 
     def dual(self, u: np.ndarray) -> np.ndarray:
         """The gradient of |u|^2 / 2."""

@@ -1,4 +1,4 @@
-"""Where in a step the velocity has a kink: an unknown starts to slip, or stops.
+"""Where in a step the velocity has a kink: something starts to slip, or stops.
 
 A kink between two midpoints is in the second differences there alone: their sum is the jump of the
 slope, their ratio the place. What they have beyond those beside them is taken for a kink where it
@@ -11,6 +11,7 @@ vertex the place.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -58,7 +59,12 @@ def joined(parts: list[Kinks]) -> Kinks:
     return Kinks(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def find_kinks(times: np.ndarray, z: np.ndarray, segment: np.ndarray) -> tuple[Kinks, np.ndarray]:
+def find_kinks(
+    times: np.ndarray,
+    z: np.ndarray,
+    segment: np.ndarray,
+    parts: Callable[[np.ndarray], np.ndarray],
+) -> tuple[Kinks, np.ndarray]:
     """The kinks, and the second difference quotients without them.
 
     Parameters
@@ -67,6 +73,8 @@ def find_kinks(times: np.ndarray, z: np.ndarray, segment: np.ndarray) -> tuple[K
     z : ndarray, shape (n, dim)
     segment : ndarray of int, shape (n,)
         Between which breakpoints each step is; nothing is compared across one.
+    parts : callable
+        Norms of rows, a column for all unknowns together or one for each: these have kinks apart.
 
     Returns
     -------
@@ -82,39 +90,43 @@ def find_kinks(times: np.ndarray, z: np.ndarray, segment: np.ndarray) -> tuple[K
     if len(curvature) < 3:
         return NONE, curvature
     # between the midpoints k + 1 and k + 2 are the windows k and k + 1
-    both = inner[1:] & inner[:-1]
-    change = np.where(both, np.diff(slopes, axis=0)[:-1] + np.diff(slopes, axis=0)[1:], 0.0)
-    outer = np.where(inner, np.abs(curvature), np.inf)
-    edge = np.full((1, z.shape[1]), np.inf)
+    steps = curvature * width
+    sizes = parts(steps)
+    change = np.where(inner[1:] & inner[:-1], parts(steps[1:] + steps[:-1]), 0.0)
+    edge = np.full((1, change.shape[1]), np.inf)
+    outer = np.where(inner, sizes / width, np.inf)
     beside = np.minimum(np.vstack([edge, outer[:-2]]), np.vstack([outer[2:], edge]))
-    size = np.abs(change)
-    none = np.zeros((1, z.shape[1]))
-    largest = (size >= np.vstack([none, size[:-1]])) & (size > np.vstack([size[1:], none]))
-    share = _share(curvature * width, change)
-    there = (np.abs(share - 0.5) <= 0.5 + SLACK) & largest
-    there &= np.isfinite(beside) & (size > BEYOND * beside * (width[:-1] + width[1:]))
+    none = np.zeros_like(edge)
+    there = change >= np.vstack([none, change[:-1]])
+    there &= (change > np.vstack([change[1:], none])) & np.isfinite(beside)
+    there &= np.abs(_share(sizes, change) - 0.5) <= 0.5 + SLACK
+    there &= change > BEYOND * beside * (width[:-1] + width[1:])
 
-    smooth = _filled(curvature, there, inner)
+    k, unknown = np.nonzero(np.broadcast_to(there, (len(change), z.shape[1])))
+    smooth = _filled(curvature, k, unknown, inner)
     excess = (curvature - smooth) * width
     jump = excess[:-1] + excess[1:]
-    k, unknown = np.nonzero(there & (jump != 0))
-    place = np.clip(_share(excess, jump)[k, unknown], 0.0, 1.0)
+    place = np.clip(_share(parts(excess), parts(jump)), 0.0, 1.0)
+    place = np.broadcast_to(place, jump.shape)[k, unknown]
     t = (1 - place) * middle[k + 1] + place * middle[k + 2]
     step = k + 1 + (t >= times[k + 2])
-    known = np.full(len(k), np.nan)
-    return Kinks(t, unknown, jump[k, unknown], step, known, np.ones(len(k), bool)), smooth
+    known, sure = np.full(len(k), np.nan), np.ones(len(k), dtype=bool)
+    kinks = Kinks(t, unknown, jump[k, unknown], step, known, sure)
+    return Kinks(*(column[~np.isnan(t)] for column in kinks)), smooth
 
 
-def _share(parts: np.ndarray, sums: np.ndarray) -> np.ndarray:
-    """The second one's share of the sum of two neighbours; nan where there is none."""
+def _share(sizes: np.ndarray, sums: np.ndarray) -> np.ndarray:
+    """The second one's share of the sum of two vectors, from the norms; nan where there is none."""
     shares = np.full_like(sums, np.nan)
-    np.divide(parts[1:], sums, out=shares, where=sums != 0)
+    second = sizes[1:] ** 2 + sums**2 - sizes[:-1] ** 2
+    np.divide(second, 2 * sums**2, out=shares, where=sums > 0)
     return shares
 
 
-def _filled(curvature: np.ndarray, kinks: np.ndarray, inner: np.ndarray) -> np.ndarray:
+def _filled(
+    curvature: np.ndarray, k: np.ndarray, unknown: np.ndarray, inner: np.ndarray
+) -> np.ndarray:
     """The curvature; in both windows of a kink that beside it on their side, or none."""
-    k, unknown = np.nonzero(kinks)
     clean = np.where(inner, curvature, 0.0)
     clean[k, unknown] = clean[k + 1, unknown] = 0.0
     clean = np.pad(clean, ((1, 1), (0, 0)))

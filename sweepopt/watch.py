@@ -194,7 +194,7 @@ class Watch:
         here = steps - start
         kinks, curvature = NONE, windows
         if flow.locates and flow.continuous:
-            kinks, curvature = find_kinks(times, z, segment)
+            kinks, curvature = find_kinks(times, z, segment, flow.parts)
         elif flow.locates:
             kinks = find_stops(times, z, segment)
         kinks = kinks.within(int(here[0]), int(here[-1]) + 1)

@@ -365,7 +365,7 @@ def test_a_kink_is_found_with_its_place_and_its_jump_and_smooth_unknowns_have_no
     kink: float,
 ) -> None:
     times = np.append(np.linspace(0.0, 0.4, 9), np.linspace(0.45, 1.0, 8))
-    kinks, smooth = find_kinks(times, hat(times, kink), np.zeros(16, dtype=int))
+    kinks, smooth = find_kinks(times, hat(times, kink), np.zeros(16, dtype=int), np.abs)
     assert kinks.unknown.tolist() == [0]
     assert kinks.t[0] == pytest.approx(kink, abs=0.003)
     assert kinks.jump[0] == pytest.approx(2.0, rel=0.05)
@@ -373,7 +373,7 @@ def test_a_kink_is_found_with_its_place_and_its_jump_and_smooth_unknowns_have_no
     assert np.abs(smooth[:, 0]).max() <= 0.61
     # across a breakpoint nothing is compared
     segment = (np.arange(16) >= 9).astype(int)
-    kinks, _ = find_kinks(times, hat(times, kink), segment)
+    kinks, _ = find_kinks(times, hat(times, kink), segment, np.abs)
     assert not kinks.t.size or abs(kink - 0.45) > 0.05
 
 
