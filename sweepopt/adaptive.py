@@ -35,7 +35,8 @@ from sweepopt.watch import Limit, PassNodes, Watch
 PASSES = 24
 STEPS = 1_000_000  # of the finest pass
 CHECKED = 256  # nodes at which passes are compared, fewer where states are large
-AIM = 1.9  # the error that a pass is made for, in units of tol
+AIM = 1.9  # the error that a pass is made for, in units of tol,
+CAREFUL = 1.4  # and where it is estimated without the places of kinks
 ACCEPTED = 2.5  # the error that it may have,
 MENDED = 2.2  # the one that it is mended for,
 ALONE = 1.9  # what the first one may have,
@@ -135,6 +136,7 @@ def refine(
     """
     tol, span = steps.tol, float(cuts[-1] - cuts[0])
     minimum = 2.0**-40 * span if steps.minimum is None else steps.minimum
+    shortest = min(minimum, float(np.diff(cuts).min()))  # breakpoints are met all the same
     times, limit = first_grid(cuts, longest), None
     passes: list[Pass] = []
     watch: Watch | None = None
@@ -152,7 +154,7 @@ def refine(
         walked = run.status in (Status.SUCCESS, Status.UNCERTIFIED)
         error, trust = _error(watch, before) if walked else (math.nan, 1.0)
         passes.append(Pass(made, error, clock.perf_counter() - began))
-        doubtful = before is None and not error < RESOLVED * watch.length
+        doubtful = before is None and not 0 < error < RESOLVED * watch.length
         enough = error <= (ALONE if before is None else ACCEPTED) * tol and not doubtful
         if not walked or enough:
             return Refined(tuple(passes))
@@ -160,23 +162,24 @@ def refine(
             return Refined(tuple(passes), None, _below_rounding(tol, EPS * watch.size))
         # where hardly anything was seen to move, steps twice as short look again
         least = (2.0 if doubtful else LEAST) * n
-        next_n = max(n * (error / (AIM * tol)) ** (1 / flow.order), least)
+        aim = (AIM if flow.locates else CAREFUL) * tol
+        next_n = max(n * (error / aim) ** (1 / flow.order), least)
         wanted = density(times, cuts, watch.sizes, flow.order, watch.jumps)
         told = flow.locates and watch.whole and n >= TOLD
         limit = None
         if next_n <= (FARTHEST_TOLD if told else FARTHEST) * n:
-            limit = Limit(ACCEPTED * tol, MENDED * tol)
+            limit = Limit(ACCEPTED * tol, MENDED * tol, shortest) if flow.locates else None
         else:
             # one pass between: as few steps as the last one can come after
             next_n = min(max(BETWEEN * next_n, GROWTH[0] * n), GROWTH[1] * n)
         if next_n > STEPS:
-            return Refined(tuple(passes), None, _too_many(passes[-1], next_n, tol))
+            return Refined(tuple(passes), None, _too_many(n, error, next_n, tol))
         if limit and told:
             around = max(NEAR[0] * next_n, least), max(NEAR[1] * next_n, least)
-            times = _fewest(watch, flow, wanted, cuts, longest, around, AIM * tol / trust)
+            times = _fewest(watch, flow, wanted, cuts, longest, around, aim / trust)
         else:
             times = finer_grid(wanted, cuts, longest, next_n)
-        failure = _failure(times, cuts, minimum, passes, run.overshot is not None)
+        failure = _failure(times, shortest, n, passes, run.overshot is not None)
         if failure:
             return Refined(tuple(passes), float(times[np.argmin(np.diff(times))]), failure)
 
@@ -193,7 +196,7 @@ def _walked(
         watch = seen(times, known, limit if mends < MENDS else None)
         run = walk(times, watch, known)
         made += run.done - known
-        if watch.mended is None:
+        if watch.mended is None or run.status in (Status.INTERRUPTED, Status.INEXACT):
             return watch, run, made
         (times, known), mends = watch.mended, mends + 1
 
@@ -250,34 +253,32 @@ def _below_rounding(tol: float, rounding: float) -> str:
     return f"tol = {tol:g} is less than the rounding of u, {rounding:.2g}; loosen it"
 
 
-def _too_many(last: Pass, n: float, tol: float) -> str:
-    estimate = "" if math.isnan(last.error) else f" and an estimated error of {last.error:.2g}"
+def _too_many(n: int, error: float, next_n: float, tol: float) -> str:
+    estimate = "" if math.isnan(error) else f" and an estimated error of {error:.2g}"
     return (
-        f"tol = {tol:g} would take about {n:.2g} steps, more than {STEPS:g}; the run has "
-        f"{last.steps}{estimate}. Loosen the tolerance or take a scheme of higher order"
+        f"tol = {tol:g} would take about {next_n:.2g} steps, more than {STEPS:g}; the run has "
+        f"{n}{estimate}. Loosen the tolerance or take a scheme of higher order"
     )
 
 
-def _failure(
-    times: np.ndarray, cuts: np.ndarray, minimum: float, passes: list[Pass], overshot: bool
-) -> str:
-    """Why it makes no sense to go on, or nothing."""
-    shortest = float(np.diff(times).min())
+def _failure(times: np.ndarray, shortest: float, n: int, passes: list[Pass], overshot: bool) -> str:
+    """Why it makes no sense to go on from n steps, or nothing."""
+    step = float(np.diff(times).min())
     advice = (
         "does the load jump there? Give it as data (a Table has no jumps, and its kinks are met "
         "exactly) or loosen the tolerance"
     )
-    if shortest < min(minimum, float(np.diff(cuts).min())):
-        return f"a step shorter than minimum = {minimum:g} is needed; {advice}"
+    if step < shortest:
+        return f"a step shorter than minimum = {shortest:g} is needed; {advice}"
     errors = [one.error for one in passes]
     if overshot and len(passes) > RISES and all(a < b for a, b in pairwise(errors[-RISES - 1 :])):
         return (
-            f"the estimated error, {errors[-1]:.2g} with {passes[-1].steps} steps, rises with "
+            f"the estimated error, {errors[-1]:.2g} with {n} steps, rises with "
             "shorter steps: they overshoot; take implicit-euler, which never does"
         )
     if len(passes) == PASSES or (len(passes) > 7 and errors[-1] > errors[-7]):
         return (
             f"the estimated error, {errors[-1]:.2g}, does not fall any more with "
-            f"{passes[-1].steps} steps; {advice}"
+            f"{n} steps; {advice}"
         )
     return ""

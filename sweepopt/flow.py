@@ -55,9 +55,10 @@ class Flow:
         if process.rate_independent:
             turns = self.turned((np.arange(100) + 0.5) / 100)
         self.turn, self.turn_spread = float(turns.mean()), TURNS * float(turns.std())
-        # at A = 0 what moves along flat faces is where it should be after each step
-        flat = self.continuous or process.C.at(0.0).polyhedral
-        self.locates = self.order == 2 and flat
+        # at A = 0 what moves along flat faces is where it should be after each step, unless it
+        # depends on others that are not
+        apart = self.continuous or (metric.is_diagonal and process.C.at(0.0).polyhedral)
+        self.locates = self.order == 2 and apart
         if process.rate_independent:
             self.spread *= STARTS
 

@@ -28,14 +28,21 @@ class Mended(NamedTuple):
 
 
 def mended(
-    flow: Flow, times: np.ndarray, missed: Missed, carried: Carried, limit: float, goal: float
+    flow: Flow,
+    times: np.ndarray,
+    missed: Missed,
+    carried: Carried,
+    limit: float,
+    goal: float,
+    shortest: float,
 ) -> Mended | None:
     """A grid whose error is about `goal` where that of `times` is beyond the limit.
 
-    `missed` and `carried` are of the steps that are made; nothing where too many were to be halved.
+    `missed` and `carried` are of the steps that are made. Nothing where too many were to be halved,
+    or some that would be shorter than the shortest step.
     """
     sizes = carried.sizes(flow)
-    beyond = int(np.flatnonzero(sizes > limit)[0])
+    beyond = int(np.argmax(sizes > limit))
     k = beyond + int(np.argmax(sizes[beyond:]))
     size = max(float(flow.norms(carried.errors[k : k + 1])[0]), np.finfo(float).tiny)
     toward = flow.dual(carried.errors[k] / size)
@@ -53,6 +60,8 @@ def mended(
     enough = int(np.searchsorted(np.cumsum(gains[largest]), sizes[k] - goal)) + 1
     halved = np.sort(largest[:enough][gains[largest[:enough]] > 0])
     if not 0 < len(halved) <= max(MOST * k, FEW):
+        return None
+    if np.diff(times)[halved].min() < 2 * shortest:
         return None
     middle = 0.5 * (times[halved] + times[halved + 1])
     return Mended(np.sort(np.append(times, middle)), int(halved[0]))

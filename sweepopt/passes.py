@@ -11,7 +11,7 @@ import numpy as np
 from sweepopt.adaptive import CHECKED, FIRST, STEPS, Adaptive, Refined, refine
 from sweepopt.checks import TIME_SLACK, axes, number, vector
 from sweepopt.control import evaluation_times, time_grid
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, Status
 from sweepopt.flow import Flow
 from sweepopt.grids import first_grid
 from sweepopt.linalg import EPS
@@ -21,7 +21,6 @@ from sweepopt.process import SweepingProcess
 from sweepopt.schemes import Scheme
 from sweepopt.sets import MovingSet
 from sweepopt.states import Keeper, Saving, saving
-from sweepopt.statistics import Log
 from sweepopt.stepping import Velocities
 from sweepopt.watch import Watch
 
@@ -120,23 +119,27 @@ def adapt(
 class _Trail:
     """The steps of a walk, from any of which another walk can go on."""
 
-    def __init__(self, places: list[Place], velocities: list[np.ndarray], log: Log | None) -> None:
-        self.places, self.velocities, self.log = places, velocities, log
+    def __init__(
+        self, places: list[Place], velocities: list[np.ndarray], before: Run | None = None
+    ) -> None:
+        self.places, self.velocities, self._before = places, velocities, before
+        self.run: Run | None = None
 
     def until(self, known: int) -> _Trail:
         """So many steps of it."""
-        return _Trail(self.places[:known], self.velocities[:known], self.log)
+        return _Trail(self.places[:known], self.velocities[:known], self.run)
 
     def begin(self, run: Run, keeper: Keeper, start: Place) -> Place:
         """Give the run the steps that are known."""
-        if not self.places:
+        if not self.places or self._before is None:
             return start
-        assert self.log is not None
-        run.done = len(self.places)
-        run.log.restore(
-            {name: column[: run.done] for name, column in self.log.columns.items()},
-            self.log.solvers,
-        )
+        before, run.done = self._before, len(self.places)
+        columns = {name: column[: run.done] for name, column in before.log.columns.items()}
+        run.log.restore(columns, before.log.solvers)
+        if np.isnan(columns["relative"]).any():
+            run.status = Status.UNCERTIFIED
+        if before.overshot is not None and before.overshot < run.done:
+            run.overshot = before.overshot
         for i, (place, z) in enumerate(zip(self.places, self.velocities, strict=True)):
             keeper.put(i, place.u, z)
         return self.places[-1]
@@ -163,7 +166,7 @@ class _Walk:
         self._frame, self._process, self._tick = frame, process, tick
         self._save, self._memory = save, memory
         self._use(plan)
-        self._trail = _Trail([], [], None)
+        self._trail = _Trail([], [])
         self._sizes = np.zeros(0)
         self.last: Walked | None = None
 
@@ -190,7 +193,7 @@ class _Walk:
             return stop
 
         run = march(process, plan, times, mus, keeper, look, velocities=self._programs, marks=trail)
-        trail.log = run.log
+        trail.run = run
         if self.last is None and watch.length > 0:
             # what the programs miss adds up along the way of u
             asked = max(SHARE * self._frame.steps.tol / watch.length, EXACT)

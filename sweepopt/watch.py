@@ -30,10 +30,11 @@ class PassNodes(NamedTuple):
 
 
 class Limit(NamedTuple):
-    """The error that a pass may have, and the one that it is mended for."""
+    """The error that a pass may have, the one it is mended for, and the shortest step there is."""
 
     error: float
     goal: float
+    shortest: float
 
 
 class Watch:
@@ -198,7 +199,9 @@ class Watch:
         elif flow.locates:
             kinks = find_stops(times, z, segment)
         kinks = kinks.within(int(here[0]), int(here[-1]) + 1)
-        moves, stops = z[here] != 0, z[np.minimum(here + 1, len(z) - 1)] == 0
+        moves, following = z[here] != 0, z[np.minimum(here + 1, len(z) - 1)]
+        # what turns from one step to the next has stopped and has started again
+        stops = following * z[here] <= 0 if flow.locates else following == 0
         window = self._window[steps]
         left, right = np.maximum(steps - 1, window), np.minimum(steps, window + r - 1)
         slope = 0.5 * (slopes[left - start] + slopes[right - start])

@@ -13,9 +13,11 @@ import pytest
 from cases import SETS, case
 
 import sweepopt as so
+from sweepopt.course import Carried, Missed
 from sweepopt.flow import Flow
 from sweepopt.grids import density, finer_grid, first_grid
 from sweepopt.kinks import find_kinks, find_stops
+from sweepopt.mend import mended
 from sweepopt.study.problems import BURST, problem
 from sweepopt.watch import Watch
 
@@ -115,9 +117,12 @@ def random_process(seed: int) -> tuple[so.SweepingProcess, float]:
     return so.SweepingProcess(A, B, C, np.zeros(dim)), t_end
 
 
-def random_errors(seed: int) -> list[float]:
+def random_errors(seed: int, viscous: bool = True) -> list[float]:
     """max_i |u_i - u(t_i)| / tol for three tolerances of a random process."""
     process, t_end = random_process(seed)
+    if not viscous:
+        A = np.zeros_like(process.A)
+        process = so.SweepingProcess(A, process.B, process.C, process.u0)
     exact = so.solve(process, t_end=t_end, steps=1, scheme="exact").exact
     assert exact is not None
     norm = process.metric.norm
@@ -129,10 +134,13 @@ def random_errors(seed: int) -> list[float]:
     return found
 
 
+@pytest.mark.parametrize("viscous", [True, False])
 @pytest.mark.parametrize("seeds", [range(8), pytest.param(range(8, 60), marks=pytest.mark.slow)])
-def test_few_processes_that_the_method_was_not_made_for_miss_the_tolerance(seeds: range) -> None:
+def test_few_processes_that_the_method_was_not_made_for_miss_the_tolerance(
+    seeds: range, viscous: bool
+) -> None:
     """An estimate is no bound: an event between two nodes can stay unseen."""
-    errors = np.ravel([random_errors(seed) for seed in seeds])
+    errors = np.ravel([random_errors(seed, viscous) for seed in seeds])
     assert np.mean(errors <= FACTOR) >= 0.95
     assert errors.max() <= 2 * FACTOR
 
@@ -450,3 +458,75 @@ def test_states_that_are_too_large_to_be_kept_are_seen_a_few_at_a_time(
     sol = run(name, so.Adaptive(1e-3))
     assert sol.success
     assert error(name, sol) <= FACTOR * 1e-3
+
+
+def test_a_block_without_viscosity_that_turns_from_one_step_to_the_next_is_seen() -> None:
+    times = np.linspace(0.0, 1.0, 9)
+    process = so.SweepingProcess([[0.0]], [[1.0]], so.Box([-1], [1]), [0.0])
+    watch = Watch(times, times[[0, -1]], Flow(process, so.schemes.SCHEMES["sdirk2"]), None, 16)
+    for i in range(8):
+        z = np.array([1.0 if i < 4 else -1.0])
+        watch.see(i, z * times[i + 1], z)
+    assert watch.error > 0.01
+
+
+def test_only_what_is_not_forgotten_is_mended() -> None:
+    """Two steps miss the same, but nothing is left of the first one's when the second errs."""
+    process = so.SweepingProcess([[1.0]], [[1.0]], so.Box([-1], [1]), [0.0])
+    flow, n = Flow(process, so.schemes.SCHEMES["midpoint"]), 12
+    own, kept = np.zeros((n, 1)), np.ones((n, 1))
+    own[[2, 8]], kept[5] = 1.0, 0.0
+    missed = Missed(own, kept, np.ones(n), kept[:, 0], np.zeros(n))
+    errors = np.array([0, 0, 1, 1, 1, 0, 0, 0, 1.1, 1.1, 1.1, 1.1])[:, None]
+    times = np.linspace(0.0, 1.0, n + 1)
+    better = mended(flow, times, missed, Carried(errors, np.zeros(n)), 1.05, 0.5, 0.0)
+    assert better is not None
+    assert better.known == 8
+    assert np.setdiff1d(better.times, times) == pytest.approx([0.5 * (times[8] + times[9])])
+    # not where the steps would be too short
+    assert mended(flow, times, missed, Carried(errors, np.zeros(n)), 1.05, 0.5, 0.05) is None
+
+
+def test_no_step_that_is_halved_becomes_shorter_than_the_minimum() -> None:
+    process, t_end = random_process(101)
+    exact = so.solve(process, t_end=t_end, steps=1, scheme="exact").exact
+    assert exact is not None
+    size = max(map(process.metric.norm, exact(np.linspace(0.0, t_end, 400))))
+    steps = so.Adaptive(0.1 * size, first=10.0, minimum=1.0)
+    sol = so.solve(process, t_end=t_end, steps=steps, on_failure="stop")
+    assert np.diff(sol.t).min() >= 1.0 or not sol.success
+
+
+def test_what_the_first_steps_said_is_not_lost_where_a_pass_goes_on_from_later_ones(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from sweepopt import march
+
+    step = march.step
+
+    def unproved(process: Any, scheme: Any, velocities: Any, t: float, mu: float, u: Any) -> Any:
+        z, stages = step(process, scheme, velocities, t, mu, u)
+        if t > 0.01:
+            return z, stages
+        found = [one.velocity._replace(relative=math.nan) for one in stages]
+        return z, [one._replace(velocity=new) for one, new in zip(stages, found, strict=True)]
+
+    monkeypatch.setattr("sweepopt.march.step", unproved)
+    monkeypatch.setattr("sweepopt.march._overshot", lambda *of: of[3] == 0)
+    monkeypatch.setattr("sweepopt.march.longest_safe", lambda *of: 0.0)
+    with pytest.warns(so.StabilityWarning, match="in the step from t = 0:"):
+        sol = so.solve(problem("S03").process(), t_end=8.0, steps=so.Adaptive(1e-2))
+    assert sol.passes[-1].steps > len(sol.t) - 1
+    assert np.isnan(sol.stats["relative"]).sum() == 1
+    assert sol.status is so.Status.UNCERTIFIED
+
+
+def test_ctrl_c_just_where_a_pass_is_to_be_mended_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Impatient(Watch):
+        def see(self, i: int, u: np.ndarray, z: np.ndarray) -> bool:
+            if super().see(i, u, z):
+                raise KeyboardInterrupt
+            return False
+
+    monkeypatch.setattr("sweepopt.adaptive.Watch", Impatient)
+    assert run("S03", so.Adaptive(1e-2)).status is so.Status.INTERRUPTED
