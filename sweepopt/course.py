@@ -65,13 +65,13 @@ class Course:
     ----------
     times : ndarray, shape (n+1,)
     rates : ndarray, shape (n,)
-        How fast errors along them decay.
+        How fast errors along the velocity decay.
     lower, high : ndarray, shape (n, dim)
         The (r-1)-th and the r-th derivative of the velocity, kinks left out.
     bends : ndarray, shape (n, dim)
         What kinks that were not found may have added to `high`.
     moves, stops : ndarray of bool, shape (n, dim)
-        Which unknowns do, and which of them rest in the next step.
+        Which unknowns do, and which of them rest or have turned in the next step.
     kinks : Kinks
     """
 
