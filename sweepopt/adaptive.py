@@ -216,15 +216,18 @@ def _fewest(
     density gains is less than what it loses by halving.
     """
     course, span = watch.course, cuts[-1] - cuts[0]
+
+    def small(times: np.ndarray) -> bool:
+        return bool(course.on(flow, times).sizes(flow).max() <= error)
+
     numbers = np.geomspace(*around, TRIED).tolist()
     few, many, found = 0, TRIED - 1, None
     while few <= many:
         middle = (few + many) // 2
         n = numbers[middle]
-        grids = finer_grid(wanted, cuts, longest, n), first_grid(cuts, min(span / n, longest))
-        small = [times for times in grids if course.on(flow, times).sizes(flow).max() <= error]
-        if small:
-            found, many = small[0], middle - 1
+        times = first_grid(cuts, min(span / n, longest))
+        if small(times) or small(times := finer_grid(wanted, cuts, longest, n)):
+            found, many = times, middle - 1
         else:
             few = middle + 1
     return finer_grid(wanted, cuts, longest, numbers[-1]) if found is None else found
