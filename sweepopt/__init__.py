@@ -5,10 +5,6 @@
 
 from __future__ import annotations
 
-from sweepopt.adaptive import Adaptive
-from sweepopt.certificate import ErrorBound
-from sweepopt.checkpoint import Checkpoint
-from sweepopt.energy import Energy
 from sweepopt.errors import (
     AccuracyError,
     CheckpointError,
@@ -27,12 +23,10 @@ from sweepopt.errors import (
     VariationWarning,
     VelocityError,
 )
-from sweepopt.evolve import solve
-from sweepopt.field import velocity_field
+from sweepopt.integrate import Adaptive, Checkpoint, StepInfo, velocity_field
 from sweepopt.loads import Constant, Polynomial, Separable, Sine, Table, Triangle
-from sweepopt.observers import StepInfo
-from sweepopt.plan import Plan
-from sweepopt.process import EvolutionVI, SweepingProcess
+from sweepopt.problem import EvolutionVI, SweepingProcess
+from sweepopt.results import Energy, ErrorBound, Pass, Solution
 from sweepopt.resume import resume
 from sweepopt.sets import (
     Ball,
@@ -53,8 +47,8 @@ from sweepopt.sets import (
     image,
     product,
 )
-from sweepopt.solution import Pass, Solution
-from sweepopt.solvers import DAQP, OSQP, ActiveSet, Clarabel, Cvxpy, Newton, Secular
+from sweepopt.solve import solve
+from sweepopt.velocity import DAQP, OSQP, ActiveSet, Clarabel, Cvxpy, Newton, Plan, Secular
 
 __version__ = "0.1.0"
 

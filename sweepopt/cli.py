@@ -18,7 +18,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sweepopt import library, schemes, solvers
 from sweepopt.errors import (
     MissingExtraError,
     Status,
@@ -26,11 +25,14 @@ from sweepopt.errors import (
     SweepoptWarning,
     UnstableStepError,
 )
+from sweepopt.fem import library
+from sweepopt.integrate import schemes
+from sweepopt.velocity import solvers
 
 if TYPE_CHECKING:
     from sweepopt.fem import Scene
-    from sweepopt.solution import Solution
-    from sweepopt.store import Report
+    from sweepopt.fem.output import Report
+    from sweepopt.results import Solution
 
 DONE, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
 """Exit codes; INCOMPLETE: a step missed tol, what was certified before it is written."""
@@ -167,7 +169,7 @@ def _compare(chosen: argparse.Namespace) -> int:
 def _run(chosen: argparse.Namespace) -> int:
     _require_packages()
     from sweepopt.fem import read_scene
-    from sweepopt.store import make_report
+    from sweepopt.fem.output import make_report
 
     path = library.find_scene(chosen.scene)
     given = {name: getattr(chosen, name) for name in ("steps", "scheme", "solver", "tol")}
@@ -194,7 +196,7 @@ def _run(chosen: argparse.Namespace) -> int:
 
 def _announce(scene: Scene) -> None:
     """Print what will be simulated and what will not."""
-    from sweepopt.plan import make_plan
+    from sweepopt.velocity import make_plan
 
     process = scene.problem.as_sweeping()
     scheme = schemes.choose(scene.scheme, process.rate_independent)
@@ -208,7 +210,8 @@ def _announce(scene: Scene) -> None:
 
 def _write(report: Report, folder: Path) -> list[str]:
     """Write all files of a run; their names relative to the folder, the summary last."""
-    from sweepopt import plot, store
+    from sweepopt import plot
+    from sweepopt.fem import output as store
 
     scene, solution, slip = report.scene, report.solution, report.slip
     pictures = {"displacement.png": plot.displacement_figure(scene, solution, slip)}

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
-    from sweepopt.solution import Solution
+    from sweepopt.results import Solution
 
 
 def shown(value: object) -> str:

@@ -8,21 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checkpoint import (
+from sweepopt.errors import CheckpointWarning, DamagedFileError, InputError, warn
+from sweepopt.integrate import (
     Checkpoint,
     Continued,
+    StepInfo,
     Stored,
     about_computer,
     decoded,
+    fingerprint,
     read_stored,
+    time_grid,
 )
-from sweepopt.control import time_grid
-from sweepopt.errors import CheckpointWarning, DamagedFileError, InputError, warn
-from sweepopt.evolve import solve
-from sweepopt.fingerprint import fingerprint
-from sweepopt.observers import StepInfo
-from sweepopt.process import EvolutionVI, SweepingProcess, sweeping
-from sweepopt.solution import Solution
+from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
+from sweepopt.results import Solution
+from sweepopt.solve import solve
 
 
 def resume(

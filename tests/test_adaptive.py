@@ -13,13 +13,13 @@ import pytest
 from cases import SETS, case
 
 import sweepopt as so
-from sweepopt.course import Carried, Missed
-from sweepopt.flow import Flow
-from sweepopt.grids import density, finer_grid, first_grid
-from sweepopt.kinks import find_kinks, find_stops
-from sweepopt.mend import mended
+from sweepopt.integrate.error_estimator import Watch
+from sweepopt.integrate.error_model import Carried, Missed
+from sweepopt.integrate.error_propagation import Flow
+from sweepopt.integrate.local_refinement import mended
+from sweepopt.integrate.mesh_density import density, finer_grid, first_grid
+from sweepopt.integrate.switching_times import find_kinks, find_stops
 from sweepopt.study.problems import BURST, problem
-from sweepopt.watch import Watch
 
 TOLERANCES = [1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7]
 FACTOR = 3.0  # by which an error may miss its tolerance
@@ -259,7 +259,7 @@ def test_a_callback_a_function_and_a_file_see_each_step_of_the_last_pass_once(
 
 
 def test_ctrl_c_returns_the_steps_of_the_pass_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    from sweepopt import passes
+    from sweepopt.integrate import adaptive_driver as passes
 
     class Impatient(passes.Watch):
         def see(self, i: int, u: np.ndarray, z: np.ndarray) -> None:
@@ -267,7 +267,7 @@ def test_ctrl_c_returns_the_steps_of_the_pass_under_way(monkeypatch: pytest.Monk
             if i == 40:
                 raise KeyboardInterrupt
 
-    monkeypatch.setattr("sweepopt.adaptive.Watch", Impatient)
+    monkeypatch.setattr("sweepopt.integrate.adaptive.Watch", Impatient)
     sol = run("S03", so.Adaptive(1e-3))
     assert sol.status is so.Status.INTERRUPTED
     assert len(sol.t) == 42
@@ -343,7 +343,7 @@ def test_a_body_that_never_moves_is_done_after_two_coarse_passes() -> None:
 def test_a_tolerance_that_takes_too_many_steps_ends_with_what_there_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("sweepopt.adaptive.STEPS", 500)
+    monkeypatch.setattr("sweepopt.integrate.adaptive.STEPS", 500)
     process = problem("S03").process()
     sol = so.solve(
         process, t_end=8.0, steps=so.Adaptive(1e-6), scheme="implicit-euler", on_failure="stop"
@@ -453,8 +453,8 @@ def test_states_that_are_too_large_to_be_kept_are_seen_a_few_at_a_time(
 ) -> None:
     times = np.linspace(0.0, case(name).t_end, 301)
     _, whole, _ = watched(name, times)
-    monkeypatch.setattr("sweepopt.watch.WHOLE", 0)
-    monkeypatch.setattr("sweepopt.watch.BLOCK", 30)
+    monkeypatch.setattr("sweepopt.integrate.error_estimator.WHOLE", 0)
+    monkeypatch.setattr("sweepopt.integrate.error_estimator.BLOCK", 30)
     _, watch, _ = watched(name, times)
     assert whole.whole
     assert not watch.whole
@@ -505,7 +505,7 @@ def test_no_step_that_is_halved_becomes_shorter_than_the_minimum() -> None:
 def test_what_the_first_steps_said_is_not_lost_where_a_pass_goes_on_from_later_ones(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from sweepopt import march
+    from sweepopt.integrate import loop as march
 
     step = march.step
 
@@ -516,9 +516,9 @@ def test_what_the_first_steps_said_is_not_lost_where_a_pass_goes_on_from_later_o
         found = [one.velocity._replace(relative=math.nan) for one in stages]
         return z, [one._replace(velocity=new) for one, new in zip(stages, found, strict=True)]
 
-    monkeypatch.setattr("sweepopt.march.step", unproved)
-    monkeypatch.setattr("sweepopt.march._overshot", lambda *of: of[3] == 0)
-    monkeypatch.setattr("sweepopt.march.longest_safe", lambda *of: 0.0)
+    monkeypatch.setattr("sweepopt.integrate.loop.step", unproved)
+    monkeypatch.setattr("sweepopt.integrate.loop._overshot", lambda *of: of[3] == 0)
+    monkeypatch.setattr("sweepopt.integrate.loop.longest_safe", lambda *of: 0.0)
     with pytest.warns(so.StabilityWarning, match="in the step from t = 0:"):
         sol = so.solve(problem("S03").process(), t_end=8.0, steps=so.Adaptive(1e-2))
     assert sol.passes[-1].steps > len(sol.t) - 1
@@ -533,5 +533,5 @@ def test_ctrl_c_just_where_a_pass_is_to_be_mended_ends_it(monkeypatch: pytest.Mo
                 raise KeyboardInterrupt
             return False
 
-    monkeypatch.setattr("sweepopt.adaptive.Watch", Impatient)
+    monkeypatch.setattr("sweepopt.integrate.adaptive.Watch", Impatient)
     assert run("S03", so.Adaptive(1e-2)).status is so.Status.INTERRUPTED

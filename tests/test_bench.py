@@ -13,13 +13,13 @@ import pytest
 
 import sweepopt as so
 from sweepopt.linalg import Factor
-from sweepopt.program import VelocityProgram
 from sweepopt.study import Row, bench, machine, table
 from sweepopt.study.bench import entrants
 from sweepopt.study.by_hand import _same_program
 from sweepopt.study.cases import Case, blocks, square
 from sweepopt.study.contestants import CONTESTANTS, TINY, reference
 from sweepopt.study.memory import peak
+from sweepopt.velocity.program import VelocityProgram
 
 STEPS = 5
 PATHS = {contestant.path: contestant for contestant in (*CONTESTANTS, *TINY)}

@@ -11,11 +11,11 @@ import pytest
 from cases import SETS, case
 
 import sweepopt as so
-from sweepopt.control import divided
+from sweepopt.integrate.grid import divided
+from sweepopt.integrate.schemes import SCHEMES
 from sweepopt.loads import Polynomial
-from sweepopt.motion import GAUSS, motion
-from sweepopt.norms import Norms
-from sweepopt.schemes import SCHEMES
+from sweepopt.problem.motion import GAUSS, motion
+from sweepopt.problem.norms import Norms
 from sweepopt.study.problems import PROBLEMS, Spiral
 
 CURVED = ("V05", "B14", "M17")
@@ -78,7 +78,7 @@ def test_the_bound_is_never_below_the_error_and_the_lower_one_never_above(
 
 def sloppily(monkeypatch: pytest.MonkeyPatch) -> None:
     """Take answers as solvers give them: neither polished nor solved again."""
-    monkeypatch.setattr("sweepopt.polish.POLISHED", np.inf)
+    monkeypatch.setattr("sweepopt.velocity.polish.POLISHED", np.inf)
     for module in ("ladder", "velocity"):
         monkeypatch.setattr(f"sweepopt.{module}.ACCURATE", np.inf)
 
@@ -226,7 +226,7 @@ def test_an_error_that_cannot_be_guaranteed_is_refused(monkeypatch: pytest.Monke
         so.solve(case("S03").process, t_end=1.0, steps=20, error=1e-2)
     with pytest.raises(so.InputError, match="error must be > 0, got 0"):
         so.solve(case("S03").process, t_end=1.0, steps=20, error=0)
-    monkeypatch.setattr("sweepopt.refinement.STEPS", 2000)
+    monkeypatch.setattr("sweepopt.results.refinement.STEPS", 2000)
     with pytest.raises(so.AccuracyError, match="finer grids do not help or take more") as caught:
         so.solve(PROBLEMS["S01"].process(), t_end=1.0, steps=20, error=1e-15)
     assert caught.value.solution.success

@@ -19,9 +19,11 @@ import pytest
 from test_reduction import process as chain
 
 import sweepopt as so
-from sweepopt import archive, files, records
+from sweepopt import io as archive
+from sweepopt import io as files
 from sweepopt.errors import DamagedFileError
-from sweepopt.fingerprint import fingerprint
+from sweepopt.integrate import records
+from sweepopt.integrate.fingerprint import fingerprint
 
 HERE = Path(__file__).parent
 

@@ -19,8 +19,8 @@ import xarray as xr
 from meshes import annulus, write_msh
 
 import sweepopt as so
-from sweepopt import cli, library
-from sweepopt.fem import Scene, read_scene
+from sweepopt import cli
+from sweepopt.fem import Scene, library, read_scene
 
 SCENE = """
 title = "a small ring"
@@ -210,7 +210,7 @@ def test_ctrl_c_while_writing_keeps_the_files_of_the_run_before(
     def interrupted(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sweepopt.store.summary.summary_of", interrupted)
+    monkeypatch.setattr("sweepopt.fem.summary.summary_of", interrupted)
     assert cli.main(run) == 130
     assert "interrupted" in capsys.readouterr().err
     assert Path("out/summary.json").read_bytes() == before

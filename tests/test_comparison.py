@@ -13,8 +13,6 @@ from test_cli import make_scene
 import sweepopt as so
 from sweepopt import cli
 from sweepopt.linalg import Factor
-from sweepopt.program import VelocityProgram
-from sweepopt.solvers import Answer, Solve
 from sweepopt.study.comparison import (
     SHIFT,
     ComparedRow,
@@ -26,6 +24,8 @@ from sweepopt.study.comparison import (
 )
 from sweepopt.study.settings import ACCURACIES, Contestant, contestants
 from sweepopt.study.sources import find_source
+from sweepopt.velocity.program import VelocityProgram
+from sweepopt.velocity.solvers import Answer, Solve
 
 STUDY = """
 title = "small"

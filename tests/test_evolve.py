@@ -11,9 +11,9 @@ import pytest
 from cases import case
 
 import sweepopt as so
-from sweepopt.control import time_grid
-from sweepopt.program import VelocityProgram
-from sweepopt.solvers import Answer
+from sweepopt.integrate.grid import time_grid
+from sweepopt.velocity.program import VelocityProgram
+from sweepopt.velocity.solvers import Answer
 
 
 def slider(g: float = 1.0) -> so.SweepingProcess:
@@ -105,7 +105,7 @@ def hard() -> so.SweepingProcess:
 
 
 def test_a_solver_that_lies_is_repaired_by_another_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sweepopt.polish.POLISHED", np.inf)  # which would repair it alone
+    monkeypatch.setattr("sweepopt.velocity.polish.POLISHED", np.inf)  # which would repair it alone
     with pytest.warns(so.InitialStateWarning):
         sol = so.solve(hard(), t_end=1.0, steps=10, solver=Lying())
     assert sol.success
@@ -330,8 +330,8 @@ def test_nothing_is_looked_at_where_no_warning_is_wanted(monkeypatch: pytest.Mon
     def looked_at(*_: Any) -> Any:
         raise AssertionError("a matrix or a step is looked at for nothing")
 
-    monkeypatch.setattr("sweepopt.overshoot.exceeds_none", looked_at)
-    monkeypatch.setattr("sweepopt.march.overshot", looked_at)
+    monkeypatch.setattr("sweepopt.integrate.overshoot.exceeds_none", looked_at)
+    monkeypatch.setattr("sweepopt.integrate.loop.overshot", looked_at)
     with pytest.raises(AssertionError):
         so.solve(far_outside(), t_end=20.0, steps=1)
     so.solve(far_outside(), t_end=20.0, steps=1, on_unstable="ignore")

@@ -14,11 +14,11 @@ from cases import DATA, GRIDS, case, embedded
 
 import sweepopt as so
 from sweepopt.errors import Status
-from sweepopt.exact import Trajectory, trajectory
-from sweepopt.exact.modes import modes
+from sweepopt.integrate.exact import Trajectory, trajectory
+from sweepopt.integrate.exact.modes import modes
 from sweepopt.linalg import Factor
-from sweepopt.program import VelocityProgram
 from sweepopt.study.problems import problem
+from sweepopt.velocity.program import VelocityProgram
 
 POLYHEDRAL = ("S01", "S02", "S03", "S04", "P09", "P10", "B15", "M16", "E20")
 SWITCHES = {

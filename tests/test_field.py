@@ -12,8 +12,8 @@ from scipy.integrate import odeint, solve_ivp
 
 import sweepopt as so
 from sweepopt.linalg import Factor
-from sweepopt.program import VelocityProgram, closed_form
 from sweepopt.study.problems import problem
+from sweepopt.velocity.program import VelocityProgram, closed_form
 
 COERCIVE = [name for name in SETS if name not in ("M16", "M17", "E20")]
 

@@ -16,13 +16,13 @@ pytest.importorskip("mpmath")
 
 import sweepopt as so
 from sweepopt.cli import main
-from sweepopt.observers import StepInfo
-from sweepopt.plan import make_plan
-from sweepopt.schemes import SCHEMES
+from sweepopt.integrate.observers import StepInfo
+from sweepopt.integrate.schemes import SCHEMES
 from sweepopt.study.hard import FAMILIES, Program, table
 from sweepopt.study.hard.bodies import Hard, chain, pushed
 from sweepopt.study.hard.combinations import combination
 from sweepopt.study.hard.table import PATHS, HardRow, Judge, rows
+from sweepopt.velocity.plan import make_plan
 
 RNG = np.random.default_rng(0)
 N = 60

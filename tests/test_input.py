@@ -13,7 +13,7 @@ import pytest
 import scipy.sparse as sp
 
 import sweepopt as so
-from sweepopt.alone import silence
+from sweepopt.sets.cvxpy_lock import silence
 
 EYE = np.eye(2)
 BOX = so.Box([-1, -1], [1, 1])

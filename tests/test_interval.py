@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import sweepopt as so
-from sweepopt.interval import Interval, interval_of, velocity_in
 from sweepopt.linalg import Factor
-from sweepopt.program import closed_form
+from sweepopt.velocity.interval import Interval, interval_of, velocity_in
+from sweepopt.velocity.program import closed_form
 
 RNG_SIZES = 10.0 ** np.arange(-12, 13, 3)
 INTERVALS = {
@@ -66,7 +66,7 @@ def test_a_run_is_that_in_arrays(scheme: str, B: float, monkeypatch: pytest.Monk
     if scheme == "catching-up" and B > 1:
         process = so.SweepingProcess([[1e12]], [[B]], C, [0.3 / B])
     found = run()
-    monkeypatch.setattr("sweepopt.unrounded.interval_of", lambda C: None)
+    monkeypatch.setattr("sweepopt.velocity.exact_residual.interval_of", lambda C: None)
     expected = run()
     np.testing.assert_allclose(found.u, expected.u, rtol=0, atol=1e-15 * abs(expected.u).max())
     assert found.stats["certificate"].max() <= 2 * expected.stats["certificate"].max()

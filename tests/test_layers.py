@@ -1,143 +1,125 @@
-"""Imports point downwards only, heavy packages stay where they belong, the import stays light."""
+"""The order of the rooms: imports point downwards, by public names, through the rooms' faces."""
 
 from __future__ import annotations
 
 import ast
 import subprocess
 import sys
-from functools import cache
+from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
-
-import pytest
+from typing import NamedTuple
 
 PACKAGE = Path(__file__).parent.parent / "sweepopt"
-
-# a module may import from its own level (inside one package) and from levels below
-LEVELS = [
-    {"errors", "files"},
-    {"alone", "archive", "checks", "grids", "records", "statistics", "texts", "versions"},
-    {"csvtable"},
-    {"precise"},
-    {"linalg", "loads", "secular"},
-    {"sets"},
-    {"interval", "states", "multigrid"},
-    {"blocks", "interpolant", "process"},
-    {"energy", "fingerprint", "program", "responses", "schemes"},
-    {"reduction", "solvers"},
-    {"checkpoint", "substitution", "control"},
-    {"polish"},
-    {"ladder"},
-    {"velocity"},
-    {"plan"},
-    {"nodes", "unrounded"},
-    {"field", "motion", "solution"},
-    {"norms"},
-    {"flow", "kinks", "stepping"},
-    {"course"},
-    {"mend"},
-    {"overshoot", "watch"},
-    {"march"},
-    {"exact"},
-    {"adaptive", "lifting", "defects", "refinement"},
-    {"certificate", "marks", "observers", "passes"},
-    {"evolve"},
-    {"resume"},
-    {"library"},
-    {"fem"},
-    {"slip"},
-    {"store", "plot"},
-    {"study"},
-    {"cli"},
-    {"__main__"},
-]
-# conveniences of Solution that call upward by a local import
-UPWARD = {("solution", above) for above in ("store", "plot", "certificate")}
+# from the ground up; a room imports from those before it
+ROOMS = (
+    ["errors", "checks", "io", "loads", "linalg", "sets", "problem", "velocity", "integrate"]
+    + ["results", "solve", "resume", "fem", "plot", "study", "cli", "__main__"]
+)  # fmt: skip
+# conveniences of Solution: plot(), to_xarray() and save()
+UPWARD = {("results", "plot"), ("results", "fem")}
 HOMES = {
-    "cvxpy": {"program", "sets", "solvers/reference", "study/by_hand"},
-    "clarabel": {"solvers/clarabel", "study/by_hand"},
-    "osqp": {"solvers/osqp", "study/by_hand"},
-    "daqp": {"solvers/daqp"},
-    "cvxopt": {"linalg/cholesky"},
-    "pyamg": {"multigrid"},
-    "skfem": {"fem", "study/cases"},
-    "meshio": {"store/vtu"},
-    "pydantic": {"fem"},
-    "matplotlib": {"plot", "study/diagram"},
-    "xarray": {"store/netcdf"},
-    "h5netcdf": {"blocks"},
-    "tqdm": {"observers"},
-    "pandas": {"study"},
-    "threadpoolctl": {"study/threads"},
-    "mpmath": {"study/hard"},
-    "distributed": {"study/executors"},
-    "casadi": {"study/peer_runs"},
-    "nosnoc": {"study/peer_runs"},
-    "solve_nivp": {"study/peer_runs"},
+    "cvxpy": ("sets", "velocity", "study"),
+    "clarabel": ("velocity/solvers/clarabel", "study"),
+    "osqp": ("velocity/solvers/osqp", "study"),
+    "daqp": ("velocity/solvers/daqp",),
+    "cvxopt": ("linalg/cholesky",),
+    "pyamg": ("linalg",),
+    "skfem": ("fem", "study"),
+    "meshio": ("fem",),
+    "pydantic": ("fem",),
+    "matplotlib": ("fem", "plot", "study"),
+    "xarray": ("fem", "results"),
+    "h5netcdf": ("integrate", "results"),
+    "tqdm": ("integrate",),
+    "pandas": ("study",),
+    "plotly": ("study",),
+    "mpmath": ("study",),
+    "threadpoolctl": ("study",),
+    "distributed": ("study",),
+    "casadi": ("study",),
+    "nosnoc": ("study",),
+    "solve_nivp": ("study",),
 }
 
 
-@cache
-def modules() -> dict[str, ast.Module]:
-    files = [path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py"]
-    return {
-        path.relative_to(PACKAGE).with_suffix("").as_posix(): ast.parse(path.read_text())
-        for path in files
-    }
+class Import(NamedTuple):
+    """`name` from `source`, as module `module` (a path in the package) asks for it."""
+
+    module: str
+    source: str
+    name: str
 
 
-def imported(tree: ast.Module) -> set[str]:
-    """What a module imports when it runs; imports for annotations do not count."""
-    names: set[str] = set()
-    annotations = {
-        child
-        for node in ast.walk(tree)
-        if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"
-        for child in ast.walk(node)
-    }
-    for node in set(ast.walk(tree)) - annotations:
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return names
+def imports() -> Iterator[Import]:
+    """All imports of the package but those for annotations; the package's own face is left out."""
+    for path in PACKAGE.rglob("*.py"):
+        module, tree = (
+            path.relative_to(PACKAGE).with_suffix("").as_posix(),
+            ast.parse(path.read_text()),
+        )
+        typing = {
+            id(child)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"
+            for child in ast.walk(node)
+        }
+        for node in ast.walk(tree):
+            if id(node) in typing or module == "__init__":
+                continue
+            if isinstance(node, ast.Import):
+                yield from (Import(module, alias.name, "") for alias in node.names)
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                yield from (Import(module, node.module, alias.name) for alias in node.names)
 
 
-def level(module: str) -> int:
-    for height, names in enumerate(LEVELS):
-        if module in names:
-            return height
-    raise AssertionError(f"{module} has no level yet: give it one in tests/test_layers.py")
+def between_rooms() -> Iterator[tuple[str, str, Import]]:
+    for one in imports():
+        above, parts = one.module.split("/")[0], [*one.source.split("."), one.name]
+        if parts[0] == "sweepopt" and parts[1] not in (above, "__version__"):
+            yield above, parts[1], one
 
 
-@pytest.mark.parametrize("module", sorted(modules()))
-def test_imports_point_downwards_only(module: str) -> None:
-    top = module.split("/")[0]
-    for name in imported(modules()[module]):
-        parts = name.split(".")
-        if parts[0] != "sweepopt" or len(parts) < 2:
-            continue
-        target = parts[1]
+def test_imports_point_downwards_only() -> None:
+    for above, below, one in between_rooms():
+        assert ROOMS.index(below) < ROOMS.index(above) or (above, below) in UPWARD, one
+
+
+def test_no_name_with_an_underscore_passes_between_rooms() -> None:
+    assert not [one for *_, one in between_rooms() if one.name.startswith("_")]
+
+
+def test_rooms_are_entered_by_their_faces() -> None:
+    lazy = ("fem", "study")  # their parts need packages that not everybody has
+    assert not [
+        one for _, below, one in between_rooms() if one.source.count(".") > 1 and below not in lazy
+    ]
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    graph: dict[str, set[str]] = {}
+    for one in imports():
+        target = "/".join([*one.source.split(".")[1:], one.name])
+        found = next(
+            (t for t in (target, target.rpartition("/")[0]) if (PACKAGE / f"{t}.py").exists()), None
+        )
         if (
-            target == top
-            or not (PACKAGE / target).with_suffix(".py").exists() | (PACKAGE / target).is_dir()
+            one.source.startswith("sweepopt")
+            and found
+            and (one.module.split("/")[0], found.split("/")[0]) not in UPWARD
         ):
-            continue
-        assert level(target) < level(top) or (top, target) in UPWARD, f"{module} imports {name}"
+            graph.setdefault(one.module, set()).add(found)
+    TopologicalSorter(graph).prepare()
 
 
-@pytest.mark.parametrize("module", sorted(modules()))
-def test_outside_packages_are_imported_only_where_they_live(module: str) -> None:
-    for name in imported(modules()[module]):
-        homes = HOMES.get(name.split(".")[0])
-        if homes is not None:
-            assert any(module == home or module.startswith(home + "/") for home in homes), (
-                f"{module} imports {name}"
-            )
+def test_outside_packages_are_imported_only_where_they_live() -> None:
+    for one in imports():
+        homes = HOMES.get(one.source.split(".")[0], (one.module,))
+        assert any(one.module == home or one.module.startswith(f"{home}/") for home in homes), one
 
 
 def test_importing_the_library_loads_no_heavy_package() -> None:
-    heavy = ["cvxpy", "skfem", "matplotlib", "xarray", "pydantic", "pandas", "tqdm", "meshio"]
-    heavy += ["distributed", "threadpoolctl", "mpmath"]
+    heavy = [name for name in HOMES if name not in ("daqp", "cvxopt")]
     code = f"import sys, sweepopt; print([name for name in {heavy} if name in sys.modules])"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert shown.stdout.strip() == "[]"

@@ -14,12 +14,12 @@ import skfem
 
 import sweepopt as so
 from sweepopt.fem import Elasticity, Friction, Scene, Traction, Viscosity, antiplane
+from sweepopt.integrate.schemes import SCHEMES
 from sweepopt.linalg import Factor
-from sweepopt.multigrid import Multigrid
-from sweepopt.plan import make_plan
-from sweepopt.schemes import SCHEMES
-from sweepopt.solvers.multigrid import MultigridProgram, Step
-from sweepopt.substitution import Solved
+from sweepopt.linalg.multigrid import Multigrid
+from sweepopt.velocity.elimination import Solved
+from sweepopt.velocity.plan import make_plan
+from sweepopt.velocity.solvers.multigrid import MultigridProgram, Step
 
 
 def patches(contrast: float):
@@ -332,7 +332,7 @@ def test_what_does_not_fit_is_never_factorised(monkeypatch: pytest.MonkeyPatch) 
     problem = scene(16).problem
     dry = so.EvolutionVI(problem.A, problem.B, load=problem.load, u0=problem.u0)
     expected = [so.solve(one, t_end=2.0, steps=10).u for one in (problem, dry)]
-    monkeypatch.setattr("sweepopt.multigrid._physical_memory", lambda: 1e5)
+    monkeypatch.setattr("sweepopt.linalg.multigrid._physical_memory", lambda: 1e5)
     for way in ("whole", "halves"):
         monkeypatch.setattr(f"sweepopt.linalg.factor.{way}", refuse)
     for one, u in zip((problem, dry), expected, strict=True):

@@ -9,8 +9,8 @@ import pytest
 import scipy.sparse as sp
 
 import sweepopt as so
-from sweepopt.plan import make_plan
-from sweepopt.schemes import SCHEMES
+from sweepopt.integrate.schemes import SCHEMES
+from sweepopt.velocity.plan import make_plan
 
 
 def chain(n: int = 40, stiffness: float = 1.0) -> sp.csc_array:

@@ -17,8 +17,8 @@ from meshes import annulus, square
 import sweepopt as so
 from sweepopt import plot
 from sweepopt.fem import BodyForce, Elasticity, Friction, Scene, Traction, Viscosity, antiplane
+from sweepopt.fem.slip import Slip, slip_of
 from sweepopt.plot import body, canvas, components, contact
-from sweepopt.slip import Slip, slip_of
 
 
 class Run:

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 import sweepopt as so
 from sweepopt.linalg import Factor
-from sweepopt.program import VelocityProgram, untranslated
-from sweepopt.solvers import choose
-from sweepopt.velocity import programmed
+from sweepopt.velocity.program import VelocityProgram, untranslated
+from sweepopt.velocity.routes import programmed
+from sweepopt.velocity.solvers import choose
 
 SOLVERS = [so.Clarabel(), so.OSQP(), so.DAQP(), so.Cvxpy("CLARABEL"), so.Cvxpy("OSQP")]
 
@@ -245,10 +245,10 @@ def test_what_daqp_cannot_treat_or_find_is_said(monkeypatch: pytest.MonkeyPatch)
     assert not so.DAQP().treats(so.Polytope([[0.0, 1], [1, 0], [0, 0]]))
     assert not so.DAQP(max_dim=2).treats(so.Box([-1, -1, -1], [1, 1, 1]))
     C = so.Box([-1.0], [1.0])
-    monkeypatch.setattr("sweepopt.solvers.daqp.installed", lambda: False)
+    monkeypatch.setattr("sweepopt.velocity.solvers.daqp.installed", lambda: False)
     with pytest.raises(so.MissingExtraError, match="speed"):
         so.DAQP().compile(VelocityProgram(Factor(np.eye(1)), C))
-    monkeypatch.setattr("sweepopt.solvers.installed", lambda: False)
+    monkeypatch.setattr("sweepopt.velocity.solvers.installed", lambda: False)
     assert [solver.name for solver in choose("auto", C)] == [
         "newton",
         "osqp",
@@ -326,7 +326,7 @@ def test_bounds_out_of_reach_blind_no_solver(kind: str, monkeypatch: pytest.Monk
         velocity = program.certify(q, C, answer.z, answer.y)
         assert velocity.relative <= (1e-6 if "osqp" in solver.name else 2e-4)
         assert program.M.norm(velocity.z - found.z) <= velocity.certificate + 1e-9
-    monkeypatch.setattr("sweepopt.program.FAR", np.inf)
+    monkeypatch.setattr("sweepopt.velocity.program.FAR", np.inf)
     blind = so.Clarabel().compile(program)(q, C)
     with np.errstate(over="ignore", invalid="ignore"):
         assert not program.M.norm(blind.z - found.z) <= 1e-2 * program.M.norm(found.z)

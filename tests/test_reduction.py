@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 import sweepopt as so
 from sweepopt.linalg import Elimination
-from sweepopt.plan import PATHS
+from sweepopt.velocity.plan import PATHS
 
 RHO = 1.7
 CONTACT = [3, 17, 30, 39]
@@ -195,7 +195,7 @@ def test_callbacks_and_failures_see_all_unknowns() -> None:
 def test_a_body_that_is_not_inverted_well_enough_beforehand_keeps_all_its_unknowns(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("sweepopt.reduction.ACCURATE", 1e-30)
+    monkeypatch.setattr("sweepopt.velocity.proportional.ACCURATE", 1e-30)
     this = process(u0=np.zeros(40))
     assert so.solve(this, t_end=1.0, steps=4).plan.path == "eliminated"
     with pytest.raises(so.InputError, match="too badly conditioned"):

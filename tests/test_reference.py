@@ -9,7 +9,7 @@ import pytest
 from cases import GRIDS, SETS, Case, case, embedded
 
 import sweepopt as so
-from sweepopt.schemes import SCHEMES
+from sweepopt.integrate.schemes import SCHEMES
 
 RUNS = [
     (name, scheme, solver)
@@ -32,7 +32,7 @@ def test_errors_and_order_are_those_of_the_theory(
     name: str, scheme: str, solver: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # the solvers themselves are judged: no polish takes their part
-    monkeypatch.setattr("sweepopt.polish.POLISHED", np.inf)
+    monkeypatch.setattr("sweepopt.velocity.polish.POLISHED", np.inf)
     this = case(name)
     errors = []
     for steps in GRIDS:
@@ -84,7 +84,7 @@ def test_as_the_contact_of_a_larger_body_a_case_meets_the_same_errors_on_every_p
 def test_clarabel_osqp_and_plain_cvxpy_agree_at_the_tolerance_they_carry(
     name: str, polished: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sweepopt.polish.POLISHED", polished)
+    monkeypatch.setattr("sweepopt.velocity.polish.POLISHED", polished)
     this = case(name)
     runs = [run(this, 101, "auto", so.Clarabel()), run(this, 101, "auto", so.Cvxpy("CLARABEL"))]
     if this.polyhedral:

@@ -19,7 +19,7 @@ import pytest
 from test_checkpoint import same
 
 import sweepopt as so
-from sweepopt.alone import silence
+from sweepopt.sets.cvxpy_lock import silence
 from sweepopt.study.hard.bodies import chain
 
 HERE = Path(__file__).parent

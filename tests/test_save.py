@@ -15,8 +15,8 @@ import xarray as xr
 from test_reduction import CONTACT, SETS, chain, load, process, select
 
 import sweepopt as so
-from sweepopt import blocks
-from sweepopt.states import Keeper
+from sweepopt.integrate import netcdf_writer as blocks
+from sweepopt.integrate.states import Keeper
 
 PATHS = ["proportional", "eliminated"]
 

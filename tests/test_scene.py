@@ -13,7 +13,7 @@ pytest.importorskip("skfem")
 
 from meshes import annulus, square, write_msh
 
-from sweepopt import InputError, Sine, Table, library
+from sweepopt import InputError, Sine, Table
 from sweepopt.fem import (
     BodyForce,
     Elasticity,
@@ -22,6 +22,7 @@ from sweepopt.fem import (
     Traction,
     Viscosity,
     antiplane,
+    library,
     read_scene,
 )
 

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 import sweepopt as so
 from sweepopt.linalg import Factor
-from sweepopt.program import Velocity, VelocityProgram
-from sweepopt.secular import secular
-from sweepopt.solvers import choose
-from sweepopt.velocity import programmed
+from sweepopt.sets.secular import secular
+from sweepopt.velocity.program import Velocity, VelocityProgram
+from sweepopt.velocity.routes import programmed
+from sweepopt.velocity.solvers import choose
 from tests.laws import ZOO
 
 EPS = float(np.finfo(float).eps)

@@ -12,10 +12,11 @@ from test_checkpoint import Killed, same, stopping
 from test_reduction import process as chain
 
 import sweepopt as so
-from sweepopt import march, stepping
+from sweepopt.integrate import loop as march
+from sweepopt.integrate import step as stepping
 from sweepopt.linalg import Factor
-from sweepopt.program import VelocityProgram
-from sweepopt.solvers import Answer
+from sweepopt.velocity.program import VelocityProgram
+from sweepopt.velocity.solvers import Answer
 
 LOAD = so.Sine(3.0, 6.0)
 SCHEMES = ["implicit-euler", "midpoint", "trapezoid", "sdirk2"]
@@ -241,7 +242,7 @@ class Spoils:
 
 
 def test_a_workspace_that_failed_is_not_used_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sweepopt.polish.POLISHED", np.inf)  # which would repair it alone
+    monkeypatch.setattr("sweepopt.velocity.polish.POLISHED", np.inf)  # which would repair it alone
     M = np.array([[2.0, -1.0], [-1.0, 2.0]])
     process = so.SweepingProcess(M, None, so.Moving(so.Box([-1, -1], [1, 1]), one_load), [0, 0])
     solver = Spoils()

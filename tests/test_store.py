@@ -16,11 +16,11 @@ import xarray as xr
 from meshes import annulus, square
 
 import sweepopt as so
-from sweepopt import store
 from sweepopt.fem import BodyForce, Elasticity, Friction, Scene, Traction, Viscosity, antiplane
-from sweepopt.slip import slip_of
-from sweepopt.states import Kept
-from sweepopt.statistics import Log
+from sweepopt.fem import output as store
+from sweepopt.fem.slip import slip_of
+from sweepopt.integrate.states import Kept
+from sweepopt.integrate.statistics import Log
 
 
 def ring(**changes: Any) -> Scene:

@@ -13,14 +13,14 @@ import scipy.sparse as sp
 pytest.importorskip("mpmath")
 
 import sweepopt as so
-from sweepopt.plan import make_plan
-from sweepopt.precise import product_error, sum_error
-from sweepopt.schemes import SCHEMES
+from sweepopt.integrate.schemes import SCHEMES
+from sweepopt.linalg.twice_precision import product_error, sum_error
 from sweepopt.sets import ConvexSet
 from sweepopt.study.hard import Program
 from sweepopt.study.hard.bodies import chain, spectral
-from sweepopt.substitution import ACCURATE
-from sweepopt.unrounded import StateVelocity, _Unrounded, matrix, of_state
+from sweepopt.velocity.elimination import ACCURATE
+from sweepopt.velocity.exact_residual import StateVelocity, _Unrounded, matrix, of_state
+from sweepopt.velocity.plan import make_plan
 
 N = 12
 FEW = np.eye(N)[:, [1, 4, 5, 9]]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sweepopt.errors import InputError
 from sweepopt.fem.gmsh import Gmsh, read_gmsh
-from sweepopt.texts import as_path, read_bytes
+from sweepopt.io import as_path, read_bytes
 
 Indices = NDArray[np.int64]
 

@@ -13,19 +13,20 @@ import scipy.sparse as sp
 import skfem
 from numpy.typing import ArrayLike
 
-from sweepopt import schemes, solvers
 from sweepopt.checks import choice, number
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Contact
 from sweepopt.fem.discretisation import Discretisation
 from sweepopt.fem.effects import Contribution, Effect, names
 from sweepopt.fem.mesh import read_mesh
+from sweepopt.integrate import schemes
 from sweepopt.loads import Separable
-from sweepopt.process import EvolutionVI
+from sweepopt.problem import EvolutionVI
 from sweepopt.sets import Point
+from sweepopt.velocity import solvers
 
 if TYPE_CHECKING:
-    from sweepopt.solution import Solution
+    from sweepopt.results import Solution
 
 UNITS = ("dimensionless", "SI")
 
@@ -67,7 +68,7 @@ class Scene:
 
     def solve(self, **changes: Any) -> Solution:
         """`sweepopt.solve` with the scene's settings; keywords replace or add arguments."""
-        from sweepopt.evolve import solve
+        from sweepopt.solve import solve
 
         settings = {
             "t_end": self.t_end,

@@ -1,13 +1,37 @@
 """Symmetric positive definite matrices: factorised, bounded, and with few unknowns left."""
 
+from __future__ import annotations
+
 from sweepopt.linalg.eigenvalues import (
     exceeds_none,
     is_semidefinite,
     largest_eigenvalue,
     largest_ratio,
 )
-from sweepopt.linalg.factor import NEGLIGIBLE, Elimination, Factor
-from sweepopt.linalg.matrices import EPS, PIVOT, SMALL, UNIT, dense, euclidean, row_lengths, row_sum
+from sweepopt.linalg.factor import (
+    NEGLIGIBLE,
+    Elimination,
+    Factor,
+)
+from sweepopt.linalg.matrices import (
+    EPS,
+    PIVOT,
+    SMALL,
+    UNIT,
+    dense,
+    euclidean,
+    row_lengths,
+    row_sum,
+)
+from sweepopt.linalg.multigrid import (
+    Multigrid,
+    factorise,
+)
+from sweepopt.linalg.twice_precision import (
+    Precise,
+    product_error,
+    sum_error,
+)
 
 __all__ = [
     "EPS",
@@ -17,12 +41,17 @@ __all__ = [
     "UNIT",
     "Elimination",
     "Factor",
+    "Multigrid",
+    "Precise",
     "dense",
     "euclidean",
     "exceeds_none",
+    "factorise",
     "is_semidefinite",
     "largest_eigenvalue",
     "largest_ratio",
+    "product_error",
     "row_lengths",
     "row_sum",
+    "sum_error",
 ]

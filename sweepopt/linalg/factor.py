@@ -24,7 +24,7 @@ from sweepopt.linalg.matrices import (
     lanczos_start,
     row_sum,
 )
-from sweepopt.precise import Precise
+from sweepopt.linalg.twice_precision import Precise
 
 NEGLIGIBLE = 1e-12  # of |z|_M: more rounding of M z than this is avoided
 

@@ -5,11 +5,29 @@ load's few shapes. A black-box callable has neither, so histories here are small
 their exact variation and their kinks, and `Separable` keeps shapes and histories apart.
 """
 
-from sweepopt.loads.history import History, Piece, kinks
-from sweepopt.loads.periodic import Sine, Triangle
-from sweepopt.loads.separable import DATA, Separable
-from sweepopt.loads.smooth import Constant, Polynomial
-from sweepopt.loads.table import Table, check_points
+from __future__ import annotations
+
+from sweepopt.loads.history import (
+    History,
+    Piece,
+    kinks,
+)
+from sweepopt.loads.periodic import (
+    Sine,
+    Triangle,
+)
+from sweepopt.loads.separable import (
+    DATA,
+    Separable,
+)
+from sweepopt.loads.smooth import (
+    Constant,
+    Polynomial,
+)
+from sweepopt.loads.table import (
+    Table,
+    check_points,
+)
 
 __all__ = [
     "DATA",

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sweepopt.checks import HUGE, TIME_SLACK, number
-from sweepopt.csvtable import read_columns
 from sweepopt.errors import InputError
+from sweepopt.io import read_columns
 from sweepopt.loads.history import (
     Array,
     Piece,

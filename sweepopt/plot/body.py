@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweepopt.errors import InputError
+from sweepopt.fem.slip import Slip
 from sweepopt.plot.canvas import (
     STATE_COLOURS,
     bracketed,
@@ -16,11 +17,10 @@ from sweepopt.plot.canvas import (
     state_legend,
     unit_of,
 )
-from sweepopt.slip import Slip
 
 if TYPE_CHECKING:
     from sweepopt.fem import Scene
-    from sweepopt.solution import Solution
+    from sweepopt.results import Solution
 
 MOST_PICTURES = 6
 

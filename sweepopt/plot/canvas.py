@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweepopt.errors import brought_by
-from sweepopt.slip import STATES
+from sweepopt.fem.slip import STATES
 
 if TYPE_CHECKING:
     from sweepopt.fem import Scene

@@ -9,7 +9,7 @@ import numpy as np
 from sweepopt.plot.canvas import LINE_COLOURS, LINE_STYLES, STICK, new_figure, stretches
 
 if TYPE_CHECKING:
-    from sweepopt.solution import Solution
+    from sweepopt.results import Solution
 
 MOST_COMPONENTS = 8
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sweepopt.fem.slip import STATES, Slip
 from sweepopt.plot.canvas import (
     LINE_COLOURS,
     LINE_STYLES,
@@ -18,7 +19,6 @@ from sweepopt.plot.canvas import (
     stretches,
     unit_of,
 )
-from sweepopt.slip import STATES, Slip
 
 if TYPE_CHECKING:
     from sweepopt.fem import Scene

@@ -2,21 +2,85 @@
 
 from __future__ import annotations
 
-from sweepopt.sets.balls import Ball, Balls
-from sweepopt.sets.base import ConvexSet, Features, Witness
-from sweepopt.sets.cones import SecondOrderCone
-from sweepopt.sets.constraints import Constraints
-from sweepopt.sets.ellipsoid import Ellipsoid
-from sweepopt.sets.image import image
-from sweepopt.sets.moving import Moving, MovingOffsets, MovingSet
-from sweepopt.sets.polyhedra import HalfSpace, Polyhedron
-from sweepopt.sets.polytope import Polytope
-from sweepopt.sets.product import product
-from sweepopt.sets.shapes import Box, Orthant, Point, WholeSpace
-
-AnySet = ConvexSet | MovingSet
+from sweepopt.sets.active_set import (
+    least_distance,
+)
+from sweepopt.sets.algebra import (
+    Translation,
+)
+from sweepopt.sets.balls import (
+    Ball,
+    Balls,
+)
+from sweepopt.sets.base import (
+    ROUNDING,
+    ConvexSet,
+    Features,
+    Selection,
+    Witness,
+    binary,
+    same_array,
+)
+from sweepopt.sets.cones import (
+    SecondOrderCone,
+)
+from sweepopt.sets.constraints import (
+    Constraints,
+)
+from sweepopt.sets.curves import (
+    basis,
+    products,
+    to_bernstein,
+)
+from sweepopt.sets.cvxpy_lock import (
+    in_turn,
+    silence,
+)
+from sweepopt.sets.ellipsoid import (
+    Ellipsoid,
+)
+from sweepopt.sets.halfspaces import (
+    NoHalfspacesError,
+    halfspaces,
+)
+from sweepopt.sets.image import (
+    image,
+)
+from sweepopt.sets.iteration import (
+    CAREFUL,
+)
+from sweepopt.sets.moving import (
+    AnySet,
+    Moving,
+    MovingOffsets,
+    MovingSet,
+)
+from sweepopt.sets.polyhedra import (
+    HalfSpace,
+    Polyhedron,
+)
+from sweepopt.sets.polytope import (
+    Polytope,
+)
+from sweepopt.sets.product import (
+    product,
+)
+from sweepopt.sets.secular import (
+    secular,
+)
+from sweepopt.sets.shapes import (
+    Box,
+    Orthant,
+    Point,
+    WholeSpace,
+)
+from sweepopt.sets.units import (
+    in_units,
+)
 
 __all__ = [
+    "CAREFUL",
+    "ROUNDING",
     "AnySet",
     "Ball",
     "Balls",
@@ -29,13 +93,27 @@ __all__ = [
     "Moving",
     "MovingOffsets",
     "MovingSet",
+    "NoHalfspacesError",
     "Orthant",
     "Point",
     "Polyhedron",
     "Polytope",
     "SecondOrderCone",
+    "Selection",
+    "Translation",
     "WholeSpace",
     "Witness",
+    "basis",
+    "binary",
+    "halfspaces",
     "image",
+    "in_turn",
+    "in_units",
+    "least_distance",
     "product",
+    "products",
+    "same_array",
+    "secular",
+    "silence",
+    "to_bernstein",
 ]

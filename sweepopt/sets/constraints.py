@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweepopt.alone import in_turn
 from sweepopt.checks import dimension, vector
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
 from sweepopt.sets.base import ConvexSet, Features, same_array
 from sweepopt.sets.conic import conic, in_dual, in_own_units
+from sweepopt.sets.cvxpy_lock import in_turn
 from sweepopt.sets.iteration import project_by_program, support_by_program
 
 if TYPE_CHECKING:

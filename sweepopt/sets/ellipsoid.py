@@ -9,11 +9,10 @@ import numpy as np
 
 from sweepopt.checks import HUGE, entries, symmetric, vector
 from sweepopt.errors import InputError
-from sweepopt.linalg import dense
-from sweepopt.precise import Precise
-from sweepopt.secular import secular
+from sweepopt.linalg import Precise, dense
 from sweepopt.sets.balls import norms_below
 from sweepopt.sets.base import ConvexSet, Features, Witness, binary, same_array
+from sweepopt.sets.secular import secular
 
 if TYPE_CHECKING:
     import cvxpy as cp

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sweepopt.alone import in_turn
 from sweepopt.checks import vector
 from sweepopt.errors import EmptySetError
 from sweepopt.sets.base import ROUNDING, ConvexSet, Features, Witness, binary
+from sweepopt.sets.cvxpy_lock import in_turn
 from sweepopt.sets.flat import Flat
 from sweepopt.sets.iteration import (
     QUICK,

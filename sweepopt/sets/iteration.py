@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from sweepopt.alone import in_turn
 from sweepopt.errors import EmptySetError, SweepoptError
 from sweepopt.sets.base import DENSE, RANK, ROUNDING, ConvexSet, binary
+from sweepopt.sets.cvxpy_lock import in_turn
 
 if TYPE_CHECKING:
     import cvxpy as cp

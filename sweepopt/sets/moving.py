@@ -252,3 +252,7 @@ class MovingOffsets(MovingSet):
 
     def breakpoints(self, a: float, b: float) -> np.ndarray:
         return kinks((self.offsets,), a, b)
+
+
+AnySet = ConvexSet | MovingSet
+"""A set, whether it moves or not."""

@@ -19,10 +19,9 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from sweepopt.linalg import Factor
-from sweepopt.process import EvolutionVI
-from sweepopt.program import Canonical, VelocityProgram
-from sweepopt.solvers import OSQP, Clarabel
+from sweepopt.problem import EvolutionVI
 from sweepopt.study.cases import Case
+from sweepopt.velocity import OSQP, Canonical, Clarabel, VelocityProgram
 
 Velocity = Callable[[np.ndarray], np.ndarray]
 

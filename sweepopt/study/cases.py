@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
 from sweepopt.loads import Separable, Sine
-from sweepopt.process import EvolutionVI, SweepingProcess
+from sweepopt.problem import EvolutionVI, SweepingProcess
 from sweepopt.sets import Box, Moving
 
 SCHEME = "implicit-euler"  # one program a step, as the midpoint rule has

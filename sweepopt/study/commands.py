@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from sweepopt.errors import InputError, shown
-from sweepopt.library import find_study
+from sweepopt.fem.library import find_study
+from sweepopt.io import read_toml
 from sweepopt.study.advice import summary
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.executors import Processes, Serial, dask_executor
@@ -22,7 +23,6 @@ from sweepopt.study.hard.table import HardRow, rows
 from sweepopt.study.outputs import write_hard_outputs, write_outputs
 from sweepopt.study.sources import find_source
 from sweepopt.study.study import run
-from sweepopt.texts import read_toml
 
 
 def study_command(chosen: argparse.Namespace) -> None:

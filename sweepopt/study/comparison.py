@@ -22,14 +22,13 @@ import numpy as np
 
 from sweepopt.checks import count
 from sweepopt.errors import InputError
-from sweepopt.evolve import solve
-from sweepopt.program import VelocityProgram
 from sweepopt.sets import ConvexSet
-from sweepopt.solvers import Answer, Clarabel, Solve, Solver
+from sweepopt.solve import solve
 from sweepopt.study.rows import aligned
 from sweepopt.study.settings import ACCURACIES, Contestant, contestants
 from sweepopt.study.sources import Source
 from sweepopt.study.threads import one_thread
+from sweepopt.velocity import Answer, Clarabel, Solve, Solver, VelocityProgram
 
 if TYPE_CHECKING:
     from pandas import DataFrame

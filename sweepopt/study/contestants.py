@@ -9,7 +9,7 @@ from math import inf
 
 import numpy as np
 
-from sweepopt.evolve import solve
+from sweepopt.solve import solve
 from sweepopt.study import by_hand
 from sweepopt.study.by_hand import Run, loop, steady
 from sweepopt.study.cases import SCHEME, Case

@@ -6,8 +6,8 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 
 from sweepopt.errors import InputError
+from sweepopt.io import as_path, read_toml
 from sweepopt.study.study import Study
-from sweepopt.texts import as_path, read_toml
 
 KEYS = {field.name: field for field in fields(Study) if field.name != "folder"}
 

@@ -16,7 +16,7 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
-from sweepopt.files import put, sealed, unsealed
+from sweepopt.io import put, sealed, unsealed
 from sweepopt.study.measure import Cell, CellRow
 from sweepopt.study.reference import Reference
 

@@ -17,13 +17,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.errors import SweepoptError, SweepoptWarning
-from sweepopt.evolve import solve
-from sweepopt.solution import Solution
-from sweepopt.solvers import Cvxpy
+from sweepopt.results import Solution
+from sweepopt.solve import solve
 from sweepopt.study.reference import Reference, absent, distance, error_of
 from sweepopt.study.rows import processor, versions
 from sweepopt.study.sources import Source
 from sweepopt.study.threads import one_thread
+from sweepopt.velocity import Cvxpy
 
 THROUGH_CVXPY = "cvxpy:"  # such as cvxpy:piqp
 

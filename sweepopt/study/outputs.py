@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sweepopt.errors import SweepoptError, SweepoptWarning
-from sweepopt.solution import Solution
+from sweepopt.results import Solution
 from sweepopt.study.advice import advice
 from sweepopt.study.diagram import work_precision
 from sweepopt.study.hard.page import write_hard

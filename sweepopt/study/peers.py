@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sweepopt.errors import InputError
-from sweepopt.evolve import solve
+from sweepopt.solve import solve
 from sweepopt.study import peer_runs
 from sweepopt.study.equal_error import Found, cheapest, timed
 from sweepopt.study.peer_settings import PEERS, Peer, Settings

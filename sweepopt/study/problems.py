@@ -15,7 +15,7 @@ import numpy as np
 
 from sweepopt.errors import InputError
 from sweepopt.loads import Polynomial, Separable, Sine, Table, Triangle
-from sweepopt.process import SweepingProcess
+from sweepopt.problem import SweepingProcess
 from sweepopt.sets import AnySet, Ball, Box, Moving, Orthant, Point, Polyhedron
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sweepopt.errors import SweepoptError, SweepoptWarning
-from sweepopt.evolve import solve
+from sweepopt.solve import solve
 from sweepopt.study.sources import Source
 from sweepopt.study.threads import one_thread
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from sweepopt.checks import count, vector
 from sweepopt.errors import InputError, Status
-from sweepopt.files import replacing
+from sweepopt.io import replacing
 from sweepopt.study.cells import ACCURACIES, COSTS, VERSIONS, distinct, read_cells
 from sweepopt.study.hard.page import hard_page
 from sweepopt.study.rows import processor, versions

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sweepopt import __version__
+from sweepopt.io import versions_of
 from sweepopt.study.cases import SCHEME
-from sweepopt.versions import versions_of
 
 PACKAGES = ("numpy", "scipy", "cvxpy", "clarabel", "osqp")
 

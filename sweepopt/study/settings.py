@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from sweepopt.sets import ConvexSet
-from sweepopt.solvers import DAQP, OSQP, Clarabel, Cvxpy, Newton, Solver
-from sweepopt.solvers.reference import installed
+from sweepopt.velocity import DAQP, OSQP, Clarabel, Cvxpy, Newton, Solver, installed
 
 ACCURACIES = {"low": 1e-3, "mid": 1e-6, "high": 1e-9}
 TOLERANCES: dict[str, tuple[str, ...]] = {

@@ -16,7 +16,7 @@ import numpy as np
 from sweepopt.checks import number
 from sweepopt.errors import InputError
 from sweepopt.loads import Separable
-from sweepopt.process import SweepingProcess
+from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Box, Moving
 
 Method = Literal["Radau", "BDF", "LSODA"]

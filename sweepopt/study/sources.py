@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from sweepopt.errors import InputError, SweepoptError
-from sweepopt.library import find_problem
-from sweepopt.process import SweepingProcess
+from sweepopt.fem.library import find_problem
+from sweepopt.io import read_bytes, read_toml
+from sweepopt.problem import SweepingProcess
 from sweepopt.study import problems
-from sweepopt.texts import read_bytes, read_toml
 
 
 class Posed(NamedTuple):

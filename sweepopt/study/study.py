@@ -15,14 +15,15 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from sweepopt import schemes, solvers
 from sweepopt.checks import count, listed, number
 from sweepopt.errors import InputError, brought_by, shown
+from sweepopt.integrate import schemes
 from sweepopt.study.executors import Serial
 from sweepopt.study.ledger import Ledger
 from sweepopt.study.measure import THROUGH_CVXPY, Cell, CellRow, blank, failed, run_cell
 from sweepopt.study.reference import absent, make_reference
 from sweepopt.study.sources import Source, find_source
+from sweepopt.velocity import solvers
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from sweepopt.errors import SweepoptWarning
-from sweepopt.evolve import solve
-from sweepopt.field import velocity_field
-from sweepopt.process import SweepingProcess
+from sweepopt.integrate import velocity_field
+from sweepopt.problem import SweepingProcess
+from sweepopt.solve import solve
 from sweepopt.study.smoothed import METHODS, Method, friction_of, integrate, solve_smoothed
 
 REPORTS = 100

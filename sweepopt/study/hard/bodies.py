@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sweepopt.errors import SweepoptError
-from sweepopt.process import SweepingProcess
+from sweepopt.problem import SweepingProcess
 from sweepopt.sets import AnySet, Box, ConvexSet, Moving, image
 
 Random = np.random.Generator

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from sweepopt.loads import Separable
-from sweepopt.process import SweepingProcess
+from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Balls, Box, ConvexSet, HalfSpace, Orthant, Polyhedron
 from sweepopt.study.hard.bodies import Hard, N, Random, chain, moved, rod, slivers, some, spectral
 

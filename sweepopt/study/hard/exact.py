@@ -13,10 +13,10 @@ import numpy as np
 
 from sweepopt.checks import Matrix
 from sweepopt.linalg import dense
-from sweepopt.program import untranslated
 from sweepopt.sets import ConvexSet
 from sweepopt.study.hard import digits
 from sweepopt.study.hard.active import velocity
+from sweepopt.velocity import untranslated
 
 
 class Exact(NamedTuple):

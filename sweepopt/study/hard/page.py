@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from sweepopt.files import replacing
+from sweepopt.io import replacing
 from sweepopt.study.hard import FAMILIES
 from sweepopt.study.hard.table import TARGET, HardRow
 

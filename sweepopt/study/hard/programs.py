@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sweepopt.errors import EmptySetError
-from sweepopt.process import SweepingProcess
+from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Balls, Box, HalfSpace, Orthant, Point, Polyhedron, product
 from sweepopt.study.hard.bodies import (
     FEW,

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from sweepopt.loads import Separable
-from sweepopt.process import SweepingProcess
+from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Balls, Box, Moving, Polyhedron
 from sweepopt.study.hard.bodies import Hard, Random, chain, moved, some, spectral
 

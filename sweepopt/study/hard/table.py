@@ -10,17 +10,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.errors import PathError, SolverRefusedError, SweepoptError, SweepoptWarning
-from sweepopt.evolve import solve
+from sweepopt.integrate import StepInfo
 from sweepopt.linalg import EPS
-from sweepopt.observers import StepInfo
-from sweepopt.process import SweepingProcess
+from sweepopt.problem import SweepingProcess
+from sweepopt.results import Solution
 from sweepopt.sets import Moving
-from sweepopt.solution import Solution
-from sweepopt.solvers import Cvxpy
+from sweepopt.solve import solve
 from sweepopt.study.hard import FAMILIES
 from sweepopt.study.hard.bodies import Hard
 from sweepopt.study.hard.combinations import combination
 from sweepopt.study.hard.exact import Exact, Program
+from sweepopt.velocity import Cvxpy
 
 TARGET = 1e-8
 """True error, relative to max(|z*|_M, |M^-1 q|_M), that every step has to meet."""

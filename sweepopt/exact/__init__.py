@@ -1,6 +1,0 @@
-"""Trajectories that are exact to rounding: polyhedral sets, loads as data, switches located."""
-
-from sweepopt.exact.follow import mover
-from sweepopt.exact.trajectory import Lifting, Trajectory
-
-__all__ = ["Lifting", "Trajectory", "mover"]

@@ -1,0 +1,88 @@
+"""When: the grid of times, where a scheme looks at C(t), and which steps it may take."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sweepopt.checks import TIME_SLACK, axes, count, number, vector
+from sweepopt.errors import InputError, StabilityWarning, UnstableStepError, shown, warn
+from sweepopt.integrate.schemes import Scheme
+from sweepopt.linalg import EPS
+from sweepopt.problem import SweepingProcess
+
+MOST = 10**8
+"""Steps of one run: their times and statistics alone are gigabytes."""
+
+
+def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The times, t_0 + i mu or the user's own, and the step sizes.
+
+    Steps that differ by the rounding of the times only get one size: they share a program.
+    """
+    end = None if t_end is None else number("t_end", t_end, minimum=0.0, strict=True)
+    if axes(steps) == 0:
+        n = count("steps", steps)
+        if n > MOST:
+            raise InputError(f"steps is {shown(n)}, more than {MOST:.0e}; run it in parts")
+        if end is None:
+            raise InputError("t_end is missing; give it or pass the times as steps")
+        return np.append(np.arange(n) * (end / n), end), np.full(n, end / n)
+    times = vector("steps", steps)
+    if times.size < 2 or not (np.diff(times) > 0).all():
+        raise InputError("steps must hold at least two strictly increasing times")
+    if end is not None and abs(times[-1] - end) > TIME_SLACK * abs(times[-1]):
+        raise InputError(f"steps end at {times[-1]:g}, but t_end is {end:g}; leave t_end out")
+    mus = np.diff(times)
+    order = np.argsort(mus, kind="stable")
+    rounding = 4 * EPS * np.abs(times).max()
+    group = np.cumsum(np.diff(mus[order], prepend=mus[order[0]]) > rounding)
+    ordered, counts = mus[order], np.bincount(group)
+    last = np.cumsum(counts) - 1
+    # neighbours by rounding may drift apart in a long chain: then each keeps its own
+    one_size = ordered[last] - ordered[last - counts + 1] <= 4 * rounding
+    sizes = np.bincount(group, weights=ordered) / counts
+    mus[order] = np.where(one_size[group], sizes[group], ordered)
+    return times, mus
+
+
+def divided(times: np.ndarray, parts: int) -> np.ndarray:
+    """The grid with each step cut into equal parts."""
+    inner = times[:-1, None] + np.diff(times)[:, None] * np.arange(parts) / parts
+    return np.append(inner.ravel(), times[-1])
+
+
+def evaluation_times(times: np.ndarray, mus: np.ndarray, scheme: Scheme) -> np.ndarray:
+    """Where C(t) is asked for or shall be checked: the nodes, and the stages of every step."""
+    stages = times[:-1, None] + mus[:, None] * np.array(scheme.c)
+    return np.unique(np.append(times, np.minimum(stages, times[1:, None])))
+
+
+def check_stability(process: SweepingProcess, scheme: Scheme, mu: float, on_unstable: str) -> None:
+    """Explicit in u means mu Lam <= 2, and no overshoot only for mu Lam <= 1."""
+    if not scheme.explicit or on_unstable == "ignore" or process.B is None:
+        return
+    number_ = mu * process.Lam
+    if number_ <= 1:
+        return
+    remedy = (
+        f"mu Lam = {number_:.3g}; take mu <= {1 / process.Lam:.3g}, or implicit-euler, which needs "
+        "no such step and never overshoots"
+    )
+    if number_ > 2 and on_unstable == "raise":
+        raise UnstableStepError(
+            f"scheme {scheme.name!r} amplifies errors: {remedy}, or say on_unstable='warn'"
+        )
+    effect = "amplifies errors" if number_ > 2 else "can overshoot into a wrong stuck state"
+    warn(f"scheme {scheme.name!r} {effect}: {remedy}", StabilityWarning)
+
+
+def warn_of_overshoot(scheme: Scheme, t: float) -> None:
+    """Tell of a step that decays from outside of C(t) while mu Lam is too large to resolve that."""
+    warn(
+        f"scheme {scheme.name!r} may have overshot into a wrong stuck state in the step from "
+        f"t = {t:g}: B u starts far outside of C(t) there and mu Lam is above "
+        f"{scheme.overshoots:.3g}; take smaller steps, or implicit-euler, which never does",
+        StabilityWarning,
+    )

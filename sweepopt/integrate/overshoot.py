@@ -1,0 +1,75 @@
+"""Steps that may have gone past the true rest of a body: seen in the run, at mu Lam > a threshold.
+
+Where B u is far outside of C(t), u should come to rest at the edge of C(t), as exp(-t A^-1 B)
+decays. A scheme whose stability function turns negative goes past that point, and friction holds
+the body wherever B u is inside C(t) then. implicit-euler never does.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from sweepopt.integrate.step import Stages, combined
+from sweepopt.linalg import UNIT, exceeds_none, factorise
+from sweepopt.problem import SweepingProcess
+from sweepopt.velocity import Plan
+
+SEEN = 1e-3  # of what B u is outside: more rounding of B u hides it
+FAR = 2.0  # times the way that C(t) goes around the step: B u was not left behind by a load
+
+
+def longest_safe(process: SweepingProcess, plan: Plan, mus: np.ndarray) -> float:
+    """The step size above which the scheme can overshoot; infinite where none of the steps can.
+
+    Where nothing sticks, or nothing starts outside of C(t) as A = 0, no step is too long.
+    """
+    limit = plan.scheme.overshoots
+    if process.B is None or process.rate_independent or not plan.solvers or math.isinf(limit):
+        return math.inf
+    if exceeds_none(process.metric, process.B, limit / float(mus.max()), factorise):
+        return math.inf
+    return limit / process.Lam
+
+
+def overshot(
+    process: SweepingProcess, plan: Plan, nodes: list[float], k: int, u: np.ndarray, stages: Stages
+) -> bool:
+    """Whether a step from u may have gone past the rest that it should come to.
+
+    Seen from the half-space { w : <-z, w> <= sigma(C(t), -z) } of the first stage's velocity z: the
+    force M z + q of that stage is on its edge, and B u is outside of it by <M z, z>. The step has
+    gone too far if B u is inside at its end, unless C(t) took it there: a load that grows and then
+    stops or turns leaves B u behind by less than twice the way that the edge goes around the step.
+    A jump of the load just before it is looked at is not in that way.
+
+    Parameters
+    ----------
+    nodes : list of float
+        Times, of which the step goes from number k to k + 1.
+    """
+    scheme, (start, end) = plan.scheme, nodes[k : k + 2]
+    z, mu = stages[0].velocity.z, end - start
+    along = process.times_B(z)
+    outside = float(z @ (process.A @ z)) + scheme.a[0][0] * mu * float(z @ along)
+    gone = mu * float(along @ combined(scheme.b, stages))
+
+    def edge(t: float) -> float:
+        return float(process.C.at(t).support(-z))
+
+    at_stage = -float(z @ process.times_B(u)) - outside
+    at_end = edge(end) if outside > 0 else math.inf
+    if not outside - gone < at_end - at_stage < math.inf:
+        return False
+    B: Any = process.B
+    lost = UNIT * np.abs(z) @ (abs(B) @ (np.abs(u) + mu * np.abs(z)))
+    if not lost < SEEN * outside:
+        return False
+    after = [end, *(min(end + scheme.c[-1] * (t - end), t) for t in nodes[k + 2 : k + 3])]
+    earlier = nodes[max(k - 2, 0) : k]
+    earlier += [t + scheme.c[0] * (start - t) for t in earlier[-1:]]
+    ways = (abs(edge(s) - edge(t)) for times in (after, earlier) for s, t in pairwise(times))
+    return outside > FAR * (abs(at_end - at_stage) + sum(ways))

@@ -1,0 +1,353 @@
+"""Files: what users write, tables, records with checksums, files replaced as a whole."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import math
+import os
+import re
+import struct
+import tomllib
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sweepopt.errors import DamagedFileError, InputError, shown
+
+
+def as_path(name: str, value: Any) -> Path:
+    """A path, or an error that names the argument."""
+    if not isinstance(value, (str, os.PathLike)):
+        raise InputError(f"{name} must be a path, got {shown(value)}")
+    return Path(value)
+
+
+def writable(name: str, value: Any) -> Path:
+    """The path of a file that can be written, or an error that names the argument."""
+    path, given = as_path(name, value), shown(str(value))
+    try:
+        path = path.resolve()
+        taken, folder = path.is_dir(), path.parent.is_dir()
+    except (OSError, ValueError, RuntimeError) as error:  # too long, a zero byte, a circle of links
+        raise InputError(f"{name} is {given}, which is no path: {error}") from error
+    if not folder:
+        raise InputError(f"{name} is {given}, but there is no folder {shown(str(path.parent))}")
+    if taken or not os.access(path.parent, os.W_OK):
+        raise InputError(f"{name} is {given}, which cannot be written there")
+    return path
+
+
+def read_bytes(path: Path) -> bytes:
+    """The content of a file.
+
+    Raises
+    ------
+    InputError
+        Naming the file and why it cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{str(path)!s:.300}: cannot be read ({error.strerror})") from None
+    except ValueError as error:  # a zero byte or half a surrogate is in no file's name
+        raise InputError(f"{shown(str(path))}: cannot be read ({error})") from None
+
+
+def read_text(path: Path, advice: str, encoding: str = "utf-8") -> str:
+    """A file of UTF-8 text; `advice` ends the sentence for one that is not."""
+    try:
+        return read_bytes(path).decode(encoding)
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is not UTF-8 text{advice}") from None
+
+
+def parse_toml(where: str, text: str) -> dict[str, Any]:
+    """The tables of TOML text.
+
+    Raises
+    ------
+    InputError
+        Naming `where` and the fault.
+    """
+    try:
+        return tomllib.loads(text)
+    except ValueError as error:  # not TOML, or a number of thousands of digits
+        raise InputError(f"{where}: is not TOML: {error}") from error
+    except RecursionError as error:
+        raise InputError(f"{where}: is not TOML: brackets within brackets without end") from error
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file."""
+    return parse_toml(str(path), read_text(path, ", as TOML must be"))
+
+
+Array = NDArray[np.float64]
+
+
+def read_columns(path: str | Path, *names: str) -> tuple[Array, list[int]]:
+    """Named columns of a CSV file with decimal points and commas between the cells.
+
+    Parameters
+    ----------
+    path : str or Path
+        First line that is neither empty nor a ``#`` comment: the column names.
+
+    Returns
+    -------
+    columns : ndarray, shape (len(names), m)
+    rows : list of int
+        Line number of each row in the file.
+
+    Raises
+    ------
+    InputError
+        Naming the file, the column and the row at fault.
+    """
+    lines = _rows(path, _text(path))
+    header = [name.strip() for name in next(lines, (0, []))[1]]
+    for name in names:
+        if header.count(name) != 1:
+            fault = "is there twice" if name in header else "is missing"
+            raise InputError(
+                f"{path}: column {name!r} {fault}; there are: {', '.join(header) or 'none'}"
+            )
+    picked = [header.index(name) for name in names]
+    rows: list[int] = []
+    data: list[list[float]] = []
+    for row, cells in lines:
+        if len(cells) > len(header):
+            raise InputError(
+                f"{path}, row {row}: {len(cells)} cells under {len(header)} column names; "
+                "write decimals with a point (1.5, not 1,5)"
+            )
+        cells += [""] * (len(header) - len(cells))
+        rows.append(row)
+        data.append(
+            [
+                _number(f"{path}, column {name!r}, row {row}", cells[k].strip())
+                for name, k in zip(names, picked, strict=True)
+            ]
+        )
+    return np.array(data, dtype=float).reshape(-1, len(names)).T, rows
+
+
+def _text(path: str | Path) -> str:
+    if not isinstance(path, (str, os.PathLike)):
+        raise InputError(f"path must be the path of a CSV file, got {shown(path)}")
+    return read_text(Path(path), "; export it as CSV", "utf-8-sig")
+
+
+def _rows(path: str | Path, text: str) -> Iterator[tuple[int, list[str]]]:
+    for row, line in enumerate(text.splitlines(), start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            try:
+                yield row, next(csv.reader([line]))
+            except csv.Error as error:  # a cell beyond the reader's limit
+                raise InputError(f"{path}, row {row}: {error}; is it a table?") from error
+
+
+def _number(where: str, cell: str) -> float:
+    try:
+        value = math.nan if "_" in cell else float(cell)  # Python reads 1_0 as 10
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{where}: {shown(cell)} is not a finite number")
+    return value
+
+
+@contextmanager
+def replacing(path: Path, previous: Path | None = None) -> Iterator[Path]:
+    """A new file that takes the place of `path` when the block ends well, and else disappears.
+
+    Parameters
+    ----------
+    path : Path
+    previous : Path, optional
+        Where the file that was in its place goes.
+    """
+    part = part_of(path)
+    try:
+        yield part
+        _force(part, os.O_RDWR)
+        if previous is not None and path.exists():
+            os.replace(path, previous)
+        os.replace(part, path)
+        if os.name == "posix":  # the folder's entries too
+            _force(path.parent, os.O_RDONLY)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def part_of(path: Path) -> Path:
+    """Where this process writes what is to take the place of `path`."""
+    return path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+
+
+def remove_parts(path: Path) -> None:
+    """Remove what writers of `path` that were killed have left beside it."""
+    name = rf"\.{re.escape(path.stem)}\.\d+\.part{re.escape(path.suffix)}"
+    for file in path.parent.iterdir():
+        if re.fullmatch(name, file.name):
+            file.unlink(missing_ok=True)
+
+
+def put(path: Path, content: bytes) -> None:
+    """Replace a file as a whole, on the disk when this returns."""
+    with replacing(path) as part:
+        part.write_bytes(content)
+
+
+def sealed(content: dict[str, Any]) -> bytes:
+    """A record as JSON with its checksum."""
+    return json.dumps(
+        {"sha256": _checksum(content), "content": content}, indent=1, allow_nan=False
+    ).encode()
+
+
+def unsealed(data: bytes) -> Any:
+    """The content of a record.
+
+    Raises
+    ------
+    ValueError
+        If it is not whole.
+    """
+    try:
+        found = json.loads(data)
+        content = found["content"]
+        whole = found["sha256"] == _checksum(content)
+    except (KeyError, TypeError, RecursionError) as error:
+        raise ValueError(f"no record: {error}") from error
+    if not whole:
+        raise ValueError("the checksum does not fit")
+    return content
+
+
+def _checksum(content: Any) -> str:
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _force(path: Path, flags: int) -> None:
+    """Wait until the disk has it."""
+    handle = os.open(path, flags)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+RECORD = "record"
+PLAIN = "biuf"  # kinds of entries: truth, whole numbers, floats
+PARSING = (  # what zipfile, json and numpy raise for bytes that make no sense
+    OSError,
+    ValueError,
+    KeyError,
+    TypeError,
+    IndexError,
+    AttributeError,
+    EOFError,
+    OverflowError,
+    RuntimeError,
+    struct.error,
+    zlib.error,
+    zipfile.BadZipFile,
+)
+
+
+def write_archive(
+    path: Path,
+    record: dict[str, Any],
+    arrays: Mapping[str, np.ndarray],
+    previous: Path | None = None,
+) -> None:
+    """Replace a file by one with these arrays of numbers; the one before it goes to `previous`."""
+    arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    about = {name: _about(array) for name, array in arrays.items()}
+    head = np.frombuffer(sealed({"record": record, "arrays": about}), dtype=np.uint8)
+    with replacing(path, previous) as part, part.open("wb") as file:
+        np.savez(file, **{RECORD: head, **arrays})  # type: ignore[arg-type]
+
+
+def read_archive(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The record and the arrays.
+
+    Raises
+    ------
+    OSError
+        If it cannot be opened.
+    DamagedFileError
+        If anything in it is not as it was written.
+    """
+    stream = path.open("rb")  # what cannot be opened is not damaged
+    try:
+        with stream, zipfile.ZipFile(stream) as file:
+            members = {info.filename.removesuffix(".npy"): info for info in file.infolist()}
+            _check_sizes(list(members.values()), path.stat().st_size)
+            head = unsealed(_member(file, members.pop(RECORD), None).tobytes())
+            about = head["arrays"]
+            if set(about) != set(members):
+                raise ValueError("it has not the arrays that its record names")
+            arrays = {name: _member(file, members[name], about[name]) for name in about}
+            return head["record"], arrays
+    except PARSING as error:
+        raise DamagedFileError(f"{path} is damaged or no file of ours: {error}") from error
+
+
+def _about(array: np.ndarray) -> dict[str, Any]:
+    if array.dtype.kind not in PLAIN:
+        raise TypeError(f"arrays of {array.dtype} are not written")
+    digest = hashlib.sha256(array.data if array.size else b"").hexdigest()
+    return {"dtype": array.dtype.str, "shape": list(array.shape), "sha256": digest}
+
+
+def _check_sizes(members: list[zipfile.ZipInfo], size: int) -> None:
+    """No member takes more memory than the file has bytes."""
+    for info in members:
+        if info.compress_type != zipfile.ZIP_STORED or info.file_size != info.compress_size:
+            raise ValueError(f"{info.filename!r} is compressed")
+    if sum(info.file_size for info in members) > size:
+        raise ValueError("its arrays are larger than the file")
+
+
+def _member(file: zipfile.ZipFile, info: zipfile.ZipInfo, about: Any) -> np.ndarray:
+    """One array; `about` is what it must be, None for the record, which has no other record."""
+    with file.open(info) as stream:
+        lead = stream.read(10)
+        if lead[:8] != b"\x93NUMPY\x01\x00":
+            raise ValueError(f"{info.filename!r} is written in another format")
+        # numpy's own header is not parsed: the record has type and shape
+        stream.read(int.from_bytes(lead[8:], "little"))
+        rest = info.file_size - stream.tell()
+        about = about or {"dtype": "|u1", "shape": [rest]}
+        dtype = np.dtype(about["dtype"])
+        if dtype.kind not in PLAIN or math.prod(about["shape"]) * dtype.itemsize != rest:
+            raise ValueError(f"{info.filename!r} has another size than it should")
+        array = np.frombuffer(stream.read(), dtype).reshape(about["shape"])
+    if "sha256" in about and about != _about(array):
+        raise ValueError(f"{info.filename!r} is not what was written")
+    return array
+
+
+def versions_of(packages: Iterable[str]) -> dict[str, str]:
+    """The versions of those that are installed, and of the library."""
+    found = {}
+    for name in dict.fromkeys(packages):
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    from sweepopt import __version__  # a clone on the path has no metadata
+
+    return {**found, "sweepopt": __version__}

@@ -1,0 +1,93 @@
+"""The norms of a process for many vectors at once, and how errors in them grow (MATH 3)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+
+from sweepopt.errors import InputError
+from sweepopt.linalg import SMALL, dense, factorise, largest_ratio
+from sweepopt.problem.motion import Between, Data
+from sweepopt.problem.process import SweepingProcess, proportion
+from sweepopt.sets import ConvexSet
+
+
+class Norms:
+    """The norms of a process, many vectors at once, and how errors in them grow."""
+
+    def __init__(self, process: SweepingProcess) -> None:
+        self._metric, self._B = process.metric, process.B
+        self.still = process.rate_independent
+        self.beta = process.metric.smallest_eigenvalue() * (1 - 1e-6)
+        self.lam, self.Lam = _rates(process)
+
+    def A(self, x: np.ndarray) -> np.ndarray:
+        """|x|_A (of B where A = 0), over the last axis."""
+        return np.sqrt(np.maximum(squares(self._metric.M, x), 0.0))
+
+    def B(self, x: np.ndarray) -> np.ndarray:
+        """|x|_B over the last axis."""
+        if self._B is None:
+            return np.zeros(x.shape[:-1])
+        return np.sqrt(np.maximum(squares(self._B, x), 0.0))
+
+    def dual(self, w: np.ndarray) -> np.ndarray:
+        """|w|_{A^-1} over the last axis."""
+        rows = w.reshape(-1, w.shape[-1])
+        solved = self._metric.solve_many(rows) if rows.any() else rows
+        return np.sqrt(np.maximum((rows * solved).sum(axis=1), 0.0)).reshape(w.shape[:-1])
+
+    def weights(self, S: ConvexSet, h: np.ndarray) -> np.ndarray:
+        """Weights that bring velocities to the units of forces, shape (len(h), dim)."""
+        weights = S.weights(self._metric.diagonal)
+        return np.outer(h if self.still else np.ones_like(h), weights)
+
+    def terms(self, data: Data, between: Between) -> tuple[np.ndarray, np.ndarray]:
+        """What the load is away from its polynomials, and its derivative, in |.|_{A^-1}."""
+        sizes = np.array([self.dual(f) for _, f in data.terms])
+        if data.function is not None:
+            sizes = np.array([1 / math.sqrt(self.beta)])  # its variation is a Euclidean one
+        return between.away @ sizes, between.bent @ sizes
+
+    def scaled(self, scale: Data, s: np.ndarray) -> np.ndarray:
+        """The largest |f_k s|_{A^-1} of points s, shape (m, k, dim), for each term of a scale."""
+        return np.array([self.dual(f * s).max(axis=1) for _, f in scale.terms]).T
+
+    def growth(self, tau: np.ndarray) -> np.ndarray:
+        """K(tau) of MATH 3: |u(tau) - v(tau)|_A <= K(tau) |u(0) - v(0)|_A."""
+        lam, Lam = self.lam, self.Lam
+        if Lam == 0:
+            return np.ones_like(tau)
+        bounds = [1 + np.sqrt(0.5 * Lam * tau)]
+        with np.errstate(over="ignore"):
+            bounds.append(np.exp((Lam - lam) ** 2 / (8 * (Lam + lam)) * tau))
+        if lam > 0:
+            bounds.append(np.full_like(tau, math.sqrt(Lam / lam)))
+        return np.min(bounds, axis=0)
+
+
+def squares(M: Any, x: np.ndarray) -> np.ndarray:
+    """<Mx, x> over the last axis."""
+    rows = x.reshape(-1, x.shape[-1])
+    return ((M @ rows.T).T * rows).sum(axis=1).reshape(x.shape[:-1])
+
+
+def _rates(process: SweepingProcess) -> tuple[float, float]:
+    """lam and Lam: below and above all eigenvalues of A^-1 B."""
+    if process.B is None or process.rate_independent:
+        return 0.0, 0.0
+    if process.dim < SMALL:
+        values = scipy.linalg.eigh(dense(process.B), dense(process.A), eigvals_only=True)
+        return max(float(values[0]) * (1 - 1e-9), 0.0), float(values[-1]) * (1 + 1e-9)
+    rho = proportion(process.A, process.B)
+    if rho is not None:
+        return rho, rho
+    try:
+        lam = 1 / largest_ratio(factorise(process.B, "B"), process.A, factorise)
+    except InputError:  # B is singular
+        lam = 0.0
+    # of a body too large to be factorised they are as far as a hierarchy of grids shows
+    return 0.99 * lam, 1.01 * process.Lam

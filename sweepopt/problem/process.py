@@ -1,0 +1,346 @@
+"""The two problems of the theory and how they are one.
+
+Sweeping process:  -u'(t) in N_{C(t)}(A u'(t) + B u(t)),  u(0) = u0.
+Evolution variational inequality: u'(t) in K with
+<A u' + B u - f, v - u'> + J(v) - J(u') >= 0 for all v in K.
+With D = dJ(0) + polar(K) they are the same for C(t) = f(t) - D (Adly and Haddad, SIAM J. Math.
+Anal. 50(1), 2018, Proposition in section 4). The assumptions of the theory are checked here, before
+any solver runs.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from sweepopt.checks import Matrix, symmetric, vector
+from sweepopt.errors import InitialStateWarning, InputError, VariationWarning, shown, warn
+from sweepopt.linalg import EPS, factorise, is_semidefinite, largest_eigenvalue, largest_ratio
+from sweepopt.sets import AnySet, ConvexSet, Moving, MovingSet, Point
+
+SAME = 8 * EPS  # entries of B and rho A may differ by this share
+
+
+class VelocityBound(NamedTuple):
+    """An a priori bound of |u'(t)| on [0, T] and what it is made of (Euclidean norms)."""
+
+    value: float
+    variation: float
+    initial_distance: float
+    beta: float
+    norm_B: float
+
+
+class SweepingProcess:
+    """-u'(t) in N_{C(t)}(A u'(t) + B u(t)),  u(0) = u0.
+
+    Parameters
+    ----------
+    A : array_like or sparse, shape (dim, dim)
+        Symmetric with <Ax, x> >= beta |x|^2, beta > 0; or exactly zero with B positive definite.
+    B : array_like or sparse, shape (dim, dim), or None
+        Symmetric positive semidefinite; None leaves it out.
+    C : ConvexSet or MovingSet
+        The constraint set, of dimension dim.
+    u0 : array_like, shape (dim,)
+
+    Raises
+    ------
+    InputError
+        If a shape, an entry or an assumption of the theory is wrong.
+
+    Examples
+    --------
+    >>> from sweepopt.sets import Box, Moving
+    >>> C = Moving(Box([-1], [1]), center=lambda t: [1.5 * t])
+    >>> process = SweepingProcess([[0.5]], [[2.0]], C, u0=[0])
+    >>> round(process.beta, 12)
+    0.5
+    """
+
+    def __init__(self, A: Any, B: Any, C: AnySet, u0: Any) -> None:
+        self.A = symmetric("A", A)
+        self.dim = self.A.shape[0]
+        self.B: Matrix | None = None if B is None else symmetric("B", B, self.dim)
+        if not isinstance(C, (ConvexSet, MovingSet)):
+            raise InputError(f"C must be a set or a moving set, got {type(C).__name__}")
+        if C.dim != self.dim:
+            raise InputError(f"C has dim {C.dim} but A has shape {self.A.shape}; they must agree")
+        self.C = C
+        self.u0 = vector("u0", u0, self.dim)
+        if self.B is not None and abs(self.B).max() == 0:
+            self.B = None
+        if self.B is not None and not is_semidefinite(self.B, factorise):
+            raise InputError("B must be positive semidefinite; it has a negative eigenvalue")
+        self.rate_independent = bool(abs(self.A).max() == 0)
+        if self.rate_independent and self.B is None:
+            raise InputError("A and B are both zero: nothing determines the velocity")
+        # MATH.md: A = 0 lets B take A's place in every norm
+        self.metric = factorise(self._metric_matrix, "B" if self.rate_independent else "A")
+
+    @property
+    def _metric_matrix(self) -> Matrix:
+        return self.B if self.rate_independent and self.B is not None else self.A
+
+    def as_sweeping(self) -> SweepingProcess:
+        """Itself: so that solvers take either form of the problem."""
+        return self
+
+    def as_vi(self) -> EvolutionVI:
+        """The variational inequality with f(t) = center(t) and D = -shape, for translated sets.
+
+        Raises
+        ------
+        InputError
+            If C(t) is not written as a translate of one set.
+        """
+        if isinstance(self.C, ConvexSet):
+            shape, load = self.C, None
+        elif isinstance(self.C, Moving) and self.C.scale is None:
+            shape, load = self.C.shape, self.C.center
+        else:
+            raise InputError("only C(t) = center(t) + shape (Moving without scale) is a VI")
+        return EvolutionVI(self.A, self.B, load=load, dissipation=-shape, u0=self.u0)
+
+    @cached_property
+    def beta(self) -> float:
+        """The constant of coercivity <Ax, x> >= beta |x|^2; 0 when A = 0."""
+        return 0.0 if self.rate_independent else self.metric.smallest_eigenvalue()
+
+    @cached_property
+    def Lam(self) -> float:
+        """A bound of the eigenvalues of A^-1 B: |B(u - v)|_{A^-1} <= Lam |u - v|_A.
+
+        The largest one or a little more, never less (`sweepopt.linalg.largest_ratio`).
+        """
+        if self.B is None:
+            return 0.0
+        if self.rate_independent:
+            return float("inf")
+        return largest_ratio(self.metric, self.B, factorise)
+
+    def times_B(self, u: np.ndarray) -> np.ndarray:
+        """B u, zero where there is no B."""
+        return np.zeros(self.dim) if self.B is None else self.B.dot(u)
+
+    def check(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
+        """Check C(t) on the given increasing times, before any solver runs.
+
+        Returns what `MovingSet.members` does, and raises its errors.
+
+        Warns
+        -----
+        VariationWarning
+            If C(t) jumps by an infinite distance, as far as that can be seen.
+        """
+        members = self.C.members(times)
+        last = None
+        for t, C in members:
+            _check_support(C)
+            _check_jump(last, C, t)
+            last = C
+        return members
+
+    def check_start(self, t: float) -> None:
+        """Check B u0 in C(t) for the time t at which u0 holds.
+
+        Raises
+        ------
+        InputError
+            If B u0 is not in C(t) while A = 0: then no solution starts there.
+
+        Warns
+        -----
+        InitialStateWarning
+            If B u0 is not in C(t): the solution exists as A is coercive, but it starts moving.
+        """
+        C = self.C.at(t)
+        force = self.times_B(self.u0)
+        nearest = C.project(force)
+        distance = float(np.linalg.norm(force - nearest))
+        size = max(np.abs(x).max() for x in (force, nearest, C.anchor))
+        if distance <= 1e-9 * size:
+            return
+        # a set around 0 gives its own size; an unbounded one has none
+        extent = C.magnitude()
+        if np.isfinite(extent) and distance <= 1e-12 * extent:
+            return
+        where = f"B u0 is not in C({t:g}); its distance is {distance:g}"
+        if self.rate_independent:
+            raise InputError(f"{where}. With A = 0 no solution starts there: change u0")
+        message = f"{where}. A is coercive, so the solution exists and starts with a velocity"
+        warn(message, InitialStateWarning)
+
+    def variation(self, times: np.ndarray) -> float:
+        """The variation v(T) of C over a grid: sum of Hausdorff distances of neighbours.
+
+        d_H(C(t), C(s)) <= v(t) - v(s), in Euclidean norms. Each distance is bounded from above by
+        the sets themselves (`distance_bound`); the sum of a finer grid comes closer to v(T).
+
+        Parameters
+        ----------
+        times : array_like, shape (k,)
+            Increasing.
+
+        Raises
+        ------
+        InputError
+            If the distance of two members is not known: a polyhedron in more than one dimension
+            whose offsets move, sets of different kinds.
+        """
+        times = vector("times", times)
+        if times.size < 2 or not (np.diff(times) > 0).all():
+            raise InputError("times must hold at least two strictly increasing times")
+        total, last = 0.0, self.C.at(float(times[0]))
+        for t in times[1:]:
+            C = self.C.at(float(t))
+            distance = last.distance_bound(C)
+            if distance is None:
+                raise InputError(
+                    f"the distance of C({t:g}) to the set before it is not known for this kind of "
+                    "set; write C as a Moving set, a box or a ball to have its variation"
+                )
+            total, last = total + distance, C
+        return total
+
+    def velocity_bound(self, times: np.ndarray, paper: bool = False) -> VelocityBound:
+        """An a priori bound of the velocity, MATH.md section 3:
+
+        |u'(t)| <= ((v(T) + d(B u0, C(0))) / beta) exp(|B| T / beta).
+
+        Parameters
+        ----------
+        times : ndarray
+            Grid from 0 to T on which the variation v(T) is taken.
+        paper : bool
+            The constant M that the paper prints: 8 v(T) because it truncates C, and B u0 in C(0).
+
+        Raises
+        ------
+        InputError
+            If A = 0: the velocity then has no bound from these data; if v(T) is not known.
+        """
+        if self.rate_independent:
+            raise InputError("the a priori bound divides by beta; it needs A coercive, not A = 0")
+        v = self.variation(times)
+        times = vector("times", times)
+        force = self.times_B(self.u0)
+        distance = float(np.linalg.norm(force - self.C.at(float(times[0])).project(force)))
+        norm_B = 0.0 if self.B is None else largest_eigenvalue(self.B)
+        start = 8 * v if paper else v + distance
+        with np.errstate(over="ignore"):
+            growth = float(np.exp(norm_B * (times[-1] - times[0]) / self.beta))
+        value = start / self.beta * growth if start else 0.0
+        return VelocityBound(value, v, distance, self.beta, norm_B)
+
+
+class EvolutionVI:
+    """Find u'(t) in K: <A u' + B u - f(t), v - u'> + J(v) - J(u') >= 0 for all v in K.
+
+    Parameters
+    ----------
+    A, B, u0
+        As in SweepingProcess.
+    load : callable t -> (dim,), Separable, array_like or None
+        f; None is no load.
+    dissipation : ConvexSet or None
+        D with J = sigma(D, .): convex, positively homogeneous; Lipschitz when D is bounded.
+        None is J = 0.
+    cone : ConvexSet or None
+        K, a closed convex cone; None is the whole space.
+
+    Raises
+    ------
+    InputError
+        If a shape or an entry is wrong, a set moves, or K is not a cone.
+
+    Examples
+    --------
+    >>> from sweepopt.sets import Box
+    >>> D = Box([-1], [1])
+    >>> vi = EvolutionVI([[0.5]], [[2.0]], load=lambda t: [1.5 * t], dissipation=D, u0=[0])
+    >>> vi.as_sweeping().C.at(0.0).support([1.0])
+    1.0
+    """
+
+    def __init__(
+        self,
+        A: Any,
+        B: Any,
+        *,
+        load: Any = None,
+        dissipation: ConvexSet | None = None,
+        cone: ConvexSet | None = None,
+        u0: Any,
+    ) -> None:
+        self.A = symmetric("A", A)
+        dim = self.A.shape[0]
+        self.B: Matrix | None = None if B is None else symmetric("B", B, dim)
+        for name, C in (("dissipation", dissipation), ("cone", cone)):
+            if C is not None and not isinstance(C, ConvexSet):
+                raise InputError(f"{name} must be a set that does not move, got {type(C).__name__}")
+            if C is not None and C.dim != dim:
+                raise InputError(f"{name} has dim {C.dim} but A has shape {self.A.shape}")
+        self.load = load if callable(load) or load is None else vector("load", load, dim)
+        self.dissipation, self.cone = dissipation, cone
+        self.u0 = vector("u0", u0, dim)
+        self.dim = dim
+        if self.dissipation is not None:
+            _check_support(self.dissipation)
+        if self.cone is not None:
+            self.cone.polar()  # refuses a set that is not a cone
+
+    def as_sweeping(self) -> SweepingProcess:
+        """The sweeping process with C(t) = f(t) - (D + polar(K))."""
+        D: ConvexSet = Point(np.zeros(self.dim)) if self.dissipation is None else self.dissipation
+        if self.cone is not None:
+            D = D + self.cone.polar()
+        if self.load is None:
+            return SweepingProcess(self.A, self.B, -D, self.u0)
+        C = Moving(-D, center=self.load)
+        C.center_name = "load"
+        return SweepingProcess(self.A, self.B, C, self.u0)
+
+
+def sweeping(process: Any) -> SweepingProcess:
+    """Either form of the problem as a sweeping process, for solvers that take both."""
+    if not isinstance(process, (SweepingProcess, EvolutionVI)):
+        raise InputError(f"process must be a SweepingProcess or an EvolutionVI: {shown(process)}")
+    return process.as_sweeping()
+
+
+def _check_jump(before: ConvexSet | None, C: ConvexSet, t: float) -> None:
+    """Warn of a motion that is not of bounded variation; a change of offsets is a finite one."""
+    if before is not None and before.distance_bound(C) == np.inf:
+        warn(
+            f"C(t) jumps by an infinite distance at t = {t:g}: it is not of bounded variation, as "
+            "the theory asks; the steps are solved all the same",
+            VariationWarning,
+        )
+
+
+def _check_support(C: ConvexSet) -> None:
+    """Spot-check that sigma(C, .) is positively homogeneous, for sets that users write."""
+    direction = np.cos(np.arange(C.dim) + 1.0)
+    for z in (direction, -direction):
+        once, twice = C.support(z), C.support(2 * z)
+        if np.isnan(once) or not (once == twice or abs(twice - 2 * once) <= 1e-6 * abs(twice)):
+            raise InputError(
+                f"{type(C).__name__}.support is not positively homogeneous: "
+                f"sigma(z) = {once:g} but sigma(2z) = {twice:g}"
+            )
+
+
+def proportion(A: Matrix, B: Matrix | None) -> float | None:
+    """rho with B = rho A to rounding, entry by entry; None if there is none."""
+    if B is None:
+        return 0.0
+    if sp.issparse(A) != sp.issparse(B):
+        return None
+    i = int(np.argmax(A.diagonal()))
+    rho = float(B[i, i] / A[i, i])
+    difference = abs(B - rho * A) - SAME * rho * abs(A)
+    return rho if difference.max() <= 0 else None

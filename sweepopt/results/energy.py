@@ -1,0 +1,53 @@
+"""Where the work of the loads goes: stored, dissipated by viscosity, dissipated by friction."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sweepopt.problem import SweepingProcess
+from sweepopt.integrate import States
+
+
+class Energy(NamedTuple):
+    """Energies from the start to each time, shape (n+1,); dissipated + stored = work + O(mu).
+
+    Attributes
+    ----------
+    stored : ndarray
+        1/2 <B u, u>, its change since t_0.
+    viscous : ndarray
+        int <A u', u'>.
+    friction : ndarray
+        int J(u'), J the support function of D where C(t) = f(t) - D.
+    work : ndarray
+        int <f, u'>.
+    """
+
+    stored: np.ndarray
+    viscous: np.ndarray
+    friction: np.ndarray
+    work: np.ndarray
+
+    @property
+    def balance(self) -> np.ndarray:
+        """stored + viscous + friction - work: zero up to the error of the scheme."""
+        return self.stored + self.viscous + self.friction - self.work
+
+
+def energy_of(process: SweepingProcess, t: np.ndarray, states: States) -> Energy:
+    """Energies of a run of which all steps are kept; forces are taken at the middle of each."""
+    mu = np.diff(t)
+    viscous, friction, work = np.zeros((3, len(mu)))
+    for i in range(len(mu)):
+        z = states.velocity(i)
+        C = process.C.at(float(t[i] + 0.5 * mu[i]))
+        viscous[i] = z @ (process.A @ z)
+        work[i] = C.anchor @ z
+        friction[i] = C.support(-z) + work[i]
+    stored = np.array([0.5 * u @ process.times_B(u) for u in map(states.u, range(len(t)))])
+    viscous, friction, work = (
+        np.append(0.0, np.cumsum(mu * rate)) for rate in (viscous, friction, work)
+    )
+    return Energy(stored - stored[0], viscous, friction, work)

@@ -1,0 +1,184 @@
+"""A guaranteed bound of the error of a whole trajectory, without unknown constants (MATH 4).
+
+Let v be a Lipschitz function, w(t) any selection in C(t), and
+
+    r = A v' + B v - w,      G = sigma(C(t), -v') + <v', w>  >= 0.
+
+Then for e = u - v, as monotonicity of the normal cone gives <e', A e' + B e + r> <= G:
+
+    |e(t)|_A <= K(t) |e(0)|_A + int K(t - s) sqrt(2 G + |r|^2) ds      (fan; | | of A^-1 for r)
+    |e(t)|_B^2 <= |e(0)|_B^2 + int 2 G + |r|^2 / 2                     (energy)
+    |e(t)|_A <= |e(0)|_A + sqrt(t (|e(0)|_B^2 + int 2 G + |r|^2)).
+
+K(tau) = min(exp(nu tau), 1 + sqrt(Lam tau / 2), sqrt(Lam / lam)), nu = (Lam - lam)^2 / (8 (Lam +
+lam)), with lam <= Lam the extreme eigenvalues of A^-1 B. Where A = 0, | | are those of B and
+
+    |e(t)|_B <= R + sqrt(R^2 + 2 int G),   R = sup |r| + int |r'|,
+
+r continuous: <e', B e> <= G - <e', r>, and int <e', r> = <e, r> - int <e, r'> for e(0) = 0.
+
+v is taken through the nodes of a run: cubic on each step with the slopes Phi(t_i, u_i), or linear
+where sigma would be infinite. w(t) = center(t) + scale(t) s(t), s a curve in S between projections,
+so that a solver's inexactness is in r and G. Both are bounded on the whole of each step: G by the
+convexity of sigma, r as a polynomial and what a history differs from one (`motion`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sweepopt.integrate import divided, time_grid
+from sweepopt.results.residuals import Defects, defects
+from sweepopt.linalg import EPS
+from sweepopt.integrate import march
+from sweepopt.results.nodes import Nodes, cubic
+from sweepopt.problem import Norms
+from sweepopt.velocity import Plan
+from sweepopt.problem import SweepingProcess
+from sweepopt.integrate import SCHEMES
+from sweepopt.integrate import MEMORY, Keeper, saving
+
+SUMMED = 64 * EPS  # what a run's sums round, in units of |u|_A and the root of its steps
+# de Casteljau at 1/2: a cubic's Bernstein coefficients on both halves
+HALVES = np.array([
+    [8, 0, 0, 0], [4, 4, 0, 0], [2, 4, 2, 0], [1, 3, 3, 1], [0, 2, 4, 2], [0, 0, 4, 4], [0, 0, 0, 8]
+]) / 8  # fmt: skip
+PARTS = 8  # of a step, for the companion where A = 0
+COMPANION_TOL = 1e-9  # the companion's programs: what they miss is in its bound
+
+
+class ErrorBound(float):
+    """A bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A = 0), a number that knows more.
+
+    Attributes
+    ----------
+    guaranteed : bool
+        Whether it holds for certain, up to rounding: False where C(t) is known at samples only.
+    t : ndarray, shape (n+1,)
+    of_t : ndarray, shape (n,)
+        The bound on each step [t_i, t_{i+1}].
+    B : ndarray, shape (n,)
+        The bound of |u(t) - u_n(t)|_B on each step.
+    lower : float
+        A lower bound of the same supremum; 0 where none is known.
+    """
+
+    guaranteed: bool
+    t: np.ndarray
+    of_t: np.ndarray
+    B: np.ndarray
+    lower: float
+
+    @classmethod
+    def make(
+        cls, guaranteed: bool, t: np.ndarray, of_t: np.ndarray, B: np.ndarray, lower: float
+    ) -> ErrorBound:
+        # what overflows on the way, inf - inf for example, is not bounded
+        of_t, B = (np.where(np.isnan(one), np.inf, one) for one in (of_t, B))
+        bound = cls(of_t.max(initial=0.0))
+        bound.guaranteed, bound.t, bound.of_t, bound.B = guaranteed, t, of_t, B
+        bound.lower = lower if math.isfinite(lower) else 0.0
+        return bound
+
+
+def error_bound(
+    process: SweepingProcess,
+    plan: Plan,
+    run: Nodes,
+    variation: Callable[[float], float] | None = None,
+) -> ErrorBound:
+    """The bound of a run: through its own nodes, or beside a companion that is closer to u."""
+    still = process.rate_independent
+    own = plan.scheme.order >= 2 and not still
+    plan = replace(plan, reduction=None, tol=min(plan.tol, COMPANION_TOL))
+    near = run if own else _companion(process, plan, run.t)
+    norms = Norms(process)
+    missed = defects(process, plan.velocity(process.metric.M), norms, near, variation)
+    after = _grown(norms, near.t, missed)
+    nodes = run.at(near.t)
+    apart = _apart(near, missed.slopes, nodes)
+    rounding = SUMMED * math.sqrt(len(near.t)) * norms.A(near.u).max()
+    parts = (len(near.t) - 1) // (len(run.t) - 1)
+
+    def on_steps(bound: np.ndarray) -> np.ndarray:
+        return (bound + rounding).reshape(-1, parts).max(axis=1)
+
+    return ErrorBound.make(
+        guaranteed=missed.known,
+        t=run.t,
+        of_t=on_steps(norms.A(apart).max(axis=1) + after.A[1:]),
+        B=on_steps(norms.B(apart).max(axis=1) + after.B[1:]),
+        lower=0.0 if own else max(float((norms.A(near.u - nodes) - after.A).max()), 0.0),
+    )
+
+
+def _companion(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
+    """Midpoint on the same grid; where A = 0 implicit Euler on a finer one."""
+    if process.rate_independent:
+        return nodes_of(process, replace(plan, scheme=SCHEMES["implicit-euler"]), divided(t, PARTS))
+    return nodes_of(process, replace(plan, scheme=SCHEMES["midpoint"].unwatched), t)
+
+
+def nodes_of(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
+    """All nodes of a run on the grid t; what its programs miss is in the bound."""
+    times, mus = time_grid(None, t)
+    wanted = saving(None, times, process.dim, MEMORY)
+    for tol in (plan.tol, math.inf):
+        keeper = Keeper(wanted.steps, process.u0)
+        done = march(process, replace(plan, tol=tol), times, mus, keeper).done
+        if done == len(mus):
+            break
+    kept = keeper.close(done)[1]
+    return Nodes(times, kept.nodes, kept.velocities)
+
+
+class _After(NamedTuple):
+    """Bounds of |u - v| up to each node, in the two norms, shape (n+1,)."""
+
+    A: np.ndarray
+    B: np.ndarray
+
+
+def _grown(norms: Norms, t: np.ndarray, defects: Defects) -> _After:
+    """From what each step adds to what has come together."""
+    gaps, squares = defects.gaps, defects.squares
+    if norms.still:
+        turned = np.maximum.accumulate(defects.sup) + np.cumsum(defects.bent)
+        error = np.append(0.0, turned + np.sqrt(turned**2 + np.cumsum(gaps)))
+        return _After(error, error)
+    h = np.diff(t)
+    once = np.sqrt(h * (gaps + squares))  # Cauchy and Schwarz: int sqrt(2 G + |r|^2)
+    B = np.zeros(len(t))
+    root = math.sqrt(norms.Lam)
+    for i, (a, b) in enumerate(zip(gaps + 0.5 * squares, root * once, strict=True)):
+        B[i + 1] = min(math.sqrt(B[i] ** 2 + a), B[i] + b)
+    energy = np.sqrt((t - t[0]) * np.append(0.0, np.cumsum(gaps + squares)))
+    A = np.minimum(energy, _fan(norms, t, once))
+    if norms.lam > 0:
+        A = np.minimum(A, B / math.sqrt(norms.lam))
+    if not norms.Lam:
+        B = np.zeros(len(t))
+    return _After(A, B)
+
+
+def _fan(norms: Norms, t: np.ndarray, once: np.ndarray) -> np.ndarray:
+    """sum_j K(t_i - t_j) int_j |delta|, at every node; at some of them where there are many."""
+    n = len(once)
+    stride = max(n // 2000, 1)
+    ends = np.append(np.arange(0, n, stride), n)
+    some = np.array([float(norms.growth(t[m] - t[:m]) @ once[:m]) for m in ends])
+    # it never falls: between two of them the later one holds
+    return some[np.searchsorted(ends, np.arange(n + 1))]
+
+
+def _apart(near: Nodes, slopes: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """v - u_n on each step: Bernstein coefficients of its halves, shape (n, 7, dim)."""
+    h = np.diff(near.t)[:, None, None]
+    curve = cubic(near.u[:-1], near.u[1:], h * slopes)
+    share = (np.arange(4) / 3)[:, None]
+    return HALVES @ (curve - (1 - share) * u[:-1, None] - share * u[1:, None])

@@ -1,0 +1,81 @@
+"""Curves through the nodes of a run, and the forces along them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sweepopt.problem import SweepingProcess
+from sweepopt.sets import basis
+from sweepopt.velocity import VelocityOf
+
+
+class Nodes(NamedTuple):
+    """Nodes of a trajectory, shape (n+1, dim), and the mean velocities between them."""
+
+    t: np.ndarray
+    u: np.ndarray
+    velocity: np.ndarray
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """The interpolant at increasing times; at its own nodes these themselves."""
+        if len(times) == len(self.t):
+            return self.u
+        i = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.velocity) - 1)
+        return self.u[i] + (times - self.t[i])[:, None] * self.velocity[i]
+
+
+def slopes_of_curves(process: SweepingProcess, phi: VelocityOf, near: Nodes) -> list[np.ndarray]:
+    """Bernstein coefficients of v', shape (n, 3, dim), of several curves through the nodes.
+
+    Straight; for A coercive the cubic with the slopes Phi(t_i, u_i), else those with the slopes of
+    parabolas through three nodes: around the step, before it and after it.
+    """
+    mean = near.velocity
+    if not process.rate_independent:
+        slope = np.array(
+            [
+                phi(process.times_B(u), process.C.at(t)).velocity.z
+                for t, u in zip(near.t.tolist(), near.u, strict=True)
+            ]
+        )
+        ends = [(mean, mean), (slope[:-1], slope[1:])]
+    else:
+        h = np.diff(near.t)[:, None]
+        inner = (h[1:] * mean[:-1] + h[:-1] * mean[1:]) / (h[1:] + h[:-1])
+        slope = np.concatenate([mean[:1], inner, mean[-1:]])
+        before, after = slope[:-1], slope[1:]
+        ends = [
+            (mean, mean),
+            (before, after),
+            (before, 2 * mean - before),
+            (2 * mean - after, after),
+        ]
+    return [np.stack([first, 3 * mean - first - last, last], axis=1) for first, last in ends]
+
+
+def force_along(
+    process: SweepingProcess,
+    near: Nodes,
+    slopes: np.ndarray,
+    i: np.ndarray,
+    theta: np.ndarray,
+) -> np.ndarray:
+    """A v' + B v at the shares theta, shape (m, k), of the steps i; slopes of all steps."""
+    velocity = basis(2, theta) @ slopes[i]
+    force = _apply(process.A, velocity)
+    if process.B is not None:
+        h = (near.t[i + 1] - near.t[i])[:, None, None]
+        force += _apply(process.B, basis(3, theta) @ cubic(near.u[i], near.u[i + 1], h * slopes[i]))
+    return force
+
+
+def cubic(begin: np.ndarray, end: np.ndarray, increments: np.ndarray) -> np.ndarray:
+    """Bernstein coefficients of curves, shape (m, 4, dim), from their ends and h times v'."""
+    first, last = begin + increments[:, 0] / 3, end - increments[:, 2] / 3
+    return np.stack([begin, first, last, end], axis=1)
+
+
+def _apply(M: Any, x: np.ndarray) -> np.ndarray:
+    return (M @ x.reshape(-1, x.shape[-1]).T).T.reshape(x.shape)

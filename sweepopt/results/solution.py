@@ -1,0 +1,298 @@
+"""A trajectory that can prove how good it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from sweepopt.results.energy import Energy, energy_of
+from sweepopt.errors import InputError, Status, SweepoptError, shown
+from sweepopt.results.interpolant import Interpolant
+from sweepopt.results.nodes import Nodes
+from sweepopt.velocity import Plan
+from sweepopt.problem import SweepingProcess
+from sweepopt.integrate import Pass
+from sweepopt.integrate import States
+from sweepopt.integrate import Statistics
+from sweepopt.velocity import VelocityOf
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from matplotlib.axes import Axes
+    from xarray import Dataset
+
+    from sweepopt.results.error_bound import ErrorBound
+    from sweepopt.integrate import Trajectory
+
+
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The piecewise-linear interpolant u_n and its diagnostics.
+
+    Attributes
+    ----------
+    process : SweepingProcess
+    plan : Plan
+    t : ndarray, shape (k+1,)
+        The start and the ends of the kept steps: with ``save=None`` the whole grid, k = n.
+    steps : ndarray of int, shape (k,)
+        The kept steps, counted from 0.
+    states : States
+        Where `u` and `velocity` come from: ``states.u(i)`` gives some nodes without the others.
+    statistics : Statistics
+        What `stats` is made of.
+    status : Status
+    cause : str
+        Which step failed and why, when the run stopped at it.
+    recorded : list or None
+        What the function given as `save` returned, one entry a step.
+    exact : Trajectory or None
+        With ``scheme="exact"`` the trajectory itself: u at any time to rounding, its `switches`.
+    passes : tuple of Pass
+        All passes of adaptive steps, the last one is the run; empty for steps given beforehand.
+    """
+
+    process: SweepingProcess
+    plan: Plan
+    t: np.ndarray
+    steps: np.ndarray
+    states: States
+    statistics: Statistics
+    status: Status
+    cause: str = ""
+    recorded: list[Any] | None = None
+    exact: Trajectory | None = None
+    passes: tuple[Pass, ...] = ()
+
+    @cached_property
+    def u(self) -> np.ndarray:
+        """u_n at the times t, shape (k+1, dim)."""
+        return self.states.u(slice(None))
+
+    @cached_property
+    def velocity(self) -> np.ndarray:
+        """u_n' in the kept steps, shape (k, dim): (u_{i+1} - u_i) / mu of each."""
+        return self.states.velocity(slice(None))
+
+    @cached_property
+    def stats(self) -> np.ndarray:
+        """A structured array, one row a step, shape (n,).
+
+        t (its end), seconds, iterations, attempts, certificate (the largest bound of |z - z*|_M
+        over the programs that the step solved), relative (the certificate in units of the program's
+        size, what tol bounds), solver (who found it: a solver's name, "linear", "multigrid",
+        "closed form" or "at rest"; "clarabel/4" for a step that missed tol as a whole and was taken
+        in 4 parts: its programs are those of the parts, M = A + gamma mu / 4 B, and no bound of how
+        far its mean velocity is from that of one whole step).
+        """
+        return self.statistics.table()
+
+    @property
+    def complete(self) -> bool:
+        """Whether all steps are kept."""
+        return len(self.steps) == len(self.statistics)
+
+    @cached_property
+    def _grid(self) -> np.ndarray:
+        """All times of the run, kept or not, shape (n+1,)."""
+        return self.t if self.complete else np.append(self.t[0], self.statistics.columns["t"])
+
+    @cached_property
+    def _interpolant(self) -> Interpolant:
+        return Interpolant(self.t, self._grid[self.steps], self.states)
+
+    @property
+    def success(self) -> bool:
+        """Whether the run reached t_end with no step known to be wrong."""
+        return self.status in (Status.SUCCESS, Status.UNCERTIFIED)
+
+    @property
+    def message(self) -> str:
+        """The status as a sentence, and the cause of an early stop."""
+        return f"{self.status.value} {self.cause}".rstrip()
+
+    def __call__(self, t: Any) -> np.ndarray:
+        """u_n(t) = u_i + (t - t_i) / mu (u_{i+1} - u_i).
+
+        Parameters
+        ----------
+        t : float or array_like, shape (k,)
+
+        Returns
+        -------
+        ndarray, shape (dim,) or (k, dim)
+
+        Raises
+        ------
+        InputError
+            If a time is outside of [t[0], t[-1]] or in a step that was not kept.
+        """
+        return self._interpolant(t)
+
+    def viability(self, t: Any = None) -> np.ndarray:
+        """How far the viability condition A u' + B u in C(t) is missed, in the A^-1 metric.
+
+        Parameters
+        ----------
+        t : float or array_like, shape (k,), optional
+            Without it: for each step a bound of the distance of the stage's M z + q to its C, from
+            the certificate: |.|_{A^-1} <= sqrt(1 + mu a_kk Lam) |.|_{M^-1}; of a step in parts it
+            bounds those of all stages of the parts. With it: the distance
+            of A u_n'(t) + B u_n(t) to C(t), u_n' the left derivative (the right one at t[0]);
+            O(mu) for the first-order schemes.
+
+        Returns
+        -------
+        ndarray, shape (n,), () or (k,)
+        """
+        if t is None:
+            implicit = max(row[-1] for row in self.plan.scheme.a) * np.diff(self._grid)
+            ratio = self.process.Lam if not self.process.rate_independent else 1.0
+            ratios = float(not self.process.rate_independent) + implicit * ratio
+            return self.stats["certificate"] * np.sqrt(ratios)
+        return self._at_times(t, lambda _, force, C: self._distance(force, C))
+
+    def residual(self, t: Any) -> np.ndarray:
+        """The residual of the variational inequality, sigma(C(t), -u_n') + <u_n', A u_n' + B u_n>.
+
+        For C(t) = f - D it is J(u') - <f, u'> + <A u' + B u, u'>: minus the least value that
+        <A u' + B u - f, v - u'> + J(v) - J(u') takes where the viability condition holds. Zero for
+        the exact solution; O(mu) for first-order schemes; in units of power.
+
+        Parameters
+        ----------
+        t : float or array_like, shape (k,)
+
+        Returns
+        -------
+        ndarray, shape () or (k,)
+        """
+        return self._at_times(t, lambda z, force, C: C.support(-z) + float(z @ force))
+
+    @cached_property
+    def _nearest(self) -> VelocityOf:
+        return self.plan.velocity(self.process.metric.M)
+
+    def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
+        """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A = 0).
+
+        It costs about as much as the run, or up to ten times that where A = 0. Steps that were not
+        kept are computed again.
+
+        Parameters
+        ----------
+        variation : callable, optional
+            v(t) with d_H(C(t), C(s)) <= v(t) - v(s) for s <= t, in Euclidean norms, for a C(t)
+            that is a function of time and not data.
+
+        Returns
+        -------
+        ErrorBound
+            A float, with the bound on each step, in the B-seminorm, and a lower bound.
+
+        Raises
+        ------
+        InputError
+            If a variation that is given falls, or the states do not fit in memory.
+
+        Notes
+        -----
+        For any Lipschitz v with v(t_0) = u0 and any w(t) in C(t), with r = A v' + B v - w and
+        G = sigma(C(t), -v') + <v', w>,
+
+            |u - v|_A (t) <= int K(t - s) sqrt(2 G + |r|^2) ds    (|r| in the dual norm of A),
+            |u - v|_B^2 (t) <= int 2 G + |r|^2 / 2,
+
+        K(tau) = min(exp(nu tau), 1 + sqrt(Lam tau / 2), sqrt(Lam / lam)), nu = (Lam - lam)^2 / (8
+        (Lam + lam)), lam <= Lam the extreme eigenvalues of A^-1 B: `sweepopt.certificate` has all
+        of it, the notebook error_band.ipynb the proof. |u - u_n| <= |u - v| + |v - u_n|, v through
+        the nodes of the run or of a more accurate one beside it. No constant is unknown, what the
+        solvers miss is in r and G, and both are bounded on whole steps, not sampled. For a body of
+        finite elements u is the solution of the semi-discrete problem.
+
+        Examples
+        --------
+        >>> import sweepopt as so
+        >>> C = so.Moving(so.Box([-1], [1]), center=so.Separable([(so.Sine(3.0, 4.0), [1.0])]))
+        >>> process = so.SweepingProcess(A=[[0.5]], B=[[2.0]], C=C, u0=[0.0])
+        >>> bound = so.solve(process, t_end=5.0, steps=500).error_bound()
+        >>> bound.guaranteed, 0 < bound < 3e-3
+        (True, True)
+        """
+        if variation is None:
+            return self._bound
+        if not callable(variation):
+            raise InputError(f"variation must be a function of time, got {shown(variation)}")
+        return self._bound_with(variation)
+
+    @cached_property
+    def _bound(self) -> ErrorBound:
+        return self._bound_with(None)
+
+    def _bound_with(self, variation: Callable[[float], float] | None) -> ErrorBound:
+        from sweepopt.results.error_bound import error_bound, nodes_of
+
+        if self.complete:
+            run = Nodes(self.t, self.u, self.velocity)
+        elif self.exact is not None:
+            u = self.exact(self._grid)
+            run = Nodes(self._grid, u, np.diff(u, axis=0) / np.diff(self._grid)[:, None])
+        else:
+            run = nodes_of(self.process, replace(self.plan, reduction=None), self._grid)
+        with np.errstate(over="ignore", invalid="ignore"):  # a bound may be infinite
+            return error_bound(self.process, self.plan, run, variation)
+
+    def _distance(self, force: np.ndarray, C: Any) -> float:
+        # the velocity program with M = A, q = w is the projection of w on C in the A^-1 metric
+        found = self._nearest(force, C).velocity
+        if found.relative > self.plan.tol:
+            raise SweepoptError(
+                f"the distance to C(t) is known to {found.relative:.2g} only, tol is "
+                f"{self.plan.tol:g}; solve with a looser tol to see it all the same"
+            )
+        return self.process.metric.norm(found.z)
+
+    def _at_times(self, t: Any, measure: Any) -> np.ndarray:
+        times = self._interpolant.inside(t)
+        values = []
+        steps = self._interpolant.step_of(times)
+        for time, i in zip(times.ravel(), steps.ravel(), strict=True):
+            z = self.states.velocity(int(i))
+            force = self.process.A @ z + self.process.times_B(self(float(time)))
+            values.append(measure(z, force, self.process.C.at(float(time))))
+        return np.array(values).reshape(times.shape)
+
+    def to_xarray(self) -> Dataset:
+        """The trajectory and its statistics as an xarray.Dataset (needs the extra "fem")."""
+        from sweepopt.fem.output import to_xarray
+
+        return to_xarray(self)
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Components of u_n over time, stick phases shaded (needs the extra "plot")."""
+        from sweepopt.plot import plot_solution
+
+        return plot_solution(self, ax)
+
+    def energy(self) -> Energy:
+        """Energies of the run; forces are taken at the middle of each step.
+
+        Raises
+        ------
+        InputError
+            If not all steps were kept.
+
+        Notes
+        -----
+        For a C that is not a translate C = f - D, `work` is zero and `friction` holds
+        int sigma(C, -u').
+        """
+        if not self.complete:
+            raise InputError("energies add up all steps, but not all were kept; leave save= out")
+        return energy_of(self.process, self.t, self.states)

@@ -1,0 +1,320 @@
+"""What a process really needs: looked at before the loop, and a value that prints itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from sweepopt.checks import Matrix
+from sweepopt.errors import PathError, SolverRefusedError, shown
+from sweepopt.linalg import Elimination, Factor, Multigrid
+from sweepopt.problem import SweepingProcess
+from sweepopt.sets import ConvexSet, same_array
+from sweepopt.velocity.elimination import (
+    SelectedVelocity,
+    Solved,
+    VelocityOf,
+    accurate,
+    eliminated,
+    linear,
+    unless_at_rest,
+)
+from sweepopt.velocity.proportional import Reduction, reduce
+from sweepopt.velocity.routes import iterated, programmed
+from sweepopt.velocity.solvers import Solver, choose
+
+if TYPE_CHECKING:
+    from sweepopt.integrate import Scheme
+
+PATHS = {
+    "auto": "the first that applies",
+    "proportional": "the contact alone, the other unknowns are recovered when asked for",
+    "multigrid": "all unknowns, for bodies whose factors do not fit in memory",
+    "eliminated": "a program for the contact, two substitutions for the others",
+    "full": "a program for all unknowns",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Factors:
+    """A matrix factorised in the ways that somebody asks for."""
+
+    M: Matrix
+    contact: np.ndarray
+    order: np.ndarray | None
+
+    @cached_property
+    def whole(self) -> Factor:
+        return Factor(self.M)
+
+    @cached_property
+    def hierarchy(self) -> Multigrid:
+        return Multigrid(self.M)
+
+    @cached_property
+    def elimination(self) -> Elimination:
+        return Elimination(self.M, self.contact, self.order)
+
+    @cached_property
+    def small(self) -> Factor:
+        """What is left for the contact."""
+        return Factor(self.elimination.N)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """How a process is simulated.
+
+    Attributes
+    ----------
+    unknowns : int
+    nonsmooth_unknowns : int
+        How many of them the set acts on; 0 means linear solves only.
+    solver : str or Solver
+        The user's choice.
+    solvers : tuple of Solver
+        What it means for this set: the first one solves, the others repair a step it misses; empty
+        for a linear process.
+    scheme : Scheme
+    tol : float
+        Bound of each program's relative certificate.
+    left_out : tuple of str
+        What the process does not have and the run does not compute.
+    contact : ndarray of int or None
+        The few unknowns the set acts on, if all others are eliminated; None keeps them.
+    reduction : Reduction or None
+        The process of the contact alone, if the material and the load are proportional.
+    order : ndarray of int or None
+        An order of the unknowns with little fill, for elimination.
+    multigrid : bool
+        Whether matrices get a multigrid hierarchy instead of a factorisation.
+    """
+
+    unknowns: int
+    nonsmooth_unknowns: int
+    solver: Any
+    solvers: tuple[Solver, ...]
+    scheme: Scheme
+    tol: float
+    left_out: tuple[str, ...]
+    contact: np.ndarray | None = None
+    reduction: Reduction | None = None
+    order: np.ndarray | None = None
+    multigrid: bool = False
+
+    @property
+    def path(self) -> str:
+        """Which unknowns enter a step."""
+        if self.reduction is not None:
+            return "proportional"
+        if self.multigrid:
+            return "multigrid"
+        if not self.solvers:
+            return "linear"
+        return "full" if self.contact is None else "eliminated"
+
+    @property
+    def entering(self) -> int:
+        """How many unknowns enter a step and are kept of it."""
+        return self.unknowns if self.reduction is None else self.reduction.process.dim
+
+    @property
+    def of_entering(self) -> Plan:
+        """The plan of the process that the loop moves: the reduction's, if there is one."""
+        if self.reduction is None:
+            return self
+        return replace(self, unknowns=self.entering, contact=None, reduction=None, order=None)
+
+    @property
+    def eliminated(self) -> int:
+        """How many unknowns leave the program before it is solved."""
+        return 0 if self.contact is None or self.multigrid else self.unknowns - len(self.contact)
+
+    def of_all_unknowns(self, reason: str) -> Plan:
+        """The plan without its reduction, which does not suit the steps."""
+        if self.reduction is None:
+            return self
+        left_out = (*self.left_out, f"proportional path: {reason}")
+        return replace(self, reduction=None, left_out=left_out)
+
+    @property
+    def _order(self) -> str:
+        return "" if self.scheme.exact else f" (order {self.scheme.order})"
+
+    def velocity(self, M: Matrix | Factors) -> VelocityOf:
+        """Compile (q, C) -> certified velocity for one matrix; not to be shared by threads.
+
+        Each C is looked at again: a point needs a linear solve only, a set on the contact unknowns
+        a small program, any other set the full one. What a C needs is compiled when it comes.
+        """
+        factors = M if isinstance(M, Factors) else self.factors(M)
+        contact, enough = factors.contact, accurate(factors.M.shape[0], self.tol)
+        program = cache(lambda: programmed(factors.whole, self.solver, self.tol, self.order))
+        if self.multigrid:
+            point = cache(lambda: linear(factors.hierarchy, enough))
+            selected = cache(lambda: iterated(factors.hierarchy, contact, self.tol))
+        else:
+            point = cache(lambda: linear(factors.whole, enough))
+            selected = cache(lambda: self._eliminated(factors, enough))
+
+        def solve(q: np.ndarray, C: ConvexSet) -> Solved:
+            if C.singleton:
+                return point()(q, C)
+            selection = C.selection if contact.size else None
+            if selection is None or not same_array(selection.unknowns, contact):
+                return program()(q, C)
+            return selected()(q, selection)
+
+        return solve
+
+    def factors(self, M: Matrix) -> Factors:
+        """What is known of a matrix before any velocity: nothing in it depends on steps."""
+        contact = np.zeros(0, dtype=int) if self.contact is None else self.contact
+        return Factors(M, contact, self.order)
+
+    def _eliminated(self, factors: Factors, enough: float) -> SelectedVelocity:
+        small = programmed(factors.small, self.solver, self.tol, None)
+        moving = eliminated(factors.elimination, small, enough)
+        return unless_at_rest(factors.elimination.diagonal, moving)
+
+    def __str__(self) -> str:
+        solver = self.solvers[0].name if self.solvers else "linear solves, no optimiser"
+        if self.solver == "auto" and self.solvers:
+            solver += ", a formula where M is diagonal"
+        if self.scheme.exact:
+            solver = "closed forms between the switches, which are located"
+        if self.multigrid:
+            solver = "conjugate gradients with a multigrid cycle"
+        lines = [
+            f"path                {self.path}: {PATHS.get(self.path, 'a linear solve a step')}",
+            f"unknowns            {self.unknowns}",
+            f"nonsmooth unknowns  {self.nonsmooth_unknowns}",
+            f"eliminated          {self.eliminated}",
+            f"scheme              {self.scheme.name}{self._order}",
+            f"solver              {solver}",
+            f"tolerance           {self.tol:g} (relative certificate of each program)",
+        ]
+        lines += [f"left out            {what}" for what in self.left_out]
+        return "\n".join(lines)
+
+
+def make_plan(
+    process: SweepingProcess,
+    members: Sequence[tuple[float, ConvexSet]],
+    scheme: Scheme,
+    solver: Any,
+    tol: float,
+    path: str = "auto",
+) -> Plan:
+    """Look at the process and at its sets.
+
+    Parameters
+    ----------
+    members : sequence of (t, C(t))
+        One for each cone that C takes on the grid, as `SweepingProcess.check` returns them.
+    path : str
+        One of PATHS, or "auto" for the first that applies.
+
+    Raises
+    ------
+    PathError
+        If the path does not apply.
+    SolverRefusedError
+        If the solver is not known or cannot treat one of the sets.
+    """
+    solvers, contact = _looked(process.dim, members, solver, path)
+    if path in ("eliminated", "proportional") and contact is None:
+        raise PathError(
+            f"path={path!r} needs a C(t) that acts on the same few unknowns at all times: write it "
+            "as so.image(E^T, S) with E selecting them"
+        )
+    multigrid = path == "multigrid" or (path == "auto" and isinstance(process.metric, Multigrid))
+    if multigrid:
+        _require_multigrid(process, members, contact, solver)
+    if scheme.exact and multigrid:
+        raise PathError("path='multigrid' has no closed form; use another scheme than 'exact'")
+    reduced: Reduction | str = "the unknowns shall be kept"
+    if len(scheme.b) > 1:
+        reduced = f"scheme {scheme.name!r} has several stages"
+    elif path in ("auto", "proportional") and contact is not None and not multigrid:
+        reduced = reduce(process, tol, members[0][0])
+    if path == "proportional" and isinstance(reduced, str):
+        raise PathError(f"path='proportional' does not apply: {reduced}")
+    if scheme.exact and isinstance(reduced, str):
+        contact = None  # the closed form has all unknowns in it
+    return Plan(
+        unknowns=process.dim,
+        nonsmooth_unknowns=max(C.nonsmooth_dim for _, C in members),
+        solver=solver,
+        solvers=solvers,
+        scheme=scheme,
+        tol=tol,
+        left_out=tuple(_left_out(process, solvers)),
+        contact=contact,
+        order=process.metric.order,
+        multigrid=multigrid,
+        reduction=None if isinstance(reduced, str) else reduced,
+    )
+
+
+class _Looked(NamedTuple):
+    """Who solves for the sets, and the few unknowns that all of them act on, if there are such."""
+
+    solvers: tuple[Solver, ...]
+    contact: np.ndarray | None
+
+
+def _looked(
+    dim: int, members: Sequence[tuple[float, ConvexSet]], solver: Any, path: str
+) -> _Looked:
+    solvers: tuple[Solver, ...] = ()
+    contacts: list[np.ndarray] = []
+    for t, C in members:
+        selection = None if path == "full" else C.selection
+        try:
+            chosen = choose(solver, C if selection is None else selection.part)
+        except SolverRefusedError as error:
+            raise SolverRefusedError(f"{error} (C(t) at t = {t:g})") from error
+        if not C.singleton:
+            solvers = solvers or chosen
+            contacts.append(np.arange(C.dim) if selection is None else selection.unknowns)
+    few = bool(contacts) and contacts[0].size < dim
+    same = all(np.array_equal(contact, contacts[0]) for contact in contacts)
+    return _Looked(solvers, contacts[0] if few and same else None)
+
+
+def _left_out(process: SweepingProcess, solvers: tuple[Solver, ...]) -> Iterator[str]:
+    """What the process does not have."""
+    if process.B is None:
+        yield "B: there is none, velocities do not depend on history"
+    if process.rate_independent:
+        yield "A: it is zero, the process is rate-independent"
+    if not solvers:
+        yield "optimiser: C(t) is a point, each step is one linear solve"
+
+
+def _require_multigrid(
+    process: SweepingProcess,
+    members: Sequence[tuple[float, ConvexSet]],
+    contact: np.ndarray | None,
+    solver: Any,
+) -> None:
+    """Refuse what the multigrid path does not treat."""
+    if solver != "auto":
+        raise SolverRefusedError(
+            f"path='multigrid' has no use for solver={shown(solver)}; leave one of them out"
+        )
+    if not sp.issparse(process.A):
+        raise PathError("path='multigrid' needs A as a sparse matrix")
+    parts = [C.selection.part for _, C in members if C.selection is not None and not C.singleton]
+    derivatives = [part.derivative(part.anchor) for part in parts]
+    separable = all(D is not None and D.ndim == 1 for D in derivatives)
+    if not all(C.singleton for _, C in members) and (contact is None or not separable):
+        raise PathError(
+            "path='multigrid' needs a C(t) that acts on few unknowns, each alone: an image of a Box"
+        )

@@ -1,0 +1,118 @@
+"""DAQP, a dual active-set method: the fastest for small programs over boxes, warm started.
+
+For C = [l, u] the velocity program is the projection of q on C in the M^-1 metric: in w = M z + q
+
+    min 1/2 |w - q|^2_{M^-1}   subject to   l <= w <= u,
+
+a quadratic program whose only constraints are bounds. A step changes q, l and u and starts from the
+active set of the step before (Arnström, Bemporad, Axehill, IEEE Trans. Automat. Contr. 67, 2022).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+from scipy.linalg import lapack
+
+from sweepopt.errors import MissingExtraError
+from sweepopt.linalg import Factor, dense
+from sweepopt.sets import ConvexSet, binary
+from sweepopt.velocity.program import VelocityProgram
+from sweepopt.velocity.solvers.base import Answer, Small, Solve
+
+FAR, INFINITE = 1e60, 1e30  # beyond any bound of a set; what DAQP takes for no bound
+
+
+@dataclass(frozen=True)
+class DAQP(Small):
+    """DAQP for small programs over boxes (needs the extra "speed").
+
+    Parameters
+    ----------
+    max_dim : int
+        Larger programs are left to the other solvers: the cost grows with the number of entries
+        that change sides in a step, and Newton's method changes all of them at once.
+
+    Raises
+    ------
+    InputError
+        If max_dim is not positive.
+
+    Examples
+    --------
+    >>> from sweepopt.sets import Ball, Box
+    >>> DAQP().treats(Box([-1.0], [1.0])), DAQP().treats(Ball([0.0, 0.0], 1.0))
+    (True, False)
+    """
+
+    name = "daqp"
+
+    def treats(self, C: ConvexSet) -> bool:
+        """Whether C is small and a box: its projection has a diagonal derivative."""
+        if not C.polyhedral or C.dim > self.max_dim:
+            return False
+        D = C.derivative(C.anchor)
+        return D is not None and D.ndim == 1
+
+    def compile(self, program: VelocityProgram) -> Solve:
+        """Invert M once; a call updates the linear term and the bounds."""
+        if not installed():
+            raise MissingExtraError("daqp", "speed")
+        return _Workspace(program.M)
+
+
+class _Workspace:
+    """The inverse of M in units of its diagonal, the last bounds and the engine that has them."""
+
+    def __init__(self, M: Factor) -> None:
+        root = M.root
+        # in units of the diagonal: the method's tolerances are absolute
+        factor, _ = lapack.dpotrf(dense(M.M) / np.outer(root, root), lower=True)
+        lower = np.tril(lapack.dpotri(factor, lower=True)[0])
+        self._root, self._inverse = root, np.ascontiguousarray(lower + np.tril(lower, -1).T)
+        self._engine: Any = None
+        self._box: ConvexSet | None = None
+        self._unit = 0.0
+
+    def __call__(self, q: np.ndarray, C: ConvexSet) -> Answer:
+        q, nothing = q / self._root, np.zeros(C.offsets.size)
+        force = binary(np.abs(q).max())
+        self._update(self._inverse.dot(q) / -force, C, force)
+        w, _, flag, info = self._engine.solve()
+        if flag != 1:
+            self._engine = None  # a workspace that failed once is not used again
+            return Answer(np.zeros_like(q), nothing, 0, f"failed: flag {flag}")
+        z = self._inverse.dot(w * force - q) / self._root
+        return Answer(z, nothing, int(info["iterations"]), "solved")
+
+    def _update(self, linear: np.ndarray, C: ConvexSet, unit: float) -> None:
+        """The program of this linear term and of C, both in a unit of force."""
+        same = C is self._box and unit == self._unit
+        if same and self._engine is not None:
+            self._engine.update(f=linear)
+            return
+        if not same:
+            self._box, self._unit = C, unit
+            far = np.full(linear.size, FAR)
+            bounds = np.array([C.project(far), C.project(-far)]) / self._root
+            with np.errstate(over="ignore"):  # a unit of next to nothing: as far as INFINITE
+                bounds = bounds / unit
+            self._above, self._below = np.maximum(np.minimum(bounds, INFINITE), -INFINITE)
+        if self._engine is None:
+            import daqp
+
+            self._engine = daqp.Model()
+            no_rows, sense = np.zeros((0, linear.size)), np.zeros(linear.size, dtype=np.int32)
+            self._engine.setup(self._inverse, linear, no_rows, self._above, self._below, sense)
+        else:
+            self._engine.update(f=linear, bupper=self._above, blower=self._below)
+
+
+@cache
+def installed() -> bool:
+    """Whether DAQP is there, so that "auto" may choose it."""
+    return find_spec("daqp") is not None

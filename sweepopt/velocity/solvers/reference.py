@@ -1,0 +1,112 @@
+"""The velocity program as cvxpy solves it: slow, readable, and open to every solver cvxpy has."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sweepopt.errors import InputError, SolverRefusedError, shown
+from sweepopt.sets import ConvexSet, in_turn, silence
+from sweepopt.velocity.program import VelocityProgram
+from sweepopt.velocity.solvers.base import Answer, Solve, Solver
+
+QUADRATIC_ONLY = {"OSQP", "PIQP", "PROXQP", "DAQP", "HIGHS"}
+TIGHT: dict[str, dict[str, Any]] = {
+    "CLARABEL": {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11},
+    "OSQP": {"eps_abs": 1e-10, "eps_rel": 1e-10, "max_iter": 100_000, "polishing": True},
+}
+
+
+@dataclass(frozen=True)
+class Cvxpy:
+    """Any solver installed for cvxpy, through cvxpy's own interface.
+
+    Parameters
+    ----------
+    solver : str
+        cvxpy's name of it, for example "CLARABEL", "OSQP", "PIQP".
+    settings : dict
+        Passed on to the solver; tight ones are chosen for CLARABEL and OSQP when empty.
+
+    Raises
+    ------
+    InputError
+        If the solver is no name or the settings are no dict.
+
+    Examples
+    --------
+    >>> Cvxpy("OSQP", {"eps_abs": 1e-9}).name
+    'cvxpy:osqp'
+    """
+
+    solver: str = "CLARABEL"
+    settings: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.solver, str) or not isinstance(self.settings, dict):
+            given = shown((self.solver, self.settings))
+            raise InputError(
+                f"Cvxpy takes the name of a solver and a dict of settings, got {given}"
+            )
+
+    @property
+    def name(self) -> str:
+        return f"cvxpy:{self.solver.lower()}"
+
+    def treats(self, C: ConvexSet) -> bool:
+        """Polyhedra, and every set if the solver is not one for quadratic programs."""
+        return C.polyhedral or self.solver.upper() not in QUADRATIC_ONLY
+
+    def refined(self) -> Solver | None:
+        """None: the settings are the user's."""
+        return None
+
+    def compile(self, program: VelocityProgram) -> Solve:
+        """State the program once; a call sets its parameters and solves."""
+        import cvxpy as cp
+
+        name = self.solver.upper()
+        if name not in installed():
+            raise SolverRefusedError(
+                f"cvxpy has no solver {name!r} here; it has {', '.join(installed())}"
+            )
+        settings = self.settings or TIGHT.get(name, {})
+        statement = program.statement()
+        n, size = program.M.dim, program.cone.offsets.size
+
+        @in_turn
+        def solve(q: np.ndarray, C: ConvexSet) -> Answer:
+            offsets = program.capped(q, C).offsets
+            # forces in units of the largest one: solvers' absolute tolerances need it
+            force = max(np.abs(q).max(), np.abs(offsets).max(initial=0.0)) or 1.0
+            statement.q.value = q / force
+            statement.offsets.value = offsets / force if size else np.zeros(1)
+            # OSQP's polish reports an empty active set even when it is told to be quiet
+            with warnings.catch_warnings(), silence():
+                warnings.filterwarnings("ignore", message="Solution may be inaccurate")
+                try:
+                    statement.problem.solve(solver=name, enforce_dpp=True, **settings)
+                except cp.SolverError as error:
+                    return Answer(np.zeros(n), np.zeros(size), 0, f"failed: {error}")
+                except (TypeError, ValueError) as error:
+                    raise SolverRefusedError(
+                        f"cvxpy's {name} does not take the settings {settings}: {error}"
+                    ) from error
+            if statement.z.value is None:
+                return Answer(np.zeros(n), np.zeros(size), 0, str(statement.problem.status))
+            iterations = statement.problem.solver_stats.num_iters or 0
+            scale = force / program.stiffness
+            z, y = statement.z.value * scale, np.asarray(statement.y.value)[:size] * scale
+            return Answer(z, y, iterations, str(statement.problem.status))
+
+        return solve
+
+
+def installed() -> list[str]:
+    """The solvers that cvxpy finds here."""
+    import cvxpy as cp
+
+    return list(cp.installed_solvers())
