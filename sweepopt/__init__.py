@@ -48,7 +48,7 @@ from sweepopt.sets import (
     product,
 )
 from sweepopt.solve import solve
-from sweepopt.velocity import DAQP, OSQP, ActiveSet, Clarabel, Cvxpy, Newton, Plan, Secular
+from sweepopt.velocity import DAQP, OSQP, ActiveSet, Clarabel, Cvxpy, Newton, Plan
 
 __version__ = "0.1.0"
 
@@ -89,7 +89,6 @@ __all__ = [
     "Polynomial",
     "Polytope",
     "SecondOrderCone",
-    "Secular",
     "Separable",
     "Sine",
     "Solution",

@@ -135,7 +135,7 @@ def right_run(draw: Any) -> tuple[Call, dict[str, Any]]:
     return draw(process), options
 
 
-SOLVERS = ["auto", "clarabel", "osqp", "newton", "daqp", "secular", "active-set", "cvxpy"]
+SOLVERS = ["auto", "clarabel", "osqp", "newton", "daqp", "active-set", "cvxpy"]
 SCHEMES = ["auto", "catching-up", "implicit-euler", "midpoint", "trapezoid", "sdirk2", "exact"]
 TIMES = [[0, 0.5, 1], [0.0, 0.1, 1.0], [0, 0.5, 0.2], [1, 0], [0, NAN], [0, 1, 1], [[0, 1]], [0]]
 TIMES += [[0, 1e-300, 1], [-1, 0, 1], [0, 1e300], np.array([0, 1]), [0, INF], [0.5, "1"], range(4)]

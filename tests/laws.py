@@ -801,19 +801,6 @@ def gap_is_what_a_pair_misses(entry: Entry, s: Sample, rng: Rng) -> None:
     close(gap, s.C.support(p) - p @ w, max(entry.tol, entry.support_tol, entry.edge_tol), unit)
 
 
-def within_reach_a_set_is_what_it_was(entry: Entry, s: Sample, rng: Rng) -> None:
-    C = s.C
-    center, reach = C.project(far_and_near(rng, C.dim)), 10.0 ** rng.uniform(-2, 1, size=C.dim)
-    D = C.within(center, reach)
-    assert D.same_cone(C)
-    for _ in range(5):
-        v = center + rng.uniform(-1, 1, size=C.dim) * reach
-        w, again = C.project(v), D.project(v)
-        # a point inside has the same normals: it is nearest to v in both or in neither
-        if min((np.abs(x - center) / reach).max() for x in (w, again)) < 1:
-            close(again, w, max(entry.tol, entry.edge_tol), size(v, C.offsets))
-
-
 def companion_bounds_the_gap_between_samples_too(entry: Entry, s: Sample, rng: Rng) -> None:
     C = s.C
     p = np.array([normals(s, rng) for _ in range(3)])
@@ -859,5 +846,4 @@ LAWS: dict[Callable[[Entry, Sample, Rng], None], int] = {
     witness_error_is_as_small_as_the_perturbation: 3,
     gap_is_what_a_pair_misses: 4,
     companion_bounds_the_gap_between_samples_too: 3,
-    within_reach_a_set_is_what_it_was: 4,
 }

@@ -167,6 +167,6 @@ def test_sets_of_several_kinds_are_solved_each_in_its_way_or_refused_before_the_
     this = so.SweepingProcess([[2, 0.5], [0.5, 1]], np.eye(2), C, [0, 0])
     sol = so.solve(this, t_end=3.99, steps=40)
     assert sol.stats["relative"].max() <= 1e-6
-    assert {"linear", "secular"} <= set(sol.stats["solver"])
+    assert {"linear", "newton"} <= set(sol.stats["solver"])
     with pytest.raises(so.SolverRefusedError, match=r"Ball.*t = 2"):
         so.solve(this, t_end=3.99, steps=40, solver="osqp")

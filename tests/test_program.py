@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import sweepopt as so
 from sweepopt.linalg import Factor
 from sweepopt.velocity.program import VelocityProgram, untranslated
-from sweepopt.velocity.routes import programmed
+from sweepopt.velocity.routes import Programmed
 from sweepopt.velocity.solvers import choose
 
 SOLVERS = [so.Clarabel(), so.OSQP(), so.DAQP(), so.Cvxpy("CLARABEL"), so.Cvxpy("OSQP")]
@@ -177,8 +177,8 @@ def test_rows_beside_a_set_on_few_unknowns_are_as_exact_as_the_same_set_all_in_r
     M = Factor((turn * np.geomspace(1, condition, 6)) @ turn.T)
     C = so.product(so.Polyhedron(G, h), so.image(few, box))
     for q in 10 * rng.normal(size=(10, 6)):
-        found = programmed(M, solver, 1e-6, None)(q, C).velocity
-        other = programmed(M, "active-set", 1e-6, None)(q, same).velocity
+        found = Programmed(M, solver, 1e-6, None)(q, C).velocity
+        other = Programmed(M, "active-set", 1e-6, None)(q, same).velocity
         assert found.relative <= 1e-9
         assert M.norm(found.z - other.z) <= 1e-12 * math.sqrt(condition) * M.norm(other.z)
 
@@ -313,44 +313,11 @@ def held_program() -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("kind", ["box", "one side", "contact", "half-lines", "discs", "scaled"])
-def test_bounds_out_of_reach_blind_no_solver(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bounds_out_of_reach_blind_no_solver(kind: str) -> None:
     (M, q), C = held_program(), far(kind)
     program = VelocityProgram(Factor(M), C)
-    found = programmed(program.M, "auto", 1e-9, None)(q, C).velocity
+    found = Programmed(program.M, "auto", 1e-9, None)(q, C).velocity
     assert found.relative <= 1e-9
-    for solver in (so.OSQP(), so.Clarabel(), so.Cvxpy("OSQP"), so.Cvxpy("CLARABEL")):
-        if not solver.treats(C):
-            continue
-        answer = solver.compile(program)(q, C)
-        # neither the polish nor another solver helps; the certificate is that of the given set
-        velocity = program.certify(q, C, answer.z, answer.y)
-        assert velocity.relative <= (1e-6 if "osqp" in solver.name else 2e-4)
-        assert program.M.norm(velocity.z - found.z) <= velocity.certificate + 1e-9
-    monkeypatch.setattr("sweepopt.velocity.program.FAR", np.inf)
-    blind = so.Clarabel().compile(program)(q, C)
-    with np.errstate(over="ignore", invalid="ignore"):
-        assert not program.M.norm(blind.z - found.z) <= 1e-2 * program.M.norm(found.z)
-
-
-@pytest.mark.parametrize("kind", ["box", "one side", "contact", "half-lines", "discs"])
-def test_what_is_out_of_reach_changes_no_solution(kind: str) -> None:
-    pytest.importorskip("mpmath")
-    from sweepopt.study.hard import Program
-
-    (M, q), C = held_program(), far(kind)
-    capped = VelocityProgram(Factor(M), C).capped(q, C)
-    assert np.abs(capped.offsets).max() <= 100 * np.abs(q).max()
-    assert np.abs(C.offsets).max() >= 1e73
-    near = np.zeros(12)
-    z, same = (Program(M).solve(q, shape, near).z for shape in (C, capped))
-    assert max(abs(float(a - b)) for a, b in zip(z, same, strict=True)) <= 1e-40
-    assert any(z)
-
-
-def test_bounds_of_the_size_of_the_forces_are_left_alone() -> None:
-    M, q = held_program()
-    C = so.Box(-np.ones(12), np.ones(12))
-    assert VelocityProgram(Factor(M), C).capped(q, C) is C
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -361,6 +328,6 @@ def test_the_certificate_of_a_long_thin_ellipsoid_is_not_below_the_error(seed: i
     G = rng.integers(-3, 4, size=(4, 4)).astype(float)
     M, p = G @ G.T + 4 * np.eye(4), 2.0 ** rng.integers(4, 12) * corner
     c = rng.integers(-2, 3, size=4).astype(float)
-    program = programmed(Factor(M), "auto", 1e-4, None)
+    program = Programmed(Factor(M), "auto", 1e-4, None)
     found = program(c + corner / 2 + M @ p, so.Ellipsoid(c, shape)).velocity
     assert Factor(M).norm(found.z + p) <= found.certificate

@@ -71,7 +71,6 @@ def polygon() -> so.SweepingProcess:
 ROUTES: dict[str, tuple[Callable[[], so.SweepingProcess], dict[str, Any]]] = {
     "closed form": (lambda: body(A=np.diag(A.diagonal()), B=None), {}),
     "linear": (lambda: body(C=so.Point(np.zeros(N))), {}),
-    "secular": (lambda: body(C=so.Ball(np.zeros(N), 1.0)), {"solver": "secular"}),
     "newton": (body, {"solver": "newton"}),
     "daqp": (body, {"solver": "daqp"}),
     "clarabel": (body, {"solver": "clarabel"}),
@@ -192,7 +191,6 @@ SMALL: dict[str, dict[str, Any]] = {
     "daqp": {"solver": "daqp"},
     "osqp": {"solver": "osqp"},
     "clarabel": {"solver": "clarabel"},
-    "secular": {"solver": "secular", "C": so.Ball([0.0, 0.0], 1.0)},
 }
 PAGE = 4096 if sys.platform == "win32" else __import__("resource").getpagesize()
 

@@ -55,7 +55,6 @@ ROUTES: dict[str, Route] = {
     "closed form": Route({}, A=np.diag(A.diagonal()), B=np.zeros((N, N))),
     "newton": Route({"solver": "newton"}),
     "daqp": Route({"solver": "daqp"}),
-    "secular": Route({"solver": "secular"}, shape="ball"),
     "clarabel, full": Route({"solver": "clarabel", "path": "full"}, few=True),
     "clarabel, discs": Route({"solver": "clarabel"}, shape="discs"),
     "clarabel, eliminated": Route({"solver": "clarabel", "path": "eliminated"}, few=True),

@@ -21,7 +21,6 @@ from sweepopt.sets.image import Image
 from sweepopt.sets.intersections import Intersection
 from sweepopt.sets.product import Product
 from sweepopt.sets.sums import Sum
-from sweepopt.sets.units import in_units
 from sweepopt.study.hard.bodies import rod
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
@@ -162,33 +161,6 @@ def assert_same(plain: so.Solution, other: so.Solution, L: float, T: float = 1.0
     for one, two in ((plain.u, other.u / L), (plain.velocity, other.velocity * (T / L))):
         np.testing.assert_allclose(two, one, rtol=0, atol=ENOUGH * np.abs(one).max())
         assert np.array_equal(two == 0, one == 0)
-
-
-def mixed(name: str) -> tuple[so.ConvexSet, np.ndarray, so.ConvexSet | None]:
-    """A set of the zoo, units of its entries from 2^-20 to 2^20, and the set in these."""
-    C = ZOO[name].sample(5).C
-    units = 2.0 ** np.random.default_rng(6).integers(-20, 21, C.dim)
-    return C, units, in_units(C, units)
-
-
-MIXED = [name for name in ZOO if mixed(name)[2] is not None]
-
-
-@pytest.mark.parametrize("name", MIXED)
-def test_entries_may_have_units_of_their_own(name: str) -> None:
-    C, units, other = mixed(name)
-    assert other is not None
-    random = np.random.default_rng(7)
-    for z in random.normal(size=(4, C.dim)):
-        np.testing.assert_allclose(other.support(z / units), C.support(z), rtol=1e-9, atol=1e-9)
-    A, f = spd(random, C.dim), 3 * random.normal(size=C.dim)
-    found = []
-    for D, unit in ((C, np.ones(C.dim)), (other, units)):
-        process = so.SweepingProcess(unit[:, None] * A * unit, None, D + unit * f, np.zeros(C.dim))
-        sol = so.solve(process, t_end=1.0, steps=1, path="full")
-        assert sol.stats["relative"].max() <= 1e-9
-        found.append(sol.velocity[0] * unit)
-    np.testing.assert_allclose(found[1], found[0], rtol=0, atol=1e-9 * np.abs(found[0]).max())
 
 
 @pytest.mark.parametrize("seed", range(4))

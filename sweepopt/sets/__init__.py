@@ -65,17 +65,11 @@ from sweepopt.sets.polytope import (
 from sweepopt.sets.product import (
     product,
 )
-from sweepopt.sets.secular import (
-    secular,
-)
 from sweepopt.sets.shapes import (
     Box,
     Orthant,
     Point,
     WholeSpace,
-)
-from sweepopt.sets.units import (
-    in_units,
 )
 
 __all__ = [
@@ -108,12 +102,10 @@ __all__ = [
     "halfspaces",
     "image",
     "in_turn",
-    "in_units",
     "least_distance",
     "product",
     "products",
     "same_array",
-    "secular",
     "silence",
     "to_bernstein",
 ]

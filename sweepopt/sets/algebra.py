@@ -137,9 +137,6 @@ class Translation(_Similar):
         y, constraints = self.part.features(p)
         return Features([p, *y], constraints)
 
-    def within(self, center: np.ndarray, reach: np.ndarray) -> Translation:
-        return Translation(self.part.within(center - self.v, reach), self.v)
-
     def witness(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:
@@ -198,9 +195,6 @@ class Scaling(_Similar):
 
     def features(self, p: cp.Expression) -> Features:
         return self.part.features(p)
-
-    def within(self, center: np.ndarray, reach: np.ndarray) -> Scaling:
-        return Scaling(self.factor, self.part.within(center / self.factor, reach / self.factor))
 
     def witness(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
@@ -275,9 +269,6 @@ class Negation(_Similar):
 
     def features(self, p: cp.Expression) -> Features:
         return self.part.features(-p)
-
-    def within(self, center: np.ndarray, reach: np.ndarray) -> Negation:
-        return Negation(self.part.within(-center, reach))
 
     def witness(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray

@@ -69,10 +69,6 @@ class Ball(ConvexSet):
         size = cp.Variable(1)
         return Features([p, size], norms_below(p, size, self.dim))
 
-    def within(self, center: np.ndarray, reach: np.ndarray) -> Ball:
-        farthest = float(np.linalg.norm(np.abs(center - self.center) + reach))
-        return Ball(self.center, min(self.radius, farthest))
-
     def magnitude(self) -> float:
         return float(np.linalg.norm(self.center) + self.radius)
 
@@ -144,10 +140,6 @@ class Balls(ConvexSet):
                 strict=True,
             )
         )
-
-    def within(self, center: np.ndarray, reach: np.ndarray) -> Balls:
-        farthest = np.linalg.norm((np.abs(center) + reach).reshape(-1, self.block), axis=1)
-        return Balls(np.minimum(self.radii, farthest), self.block)
 
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)

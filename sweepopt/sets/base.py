@@ -208,13 +208,6 @@ class ConvexSet(ABC):
         """The size of the numbers whose rounding is in P_C(x)."""
         return float(np.abs(x).max())
 
-    def within(self, center: np.ndarray, reach: np.ndarray) -> ConvexSet:
-        """A set of this cone that is C wherever |w_i - center_i| <= reach_i for all i.
-
-        With smaller offsets if that can be; C itself if nobody says more.
-        """
-        return self
-
     def witness(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:

@@ -200,12 +200,6 @@ class Image(Composed):
     def features(self, p: cp.Expression) -> Features:
         return self.part.features((self._transposed / self._unit) @ p)
 
-    def within(self, center: np.ndarray, reach: np.ndarray) -> Image:
-        if self._selected is None:
-            return self
-        few = self._selected
-        return self.with_part(self.part.within(center[few], reach[few]))
-
     def witness(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:

@@ -73,10 +73,6 @@ class Product(ConvexSet):
             y, constraints, start = y + more, constraints + others, start + part.dim
         return Features(y, constraints)
 
-    def within(self, center: np.ndarray, reach: np.ndarray) -> Product:
-        blocks = zip(self.parts, *(np.split(x, self._cuts) for x in (center, reach)), strict=True)
-        return Product(tuple(part.within(*one) for part, *one in blocks))
-
     def witness(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
     ) -> Witness | None:

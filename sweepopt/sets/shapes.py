@@ -168,12 +168,6 @@ class Box(ConvexSet):
     def derivative(self, v: np.ndarray) -> np.ndarray:
         return ((v >= self.lower) & (v <= self.upper)).astype(float)
 
-    def within(self, center: np.ndarray, reach: np.ndarray) -> Box:
-        # finite bounds only: an infinite one is part of the cone
-        lower = np.maximum(self.lower, np.minimum(center - reach, self.upper))
-        upper = np.minimum(self.upper, np.maximum(center + reach, self.lower))
-        return Box(np.where(self._low, lower, self.lower), np.where(self._up, upper, self.upper))
-
     def same_cone(self, other: ConvexSet) -> bool:
         return (
             isinstance(other, Box)

@@ -42,7 +42,6 @@ from sweepopt.velocity.solvers import (
     Clarabel,
     Cvxpy,
     Newton,
-    Secular,
     Solve,
     Solver,
 )
@@ -66,7 +65,6 @@ __all__ = [
     "OfLoad",
     "Plan",
     "Reduction",
-    "Secular",
     "Solve",
     "Solved",
     "Solver",

@@ -25,7 +25,7 @@ from sweepopt.velocity.elimination import (
     unless_at_rest,
 )
 from sweepopt.velocity.proportional import Reduction, reduce
-from sweepopt.velocity.routes import iterated, programmed
+from sweepopt.velocity.routes import Programmed, iterated
 from sweepopt.velocity.solvers import Solver, choose
 
 if TYPE_CHECKING:
@@ -154,7 +154,7 @@ class Plan:
         """
         factors = M if isinstance(M, Factors) else self.factors(M)
         contact, enough = factors.contact, accurate(factors.M.shape[0], self.tol)
-        program = cache(lambda: programmed(factors.whole, self.solver, self.tol, self.order))
+        program = cache(lambda: Programmed(factors.whole, self.solver, self.tol, self.order))
         if self.multigrid:
             point = cache(lambda: linear(factors.hierarchy, enough))
             selected = cache(lambda: iterated(factors.hierarchy, contact, self.tol))
@@ -178,7 +178,7 @@ class Plan:
         return Factors(M, contact, self.order)
 
     def _eliminated(self, factors: Factors, enough: float) -> SelectedVelocity:
-        small = programmed(factors.small, self.solver, self.tol, None)
+        small = Programmed(factors.small, self.solver, self.tol, None)
         moving = eliminated(factors.elimination, small, enough)
         return unless_at_rest(factors.elimination.diagonal, moving)
 

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     import cvxpy as cp
 
 POLISHED = 1e-12  # relative certificates above this are worth a polish
-FAR = 100.0  # offsets that are so many times the forces blind solvers, and may be out of reach
 
 
 class Velocity(NamedTuple):
@@ -173,17 +172,6 @@ class VelocityProgram:
                 sp.csc_array(data["P"]), sp.csr_array(sp.hstack(maps)), data
             )
         return self._canonical[solver]
-
-    def capped(self, q: np.ndarray, C: ConvexSet) -> ConvexSet:
-        """C without what is out of reach: the same solution, from numbers of one size.
-
-        As -z is normal to C at w = M z + q, <z, w - c> <= 0 for c = P_C(q), so that |z|_M <= R with
-        R = |q - c|_{M^-1}, and |w_i - q_i| = |<e_i, z>_M| <= sqrt(M_ii) R. So w is inside of the
-        box |w_i - q_i| <= 2 sqrt(M_ii) R, and a set that is C there has the same normals at w.
-        """
-        if np.abs(C.offsets).max(initial=0.0) <= FAR * np.abs(q).max() or not C.exact:
-            return C
-        return C.within(q, 2 * self.M.dual_norm(q - C.project(q)) * self.M.root)
 
     def certify(self, q: np.ndarray, C: ConvexSet, z: np.ndarray, y: np.ndarray) -> Velocity:
         """Turn any approximate answer (z, y) into a velocity with a proven error bound.

@@ -14,15 +14,13 @@ from sweepopt.velocity.solvers.daqp import DAQP, installed
 from sweepopt.velocity.solvers.newton import Newton
 from sweepopt.velocity.solvers.osqp import OSQP
 from sweepopt.velocity.solvers.reference import Cvxpy
-from sweepopt.velocity.solvers.secular import Secular
 
-NEWTON, FASTEST, FORMULA, LAST = Newton(), DAQP(), Secular(), ActiveSet()
+NEWTON, FASTEST, LAST = Newton(), DAQP(), ActiveSet()
 CONTRACT = ("name", "treats", "compile", "refined")
 REGISTRY: dict[str, Callable[[], Solver]] = {
     "clarabel": Clarabel,
     "osqp": OSQP,
     "newton": Newton,
-    "secular": Secular,
     "daqp": DAQP,
     "active-set": ActiveSet,
     "cvxpy": Cvxpy,
@@ -32,10 +30,10 @@ REGISTRY: dict[str, Callable[[], Solver]] = {
 def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
     """The solver for a set, and behind it those that repair a step it misses.
 
-    "auto" is the formula for one small ball, DAQP for small boxes if it is installed, Newton for
-    small sets whose projection has a derivative, then OSQP for polyhedra and Clarabel for the rest:
-    in this order of speed, as measured by `sweepopt bench`. Where a polyhedron couples its unknowns
-    OSQP is faster than Newton, and Clarabel where a projection is itself an iteration.
+    "auto" is DAQP for small boxes if it is installed, Newton for small sets whose projection has a
+    derivative, then OSQP for polyhedra and Clarabel for the rest: in this order of speed. Where a
+    polyhedron couples its unknowns OSQP is faster than Newton, and Clarabel where a projection is
+    itself an iteration.
 
     Parameters
     ----------
@@ -52,11 +50,10 @@ def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
     small: list[Solver] = [NEWTON] if NEWTON.treats(C) else []
     if isinstance(solver, str) and solver == "auto":
         fastest: list[Solver] = [FASTEST] if installed() and FASTEST.treats(C) else []
-        formula: list[Solver] = [FORMULA] if FORMULA.treats(C) else []
         D = C.derivative(C.anchor) if small and C.polyhedral else None
         if (D is not None and D.ndim == 2) or not C.exact:
-            return (*formula, *fastest, general[0], *small, *general[1:])
-        return (*formula, *fastest, *small, *general)
+            return (*fastest, general[0], *small, *general[1:])
+        return (*fastest, *small, *general)
     if isinstance(solver, str):
         if solver not in REGISTRY:
             raise SolverRefusedError(f"solver {solver!r} is not known; use auto, {_names()}")
@@ -70,7 +67,7 @@ def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
     if not solver.treats(C):
         raise SolverRefusedError(
             f"{solver.name} cannot treat {describe(C)}: OSQP solves quadratic programs over "
-            "polyhedra, Newton and DAQP small programs with simple sets, Secular a small ball; use "
+            "polyhedra, Newton and DAQP small programs with simple sets; use "
             'solver="clarabel"'
         )
     return (solver, *(other for other in (*small, *general) if other.name != solver.name))
@@ -98,7 +95,6 @@ __all__ = [
     "Clarabel",
     "Cvxpy",
     "Newton",
-    "Secular",
     "Solve",
     "Solver",
     "choose",

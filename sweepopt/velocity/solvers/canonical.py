@@ -79,7 +79,7 @@ class CanonicalSolver(ABC):
 
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:
             nonlocal engine
-            offsets = program.capped(q, C).offsets
+            offsets = C.offsets
             linear = units * (canonical.map @ np.concatenate([q, offsets]))
             force = float(np.abs(linear).max())
             if force == 0:

@@ -79,7 +79,7 @@ class Cvxpy:
 
         @in_turn
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:
-            offsets = program.capped(q, C).offsets
+            offsets = C.offsets
             # forces in units of the largest one: solvers' absolute tolerances need it
             force = max(np.abs(q).max(), np.abs(offsets).max(initial=0.0)) or 1.0
             statement.q.value = q / force
