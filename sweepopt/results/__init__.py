@@ -1,0 +1,10 @@
+"""Solutions that can prove how good they are: error bounds, energy (MATH 4)."""
+
+from __future__ import annotations
+
+from sweepopt.results.energy import (Energy,)
+from sweepopt.results.error_bound import (ErrorBound,)
+from sweepopt.results.refinement import (refine,)
+from sweepopt.results.solution import (Pass, Solution,)
+
+__all__ = ["Energy", "ErrorBound", "Pass", "Solution", "refine",]
