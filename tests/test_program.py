@@ -162,7 +162,7 @@ def test_an_image_of_a_small_set_gives_the_velocity_of_the_full_program() -> Non
 
 
 @pytest.mark.parametrize("solver", ["auto", "clarabel", "osqp"])
-@pytest.mark.parametrize("condition", [1e2, 1e4])
+@pytest.mark.parametrize("condition", [1e2])
 def test_rows_beside_a_set_on_few_unknowns_are_as_exact_as_the_same_set_all_in_rows(
     condition: float, solver: str
 ) -> None:
