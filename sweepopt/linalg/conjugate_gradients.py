@@ -106,8 +106,8 @@ class ConjugateGradients(Factor):
             x += size / curvature * direction
             r = r - size / curvature * image
         raise SolverRefusedError(
-            f"conjugate gradients do not converge in {MAX_STEPS} steps for this matrix, and its factors "
-            "do not fit in memory; take a coarser mesh"
+            f"conjugate gradients do not converge in {MAX_STEPS} steps for this matrix, "
+            "and its factors do not fit in memory; take a coarser mesh"
         )
 
 
