@@ -24,14 +24,13 @@ from sweepopt.problem import (
     Between,
     Grid,
     Motion,
+    Norms,
+    SweepingProcess,
     increments,
     motion,
 )
 from sweepopt.results.nodes import Nodes, cubic, force_along, slopes_of_curves
-from sweepopt.problem import Norms
-from sweepopt.problem import SweepingProcess
-from sweepopt.sets import ConvexSet
-from sweepopt.sets import basis, products, to_bernstein
+from sweepopt.sets import ConvexSet, basis, products, to_bernstein
 from sweepopt.velocity import VelocityOf
 
 THIRDS = to_bernstein(np.array([0.0, 0.5, 1.0]))
