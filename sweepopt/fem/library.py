@@ -79,6 +79,6 @@ def _listed(pattern: str, name: str, what: str) -> Path:
 
 
 def _folder() -> Path:
-    package = Path(__file__).resolve().parent
+    package = Path(__file__).resolve().parent.parent
     installed = package / "problems"
     return installed if installed.is_dir() else package.parent / "problems"

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from sweepopt.linalg.choice import (
+    eliminate,
+    factor_bytes,
+    factorise,
+)
 from sweepopt.linalg.eigenvalues import (
     exceeds_none,
     is_semidefinite,
@@ -23,10 +28,6 @@ from sweepopt.linalg.matrices import (
     row_lengths,
     row_sum,
 )
-from sweepopt.linalg.multigrid import (
-    Multigrid,
-    factorise,
-)
 from sweepopt.linalg.twice_precision import (
     Precise,
     product_error,
@@ -41,11 +42,12 @@ __all__ = [
     "UNIT",
     "Elimination",
     "Factor",
-    "Multigrid",
     "Precise",
     "dense",
+    "eliminate",
     "euclidean",
     "exceeds_none",
+    "factor_bytes",
     "factorise",
     "is_semidefinite",
     "largest_eigenvalue",

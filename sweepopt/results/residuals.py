@@ -218,8 +218,8 @@ class _BoundsOnIntervals:
         # where A = 0 the curve must be continuous: it is not moved
         fixed = self._norms.rate_independent
         ratios = np.full(len(p), math.inf) if fixed else most**2 / self._norms.beta
-        gaps, away = np.array(list(map(S.companion, p, s, ratios.tolist()))).T
-        return np.array([gaps, most * away])
+        gaps, distance = np.array(list(map(S.gap_along_curve, p, s, ratios.tolist()))).T
+        return np.array([gaps, most * distance])
 
 
 # ---- C(t) is a function of time ---------------------------------------------------------------

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
-from sweepopt.checks import count, listed
+from sweepopt.checks import count, listed, number
 from sweepopt.errors import InputError, shown
 from sweepopt.study.hard import FAMILIES
 from sweepopt.study.hard.table import PATHS, SOLVERS
@@ -25,6 +25,8 @@ class HardStudy:
     families, solvers, paths : sequence of str
     combinations : int
         How many cases are drawn by chance for each seed.
+    tol : float
+        What `solve` is asked for.
 
     Raises
     ------
@@ -42,6 +44,7 @@ class HardStudy:
     solvers: Sequence[str] = NAMES["solvers"]
     paths: Sequence[str] = NAMES["paths"]
     combinations: int = 8
+    tol: float = 1e-6
 
     def __post_init__(self) -> None:
         for key in ("seeds", *NAMES):
@@ -49,6 +52,7 @@ class HardStudy:
         for i, seed in enumerate(self.seeds):
             count(f"seeds[{i}]", seed, least=0)
         count("combinations", self.combinations, least=0)
+        number("tol", self.tol, minimum=0.0, strict=True)
         for key, known in NAMES.items():
             for i, name in enumerate(getattr(self, key)):
                 if name not in known:
