@@ -19,7 +19,7 @@ from sweepopt.integrate.exact.modes import decay, modes, whitening
 from sweepopt.integrate.exact.offsets import Rows, SmoothOffsets
 from sweepopt.linalg import EPS
 
-PHASES = 100_000  # of a run, not counting kinks: more are taken for an accumulation of switches
+PHASES = 100_000  # 4000 take a second
 STALLED = 50  # phases in a row that are as short as rounding: the same
 
 
@@ -132,8 +132,15 @@ class Trajectory:
         return values.reshape(*times.shape, values.shape[-1])
 
 
-def exact_trajectory(rows: Rows, u0: np.ndarray, start: float, end: float) -> Trajectory:
+def exact_trajectory(
+    rows: Rows, u0: np.ndarray, start: float, end: float, most: int = PHASES
+) -> Trajectory:
     """Move the process from u0 at `start`, phase by phase.
+
+    Parameters
+    ----------
+    most : int
+        Phases, not counting kinks; more are taken for an accumulation of switches.
 
     Raises
     ------
@@ -168,7 +175,7 @@ def exact_trajectory(rows: Rows, u0: np.ndarray, start: float, end: float) -> Tr
                 phases.append(phase)
             events = np.zeros(0, dtype=int) if root is None else limits.rows[root.rows]
             s = following
-            if len(phases) > PHASES + len(kinks) or stalled > STALLED:
+            if len(phases) > most + len(kinks) or stalled > STALLED:
                 return Trajectory(phases, s, np.array(switches), complete=False)
     return Trajectory(phases, end, np.unique(switches))
 
