@@ -50,11 +50,6 @@ class Phase:
         """u' at the times, shape (k, dim); exactly 0.0 in what is stuck."""
         return 0.0 - self.dp(t - self.start) @ self.paths.T
 
-    def velocity_scale(self, t: np.ndarray) -> np.ndarray:
-        """The sum of the absolute terms of u', shape (k, dim): its rounding is relative to it."""
-        values = np.abs(self.dp.basis.at(t - self.start)) @ np.abs(self.dp.weights).T
-        return values @ np.abs(self.paths).T
-
 
 Evaluate = Callable[[Phase, np.ndarray], np.ndarray]
 """A function of a phase at some times, such as `Phase.state`."""
