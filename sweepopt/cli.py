@@ -210,21 +210,20 @@ def _announce(scene: Scene) -> None:
 
 def _write(report: Report, folder: Path) -> list[str]:
     """Write all files of a run; their names relative to the folder, the summary last."""
-    from sweepopt import plot
-    from sweepopt.fem import output as store
+    from sweepopt.fem import netcdf, output, pictures
 
     scene, solution, slip = report.scene, report.solution, report.slip
-    pictures = {"displacement.png": plot.displacement_figure(scene, solution, slip)}
+    figures = {"displacement.png": pictures.displacement_figure(scene, solution, slip)}
     if slip is not None:
-        pictures["contact.png"] = plot.contact_figure(scene, slip)
-    store.write_netcdf(report, folder / "solution.nc")
-    for name, figure in pictures.items():
-        with store.replacing(folder / name) as part:
+        figures["contact.png"] = pictures.contact_figure(scene, slip)
+    netcdf.write_netcdf(report, folder / "solution.nc")
+    for name, figure in figures.items():
+        with library.replacing(folder / name) as part:
             figure.savefig(part)
-    series = [path.relative_to(folder).as_posix() for path in store.write_vtu(report, folder)]
-    files = ["solution.nc", *pictures, *series]
-    store.write_summary(report, folder, files)
-    return [*files, store.SUMMARY]
+    series = [path.relative_to(folder).as_posix() for path in output.write_vtu(report, folder)]
+    files = ["solution.nc", *figures, *series]
+    output.write_summary(report, folder, files)
+    return [*files, output.SUMMARY]
 
 
 def _close(report: Report, folder: Path, files: Sequence[str]) -> None:

@@ -211,7 +211,7 @@ def test_ctrl_c_while_writing_keeps_the_files_of_the_run_before(
     def interrupted(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sweepopt.fem.summary.summary_of", interrupted)
+    monkeypatch.setattr("sweepopt.fem.output.summary_of", interrupted)
     assert cli.main(run) == 130
     assert "interrupted" in capsys.readouterr().err
     assert Path("out/summary.json").read_bytes() == before
