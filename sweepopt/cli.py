@@ -1,4 +1,4 @@
-"""The command line: ``sweepopt run SCENE``, ``list``, ``study``, ``compare`` and ``bench``.
+"""The command line: ``sweepopt run SCENE``, ``list``, ``study`` and ``compare``.
 
 Thin on purpose: it parses, runs, and hands the run to `store` and `plot`. What a command needs is
 imported when it runs, so that the list works with the core install.
@@ -7,7 +7,6 @@ imported when it runs, so that the list works with the core install.
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 import time as clock
 import warnings
@@ -44,6 +43,7 @@ NEEDED = {
     "pandas": ("pandas", "study"),
     "threadpoolctl": ("threadpoolctl", "study"),
     "mpmath": ("mpmath", "study"),
+    "plotly": ("plotly", "study"),
 }
 """Packages whose absence would only show when a long run is over, and who brings them."""
 
@@ -105,17 +105,6 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("scene", metavar="SCENE", help="a TOML file, a name, or as P09 in studies")
     compare.add_argument("--steps", type=int, default=50, help="of the run that has the programs")
     compare.add_argument("--csv", type=Path, metavar="FILE", help="write the rows too")
-
-    bench = commands.add_parser("bench", help="time every path against loops by hand")
-    bench.set_defaults(command=_bench)
-    bench.add_argument(
-        "--cells", type=int, nargs="+", default=[32, 100], help="cells a side of the square"
-    )
-    bench.add_argument("--steps", type=int, default=50)
-    bench.add_argument("--rounds", type=int, default=3, help="each path runs once a round")
-    bench.add_argument("--only", nargs="+", metavar="PATH", help="the paths to run")
-    bench.add_argument("--memory", action="store_true", help="peak memory too, on Linux")
-    bench.add_argument("--csv", type=Path, metavar="FILE", help="write the rows too")
     return parser
 
 
@@ -127,29 +116,8 @@ def _list(_: argparse.Namespace) -> int:
     return DONE
 
 
-def _bench(chosen: argparse.Namespace) -> int:
-    _require_packages(["skfem"])
-    from sweepopt.study import Row, bench, table
-
-    if chosen.csv is not None:
-        chosen.csv.touch()  # says so now if it cannot be written
-    rows = bench(
-        chosen.cells,
-        steps=chosen.steps,
-        rounds=chosen.rounds,
-        only=chosen.only,
-        memory=chosen.memory,
-        progress=lambda words: print(words, file=sys.stderr),
-    )
-    print(table(rows))
-    if chosen.csv is not None:
-        with chosen.csv.open("w", newline="") as file:
-            csv.writer(file).writerows([Row._fields, *rows])
-    return DONE
-
-
 def _study(chosen: argparse.Namespace) -> int:
-    _require_packages(["pandas", "threadpoolctl", "matplotlib", "mpmath"])
+    _require_packages(["pandas", "threadpoolctl", "matplotlib", "mpmath", "plotly"])
     from sweepopt.study.commands import study_command
 
     study_command(chosen)
@@ -165,7 +133,7 @@ def _compare(chosen: argparse.Namespace) -> int:
 
 
 def _run(chosen: argparse.Namespace) -> int:
-    _require_packages()
+    _require_packages(module for module, (_, extra) in NEEDED.items() if extra != "study")
     from sweepopt.fem import read_scene
     from sweepopt.store import make_report
 
@@ -266,7 +234,7 @@ def _unit(unit: str) -> str:
     return "" if unit == "1" else f" {unit}"
 
 
-def _require_packages(modules: Iterable[str] = NEEDED) -> None:
+def _require_packages(modules: Iterable[str]) -> None:
     """Refuse before the run, not after it."""
     for module in modules:
         package, extra = NEEDED[module]

@@ -17,7 +17,7 @@ from sweepopt import library, resume
 from sweepopt.fem import read_mesh, read_scene
 from sweepopt.loads import Table
 from sweepopt.study import read_study
-from sweepopt.study.hard.files import hard_study
+from sweepopt.study.hard.table import hard_study
 from sweepopt.texts import read_toml
 
 DATA = Path(__file__).parent / "data"

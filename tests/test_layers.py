@@ -53,26 +53,24 @@ LEVELS = [
 # conveniences of Solution that call upward by a local import
 UPWARD = {("solution", above) for above in ("store", "plot", "certificate")}
 HOMES = {
-    "cvxpy": {"program", "sets", "solvers/reference", "study/by_hand"},
-    "clarabel": {"solvers/clarabel", "study/by_hand"},
-    "osqp": {"solvers/osqp", "study/by_hand"},
+    "cvxpy": {"program", "sets", "solvers/reference"},
+    "clarabel": {"solvers/clarabel"},
+    "osqp": {"solvers/osqp"},
     "daqp": {"solvers/daqp"},
     "cvxopt": {"linalg/cholesky"},
     "pyamg": {"multigrid"},
-    "skfem": {"fem", "study/cases"},
+    "skfem": {"fem"},
     "meshio": {"store/vtu"},
     "pydantic": {"fem"},
-    "matplotlib": {"plot", "study/diagram"},
+    "matplotlib": {"plot"},
     "xarray": {"store/netcdf"},
     "h5netcdf": {"blocks"},
     "tqdm": {"observers"},
     "pandas": {"study"},
-    "threadpoolctl": {"study/threads"},
+    "threadpoolctl": {"study/machine"},
     "mpmath": {"study/hard"},
     "distributed": {"study/executors"},
-    "casadi": {"study/peer_runs"},
-    "nosnoc": {"study/peer_runs"},
-    "solve_nivp": {"study/peer_runs"},
+    "plotly": {"study/report"},
 }
 
 
@@ -137,7 +135,7 @@ def test_outside_packages_are_imported_only_where_they_live(module: str) -> None
 
 def test_importing_the_library_loads_no_heavy_package() -> None:
     heavy = ["cvxpy", "skfem", "matplotlib", "xarray", "pydantic", "pandas", "tqdm", "meshio"]
-    heavy += ["distributed", "threadpoolctl", "mpmath"]
+    heavy += ["distributed", "threadpoolctl", "mpmath", "plotly"]
     code = f"import sys, sweepopt; print([name for name in {heavy} if name in sys.modules])"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert shown.stdout.strip() == "[]"

@@ -34,8 +34,8 @@ def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
 
     "auto" is the formula for one small ball, DAQP for small boxes if it is installed, Newton for
     small sets whose projection has a derivative, then OSQP for polyhedra and Clarabel for the rest:
-    in this order of speed, as measured by `sweepopt bench`. Where a polyhedron couples its unknowns
-    OSQP is faster than Newton, and Clarabel where a projection is itself an iteration.
+    in this order of speed, as measured by `benchmarks/loops_by_hand.py`. Where a polyhedron couples
+    its unknowns OSQP is faster than Newton, and Clarabel where a projection is itself an iteration.
 
     Parameters
     ----------
