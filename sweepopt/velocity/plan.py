@@ -11,7 +11,7 @@ import numpy as np
 
 from sweepopt.checks import Matrix
 from sweepopt.errors import PathError, SolverRefusedError
-from sweepopt.linalg import Elimination, Factor, eliminate, factorise
+from sweepopt.linalg import Elimination, Factor, IterativeElimination, eliminate, factorise
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import ConvexSet, same_array
 from sweepopt.velocity.elimination import (
@@ -51,7 +51,7 @@ class Factors:
         return factorise(self.M)
 
     @cached_property
-    def elimination(self) -> Elimination:
+    def elimination(self) -> Elimination | IterativeElimination:
         return eliminate(self.M, self.contact, self.order)
 
     @cached_property
