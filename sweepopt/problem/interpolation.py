@@ -17,7 +17,7 @@ import numpy as np
 
 from sweepopt.checks import number
 from sweepopt.errors import InputError
-from sweepopt.loads import Piece, Separable, kinks
+from sweepopt.loads import Piece, Separable, breakpoints
 from sweepopt.problem.motion import Motion, TimeFunction
 from sweepopt.sets import basis, to_bernstein
 
@@ -67,15 +67,15 @@ class Interpolated(NamedTuple):
 
 
 def smooth_intervals(moved: Motion, t: np.ndarray) -> Intervals:
-    """The steps between the times t, cut at the kinks of all histories."""
+    """The steps between the times t, cut at the breakpoints of all histories."""
     histories = [*moved.center.histories, *moved.scale.histories]
-    cuts = np.unique(np.concatenate([t, kinks(histories, t[0], t[-1])]))
+    cuts = np.unique(np.concatenate([t, breakpoints(histories, t[0], t[-1])]))
     step = np.searchsorted(t, cuts[:-1], side="right") - 1
     return Intervals(step, cuts[:-1], cuts[1:])
 
 
 def interpolate(f: TimeFunction, begin: np.ndarray, end: np.ndarray) -> Interpolated:
-    """Interpolate on intervals without a kink."""
+    """Interpolate on intervals without a breakpoint inside."""
     h, m = end - begin, len(begin)
     times = (begin[:, None] + h[:, None] * NODES).ravel()
     if f.function is not None:
