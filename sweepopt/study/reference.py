@@ -9,8 +9,8 @@ import numpy as np
 
 from sweepopt.errors import SweepoptError, SweepoptWarning
 from sweepopt.solve import solve
+from sweepopt.study.machine import one_thread
 from sweepopt.study.sources import Source
-from sweepopt.study.threads import one_thread
 
 REFINED, FINE, SMALL = 16, 4096, 32
 """A fine run has at least so many times the steps, and so many steps if the problem is small."""

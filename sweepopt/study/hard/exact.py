@@ -19,6 +19,23 @@ from sweepopt.study.hard.active import velocity
 from sweepopt.velocity import untranslated
 
 
+class Stated(NamedTuple):
+    """C = shift + a set on the unknowns `few`; nothing holds the forces on the others."""
+
+    few: np.ndarray
+    part: ConvexSet
+    shift: np.ndarray
+
+
+def stated(C: ConvexSet) -> Stated:
+    """How a set of the library is stated: the one place that looks inside of it."""
+    if C.selection is not None:
+        few, part, shift = C.selection
+        return Stated(few, part, np.zeros(C.dim) if shift is None else shift)
+    shift, part = untranslated(C)
+    return Stated(np.arange(C.dim), part, shift)
+
+
 class Exact(NamedTuple):
     """The velocity as mpmath numbers, shape (dim,), and sizes in |.|_M.
 
@@ -74,11 +91,7 @@ class Program:
         InputError
             If C is none of the kinds that this module knows.
         """
-        if C.selection is not None:
-            few, part, moved = C.selection
-            shift = np.zeros(q.size) if moved is None else moved
-        else:
-            few, (shift, part) = np.arange(q.size), untranslated(C)
+        few, part, shift = stated(C)
         force = digits.exactly(q) - digits.exactly(shift)
         key = few.tobytes()
         if key not in self._eliminated:
