@@ -108,7 +108,7 @@ def _with_variation(moved: Motion, variation: Callable[[float], float]) -> Motio
 def _of_data(
     process: SweepingProcess, norms: Norms, near: Nodes, curves: list[np.ndarray], moved: Motion
 ) -> Residuals:
-    """Bounds on intervals between breakpoints, many at once; on each step the best of the curves."""
+    """Bounds between breakpoints, many intervals at once; on each step the best of the curves."""
     n, dim = near.velocity.shape
     found = np.zeros((len(curves), 4, n))
     whole = smooth_intervals(moved, near.t)
