@@ -89,7 +89,7 @@ class Program:
         Raises
         ------
         InputError
-            If C is none of the kinds that this module knows.
+            If C is none of the kinds that `active` knows.
         """
         few, part, shift = stated(C)
         force = digits.exactly(q) - digits.exactly(shift)
@@ -98,19 +98,14 @@ class Program:
             self._eliminated[key] = _Condensed(self.M, few)
         condensed = self._eliminated[key]
         forward, pull = condensed.reduce(force)
-        zeta = velocity(part, condensed.N, pull, near[few])
-        z = condensed.recover(forward, zeta)
+        z = condensed.recover(forward, velocity(part, condensed.N, pull, near[few]))
 
         def dual(w: np.ndarray) -> float:
+            w = digits.exactly(w)
             return digits.root(condensed.solve(w) @ w)
 
         length = digits.root(z @ self.M @ z)
-        return Exact(
-            z,
-            length,
-            max(length, dual(force)),
-            dual(digits.exactly(q)) + dual(digits.exactly(shift)),
-        )
+        return Exact(z, length, max(length, dual(force)), dual(q) + dual(shift))
 
     def error(self, z: np.ndarray, exact: Exact) -> float:
         """|z - z*|_M."""
