@@ -17,7 +17,7 @@ pytest.importorskip("mpmath")
 import sweepopt as so
 from sweepopt.cli import main
 from sweepopt.study.hard import FAMILIES, Program, table
-from sweepopt.study.hard.bodies import chain, pushed, spectral
+from sweepopt.study.hard.bodies import chain, one_step, spectral
 from sweepopt.study.hard.combinations import combination
 from sweepopt.study.hard.table import PATHS, HardRow, Judge, rows
 
@@ -43,7 +43,7 @@ HARD: dict[str, tuple[Data, float]] = {
 }
 
 
-def one_step(process: so.SweepingProcess, **settings: Any) -> so.Solution:
+def solve_once(process: so.SweepingProcess, **settings: Any) -> so.Solution:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", so.InitialStateWarning)
         settings = {"t_end": 1.0, "steps": 1, "scheme": "implicit-euler", **settings}
@@ -55,7 +55,7 @@ def one_step(process: so.SweepingProcess, **settings: Any) -> so.Solution:
 def test_hard_programs_are_solved_with_a_proof(name: str, solver: str) -> None:
     (M, load, g), certificate = HARD[name]
     C = so.Moving(so.Box(-g, g), load)
-    sol = one_step(so.SweepingProcess(M, None, C, np.zeros(N)), solver=solver)
+    sol = solve_once(so.SweepingProcess(M, None, C, np.zeros(N)), solver=solver)
     z = sol.velocity[0]
     assert sol.stats["relative"][0] <= certificate
     # the proof once more, from the inclusion itself: stuck inside, slipping against the bound
@@ -67,7 +67,7 @@ def test_hard_programs_are_solved_with_a_proof(name: str, solver: str) -> None:
 
 def test_the_active_set_solver_stands_alone() -> None:
     process = so.SweepingProcess(ILL, None, so.Moving(so.Box(-G, G), LOAD), np.zeros(N))
-    sol = one_step(process, solver="active-set")
+    sol = solve_once(process, solver="active-set")
     exact = Program(ILL).solve(np.zeros(N), process.C.at(1.0), sol.velocity[0])
     error = Program(ILL).error(sol.velocity[0], exact) / exact.size
     assert error <= 1e-9
@@ -126,7 +126,7 @@ def test_combinations_that_were_wrong_once(seed: int, number: int) -> None:
             errors.append((judge.error(step.velocity, exact), step.certificate, exact.size))
             states.append(step.u)
 
-        one_step(process, t_end=made.t_end, steps=made.steps, solver=solver, callback=look)
+        solve_once(process, t_end=made.t_end, steps=made.steps, solver=solver, callback=look)
         for error, certificate, size in errors:
             assert error <= min(1e-9 * size, certificate)
 
@@ -219,8 +219,8 @@ def test_units_change_nothing() -> None:
 
     def velocity(force: float, length: float, **settings: str) -> np.ndarray:
         # energies in force * length: A in force / length, loads in force
-        made = pushed(force / length * M, force * f, so.Box(-force * g, force * g), few)
-        return one_step(made.process(), **settings).velocity[0] / length
+        made = one_step(force / length * M, force * f, so.Box(-force * g, force * g), few)
+        return solve_once(made.process(), **settings).velocity[0] / length
 
     for solver in ("auto", "osqp", "clarabel"):
         for path in ("full", "eliminated", "proportional"):

@@ -19,7 +19,7 @@ from sweepopt.study.hard import digits
 from sweepopt.study.hard.active import velocity
 
 
-class Stated(NamedTuple):
+class Structure(NamedTuple):
     """C = shift + a set on the unknowns `few`; nothing holds the forces on the others."""
 
     few: np.ndarray
@@ -27,13 +27,13 @@ class Stated(NamedTuple):
     shift: np.ndarray
 
 
-def stated(C: ConvexSet) -> Stated:
+def structure(C: ConvexSet) -> Structure:
     """How a set of the library is stated: the one place that looks inside of it."""
     if C.selection is not None:
         few, part, shift = C.selection
-        return Stated(few, part, np.zeros(C.dim) if shift is None else shift)
+        return Structure(few, part, np.zeros(C.dim) if shift is None else shift)
     shift, part = untranslated(C)
-    return Stated(np.arange(C.dim), part, shift)
+    return Structure(np.arange(C.dim), part, shift)
 
 
 class Exact(NamedTuple):
@@ -91,7 +91,7 @@ class Program:
         InputError
             If C is none of the kinds that `active` knows.
         """
-        few, part, shift = stated(C)
+        few, part, shift = structure(C)
         force = digits.exactly(q) - digits.exactly(shift)
         key = few.tobytes()
         if key not in self._eliminated:
