@@ -44,7 +44,7 @@ MOST = 20_000_000
 SLOW = 2.0
 """Seconds from which on a run is timed once."""
 SHARES = (0.1, 0.3, 0.6, 0.9)
-"""Of the error for the smoothing: each is tried, the fastest counts."""
+"""Of the error for the smoothing: each is results, the fastest counts."""
 METHODS = ("BDF", "Radau", "LSODA")
 
 
@@ -90,7 +90,7 @@ class Way(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Found:
+class Result:
     """The cheapest run of a way; `factor` multiplies its time where it is extrapolated."""
 
     way: str
@@ -286,55 +286,55 @@ def integrate(
         return np.asarray(u) if "successful" in report["message"] else np.full_like(u, np.nan)
     options = {"t_eval": times, "jac": slope, "max_step": longest, **tolerances}
     with np.errstate(divide="ignore"):  # Radau divides by its error, which is 0 at rest
-        found = solve_ivp(velocity, (times[0], times[-1]), u0, method=method, **options)
+        result = solve_ivp(velocity, (times[0], times[-1]), u0, method=method, **options)
     u = np.full((len(times), len(u0)), np.nan)
-    u[: found.y.shape[1]] = found.y.T
+    u[: result.y.shape[1]] = result.y.T
     return u
 
 
 # ---- the cheapest setting, and its time -------------------------------------------------------
 
 
-def cheapest(task: Task, way: Way, wanted: float, most: int = MOST) -> Found:
+def cheapest(task: Task, way: Way, wanted: float, most: int = MOST) -> Result:
     """The cheapest setting of a way that reaches an error."""
     if way.steps is not None:
         return _fewest_steps(task, way, wanted, most)
     assert way.settings is not None
-    tried: list[Found] = []
+    results: list[Result] = []
     for run in way.settings(wanted):
-        tried.append(_tried(task, way, run))
-        if tried[-1].error <= wanted:
-            return tried[-1]
-    return replace(min(tried, key=lambda found: found.error), note="not reached")
+        results.append(_run_once(task, way, run))
+        if results[-1].error <= wanted:
+            return results[-1]
+    return replace(min(results, key=lambda result: result.error), note="not reached")
 
 
-def _fewest_steps(task: Task, way: Way, wanted: float, most: int) -> Found:
+def _fewest_steps(task: Task, way: Way, wanted: float, most: int) -> Result:
     """Twice the steps once, then those that the power law through the last two runs asks for."""
     assert way.steps is not None
     longest = REPORTS * (most // REPORTS)
     order, growth, steps = 1.0, 2.0, REPORTS
-    found = _tried(task, way, way.steps(steps))
-    while found.error > wanted:
+    result = _run_once(task, way, way.steps(steps))
+    while result.error > wanted:
         if steps >= longest:
-            need = steps * (found.error / wanted) ** (1.0 / order)
+            need = steps * (result.error / wanted) ** (1.0 / order)
             note = f"extrapolated to {need:.2g} steps, order {order:.2f}: the limit is {most}"
-            return replace(found, factor=need / steps, note=note)
-        fewer, larger = steps, found.error
+            return replace(result, factor=need / steps, note=note)
+        fewer, larger = steps, result.error
         steps = min(REPORTS * math.ceil(growth * steps / REPORTS), longest)
-        found = _tried(task, way, way.steps(steps))
-        if found.error > 0.0:
+        result = _run_once(task, way, way.steps(steps))
+        if 0.0 < result.error < math.inf and larger < math.inf:
             # a switch between stick and slip may hide the order
-            order = math.log(larger / found.error) / math.log(steps / fewer)
+            order = math.log(larger / result.error) / math.log(steps / fewer)
             order = min(max(order, 0.5), 4.0)
-            growth = min(1.02 * (found.error / wanted) ** (1.0 / order), 10.0)
-    return found
+            growth = min(1.02 * (result.error / wanted) ** (1.0 / order), 10.0)
+    return result
 
 
-def _tried(task: Task, way: Way, run: Run) -> Found:
+def _run_once(task: Task, way: Way, run: Run) -> Result:
     started = time.perf_counter()
     u = run.states()
     seconds = time.perf_counter() - started
-    return Found(way.name, run, task.error(u), seconds)
+    return Result(way.name, run, task.error(u), seconds)
 
 
 def equal_error(
@@ -349,21 +349,21 @@ def equal_error(
     A row a way, of several with one name the fastest: the fastest first, what did not reach the
     error last.
     """
-    fastest: dict[str, Found] = {}
+    fastest: dict[str, Result] = {}
     for way in ways:
-        found = cheapest(task, way, wanted, most)
-        print(f"{way.name}: {found.run.setting}, error {found.error:.1e}", file=sys.stderr)
-        other = fastest.setdefault(way.name, found)
-        if (bool(found.note), found.seconds) < (bool(other.note), other.seconds):
-            fastest[way.name] = found
+        result = cheapest(task, way, wanted, most)
+        print(f"{way.name}: {result.run.setting}, error {result.error:.1e}", file=sys.stderr)
+        other = fastest.setdefault(way.name, result)
+        if (bool(result.note), result.seconds) < (bool(other.note), other.seconds):
+            fastest[way.name] = result
     return timed(list(fastest.values()), rounds)
 
 
-def timed(found: Sequence[Found], rounds: int) -> pd.DataFrame:
-    """All in turn, several rounds; slow ones keep the time they took when they were found."""
-    seconds = {one.way: [one.seconds] if one.seconds > SLOW else [] for one in found}
+def timed(results: Sequence[Result], rounds: int) -> pd.DataFrame:
+    """All in turn, several rounds; slow ones keep the time of the run that was tried."""
+    seconds = {one.way: [one.seconds] if one.seconds > SLOW else [] for one in results}
     for _ in range(rounds):
-        for one in found:
+        for one in results:
             if one.seconds <= SLOW:
                 gc.collect()
                 started = time.perf_counter()
@@ -371,11 +371,11 @@ def timed(found: Sequence[Found], rounds: int) -> pd.DataFrame:
                 seconds[one.way].append(time.perf_counter() - started)
     table = pd.DataFrame(
         {
-            "way": [one.way for one in found],
-            "setting": [one.run.setting for one in found],
-            "error": [one.error for one in found],
-            "ms": [1e3 * one.factor * median(seconds[one.way]) for one in found],
-            "note": [one.note or ("one run" if one.seconds > SLOW else "") for one in found],
+            "way": [one.way for one in results],
+            "setting": [one.run.setting for one in results],
+            "error": [one.error for one in results],
+            "ms": [1e3 * one.factor * median(seconds[one.way]) for one in results],
+            "note": [one.note or ("one run" if one.seconds > SLOW else "") for one in results],
         }
     )
     reached = table[table.note.isin(["", "one run"])]

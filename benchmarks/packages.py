@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import package_runs
 import pandas as pd
-from equal_error import Found, Task, cheapest, friction_of, ours, timed
+from equal_error import Result, Task, cheapest, friction_of, ours, timed
 
 import sweepopt as so
 from sweepopt.study.machine import machine
@@ -133,14 +133,14 @@ def compare(pythons: dict[str, str], errors: Sequence[float], rounds: int) -> pd
     return pd.DataFrame(rows)
 
 
-def our_best(task: Task, wanted: float) -> Found:
+def our_best(task: Task, wanted: float) -> Result:
     """The fastest of our ways at an error."""
     found = [cheapest(task, way, wanted) for way in ours(task)]
     fastest = timed(found, rounds=3).way[0]
     return next(one for one in found if one.way == fastest)
 
 
-def compared(peer: Peer, python: str, wanted: float, best: Found, rounds: int) -> dict[str, Any]:
+def compared(peer: Peer, python: str, wanted: float, best: Result, rounds: int) -> dict[str, Any]:
     """A row: the package's cheapest setting that is accurate enough, timed in turn with ours."""
     tried: list[tuple[Answer, Settings]] = []
     for settings in peer.settings(wanted):

@@ -20,10 +20,10 @@ from sweepopt.study.comparison import (
     Contestant,
     compare,
     comparison_text,
-    contestants,
-    recorded,
+    contestants_for,
+    record,
     shifted_mean,
-    tried,
+    try_all,
 )
 from sweepopt.study.sources import find_source
 from sweepopt.velocity.program import VelocityProgram
@@ -85,15 +85,15 @@ def test_every_installed_solver_is_compared_at_three_accuracies(table: pd.DataFr
 
 
 def test_a_solver_is_judged_by_its_certificates_and_not_by_what_it_says() -> None:
-    programs = recorded(find_source("P09"), 8)
-    lied = tried(Contestant("liar", "low", 1e-3, Liar()), programs)
+    programs = record(find_source("P09"), 8)
+    lied = try_all(Contestant("liar", "low", 1e-3, Liar()), programs)
     assert (lied.certificates > 1e-3).all()
-    broken = tried(Contestant("broken", "low", 1e-3, Broken()), programs)
+    broken = try_all(Contestant("broken", "low", 1e-3, Broken()), programs)
     assert (broken.seconds.size, broken.message) == (0, "ArithmeticError: no")
 
 
 def test_only_solvers_that_treat_the_set_take_part() -> None:
-    names = {contestant.name for contestant in contestants(so.Ball([0.0, 0.0], 1.0))}
+    names = {contestant.name for contestant in contestants_for(so.Ball([0.0, 0.0], 1.0))}
     assert "clarabel" in names
     assert "osqp" not in names
     assert "cvxpy:daqp" not in names

@@ -20,25 +20,25 @@ from study_table import NASTY, study_table
 
 import sweepopt as so
 from sweepopt.cli import main
-from sweepopt.study import Trajectory, write_report
+from sweepopt.study import write_report
 from sweepopt.study.hard.table import HardRow
+from sweepopt.study.problems import problem
 
 TITLE = "What <accuracy> & certainty cost"
-T = np.linspace(0.0, 8.0, 81)
-RUNS = (
-    Trajectory("block", "midpoint", 80, T, np.sin(T), 0.02 * T, "displacement (mm)"),
-    Trajectory("block", "catching-up", 80, T, np.sin(T - 0.05), None, "displacement (mm)"),
-    Trajectory("pipe", "midpoint", 80, T, np.tanh(T), np.full(81, 0.5), "flow rate"),
-)
+BLOCK = problem("S03")
+RUNS = {
+    "block": so.solve(BLOCK.process(), t_end=BLOCK.t_end, steps=80),
+    "adaptive": so.solve(BLOCK.process(), t_end=1.0, steps=so.Adaptive(1e-3)),
+}
 MET = HardRow(
     *("threshold", 3, "full", "osqp", "", "|z| = 0, 0 of 36 move"),
     *(2e-13, 4e-12, 0.0, "at rest", 0, 0.0021, "met"),
 )
 HARD = (
     MET,
-    MET._replace(solver="clarabel", rung="clarabel", error=3e-10, attempts=4, seconds=0.5),
+    MET._replace(solver="clarabel", solved_by="clarabel", error=3e-10, attempts=4, seconds=0.5),
     MET._replace(family="condition", error=2e-6, verdict="certificate below the error"),
-    MET._replace(family="condition", solver="clarabel", error=np.nan, rung="", verdict=NASTY),
+    MET._replace(family="condition", solver="clarabel", error=np.nan, solved_by="", verdict=NASTY),
     HardRow("empty", 3, "full", "osqp", answer="refuse: EmptySetError", verdict="refused"),
 )
 STUDY, CURVES, CASES = range(3)  # the diagrams of the page
@@ -48,7 +48,7 @@ STUDY, CURVES, CASES = range(3)  # the diagrams of the page
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("report") / "report.html"
     table = study_table().assign(size=1.0)
-    assert write_report(table, path, trajectories=RUNS, hard=HARD, title=TITLE) == path
+    assert write_report(table, path, solutions=RUNS, hard=HARD, title=TITLE) == path
     return path
 
 
@@ -141,9 +141,19 @@ def test_the_diagrams_hold_the_numbers_of_the_table(browser: Browser) -> None:
     drawn = [trace["name"] for trace in traces for _ in trace["x"]]
     assert (drawn.count("failed"), drawn.count("error not known")) == (5, 2)
     assert len(drawn) - drawn.count("guaranteed bound") == len(table)
-    curves = {trace["name"]: trace for trace in browser.traces(CURVES)}
-    assert curves["catching-up, 80 steps"]["y"] == RUNS[1].u.tolist()
-    assert max(curves["guaranteed band"]["y"]) == max(RUNS[2].u + 0.5)
+
+
+def test_the_band_is_the_guaranteed_one(browser: Browser) -> None:
+    curve, band, *_ = browser.traces(CURVES)
+    run, corners = RUNS["block"], np.array(band["y"])
+    assert curve["y"] == run.u[:, 0].tolist()
+    upper, lower = corners[:81], corners[81:][::-1]
+    np.testing.assert_allclose((upper + lower) / 2, run.u[:, 0], atol=1e-14)
+    exact = so.solve(BLOCK.process(), steps=run.t, scheme="exact").u[:, 0]
+    assert (lower <= exact).all()
+    assert (exact <= upper).all()
+    bound = float(run.error_bound()) / np.sqrt(0.5)  # |u|_A = sqrt(0.5) |u|
+    assert 0.9 * bound <= (upper - lower).max() / 2 <= bound * (1 + 1e-12)
 
 
 def test_the_legend_filters_and_the_menu_changes_the_cost(browser: Browser) -> None:
@@ -216,12 +226,6 @@ def test_the_table_holds_every_cell_the_failed_ones_first(browser: Browser) -> N
         (lambda path: write_report(None, path), "there are no hard cases: nothing to report"),
         (lambda path: write_report(study_table(), path / "no" / "a.html"), "does not exist"),
         (lambda path: write_report(study_table(), path.parent), "is a folder; name a file in it"),
-        (lambda path: write_report(study_table(), path, trajectories=[T]), r"trajectories\[0\]"),
-        (lambda path: Trajectory("p", "s", 9, T, T[1:]), "u must have 81 entries, got 80"),
-        (lambda path: Trajectory("p", "s", 9, T[::-1], T), "each later than the one before"),
-        (lambda path: Trajectory("p", "s", 9, T, T, -T), r"band\[1\] is -0.1; give half-widths"),
-        (lambda path: Trajectory("p", "s", 9, T, T * np.nan), r"u\[0\] is nan"),
-        (lambda path: Trajectory("p", "s", 0, T, T), "steps must be a positive whole number"),
     ],
 )
 def test_what_cannot_be_shown_is_refused(

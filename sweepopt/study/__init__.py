@@ -14,12 +14,10 @@ from sweepopt.study.machine import machine
 from sweepopt.study.report import write_report
 from sweepopt.study.sources import find_source
 from sweepopt.study.study import Study, read_study, read_table, run
-from sweepopt.study.trajectory import Trajectory
 
 __all__ = [
     "Processes",
     "Study",
-    "Trajectory",
     "advice",
     "compare",
     "comparison_text",

@@ -30,15 +30,15 @@ def advice(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
     import pandas as pd
 
     known = table[table.success & table.error.notna()]
-    found = []
+    chosen = []
     for problem in table.problem.unique():
         mine = known[known.problem == problem]
         for target in targets:
             enough = mine[mine.error <= target * mine["size"]]
             if len(enough):
-                found.append({"target": target, **enough.loc[enough.wall.idxmin()].to_dict()})
+                chosen.append({"target": target, **enough.loc[enough.wall.idxmin()].to_dict()})
     columns = ["problem", "target", *(name for name in table.columns if name != "problem")]
-    return pd.DataFrame(found, columns=columns)
+    return pd.DataFrame(chosen, columns=columns)
 
 
 def advice_table(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:

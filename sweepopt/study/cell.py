@@ -8,7 +8,7 @@ import json
 import time as clock
 import warnings
 from dataclasses import astuple, dataclass
-from math import nan
+from math import isnan, nan
 from statistics import median
 from typing import Any, NamedTuple
 
@@ -204,11 +204,11 @@ def _measured(cell: Cell, solution: Solution, reference: Reference) -> dict[str,
         reference = absent("")  # it would be the run itself
     error = error_of(cell.problem, solution.u, reference)
     stats, done = solution.stats, len(solution.stats)
-    found = {
+    row = {
         "status": solution.status.name,
         "success": solution.success,
-        "error": error.value,
-        "error_is": error.kind,
+        "error": error,
+        "error_is": "" if isnan(error) else reference.kind,
         "reference_error": reference.uncertainty,
         "size": distance(cell.problem, solution.u, np.zeros_like(solution.u)),
         "certificate": float(stats["relative"].max()) if done else nan,
@@ -220,5 +220,5 @@ def _measured(cell: Cell, solution: Solution, reference: Reference) -> dict[str,
     try:
         bound = solution.error_bound()
     except SweepoptError:
-        return found
-    return found | {"bound": float(bound), "guaranteed": bound.guaranteed}
+        return row
+    return row | {"bound": float(bound), "guaranteed": bound.guaranteed}

@@ -18,7 +18,7 @@ from sweepopt.study.hard.table import HardRow, HardStudy, hard_study, hard_summa
 from sweepopt.study.report import write_report
 from sweepopt.study.sources import find_source
 from sweepopt.study.study import read_study, run
-from sweepopt.study.trajectory import trajectories
+from sweepopt.study.trajectory import fastest_runs
 
 TABLE, DIAGRAM, HARD, REPORT = "table.csv", "diagram.png", "hard.csv", "report.html"
 
@@ -31,14 +31,14 @@ def study_command(chosen: argparse.Namespace) -> None:
     folder = chosen.out or Path("results") / path.stem
     data = read_toml(path)
     hard = _hard_of(path, data.get("hard")) if "hard" in data else None
-    title, table, shown_runs, files = data.get("title", ""), None, [], []
+    title, table, solutions, files = data.get("title", ""), None, {}, []
     if hard is None or not set(data) <= {"hard", "title"}:
         study = read_study(path)
         with _executor(chosen) as executor:
             table = run(study, folder, executor=executor, progress=_say)
         table.to_csv(folder / TABLE, index=False)
         work_precision(table).figure.savefig(folder / DIAGRAM)
-        shown_runs = trajectories(study, table)
+        solutions = fastest_runs(study, table)
         print(summary(table))
         files += [TABLE, DIAGRAM]
     elif not isinstance(title, str):
@@ -52,7 +52,7 @@ def study_command(chosen: argparse.Namespace) -> None:
         print(hard_summary(judged))
         files.append(HARD)
     title = title or ("Hard cases" if table is None else "What accuracy costs")
-    write_report(table, folder / REPORT, trajectories=shown_runs, hard=judged, title=title)
+    write_report(table, folder / REPORT, solutions=solutions, hard=judged, title=title)
     print(f"written: {folder}: {', '.join([*files, REPORT])}")
 
 

@@ -141,14 +141,14 @@ def compare(
     """
     import pandas as pd
 
-    programs = recorded(source, count("steps", steps))
+    programs = record(source, count("steps", steps))
     progress(f"{source.name}: {len(programs)} programs of {programs[0].q.size} unknowns")
-    found = []
-    for contestant in contestants(programs[0].C):
+    trials = []
+    for contestant in contestants_for(programs[0].C):
         progress(f"{contestant.name} {contestant.setting}")
-        found.append((contestant, tried(contestant, programs)))
-    longest = max((trials.seconds.max(initial=0.0) for _, trials in found), default=nan)
-    rows = [_row(contestant, trials, longest) for contestant, trials in found]
+        trials.append((contestant, try_all(contestant, programs)))
+    longest = max((each.seconds.max(initial=0.0) for _, each in trials), default=nan)
+    rows = [_row(contestant, each, longest) for contestant, each in trials]
     table = pd.DataFrame(rows, columns=list(ComparedRow._fields)).assign(programs=len(programs))
     best = table[table.solved == 1.0].groupby("accuracy").time.min()
     table["ratio"] = table.time / table.accuracy.map(best)
@@ -157,17 +157,17 @@ def compare(
     )
 
 
-def contestants(C: ConvexSet) -> list[Contestant]:
+def contestants_for(C: ConvexSet) -> list[Contestant]:
     """The library's own solvers and those installed for cvxpy, as far as they treat the set."""
     exact: list[Solver] = [Newton(), DAQP()]
-    found = [Contestant(one.name, "high", ACCURACIES["high"], one) for one in exact]
+    contestants = [Contestant(one.name, "high", ACCURACIES["high"], one) for one in exact]
     for setting, tol in ACCURACIES.items():
         solvers: list[Solver] = [Clarabel(tol=tol), OSQP(tol=tol)]
         for name, keys in TOLERANCES.items():
             if name in installed():
                 solvers.append(Cvxpy(name, {**dict.fromkeys(keys, tol), **LIMITS.get(name, {})}))
-        found += [Contestant(one.name, setting, tol, one) for one in solvers]
-    return [contestant for contestant in found if contestant.solver.treats(C)]
+        contestants += [Contestant(one.name, setting, tol, one) for one in solvers]
+    return [contestant for contestant in contestants if contestant.solver.treats(C)]
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,7 @@ class Recorder:
         return solve_
 
 
-def recorded(source: Source, steps: int) -> list[Program]:
+def record(source: Source, steps: int) -> list[Program]:
     """The programs of a run of a problem, those of steps at rest apart."""
     process, t_end = source.open()
     recorder = Recorder()
@@ -216,7 +216,7 @@ class Trials(NamedTuple):
     message: str = ""
 
 
-def tried(contestant: Contestant, programs: Sequence[Program]) -> Trials:
+def try_all(contestant: Contestant, programs: Sequence[Program]) -> Trials:
     """Every program in the order of time, a call that is not timed before the first one."""
     compiled: dict[int, Solve] = {}
     seconds, certificates = [], []

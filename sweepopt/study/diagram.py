@@ -19,7 +19,7 @@ from sweepopt.plot import new_figure
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
-# Okabe and Ito, told apart with every common colour vision
+# Okabe and Ito's, which every common colour vision can distinguish
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C8C8C")
 COLUMNS = 3
 """Panels side by side."""

@@ -97,8 +97,8 @@ def dask_executor(client: Any) -> Iterator[Executor]:
 
     Notes
     -----
-    What a lost worker was computing is computed by another one. A cell that several workers died of
-    becomes a failed row (dask's setting distributed.scheduler.allowed-failures).
+    If a worker dies, another one computes its cell. A cell that several workers died of becomes a
+    failed row (dask's setting distributed.scheduler.allowed-failures).
     """
     with brought_by("study"):
         from distributed import Client
@@ -128,8 +128,8 @@ def _end_with_parent() -> None:
     parent = parent_process()
     if parent is not None:
 
-        def watch() -> None:
+        def wait_for_parent() -> None:
             parent.join()
             os._exit(1)
 
-        threading.Thread(target=watch, daemon=True).start()
+        threading.Thread(target=wait_for_parent, daemon=True).start()

@@ -66,8 +66,8 @@ class Ledger:
         """The reference of a cell, None if it is not finished."""
         try:
             content = io.BytesIO(self._reference(cell).read_bytes())
-            with np.load(content, allow_pickle=False) as found:
-                u, uncertainty, words = found["u"], found["uncertainty"], found["words"]
+            with np.load(content, allow_pickle=False) as archive:
+                u, uncertainty, words = archive["u"], archive["uncertainty"], archive["words"]
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
             return None
         return Reference(u, float(uncertainty), str(words[0]), str(words[1]))
@@ -86,8 +86,8 @@ class Ledger:
 def _row(line: bytes) -> CellRow | None:
     """The row in a line, None if the line is not whole or has other columns."""
     try:
-        found = json.loads(line)
-        row, whole = found["row"], found["crc32"] == _checksum(found["row"])
+        record = json.loads(line)
+        row, whole = record["row"], record["crc32"] == _checksum(record["row"])
     except (ValueError, TypeError, KeyError, RecursionError):
         return None
     if not whole or set(row) != set(COLUMNS):

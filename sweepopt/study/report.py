@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import html
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from itertools import groupby
 from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Any
@@ -19,6 +18,7 @@ import numpy as np
 
 from sweepopt.errors import InputError, Status, brought_by
 from sweepopt.io import put
+from sweepopt.results import Solution
 from sweepopt.study.advice import advice_table
 from sweepopt.study.diagram import (
     ACCURACIES,
@@ -33,7 +33,7 @@ from sweepopt.study.diagram import (
 from sweepopt.study.hard import FAMILIES
 from sweepopt.study.hard.table import TARGET, HardRow
 from sweepopt.study.machine import processor, versions
-from sweepopt.study.trajectory import Trajectory
+from sweepopt.study.trajectory import most_moving
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -81,7 +81,7 @@ def write_report(
     table: DataFrame | None,
     path: str | os.PathLike[str],
     *,
-    trajectories: Sequence[Trajectory] = (),
+    solutions: Mapping[str, Solution] | None = None,
     hard: Sequence[HardRow] = (),
     title: str = "Accuracy and what it costs",
 ) -> Path:
@@ -93,8 +93,8 @@ def write_report(
         Of a study, one row a cell; None if there are hard cases only.
     path : path
         The file to write; one that is there is replaced.
-    trajectories : sequence of Trajectory
-        Those of one problem and component share a picture.
+    solutions : mapping of str to Solution, optional
+        Runs to show over time, by name: the component that moves most, in its guaranteed band.
     hard : sequence of HardRow
         Runs of hard cases of this session.
     title : str
@@ -108,18 +108,12 @@ def write_report(
     Raises
     ------
     InputError
-        If the table is not a study's, a trajectory is not a Trajectory or the path no place for a
-        file.
+        If the table is not a study's or the path no place for a file.
     MissingExtraError
         If Plotly is not installed.
     """
     if table is None and not hard:
         raise InputError("table is None and there are no hard cases: nothing to report")
-    for k, trajectory in enumerate(trajectories):
-        if not isinstance(trajectory, Trajectory):
-            raise InputError(
-                f"trajectories[{k}] must be a Trajectory, got {type(trajectory).__name__}"
-            )
     target = Path(path)
     if not target.absolute().parent.is_dir():
         raise InputError(f"path {str(target)!r} lies in a folder that does not exist; make it")
@@ -132,8 +126,8 @@ def write_report(
     if table is not None:
         check_table(table)
         parts += _study_section(table)
-    if trajectories:
-        parts += ["<h2>Trajectories</h2>", _html(_trajectory_figure(trajectories))]
+    if solutions:
+        parts += ["<h2>Trajectories</h2>", _html(_trajectory_figure(solutions))]
     if hard:
         parts += _hard_section(hard)
     page = PAGE.substitute(
@@ -203,7 +197,7 @@ def _cost_figure(table: DataFrame) -> Any:
                 legendgroup=name,
                 showlegend=name not in {trace.name for trace in figure.data},
                 legendrank=1000 + (style["mode"] != "lines+markers"),
-                hovertext=[_words(row) for row in table.loc[rows.index].to_dict("records")],
+                hovertext=[_tooltip(row) for row in table.loc[rows.index].to_dict("records")],
                 hoverinfo="text",
                 row=k // columns + 1,
                 col=k % columns + 1,
@@ -243,7 +237,7 @@ def _cost_figure(table: DataFrame) -> Any:
     return figure
 
 
-def _words(row: dict[str, Any]) -> str:
+def _tooltip(row: dict[str, Any]) -> str:
     """A cell in the lines of a tooltip, escaped: Plotly reads some HTML in it."""
     lines = [
         f"{row['scheme']} · {row['solver']}, {row['steps']} steps, tol {row['tol']:g}",
@@ -258,53 +252,43 @@ def _words(row: dict[str, Any]) -> str:
 # ---- trajectories -----------------------------------------------------------------------------
 
 
-def _trajectory_figure(trajectories: Sequence[Trajectory]) -> Any:
-    """A panel a problem and component, with its runs and their bands."""
+def _trajectory_figure(solutions: Mapping[str, Solution]) -> Any:
+    """A panel a run, with its guaranteed band."""
     from plotly.subplots import make_subplots
 
-    def panel(one: Trajectory) -> str:
-        return f"{one.problem}: {one.component}"
-
-    panels = [list(group) for _, group in groupby(sorted(trajectories, key=panel), key=panel)]
-    columns = min(len(panels), COLUMNS)
-    titles = [html.escape(panel(group[0])) for group in panels]
-    figure = make_subplots(-(-len(panels) // columns), columns, subplot_titles=titles)
-    colours = {scheme: k for k, scheme in enumerate(dict.fromkeys(t.scheme for t in trajectories))}
-    for k, group in enumerate(panels):
+    curves = {name: most_moving(solution) for name, solution in solutions.items()}
+    columns = min(len(curves), COLUMNS)
+    titles = [html.escape(f"{name}, u[{curve.component}]") for name, curve in curves.items()]
+    figure = make_subplots(-(-len(curves) // columns), columns, subplot_titles=titles)
+    for k, (t, u, band, _) in enumerate(curves.values()):
         place = {"row": k // columns + 1, "col": k % columns + 1}
-        for one in group:
-            colour = COLOURS[colours[one.scheme] % len(COLOURS)]
-            name = f"{one.scheme}, {one.steps} steps"
-            shown = name not in {trace.name for trace in figure.data}
+        known = band is not None
+        figure.add_scatter(
+            x=t.tolist(),
+            y=u.tolist(),
+            name="computed",
+            legendgroup="computed",
+            showlegend=k == 0,
+            line_color=COLOURS[0],
+            customdata=band.tolist() if band is not None else None,
+            hovertemplate="t = %{x:.5g}<br>u = %{y:.5g}" + known * " ± %{customdata:.2g}",
+            **place,
+        )
+        if band is not None:
             figure.add_scatter(
-                x=one.t.tolist(),
-                y=one.u.tolist(),
-                name=name,
-                legendgroup=name,
-                showlegend=shown,
-                line_color=colour,
-                customdata=(np.zeros_like(one.t) if one.band is None else one.band).tolist(),
-                hovertemplate="t = %{x:.5g}<br>u = %{y:.5g}"
-                + ("" if one.band is None else " ± %{customdata:.2g}"),
+                x=np.concatenate([t, t[::-1]]).tolist(),
+                y=np.concatenate([u + band, (u - band)[::-1]]).tolist(),
+                name="guaranteed band",
+                legendgroup="guaranteed band",
+                showlegend="guaranteed band" not in {trace.name for trace in figure.data},
+                fill="toself",
+                mode="none",
+                opacity=0.3,
+                fillcolor=COLOURS[0],
+                hoverinfo="skip",
                 **place,
             )
-            if one.band is not None:
-                edges = np.concatenate([one.u + one.band, (one.u - one.band)[::-1]])
-                figure.add_scatter(
-                    x=np.concatenate([one.t, one.t[::-1]]).tolist(),
-                    y=edges.tolist(),
-                    fill="toself",
-                    fillcolor=colour,
-                    opacity=0.2,
-                    line_width=0,
-                    mode="lines",
-                    name="guaranteed band",
-                    legendgroup=name,
-                    showlegend=False,
-                    hoverinfo="skip",
-                    **place,
-                )
-    figure.update_layout(height=80 + 300 * -(-len(panels) // columns))
+    figure.update_layout(height=80 + 300 * -(-len(curves) // columns))
     figure.update_xaxes(title_text="t")
     return figure
 
@@ -353,7 +337,7 @@ def _hard_figure(rows: Sequence[HardRow]) -> Any:
                     for line in (
                         f"{row.family}, seed {row.seed}, {row.path}, {row.solver}",
                         f"error {row.error:.1e}, certificate {row.certificate:.1e}",
-                        f"found by {row.rung}: {row.verdict}",
+                        f"solved by {row.solved_by}: {row.verdict}",
                     )
                 )
                 for row in mine

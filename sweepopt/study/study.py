@@ -97,15 +97,15 @@ class Study:
 
     def sources(self) -> list[Source]:
         """The problems, their files read for a digest; InputError if one is not there."""
-        found: list[Source] = []
+        sources: list[Source] = []
         for k, name in enumerate(self.problems):
             try:
-                found.append(find_source(name, self.folder))
+                sources.append(find_source(name, self.folder))
             except InputError as error:
                 raise InputError(f"problems[{k}]: {error}") from error
-            if found[-1].name in (other.name for other in found[:-1]):
-                raise InputError(f"problems[{k}]: another one is called {found[-1].name!r} too")
-        return found
+            if sources[-1].name in (other.name for other in sources[:-1]):
+                raise InputError(f"problems[{k}]: another one is called {sources[-1].name!r} too")
+        return sources
 
     def cells(self) -> list[Cell]:
         """All combinations, the problem slowest."""

@@ -121,8 +121,8 @@ class HardRow(NamedTuple):
     excess : float
         Largest error - certificate in the unit of the forces, less ROUNDING where nothing moves:
         above 0 a certificate was wrong.
-    rung, attempts : str, int
-        Who found the last step, and the longest way to a step.
+    solved_by, attempts : str, int
+        Which solver answered the last step, and the most attempts at a step.
     seconds : float
         Of the run.
     verdict : str
@@ -138,7 +138,7 @@ class HardRow(NamedTuple):
     error: float = nan
     certificate: float = nan
     excess: float = nan
-    rung: str = ""
+    solved_by: str = ""
     attempts: int = 0
     seconds: float = nan
     verdict: str = ""
@@ -159,22 +159,10 @@ def rows(
     tol: float = 1e-6,
     progress: Callable[[str], object] = lambda words: None,
 ) -> Iterator[HardRow]:
-    """Run the cases.
+    """Run the cases; the parameters are those of `HardStudy`.
 
-    Parameters
-    ----------
-    families : iterable of str
-        Names in FAMILIES.
-    seeds : iterable of int
-    solvers : iterable of str
-        Names in SOLVERS; those that cannot treat a case leave no row.
-    paths : iterable of str
-    combinations : int
-        How many cases are drawn by chance for each seed.
-    tol : float
-        What `solve` is asked for.
-    progress : callable
-        Called with the name of each case.
+    A solver or a path that cannot treat a case leaves no row; `progress` is called with the name
+    of each case.
 
     Yields
     ------
@@ -279,8 +267,9 @@ def _judged(row: HardRow, hard: Hard, run: _Run, judge: Judge) -> HardRow:
     t, u = run.solution.t, judge.process.u0
     error = certificate = excess = 0.0
     answer, row = row.answer, row._replace(seconds=run.seconds)
+    stats = run.solution.stats
     for step in run.steps:
-        if "/" in str(run.solution.stats["solver"][step.step]):
+        if "/" in str(stats["solver"][step.step]):
             u = step.u
             continue  # taken in parts: its velocity is the mean of theirs, of no one program
         # the time as a step makes it: a load may change within a rounding unit of t
@@ -301,13 +290,12 @@ def _judged(row: HardRow, hard: Hard, run: _Run, judge: Judge) -> HardRow:
         verdict = f"error above {TARGET:g}"
     else:
         verdict = "certificate below the error" if excess > 0 else "met"
-    stats = run.solution.stats
     return row._replace(
         answer=answer,
         error=error,
         certificate=certificate,
         excess=excess,
-        rung=str(stats["solver"][-1]),
+        solved_by=str(stats["solver"][-1]),
         attempts=int(stats["attempts"].max()),
         verdict=verdict,
     )
@@ -315,13 +303,13 @@ def _judged(row: HardRow, hard: Hard, run: _Run, judge: Judge) -> HardRow:
 
 def hard_summary(rows: Sequence[HardRow]) -> str:
     """A line a family, and each row with a wrong answer."""
-    lines = [f"{'family':<20}{'runs':>6}{'true error':>12}{'certificate':>13}  found by"]
+    lines = [f"{'family':<20}{'runs':>6}{'true error':>12}{'certificate':>13}  solved by"]
     for name, group in groupby(rows, key=lambda row: row.family):
         mine = list(group)
-        error = max((row.error for row in mine if row.rung), default=nan)
-        stated = max((row.certificate for row in mine if row.rung), default=nan)
-        rungs = ", ".join(sorted({row.rung or "refused" for row in mine}))
-        lines.append(f"{name:<20}{len(mine):6}{error:12.1e}{stated:13.1e}  {rungs}")
+        error = max((row.error for row in mine if row.solved_by), default=nan)
+        stated = max((row.certificate for row in mine if row.solved_by), default=nan)
+        solvers = ", ".join(sorted({row.solved_by or "refused" for row in mine}))
+        lines.append(f"{name:<20}{len(mine):6}{error:12.1e}{stated:13.1e}  {solvers}")
     wrong = [row for row in rows if not row.good]
     lines += ["", f"{len(rows)} runs, {len(wrong)} wrong"]
     lines += [f"  {row.family} {row.seed} {row.path} {row.solver}: {row.verdict}" for row in wrong]
