@@ -14,11 +14,14 @@ RUNS = [(name, scheme) for name in SETS for scheme in case(name).errors]
 SECOND_ORDER = ("midpoint", "trapezoid", "sdirk2")
 
 
-def run(this: Case, steps: int, scheme: str, solver: object = "auto") -> so.Solution:
+def run(
+    this: Case, steps: int, scheme: str, solver: object = "auto", tol: float = 1e-6
+) -> so.Solution:
     with warnings.catch_warnings():
         # V05, L13 start outside of C(0) on purpose
         warnings.simplefilter("ignore", so.InitialStateWarning)
-        return so.solve(this.process, t_end=this.t_end, steps=steps, scheme=scheme, solver=solver)
+        settings = {"scheme": scheme, "solver": solver, "tol": tol}
+        return so.solve(this.process, t_end=this.t_end, steps=steps, **settings)
 
 
 @pytest.mark.parametrize(("name", "scheme"), RUNS)
@@ -70,11 +73,15 @@ def test_as_the_contact_of_a_larger_body_a_case_meets_the_same_errors_on_every_p
 
 
 @pytest.mark.parametrize("name", SETS)
-def test_clarabel_osqp_and_plain_cvxpy_agree_at_the_tolerance_they_carry(name: str) -> None:
+@pytest.mark.parametrize("tol", [1e-6, 1e-10])
+def test_clarabel_osqp_and_plain_cvxpy_agree_at_the_tolerance_they_carry(
+    name: str, tol: float
+) -> None:
     this = case(name)
-    runs = [run(this, 101, "auto", so.Clarabel()), run(this, 101, "auto", so.Cvxpy("CLARABEL"))]
+    solvers = [so.Clarabel(), so.Cvxpy("CLARABEL")]
     if this.polyhedral:
-        runs += [run(this, 101, "auto", so.OSQP()), run(this, 101, "auto", so.Cvxpy("OSQP"))]
+        solvers += [so.OSQP(), so.Cvxpy("OSQP")]
+    runs = [run(this, 101, "auto", solver, tol) for solver in solvers]
     # each step's velocity is within its certificate; errors in u grow at most by 1 + sqrt(Lam T)
     growth = 1.0 if this.process.rate_independent else 1 + np.sqrt(this.process.Lam * this.t_end)
     mu = this.t_end / 101
