@@ -20,6 +20,7 @@ from sweepopt.errors import InputError, Status, brought_by
 from sweepopt.files import put
 from sweepopt.solution import Solution
 from sweepopt.study.advice import advice_table
+from sweepopt.study.band import most_moving
 from sweepopt.study.diagram import (
     ACCURACIES,
     COLOURS,
@@ -33,7 +34,6 @@ from sweepopt.study.diagram import (
 from sweepopt.study.hard import FAMILIES
 from sweepopt.study.hard.table import TARGET, HardRow
 from sweepopt.study.machine import processor, versions
-from sweepopt.study.trajectory import most_moving
 
 if TYPE_CHECKING:
     from pandas import DataFrame
