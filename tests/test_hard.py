@@ -19,7 +19,8 @@ from sweepopt.cli import main
 from sweepopt.study.hard import FAMILIES, Program, table
 from sweepopt.study.hard.bodies import chain, one_step, spectral
 from sweepopt.study.hard.combinations import combination
-from sweepopt.study.hard.table import PATHS, HardRow, Judge, rows
+from sweepopt.study.hard.judge import Judge
+from sweepopt.study.hard.table import PATHS, HardRow, rows
 
 RNG = np.random.default_rng(0)
 N = 60
