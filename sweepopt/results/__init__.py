@@ -2,9 +2,24 @@
 
 from __future__ import annotations
 
-from sweepopt.results.energy import (Energy,)
-from sweepopt.results.error_bound import (ErrorBound,)
-from sweepopt.results.refinement import (refine,)
-from sweepopt.results.solution import (Pass, Solution,)
+from sweepopt.results.energy import (
+    Energy,
+)
+from sweepopt.results.error_bound import (
+    ErrorBound,
+)
+from sweepopt.results.refinement import (
+    refine,
+)
+from sweepopt.results.solution import (
+    Pass,
+    Solution,
+)
 
-__all__ = ["Energy", "ErrorBound", "Pass", "Solution", "refine",]
+__all__ = [
+    "Energy",
+    "ErrorBound",
+    "Pass",
+    "Solution",
+    "refine",
+]

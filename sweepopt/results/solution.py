@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweepopt.results.energy import Energy, energy_of
 from sweepopt.errors import InputError, Status, SweepoptError, shown
+from sweepopt.integrate import Pass, States, Statistics
+from sweepopt.problem import SweepingProcess
+from sweepopt.results.energy import Energy, energy_of
 from sweepopt.results.interpolant import Interpolant
 from sweepopt.results.nodes import Nodes
-from sweepopt.velocity import Plan
-from sweepopt.problem import SweepingProcess
-from sweepopt.integrate import Pass
-from sweepopt.integrate import States
-from sweepopt.integrate import Statistics
-from sweepopt.velocity import VelocityOf
+from sweepopt.velocity import Plan, VelocityOf
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,10 +22,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from xarray import Dataset
 
-    from sweepopt.results.error_bound import ErrorBound
     from sweepopt.integrate import Trajectory
-
-
+    from sweepopt.results.error_bound import ErrorBound
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,7 +265,7 @@ class Solution:
 
     def to_xarray(self) -> Dataset:
         """The trajectory and its statistics as an xarray.Dataset (needs the extra "fem")."""
-        from sweepopt.fem.output import to_xarray
+        from sweepopt.fem.netcdf import to_xarray
 
         return to_xarray(self)
 
