@@ -15,9 +15,10 @@ from sweepopt.integrate.exact import Lifting, Trajectory, mover
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.integrate.states import Keeper, Kept, Lifted, States
 from sweepopt.integrate.step import Summary, compensated, step
+from sweepopt.linalg import NEGLIGIBLE
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Moving, Point
-from sweepopt.velocity import POLISHED, OfLoad, Plan, Reduction, Solved, Velocity
+from sweepopt.velocity import OfLoad, Plan, Reduction, Velocity
 
 
 class _Coefficients(NamedTuple):
@@ -117,10 +118,10 @@ class _EveryStep:
     def at(self, times: np.ndarray) -> np.ndarray | float:
         return self._phi(times)
 
-    def velocity(self, gamma: np.ndarray) -> Callable[[np.ndarray, np.ndarray], Solved]:
+    def velocity(self, gamma: np.ndarray) -> Callable[[np.ndarray, np.ndarray], Velocity]:
         rho = self.B or 0.0
-        return lambda alpha, phi: Solved(
-            Velocity((phi - rho * alpha) / (1 + rho * gamma), 0.0, 0.0), "formula", 0, 1
+        return lambda alpha, phi: Velocity(
+            (phi - rho * alpha) / (1 + rho * gamma), 0.0, 0.0, "formula", 0, 1
         )
 
 
@@ -160,7 +161,7 @@ def _exact_coefficients(
     unit = np.eye(len(reduction.load.terms))
     C = Moving(Point(0 * unit[-1]), reduction.load)
     process = SweepingProcess(unit, reduction.rho * unit if reduction.rho else None, C, unit[-1])
-    plan = replace(plan, solvers=(), contact=None, reduction=None, order=None, tol=POLISHED)
+    plan = replace(plan, solvers=(), contact=None, reduction=None, order=None, tol=NEGLIGIBLE)
     keeper = Keeper(np.arange(len(mus)), process.u0)
     run = mover(process, plan)(times, mus, keeper)
     if run.status is Status.INTERRUPTED:

@@ -37,7 +37,7 @@ from sweepopt.linalg import EPS
 from sweepopt.problem import Norms, SweepingProcess
 from sweepopt.results.nodes import Nodes, cubic
 from sweepopt.results.residuals import Defects, defects
-from sweepopt.velocity import Plan
+from sweepopt.velocity import Plan, compile_projection
 
 SUMMED = 64 * EPS  # what a run's sums round, in units of |u|_A and the root of its steps
 # de Casteljau at 1/2: a cubic's Bernstein coefficients on both halves
@@ -94,7 +94,7 @@ def error_bound(
     plan = replace(plan, reduction=None, tol=min(plan.tol, COMPANION_TOL))
     near = run if own else _companion(process, plan, run.t)
     norms = Norms(process)
-    missed = defects(process, plan.velocity(process.metric.M), norms, near, variation)
+    missed = defects(process, compile_projection(plan, process.metric.M), norms, near, variation)
     after = _grown(norms, near.t, missed)
     nodes = run.at(near.t)
     apart = _apart(near, missed.slopes, nodes)

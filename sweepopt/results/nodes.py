@@ -36,7 +36,7 @@ def slopes_of_curves(process: SweepingProcess, phi: VelocityOf, near: Nodes) -> 
     if not process.rate_independent:
         slope = np.array(
             [
-                phi(process.times_B(u), process.C.at(t)).velocity.z
+                phi(process.times_B(u), process.C.at(t)).z
                 for t, u in zip(near.t.tolist(), near.u, strict=True)
             ]
         )

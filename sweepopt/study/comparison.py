@@ -28,7 +28,7 @@ from sweepopt.study.rows import aligned
 from sweepopt.study.settings import ACCURACIES, Contestant, contestants
 from sweepopt.study.sources import Source
 from sweepopt.study.threads import one_thread
-from sweepopt.velocity import Answer, Clarabel, Solve, Solver, VelocityProgram
+from sweepopt.velocity import Answer, Clarabel, Solve, Solver, VelocityProgram, certify
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -192,7 +192,7 @@ def _trial(answered: Solve, statement: VelocityProgram, q: np.ndarray, C: Convex
     seconds = clock.perf_counter() - started
     if not (np.isfinite(answer.z).all() and np.isfinite(answer.y).all()):
         return Trial(seconds, inf)
-    relative = statement.certify(q, C, answer.z, answer.y).relative
+    relative = certify(statement.M, q, C, answer.z, answer.y).relative
     return Trial(seconds, inf if math.isnan(relative) else relative)
 
 

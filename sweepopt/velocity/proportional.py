@@ -36,7 +36,7 @@ from sweepopt.loads import Constant, Separable
 from sweepopt.problem import SweepingProcess, proportion
 from sweepopt.sets import AnySet, ConvexSet, Moving
 from sweepopt.velocity.influence import Uneven, accuracy, follow, held
-from sweepopt.velocity.program import is_rounding
+from sweepopt.velocity.certificate import is_rounding
 
 if TYPE_CHECKING:
     from sweepopt.integrate import Scheme

@@ -17,7 +17,7 @@ from sweepopt.integrate.statistics import Log
 from sweepopt.integrate.step import Summary
 from sweepopt.linalg import Factor
 from sweepopt.problem import SweepingProcess
-from sweepopt.velocity import Plan, Velocity, VelocityProgram, matrix, rate
+from sweepopt.velocity import Plan, Velocity, certify_point, matrix
 
 FLOOR = 0.01
 GOLDEN = 0.381966  # no usual load has this share of a step as its period
@@ -155,13 +155,11 @@ class _Inclusion:
             self._factors = {mu: Factor(matrix(process, mu))}
         M = self._factors[mu]
         q = process.times_B(u - mu * z)
-        found = VelocityProgram(M, C).certify(q, C, z, np.zeros(C.offsets.size))
-        certificate = found.certificate + M.norm(z - found.z)
         inside = process.C.at(t - GOLDEN * mu).anchor  # a load may vanish at both nodes
         apart = M.norm(terms) + M.dual_norm(np.abs(C.anchor)) + M.dual_norm(np.abs(inside))
         if process.B is not None:
             apart += M.dual_norm(abs(process.B) @ (self._extent + mu * terms))
-        return rate(z, certificate, M.norm(z), max(M.dual_norm(q - C.anchor), FLOOR * apart))
+        return certify_point(M, q, C, z, FLOOR * apart)
 
 
 def _cause(i: int, times: np.ndarray, relative: float, tol: float) -> str:
