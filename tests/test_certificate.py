@@ -14,7 +14,6 @@ import sweepopt as so
 from sweepopt.integrate.grid import divided
 from sweepopt.integrate.schemes import SCHEMES
 from sweepopt.loads import Polynomial
-from sweepopt.problem.motion import GAUSS, motion
 from sweepopt.problem.norms import Norms
 from sweepopt.study.problems import PROBLEMS, Spiral
 
@@ -76,20 +75,12 @@ def test_the_bound_is_never_below_the_error_and_the_lower_one_never_above(
         assert len(bound.of_t) == len(bound.B) == steps
 
 
-def sloppily(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Take answers as solvers give them: neither polished nor solved again."""
-    monkeypatch.setattr("sweepopt.velocity.polish.POLISHED", np.inf)
-    for module in ("ladder", "velocity"):
-        monkeypatch.setattr(f"sweepopt.{module}.ACCURATE", np.inf)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "scheme"), [one for one in RUNS if one[1] != "exact"])
 @pytest.mark.parametrize("tol", [1e-9, 1e-6, 1e-3])
-def test_the_bound_holds_on_all_grids_and_with_sloppy_solvers(
-    name: str, scheme: str, tol: float, monkeypatch: pytest.MonkeyPatch
+def test_the_bound_holds_on_all_grids_and_with_inexact_solvers(
+    name: str, scheme: str, tol: float
 ) -> None:
-    sloppily(monkeypatch)
     for steps in (11, 101, 211, 503, 1009, 2003)[name in CURVED :]:
         sol = run(name, steps, scheme, solver=so.Clarabel(tol=tol), tol=max(tol, 1e-6))
         bound = sol.error_bound()
@@ -97,18 +88,24 @@ def test_the_bound_holds_on_all_grids_and_with_sloppy_solvers(
         assert bound >= furthest(name, sol)
 
 
-@pytest.mark.parametrize("name", ["P09", "B15"])
+class Inexact(so.Clarabel):
+    """Answers that are off by 1 %, as a solver may give them."""
+
+    def compile(self, program: Any) -> Any:
+        solve = super().compile(program)
+
+        def inexact(q: np.ndarray, C: so.ConvexSet) -> Any:
+            answer = solve(q, C)
+            return answer._replace(z=1.01 * answer.z)
+
+        return inexact
+
+
+@pytest.mark.parametrize("name", ["V05", "M17"])
 @pytest.mark.parametrize("scheme", ["implicit-euler", "midpoint"])
-def test_what_a_sloppy_solver_misses_is_inside_the_bound(
-    name: str, scheme: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sharp = run(name, 101, scheme).error_bound()
-    sloppily(monkeypatch)
-    sol = run(name, 101, scheme, solver=so.Clarabel(tol=1e-3), tol=1e-2)
-    bound = sol.error_bound()
-    assert sol.stats["relative"].max() > 1e-6
-    assert furthest(name, sol) <= bound
-    assert bound != sharp
+def test_the_error_of_an_inexact_solver_is_inside_the_bound(name: str, scheme: str) -> None:
+    sol = run(name, 101, scheme, solver=Inexact(), tol=0.1)
+    assert furthest(name, sol) <= sol.error_bound()
 
 
 def test_the_bound_of_first_order_schemes_is_close_to_their_error() -> None:
@@ -230,31 +227,6 @@ def test_an_error_that_cannot_be_guaranteed_is_refused(monkeypatch: pytest.Monke
     with pytest.raises(so.AccuracyError, match="finer grids do not help or take more") as caught:
         so.solve(PROBLEMS["S01"].process(), t_end=1.0, steps=20, error=1e-15)
     assert caught.value.solution.success
-
-
-@pytest.mark.parametrize(
-    "history",
-    [
-        so.Sine(2.0, 0.7, 0.3, 1.0),
-        so.Triangle(1.5, 0.8),
-        Polynomial([1.0, -2.0, 0.5, 3.0, -1.0, 0.7, 0.2]),
-        so.Table([0, 0.3, 0.9, 2.0], [1, -1, 2, 0]),
-        Spiral(0.8, 2.0, 0.3),
-    ],
-)
-def test_a_history_is_no_further_from_its_polynomials_than_they_say(history: Any) -> None:
-    C = so.Moving(so.Box([-1], [1]), so.Separable([(history, [1.0])]))
-    moved = motion(C)
-    assert moved is not None
-    grid = moved.grid(np.linspace(0.0, 2.0, 8))
-    center, _ = moved.on(grid)
-    inside = np.linspace(0.0, 1.0, 41)
-    power = np.vander(GAUSS, 6)
-    for k, (a, b) in enumerate(zip(grid.begin, grid.end, strict=True)):
-        weights = np.linalg.solve(power, center.values[k, :, 0])
-        through = np.vander(inside, 6) @ weights
-        apart = np.abs(history(a + (b - a) * inside) - through).max()
-        assert apart <= center.away[k, 0] + 1e-11
 
 
 def test_errors_grow_no_faster_than_k() -> None:

@@ -20,7 +20,8 @@ from meshes import annulus, write_msh
 
 import sweepopt as so
 from sweepopt import cli
-from sweepopt.fem import Scene, library, read_scene
+from sweepopt import io as library
+from sweepopt.fem import Scene, read_scene
 
 SCENE = """
 title = "a small ring"
@@ -210,7 +211,7 @@ def test_ctrl_c_while_writing_keeps_the_files_of_the_run_before(
     def interrupted(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sweepopt.fem.summary.summary_of", interrupted)
+    monkeypatch.setattr("sweepopt.fem.output.summary_of", interrupted)
     assert cli.main(run) == 130
     assert "interrupted" in capsys.readouterr().err
     assert Path("out/summary.json").read_bytes() == before
@@ -367,18 +368,3 @@ def test_the_module_runs_as_a_command() -> None:
     shown = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "tube" in shown.stdout
     assert shown.stderr == ""
-
-
-@pytest.mark.usefixtures("scene")
-def test_bench_prints_its_table_and_writes_its_rows(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["bench", "--cells", "4", "--steps", "3", "--rounds", "1"]
-    only = ["--only", "eliminated", "frictionless", "--csv", "rows.csv"]
-    assert cli.main([*arguments, *only]) == 0
-    shown = capsys.readouterr()
-    assert "eliminated" in shown.out
-    assert "round 1 of 1" in shown.err
-    header, *rows = Path("rows.csv").read_text().splitlines()
-    assert header.startswith("case,unknowns,contact,steps,rounds,path,ms")
-    assert len(rows) >= 2
-    assert cli.main(["bench", "--only", "fastest"]) == 2
-    assert "there is no path 'fastest'" in capsys.readouterr().err

@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parent.parent / "sweepopt"
 # from the ground up; a room imports from those before it
 ROOMS = (
     ["errors", "checks", "io", "loads", "linalg", "sets", "problem", "velocity", "integrate"]
-    + ["results", "solve", "resume", "fem", "plot", "study", "cli", "__main__"]
+    + ["results", "plot", "solve", "resume", "fem", "study", "cli", "__main__"]
 )  # fmt: skip
 # conveniences of Solution: plot(), to_xarray() and save()
 UPWARD = {("results", "plot"), ("results", "fem")}

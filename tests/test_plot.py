@@ -16,9 +16,17 @@ from meshes import annulus, square
 
 import sweepopt as so
 from sweepopt import plot
-from sweepopt.fem import BodyForce, Elasticity, Friction, Scene, Traction, Viscosity, antiplane
-from sweepopt.fem.slip import Slip, slip_of
-from sweepopt.plot import body, canvas, components, contact
+from sweepopt.fem import (
+    BodyForce,
+    Elasticity,
+    Friction,
+    Scene,
+    Traction,
+    Viscosity,
+    antiplane,
+    pictures,
+)
+from sweepopt.fem.contact import Slip, slip_of
 
 
 class Run:
@@ -76,7 +84,7 @@ def states_drawn(panel: Any) -> list[str]:
 def test_displacement_and_slip_zone_are_those_of_the_solution(run: Run, tmp_path: Path) -> None:
     scene, solution, slip = run.scene, run.solution, run.rubbing
     times = [0.0, 1.0, 3.0]
-    figure = plot.displacement_figure(scene, solution, slip, times)
+    figure = pictures.displacement_figure(scene, solution, slip, times)
     save(figure, tmp_path / "displacement.png")
     panels = [panel for panel in figure.axes if panel.get_title()]
     bar = figure.axes[-1]
@@ -93,24 +101,24 @@ def test_displacement_and_slip_zone_are_those_of_the_solution(run: Run, tmp_path
         state = slip.state[max(i - 1, 0)]
         drawn = states_drawn(panel)
         assert len(drawn) == 2 * len(scene.contact)  # a closed boundary: two halves a node
-        for value, colour in canvas.STATE_COLOURS.items():
+        for value, colour in pictures.STATE_COLOURS.items():
             assert drawn.count(to_hex(colour)) == 2 * np.count_nonzero(state == value)
     assert "(mm)" in panels[0].get_ylabel() + panels[-1].get_xlabel()
 
 
 def test_half_edges_lie_at_their_node(run: Run) -> None:
-    segments, owner = body.half_edges(run.scene)
+    segments, owner = pictures.half_edges(run.scene)
     np.testing.assert_array_equal(segments[:, 0], run.scene.contact.points[owner])
     length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1).sum()
     assert length == pytest.approx(run.scene.contact.weight.sum(), rel=0.01)
 
 
 def test_informative_times_tell_the_story(run: Run) -> None:
-    moments = body.moments_of(run.solution, run.slip)
-    assert 4 <= len(moments) <= body.MOST_PICTURES
+    moments = pictures.steps_shown(run.solution, run.slip)
+    assert 4 <= len(moments) <= pictures.MOST_PICTURES
     assert moments == sorted(set(moments))
     assert moments[-1] == len(run.solution.velocity)
-    assert min(np.diff(moments)) >= len(run.solution.velocity) / (2 * body.MOST_PICTURES)
+    assert min(np.diff(moments)) >= len(run.solution.velocity) / (2 * pictures.MOST_PICTURES)
     drawn = {int(s) for i in moments for s in np.unique(run.rubbing.state[i - 1])}
     assert drawn == {-1, 0, 1}
 
@@ -121,14 +129,14 @@ def test_the_shortest_runs_have_pictures(steps: int, tmp_path: Path) -> None:
     solution = scene.solve(steps=steps)
     slip = slip_of(scene, solution)
     assert slip is not None
-    plot.displacement_figure(scene, solution, slip).savefig(tmp_path / "displacement.png")
-    plot.contact_figure(scene, slip).savefig(tmp_path / "contact.png")
+    pictures.displacement_figure(scene, solution, slip).savefig(tmp_path / "displacement.png")
+    pictures.contact_figure(scene, slip).savefig(tmp_path / "contact.png")
 
 
 def test_a_body_at_rest_without_friction_has_a_picture(tmp_path: Path) -> None:
     mesh = square(3).scaled((5.0, 1.0))
     scene = antiplane(mesh, clamped="top", effects=[Viscosity(1.0)], t_end=1.0, steps=3)
-    figure = plot.displacement_figure(scene, scene.solve(), None)
+    figure = pictures.displacement_figure(scene, scene.solve(), None)
     figure.savefig(tmp_path / "displacement.png")
     assert not figure.legends
     assert "(" not in figure.axes[0].get_ylabel() + figure.axes[-1].get_ylabel()
@@ -136,21 +144,21 @@ def test_a_body_at_rest_without_friction_has_a_picture(tmp_path: Path) -> None:
 
 def test_times_outside_of_the_run_are_refused(run: Run) -> None:
     with pytest.raises(so.InputError, match=r"t = 7 is outside of \[0, 6\]"):
-        plot.displacement_figure(run.scene, run.solution, run.slip, [1.0, 7.0])
+        pictures.displacement_figure(run.scene, run.solution, run.slip, [1.0, 7.0])
 
 
 def test_contact_histories_are_those_of_the_solution(run: Run, tmp_path: Path) -> None:
     slip = run.rubbing
-    figure = plot.contact_figure(run.scene, slip)
+    figure = pictures.contact_figure(run.scene, slip)
     save(figure, tmp_path / "contact.png")
     zone, moved, traction = figure.axes
     grid = next(item for item in zone.collections if isinstance(item, QuadMesh))
     np.testing.assert_array_equal(np.reshape(grid.get_array(), slip.state.T.shape), slip.state.T)
     colours = [to_hex(grid.cmap(grid.norm(state))) for state in (-1, 0, 1)]
-    assert colours == [to_hex(canvas.STATE_COLOURS[state]) for state in (-1, 0, 1)]
-    assert (np.diff(contact.cell_edges(slip)) >= 0.0).all()
+    assert colours == [to_hex(pictures.STATE_COLOURS[state]) for state in (-1, 0, 1)]
+    assert (np.diff(pictures.cell_edges(slip)) >= 0.0).all()
 
-    nodes = contact.telling_nodes(slip)
+    nodes = pictures.nodes_shown(slip)
     assert int(np.argmax(slip.total)) in nodes
     assert slip.total[nodes].min() == slip.total.min()
     curves = [line for line in moved.lines if line.get_label().startswith("at ")]
@@ -177,7 +185,7 @@ def test_several_boundaries_share_one_picture(tmp_path: Path) -> None:
     )
     slip = slip_of(scene, scene.solve())
     assert slip is not None
-    figure = plot.contact_figure(scene, slip)
+    figure = pictures.contact_figure(scene, slip)
     save(figure, tmp_path / "contact.png")
     zone, moved, _ = figure.axes
     assert zone.get_ylabel() == "arc length of bottom, left"
@@ -188,7 +196,9 @@ def test_several_boundaries_share_one_picture(tmp_path: Path) -> None:
 
 def test_state_colours_differ_in_lightness_or_blueness_for_every_eye() -> None:
     # deuteranopia mixes red and green: their mean, blue and lightness must still tell states apart
-    seen = [np.array([(r + g) / 2.0, b]) for r, g, b in map(to_rgb, canvas.STATE_COLOURS.values())]
+    seen = [
+        np.array([(r + g) / 2.0, b]) for r, g, b in map(to_rgb, pictures.STATE_COLOURS.values())
+    ]
     for k, one in enumerate(seen):
         for other in seen[k + 1 :]:
             assert np.linalg.norm(one - other) > 0.15
@@ -208,7 +218,7 @@ def test_plot_of_a_solution_draws_components_and_stick_phases(dim: int, tmp_path
     ax = plot.plot_solution(solution)
     save(ax.figure, tmp_path / "solution.png")
     curves = [line for line in ax.lines if line.get_label().startswith("$u_")]
-    assert len(curves) == min(dim, components.MOST_COMPONENTS)
+    assert len(curves) == min(dim, plot.MOST_COMPONENTS)
     for line in curves:
         i = int(line.get_label().strip("$u_{}"))
         np.testing.assert_array_equal(line.get_ydata(), solution.u[:, i])
@@ -238,5 +248,5 @@ def test_missing_matplotlib_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_no_global_state_of_pyplot_is_touched(run: Run) -> None:
-    for file in Path(plot.__file__).parent.glob("*.py"):
+    for file in map(Path, (plot.__file__, pictures.__file__)):
         assert "matplotlib.pyplot" not in file.read_text(encoding="utf-8")

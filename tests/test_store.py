@@ -16,11 +16,21 @@ import xarray as xr
 from meshes import annulus, square
 
 import sweepopt as so
-from sweepopt.fem import BodyForce, Elasticity, Friction, Scene, Traction, Viscosity, antiplane
+from sweepopt.fem import (
+    BodyForce,
+    Elasticity,
+    Friction,
+    Scene,
+    Traction,
+    Viscosity,
+    antiplane,
+    netcdf,
+)
 from sweepopt.fem import output as store
-from sweepopt.fem.slip import slip_of
+from sweepopt.fem.contact import slip_of
 from sweepopt.integrate.states import Kept
 from sweepopt.integrate.statistics import Log
+from sweepopt.io import replacing
 
 
 def ring(**changes: Any) -> Scene:
@@ -54,7 +64,7 @@ def report() -> store.Report:
 @pytest.fixture(scope="module")
 def written(report: store.Report, tmp_path_factory: pytest.TempPathFactory) -> xr.Dataset:
     path = tmp_path_factory.mktemp("netcdf") / "solution.nc"
-    store.write_netcdf(report, path)
+    netcdf.write_netcdf(report, path)
     with xr.open_dataset(path, engine="h5netcdf") as dataset:
         return dataset.load()
 
@@ -229,7 +239,7 @@ def test_dimensionless_scenes_have_units_1_and_no_friction_means_no_contact(
     scene = antiplane(square(4), clamped="top", effects=effects, t_end=1.0, steps=4)
     report = report_of(scene)
     assert report.slip is None
-    store.write_netcdf(report, tmp_path / "solution.nc")
+    netcdf.write_netcdf(report, tmp_path / "solution.nc")
     with xr.open_dataset(tmp_path / "solution.nc", engine="h5netcdf") as dataset:
         assert_described(dataset)
         assert "contact" not in dataset.sizes
@@ -243,7 +253,7 @@ def test_dimensionless_scenes_have_units_1_and_no_friction_means_no_contact(
 def test_any_solution_becomes_a_dataset() -> None:
     C = so.Moving(so.Box([-1, -1], [1, 1]), center=lambda t: [1.5 * t, 0.0])
     solution = so.solve(so.SweepingProcess(np.eye(2), 2 * np.eye(2), C, [0, 0]), t_end=3.0, steps=9)
-    dataset = store.to_xarray(solution)
+    dataset = netcdf.to_xarray(solution)
     assert_described(dataset)
     assert dict(dataset.sizes) == {"time": 10, "unknown": 2, "step": 9}
     np.testing.assert_array_equal(dataset.u, solution.u)
@@ -397,14 +407,14 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
     path.write_text("old")
 
     def write_half() -> None:
-        with store.replacing(path) as part:
+        with replacing(path) as part:
             part.write_text("half of the n")
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         write_half()
     assert path.read_text() == "old"
-    with store.replacing(path) as part:
+    with replacing(path) as part:
         part.write_text("new")
         assert path.read_text() == "old"
     assert path.read_text() == "new"
@@ -417,4 +427,4 @@ def test_a_missing_package_names_the_extra_that_brings_it(
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(so.MissingExtraError, match=rf'{package}.*pip install "sweepopt\[fem\]"'):
-        store.write_netcdf(report, tmp_path / "solution.nc")
+        netcdf.write_netcdf(report, tmp_path / "solution.nc")

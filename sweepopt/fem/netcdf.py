@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweepopt.errors import brought_by
-from sweepopt.fem.report import (
+from sweepopt.fem.contact import STATES, Slip
+from sweepopt.fem.output import (
     DIMENSIONLESS,
     Report,
     Units,
     solver_name,
     versions_of,
 )
-from sweepopt.fem.slip import STATES, Slip
 from sweepopt.integrate import netcdf_package
 from sweepopt.io import replacing
 

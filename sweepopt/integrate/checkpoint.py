@@ -1,6 +1,6 @@
 """What is written of a run that can be continued, and where: arguments of `solve` and their file.
 
-A checkpoint is an archive (`sweepopt.archive`); `sweepopt.marks` writes it.
+A checkpoint is a plain .npz file; `checkpoint_writer` writes it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from sweepopt.checks import count, number
 from sweepopt.errors import DamagedFileError, InputError, shown
-from sweepopt.io import read_archive, versions_of, writable
+from sweepopt.io import read_npz, versions_of, writable
 from sweepopt.velocity import REGISTRY
 
 SCHEMA = 1
@@ -116,12 +116,12 @@ def read_stored(file: Path) -> Stored:
         If it cannot be read; if another version of the library has written it in another form.
     """
     try:
-        record, arrays = read_archive(file)
+        record, arrays = read_npz(file)
     except FileNotFoundError:
         raise
     except OSError as error:
         raise InputError(f"{file} cannot be read ({error.strerror or error})") from error
-    if not isinstance(record, dict) or not set(record) >= PARTS:
+    if not set(record) >= PARTS:
         raise DamagedFileError(f"{file} is no checkpoint")
     if record.get("schema") != SCHEMA:
         raise InputError(

@@ -32,7 +32,7 @@ from sweepopt.integrate.fingerprint import fingerprint
 from sweepopt.integrate.loop import Place, Run
 from sweepopt.integrate.records import packed, unpacked
 from sweepopt.integrate.states import Keeper
-from sweepopt.io import remove_parts, write_archive
+from sweepopt.io import remove_parts, write_npz
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan
 
@@ -176,7 +176,7 @@ class Checkpoints:
         arrays |= {f"recorded.{k}": column for k, column in enumerate(columns)}
         file = self._checkpoint.file
         try:
-            write_archive(file, {**self._about, "run": state}, arrays, previous)
+            write_npz(file, {**self._about, "run": state}, arrays, previous)
         except OSError as error:
             older = file.exists() or self._checkpoint.previous.exists()
             raise CheckpointError(

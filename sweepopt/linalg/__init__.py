@@ -7,6 +7,9 @@ from sweepopt.linalg.choice import (
     factor_bytes,
     factorise,
 )
+from sweepopt.linalg.conjugate_gradients import (
+    IterativeElimination,
+)
 from sweepopt.linalg.eigenvalues import (
     exceeds_none,
     is_semidefinite,
@@ -42,6 +45,7 @@ __all__ = [
     "UNIT",
     "Elimination",
     "Factor",
+    "IterativeElimination",
     "Precise",
     "dense",
     "eliminate",

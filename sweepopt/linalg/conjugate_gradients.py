@@ -126,19 +126,19 @@ class IterativeElimination(ConjugateGradients):
         self.N = scipy.linalg.inv(0.5 * (S + S.T))
         self.N = 0.5 * (self.N + self.N.T)
 
-    def reduce(self, r: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-        """r and M^-1 r, and the force N E M^-1 r on zeta = E z."""
+    def reduce(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The rows r and M^-1 r, and the force N E M^-1 r on zeta = E z."""
         solved = self.solve(r)
-        return (r, solved), self.N @ solved[self.unknowns]
+        return np.stack([r, solved]), self.N @ solved[self.unknowns]
 
-    def size(self, forward: tuple[np.ndarray, np.ndarray]) -> float:
+    def size(self, forward: np.ndarray) -> float:
         """|r|_{M^-1} from what `reduce` gave for r."""
         r, solved = forward
         return math.sqrt(max(float(r @ solved), 0.0))
 
-    def recover(self, forward: tuple[np.ndarray, np.ndarray], force: np.ndarray) -> np.ndarray:
+    def recover(self, forward: np.ndarray, force: np.ndarray) -> np.ndarray:
         """z with M z = r + E^T s and E z = zeta, from `reduce` of r and the force N zeta."""
         _, solved = forward
         pressure = np.zeros(self.dim)
         pressure[self.unknowns] = force - self.N @ solved[self.unknowns]
-        return solved + self.solve(pressure)
+        return np.asarray(solved + self.solve(pressure))

@@ -265,7 +265,7 @@ class Solution:
 
     def to_xarray(self) -> Dataset:
         """The trajectory and its statistics as an xarray.Dataset (needs the extra "fem")."""
-        from sweepopt.fem.output import to_xarray
+        from sweepopt.fem.netcdf import to_xarray
 
         return to_xarray(self)
 

@@ -27,7 +27,7 @@ from sweepopt.velocity.program import (
     untranslated,
 )
 from sweepopt.velocity.proportional import (
-    OfLoad,
+    ReconstructionResiduals,
     Reduction,
 )
 from sweepopt.velocity.solvers import (
@@ -58,8 +58,8 @@ __all__ = [
     "Cvxpy",
     "Factors",
     "Newton",
-    "OfLoad",
     "Plan",
+    "ReconstructionResiduals",
     "Reduction",
     "Solve",
     "Solver",

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from sweepopt.linalg import Elimination, Factor, Precise
+from sweepopt.linalg import Elimination, Factor, IterativeElimination, Precise
 
 
 class Unknowns(Protocol):
@@ -84,7 +84,7 @@ class AllUnknowns:
 class FewUnknowns:
     """All unknowns but a few are eliminated, by one forward and one backward substitution."""
 
-    def __init__(self, M: Elimination) -> None:
+    def __init__(self, M: Elimination | IterativeElimination) -> None:
         self._M, self.unknowns = M, M.unknowns
 
     @cached_property

@@ -1,16 +1,16 @@
-"""The exact trajectory on the grid of a run, each node judged by the sets themselves."""
+"""The exact trajectory on the grid of a run, the inclusion checked at each node."""
 
 from __future__ import annotations
 
 import time as clock
-from functools import cached_property, partial
-from typing import NamedTuple, Protocol
+from functools import partial
+from typing import Protocol
 
 import numpy as np
 
 from sweepopt.errors import InputError, Status, shown
-from sweepopt.integrate.exact.rows import Rows, rows_of
-from sweepopt.integrate.exact.trajectory import Phase, Trajectory, integrate
+from sweepopt.integrate.exact.offsets import Rows, rows_of
+from sweepopt.integrate.exact.trajectory import Phase, Trajectory, exact_trajectory
 from sweepopt.integrate.loop import Look, Marks, Prove, Run, march
 from sweepopt.integrate.states import Keeper
 from sweepopt.integrate.statistics import Log
@@ -19,8 +19,8 @@ from sweepopt.linalg import Factor
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan, Velocity, certify_point, matrix
 
-FLOOR = 0.01
-GOLDEN = 0.381966  # no usual load has this share of a step as its period
+FLOOR = 0.01  # where terms cancel, this share of them counts as the size of their sum
+BETWEEN = 0.381966  # of a step back, the load is looked at too: it may vanish at both nodes
 BLOCK = 1000  # nodes that are computed at once
 
 
@@ -53,10 +53,10 @@ def mover(process: SweepingProcess, plan: Plan, marks: Marks | None = None) -> M
         raise InputError(
             f"scheme 'exact' has no use for solver={shown(plan.solver)}; leave one of them out"
         )
-    return partial(follow, rows_of(process), process, plan.tol)
+    return partial(_on_grid, rows_of(process), process, plan.tol)
 
 
-def follow(
+def _on_grid(
     rows: Rows,
     process: SweepingProcess,
     tol: float,
@@ -70,22 +70,32 @@ def follow(
     run = Run(Log(len(mus)))
     try:
         started = clock.perf_counter()
-        exact = run.exact = integrate(rows, process.u0, float(times[0]), float(times[-1]))
-        known = int(np.searchsorted(times, exact.end, side="right")) - 1
+        exact = run.exact = exact_trajectory(rows, process.u0, float(times[0]), float(times[-1]))
         share = (clock.perf_counter() - started) / len(mus)
-        nodes = _Nodes(exact, times)
-        inclusion = _Inclusion(process, exact)
-        before = process.u0
+        known = int(np.searchsorted(times, exact.end, side="right")) - 1
+        begun = np.searchsorted(times, exact.starts, side="right")
+        phases = np.bincount(begun, minlength=len(times)).tolist()  # that begin in each step
+        inclusion, before = _Inclusion(process, exact), process.u0
         for i in range(known):
             started = clock.perf_counter()
-            u, derivative, terms, phases = nodes(i + 1)
-            z = (u - before) / mus[i]
-            found = inclusion(float(times[i + 1]), float(mus[i]), u, derivative, terms)
-            step = Summary(phases, 1, found.certificate, found.relative, "closed form")
+            k = i % BLOCK
+            if k == 0:
+                block = times[i + 1 : min(i + BLOCK, known) + 1]
+                states, derivatives = exact(block), exact.velocity(block)
+                scales = exact.evaluate(block, Phase.velocity_scale)
+            u, mu = states[k], float(mus[i])
+            z = (u - before) / mu
+            found = inclusion(float(times[i + 1]), mu, u, derivatives[k], scales[k])
+            step = Summary(phases[i + 1], 1, found.certificate, found.relative, "closed form")
             step = step if prove is None else prove(i, before, z, step)
             if step.relative > tol:
-                run.cause, run.relative = _cause(i, times, step.relative, tol), step.relative
-                run.status = Status.INEXACT
+                run.status, run.relative = Status.INEXACT, step.relative
+                run.cause = (
+                    f"step {i} from t = {times[i]:g}: the closed form misses the inclusion by "
+                    f"{step.relative:.2g} of the velocity's size at its end, tol is {tol:g}. The "
+                    "data are scaled too badly for double precision; loosen tol or use "
+                    "implicit-euler or sdirk2"
+                )
                 return run
             if step.relative != step.relative:
                 run.status = Status.UNCERTIFIED
@@ -103,43 +113,11 @@ def follow(
     return run
 
 
-class _Node(NamedTuple):
-    """u, u', its terms and the number of phases that begin in the step that ends there."""
-
-    u: np.ndarray
-    derivative: np.ndarray
-    terms: np.ndarray
-    phases: int
-
-
-class _Nodes:
-    """States and left derivatives at the nodes of a grid, a block of them at once."""
-
-    def __init__(self, exact: Trajectory, times: np.ndarray) -> None:
-        self._exact, self._times, self._first = exact, times, -BLOCK
-        self._phases = np.searchsorted(times, exact.starts, side="right")
-
-    def __call__(self, i: int) -> _Node:
-        if not 0 <= i - self._first < BLOCK:
-            self._first = i
-            block = self._times[i : i + BLOCK]
-            block = block[block <= self._exact.end]
-            self._u, self._z = self._exact(block), self._exact.velocity(block)
-            self._terms = self._exact.seen(block, Phase.terms)
-        j = i - self._first
-        return _Node(self._u[j], self._z[j], self._terms[j], self._counts[i])
-
-    @cached_property
-    def _counts(self) -> list[int]:
-        return np.bincount(self._phases, minlength=len(self._times)).tolist()
-
-
 class _Inclusion:
-    """How far -u' in N_C(A u' + B u) is missed, from A, B and the set's own projection.
+    """The residual of -u' in N_C(A u' + B u), from A, B and the set's own projection.
 
     u' solves the program of an implicit Euler step that ends in u, M = A + mu B and
-    q = B (u - mu u'); the certificate is that of this program. Where u, u' and the load cancel to
-    what rounding leaves of them, that is no measure: a size counts as FLOOR of their terms.
+    q = B (u - mu u'); the certificate is that of this program.
     """
 
     def __init__(self, process: SweepingProcess, exact: Trajectory) -> None:
@@ -148,23 +126,15 @@ class _Inclusion:
         self._factors: dict[float, Factor] = {}
 
     def __call__(
-        self, t: float, mu: float, u: np.ndarray, z: np.ndarray, terms: np.ndarray
+        self, t: float, mu: float, u: np.ndarray, z: np.ndarray, scale: np.ndarray
     ) -> Velocity:
         process, C = self._process, self._process.C.at(t)
         if mu not in self._factors:
             self._factors = {mu: Factor(matrix(process, mu))}
         M = self._factors[mu]
         q = process.times_B(u - mu * z)
-        inside = process.C.at(t - GOLDEN * mu).anchor  # a load may vanish at both nodes
-        apart = M.norm(terms) + M.dual_norm(np.abs(C.anchor)) + M.dual_norm(np.abs(inside))
+        inside = process.C.at(t - BETWEEN * mu)
+        terms = M.norm(scale) + M.dual_norm(np.abs(C.anchor)) + M.dual_norm(np.abs(inside.anchor))
         if process.B is not None:
-            apart += M.dual_norm(abs(process.B) @ (self._extent + mu * terms))
-        return certify_point(M, q, C, z, FLOOR * apart)
-
-
-def _cause(i: int, times: np.ndarray, relative: float, tol: float) -> str:
-    return (
-        f"step {i} from t = {times[i]:g}: the closed form misses the inclusion by {relative:.2g} "
-        f"of the velocity's size at its end, tol is {tol:g}. The data are scaled too badly for "
-        "double precision; loosen tol or use implicit-euler or sdirk2"
-    )
+            terms += M.dual_norm(abs(process.B) @ (self._extent + mu * scale))
+        return certify_point(M, q, C, z, FLOOR * terms)

@@ -4,17 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-
-
-class Cuts(NamedTuple):
-    """Where the powers, the sines and the cosines of a basis begin."""
-
-    powers: int
-    sines: int
-    cosines: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,29 +27,45 @@ class Basis:
     length: float
 
     @cached_property
-    def _powers(self) -> np.ndarray:
-        return np.arange(self.degree + 1)
+    def exponentials(self) -> slice:
+        """Where they are among the functions."""
+        return slice(0, self.rates.size)
 
-    @property
-    def cuts(self) -> Cuts:
-        """Where its parts begin."""
-        sines = self.rates.size + self.degree + 1
-        return Cuts(self.rates.size, sines, sines + self.waves.size)
+    @cached_property
+    def powers(self) -> slice:
+        return slice(self.rates.size, self.rates.size + self.degree + 1)
+
+    @cached_property
+    def sines(self) -> slice:
+        return slice(self.powers.stop, self.powers.stop + self.waves.size)
+
+    @cached_property
+    def cosines(self) -> slice:
+        return slice(self.sines.stop, self.size)
+
+    @cached_property
+    def size(self) -> int:
+        """How many functions there are."""
+        return self.rates.size + self.degree + 1 + 2 * self.waves.size
+
+    @cached_property
+    def exponents(self) -> np.ndarray:
+        """Those of the powers."""
+        return np.arange(self.degree + 1)
 
     def at(self, tau: Any) -> np.ndarray:
         """The functions at tau, shape (..., size)."""
         tau = np.asarray(tau, dtype=float)[..., None]
         angle = self.waves * tau
-        powers = (tau / self.length) ** self._powers
+        powers = (tau / self.length) ** self.exponents
         return np.concatenate(
             [np.exp(-self.rates * tau), powers, np.sin(angle), np.cos(angle)], axis=-1
         )
 
     def bound(self, tau: float) -> np.ndarray:
         """Bounds of their absolute values on [tau, length], shape (size,); 1 for the waves."""
-        k = self.rates.size
-        bounds = np.ones(self.cuts.cosines + self.waves.size)
-        bounds[:k] = np.exp(-self.rates * tau)
+        bounds = np.ones(self.size)
+        bounds[self.exponentials] = np.exp(-self.rates * tau)
         return bounds
 
 
@@ -85,19 +93,19 @@ class Curve:
     def derivative(self) -> Curve:
         """The derivative in tau."""
         basis, C = self.basis, self.weights
-        p, s, c = basis.cuts
         D = np.zeros_like(C)
-        D[:, :p] = -basis.rates * C[:, :p]
-        D[:, p : s - 1] = C[:, p + 1 : s] * (basis._powers[1:] / basis.length)
-        D[:, s:c] = -basis.waves * C[:, c:]
-        D[:, c:] = basis.waves * C[:, s:c]
+        D[:, basis.exponentials] = -basis.rates * C[:, basis.exponentials]
+        first, end = basis.powers.start, basis.powers.stop
+        D[:, first : end - 1] = C[:, first + 1 : end] * (basis.exponents[1:] / basis.length)
+        D[:, basis.sines] = -basis.waves * C[:, basis.cosines]
+        D[:, basis.cosines] = basis.waves * C[:, basis.sines]
         return Curve(basis, D)
 
     @cached_property
     def sizes(self) -> np.ndarray:
         """Absolute weights, those of a wave as one amplitude; times `Basis.bound` they bound it."""
-        _, s, c = self.basis.cuts
+        sines, cosines = self.basis.sines, self.basis.cosines
         sizes = np.abs(self.weights)
-        sizes[:, s:c] = np.hypot(self.weights[:, s:c], self.weights[:, c:])
-        sizes[:, c:] = 0.0
+        sizes[:, sines] = np.hypot(self.weights[:, sines], self.weights[:, cosines])
+        sizes[:, cosines] = 0.0
         return sizes
