@@ -347,7 +347,7 @@ def test_the_active_set_solver_stands_alone() -> None:
 def test_the_command_writes_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "few.toml"
     path.write_text(
-        '[hard]\nseeds = [3]\nfamilies = ["threshold", "empty"]\nsolvers = ["osqp"]\n'
+        '[hard]\ntol = 1e-9\nseeds = [3]\nfamilies = ["threshold", "empty"]\nsolvers = ["osqp"]\n'
         "combinations = 0\n"
     )
     assert main(["study", str(path), "--out", str(tmp_path / "out")]) == 0

@@ -328,24 +328,24 @@ def pair_near(
 # ---- rest --------------------------------------------------------------------------------------
 
 
-def rests(q: np.ndarray, c: np.ndarray, S: ConvexSet, diagonal: np.ndarray) -> bool:
-    """Whether z = 0: q is in C = c + S but for rounding."""
+def rests(
+    q: np.ndarray, c: np.ndarray, S: ConvexSet, few: Selection | None, diagonal: np.ndarray
+) -> bool:
+    """Whether z = 0: q is in C = c + S but for rounding, `few` the selection of C if it has one.
+
+    Where C acts on few unknowns, the force beside them settles most steps.
+    """
     force = q - c
-    return is_rounding(force - S.nearest(force, diagonal), q, c + S.anchor)
-
-
-def rests_on(q: np.ndarray, few: Selection, diagonal: np.ndarray) -> bool:
-    """The same where C acts on few unknowns: what acts beside them settles most steps."""
-    shift = np.zeros_like(q) if few.shift is None else few.shift
-    outside = q - shift
-    force = outside[few.unknowns]
-    outside[few.unknowns] = 0.0
-    if not _is_near(outside, q, shift):
+    if few is None:
+        return is_rounding(force - S.nearest(force, diagonal), q, c + S.anchor)
+    on_few = force[few.unknowns]
+    force[few.unknowns] = 0.0
+    if not _is_near(force, q, c):
         return False
-    outside[few.unknowns] = force - few.part.nearest(force, diagonal[few.unknowns])
-    anchor = np.abs(shift)
+    force[few.unknowns] = on_few - few.part.nearest(on_few, diagonal[few.unknowns])
+    anchor = np.abs(c)
     anchor[few.unknowns] += np.abs(few.part.anchor)
-    return is_rounding(outside, q, anchor)
+    return is_rounding(force, q, anchor)
 
 
 def is_rounding(outside: np.ndarray, q: np.ndarray, anchor: np.ndarray) -> bool:

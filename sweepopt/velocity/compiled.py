@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.checks import Matrix
-from sweepopt.linalg import Elimination, Factor, dense, eliminate, factorise
+from sweepopt.linalg import Elimination, Factor, IterativeElimination, dense, eliminate, factorise
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Box, ConvexSet, Selection, same_array
 from sweepopt.velocity.certificate import (
@@ -29,7 +29,6 @@ from sweepopt.velocity.certificate import (
     Velocity,
     at_rest,
     rests,
-    rests_on,
 )
 from sweepopt.velocity.elimination import AllUnknowns, FewUnknowns, NoUnknowns, Unknowns
 from sweepopt.velocity.plan import Plan
@@ -71,7 +70,7 @@ class Factors:
         return factorise(self.M)
 
     @cached_property
-    def elimination(self) -> Elimination:
+    def elimination(self) -> Elimination | IterativeElimination:
         """Factors that end with the contact."""
         return eliminate(self.M, self.contact, self.order)
 
@@ -156,15 +155,14 @@ class StateVelocity:
     def _of_force(self, q: np.ndarray, u: np.ndarray | None, C: ConvexSet) -> Velocity:
         if C.singleton:
             return self._linear(q, u, C)
-        contact = self._factors.contact
-        selection = C.selection if contact.size else None
+        contact, selection = self._factors.contact, C.selection
         if selection is not None and same_array(selection.unknowns, contact):
             return self._of_few(q, u, selection)
         c, S = untranslated(C)
         if self._all is None or not self._all.serves(S):
             self._all = compiled(self._on_all, self._factors, False, S, self._solver, self._tol)
         diagonal = self._factors.whole.diagonal
-        rest = Rest(self._on_all, u, lambda force: rests(force, c, S, diagonal))
+        rest = Rest(self._on_all, u, lambda force: rests(force, c, S, selection, diagonal))
         return self._moving(self._all, LinearTerm(q - c, q, c, u), S, rest)
 
     def _of_few(self, q: np.ndarray, u: np.ndarray | None, selection: Selection) -> Velocity:
@@ -173,7 +171,7 @@ class StateVelocity:
         if self._few is None or not self._few.serves(shape):
             self._few = compiled(self._on_few, self._factors, True, shape, self._solver, self._tol)
         diagonal = self._factors.elimination.diagonal
-        rest = Rest(self._on_few, u, lambda force: rests_on(force, selection, diagonal))
+        rest = Rest(self._on_few, u, lambda force: rests(force, c, S, selection, diagonal))
         return self._moving(self._few, LinearTerm(q - c, q, c, u), S, rest)
 
     def _moving(
