@@ -140,8 +140,9 @@ class Inclusion:
         product = M.diagonal * z if M.is_diagonal else M.M.dot(z)
         size_z = math.sqrt(max(z.dot(product), 0.0))
         allowed = SHARE * tol * size_z
-        rounding = self.rounding(term, z, size_z)
-        metric = 1.0
+        of_products = 2 * M.rounding(z, term.force)
+        of_data = self._hidden_bound(term, z, size_z)
+        rounding, metric = of_products + of_data, 1.0
         if rounding <= allowed:
             rho = product + term.force
             rho[few] -= found.w
@@ -149,7 +150,8 @@ class Inclusion:
             w = np.zeros_like(z)
             w[few] = found.w
             rho = self.exact_residual(term, z, -w)
-            rounding *= self._precise_share
+            rounding = M.precisely.share * of_products
+            rounding += self._product.share * of_data if of_data else 0.0
             metric = math.sqrt(max(1 - self._metric_error, 0.0))
         residual = self._dual_norm(rho, few, allowed) + rounding
         certificate = math.sqrt(2 * found.gap + residual**2) + found.moved
@@ -162,18 +164,14 @@ class Inclusion:
 
     # ---- the residual and its rounding ---------------------------------------------------------
 
-    def rounding(self, term: LinearTerm, z: np.ndarray, size: float) -> float:
-        """A bound in |.|_{M^-1} of what M z + q - c hides of A z + B (u + gamma z) - c.
-
-        Beside the rounding of the products this is (A + gamma B - M) z + (B u - q).
-        """
-        bound = 2 * self.M.rounding(z, term.force)
+    def _hidden_bound(self, term: LinearTerm, z: np.ndarray, size: float) -> float:
+        """A bound of (A + gamma B - M) z + (B u - q) in |.|_{M^-1}, for |z|_M <= size."""
         if self._B is None or term.u is None:
-            return bound
+            return 0.0
         shares = self._shares
         by_size = shares.of_size <= NEGLIGIBLE
         of_M = shares.of_size * size if by_size else shares.of_z * euclidean(self.M.root * z)
-        return bound + of_M + self.rounding_of_force(term.u)
+        return of_M + self.rounding_of_force(term.u)
 
     def rounding_of_force(self, u: np.ndarray | None) -> float:
         """A bound of |B u - q|_{M^-1}."""
@@ -230,12 +228,6 @@ class Inclusion:
     def _product(self) -> Precise:
         assert self._B is not None
         return Precise(self._B)
-
-    @cached_property
-    def _precise_share(self) -> float:
-        """Of a bound of rounding, what is left of it in twice the precision."""
-        own = self.M.precisely.share
-        return own if self._B is None else max(own, self._product.share)
 
     @cached_property
     def _hidden(self) -> Matrix:

@@ -240,9 +240,9 @@ class Attempt(NamedTuple):
 def attempts(solver: Any, factors: Factors, on_few: bool, S: ConvexSet, tol: float) -> list[Attempt]:
     """The first solver and its refinements, then the other solvers and theirs.
 
-    Behind a solver that iterates to a tolerance comes a polish, exact but for rounding: Newton
-    steps where the projection has a derivative, an active set on small polyhedra; both on the few
-    unknowns that the set acts on.
+    Behind a solver come Newton steps from its velocity where the projection has a derivative, and
+    behind one that iterates to a tolerance an active set on small polyhedra: both are exact but for
+    rounding, and on the few unknowns that the set acts on.
     """
     program: Callable[[], Unknowns] = lambda: factors.few if on_few else factors.all
     few, part, selection = program, S, S.selection
@@ -257,9 +257,10 @@ def attempts(solver: Any, factors: Factors, on_few: bool, S: ConvexSet, tol: flo
         attempt: Solver | None = one
         while attempt is not None:
             found.append(Attempt(attempt, program))
+            if attempt.name != NEWTON.name:
+                found += polish
             if not isinstance(attempt, Small):
-                found += polish + last
-                last = []
+                found, last = found + last, []
             attempt = attempt.refined()
     return found
 
@@ -305,7 +306,7 @@ class Cascade:
             shape = untranslated(attempt.part(self._cone)).S
             self._compiled[k] = attempt.solver.compile(VelocityProgram(unknowns.N, shape))
         compiled = self._compiled[k]
-        if attempt.polish:
+        if attempt.polish and start.any():
             compiled.z = start[unknowns.unknowns]
 
         def solve(linear: np.ndarray, C: ConvexSet) -> Answer:

@@ -44,10 +44,6 @@ class Unknowns(Protocol):
         """N zeta + the linear term, rounded once."""
         ...
 
-    def beside(self, residual: np.ndarray) -> float:
-        """A bound of the residual on the unknowns that are eliminated, in |.|_{M^-1}."""
-        ...
-
     def recover(self, forward: Any, change: np.ndarray) -> np.ndarray:
         """By how much all unknowns change if the few change so and the others balance r."""
         ...
@@ -71,10 +67,6 @@ class AllUnknowns:
     def exact_product(self, zeta: np.ndarray, linear: np.ndarray) -> np.ndarray:
         """M z + the linear term, rounded once."""
         return self.N.precisely(zeta, linear)
-
-    def beside(self, residual: np.ndarray) -> float:
-        """Nothing."""
-        return 0.0
 
     def recover(self, forward: None, change: np.ndarray) -> np.ndarray:
         """The change."""
@@ -109,12 +101,6 @@ class FewUnknowns:
         """N zeta + the linear term, rounded once."""
         return self._precise(zeta, linear)
 
-    def beside(self, residual: np.ndarray) -> float:
-        """A bound without a solve."""
-        rest = residual.copy()
-        rest[self.unknowns] = 0.0
-        return self._M.dual_norm_bound(rest)
-
     def recover(self, forward: Any, change: np.ndarray) -> np.ndarray:
         """One backward substitution."""
         return self._M.recover(forward, self._M.N @ change)
@@ -140,10 +126,6 @@ class NoUnknowns:
     def exact_product(self, zeta: np.ndarray, linear: np.ndarray) -> np.ndarray:
         """Nothing."""
         return linear
-
-    def beside(self, residual: np.ndarray) -> float:
-        """A bound without a solve."""
-        return self._M.dual_norm_bound(residual)
 
     def recover(self, forward: np.ndarray, change: np.ndarray) -> np.ndarray:
         """The solution of M dz = -r."""

@@ -24,8 +24,6 @@ from sweepopt.velocity.elimination import Unknowns
 from sweepopt.velocity.solvers import Answer
 
 REFINEMENTS = 20  # each leaves a share |M^-1 (A + gamma B - M)| of the error; most need one
-# of the certificate: where the linear term changes by less, the error is the solver's own
-NO_CHANGE = 0.1
 SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
 Solve = Callable[[np.ndarray, ConvexSet], Answer | Proposal]
 
@@ -53,17 +51,13 @@ def refined(
     z, size = np.zeros_like(term.force), None
     zeta = z[few]
     best = Velocity(z, math.inf, math.inf)
-    residual, linear, iterations = term.force, None, 0
+    residual, iterations = term.force, 0
     for count in range(1 + REFINEMENTS):
-        forward, following = unknowns.reduce(residual)
+        forward, linear = unknowns.reduce(residual)
         if count == 0:
             size = unknowns.size(forward)
         elif N is not None:
-            following = unknowns.exact_product(-zeta, following)
-            change = N.dual_norm_bound(following - linear) + unknowns.beside(residual)
-            if change <= NO_CHANGE * best.certificate:
-                break
-        linear = following
+            linear = unknowns.exact_product(-zeta, linear)
         pair = Proposal(zeta, zeta, few)  # C is a point
         if solve is not None and N is not None:
             answer = solve(linear, S)
