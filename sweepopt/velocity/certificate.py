@@ -158,8 +158,9 @@ class Inclusion:
         if not metric:  # M says nothing of A + gamma B
             return Velocity(z, math.inf, math.inf)
         certificate /= metric
-        if not certificate <= tol * size_z:
-            size_z = max(size_z, M.dual_norm(term.force) if size is None else size)
+        if size is None and not certificate <= tol * size_z:
+            size = M.dual_norm(term.force)
+        size_z = max(size_z, size or 0.0)
         return rated(z, certificate, size_z * metric)
 
     # ---- the residual and its rounding ---------------------------------------------------------

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from sweepopt.linalg import Elimination, Factor, IterativeElimination, Precise
+from sweepopt.linalg import Elimination, Factor, IterativeElimination, Precise, euclidean
 
 
 class Unknowns(Protocol):
@@ -57,18 +57,19 @@ class AllUnknowns:
     def __init__(self, M: Factor) -> None:
         self.N = M
 
-    def reduce(self, residual: np.ndarray) -> tuple[None, np.ndarray]:
+    def reduce(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The residual itself."""
-        return None, residual
+        return residual, residual
 
-    def size(self, forward: None) -> None:
-        """Not known without a solve."""
+    def size(self, forward: np.ndarray) -> float | None:
+        """Known without a solve for a diagonal M only."""
+        return euclidean(forward / self.N.root) if self.N.is_diagonal else None
 
     def exact_product(self, zeta: np.ndarray, linear: np.ndarray) -> np.ndarray:
         """M z + the linear term, rounded once."""
         return self.N.precisely(zeta, linear)
 
-    def recover(self, forward: None, change: np.ndarray) -> np.ndarray:
+    def recover(self, forward: np.ndarray, change: np.ndarray) -> np.ndarray:
         """The change."""
         return change
 
