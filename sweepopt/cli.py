@@ -39,7 +39,7 @@ DONE, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
 EXTRAS = {
     "fem": ("skfem", "xarray", "h5netcdf", "h5py"),
     "plot": ("matplotlib",),
-    "study": ("pandas", "threadpoolctl", "mpmath", "matplotlib"),
+    "study": ("pandas", "threadpoolctl", "mpmath", "matplotlib", "plotly"),
 }
 """Packages whose absence would only show when a long run is over, by the extra that brings them."""
 
@@ -175,10 +175,9 @@ def _write(report: Report, folder: Path) -> list[str]:
     """Write all files of a run; their names relative to the folder, the summary last."""
     from sweepopt.fem import netcdf, output, pictures
 
-    scene, solution, slip = report.scene, report.solution, report.slip
-    figures = {"displacement.png": pictures.displacement_figure(scene, solution, slip)}
-    if slip is not None:
-        figures["contact.png"] = pictures.contact_figure(scene, slip)
+    figures = {"displacement.png": pictures.displacement_figure(report)}
+    if report.slip is not None:
+        figures["contact.png"] = pictures.contact_figure(report)
     netcdf.write_netcdf(report, folder / "solution.nc")
     for name, figure in figures.items():
         with replacing(folder / name) as part:

@@ -19,9 +19,9 @@ ROOMS = (
 # conveniences of Solution: plot(), to_xarray() and save()
 UPWARD = {("results", "plot"), ("results", "fem")}
 HOMES = {
-    "cvxpy": ("sets", "velocity", "study"),
-    "clarabel": ("velocity/solvers/clarabel", "study"),
-    "osqp": ("velocity/solvers/osqp", "study"),
+    "cvxpy": ("sets", "velocity"),
+    "clarabel": ("velocity/solvers/clarabel",),
+    "osqp": ("velocity/solvers/osqp",),
     "daqp": ("velocity/solvers/daqp",),
     "cvxopt": ("linalg/cholesky",),
     "pyamg": ("linalg",),
@@ -37,9 +37,6 @@ HOMES = {
     "mpmath": ("study",),
     "threadpoolctl": ("study",),
     "distributed": ("study",),
-    "casadi": ("study",),
-    "nosnoc": ("study",),
-    "solve_nivp": ("study",),
 }
 
 

@@ -20,10 +20,9 @@ import skfem
 from numpy.typing import NDArray
 
 from sweepopt.errors import InputError
-from sweepopt.fem.discretisation import Discretisation
 from sweepopt.fem.fields import Datum
-from sweepopt.fem.forms import edge_groups, friction_weights, refuse_overflow
 from sweepopt.fem.mesh import Indices, cross, opposite
+from sweepopt.fem.spaces import Discretisation, edge_groups, friction_weights, refuse_overflow
 from sweepopt.sets import Box, ConvexSet, image
 
 if TYPE_CHECKING:

@@ -10,10 +10,9 @@ from __future__ import annotations
 import io
 import threading
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import Any
 
 import meshio
 import numpy as np
@@ -108,15 +107,6 @@ def check_nodes(points: NDArray[np.float64]) -> None:
         raise InputError(f"node {bad[0]} has coordinates {points[:, bad[0]]}; mesh again")
 
 
-def group(groups: Mapping[str, Any] | None, name: str, what: str) -> Indices:
-    """Members of a named group of edges or triangles, or an error that lists the names."""
-    known = groups or {}
-    if name not in known:
-        names = ", ".join(sorted(known)) or "none (give the mesh physical groups)"
-        raise InputError(f"{name!r} is not a {what} of the mesh; there are: {names}")
-    return np.asarray(known[name], dtype=np.int64)
-
-
 def _parsed(path: Path, content: bytes) -> meshio.Mesh:
     """What meshio reads, which neither prints nor ends the program here."""
     gmsh = content.startswith(b"$MeshFormat")
@@ -136,10 +126,8 @@ def _parsed(path: Path, content: bytes) -> meshio.Mesh:
             warnings.filterwarnings("error", category=RuntimeWarning)
             return meshio.read(path, file_format="gmsh" if gmsh else None)
     except (Exception, SystemExit) as error:
-        words = " ".join(printed.getvalue().split()) or str(error)
-        raise InputError(
-            f"is damaged or no mesh that meshio can read ({type(error).__name__}: {words:.200})"
-        ) from error
+        fault = " ".join(printed.getvalue().split()) or f"{type(error).__name__}: {error}"
+        raise InputError(f"is damaged or no mesh that meshio can read ({fault:.200})") from error
 
 
 def _mesh_of(raw: meshio.Mesh) -> skfem.MeshTri:

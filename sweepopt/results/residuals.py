@@ -94,6 +94,7 @@ def residuals(
 
 def _with_variation(moved: Motion, variation: Callable[[float], float]) -> Motion | None:
     """Translates of a bounded set are as far apart as their centers."""
+    assert moved.shape is not None
     if not moved.scale.constant or not math.isfinite(moved.shape.magnitude()):
         return None
     center = moved.center
@@ -107,7 +108,7 @@ def _with_variation(moved: Motion, variation: Callable[[float], float]) -> Motio
 def _of_data(
     process: SweepingProcess, norms: Norms, near: Nodes, curves: list[np.ndarray], moved: Motion
 ) -> Residuals:
-    """Bounds on intervals without a kink, many at once; on each step the best of the curves."""
+    """Bounds between breakpoints, many intervals at once; on each step the best of the curves."""
     n, dim = near.velocity.shape
     found = np.zeros((len(curves), 4, n))
     whole = smooth_intervals(moved, near.t)
@@ -130,7 +131,9 @@ def _of_data(
         cost = found[:, 3] + found[:, 0] / (math.sqrt(least) or 1.0)
     best, step = np.argmin(cost, axis=0), np.arange(n)
     guaranteed = moved.center.bounded and moved.scale.bounded
-    return Residuals(*found[best, :, step].T, np.array(curves)[best, step], guaranteed)
+    gaps, squares, largest, turning = found[best, :, step].T
+    slopes = np.array(curves)[best, step]
+    return Residuals(gaps, squares, largest, turning, slopes, guaranteed)
 
 
 class _BoundsOnIntervals:

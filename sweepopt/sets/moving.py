@@ -14,7 +14,7 @@ import numpy as np
 
 from sweepopt.checks import dimension, instant, number, vector
 from sweepopt.errors import InputError
-from sweepopt.loads import Separable, kinks
+from sweepopt.loads import Separable, breakpoints
 from sweepopt.sets import algebra
 from sweepopt.sets.base import ConvexSet, require_same_dim
 from sweepopt.sets.shapes import Point
@@ -223,7 +223,7 @@ class Moving(MovingSet):
         return [(first, C)]
 
     def breakpoints(self, a: float, b: float) -> np.ndarray:
-        return kinks((self.center, self.scale), a, b)
+        return breakpoints((self.center, self.scale), a, b)
 
     def at(self, t: float) -> ConvexSet:
         scaled = self.shape if self.scale is None else algebra.scale(self.scale_at(t), self.shape)
@@ -251,7 +251,7 @@ class MovingOffsets(MovingSet):
         super().__init__(lambda t: shape.with_offsets(offsets(t)), shape.dim)
 
     def breakpoints(self, a: float, b: float) -> np.ndarray:
-        return kinks((self.offsets,), a, b)
+        return breakpoints((self.offsets,), a, b)
 
 
 AnySet = ConvexSet | MovingSet

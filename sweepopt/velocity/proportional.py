@@ -222,11 +222,12 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     size = 0.0
     if rest is not None:  # alpha_0 = 1 is weighed with rho
         start, size = start + rest / rho, A.dual_norm(f) / rho
-    histories = [*(phi for phi, _ in terms), Constant(0.0)]
+    histories: Terms = (*terms, (Constant(0.0), process.u0))
+    units = np.eye(len(histories))
     return Reduction(
         rho,
         small,
-        Separable(list(zip(histories, np.eye(len(histories)), strict=True))),
+        Separable([(phi, unit) for (phi, _), unit in zip(histories, units, strict=True)]),
         A,
         np.column_stack([*(one.F for one in influences), process.u0]),
         np.append(errors, start),

@@ -10,7 +10,7 @@ import numpy as np
 
 from sweepopt.errors import InputError, Status, shown
 from sweepopt.integrate.exact.offsets import Rows, rows_of
-from sweepopt.integrate.exact.trajectory import Phase, Trajectory, exact_trajectory
+from sweepopt.integrate.exact.trajectory import exact_trajectory
 from sweepopt.integrate.loop import Look, Marks, Prove, Run, march
 from sweepopt.integrate.states import Keeper
 from sweepopt.integrate.statistics import Log
@@ -19,8 +19,7 @@ from sweepopt.linalg import Factor
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan, Velocity, certify_point, matrix
 
-FLOOR = 0.01  # where terms cancel, this share of them counts as the size of their sum
-BETWEEN = 0.381966  # of a step back, the load is looked at too: it may vanish at both nodes
+FLOOR = 0.01  # share of the largest terms so far that counts as the size of their sum
 BLOCK = 1000  # nodes that are computed at once
 
 
@@ -75,17 +74,16 @@ def _on_grid(
         known = int(np.searchsorted(times, exact.end, side="right")) - 1
         begun = np.searchsorted(times, exact.starts, side="right")
         phases = np.bincount(begun, minlength=len(times)).tolist()  # that begin in each step
-        inclusion, before = _Inclusion(process, exact), process.u0
+        inclusion, before = _Inclusion(process), process.u0
         for i in range(known):
             started = clock.perf_counter()
             k = i % BLOCK
             if k == 0:
                 block = times[i + 1 : min(i + BLOCK, known) + 1]
                 states, derivatives = exact(block), exact.velocity(block)
-                scales = exact.evaluate(block, Phase.velocity_scale)
             u, mu = states[k], float(mus[i])
             z = (u - before) / mu
-            found = inclusion(float(times[i + 1]), mu, u, derivatives[k], scales[k])
+            found = inclusion(float(times[i + 1]), mu, u, derivatives[k])
             step = Summary(phases[i + 1], 1, found.certificate, found.relative, "closed form")
             step = step if prove is None else prove(i, before, z, step)
             if step.relative > tol:
@@ -117,24 +115,21 @@ class _Inclusion:
     """The residual of -u' in N_C(A u' + B u), from A, B and the set's own projection.
 
     u' solves the program of an implicit Euler step that ends in u, M = A + mu B and
-    q = B (u - mu u'); the certificate is that of this program.
+    q = B (u - mu u'); the certificate is that of this program. B u and the load may cancel: then
+    it is compared to their sizes, not to that of their sum.
     """
 
-    def __init__(self, process: SweepingProcess, exact: Trajectory) -> None:
+    def __init__(self, process: SweepingProcess) -> None:
         self._process = process
-        self._extent = np.max([np.abs(phase.u) for phase in exact.phases], axis=0)
         self._factors: dict[float, Factor] = {}
+        self._largest = 0.0
 
-    def __call__(
-        self, t: float, mu: float, u: np.ndarray, z: np.ndarray, scale: np.ndarray
-    ) -> Velocity:
+    def __call__(self, t: float, mu: float, u: np.ndarray, z: np.ndarray) -> Velocity:
         process, C = self._process, self._process.C.at(t)
         if mu not in self._factors:
             self._factors = {mu: Factor(matrix(process, mu))}
-        M = self._factors[mu]
+        M, Bu = self._factors[mu], process.times_B(u)
         q = process.times_B(u - mu * z)
-        inside = process.C.at(t - BETWEEN * mu)
-        terms = M.norm(scale) + M.dual_norm(np.abs(C.anchor)) + M.dual_norm(np.abs(inside.anchor))
-        if process.B is not None:
-            terms += M.dual_norm(abs(process.B) @ (self._extent + mu * scale))
-        return certify_point(M, q, C, z, FLOOR * terms)
+        terms = M.norm(z) + M.dual_norm(Bu) + M.dual_norm(C.anchor)
+        self._largest = max(self._largest, terms)
+        return certify_point(M, q, C, z, FLOOR * self._largest)

@@ -1,16 +1,14 @@
-"""One cell of a study: what it is, and the pure function that turns it into a row of the table."""
+"""One cell of a study: a problem, scheme, solver and size, and the function that makes it a row."""
 
 from __future__ import annotations
 
 import gc
 import hashlib
 import json
-import platform
 import time as clock
 import warnings
-from collections.abc import Iterable
 from dataclasses import astuple, dataclass
-from math import nan
+from math import isnan, nan
 from statistics import median
 from typing import Any, NamedTuple
 
@@ -19,10 +17,9 @@ import numpy as np
 from sweepopt.errors import SweepoptError, SweepoptWarning
 from sweepopt.results import Solution
 from sweepopt.solve import solve
+from sweepopt.study.machine import one_thread, processor, versions
 from sweepopt.study.reference import Reference, absent, distance, error_of
-from sweepopt.study.rows import processor, versions
 from sweepopt.study.sources import Source
-from sweepopt.study.threads import one_thread
 from sweepopt.velocity import Cvxpy
 
 THROUGH_CVXPY = "cvxpy:"  # such as cvxpy:piqp
@@ -134,14 +131,6 @@ class CellRow(NamedTuple):
     cell: str = ""
 
 
-class Timed(NamedTuple):
-    """The last of several equal runs, and the medians of their times."""
-
-    solution: Solution
-    wall: float
-    cpu: float
-
-
 def run_cell(cell: Cell, reference: Reference) -> CellRow:
     """Run a cell. What goes wrong is a row as well.
 
@@ -153,15 +142,18 @@ def run_cell(cell: Cell, reference: Reference) -> CellRow:
     reference : Reference
         Of the cell's problem and steps.
     """
-    place: dict[str, Any] = {"machine": f"{processor()}, {platform.system()}", **versions()}
+    place: dict[str, Any] = {"machine": processor(), **versions()}
     row = blank(cell)._replace(repeats=cell.repeats, **place)
     with one_thread(), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            timed = _timed(cell)
-            return _filled(row, cell, reference, timed, _ours(caught))
-        except Exception as error:  # whatever it is, the table tells it
+            solution, times = _timed(cell)
+            row = row._replace(**times, **_measured(cell, solution, reference))
+        except Exception as error:  # whatever it is, the table has it
             return failed(row, error)
+    ours = [f"{one.message}." for one in caught if issubclass(one.category, SweepoptWarning)]
+    missing = [f"No reference: {reference.message}."] if reference.message else []
+    return row._replace(message=" ".join([solution.message, *dict.fromkeys(ours), *missing]))
 
 
 def blank(cell: Cell) -> CellRow:
@@ -172,15 +164,6 @@ def blank(cell: Cell) -> CellRow:
 def failed(row: CellRow, error: BaseException) -> CellRow:
     """The row of a cell that ended with an exception."""
     return row._replace(status=type(error).__name__, message=str(error))
-
-
-def bounded(solution: Solution) -> dict[str, Any]:
-    """The bound of the whole trajectory's error, nothing where the library has none."""
-    try:
-        bound = solution.error_bound()
-    except SweepoptError:
-        return {}
-    return {"bound": float(bound), "guaranteed": bound.guaranteed}
 
 
 def solution_of(cell: Cell) -> Solution:
@@ -200,49 +183,42 @@ def solution_of(cell: Cell) -> Solution:
     )
 
 
-def _timed(cell: Cell) -> Timed:
+def _timed(cell: Cell) -> tuple[Solution, dict[str, Any]]:
+    """The last of several equal runs, and the medians of their times."""
     cell.problem.open()  # assembled outside of the time, once in each worker
     solution = solution_of(cell)  # warm: packages are imported, caches are filled
     gc.collect()
-    walls, cpus = [], []
+    times = []
     with one_thread():  # also for what the first run imported
         for _ in range(cell.repeats):
             wall, cpu = clock.perf_counter(), clock.process_time()
             solution = solution_of(cell)
-            walls.append(clock.perf_counter() - wall)
-            cpus.append(clock.process_time() - cpu)
-    return Timed(solution, median(walls), median(cpus))
+            times.append((clock.perf_counter() - wall, clock.process_time() - cpu))
+    wall, cpu = map(median, zip(*times, strict=True))
+    return solution, {"wall": wall, "cpu": cpu}
 
 
-def _filled(
-    row: CellRow, cell: Cell, reference: Reference, timed: Timed, remarks: Iterable[str]
-) -> CellRow:
-    solution, source = timed.solution, cell.problem
-    stats, done = solution.stats, len(solution.stats)
+def _measured(cell: Cell, solution: Solution, reference: Reference) -> dict[str, Any]:
+    """What a run says of itself, its error and the guaranteed bound, where there is one."""
     if cell.scheme == reference.kind == "exact":
-        reference = absent("it would be the run itself")
-    error = error_of(source, solution.u, reference)
-    missing = [f"No reference: {reference.message}."] if reference.message else []
-    return row._replace(
-        status=solution.status.name,
-        success=solution.success,
-        message=" ".join([solution.message, *remarks, *missing]),
-        error=error.value,
-        error_is=error.kind,
-        reference_error=reference.uncertainty,
-        size=distance(source, solution.u, np.zeros_like(solution.u)),
-        certificate=float(stats["relative"].max()) if done else nan,
-        wall=timed.wall,
-        cpu=timed.cpu,
-        steps_done=done,
-        solver_calls=int(stats["attempts"].sum()),
-        unknowns=solution.plan.unknowns,
-        path=solution.plan.path,
-        **bounded(solution),
-    )
-
-
-def _ours(caught: Iterable[warnings.WarningMessage]) -> list[str]:
-    """The library's warnings, each once."""
-    words = [f"{one.message}." for one in caught if issubclass(one.category, SweepoptWarning)]
-    return list(dict.fromkeys(words))
+        reference = absent("")  # it would be the run itself
+    error = error_of(cell.problem, solution.u, reference)
+    stats, done = solution.stats, len(solution.stats)
+    row = {
+        "status": solution.status.name,
+        "success": solution.success,
+        "error": error,
+        "error_is": "" if isnan(error) else reference.kind,
+        "reference_error": reference.uncertainty,
+        "size": distance(cell.problem, solution.u, np.zeros_like(solution.u)),
+        "certificate": float(stats["relative"].max()) if done else nan,
+        "steps_done": done,
+        "solver_calls": int(stats["attempts"].sum()),
+        "unknowns": solution.plan.unknowns,
+        "path": solution.plan.path,
+    }
+    try:
+        bound = solution.error_bound()
+    except SweepoptError:
+        return row
+    return row | {"bound": float(bound), "guaranteed": bound.guaranteed}

@@ -16,11 +16,11 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from sweepopt.errors import InputError, shown
-from sweepopt.fem.discretisation import Discretisation
-from sweepopt.fem.effects import EFFECTS, Effect, names
+from sweepopt.fem.effects import EFFECTS, Effect, boundary_names
 from sweepopt.fem.fields import Profile
 from sweepopt.fem.mesh import read_mesh
-from sweepopt.fem.scene import Scene, build, check_names, located
+from sweepopt.fem.scene import Scene, at_path, build, check_choices
+from sweepopt.fem.spaces import Discretisation
 from sweepopt.io import as_path, find_scene, parse_toml, read_toml
 from sweepopt.loads import Constant, History, Sine, Table, Triangle, check_points
 
@@ -138,12 +138,12 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
     data, folder = _load(source, as_path("folder", folder))
     file = _validate(data)
     effects = _effects(file.effects, folder)
-    with located("domain"):
+    with at_path("domain"):
         try:
             mesh = read_mesh(folder / file.domain.mesh)
         except InputError as error:
             raise InputError(f"mesh: {error}") from error
-        clamped = names("clamped", file.domain.clamped)
+        clamped = boundary_names("clamped", file.domain.clamped)
         body = Discretisation(mesh, clamped, file.domain.element)
     settings = {
         "t_end": file.time.end,
@@ -153,8 +153,8 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
         **file.solve.model_dump(),
     }
     scene = build(body, effects, None, settings)
-    with located("solve"):
-        check_names(scene)
+    with at_path("solve"):
+        check_choices(scene)
     return scene
 
 
@@ -217,7 +217,7 @@ def _record(kind: Callable[..., Any], table: Any, path: str, folder: Path) -> An
         if wanted and (not isinstance(value, wanted) or isinstance(value, bool)):
             kinds = "a number" if float in wanted else "a string"
             raise InputError(f"{path}.{key}: must be {kinds}, got {shown(value)}")
-    with located(path):
+    with at_path(path):
         return kind(**values)
 
 
@@ -234,7 +234,7 @@ def _history(table: Any, path: str, folder: Path) -> History:
         raise InputError(f"{path}: must be a table with csv, waveform or table; got {shown(table)}")
     if "csv" in table:
         source: _CsvColumn = _record(_CsvColumn, table, path, folder)
-        with located(path):
+        with at_path(path):
             return Table.from_csv(
                 folder / source.csv, source.column, time=source.time, scale=source.scale
             )

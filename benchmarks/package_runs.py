@@ -1,6 +1,6 @@
 """The scalar case in other people's packages; run by their Python, which needs no sweepopt.
 
-    PYTHON peer_runs.py PACKAGE '{"a": 1.0, "b": 1.0, "g": 0.3, "t_end": 10.0, ...}'
+    PYTHON package_runs.py PACKAGE '{"a": 1.0, "b": 1.0, "g": 0.3, "t_end": 10.0, ...}'
 
 a u' + b u + g Sign(u') contains sin t, u(0) = 0. The answer is one line of JSON: the package's
 version, seconds (median of the runs, imports and the building of a solver outside), and t and u at

@@ -13,10 +13,28 @@ import numpy as np
 
 from sweepopt.checks import Matrix
 from sweepopt.linalg import dense
+from sweepopt.problem import SweepingProcess
 from sweepopt.sets import ConvexSet
 from sweepopt.study.hard import digits
-from sweepopt.study.hard.active import velocity
+from sweepopt.study.hard.velocities import velocity
 from sweepopt.velocity import untranslated
+
+
+class Structure(NamedTuple):
+    """C = shift + a set on the unknowns `few`; nothing holds the forces on the others."""
+
+    few: np.ndarray
+    part: ConvexSet
+    shift: np.ndarray
+
+
+def structure(C: ConvexSet) -> Structure:
+    """How a set of the library is stated: the one place that looks inside of it."""
+    if C.selection is not None:
+        few, part, shift = C.selection
+        return Structure(few, part, np.zeros(C.dim) if shift is None else shift)
+    shift, part = untranslated(C)
+    return Structure(np.arange(C.dim), part, shift)
 
 
 class Exact(NamedTuple):
@@ -72,37 +90,48 @@ class Program:
         Raises
         ------
         InputError
-            If C is none of the kinds that this module knows.
+            If C is none of the kinds that `velocities` knows.
         """
-        if C.selection is not None:
-            few, part, moved = C.selection
-            shift = np.zeros(q.size) if moved is None else moved
-        else:
-            few, (shift, part) = np.arange(q.size), untranslated(C)
+        few, part, shift = structure(C)
         force = digits.exactly(q) - digits.exactly(shift)
         key = few.tobytes()
         if key not in self._eliminated:
             self._eliminated[key] = _Condensed(self.M, few)
         condensed = self._eliminated[key]
         forward, pull = condensed.reduce(force)
-        zeta = velocity(part, condensed.N, pull, near[few])
-        z = condensed.recover(forward, zeta)
+        z = condensed.recover(forward, velocity(part, condensed.N, pull, near[few]))
 
         def dual(w: np.ndarray) -> float:
+            w = digits.exactly(w)
             return digits.root(condensed.solve(w) @ w)
 
         length = digits.root(z @ self.M @ z)
-        return Exact(
-            z,
-            length,
-            max(length, dual(force)),
-            dual(digits.exactly(q)) + dual(digits.exactly(shift)),
-        )
+        return Exact(z, length, max(length, dual(force)), dual(q) + dual(shift))
 
     def error(self, z: np.ndarray, exact: Exact) -> float:
         """|z - z*|_M."""
         apart = digits.exactly(z) - exact.z
         return digits.root(apart @ self.M @ apart)
+
+
+class Judge:
+    """The exact velocities of one case, computed once for all of its runs."""
+
+    def __init__(self, process: SweepingProcess, gamma: float) -> None:
+        self.process, self._program = process, Program(process.A, process.B, gamma)
+        self._known: dict[tuple[float, bytes], Exact] = {}
+
+    def of(self, u: np.ndarray, t: float, near: np.ndarray) -> Exact:
+        """The velocity of the state u for C(t): from A, B and u, where nothing is rounded."""
+        key = t, b"" if self.process.B is None else u.tobytes()
+        if key not in self._known:
+            q = self._program.term(u)
+            self._known[key] = self._program.solve(q, self.process.C.at(t), near)
+        return self._known[key]
+
+    def error(self, z: np.ndarray, exact: Exact) -> float:
+        """|z - z*|_M."""
+        return self._program.error(z, exact)
 
 
 class _Condensed:
