@@ -15,8 +15,8 @@ import xarray as xr
 from test_reduction import CONTACT, SETS, chain, load, process, select
 
 import sweepopt as so
-from sweepopt.integrate import netcdf_writer as blocks
-from sweepopt.integrate.states import Keeper
+from sweepopt.integrate.record import Run
+from sweepopt.results import netcdf as blocks
 
 PATHS = ["proportional", "eliminated"]
 
@@ -223,22 +223,23 @@ def test_ctrl_c_in_a_users_function_leaves_a_consistent_solution(path: str, tmp_
 def test_ctrl_c_between_a_step_and_its_count_leaves_a_consistent_solution(
     step: int, save: Any, late: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    whole, file, put = run("eliminated"), tmp_path / "run.npz", Keeper.put
+    whole, file, put = run("eliminated"), tmp_path / "run.npz", Run.add
 
-    def interrupted(keeper: Keeper, i: int, u: np.ndarray, z: np.ndarray) -> None:
+    def interrupted(this: Run, *known: Any) -> None:
+        i = this.done
         if i < step or late:
-            put(keeper, i, u, z)
+            put(this, *known)
         if i == step:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(Keeper, "put", interrupted)
+    monkeypatch.setattr(Run, "add", interrupted)
     where = so.Checkpoint(file, steps=3)
     sol = run("eliminated", save=save, checkpoint=where)
     monkeypatch.undo()
     assert sol.status is so.Status.INTERRUPTED
-    assert len(sol.stats) == step
-    assert sol.t[-1] == whole.t[step]
-    assert sol.u[-1] == pytest.approx(whole.u[step], abs=1e-12)
+    assert len(sol.stats) == step + late
+    assert sol.t[-1] == whole.t[step + late]
+    assert sol.u[-1] == pytest.approx(whole.u[step + late], abs=1e-12)
     assert len(sol.velocity) == len(sol.t) - 1 == len(sol.steps)
     found = so.resume(file, process(u0=np.zeros(40)))
     expected = run("eliminated", save=save, checkpoint=so.Checkpoint(tmp_path / "a", steps=3))

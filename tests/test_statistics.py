@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import sweepopt as so
-from sweepopt.integrate.statistics import STATS
+from sweepopt.integrate.record import STATS
 
 
 def slider(steps: int, **how: Any) -> so.Solution:

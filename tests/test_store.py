@@ -19,8 +19,7 @@ import sweepopt as so
 from sweepopt.fem import BodyForce, Elasticity, Friction, Scene, Traction, Viscosity, antiplane
 from sweepopt.fem import output as store
 from sweepopt.fem.slip import slip_of
-from sweepopt.integrate.states import Kept
-from sweepopt.integrate.statistics import Log
+from sweepopt.integrate.record import Log, StatesInMemory
 
 
 def ring(**changes: Any) -> Scene:
@@ -243,7 +242,7 @@ def test_dimensionless_scenes_have_units_1_and_no_friction_means_no_contact(
 def test_any_solution_becomes_a_dataset() -> None:
     C = so.Moving(so.Box([-1, -1], [1, 1]), center=lambda t: [1.5 * t, 0.0])
     solution = so.solve(so.SweepingProcess(np.eye(2), 2 * np.eye(2), C, [0, 0]), t_end=3.0, steps=9)
-    dataset = store.to_xarray(solution)
+    dataset = solution.to_xarray()
     assert_described(dataset)
     assert dict(dataset.sizes) == {"time": 10, "unknown": 2, "step": 9}
     np.testing.assert_array_equal(dataset.u, solution.u)
@@ -377,8 +376,8 @@ def test_vtu_files_are_few_and_include_start_and_end(
         report.solution,
         t=t,
         steps=np.arange(steps),
-        states=Kept(u, u[1:]),
-        statistics=Log(steps).of(t[1:], 0.0),
+        states=StatesInMemory(u, u[1:]),
+        statistics=Log(steps).statistics(t[1:], 0.0),
     )
     few = store.Report("", "", report.scene, many, None, report.energy, 0.0)
     series, *files = store.write_vtu(few, tmp_path)

@@ -6,7 +6,7 @@ one, and a run that fails leaves the files of the run before it whole.
 
 from __future__ import annotations
 
-from sweepopt.fem.netcdf import to_xarray, write_netcdf
+from sweepopt.fem.netcdf import write_netcdf
 from sweepopt.fem.report import Report, Units, make_report
 from sweepopt.fem.summary import SUMMARY, summary_of, write_summary
 from sweepopt.fem.vtu import MOST_VTU, write_vtu
@@ -20,7 +20,6 @@ __all__ = [
     "make_report",
     "replacing",
     "summary_of",
-    "to_xarray",
     "write_netcdf",
     "write_summary",
     "write_vtu",

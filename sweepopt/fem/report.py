@@ -6,7 +6,6 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from sweepopt import io as versions
 from sweepopt.fem.slip import Slip, slip_of
 
 if TYPE_CHECKING:
@@ -71,22 +70,9 @@ def make_report(
     return Report(name, text, scene, solution, slip, energy, seconds)
 
 
-def solver_name(solution: Solution) -> str:
-    """The solver that the plan tries first; "linear" if no step needs one."""
-    solvers = solution.plan.solvers
-    return solvers[0].name if solvers else "linear"
-
-
 def solver_counts(solution: Solution) -> dict[str, int]:
     """Number of steps that each solver answered."""
     return dict(Counter(solution.stats["solver"].tolist()))
-
-
-def versions_of(solution: Solution) -> dict[str, str]:
-    """Versions of what computed the solution."""
-    solver = solver_name(solution).split(":")[-1]
-    names = ["sweepopt", "numpy", "scipy", "cvxpy", "osqp", "clarabel", "scikit-fem", solver]
-    return versions.versions_of(names)
 
 
 def materials_of(scene: Scene) -> dict[str, Any]:

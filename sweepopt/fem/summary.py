@@ -14,10 +14,9 @@ from sweepopt.fem.report import (
     Report,
     materials_of,
     solver_counts,
-    solver_name,
-    versions_of,
 )
 from sweepopt.io import replacing
+from sweepopt.results import software, solver_name
 
 SUMMARY = "summary.json"
 
@@ -74,7 +73,7 @@ def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:
             "iterations": stats["iterations"].sum(),
             "seconds": report.seconds,
             "materials": {name: k for k, name in enumerate(materials_of(scene), start=1)},
-            "versions": {"python": platform.python_version(), **versions_of(solution)},
+            "versions": {"python": platform.python_version(), **software(solution)},
             "files": files,
         }
     )

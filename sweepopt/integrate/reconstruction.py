@@ -12,9 +12,16 @@ import numpy as np
 
 from sweepopt.errors import Status, SweepoptError
 from sweepopt.integrate.exact import Lifting, Trajectory, mover
+from sweepopt.integrate.record import (
+    KeptStates,
+    ReconstructedStates,
+    Run,
+    States,
+    StatesInMemory,
+    Summary,
+)
 from sweepopt.integrate.schemes import Scheme
-from sweepopt.integrate.states import Keeper, Kept, Lifted, States
-from sweepopt.integrate.step import Summary, compensated, step
+from sweepopt.integrate.step import compensated_sum, step
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Moving, Point
 from sweepopt.velocity import POLISHED, OfLoad, Plan, Reduction, Solved, Velocity
@@ -23,7 +30,7 @@ from sweepopt.velocity import POLISHED, OfLoad, Plan, Reduction, Solved, Velocit
 class _Coefficients(NamedTuple):
     """alpha at all nodes, the seconds that each step of it took, its exact trajectory."""
 
-    alpha: Kept
+    alpha: StatesInMemory
     seconds: float
     exact: Trajectory | None
 
@@ -55,7 +62,7 @@ class Lift:
         return self._plan.reduction.of_load(alphas, gammas)
 
     @property
-    def _alpha(self) -> Kept:
+    def _alpha(self) -> StatesInMemory:
         return self._moved.alpha
 
     @property
@@ -95,12 +102,14 @@ class Lift:
         assert exact is not None  # the same scheme moves the coefficients
         return replace(few, lifting=Lifting(exact, reduction.lift))
 
-    def of(self, kept: Kept, steps: np.ndarray) -> States:
+    def of(self, kept: KeptStates) -> States:
         """The kept states as states of all unknowns."""
         reduction = self._plan.reduction
         if reduction is None:
-            return kept
-        return Lifted(kept, lambda: self._alpha, steps, reduction.lift, self._plan.unknowns)
+            return kept.states
+        return ReconstructedStates(
+            kept.states, lambda: self._alpha, kept.steps, reduction.lift, self._plan.unknowns
+        )
 
 
 class _EveryStep:
@@ -124,7 +133,9 @@ class _EveryStep:
         )
 
 
-def _coefficients(reduction: Reduction, scheme: Scheme, times: np.ndarray, mus: np.ndarray) -> Kept:
+def _coefficients(
+    reduction: Reduction, scheme: Scheme, times: np.ndarray, mus: np.ndarray
+) -> StatesInMemory:
     """alpha at every node and its velocity in every step.
 
     The velocity of a step is affine in its first state: the tableau is asked twice for all steps,
@@ -150,35 +161,35 @@ def _coefficients(reduction: Reduction, scheme: Scheme, times: np.ndarray, mus: 
         for alpha, values, falls in zip(starts_at.tolist(), constant.T, slope.T, strict=True)
     ]
     nodes, velocities = (np.column_stack(parts) for parts in zip(*columns, strict=True))
-    return Kept(nodes, velocities)
+    return StatesInMemory(nodes, velocities)
 
 
 def _exact_coefficients(
     reduction: Reduction, plan: Plan, times: np.ndarray, mus: np.ndarray
-) -> tuple[Kept, Trajectory | None]:
+) -> tuple[StatesInMemory, Trajectory | None]:
     """alpha' + rho alpha = phi as a process of its own, which is linear."""
     unit = np.eye(len(reduction.load.terms))
     C = Moving(Point(0 * unit[-1]), reduction.load)
     process = SweepingProcess(unit, reduction.rho * unit if reduction.rho else None, C, unit[-1])
     plan = replace(plan, solvers=(), contact=None, reduction=None, order=None, tol=POLISHED)
-    keeper = Keeper(np.arange(len(mus)), process.u0)
-    run = mover(process, plan)(times, mus, keeper)
+    run = Run(len(mus), np.arange(len(mus)), process.u0)
+    mover(process, plan)(times, mus, run)
     if run.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
     if run.done < len(mus):
         raise SweepoptError(f"the load's coefficients: {run.cause or run.status.value}")
-    return keeper.close(run.done)[1], run.exact
+    return run.kept().states, run.exact
 
 
 def _follow(
     alpha: float, constant: np.ndarray, slope: np.ndarray, mus: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """alpha and its velocity = constant + slope alpha, step by step in plain numbers."""
-    lost = 0.0
+    compensation = 0.0
     nodes, velocities = [alpha], []
     for a, b, mu in zip(constant.tolist(), slope.tolist(), mus.tolist(), strict=True):
         velocity = a + b * alpha
-        alpha, lost = compensated(alpha, mu * velocity, lost)
+        alpha, compensation = compensated_sum(alpha, mu * velocity, compensation)
         nodes.append(alpha)
         velocities.append(velocity)
     return np.array(nodes), np.array(velocities)

@@ -35,13 +35,12 @@ import numpy as np
 from sweepopt.integrate import divided, time_grid
 from sweepopt.results.residuals import Defects, defects
 from sweepopt.linalg import EPS
-from sweepopt.integrate import march
 from sweepopt.results.nodes import Nodes, cubic
 from sweepopt.problem import Norms
 from sweepopt.velocity import Plan
 from sweepopt.problem import SweepingProcess
 from sweepopt.integrate import SCHEMES
-from sweepopt.integrate import MEMORY, Keeper, saving
+from sweepopt.integrate import MEMORY, Run, integrate, saving
 
 SUMMED = 64 * EPS  # what a run's sums round, in units of |u|_A and the root of its steps
 # de Casteljau at 1/2: a cubic's Bernstein coefficients on both halves
@@ -129,12 +128,12 @@ def nodes_of(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
     times, mus = time_grid(None, t)
     wanted = saving(None, times, process.dim, MEMORY)
     for tol in (plan.tol, math.inf):
-        keeper = Keeper(wanted.steps, process.u0)
-        done = march(process, replace(plan, tol=tol), times, mus, keeper).done
-        if done == len(mus):
+        run = Run(len(mus), wanted.steps, process.u0)
+        integrate(process, replace(plan, tol=tol), times, mus, run)
+        if run.done == len(mus):
             break
-    kept = keeper.close(done)[1]
-    return Nodes(times, kept.nodes, kept.velocities)
+    states = run.kept().states
+    return Nodes(times, states.nodes, states.velocities)
 
 
 class _After(NamedTuple):
