@@ -18,6 +18,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sweepopt import io as library
 from sweepopt.errors import (
     MissingExtraError,
     Status,
@@ -25,7 +26,6 @@ from sweepopt.errors import (
     SweepoptWarning,
     UnstableStepError,
 )
-from sweepopt.fem import library
 from sweepopt.integrate import schemes
 from sweepopt.velocity import solvers
 

@@ -88,6 +88,81 @@ def read_toml(path: Path) -> dict[str, Any]:
     return parse_toml(str(path), read_text(path, ", as TOML must be"))
 
 
+# ---- problems that come with the library: one scene or study a TOML file, its data beside it ----
+
+
+def list_problems() -> dict[str, str]:
+    """Titles of the problems by their names.
+
+    Examples
+    --------
+    >>> "tube" in list_problems()
+    True
+    """
+    return {
+        path.stem: str(tomllib.loads(path.read_text(encoding="utf-8")).get("title", ""))
+        for path in sorted(_problems().glob("*.toml"))
+    }
+
+
+def find_problem(name: str) -> Path:
+    """The scene file of a problem.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name; the message lists those there are.
+
+    Examples
+    --------
+    >>> find_problem("tube").name
+    'tube.toml'
+    """
+    return _library("*.toml", name, "a scene file nor a problem")
+
+
+def find_scene(scene: str) -> Path:
+    """The file of a scene that is given by its path or by the name of a problem."""
+    return _given(scene) or find_problem(scene)
+
+
+def find_study(study: str) -> Path:
+    """The file of a study that is given by its path or by the name of one of the library.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name; the message lists those there are.
+
+    Examples
+    --------
+    >>> find_study("accuracy").name
+    'accuracy.toml'
+    """
+    return _given(study) or _library("*/*.toml", study, "a study file nor a study")
+
+
+def _given(name: str) -> Path | None:
+    """The path that a name is."""
+    path = Path(name)
+    return path if path.suffix == ".toml" or os.path.isfile(path) else None
+
+
+def _library(pattern: str, name: str, what: str) -> Path:
+    known = {path.stem: path for path in _problems().glob(pattern)}
+    if name not in known:
+        names = ", ".join(sorted(known)) or "none"
+        raise InputError(f"{name!r} is neither {what}; there are: {names}")
+    return known[name]
+
+
+def _problems() -> Path:
+    """In an installed package sweepopt/problems, in a clone problems/ at the root."""
+    package = Path(__file__).resolve().parent
+    installed = package / "problems"
+    return installed if installed.is_dir() else package.parent / "problems"
+
+
 Array = NDArray[np.float64]
 
 

@@ -13,8 +13,9 @@ from fuzz_judge import check_run
 from hypothesis import strategies as st
 
 import sweepopt as so
+from sweepopt import io as library
 from sweepopt import resume
-from sweepopt.fem import library, read_mesh, read_scene
+from sweepopt.fem import read_mesh, read_scene
 from sweepopt.io import read_toml
 from sweepopt.loads import Table
 from sweepopt.study import read_study

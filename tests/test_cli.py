@@ -20,7 +20,8 @@ from meshes import annulus, write_msh
 
 import sweepopt as so
 from sweepopt import cli
-from sweepopt.fem import Scene, library, read_scene
+from sweepopt import io as library
+from sweepopt.fem import Scene, read_scene
 
 SCENE = """
 title = "a small ring"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import pytest
 
 pytest.importorskip("skfem")
 
+import meshio
 import skfem
 from meshes import annulus, square, write_msh
 
@@ -450,6 +450,7 @@ $EndElements
 """
 
 
+TWO = "2 1 2 1\n3 1 2 5\n2 2 2 1\n4 5 1 7\n"
 TUBES = Path(__file__).parent / "data" / "gmsh"
 
 
@@ -466,31 +467,47 @@ def test_binary_files_and_text_files_hold_the_same_mesh(version):
         assert all(np.array_equal(groups[name], others[name]) for name in groups)
 
 
-@pytest.mark.parametrize("version", ["2.2", "4.1"])
-@pytest.mark.parametrize("kind", ["", "_binary"])
-def test_what_a_damaged_file_announces_is_not_allocated(tmp_path, version, kind):
-    content = (TUBES / f"tube_{version}{kind}.msh").read_bytes()
-    path = tmp_path / "bad.msh"
-    announced = {  # a count of nodes, of elements, the tag of a node
-        "2.2": [
-            (b"$Nodes\n24", b"$Nodes\n9999999999"),
-            (b"$Elements\n48", b"$Elements\n9999999999"),
-        ],
-        "4.1": [(b"\n22 183 1 183\n", b"\n9999999999 9999999999 1 9999999999\n")],
-    }[version]
-    if (version, kind) == ("4.1", "_binary"):
-        counts = content.index(b"$Nodes\n") + 7
-        announced = [(content[counts : counts + 16], np.array([10**12, 10**12], "<u8").tobytes())]
-    if (version, kind) == ("2.2", ""):
-        announced.append((b"\n24 ", b"\n99999999999 "))
-    for old, new in announced:
-        assert old in content, old
-        path.write_bytes(content.replace(old, new, 1))
-        tracemalloc.start()
-        with pytest.raises(InputError, match=r"bad.msh: is damaged"):
-            read_mesh(path)
-        assert tracemalloc.get_traced_memory()[1] < 50 * len(content) + 200_000
-        tracemalloc.stop()
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("tube_2.2.msh", b"$Nodes\n24", b"$Nodes\n9999999999"),
+        ("tube_2.2.msh", b"$Elements\n48", b"$Elements\n9999999999"),
+        ("tube_2.2.msh", b"\n24 ", b"\n99999999999 "),
+        ("tube_2.2_binary.msh", b"$Nodes\n24", b"$Nodes\n9999999999"),
+        ("tube_4.1.msh", b"\n22 183 1 183\n", b"\n9999999999 9999999999 1 9999999999\n"),
+        ("tube_4.1_binary.msh", None, np.array([10**12, 10**12], "<u8").tobytes()),
+    ],
+)
+def test_a_file_that_announces_more_than_it_holds_is_refused(tmp_path, name, old, new):
+    content = (TUBES / name).read_bytes()
+    counts = content.index(b"$Nodes\n") + 7
+    old = old or content[counts : counts + 16]
+    assert old in content
+    (tmp_path / "bad.msh").write_bytes(content.replace(old, new, 1))
+    with pytest.raises(InputError, match=r"bad.msh: is damaged"):
+        read_mesh(tmp_path / "bad.msh")
+
+
+def test_meshes_of_other_formats_are_read(tmp_path):
+    section = annulus(2)
+    triangles = meshio.Mesh(
+        section.doflocs[:, : section.nvertices].T,
+        [("triangle", section.t.T), ("line", section.facets[:, section.boundaries["outer"]].T)],
+        cell_data={"medit:ref": [np.full(section.nelements, 3), np.full(18, 7)]},
+    )
+    meshio.write(tmp_path / "ring.mesh", triangles)
+    mesh = read_mesh(tmp_path / "ring.mesh")
+    assert mesh.nelements == section.nelements
+    assert {name: len(edges) for name, edges in mesh.boundaries.items()} == {"7": 18}
+    assert {name: len(cells) for name, cells in mesh.subdomains.items()} == {"3": mesh.nelements}
+
+
+@pytest.mark.parametrize("content", ["solid cube\n", "$MeshFormat\n4.1 0 8\n$EndElements\n"])
+def test_a_file_that_cannot_be_read_prints_nothing(tmp_path, capfd, content):
+    (tmp_path / "bad.msh").write_text(content)
+    with pytest.raises(InputError, match=r"bad.msh: is damaged or no mesh that meshio can read"):
+        read_mesh(tmp_path / "bad.msh")
+    assert capfd.readouterr() == ("", "")
 
 
 def test_a_middle_node_belongs_to_one_edge(tmp_path):
@@ -556,15 +573,12 @@ def pull(mesh):
     ("write", "message"),
     [
         (lambda path: None, "bad.msh: cannot be read"),
-        (lambda path: path.write_text("solid cube\n"), "bad.msh: is not a Gmsh .msh file"),
-        (lambda path: path.write_text(""), "bad.msh: is not a Gmsh .msh file"),
+        (lambda path: path.write_text(""), "bad.msh: is damaged or no mesh that meshio can read"),
         (lambda path: path.write_text(MSH41[:-20]), "bad.msh: is cut short"),
-        (corrupt([("4 4 1 4", "5 4 1 4")]), "bad.msh: is damaged: a section has fewer numbers"),
-        (corrupt([("4.1 0 8", "9.9 0 8")]), "bad.msh: MSH version '9.9' is not among 2.2, 4.1"),
-        (corrupt([("4.1 0 8", "4.2 0 8")]), "bad.msh: MSH version '4.2' is not .*; save it as"),
-        (corrupt([("4.1 0 8", "2.9 0 8")]), "bad.msh: MSH version '2.9' is not among"),
-        (lambda path: path.write_text("$MeshFormat$EndElements"), "bad.msh: MSH version ''"),
-        (corrupt([("0 1 2\n", "0 one 2\n")]), "bad.msh: is damaged: there is a word among"),
+        (corrupt([("4 4 1 4", "5 4 1 4")]), "bad.msh: is damaged"),
+        (corrupt([("4.1 0 8", "9.9 0 8")]), "bad.msh: is damaged .*Need mesh format in"),
+        (lambda path: path.write_text("$MeshFormat$EndElements"), "bad.msh: is damaged"),
+        (corrupt([("0 1 2\n", "0 one 2\n")]), "bad.msh: is damaged .*could not be read"),
         (corrupt([("0 1 2\n", "0 nan 2\n")]), r"bad.msh: node \d+ has coordinates .*nan"),
         (corrupt([("0 1 2\n", "0 1 3\n")]), "bad.msh: is not flat"),
         (corrupt([("0 1 2\n", "0 0 2\n")]), "bad.msh: triangle 1 near .* has no area"),
@@ -575,11 +589,11 @@ def pull(mesh):
         ),
         (corrupt([("1 2 1 1\n2 5 7", "1 2 1 1\n2 2 7")]), "bad.msh: physical curve '12' has"),
         (
-            corrupt([("2 1 2 1\n3 1 2 5\n2 2 2 1\n4 5 1 7", "2 1 3 1\n3 1 2 5 7")]),
+            corrupt([("4 4 1 4", "3 3 1 3"), (TWO, "2 1 3 1\n3 1 2 5 7\n")]),
             "bad.msh: only triangles are supported, not quad",
         ),
         (
-            corrupt([("4 4 1 4", "2 2 1 2"), ("2 1 2 1\n3 1 2 5\n2 2 2 1\n4 5 1 7\n", "")]),
+            corrupt([("4 4 1 4", "2 2 1 2"), (TWO, "")]),
             "bad.msh: has no triangles",
         ),
         (lambda path: write_msh(path, flip(square(2))), "bad.msh: triangle .* is inverted"),

@@ -21,7 +21,7 @@ from cases import case
 from test_cli import make_scene
 
 import sweepopt as so
-from sweepopt.fem import library
+from sweepopt import io as library
 from sweepopt.study import Processes, Study, dask_executor, read_study, read_table, run
 from sweepopt.study.advice import advice, summary
 from sweepopt.study.cells import COLUMNS

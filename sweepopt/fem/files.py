@@ -19,10 +19,9 @@ from sweepopt.errors import InputError, shown
 from sweepopt.fem.discretisation import Discretisation
 from sweepopt.fem.effects import EFFECTS, Effect, names
 from sweepopt.fem.fields import Profile
-from sweepopt.fem.library import find_scene
 from sweepopt.fem.mesh import read_mesh
 from sweepopt.fem.scene import Scene, build, check_names, located
-from sweepopt.io import as_path, parse_toml, read_toml
+from sweepopt.io import as_path, find_scene, parse_toml, read_toml
 from sweepopt.loads import Constant, History, Sine, Table, Triangle, check_points
 
 WAVEFORMS: dict[str, type] = {"constant": Constant, "sine": Sine, "triangle": Triangle}

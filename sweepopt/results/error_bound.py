@@ -32,15 +32,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sweepopt.integrate import divided, time_grid
-from sweepopt.results.residuals import Defects, defects
+from sweepopt.integrate import MEMORY, SCHEMES, Run, divided, integrate, saving, time_grid
 from sweepopt.linalg import EPS
+from sweepopt.problem import Norms, SweepingProcess
 from sweepopt.results.nodes import Nodes, cubic
-from sweepopt.problem import Norms
+from sweepopt.results.residuals import Defects, defects
 from sweepopt.velocity import Plan
-from sweepopt.problem import SweepingProcess
-from sweepopt.integrate import SCHEMES
-from sweepopt.integrate import MEMORY, Run, integrate, saving
 
 SUMMED = 64 * EPS  # what a run's sums round, in units of |u|_A and the root of its steps
 # de Casteljau at 1/2: a cubic's Bernstein coefficients on both halves

@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sweepopt.integrate import divided
 from sweepopt.errors import AccuracyError, InputError
+from sweepopt.integrate import divided
 from sweepopt.results.solution import Solution
 
 MOST = 8  # times the steps, from one run to the next

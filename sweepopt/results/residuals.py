@@ -24,14 +24,13 @@ from sweepopt.problem import (
     Between,
     Grid,
     Motion,
+    Norms,
+    SweepingProcess,
     increments,
     motion,
 )
 from sweepopt.results.nodes import Nodes, cubic, force_along, slopes_of_curves
-from sweepopt.problem import Norms
-from sweepopt.problem import SweepingProcess
-from sweepopt.sets import ConvexSet
-from sweepopt.sets import basis, products, to_bernstein
+from sweepopt.sets import ConvexSet, basis, products, to_bernstein
 from sweepopt.velocity import VelocityOf
 
 THIRDS = to_bernstein(np.array([0.0, 0.5, 1.0]))
@@ -171,7 +170,7 @@ def _on_intervals(
         reach += scale.away @ np.abs([f for _, f in moved.scale.terms])
         more = norms.scaled(moved.scale, s)
         rest, turn = rest + (scale.away * more).sum(axis=1), turn + (scale.bent * more).sum(axis=1)
-    gaps, away = _companions(norms, moved.shape, slopes[i], (begin, share), s, reach)
+    gaps, away = _gaps_along_curves(norms, moved.shape, slopes[i], (begin, share), s, reach)
     rest = rest + away / math.sqrt(norms.beta)
     # Minkowski: what the polynomials are away from the load adds up in the norm
     squares = length * (np.sqrt(norms.dual(r) ** 2 @ WEIGHTS) + rest) ** 2
@@ -183,7 +182,7 @@ def _on_intervals(
     return Defects(2 * length * gaps, squares, sup, bent, slopes, True)
 
 
-def _companions(
+def _gaps_along_curves(
     norms: Norms,
     S: ConvexSet,
     slopes: np.ndarray,
@@ -205,7 +204,7 @@ def _companions(
     most = reach.max(axis=1)
     # where A = 0 the curve must be continuous: no arcs
     ratios = np.full(len(p), math.inf) if norms.still else most**2 / norms.beta
-    each = map(S.companion, p, s, ratios.tolist())
+    each = map(S.gap_along_curve, p, s, ratios.tolist())
     gaps, away = np.array(list(each)).T
     return np.array([gaps, most * away])
 

@@ -18,12 +18,12 @@ import scipy.sparse as sp
 from sweepopt.checks import HUGE, number, vector
 from sweepopt.errors import InputError
 from sweepopt.sets.base import (
-    Companion,
     ConvexSet,
+    CurveGap,
     Features,
+    NormalPair,
     Selection,
     Sphere,
-    Witness,
     require_same_dim,
 )
 from sweepopt.sets.intersections import Intersection
@@ -68,9 +68,9 @@ class _Similar(ConvexSet):
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         return self.part.derivative(self._back(v))
 
-    def blur(self, x: np.ndarray) -> float:
+    def rounding_scale(self, x: np.ndarray) -> float:
         moved = 0.0 if self.v is None else float(np.abs(self.v).max())
-        return max(super().blur(x), self.part.blur(self._back(x)), moved)
+        return max(super().rounding_scale(x), self.part.rounding_scale(self._back(x)), moved)
 
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return self.part.weights(tau)
@@ -137,10 +137,10 @@ class Translation(_Similar):
         y, constraints = self.part.features(p)
         return Features([p, *y], constraints)
 
-    def witness(
+    def normal_pair(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
-    ) -> Witness | None:
-        found = self.part.witness(p, w - self.v, tau, y[self.dim :])
+    ) -> NormalPair | None:
+        found = self.part.normal_pair(p, w - self.v, tau, y[self.dim :])
         return found and found._replace(w=found.w + self.v)
 
     def rows(self) -> tuple[Any, np.ndarray] | None:
@@ -196,17 +196,19 @@ class Scaling(_Similar):
     def features(self, p: cp.Expression) -> Features:
         return self.part.features(p)
 
-    def witness(
+    def normal_pair(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
-    ) -> Witness | None:
-        found = self.part.witness(p, w / self.factor, tau / self.factor, y)
+    ) -> NormalPair | None:
+        found = self.part.normal_pair(p, w / self.factor, tau / self.factor, y)
         if found is None:
             return None
-        lost = found.lost and found.lost._replace(w=self.factor * found.lost.w)
-        return Witness(found.p, self.factor * found.w, self.factor * found.gap, lost)
+        perturbation = found.perturbation and found.perturbation._replace(
+            w=self.factor * found.perturbation.w
+        )
+        return NormalPair(found.p, self.factor * found.w, self.factor * found.gap, perturbation)
 
-    def blur(self, x: np.ndarray) -> float:
-        return self.factor * self.part.blur(self._back(x))
+    def rounding_scale(self, x: np.ndarray) -> float:
+        return self.factor * self.part.rounding_scale(self._back(x))
 
     def rows(self) -> tuple[Any, np.ndarray] | None:
         found = self.part.rows()
@@ -264,16 +266,16 @@ class Negation(_Similar):
     def gap(self, p: np.ndarray, w: np.ndarray) -> float:
         return self.part.gap(-p, -w)
 
-    def companion(self, p: np.ndarray, w: np.ndarray, ratio: float) -> Companion:
-        return self.part.companion(-p, -w, ratio)
+    def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
+        return self.part.gap_along_curve(-p, -w, ratio)
 
     def features(self, p: cp.Expression) -> Features:
         return self.part.features(-p)
 
-    def witness(
+    def normal_pair(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
-    ) -> Witness | None:
-        found = self.part.witness(-p, -w, tau, y)
+    ) -> NormalPair | None:
+        found = self.part.normal_pair(-p, -w, tau, y)
         return found and found._replace(p=-found.p, w=-found.w)
 
     def rows(self) -> tuple[Any, np.ndarray] | None:

@@ -9,7 +9,7 @@ import scipy.linalg
 
 from sweepopt.checks import dimension, entries, number, vector
 from sweepopt.errors import InputError
-from sweepopt.sets.base import Companion, ConvexSet, Features, Sphere
+from sweepopt.sets.base import ConvexSet, CurveGap, Features, Sphere
 from sweepopt.sets.curves import ball_arc
 
 if TYPE_CHECKING:
@@ -46,8 +46,8 @@ class Ball(ConvexSet):
         z = vector("z", z, self.dim)
         return float(self.center @ z + self.radius * np.linalg.norm(z))
 
-    def blur(self, x: np.ndarray) -> float:
-        return max(super().blur(x), float(np.abs(self.center).max()))
+    def rounding_scale(self, x: np.ndarray) -> float:
+        return max(super().rounding_scale(x), float(np.abs(self.center).max()))
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
         return _ball_derivative(v - self.center, self.radius)
@@ -58,10 +58,10 @@ class Ball(ConvexSet):
         length = float(np.linalg.norm(arm))
         return w if length <= self.radius else self.center + self.radius / length * arm
 
-    def companion(self, p: np.ndarray, w: np.ndarray, ratio: float) -> Companion:
-        given = super().companion(p, w, ratio)
-        away = ball_arc(p, w - self.center, self.radius)
-        return Companion(0.0, away) if ratio * away**2 < 2 * given.gap else given
+    def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
+        given = super().gap_along_curve(p, w, ratio)
+        distance = ball_arc(p, w - self.center, self.radius)
+        return CurveGap(0.0, distance) if ratio * distance**2 < 2 * given.gap else given
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -130,9 +130,9 @@ class Balls(ConvexSet):
         sizes = cp.Variable(self.radii.size)
         return Features([sizes], norms_below(p, sizes, self.block))
 
-    def companion(self, p: np.ndarray, w: np.ndarray, ratio: float) -> Companion:
-        return Companion.beside(
-            Ball(np.zeros(self.block), radius).companion(directions, points, ratio)
+    def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
+        return CurveGap.beside(
+            Ball(np.zeros(self.block), radius).gap_along_curve(directions, points, ratio)
             for radius, directions, points in zip(
                 self.radii,
                 p.reshape(3, -1, self.block).swapaxes(0, 1),

@@ -10,7 +10,7 @@ and through the projection on C. Two facts make one small contract enough:
 * **A projection proves a normal pair.** For any v and tau > 0 put w = P_C(v), p = (v - w) / tau:
   then p is in N_C(w) exactly (Moreau). Started from a solver's answer this gives a pair that
   satisfies the inclusion, has exact zeros where the body is stuck, and carries all of the
-  solver's error in a residual that can be measured. `witness` does this.
+  solver's error in a residual that can be measured. `normal_pair` does this.
 """
 
 from __future__ import annotations
@@ -45,29 +45,31 @@ class Features(NamedTuple):
     constraints: list[cp.Constraint]
 
 
-class Lost(NamedTuple):
+class Perturbation(NamedTuple):
     """Bounds, entry by entry, of what rounding moves w and p of a pair."""
 
     w: np.ndarray
     p: np.ndarray
 
 
-class Witness(NamedTuple):
+class NormalPair(NamedTuple):
     """A point w of C, a p with finite sigma(C, p), and gap >= sigma(C, p) - <p, w> >= 0.
 
-    Both may be rounded: then a pair for which this is true is as near as `lost` says, to first
+    Both may be rounded: then an exact pair is as near as `perturbation` says, to first
     order. None where that is nothing but the last digits of w and p.
     """
 
     p: np.ndarray
     w: np.ndarray
     gap: float
-    lost: Lost | None = None
+    perturbation: Perturbation | None = None
 
-    def over(self, step: float) -> Witness:
+    def over(self, step: float) -> NormalPair:
         """The pair of p / step."""
-        lost = self.lost and self.lost._replace(p=self.lost.p / step)
-        return Witness(self.p / step, self.w, self.gap / step, lost)
+        perturbation = self.perturbation and self.perturbation._replace(
+            p=self.perturbation.p / step
+        )
+        return NormalPair(self.p / step, self.w, self.gap / step, perturbation)
 
 
 class Selection(NamedTuple):
@@ -78,25 +80,25 @@ class Selection(NamedTuple):
     shift: np.ndarray | None
 
 
-class Companion(NamedTuple):
+class CurveGap(NamedTuple):
     """A curve in C beside a curve p of directions, both on [0, 1].
 
     Attributes
     ----------
     gap : float
         At least the mean of sigma(C, p) - <p, curve> >= 0.
-    away : float
+    distance : float
         At least the distance of the curve from the one that was given, at any time.
     """
 
     gap: float
-    away: float
+    distance: float
 
     @classmethod
-    def beside(cls, factors: Iterable[Companion]) -> Companion:
+    def beside(cls, factors: Iterable[CurveGap]) -> CurveGap:
         """That of a product of sets, from those of its factors."""
-        gaps, away = np.array(list(factors)).T
-        return cls(float(gaps.sum()), float(np.linalg.norm(away)))
+        gaps, distance = np.array(list(factors)).T
+        return cls(float(gaps.sum()), float(np.linalg.norm(distance)))
 
 
 class Sphere(NamedTuple):
@@ -143,7 +145,7 @@ class ConvexSet(ABC):
     exact : bool
         Whether `project` is exact to rounding: a formula or an active set, no iteration.
     certifiable : bool
-        Whether `witness` has proofs.
+        Whether `normal_pair` has proofs.
     """
 
     dim: int
@@ -204,13 +206,13 @@ class ConvexSet(ABC):
         """
         return None
 
-    def blur(self, x: np.ndarray) -> float:
+    def rounding_scale(self, x: np.ndarray) -> float:
         """The size of the numbers whose rounding is in P_C(x)."""
         return float(np.abs(x).max())
 
-    def witness(
+    def normal_pair(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
-    ) -> Witness | None:
+    ) -> NormalPair | None:
         """A proven normal pair near the approximate one (p, w); None if the set has no proof.
 
         Parameters
@@ -224,14 +226,14 @@ class ConvexSet(ABC):
         """
         weights = self.weights(tau)
         v = w + weights * p
-        return Witness(self.normal(v) / weights, self.project(v), 0.0)
+        return NormalPair(self.normal(v) / weights, self.project(v), 0.0)
 
     def gap(self, p: np.ndarray, w: np.ndarray) -> float:
         """sigma(C, p) - <p, w> >= 0 for w in C; zero exactly if p is normal to C at w."""
         sigma = self.support(p)
         return max(sigma - float(p @ w), 0.0) + ROUNDING * abs(sigma) if p.any() else 0.0
 
-    def companion(self, p: np.ndarray, w: np.ndarray, ratio: float) -> Companion:
+    def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
         """A curve in C near w beside a quadratic curve p of directions, on [0, 1].
 
         w itself: sigma is convex, so sum_jk b_j b_k (sigma(C, p_j) - <p_j, w_k>) bounds its gap.
@@ -243,9 +245,9 @@ class ConvexSet(ABC):
         w : ndarray, shape (k, dim)
             Bernstein coefficients of the curve w, points of C.
         ratio : float
-            A set with more than one such curve takes that of the smaller 2 gap + ratio away^2.
+            A set with more than one such curve takes that of the smaller 2 gap + ratio distance^2.
         """
-        return Companion(float(np.sum(products(2, len(w) - 1) * self._gaps(p, w))), 0.0)
+        return CurveGap(float(np.sum(products(2, len(w) - 1) * self._gaps(p, w))), 0.0)
 
     def _gaps(self, p: np.ndarray, w: np.ndarray) -> np.ndarray:
         return np.array([[self.gap(direction, point) for point in w] for direction in p])

@@ -198,5 +198,7 @@ class Composed(ConvexSet):
 
 
 def _sizes(plain: Splitting, v: np.ndarray, start: Start) -> Sizes:
-    rounded = [np.abs(x).max(initial=0.0) for x in (start.s, plain.start, plain.blur(start.s))]
+    rounded = [
+        np.abs(x).max(initial=0.0) for x in (start.s, plain.start, plain.rounding_scale(start.s))
+    ]
     return Sizes(float(max(rounded)), max(float(np.abs(start.n).max()), plain.size(v)))

@@ -11,7 +11,7 @@ from sweepopt.checks import HUGE, entries, symmetric, vector
 from sweepopt.errors import InputError
 from sweepopt.linalg import Precise, dense
 from sweepopt.sets.balls import norms_below
-from sweepopt.sets.base import ConvexSet, Features, Witness, binary, same_array
+from sweepopt.sets.base import ConvexSet, Features, NormalPair, binary, same_array
 from sweepopt.sets.secular import secular
 
 if TYPE_CHECKING:
@@ -64,8 +64,8 @@ class Ellipsoid(ConvexSet):
         lam = self._multiplier(d)
         return w if lam is None else self.center + self._axes @ (e * d / (e + lam))
 
-    def blur(self, x: np.ndarray) -> float:
-        return max(super().blur(x), float(np.abs(self.center).max()))
+    def rounding_scale(self, x: np.ndarray) -> float:
+        return max(super().rounding_scale(x), float(np.abs(self.center).max()))
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
         d, e = self._axes.T @ (v - self.center), self._squares
@@ -82,10 +82,10 @@ class Ellipsoid(ConvexSet):
         a = d / np.sqrt(e)
         return None if a @ a <= 1 else secular(a, 1 / e, 1.0)
 
-    def witness(
+    def normal_pair(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
-    ) -> Witness | None:
-        found = super().witness(p, w, tau, y)
+    ) -> NormalPair | None:
+        found = super().normal_pair(p, w, tau, y)
         if found is None or not found.p.any():
             return found
         # the point with this normal by the shape itself: its axes are rounded, the short ones most

@@ -16,9 +16,9 @@ from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
     Features,
-    Lost,
+    NormalPair,
+    Perturbation,
     Selection,
-    Witness,
     binary,
     require_same_dim,
     same_array,
@@ -200,37 +200,37 @@ class Image(Composed):
     def features(self, p: cp.Expression) -> Features:
         return self.part.features((self._transposed / self._unit) @ p)
 
-    def witness(
+    def normal_pair(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
-    ) -> Witness | None:
+    ) -> NormalPair | None:
         if not self.certifiable:
             return None
         if not self.injective:
             step = float(np.mean(tau))
-            return self._witness_of_nearest(w + step * p).over(step)
+            return self._pair_of_nearest(w + step * p).over(step)
         inner = self._pull(p)
         weights = (self._squares @ tau) / self._diagonal**2  # tau in the units of s
-        found = self.part.witness(inner, self._solve(w), weights, self._unit * y)
+        found = self.part.normal_pair(inner, self._solve(w), weights, self._unit * y)
         assert found is not None  # the part is certifiable
-        lost = found.lost
-        if lost is not None:
+        perturbation = found.perturbation
+        if perturbation is not None:
             size = abs(self.M)
             back = size / self._diagonal if self._pinv is None else np.abs(self._pinv.T)
-            lost = Lost(size @ lost.w, back @ lost.p)
-        return Witness(self._lifted(p, found.p), self._push(found.w), found.gap, lost)
+            perturbation = Perturbation(size @ perturbation.w, back @ perturbation.p)
+        return NormalPair(self._lifted(p, found.p), self._push(found.w), found.gap, perturbation)
 
-    def _witness_of_nearest(self, v: np.ndarray) -> Witness:
+    def _pair_of_nearest(self, v: np.ndarray) -> NormalPair:
         """The normal pair of the projection of v."""
         if self._dual is not None:
             normal = self.normal(v)
-            return Witness(normal, v - normal, 0.0)
+            return NormalPair(normal, v - normal, 0.0)
         near = self.near(v)
         if near is not None:
             normal = near.splitting.normal(near).p
-            return Witness(normal, near.w.copy(), 0.0, near.lost(normal))
+            return NormalPair(normal, near.w.copy(), 0.0, near.perturbation(normal))
         s = self._nearest(v)
         if s is not None:
-            return Witness(v - self.M @ s, self.M @ s, 0.0)
+            return NormalPair(v - self.M @ s, self.M @ s, 0.0)
         # not to rounding: the parameters nearest to the program's answer, and what they miss
         normal = v - project_by_program(self, v)
         w = v - normal
@@ -243,7 +243,7 @@ class Image(Composed):
         s = s if better is None else better
         inner = self._pulled_back(normal)
         gap = self.part.support(inner) - float(inner @ s)
-        return Witness(normal, self.M @ s, max(gap, 0.0))
+        return NormalPair(normal, self.M @ s, max(gap, 0.0))
 
     def flat(self) -> Flat | None:
         found = Flat.of(self.part) if self.dim <= DENSE else None

@@ -8,7 +8,7 @@ import numpy as np
 
 from sweepopt.checks import vector
 from sweepopt.errors import EmptySetError
-from sweepopt.sets.base import ROUNDING, ConvexSet, Features, Witness, binary
+from sweepopt.sets.base import ROUNDING, ConvexSet, Features, NormalPair, binary
 from sweepopt.sets.cvxpy_lock import in_turn
 from sweepopt.sets.flat import Flat
 from sweepopt.sets.iteration import (
@@ -51,7 +51,7 @@ class Intersection(Pair):
         w = v - split[0] - split[1]
         return self.pair(v, np.concatenate([w, w]), np.concatenate(split))
 
-    def _decompose(self, v: np.ndarray, one: np.ndarray) -> Witness:
+    def _decompose(self, v: np.ndarray, one: np.ndarray) -> NormalPair:
         """w = P(v) and p near v - w, with the gap of p in w: 0 if alternation gets to rounding.
 
         Alternation starts from the part `one` of the normal. If it comes to no end, or would
@@ -62,7 +62,7 @@ class Intersection(Pair):
         for part, other in each:
             w = part.project(v)
             if not other.normal(w).any():
-                return Witness(part.normal(v), w, 0.0, rounded(v))
+                return NormalPair(part.normal(v), w, 0.0, rounded(v))
         near = self.near(v)
         if near is not None:
             return self._joined(near)
@@ -72,7 +72,7 @@ class Intersection(Pair):
             one, two = y[: self.dim], p - y[: self.dim]
             split = self._split(v, one, self.sweeps)
         if split is not None:
-            return Witness(split[0] + split[1], v - split[0] - split[1], 0.0, rounded(v))
+            return NormalPair(split[0] + split[1], v - split[0] - split[1], 0.0, rounded(v))
         w = v - p
         for _ in range(self.sweeps if self.certifiable else 0):
             before, w = w, self.second.project(self.first.project(w))
@@ -84,9 +84,9 @@ class Intersection(Pair):
             exact = part.normal(w + normal)
             gap += float(exact @ (part.project(w + normal) - w))
             p = p + exact
-        return Witness(p, w, max(gap, np.finfo(float).tiny))
+        return NormalPair(p, w, max(gap, np.finfo(float).tiny))
 
-    def _joined(self, near: Near) -> Witness:
+    def _joined(self, near: Near) -> NormalPair:
         """w and v - w as the sum of the parts' normals: what none of them holds is exactly 0."""
         v = near.v
         p, multipliers = near.splitting.normal(near)
@@ -94,7 +94,7 @@ class Intersection(Pair):
         split = self.first.normal(v - two) + two
         if np.abs(split - p).max() <= 10 * ROUNDING * np.abs(v).max():
             p = split
-        return Witness(p, near.w.copy(), 0.0, near.lost(p))
+        return NormalPair(p, near.w.copy(), 0.0, near.perturbation(p))
 
     def _split(
         self, v: np.ndarray, one: np.ndarray, sweeps: int
@@ -124,7 +124,7 @@ class Intersection(Pair):
         more, others = self.second.features(p - one)
         return Features([one, *y, *more], [*constraints, *others])
 
-    def _pair_near(self, w: np.ndarray, p: np.ndarray, y: np.ndarray) -> Witness:
+    def _pair_near(self, w: np.ndarray, p: np.ndarray, y: np.ndarray) -> NormalPair:
         near = self.near(w + p)
         return self._decompose(w + p, y[: self.dim]) if near is None else self._joined(near)
 

@@ -6,7 +6,7 @@ from abc import abstractmethod
 
 import numpy as np
 
-from sweepopt.sets.base import ConvexSet, Witness
+from sweepopt.sets.base import ConvexSet, NormalPair
 from sweepopt.sets.composed import Composed
 
 
@@ -30,16 +30,16 @@ class Pair(Composed):
             and self.second.same_cone(other.second)
         )
 
-    def witness(
+    def normal_pair(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
-    ) -> Witness | None:
+    ) -> NormalPair | None:
         if not self.certifiable:
             return None
         step = float(np.mean(tau))
         return self._pair_near(w, step * p, step * y).over(step)
 
     @abstractmethod
-    def _pair_near(self, w: np.ndarray, p: np.ndarray, y: np.ndarray) -> Witness:
+    def _pair_near(self, w: np.ndarray, p: np.ndarray, y: np.ndarray) -> NormalPair:
         """A pair near (w, p), p in the units of w; y are the features of p."""
 
     def require_nonempty(self, where: str = "C") -> None:

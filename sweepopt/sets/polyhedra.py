@@ -17,7 +17,7 @@ from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
     Features,
-    Witness,
+    NormalPair,
     binary,
     same_array,
 )
@@ -187,9 +187,9 @@ class Polyhedron(ConvexSet):
             return None
         return np.eye(self.dim) - projector(dense(self.G[found.active]))
 
-    def witness(
+    def normal_pair(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
-    ) -> Witness | None:
+    ) -> NormalPair | None:
         v, near = w + tau * p, w
         for _ in range(REFINEMENTS):
             found = self._exact_normal(v, tau, near)
@@ -197,7 +197,7 @@ class Polyhedron(ConvexSet):
                 return None
             inside = v - tau * found.normal
             if not found.active.size:
-                return Witness(found.normal, w if self._has(w, found.active, w) else inside, 0.0)
+                return NormalPair(found.normal, w if self._has(w, found.active, w) else inside, 0.0)
             # v is rounded where tau * p is large beside w: on the face of the normal w and p are,
             # once more
             face = _Face(dense(self.G[found.active]), self.h[found.active], np.sqrt(tau))
@@ -210,8 +210,8 @@ class Polyhedron(ConvexSet):
                 for _ in range(REFINEMENTS):
                     near = face.nearest(near)
                     if self._has(near, found.active, start):
-                        return Witness(normal, near, 0.0)
-        return Witness(normal, inside, float(multipliers @ np.abs(face.missed(inside))))
+                        return NormalPair(normal, near, 0.0)
+        return NormalPair(normal, inside, float(multipliers @ np.abs(face.missed(inside))))
 
     def _has(self, w: np.ndarray, active: np.ndarray, start: np.ndarray) -> bool:
         """Whether w is in C, and on the rows that are active, but for rounding on the way there."""

@@ -110,8 +110,8 @@ class Polytope(ConvexSet):
                 return _Held(V[held], point)
         return None
 
-    def blur(self, x: np.ndarray) -> float:
-        return max(super().blur(x), float(np.abs(self.vertices).max()))
+    def rounding_scale(self, x: np.ndarray) -> float:
+        return max(super().rounding_scale(x), float(np.abs(self.vertices).max()))
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         held = self._held(v)

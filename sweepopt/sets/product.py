@@ -9,7 +9,7 @@ import scipy.linalg
 
 from sweepopt.checks import vector
 from sweepopt.errors import InputError
-from sweepopt.sets.base import Companion, ConvexSet, Features, Lost, Witness
+from sweepopt.sets.base import ConvexSet, CurveGap, Features, NormalPair, Perturbation
 from sweepopt.sets.flat import Flat
 from sweepopt.sets.moving import MovingSet
 from sweepopt.sets.shapes import Box, Point
@@ -73,32 +73,32 @@ class Product(ConvexSet):
             y, constraints, start = y + more, constraints + others, start + part.dim
         return Features(y, constraints)
 
-    def witness(
+    def normal_pair(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
-    ) -> Witness | None:
+    ) -> NormalPair | None:
         cut = [np.split(x, self._cuts) for x in (p, w, tau)]
         found = [
-            part.witness(*blocks)
+            part.normal_pair(*blocks)
             for part, *blocks in zip(self.parts, *cut, np.split(y, self._offset_cuts), strict=True)
         ]
         known = [one for one in found if one is not None]
         if len(known) < len(found):
             return None
-        return Witness(
+        return NormalPair(
             np.concatenate([one.p for one in known]),
             np.concatenate([one.w for one in known]),
             sum(one.gap for one in known),
-            _beside([one.lost for one in known], [part.dim for part in self.parts]),
+            _beside([one.perturbation for one in known], [part.dim for part in self.parts]),
         )
 
     def gap(self, p: np.ndarray, w: np.ndarray) -> float:
         blocks = zip(self.parts, np.split(p, self._cuts), np.split(w, self._cuts), strict=True)
         return sum(part.gap(*one) for part, *one in blocks)
 
-    def companion(self, p: np.ndarray, w: np.ndarray, ratio: float) -> Companion:
+    def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
         cut = (np.split(x, self._cuts, axis=1) for x in (p, w))
         each = zip(self.parts, *cut, strict=True)
-        return Companion.beside(part.companion(a, b, ratio) for part, a, b in each)
+        return CurveGap.beside(part.gap_along_curve(a, b, ratio) for part, a, b in each)
 
     def flat(self) -> Flat | None:
         return Flat.beside(self.parts)
@@ -136,13 +136,16 @@ class Product(ConvexSet):
         return Product(tuple(part.polar() for part in self.parts))
 
 
-def _beside(each: list[Lost | None], dims: list[int]) -> Lost | None:
-    """What is lost in all parts, nothing if in none."""
+def _beside(each: list[Perturbation | None], dims: list[int]) -> Perturbation | None:
+    """What is perturbation in all parts, nothing if in none."""
     if not any(each):
         return None
-    nothing = (Lost(np.zeros(dim), np.zeros(dim)) for dim in dims)
-    lost = [one or none for one, none in zip(each, nothing, strict=True)]
-    return Lost(np.concatenate([one.w for one in lost]), np.concatenate([one.p for one in lost]))
+    nothing = (Perturbation(np.zeros(dim), np.zeros(dim)) for dim in dims)
+    perturbation = [one or none for one, none in zip(each, nothing, strict=True)]
+    return Perturbation(
+        np.concatenate([one.w for one in perturbation]),
+        np.concatenate([one.p for one in perturbation]),
+    )
 
 
 def product(*sets: Any) -> Any:

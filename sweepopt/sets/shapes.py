@@ -162,7 +162,7 @@ class Box(ConvexSet):
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return tau
 
-    def blur(self, x: np.ndarray) -> float:
+    def rounding_scale(self, x: np.ndarray) -> float:
         return 0.0
 
     def derivative(self, v: np.ndarray) -> np.ndarray:

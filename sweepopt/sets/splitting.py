@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg
 
-from sweepopt.sets.base import RANK, ROUNDING, Lost
+from sweepopt.sets.base import RANK, ROUNDING, Perturbation
 from sweepopt.sets.flat import Flat, solutions
 from sweepopt.sets.iteration import fixed_point
 
@@ -37,15 +37,15 @@ class Near(NamedTuple):
         """s as the parts see it."""
         return self.s / self.splitting.units
 
-    def lost(self, p: np.ndarray) -> Lost:
+    def perturbation(self, p: np.ndarray) -> Perturbation:
         """How far w and p, near v - w, are from a pair at most."""
-        return self.splitting.lost(self, p) or rounded(self.v)
+        return self.splitting.perturbation(self, p) or rounded(self.v)
 
 
-def rounded(v: np.ndarray) -> Lost:
+def rounded(v: np.ndarray) -> Perturbation:
     """The same where nothing is known but v, of which w and p are parts."""
-    lost = np.full(v.size, 10 * ROUNDING * np.abs(v).max())
-    return Lost(lost, lost)
+    perturbation = np.full(v.size, 10 * ROUNDING * np.abs(v).max())
+    return Perturbation(perturbation, perturbation)
 
 
 class Normal(NamedTuple):
@@ -77,12 +77,12 @@ class Splitting:
         """E^T (v - w)."""
         return np.asarray(self.E.T @ (v - self.flat.c - self.E @ s))
 
-    def blur(self, x: np.ndarray) -> np.ndarray:
+    def rounding_scale(self, x: np.ndarray) -> np.ndarray:
         """The size of what projections round, entry by entry."""
-        blur = np.zeros(x.size)
+        rounding_scale = np.zeros(x.size)
         for part, at, unit in self._each:
-            blur[at] = unit * part.blur(x[at] / unit)
-        return blur
+            rounding_scale[at] = unit * part.rounding_scale(x[at] / unit)
+        return rounding_scale
 
     def size(self, v: np.ndarray) -> float:
         """Of E^T v and E^T c, whatever cancels."""
@@ -148,7 +148,7 @@ class Splitting:
         x = near.image
         return np.concatenate([unit * part.normal(x[at] / unit) for part, at, unit in self._each])
 
-    def lost(self, near: Near, p: np.ndarray) -> Lost | None:
+    def perturbation(self, near: Near, p: np.ndarray) -> Perturbation | None:
         """How far w and p are from a pair, to first order; None where parts have no derivative.
 
         A part's point s and its normal n move along its normals by  ds = D dx, dn = (I - D) dx. The
@@ -163,9 +163,11 @@ class Splitting:
         turns = np.eye(s.size) - D
         if not p.any():  # which is normal everywhere
             n, multipliers, turns = 0 * n, 0 * multipliers, 0 * turns
-        blur = self.blur(near.image)
-        sizes = np.abs(s) + blur
-        forces = np.abs(E.T) @ np.abs(p) + np.abs(F.T) @ np.abs(multipliers) + p.any() * blur
+        rounding_scale = self.rounding_scale(near.image)
+        sizes = np.abs(s) + rounding_scale
+        forces = (
+            np.abs(E.T) @ np.abs(p) + np.abs(F.T) @ np.abs(multipliers) + p.any() * rounding_scale
+        )
         places = np.abs(F) @ sizes + np.abs(self.flat.g)
         points = np.abs(E) @ sizes + np.abs(self.flat.c)
         missed = np.concatenate(
@@ -183,7 +185,7 @@ class Splitting:
         back = LIGHT * _inverse(system, 2 * k)
         # what is known adds up, what is rounding adds up as the root of squares
         moved = np.abs(back @ missed) + np.sqrt(back**2 @ rounding**2)
-        return Lost(moved[:k], moved[k:])
+        return Perturbation(moved[:k], moved[k:])
 
     def derivative(self, near: Near) -> np.ndarray | None:
         """dw/dv."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sweepopt.checks import vector
-from sweepopt.sets.base import ROUNDING, ConvexSet, Features, Witness
+from sweepopt.sets.base import ROUNDING, ConvexSet, Features, NormalPair
 from sweepopt.sets.flat import Flat
 from sweepopt.sets.iteration import QUICK, fixed_point, project_by_program
 from sweepopt.sets.pairs import Pair
@@ -45,7 +45,7 @@ class Sum(Pair):
         still = np.where(noise & (self.first.normal(v - second) == 0), 0.0, p)
         return still if np.isfinite(self.support(still)) else p
 
-    def _nearest(self, v: np.ndarray) -> Witness | None:
+    def _nearest(self, v: np.ndarray) -> NormalPair | None:
         """P(v) and its normal; None if no points of C and D meet to rounding."""
         if not self.certifiable:
             return None  # projections that are programs themselves never do
@@ -54,9 +54,9 @@ class Sum(Pair):
         if parts is None:
             return None
         if near is None:
-            return Witness(self._normal(v, *parts), parts[0] + parts[1], 0.0)
+            return NormalPair(self._normal(v, *parts), parts[0] + parts[1], 0.0)
         p = self._normal(v, *parts) if (near.w != v).any() else np.zeros(self.dim)
-        return Witness(p, near.w.copy(), 0.0)
+        return NormalPair(p, near.w.copy(), 0.0)
 
     def _parts(self, near: Near) -> tuple[np.ndarray, np.ndarray]:
         (one, two), s = self._flats, near.parts
@@ -98,12 +98,14 @@ class Sum(Pair):
         more, others = self.second.features(p)
         return Features([*y, *more], [*constraints, *others])
 
-    def _pair_near(self, w: np.ndarray, p: np.ndarray, y: np.ndarray) -> Witness:
+    def _pair_near(self, w: np.ndarray, p: np.ndarray, y: np.ndarray) -> NormalPair:
         v = w + p
         found = self._nearest(v)
         if found is not None:
             near = self.near(v)
-            return found._replace(lost=rounded(v) if near is None else near.lost(found.p))
+            return found._replace(
+                perturbation=rounded(v) if near is None else near.perturbation(found.p)
+            )
         # no split to rounding: exposed parts, and the gap of the best normal at hand
         first = self.first.project(w)
         second = self.second.project(v - first)
@@ -111,7 +113,7 @@ class Sum(Pair):
         normals = (p, self.first.normal(v - second), self.second.normal(v - first))
         gaps = [self.support(n) - float(n @ (first + second)) for n in normals]
         best = int(np.argmin(gaps))
-        return Witness(normals[best], first + second, max(gaps[best], 0.0))
+        return NormalPair(normals[best], first + second, max(gaps[best], 0.0))
 
     def magnitude(self) -> float:
         return self.first.magnitude() + self.second.magnitude()

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sweepopt.errors import InputError, shown
-from sweepopt.fem.library import find_study
-from sweepopt.io import read_toml
+from sweepopt.io import find_study, read_toml
 from sweepopt.study.advice import summary
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.executors import Processes, Serial, dask_executor

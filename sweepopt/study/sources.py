@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from sweepopt.errors import InputError, SweepoptError
-from sweepopt.fem.library import find_problem
-from sweepopt.io import read_bytes, read_toml
+from sweepopt.io import find_problem, read_bytes, read_toml
 from sweepopt.problem import SweepingProcess
 from sweepopt.study import problems
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sweepopt.linalg import Elimination, Factor, Precise
+from sweepopt.linalg import Elimination, Factor, IterativeElimination, Precise
 from sweepopt.sets import ConvexSet, Selection
 from sweepopt.velocity.program import Velocity, at_rest_on, rate
 
@@ -83,7 +83,9 @@ def unless_at_rest(diagonal: np.ndarray, moving: SelectedVelocity) -> SelectedVe
     return solve
 
 
-def eliminated(M: Elimination, small: VelocityOf, enough: float) -> SelectedVelocity:
+def eliminated(
+    M: Elimination | IterativeElimination, small: VelocityOf, enough: float
+) -> SelectedVelocity:
     """C = c + E^T S: the velocity of the unknowns zeta = E z solves a small program.
 
     N = (E M^-1 E^T)^-1, linear term N E M^-1 (q - c), set S (MATH.md section 5). From zeta the
@@ -99,7 +101,9 @@ def eliminated(M: Elimination, small: VelocityOf, enough: float) -> SelectedVelo
 
 
 class _Eliminated:
-    def __init__(self, M: Elimination, small: VelocityOf, enough: float) -> None:
+    def __init__(
+        self, M: Elimination | IterativeElimination, small: VelocityOf, enough: float
+    ) -> None:
         self._M, self._small, self._enough = M, small, enough
 
     def __call__(self, q: np.ndarray, selection: Selection) -> Solved:

@@ -60,7 +60,7 @@ def of_state(process: SweepingProcess, plan: Plan, gamma: float, factors: Factor
         Of `matrix(process, gamma)`.
     """
     velocity = plan.velocity(factors)
-    if process.B is None or plan.multigrid:  # whose rounding is not bounded at all
+    if process.B is None:
         return lambda u, C: velocity(process.times_B(u), C)
     enough = accurate(process.dim, plan.tol)
     whole = _Unrounded(process.A, process.B, gamma, factors, velocity, enough)

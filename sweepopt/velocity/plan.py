@@ -8,11 +8,10 @@ from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
-from sweepopt.errors import PathError, SolverRefusedError, shown
-from sweepopt.linalg import Elimination, Factor, Multigrid
+from sweepopt.errors import PathError, SolverRefusedError
+from sweepopt.linalg import Elimination, Factor, IterativeElimination, eliminate, factorise
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import ConvexSet, same_array
 from sweepopt.velocity.elimination import (
@@ -25,7 +24,7 @@ from sweepopt.velocity.elimination import (
     unless_at_rest,
 )
 from sweepopt.velocity.proportional import Reduction, reduce
-from sweepopt.velocity.routes import Programmed, iterated
+from sweepopt.velocity.routes import Programmed
 from sweepopt.velocity.solvers import Solver, choose
 
 if TYPE_CHECKING:
@@ -34,7 +33,6 @@ if TYPE_CHECKING:
 PATHS = {
     "auto": "the first that applies",
     "proportional": "the contact alone, the other unknowns are recovered when asked for",
-    "multigrid": "all unknowns, for bodies whose factors do not fit in memory",
     "eliminated": "a program for the contact, two substitutions for the others",
     "full": "a program for all unknowns",
 }
@@ -50,15 +48,11 @@ class Factors:
 
     @cached_property
     def whole(self) -> Factor:
-        return Factor(self.M)
+        return factorise(self.M)
 
     @cached_property
-    def hierarchy(self) -> Multigrid:
-        return Multigrid(self.M)
-
-    @cached_property
-    def elimination(self) -> Elimination:
-        return Elimination(self.M, self.contact, self.order)
+    def elimination(self) -> Elimination | IterativeElimination:
+        return eliminate(self.M, self.contact, self.order)
 
     @cached_property
     def small(self) -> Factor:
@@ -91,8 +85,6 @@ class Plan:
         The process of the contact alone, if the material and the load are proportional.
     order : ndarray of int or None
         An order of the unknowns with little fill, for elimination.
-    multigrid : bool
-        Whether matrices get a multigrid hierarchy instead of a factorisation.
     """
 
     unknowns: int
@@ -105,15 +97,12 @@ class Plan:
     contact: np.ndarray | None = None
     reduction: Reduction | None = None
     order: np.ndarray | None = None
-    multigrid: bool = False
 
     @property
     def path(self) -> str:
         """Which unknowns enter a step."""
         if self.reduction is not None:
             return "proportional"
-        if self.multigrid:
-            return "multigrid"
         if not self.solvers:
             return "linear"
         return "full" if self.contact is None else "eliminated"
@@ -133,7 +122,7 @@ class Plan:
     @property
     def eliminated(self) -> int:
         """How many unknowns leave the program before it is solved."""
-        return 0 if self.contact is None or self.multigrid else self.unknowns - len(self.contact)
+        return 0 if self.contact is None else self.unknowns - len(self.contact)
 
     def of_all_unknowns(self, reason: str) -> Plan:
         """The plan without its reduction, which does not suit the steps."""
@@ -155,12 +144,8 @@ class Plan:
         factors = M if isinstance(M, Factors) else self.factors(M)
         contact, enough = factors.contact, accurate(factors.M.shape[0], self.tol)
         program = cache(lambda: Programmed(factors.whole, self.solver, self.tol, self.order))
-        if self.multigrid:
-            point = cache(lambda: linear(factors.hierarchy, enough))
-            selected = cache(lambda: iterated(factors.hierarchy, contact, self.tol))
-        else:
-            point = cache(lambda: linear(factors.whole, enough))
-            selected = cache(lambda: self._eliminated(factors, enough))
+        point = cache(lambda: linear(factors.whole, enough))
+        selected = cache(lambda: self._eliminated(factors, enough))
 
         def solve(q: np.ndarray, C: ConvexSet) -> Solved:
             if C.singleton:
@@ -188,8 +173,6 @@ class Plan:
             solver += ", a formula where M is diagonal"
         if self.scheme.exact:
             solver = "closed forms between the switches, which are located"
-        if self.multigrid:
-            solver = "conjugate gradients with a multigrid cycle"
         lines = [
             f"path                {self.path}: {PATHS.get(self.path, 'a linear solve a step')}",
             f"unknowns            {self.unknowns}",
@@ -233,15 +216,10 @@ def make_plan(
             f"path={path!r} needs a C(t) that acts on the same few unknowns at all times: write it "
             "as so.image(E^T, S) with E selecting them"
         )
-    multigrid = path == "multigrid" or (path == "auto" and isinstance(process.metric, Multigrid))
-    if multigrid:
-        _require_multigrid(process, members, contact, solver)
-    if scheme.exact and multigrid:
-        raise PathError("path='multigrid' has no closed form; use another scheme than 'exact'")
     reduced: Reduction | str = "the unknowns shall be kept"
     if len(scheme.b) > 1:
         reduced = f"scheme {scheme.name!r} has several stages"
-    elif path in ("auto", "proportional") and contact is not None and not multigrid:
+    elif path in ("auto", "proportional") and contact is not None:
         reduced = reduce(process, tol, members[0][0])
     if path == "proportional" and isinstance(reduced, str):
         raise PathError(f"path='proportional' does not apply: {reduced}")
@@ -257,7 +235,6 @@ def make_plan(
         left_out=tuple(_left_out(process, solvers)),
         contact=contact,
         order=process.metric.order,
-        multigrid=multigrid,
         reduction=None if isinstance(reduced, str) else reduced,
     )
 
@@ -296,25 +273,3 @@ def _left_out(process: SweepingProcess, solvers: tuple[Solver, ...]) -> Iterator
         yield "A: it is zero, the process is rate-independent"
     if not solvers:
         yield "optimiser: C(t) is a point, each step is one linear solve"
-
-
-def _require_multigrid(
-    process: SweepingProcess,
-    members: Sequence[tuple[float, ConvexSet]],
-    contact: np.ndarray | None,
-    solver: Any,
-) -> None:
-    """Refuse what the multigrid path does not treat."""
-    if solver != "auto":
-        raise SolverRefusedError(
-            f"path='multigrid' has no use for solver={shown(solver)}; leave one of them out"
-        )
-    if not sp.issparse(process.A):
-        raise PathError("path='multigrid' needs A as a sparse matrix")
-    parts = [C.selection.part for _, C in members if C.selection is not None and not C.singleton]
-    derivatives = [part.derivative(part.anchor) for part in parts]
-    separable = all(D is not None and D.ndim == 1 for D in derivatives)
-    if not all(C.singleton for _, C in members) and (contact is None or not separable):
-        raise PathError(
-            "path='multigrid' needs a C(t) that acts on few unknowns, each alone: an image of a Box"
-        )

@@ -182,16 +182,16 @@ class VelocityProgram:
         exact one is dw and dp away: then z' moves by |dp|_M, and rho by |dw|_{M^-1} + |dp|_M.
         """
         M = self.M
-        witness = C.witness(-z, M.apply(z, q).value, M.diagonal, y)
-        if witness is None:
+        pair = C.normal_pair(-z, M.apply(z, q).value, M.diagonal, y)
+        if pair is None:
             return Velocity(z, float("nan"), float("nan"))
-        z = 0.0 - witness.p
+        z = 0.0 - pair.p
         # norms that cost a solve are taken only where cheaper ones do not show rounding alone
-        rho, size_z, rounding = M.apply(z, q, -witness.w)
+        rho, size_z, rounding = M.apply(z, q, -pair.w)
         size_rho = M.dual_norm_within(rho, POLISHED * size_z) + rounding
-        certificate = math.sqrt(2 * witness.gap + size_rho**2)
-        if witness.lost is not None:
-            certificate += M.moved(*witness.lost)
+        certificate = math.sqrt(2 * pair.gap + size_rho**2)
+        if pair.perturbation is not None:
+            certificate += M.moved(*pair.perturbation)
         size_q = 0.0 if certificate <= POLISHED * size_z else M.dual_norm(q - C.anchor)
         return rate(z, certificate, size_z, size_q)
 

@@ -1,6 +1,6 @@
 """From (q, C) to a certified velocity: the routes a plan chooses from.
 
-A point needs a linear solve, a set on few unknowns a program for these alone or multigrid on all,
+A point needs a linear solve, a set on few unknowns a program for these alone,
 any other set the whole program.
 """
 
@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.linalg import Factor, Multigrid, sum_error
-from sweepopt.sets import ConvexSet, Selection
+from sweepopt.linalg import Factor, sum_error
+from sweepopt.sets import ConvexSet
 from sweepopt.velocity.cascade import Ladder
-from sweepopt.velocity.elimination import ACCURATE, SelectedVelocity, Solved
+from sweepopt.velocity.elimination import Solved
 from sweepopt.velocity.polish import judged
 from sweepopt.velocity.program import (
     Velocity,
@@ -24,19 +24,6 @@ from sweepopt.velocity.program import (
     untranslated,
 )
 from sweepopt.velocity.solvers import choose
-from sweepopt.velocity.solvers.multigrid import MultigridProgram
-
-
-def iterated(M: Multigrid, contact: np.ndarray, tol: float) -> SelectedVelocity:
-    """All unknowns at once by multigrid: nothing is factorised."""
-    program = MultigridProgram(M, contact, min(ACCURATE, tol))
-
-    def solve(q: np.ndarray, selection: Selection) -> Solved:
-        step = program(q, selection)
-        moves = step.velocity.z.any()
-        return Solved(step.velocity, "multigrid" if moves else "at rest", step.cycles, 1)
-
-    return solve
 
 
 class Programmed:
