@@ -330,7 +330,7 @@ def write_npz(
 
     The file that was there before goes to `previous`.
     """
-    text = json.dumps({**record, "arrays": list(arrays)}, allow_nan=False)
+    text = json.dumps({**record, "arrays": list(arrays)})
     with replacing(path, previous) as part, part.open("wb") as file:
         np.savez(file, allow_pickle=False, **{"record": np.array(text), **arrays})
 

@@ -66,6 +66,8 @@ def solve(
 ) -> Solution:
     """Move a process through time and certify every step.
 
+    t_i = t_0 + i mu; u_{i+1} = u_i + mu sum_k b_k z_k with compensated summation.
+
     Parameters
     ----------
     process : SweepingProcess or EvolutionVI
@@ -73,7 +75,7 @@ def solve(
         End of the interval [0, t_end]; may be left out when `steps` is an array.
     steps : int, array_like or Adaptive
         Number of equal steps, or the increasing times themselves (the first one is where u0 holds),
-        or ``Adaptive(tol)``: steps that are chosen for an error of tol (see Notes).
+        or ``Adaptive(tol)``: steps that are chosen for an error of tol.
     scheme : str
         "auto" (midpoint; when A = 0 implicit-euler, or sdirk2 with Adaptive), "catching-up",
         "implicit-euler", "midpoint", "trapezoid" (A coercive only), "sdirk2"; "exact" for polyhedra
@@ -83,8 +85,9 @@ def solve(
         "auto", "clarabel", "osqp", "daqp", "newton", "cvxpy" or an object: ``OSQP(tol=1e-10)``.
     tol : float
         Each program's certificate is at most tol * max(|z|_M, |M^-1 q|_M); a step that misses it
-        is tried with tighter settings, then with another solver, then in 2 to 16 parts (see Notes),
-        then handled as on_failure says.
+        is tried with tighter settings, then with another solver, then in 2 to 16 equal parts (its
+        solver in `stats` is then "osqp/4", its certificate the worst of its parts' programs), then
+        handled as on_failure says.
     error : float, optional
         Refine the steps until `Solution.error_bound` is at most this; needs a load as data. The
         callback sees, and save= counts, the steps of the last run only, which is run once more.
@@ -108,7 +111,8 @@ def solve(
         Called after each step; returning True stops the run and keeps what was computed.
     checkpoint : Checkpoint, str or Path, optional
         A file that the run is written to again and again, so that ``so.resume(path, process)``
-        continues it if it is killed, with the same result bit for bit (see Notes).
+        continues it if it is killed, with the same result bit for bit. Not for `error`, Adaptive,
+        "exact" or NetCDF. It moves the result by rounding, see `Checkpoint`.
     on_failure : {"raise", "stop"}
         Raise StepError, or return the steps that are certified with status INEXACT.
     on_unstable : {"raise", "warn", "ignore"}
@@ -119,6 +123,7 @@ def solve(
     Returns
     -------
     Solution
+        Ctrl-C returns the steps computed so far with status INTERRUPTED.
 
     Raises
     ------
@@ -135,19 +140,6 @@ def solve(
     Adaptive steps come from several passes over the run, coarse and cheap ones first: `passes` of
     the Solution has them all. They hit the breakpoints of loads that are data and the times given
     as `save`. A callback, a function or a file gets the steps of the last pass, in one more run.
-    `tol` is lowered where the error asks for it. The proportional path is not used.
-
-    Checkpoints are for steps given beforehand and states in memory, not for `error`, Adaptive,
-    "exact" or NetCDF. Solvers forget earlier steps at each hundredth of the run, or as `Checkpoint`
-    says, which moves the result by rounding.
-
-    t_i = t_0 + i mu; u_{i+1} = u_i + mu sum_k b_k z_k with compensated summation. Ctrl-C returns
-    the steps computed so far with status INTERRUPTED.
-
-    A step in parts moves as so many steps of the scheme, and its velocity is their mean: u_n stays
-    linear on the grid. Its certificate is the worst of its parts' programs and says nothing of the
-    step as a whole; its solver in `stats` is "osqp/4" for 4 parts. `error_bound` looks at the nodes
-    and velocities only, at no certificate, and holds as for any other run.
 
     Examples
     --------
@@ -219,11 +211,10 @@ def resume(
     >>> C = so.Moving(so.Box([-1], [1]), center=lambda t: [1.5 * t])
     >>> process = so.SweepingProcess(A=[[0.5]], B=[[2.0]], C=C, u0=[0.0])
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = pathlib.Path(folder) / "run.npz"
+    ...     where = so.Checkpoint(pathlib.Path(folder) / "run.npz", steps=50)
     ...     stop = lambda step: step.step == 120
-    ...     where = so.Checkpoint(file, steps=50)
     ...     sol = so.solve(process, t_end=5.0, steps=200, checkpoint=where, callback=stop)
-    ...     whole = so.resume(file, process)
+    ...     whole = so.resume(where.path, process)
     >>> len(sol.t), len(whole.t)
     (122, 201)
     """

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import platform
 import time as clock
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
@@ -319,18 +319,17 @@ class CheckpointWriter:
             ) from error
 
     def _write(self, run: Run, point: RestartPoint, previous: Path | None) -> None:
-        form, columns = pack(self.recorded)
+        records, content = pack(self.recorded)
         state = {
             "done": run.done,
             "steps": self._steps,
             "status": run.status.name,
             "overshot": run.overshot,
             "solvers": run.log.solvers,
-            "recorded": form,
-            "records": len(self.recorded),
+            "recorded": records,
         }
-        arrays = {**self._arrays, **run.arrays(), "compensation": point.compensation}
-        arrays |= {f"recorded.{k}": column for k, column in enumerate(columns)}
+        arrays = {**self._arrays, **run.arrays()}
+        arrays |= {"compensation": point.compensation, "recorded": content}
         file = self._checkpoint.file
         try:
             write_npz(file, {**self._about, "run": state}, arrays, previous)
@@ -346,14 +345,8 @@ class CheckpointWriter:
         state, arrays = stored.record["run"], stored.arrays
         run.restore(stored.done, arrays, state["solvers"])
         run.status, run.overshot = Status[state["status"]], state["overshot"]
-        self.recorded[:] = unpack(state["recorded"], _recorded(arrays), state["records"])
+        self.recorded[:] = unpack(state["recorded"], arrays["recorded"])
         return RestartPoint(arrays["u"], arrays["compensation"])
-
-
-def _recorded(arrays: Mapping[str, np.ndarray]) -> dict[int, np.ndarray]:
-    """The columns of the records, by their number."""
-    start = "recorded."
-    return {int(key.removeprefix(start)): a for key, a in arrays.items() if key.startswith(start)}
 
 
 def _require_free(checkpoint: Checkpoint) -> None:

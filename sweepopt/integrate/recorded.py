@@ -1,85 +1,66 @@
-"""What a function given as `save` returned at each step, as JSON and arrays for a checkpoint.
+"""What a function given as `save` returned at each step, for a checkpoint: JSON and one array.
 
-Each record is split into its numbers and arrays and a description of what holds them. All records
-must have one description, so that the k-th numbers of all of them are one array.
+Numbers, tuples, lists and dicts become JSON; the bytes of all arrays, in order, become one array.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from sweepopt.errors import InputError, shown
 
-NUMBERS = {"bool": bool, "int": int, "float": float}
-LARGEST = {bool: 1, int: 2**63 - 1, float: np.inf}  # that an array holds
 
-
-def pack(recorded: list[Any]) -> tuple[Any, list[np.ndarray]]:
-    """The description of the records in terms of JSON, and an array for each number in them.
+def pack(recorded: list[Any]) -> tuple[list[Any], np.ndarray]:
+    """The records in terms of JSON, and the bytes of the arrays in them.
 
     Raises
     ------
     InputError
-        If they are not numbers or arrays, alone or in tuples, lists and dicts, all alike.
+        If they are not numbers or arrays, alone or in tuples, lists and dicts.
     """
-    if not recorded:
-        return None, []
-    description, _ = _split(recorded[0])
-    rows = []
-    for record in recorded:
-        own, leaves = _split(record)
-        if own != description:
-            raise InputError(
-                "save: with checkpoint= all records must be alike, the same types and shapes; one "
-                f"is {shown(recorded[0])}, another {shown(record)}"
-            )
-        rows.append(leaves)
-    return description, [np.array(column) for column in zip(*rows, strict=True)]
+    content: list[bytes] = []
 
-
-def unpack(description: Any, columns: Mapping[int, np.ndarray], count: int) -> list[Any]:
-    """The records from their description and their arrays."""
-    order = range(len(columns))
-    return [_join(description, iter([columns[k][i] for k in order])) for i in range(count)]
-
-
-def _split(record: Any) -> tuple[Any, list[Any]]:
-    """Description, numbers and arrays of one record."""
-    if record is None:
-        return "none", []
-    if type(record) in LARGEST and not abs(record) > LARGEST[type(record)]:
-        return type(record).__name__, [record]
-    if isinstance(record, (np.ndarray, np.generic)) and record.dtype.kind in "biuf":
-        return [record.dtype.str, list(record.shape), isinstance(record, np.ndarray)], [record]
-    if type(record) in (tuple, list):
-        keys, values = None, record
-    elif type(record) is dict and all(type(key) is str for key in record):
-        keys, values = list(record), record.values()
-    else:
+    def encoded(value: Any) -> Any:
+        if value is None or type(value) in (bool, float):
+            return value
+        if type(value) is int and abs(value) < 2**63:  # Python writes no integer of any length
+            return value
+        if isinstance(value, (np.ndarray, np.generic)) and value.dtype.kind in "biuf":
+            content.append(value.tobytes())
+            kind = "array" if isinstance(value, np.ndarray) else "number"
+            return {"kind": kind, "dtype": value.dtype.str, "shape": value.shape}
+        if type(value) in (list, tuple):
+            return {"kind": type(value).__name__, "parts": [encoded(part) for part in value]}
+        if type(value) is dict and all(type(key) is str for key in value):
+            return {"kind": "dict", "parts": {key: encoded(part) for key, part in value.items()}}
         raise InputError(
             "save: a function returns numbers or arrays, or tuples, lists and dicts of them, if "
-            f"there is a checkpoint=; it returned {shown(record)}"
+            f"there is a checkpoint=; it returned {shown(value)}"
         )
-    parts = [_split(part) for part in values]
-    description = {
-        "kind": type(record).__name__,
-        "keys": keys,
-        "parts": [part for part, _ in parts],
-    }
-    return description, [leaf for _, leaves in parts for leaf in leaves]
+
+    records = [encoded(record) for record in recorded]
+    return records, np.frombuffer(b"".join(content), np.uint8)
 
 
-def _join(description: Any, leaves: Iterator[Any]) -> Any:
-    if description == "none":
-        return None
-    if isinstance(description, str):
-        return NUMBERS[description](next(leaves))
-    if isinstance(description, list):
-        return np.array(next(leaves)) if description[2] else next(leaves)
-    parts = [_join(part, leaves) for part in description["parts"]]
-    if description["keys"] is not None:
-        return dict(zip(description["keys"], parts, strict=True))
-    return tuple(parts) if description["kind"] == "tuple" else parts
+def unpack(records: list[Any], content: np.ndarray) -> list[Any]:
+    """What `pack` took."""
+    position = 0
+
+    def decoded(value: Any) -> Any:
+        nonlocal position
+        if not isinstance(value, dict):
+            return value
+        kind = value["kind"]
+        if kind == "dict":
+            return {key: decoded(part) for key, part in value["parts"].items()}
+        if kind in ("list", "tuple"):
+            parts = [decoded(part) for part in value["parts"]]
+            return tuple(parts) if kind == "tuple" else parts
+        dtype, shape = np.dtype(value["dtype"]), value["shape"]
+        begin, position = position, position + int(np.prod(shape)) * dtype.itemsize
+        array = np.frombuffer(content[begin:position].tobytes(), dtype).reshape(shape).copy()
+        return array if kind == "array" else array[()]
+
+    return [decoded(record) for record in records]
