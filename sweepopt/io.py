@@ -1,9 +1,12 @@
-"""Files: what users write, tables, records with checksums, files replaced as a whole."""
+"""Files: text and tables that users write, the problems of the library, files replaced as a whole.
+
+A file that cannot be read is an `InputError` that names the file, the place in it and the fault; a
+file that is written takes its place only when it is complete.
+"""
 
 from __future__ import annotations
 
 import csv
-import hashlib
 import json
 import math
 import os
@@ -19,6 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweepopt.errors import DamagedFileError, InputError, shown
+
+Array = NDArray[np.float64]
+
+
+# ---- paths and text ----
 
 
 def as_path(name: str, value: Any) -> Path:
@@ -86,6 +94,81 @@ def parse_toml(where: str, text: str) -> dict[str, Any]:
 def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file."""
     return parse_toml(str(path), read_text(path, ", as TOML must be"))
+
+
+# ---- tables ----
+
+
+def read_columns(path: str | Path, *names: str) -> tuple[Array, list[int]]:
+    """Named columns of a CSV file with decimal points and commas between the cells.
+
+    Parameters
+    ----------
+    path : str or Path
+        First line that is neither empty nor a ``#`` comment: the column names.
+
+    Returns
+    -------
+    columns : ndarray, shape (len(names), m)
+    rows : list of int
+        Line number of each row in the file.
+
+    Raises
+    ------
+    InputError
+        Naming the file, the column and the row at fault.
+    """
+    lines = _rows(path, _text(path))
+    header = [name.strip() for name in next(lines, (0, []))[1]]
+    for name in names:
+        if header.count(name) != 1:
+            fault = "is there twice" if name in header else "is missing"
+            raise InputError(
+                f"{path}: column {name!r} {fault}; there are: {', '.join(header) or 'none'}"
+            )
+    picked = [header.index(name) for name in names]
+    rows: list[int] = []
+    data: list[list[float]] = []
+    for row, cells in lines:
+        if len(cells) > len(header):
+            raise InputError(
+                f"{path}, row {row}: {len(cells)} cells under {len(header)} column names; "
+                "write decimals with a point (1.5, not 1,5)"
+            )
+        cells += [""] * (len(header) - len(cells))
+        rows.append(row)
+        data.append(
+            [
+                _number(f"{path}, column {name!r}, row {row}", cells[k].strip())
+                for name, k in zip(names, picked, strict=True)
+            ]
+        )
+    return np.array(data, dtype=float).reshape(-1, len(names)).T, rows
+
+
+def _text(path: str | Path) -> str:
+    if not isinstance(path, (str, os.PathLike)):
+        raise InputError(f"path must be the path of a CSV file, got {shown(path)}")
+    return read_text(Path(path), "; export it as CSV", "utf-8-sig")
+
+
+def _rows(path: str | Path, text: str) -> Iterator[tuple[int, list[str]]]:
+    for row, line in enumerate(text.splitlines(), start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            try:
+                yield row, next(csv.reader([line]))
+            except csv.Error as error:  # a cell beyond the reader's limit
+                raise InputError(f"{path}, row {row}: {error}; is it a table?") from error
+
+
+def _number(where: str, cell: str) -> float:
+    try:
+        value = math.nan if "_" in cell else float(cell)  # Python reads 1_0 as 10
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{where}: {shown(cell)} is not a finite number")
+    return value
 
 
 # ---- problems that come with the library: one scene or study a TOML file, its data beside it ----
@@ -163,79 +246,7 @@ def _problems() -> Path:
     return installed if installed.is_dir() else package.parent / "problems"
 
 
-Array = NDArray[np.float64]
-
-
-def read_columns(path: str | Path, *names: str) -> tuple[Array, list[int]]:
-    """Named columns of a CSV file with decimal points and commas between the cells.
-
-    Parameters
-    ----------
-    path : str or Path
-        First line that is neither empty nor a ``#`` comment: the column names.
-
-    Returns
-    -------
-    columns : ndarray, shape (len(names), m)
-    rows : list of int
-        Line number of each row in the file.
-
-    Raises
-    ------
-    InputError
-        Naming the file, the column and the row at fault.
-    """
-    lines = _rows(path, _text(path))
-    header = [name.strip() for name in next(lines, (0, []))[1]]
-    for name in names:
-        if header.count(name) != 1:
-            fault = "is there twice" if name in header else "is missing"
-            raise InputError(
-                f"{path}: column {name!r} {fault}; there are: {', '.join(header) or 'none'}"
-            )
-    picked = [header.index(name) for name in names]
-    rows: list[int] = []
-    data: list[list[float]] = []
-    for row, cells in lines:
-        if len(cells) > len(header):
-            raise InputError(
-                f"{path}, row {row}: {len(cells)} cells under {len(header)} column names; "
-                "write decimals with a point (1.5, not 1,5)"
-            )
-        cells += [""] * (len(header) - len(cells))
-        rows.append(row)
-        data.append(
-            [
-                _number(f"{path}, column {name!r}, row {row}", cells[k].strip())
-                for name, k in zip(names, picked, strict=True)
-            ]
-        )
-    return np.array(data, dtype=float).reshape(-1, len(names)).T, rows
-
-
-def _text(path: str | Path) -> str:
-    if not isinstance(path, (str, os.PathLike)):
-        raise InputError(f"path must be the path of a CSV file, got {shown(path)}")
-    return read_text(Path(path), "; export it as CSV", "utf-8-sig")
-
-
-def _rows(path: str | Path, text: str) -> Iterator[tuple[int, list[str]]]:
-    for row, line in enumerate(text.splitlines(), start=1):
-        if line.strip() and not line.lstrip().startswith("#"):
-            try:
-                yield row, next(csv.reader([line]))
-            except csv.Error as error:  # a cell beyond the reader's limit
-                raise InputError(f"{path}, row {row}: {error}; is it a table?") from error
-
-
-def _number(where: str, cell: str) -> float:
-    try:
-        value = math.nan if "_" in cell else float(cell)  # Python reads 1_0 as 10
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{where}: {shown(cell)} is not a finite number")
-    return value
+# ---- files replaced as a whole ----
 
 
 @contextmanager
@@ -278,37 +289,6 @@ def put(path: Path, content: bytes) -> None:
     """Replace a file as a whole, on the disk when this returns."""
     with replacing(path) as part:
         part.write_bytes(content)
-
-
-def sealed(content: dict[str, Any]) -> bytes:
-    """A record as JSON with its checksum."""
-    return json.dumps(
-        {"sha256": _checksum(content), "content": content}, indent=1, allow_nan=False
-    ).encode()
-
-
-def unsealed(data: bytes) -> Any:
-    """The content of a record.
-
-    Raises
-    ------
-    ValueError
-        If it is not whole.
-    """
-    try:
-        found = json.loads(data)
-        content = found["content"]
-        whole = found["sha256"] == _checksum(content)
-    except (KeyError, TypeError, RecursionError) as error:
-        raise ValueError(f"no record: {error}") from error
-    if not whole:
-        raise ValueError("the checksum does not fit")
-    return content
-
-
-def _checksum(content: Any) -> str:
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _force(path: Path, flags: int) -> None:

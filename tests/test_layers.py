@@ -14,14 +14,14 @@ PACKAGE = Path(__file__).parent.parent / "sweepopt"
 # from the ground up; a room imports from those before it
 ROOMS = (
     ["errors", "checks", "io", "loads", "linalg", "sets", "problem", "velocity", "integrate"]
-    + ["results", "solve", "fem", "plot", "study", "cli", "__main__"]
+    + ["results", "plot", "solve", "fem", "study", "cli", "__main__"]
 )  # fmt: skip
 # a convenience of Solution: plot()
 UPWARD = {("results", "plot")}
 HOMES = {
-    "cvxpy": ("sets", "velocity", "study"),
-    "clarabel": ("velocity/solvers/clarabel", "study"),
-    "osqp": ("velocity/solvers/osqp", "study"),
+    "cvxpy": ("sets", "velocity"),
+    "clarabel": ("velocity/solvers/clarabel",),
+    "osqp": ("velocity/solvers/osqp",),
     "daqp": ("velocity/solvers/daqp",),
     "cvxopt": ("linalg/cholesky",),
     "pyamg": ("linalg",),
@@ -37,9 +37,6 @@ HOMES = {
     "mpmath": ("study",),
     "threadpoolctl": ("study",),
     "distributed": ("study",),
-    "casadi": ("study",),
-    "nosnoc": ("study",),
-    "solve_nivp": ("study",),
 }
 
 

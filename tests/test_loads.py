@@ -38,10 +38,10 @@ def test_variation_is_additive(phi):
 
 
 @pytest.mark.parametrize("phi", [phi for phi in HISTORIES if not isinstance(phi, Sine)], ids=str)
-def test_a_history_is_straight_between_its_kinks(phi):
-    kinks = phi.breakpoints(-0.5, 8.5)
-    assert np.all((kinks > -0.5) & (kinks < 8.5))
-    ends = np.concatenate([[-0.5], kinks, [8.5]])
+def test_a_history_is_straight_between_its_breakpoints(phi):
+    cuts = phi.breakpoints(-0.5, 8.5)
+    assert np.all((cuts > -0.5) & (cuts < 8.5))
+    ends = np.concatenate([[-0.5], cuts, [8.5]])
     middle = (ends[1:] + ends[:-1]) / 2
     np.testing.assert_allclose(phi(middle), (phi(ends[1:]) + phi(ends[:-1])) / 2, atol=1e-12)
 

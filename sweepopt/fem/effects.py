@@ -16,9 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Contact, contact_on
-from sweepopt.fem.discretisation import Discretisation
 from sweepopt.fem.fields import FRICTION, NON_NEGATIVE, POSITIVE, Datum, check_datum
-from sweepopt.fem.forms import boundary_load, stiffness, volume_load
+from sweepopt.fem.spaces import Discretisation, boundary_load, stiffness, volume_load
 
 Array = NDArray[np.float64]
 Phi = Callable[[float], ArrayLike]
@@ -140,7 +139,7 @@ class Friction:
     g: Datum
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "on", names("on", self.on))
+        object.__setattr__(self, "on", boundary_names("on", self.on))
         object.__setattr__(self, "g", check_datum("g", self.g, FRICTION))
 
     def contribute(self, body: Discretisation) -> Contribution:
@@ -214,7 +213,7 @@ class Traction:
     f2: Datum = 1.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "on", names("on", self.on))
+        object.__setattr__(self, "on", boundary_names("on", self.on))
         check_history(self.history)
         object.__setattr__(self, "f2", check_datum("f2", self.f2))
 
@@ -234,7 +233,7 @@ EFFECTS: dict[str, type] = {
 """Effects by the name of their table in a scene file."""
 
 
-def names(argument: str, value: object) -> tuple[str, ...]:
+def boundary_names(argument: str, value: object) -> tuple[str, ...]:
     """One name or several as a tuple of distinct, non-empty strings."""
     listed = (value,) if isinstance(value, str) else value
     if (

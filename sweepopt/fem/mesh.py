@@ -10,10 +10,9 @@ from __future__ import annotations
 import io
 import threading
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import Any
 
 import meshio
 import numpy as np
@@ -106,15 +105,6 @@ def check_nodes(points: NDArray[np.float64]) -> None:
     bad = np.flatnonzero(~(np.abs(points) < HUGE).all(axis=0))
     if bad.size:
         raise InputError(f"node {bad[0]} has coordinates {points[:, bad[0]]}; mesh again")
-
-
-def group(groups: Mapping[str, Any] | None, name: str, what: str) -> Indices:
-    """Members of a named group of edges or triangles, or an error that lists the names."""
-    known = groups or {}
-    if name not in known:
-        names = ", ".join(sorted(known)) or "none (give the mesh physical groups)"
-        raise InputError(f"{name!r} is not a {what} of the mesh; there are: {names}")
-    return np.asarray(known[name], dtype=np.int64)
 
 
 def _parsed(path: Path, content: bytes) -> meshio.Mesh:

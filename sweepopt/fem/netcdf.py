@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweepopt.fem.report import Report, Units
-from sweepopt.fem.slip import STATES, Slip
+from sweepopt.fem.contact import STATES, Slip
+from sweepopt.fem.output import Report, Units
 from sweepopt.io import replacing
 from sweepopt.results import (
     attributes_of,

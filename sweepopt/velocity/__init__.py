@@ -30,7 +30,7 @@ from sweepopt.velocity.program import (
     untranslated,
 )
 from sweepopt.velocity.proportional import (
-    OfLoad,
+    ReconstructionResiduals,
     Reduction,
 )
 from sweepopt.velocity.solvers import (
@@ -62,8 +62,8 @@ __all__ = [
     "Cvxpy",
     "Factors",
     "Newton",
-    "OfLoad",
     "Plan",
+    "ReconstructionResiduals",
     "Reduction",
     "Solve",
     "Solved",

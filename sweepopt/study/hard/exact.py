@@ -19,6 +19,23 @@ from sweepopt.study.hard.active import velocity
 from sweepopt.velocity import untranslated
 
 
+class Structure(NamedTuple):
+    """C = shift + a set on the unknowns `few`; nothing holds the forces on the others."""
+
+    few: np.ndarray
+    part: ConvexSet
+    shift: np.ndarray
+
+
+def structure(C: ConvexSet) -> Structure:
+    """How a set of the library is stated: the one place that looks inside of it."""
+    if C.selection is not None:
+        few, part, shift = C.selection
+        return Structure(few, part, np.zeros(C.dim) if shift is None else shift)
+    shift, part = untranslated(C)
+    return Structure(np.arange(C.dim), part, shift)
+
+
 class Exact(NamedTuple):
     """The velocity as mpmath numbers, shape (dim,), and sizes in |.|_M.
 
@@ -72,32 +89,23 @@ class Program:
         Raises
         ------
         InputError
-            If C is none of the kinds that this module knows.
+            If C is none of the kinds that `active` knows.
         """
-        if C.selection is not None:
-            few, part, moved = C.selection
-            shift = np.zeros(q.size) if moved is None else moved
-        else:
-            few, (shift, part) = np.arange(q.size), untranslated(C)
+        few, part, shift = structure(C)
         force = digits.exactly(q) - digits.exactly(shift)
         key = few.tobytes()
         if key not in self._eliminated:
             self._eliminated[key] = _Condensed(self.M, few)
         condensed = self._eliminated[key]
         forward, pull = condensed.reduce(force)
-        zeta = velocity(part, condensed.N, pull, near[few])
-        z = condensed.recover(forward, zeta)
+        z = condensed.recover(forward, velocity(part, condensed.N, pull, near[few]))
 
         def dual(w: np.ndarray) -> float:
+            w = digits.exactly(w)
             return digits.root(condensed.solve(w) @ w)
 
         length = digits.root(z @ self.M @ z)
-        return Exact(
-            z,
-            length,
-            max(length, dual(force)),
-            dual(digits.exactly(q)) + dual(digits.exactly(shift)),
-        )
+        return Exact(z, length, max(length, dual(force)), dual(q) + dual(shift))
 
     def error(self, z: np.ndarray, exact: Exact) -> float:
         """|z - z*|_M."""
