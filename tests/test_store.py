@@ -140,7 +140,7 @@ def test_dimensionless_scenes_have_units_1_and_no_friction_means_no_contact(
 def test_any_solution_becomes_a_dataset() -> None:
     C = so.Moving(so.Box([-1, -1], [1, 1]), center=lambda t: [1.5 * t, 0.0])
     solution = so.solve(so.SweepingProcess(np.eye(2), 2 * np.eye(2), C, [0, 0]), t_end=3.0, steps=9)
-    dataset = netcdf.to_xarray(solution)
+    dataset = solution.to_xarray()
     assert_described(dataset)
     assert dict(dataset.sizes) == {"time": 10, "unknown": 2, "step": 9}
     np.testing.assert_array_equal(dataset.u, solution.u)

@@ -237,7 +237,9 @@ class Attempt(NamedTuple):
         return S.selection.part if self.selected and S.selection is not None else S
 
 
-def attempts(solver: Any, factors: Factors, on_few: bool, S: ConvexSet, tol: float) -> list[Attempt]:
+def attempts(
+    solver: Any, factors: Factors, on_few: bool, S: ConvexSet, tol: float
+) -> list[Attempt]:
     """The first solver and its refinements, then the other solvers and theirs.
 
     Behind a solver come Newton steps from its velocity where the projection has a derivative, and
@@ -289,7 +291,9 @@ class Cascade:
             velocity = self._refined(k, term, S, best.z)
             iterations += velocity.iterations
             if velocity.relative < best.relative or math.isnan(velocity.relative):
-                name = best.solver if attempt.polish and best.solver != "none" else attempt.solver.name
+                name = (
+                    best.solver if attempt.polish and best.solver != "none" else attempt.solver.name
+                )
                 best = velocity._replace(solver=name)
             if not best.relative > self._tol:
                 break
@@ -321,7 +325,9 @@ class ClosedForm:
 
     at_rest = "closed form"
 
-    def __init__(self, inclusion: Inclusion, unknowns: Unknowns, cone: ConvexSet, tol: float) -> None:
+    def __init__(
+        self, inclusion: Inclusion, unknowns: Unknowns, cone: ConvexSet, tol: float
+    ) -> None:
         self._inclusion, self._unknowns, self._cone, self._tol = inclusion, unknowns, cone, tol
 
     @staticmethod
@@ -334,9 +340,7 @@ class ClosedForm:
         return self._cone is C or self._cone.same_cone(C)
 
     def __call__(self, term: LinearTerm, S: ConvexSet, rest: Rest) -> Velocity:
-        velocity = refined(
-            self._inclusion, self._unknowns, self._pair, term, S, self._tol
-        )
+        velocity = refined(self._inclusion, self._unknowns, self._pair, term, S, self._tol)
         return velocity._replace(solver="closed form")
 
     def _pair(self, linear: np.ndarray, S: ConvexSet) -> Proposal:
