@@ -7,7 +7,6 @@ file that is written takes its place only when it is complete.
 from __future__ import annotations
 
 import csv
-import hashlib
 import json
 import math
 import os
@@ -290,37 +289,6 @@ def put(path: Path, content: bytes) -> None:
     """Replace a file as a whole, on the disk when this returns."""
     with replacing(path) as part:
         part.write_bytes(content)
-
-
-def sealed(content: dict[str, Any]) -> bytes:
-    """A record as JSON with its checksum."""
-    return json.dumps(
-        {"sha256": _checksum(content), "content": content}, indent=1, allow_nan=False
-    ).encode()
-
-
-def unsealed(data: bytes) -> Any:
-    """The content of a record.
-
-    Raises
-    ------
-    ValueError
-        If it is not whole.
-    """
-    try:
-        found = json.loads(data)
-        content = found["content"]
-        whole = found["sha256"] == _checksum(content)
-    except (KeyError, TypeError, RecursionError) as error:
-        raise ValueError(f"no record: {error}") from error
-    if not whole:
-        raise ValueError("the checksum does not fit")
-    return content
-
-
-def _checksum(content: Any) -> str:
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _force(path: Path, flags: int) -> None:
