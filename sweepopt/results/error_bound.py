@@ -37,7 +37,7 @@ from sweepopt.linalg import EPS
 from sweepopt.problem import Norms, SweepingProcess
 from sweepopt.results.nodes import Nodes, cubic
 from sweepopt.results.residuals import Residuals, residuals
-from sweepopt.velocity import Plan
+from sweepopt.velocity import Plan, compile_projection
 
 SUMMED = 64 * EPS  # rounding of a run's sums, in units of |u|_A and the root of its steps
 PARTS = 8  # of a step, for the second run where A = 0: its error is of first order too
@@ -89,7 +89,7 @@ def error_bound(
     plan = replace(plan, reduction=None, tol=min(plan.tol, TOL))
     near = run if own else _second_run(process, plan, run.t)
     norms = Norms(process)
-    found = residuals(process, plan.velocity(process.metric.M), norms, near, variation)
+    found = residuals(process, compile_projection(plan, process.metric.M), norms, near, variation)
     error = _growth(norms, near.t, found)
     nodes = run.at(near.t)
     difference = _difference(near, found.slopes, nodes)
