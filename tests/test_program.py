@@ -179,7 +179,13 @@ def velocity(M: np.ndarray, q: np.ndarray, C: so.ConvexSet, **settings: Any) -> 
         warnings.simplefilter("ignore", so.InitialStateWarning)
         sol = so.solve(process, t_end=1.0, steps=1, **settings)
     stats = sol.stats
-    return Found(sol.velocity[0], stats["certificate"][0], stats["relative"][0], int(stats["attempts"][0]), int(stats["iterations"][0]))
+    return Found(
+        sol.velocity[0],
+        stats["certificate"][0],
+        stats["relative"][0],
+        int(stats["attempts"][0]),
+        int(stats["iterations"][0]),
+    )
 
 
 @pytest.mark.parametrize("solver", ["auto", "clarabel", "osqp"])

@@ -22,6 +22,7 @@ from sweepopt.sets import ConvexSet, Translation, in_turn
 if TYPE_CHECKING:
     import cvxpy as cp
 
+
 class Translate(NamedTuple):
     """C = c + S."""
 
