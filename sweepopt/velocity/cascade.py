@@ -177,7 +177,7 @@ class Cascade:
         unknowns = attempt.unknowns()
         if k not in self._compiled:
             shape = untranslated(attempt.part(self._cone)).S
-            self._compiled[k] = attempt.solver.compile(VelocityProgram(unknowns.N, shape))
+            self._compiled[k] = attempt.solver.compile(VelocityProgram(_matrix(unknowns), shape))
         compiled = self._compiled[k]
         if attempt.polish and start.any():
             compiled.z = start[unknowns.unknowns]
@@ -213,8 +213,13 @@ class ClosedForm:
         return velocity._replace(solver="closed form")
 
     def _pair(self, linear: np.ndarray, S: ConvexSet) -> Proposal:
-        z = 0.0 - S.normal(linear) / self._unknowns.N.diagonal
+        z = 0.0 - S.normal(linear) / _matrix(self._unknowns).diagonal
         return Proposal(z, S.project(linear), self._unknowns.unknowns)
+
+
+def _matrix(unknowns: Unknowns) -> Factor:
+    assert unknowns.N is not None  # None is a linear system, which has no cascade
+    return unknowns.N
 
 
 def compiled(
@@ -222,6 +227,6 @@ def compiled(
 ) -> Cascade | ClosedForm:
     """What solves the programs of one cone."""
     unknowns: Unknowns = factors.few if on_few else factors.all
-    if solver == "auto" and ClosedForm.applies(unknowns.N, S):
+    if solver == "auto" and ClosedForm.applies(_matrix(unknowns), S):
         return ClosedForm(inclusion, unknowns, S, tol)
     return Cascade(inclusion, attempts(solver, factors, on_few, S, tol), S, tol)

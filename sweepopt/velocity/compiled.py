@@ -112,8 +112,10 @@ class StateVelocity:
         c, S = untranslated(C)
         if self._one is None or self._one[0] is not S:
             B = 0.0 if self._B is None else float(dense(self._B)[0, 0])
-            treated = isinstance(S, Box) and not S.singleton
-            self._one = S, OneUnknown(self._on_all, B, S, self._tol) if treated else None
+            formula = None
+            if isinstance(S, Box) and not S.singleton:
+                formula = OneUnknown(self._on_all, B, S, self._tol)
+            self._one = S, formula
         velocity = self._one[1]
         return None if velocity is None else velocity(float(u[0]), float(c[0]))
 
