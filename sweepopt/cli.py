@@ -175,10 +175,9 @@ def _write(report: Report, folder: Path) -> list[str]:
     """Write all files of a run; their names relative to the folder, the summary last."""
     from sweepopt.fem import netcdf, output, pictures
 
-    scene, solution, slip = report.scene, report.solution, report.slip
-    figures = {"displacement.png": pictures.displacement_figure(scene, solution, slip)}
-    if slip is not None:
-        figures["contact.png"] = pictures.contact_figure(scene, slip)
+    figures = {"displacement.png": pictures.displacement_figure(report)}
+    if report.slip is not None:
+        figures["contact.png"] = pictures.contact_figure(report)
     netcdf.write_netcdf(report, folder / "solution.nc")
     for name, figure in figures.items():
         with replacing(folder / name) as part:

@@ -387,60 +387,16 @@ def test_a_gmsh_file_gives_back_the_mesh_and_its_names(tmp_path, curved):
         np.testing.assert_allclose(one.contact.weight, two.contact.weight, rtol=1e-13)
 
 
-# two triangles; curve 1 is in two groups, group 12 has no name, node 9 belongs to nothing
-MSH41 = """$MeshFormat
-4.1 0 8
-$EndMeshFormat
-$PhysicalNames
-4
-1 10 "foot"
-1 11 "all"
-2 20 "lower"
-2 21 "upper"
-$EndPhysicalNames
-$Entities
-0 2 2 0
-1 0 0 0 1 0 0 2 10 11 0
-2 0 1 0 1 1 0 1 12 0
-1 0 0 0 1 1 0 1 20 0
-2 0 0 0 1 1 0 1 21 0
-$EndEntities
-$Nodes
-1 5 1 9
-2 1 0 5
-1
-2
-5
-7
-9
-0 0 2
-1 0 2
-1 1 2
-0 1 2
-5 5 2
-$EndNodes
-$Elements
-4 4 1 4
-1 1 1 1
-1 1 2
-1 2 1 1
-2 5 7
-2 1 2 1
-3 1 2 5
-2 2 2 1
-4 5 1 7
-$EndElements
-"""
-
-
 TWO = "2 1 2 1\n3 1 2 5\n2 2 2 1\n4 5 1 7\n"
 QUAD = "2 1 3 1\n3 1 2 5 7\n"
-TUBES = Path(__file__).parent / "data" / "gmsh"
+MESHES = Path(__file__).parent / "data" / "gmsh"
+# two triangles; curve 1 is in two groups, group 12 has no name, node 9 belongs to nothing
+MSH41 = (MESHES / "two_triangles_4.1.msh").read_text()
 
 
 @pytest.mark.parametrize("version", ["2.2", "4.1"])
 def test_binary_files_and_text_files_hold_the_same_mesh(version):
-    text, binary = (read_mesh(TUBES / f"tube_{version}{kind}.msh") for kind in ("", "_binary"))
+    text, binary = (read_mesh(MESHES / f"tube_{version}{kind}.msh") for kind in ("", "_binary"))
     np.testing.assert_allclose(text.doflocs, binary.doflocs, rtol=0, atol=1e-17)  # 16 digits
     assert np.array_equal(text.t, binary.t)
     for groups, others in (
@@ -463,7 +419,7 @@ def test_binary_files_and_text_files_hold_the_same_mesh(version):
     ],
 )
 def test_a_file_that_says_what_cannot_be_is_refused(tmp_path, name, old, new):
-    content = (TUBES / f"tube_{name}.msh").read_bytes()
+    content = (MESHES / f"tube_{name}.msh").read_bytes()
     assert old in content
     (tmp_path / "bad.msh").write_bytes(content.replace(old, new, 1))
     with pytest.raises(InputError, match=r"bad.msh: is damaged"):
@@ -492,16 +448,11 @@ def test_a_file_that_cannot_be_read_prints_nothing(tmp_path, capfd, content):
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_gmsh_41_file_with_sparse_tags_and_shared_groups(tmp_path):
-    path = tmp_path / "two.msh"
-    path.write_text(MSH41)
-    mesh = read_mesh(path)
+def test_a_gmsh_41_file_with_sparse_tags_and_shared_groups():
+    mesh = read_mesh(MESHES / "two_triangles_4.1.msh")
     assert (mesh.nvertices, mesh.nelements) == (4, 2)
-    assert {name: len(edges) for name, edges in mesh.boundaries.items()} == {
-        "foot": 1,
-        "all": 1,
-        "12": 1,
-    }
+    found = {name: len(edges) for name, edges in mesh.boundaries.items()}
+    assert found == {"foot": 1, "all": 1, "12": 1}
     scene = antiplane(mesh, clamped="foot", effects=[Viscosity({"lower": 1.0, "upper": 2.0})])
     np.testing.assert_allclose(scene.problem.A.toarray(), [[1.5, -1.0], [-1.0, 2.0]])
 

@@ -62,7 +62,7 @@ def boundary_drawn(panel: Any) -> tuple[np.ndarray, list[str]]:
 
 def test_displacement_and_slip_zone_are_those_of_the_solution(run: Report, tmp_path: Path) -> None:
     scene, solution, slip = run.scene, run.solution, run.slip
-    figure = displacement_figure(scene, solution, slip, [0.0, 1.0, 3.0])
+    figure = displacement_figure(run, [0.0, 1.0, 3.0])
     save(figure, tmp_path / "displacement.png")
     panels = [panel for panel in figure.axes if panel.get_title()]
     titles = [panel.get_title().split(",")[0] for panel in panels]
@@ -85,7 +85,7 @@ def test_displacement_and_slip_zone_are_those_of_the_solution(run: Report, tmp_p
 
 
 def test_the_times_shown_have_stick_slip_and_reversal_and_the_end(run: Report) -> None:
-    figure = displacement_figure(run.scene, run.solution, run.slip)
+    figure = displacement_figure(run)
     panels = [panel for panel in figure.axes if panel.get_title()]
     times = [float(panel.get_title().split(",")[0].split()[2]) for panel in panels]
     assert 4 <= len(times) <= 6
@@ -99,14 +99,14 @@ def test_the_times_shown_have_stick_slip_and_reversal_and_the_end(run: Report) -
 def test_the_shortest_runs_have_pictures(steps: int, tmp_path: Path) -> None:
     scene = half_ring()
     run = make_report(scene, scene.solve(steps=steps))
-    displacement_figure(scene, run.solution, run.slip).savefig(tmp_path / "displacement.png")
-    contact_figure(scene, run.slip).savefig(tmp_path / "contact.png")
+    displacement_figure(run).savefig(tmp_path / "displacement.png")
+    contact_figure(run).savefig(tmp_path / "contact.png")
 
 
 def test_a_body_at_rest_without_friction_has_a_picture(tmp_path: Path) -> None:
     mesh = square(3).scaled((5.0, 1.0))
     scene = antiplane(mesh, clamped="top", effects=[Viscosity(1.0)], t_end=1.0, steps=3)
-    figure = displacement_figure(scene, scene.solve(), None)
+    figure = displacement_figure(make_report(scene, scene.solve()))
     figure.savefig(tmp_path / "displacement.png")
     assert not figure.legends
     assert "(" not in figure.axes[0].get_ylabel() + figure.axes[-1].get_ylabel()
@@ -114,12 +114,12 @@ def test_a_body_at_rest_without_friction_has_a_picture(tmp_path: Path) -> None:
 
 def test_times_outside_of_the_run_are_refused(run: Report) -> None:
     with pytest.raises(so.InputError, match=r"t = 7 is outside of \[0, 6\]"):
-        displacement_figure(run.scene, run.solution, run.slip, [1.0, 7.0])
+        displacement_figure(run, [1.0, 7.0])
 
 
 def test_contact_histories_are_those_of_the_solution(run: Report, tmp_path: Path) -> None:
     slip = run.slip
-    figure = contact_figure(run.scene, slip)
+    figure = contact_figure(run)
     save(figure, tmp_path / "contact.png")
     zone, moved, traction = figure.axes
     grid = next(item for item in zone.collections if isinstance(item, QuadMesh))
@@ -142,7 +142,7 @@ def test_several_boundaries_share_one_picture(tmp_path: Path) -> None:
     friction = Friction(["bottom", "left"], g={"bottom": 0.1, "left": 0.3})
     effects = [Viscosity(1.0), friction, Traction("right", so.Sine(1.0, period=2.0))]
     scene = antiplane(square(5), clamped="top", effects=effects, t_end=2.0, steps=20)
-    figure = contact_figure(scene, make_report(scene, scene.solve()).slip)
+    figure = contact_figure(make_report(scene, scene.solve()))
     save(figure, tmp_path / "contact.png")
     zone, moved, _ = figure.axes
     assert zone.get_ylabel() == "arc length of bottom, left"

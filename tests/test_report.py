@@ -47,8 +47,7 @@ STUDY, CURVES, CASES = range(3)  # the diagrams of the page
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("report") / "report.html"
-    table = study_table().assign(size=1.0)
-    assert write_report(table, path, solutions=RUNS, hard=HARD, title=TITLE) == path
+    assert write_report(study_table(), path, solutions=RUNS, hard=HARD, title=TITLE) == path
     return path
 
 

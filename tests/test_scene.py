@@ -14,7 +14,6 @@ pytest.importorskip("skfem")
 from meshes import annulus, square, write_msh
 
 from sweepopt import InputError, Sine, Table
-from sweepopt import io as library
 from sweepopt.fem import (
     BodyForce,
     Elasticity,
@@ -313,14 +312,6 @@ def test_folders_are_paths_and_files_are_text(tmp_path):
 
 
 # ---- problems that come with the library --------------------------------------------------------
-
-
-def test_every_problem_has_a_title_and_assembles():
-    titles = library.list_problems()
-    assert "tube" in titles
-    for name, title in titles.items():
-        assert title, name
-        assert library.find_problem(name).is_file()
 
 
 def test_the_tube_sticks_slips_and_reverses():

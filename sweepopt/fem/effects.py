@@ -155,7 +155,7 @@ class BodyForce:
     Parameters
     ----------
     history : callable
-        phi(t): Table, Sine, Triangle, Constant; or any function, which tells no variation.
+        phi(t): Table, Sine, Triangle, Constant; or any function, whose variation is not known.
     f0 : number, mapping of subdomain to number, Profile or callable
         Density at phi = 1 (Pa/m).
 
@@ -192,7 +192,7 @@ class Traction:
     on : str or sequence of str
         The boundaries that make up Gamma_2.
     history : callable
-        phi(t): Table, Sine, Triangle, Constant; or any function, which tells no variation.
+        phi(t): Table, Sine, Triangle, Constant; or any function, whose variation is not known.
     f2 : number, mapping of boundary to number, Profile or callable
         Traction at phi = 1 (Pa).
 

@@ -126,10 +126,8 @@ def _parsed(path: Path, content: bytes) -> meshio.Mesh:
             warnings.filterwarnings("error", category=RuntimeWarning)
             return meshio.read(path, file_format="gmsh" if gmsh else None)
     except (Exception, SystemExit) as error:
-        words = " ".join(printed.getvalue().split()) or str(error)
-        raise InputError(
-            f"is damaged or no mesh that meshio can read ({type(error).__name__}: {words:.200})"
-        ) from error
+        fault = " ".join(printed.getvalue().split()) or f"{type(error).__name__}: {error}"
+        raise InputError(f"is damaged or no mesh that meshio can read ({fault:.200})") from error
 
 
 def _mesh_of(raw: meshio.Mesh) -> skfem.MeshTri:

@@ -201,9 +201,7 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
 
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:
-    text = json.dumps(content, indent=2, allow_nan=False)
-    with io.replacing(path) as part:
-        part.write_text(text + "\n", encoding="utf-8")
+    io.put(path, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
 
 
 def _listed(path: Path) -> set[str]:

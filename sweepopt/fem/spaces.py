@@ -184,8 +184,8 @@ class Discretisation:
         order = QUADRATURE[self.element] + 2
         return skfem.CellBasis(self.mesh, ELEMENTS[self.element], intorder=order)
 
-    def _l2_norm(self, values: Array) -> float:
-        return float(np.sqrt(np.sum(values**2 * self._fine.dx)))
+    def _l2_norm(self, values: ArrayLike) -> float:
+        return float(np.sqrt(np.sum(np.square(values) * self._fine.dx)))
 
     def _refuse_loose_pieces(self) -> None:
         """a is coercive only if every piece of the body is clamped somewhere."""

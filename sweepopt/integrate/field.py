@@ -17,7 +17,7 @@ from sweepopt.errors import InputError, VelocityError
 from sweepopt.integrate.schemes import SCHEMES
 from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
 from sweepopt.sets import ConvexSet
-from sweepopt.velocity import StateVelocity, make_plan, of_state
+from sweepopt.velocity import StateVelocity, compile_velocity, make_plan
 
 Field = Callable[[float, Any], np.ndarray]
 FIRST_STAGE = SCHEMES["trapezoid"]  # its first stage is this velocity
@@ -84,7 +84,7 @@ def velocity_field(
                 "state C with other shapes, such as a Box or the image of a small set"
             )
         plan = make_plan(process, process.check(np.array([t])), FIRST_STAGE, solver, tol)
-        return of_state(process, plan, 0.0, plan.factors(process.A))
+        return compile_velocity(process, plan, 0.0)
 
     try:
         start = process.C.at(0.0)
@@ -99,7 +99,7 @@ def velocity_field(
         C = process.C.at(t)
         if solve is None:
             solve = compiled(t, C)
-        z, _, relative = solve(u, C).velocity
+        z, _, relative, *_ = solve(u, C)
         if not relative <= tol:
             raise VelocityError(
                 f"the velocity at t = {t:g} is known to {relative:.2g} of its size only, tol is "

@@ -52,7 +52,7 @@ def overshot(
         Times, of which the step goes from number k to k + 1.
     """
     scheme, (start, end) = plan.scheme, nodes[k : k + 2]
-    z, mu = stages[0].velocity.z, end - start
+    z, mu = stages[0].z, end - start
     along = process.times_B(z)
     outside = float(z @ (process.A @ z)) + scheme.a[0][0] * mu * float(z @ along)
     gone = mu * float(along @ combination(scheme.b, stages))

@@ -15,11 +15,19 @@ from sweepopt.errors import IndefiniteError
 from sweepopt.integrate.record import Summary
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.problem import SweepingProcess
-from sweepopt.velocity import Factors, Plan, Solved, StateVelocity, Velocity, matrix, of_state
+from sweepopt.velocity import (
+    Factors,
+    Plan,
+    StateVelocity,
+    Velocity,
+    compile_velocity,
+    factors,
+    matrix,
+)
 
 PARTS = (2, 4, 8, 16)  # that a step which missed its tolerance is tried in
 INDEFINITE = "indefinite"  # who answers where A + gamma B is no matrix of a program
-Stages = list[Solved]
+Stages = list[Velocity]
 
 
 class Velocities:
@@ -39,10 +47,11 @@ class Velocities:
                 raise IndefiniteError("A + gamma B is not positive definite to rounding")
             if gamma not in self._factors:
                 _make_room(self._factors, self.LIMIT)
-                self._factors[gamma] = self._plan.factors(matrix(self._process, gamma))
+                self._factors[gamma] = factors(self._plan, matrix(self._process, gamma))
             # apart from the factorisations: what is dropped depends on the steps since `forget`
             _make_room(self._compiled, self.LIMIT)
-            self._compiled[gamma] = of_state(self._process, self._plan, gamma, self._factors[gamma])
+            known = self._factors[gamma]
+            self._compiled[gamma] = compile_velocity(self._process, self._plan, gamma, known)
         return self._compiled[gamma]
 
     def forget(self) -> None:
@@ -81,8 +90,8 @@ def step(
             solved = velocities(gamma)(known, process.C.at(t + c * mu))
         except IndefiniteError:
             velocities.refuse(gamma)
-            nothing = Velocity(np.zeros_like(u), math.inf, math.inf)
-            return nothing.z, [*stages, Solved(nothing, INDEFINITE, 0, 0)]
+            nothing = Velocity(np.zeros_like(u), math.inf, math.inf, INDEFINITE)
+            return nothing.z, [*stages, nothing]
         stages.append(solved)
     return combination(scheme.b, stages), stages
 
@@ -159,13 +168,13 @@ def summarise(stages: Stages) -> Summary:
     """What the stages have in common; the solver is that of the last one."""
     last = stages[-1]
     if len(stages) == 1:
-        _, certificate, relative = last.velocity
-        return Summary(last.iterations, last.attempts, certificate, relative, last.solver)
+        _, certificate, relative, solver, iterations, attempts = last
+        return Summary(iterations, attempts, certificate, relative, solver)
     return Summary(
         sum(solved.iterations for solved in stages),
         max(solved.attempts for solved in stages),
-        _worst(solved.velocity.certificate for solved in stages),
-        _worst(solved.velocity.relative for solved in stages),
+        _worst(solved.certificate for solved in stages),
+        _worst(solved.relative for solved in stages),
         last.solver,
     )
 
@@ -180,10 +189,10 @@ def compensated_sum(u: Any, increment: Any, compensation: Any) -> tuple[Any, Any
 def combination(weights: Sequence[float], stages: Stages) -> np.ndarray:
     """sum of weights_k z_k; a single weight 1 keeps z itself."""
     if weights == (1.0,):
-        return stages[0].velocity.z
-    total = weights[0] * stages[0].velocity.z
+        return stages[0].z
+    total = weights[0] * stages[0].z
     for weight, solved in zip(weights[1:], stages[1:], strict=True):
-        total += weight * solved.velocity.z
+        total += weight * solved.z
     return total
 
 

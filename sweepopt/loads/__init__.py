@@ -12,7 +12,7 @@ from sweepopt.loads.separable import DATA, Separable
 from sweepopt.loads.table import Table, check_points
 from sweepopt.loads.waveforms import Constant, Polynomial, Sine, Triangle
 
-kinks = breakpoints
+kinks = breakpoints  # until no room asks for the old name
 
 __all__ = [
     "DATA",

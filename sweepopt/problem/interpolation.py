@@ -2,8 +2,8 @@
 
 A guaranteed bound must know a load at all times of an interval. Here a history is replaced on each
 interval by the polynomial of degree 4 through its values at the Gauss points. The error is zero for
-tables; for sines and polynomials it is bounded by the fifth derivative, for other histories by
-their variation.
+tables; for sines and polynomials it is bounded by the fifth derivative, for other functions by
+their variation, where that is known.
 """
 
 from __future__ import annotations
@@ -11,13 +11,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from sweepopt.checks import number
 from sweepopt.errors import InputError
-from sweepopt.loads import Piece, Separable, kinks
+from sweepopt.loads import Piece, Separable, breakpoints
 from sweepopt.problem.motion import Motion, TimeFunction
 from sweepopt.sets import basis, to_bernstein
 
@@ -67,36 +68,64 @@ class Interpolated(NamedTuple):
 
 
 def smooth_intervals(moved: Motion, t: np.ndarray) -> Intervals:
-    """The steps between the times t, cut at the kinks of all histories."""
+    """The steps between the times t, cut at the breakpoints of all histories."""
     histories = [*moved.center.histories, *moved.scale.histories]
-    cuts = np.unique(np.concatenate([t, kinks(histories, t[0], t[-1])]))
+    cuts = np.unique(np.concatenate([t, breakpoints(histories, t[0], t[-1])]))
     step = np.searchsorted(t, cuts[:-1], side="right") - 1
     return Intervals(step, cuts[:-1], cuts[1:])
 
 
 def interpolate(f: TimeFunction, begin: np.ndarray, end: np.ndarray) -> Interpolated:
-    """Interpolate on intervals without a kink."""
+    """Interpolate on intervals between breakpoints."""
     h, m = end - begin, len(begin)
     times = (begin[:, None] + h[:, None] * NODES).ravel()
-    if f.function is not None:
-        if f.variation is not None:
-            return _on_chords(f, f.variation, np.append(begin, end[-1]))
-        values = f.at(times).reshape(m, 5, f.dim)
-        return Interpolated(NODES_TO_GAUSS @ values, np.zeros((m, 1)), np.zeros((m, 1)))
-    values = np.zeros((m, 5, f.dim))
-    error, slope_error = np.zeros((2, m, len(f.terms)))
     ends = list(zip(begin.tolist(), end.tolist(), strict=True))
+    values, v = np.zeros((m, 5, f.dim)), f.variation
+    error, slope_error = np.zeros((2, m, max(len(f.terms), 1)))
+    if f.function is not None:
+        values += f.at(times).reshape(m, 5, f.dim)
+        if v is not None:
+            each = [
+                _by_variation(f.at, partial(increments, v), *x)
+                for x in zip(ends, values, strict=True)
+            ]
+            error[:, 0], slope_error[:, 0] = np.array(each).T
     for k, (phi, vector) in enumerate(f.terms):
-        samples = Separable([(phi, [1.0])]).values(times).reshape(m, 5)
-        values += samples[:, :, None] * vector
+        scalar = Separable([(phi, [1.0])]).at_many
+        samples = scalar(times).reshape(m, 5, 1)
+        values += samples * vector
         if hasattr(phi, "piece"):
             fifth = np.array([_fifth_derivative(phi.piece(a, b), a, b) for a, b in ends])
             error[:, k] = fifth * h**5 * NODAL / 120
             slope_error[:, k] = fifth * h**5 / 24  # Rolle: the error's derivative has four zeros
         elif hasattr(phi, "variation"):
-            each = [_by_variation(phi, *one) for one in zip(ends, samples, strict=True)]
+            varies = partial(_variations, phi)
+            each = [_by_variation(scalar, varies, *x) for x in zip(ends, samples, strict=True)]
             error[:, k], slope_error[:, k] = np.array(each).T
     return Interpolated(NODES_TO_GAUSS @ values, error, slope_error)
+
+
+def _variations(phi: Any, times: np.ndarray) -> np.ndarray:
+    """Those of a history between the times."""
+    return np.array([phi.variation(a, b) for a, b in itertools.pairwise(times.tolist())])
+
+
+def _by_variation(
+    f: Callable[[np.ndarray], np.ndarray],
+    variations: Callable[[np.ndarray], np.ndarray],
+    ends: tuple[float, float],
+    values: np.ndarray,
+) -> tuple[float, float]:
+    """Both errors of a function of which only the variation is known, from samples on parts.
+
+    On a part an error e is at most (|e| at one end + |e| at the other + its variation) / 2.
+    """
+    a, b = ends
+    times = a + (b - a) * np.arange(PARTS + 1) / PARTS
+    e = np.linalg.norm(f(times) - NODES_TO_PARTS @ values, axis=1)
+    slopes = 4 * np.linalg.norm(np.diff(to_bernstein(NODES) @ values, axis=0), axis=1)
+    varies = variations(times) + slopes.max() / PARTS
+    return float((0.5 * (e[:-1] + e[1:] + varies)).max()), float(np.sum(varies))
 
 
 def increments(variation: Callable[[float], float], times: np.ndarray) -> np.ndarray:
@@ -109,30 +138,6 @@ def increments(variation: Callable[[float], float], times: np.ndarray) -> np.nda
             "give v with d_H(C(t), C(s)) <= v(t) - v(s) for s <= t"
         )
     return grown
-
-
-def _on_chords(
-    f: TimeFunction, variation: Callable[[float], float], times: np.ndarray
-) -> Interpolated:
-    """A function is no further from the chord of its ends than it varies."""
-    ends = f.at(times)
-    rises = np.diff(ends, axis=0)
-    error = increments(variation, times)[:, None]
-    slope_error = error + np.linalg.norm(rises, axis=1)[:, None]
-    return Interpolated(ends[:-1, None] + rises[:, None] * GAUSS[:, None], error, slope_error)
-
-
-def _by_variation(phi: Any, ends: tuple[float, float], values: np.ndarray) -> tuple[float, float]:
-    """Both errors of a history that declares its variation only, from samples on parts.
-
-    On a part an error e is at most (|e| at one end + |e| at the other + its variation) / 2.
-    """
-    a, b = ends
-    times = a + (b - a) * np.arange(PARTS + 1) / PARTS
-    e = np.abs(Separable([(phi, [1.0])]).values(times)[:, 0] - NODES_TO_PARTS @ values)
-    slope = 4 * float(np.abs(np.diff(to_bernstein(NODES) @ values)).max()) / PARTS
-    varies = [phi.variation(*part) + slope for part in itertools.pairwise(times.tolist())]
-    return float((0.5 * (e[:-1] + e[1:] + varies)).max()), float(np.sum(varies))
 
 
 def _fifth_derivative(piece: Piece, a: float, b: float) -> float:

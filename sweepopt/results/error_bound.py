@@ -37,13 +37,9 @@ from sweepopt.linalg import EPS
 from sweepopt.problem import Norms, SweepingProcess
 from sweepopt.results.nodes import Nodes, cubic
 from sweepopt.results.residuals import Residuals, residuals
-from sweepopt.velocity import Plan
+from sweepopt.velocity import Plan, compile_projection
 
 SUMMED = 64 * EPS  # rounding of a run's sums, in units of |u|_A and the root of its steps
-# de Casteljau at 1/2: a cubic's Bernstein coefficients on both halves
-HALVES = np.array([
-    [8, 0, 0, 0], [4, 4, 0, 0], [2, 4, 2, 0], [1, 3, 3, 1], [0, 2, 4, 2], [0, 0, 4, 4], [0, 0, 0, 8]
-]) / 8  # fmt: skip
 PARTS = 8  # of a step, for the second run where A = 0: its error is of first order too
 TOL = 1e-9  # of the second run's programs: their error is in the bound
 
@@ -93,7 +89,7 @@ def error_bound(
     plan = replace(plan, reduction=None, tol=min(plan.tol, TOL))
     near = run if own else _second_run(process, plan, run.t)
     norms = Norms(process)
-    found = residuals(process, plan.velocity(process.metric.M), norms, near, variation)
+    found = residuals(process, compile_projection(plan, process.metric.M), norms, near, variation)
     error = _growth(norms, near.t, found)
     nodes = run.at(near.t)
     difference = _difference(near, found.slopes, nodes)
@@ -168,8 +164,11 @@ def _fan(norms: Norms, t: np.ndarray, once: np.ndarray) -> np.ndarray:
 
 
 def _difference(near: Nodes, slopes: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """v - u_n on each step: Bernstein coefficients of its halves, shape (n, 7, dim)."""
+    """v - u_n on each step, u at its nodes: Bernstein coefficients, shape (n, 4, dim)."""
     h = np.diff(near.t)[:, None, None]
-    curve = cubic(near.u[:-1], near.u[1:], h * slopes)
     share = (np.arange(4) / 3)[:, None]
-    return HALVES @ (curve - (1 - share) * u[:-1, None] - share * u[1:, None])
+    return (
+        cubic(near.u[:-1], near.u[1:], h * slopes)
+        - (1 - share) * u[:-1, None]
+        - share * u[1:, None]
+    )

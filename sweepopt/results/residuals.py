@@ -76,7 +76,7 @@ def residuals(
 
     Parameters
     ----------
-    phi : callable (q, C) -> Solved
+    phi : callable (q, C) -> Velocity
         The velocity for M = A (B where A = 0); its answers are not trusted.
     variation : callable or None
         v with d_H(C(t), C(s)) <= v(t) - v(s) for s <= t.
@@ -108,7 +108,7 @@ def _with_variation(moved: Motion, variation: Callable[[float], float]) -> Motio
 def _of_data(
     process: SweepingProcess, norms: Norms, near: Nodes, curves: list[np.ndarray], moved: Motion
 ) -> Residuals:
-    """Bounds on intervals without a kink, many at once; on each step the best of the curves."""
+    """Bounds between breakpoints, many intervals at once; on each step the best of the curves."""
     n, dim = near.velocity.shape
     found = np.zeros((len(curves), 4, n))
     whole = smooth_intervals(moved, near.t)
@@ -267,7 +267,7 @@ def _sampled(
         velocity, v = basis(2, GAUSS) @ slopes[i], basis(3, GAUSS) @ curves[i]
         q = [process.times_B(x) for x in v]
         sets = [process.C.at(t) for t in (near.t[i] + h[i] * GAUSS).tolist()]
-        z = np.array([phi(*one).velocity.z for one in zip(q, sets, strict=True)])
+        z = np.array([phi(*one).z for one in zip(q, sets, strict=True)])
         if not norms.rate_independent:
             squares[i] = h[i] * (norms.A(z - velocity) ** 2 @ WEIGHTS)
             continue

@@ -11,6 +11,7 @@ from pathlib import Path
 from sweepopt.errors import InputError, shown
 from sweepopt.io import find_study, read_toml
 from sweepopt.study.advice import summary
+from sweepopt.study.band import fastest_runs
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
 from sweepopt.study.executors import Processes, dask_executor
@@ -18,7 +19,6 @@ from sweepopt.study.hard.table import HardRow, HardStudy, hard_study, hard_summa
 from sweepopt.study.report import write_report
 from sweepopt.study.sources import find_source
 from sweepopt.study.study import read_study, run
-from sweepopt.study.trajectory import fastest_runs
 
 TABLE, DIAGRAM, HARD, REPORT = "table.csv", "diagram.png", "hard.csv", "report.html"
 

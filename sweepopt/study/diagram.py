@@ -15,6 +15,7 @@ import numpy as np
 from sweepopt.checks import choice
 from sweepopt.errors import InputError
 from sweepopt.plot import new_figure
+from sweepopt.study.cell import CellRow
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
@@ -34,7 +35,6 @@ COSTS = {
 }
 ACCURACIES = {"error": "largest error over the steps", "bound": "bound of the error"}
 NUMBERS = ("steps", "tol", "error", "bound", *COSTS)
-NEEDED = ("problem", "scheme", "solver", "status", "success", "guaranteed", *NUMBERS)
 
 
 def work_precision(table: DataFrame, *, x: str = "wall", y: str = "error", ax: Any = None) -> Any:
@@ -92,7 +92,7 @@ def check_table(table: Any) -> None:
     """Refuse what is not the table of a study, with an InputError."""
     if not hasattr(table, "columns") or not hasattr(table, "iloc"):
         raise InputError(f"table must be a pandas DataFrame, got {type(table).__name__}")
-    missing = [name for name in NEEDED if name not in table.columns]
+    missing = [name for name in CellRow._fields if name not in table.columns]
     if missing:
         raise InputError(f"table lacks the columns {missing}; pass the table of a study as it is")
     if not len(table):

@@ -20,6 +20,7 @@ from sweepopt.errors import InputError, Status, brought_by
 from sweepopt.io import put
 from sweepopt.results import Solution
 from sweepopt.study.advice import advice_table
+from sweepopt.study.band import most_moving
 from sweepopt.study.diagram import (
     ACCURACIES,
     COLOURS,
@@ -33,7 +34,6 @@ from sweepopt.study.diagram import (
 from sweepopt.study.hard import FAMILIES
 from sweepopt.study.hard.table import TARGET, HardRow
 from sweepopt.study.machine import processor, versions
-from sweepopt.study.trajectory import most_moving
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 SYMBOLS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross", "star")
 SHOWN = [
     *("problem", "scheme", "solver", "steps", "tol", "status", "error", "bound", "guaranteed"),
-    *("certificate", "seconds", "solver_calls", "unknowns", "path", "message"),
+    *("certificate", "wall", "solver_calls", "unknowns", "path", "message"),
 ]
 LEAST = 1e-18  # hard cases: errors of 0, of bodies at rest, are drawn here
 NUMBERS = {
@@ -145,9 +145,8 @@ def _about(table: DataFrame | None) -> str:
     date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     here = {"machine": processor(), **versions()}
     if table is not None:
-        known = [name for name in here if name in table]
-        here = {name: " / ".join(map(str, table[name].unique())) for name in known}
-    machine = here.pop("machine", processor())
+        here = {name: " / ".join(map(str, table[name].unique())) for name in here}
+    machine = here.pop("machine")
     return "; ".join([date, machine, ", ".join(" ".join(pair) for pair in here.items())])
 
 
@@ -158,13 +157,11 @@ def _study_section(table: DataFrame) -> list[str]:
     failed = int((~table.success).sum())
     usual = Status.SUCCESS.value  # the one message that need not be shown
     status = ["" if good else "✗ " for good in table.success] + table.status
-    shown = table.reindex(columns=SHOWN).assign(status=status, seconds=table.wall)
-    shown["message"] = shown.message.fillna("").str.replace(usual, "", regex=False)
-    shown = shown.iloc[np.argsort(table.success, kind="stable")]
-    advised = advice_table(table) if "size" in table else None
+    message = table.message.str.replace(usual, "", regex=False)
+    shown = table[SHOWN].assign(status=status, message=message).rename(columns={"wall": "seconds"})
     return [
-        *([] if advised is None else ["<h2>The fastest way to each relative error</h2>"]),
-        *([] if advised is None else [advised.to_html(border=0)]),
+        "<h2>The fastest way to each relative error</h2>",
+        advice_table(table).to_html(border=0),
         "<h2>What accuracy costs</h2>",
         "<p>Down is more accurate, left is cheaper; what failed stands above the others, an error "
         "of 0 below them. A click in the legend hides a line in all panels, a double click hides "
@@ -172,7 +169,7 @@ def _study_section(table: DataFrame) -> list[str]:
         _html(_cost_figure(table)),
         f'<h2>All cells</h2><p class="{"bad" if failed else "good"}">{len(table)} cells, '
         f"{failed} failed</p>",
-        _table(shown),
+        _table(shown.iloc[np.argsort(table.success, kind="stable")]),
     ]
 
 
@@ -245,7 +242,7 @@ def _tooltip(row: dict[str, Any]) -> str:
         f"error {row['error']:.2e}, bound {row['bound']:.2e}",
     ]
     if not row["success"]:
-        lines = [lines[0], row["status"], row.get("message", "")[:200]]
+        lines = [lines[0], row["status"], row["message"][:200]]
     return "<br>".join(html.escape(str(line)) for line in lines)
 
 

@@ -1,4 +1,4 @@
-"""The process in the rows of C(t) = { w : N w <= d(t) }, d in closed form between its kinks."""
+"""The process in the rows of C(t) = { w : N w <= d(t) }, d in closed form piece by piece."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import scipy.linalg
 from sweepopt.errors import InputError
 from sweepopt.integrate.exact.closed_forms import Basis, Curve
 from sweepopt.linalg import dense
-from sweepopt.loads import Piece, kinks
+from sweepopt.loads import Piece, breakpoints
 from sweepopt.problem import SweepingProcess, motion
 
 NONSMOOTH = 50  # unknowns in a set's inequalities
@@ -36,17 +36,17 @@ class Offsets:
         self.histories, self.weights = histories, weights
 
     def breakpoints(self, a: float, b: float) -> np.ndarray:
-        """All kinks strictly between a and b, increasing."""
-        return kinks(self.histories, a, b)
+        """All breakpoints strictly between a and b, increasing."""
+        return breakpoints(self.histories, a, b)
 
     def between(self, a: float, b: float) -> SmoothOffsets:
-        """d between two neighbouring kinks."""
+        """d between two neighbouring breakpoints."""
         return SmoothOffsets(self.weights, [phi.piece(a, b) for phi in self.histories])
 
 
 @dataclass(frozen=True, eq=False)
 class SmoothOffsets:
-    """d where it has no kink; `pieces` are its histories in closed form."""
+    """d between two breakpoints; `pieces` are its histories in closed form."""
 
     weights: np.ndarray
     pieces: list[Piece]

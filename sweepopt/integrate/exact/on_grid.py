@@ -15,7 +15,7 @@ from sweepopt.integrate.loop import FullCertificate, Observer, Restarts, integra
 from sweepopt.integrate.record import Run, Summary
 from sweepopt.linalg import Factor
 from sweepopt.problem import SweepingProcess
-from sweepopt.velocity import Plan, Velocity, VelocityProgram, matrix, rate
+from sweepopt.velocity import Plan, Velocity, certify_point, matrix
 
 FLOOR = 0.01  # share of the largest terms so far that counts as the size of their sum
 BLOCK = 1000  # nodes that are computed at once
@@ -126,8 +126,6 @@ class _Inclusion:
             self._factors = {mu: Factor(matrix(process, mu))}
         M, Bu = self._factors[mu], process.times_B(u)
         q = process.times_B(u - mu * z)
-        found = VelocityProgram(M, C).certify(q, C, z, np.zeros(C.offsets.size))
-        certificate = found.certificate + M.norm(z - found.z)
-        size = M.norm(z)
-        self._largest = max(self._largest, size + M.dual_norm(Bu) + M.dual_norm(C.anchor))
-        return rate(z, certificate, size, max(M.dual_norm(q - C.anchor), FLOOR * self._largest))
+        terms = M.norm(z) + M.dual_norm(Bu) + M.dual_norm(C.anchor)
+        self._largest = max(self._largest, terms)
+        return certify_point(M, q, C, z, FLOOR * self._largest)

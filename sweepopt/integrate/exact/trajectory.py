@@ -66,7 +66,7 @@ class Trajectory:
         The time up to which they are known.
     switches : ndarray, shape (k,)
         Times at which the motion changes its closed form: a row begins or ceases to hold, or the
-        load has a kink while something moves.
+        load has a breakpoint while something moves.
     complete : bool
         False if the switches accumulate: then `end` is where they were given up.
     reconstruct : callable or None
@@ -135,7 +135,7 @@ def exact_trajectory(
     Parameters
     ----------
     most : int
-        Phases, not counting kinks; more are taken for an accumulation of switches.
+        Phases beside one for each breakpoint; more are taken for an accumulation of switches.
 
     Raises
     ------
@@ -144,9 +144,9 @@ def exact_trajectory(
     """
     phases: list[Phase] = []
     switches: list[float] = []
-    kinks = [start, *rows.d.breakpoints(start, end).tolist(), end]
+    breakpoints = [start, *rows.d.breakpoints(start, end).tolist(), end]
     u, before, stalled = u0, None, 0
-    for a, b in pairwise(kinks):
+    for a, b in pairwise(breakpoints):
         d, s = rows.d.between(a, b), a
         events = np.zeros(0, dtype=int)
         while s < b:
@@ -170,7 +170,7 @@ def exact_trajectory(
                 phases.append(phase)
             events = np.zeros(0, dtype=int) if root is None else limits.rows[root.rows]
             s = following
-            if len(phases) > most + len(kinks) or stalled > STALLED:
+            if len(phases) > most + len(breakpoints) or stalled > STALLED:
                 return Trajectory(phases, s, np.array(switches), complete=False)
     return Trajectory(phases, end, np.unique(switches))
 

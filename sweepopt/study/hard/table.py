@@ -28,7 +28,7 @@ from sweepopt.solve import solve
 from sweepopt.study.hard import FAMILIES
 from sweepopt.study.hard.bodies import Hard
 from sweepopt.study.hard.combinations import combination
-from sweepopt.study.hard.exact import Exact, Program
+from sweepopt.study.hard.judge import Judge
 from sweepopt.velocity import Cvxpy
 
 TARGET = 1e-8
@@ -79,7 +79,7 @@ class HardStudy:
     solvers: Sequence[str] = tuple(SOLVERS)
     paths: Sequence[str] = PATHS
     combinations: int = 8
-    tol: float = 1e-6
+    tol: float = 1e-9
 
     def __post_init__(self) -> None:
         for i, seed in enumerate(listed("seeds", self.seeds)):
@@ -156,7 +156,7 @@ def rows(
     solvers: Iterable[str] = SOLVERS,
     paths: Iterable[str] = PATHS,
     combinations: int = 0,
-    tol: float = 1e-6,
+    tol: float = 1e-9,
     progress: Callable[[str], object] = lambda words: None,
 ) -> Iterator[HardRow]:
     """Run the cases; the parameters are those of `HardStudy`.
@@ -240,26 +240,6 @@ def _run(hard: Hard, process: SweepingProcess, path: str, solver: Any, tol: floa
             callback=keep,
         )
     return _Run(solution, steps, time.perf_counter() - started)
-
-
-class Judge:
-    """The exact velocities of one case, computed once for all of its runs."""
-
-    def __init__(self, process: SweepingProcess, gamma: float) -> None:
-        self.process, self._program = process, Program(process.A, process.B, gamma)
-        self._known: dict[tuple[float, bytes], Exact] = {}
-
-    def of(self, u: np.ndarray, t: float, near: np.ndarray) -> Exact:
-        """The velocity of the state u for C(t): from A, B and u, where nothing is rounded."""
-        key = t, b"" if self.process.B is None else u.tobytes()
-        if key not in self._known:
-            q = self._program.term(u)
-            self._known[key] = self._program.solve(q, self.process.C.at(t), near)
-        return self._known[key]
-
-    def error(self, z: np.ndarray, exact: Exact) -> float:
-        """|z - z*|_M."""
-        return self._program.error(z, exact)
 
 
 def _judged(row: HardRow, hard: Hard, run: _Run, judge: Judge) -> HardRow:

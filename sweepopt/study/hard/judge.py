@@ -13,9 +13,10 @@ import numpy as np
 
 from sweepopt.checks import Matrix
 from sweepopt.linalg import dense
+from sweepopt.problem import SweepingProcess
 from sweepopt.sets import ConvexSet
 from sweepopt.study.hard import digits
-from sweepopt.study.hard.active import velocity
+from sweepopt.study.hard.velocities import velocity
 from sweepopt.velocity import untranslated
 
 
@@ -89,7 +90,7 @@ class Program:
         Raises
         ------
         InputError
-            If C is none of the kinds that `active` knows.
+            If C is none of the kinds that `velocities` knows.
         """
         few, part, shift = structure(C)
         force = digits.exactly(q) - digits.exactly(shift)
@@ -111,6 +112,26 @@ class Program:
         """|z - z*|_M."""
         apart = digits.exactly(z) - exact.z
         return digits.root(apart @ self.M @ apart)
+
+
+class Judge:
+    """The exact velocities of one case, computed once for all of its runs."""
+
+    def __init__(self, process: SweepingProcess, gamma: float) -> None:
+        self.process, self._program = process, Program(process.A, process.B, gamma)
+        self._known: dict[tuple[float, bytes], Exact] = {}
+
+    def of(self, u: np.ndarray, t: float, near: np.ndarray) -> Exact:
+        """The velocity of the state u for C(t): from A, B and u, where nothing is rounded."""
+        key = t, b"" if self.process.B is None else u.tobytes()
+        if key not in self._known:
+            q = self._program.term(u)
+            self._known[key] = self._program.solve(q, self.process.C.at(t), near)
+        return self._known[key]
+
+    def error(self, z: np.ndarray, exact: Exact) -> float:
+        """|z - z*|_M."""
+        return self._program.error(z, exact)
 
 
 class _Condensed:
