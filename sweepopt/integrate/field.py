@@ -2,7 +2,7 @@
 
 u' = Phi(t, u) = A^-1 (P_{C(t)}(B u) - B u), P the projection in the A^-1 metric (MATH.md section
 3): the minimiser of the velocity program with M = A, q = B u. Phi is Lipschitz in u, with constant
-Lam, and as smooth in t as C(t); its kinks at switches are what an ODE solver must step over.
+Lam, and as smooth in t as C(t); at switches it has kinks, which an ODE solver must step over.
 """
 
 from __future__ import annotations
@@ -76,11 +76,6 @@ def velocity_field(
             "velocity_field needs A coercive: with A = 0 the velocity is no function of (t, u); "
             "use so.solve with implicit-euler, sdirk2 or exact"
         )
-    return _compiled(process, solver, tol)
-
-
-def _compiled(process: SweepingProcess, solver: Any, tol: float) -> Field:
-    """By the plan's velocity, as a step of a run finds it."""
 
     def compiled(t: float, C: ConvexSet) -> StateVelocity:
         if not C.certifiable:
@@ -94,29 +89,25 @@ def _compiled(process: SweepingProcess, solver: Any, tol: float) -> Field:
     try:
         start = process.C.at(0.0)
     except InputError:
-        found = None  # C is not known at t = 0: the first call compiles
+        solve = None  # C is not known at t = 0: the first call compiles
     else:
-        found = compiled(0.0, start)
+        solve = compiled(0.0, start)
 
     def field(t: float, u: Any) -> np.ndarray:
-        nonlocal found
+        nonlocal solve
         t, u = instant("t", t), vector("u", u, process.dim)
         C = process.C.at(t)
-        if found is None:
-            found = compiled(t, C)
-        velocity = found(u, C)
-        if not velocity.relative <= tol:
-            raise _missed(t, u, velocity.relative, tol)
-        return velocity.z
+        if solve is None:
+            solve = compiled(t, C)
+        z, _, relative, *_ = solve(u, C)
+        if not relative <= tol:
+            raise VelocityError(
+                f"the velocity at t = {t:g} is known to {relative:.2g} of its size only, tol is "
+                f"{tol:g}; loosen tol or try another solver",
+                t,
+                u,
+                relative,
+            )
+        return z
 
     return field
-
-
-def _missed(t: float, u: np.ndarray, relative: float, tol: float) -> VelocityError:
-    return VelocityError(
-        f"the velocity at t = {t:g} is known to {relative:.2g} of its size only, tol is {tol:g}; "
-        "loosen tol or try another solver",
-        t,
-        u,
-        relative,
-    )

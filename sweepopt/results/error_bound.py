@@ -32,7 +32,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sweepopt.integrate import MEMORY, SCHEMES, Keeper, divided, march, saving, time_grid
+from sweepopt.integrate import MEMORY, SCHEMES, Run, divided, integrate, saving, time_grid
 from sweepopt.linalg import EPS
 from sweepopt.problem import Norms, SweepingProcess
 from sweepopt.results.nodes import Nodes, cubic
@@ -120,12 +120,12 @@ def nodes_of(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
     times, mus = time_grid(None, t)
     wanted = saving(None, times, process.dim, MEMORY)
     for tol in (plan.tol, math.inf):
-        keeper = Keeper(wanted.steps, process.u0)
-        done = march(process, replace(plan, tol=tol), times, mus, keeper).done
-        if done == len(mus):
+        run = Run(len(mus), wanted.steps, process.u0)
+        integrate(process, replace(plan, tol=tol), times, mus, run)
+        if run.done == len(mus):
             break
-    kept = keeper.close(done)[1]
-    return Nodes(times, kept.nodes, kept.velocities)
+    states = run.kept().states
+    return Nodes(times, states.nodes, states.velocities)
 
 
 class _Error(NamedTuple):

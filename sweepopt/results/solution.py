@@ -13,6 +13,7 @@ from sweepopt.integrate import Pass, States, Statistics
 from sweepopt.problem import SweepingProcess
 from sweepopt.results.energy import Energy, energy_of
 from sweepopt.results.interpolant import Interpolant
+from sweepopt.results.netcdf import to_xarray
 from sweepopt.results.nodes import Nodes
 from sweepopt.velocity import Plan, VelocityOf, compile_projection
 
@@ -265,8 +266,6 @@ class Solution:
 
     def to_xarray(self) -> Dataset:
         """The trajectory and its statistics as an xarray.Dataset (needs the extra "fem")."""
-        from sweepopt.fem.netcdf import to_xarray
-
         return to_xarray(self)
 
     def plot(self, ax: Axes | None = None) -> Axes:
