@@ -16,7 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sweepopt as so
-from tests.laws import LAWS, ZOO
+from sweepopt.checks import vector
+from sweepopt.sets import Features
+from tests.laws import LAWS, ZOO, Entry, Sample, scaled, translated
 
 SEEDS = st.integers(0, 2**20)
 UNIT = so.Ball([0.0, 0.0], 1.0)
@@ -72,6 +74,58 @@ def test_another_matrix_is_another_cone() -> None:
     for C, D in pairs:
         assert not C.same_cone(D)
         assert not D.same_cone(C)
+
+
+# ---- a set of one's own -------------------------------------------------------------------------
+
+
+class DiamondBall(so.ConvexSet):
+    """{ w : sum |w_i| <= radius }:  sigma(z) = radius max |z_i|."""
+
+    def __init__(self, radius: float, dim: int) -> None:
+        self.radius, self.dim, self.offsets = radius, dim, np.array([radius])
+
+    def support(self, z: Any) -> float:
+        return float(self.radius * np.abs(vector("z", z, self.dim)).max())
+
+    def project(self, w: Any) -> np.ndarray:
+        w = vector("w", w, self.dim)
+        sizes = np.sort(np.abs(w))[::-1]
+        levels = (np.cumsum(sizes) - self.radius) / np.arange(1, self.dim + 1)
+        return np.sign(w) * np.maximum(np.abs(w) - max(levels.max(), 0.0), 0.0)
+
+    def features(self, p: cp.Expression) -> Features:
+        size = cp.Variable(1)
+        return Features([size], [p <= size, -p <= size])
+
+
+def diamond(frame: Any, rng: Any, dim: int | None = None) -> Sample:
+    radius, dim = rng.exponential(), int(frame.integers(1, 6)) if dim is None else dim
+    return Sample(DiamondBall(radius, dim), lambda w: [cp.norm1(w) <= radius])
+
+
+OWN = {"diamond": Entry(diamond), "2 diamond - v": Entry(translated(scaled(diamond)))}
+
+
+@pytest.mark.parametrize("name", OWN)
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
+def test_a_new_set_with_three_methods_obeys_every_law(law: Any, name: str) -> None:
+    for seed in range(2):
+        law(OWN[name], OWN[name].sample(seed), np.random.default_rng(seed + 1))
+
+
+def test_a_new_set_is_solved_like_the_polytope_it_is() -> None:
+    corners = 0.7 * np.vstack([np.eye(3), -np.eye(3)])
+    A, load = np.diag([1.0, 2.0, 3.0]) + 0.1, np.array([2.0, -1.0, 0.5])
+    found = [
+        so.solve(
+            so.SweepingProcess(A, None, so.Moving(C, center=lambda t: t * load), np.zeros(3)),
+            t_end=1.0,
+            steps=10,
+        ).u
+        for C in (DiamondBall(0.7, 3), so.Polytope(corners))
+    ]
+    np.testing.assert_allclose(*found, atol=1e-9)
 
 
 # ---- projections, exactly -----------------------------------------------------------------------
@@ -802,21 +856,36 @@ def test_a_point_inside_of_a_sum_is_its_own_projection() -> None:
         assert not C.normal(w).any()
 
 
-def test_sets_of_many_unknowns_are_not_lifted_to_dense_matrices() -> None:
+def gradient(n: int) -> sp.csr_array:
+    """Of functions on a square grid: two differences for each node that has both neighbours."""
+    D = sp.diags_array([-np.ones(n - 1), np.ones(n - 1)], offsets=[0, 1], shape=(n - 1, n))
+    inner = sp.eye_array(n - 1, n)
+    pairs = sp.vstack([sp.kron(D, inner), sp.kron(inner, D)])
+    m = (n - 1) ** 2
+    return sp.csr_array(pairs)[np.arange(2 * m).reshape(2, m).T.ravel()]
+
+
+def test_sets_of_many_unknowns_are_made_of_sparse_matrices() -> None:
+    G = gradient(143)  # dense, it would need 6 GB
+    discs = so.image(G.T, so.Balls(np.ones(G.shape[0] // 2), 2))
+    z = np.random.default_rng(0).normal(size=discs.dim)
+    lengths = np.linalg.norm((G @ z).reshape(-1, 2), axis=1)
+    assert discs.support(z) == pytest.approx(lengths.sum(), rel=1e-12)
+    many = so.product(*(so.Ball([0.0, 0.0], 1.0) + so.Box([0, 0], [1, 1]) for _ in range(2000)))
+    assert many.support(np.ones(4000)) == pytest.approx(2000 * (np.sqrt(2) + 2), rel=1e-12)
     wide = so.image(
-        sp.random_array((5, 4000), density=0.01, rng=0), so.Box([-1.0] * 4000, [1.0] * 4000)
+        sp.random_array((5, 9000), density=0.01, rng=0), so.Box(-(z[:9000] ** 2), [1.0] * 9000)
     )
-    large = so.Polyhedron(sp.eye_array(4000), np.ones(4000))
-    hull = so.Polytope(np.random.default_rng(0).normal(size=(4000, 2)))
-    for C in (
-        wide,
-        large,
-        hull,
-        wide + so.HalfSpace(np.ones(5), 1.0),
-        2.0 * -large + np.ones(4000),
-    ):
-        form = C.flat()
-        assert form is None or form.raised() is None
+    (2.0 * -(wide + so.HalfSpace(np.ones(5), 1.0)) + np.ones(5)).support(np.zeros(5))
+    cube, ball = so.Box([-1.0] * 900, [1.0] * 900), so.Ball(np.zeros(900), 20.0)
+    v = 3 * np.random.default_rng(1).normal(size=900)
+    w, p = (cube & ball).project(v), (cube & ball).normal(v)
+    assert cube.contains(w, 1e-13)
+    assert ball.contains(w, 1e-13)
+    # where the cube does not press, p is a multiple of w
+    inside = np.abs(w) < 1 - 1e-12
+    ratio = (p @ (w * inside)) / (w @ (w * inside))
+    np.testing.assert_allclose(p[inside], ratio * w[inside], rtol=0, atol=1e-12)
 
 
 def test_rows_and_columns_that_nothing_can_be_divided_by_are_refused() -> None:

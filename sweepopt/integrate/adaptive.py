@@ -27,8 +27,8 @@ from sweepopt.checks import number
 from sweepopt.errors import InputError, Status
 from sweepopt.integrate.error_estimator import Limit, PassNodes, Watch
 from sweepopt.integrate.error_propagation import Flow
-from sweepopt.integrate.loop import Run
 from sweepopt.integrate.mesh_density import Density, density, finer_grid, first_grid
+from sweepopt.integrate.record import Run
 from sweepopt.linalg import EPS
 
 PASSES = 24

@@ -14,10 +14,10 @@ from sweepopt.integrate.adaptive import CHECKED, FIRST, STEPS, Adaptive, Refined
 from sweepopt.integrate.error_estimator import Watch
 from sweepopt.integrate.error_propagation import Flow
 from sweepopt.integrate.grid import evaluation_times, time_grid
-from sweepopt.integrate.loop import Place, Run, march
+from sweepopt.integrate.loop import RestartPoint, integrate
 from sweepopt.integrate.mesh_density import first_grid
+from sweepopt.integrate.record import Run, Saving, saving
 from sweepopt.integrate.schemes import Scheme
-from sweepopt.integrate.states import Keeper, Saving, saving
 from sweepopt.integrate.step import Velocities
 from sweepopt.linalg import EPS
 from sweepopt.problem import SweepingProcess
@@ -37,7 +37,6 @@ class Walked:
     mus: np.ndarray
     plan: Plan
     wanted: Saving
-    keeper: Keeper | None = None
     run: Run | None = None
 
 
@@ -120,7 +119,7 @@ class _Trail:
     """The steps of a walk, from any of which another walk can go on."""
 
     def __init__(
-        self, places: list[Place], velocities: list[np.ndarray], before: Run | None = None
+        self, places: list[RestartPoint], velocities: list[np.ndarray], before: Run | None = None
     ) -> None:
         self.places, self.velocities, self._before = places, velocities, before
         self.run: Run | None = None
@@ -129,22 +128,22 @@ class _Trail:
         """So many steps of it."""
         return _Trail(self.places[:known], self.velocities[:known], self.run)
 
-    def begin(self, run: Run, keeper: Keeper, start: Place) -> Place:
+    def begin(self, run: Run, start: RestartPoint) -> RestartPoint:
         """Give the run the steps that are known."""
         if not self.places or self._before is None:
             return start
-        before, run.done = self._before, len(self.places)
-        columns = {name: column[: run.done] for name, column in before.log.columns.items()}
+        before, known = self._before, len(self.places)
+        columns = {name: column[:known] for name, column in before.log.columns.items()}
         run.log.restore(columns, before.log.solvers)
         if np.isnan(columns["relative"]).any():
             run.status = Status.UNCERTIFIED
-        if before.overshot is not None and before.overshot < run.done:
+        if before.overshot is not None and before.overshot < known:
             run.overshot = before.overshot
-        for i, (place, z) in enumerate(zip(self.places, self.velocities, strict=True)):
-            keeper.put(i, place.u, z)
+        for place, z in zip(self.places, self.velocities, strict=True):
+            run.add_state(place.u, z)
         return self.places[-1]
 
-    def __call__(self, run: Run, keeper: Keeper, place: Place) -> bool:
+    def after_step(self, run: Run, place: RestartPoint) -> bool:
         """Take the step that is done, if its velocity was taken."""
         if len(self.velocities) > len(self.places):
             self.places.append(place)
@@ -179,7 +178,7 @@ class _Walk:
         mus = self._sizes = _alike(mus, self._sizes, times)
         process.check(evaluation_times(times, mus, plan.scheme))
         wanted = saving(self._save, times, plan.entering, self._memory)
-        keeper = Keeper(wanted.steps, process.u0)
+        run = Run(len(mus), wanted.steps, process.u0)
 
         trail = self._trail = self._trail.until(known)
         for i, (place, z) in enumerate(zip(trail.places, trail.velocities, strict=True)):
@@ -192,14 +191,14 @@ class _Walk:
                 trail.velocities.append(z)
             return stop
 
-        run = march(process, plan, times, mus, keeper, look, velocities=self._programs, marks=trail)
+        integrate(process, plan, times, mus, run, look, None, trail, self._programs)
         trail.run = run
         if self.last is None and watch.length > 0:
             # what the programs miss adds up along the way of u
             asked = max(SHARE * self._frame.steps.tol / watch.length, EXACT)
             if asked < plan.tol:
                 self._use(replace(plan, tol=asked))
-        self.last = Walked(times, mus, plan, wanted, keeper, run)
+        self.last = Walked(times, mus, plan, wanted, run)
         return run
 
 

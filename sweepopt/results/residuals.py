@@ -76,7 +76,7 @@ def residuals(
 
     Parameters
     ----------
-    phi : callable (q, C) -> Solved
+    phi : callable (q, C) -> Velocity
         The velocity for M = A (B where A = 0); its answers are not trusted.
     variation : callable or None
         v with d_H(C(t), C(s)) <= v(t) - v(s) for s <= t.
@@ -267,7 +267,7 @@ def _sampled(
         velocity, v = basis(2, GAUSS) @ slopes[i], basis(3, GAUSS) @ curves[i]
         q = [process.times_B(x) for x in v]
         sets = [process.C.at(t) for t in (near.t[i] + h[i] * GAUSS).tolist()]
-        z = np.array([phi(*one).velocity.z for one in zip(q, sets, strict=True)])
+        z = np.array([phi(*one).z for one in zip(q, sets, strict=True)])
         if not norms.rate_independent:
             squares[i] = h[i] * (norms.A(z - velocity) ** 2 @ WEIGHTS)
             continue

@@ -9,7 +9,7 @@ import scipy.linalg
 
 from sweepopt.checks import dimension, entries, number, vector
 from sweepopt.errors import InputError
-from sweepopt.sets.base import ConvexSet, CurveGap, Features, Sphere
+from sweepopt.sets.base import ConvexSet, CurveGap, Features, Halfspaces
 from sweepopt.sets.curves import ball_arc
 
 if TYPE_CHECKING:
@@ -63,6 +63,12 @@ class Ball(ConvexSet):
         distance = ball_arc(p, w - self.center, self.radius)
         return CurveGap(0.0, distance) if ratio * distance**2 < 2 * given.gap else given
 
+    def halfspaces(self) -> Halfspaces:
+        if self.dim > 1:
+            return super().halfspaces()
+        c, r = float(self.center[0]), self.radius
+        return Halfspaces.below(np.array([[1.0], [-1.0]]), np.array([c + r, r - c]))
+
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
 
@@ -76,10 +82,6 @@ class Ball(ConvexSet):
         if not isinstance(other, Ball):
             return None
         return float(np.linalg.norm(self.center - other.center) + abs(self.radius - other.radius))
-
-    @property
-    def sphere(self) -> Sphere:
-        return Sphere(self.center, self.radius)
 
 
 class Balls(ConvexSet):
@@ -159,11 +161,6 @@ class Balls(ConvexSet):
             return None
         more = self.offsets - other.offsets
         return float(max(np.linalg.norm(np.maximum(x, 0.0)) for x in (more, -more)))
-
-    @property
-    def sphere(self) -> Sphere | None:
-        one = self.radii.size == 1
-        return Sphere(np.zeros(self.dim), float(self.radii[0])) if one else None
 
     def _blocks(self, name: str, z: Any) -> np.ndarray:
         return vector(name, z, self.dim).reshape(-1, self.block)

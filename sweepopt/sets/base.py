@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -30,8 +30,6 @@ from sweepopt.sets.curves import products
 
 if TYPE_CHECKING:
     import cvxpy as cp
-
-    from sweepopt.sets.flat import Flat
 
 DENSE = 300  # unknowns up to which matrices of the square of their number are cheap
 ROUNDING = 8 * float(np.finfo(float).eps)
@@ -101,28 +99,95 @@ class CurveGap(NamedTuple):
         return cls(float(gaps.sum()), float(np.linalg.norm(distance)))
 
 
-class Sphere(NamedTuple):
-    """C = { w : |w - center| <= radius }."""
+class Halfspaces(NamedTuple):
+    """C = { w : N w <= d, E w = e }."""
 
-    center: np.ndarray
-    radius: float
-
-
-class Lifted(NamedTuple):
-    """C = { c + E s : G s <= h }."""
-
-    c: np.ndarray
+    N: np.ndarray
+    d: np.ndarray
     E: np.ndarray
-    G: np.ndarray
-    h: np.ndarray
+    e: np.ndarray
 
-    def point(self, s: np.ndarray) -> np.ndarray:
-        """c + E s."""
-        return np.asarray(self.c + self.E @ s)
+    @classmethod
+    def below(cls, N: np.ndarray, d: np.ndarray) -> Halfspaces:
+        """N w <= d alone."""
+        return cls(N, d, np.zeros((0, N.shape[1])), np.zeros(0))
 
-    def pushed(self, M: np.ndarray) -> Lifted:
+    def translated(self, v: np.ndarray) -> Halfspaces:
+        """Those of C + v."""
+        return self._replace(d=self.d + self.N @ v, e=self.e + self.E @ v)
+
+
+class NoHalfspacesError(Exception):
+    """A set, named by its part, that is no polyhedron or whose rows are not known."""
+
+
+class Form(NamedTuple):
+    """C = { c + E s : s in parts[0] x parts[1] x ..., F s = g }, c None is 0.
+
+    Sums, intersections, images and products of sets, translated and scaled, all have this form,
+    with parts whose projections are known. E and F are sparse.
+    """
+
+    c: np.ndarray | None
+    E: sp.csr_array
+    F: sp.csr_array
+    g: np.ndarray
+    parts: tuple[ConvexSet, ...]
+
+    @classmethod
+    def alone(cls, part: ConvexSet) -> Form:
+        """A set as its own part."""
+        n = part.dim
+        return cls(None, sp.eye_array(n, format="csr"), sp.csr_array((0, n)), np.zeros(0), (part,))
+
+    @classmethod
+    def beside(cls, forms: list[Form]) -> Form:
+        """C x D: everything is stacked."""
+        c = None
+        if any(form.c is not None for form in forms):
+            c = np.concatenate([form.image_of_zero() for form in forms])
+        E, F = (
+            sp.csr_array(sp.block_diag(Ms, format="csr"))
+            for Ms in ([form.E for form in forms], [form.F for form in forms])
+        )
+        parts = tuple(part for form in forms for part in form.parts)
+        return cls(c, E, F, np.concatenate([form.g for form in forms]), parts)
+
+    def image_of_zero(self) -> np.ndarray:
+        """c as a vector."""
+        return np.zeros(self.E.shape[0]) if self.c is None else self.c
+
+    def translated(self, v: np.ndarray) -> Form:
+        """C + v."""
+        return self._replace(c=self.image_of_zero() + v)
+
+    def scaled(self, factor: float) -> Form:
+        """r C for r != 0: of the parts |r| S, so that only offsets know |r|."""
+        size, sign = abs(factor), 1.0 if factor > 0 else -1.0
+        c, parts = self.c, tuple(size * part for part in self.parts)
+        return self._replace(
+            c=None if c is None else factor * c, E=sign * self.E, g=size * self.g, parts=parts
+        )
+
+    def image(self, M: Any) -> Form:
         """M C."""
-        return self._replace(c=M @ self.c, E=M @ self.E)
+        M = sp.csr_array(M)
+        return self._replace(c=None if self.c is None else M @ self.c, E=sp.csr_array(M @ self.E))
+
+    def cut(self, D: Any) -> Form:
+        """The w of C with D w = 0."""
+        D = sp.csr_array(D)
+        g = np.concatenate([self.g, -D @ self.image_of_zero()])
+        return self._replace(F=sp.csr_array(sp.vstack([self.F, D @ self.E])), g=g)
+
+
+class Algebra(NamedTuple):
+    """The operations on sets, which operations.py states: what operators and polars call."""
+
+    add: Callable[[ConvexSet, Any], Any]
+    scale: Callable[[Any, ConvexSet], ConvexSet]
+    intersect: Callable[[ConvexSet, Any], Any]
+    image: Callable[[Any, Any], Any]
 
 
 class ConvexSet(ABC):
@@ -153,6 +218,7 @@ class ConvexSet(ABC):
     polyhedral: bool = False
     certifiable: bool = True
     exact: bool = True
+    algebra: ClassVar[Algebra]
     # numpy must leave v + C, r * C and v - C to the operators below
     __array_ufunc__ = None
 
@@ -211,7 +277,7 @@ class ConvexSet(ABC):
         return float(np.abs(x).max())
 
     def normal_pair(
-        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
+        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray | None = None
     ) -> NormalPair | None:
         """A proven normal pair near the approximate one (p, w); None if the set has no proof.
 
@@ -222,7 +288,7 @@ class ConvexSet(ABC):
         tau : ndarray, shape (dim,)
             Positive weights that bring p to the units of w (the diagonal of M).
         y : ndarray, shape (k,)
-            The solver's value of the features; holds the split of an intersection.
+            The solver's value of the features, for sets that can use it.
         """
         weights = self.weights(tau)
         v = w + weights * p
@@ -328,27 +394,27 @@ class ConvexSet(ABC):
         """The few unknowns C acts on, if it is the image of a set under a selection of them."""
         return None
 
-    @property
-    def sphere(self) -> Sphere | None:
-        """Centre and radius, if C is written as one ball."""
-        return None
-
     def rows(self) -> tuple[Any, np.ndarray] | None:
         """G and h with C = { w : G w <= h }, if C is written so."""
         return None
 
-    def lifted(self) -> Lifted | None:
-        """C as the image of rows, if it is a small set that is written so."""
-        found = self.rows() if self.dim <= DENSE else None
-        if found is None or len(found[1]) > 10 * DENSE:
-            return None
-        return Lifted(np.zeros(self.dim), np.eye(self.dim), dense(found[0]), found[1])
+    def halfspaces(self) -> Halfspaces:
+        """The rows of C, if it is a polyhedron whose rows are known.
 
-    def flat(self) -> Flat | None:
-        """C made of parts with exact projections, if it is small: matrices of it are dense."""
-        from sweepopt.sets.flat import Flat
+        Raises
+        ------
+        NoHalfspacesError
+        """
+        if self.singleton:
+            return Halfspaces(np.zeros((0, self.dim)), np.zeros(0), np.eye(self.dim), self.anchor)
+        found = self.rows()
+        if found is None:
+            raise NoHalfspacesError(type(self).__name__)
+        return Halfspaces.below(dense(found[0]), found[1])
 
-        return Flat.alone(self)
+    def form(self) -> Form:
+        """C in lifted form; a set that is projected on exactly is its own part."""
+        return Form.alone(self)
 
     def polar(self) -> ConvexSet:
         """The polar cone { p : <p, w> <= 0 for all w in C }."""
@@ -370,40 +436,40 @@ class ConvexSet(ABC):
         self.require_nonempty(f"C(t) at t = {times[0]:g}")
         return [(float(times[0]), self)]
 
-    # ---- the algebra (lazy; the laws are stated in algebra.py) --------------------------------
+    # ---- the algebra (the laws are stated in operations.py) --------------------------------
 
     def __add__(self, other: Any) -> Any:
-        from sweepopt.sets import algebra
-
-        return algebra.add(self, other)
+        return self.algebra.add(self, other)
 
     def __sub__(self, other: Any) -> Any:
-        from sweepopt.sets import algebra
-
-        if not algebra.is_vector(other):
+        if not is_vector(other):
             raise InputError("C - D is ambiguous; write C + (-D) for the Minkowski sum")
-        return algebra.add(self, -vector("v", other, self.dim))
+        return self + -vector("v", other, self.dim)
 
     def __rsub__(self, other: Any) -> Any:
         return -self + other
 
     def __rmul__(self, factor: float) -> Any:
-        from sweepopt.sets import algebra
-
-        return algebra.scale(factor, self)
+        return self.algebra.scale(factor, self)
 
     def __neg__(self) -> Any:
-        from sweepopt.sets import algebra
-
-        return algebra.Negation(self)
+        return self.algebra.scale(-1.0, self)
 
     def __and__(self, other: Any) -> Any:
-        from sweepopt.sets import algebra
-
-        return algebra.intersect(self, other)
+        return self.algebra.intersect(self, other)
 
     __radd__ = __add__
     __mul__ = __rmul__
+
+
+def halfspaces(C: ConvexSet) -> Halfspaces:
+    """The rows of a set; see `ConvexSet.halfspaces`."""
+    return C.halfspaces()
+
+
+def is_vector(value: Any) -> bool:
+    """Whether value can be a translation."""
+    return isinstance(value, (np.ndarray, list, tuple, int, float, np.number))
 
 
 def binary(size: float) -> float:

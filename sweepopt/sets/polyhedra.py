@@ -21,7 +21,9 @@ from sweepopt.sets.base import (
     binary,
     same_array,
 )
-from sweepopt.sets.iteration import project_by_program
+from sweepopt.sets.moving import MovingOffsets
+from sweepopt.sets.programs import normal_by_program
+from sweepopt.sets.shapes import Orthant
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -85,8 +87,6 @@ class Polyhedron(ConvexSet):
 
     def __new__(cls, G: Any, h: Any) -> Any:
         if callable(h):
-            from sweepopt.sets.moving import MovingOffsets
-
             G = matrix("G", G)
             return MovingOffsets(cls(G, np.zeros(G.shape[0])), h)
         return super().__new__(cls)
@@ -156,7 +156,7 @@ class Polyhedron(ConvexSet):
     def normal(self, v: np.ndarray) -> np.ndarray:
         v = vector("v", v, self.dim)
         exact = self._exact_normal(v, np.ones(self.dim))
-        return v - project_by_program(self, v) if exact is None else exact.normal
+        return normal_by_program(self, v).p if exact is None else exact.normal
 
     def _exact_normal(
         self, v: np.ndarray, tau: np.ndarray, near: np.ndarray | None = None
@@ -188,7 +188,7 @@ class Polyhedron(ConvexSet):
         return np.eye(self.dim) - projector(dense(self.G[found.active]))
 
     def normal_pair(
-        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
+        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray | None = None
     ) -> NormalPair | None:
         v, near = w + tau * p, w
         for _ in range(REFINEMENTS):
@@ -252,10 +252,7 @@ class Polyhedron(ConvexSet):
     def polar(self) -> ConvexSet:
         if self.h.any():
             return super().polar()
-        from sweepopt.sets.image import Image
-        from sweepopt.sets.shapes import Orthant
-
-        return Image(self.G.T, Orthant(self.h.size))
+        return self.algebra.image(self.G.T, Orthant(self.h.size))
 
 
 class HalfSpace(Polyhedron):

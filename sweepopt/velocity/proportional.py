@@ -33,13 +33,13 @@ from sweepopt.linalg import UNIT, Elimination, Precise
 from sweepopt.loads import Constant, Separable
 from sweepopt.problem import Motion, SweepingProcess, Terms, motion, proportion
 from sweepopt.sets import Moving, Selection
+from sweepopt.velocity.certificate import is_rounding
 from sweepopt.velocity.influence import (
     ProportionalRounding,
     extension,
     extension_error,
     influence,
 )
-from sweepopt.velocity.program import is_rounding
 
 if TYPE_CHECKING:
     from sweepopt.integrate import Scheme
