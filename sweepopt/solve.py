@@ -20,10 +20,10 @@ from sweepopt.integrate import (
     Callback,
     Checkpoint,
     Frame,
-    Lift,
     Observers,
     Pass,
     ProgressBar,
+    Reconstruction,
     Run,
     SaveFunction,
     Scheme,
@@ -279,7 +279,7 @@ def _run(
         passes, cause = refined.passes, refined.cause
 
     times, plan, saved, run = grid.times, grid.plan, grid.wanted, grid.run
-    lift = Lift(plan, times, grid.mus)
+    reconstruction = Reconstruction(plan, times, grid.mus)
     sink = NetCDFSink(saved.path, float(times[0]), process.u0) if saved.path else None
     recorded = writer.recorded if writer else []
     observers = Observers(bar, sink, saved.function, recorded, callback)
@@ -289,8 +289,8 @@ def _run(
             moved = plan.reduction.process if plan.reduction else process
             run = Run(len(grid.mus), saved.steps, moved.u0)
             move = mover(moved, plan.of_entering, writer)
-            full_certificate = lift.prove if plan.reduction else None
-            move(times, grid.mus, run, observers.of_run(lift, times), full_certificate)
+            full_certificate = reconstruction.full_certificate if plan.reduction else None
+            move(times, grid.mus, run, observers.of_run(reconstruction, times), full_certificate)
         if cause and run.done == len(grid.mus):
             run.status, run.cause = Status.INEXACT, cause
         failed = run.status in (Status.INEXACT, Status.SWITCHING)
@@ -302,9 +302,11 @@ def _run(
     if run.overshot is not None:
         warn_of_overshoot(scheme, float(times[run.overshot]))
     if not succeeded:
-        u = lift.state(run.done, run.kept().states.nodes[-1])
+        u = reconstruction.state(run.done, run.kept().states.nodes[-1])
         raise StepError(run.cause, float(times[run.done]), run.done, u, run.relative)
-    return _solution(process, grid, run, lift, sink, recorded if saved.function else None, passes)
+    return _solution(
+        process, grid, run, reconstruction, sink, recorded if saved.function else None, passes
+    )
 
 
 def _plan(
@@ -329,14 +331,14 @@ def _solution(
     process: SweepingProcess,
     grid: Walked,
     run: Run,
-    lift: Lift,
+    reconstruction: Reconstruction,
     sink: NetCDFSink | None,
     recorded: list[Any] | None,
     passes: tuple[Pass, ...],
 ) -> Solution:
     """The states of all unknowns where they are, and what is known of the run."""
     kept = run.kept()
-    states, steps = lift.of(kept), kept.steps
+    states, steps = reconstruction.states(kept), kept.steps
     if sink is not None:
         states, steps = StatesInFile(sink.path, sink.run), np.arange(sink.steps)
     times = grid.times[: run.done + 1]
@@ -346,10 +348,10 @@ def _solution(
         t=times if len(steps) == run.done else times[np.append(0, steps + 1)],
         steps=steps,
         states=states,
-        statistics=run.log.statistics(times[1:], lift.seconds),
+        statistics=run.log.statistics(times[1:], reconstruction.seconds),
         status=run.status,
         cause=run.cause,
-        exact=lift.trajectory(run.exact),
+        exact=reconstruction.trajectory(run.exact),
         recorded=recorded,
         passes=passes,
     )

@@ -29,7 +29,7 @@ from sweepopt.integrate.observers import (
     StepInfo,
 )
 from sweepopt.integrate.options import SolveOptions
-from sweepopt.integrate.reconstruction import Lift
+from sweepopt.integrate.reconstruction import Reconstruction
 from sweepopt.integrate.record import MEMORY, Index, Run, States, Statistics, saving
 from sweepopt.integrate.schemes import SCHEMES, Scheme
 
@@ -41,10 +41,10 @@ __all__ = [
     "Checkpoint",
     "Frame",
     "Index",
-    "Lift",
     "Observers",
     "Pass",
     "ProgressBar",
+    "Reconstruction",
     "Run",
     "SaveFunction",
     "Scheme",

@@ -9,7 +9,7 @@ import numpy as np
 
 from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate.loop import Observer
-from sweepopt.integrate.reconstruction import Lift
+from sweepopt.integrate.reconstruction import Reconstruction
 
 
 class StepInfo(NamedTuple):
@@ -93,7 +93,7 @@ class Observers:
         """Whether one of them looks at more than how many steps are done."""
         return any(one is not None for one in (self._callback, self._sink, self._function))
 
-    def of_run(self, lift: Lift, times: np.ndarray) -> Observer | None:
+    def of_run(self, reconstruction: Reconstruction, times: np.ndarray) -> Observer | None:
         """What the loop calls after each step; None if nobody looks."""
         if not self.need_states:
             return (lambda *step: self._bar.update()) if self._bar.visible else None
@@ -101,7 +101,7 @@ class Observers:
         def observe(i: int, u: np.ndarray, z: np.ndarray, certificate: float) -> bool:
             self._bar.update()
             t = float(times[i + 1])
-            u, z = lift.state(i + 1, u).copy(), lift.velocity(i, z).copy()
+            u, z = reconstruction.state(i + 1, u).copy(), reconstruction.velocity(i, z).copy()
             if self._sink is not None:
                 self._sink.put(t, u, z)
             if self._function is not None:

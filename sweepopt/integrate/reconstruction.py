@@ -35,7 +35,7 @@ class _Coefficients(NamedTuple):
     exact: Trajectory | None
 
 
-class Lift:
+class Reconstruction:
     """All unknowns from those that enter the steps; without a reduction these are all."""
 
     def __init__(self, plan: Plan, times: np.ndarray, mus: np.ndarray) -> None:
@@ -83,7 +83,9 @@ class Lift:
         reduction = self._plan.reduction
         return z if reduction is None else reduction.reconstruct(z, self._alpha.velocities[i])
 
-    def prove(self, i: int, zeta: np.ndarray, velocity: np.ndarray, step: Summary) -> Summary:
+    def full_certificate(
+        self, i: int, zeta: np.ndarray, velocity: np.ndarray, step: Summary
+    ) -> Summary:
         """The certificate of all unknowns from that of those that entered the step.
 
         A step in parts has the load's coefficients of the whole step: they are linear.
@@ -109,7 +111,7 @@ class Lift:
 
         return replace(few, reconstruct=all_unknowns)
 
-    def of(self, kept: KeptStates) -> States:
+    def states(self, kept: KeptStates) -> States:
         """The kept states as states of all unknowns."""
         reduction = self._plan.reduction
         if reduction is None:

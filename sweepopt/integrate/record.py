@@ -59,7 +59,7 @@ class StatesInMemory:
 
 @dataclass(frozen=True, eq=False)
 class ReconstructedStates:
-    """States of few unknowns in memory; `lift` gives all unknowns of a node or of a step.
+    """States of few unknowns in memory; `reconstruct` gives all of a node or of a step.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class ReconstructedStates:
         Coefficients of the load at every node and step of the run, computed when asked for.
     steps : ndarray, shape (k,)
         The kept steps, counted in the run.
-    lift : callable (few, alpha) -> ndarray, shape (dim,)
+    reconstruct : callable (few, alpha) -> ndarray, shape (dim,)
     dim : int
         How many unknowns there are in all.
     """
@@ -76,7 +76,7 @@ class ReconstructedStates:
     few: StatesInMemory
     alpha: Callable[[], StatesInMemory]
     steps: np.ndarray
-    lift: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    reconstruct: Callable[[np.ndarray, np.ndarray], np.ndarray]
     dim: int
 
     def u(self, i: Index) -> np.ndarray:
@@ -92,7 +92,7 @@ class ReconstructedStates:
     def _all(self, few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
         every = np.zeros((*few.shape[:-1], self.dim))
         for index in np.ndindex(few.shape[:-1]):
-            every[index] = self.lift(few[index], alpha[index])
+            every[index] = self.reconstruct(few[index], alpha[index])
         return every
 
 

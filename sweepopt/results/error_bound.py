@@ -89,10 +89,11 @@ def error_bound(
     plan = replace(plan, reduction=None, tol=min(plan.tol, TOL))
     near = run if own else _second_run(process, plan, run.t)
     norms = Norms(process)
-    found = residuals(process, compile_projection(plan, process.metric.M), norms, near, variation)
-    error = _growth(norms, near.t, found)
+    phi = compile_projection(plan, process.metric.M)
+    integrals = residuals(process, phi, norms, near, variation)
+    error = _growth(norms, near.t, integrals)
     nodes = run.at(near.t)
-    difference = _difference(near, found.slopes, nodes)
+    difference = _difference(near, integrals.slopes, nodes)
     rounding = SUMMED * math.sqrt(len(near.t)) * norms.A(near.u).max()
     parts = (len(near.t) - 1) // (len(run.t) - 1)
 
@@ -100,7 +101,7 @@ def error_bound(
         return (bound + rounding).reshape(-1, parts).max(axis=1)
 
     return ErrorBound.make(
-        guaranteed=found.guaranteed,
+        guaranteed=integrals.guaranteed,
         t=run.t,
         of_t=on_steps(norms.A(difference).max(axis=1) + error.A[1:]),
         B=on_steps(norms.B(difference).max(axis=1) + error.B[1:]),
@@ -135,11 +136,11 @@ class _Error(NamedTuple):
     B: np.ndarray
 
 
-def _growth(norms: Norms, t: np.ndarray, found: Residuals) -> _Error:
+def _growth(norms: Norms, t: np.ndarray, integrals: Residuals) -> _Error:
     """The theorem, step by step: the smallest of its bounds at each node."""
-    gaps, squares = found.gaps, found.squares
+    gaps, squares = integrals.gaps, integrals.squares
     if norms.rate_independent:
-        R = np.maximum.accumulate(found.largest) + np.cumsum(found.turning)
+        R = np.maximum.accumulate(integrals.largest) + np.cumsum(integrals.turning)
         error = np.append(0.0, R + np.sqrt(R**2 + np.cumsum(gaps)))
         return _Error(error, error)
     once = np.sqrt(np.diff(t) * (gaps + squares))  # Cauchy and Schwarz: int sqrt(2 G + |r|^2)

@@ -196,10 +196,10 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     if rho is None:
         return "B is not a multiple of A"
     moved = motion(process.C)
-    found = _selected(moved)
-    if isinstance(found, str):
-        return found
-    selection, terms = found
+    selected = _selected(moved)
+    if isinstance(selected, str):
+        return selected
+    selection, terms = selected
     few = selection.unknowns
     A = Elimination(process.A, few, process.metric.order)
     influences = [influence(A, f) for _, f in terms]
