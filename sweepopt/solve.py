@@ -13,17 +13,16 @@ from sweepopt.errors import InputError, PathError, Status, StepError, shown
 from sweepopt.integrate import (
     MEMORY,
     Adaptive,
+    AdaptiveResult,
     Bar,
     Callback,
     Checkpoint,
     Checkpoints,
-    Frame,
     Keeper,
     Lift,
     Observers,
-    Refined,
     Scheme,
-    Walked,
+    Segments,
     adapt,
     check_stability,
     checkpoints,
@@ -159,12 +158,18 @@ def solve(
             raise InputError("checkpoint= is for one run, but error= takes several; give steps")
         return _refined(process, asked, error, callback, progress)
     ready = _checked(process, asked, callback, checkpoint, progress)
-    walked, refined = ready.walked, Refined(())
-    if ready.frame:
-        walked, refined = adapt(
-            ready.frame, ready.process, walked.plan, save, ready.memory, ready.bar.update
+    walked = ready.walked
+    if ready.segments:
+        walked = adapt(
+            steps,
+            ready.segments,
+            ready.process,
+            walked.plan,
+            save,
+            ready.memory,
+            ready.bar.update,
         )
-    return _moved(ready, walked, refined, callback, on_failure)
+    return _moved(ready, walked, callback, on_failure)
 
 
 class _Asked(NamedTuple):
@@ -183,11 +188,11 @@ class _Asked(NamedTuple):
 
 
 class _Ready(NamedTuple):
-    """A run that may start: all of it is checked. `frame` is that of adaptive steps."""
+    """A run that may start: all of it is checked. `segments` are those of adaptive steps."""
 
     process: SweepingProcess
-    frame: Frame | None
-    walked: Walked
+    segments: Segments | None
+    walked: AdaptiveResult
     memory: float
     marks: Checkpoints | None
     bar: Bar
@@ -221,22 +226,24 @@ def _checked(
     tol = number("tol", asked.tol, minimum=0.0, strict=True)
     memory = number("memory", asked.memory, minimum=0.0, strict=True)
     scheme = _scheme(asked, process.rate_independent)
-    frame = None
+    segments = None
     if isinstance(asked.steps, Adaptive):
-        frame = Frame(asked.steps, process, asked.t_end, scheme, asked.save)
-    times, mus = frame.grid() if frame else time_grid(asked.t_end, asked.steps)
+        segments = Segments.of(asked.steps, process, asked.t_end, scheme, asked.save)
+        times, mus = time_grid(None, segments.equal())
+    else:
+        times, mus = time_grid(asked.t_end, asked.steps)
     members = process.check(evaluation_times(times, mus, scheme))
     plan = make_plan(process, members, scheme, asked.solver, tol, asked.path)
-    if frame:
+    if segments:
         plan = plan.of_all_unknowns("its coefficients need all steps beforehand, these adapt")
     elif plan.reduction and asked.path == "auto" and not plan.reduction.suits(mus, scheme, tol):
         plan = plan.of_all_unknowns("the steps differ so much that short ones would be rounding")
-    walked = Walked(times, mus, plan, saving(asked.save, times, plan.entering, memory))
+    walked = AdaptiveResult(times, mus, plan, saving(asked.save, times, plan.entering, memory))
     process.check_start(float(times[0]))
     check_stability(process, scheme, float(mus.max()), asked.on_unstable)
     marks = checkpoints(checkpoint, process, plan, times, asked._asdict())
-    bar = Bar(progress, None if frame else len(mus), marks.done if marks else 0)
-    return _Ready(process, frame, walked, memory, marks, bar)
+    bar = Bar(progress, None if segments else len(mus), marks.done if marks else 0)
+    return _Ready(process, segments, walked, memory, marks, bar)
 
 
 def _scheme(asked: _Asked, rate_independent: bool) -> Scheme:
@@ -253,7 +260,7 @@ def _scheme(asked: _Asked, rate_independent: bool) -> Scheme:
 
 
 def _moved(
-    ready: _Ready, walked: Walked, refined: Refined, callback: Callback | None, on_failure: str
+    ready: _Ready, walked: AdaptiveResult, callback: Callback | None, on_failure: str
 ) -> Solution:
     """The run over the grid that was walked last, unless that was all there is to it."""
     process, marks = ready.process, ready.marks
@@ -270,8 +277,8 @@ def _moved(
             keeper = Keeper(wanted.steps, moved.u0)
             prove = lift.prove if plan.reduction else None
             run = move(times, walked.mus, keeper, observers.look, prove)
-        if refined.cause and run.done == len(walked.mus):
-            run.status, run.cause = Status.INEXACT, refined.cause
+        if walked.cause and run.done == len(walked.mus):
+            run.status, run.cause = Status.INEXACT, walked.cause
         failed = run.status in (Status.INEXACT, Status.SWITCHING) and on_failure == "raise"
         finished = not failed
     finally:
@@ -295,5 +302,5 @@ def _moved(
         cause=run.cause,
         exact=lift.trajectory(run.exact),
         recorded=None if wanted.function is None else recorded,
-        passes=refined.passes,
+        passes=walked.passes,
     )

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from sweepopt.integrate.adaptive import (
     Adaptive,
+    AdaptiveResult,
     Pass,
-    Refined,
-)
-from sweepopt.integrate.adaptive_driver import (
-    Frame,
-    Walked,
+    Segments,
     adapt,
 )
 from sweepopt.integrate.checkpoint import (
@@ -75,24 +72,23 @@ __all__ = [
     "MEMORY",
     "SCHEMES",
     "Adaptive",
+    "AdaptiveResult",
     "Bar",
     "Callback",
     "Checkpoint",
     "Checkpoints",
     "Continued",
-    "Frame",
     "Keeper",
     "Lift",
     "Observers",
     "Pass",
-    "Refined",
     "Scheme",
+    "Segments",
     "States",
     "Statistics",
     "StepInfo",
     "Stored",
     "Trajectory",
-    "Walked",
     "about_computer",
     "adapt",
     "check_stability",
