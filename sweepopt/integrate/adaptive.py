@@ -14,9 +14,8 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,19 +31,20 @@ from sweepopt.integrate.step import Velocities
 from sweepopt.linalg import EPS
 from sweepopt.loads import Separable
 from sweepopt.problem import SweepingProcess
-from sweepopt.sets import MovingSet
+from sweepopt.sets import AnySet, MovingSet
 from sweepopt.velocity import Plan
 
 STEPS = 1_000_000  # of the finest pass: hours
 PASSES = 24  # 24 times at least 1.2 more steps; no run of the study had more than 9
-FIRST = 16  # steps of the first pass,
+FIRST, BLIND = 16, 40  # steps of the first pass, and where the load is a function of which
+# nothing is known but its values,
 A_PERIOD, A_PIECE = 5, 2  # in each period of the data, between breakpoints: a second difference
-AIM, ACCEPTED = 0.8, 1.0  # errors in units of tol: estimates scatter by about a third
+AIM, ACCEPTED = 0.65, 0.9  # estimates in units of tol: the errors of one run in ten are greater
 FARTHEST = 6.0  # times the steps of a pass to which its differences say where they are needed
 RESOLVED = 0.02  # the error of a first pass that has seen the motion, in units of the way u goes
-HIDDEN = 1 / 12  # of jump times step: the mean error of a kink anywhere in a half step beside it
+HIDDEN = 1 / 8  # of velocity times step: the way of a slip in half a step that grows to velocity
 GRADED = 0.4  # no step is longer than 1 / 0.4 of the mean one: where nothing is seen, something may
-RISES = 4  # passes one after the other that overshoot, each with a greater error, lead nowhere
+RISES = 4  # passes that overshoot, and have a greater error than one so many before, lead nowhere
 PROGRAM_SHARE = 0.05  # of tol that inexact programs may take
 EXACT = 1e-9  # no certificate below it is asked for: programs reach it on every scene
 
@@ -74,8 +74,8 @@ class Adaptive:
     tol : float
         The global error, in the units of |u|_A. It is estimated, not proved.
     first : float, optional
-        Longest step, t_end / 16 by default. An event of a callable load that is shorter than the
-        steps can pass unseen between them: make `first` as short as it.
+        Longest step, t_end / 16 by default, t_end / 40 where the load is a function. An event of
+        such a load that is shorter than the steps can pass unseen: make `first` as short as it.
     minimum : float, optional
         Shortest step, t_end 2^-40 by default.
 
@@ -129,13 +129,17 @@ class Segments:
         if t_end is None:
             raise InputError("t_end is missing; Adaptive steps need it")
         end = number("t_end", t_end, minimum=0.0, strict=True)
-        longest = min(end / FIRST if steps.first is None else steps.first, end / 4)
+        histories = _histories(process.C)
+        known = all(hasattr(history, "breakpoints") for history in histories)
+        longest = min(
+            end / (FIRST if known else BLIND) if steps.first is None else steps.first, end / 4
+        )
+        longest = min([longest, *(h.period / A_PERIOD for h in histories if hasattr(h, "period"))])
         if scheme.explicit and process.B is not None and process.Lam > 0:
             longest = min(longest, 1 / process.Lam)
         breakpoints = np.array([0.0, end])
         if isinstance(process.C, MovingSet):
             breakpoints = _apart(np.append(breakpoints, process.C.breakpoints(0.0, end)))
-            longest = min([longest, *(period / A_PERIOD for period in _periods(process.C))])
         cuts = breakpoints
         if is_times(save):
             times = vector("save", save)  # `saving` refuses those that are not between 0 and end
@@ -155,27 +159,23 @@ class Segments:
         return _parts(self.cuts, counts)
 
     def refined(self, density: Density, goal: float) -> np.ndarray:
-        """The coarsest grid of some that follow the density with local errors of `goal` in sum.
+        """The coarsest grid that has local errors of `goal` in sum.
 
-        Steps twice as long have 2^(r+1) times the local error: how many equal parts a segment has
-        before they are halved is tried, so that few steps are shorter than they need be.
+        Of those that follow the density in halves of halves of the first steps, and of equal steps,
+        which can be fewer where nearly all are halved.
         """
-        r, span = density.order, float(self.cuts[-1] - self.cuts[0])
-        scale = (goal / density.sum(r + 1)) ** (1 / r)
-        best = self.equal(scale)  # where all steps were halved, equal ones take fewer
-        scale = (goal / density.sum(1)) ** (1 / r)
-        for shift in (0.0, 0.25, 0.5, 0.75):
-            parts = span / self.longest.max() * 2**shift
-            base = _parts(self.cuts, np.diff(self.cuts) / span * parts)
-            low, high = scale, 2.5 * scale  # halving makes steps 2^(1/2) times shorter in the mean
-            for _ in range(6):
-                times = self._halved(base, density, math.sqrt(low * high))
-                if density.errors(times) > goal:
-                    high = math.sqrt(low * high)
-                    continue
-                low = math.sqrt(low * high)
-                if len(times) < len(best):
-                    best = times
+        r = density.order
+        best = self.equal((goal / density.sum(r + 1)) ** (1 / r))
+        scale = (goal / density.sum(1)) ** (1 / r)  # halving makes steps shorter than that
+        base, low, high = self.equal(), scale, 2.5 * scale
+        for _ in range(6):
+            middle = math.sqrt(low * high)
+            times = self._halved(base, density, middle)
+            if density.errors(times) > goal:
+                high = middle
+            else:
+                low = middle
+                best = min(best, times, key=len)
         return best
 
     def _halved(self, base: np.ndarray, density: Density, scale: float) -> np.ndarray:
@@ -213,16 +213,11 @@ class Density:
 
     @classmethod
     def of(cls, estimator: ErrorEstimator) -> Density:
-        """From the local errors in both halves of each step, and from jumps beside them."""
-        times, r = estimator.times, estimator.model.order
-        h, middle = np.diff(times), 0.5 * (times[1:] + times[:-1])
-        local, jumps = estimator.leading.copy(), HIDDEN * estimator.jumps
-        local[:, 1] = np.maximum(local[:, 1], jumps / h**r)
-        local[1:, 0] = np.maximum(local[1:, 0], jumps[:-1] / h[1:] ** r)
-        edges = np.append(times[0], np.column_stack([middle, times[1:]]).ravel())
-        rho = local.ravel() ** (1 / (r + 1))
-        mean = float(rho @ np.diff(edges)) / (edges[-1] - edges[0])
-        return cls(edges, np.maximum(rho, GRADED * mean) if mean > 0 else np.ones(2 * len(h)), r)
+        """From the local errors of each step."""
+        r, h = estimator.model.order, np.diff(estimator.times)
+        rho = estimator.leading ** (1 / (r + 1))
+        mean = float(rho @ h) / float(h.sum())
+        return cls(estimator.times, np.maximum(rho, GRADED * mean) if mean > 0 else 0 * h + 1, r)
 
     def sum(self, power: int) -> float:
         """The integral of rho^power."""
@@ -297,7 +292,13 @@ class _Passes:
             for i, t, u, rest in estimator.probes:
                 gamma = float(mus[i]) * plan.scheme.a[-1][-1] if process.B is not None else 0.0
                 z = np.where(rest, self._programs(gamma)(u, process.C.at(t)).velocity.z, 0.0)
-                estimator.jumps[i] = max(estimator.jumps[i], self._model.norms(z[None])[0])
+                hidden = HIDDEN * float(mus[i] * self._model.norms(z[None])[0])
+                estimator.error = max(estimator.error, hidden)
+                r = self._model.order
+                beside = slice(i, i + 2)  # it may be in either of the steps
+                estimator.leading[beside] = np.maximum(
+                    estimator.leading[beside], hidden / mus[beside] ** (r + 1)
+                )
         return estimator, run
 
     def certify(self, tol: float) -> None:
@@ -345,18 +346,15 @@ def adapt(
     while True:
         began, n = clock.perf_counter(), len(times) - 1
         estimator, run = moved.walk(times, probing=resting)
-        error = math.nan
-        if run.status in (Status.SUCCESS, Status.UNCERTIFIED):
-            beside = np.append(np.diff(times), 0.0)
-            hidden = float((estimator.jumps * (beside[1:] + beside[:-1])).max())
-            error = estimator.error + HIDDEN * hidden
+        walked = run.status in (Status.SUCCESS, Status.UNCERTIFIED)
+        error = estimator.error if walked else math.nan
         passes.append(Pass(run.done, error, clock.perf_counter() - began))
         resting = estimator.length == 0
         result = replace(moved.last, passes=tuple(passes))
         accepted = ACCEPTED * tol
         if len(passes) == 1:  # it has no other one to be better than
             accepted = min(0.5 * tol, RESOLVED * estimator.length)
-        if math.isnan(error) or (error <= accepted and (error > 0 or len(passes) > 1)):
+        if not walked or (error <= accepted and (error > 0 or len(passes) > 1)):
             return result
         if tol < EPS * estimator.size:
             return replace(result, cause=_below_rounding(tol, EPS * estimator.size))
@@ -384,15 +382,17 @@ def is_times(save: Any) -> bool:
     return not isinstance(save, str) and not callable(save) and axes(save) == 1
 
 
-def _periods(C: MovingSet) -> list[float]:
-    """Those of the histories that C(t) moves with, as far as they are data."""
-    loads: Iterable[Any] = (getattr(C, name, None) for name in ("center", "scale", "offsets"))
-    histories = [
+def _histories(C: AnySet) -> list[Any]:
+    """The functions of time that C(t) moves with."""
+    loads = [getattr(C, name, None) for name in ("center", "scale", "offsets")]
+    if type(C) is MovingSet:
+        loads = [C.at]
+    return [
         history
         for load in loads
+        if callable(load)
         for history in ([phi for phi, _ in load.terms] if isinstance(load, Separable) else [load])
     ]
-    return [history.period for history in histories if hasattr(history, "period")]
 
 
 def _parts(cuts: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -435,7 +435,7 @@ def _failure(times: np.ndarray, shortest: float, n: int, passes: list[Pass], ove
     if step < shortest:
         return f"a step shorter than minimum = {shortest:g} is needed; {advice}"
     errors = [one.error for one in passes]
-    if overshot and len(passes) > RISES and all(a < b for a, b in pairwise(errors[-RISES - 1 :])):
+    if overshot and len(passes) > RISES and errors[-1] > errors[-1 - RISES]:
         return (
             f"the estimated error, {errors[-1]:.2g} with {n} steps, rises with "
             "shorter steps: they overshoot; take implicit-euler, which never does"

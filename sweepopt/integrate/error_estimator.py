@@ -33,7 +33,7 @@ STIFF = 1e6  # h |J| that is as good as infinite: R has its limit to six digits
 CURVED = 1.5  # a kink changes the slope by more than this times what the curvature beside it does
 OUTSIDE = 0.1  # of a gap that a kink may seem to be outside of it: velocities have errors too
 EARLY = 0.5  # of a step that a stop may seem to be before it, for the same reason
-STAGES = 1.35  # an error counts for more where z is the mean of stages, not the velocity half way:
+STAGES = 1.5  # an error counts for more where z is the mean of stages, not the velocity half way:
 # kinks are located less well, and without it a fifth of the runs kept back missed the tolerance
 TURN = 0.25  # of jump times step: the largest error of a motion that stops or turns at once
 GOLDEN = 0.5 * (math.sqrt(5) - 1)  # its multiples modulo 1 fall into step with no period
@@ -46,17 +46,13 @@ class LocalErrors(NamedTuple):
     ----------
     local, damping : ndarray, shape (m, dim)
         e_{i+1} = damping_i e_i + local_i.
-    leading : ndarray, shape (m, 2)
-        |d| / h^(r+1) in the mean over all places of a kink, in both halves of each step.
-    jumps : ndarray, shape (m,)
-        Of the velocity between a step and the next one, where there is a breakpoint: the exact one
-        has none, so that there is a kink in the half of a step beside it.
+    leading : ndarray, shape (m,)
+        |d| / h^(r+1) in the mean over all places of a kink.
     """
 
     local: np.ndarray
     damping: np.ndarray
     leading: np.ndarray
-    jumps: np.ndarray
 
 
 class Probe(NamedTuple):
@@ -108,7 +104,7 @@ class ErrorModel:
         quotients, window = slopes, _windows(segment, r)
         if r == 2:
             quotients = np.diff(slopes, axis=0) / (0.5 * (middle[2:] - middle[:-2]))[:, None]
-        leading = abs(self._p) * _halves(self.norms(quotients), window, segment, r)
+        leading = abs(self._p) * self.norms(quotients)[window]
         rates = self._rates(z)
         damping, own = self._stability(np.minimum(h * rates, STIFF))
         damping = np.where(z != 0, damping[:, None], 1.0)
@@ -118,24 +114,22 @@ class ErrorModel:
                 local = _stops(times, z, segment, TURN * local)
             else:
                 local *= self._p
-            return LocalErrors(local, damping, leading, np.zeros(len(z)))
+            return LocalErrors(local, damping, leading)
 
-        jumps = np.zeros(len(z))
         lower = z
         if r == 2:
-            jumps[:-1] = self._jumps(h, z, slopes, segment)
             steps = np.arange(len(z))
             left, right = np.maximum(steps - 1, window), np.minimum(steps, window + 1)
             lower = 0.5 * (slopes[left] + slopes[right])
         drift = np.minimum(rates, STIFF / h) * self._q
-        leading = own[:, None] * (leading + np.abs(drift * self.norms(lower))[:, None])
+        leading = own * (leading + np.abs(drift * self.norms(lower)))
         local = np.zeros_like(z)
         if r == 2:
             local, quotients = self._kinks(times, z, quotients, segment)
         local += (h**3 if r == 2 else h**2)[:, None] * (
             self._p * quotients[window] - drift[:, None] * lower
         )
-        return LocalErrors(own[:, None] * local, damping, leading, jumps)
+        return LocalErrors(own[:, None] * local, damping, leading)
 
     def _rates(self, z: np.ndarray) -> np.ndarray:
         """-J along the velocities."""
@@ -155,16 +149,6 @@ class ErrorModel:
             own /= 1 + x * row[-1]
             stages.append((1 - x * known) / (1 + x * row[-1]))
         return 1 - x * sum(b * stage for b, stage in zip(self._b, stages, strict=True)), own
-
-    def _jumps(
-        self, h: np.ndarray, z: np.ndarray, slopes: np.ndarray, segment: np.ndarray
-    ) -> np.ndarray:
-        """Of the velocity at breakpoints, as the lines through both sides continue to there."""
-        same = segment[1:] == segment[:-1]
-        inner, none = np.where(same[:, None], slopes, 0.0), np.zeros_like(z[:1])
-        before = z + 0.5 * h[:, None] * np.vstack([none, inner])
-        after = z - 0.5 * h[:, None] * np.vstack([inner, none])
-        return np.where(same, 0.0, self.norms(after[1:] - before[:-1]))
 
     def _kinks(
         self, times: np.ndarray, z: np.ndarray, quotients: np.ndarray, segment: np.ndarray
@@ -228,7 +212,7 @@ class ErrorEstimator:
         The largest error on the way.
     length, size : float
         Of the way that u goes; the largest |u|.
-    leading, jumps : ndarray
+    leading : ndarray
         As in `LocalErrors`, of the whole pass.
     probes : list of Probe
     """
@@ -242,7 +226,7 @@ class ErrorEstimator:
         self._u: list[np.ndarray] = []
         self._first = self._done = 0  # the step in the first row; how many were looked at
         self.error = self.length = self.size = 0.0
-        self.leading, self.jumps = np.zeros((len(times) - 1, 2)), np.zeros(len(times) - 1)
+        self.leading = np.zeros(len(times) - 1)
         self.probes: list[Probe] = []
 
     def see(self, i: int, u: np.ndarray, z: np.ndarray) -> None:
@@ -271,7 +255,7 @@ class ErrorEstimator:
         self.error = max(self.error, model.safety * float(model.norms(errors).max()))
         self.length += float(np.diff(times)[rows] @ model.norms(z[rows]))
         self.size = max(self.size, float(model.norms(u[rows + 1]).max()))
-        self.leading[steps], self.jumps[steps] = found.leading[rows], found.jumps[rows]
+        self.leading[steps] = found.leading[rows]
         rests = np.vstack([z[:1] == 0, z == 0, z[-1:] == 0])
         for i, k in zip(steps.tolist(), rows.tolist(), strict=True):
             ends = i + 1 == len(self._segment) or self._segment[i] != self._segment[i + 1]
@@ -295,21 +279,6 @@ def _windows(segment: np.ndarray, r: int) -> np.ndarray:
     return chosen
 
 
-def _halves(sizes: np.ndarray, window: np.ndarray, segment: np.ndarray, r: int) -> np.ndarray:
-    """Sizes of r-th differences in both halves of each step.
-
-    A kink is in two differences of three steps, but in both only from the middle of one step to
-    that of the next: the lesser of both finds the place. Those across a breakpoint count only where
-    a segment has none of its own.
-    """
-    own = np.where(segment[r:] == segment[:-r], sizes, np.inf)
-    gaps = own if r == 1 else np.minimum(np.append(np.inf, own), np.append(own, np.inf))
-    gaps = np.where((segment[1:] != segment[:-1]) | np.isinf(gaps), np.nan, gaps)
-    halves = np.column_stack([np.append(np.nan, gaps), np.append(gaps, np.nan)])
-    halves = np.where(np.isnan(halves), halves[:, ::-1], halves)
-    return np.where(np.isnan(halves), sizes[window][:, None], halves)
-
-
 def _share(sizes: np.ndarray, sums: np.ndarray) -> np.ndarray:
     """The second one's share of the sum of two vectors, from the norms; nan where there is none."""
     shares = np.full_like(sums, np.nan)
@@ -322,7 +291,7 @@ def _stops(times: np.ndarray, z: np.ndarray, segment: np.ndarray, most: np.ndarr
     """Local errors at A = 0 with flat faces: only where unknowns stop or turn, else 0.
 
     The velocities of the two steps before it say where: there the line through them is 0, and u has
-    gone the way until there. Where they do not say it, the error is `most`, that of the worst place.
+    gone the way until there. Where they do not say it, it is `most`, the error at the worst place.
     """
     stops = z != 0
     stops[:-1] &= z[1:] * z[:-1] <= 0
