@@ -41,6 +41,7 @@ FIRST, BLIND = 16, 40  # steps of the first pass, and where the load is a functi
 A_PERIOD, A_PIECE = 5, 2  # in each period of the data, between breakpoints: a second difference
 AIM, ACCEPTED = 0.65, 0.9  # estimates in units of tol: the errors of one run in ten are greater
 FARTHEST = 6.0  # times the steps of a pass to which its differences say where they are needed
+LEAST = 1.1  # times the steps of a pass that the next one has
 RESOLVED = 0.02  # the error of a first pass that has seen the motion, in units of the way u goes
 HIDDEN = 1 / 8  # of velocity times step: the way of a slip in half a step that grows to velocity
 GRADED = 0.4  # no step is longer than 1 / 0.4 of the mean one: where nothing is seen, something may
@@ -371,6 +372,9 @@ def adapt(
         if wanted > FARTHEST * n:  # one pass between
             goal *= (wanted / n / min(max(0.2 * wanted / n, 2.0), 4.0)) ** density.order
         times = segments.refined(density, goal)
+        while len(times) < LEAST * n:  # an error that its steps' differences do not show
+            goal *= 0.5
+            times = segments.refined(density, goal)
         cause = _failure(times, shortest, n, passes, run.overshot is not None)
         if cause:
             result = moved.until(float(times[np.argmin(np.diff(times))]))
