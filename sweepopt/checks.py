@@ -18,8 +18,8 @@ HUGE = 1e75
 """Numbers beyond this overflow when a few of them are multiplied."""
 TIME_SLACK = 1e-12
 """Share of the time scale by which a time may miss a node or a range: rounding of t0 + i mu."""
-MOST = 10**9
-"""Unknowns: no vector of more of them fits in memory."""
+MOST_UNKNOWNS = 10**9
+"""A vector of more of them takes 8 GB, and a step needs a few."""
 
 
 def number(name: str, value: Any, minimum: float | None = None, strict: bool = False) -> float:
@@ -69,10 +69,12 @@ def count(name: str, value: Any, least: int = 1) -> int:
 
 def dimension(dim: Any) -> int:
     """A positive whole number of unknowns."""
-    found = count("dim", dim)
-    if found > MOST:
-        raise InputError(f"dim is {shown(found)}, more than {MOST:.0e}; no vector fits in memory")
-    return found
+    size = count("dim", dim)
+    if size > MOST_UNKNOWNS:
+        raise InputError(
+            f"dim is {shown(size)}, more than {MOST_UNKNOWNS:.0e}; no vector fits in memory"
+        )
+    return size
 
 
 def choice(name: str, value: Any, allowed: Iterable[str]) -> str:
@@ -207,8 +209,8 @@ class _Entry(NamedTuple):
     value: float
 
 
-def _first(value: Matrix, found: Callable[[np.ndarray], np.ndarray]) -> _Entry:
-    """The first stored entry for which `found` holds."""
+def _first(value: Matrix, condition: Callable[[np.ndarray], np.ndarray]) -> _Entry:
+    """The first stored entry for which a condition holds."""
     entries = sp.coo_array(value)
-    k = int(np.flatnonzero(found(entries.data))[0])
+    k = int(np.flatnonzero(condition(entries.data))[0])
     return _Entry(int(entries.row[k]), int(entries.col[k]), float(entries.data[k]))

@@ -1,17 +1,16 @@
-"""The command line: ``sweepopt run SCENE``, ``list``, ``study``, ``compare`` and ``bench``.
+"""The command line: ``sweepopt run SCENE``, ``list``, ``study`` and ``compare``.
 
-Thin on purpose: it parses, runs, and hands the run to `store` and `plot`. What a command needs is
-imported when it runs, so that the list works with the core install.
+It parses, runs, and hands the run to `fem.output`, `fem.netcdf` and `fem.pictures`. What a command
+needs is imported when it runs, so that the list works with the core install.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 import time as clock
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
@@ -25,8 +24,8 @@ from sweepopt.errors import (
     SweepoptWarning,
     UnstableStepError,
 )
-from sweepopt.fem import library
 from sweepopt.integrate import schemes
+from sweepopt.io import find_scene, list_problems, replacing
 from sweepopt.velocity import solvers
 
 if TYPE_CHECKING:
@@ -37,17 +36,12 @@ if TYPE_CHECKING:
 DONE, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
 """Exit codes; INCOMPLETE: a step missed tol, what was certified before it is written."""
 
-NEEDED = {
-    "skfem": ("scikit-fem", "fem"),
-    "xarray": ("xarray", "fem"),
-    "h5netcdf": ("h5netcdf", "fem"),
-    "h5py": ("h5py", "fem"),
-    "matplotlib": ("matplotlib", "plot"),
-    "pandas": ("pandas", "study"),
-    "threadpoolctl": ("threadpoolctl", "study"),
-    "mpmath": ("mpmath", "study"),
+EXTRAS = {
+    "fem": ("skfem", "xarray", "h5netcdf", "h5py"),
+    "plot": ("matplotlib",),
+    "study": ("pandas", "threadpoolctl", "mpmath", "matplotlib", "plotly"),
 }
-"""Packages whose absence would only show when a long run is over, and who brings them."""
+"""Packages whose absence would only show when a long run is over, by the extra that brings them."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -107,51 +101,19 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("scene", metavar="SCENE", help="a TOML file, a name, or as P09 in studies")
     compare.add_argument("--steps", type=int, default=50, help="of the run that has the programs")
     compare.add_argument("--csv", type=Path, metavar="FILE", help="write the rows too")
-
-    bench = commands.add_parser("bench", help="time every path against loops by hand")
-    bench.set_defaults(command=_bench)
-    bench.add_argument(
-        "--cells", type=int, nargs="+", default=[32, 100], help="cells a side of the square"
-    )
-    bench.add_argument("--steps", type=int, default=50)
-    bench.add_argument("--rounds", type=int, default=3, help="each path runs once a round")
-    bench.add_argument("--only", nargs="+", metavar="PATH", help="the paths to run")
-    bench.add_argument("--memory", action="store_true", help="peak memory too, on Linux")
-    bench.add_argument("--csv", type=Path, metavar="FILE", help="write the rows too")
     return parser
 
 
 def _list(_: argparse.Namespace) -> int:
-    problems = library.list_problems()
+    problems = list_problems()
     width = max(map(len, problems), default=0)
     for name, title in problems.items():
         print(f"{name:<{width}}  {title}".rstrip())
     return DONE
 
 
-def _bench(chosen: argparse.Namespace) -> int:
-    _require_packages(["skfem"])
-    from sweepopt.study import Row, bench, table
-
-    if chosen.csv is not None:
-        chosen.csv.touch()  # says so now if it cannot be written
-    rows = bench(
-        chosen.cells,
-        steps=chosen.steps,
-        rounds=chosen.rounds,
-        only=chosen.only,
-        memory=chosen.memory,
-        progress=lambda words: print(words, file=sys.stderr),
-    )
-    print(table(rows))
-    if chosen.csv is not None:
-        with chosen.csv.open("w", newline="") as file:
-            csv.writer(file).writerows([Row._fields, *rows])
-    return DONE
-
-
 def _study(chosen: argparse.Namespace) -> int:
-    _require_packages(["pandas", "threadpoolctl", "matplotlib", "mpmath"])
+    _require("study")
     from sweepopt.study.commands import study_command
 
     study_command(chosen)
@@ -159,7 +121,7 @@ def _study(chosen: argparse.Namespace) -> int:
 
 
 def _compare(chosen: argparse.Namespace) -> int:
-    _require_packages(["pandas", "threadpoolctl"])
+    _require("study")
     from sweepopt.study.commands import compare_command
 
     compare_command(chosen)
@@ -167,11 +129,11 @@ def _compare(chosen: argparse.Namespace) -> int:
 
 
 def _run(chosen: argparse.Namespace) -> int:
-    _require_packages()
+    _require("fem", "plot")
     from sweepopt.fem import read_scene
     from sweepopt.fem.output import make_report
 
-    path = library.find_scene(chosen.scene)
+    path = find_scene(chosen.scene)
     given = {name: getattr(chosen, name) for name in ("steps", "scheme", "solver", "tol")}
     scene = read_scene(path)
     scene = replace(scene, **{name: value for name, value in given.items() if value is not None})
@@ -190,7 +152,7 @@ def _run(chosen: argparse.Namespace) -> int:
     text = path.read_text(encoding="utf-8")
     report = make_report(scene, solution, name=path.stem, text=text, seconds=seconds)
     files = _write(report, folder)
-    _close(report, folder, files)
+    _conclude(report, folder, files)
     return _exit_code(solution)
 
 
@@ -203,38 +165,41 @@ def _announce(scene: Scene) -> None:
     plan = make_plan(process, [(0.0, process.C.at(0.0))], scheme, scene.solver, scene.tol)
     if scene.title:
         print(scene.title)
-    print(f"time                0 to {scene.t_end:g}{_second(scene)} in {scene.steps} steps")
+    seconds = " s" if scene.units == "SI" else ""
+    print(f"time                0 to {scene.t_end:g}{seconds} in {scene.steps} steps")
     # the scene's own words for what it leaves out
     print(replace(plan, left_out=scene.left_out), flush=True)
 
 
 def _write(report: Report, folder: Path) -> list[str]:
     """Write all files of a run; their names relative to the folder, the summary last."""
-    from sweepopt import plot
-    from sweepopt.fem import output as store
+    from sweepopt.fem import netcdf, output, pictures
 
-    scene, solution, slip = report.scene, report.solution, report.slip
-    pictures = {"displacement.png": plot.displacement_figure(scene, solution, slip)}
-    if slip is not None:
-        pictures["contact.png"] = plot.contact_figure(scene, slip)
-    store.write_netcdf(report, folder / "solution.nc")
-    for name, figure in pictures.items():
-        with store.replacing(folder / name) as part:
+    figures = {"displacement.png": pictures.displacement_figure(report)}
+    if report.slip is not None:
+        figures["contact.png"] = pictures.contact_figure(report)
+    netcdf.write_netcdf(report, folder / "solution.nc")
+    for name, figure in figures.items():
+        with replacing(folder / name) as part:
             figure.savefig(part)
-    series = [path.relative_to(folder).as_posix() for path in store.write_vtu(report, folder)]
-    files = ["solution.nc", *pictures, *series]
-    store.write_summary(report, folder, files)
-    return [*files, store.SUMMARY]
+    series = [path.relative_to(folder).as_posix() for path in output.write_vtu(report, folder)]
+    files = ["solution.nc", *figures, *series]
+    output.write_summary(report, folder, files)
+    return [*files, output.SUMMARY]
 
 
-def _close(report: Report, folder: Path, files: Sequence[str]) -> None:
+def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:
     """Print how the run went and where its files are."""
-    solution, scene, energy = report.solution, report.scene, report.energy
+    solution, energy = report.solution, report.energy
+    units = {
+        name: f" {unit}" if unit != "1" else "" for name, unit in report.units._asdict().items()
+    }
+    second, meter, joule = units["time"], units["length"], units["energy"]
     lines = {
         "status": solution.message,
-        "reached": f"t = {solution.t[-1]:g}{_second(scene)} in {len(solution.steps)} steps, "
+        "reached": f"t = {solution.t[-1]:g}{second} in {len(solution.steps)} steps, "
         f"{report.seconds:.3g} s of computing",
-        "max displacement": f"{abs(solution.u).max():.4g}{_unit(report.units.length)}",
+        "max displacement": f"{abs(solution.u).max():.4g}{meter}",
     }
     if report.slip is not None:
         slip = report.slip.statistics()
@@ -242,16 +207,16 @@ def _close(report: Report, folder: Path, files: Sequence[str]) -> None:
         if slip.time_of_most is not None:
             lines["slip"] = (
                 f"{100 * slip.ever:.0f} % of the contact slips at some time, "
-                f"{100 * slip.most:.0f} % at once, t = {slip.time_of_most:g}{_second(scene)}"
+                f"{100 * slip.most:.0f} % at once, t = {slip.time_of_most:g}{second}"
             )
     lines["energy"] = (
-        f"work {energy.work[-1]:.4g}{_unit(report.units.energy)} = stored {energy.stored[-1]:.4g} "
+        f"work {energy.work[-1]:.4g}{joule} = stored {energy.stored[-1]:.4g} "
         f"+ viscous {energy.viscous[-1]:.4g} + friction {energy.friction[-1]:.4g}, "
         f"balance {energy.balance[-1]:.1e}"
     )
     lines["worst certificate"] = f"{solution.stats['relative'].max():.1e} (relative)"
-    shown = [name for name in files if not name.endswith(".vtu")]
-    lines["written"] = f"{folder}: {', '.join(shown)}"
+    named = [name for name in files if not name.endswith(".vtu")]
+    lines["written"] = f"{folder}: {', '.join(named)}"
     print("\n".join(f"{name:<18}  {words}" for name, words in lines.items()))
 
 
@@ -261,20 +226,12 @@ def _exit_code(solution: Solution) -> int:
     return DONE if solution.success else INCOMPLETE
 
 
-def _second(scene: Scene) -> str:
-    return " s" if scene.units == "SI" else ""
-
-
-def _unit(unit: str) -> str:
-    return "" if unit == "1" else f" {unit}"
-
-
-def _require_packages(modules: Iterable[str] = NEEDED) -> None:
+def _require(*extras: str) -> None:
     """Refuse before the run, not after it."""
-    for module in modules:
-        package, extra = NEEDED[module]
-        if find_spec(module) is None:
-            raise MissingExtraError(package, extra)
+    for extra in extras:
+        for module in EXTRAS[extra]:
+            if find_spec(module) is None:
+                raise MissingExtraError({"skfem": "scikit-fem"}.get(module, module), extra)
 
 
 @contextmanager

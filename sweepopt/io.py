@@ -1,17 +1,17 @@
-"""Files: what users write, tables, records with checksums, files replaced as a whole."""
+"""Files: text and tables that users write, the problems of the library, files replaced as a whole.
+
+A file that cannot be read is an `InputError` that names the file, the place in it and the fault; a
+file that is written takes its place only when it is complete.
+"""
 
 from __future__ import annotations
 
 import csv
-import hashlib
 import json
 import math
 import os
 import re
-import struct
 import tomllib
-import zipfile
-import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import metadata
@@ -22,6 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweepopt.errors import DamagedFileError, InputError, shown
+
+Array = NDArray[np.float64]
+
+
+# ---- paths and text ----
 
 
 def as_path(name: str, value: Any) -> Path:
@@ -91,7 +96,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     return parse_toml(str(path), read_text(path, ", as TOML must be"))
 
 
-Array = NDArray[np.float64]
+# ---- tables ----
 
 
 def read_columns(path: str | Path, *names: str) -> tuple[Array, list[int]]:
@@ -166,6 +171,84 @@ def _number(where: str, cell: str) -> float:
     return value
 
 
+# ---- problems that come with the library: one scene or study a TOML file, its data beside it ----
+
+
+def list_problems() -> dict[str, str]:
+    """Titles of the problems by their names.
+
+    Examples
+    --------
+    >>> "tube" in list_problems()
+    True
+    """
+    return {
+        path.stem: str(tomllib.loads(path.read_text(encoding="utf-8")).get("title", ""))
+        for path in sorted(_problems().glob("*.toml"))
+    }
+
+
+def find_problem(name: str) -> Path:
+    """The scene file of a problem.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name; the message lists those there are.
+
+    Examples
+    --------
+    >>> find_problem("tube").name
+    'tube.toml'
+    """
+    return _library("*.toml", name, "a scene file nor a problem")
+
+
+def find_scene(scene: str) -> Path:
+    """The file of a scene that is given by its path or by the name of a problem."""
+    return _given(scene) or find_problem(scene)
+
+
+def find_study(study: str) -> Path:
+    """The file of a study that is given by its path or by the name of one of the library.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name; the message lists those there are.
+
+    Examples
+    --------
+    >>> find_study("accuracy").name
+    'accuracy.toml'
+    """
+    return _given(study) or _library("*/*.toml", study, "a study file nor a study")
+
+
+def _given(name: str) -> Path | None:
+    """The path that a name is."""
+    path = Path(name)
+    return path if path.suffix == ".toml" or os.path.isfile(path) else None
+
+
+def _library(pattern: str, name: str, what: str) -> Path:
+    known = {path.stem: path for path in _problems().glob(pattern)}
+    if name not in known:
+        names = ", ".join(sorted(known)) or "none"
+        raise InputError(f"{name!r} is neither {what}; there are: {names}")
+    return known[name]
+
+
+def _problems() -> Path:
+    """In an installed package sweepopt/problems, in a clone problems/ at the root."""
+    package = Path(__file__).resolve().parent
+    installed = package / "problems"
+    return installed if installed.is_dir() else package.parent / "problems"
+
+
+# ---- files replaced as a whole ----
+
+
 @contextmanager
 def replacing(path: Path, previous: Path | None = None) -> Iterator[Path]:
     """A new file that takes the place of `path` when the block ends well, and else disappears.
@@ -208,37 +291,6 @@ def put(path: Path, content: bytes) -> None:
         part.write_bytes(content)
 
 
-def sealed(content: dict[str, Any]) -> bytes:
-    """A record as JSON with its checksum."""
-    return json.dumps(
-        {"sha256": _checksum(content), "content": content}, indent=1, allow_nan=False
-    ).encode()
-
-
-def unsealed(data: bytes) -> Any:
-    """The content of a record.
-
-    Raises
-    ------
-    ValueError
-        If it is not whole.
-    """
-    try:
-        found = json.loads(data)
-        content = found["content"]
-        whole = found["sha256"] == _checksum(content)
-    except (KeyError, TypeError, RecursionError) as error:
-        raise ValueError(f"no record: {error}") from error
-    if not whole:
-        raise ValueError("the checksum does not fit")
-    return content
-
-
-def _checksum(content: Any) -> str:
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 def _force(path: Path, flags: int) -> None:
     """Wait until the disk has it."""
     handle = os.open(path, flags)
@@ -248,40 +300,23 @@ def _force(path: Path, flags: int) -> None:
         os.close(handle)
 
 
-RECORD = "record"
-PLAIN = "biuf"  # kinds of entries: truth, whole numbers, floats
-PARSING = (  # what zipfile, json and numpy raise for bytes that make no sense
-    OSError,
-    ValueError,
-    KeyError,
-    TypeError,
-    IndexError,
-    AttributeError,
-    EOFError,
-    OverflowError,
-    RuntimeError,
-    struct.error,
-    zlib.error,
-    zipfile.BadZipFile,
-)
-
-
-def write_archive(
+def write_npz(
     path: Path,
     record: dict[str, Any],
     arrays: Mapping[str, np.ndarray],
     previous: Path | None = None,
 ) -> None:
-    """Replace a file by one with these arrays of numbers; the one before it goes to `previous`."""
-    arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-    about = {name: _about(array) for name, array in arrays.items()}
-    head = np.frombuffer(sealed({"record": record, "arrays": about}), dtype=np.uint8)
+    """Replace a file by an .npz of a record (plain JSON types) and of arrays of numbers.
+
+    The file that was there before goes to `previous`.
+    """
+    text = json.dumps({**record, "arrays": list(arrays)})
     with replacing(path, previous) as part, part.open("wb") as file:
-        np.savez(file, **{RECORD: head, **arrays})  # type: ignore[arg-type]
+        np.savez(file, allow_pickle=False, **{"record": np.array(text), **arrays})
 
 
-def read_archive(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The record and the arrays.
+def read_npz(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The record and the arrays that `write_npz` wrote; each has a checksum, the zip's own.
 
     Raises
     ------
@@ -290,54 +325,17 @@ def read_archive(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     DamagedFileError
         If anything in it is not as it was written.
     """
-    stream = path.open("rb")  # what cannot be opened is not damaged
-    try:
-        with stream, zipfile.ZipFile(stream) as file:
-            members = {info.filename.removesuffix(".npy"): info for info in file.infolist()}
-            _check_sizes(list(members.values()), path.stat().st_size)
-            head = unsealed(_member(file, members.pop(RECORD), None).tobytes())
-            about = head["arrays"]
-            if set(about) != set(members):
-                raise ValueError("it has not the arrays that its record names")
-            arrays = {name: _member(file, members[name], about[name]) for name in about}
-            return head["record"], arrays
-    except PARSING as error:
-        raise DamagedFileError(f"{path} is damaged or no file of ours: {error}") from error
-
-
-def _about(array: np.ndarray) -> dict[str, Any]:
-    if array.dtype.kind not in PLAIN:
-        raise TypeError(f"arrays of {array.dtype} are not written")
-    digest = hashlib.sha256(array.data if array.size else b"").hexdigest()
-    return {"dtype": array.dtype.str, "shape": list(array.shape), "sha256": digest}
-
-
-def _check_sizes(members: list[zipfile.ZipInfo], size: int) -> None:
-    """No member takes more memory than the file has bytes."""
-    for info in members:
-        if info.compress_type != zipfile.ZIP_STORED or info.file_size != info.compress_size:
-            raise ValueError(f"{info.filename!r} is compressed")
-    if sum(info.file_size for info in members) > size:
-        raise ValueError("its arrays are larger than the file")
-
-
-def _member(file: zipfile.ZipFile, info: zipfile.ZipInfo, about: Any) -> np.ndarray:
-    """One array; `about` is what it must be, None for the record, which has no other record."""
-    with file.open(info) as stream:
-        lead = stream.read(10)
-        if lead[:8] != b"\x93NUMPY\x01\x00":
-            raise ValueError(f"{info.filename!r} is written in another format")
-        # numpy's own header is not parsed: the record has type and shape
-        stream.read(int.from_bytes(lead[8:], "little"))
-        rest = info.file_size - stream.tell()
-        about = about or {"dtype": "|u1", "shape": [rest]}
-        dtype = np.dtype(about["dtype"])
-        if dtype.kind not in PLAIN or math.prod(about["shape"]) * dtype.itemsize != rest:
-            raise ValueError(f"{info.filename!r} has another size than it should")
-        array = np.frombuffer(stream.read(), dtype).reshape(about["shape"])
-    if "sha256" in about and about != _about(array):
-        raise ValueError(f"{info.filename!r} is not what was written")
-    return array
+    with path.open("rb") as stream:
+        try:
+            with np.load(stream, allow_pickle=False) as file:
+                if any(one.compress_size != one.file_size for one in file.zip.infolist()):
+                    raise ValueError("it is compressed, so nobody knows how large it is")
+                if broken := file.zip.testzip():
+                    raise ValueError(f"the checksum of {broken} does not fit")
+                record = json.loads(file["record"].item())
+                return record, {name: file[name] for name in record.pop("arrays")}
+        except Exception as error:  # zipfile, json and numpy have no list of what they raise
+            raise DamagedFileError(f"{path} is damaged or no file of ours: {error}") from error
 
 
 def versions_of(packages: Iterable[str]) -> dict[str, str]:
@@ -348,6 +346,6 @@ def versions_of(packages: Iterable[str]) -> dict[str, str]:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             continue
-    from sweepopt import __version__  # a clone on the path has no metadata
+    import sweepopt  # a clone on the path has no metadata
 
-    return {**found, "sweepopt": __version__}
+    return {**found, "sweepopt": sweepopt.__version__}

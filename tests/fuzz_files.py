@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 
 import sweepopt as so
 from sweepopt import resume
-from sweepopt.fem import library, read_mesh, read_scene
-from sweepopt.io import read_toml
+from sweepopt.fem import read_mesh, read_scene
+from sweepopt.io import find_problem, find_study, read_toml
 from sweepopt.loads import Table
 from sweepopt.study import read_study
-from sweepopt.study.hard.files import hard_study
+from sweepopt.study.hard.table import hard_study
 
 DATA = Path(__file__).parent / "data"
 MESHES = ["tube_2.2.msh", "tube_2.2_binary.msh", "tube_4.1.msh", "tube_4.1_binary.msh"]
@@ -42,12 +42,12 @@ def write_seeds(folder: Path) -> None:
     (folder / "tube.msh").write_bytes((DATA / "gmsh" / "tube_2.2.msh").read_bytes())
     (folder / "tube_loads.csv").write_text(CSV)
     (folder / "folder.msh").mkdir()
-    tube = library.find_problem("tube").read_text()
+    tube = find_problem("tube").read_text()
     (folder / "tube.toml").write_text(tube)
     full = tube.replace("[effects.traction]", "[[effects.traction]]").replace('"P2"', '"P1"')
     (folder / "full.toml").write_text(full + FULL)
     for name in ("accuracy", "hard"):
-        (folder / f"{name}.toml").write_text(library.find_study(name).read_text())
+        (folder / f"{name}.toml").write_text(find_study(name).read_text())
     so.solve(body(), t_end=1.0, steps=12, checkpoint=so.Checkpoint(folder / "run.npz", steps=3))
 
 
@@ -59,42 +59,10 @@ def body() -> so.SweepingProcess:
 
 # ---- damage ---------------------------------------------------------------------------------
 
-TOKENS = [b"nan", b"inf", b"-1", b"0", b"1e400", b"9" * 5000, b"9" * 30, b"\x00", b"\xff", b'"']
-TOKENS += [
-    b"'",
-    b"[",
-    b"]",
-    b"{",
-    b"}",
-    b"[" * 3000,
-    b"true",
-    b"1979-05-27",
-    b"\n",
-    b",",
-    b"\xef\xbb\xbf",
-]
-TOKENS += [
-    b"",
-    b"=",
-    b".",
-    b"#",
-    b"1,5",
-    b"1e300",
-    b"-1e-320",
-    b'"\\u0000"',
-    b"\r",
-    b"\xe2\x80\xa8",
-    b" ",
-]
-TOKENS += [
-    b"99999999999",
-    b"-9223372036854775808",
-    b"a" * 5000,
-    b"$EndElements",
-    b"\x85",
-    b";",
-    b"\t",
-]
+TOKENS = b"nan inf -1 0 1e400 \x00 \xff \" ' [ ] { } true 1979-05-27 , \xef\xbb\xbf = .".split(b" ")
+TOKENS += b'# 1,5 1e300 -1e-320 "\\u0000" \xe2\x80\xa8 99999999999 $EndElements \x85 ;'.split(b" ")
+TOKENS += [b"-9223372036854775808", b"", b" ", b"\n", b"\r", b"\t"]
+TOKENS += [b"9" * 5000, b"9" * 30, b"[" * 3000, b"a" * 5000]
 
 
 @dataclass(frozen=True)

@@ -759,11 +759,11 @@ def descriptions_are_consistent(entry: Entry, s: Sample, rng: Rng) -> None:
         close(C.project(rng.normal(size=C.dim)), C.anchor, 0.0)
 
 
-def witness_proves_a_pair_near_any_guess(entry: Entry, s: Sample, rng: Rng) -> None:
+def normal_pair_is_proven_near_any_guess(entry: Entry, s: Sample, rng: Rng) -> None:
     C, y = s.C, np.zeros(s.C.offsets.size)
     p, w = rng.normal(size=C.dim), far_and_near(rng, C.dim)
     tau = 10.0 ** rng.uniform(-1, 1, size=C.dim)
-    found = C.witness(p, w, tau, y)
+    found = C.normal_pair(p, w, tau, y)
     if not C.certifiable:
         assert found is None
         return
@@ -777,7 +777,7 @@ def witness_proves_a_pair_near_any_guess(entry: Entry, s: Sample, rng: Rng) -> N
     assert found.gap >= support - found.p @ found.w - slack
 
 
-def witness_error_is_as_small_as_the_perturbation(entry: Entry, s: Sample, rng: Rng) -> None:
+def normal_pair_error_is_as_small_as_the_perturbation(entry: Entry, s: Sample, rng: Rng) -> None:
     C, tau = s.C, float(10.0 ** rng.uniform(-0.5, 0.5))
     if not C.certifiable:
         return
@@ -786,7 +786,7 @@ def witness_error_is_as_small_as_the_perturbation(entry: Entry, s: Sample, rng: 
     unit = size(v, C.offsets)
     for delta in (1e-4, 1e-6, 0.0):
         dp, dw = delta * unit * rng.uniform(-1, 1, size=(2, C.dim))
-        found = C.witness(p + dp, w + dw, np.full(C.dim, tau), np.zeros(C.offsets.size))
+        found = C.normal_pair(p + dp, w + dw, np.full(C.dim, tau), np.zeros(C.offsets.size))
         reach = 40 * delta + 10 * entry.tol
         close(found.p, p, reach, unit)
         close(found.w, w, reach, unit)
@@ -801,7 +801,7 @@ def gap_is_what_a_pair_misses(entry: Entry, s: Sample, rng: Rng) -> None:
     close(gap, s.C.support(p) - p @ w, max(entry.tol, entry.support_tol, entry.edge_tol), unit)
 
 
-def companion_bounds_the_gap_between_samples_too(entry: Entry, s: Sample, rng: Rng) -> None:
+def gap_along_a_curve_bounds_the_gap_between_samples_too(entry: Entry, s: Sample, rng: Rng) -> None:
     C = s.C
     p = np.array([normals(s, rng) for _ in range(3)])
     w = np.array([C.project(far_and_near(rng, C.dim)) for _ in range(4)])
@@ -809,11 +809,11 @@ def companion_bounds_the_gap_between_samples_too(entry: Entry, s: Sample, rng: R
         v = far_and_near(rng, C.dim) + 0.1 * rng.normal(size=(4, C.dim))
         w, p = np.array([C.project(x) for x in v]), np.array([C.normal(x) for x in v[[0, 1, 3]]])
     for ratio in (0.0, 1.0, np.inf):
-        found = C.companion(p, w, ratio)
+        found = C.gap_along_curve(p, w, ratio)
         theta = (np.arange(40) + 0.5) / 40
         at, along = basis(2, theta) @ p, basis(3, theta) @ w
         missed = np.array([C.support(x) - x @ y for x, y in zip(at, along, strict=True)])
-        moved = found.away * np.linalg.norm(at, axis=1) if found.away else 0.0
+        moved = found.distance * np.linalg.norm(at, axis=1) if found.distance else 0.0
         slack = max(entry.tol, entry.support_tol, entry.edge_tol) * size(w, C.offsets) * size(p)
         # the midpoint rule on a smooth curve of degree 5
         assert np.mean(missed - moved) <= found.gap + slack + 2e-3 * np.abs(missed).max()
@@ -842,8 +842,8 @@ LAWS: dict[Callable[[Entry, Sample, Rng], None], int] = {
     rows_are_the_set: 2,
     magnitude_bounds_the_set: 2,
     descriptions_are_consistent: 2,
-    witness_proves_a_pair_near_any_guess: 4,
-    witness_error_is_as_small_as_the_perturbation: 3,
+    normal_pair_is_proven_near_any_guess: 4,
+    normal_pair_error_is_as_small_as_the_perturbation: 3,
     gap_is_what_a_pair_misses: 4,
-    companion_bounds_the_gap_between_samples_too: 3,
+    gap_along_a_curve_bounds_the_gap_between_samples_too: 3,
 }

@@ -271,7 +271,7 @@ def test_ctrl_c_returns_the_steps_of_the_pass_under_way() -> None:
 
     C = so.Moving(so.Box([-1], [1]), load)
     process = so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
-    sol = so.solve(process, t_end=8.0, steps=so.Adaptive(1e-3))
+    sol = so.solve(process, t_end=8.0, steps=so.Adaptive(1e-3, first=0.5))
     assert sol.status is so.Status.INTERRUPTED
     assert len(sol.t) == 11
     assert math.isnan(sol.passes[-1].error)

@@ -20,7 +20,8 @@ from meshes import annulus, write_msh
 
 import sweepopt as so
 from sweepopt import cli
-from sweepopt.fem import Scene, library, read_scene
+from sweepopt.fem import Scene, read_scene
+from sweepopt.io import list_problems
 
 SCENE = """
 title = "a small ring"
@@ -123,7 +124,9 @@ def test_run_says_what_it_will_do_and_what_it_did(
     assert (scene.parent / "results" / "ring" / "solution.nc").is_file()
 
 
-def test_options_replace_the_scenes_settings(scene: Path) -> None:
+def test_options_replace_the_scenes_settings_and_no_progress_leaves_stderr_empty(
+    scene: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     options = [
         "--steps",
         "7",
@@ -135,15 +138,8 @@ def test_options_replace_the_scenes_settings(scene: Path) -> None:
         "1e-5",
     ]
     assert cli.main(["run", str(scene), "--out", "o", "--no-progress", *options]) == 0
-    settings = summary_in(Path("o"))["settings"]
-    assert settings["steps"] == 7
-    assert settings["scheme"] == "implicit-euler"
-    assert settings["solver"] == "clarabel"
-    assert settings["tol"] == 1e-5
-
-
-def test_no_progress_leaves_stderr_empty(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["run", str(scene), "--steps", "3", "--no-progress"]) == 0
+    expected = {"steps": 7, "scheme": "implicit-euler", "solver": "clarabel", "tol": 1e-5}
+    assert expected.items() <= summary_in(Path("o"))["settings"].items()
     assert capsys.readouterr().err == ""
 
 
@@ -205,15 +201,15 @@ def test_ctrl_c_while_writing_keeps_the_files_of_the_run_before(
 ) -> None:
     run = ["run", str(scene), "--out", "out", "--steps", "3", "--no-progress"]
     assert cli.main(run) == 0
-    before = Path("out/summary.json").read_bytes()
+    before = {path: path.read_bytes() for path in Path("out").glob("*.*")}
 
-    def interrupted(*_: Any) -> None:
+    def interrupted(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sweepopt.fem.summary.summary_of", interrupted)
+    monkeypatch.setattr(xr.Dataset, "to_netcdf", interrupted)
     assert cli.main(run) == 130
     assert "interrupted" in capsys.readouterr().err
-    assert Path("out/summary.json").read_bytes() == before
+    assert {path: path.read_bytes() for path in Path("out").glob("*.*")} == before
 
 
 def test_a_run_that_stops_early_writes_its_certified_steps_and_exits_with_1(
@@ -256,34 +252,20 @@ def test_a_run_without_a_single_step_writes_nothing_and_says_so(
         (["ring.toml", "--steps", "0"], "steps must be a positive whole number"),
         (["ring.toml", "--tol", "-1"], "tol must be > 0"),
         (["ring.toml", "--out", "ring.msh"], "ring.msh: File exists"),
+        (["bad.toml"], "effects.friction.g must be >= 0"),
+        (["no.toml"], "is not TOML"),
     ],
 )
-def test_bad_arguments_give_one_clean_line(
-    arguments: list[str], words: str, scene: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.usefixtures("scene")
+def test_bad_arguments_and_scenes_give_one_clean_line(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    Path("bad.toml").write_text(SCENE.replace("g = 0.6", "g = -1.0"))
+    Path("no.toml").write_text(SCENE.replace("[time]", "[time"))
     assert cli.main(["run", *arguments, "--no-progress"]) == 2
     shown = capsys.readouterr().err
     assert words in shown
     assert shown.startswith("sweepopt: ")
-    assert shown.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("g = 0.6", "g = -1.0", "effects.friction.g must be >= 0"),
-        ("g = 0.6", "mu = 0.6", "effects.friction.mu: unknown key"),
-        ('mesh = "ring.msh"', 'mesh = "none.msh"', "domain.mesh: "),
-        ("[time]", "[time", "is not TOML"),
-    ],
-)
-def test_a_bad_scene_gives_one_clean_line(
-    old: str, new: str, words: str, scene: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    scene.write_text(SCENE.replace(old, new))
-    assert cli.main(["run", "ring.toml"]) == 2
-    shown = capsys.readouterr().err
-    assert words in shown
     assert shown.count("\n") == 1
 
 
@@ -315,21 +297,17 @@ def test_our_warnings_are_one_line_without_a_source_file(
     assert shown.count("\n") == 1
 
 
-@pytest.mark.parametrize("package", ["matplotlib", "xarray", "h5py"])
+@pytest.mark.parametrize(
+    ("package", "extra"), [("matplotlib", "plot"), ("xarray", "fem"), ("h5py", "fem")]
+)
+@pytest.mark.usefixtures("scene")
 def test_a_missing_package_is_named_before_the_run(
-    scene: Path,
-    package: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    package: str, extra: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    assert cli.main(["run", str(scene)]) == 2
-    shown = capsys.readouterr()
-    extra = "plot" if package == "matplotlib" else "fem"
-    assert shown.err == (
-        f'sweepopt: {package} is not installed; run: pip install "sweepopt[{extra}]"\n'
-    )
-    assert "unknowns" not in shown.out
+    assert cli.main(["run", "ring.toml"]) == 2
+    said = f'sweepopt: {package} is not installed; run: pip install "sweepopt[{extra}]"\n'
+    assert capsys.readouterr() == ("", said)
 
 
 @pytest.mark.parametrize("arguments", [[], ["fly"], ["run"], ["run", "tube", "--steps", "many"]])
@@ -342,12 +320,13 @@ def test_wrong_usage_exits_with_2(arguments: list[str]) -> None:
 # ---- list -----------------------------------------------------------------------------------
 
 
-def test_list_prints_each_problem_with_its_title(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["list"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split(maxsplit=1) for line in lines] == [
-        [name, title] for name, title in library.list_problems().items()
-    ]
+def test_list_prints_each_problem_with_its_title_without_a_warning() -> None:
+    command = [sys.executable, "-W", "error", "-m", "sweepopt", "list"]
+    shown = subprocess.run(command, capture_output=True, text=True, check=True)
+    lines = [line.split(maxsplit=1) for line in shown.stdout.splitlines()]
+    assert lines == [[name, title] for name, title in list_problems().items()]
+    assert "tube" in list_problems()
+    assert shown.stderr == ""
 
 
 def test_list_works_with_the_core_install_alone() -> None:
@@ -360,25 +339,3 @@ def test_list_works_with_the_core_install_alone() -> None:
     assert shown.stdout.startswith("tube  ")
     assert shown.stdout.splitlines()[-1] == "0 2"
     assert 'pip install "sweepopt[fem]"' in shown.stderr
-
-
-def test_the_module_runs_as_a_command() -> None:
-    command = [sys.executable, "-W", "error", "-m", "sweepopt.cli", "list"]
-    shown = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert "tube" in shown.stdout
-    assert shown.stderr == ""
-
-
-@pytest.mark.usefixtures("scene")
-def test_bench_prints_its_table_and_writes_its_rows(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["bench", "--cells", "4", "--steps", "3", "--rounds", "1"]
-    only = ["--only", "eliminated", "frictionless", "--csv", "rows.csv"]
-    assert cli.main([*arguments, *only]) == 0
-    shown = capsys.readouterr()
-    assert "eliminated" in shown.out
-    assert "round 1 of 1" in shown.err
-    header, *rows = Path("rows.csv").read_text().splitlines()
-    assert header.startswith("case,unknowns,contact,steps,rounds,path,ms")
-    assert len(rows) >= 2
-    assert cli.main(["bench", "--only", "fastest"]) == 2
-    assert "there is no path 'fastest'" in capsys.readouterr().err

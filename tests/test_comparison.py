@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,20 +12,19 @@ from test_cli import make_scene
 
 import sweepopt as so
 from sweepopt import cli
-from sweepopt.linalg import Factor
 from sweepopt.study.comparison import (
+    ACCURACIES,
     SHIFT,
     ComparedRow,
+    Contestant,
     compare,
     comparison_text,
-    recorded,
+    contestants_for,
+    record,
     shifted_mean,
-    tried,
+    try_all,
 )
-from sweepopt.study.settings import ACCURACIES, Contestant, contestants
 from sweepopt.study.sources import find_source
-from sweepopt.velocity.program import VelocityProgram
-from sweepopt.velocity.solvers import Answer, Solve
 
 STUDY = """
 title = "small"
@@ -37,30 +36,18 @@ repeats = 1
 """
 
 
-@dataclass(frozen=True)
-class Liar:
+class Liar(so.Clarabel):
     """Calls everything solved."""
 
-    name = "liar"
-
-    def treats(self, C: so.ConvexSet) -> bool:
-        return True
-
-    def refined(self) -> None:
-        return None
-
-    def compile(self, program: VelocityProgram) -> Solve:
-        size = program.cone.offsets.size
-        return lambda q, C: Answer(np.ones_like(q), np.zeros(size), 1, "solved")
+    def compile(self, program: Any) -> Any:
+        solve = super().compile(program)
+        return lambda q, C: solve(q, C)._replace(z=np.ones_like(q))
 
 
-@dataclass(frozen=True)
-class Broken(Liar):
+class Broken(so.Clarabel):
     """Raises."""
 
-    name = "broken"
-
-    def compile(self, program: VelocityProgram) -> Solve:
+    def compile(self, program: Any) -> Any:
         raise ArithmeticError("no")
 
 
@@ -83,21 +70,16 @@ def test_every_installed_solver_is_compared_at_three_accuracies(table: pd.DataFr
 
 
 def test_a_solver_is_judged_by_its_certificates_and_not_by_what_it_says() -> None:
-    programs = recorded(find_source("P09"), 8)
-    lied = tried(Contestant("liar", "low", 1e-3, Liar()), programs)
-    assert all(one.certificate > 1e-3 for one in lied.trials)
-    broken = tried(Contestant("broken", "low", 1e-3, Broken()), programs)
-    assert (broken.trials, broken.message) == ([], "ArithmeticError: no")
+    programs = record(find_source("P09"), 8)
+    assert (try_all(Contestant("liar", "low", 1e-3, Liar()), programs).certificates > 1e-3).all()
+    broken = try_all(Contestant("broken", "low", 1e-3, Broken()), programs)
+    assert (broken.seconds.size, broken.message) == (0, "ArithmeticError: no")
 
 
 def test_only_solvers_that_treat_the_set_take_part() -> None:
-    names = {contestant.name for contestant in contestants(so.Ball([0.0, 0.0], 1.0))}
+    names = {contestant.name for contestant in contestants_for(so.Ball([0.0, 0.0], 1.0))}
     assert "clarabel" in names
-    assert "osqp" not in names
-    assert "cvxpy:daqp" not in names
-
-
-def test_a_run_without_a_program_is_refused() -> None:
+    assert not names & {"osqp", "cvxpy:daqp"}
     with pytest.raises(so.InputError, match="L13 has no program to compare solvers on"):
         compare(find_source("L13"), steps=5)
 
@@ -109,14 +91,17 @@ def test_the_mean_is_shifted_and_geometric() -> None:
 
 @pytest.mark.parametrize("name", ["CLARABEL", "OSQP"])
 def test_what_a_solver_reaches_through_cvxpy_does_not_depend_on_units(name: str) -> None:
-    M, q, C = np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([3.0, -1.0]), so.Box([-1, -1], [1, 1])
-    found = []
+    M, load = np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([-3.0, 1.0])
+    C = so.Moving(so.Box([-1, -1], [1, 1]), load)
+    forces = []
     for stiff in (1.0, 2.0**40):
-        program = VelocityProgram(Factor(stiff * M), C)
-        answer = so.Cvxpy(name).compile(program)(q, C)
-        found.append(program.certify(q, C, answer.z, answer.y).relative)
-    assert found[0] == pytest.approx(found[1], abs=1e-12)
-    assert max(found) <= 1e-7
+        process = so.SweepingProcess(stiff * M, None, C, np.zeros(2))
+        with pytest.warns(so.InitialStateWarning):
+            sol = so.solve(process, t_end=1.0, steps=1, solver=so.Cvxpy(name))
+        assert sol.stats["attempts"][0] == 1
+        assert sol.stats["relative"][0] <= 1e-7
+        forces.append(stiff * sol.velocity[0])
+    np.testing.assert_allclose(forces[1], forces[0], rtol=1e-12)
 
 
 def test_the_comparison_prints_a_line_a_row(table: pd.DataFrame) -> None:
@@ -153,7 +138,7 @@ def test_study_writes_its_files_goes_on_and_advises(
     assert cli.main(["study", "mine.toml"]) == 0
     shown = capsys.readouterr()
     assert "8 cells, 0 of them finished before" in shown.err
-    assert "the fastest way to each accuracy" in shown.out
+    assert "the fastest way to each relative error" in shown.out
     folder = Path("results/mine")
     assert {"table.csv", "diagram.png", "report.html", "study.json"} <= {
         path.name for path in folder.iterdir()

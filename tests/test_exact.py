@@ -1,4 +1,4 @@
-"""The exact trajectory: the reference values, and what proves it where nobody has them."""
+"""The exact trajectory: the reference values, and the inclusion itself where nobody has them."""
 
 from __future__ import annotations
 
@@ -14,11 +14,8 @@ from cases import DATA, GRIDS, case, embedded
 
 import sweepopt as so
 from sweepopt.errors import Status
-from sweepopt.integrate.exact import Trajectory, trajectory
-from sweepopt.integrate.exact.modes import modes
-from sweepopt.linalg import Factor
+from sweepopt.integrate.exact import Trajectory, exact_trajectory, rows_of
 from sweepopt.study.problems import problem
-from sweepopt.velocity.program import VelocityProgram
 
 POLYHEDRAL = ("S01", "S02", "S03", "S04", "P09", "P10", "B15", "M16", "E20")
 SWITCHES = {
@@ -28,8 +25,8 @@ SWITCHES = {
 SLIDING = so.Separable([(so.Sine(3.0, np.pi), [1.0])])
 
 
-def block(A: float = 0.5, B: float = 2.0, load: Any = SLIDING, g: float = 1.0, u0: float = 0.0):
-    return so.SweepingProcess([[A]], [[B]], so.Moving(so.Box([-g], [g]), load), [u0])
+def block(A: float = 0.5, B: float = 2.0, load: Any = SLIDING, u0: float = 0.0):
+    return so.SweepingProcess([[A]], [[B]], so.Moving(so.Box([-1], [1]), load), [u0])
 
 
 def exact(process: so.SweepingProcess, t_end: float, steps: Any = 100, **more: Any) -> Trajectory:
@@ -42,23 +39,22 @@ def exact(process: so.SweepingProcess, t_end: float, steps: Any = 100, **more: A
     return sol.exact
 
 
-def size_of(process: so.SweepingProcess, found: Trajectory, times: np.ndarray) -> float:
-    norm = process.metric.norm
-    return max(*map(norm, found.velocity(times)), 1e-2 * process.metric.dual_norm(process.u0 + 1))
+def residual(process: so.SweepingProcess, found: Trajectory, times: np.ndarray) -> float:
+    """The largest |P_C(w - z) - w| of w = A u' + B u, which is 0 for -u' in N_C(w); relative.
 
-
-def misses(process: so.SweepingProcess, found: Trajectory, times: np.ndarray) -> float:
-    """How far -u' in N_C(A u' + B u) is missed, by the set's own projection; relative."""
-    worst, M = 0.0, Factor(process.metric.M)
+    u' is taken in units of a stiffness, so that both are forces.
+    """
+    M = process.A if process.A.any() else process.B
+    tau, worst, size = float(np.abs(M).max()), 0.0, 1e-2
     for t, u, z in zip(times, found(times), found.velocity(times), strict=True):
-        C, q = process.C.at(float(t)), process.times_B(u)
-        q = q - M.M @ z if process.rate_independent else q
-        near = VelocityProgram(M, C).certify(q, C, z, np.zeros(C.offsets.size))
-        worst = max(worst, near.certificate + M.norm(z - near.z))
-    return worst / size_of(process, found, times)
+        w = process.A @ z + process.times_B(u)
+        C = process.C.at(float(t))
+        worst = max(worst, float(np.linalg.norm(C.project(w - tau * z) - w)))
+        size = max(size, float(np.linalg.norm(tau * z)), float(np.linalg.norm(w)))
+    return worst / size
 
 
-def gaps(found: Trajectory) -> float:
+def integral_error(found: Trajectory) -> float:
     """How far u is from u0 + int u', by Gauss's rule on fine intervals in every phase."""
     x, weights = np.polynomial.legendre.leggauss(12)
     worst, u = 0.0, found.phases[0].u
@@ -74,21 +70,17 @@ def gaps(found: Trajectory) -> float:
     return worst
 
 
-@pytest.mark.parametrize("name", POLYHEDRAL)
+@pytest.mark.parametrize("name", [*POLYHEDRAL, "L13"])
 def test_values_and_switch_times_are_those_of_the_reference(name: str) -> None:
     this, process = problem(name), problem(name).process()
     found = exact(process, this.t_end)
     for n in GRIDS:
         times = np.append(np.arange(n) * (this.t_end / n), this.t_end)
-        apart = found(times) - case(name).exact(n)
-        assert max(map(process.metric.norm, apart)) <= 1e-12
-    assert found.switches == pytest.approx(SWITCHES[name], abs=1e-10)
-    assert len(found.phases) == len(found.switches) + 1
-
-
-def test_a_linear_problem_is_exact_too() -> None:
-    found = exact(problem("L13").process(), 6.0)
-    assert np.abs(found(np.linspace(0, 6, 102)) - case("L13").exact(101)).max() <= 1e-13
+        error = found(times) - case(name).exact(n)
+        assert max(map(process.metric.norm, error)) <= 1e-12
+    if name != "L13":  # linear
+        assert found.switches == pytest.approx(SWITCHES[name], abs=1e-10)
+        assert len(found.phases) == len(found.switches) + 1
 
 
 @pytest.mark.parametrize("path", ["auto", "full"])
@@ -101,8 +93,8 @@ def test_as_the_contact_of_a_larger_body_a_case_is_as_exact(name: str, path: str
     process = so.SweepingProcess(body.A, body.B, C, body.u0)
     sol = so.solve(process, t_end=this.t_end, steps=101, scheme="exact", path=path)
     assert sol.stats["relative"].max() <= 1e-9
-    apart = sol.u[:, -this.process.dim :] - this.exact(101)
-    assert max(map(this.process.metric.norm, apart)) <= 1e-12
+    error = sol.u[:, -this.process.dim :] - this.exact(101)
+    assert max(map(this.process.metric.norm, error)) <= 1e-12
     assert sol.exact is not None
     assert sol.exact.switches == pytest.approx(SWITCHES[name], abs=1e-10)
     assert np.abs(sol.exact(sol.t) - sol.u).max() <= 1e-15
@@ -118,19 +110,39 @@ def test_every_node_carries_the_certificate_of_its_inclusion() -> None:
     assert np.array_equal(sol.velocity, np.diff(sol.u, axis=0) / 0.05)
 
 
-def test_a_node_that_misses_tol_stops_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    honest = trajectory.Phase.velocity
-    wrong = lambda self, t: honest(self, t) * (1 + 1e-3 * (self.start > 3))  # noqa: E731
-    monkeypatch.setattr(trajectory.Phase, "velocity", wrong)
+class Contradictory(so.Sine):
+    """A history whose closed form is not that of its values from t = 3 on."""
+
+    def piece(self, a: float, b: float) -> Any:
+        piece = super().piece(a, b)
+        return piece._replace(waves=[(r * (1 + 1e-3 * (a >= 3)), w, p) for r, w, p in piece.waves])
+
+    def breakpoints(self, a: float, b: float) -> np.ndarray:
+        return np.array([3.0] if a < 3 < b else [])
+
+
+def test_a_node_that_misses_tol_stops_the_run() -> None:
+    process = block(load=so.Separable([(Contradictory(3.0, np.pi), [1.0])]))
     with pytest.raises(so.StepError, match=r"the closed form misses the inclusion .* tol is 1e-06"):
-        so.solve(block(), t_end=8.0, steps=100, scheme="exact")
-    sol = so.solve(block(), t_end=8.0, steps=100, scheme="exact", on_failure="stop")
+        so.solve(process, t_end=8.0, steps=100, scheme="exact")
+    sol = so.solve(process, t_end=8.0, steps=100, scheme="exact", on_failure="stop")
     assert sol.status is Status.INEXACT
     assert sol.t[-1] == pytest.approx(2.96)
 
 
-def history(random: np.random.Generator, T: float) -> Any:
-    """Any kind of load from 0 on, in numbers without a meeting of switches."""
+# ---- random processes ---------------------------------------------------------------------------
+
+
+def random_history(random: np.random.Generator, T: float, degenerate: bool) -> Any:
+    """A load from 0 on, in whole numbers that meet thresholds and kinks exactly, or in any."""
+    if degenerate:
+        steps = np.cumsum(random.integers(-1, 2, 12))
+        return [
+            so.Triangle(float(random.integers(1, 4)), float(random.choice([4, 6, 8]))),
+            so.Table(np.arange(13.0), np.append(0.0, steps)),
+            so.Sine(float(random.integers(1, 4)), float(random.choice([4, 6, 12]))),
+            so.Polynomial([0.0, 1.0, -1 / 12]),
+        ][random.integers(4)]
     times, values = np.sort(random.uniform(0, T, 5)), np.cumsum(random.normal(size=6) * 1.5)
     return [
         so.Sine(2 * random.normal(), random.uniform(0.3, 1.5) * T),
@@ -140,55 +152,40 @@ def history(random: np.random.Generator, T: float) -> Any:
     ][random.integers(4)]
 
 
-def whole_numbers(random: np.random.Generator, T: float) -> Any:
-    """Loads that meet thresholds, kinks and each other exactly."""
-    steps = np.cumsum(random.integers(-1, 2, 12))
-    return [
-        so.Triangle(float(random.integers(1, 4)), float(random.choice([4, 6, 8]))),
-        so.Table(np.arange(13.0), np.append(0.0, steps)),
-        so.Sine(float(random.integers(1, 4)), float(random.choice([4, 6, 12]))),
-        so.Polynomial([0.0, 1.0, -1 / 12]),
-    ][random.integers(4)]
-
-
-def sets(random: np.random.Generator, n: int, load: so.Separable, entries: Any) -> Any:
-    m = int(random.integers(1, 3 * n + 2))
-    G = entries((m, n))
-    G = G[np.abs(G).sum(axis=1) > 0]
-    lower, upper = -random.integers(0, 2, n) * 1.0, random.integers(0, 2, n) * 1.0
-    lower[random.random(n) < 0.2], upper[random.random(n) < 0.2] = -np.inf, np.inf
-    corners = np.vstack([np.eye(n), -np.eye(n)])
-    moving = [(so.Constant(2.0), np.ones(m)), (so.Triangle(1.0, 4.0), np.sign(entries(m)))]
-    return [
-        lambda: so.Moving(so.Box(-np.ones(n), np.ones(n)), load),
-        lambda: so.Moving(so.Box(lower, upper), load),
-        lambda: so.Moving(so.Orthant(n), load),
-        lambda: so.Moving(so.Polytope(corners), load),  # corners with more rows than unknowns
-        lambda: so.Moving(
-            so.Polyhedron(np.vstack([G, 2.5 * G]), np.repeat([1, 2.5], len(G))), load
-        ),
-        lambda: so.Polyhedron(entries((m, n)), so.Separable(moving)),
-    ][random.integers(6)]()
-
-
-def any_process(seed: int, degenerate: bool) -> tuple[so.SweepingProcess, float]:
+def random_process(seed: int, degenerate: bool) -> tuple[so.SweepingProcess, float]:
     random = np.random.default_rng(seed)
     n, T = int(random.integers(1, 6)), 12.0
-    singular = random.normal(size=(n, int(random.integers(0, n + 1))))
-    A, B = random.normal(size=(n, n)), singular @ singular.T * random.choice([0.1, 1, 10])
-    A = A @ A.T / n + 0.3 * np.eye(n)
-    entries: Any = lambda size: random.normal(size=size)  # noqa: E731
-    kind = history
+
+    def entries(size: Any) -> np.ndarray:
+        return random.integers(-1, 2, size) * 1.0 if degenerate else random.normal(size=size)
+
     if degenerate:
         chain = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
         A = random.choice([0.0, 1.0]) * chain + np.eye(n)
         B = random.choice([0.0, 1.0, 2.0]) * chain
-        entries = lambda size: random.integers(-1, 2, size) * 1.0  # noqa: E731
-        kind = whole_numbers
+    else:
+        root, singular = entries((n, n)), entries((n, int(random.integers(0, n + 1))))
+        A = root @ root.T / n + 0.3 * np.eye(n)
+        B = singular @ singular.T * random.choice([0.1, 1, 10])
     if random.random() < 0.4:
         A, B = 0 * A, A
-    terms = [(kind(random, T), entries(n)) for _ in range(2)]
-    C = sets(random, n, so.Separable(terms), entries)
+    load = so.Separable([(random_history(random, T, degenerate), entries(n)) for _ in range(2)])
+    m = int(random.integers(1, 3 * n + 2))
+    G = entries((m, n))
+    rows = G[np.abs(G).sum(axis=1) > 0]
+    lower, upper = -random.integers(0, 2, n) * 1.0, random.integers(0, 2, n) * 1.0
+    lower[random.random(n) < 0.2], upper[random.random(n) < 0.2] = -np.inf, np.inf
+    moving = [(so.Constant(2.0), np.ones(m)), (so.Triangle(1.0, 4.0), np.sign(entries(m)))]
+    C = [
+        lambda: so.Moving(so.Box(-np.ones(n), np.ones(n)), load),
+        lambda: so.Moving(so.Box(lower, upper), load),
+        lambda: so.Moving(so.Orthant(n), load),
+        lambda: so.Moving(so.Polytope(np.vstack([np.eye(n), -np.eye(n)])), load),
+        lambda: so.Moving(
+            so.Polyhedron(np.vstack([rows, 2.5 * rows]), np.repeat([1, 2.5], len(rows))), load
+        ),
+        lambda: so.Polyhedron(G, so.Separable(moving)),
+    ][random.integers(6)]()
     return so.SweepingProcess(A, B, C, np.zeros(n)), T
 
 
@@ -197,25 +194,14 @@ def any_process(seed: int, degenerate: bool) -> tuple[so.SweepingProcess, float]
 def test_the_inclusion_holds_at_any_time_and_u_is_the_integral_of_its_derivative(
     seed: int, degenerate: bool
 ) -> None:
-    process, T = any_process(seed, degenerate)
+    process, T = random_process(seed, degenerate)
     found = exact(process, T)
     times = np.random.default_rng(seed).uniform(0.0, T, 40)
-    assert misses(process, found, times) <= 1e-10
-    assert gaps(found) <= 1e-11 * max(1.0, np.abs(found(times)).max())
+    assert residual(process, found, times) <= 1e-10
+    assert integral_error(found) <= 1e-11 * max(1.0, np.abs(found(times)).max())
 
 
-def test_implicit_schemes_converge_to_it() -> None:
-    process, T = any_process(3, degenerate=False)
-    found = exact(process, T)
-    errors = []
-    for n in (250, 500, 1000, 2000):
-        sol = so.solve(process, t_end=T, steps=n, scheme="sdirk2")
-        errors.append(np.abs(sol.u - found(sol.t)).max())
-    assert -np.polyfit(np.log([250, 500, 1000, 2000]), np.log(errors), 1)[0] >= 1.7
-    assert errors[-1] <= 1e-3 * np.abs(found.velocity(sol.t)).max()
-
-
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("A", [[[1.0, 0.2], [0.2, 1.0]], [[0.0, 0.0], [0.0, 0.0]]])
 def test_a_third_row_may_cut_the_corner_that_holds_the_motion(seed: int, A: Any) -> None:
     third = np.random.default_rng(seed).uniform(0.05, 3.0, 2)
@@ -225,7 +211,10 @@ def test_a_third_row_may_cut_the_corner_that_holds_the_motion(seed: int, A: Any)
     process = so.SweepingProcess(A, [[1.0, 0.1], [0.1, 2.0]], C, [0.0, 0.0])
     found = exact(process, 2.0)
     assert found.switches[:2] == pytest.approx([0.5, 1.0], abs=1e-14)
-    assert misses(process, found, np.linspace(0.01, 1.99, 50)) <= 1e-12
+    assert residual(process, found, np.linspace(0.01, 1.99, 50)) <= 1e-12
+
+
+# ---- known motions ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -257,14 +246,6 @@ def test_equal_blocks_switch_together_and_a_held_one_stays() -> None:
     # no threshold at all: 0.5 u' + 2 u = 3 sin 2t
     linear = 1.2 * np.sin(2 * times) - 0.6 * np.cos(2 * times) + 0.6 * np.exp(-4 * times)
     assert np.abs(found(times)[:, 2] - linear).max() <= 1e-15
-
-
-def test_four_thousand_switches_are_all_found_where_they_are() -> None:
-    found = exact(block(), 1000 * np.pi, steps=2)
-    assert len(found.switches) == 4001
-    # after the first few the motion is periodic, with four switches a period
-    late = found.switches[41:]
-    assert np.abs(late[4:] - late[:-4] - np.pi).max() <= 1e-11
 
 
 class Slip(NamedTuple):
@@ -362,8 +343,6 @@ def test_stiff_bodies_lose_no_digits(rates: tuple[float, float]) -> None:
     # slow and fast modes known in closed form: A = X^T X, B = X^T diag(rates) X
     X = np.array([[1.0, 0.5], [0.0, 1.0]] if rates[0] < rates[1] else [[1.0, 0.0], [0.5, 1.0]])
     A, B = X.T @ X, X.T @ np.diag(rates) @ X
-    lam, _ = modes(A, B)
-    assert np.sort(lam) == pytest.approx(np.sort(rates), rel=1e-14)
     C = so.Moving(so.Point([0.0, 0.0]), so.Separable([(so.Constant(1.0), X.T @ np.array(rates))]))
     times = np.geomspace(1e-11, 5.0, 40)
     expected = np.linalg.solve(X, -np.expm1(-np.outer(rates, times))).T
@@ -400,21 +379,15 @@ def test_a_start_outside_of_the_set_begins_with_a_velocity() -> None:
     found = exact(block(u0=5.0), 8.0)
     # 0.5 u' + 2 u = 3 sin 2t + 1 at first
     assert found.velocity(1e-300) == pytest.approx([-18.0])
-    assert misses(block(u0=5.0), found, np.linspace(0.01, 8, 60)) <= 1e-12
+    assert residual(block(u0=5.0), found, np.linspace(0.01, 8, 60)) <= 1e-12
 
 
-def test_endless_switching_is_a_status_and_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trajectory, "PHASES", 5)
-    with pytest.raises(so.StepError, match=r"after 8 phases"):
-        so.solve(block(), t_end=8.0, steps=80, scheme="exact")
-    sol = so.solve(block(), t_end=8.0, steps=80, scheme="exact", on_failure="stop")
-    assert sol.status is Status.SWITCHING
-    assert not sol.success
-    assert "Use implicit-euler" in sol.message
-    assert sol.exact is not None
-    assert sol.t[-1] <= sol.exact.end < 8.0
+def test_switches_that_accumulate_end_the_trajectory() -> None:
+    found = exact_trajectory(rows_of(block()), np.zeros(1), 0.0, 8.0, most=5)
+    assert not found.complete
+    assert found.end < 8.0
     with pytest.raises(so.InputError, match="is outside of"):
-        sol.exact(8.0)
+        found(8.0)
 
 
 def test_what_is_saved_and_seen_is_as_with_other_schemes(tmp_path: Path) -> None:
@@ -467,13 +440,18 @@ def test_too_many_unknowns_and_solvers_are_refused() -> None:
 
 
 def test_a_body_with_friction_along_a_side_is_followed_through_all_its_switches() -> None:
-    from sweepopt.study.cases import square
+    from skfem import MeshTri
 
-    body = square(8, 50)
-    sol = so.solve(body.problem, steps=body.times, scheme="exact")
+    from sweepopt.fem import Elasticity, Friction, Traction, Viscosity, antiplane
+
+    mesh = MeshTri.init_tensor(*2 * [np.linspace(0.0, 1.0, 9)]).with_defaults()
+    traction = Traction("right", history=so.Sine(amplitude=2.0, period=4.0))
+    effects = [Viscosity(1.0), Elasticity(2.0), traction, Friction("bottom", g=0.5)]
+    body = antiplane(mesh, clamped="top", effects=effects)
+    sol = so.solve(body.problem, t_end=4.0, steps=50, scheme="exact")
     assert sol.plan.path == "proportional"
     assert sol.exact is not None
-    assert len(sol.exact.switches) >= 4 * len(body.contact)
+    assert len(sol.exact.switches) >= 4 * len(body.contact.unknown)
     assert np.abs(sol.exact(sol.t) - sol.u).max() <= 1e-14
     errors = []
     for n in (200, 400, 800, 1600):

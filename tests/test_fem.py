@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,10 +10,11 @@ import pytest
 
 pytest.importorskip("skfem")
 
+import meshio
 import skfem
 from meshes import annulus, square, write_msh
 
-from sweepopt import Constant, InputError, Sine, Table, solve
+from sweepopt import Constant, InputError, Sine, solve
 from sweepopt.fem import (
     BodyForce,
     Elasticity,
@@ -92,26 +92,27 @@ def test_matrices_are_symmetric_and_coercive():
 
 
 def test_coefficients_by_group_profile_and_function_agree():
-    by_group = {"core": 1.0, "sleeve": 3.0}
-    by_function = lambda x: np.where(np.hypot(*x) < 1.5, 1.0, 3.0)  # noqa: E731
-    by_profile = Profile("radius", [0.9, 1.5 - 1e-9, 1.5 + 1e-9, 2.1], [1.0, 1.0, 3.0, 3.0])
-    matrices = [
+    profile = Profile("radius", [0.9, 1.5 - 1e-9, 1.5 + 1e-9, 2.1], [1.0, 1.0, 3.0, 3.0])
+    by_group, by_function, by_profile = (
         antiplane(annulus(2), clamped="inner", effects=[Viscosity(eta)]).problem.A
-        for eta in (by_group, by_function, by_profile)
-    ]
-    assert abs(matrices[0] - matrices[1]).max() < 1e-13
-    assert abs(matrices[0] - matrices[2]).max() < 1e-13
+        for eta in (
+            {"core": 1.0, "sleeve": 3.0},
+            lambda x: np.where(np.hypot(*x) < 1.5, 1.0, 3.0),
+            profile,
+        )
+    )
+    assert abs(by_group - by_function).max() < 1e-13
+    assert abs(by_group - by_profile).max() < 1e-13
 
 
-def test_a_profile_runs_along_x_y_radius_and_angle():
+@pytest.mark.parametrize(
+    ("along", "expected"),
+    [("x", [1, 0, -2, 0]), ("y", [0, 1, 0, -2]), ("radius", [1, 1, 2, 2])]
+    + [("angle", [0, 90, 180, 270])],
+)
+def test_a_profile_runs_along_x_y_radius_or_angle(along, expected):
     x = np.array([[1.0, 0.0, -2.0, 0.0], [0.0, 1.0, 0.0, -2.0]])
-    for along, expected in {
-        "x": [1, 0, -2, 0],
-        "y": [0, 1, 0, -2],
-        "radius": [1, 1, 2, 2],
-        "angle": [0, 90, 180, 270],
-    }.items():
-        np.testing.assert_allclose(Profile(along, [-9.0, 400.0], [-9.0, 400.0])(x), expected)
+    np.testing.assert_allclose(Profile(along, [-9.0, 400.0], [-9.0, 400.0])(x), expected)
 
 
 def test_expand_puts_zeros_on_the_clamped_points():
@@ -158,36 +159,21 @@ def test_friction_weights_on_curved_edges_converge_to_the_length():
 
 
 @pytest.mark.parametrize(("element", "expected"), [("P1", 2), ("P2", 4)])
-def test_the_lumped_functional_has_its_stated_order(element, expected):
-    def v(x):
-        return np.exp(x[0]) * (1 - x[1])
-
+def test_the_dissipation_is_the_lumped_functional_and_has_its_stated_order(element, expected):
     errors = []
     for n in (4, 8, 16, 32):
         effects = [Viscosity(1), Friction("bottom", g=lambda x: 1 + x[0] ** 2)]
         scene = antiplane(square(n), clamped="top", element=element, effects=effects)
-        J = scene.problem.dissipation.support(scene.discretisation.interpolate(v))
+        v = scene.discretisation.interpolate(lambda x: np.exp(x[0]) * (1 - x[1]))
+        J, contact = scene.problem.dissipation.support(v), scene.contact
+        by_hand = np.sum(contact.weight * contact.bound * np.abs(v[contact.unknown]))
+        assert pytest.approx(by_hand, rel=1e-14) == J
         errors.append(abs(J - (2 * np.e - 3)))  # int (1 + x^2) e^x
     assert np.all(order(errors) > expected - 0.1)
 
 
 @pytest.mark.parametrize("element", ["P1", "P2"])
-def test_dissipation_is_the_lumped_functional(element):
-    scene = antiplane(
-        annulus(3),
-        clamped="inner",
-        element=element,
-        effects=[Viscosity(1), Friction("outer", g=Profile("angle", [0, 360], [0.5, 2]))],
-    )
-    v = np.cos(np.arange(scene.discretisation.dim))
-    contact = scene.contact
-    by_hand = np.sum(contact.weight * contact.bound * np.abs(v[contact.unknown]))
-    assert scene.problem.dissipation.support(v) == pytest.approx(by_hand, rel=1e-14)
-    assert scene.problem.dissipation.nonsmooth_dim == len(contact)
-
-
-@pytest.mark.parametrize("element", ["P1", "P2"])
-def test_contact_is_walked_with_the_body_on_the_left(element):
+def test_contact_nodes_follow_the_boundary_with_the_body_on_the_left(element):
     effects = [Viscosity(1), Friction("outer", g=1)]
     outer = antiplane(annulus(4), clamped="inner", element=element, effects=effects).contact
     angle = np.arctan2(outer.points[:, 1], outer.points[:, 0]) % (2 * np.pi)
@@ -195,14 +181,11 @@ def test_contact_is_walked_with_the_body_on_the_left(element):
     assert np.all(np.diff(angle) > 0)
     effects = [Viscosity(1), Friction(["left", "bottom"], g=1)]
     corner = antiplane(square(3), clamped="top", element=element, effects=effects).contact
-    np.testing.assert_allclose(
-        np.where(corner.boundary == "left", 1 - corner.points[:, 1], corner.points[:, 0]),
-        corner.arc,
-        atol=1e-12,
-    )
-    order_of_names = list(dict.fromkeys(corner.boundary))
-    assert order_of_names == ["left", "bottom"]
-    assert np.all(np.diff(corner.arc[corner.boundary == "left"]) > 0)
+    left = corner.boundary == "left"
+    expected = np.where(left, 1 - corner.points[:, 1], corner.points[:, 0])
+    np.testing.assert_allclose(expected, corner.arc, atol=1e-12)
+    assert list(dict.fromkeys(corner.boundary)) == ["left", "bottom"]
+    assert np.all(np.diff(corner.arc[left]) > 0)
 
 
 def test_nodes_without_friction_and_clamped_nodes_are_no_contact():
@@ -404,58 +387,16 @@ def test_a_gmsh_file_gives_back_the_mesh_and_its_names(tmp_path, curved):
         np.testing.assert_allclose(one.contact.weight, two.contact.weight, rtol=1e-13)
 
 
+TWO = "2 1 2 1\n3 1 2 5\n2 2 2 1\n4 5 1 7\n"
+QUAD = "2 1 3 1\n3 1 2 5 7\n"
+MESHES = Path(__file__).parent / "data" / "gmsh"
 # two triangles; curve 1 is in two groups, group 12 has no name, node 9 belongs to nothing
-MSH41 = """$MeshFormat
-4.1 0 8
-$EndMeshFormat
-$PhysicalNames
-4
-1 10 "foot"
-1 11 "all"
-2 20 "lower"
-2 21 "upper"
-$EndPhysicalNames
-$Entities
-0 2 2 0
-1 0 0 0 1 0 0 2 10 11 0
-2 0 1 0 1 1 0 1 12 0
-1 0 0 0 1 1 0 1 20 0
-2 0 0 0 1 1 0 1 21 0
-$EndEntities
-$Nodes
-1 5 1 9
-2 1 0 5
-1
-2
-5
-7
-9
-0 0 2
-1 0 2
-1 1 2
-0 1 2
-5 5 2
-$EndNodes
-$Elements
-4 4 1 4
-1 1 1 1
-1 1 2
-1 2 1 1
-2 5 7
-2 1 2 1
-3 1 2 5
-2 2 2 1
-4 5 1 7
-$EndElements
-"""
-
-
-TUBES = Path(__file__).parent / "data" / "gmsh"
+MSH41 = (MESHES / "two_triangles_4.1.msh").read_text()
 
 
 @pytest.mark.parametrize("version", ["2.2", "4.1"])
 def test_binary_files_and_text_files_hold_the_same_mesh(version):
-    text, binary = (read_mesh(TUBES / f"tube_{version}{kind}.msh") for kind in ("", "_binary"))
+    text, binary = (read_mesh(MESHES / f"tube_{version}{kind}.msh") for kind in ("", "_binary"))
     np.testing.assert_allclose(text.doflocs, binary.doflocs, rtol=0, atol=1e-17)  # 16 digits
     assert np.array_equal(text.t, binary.t)
     for groups, others in (
@@ -466,64 +407,65 @@ def test_binary_files_and_text_files_hold_the_same_mesh(version):
         assert all(np.array_equal(groups[name], others[name]) for name in groups)
 
 
-@pytest.mark.parametrize("version", ["2.2", "4.1"])
-@pytest.mark.parametrize("kind", ["", "_binary"])
-def test_what_a_damaged_file_announces_is_not_allocated(tmp_path, version, kind):
-    content = (TUBES / f"tube_{version}{kind}.msh").read_bytes()
-    path = tmp_path / "bad.msh"
-    announced = {  # a count of nodes, of elements, the tag of a node
-        "2.2": [
-            (b"$Nodes\n24", b"$Nodes\n9999999999"),
-            (b"$Elements\n48", b"$Elements\n9999999999"),
-        ],
-        "4.1": [(b"\n22 183 1 183\n", b"\n9999999999 9999999999 1 9999999999\n")],
-    }[version]
-    if (version, kind) == ("4.1", "_binary"):
-        counts = content.index(b"$Nodes\n") + 7
-        announced = [(content[counts : counts + 16], np.array([10**12, 10**12], "<u8").tobytes())]
-    if (version, kind) == ("2.2", ""):
-        announced.append((b"\n24 ", b"\n99999999999 "))
-    for old, new in announced:
-        assert old in content, old
-        path.write_bytes(content.replace(old, new, 1))
-        tracemalloc.start()
-        with pytest.raises(InputError, match=r"bad.msh: is damaged"):
-            read_mesh(path)
-        assert tracemalloc.get_traced_memory()[1] < 50 * len(content) + 200_000
-        tracemalloc.stop()
-
-
-def test_a_middle_node_belongs_to_one_edge(tmp_path):
-    content = (TUBES / "tube_4.1.msh").read_text()
-    assert "\n66 84 2 89 " in content
-    (tmp_path / "bad.msh").write_text(content.replace("\n66 84 2 89 ", "\n66 84 3 89 "))
-    with pytest.raises(InputError, match=r"bad.msh: is damaged: the edges of its triangles"):
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("2.2", b"$Nodes\n24", b"$Nodes\n9999999999"),
+        ("2.2", b"$Elements\n48", b"$Elements\n9999999999"),
+        ("2.2", b"\n24 ", b"\n99999999999 "),
+        ("2.2_binary", b"$Nodes\n24", b"$Nodes\n9999999999"),
+        ("4.1", b"\n22 183 1 183\n", b"\n9999999999 9999999999 1 9999999999\n"),
+        ("4.1", b"\n66 84 2 89 ", b"\n66 84 3 89 "),  # a middle node of two edges
+    ],
+)
+def test_a_file_that_says_what_cannot_be_is_refused(tmp_path, name, old, new):
+    content = (MESHES / f"tube_{name}.msh").read_bytes()
+    assert old in content
+    (tmp_path / "bad.msh").write_bytes(content.replace(old, new, 1))
+    with pytest.raises(InputError, match=r"bad.msh: is damaged"):
         read_mesh(tmp_path / "bad.msh")
 
 
-def test_a_gmsh_41_file_with_sparse_tags_and_shared_groups(tmp_path):
-    path = tmp_path / "two.msh"
-    path.write_text(MSH41)
-    mesh = read_mesh(path)
+def test_meshes_of_other_formats_are_read(tmp_path):
+    section = annulus(2)
+    triangles = meshio.Mesh(
+        section.doflocs[:, : section.nvertices].T,
+        [("triangle", section.t.T), ("line", section.facets[:, section.boundaries["outer"]].T)],
+        cell_data={"medit:ref": [np.full(section.nelements, 3), np.full(18, 7)]},
+    )
+    meshio.write(tmp_path / "ring.mesh", triangles)
+    mesh = read_mesh(tmp_path / "ring.mesh")
+    assert mesh.nelements == section.nelements
+    assert {name: len(edges) for name, edges in mesh.boundaries.items()} == {"7": 18}
+    assert {name: len(cells) for name, cells in mesh.subdomains.items()} == {"3": mesh.nelements}
+
+
+@pytest.mark.parametrize("content", ["solid cube\n", "$MeshFormat\n4.1 0 8\n$EndElements\n"])
+def test_a_file_that_cannot_be_read_prints_nothing(tmp_path, capfd, content):
+    (tmp_path / "bad.msh").write_text(content)
+    with pytest.raises(InputError, match=r"bad.msh: is damaged or no mesh that meshio can read"):
+        read_mesh(tmp_path / "bad.msh")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_gmsh_41_file_with_sparse_tags_and_shared_groups():
+    mesh = read_mesh(MESHES / "two_triangles_4.1.msh")
     assert (mesh.nvertices, mesh.nelements) == (4, 2)
-    assert {name: len(edges) for name, edges in mesh.boundaries.items()} == {
-        "foot": 1,
-        "all": 1,
-        "12": 1,
-    }
+    found = {name: len(edges) for name, edges in mesh.boundaries.items()}
+    assert found == {"foot": 1, "all": 1, "12": 1}
     scene = antiplane(mesh, clamped="foot", effects=[Viscosity({"lower": 1.0, "upper": 2.0})])
     np.testing.assert_allclose(scene.problem.A.toarray(), [[1.5, -1.0], [-1.0, 2.0]])
 
 
-def corrupt(text):
+def corrupt(*changes):
     """The file with each (old, new) replaced."""
 
     def write(path):
-        changed = MSH41
-        for old, new in text:
-            assert old in changed
-            changed = changed.replace(old, new)
-        path.write_text(changed)
+        text = MSH41
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        path.write_text(text)
 
     return write
 
@@ -555,43 +497,30 @@ def pull(mesh):
 @pytest.mark.parametrize(
     ("write", "message"),
     [
-        (lambda path: None, "bad.msh: cannot be read"),
-        (lambda path: path.write_text("solid cube\n"), "bad.msh: is not a Gmsh .msh file"),
-        (lambda path: path.write_text(""), "bad.msh: is not a Gmsh .msh file"),
-        (lambda path: path.write_text(MSH41[:-20]), "bad.msh: is cut short"),
-        (corrupt([("4 4 1 4", "5 4 1 4")]), "bad.msh: is damaged: a section has fewer numbers"),
-        (corrupt([("4.1 0 8", "9.9 0 8")]), "bad.msh: MSH version '9.9' is not among 2.2, 4.1"),
-        (corrupt([("4.1 0 8", "4.2 0 8")]), "bad.msh: MSH version '4.2' is not .*; save it as"),
-        (corrupt([("4.1 0 8", "2.9 0 8")]), "bad.msh: MSH version '2.9' is not among"),
-        (lambda path: path.write_text("$MeshFormat$EndElements"), "bad.msh: MSH version ''"),
-        (corrupt([("0 1 2\n", "0 one 2\n")]), "bad.msh: is damaged: there is a word among"),
-        (corrupt([("0 1 2\n", "0 nan 2\n")]), r"bad.msh: node \d+ has coordinates .*nan"),
-        (corrupt([("0 1 2\n", "0 1 3\n")]), "bad.msh: is not flat"),
-        (corrupt([("0 1 2\n", "0 0 2\n")]), "bad.msh: triangle 1 near .* has no area"),
-        (corrupt([("0 1 2\n", "0.9 0.1 2\n")]), "bad.msh: triangle . near .* is inverted"),
-        (
-            corrupt([("3 1 2 5", "3 1 2 8")]),
-            "bad.msh: is damaged: an element names a node that is not",
-        ),
-        (corrupt([("1 2 1 1\n2 5 7", "1 2 1 1\n2 2 7")]), "bad.msh: physical curve '12' has"),
-        (
-            corrupt([("2 1 2 1\n3 1 2 5\n2 2 2 1\n4 5 1 7", "2 1 3 1\n3 1 2 5 7")]),
-            "bad.msh: only triangles are supported, not quad",
-        ),
-        (
-            corrupt([("4 4 1 4", "2 2 1 2"), ("2 1 2 1\n3 1 2 5\n2 2 2 1\n4 5 1 7\n", "")]),
-            "bad.msh: has no triangles",
-        ),
-        (lambda path: write_msh(path, flip(square(2))), "bad.msh: triangle .* is inverted"),
-        (lambda path: write_msh(path, crush(square(2))), "bad.msh: .* its curved edges cross"),
-        (lambda path: write_msh(path, pull(square(2))), "bad.msh: .* its curved edges cross"),
+        (lambda path: None, "cannot be read"),
+        (lambda path: path.write_text(""), "is damaged or no mesh that meshio can read"),
+        (lambda path: path.write_text(MSH41[:-20]), "is cut short"),
+        (lambda path: path.write_text("$MeshFormat$EndElements"), "is damaged"),
+        (corrupt(("4 4 1 4", "5 4 1 4")), "is damaged"),
+        (corrupt(("4.1 0 8", "9.9 0 8")), "is damaged .*Need mesh format in"),
+        (corrupt(("0 1 2\n", "0 one 2\n")), "is damaged .*could not be read"),
+        (corrupt(("0 1 2\n", "0 nan 2\n")), r"node \d+ has coordinates .*nan"),
+        (corrupt(("0 1 2\n", "0 1 3\n")), "is not flat"),
+        (corrupt(("0 1 2\n", "0 0 2\n")), "triangle 1 near .* has no area"),
+        (corrupt(("0 1 2\n", "0.9 0.1 2\n")), "triangle . near .* is inverted"),
+        (corrupt(("3 1 2 5", "3 1 2 8")), "is damaged: an element names a node that is not"),
+        (corrupt(("1 2 1 1\n2 5 7", "1 2 1 1\n2 2 7")), "physical curve '12' has"),
+        (corrupt(("4 4 1 4", "3 3 1 3"), (TWO, QUAD)), "only triangles are supported, not quad"),
+        (corrupt(("4 4 1 4", "2 2 1 2"), (TWO, "")), "has no triangles"),
+        (lambda path: write_msh(path, flip(square(2))), "triangle .* is inverted"),
+        (lambda path: write_msh(path, crush(square(2))), ".* its curved edges cross"),
+        (lambda path: write_msh(path, pull(square(2))), ".* its curved edges cross"),
     ],
 )
 def test_a_bad_mesh_file_is_refused_with_its_name_and_fault(tmp_path, write, message):
-    path = tmp_path / "bad.msh"
-    write(path)
-    with pytest.raises(InputError, match=message):
-        read_mesh(path)
+    write(tmp_path / "bad.msh")
+    with pytest.raises(InputError, match=f"bad.msh: {message}"):
+        read_mesh(tmp_path / "bad.msh")
 
 
 def pieces():
@@ -613,6 +542,14 @@ def scaled(factor):
 VISCOUS = [Viscosity(1.0)]
 
 
+def added(effect, **arguments):
+    """A scene with one more effect."""
+    return {"effects": [*VISCOUS, effect], **arguments}
+
+
+LARGE = {"mesh": scaled(1e3)}
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -620,6 +557,7 @@ VISCOUS = [Viscosity(1.0)]
         ({"mesh": skfem.MeshQuad()}, "mesh must be a path or a mesh of triangles"),
         ({"mesh": flip(square(2))}, "triangle .* is inverted: it overlaps"),
         ({"mesh": pieces(), "clamped": "left"}, r"nothing holds the piece .* \(2, 0\)"),
+        ({"mesh": square(1), "clamped": ["top", "bottom"]}, "clamped: holding .* no unknown"),
         ({"clamped": []}, "clamped must be a name or a list of names"),
         ({"clamped": ["top", "top"]}, "clamped names a boundary twice"),
         ({"clamped": "roof"}, "'roof' is not a boundary of the mesh; there are: bottom, left"),
@@ -627,58 +565,23 @@ VISCOUS = [Viscosity(1.0)]
         ({"units": "cgs"}, "units must be one of"),
         ({"scheme": "leapfrog"}, "scheme 'leapfrog' is not known"),
         ({"solver": "simplex"}, "solver 'simplex' is not known"),
+        ({"t_end": "a"}, "t_end must be one number, got 'a'"),
+        ({"t_end": -1.0}, "t_end must be > 0"),
+        ({"u0": [1.0]}, "u0 must have 6 entries, got 1"),
         ({"effects": []}, "effects must hold a viscosity"),
         ({"effects": None}, r"effects must be a list of effects .*, got None"),
         ({"effects": VISCOUS[0]}, r"effects must be a list .*, got Viscosity\(eta=1.0\)"),
-        ({"effects": [*VISCOUS, 3]}, r"^effects\[1\] is no effect such as .*: 3"),
         ({"effects": [Viscosity]}, r"^effects\[0\] is no effect such as Viscosity\(1.0\): <class"),
-        ({"effects": "viscosity"}, r"^effects\[0\] is no effect"),
-        (
-            {"mesh": square(1), "clamped": ["top", "bottom"]},
-            "clamped: holding top, bottom leaves no unknown",
-        ),
-        ({"t_end": "a"}, "t_end must be one number, got 'a'"),
-        ({"t_end": -1.0}, "t_end must be > 0"),
-        (
-            {"effects": [*VISCOUS, BodyForce(Table([0, 1], [0, 1]))], "t_end": "a"},
-            "t_end must be one number, got 'a'",
-        ),
+        (added(3), r"^effects\[1\] is no effect such as .*: 3"),
         ({"effects": [Viscosity(1e308)]}, r"effects\[0\].eta is too large: its integrals"),
-        ({"effects": [*VISCOUS, Elasticity(1e308)]}, r"effects\[1\].kappa is too large"),
-        (
-            {"effects": [*VISCOUS, Friction("left", g=1e308)], "mesh": scaled(1e3)},
-            r"effects\[1\].g is too large",
-        ),
-        (
-            {"effects": [*VISCOUS, BodyForce(Constant(), f0=1e308)], "mesh": scaled(1e3)},
-            r"effects\[1\].f0 is too large",
-        ),
-        (
-            {"effects": [*VISCOUS, Traction("left", Constant(), f2=1e308)], "mesh": scaled(1e3)},
-            r"effects\[1\].f2 is too large",
-        ),
-        ({"effects": VISCOUS, "u0": [1.0]}, "u0 must have 6 entries, got 1"),
-        (
-            {"effects": [*VISCOUS, Friction("left", 1), Friction("right", 1)]},
-            "effects hold friction twice",
-        ),
-        (
-            {"effects": [*VISCOUS, Friction("left", lambda x: -x[0] - 1)]},
-            r"effects\[1\].g must be >= 0",
-        ),
-        ({"effects": [*VISCOUS, Friction("top", 1)]}, r"effects\[1\].on: all of top is clamped"),
-        (
-            {"effects": [*VISCOUS, Friction(["left", "right"], {"left": 1.0})]},
-            r"effects\[1\].g gives no value for right",
-        ),
+        (added(Elasticity(1e308)), r"effects\[1\].kappa is too large"),
+        (added(Friction("left", g=1e308), **LARGE), r"effects\[1\].g is too large"),
+        (added(BodyForce(Constant(), f0=1e308), **LARGE), r"effects\[1\].f0 is too large"),
+        (added(Traction("left", Constant(), 1e308), **LARGE), r"effects\[1\].f2 is too large"),
+        (added(Friction("left", lambda x: -x[0] - 1)), r"effects\[1\].g must be >= 0"),
         ({"effects": [Viscosity(lambda x: x[0] - 0.5)]}, r"effects\[0\].eta must be > 0"),
         ({"effects": [Viscosity(lambda x: [1, 2])]}, r"effects\[0\].eta must turn points"),
         ({"effects": [Viscosity(lambda x: x[0] + np.inf)]}, r"effects\[0\].eta must be finite"),
-        (
-            {"effects": [Viscosity(Profile("x", [0.2, 1.0], [1.0, 1.0]))]},
-            r"effects\[0\].eta.at covers \[0.2, 1\] but x runs over \[0",
-        ),
-        ({"effects": [Viscosity({"core": 1.0})]}, r"effects\[0\].eta.core is not a group here"),
     ],
 )
 def test_bad_arguments_are_refused_by_name(arguments, message):
@@ -690,48 +593,29 @@ def test_bad_arguments_are_refused_by_name(arguments, message):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Viscosity(0.0), "eta must be > 0"),
-        (lambda: Viscosity("soft"), "eta must be a number, got 'soft'"),
-        (lambda: Viscosity(True), "eta must be a number"),
         (lambda: Viscosity({}), "eta must name a group"),
         (lambda: Viscosity({"core": -1.0}), "eta.core must be > 0"),
-        (lambda: Elasticity(-2.0), "kappa must be >= 0"),
-        (lambda: Friction("outer", -1.0), "g must be >= 0"),
         (lambda: Friction("outer", np.nan), "g must be finite, got nan"),
         (lambda: Friction("outer", -np.inf), "g must be >= 0, got -inf"),
-        (lambda: Friction(3, 1.0), "on must be a name or a list of names"),
         (lambda: Friction("outer", Profile("x", [0, 1], [1, -1])), "g.values must be >= 0"),
         (lambda: Traction("outer", 5.0), "history must be a function of time"),
         (lambda: BodyForce(Constant(), f0=np.nan), "f0 must be finite"),
         (lambda: Profile("z", [0, 1], [1, 1]), "along must be one of x, y, radius, angle"),
         (lambda: Profile("x", [0, 0], [1, 1]), "at must have two entries or more and increase"),
         (lambda: Profile("x", [0, 1], [1]), "values must have 2 entries"),
+        (lambda: read_mesh(None), "path must be a path, got None"),
+        (lambda: read_mesh(b"square.msh"), "path must be a path, got b'square.msh'"),
     ],
 )
-def test_bad_effects_are_refused_by_field(make, message):
+def test_bad_effects_and_paths_are_refused_by_field(make, message):
     with pytest.raises(InputError, match=message):
         make()
 
 
-@pytest.mark.parametrize("path", [None, 3, b"square.msh"])
-def test_a_mesh_is_read_from_a_path_only(path):
-    with pytest.raises(InputError, match=f"path must be a path, got {path!r}"):
-        read_mesh(path)
-
-
-@pytest.mark.parametrize(
-    ("function", "message"),
-    [
-        (lambda x: np.ones(3), r"function must turn points of shape \(2, ...\) into numbers"),
-        (lambda x: x, "function must turn points"),
-        (lambda x: "a", "function must turn points"),
-        (lambda x: x[0] * np.nan, "function must be finite, got nan"),
-        (None, "function must be a number, got None"),
-    ],
-)
-def test_only_one_finite_number_a_point_is_interpolated(function, message):
+@pytest.mark.parametrize("function", [lambda x: np.ones(3), lambda x: "a", lambda x: x[0] * np.nan])
+def test_only_one_finite_number_a_point_is_interpolated(function):
     body = antiplane(square(2), clamped="top", effects=VISCOUS).discretisation
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match=r"function must (turn points|be finite)"):
         body.interpolate(function)
 
 

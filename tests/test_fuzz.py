@@ -101,7 +101,10 @@ def test_bad_input_gets_an_error_of_ours_or_a_right_answer(
     name: str, times: int, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)  # a checkpoint may be written where a hostile word names a file
-    for name_of_limit in ("refinement.STEPS", "adaptive.STEPS"):  # no hang, but long
+    for name_of_limit in (
+        "results.refinement.STEPS",
+        "integrate.adaptive.STEPS",
+    ):  # no hang, but long
         monkeypatch.setattr(f"sweepopt.{name_of_limit}", 5_000)
     inputs, drawn, ask = TARGETS[name]
     asked = 0

@@ -1,4 +1,4 @@
-"""One-step programs on which solvers alone fail: threshold loads, mixed units, bad conditioning."""
+"""Programs on which solvers alone fail, judged by velocities that are exact to 60 digits."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,66 +16,75 @@ pytest.importorskip("mpmath")
 
 import sweepopt as so
 from sweepopt.cli import main
-from sweepopt.integrate.observers import StepInfo
-from sweepopt.integrate.schemes import SCHEMES
 from sweepopt.study.hard import FAMILIES, Program, table
-from sweepopt.study.hard.bodies import Hard, chain, pushed
+from sweepopt.study.hard.bodies import chain, one_step, spectral
 from sweepopt.study.hard.combinations import combination
-from sweepopt.study.hard.table import PATHS, HardRow, Judge, rows
-from sweepopt.velocity.plan import make_plan
+from sweepopt.study.hard.judge import Judge
+from sweepopt.study.hard.table import PATHS, HardRow, rows
 
 RNG = np.random.default_rng(0)
 N = 60
 A = 2.001 * np.eye(N) - np.eye(N, k=1) - np.eye(N, k=-1)
 LOAD, G = 3 * RNG.normal(size=N), RNG.uniform(0.5, 2, N)
-BASIS = np.linalg.qr(RNG.normal(size=(N, N)))[0]
+ILL = spectral(RNG, np.logspace(-12, 0, N))
 UNITS = np.logspace(-6, 6, N)
 Data = tuple[np.ndarray, np.ndarray, np.ndarray]
 
-
-def spectral(values: np.ndarray) -> np.ndarray:
-    M = BASIS @ np.diag(values) @ BASIS.T
-    return 0.5 * (M + M.T)
-
-
-# M, q, g and the certificate that can be asked for
-HARD: dict[str, tuple[Callable[[], Data], float]] = {
-    "plain": (lambda: (A, LOAD, G), 1e-12),
-    "beta 1e-8": (lambda: (A - (np.linalg.eigvalsh(A)[0] - 1e-8) * np.eye(N), LOAD, G), 1e-12),
-    "condition 1e12": (lambda: (spectral(np.logspace(-12, 0, N)), LOAD, G), 1e-6),
-    "glued beside nearly free": (lambda: (A, LOAD, np.where(np.arange(N) % 2, 1e12, 1e-3)), 1e-12),
-    "g from 1e-12 to 1e12": (lambda: (A, LOAD, np.logspace(-12, 12, N)), 1e-11),
-    "forces x 1e-9": (lambda: (1e-9 * A, 1e-9 * LOAD, 1e-9 * G), 1e-12),
-    "lengths x 1e9": (lambda: (1e-18 * A, LOAD, G), 1e-12),
-    "units mixed inside A": (lambda: (UNITS[:, None] * A * UNITS, LOAD * UNITS, G * UNITS), 1e-12),
-    "at the threshold": (lambda: (A, np.where(np.arange(N) % 2, G, -G), G), 0.0),
+# M, load, g and the certificate that can be asked for
+HARD: dict[str, tuple[Data, float]] = {
+    "plain": ((A, LOAD, G), 1e-12),
+    "beta 1e-8": ((A - (np.linalg.eigvalsh(A)[0] - 1e-8) * np.eye(N), LOAD, G), 1e-12),
+    "condition 1e12": ((ILL, LOAD, G), 1e-6),
+    "glued beside nearly free": ((A, LOAD, np.where(np.arange(N) % 2, 1e12, 1e-3)), 1e-12),
+    "g from 1e-12 to 1e12": ((A, LOAD, np.logspace(-12, 12, N)), 1e-11),
+    "forces x 1e-9": ((1e-9 * A, 1e-9 * LOAD, 1e-9 * G), 1e-12),
+    "lengths x 1e9": ((1e-18 * A, LOAD, G), 1e-12),
+    "units mixed inside A": ((UNITS[:, None] * A * UNITS, LOAD * UNITS, G * UNITS), 1e-12),
+    "at the threshold": ((A, np.where(np.arange(N) % 2, G, -G), G), 0.0),
 }
+
+
+def solve_once(process: so.SweepingProcess, **settings: Any) -> so.Solution:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", so.InitialStateWarning)
+        settings = {"t_end": 1.0, "steps": 1, "scheme": "implicit-euler", "tol": 1e-9, **settings}
+        return so.solve(process, **settings)
 
 
 @pytest.mark.parametrize("solver", ["auto", "daqp", "newton", "osqp", "clarabel"])
 @pytest.mark.parametrize("name", HARD)
 def test_hard_programs_are_solved_with_a_proof(name: str, solver: str) -> None:
-    make, certificate = HARD[name]
-    M, q, g = make()
-    process = so.SweepingProcess(M, None, so.Box(-g, g), np.zeros(N))
-    plan = make_plan(process, [(0.0, process.C)], SCHEMES["implicit-euler"], solver, 1e-6)
-    velocity = plan.velocity(process.A)(q, process.C).velocity
-    assert velocity.relative <= certificate
+    (M, load, g), certificate = HARD[name]
+    C = so.Moving(so.Box(-g, g), load)
+    tol = max(certificate, 1e-12)
+    sol = solve_once(so.SweepingProcess(M, None, C, np.zeros(N)), solver=solver, tol=tol)
+    z = sol.velocity[0]
+    assert sol.stats["relative"][0] <= certificate
     # the proof once more, from the inclusion itself: stuck inside, slipping against the bound
-    force = M @ velocity.z + q
-    slips = velocity.z != 0
-    size = np.abs(M) @ np.abs(velocity.z) + np.abs(q)
+    force, slips = M @ z - load, z != 0
+    size = np.abs(M) @ np.abs(z) + np.abs(load)
     assert (np.abs(force[~slips]) <= g[~slips] + 1e-5 * size[~slips]).all()
-    assert (np.abs(force + g * np.sign(velocity.z))[slips] <= 1e-5 * size[slips]).all()
+    assert (np.abs(force + g * np.sign(z))[slips] <= 1e-5 * size[slips]).all()
 
 
+def test_the_active_set_solver_stands_alone() -> None:
+    process = so.SweepingProcess(ILL, None, so.Moving(so.Box(-G, G), LOAD), np.zeros(N))
+    sol = solve_once(process, solver="active-set")
+    exact = Program(ILL).solve(np.zeros(N), process.C.at(1.0), sol.velocity[0])
+    error = Program(ILL).error(sol.velocity[0], exact) / exact.size
+    assert error <= 1e-9
+    assert error <= sol.stats["relative"][0]
+    assert sol.stats["solver"][0] == "active-set"
+
+
+TOL = {"condition_all": 1e-7}  # what double precision can prove; all others: a tenth of TARGET
 # ---- every family, judged by its exact velocity -----------------------------------------------
 
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_hard_families_are_met_within_their_certificates(family: str) -> None:
     solvers = ["auto", "osqp", "clarabel"]
-    found = list(rows([family], [0], solvers=solvers))
+    found = list(rows([family], [0], solvers=solvers, tol=TOL.get(family, 1e-9)))
     assert found
     assert [row for row in found if not row.good] == []
 
@@ -84,7 +93,7 @@ def test_hard_families_are_met_within_their_certificates(family: str) -> None:
 @pytest.mark.parametrize("seed", range(1, 7))
 @pytest.mark.parametrize("family", FAMILIES)
 def test_hard_families_are_met_for_every_seed_and_solver(family: str, seed: int) -> None:
-    assert [row for row in rows([family], [seed]) if not row.good] == []
+    assert [row for row in rows([family], [seed], tol=TOL.get(family, 1e-9)) if not row.good] == []
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -94,34 +103,10 @@ def test_combinations_drawn_by_chance_are_met(seed: int) -> None:
     assert [row for row in found if not row.good] == []  # all true answers are known, too
 
 
-class Step(NamedTuple):
-    """A step of a run and the state before it."""
-
-    t: float
-    before: np.ndarray
-    velocity: np.ndarray
-    certificate: float
-
-
-def stepped(process: so.SweepingProcess, made: Hard, solver: str) -> list[Step]:
-    found: list[Step] = []
-    states = [process.u0]
-
-    def look(step: StepInfo) -> None:
-        found.append(Step(step.t, states[-1], step.velocity, step.certificate))
-        states.append(step.u)
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", so.InitialStateWarning)
-        so.solve(
-            process,
-            t_end=made.t_end,
-            steps=made.steps,
-            scheme="implicit-euler",
-            solver=solver,
-            callback=look,
-        )
-    return found
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(100, 106))
+def test_combinations_are_met_for_every_seed_and_solver(seed: int) -> None:
+    assert [row for row in rows([], [seed], combinations=10) if not row.good] == []
 
 
 @pytest.mark.parametrize(
@@ -134,22 +119,32 @@ def stepped(process: so.SweepingProcess, made: Hard, solver: str) -> list[Step]:
         pytest.param(2, 0, id="B of rank one"),
     ],
 )
-def test_combinations_that_were_missed_once(seed: int, number: int) -> None:
+def test_combinations_that_were_wrong_once(seed: int, number: int) -> None:
     process = (made := combination(np.random.default_rng([seed, number]))).process()
     judge = Judge(process, made.t_end / made.steps)
     for solver in ("auto", "clarabel"):
-        for step in stepped(process, made, solver):
-            exact = judge.of(step.before, step.t, step.velocity)
-            error = judge.error(step.velocity, exact)
-            assert error <= 1e-9 * exact.size
-            assert error <= step.certificate
+        states, errors = [process.u0], []
+
+        def look(step: so.StepInfo, states: list = states, errors: list = errors) -> None:
+            exact = judge.of(states[-1], step.t, step.velocity)
+            errors.append((judge.error(step.velocity, exact), step.certificate, exact.size))
+            states.append(step.u)
+
+        solve_once(process, t_end=made.t_end, steps=made.steps, solver=solver, callback=look)
+        for error, certificate, size in errors:
+            assert error <= min(1e-9 * size, certificate)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(100, 106))
-def test_combinations_are_met_for_every_seed_and_solver(seed: int) -> None:
-    # "not known" is not good either: the true answer of every case is there to judge by
-    assert [row for row in rows([], [seed], combinations=10) if not row.good] == []
+def test_a_path_that_does_not_apply_leaves_no_row() -> None:
+    # all unknowns are in contact: there is nothing to eliminate
+    found = rows(["condition_all", "proportional"], [0], solvers=["auto"])
+    assert [(row.family, row.path) for row in found] == [
+        ("condition_all", "full"),
+        *(("proportional", path) for path in PATHS),
+    ]
+
+
+# ---- the judge --------------------------------------------------------------------------------
 
 
 def test_the_exact_velocity_is_that_of_a_closed_form() -> None:
@@ -174,52 +169,36 @@ def test_the_exact_velocity_of_discs_is_found_from_any_start() -> None:
     assert zero.length == pytest.approx(2.0657e-15, rel=1e-3)
 
 
-def test_an_answer_that_is_wrong_is_seen_and_so_is_a_certificate_that_is_too_small() -> None:
-    made = pushed(np.diag([1.0, 2.0]), np.array([3.0, 0.0]), so.Box([-1, -1], [1, 1]))
-    process = made.process()
-    C = process.C.at(1.0)
-    z = np.array([2.0 + 1e-6, 0.0])
-    exact = Program(process.A).solve(np.zeros(2), C, z)
-    assert Program(process.A).error(z, exact) == pytest.approx(1e-6, rel=1e-9)
+def test_the_judge_does_not_round_the_sum_and_the_product_of_the_data() -> None:
+    # 1 + 1e-9 * 3e-9 is 1 in doubles, and so is the product with the state
+    u = np.array([1 + 2.0**-30])
+    program = Program(np.eye(1), np.array([[3e-9]]), 1e-9)
+    assert program.M[0, 0] != 1
+    assert abs(float(program.M[0, 0] - 1) - 3e-18) <= 1e-33
+    assert float(program.term(u)[0] - 3e-9) == pytest.approx(3e-9 * 2.0**-30, rel=1e-12)
 
 
-def judged(
-    monkeypatch: pytest.MonkeyPatch, family: str, wrong: Callable[[StepInfo], StepInfo]
-) -> HardRow:
-    """The row of a run whose steps are not what the library found."""
-
-    def lying(process: so.SweepingProcess, *, callback: Any, **settings: Any) -> so.Solution:
-        return so.solve(process, callback=lambda step: callback(wrong(step)), **settings)
-
-    monkeypatch.setattr(table, "solve", lying)
-    return next(iter(rows([family], [2], solvers=["auto"], paths=["full"])))
-
-
-@pytest.mark.parametrize("family", ["lengths_down", "forces_up", "stiff"])
-def test_the_judge_sees_a_wrong_answer(monkeypatch: pytest.MonkeyPatch, family: str) -> None:
-    def moved(share: float) -> HardRow:
-        return judged(
-            monkeypatch, family, lambda step: step._replace(velocity=(1 + share) * step.velocity)
-        )
-
-    assert moved(0.0).verdict == "met"
-    row = moved(1e-6)
-    assert row.verdict == "error above 1e-08"
-    assert 1e-7 < row.error < 1.01e-6  # in units of the load where that is more
-    assert not row.good
-
-
-@pytest.mark.parametrize("family", ["condition", "lengths_down", "stiff"])
-def test_the_judge_sees_a_certificate_below_the_error(
+@pytest.mark.parametrize("family", ["condition", "lengths_down", "forces_up", "stiff"])
+def test_the_judge_sees_wrong_answers_and_certificates(
     monkeypatch: pytest.MonkeyPatch, family: str
 ) -> None:
-    row = judged(
-        monkeypatch,
-        family,
-        lambda step: step._replace(velocity=(1 + 1e-9) * step.velocity, certificate=0.0),
-    )
+    def judged(wrong: Callable[[so.StepInfo], so.StepInfo]) -> HardRow:
+        """The row of a run whose steps are not what the library found."""
+
+        def lying(process: so.SweepingProcess, *, callback: Any, **settings: Any) -> so.Solution:
+            return so.solve(process, callback=lambda step: callback(wrong(step)), **settings)
+
+        monkeypatch.setattr(table, "solve", lying)
+        return next(iter(rows([family], [2], solvers=["auto"], paths=["full"])))
+
+    right = judged(lambda step: step)
+    assert right.verdict == "met"
+    row = judged(lambda step: step._replace(velocity=(1 + 1e-6) * step.velocity))
+    assert row.verdict == "error above 1e-08"
+    assert 1e-7 < row.error < 1.01e-6  # in units of the load where that is more
+    row = judged(lambda step: step._replace(velocity=(1 + 1e-9) * step.velocity, certificate=0.0))
     assert row.verdict == "certificate below the error"
-    assert 1e-10 < row.error < 1.01e-9
+    assert 1e-10 < row.error < 1.01e-9 + right.error
     assert not row.good
 
 
@@ -235,51 +214,34 @@ def test_an_error_of_the_library_is_a_wrong_row_whatever_its_words(
     assert all(row.verdict.startswith("InputError: path=") and not row.good for row in found)
 
 
-def test_a_path_that_does_not_apply_leaves_no_row() -> None:
-    # all unknowns are in contact: there is nothing to eliminate
-    found = rows(["condition_all", "proportional"], [0], solvers=["auto"])
-    assert [(row.family, row.path) for row in found] == [
-        ("condition_all", "full"),
-        *(("proportional", path) for path in PATHS),
-    ]
-
-
-def test_the_sum_and_the_product_of_the_data_are_not_rounded_by_the_judge() -> None:
-    # 1 + 1e-9 * 3e-9 is 1 in doubles, and so is the product with the state
-    A, B, u = np.eye(1), np.array([[3e-9]]), np.array([1 + 2.0**-30])
-    program = Program(A, B, 1e-9)
-    assert program.M[0, 0] != 1
-    assert abs(float(program.M[0, 0] - 1) - 3e-18) <= 1e-33
-    assert float(program.term(u)[0] - 3e-9) == pytest.approx(3e-9 * 2.0**-30, rel=1e-12)
+# ---- laws of the process ----------------------------------------------------------------------
 
 
 def test_units_change_nothing() -> None:
     few, M = np.array([1, 4, 7, 9]), chain(np.random.default_rng(3), 12)
     f, g = 3 * np.random.default_rng(4).normal(size=12), np.array([0.1, 0.5, 1.0, 2.0])
 
-    def velocity(force: float, length: float, solver: str, path: str) -> np.ndarray:
+    def velocity(force: float, length: float, **settings: str) -> np.ndarray:
         # energies in force * length: A in force / length, loads in force
-        made = pushed(force / length * M, force * f, so.Box(-force * g, force * g), few)
-        with pytest.warns(so.InitialStateWarning):
-            sol = so.solve(made.process(), t_end=1.0, steps=1, solver=solver, path=path)
-        return sol.velocity[0] / length
+        made = one_step(force / length * M, force * f, so.Box(-force * g, force * g), few)
+        return solve_once(made.process(), **settings).velocity[0] / length
 
     for solver in ("auto", "osqp", "clarabel"):
         for path in ("full", "eliminated", "proportional"):
-            plain = velocity(1.0, 1.0, solver, path)
+            plain = velocity(1.0, 1.0, solver=solver, path=path)
             for force, length in ((2.0**40, 1.0), (2.0**-40, 1.0), (1.0, 2.0**40), (1.0, 2.0**-40)):
-                scaled = velocity(force, length, solver, path)
+                scaled = velocity(force, length, solver=solver, path=path)
                 assert np.abs(scaled - plain).max() <= 1e-12 * np.abs(plain).max()
                 assert ((scaled == 0) == (plain == 0)).all()
 
 
 @pytest.mark.parametrize("share", [0.5, 0.999, 1.0])
 @pytest.mark.parametrize("steps", [1000, pytest.param(100_000, marks=pytest.mark.slow)])
-def test_a_body_that_is_held_does_not_drift(share: float, steps: int) -> None:
+def test_a_body_at_rest_does_not_drift(share: float, steps: int) -> None:
     rng = np.random.default_rng(5)
     M, g, u0 = chain(rng, 6), rng.uniform(0.5, 2.0, 6), rng.normal(size=6)
-    held = share * g * rng.choice([-1.0, 1.0], 6)
-    C = so.Moving(so.Box(-g, g), M @ u0 + held)
+    load = M @ u0 + share * g * rng.choice([-1.0, 1.0], 6)
+    C = so.Moving(so.Box(-g, g), load)
     sol = so.solve(so.SweepingProcess(M, M, C, u0), t_end=100.0, steps=steps)
     assert not sol.velocity.any()
     assert (sol.u == u0).all()
@@ -301,9 +263,6 @@ def test_small_viscosity_tends_to_the_rate_independent_process() -> None:
     assert max(errors[9:]) < 1e-8
 
 
-# ---- what must not move, and what is there twice ----------------------------------------------
-
-
 @pytest.mark.parametrize("solver", ["auto", "newton", "daqp", "osqp", "clarabel", "cvxpy"])
 def test_glued_unknowns_have_exactly_no_velocity(solver: str) -> None:
     g = np.array([np.inf, 0.3, 0.0, np.inf, 1e12])
@@ -316,27 +275,13 @@ def test_glued_unknowns_have_exactly_no_velocity(solver: str) -> None:
 
 
 def test_a_contact_that_is_named_twice_has_the_sum_of_its_bounds() -> None:
-    E = np.eye(4)[:, [2, 0, 2, 2]]
-    merged = so.image(E, so.Box([-1, -2, -3, -np.inf], [1, 2, 3, 4]))
-    assert merged.selection is not None
-    assert list(merged.selection.unknowns) == [0, 2]
-    assert list(merged.part.lower) == [-2.0, -np.inf]
-    assert list(merged.part.upper) == [2.0, 8.0]
-    # columns of zeros do nothing
-    nothing = so.image(np.array([[1.0, 0.0], [0.0, 0.0]]), so.Box([-1, -5], [1, 5]))
-    assert list(nothing.part.upper) == [1.0]
-
-
-def test_the_active_set_solver_stands_alone() -> None:
-    M, q = spectral(np.logspace(-12, 0, N)), LOAD
-    process = so.SweepingProcess(M, None, so.Moving(so.Box(-G, G), -q), np.zeros(N))
-    with pytest.warns(so.InitialStateWarning):
-        sol = so.solve(process, t_end=1.0, steps=1, solver="active-set")
-    exact = Program(process.A).solve(np.zeros(N), process.C.at(1.0), sol.velocity[0])
-    error = Program(process.A).error(sol.velocity[0], exact) / exact.size
-    assert error <= 1e-9
-    assert error <= sol.stats["relative"][0]
-    assert sol.stats["solver"][0] == "active-set"
+    E, rng = np.eye(4)[:, [2, 0, 2, 2]], np.random.default_rng(1)
+    named = so.image(E, so.Box([-1, -2, -3, -np.inf], [1, 2, 3, 4]))
+    once = so.image(np.eye(4)[:, [0, 2]], so.Box([-2, -np.inf], [2, 8]))
+    for w in 9 * rng.normal(size=(20, 4)):
+        assert named.project(w) == pytest.approx(once.project(w), abs=1e-12)
+        z = w * [1, 0, 0, 0] + [0, 0, abs(w[2]), 0]
+        assert named.support(z) == pytest.approx(once.support(z), rel=1e-12)
 
 
 # ---- the command -------------------------------------------------------------------------------
@@ -356,9 +301,7 @@ def test_the_command_writes_the_table(tmp_path: Path, capsys: pytest.CaptureFixt
     assert float(table[0]["error"]) <= 1e-8
     assert "36 move" in table[0]["answer"]
     assert {row["answer"] for row in table[1:]} == {"refuse: EmptySetError"}
-    page = (tmp_path / "out" / "report.html").read_text()
-    assert "Each load is its friction bound" in page
-    assert '"good":false' not in page
+    assert "Each load is its friction bound" in (tmp_path / "out" / "report.html").read_text()
 
 
 @pytest.mark.parametrize(
@@ -368,6 +311,7 @@ def test_the_command_writes_the_table(tmp_path: Path, capsys: pytest.CaptureFixt
         ("[hard]\nseed = [1]", "hard.seed: unknown key; there are: seeds"),
         ("[hard]\nseeds = []", "hard.seeds must be a list with one entry or more"),
         ("[hard]\nseeds = [-1]", "hard.seeds[0] must be a whole number >= 0, got -1"),
+        ("[hard]\ntol = 0.0", "hard.tol must be > 0"),
         ('[hard]\nfamilies = ["soft"]', "hard.families[0]: 'soft' is not known; there are: thr"),
         ('[hard]\nsolvers = ["magic"]', "hard.solvers[0]: 'magic' is not known; there are: auto"),
     ],

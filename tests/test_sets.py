@@ -16,7 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sweepopt as so
-from tests.laws import LAWS, ZOO
+from sweepopt.checks import vector
+from sweepopt.sets import Features
+from tests.laws import LAWS, ZOO, Entry, Sample, scaled, translated
 
 SEEDS = st.integers(0, 2**20)
 UNIT = so.Ball([0.0, 0.0], 1.0)
@@ -72,6 +74,58 @@ def test_another_matrix_is_another_cone() -> None:
     for C, D in pairs:
         assert not C.same_cone(D)
         assert not D.same_cone(C)
+
+
+# ---- a set of one's own -------------------------------------------------------------------------
+
+
+class DiamondBall(so.ConvexSet):
+    """{ w : sum |w_i| <= radius }:  sigma(z) = radius max |z_i|."""
+
+    def __init__(self, radius: float, dim: int) -> None:
+        self.radius, self.dim, self.offsets = radius, dim, np.array([radius])
+
+    def support(self, z: Any) -> float:
+        return float(self.radius * np.abs(vector("z", z, self.dim)).max())
+
+    def project(self, w: Any) -> np.ndarray:
+        w = vector("w", w, self.dim)
+        sizes = np.sort(np.abs(w))[::-1]
+        levels = (np.cumsum(sizes) - self.radius) / np.arange(1, self.dim + 1)
+        return np.sign(w) * np.maximum(np.abs(w) - max(levels.max(), 0.0), 0.0)
+
+    def features(self, p: cp.Expression) -> Features:
+        size = cp.Variable(1)
+        return Features([size], [p <= size, -p <= size])
+
+
+def diamond(frame: Any, rng: Any, dim: int | None = None) -> Sample:
+    radius, dim = rng.exponential(), int(frame.integers(1, 6)) if dim is None else dim
+    return Sample(DiamondBall(radius, dim), lambda w: [cp.norm1(w) <= radius])
+
+
+OWN = {"diamond": Entry(diamond), "2 diamond - v": Entry(translated(scaled(diamond)))}
+
+
+@pytest.mark.parametrize("name", OWN)
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
+def test_a_new_set_with_three_methods_obeys_every_law(law: Any, name: str) -> None:
+    for seed in range(2):
+        law(OWN[name], OWN[name].sample(seed), np.random.default_rng(seed + 1))
+
+
+def test_a_new_set_is_solved_like_the_polytope_it_is() -> None:
+    corners = 0.7 * np.vstack([np.eye(3), -np.eye(3)])
+    A, load = np.diag([1.0, 2.0, 3.0]) + 0.1, np.array([2.0, -1.0, 0.5])
+    found = [
+        so.solve(
+            so.SweepingProcess(A, None, so.Moving(C, center=lambda t: t * load), np.zeros(3)),
+            t_end=1.0,
+            steps=10,
+        ).u
+        for C in (DiamondBall(0.7, 3), so.Polytope(corners))
+    ]
+    np.testing.assert_allclose(*found, atol=1e-9)
 
 
 # ---- projections, exactly -----------------------------------------------------------------------
@@ -234,7 +288,7 @@ def test_what_is_inside_does_not_move_at_all() -> None:
     for C in inside:
         assert (C.normal(w) == 0.0).all()
         moved, v = C + [0.7, 0.2], w + [0.7, 0.2]
-        found = moved.witness(np.zeros(2), v, np.ones(2), np.zeros(moved.offsets.size))
+        found = moved.normal_pair(np.zeros(2), v, np.ones(2), np.zeros(moved.offsets.size))
         assert found is not None
         assert (found.p == 0.0).all()
         assert found.gap == 0.0
@@ -442,7 +496,7 @@ def test_user_constraints_have_no_proof_nor_does_anything_made_of_them() -> None
     for D in sets:
         assert not D.certifiable
         y = np.zeros(D.offsets.size)
-        assert D.witness(np.zeros(D.dim), np.zeros(D.dim), np.ones(D.dim), y) is None
+        assert D.normal_pair(np.zeros(D.dim), np.zeros(D.dim), np.ones(D.dim), y) is None
 
 
 def test_a_moving_cone_that_rests_at_zero_has_a_polar() -> None:
@@ -747,14 +801,14 @@ def test_a_pair_says_how_far_rounding_moved_it() -> None:
     for C, w in ((hull + ball, 3 * corner), (box + (hull + ball), 6 * corner), (cut, 3 * corner)):
         for size in (1.0, 2.0**12, 2.0**30):
             p = size * corner  # beside which w is rounded away
-            found = C.witness(p, w, np.ones(4), np.zeros(C.offsets.size))
+            found = C.normal_pair(p, w, np.ones(4), np.zeros(C.offsets.size))
             assert found is not None
-            assert found.lost is not None
+            assert found.perturbation is not None
             last = 4 * np.finfo(float).eps
-            assert (np.abs(found.w - w) <= found.lost.w + last * np.abs(w)).all()
-            assert (np.abs(found.p - p) <= found.lost.p + last * size).all()
-            assert found.lost.w.max() <= 1e-12
-            assert found.lost.p.max() <= 1e-12 * size
+            assert (np.abs(found.w - w) <= found.perturbation.w + last * np.abs(w)).all()
+            assert (np.abs(found.p - p) <= found.perturbation.p + last * size).all()
+            assert found.perturbation.w.max() <= 1e-12
+            assert found.perturbation.p.max() <= 1e-12 * size
 
 
 @pytest.mark.parametrize("far", [1.0, 1e3, 1e6])
@@ -770,7 +824,7 @@ def test_a_box_cut_with_a_wide_image_is_projected_on_from_any_distance(far: floa
 @pytest.mark.parametrize("far", [1.0, 1e3, 1e7])
 def test_parts_that_are_at_zero_keep_the_normal_of_a_cut(far: float) -> None:
     C = so.Box([-0.004], [0.0]) & (so.Box([-2.0], [6.0]) + so.Box([-2.0], [-2.0]))
-    found = C.witness(np.array([far]), np.zeros(1), np.ones(1), np.zeros(C.offsets.size))
+    found = C.normal_pair(np.array([far]), np.zeros(1), np.ones(1), np.zeros(C.offsets.size))
     assert found is not None
     assert found.p == pytest.approx([far], rel=1e-14)
     assert found.w == pytest.approx([0.0], abs=1e-14)
@@ -802,21 +856,36 @@ def test_a_point_inside_of_a_sum_is_its_own_projection() -> None:
         assert not C.normal(w).any()
 
 
-def test_sets_of_many_unknowns_are_not_lifted_to_dense_matrices() -> None:
+def gradient(n: int) -> sp.csr_array:
+    """Of functions on a square grid: two differences for each node that has both neighbours."""
+    D = sp.diags_array([-np.ones(n - 1), np.ones(n - 1)], offsets=[0, 1], shape=(n - 1, n))
+    inner = sp.eye_array(n - 1, n)
+    pairs = sp.vstack([sp.kron(D, inner), sp.kron(inner, D)])
+    m = (n - 1) ** 2
+    return sp.csr_array(pairs)[np.arange(2 * m).reshape(2, m).T.ravel()]
+
+
+def test_sets_of_many_unknowns_are_made_of_sparse_matrices() -> None:
+    G = gradient(143)  # dense, it would need 6 GB
+    discs = so.image(G.T, so.Balls(np.ones(G.shape[0] // 2), 2))
+    z = np.random.default_rng(0).normal(size=discs.dim)
+    lengths = np.linalg.norm((G @ z).reshape(-1, 2), axis=1)
+    assert discs.support(z) == pytest.approx(lengths.sum(), rel=1e-12)
+    many = so.product(*(so.Ball([0.0, 0.0], 1.0) + so.Box([0, 0], [1, 1]) for _ in range(2000)))
+    assert many.support(np.ones(4000)) == pytest.approx(2000 * (np.sqrt(2) + 2), rel=1e-12)
     wide = so.image(
-        sp.random_array((5, 4000), density=0.01, rng=0), so.Box([-1.0] * 4000, [1.0] * 4000)
+        sp.random_array((5, 9000), density=0.01, rng=0), so.Box(-(z[:9000] ** 2), [1.0] * 9000)
     )
-    large = so.Polyhedron(sp.eye_array(4000), np.ones(4000))
-    hull = so.Polytope(np.random.default_rng(0).normal(size=(4000, 2)))
-    for C in (
-        wide,
-        large,
-        hull,
-        wide + so.HalfSpace(np.ones(5), 1.0),
-        2.0 * -large + np.ones(4000),
-    ):
-        form = C.flat()
-        assert form is None or form.raised() is None
+    (2.0 * -(wide + so.HalfSpace(np.ones(5), 1.0)) + np.ones(5)).support(np.zeros(5))
+    cube, ball = so.Box([-1.0] * 900, [1.0] * 900), so.Ball(np.zeros(900), 20.0)
+    v = 3 * np.random.default_rng(1).normal(size=900)
+    w, p = (cube & ball).project(v), (cube & ball).normal(v)
+    assert cube.contains(w, 1e-13)
+    assert ball.contains(w, 1e-13)
+    # where the cube does not press, p is a multiple of w
+    inside = np.abs(w) < 1 - 1e-12
+    ratio = (p @ (w * inside)) / (w @ (w * inside))
+    np.testing.assert_allclose(p[inside], ratio * w[inside], rtol=0, atol=1e-12)
 
 
 def test_rows_and_columns_that_nothing_can_be_divided_by_are_refused() -> None:
@@ -861,7 +930,7 @@ def far(seed: int) -> Far:
 @pytest.mark.parametrize("seed", range(60))
 def test_a_pair_of_a_polyhedron_counts_what_it_misses(seed: int) -> None:
     C, p, w, tau = far(seed)
-    pair = C.witness(p, w, tau, np.zeros(C.h.size))
+    pair = C.normal_pair(p, w, tau, np.zeros(C.h.size))
     if pair is None:
         return  # no proof at all
     if pair.gap == 0:
@@ -873,7 +942,7 @@ def test_a_pair_of_a_polyhedron_counts_what_it_misses(seed: int) -> None:
 
 def test_what_rounding_of_a_long_way_hides_is_found_beside_it() -> None:
     """w + tau p tells nothing of w, on which the corner depends that p is normal to."""
-    pairs = [C.witness(p, w, tau, np.zeros(C.h.size)) for C, p, w, tau in map(far, range(200))]
+    pairs = [C.normal_pair(p, w, tau, np.zeros(C.h.size)) for C, p, w, tau in map(far, range(200))]
     exact = [pair for pair in pairs if pair is not None and pair.gap == 0]
     assert len(exact) >= 0.7 * len(pairs)
 

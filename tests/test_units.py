@@ -16,11 +16,8 @@ from hypothesis import strategies as st
 from laws import ZOO
 
 import sweepopt as so
-from sweepopt.sets.algebra import Negation, Scaling, Translation
-from sweepopt.sets.image import Image
-from sweepopt.sets.intersections import Intersection
-from sweepopt.sets.product import Product
-from sweepopt.sets.sums import Sum
+from sweepopt.sets.lifted import Image, Intersection, Product, Sum
+from sweepopt.sets.similar import Scaling, Translation
 from sweepopt.study.hard.bodies import rod
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
@@ -94,18 +91,13 @@ def _(C: Scaling, F: float, where: bool) -> so.ConvexSet:
 
 
 @rescaled.register
-def _(C: Negation, F: float, where: bool) -> so.ConvexSet:
-    return -rescaled(C.part, F, where)
-
-
-@rescaled.register
 def _(C: Product, F: float, where: bool) -> so.ConvexSet:
     return so.product(*(rescaled(part, F, where) for part in C.parts))
 
 
 @rescaled.register
 def _(C: Image, F: float, where: bool) -> so.ConvexSet:
-    return so.image(F * C.M, C.part) if where else so.image(C.M, rescaled(C.part, F, where))
+    return so.image(F * C.M, C.operand) if where else so.image(C.M, rescaled(C.operand, F, where))
 
 
 @rescaled.register

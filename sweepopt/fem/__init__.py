@@ -17,7 +17,6 @@ for _module, _package in (("skfem", "scikit-fem"), ("meshio", "meshio"), ("pydan
         raise MissingExtraError(_package, "fem")
 
 from sweepopt.fem.contact import Contact  # noqa: E402
-from sweepopt.fem.discretisation import Discretisation  # noqa: E402
 from sweepopt.fem.effects import (  # noqa: E402
     EFFECTS,
     BodyForce,
@@ -29,9 +28,10 @@ from sweepopt.fem.effects import (  # noqa: E402
     Viscosity,
 )
 from sweepopt.fem.fields import Profile  # noqa: E402
-from sweepopt.fem.files import read_scene  # noqa: E402
 from sweepopt.fem.mesh import read_mesh  # noqa: E402
 from sweepopt.fem.scene import Scene, antiplane  # noqa: E402
+from sweepopt.fem.scene_file import read_scene  # noqa: E402
+from sweepopt.fem.spaces import Discretisation  # noqa: E402
 
 __all__ = [
     "EFFECTS",

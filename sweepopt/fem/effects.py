@@ -16,9 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Contact, contact_on
-from sweepopt.fem.discretisation import Discretisation
 from sweepopt.fem.fields import FRICTION, NON_NEGATIVE, POSITIVE, Datum, check_datum
-from sweepopt.fem.forms import boundary_load, stiffness, volume_load
+from sweepopt.fem.spaces import Discretisation, boundary_load, stiffness, volume_load
 
 Array = NDArray[np.float64]
 Phi = Callable[[float], ArrayLike]
@@ -140,7 +139,7 @@ class Friction:
     g: Datum
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "on", names("on", self.on))
+        object.__setattr__(self, "on", boundary_names("on", self.on))
         object.__setattr__(self, "g", check_datum("g", self.g, FRICTION))
 
     def contribute(self, body: Discretisation) -> Contribution:
@@ -156,7 +155,7 @@ class BodyForce:
     Parameters
     ----------
     history : callable
-        phi(t): Table, Sine, Triangle, Constant; or any function, which tells no variation.
+        phi(t): Table, Sine, Triangle, Constant; or any function, whose variation is not known.
     f0 : number, mapping of subdomain to number, Profile or callable
         Density at phi = 1 (Pa/m).
 
@@ -193,7 +192,7 @@ class Traction:
     on : str or sequence of str
         The boundaries that make up Gamma_2.
     history : callable
-        phi(t): Table, Sine, Triangle, Constant; or any function, which tells no variation.
+        phi(t): Table, Sine, Triangle, Constant; or any function, whose variation is not known.
     f2 : number, mapping of boundary to number, Profile or callable
         Traction at phi = 1 (Pa).
 
@@ -214,7 +213,7 @@ class Traction:
     f2: Datum = 1.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "on", names("on", self.on))
+        object.__setattr__(self, "on", boundary_names("on", self.on))
         check_history(self.history)
         object.__setattr__(self, "f2", check_datum("f2", self.f2))
 
@@ -234,7 +233,7 @@ EFFECTS: dict[str, type] = {
 """Effects by the name of their table in a scene file."""
 
 
-def names(argument: str, value: object) -> tuple[str, ...]:
+def boundary_names(argument: str, value: object) -> tuple[str, ...]:
     """One name or several as a tuple of distinct, non-empty strings."""
     listed = (value,) if isinstance(value, str) else value
     if (

@@ -1,39 +1,48 @@
 """Triangle meshes with named boundaries and subdomains, checked before anything is assembled.
 
-Second-order triangles keep their curved edges (`MeshTri2`, isoparametric). What scikit-fem or a
-solver would meet as a singular matrix much later (an element without area, a fold, a piece that
-nothing holds) is refused here, with its place.
+Files are read by meshio. What it, scikit-fem or a solver would meet as a singular matrix much later
+(an element without area, a fold, crossed curved edges) is refused here, with its place. Triangles
+of second order keep their curved edges (`MeshTri2`, isoparametric).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import io
+import threading
+import warnings
+from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import Any
 
+import meshio
 import numpy as np
 import skfem
 from numpy.typing import NDArray
 
 from sweepopt.errors import InputError
-from sweepopt.fem.gmsh import Gmsh, read_gmsh
 from sweepopt.io import as_path, read_bytes
 
 Indices = NDArray[np.int64]
 
 FLAT = 1e-10
-"""An area below this share of the square of the longest edge is no triangle."""
-LINES = ("line", "line3")
+"""An area below this share of the square of the longest edge is rounding, no triangle."""
 HUGE = 1e100
-"""Coordinates beyond this overflow when they are squared."""
+"""Coordinates beyond this overflow when they are squared and multiplied by a coefficient."""
+CORNERS = {"vertex": 1, "line": 2, "line3": 3, "triangle": 3, "triangle6": 6}
+"""Elements that a mesh of a section may have, and their numbers of nodes."""
+GROUPS = ("gmsh:physical", "medit:ref")
+"""What meshio calls the number of an element's group; 0 is none."""
+OUTPUT = threading.Lock()
+"""Held while the output of meshio is caught: there is one stdout for all threads."""
 
 
 def read_mesh(path: str | Path) -> skfem.MeshTri:
-    """Read a Gmsh ``.msh`` file (2.2 or 4.1) of triangles of first or second order.
+    """Read a mesh of triangles of first or second order.
 
     Parameters
     ----------
     path : str or Path
+        Gmsh (``.msh``, 2.2 or 4.1) or another format that meshio knows by its suffix.
 
     Returns
     -------
@@ -48,16 +57,16 @@ def read_mesh(path: str | Path) -> skfem.MeshTri:
 
     Examples
     --------
-    >>> from sweepopt.library import find_problem
+    >>> from sweepopt.io import find_problem
     >>> sorted(read_mesh(find_problem("tube").with_suffix(".msh")).subdomains)
     ['core', 'sleeve']
     """
     path = as_path("path", path)
+    content = read_bytes(path)
     try:
-        return _build(read_gmsh(read_bytes(path)))
+        return _mesh_of(_parsed(path, content))
     except InputError as error:
-        where = "" if str(error).startswith(str(path)) else f"{path}: "
-        raise InputError(f"{where}{error}") from error
+        raise InputError(f"{path}: {error}") from error
 
 
 def check_mesh(mesh: skfem.MeshTri) -> None:
@@ -98,48 +107,73 @@ def check_nodes(points: NDArray[np.float64]) -> None:
         raise InputError(f"node {bad[0]} has coordinates {points[:, bad[0]]}; mesh again")
 
 
-def group(groups: Mapping[str, Any] | None, name: str, what: str) -> Indices:
-    """Members of a named group of edges or triangles, or an error that lists the names."""
-    known = groups or {}
-    if name not in known:
-        names = ", ".join(sorted(known)) or "none (give the mesh physical groups)"
-        raise InputError(f"{name!r} is not a {what} of the mesh; there are: {names}")
-    return np.asarray(known[name], dtype=np.int64)
+def _parsed(path: Path, content: bytes) -> meshio.Mesh:
+    """What meshio reads, which neither prints nor ends the program here."""
+    gmsh = content.startswith(b"$MeshFormat")
+    if gmsh and b"$EndElements" not in content:  # meshio takes the elements up to there
+        raise InputError("is cut short ($EndElements is missing); save it again")
+    printed = io.StringIO()
+    try:
+        with (
+            OUTPUT,
+            redirect_stdout(printed),
+            redirect_stderr(printed),
+            warnings.catch_warnings(),
+        ):
+            # numpy only warns of words among numbers and of numbers out of range
+            warnings.simplefilter("ignore")
+            warnings.filterwarnings("error", "string or file could not be read")
+            warnings.filterwarnings("error", category=RuntimeWarning)
+            return meshio.read(path, file_format="gmsh" if gmsh else None)
+    except (Exception, SystemExit) as error:
+        fault = " ".join(printed.getvalue().split()) or f"{type(error).__name__}: {error}"
+        raise InputError(f"is damaged or no mesh that meshio can read ({fault:.200})") from error
 
 
-def _build(raw: Gmsh) -> skfem.MeshTri:
-    surfaces = {block.kind for block in raw.blocks if len(block.nodes)} & {"triangle", "triangle6"}
+def _mesh_of(raw: meshio.Mesh) -> skfem.MeshTri:
+    blocks = [block for block in raw.cells if len(block.data)]
+    kinds = {block.type for block in blocks}
+    if foreign := sorted(kinds - set(CORNERS)):
+        raise InputError(f"only triangles are supported, not {foreign[0]}")
+    for block in blocks:
+        nodes = np.asarray(block.data)
+        if nodes.shape[1:] != (CORNERS[block.type],):
+            raise InputError("is damaged: a section has fewer numbers than it announces")
+        if nodes.min() < 0 or nodes.max() >= len(raw.points):
+            raise InputError("is damaged: an element names a node that is not in the file")
+    surfaces = sorted(kinds & {"triangle", "triangle6"})
     if not surfaces:
         raise InputError("has no triangles; save the meshed surface in a physical group")
     if len(surfaces) == 2:
         raise InputError("mixes triangles of first and second order; use one order")
-    (kind,) = surfaces
-    points = raw.points
-    cells = np.vstack([block.nodes for block in raw.blocks if block.kind == kind])
+    points = np.asarray(raw.points, dtype=float)
+    cells = np.vstack([block.data for block in blocks if block.type == surfaces[0]])
     used = np.unique(cells)
     check_nodes(points[used].T)
-    if np.ptp(points[used, 2]) > 1e-9 * np.ptp(points[used, :2]):
+    thickness = np.ptp(points[used, 2:], axis=0).max(initial=0.0)  # of a file with two or three
+    if thickness > 1e-9 * np.ptp(points[used, :2]):
         raise InputError("is not flat: z varies; the section must lie in a plane z = constant")
-    if kind == "triangle6":
+    curved = surfaces == ["triangle6"]
+    if curved:
         _require_middles(cells)
     # corners first, as scikit-fem numbers them; nodes of no triangle are dropped
     corners = np.unique(cells[:, :3])
+    middle = np.setdiff1d(used, corners)
     number = np.full(len(points), -1)
     number[corners] = np.arange(corners.size)
-    middle = np.setdiff1d(used, corners)
     number[middle] = corners.size + np.arange(middle.size)
     xy = np.ascontiguousarray(points[np.concatenate([corners, middle]), :2].T)
     t = np.ascontiguousarray(number[cells].T)
-    mesh = skfem.MeshTri2(xy, t) if kind == "triangle6" else skfem.MeshTri(xy, t)
+    mesh = skfem.MeshTri2(xy, t) if curved else skfem.MeshTri(xy, t)
     check_mesh(mesh)
 
-    lines = [block.nodes[:, :2] for block in raw.blocks if block.kind in LINES]
+    lines = [block.data[:, :2] for block in blocks if block.type in ("line", "line3")]
     edges = number[np.vstack(lines)] if lines else np.empty((0, 2), dtype=int)
     boundaries = {
         name: _facets(mesh, edges[members], name)
-        for name, members in _groups(raw, 1, LINES).items()
+        for name, members in _groups(raw, 1, ("line", "line3")).items()
     }
-    return mesh.with_boundaries(boundaries).with_subdomains(_groups(raw, 2, (kind,)))
+    return mesh.with_boundaries(boundaries).with_subdomains(_groups(raw, 2, surfaces))
 
 
 def _require_middles(cells: Indices) -> None:
@@ -152,17 +186,37 @@ def _require_middles(cells: Indices) -> None:
         raise InputError("is damaged: the edges of its triangles have not one middle node each")
 
 
-def _groups(raw: Gmsh, dimension: int, kinds: tuple[str, ...]) -> dict[str, Indices]:
-    """Physical groups of one dimension: name -> indices into the blocks of `kinds`, joined."""
+def _groups(raw: meshio.Mesh, dimension: int, kinds: Sequence[str]) -> dict[str, Indices]:
+    """Named groups of one dimension: positions among all elements of these kinds.
+
+    meshio has named groups as `cell_sets` or as numbers of the elements, whose names are in
+    `field_data`; a number is negative where the elements are turned round.
+    """
+    names = {
+        (value[1], value[0]): name
+        for name, value in raw.field_data.items()
+        if np.shape(value) == (2,)
+    }
     found: dict[str, list[Indices]] = {}
     offset = 0
-    for block in raw.blocks:
-        if block.kind not in kinds:
+    for k, block in enumerate(raw.cells):
+        if block.type not in kinds:
             continue
-        for number in np.unique(block.groups[block.groups != 0]).tolist():
-            members = offset + np.flatnonzero((block.groups == number).any(axis=1))
-            found.setdefault(raw.names.get((dimension, number), str(number)), []).append(members)
-        offset += len(block.nodes)
+        members = {
+            name: np.asarray(sets[k], dtype=np.int64)
+            for name, sets in raw.cell_sets.items()
+            if not name.startswith("gmsh:")
+        }
+        for numbers in (np.abs(raw.cell_data[key][k]) for key in GROUPS if key in raw.cell_data):
+            for number in np.unique(numbers[numbers != 0]).tolist():
+                name = names.get((dimension, number), str(number))
+                members[name] = np.union1d(
+                    members.get(name, np.empty(0, np.int64)), np.flatnonzero(numbers == number)
+                )
+        for name, positions in members.items():
+            if positions.size:
+                found.setdefault(name, []).append(offset + positions)
+        offset += len(block.data)
     return {name: np.unique(np.concatenate(members)) for name, members in found.items()}
 
 

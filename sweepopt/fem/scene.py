@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 from sweepopt.checks import choice, number
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Contact
-from sweepopt.fem.discretisation import Discretisation
-from sweepopt.fem.effects import Contribution, Effect, names
+from sweepopt.fem.effects import Contribution, Effect, boundary_names
 from sweepopt.fem.mesh import read_mesh
+from sweepopt.fem.spaces import Discretisation
 from sweepopt.integrate import schemes
 from sweepopt.loads import Separable
 from sweepopt.problem import EvolutionVI
@@ -155,9 +155,9 @@ def antiplane(
     choice("units", units, UNITS)
     if isinstance(mesh, (str, Path)):
         mesh = read_mesh(mesh)
-    body = Discretisation(mesh, names("clamped", clamped), element)
+    body = Discretisation(mesh, boundary_names("clamped", clamped), element)
     scene = build(body, labelled, u0, settings)
-    check_names(scene)
+    check_choices(scene)
     return scene
 
 
@@ -172,7 +172,7 @@ def build(
     for label, effect in effects.items():
         if isinstance(effect, type) or not hasattr(effect, "contribute"):
             raise InputError(f"{label} is no effect such as Viscosity(1.0): {shown(effect)}")
-        with located(label):
+        with at_path(label):
             parts.append(effect.contribute(body))
             _check_duration(parts[-1], settings["t_end"])
     A = _total([part.A for part in parts])
@@ -206,7 +206,7 @@ def build(
     )
 
 
-def check_names(scene: Scene) -> None:
+def check_choices(scene: Scene) -> None:
     """Refuse a scheme or a solver that is not known or cannot treat the problem."""
     problem = scene.problem
     schemes.choose(scene.scheme, rate_independent=False)
@@ -214,7 +214,7 @@ def check_names(scene: Scene) -> None:
 
 
 @contextmanager
-def located(path: str) -> Iterator[None]:
+def at_path(path: str) -> Iterator[None]:
     """Put a path in front of the messages of input errors, which start with a field's name."""
     try:
         yield

@@ -24,9 +24,9 @@ from sweepopt.checks import TIME_SLACK, axes, number, vector
 from sweepopt.errors import InputError, Status
 from sweepopt.integrate.error_estimator import ErrorEstimator, ErrorModel
 from sweepopt.integrate.grid import evaluation_times, time_grid
-from sweepopt.integrate.loop import Run, march
+from sweepopt.integrate.loop import integrate
+from sweepopt.integrate.record import Run, Saving, saving
 from sweepopt.integrate.schemes import Scheme
-from sweepopt.integrate.states import Keeper, Saving, saving
 from sweepopt.integrate.step import Velocities
 from sweepopt.linalg import EPS
 from sweepopt.loads import Separable
@@ -240,7 +240,7 @@ class AdaptiveResult:
 
     Attributes
     ----------
-    run, keeper : Run and Keeper, or None
+    run : Run or None
         None where the last grid ends before t_end, as steps became too short there.
     cause : str
         Why the last pass does not suffice.
@@ -250,7 +250,6 @@ class AdaptiveResult:
     mus: np.ndarray
     plan: Plan
     wanted: Saving
-    keeper: Keeper | None = None
     run: Run | None = None
     passes: tuple[Pass, ...] = ()
     cause: str = ""
@@ -279,7 +278,7 @@ class _Passes:
         times, mus = time_grid(None, times)
         process.check(evaluation_times(times, mus, plan.scheme))
         wanted = saving(self._save, times, plan.entering, self._memory)
-        keeper = Keeper(wanted.steps, process.u0)
+        run = Run(len(mus), wanted.steps, process.u0)
         estimator = ErrorEstimator(self._model, times, self._segments.cuts, probing)
 
         def look(i: int, u: np.ndarray, z: np.ndarray, _: float) -> None:
@@ -287,12 +286,12 @@ class _Passes:
             estimator.see(i, u, z)
 
         self._programs.forget()
-        run = march(process, plan, times, mus, keeper, look, velocities=self._programs)
-        self.last = AdaptiveResult(times, mus, plan, wanted, keeper, run)
+        integrate(process, plan, times, mus, run, look, velocities=self._programs)
+        self.last = AdaptiveResult(times, mus, plan, wanted, run)
         if run.status in (Status.SUCCESS, Status.UNCERTIFIED):
             for i, t, u, rest in estimator.probes:
                 gamma = float(mus[i]) * plan.scheme.a[-1][-1] if process.B is not None else 0.0
-                z = np.where(rest, self._programs(gamma)(u, process.C.at(t)).velocity.z, 0.0)
+                z = np.where(rest, self._programs(gamma)(u, process.C.at(t)).z, 0.0)
                 hidden = HIDDEN * float(mus[i] * self._model.norms(z[None])[0])
                 estimator.error = max(estimator.error, hidden)
                 r = self._model.order

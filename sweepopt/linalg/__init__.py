@@ -2,6 +2,14 @@
 
 from __future__ import annotations
 
+from sweepopt.linalg.choice import (
+    eliminate,
+    factor_bytes,
+    factorise,
+)
+from sweepopt.linalg.conjugate_gradients import (
+    IterativeElimination,
+)
 from sweepopt.linalg.eigenvalues import (
     exceeds_none,
     is_semidefinite,
@@ -23,10 +31,6 @@ from sweepopt.linalg.matrices import (
     row_lengths,
     row_sum,
 )
-from sweepopt.linalg.multigrid import (
-    Multigrid,
-    factorise,
-)
 from sweepopt.linalg.twice_precision import (
     Precise,
     product_error,
@@ -41,11 +45,13 @@ __all__ = [
     "UNIT",
     "Elimination",
     "Factor",
-    "Multigrid",
+    "IterativeElimination",
     "Precise",
     "dense",
+    "eliminate",
     "euclidean",
     "exceeds_none",
+    "factor_bytes",
     "factorise",
     "is_semidefinite",
     "largest_eigenvalue",

@@ -50,6 +50,8 @@ class Factor:
     ----------
     order : ndarray of int or None
         An order of the unknowns with little fill, for a sparse M.
+    method : str
+        How its equations are solved, for people.
 
     Raises
     ------
@@ -58,6 +60,7 @@ class Factor:
     """
 
     order: np.ndarray | None = None
+    method = "factors"
 
     def __init__(self, M: Matrix, name: str = "M") -> None:
         self.M, self.dim = M, M.shape[0]
@@ -79,8 +82,8 @@ class Factor:
             pivots = np.zeros(1)
         except MemoryError as error:
             raise SolverRefusedError(
-                f"the factors of {name}, {self.dim} unknowns, do not fit in memory; take fewer, or "
-                "path='multigrid' (the extra \"speed\")"
+                f"the factors of {name}, {self.dim} unknowns, do not fit in memory; "
+                "take a coarser mesh"
             ) from error
         # relative to the diagonal: the test does not depend on units
         if not pivots.min() > PIVOT:

@@ -2,32 +2,17 @@
 
 A guaranteed error bound needs the variation of the load on a step, and a cheap step needs the
 load's few shapes. A black-box callable has neither, so histories here are small records that know
-their exact variation and their kinks, and `Separable` keeps shapes and histories apart.
+their exact variation and their breakpoints, and `Separable` keeps shapes and histories apart.
 """
 
 from __future__ import annotations
 
-from sweepopt.loads.history import (
-    History,
-    Piece,
-    kinks,
-)
-from sweepopt.loads.periodic import (
-    Sine,
-    Triangle,
-)
-from sweepopt.loads.separable import (
-    DATA,
-    Separable,
-)
-from sweepopt.loads.smooth import (
-    Constant,
-    Polynomial,
-)
-from sweepopt.loads.table import (
-    Table,
-    check_points,
-)
+from sweepopt.loads.history import History, Piece, breakpoints
+from sweepopt.loads.separable import DATA, Separable
+from sweepopt.loads.table import Table, check_points
+from sweepopt.loads.waveforms import Constant, Polynomial, Sine, Triangle
+
+kinks = breakpoints  # until no room asks for the old name
 
 __all__ = [
     "DATA",
@@ -39,6 +24,7 @@ __all__ = [
     "Sine",
     "Table",
     "Triangle",
+    "breakpoints",
     "check_points",
     "kinks",
 ]

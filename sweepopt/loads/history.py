@@ -1,8 +1,12 @@
-"""What a history is, and what all of them need: a scalar function of time that knows its kinks."""
+"""Histories: scalar functions of time phi(t) whose variation and breakpoints are known.
+
+The error bound of MATH.md section 4 integrates over steps on which the load is smooth and needs its
+variation there, so a history that is data says both.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -27,12 +31,12 @@ class History(Protocol):
         ...
 
     def breakpoints(self, a: float, b: float) -> Array:
-        """Kinks strictly inside (a, b), increasing."""
+        """Where it is not smooth, strictly inside (a, b), increasing."""
         ...
 
 
 class Piece(NamedTuple):
-    """A history in closed form between two of its kinks.
+    """A history in closed form between two of its breakpoints.
 
     phi(t) = sum_k polynomial[k] (t - origin)^k + sum_j a_j sin(w_j t + p_j).
 
@@ -49,21 +53,48 @@ class Piece(NamedTuple):
     waves: tuple[tuple[float, float, float], ...] = ()
 
 
-def kinks(histories: Iterable[Any], a: float, b: float) -> Array:
-    """Breakpoints strictly between a and b, increasing, of those histories that tell them."""
-    found = [one.breakpoints(a, b) for one in histories if hasattr(one, "breakpoints")]
-    return np.unique(np.concatenate([np.empty(0), *found]))
+class ClosedForm:
+    """A history that is monotone between its turning points; straight unless a class says more."""
+
+    def __call__(self, t: ArrayLike) -> Any:
+        """phi(t)."""
+        raise NotImplementedError
+
+    def turning_points(self, a: float, b: float) -> Array:
+        """Points strictly inside (a, b), increasing, between which phi is monotone."""
+        return self.breakpoints(a, b)
+
+    def variation(self, a: float, b: float) -> float:
+        """Exact total variation on [a, b]."""
+        a, b = interval(a, b)
+        values = self(np.concatenate([[a], self.turning_points(a, b), [b]]))
+        return float(np.sum(np.abs(np.diff(values))))
+
+    def breakpoints(self, a: float, b: float) -> Array:
+        """Where phi is not smooth, strictly inside (a, b), increasing."""
+        return np.empty(0)
+
+    def piece(self, a: float, b: float) -> Piece:
+        """Its closed form on [a, b], where no breakpoint lies between a and b."""
+        start, end = self(np.array([a, b]))
+        return Piece(a, (float(start), float(end - start) / (b - a)))
 
 
-def moments(t: Any) -> Any:
+def breakpoints(histories: Iterable[Any], a: float, b: float) -> Array:
+    """Breakpoints strictly inside (a, b), increasing, of those histories that know them."""
+    known = [one.breakpoints(a, b) for one in histories if hasattr(one, "breakpoints")]
+    return np.unique(np.concatenate([np.empty(0), *known]))
+
+
+def as_times(t: Any) -> Any:
     """The times as floats; of one number a float, as numpy is slow with one."""
     if type(t) is float and abs(t) <= HUGE:
         return t
-    found = times("t", t)
-    return found if found.ndim else found.item()
+    array = times("t", t)
+    return array if array.ndim else array.item()
 
 
-def numbers(record: object, *names: str) -> None:
+def check_fields(record: object, *names: str) -> None:
     """Make the named fields finite floats; a period must be positive."""
     for name in names:
         minimum = 0.0 if name == "period" else None
@@ -71,23 +102,15 @@ def numbers(record: object, *names: str) -> None:
         object.__setattr__(record, name, value)
 
 
-def frozen_vector(name: str, values: ArrayLike) -> Array:
+def read_only(name: str, values: ArrayLike) -> Array:
+    """A vector of finite numbers that nobody can change."""
     array = entries(name, values)
     array.setflags(write=False)
     return array
 
 
-def line(history: Callable[[ArrayLike], Array], a: float, b: float) -> Piece:
-    start, end = history(np.array([a, b]))
-    return Piece(a, (float(start), float(end - start) / (b - a)))
-
-
-def variation_through(history: Callable[[ArrayLike], Array], times: Sequence[float]) -> float:
-    """Variation of a history that is monotone between consecutive `times`."""
-    return float(np.sum(np.abs(np.diff(history(np.asarray(times, dtype=float))))))
-
-
 def interval(a: Any, b: Any) -> tuple[float, float]:
+    """The ends of [a, b] as floats, in order."""
     a, b = number("a", a), number("b", b)
     if b < a:
         raise InputError(f"b = {b:g} is before a = {a:g}; give an interval [a, b]")

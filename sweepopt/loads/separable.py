@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike
 
 from sweepopt.checks import unmasked
 from sweepopt.errors import InputError, shown
-from sweepopt.loads.history import Array, frozen_vector, kinks
-from sweepopt.loads.periodic import Sine, Triangle
-from sweepopt.loads.smooth import Constant, Polynomial
+from sweepopt.loads.history import Array, breakpoints, read_only
 from sweepopt.loads.table import Table
+from sweepopt.loads.waveforms import Constant, Polynomial, Sine, Triangle
 
 DATA = (Constant, Polynomial, Sine, Triangle, Table)  # histories that take all times at once
 
@@ -64,7 +63,7 @@ class Separable:
                 raise InputError(f"terms[{k}] must be a pair (phi, f), got {shown(pair)}") from None
             if not callable(history):
                 raise InputError(f"terms[{k}][0] must be callable, got {shown(history)}")
-            columns.append(frozen_vector(f"terms[{k}][1]", shape))
+            columns.append(read_only(f"terms[{k}][1]", shape))
             if columns[k].size != columns[0].size:
                 raise InputError(
                     f"terms[{k}][1] has {columns[k].size} entries, terms[0][1] has "
@@ -130,8 +129,8 @@ class Separable:
         return total
 
     def breakpoints(self, a: float, b: float) -> Array:
-        """Kinks of all histories strictly between a and b, increasing."""
-        return kinks((history for history, _ in self.terms), a, b)
+        """Breakpoints of all histories strictly inside (a, b), increasing."""
+        return breakpoints((history for history, _ in self.terms), a, b)
 
     def __repr__(self) -> str:
         return f"Separable({len(self.terms)} terms, dim {self.dim})"

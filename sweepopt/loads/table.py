@@ -1,4 +1,4 @@
-"""Measured points, and the lines between them."""
+"""Histories given by measured points, and the lines between them."""
 
 from __future__ import annotations
 
@@ -12,19 +12,11 @@ from numpy.typing import ArrayLike
 from sweepopt.checks import HUGE, TIME_SLACK, number
 from sweepopt.errors import InputError
 from sweepopt.io import read_columns
-from sweepopt.loads.history import (
-    Array,
-    Piece,
-    frozen_vector,
-    interval,
-    line,
-    moments,
-    variation_through,
-)
+from sweepopt.loads.history import Array, ClosedForm, as_times, interval, read_only
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class Table(ClosedForm):
     """Piecewise linear history through measured points.
 
     Parameters
@@ -88,7 +80,7 @@ class Table:
         return cls(times, factor * values)
 
     def __call__(self, t: ArrayLike) -> Any:
-        at = moments(t)
+        at = as_times(t)
         first, last = self.times[0], self.times[-1]
         value = np.interp(at, self.times, self.values)
         if type(at) is float:
@@ -104,22 +96,11 @@ class Table:
             )
         return value
 
-    def variation(self, a: float, b: float) -> float:
-        """Total variation on [a, b]."""
-        a, b = interval(a, b)
-        return variation_through(self, [a, *self.breakpoints(a, b), b])
-
     def breakpoints(self, a: float, b: float) -> Array:
-        """The table's times strictly between a and b."""
+        """The table's times strictly inside (a, b)."""
         a, b = interval(a, b)
-        inside = slice(
-            np.searchsorted(self.times, a, side="right"), np.searchsorted(self.times, b, "left")
-        )
-        return self.times[inside]
-
-    def piece(self, a: float, b: float) -> Piece:
-        """The line between a and b, where no time of the table lies between them."""
-        return line(self, a, b)
+        first = np.searchsorted(self.times, a, side="right")
+        return self.times[first : np.searchsorted(self.times, b, side="left")]
 
     def __repr__(self) -> str:
         return f"Table({self.times.size} points on [{self.times[0]:g}, {self.times[-1]:g}])"
@@ -127,7 +108,7 @@ class Table:
 
 def check_points(name: str, times: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
     """The points of a table as read-only vectors; `name` is what errors call its times."""
-    t, phi = frozen_vector(name, times), frozen_vector("values", values)
+    t, phi = read_only(name, times), read_only("values", values)
     if t.size < 2:
         raise InputError(f"{name} must have two entries or more; for one value, use Constant")
     if phi.shape != t.shape:

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from sweepopt.problem.motion import (
+from sweepopt.problem.interpolation import (
     DERIVATIVE,
     GAUSS,
     TO_BERNSTEIN,
     WEIGHTS,
-    Between,
-    Grid,
-    Motion,
+    Interpolated,
+    Intervals,
     increments,
+    interpolate,
+    smooth_intervals,
+)
+from sweepopt.problem.motion import (
+    Motion,
+    Terms,
+    TimeFunction,
     motion,
 )
 from sweepopt.problem.norms import (
@@ -29,15 +35,19 @@ __all__ = [
     "GAUSS",
     "TO_BERNSTEIN",
     "WEIGHTS",
-    "Between",
     "EvolutionVI",
-    "Grid",
+    "Interpolated",
+    "Intervals",
     "Motion",
     "Norms",
     "SweepingProcess",
+    "Terms",
+    "TimeFunction",
     "increments",
+    "interpolate",
     "motion",
     "proportion",
+    "smooth_intervals",
     "squares",
     "sweeping",
 ]

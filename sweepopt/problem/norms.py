@@ -10,17 +10,25 @@ import scipy.linalg
 
 from sweepopt.errors import InputError
 from sweepopt.linalg import SMALL, dense, factorise, largest_ratio
-from sweepopt.problem.motion import Between, Data
 from sweepopt.problem.process import SweepingProcess, proportion
-from sweepopt.sets import ConvexSet
 
 
 class Norms:
-    """The norms of a process, many vectors at once, and how errors in them grow."""
+    """The norms of a process, many vectors at once, and how errors in them grow.
+
+    Attributes
+    ----------
+    rate_independent : bool
+        Whether A = 0, so that B takes its place.
+    beta : float
+        |x|_A^2 >= beta |x|^2.
+    lam, Lam : float
+        Below and above all eigenvalues of A^-1 B; 0 where A = 0.
+    """
 
     def __init__(self, process: SweepingProcess) -> None:
         self._metric, self._B = process.metric, process.B
-        self.still = process.rate_independent
+        self.rate_independent = process.rate_independent
         self.beta = process.metric.smallest_eigenvalue() * (1 - 1e-6)
         self.lam, self.Lam = _rates(process)
 
@@ -39,22 +47,6 @@ class Norms:
         rows = w.reshape(-1, w.shape[-1])
         solved = self._metric.solve_many(rows) if rows.any() else rows
         return np.sqrt(np.maximum((rows * solved).sum(axis=1), 0.0)).reshape(w.shape[:-1])
-
-    def weights(self, S: ConvexSet, h: np.ndarray) -> np.ndarray:
-        """Weights that bring velocities to the units of forces, shape (len(h), dim)."""
-        weights = S.weights(self._metric.diagonal)
-        return np.outer(h if self.still else np.ones_like(h), weights)
-
-    def terms(self, data: Data, between: Between) -> tuple[np.ndarray, np.ndarray]:
-        """What the load is away from its polynomials, and its derivative, in |.|_{A^-1}."""
-        sizes = np.array([self.dual(f) for _, f in data.terms])
-        if data.function is not None:
-            sizes = np.array([1 / math.sqrt(self.beta)])  # its variation is a Euclidean one
-        return between.away @ sizes, between.bent @ sizes
-
-    def scaled(self, scale: Data, s: np.ndarray) -> np.ndarray:
-        """The largest |f_k s|_{A^-1} of points s, shape (m, k, dim), for each term of a scale."""
-        return np.array([self.dual(f * s).max(axis=1) for _, f in scale.terms]).T
 
     def growth(self, tau: np.ndarray) -> np.ndarray:
         """K(tau) of MATH 3: |u(tau) - v(tau)|_A <= K(tau) |u(0) - v(0)|_A."""
@@ -89,5 +81,4 @@ def _rates(process: SweepingProcess) -> tuple[float, float]:
         lam = 1 / largest_ratio(factorise(process.B, "B"), process.A, factorise)
     except InputError:  # B is singular
         lam = 0.0
-    # of a body too large to be factorised they are as far as a hierarchy of grids shows
     return 0.99 * lam, 1.01 * process.Lam

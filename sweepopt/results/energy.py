@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sweepopt.problem import SweepingProcess
 from sweepopt.integrate import States
+from sweepopt.problem import SweepingProcess
 
 
 class Energy(NamedTuple):

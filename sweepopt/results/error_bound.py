@@ -20,7 +20,7 @@ r continuous: <e', B e> <= G - <e', r>, and int <e', r> = <e, r> - int <e, r'> f
 v is taken through the nodes of a run: cubic on each step with the slopes Phi(t_i, u_i), or linear
 where sigma would be infinite. w(t) = center(t) + scale(t) s(t), s a curve in S between projections,
 so that a solver's inexactness is in r and G. Both are bounded on the whole of each step: G by the
-convexity of sigma, r as a polynomial and what a history differs from one (`motion`).
+convexity of sigma, r as a polynomial and the interpolation error of histories (`residuals`).
 """
 
 from __future__ import annotations
@@ -32,24 +32,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sweepopt.integrate import divided, time_grid
-from sweepopt.results.residuals import Defects, defects
+from sweepopt.integrate import MEMORY, SCHEMES, Run, divided, integrate, saving, time_grid
 from sweepopt.linalg import EPS
-from sweepopt.integrate import march
+from sweepopt.problem import Norms, SweepingProcess
 from sweepopt.results.nodes import Nodes, cubic
-from sweepopt.problem import Norms
-from sweepopt.velocity import Plan
-from sweepopt.problem import SweepingProcess
-from sweepopt.integrate import SCHEMES
-from sweepopt.integrate import MEMORY, Keeper, saving
+from sweepopt.results.residuals import Residuals, residuals
+from sweepopt.velocity import Plan, compile_projection
 
-SUMMED = 64 * EPS  # what a run's sums round, in units of |u|_A and the root of its steps
-# de Casteljau at 1/2: a cubic's Bernstein coefficients on both halves
-HALVES = np.array([
-    [8, 0, 0, 0], [4, 4, 0, 0], [2, 4, 2, 0], [1, 3, 3, 1], [0, 2, 4, 2], [0, 0, 4, 4], [0, 0, 0, 8]
-]) / 8  # fmt: skip
-PARTS = 8  # of a step, for the companion where A = 0
-COMPANION_TOL = 1e-9  # the companion's programs: what they miss is in its bound
+SUMMED = 64 * EPS  # rounding of a run's sums, in units of |u|_A and the root of its steps
+PARTS = 8  # of a step, for the second run where A = 0: its error is of first order too
+TOL = 1e-9  # of the second run's programs: their error is in the bound
 
 
 class ErrorBound(float):
@@ -92,16 +84,15 @@ def error_bound(
     run: Nodes,
     variation: Callable[[float], float] | None = None,
 ) -> ErrorBound:
-    """The bound of a run: through its own nodes, or beside a companion that is closer to u."""
-    still = process.rate_independent
-    own = plan.scheme.order >= 2 and not still
-    plan = replace(plan, reduction=None, tol=min(plan.tol, COMPANION_TOL))
-    near = run if own else _companion(process, plan, run.t)
+    """The bound of a run, with v through its own nodes or those of a more accurate second run."""
+    own = plan.scheme.order >= 2 and not process.rate_independent
+    plan = replace(plan, reduction=None, tol=min(plan.tol, TOL))
+    near = run if own else _second_run(process, plan, run.t)
     norms = Norms(process)
-    missed = defects(process, plan.velocity(process.metric.M), norms, near, variation)
-    after = _grown(norms, near.t, missed)
+    found = residuals(process, compile_projection(plan, process.metric.M), norms, near, variation)
+    error = _growth(norms, near.t, found)
     nodes = run.at(near.t)
-    apart = _apart(near, missed.slopes, nodes)
+    difference = _difference(near, found.slopes, nodes)
     rounding = SUMMED * math.sqrt(len(near.t)) * norms.A(near.u).max()
     parts = (len(near.t) - 1) // (len(run.t) - 1)
 
@@ -109,15 +100,15 @@ def error_bound(
         return (bound + rounding).reshape(-1, parts).max(axis=1)
 
     return ErrorBound.make(
-        guaranteed=missed.known,
+        guaranteed=found.guaranteed,
         t=run.t,
-        of_t=on_steps(norms.A(apart).max(axis=1) + after.A[1:]),
-        B=on_steps(norms.B(apart).max(axis=1) + after.B[1:]),
-        lower=0.0 if own else max(float((norms.A(near.u - nodes) - after.A).max()), 0.0),
+        of_t=on_steps(norms.A(difference).max(axis=1) + error.A[1:]),
+        B=on_steps(norms.B(difference).max(axis=1) + error.B[1:]),
+        lower=0.0 if own else max(float((norms.A(near.u - nodes) - error.A).max()), 0.0),
     )
 
 
-def _companion(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
+def _second_run(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
     """Midpoint on the same grid; where A = 0 implicit Euler on a finer one."""
     if process.rate_independent:
         return nodes_of(process, replace(plan, scheme=SCHEMES["implicit-euler"]), divided(t, PARTS))
@@ -125,34 +116,33 @@ def _companion(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
 
 
 def nodes_of(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
-    """All nodes of a run on the grid t; what its programs miss is in the bound."""
+    """All nodes of a run on the grid t; where its programs miss tol, their residual is bounded."""
     times, mus = time_grid(None, t)
     wanted = saving(None, times, process.dim, MEMORY)
     for tol in (plan.tol, math.inf):
-        keeper = Keeper(wanted.steps, process.u0)
-        done = march(process, replace(plan, tol=tol), times, mus, keeper).done
-        if done == len(mus):
+        run = Run(len(mus), wanted.steps, process.u0)
+        integrate(process, replace(plan, tol=tol), times, mus, run)
+        if run.done == len(mus):
             break
-    kept = keeper.close(done)[1]
-    return Nodes(times, kept.nodes, kept.velocities)
+    states = run.kept().states
+    return Nodes(times, states.nodes, states.velocities)
 
 
-class _After(NamedTuple):
+class _Error(NamedTuple):
     """Bounds of |u - v| up to each node, in the two norms, shape (n+1,)."""
 
     A: np.ndarray
     B: np.ndarray
 
 
-def _grown(norms: Norms, t: np.ndarray, defects: Defects) -> _After:
-    """From what each step adds to what has come together."""
-    gaps, squares = defects.gaps, defects.squares
-    if norms.still:
-        turned = np.maximum.accumulate(defects.sup) + np.cumsum(defects.bent)
-        error = np.append(0.0, turned + np.sqrt(turned**2 + np.cumsum(gaps)))
-        return _After(error, error)
-    h = np.diff(t)
-    once = np.sqrt(h * (gaps + squares))  # Cauchy and Schwarz: int sqrt(2 G + |r|^2)
+def _growth(norms: Norms, t: np.ndarray, found: Residuals) -> _Error:
+    """The theorem, step by step: the smallest of its bounds at each node."""
+    gaps, squares = found.gaps, found.squares
+    if norms.rate_independent:
+        R = np.maximum.accumulate(found.largest) + np.cumsum(found.turning)
+        error = np.append(0.0, R + np.sqrt(R**2 + np.cumsum(gaps)))
+        return _Error(error, error)
+    once = np.sqrt(np.diff(t) * (gaps + squares))  # Cauchy and Schwarz: int sqrt(2 G + |r|^2)
     B = np.zeros(len(t))
     root = math.sqrt(norms.Lam)
     for i, (a, b) in enumerate(zip(gaps + 0.5 * squares, root * once, strict=True)):
@@ -161,24 +151,24 @@ def _grown(norms: Norms, t: np.ndarray, defects: Defects) -> _After:
     A = np.minimum(energy, _fan(norms, t, once))
     if norms.lam > 0:
         A = np.minimum(A, B / math.sqrt(norms.lam))
-    if not norms.Lam:
-        B = np.zeros(len(t))
-    return _After(A, B)
+    return _Error(A, B if norms.Lam else np.zeros(len(t)))
 
 
 def _fan(norms: Norms, t: np.ndarray, once: np.ndarray) -> np.ndarray:
-    """sum_j K(t_i - t_j) int_j |delta|, at every node; at some of them where there are many."""
+    """sum_j K(t_i - t_j) int_j sqrt(2 G + |r|^2) at every node; of many, at 2000 of them."""
     n = len(once)
-    stride = max(n // 2000, 1)
-    ends = np.append(np.arange(0, n, stride), n)
+    ends = np.append(np.arange(0, n, max(n // 2000, 1)), n)
     some = np.array([float(norms.growth(t[m] - t[:m]) @ once[:m]) for m in ends])
     # it never falls: between two of them the later one holds
     return some[np.searchsorted(ends, np.arange(n + 1))]
 
 
-def _apart(near: Nodes, slopes: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """v - u_n on each step: Bernstein coefficients of its halves, shape (n, 7, dim)."""
+def _difference(near: Nodes, slopes: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """v - u_n on each step, u at its nodes: Bernstein coefficients, shape (n, 4, dim)."""
     h = np.diff(near.t)[:, None, None]
-    curve = cubic(near.u[:-1], near.u[1:], h * slopes)
     share = (np.arange(4) / 3)[:, None]
-    return HALVES @ (curve - (1 - share) * u[:-1, None] - share * u[1:, None])
+    return (
+        cubic(near.u[:-1], near.u[1:], h * slopes)
+        - (1 - share) * u[:-1, None]
+        - share * u[1:, None]
+    )

@@ -27,32 +27,23 @@ class Nodes(NamedTuple):
 
 
 def slopes_of_curves(process: SweepingProcess, phi: VelocityOf, near: Nodes) -> list[np.ndarray]:
-    """Bernstein coefficients of v', shape (n, 3, dim), of several curves through the nodes.
+    """Bernstein coefficients of v', shape (n, 3, dim), of two curves through the nodes.
 
-    Straight; for A coercive the cubic with the slopes Phi(t_i, u_i), else those with the slopes of
-    parabolas through three nodes: around the step, before it and after it.
+    Straight, and smooth: for A coercive the cubic with the slopes Phi(t_i, u_i), else that with the
+    slopes of parabolas through three nodes. Effectivities with the straight one alone are 2 to 50
+    times as large, with the smooth one alone 2 to 4 times, infinite where sigma is.
     """
     mean = near.velocity
-    if not process.rate_independent:
-        slope = np.array(
-            [
-                phi(process.times_B(u), process.C.at(t)).velocity.z
-                for t, u in zip(near.t.tolist(), near.u, strict=True)
-            ]
-        )
-        ends = [(mean, mean), (slope[:-1], slope[1:])]
-    else:
+    if process.rate_independent:
         h = np.diff(near.t)[:, None]
         inner = (h[1:] * mean[:-1] + h[:-1] * mean[1:]) / (h[1:] + h[:-1])
         slope = np.concatenate([mean[:1], inner, mean[-1:]])
-        before, after = slope[:-1], slope[1:]
-        ends = [
-            (mean, mean),
-            (before, after),
-            (before, 2 * mean - before),
-            (2 * mean - after, after),
-        ]
-    return [np.stack([first, 3 * mean - first - last, last], axis=1) for first, last in ends]
+    else:
+        nodes = zip(near.t.tolist(), near.u, strict=True)
+        slope = np.array([phi(process.times_B(u), process.C.at(t)).z for t, u in nodes])
+    first, last = slope[:-1], slope[1:]
+    smooth = np.stack([first, 3 * mean - first - last, last], axis=1)
+    return [np.repeat(mean[:, None], 3, axis=1), smooth]
 
 
 def force_along(

@@ -1,4 +1,4 @@
-"""Refine a run until its guaranteed error bound is small enough."""
+"""Refine a run until its guaranteed error bound (MATH 4) is small enough."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sweepopt.integrate import divided
 from sweepopt.errors import AccuracyError, InputError
+from sweepopt.integrate import divided
 from sweepopt.results.solution import Solution
 
-MOST = 8  # times the steps, from one run to the next
-LEAST_GAIN = 0.9  # a bound that falls by less does not come closer to what was asked for
-STEPS = 1_000_000  # of the finest grid
-HOPELESS = 100 * STEPS  # that would be needed: coarse grids may promise less than they keep
+GROWTH = 8  # at most this many times the steps, from one run to the next: the rate is estimated
+LEAST_GAIN = 0.9  # a bound that falls by less has come down to what programs and sums round
+STEPS = 1_000_000  # of the finest grid: its states of one unknown take 16 MB
+HOPELESS = 100 * STEPS  # needed by the order of the scheme, from a grid that may be too coarse
 
 
 def refine(run: Callable[[np.ndarray], Solution], times: np.ndarray, error: float) -> Solution:
@@ -27,7 +27,7 @@ def refine(run: Callable[[np.ndarray], Solution], times: np.ndarray, error: floa
     times : ndarray, shape (n+1,)
         The first grid.
     error : float
-        What the bound shall reach.
+        The bound that is asked for.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def refine(run: Callable[[np.ndarray], Solution], times: np.ndarray, error: floa
         factor = (1.1 * bound / error) ** (1 / solution.plan.scheme.order)
         if math.isfinite(bound) and factor * len(times) > HOPELESS:
             break
-        times = divided(times, max(math.ceil(min(factor, MOST)), 2))
+        times = divided(times, max(math.ceil(min(factor, GROWTH)), 2))
     raise AccuracyError(
         f"error = {error:g} was asked for, but the bound is {float(bound):.3g} with "
         f"{len(solution.t) - 1} steps and finer grids do not help or take more than {STEPS:g} "

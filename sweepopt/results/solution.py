@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweepopt.results.energy import Energy, energy_of
 from sweepopt.errors import InputError, Status, SweepoptError, shown
-from sweepopt.results.interpolant import Interpolant
-from sweepopt.results.nodes import Nodes
-from sweepopt.velocity import Plan
+from sweepopt.integrate import Pass, States, Statistics
 from sweepopt.problem import SweepingProcess
-from sweepopt.integrate import Pass
-from sweepopt.integrate import States
-from sweepopt.integrate import Statistics
-from sweepopt.velocity import VelocityOf
+from sweepopt.results.energy import Energy, energy_of
+from sweepopt.results.interpolant import Interpolant
+from sweepopt.results.netcdf import to_xarray
+from sweepopt.results.nodes import Nodes
+from sweepopt.velocity import Plan, VelocityOf, compile_projection
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,10 +23,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from xarray import Dataset
 
-    from sweepopt.results.error_bound import ErrorBound
     from sweepopt.integrate import Trajectory
-
-
+    from sweepopt.results.error_bound import ErrorBound
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +173,7 @@ class Solution:
 
     @cached_property
     def _nearest(self) -> VelocityOf:
-        return self.plan.velocity(self.process.metric.M)
+        return compile_projection(self.plan, self.process.metric.M)
 
     def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
         """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A = 0).
@@ -250,7 +246,7 @@ class Solution:
 
     def _distance(self, force: np.ndarray, C: Any) -> float:
         # the velocity program with M = A, q = w is the projection of w on C in the A^-1 metric
-        found = self._nearest(force, C).velocity
+        found = self._nearest(force, C)
         if found.relative > self.plan.tol:
             raise SweepoptError(
                 f"the distance to C(t) is known to {found.relative:.2g} only, tol is "
@@ -270,8 +266,6 @@ class Solution:
 
     def to_xarray(self) -> Dataset:
         """The trajectory and its statistics as an xarray.Dataset (needs the extra "fem")."""
-        from sweepopt.fem.output import to_xarray
-
         return to_xarray(self)
 
     def plot(self, ax: Axes | None = None) -> Axes:

@@ -5,9 +5,6 @@ from __future__ import annotations
 from sweepopt.sets.active_set import (
     least_distance,
 )
-from sweepopt.sets.algebra import (
-    Translation,
-)
 from sweepopt.sets.balls import (
     Ball,
     Balls,
@@ -16,9 +13,11 @@ from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
     Features,
+    NoHalfspacesError,
+    NormalPair,
     Selection,
-    Witness,
     binary,
+    halfspaces,
     same_array,
 )
 from sweepopt.sets.cones import (
@@ -39,21 +38,15 @@ from sweepopt.sets.cvxpy_lock import (
 from sweepopt.sets.ellipsoid import (
     Ellipsoid,
 )
-from sweepopt.sets.halfspaces import (
-    NoHalfspacesError,
-    halfspaces,
-)
-from sweepopt.sets.image import (
-    image,
-)
-from sweepopt.sets.iteration import (
-    CAREFUL,
-)
 from sweepopt.sets.moving import (
     AnySet,
     Moving,
     MovingOffsets,
     MovingSet,
+)
+from sweepopt.sets.operations import (
+    image,
+    product,
 )
 from sweepopt.sets.polyhedra import (
     HalfSpace,
@@ -62,14 +55,17 @@ from sweepopt.sets.polyhedra import (
 from sweepopt.sets.polytope import (
     Polytope,
 )
-from sweepopt.sets.product import (
-    product,
+from sweepopt.sets.programs import (
+    CAREFUL,
 )
 from sweepopt.sets.shapes import (
     Box,
     Orthant,
     Point,
     WholeSpace,
+)
+from sweepopt.sets.similar import (
+    Translation,
 )
 
 __all__ = [
@@ -88,6 +84,7 @@ __all__ = [
     "MovingOffsets",
     "MovingSet",
     "NoHalfspacesError",
+    "NormalPair",
     "Orthant",
     "Point",
     "Polyhedron",
@@ -96,7 +93,6 @@ __all__ = [
     "Selection",
     "Translation",
     "WholeSpace",
-    "Witness",
     "basis",
     "binary",
     "halfspaces",

@@ -9,7 +9,7 @@ import scipy.linalg
 
 from sweepopt.checks import dimension, entries, number, vector
 from sweepopt.errors import InputError
-from sweepopt.sets.base import Companion, ConvexSet, Features, Sphere
+from sweepopt.sets.base import ConvexSet, CurveGap, Features, Halfspaces
 from sweepopt.sets.curves import ball_arc
 
 if TYPE_CHECKING:
@@ -46,8 +46,8 @@ class Ball(ConvexSet):
         z = vector("z", z, self.dim)
         return float(self.center @ z + self.radius * np.linalg.norm(z))
 
-    def blur(self, x: np.ndarray) -> float:
-        return max(super().blur(x), float(np.abs(self.center).max()))
+    def rounding_scale(self, x: np.ndarray) -> float:
+        return max(super().rounding_scale(x), float(np.abs(self.center).max()))
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
         return _ball_derivative(v - self.center, self.radius)
@@ -58,10 +58,16 @@ class Ball(ConvexSet):
         length = float(np.linalg.norm(arm))
         return w if length <= self.radius else self.center + self.radius / length * arm
 
-    def companion(self, p: np.ndarray, w: np.ndarray, ratio: float) -> Companion:
-        given = super().companion(p, w, ratio)
-        away = ball_arc(p, w - self.center, self.radius)
-        return Companion(0.0, away) if ratio * away**2 < 2 * given.gap else given
+    def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
+        given = super().gap_along_curve(p, w, ratio)
+        distance = ball_arc(p, w - self.center, self.radius)
+        return CurveGap(0.0, distance) if ratio * distance**2 < 2 * given.gap else given
+
+    def halfspaces(self) -> Halfspaces:
+        if self.dim > 1:
+            return super().halfspaces()
+        c, r = float(self.center[0]), self.radius
+        return Halfspaces.below(np.array([[1.0], [-1.0]]), np.array([c + r, r - c]))
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -76,10 +82,6 @@ class Ball(ConvexSet):
         if not isinstance(other, Ball):
             return None
         return float(np.linalg.norm(self.center - other.center) + abs(self.radius - other.radius))
-
-    @property
-    def sphere(self) -> Sphere:
-        return Sphere(self.center, self.radius)
 
 
 class Balls(ConvexSet):
@@ -130,9 +132,9 @@ class Balls(ConvexSet):
         sizes = cp.Variable(self.radii.size)
         return Features([sizes], norms_below(p, sizes, self.block))
 
-    def companion(self, p: np.ndarray, w: np.ndarray, ratio: float) -> Companion:
-        return Companion.beside(
-            Ball(np.zeros(self.block), radius).companion(directions, points, ratio)
+    def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
+        return CurveGap.beside(
+            Ball(np.zeros(self.block), radius).gap_along_curve(directions, points, ratio)
             for radius, directions, points in zip(
                 self.radii,
                 p.reshape(3, -1, self.block).swapaxes(0, 1),
@@ -159,11 +161,6 @@ class Balls(ConvexSet):
             return None
         more = self.offsets - other.offsets
         return float(max(np.linalg.norm(np.maximum(x, 0.0)) for x in (more, -more)))
-
-    @property
-    def sphere(self) -> Sphere | None:
-        one = self.radii.size == 1
-        return Sphere(np.zeros(self.dim), float(self.radii[0])) if one else None
 
     def _blocks(self, name: str, z: Any) -> np.ndarray:
         return vector(name, z, self.dim).reshape(-1, self.block)

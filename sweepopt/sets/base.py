@@ -10,15 +10,15 @@ and through the projection on C. Two facts make one small contract enough:
 * **A projection proves a normal pair.** For any v and tau > 0 put w = P_C(v), p = (v - w) / tau:
   then p is in N_C(w) exactly (Moreau). Started from a solver's answer this gives a pair that
   satisfies the inclusion, has exact zeros where the body is stuck, and carries all of the
-  solver's error in a residual that can be measured. `witness` does this.
+  solver's error in a residual that can be measured. `normal_pair` does this.
 """
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -30,8 +30,6 @@ from sweepopt.sets.curves import products
 
 if TYPE_CHECKING:
     import cvxpy as cp
-
-    from sweepopt.sets.flat import Flat
 
 DENSE = 300  # unknowns up to which matrices of the square of their number are cheap
 ROUNDING = 8 * float(np.finfo(float).eps)
@@ -45,29 +43,31 @@ class Features(NamedTuple):
     constraints: list[cp.Constraint]
 
 
-class Lost(NamedTuple):
+class Perturbation(NamedTuple):
     """Bounds, entry by entry, of what rounding moves w and p of a pair."""
 
     w: np.ndarray
     p: np.ndarray
 
 
-class Witness(NamedTuple):
+class NormalPair(NamedTuple):
     """A point w of C, a p with finite sigma(C, p), and gap >= sigma(C, p) - <p, w> >= 0.
 
-    Both may be rounded: then a pair for which this is true is as near as `lost` says, to first
+    Both may be rounded: then an exact pair is as near as `perturbation` says, to first
     order. None where that is nothing but the last digits of w and p.
     """
 
     p: np.ndarray
     w: np.ndarray
     gap: float
-    lost: Lost | None = None
+    perturbation: Perturbation | None = None
 
-    def over(self, step: float) -> Witness:
+    def over(self, step: float) -> NormalPair:
         """The pair of p / step."""
-        lost = self.lost and self.lost._replace(p=self.lost.p / step)
-        return Witness(self.p / step, self.w, self.gap / step, lost)
+        perturbation = self.perturbation and self.perturbation._replace(
+            p=self.perturbation.p / step
+        )
+        return NormalPair(self.p / step, self.w, self.gap / step, perturbation)
 
 
 class Selection(NamedTuple):
@@ -78,49 +78,116 @@ class Selection(NamedTuple):
     shift: np.ndarray | None
 
 
-class Companion(NamedTuple):
+class CurveGap(NamedTuple):
     """A curve in C beside a curve p of directions, both on [0, 1].
 
     Attributes
     ----------
     gap : float
         At least the mean of sigma(C, p) - <p, curve> >= 0.
-    away : float
+    distance : float
         At least the distance of the curve from the one that was given, at any time.
     """
 
     gap: float
-    away: float
+    distance: float
 
     @classmethod
-    def beside(cls, factors: Iterable[Companion]) -> Companion:
+    def beside(cls, factors: Iterable[CurveGap]) -> CurveGap:
         """That of a product of sets, from those of its factors."""
-        gaps, away = np.array(list(factors)).T
-        return cls(float(gaps.sum()), float(np.linalg.norm(away)))
+        gaps, distance = np.array(list(factors)).T
+        return cls(float(gaps.sum()), float(np.linalg.norm(distance)))
 
 
-class Sphere(NamedTuple):
-    """C = { w : |w - center| <= radius }."""
+class Halfspaces(NamedTuple):
+    """C = { w : N w <= d, E w = e }."""
 
-    center: np.ndarray
-    radius: float
-
-
-class Lifted(NamedTuple):
-    """C = { c + E s : G s <= h }."""
-
-    c: np.ndarray
+    N: np.ndarray
+    d: np.ndarray
     E: np.ndarray
-    G: np.ndarray
-    h: np.ndarray
+    e: np.ndarray
 
-    def point(self, s: np.ndarray) -> np.ndarray:
-        """c + E s."""
-        return np.asarray(self.c + self.E @ s)
+    @classmethod
+    def below(cls, N: np.ndarray, d: np.ndarray) -> Halfspaces:
+        """N w <= d alone."""
+        return cls(N, d, np.zeros((0, N.shape[1])), np.zeros(0))
 
-    def pushed(self, M: np.ndarray) -> Lifted:
+    def translated(self, v: np.ndarray) -> Halfspaces:
+        """Those of C + v."""
+        return self._replace(d=self.d + self.N @ v, e=self.e + self.E @ v)
+
+
+class NoHalfspacesError(Exception):
+    """A set, named by its part, that is no polyhedron or whose rows are not known."""
+
+
+class Form(NamedTuple):
+    """C = { c + E s : s in parts[0] x parts[1] x ..., F s = g }, c None is 0.
+
+    Sums, intersections, images and products of sets, translated and scaled, all have this form,
+    with parts whose projections are known. E and F are sparse.
+    """
+
+    c: np.ndarray | None
+    E: sp.csr_array
+    F: sp.csr_array
+    g: np.ndarray
+    parts: tuple[ConvexSet, ...]
+
+    @classmethod
+    def alone(cls, part: ConvexSet) -> Form:
+        """A set as its own part."""
+        n = part.dim
+        return cls(None, sp.eye_array(n, format="csr"), sp.csr_array((0, n)), np.zeros(0), (part,))
+
+    @classmethod
+    def beside(cls, forms: list[Form]) -> Form:
+        """C x D: everything is stacked."""
+        c = None
+        if any(form.c is not None for form in forms):
+            c = np.concatenate([form.image_of_zero() for form in forms])
+        E, F = (
+            sp.csr_array(sp.block_diag(Ms, format="csr"))
+            for Ms in ([form.E for form in forms], [form.F for form in forms])
+        )
+        parts = tuple(part for form in forms for part in form.parts)
+        return cls(c, E, F, np.concatenate([form.g for form in forms]), parts)
+
+    def image_of_zero(self) -> np.ndarray:
+        """c as a vector."""
+        return np.zeros(self.E.shape[0]) if self.c is None else self.c
+
+    def translated(self, v: np.ndarray) -> Form:
+        """C + v."""
+        return self._replace(c=self.image_of_zero() + v)
+
+    def scaled(self, factor: float) -> Form:
+        """r C for r != 0: of the parts |r| S, so that only offsets know |r|."""
+        size, sign = abs(factor), 1.0 if factor > 0 else -1.0
+        c, parts = self.c, tuple(size * part for part in self.parts)
+        return self._replace(
+            c=None if c is None else factor * c, E=sign * self.E, g=size * self.g, parts=parts
+        )
+
+    def image(self, M: Any) -> Form:
         """M C."""
-        return self._replace(c=M @ self.c, E=M @ self.E)
+        M = sp.csr_array(M)
+        return self._replace(c=None if self.c is None else M @ self.c, E=sp.csr_array(M @ self.E))
+
+    def cut(self, D: Any) -> Form:
+        """The w of C with D w = 0."""
+        D = sp.csr_array(D)
+        g = np.concatenate([self.g, -D @ self.image_of_zero()])
+        return self._replace(F=sp.csr_array(sp.vstack([self.F, D @ self.E])), g=g)
+
+
+class Algebra(NamedTuple):
+    """The operations on sets, which operations.py states: what operators and polars call."""
+
+    add: Callable[[ConvexSet, Any], Any]
+    scale: Callable[[Any, ConvexSet], ConvexSet]
+    intersect: Callable[[ConvexSet, Any], Any]
+    image: Callable[[Any, Any], Any]
 
 
 class ConvexSet(ABC):
@@ -143,7 +210,7 @@ class ConvexSet(ABC):
     exact : bool
         Whether `project` is exact to rounding: a formula or an active set, no iteration.
     certifiable : bool
-        Whether `witness` has proofs.
+        Whether `normal_pair` has proofs.
     """
 
     dim: int
@@ -151,6 +218,7 @@ class ConvexSet(ABC):
     polyhedral: bool = False
     certifiable: bool = True
     exact: bool = True
+    algebra: ClassVar[Algebra]
     # numpy must leave v + C, r * C and v - C to the operators below
     __array_ufunc__ = None
 
@@ -204,13 +272,13 @@ class ConvexSet(ABC):
         """
         return None
 
-    def blur(self, x: np.ndarray) -> float:
+    def rounding_scale(self, x: np.ndarray) -> float:
         """The size of the numbers whose rounding is in P_C(x)."""
         return float(np.abs(x).max())
 
-    def witness(
-        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
-    ) -> Witness | None:
+    def normal_pair(
+        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray | None = None
+    ) -> NormalPair | None:
         """A proven normal pair near the approximate one (p, w); None if the set has no proof.
 
         Parameters
@@ -220,18 +288,18 @@ class ConvexSet(ABC):
         tau : ndarray, shape (dim,)
             Positive weights that bring p to the units of w (the diagonal of M).
         y : ndarray, shape (k,)
-            The solver's value of the features; holds the split of an intersection.
+            The solver's value of the features, for sets that can use it.
         """
         weights = self.weights(tau)
         v = w + weights * p
-        return Witness(self.normal(v) / weights, self.project(v), 0.0)
+        return NormalPair(self.normal(v) / weights, self.project(v), 0.0)
 
     def gap(self, p: np.ndarray, w: np.ndarray) -> float:
         """sigma(C, p) - <p, w> >= 0 for w in C; zero exactly if p is normal to C at w."""
         sigma = self.support(p)
         return max(sigma - float(p @ w), 0.0) + ROUNDING * abs(sigma) if p.any() else 0.0
 
-    def companion(self, p: np.ndarray, w: np.ndarray, ratio: float) -> Companion:
+    def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
         """A curve in C near w beside a quadratic curve p of directions, on [0, 1].
 
         w itself: sigma is convex, so sum_jk b_j b_k (sigma(C, p_j) - <p_j, w_k>) bounds its gap.
@@ -243,9 +311,9 @@ class ConvexSet(ABC):
         w : ndarray, shape (k, dim)
             Bernstein coefficients of the curve w, points of C.
         ratio : float
-            A set with more than one such curve takes that of the smaller 2 gap + ratio away^2.
+            A set with more than one such curve takes that of the smaller 2 gap + ratio distance^2.
         """
-        return Companion(float(np.sum(products(2, len(w) - 1) * self._gaps(p, w))), 0.0)
+        return CurveGap(float(np.sum(products(2, len(w) - 1) * self._gaps(p, w))), 0.0)
 
     def _gaps(self, p: np.ndarray, w: np.ndarray) -> np.ndarray:
         return np.array([[self.gap(direction, point) for point in w] for direction in p])
@@ -326,27 +394,27 @@ class ConvexSet(ABC):
         """The few unknowns C acts on, if it is the image of a set under a selection of them."""
         return None
 
-    @property
-    def sphere(self) -> Sphere | None:
-        """Centre and radius, if C is written as one ball."""
-        return None
-
     def rows(self) -> tuple[Any, np.ndarray] | None:
         """G and h with C = { w : G w <= h }, if C is written so."""
         return None
 
-    def lifted(self) -> Lifted | None:
-        """C as the image of rows, if it is a small set that is written so."""
-        found = self.rows() if self.dim <= DENSE else None
-        if found is None or len(found[1]) > 10 * DENSE:
-            return None
-        return Lifted(np.zeros(self.dim), np.eye(self.dim), dense(found[0]), found[1])
+    def halfspaces(self) -> Halfspaces:
+        """The rows of C, if it is a polyhedron whose rows are known.
 
-    def flat(self) -> Flat | None:
-        """C made of parts with exact projections, if it is small: matrices of it are dense."""
-        from sweepopt.sets.flat import Flat
+        Raises
+        ------
+        NoHalfspacesError
+        """
+        if self.singleton:
+            return Halfspaces(np.zeros((0, self.dim)), np.zeros(0), np.eye(self.dim), self.anchor)
+        found = self.rows()
+        if found is None:
+            raise NoHalfspacesError(type(self).__name__)
+        return Halfspaces.below(dense(found[0]), found[1])
 
-        return Flat.alone(self)
+    def form(self) -> Form:
+        """C in lifted form; a set that is projected on exactly is its own part."""
+        return Form.alone(self)
 
     def polar(self) -> ConvexSet:
         """The polar cone { p : <p, w> <= 0 for all w in C }."""
@@ -368,40 +436,40 @@ class ConvexSet(ABC):
         self.require_nonempty(f"C(t) at t = {times[0]:g}")
         return [(float(times[0]), self)]
 
-    # ---- the algebra (lazy; the laws are stated in algebra.py) --------------------------------
+    # ---- the algebra (the laws are stated in operations.py) --------------------------------
 
     def __add__(self, other: Any) -> Any:
-        from sweepopt.sets import algebra
-
-        return algebra.add(self, other)
+        return self.algebra.add(self, other)
 
     def __sub__(self, other: Any) -> Any:
-        from sweepopt.sets import algebra
-
-        if not algebra.is_vector(other):
+        if not is_vector(other):
             raise InputError("C - D is ambiguous; write C + (-D) for the Minkowski sum")
-        return algebra.add(self, -vector("v", other, self.dim))
+        return self + -vector("v", other, self.dim)
 
     def __rsub__(self, other: Any) -> Any:
         return -self + other
 
     def __rmul__(self, factor: float) -> Any:
-        from sweepopt.sets import algebra
-
-        return algebra.scale(factor, self)
+        return self.algebra.scale(factor, self)
 
     def __neg__(self) -> Any:
-        from sweepopt.sets import algebra
-
-        return algebra.Negation(self)
+        return self.algebra.scale(-1.0, self)
 
     def __and__(self, other: Any) -> Any:
-        from sweepopt.sets import algebra
-
-        return algebra.intersect(self, other)
+        return self.algebra.intersect(self, other)
 
     __radd__ = __add__
     __mul__ = __rmul__
+
+
+def halfspaces(C: ConvexSet) -> Halfspaces:
+    """The rows of a set; see `ConvexSet.halfspaces`."""
+    return C.halfspaces()
+
+
+def is_vector(value: Any) -> bool:
+    """Whether value can be a translation."""
+    return isinstance(value, (np.ndarray, list, tuple, int, float, np.number))
 
 
 def binary(size: float) -> float:

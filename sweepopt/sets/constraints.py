@@ -11,7 +11,7 @@ from sweepopt.errors import EmptySetError, InputError, SweepoptError
 from sweepopt.sets.base import ConvexSet, Features, same_array
 from sweepopt.sets.conic import conic, in_dual, in_own_units
 from sweepopt.sets.cvxpy_lock import in_turn
-from sweepopt.sets.iteration import project_by_program, support_by_program
+from sweepopt.sets.programs import normal_by_program, support_by_program
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -78,7 +78,8 @@ class Constraints(ConvexSet):
         return value
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        return project_by_program(self, vector("w", w, self.dim))
+        w = vector("w", w, self.dim)
+        return w - normal_by_program(self, w).p
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -89,7 +90,7 @@ class Constraints(ConvexSet):
         ties = [M.T @ y == right for M, right in ((self.G, p), (self.H, 0)) if M.shape[1]]
         return Features([y], [*ties, *in_dual(y, self.cones)])
 
-    def witness(self, p: Any, w: Any, tau: Any, y: Any) -> None:
+    def normal_pair(self, p: Any, w: Any, tau: Any, y: Any = None) -> None:
         return None
 
     def polar(self) -> ConvexSet:

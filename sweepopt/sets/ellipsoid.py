@@ -11,11 +11,12 @@ from sweepopt.checks import HUGE, entries, symmetric, vector
 from sweepopt.errors import InputError
 from sweepopt.linalg import Precise, dense
 from sweepopt.sets.balls import norms_below
-from sweepopt.sets.base import ConvexSet, Features, Witness, binary, same_array
-from sweepopt.sets.secular import secular
+from sweepopt.sets.base import ConvexSet, Features, NormalPair, binary, same_array
 
 if TYPE_CHECKING:
     import cvxpy as cp
+
+STEPS = 100  # of Newton's method, a bound that is not met: each change of regime takes a few
 
 
 class Ellipsoid(ConvexSet):
@@ -64,8 +65,8 @@ class Ellipsoid(ConvexSet):
         lam = self._multiplier(d)
         return w if lam is None else self.center + self._axes @ (e * d / (e + lam))
 
-    def blur(self, x: np.ndarray) -> float:
-        return max(super().blur(x), float(np.abs(self.center).max()))
+    def rounding_scale(self, x: np.ndarray) -> float:
+        return max(super().rounding_scale(x), float(np.abs(self.center).max()))
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
         d, e = self._axes.T @ (v - self.center), self._squares
@@ -82,10 +83,10 @@ class Ellipsoid(ConvexSet):
         a = d / np.sqrt(e)
         return None if a @ a <= 1 else secular(a, 1 / e, 1.0)
 
-    def witness(
-        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
-    ) -> Witness | None:
-        found = super().witness(p, w, tau, y)
+    def normal_pair(
+        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray | None = None
+    ) -> NormalPair | None:
+        found = super().normal_pair(p, w, tau)
         if found is None or not found.p.any():
             return found
         # the point with this normal by the shape itself: its axes are rounded, the short ones most
@@ -117,3 +118,33 @@ class Ellipsoid(ConvexSet):
         R, S = ((E._axes * np.sqrt(E._squares)) @ E._axes.T for E in (self, other))
         apart = 0.0 if self.same_cone(other) else np.linalg.norm(R - S, 2)
         return float(np.linalg.norm(self.center - other.center) + apart)
+
+
+def secular(a: np.ndarray, k: np.ndarray, radius: float) -> float:
+    """The root nu > 0 of  |x(nu)| = radius,  x_i(nu) = a_i / (1 + nu k_i),  for radius < |a|.
+
+    1 / |x(nu)| is concave and grows, so that Newton's method from nu = 0 rises to the root and
+    never passes it, whatever the k_i (J. More, D. Sorensen, Computing a trust region step, SIAM J.
+    Sci. Stat. Comput. 4(3), 1983).
+
+    Parameters
+    ----------
+    a : ndarray, shape (n,)
+    k : ndarray, shape (n,), > 0
+    radius : float, > 0
+
+    Examples
+    --------
+    >>> secular(np.array([3.0, 4.0]), np.array([1.0, 1.0]), 2.5)
+    1.0
+    """
+    nu = 0.0
+    for _ in range(STEPS):
+        falling = 1 + nu * k
+        x = a / falling
+        square = float(x @ x)
+        step = (np.sqrt(square) / radius - 1) * square / float(x @ (x * k / falling))
+        nu += max(step, 0.0)  # a step back is rounding
+        if step <= 1e-15 * nu:
+            break
+    return float(nu)

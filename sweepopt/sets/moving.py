@@ -14,10 +14,10 @@ import numpy as np
 
 from sweepopt.checks import dimension, instant, number, vector
 from sweepopt.errors import InputError
-from sweepopt.loads import Separable, kinks
-from sweepopt.sets import algebra
-from sweepopt.sets.base import ConvexSet, require_same_dim
+from sweepopt.loads import Separable, breakpoints
+from sweepopt.sets.base import ConvexSet, is_vector, require_same_dim
 from sweepopt.sets.shapes import Point
+from sweepopt.sets.similar import Translation
 
 
 class MovingSet:
@@ -115,14 +115,14 @@ class MovingSet:
         return MovingSet(lambda t: operation(self.at(t), other), self.dim)
 
     def __add__(self, other: Any) -> MovingSet:
-        if algebra.is_vector(other):
+        if is_vector(other):
             other = vector("v", other, self.dim)
         else:
             self._check("C + D", other)
         return self._then(lambda C, D: C + D, other)
 
     def __sub__(self, other: Any) -> MovingSet:
-        if not algebra.is_vector(other):
+        if not is_vector(other):
             raise InputError("C - D is ambiguous; write C + (-D) for the Minkowski sum")
         return self + -vector("v", other, self.dim)
 
@@ -223,16 +223,16 @@ class Moving(MovingSet):
         return [(first, C)]
 
     def breakpoints(self, a: float, b: float) -> np.ndarray:
-        return kinks((self.center, self.scale), a, b)
+        return breakpoints((self.center, self.scale), a, b)
 
     def at(self, t: float) -> ConvexSet:
-        scaled = self.shape if self.scale is None else algebra.scale(self.scale_at(t), self.shape)
+        scaled = self.shape if self.scale is None else self.scale_at(t) * self.shape
         if self.center is None:
             instant("t", t)
             return scaled
         if isinstance(scaled, Point):
             return Point(scaled.offsets + self.center_at(t))
-        return algebra.Translation(scaled, self.center_at(t))
+        return Translation(scaled, self.center_at(t))
 
 
 class MovingOffsets(MovingSet):
@@ -251,7 +251,7 @@ class MovingOffsets(MovingSet):
         super().__init__(lambda t: shape.with_offsets(offsets(t)), shape.dim)
 
     def breakpoints(self, a: float, b: float) -> np.ndarray:
-        return kinks((self.offsets,), a, b)
+        return breakpoints((self.offsets,), a, b)
 
 
 AnySet = ConvexSet | MovingSet

@@ -17,11 +17,13 @@ from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
     Features,
-    Witness,
+    NormalPair,
     binary,
     same_array,
 )
-from sweepopt.sets.iteration import project_by_program
+from sweepopt.sets.moving import MovingOffsets
+from sweepopt.sets.programs import normal_by_program
+from sweepopt.sets.shapes import Orthant
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -85,8 +87,6 @@ class Polyhedron(ConvexSet):
 
     def __new__(cls, G: Any, h: Any) -> Any:
         if callable(h):
-            from sweepopt.sets.moving import MovingOffsets
-
             G = matrix("G", G)
             return MovingOffsets(cls(G, np.zeros(G.shape[0])), h)
         return super().__new__(cls)
@@ -156,7 +156,7 @@ class Polyhedron(ConvexSet):
     def normal(self, v: np.ndarray) -> np.ndarray:
         v = vector("v", v, self.dim)
         exact = self._exact_normal(v, np.ones(self.dim))
-        return v - project_by_program(self, v) if exact is None else exact.normal
+        return normal_by_program(self, v).p if exact is None else exact.normal
 
     def _exact_normal(
         self, v: np.ndarray, tau: np.ndarray, near: np.ndarray | None = None
@@ -187,9 +187,9 @@ class Polyhedron(ConvexSet):
             return None
         return np.eye(self.dim) - projector(dense(self.G[found.active]))
 
-    def witness(
-        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray
-    ) -> Witness | None:
+    def normal_pair(
+        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray | None = None
+    ) -> NormalPair | None:
         v, near = w + tau * p, w
         for _ in range(REFINEMENTS):
             found = self._exact_normal(v, tau, near)
@@ -197,7 +197,7 @@ class Polyhedron(ConvexSet):
                 return None
             inside = v - tau * found.normal
             if not found.active.size:
-                return Witness(found.normal, w if self._has(w, found.active, w) else inside, 0.0)
+                return NormalPair(found.normal, w if self._has(w, found.active, w) else inside, 0.0)
             # v is rounded where tau * p is large beside w: on the face of the normal w and p are,
             # once more
             face = _Face(dense(self.G[found.active]), self.h[found.active], np.sqrt(tau))
@@ -210,8 +210,8 @@ class Polyhedron(ConvexSet):
                 for _ in range(REFINEMENTS):
                     near = face.nearest(near)
                     if self._has(near, found.active, start):
-                        return Witness(normal, near, 0.0)
-        return Witness(normal, inside, float(multipliers @ np.abs(face.missed(inside))))
+                        return NormalPair(normal, near, 0.0)
+        return NormalPair(normal, inside, float(multipliers @ np.abs(face.missed(inside))))
 
     def _has(self, w: np.ndarray, active: np.ndarray, start: np.ndarray) -> bool:
         """Whether w is in C, and on the rows that are active, but for rounding on the way there."""
@@ -252,10 +252,7 @@ class Polyhedron(ConvexSet):
     def polar(self) -> ConvexSet:
         if self.h.any():
             return super().polar()
-        from sweepopt.sets.image import Image
-        from sweepopt.sets.shapes import Orthant
-
-        return Image(self.G.T, Orthant(self.h.size))
+        return self.algebra.image(self.G.T, Orthant(self.h.size))
 
 
 class HalfSpace(Polyhedron):

@@ -5,18 +5,29 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from scipy.spatial import ConvexHull, QhullError
 
 from sweepopt.checks import matrix, vector
 from sweepopt.errors import EmptySetError
 from sweepopt.linalg import dense
 from sweepopt.sets.active_set import projector
-from sweepopt.sets.base import DENSE, ROUNDING, ConvexSet, Features, Lifted, binary, same_array
-from sweepopt.sets.iteration import project_by_program
+from sweepopt.sets.base import (
+    ROUNDING,
+    ConvexSet,
+    Features,
+    Halfspaces,
+    NoHalfspacesError,
+    binary,
+    same_array,
+)
+from sweepopt.sets.programs import normal_by_program
 
 if TYPE_CHECKING:
     import cvxpy as cp
 
 
+FLAT = 1e-12  # extent, relative to the largest one, below which a polytope is flat
+HULL = 8  # dimensions up to which a hull is computed
 TURNS = 20  # changes of the face, for each vertex
 
 
@@ -64,7 +75,7 @@ class Polytope(ConvexSet):
         w = vector("w", w, self.dim)
         held = self._held(w)
         if held is None:
-            return project_by_program(self, w)
+            return w - normal_by_program(self, w).p
         return w if self._at(w, held.point) else held.point
 
     def _at(self, w: np.ndarray, point: np.ndarray) -> bool:
@@ -110,8 +121,8 @@ class Polytope(ConvexSet):
                 return _Held(V[held], point)
         return None
 
-    def blur(self, x: np.ndarray) -> float:
-        return max(super().blur(x), float(np.abs(self.vertices).max()))
+    def rounding_scale(self, x: np.ndarray) -> float:
+        return max(super().rounding_scale(x), float(np.abs(self.vertices).max()))
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         held = self._held(v)
@@ -121,13 +132,17 @@ class Polytope(ConvexSet):
             return np.eye(self.dim)
         return projector(held.vertices[1:] - held.vertices[0])
 
-    def lifted(self) -> Lifted | None:
-        if max(self.vertices.shape) > DENSE:
-            return None
-        # the shares of all vertices but the last, which has the rest
-        last, n = self.vertices[-1], len(self.vertices) - 1
-        edges = (self.vertices[:-1] - last).T
-        return Lifted(last, edges, np.vstack([-np.eye(n), np.ones(n)]), np.append(np.zeros(n), 1.0))
+    def halfspaces(self) -> Halfspaces:
+        """The facets of the hull, in its affine span where it is flat."""
+        vertices, centre = self.vertices, self.vertices.mean(axis=0)
+        _, extents, axes = np.linalg.svd(vertices - centre)
+        flat = int((extents > FLAT * extents.max(initial=0.0)).sum())
+        span, E = axes[:flat], axes[flat:]
+        e = E @ centre
+        if flat == 0:
+            return Halfspaces(np.zeros((0, self.dim)), np.zeros(0), E, e)
+        N, d = _hull((vertices - centre) @ span.T)
+        return Halfspaces(N @ span, d + N @ span @ centre, E, e)
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -145,3 +160,20 @@ class Polytope(ConvexSet):
         if not (isinstance(other, Polytope) and self.vertices.shape == other.vertices.shape):
             return None
         return float(np.linalg.norm(self.vertices - other.vertices, axis=1).max())
+
+
+def _hull(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """N and d of the hull of points that is not flat."""
+    dim = points.shape[1]
+    if dim > HULL:
+        raise NoHalfspacesError(
+            f"a Polytope in {dim} dimensions, whose facets are not computed beyond {HULL}"
+        )
+    if dim == 1:
+        return np.array([[1.0], [-1.0]]), np.array([points.max(), -points.min()])
+    try:
+        planes = ConvexHull(points / np.abs(points).max()).equations
+    except QhullError as error:
+        raise NoHalfspacesError("a Polytope whose facets are not found") from error
+    N = planes[np.unique(planes.round(12), axis=0, return_index=True)[1], :-1]
+    return N, (N @ points.T).max(axis=1)  # through the vertices to rounding

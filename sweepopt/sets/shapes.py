@@ -162,7 +162,7 @@ class Box(ConvexSet):
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return tau
 
-    def blur(self, x: np.ndarray) -> float:
+    def rounding_scale(self, x: np.ndarray) -> float:
         return 0.0
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
@@ -212,8 +212,9 @@ class Box(ConvexSet):
     __radd__ = __add__
 
     def scaled(self, factor: float) -> Box:
-        """factor * C for factor > 0: nothing is divided by it, however small it gets."""
-        return Box(factor * self.lower, factor * self.upper)
+        """factor * C for factor != 0: nothing is divided by it, however small it gets."""
+        ends = factor * self.lower, factor * self.upper
+        return Box(*(ends if factor > 0 else ends[::-1]))
 
     def __and__(self, other: Any) -> Any:
         if isinstance(other, Box) and other.dim == self.dim:

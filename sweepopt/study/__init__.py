@@ -1,32 +1,33 @@
-"""What accuracy costs, and what a certified frictional step costs.
+"""What accuracy costs, and how hard cases are met.
 
 table = run(read_study("accuracy.toml"), "results/accuracy")   # a work-precision study, resumable
-work_precision(table); write_report(table, "report.html")      # a diagram, an HTML page
-rows = bench(cells=[32, 100])                                  # every path against loops by hand
-
-`equal_error` sets all schemes beside a smoothed friction law at one error, `peers` beside others.
+work_precision(table)                                          # its diagram
+write_report(table, "report.html")                             # its page
+compare(find_source("tube"))                                   # all solvers on a run's programs
 """
 
-from sweepopt.study.bench import bench
+from sweepopt.study.advice import advice, summary
+from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
 from sweepopt.study.executors import Processes, dask_executor
-from sweepopt.study.files import read_study
-from sweepopt.study.report import Trajectory, write_report
-from sweepopt.study.rows import Row, machine, table
-from sweepopt.study.study import Study, read_table, run
+from sweepopt.study.machine import machine
+from sweepopt.study.report import write_report
+from sweepopt.study.sources import find_source
+from sweepopt.study.study import Study, read_study, read_table, run
 
 __all__ = [
     "Processes",
-    "Row",
     "Study",
-    "Trajectory",
-    "bench",
+    "advice",
+    "compare",
+    "comparison_text",
     "dask_executor",
+    "find_source",
     "machine",
     "read_study",
     "read_table",
     "run",
-    "table",
+    "summary",
     "work_precision",
     "write_report",
 ]

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isnan
 from typing import TYPE_CHECKING
-
-from sweepopt.study.rows import aligned
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -33,41 +30,39 @@ def advice(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
     import pandas as pd
 
     known = table[table.success & table.error.notna()]
-    found = []
+    chosen = []
     for problem in table.problem.unique():
         mine = known[known.problem == problem]
         for target in targets:
             enough = mine[mine.error <= target * mine["size"]]
             if len(enough):
-                found.append({"target": target, **enough.loc[enough.wall.idxmin()].to_dict()})
+                chosen.append({"target": target, **enough.loc[enough.wall.idxmin()].to_dict()})
     columns = ["problem", "target", *(name for name in table.columns if name != "problem")]
-    return pd.DataFrame(found, columns=columns)
+    return pd.DataFrame(chosen, columns=columns)
+
+
+def advice_table(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
+    """The advice in words: a row a problem, a column a target, "-" where no cell meets it."""
+    import pandas as pd
+
+    chosen = {
+        (row.problem, row.target): f"{row.scheme} {row.steps} {row.solver}, {1e3 * row.wall:.3g} ms"
+        for row in advice(table, targets).itertuples()
+    }
+    rows = {
+        problem: {f"{target:g}": chosen.get((problem, target), "-") for target in targets}
+        for problem in table.problem.unique()
+    }
+    return pd.DataFrame.from_dict(rows, orient="index")
 
 
 def summary(table: DataFrame, targets: Sequence[float] = TARGETS) -> str:
-    """The advice as text, a line a problem, and the failures below."""
-    chosen = advice(table, targets)
-    lines = [["relative error", *(f"{target:g}" for target in targets)]]
-    for problem in table.problem.unique():
-        cells = [
-            chosen[(chosen.problem == problem) & (chosen.target == target)] for target in targets
-        ]
-        lines.append([problem, *(_said(cell.iloc[0]) if len(cell) else "-" for cell in cells)])
-    text = aligned(lines)
-    return "\n".join(["the fastest way to each accuracy", text, "", *_failures(table)])
-
-
-def _said(cell: object) -> str:
-    milliseconds = 1e3 * cell.wall  # type: ignore[attr-defined]
-    words = f"{cell.scheme} {cell.steps} {cell.solver}"  # type: ignore[attr-defined]
-    return f"{words}, {milliseconds:.3g} ms"
-
-
-def _failures(table: DataFrame) -> list[str]:
-    lost = table[~table.success]
-    unknown = table[table.success & table.error.map(isnan)]
-    lines = [f"{len(table)} cells, {len(lost)} failed"]
-    lines += [f"  {count:4}  {status}" for status, count in lost.status.value_counts().items()]
-    if len(unknown):
-        lines.append(f"  {len(unknown):4}  succeeded, but no reference is good enough for an error")
-    return lines
+    """The advice as text, and the failures below."""
+    failures = table[~table.success].status.value_counts()
+    unknown = int((table.success & table.error.isna()).sum())
+    lines = ["the fastest way to each relative error", advice_table(table, targets).to_string(), ""]
+    lines += [f"{len(table)} cells, {failures.sum()} failed"]
+    lines += [f"  {count:4}  {status}" for status, count in failures.items()]
+    if unknown:
+        lines.append(f"  {unknown:4}  succeeded, but no reference is good enough for an error")
+    return "\n".join(lines)

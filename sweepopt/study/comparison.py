@@ -16,7 +16,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import inf, nan
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -24,15 +24,43 @@ from sweepopt.checks import count
 from sweepopt.errors import InputError
 from sweepopt.sets import ConvexSet
 from sweepopt.solve import solve
-from sweepopt.study.rows import aligned
-from sweepopt.study.settings import ACCURACIES, Contestant, contestants
+from sweepopt.study.machine import one_thread
 from sweepopt.study.sources import Source
-from sweepopt.study.threads import one_thread
-from sweepopt.velocity import Answer, Clarabel, Solve, Solver, VelocityProgram
+from sweepopt.velocity import (
+    DAQP,
+    OSQP,
+    Answer,
+    Clarabel,
+    Cvxpy,
+    Newton,
+    Solve,
+    Solver,
+    VelocityProgram,
+    certify,
+    installed,
+)
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+ACCURACIES = {"low": 1e-3, "mid": 1e-6, "high": 1e-9}
+TOLERANCES: dict[str, tuple[str, ...]] = {
+    "CLARABEL": ("tol_gap_abs", "tol_gap_rel", "tol_feas"),
+    "OSQP": ("eps_abs", "eps_rel"),
+    "PIQP": ("eps_abs", "eps_rel"),
+    "PROXQP": ("eps_abs", "eps_rel"),
+    "DAQP": ("primal_tol", "dual_tol"),
+    "SCS": ("eps_abs", "eps_rel"),
+    "QOCO": ("abstol", "reltol"),
+    "MOSEK": ("eps",),
+}
+"""What each solver calls its tolerances in cvxpy's interface."""
+LIMITS: dict[str, dict[str, Any]] = {
+    "OSQP": {"max_iter": 20_000},
+    "SCS": {"max_iters": 20_000},
+    "PROXQP": {"max_iter": 10_000},
+}
+"""Iterations, for methods of first order."""
 SHIFT = 1e-3
 """Seconds: means are of log(time + SHIFT), so that what takes no time does not decide them."""
 
@@ -45,19 +73,13 @@ class Program(NamedTuple):
     C: ConvexSet
 
 
-class Trial(NamedTuple):
-    """How a contestant did on one program: inf certifies nothing."""
+class Contestant(NamedTuple):
+    """A solver with the settings of one accuracy."""
 
-    seconds: float
-    certificate: float
-
-
-class Tried(NamedTuple):
-    """How a contestant did on all programs, none of them if it broke, and how it broke."""
-
-    contestant: Contestant
-    trials: list[Trial]
-    message: str = ""
+    name: str
+    setting: str
+    accuracy: float
+    solver: Solver
 
 
 class ComparedRow(NamedTuple):
@@ -86,7 +108,7 @@ class ComparedRow(NamedTuple):
     solver: str
     setting: str
     accuracy: float
-    programs: int
+    programs: int = 0
     solved: float = 0.0
     time: float = nan
     ratio: float = nan
@@ -96,7 +118,7 @@ class ComparedRow(NamedTuple):
 
 
 def compare(
-    source: Source, *, steps: int = 50, progress: Callable[[str], object] | None = None
+    source: Source, *, steps: int = 50, progress: Callable[[str], object] = lambda words: None
 ) -> DataFrame:
     """Give the programs of a run to every solver that is installed.
 
@@ -120,14 +142,33 @@ def compare(
     """
     import pandas as pd
 
-    say = progress or (lambda _: None)
-    programs = recorded(source, count("steps", steps))
-    say(f"{source.name}: {len(programs)} programs of {programs[0].q.size} unknowns")
-    found = []
-    for contestant in contestants(programs[0].C):
-        say(f"{contestant.name} {contestant.setting}")
-        found.append(tried(contestant, programs))
-    return pd.DataFrame(_rows(found, len(programs)), columns=list(ComparedRow._fields))
+    programs = record(source, count("steps", steps))
+    progress(f"{source.name}: {len(programs)} programs of {programs[0].q.size} unknowns")
+    trials = []
+    for contestant in contestants_for(programs[0].C):
+        progress(f"{contestant.name} {contestant.setting}")
+        trials.append((contestant, try_all(contestant, programs)))
+    longest = max((each.seconds.max(initial=0.0) for _, each in trials), default=nan)
+    rows = [_row(contestant, each, longest) for contestant, each in trials]
+    table = pd.DataFrame(rows, columns=list(ComparedRow._fields)).assign(programs=len(programs))
+    best = table[table.solved == 1.0].groupby("accuracy").time.min()
+    table["ratio"] = table.time / table.accuracy.map(best)
+    return table.sort_values(
+        ["accuracy", "solved", "time"], ascending=[False, False, True], ignore_index=True
+    )
+
+
+def contestants_for(C: ConvexSet) -> list[Contestant]:
+    """The library's own solvers and those installed for cvxpy, as far as they treat the set."""
+    exact: list[Solver] = [Newton(), DAQP()]
+    contestants = [Contestant(one.name, "high", ACCURACIES["high"], one) for one in exact]
+    for setting, tol in ACCURACIES.items():
+        solvers: list[Solver] = [Clarabel(tol=tol), OSQP(tol=tol)]
+        for name, keys in TOLERANCES.items():
+            if name in installed():
+                solvers.append(Cvxpy(name, {**dict.fromkeys(keys, tol), **LIMITS.get(name, {})}))
+        contestants += [Contestant(one.name, setting, tol, one) for one in solvers]
+    return [contestant for contestant in contestants if contestant.solver.treats(C)]
 
 
 @dataclass(frozen=True)
@@ -156,7 +197,7 @@ class Recorder:
         return solve_
 
 
-def recorded(source: Source, steps: int) -> list[Program]:
+def record(source: Source, steps: int) -> list[Program]:
     """The programs of a run of a problem, those of steps at rest apart."""
     process, t_end = source.open()
     recorder = Recorder()
@@ -168,10 +209,18 @@ def recorded(source: Source, steps: int) -> list[Program]:
     return recorder.programs
 
 
-def tried(contestant: Contestant, programs: Sequence[Program]) -> Tried:
+class Trials(NamedTuple):
+    """Seconds and relative certificate of each program; none if the solver broke, and how."""
+
+    seconds: np.ndarray
+    certificates: np.ndarray
+    message: str = ""
+
+
+def try_all(contestant: Contestant, programs: Sequence[Program]) -> Trials:
     """Every program in the order of time, a call that is not timed before the first one."""
     compiled: dict[int, Solve] = {}
-    trials = []
+    seconds, certificates = [], []
     quiet = contextlib.redirect_stdout(io.StringIO())
     with quiet, warnings.catch_warnings(), one_thread():
         warnings.simplefilter("ignore")
@@ -180,49 +229,33 @@ def tried(contestant: Contestant, programs: Sequence[Program]) -> Tried:
                 if id(statement) not in compiled:
                     compiled[id(statement)] = contestant.solver.compile(statement)
                     compiled[id(statement)](q, C)  # warm
-                trials.append(_trial(compiled[id(statement)], statement, q, C))
+                started = clock.perf_counter()
+                answer = compiled[id(statement)](q, C)
+                seconds.append(clock.perf_counter() - started)
+                certificates.append(_certificate(statement, q, C, answer))
         except Exception as error:  # a solver that breaks is a row of the table
-            return Tried(contestant, [], f"{type(error).__name__}: {error}")
-    return Tried(contestant, trials)
+            return Trials(np.empty(0), np.empty(0), f"{type(error).__name__}: {error}")
+    return Trials(np.array(seconds), np.array(certificates))
 
 
-def _trial(answered: Solve, statement: VelocityProgram, q: np.ndarray, C: ConvexSet) -> Trial:
-    started = clock.perf_counter()
-    answer = answered(q, C)
-    seconds = clock.perf_counter() - started
+def _certificate(statement: VelocityProgram, q: np.ndarray, C: ConvexSet, answer: Answer) -> float:
+    """The relative certificate of an answer, inf if there is none."""
     if not (np.isfinite(answer.z).all() and np.isfinite(answer.y).all()):
-        return Trial(seconds, inf)
-    relative = statement.certify(q, C, answer.z, answer.y).relative
-    return Trial(seconds, inf if math.isnan(relative) else relative)
+        return inf
+    relative = certify(statement.M, q, C, answer.z, answer.y).relative
+    return inf if math.isnan(relative) else relative
 
 
-def _rows(found: Sequence[Tried], programs: int) -> list[ComparedRow]:
-    longest = max((one.seconds for each in found for one in each.trials), default=nan)
-    rows = [_row(each, programs, longest) for each in found]
-    best = {
-        accuracy: min(
-            (row.time for row in rows if row.accuracy == accuracy and row.solved == 1.0),
-            default=nan,
-        )
-        for accuracy in ACCURACIES.values()
-    }
-    rows = [row._replace(ratio=row.time / best[row.accuracy]) for row in rows]
-    return sorted(rows, key=lambda row: (-row.accuracy, -row.solved, row.time))
-
-
-def _row(each: Tried, programs: int, longest: float) -> ComparedRow:
-    name, setting, accuracy, _ = each.contestant
-    row = ComparedRow(name, setting, accuracy, programs, message=each.message)
-    if not each.trials:
-        return row._replace(time=longest)
-    certificates = np.array([one.certificate for one in each.trials])
-    solved = certificates <= accuracy
-    seconds = np.where(solved, [one.seconds for one in each.trials], longest)
+def _row(contestant: Contestant, trials: Trials, longest: float) -> ComparedRow:
+    row = ComparedRow(*contestant[:3], time=longest, message=trials.message)
+    if not trials.seconds.size:
+        return row
+    solved = trials.certificates <= contestant.accuracy
     return row._replace(
         solved=float(solved.mean()),
-        time=shifted_mean(seconds),
-        certificate=float(np.median(certificates)),
-        worst=float(certificates.max()),
+        time=shifted_mean(np.where(solved, trials.seconds, longest)),
+        certificate=float(np.median(trials.certificates)),
+        worst=float(trials.certificates.max()),
     )
 
 
@@ -239,25 +272,25 @@ def shifted_mean(seconds: Sequence[float] | np.ndarray) -> float:
 
 def comparison_text(table: DataFrame) -> str:
     """The comparison as text."""
-    lines = [["solver", "setting", "accuracy", "solved", "ms", "x best", "median", "worst", ""]]
-    for row in table.itertuples():
-        lines.append(
-            [
-                row.solver,
-                row.setting,
-                f"{row.accuracy:g}",
-                f"{row.solved:.0%}",
-                f"{1e3 * row.time:.3g}",
-                f"{row.ratio:.2f}",
-                f"{row.certificate:.0e}",
-                f"{row.worst:.0e}",
-                row.message[:60],
-            ]
-        )
+    shown = table.assign(time=1e3 * table.time, message=table.message.str[:60])
+    names = {"time": "ms", "ratio": "x best", "certificate": "median", "message": ""}
+    formats = {
+        "accuracy": "{:g}",
+        "solved": "{:.0%}",
+        "ms": "{:.3g}",
+        "x best": "{:.2f}",
+        "median": "{:.0e}",
+        "worst": "{:.0e}",
+    }
+    text = (
+        shown.drop(columns="programs")
+        .rename(columns=names)
+        .to_string(index=False, formatters={name: form.format for name, form in formats.items()})
+    )
     legend = (
         "solved   share of programs with a relative certificate within the accuracy\n"
         "ms       shifted geometric mean; unsolved programs count with the longest time of all\n"
         "x best   of those that solved all programs at that accuracy\n"
         "median, worst   relative certificates of the solver's own answers, unpolished"
     )
-    return f"{aligned(lines)}\n{legend}"
+    return f"{text}\n{legend}"

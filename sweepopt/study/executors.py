@@ -1,4 +1,4 @@
-"""Where cells are computed: here, in processes, on a dask cluster. All give the same rows.
+"""Where cells are computed: in a thread, in processes, on a dask cluster. All give the same rows.
 
 A study asks for no more than `concurrent.futures` has: submit(function, *arguments) -> Future.
 """
@@ -18,31 +18,19 @@ from typing import Any
 from sweepopt.checks import count
 from sweepopt.errors import InputError, SweepoptError, brought_by
 
-ATTEMPTS = 2
+ATTEMPTS = 2  # as dask's scheduler: a second death is the cell's doing
 
 
 class WorkerDiedError(SweepoptError):
     """The process of a worker ended while it was computing, each time it was tried."""
 
 
-class Serial(Executor):
-    """Here and at once."""
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Compute and return a future that is done."""
-        future: Future[Any] = Future()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-
 class Processes(Executor):
     """Worker processes that are replaced when they die.
 
-    Each has a pool of its own, so that a death takes no other cell with it: `ProcessPoolExecutor`
-    gives up all that it was handed. They end with the process that started them, even by kill -9.
+    Each is a pool of its own with a thread that attends to it: `ProcessPoolExecutor` gives up all
+    that it was handed when one of its workers dies. They end with the process that started them,
+    even by kill -9.
 
     Parameters
     ----------
@@ -74,7 +62,11 @@ class Processes(Executor):
 
     def _attend(self, fn: Callable[..., Any], args: Any, kwargs: Any) -> Any:
         for _ in range(ATTEMPTS):
-            pool = self._pool()
+            pool = getattr(self._own, "pool", None)
+            if pool is None:
+                pool = ProcessPoolExecutor(1, get_context("spawn"), _end_with_parent)
+                self._own.pool = pool
+                self._pools.append(pool)
             try:
                 return pool.submit(fn, *args, **kwargs).result()
             except BrokenProcessPool:
@@ -84,14 +76,6 @@ class Processes(Executor):
             f"the worker's process ended while it was computing, {ATTEMPTS} times: out of memory, "
             "or a crash in compiled code"
         )
-
-    def _pool(self) -> ProcessPoolExecutor:
-        """The pool of this thread."""
-        if getattr(self._own, "pool", None) is None:
-            self._own.pool = ProcessPoolExecutor(1, get_context("spawn"), _end_with_parent)
-            self._pools.append(self._own.pool)
-        pool: ProcessPoolExecutor = self._own.pool
-        return pool
 
 
 @contextmanager
@@ -113,8 +97,8 @@ def dask_executor(client: Any) -> Iterator[Executor]:
 
     Notes
     -----
-    What a lost worker was computing is computed by another one. A cell that several workers died of
-    becomes a failed row (dask's setting distributed.scheduler.allowed-failures).
+    If a worker dies, another one computes its cell. A cell that several workers died of becomes a
+    failed row (dask's setting distributed.scheduler.allowed-failures).
     """
     with brought_by("study"):
         from distributed import Client
@@ -144,8 +128,8 @@ def _end_with_parent() -> None:
     parent = parent_process()
     if parent is not None:
 
-        def watch() -> None:
+        def wait_for_parent() -> None:
             parent.join()
             os._exit(1)
 
-        threading.Thread(target=watch, daemon=True).start()
+        threading.Thread(target=wait_for_parent, daemon=True).start()

@@ -1,26 +1,28 @@
 """What a study has finished, kept so that kill -9 at any moment loses none of it.
 
-A folder with study.json (what was asked), cells/ID.json and references/ID.npy + ID.json. A file is
-written beside its place, forced to the disk and moved there, and carries a checksum: what is not
-whole is not there, and is computed again.
+A folder with study.json (what was asked), rows.jsonl (a line of JSON for each finished cell, forced
+to the disk before the next one starts) and references/NAME.npz. Lines and files carry checksums:
+what is not whole is not there, and is computed again.
 """
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
 import math
+import os
+import zipfile
+import zlib
 from pathlib import Path
 from typing import Any, get_type_hints
 
 import numpy as np
 
-from sweepopt.io import put, sealed, unsealed
-from sweepopt.study.measure import Cell, CellRow
+from sweepopt.io import put, replacing
+from sweepopt.study.cell import Cell, CellRow
 from sweepopt.study.reference import Reference
 
-KINDS: dict[str, Any] = get_type_hints(CellRow)
+COLUMNS: dict[str, Any] = get_type_hints(CellRow)
 
 
 class Ledger:
@@ -33,9 +35,13 @@ class Ledger:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        for part in ("cells", "references"):
-            (folder / part).mkdir(parents=True, exist_ok=True)
+        self.folder, self._path = folder, folder / "rows.jsonl"
+        (folder / "references").mkdir(parents=True, exist_ok=True)
+        content = self._path.read_bytes() if self._path.exists() else b""
+        # a line that a kill cut short must not spoil the next one
+        self._start = b"" if content.endswith(b"\n") or not content else b"\n"
+        rows = [_row(line) for line in content.splitlines()]
+        self._rows = {row.cell: row for row in rows if row is not None}
 
     def describe(self, study: dict[str, Any]) -> None:
         """Keep what was asked."""
@@ -43,64 +49,58 @@ class Ledger:
 
     def row(self, cell: Cell) -> CellRow | None:
         """The row of a finished cell, None if it is not finished."""
-        found = _read(self._cell(cell.id))
-        if found is None or set(found) != set(KINDS):
-            return None
-        return CellRow(**{name: KINDS[name](found[name]) for name in CellRow._fields})
+        return self._rows.get(cell.id)
 
     def keep(self, row: CellRow) -> None:
-        """Keep a finished cell."""
+        """Add the row of a finished cell."""
         content = {name: _plain(value) for name, value in row._asdict().items()}
-        put(self._cell(row.cell), sealed(content))
+        line = json.dumps({"row": content, "crc32": _checksum(content)}, allow_nan=False)
+        with self._path.open("ab") as file:
+            file.write(self._start + line.encode() + b"\n")
+            file.flush()
+            os.fsync(file.fileno())
+        self._start = b""
+        self._rows[row.cell] = row
 
     def reference(self, cell: Cell) -> Reference | None:
         """The reference of a cell, None if it is not finished."""
-        path = self._reference(cell)
-        found = _read(path)
         try:
-            content = path.with_suffix(".npy").read_bytes()
-        except OSError:
+            content = io.BytesIO(self._reference(cell).read_bytes())
+            with np.load(content, allow_pickle=False) as archive:
+                u, uncertainty, words = archive["u"], archive["uncertainty"], archive["words"]
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
             return None
-        if found is None or found["states"] != hashlib.sha256(content).hexdigest():
-            return None
-        u = np.load(io.BytesIO(content), allow_pickle=False)
-        return Reference(u, float(found["uncertainty"]), found["kind"], found["message"])
+        return Reference(u, float(uncertainty), str(words[0]), str(words[1]))
 
     def keep_reference(self, cell: Cell, reference: Reference) -> None:
-        """Keep the reference of a cell."""
-        buffer = io.BytesIO()
-        np.save(buffer, reference.u, allow_pickle=False)
-        content = buffer.getvalue()
-        path = self._reference(cell)
-        put(path.with_suffix(".npy"), content)
-        about = {
-            "problem": cell.problem.name,
-            "steps": cell.steps,
-            "uncertainty": _plain(reference.uncertainty),
-            "kind": reference.kind,
-            "message": reference.message,
-            "states": hashlib.sha256(content).hexdigest(),
-        }
-        put(path, sealed(about))
-
-    def _cell(self, name: str) -> Path:
-        return self.folder / "cells" / f"{name}.json"
+        """Keep the reference of a cell; a zip has a checksum for each of its entries."""
+        words = np.array([reference.kind, reference.message])
+        with replacing(self._reference(cell)) as part, part.open("wb") as file:
+            np.savez(file, u=reference.u, uncertainty=reference.uncertainty, words=words)
 
     def _reference(self, cell: Cell) -> Path:
-        name = f"{cell.problem.name}-{cell.problem.digest[:16]}-{cell.steps}"
-        return self.folder / "references" / f"{name}.json"
+        name = f"{cell.problem.name}-{cell.problem.digest[:16]}-{cell.steps}.npz"
+        return self.folder / "references" / name
+
+
+def _row(line: bytes) -> CellRow | None:
+    """The row in a line, None if the line is not whole or has other columns."""
+    try:
+        record = json.loads(line)
+        row, whole = record["row"], record["crc32"] == _checksum(record["row"])
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return None
+    if not whole or set(row) != set(COLUMNS):
+        return None
+    return CellRow(**{name: kind(row[name]) for name, kind in COLUMNS.items()})
 
 
 def _plain(value: Any) -> Any:
-    """A value that JSON has; numbers that are not finite as words."""
+    """A value that JSON has; numbers that are not finite as words, which `float` reads."""
     if isinstance(value, float) and not math.isfinite(value):
         return repr(float(value))
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _read(path: Path) -> Any:
-    """The content of a file, None if it is not there or not whole."""
-    try:
-        return unsealed(path.read_bytes())
-    except (OSError, ValueError):
-        return None
+def _checksum(row: dict[str, Any]) -> int:
+    return zlib.crc32(json.dumps(row, sort_keys=True).encode())

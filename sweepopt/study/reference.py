@@ -9,8 +9,8 @@ import numpy as np
 
 from sweepopt.errors import SweepoptError, SweepoptWarning
 from sweepopt.solve import solve
+from sweepopt.study.machine import one_thread
 from sweepopt.study.sources import Source
-from sweepopt.study.threads import one_thread
 
 REFINED, FINE, SMALL = 16, 4096, 32
 """A fine run has at least so many times the steps, and so many steps if the problem is small."""
@@ -38,13 +38,6 @@ class Reference(NamedTuple):
     uncertainty: float
     kind: str
     message: str = ""
-
-
-class Error(NamedTuple):
-    """A cell's error and what it was taken against; nan if the reference is not good enough."""
-
-    value: float
-    kind: str
 
 
 def make_reference(source: Source, steps: int) -> Reference:
@@ -75,13 +68,12 @@ def distance(source: Source, u: np.ndarray, v: np.ndarray) -> float:
     return max(map(source.open().process.metric.norm, u - v))
 
 
-def error_of(source: Source, u: np.ndarray, reference: Reference) -> Error:
-    """The error of the states on the nodes, if the reference's is far below."""
+def error_of(source: Source, u: np.ndarray, reference: Reference) -> float:
+    """The error of the states on the nodes; nan if the reference's is not far below."""
     if not reference.kind or len(u) != len(reference.u):
-        return Error(float("nan"), "")
+        return float("nan")
     error = distance(source, u, reference.u)
-    known = error >= SAFETY * reference.uncertainty
-    return Error(error, reference.kind) if known else Error(float("nan"), "")
+    return error if error >= SAFETY * reference.uncertainty else float("nan")
 
 
 def _exact(source: Source, steps: int) -> Reference | None:

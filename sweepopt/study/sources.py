@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from sweepopt.errors import InputError, SweepoptError
-from sweepopt.fem.library import find_problem
-from sweepopt.io import read_bytes, read_toml
+from sweepopt.io import find_problem, read_bytes, read_toml
 from sweepopt.problem import SweepingProcess
 from sweepopt.study import problems
 
@@ -30,7 +29,7 @@ class Source(NamedTuple):
     name : str
         In the table: of a problem of `sweepopt.study.problems`, or of a scene's file.
     path : str
-        The scene's file; empty for a problem of `sweepopt.study.problems`.
+        The file that states it.
     digest : str
         SHA-256 of all files that state the problem.
     """
@@ -71,47 +70,42 @@ def find_source(name: str, folder: str | Path = ".") -> Source:
     >>> find_source("S03").name, Path(find_source("tube").path).name
     ('S03', 'tube.toml')
     """
-    if name in problems.PROBLEMS:
-        return Source(name, "", _digest_of(""))
     path = Path(folder, name)
-    if path.suffix != ".toml":
+    if name in problems.PROBLEMS:
+        path = Path(problems.__file__)
+    elif path.suffix != ".toml":
         try:
             path = find_problem(name)
         except InputError as error:
             known = ", ".join(problems.PROBLEMS)
             raise InputError(f"{error}, and for studies {known}") from error
     path = path.resolve()
-    return Source(path.stem, str(path), _digest_of(str(path)))
+    small = name in problems.PROBLEMS
+    return Source(name if small else path.stem, str(path), _digest(path))
 
 
 @lru_cache(maxsize=8)
 def _opened(source: Source) -> Posed:
-    if _digest_of(source.path) != source.digest:
-        where = source.path or problems.__file__
-        raise SweepoptError(f"{where} is not as it was when the study started; start it again")
-    if not source.path:
+    path = Path(source.path)
+    if _digest(path) != source.digest:
+        raise SweepoptError(f"{path} is not as it was when the study started; start it again")
+    if path.suffix != ".toml":
         small = problems.problem(source.name)
         return Posed(small.process(), small.t_end)
     from sweepopt.fem import read_scene
 
-    scene = read_scene(source.path)
+    scene = read_scene(path)
     assert scene.t_end is not None  # a file has it
     return Posed(scene.problem.as_sweeping(), scene.t_end)
 
 
-def _digest_of(scene: str) -> str:
-    """Of a scene's file, its mesh and its tables; of the module with the small problems."""
+def _digest(path: Path) -> str:
+    """Of a file and, if it is a scene, of its mesh and its tables."""
     digest = hashlib.sha256()
-    for path in _files(Path(scene)) if scene else [Path(problems.__file__)]:
-        digest.update(hashlib.sha256(read_bytes(path)).digest())
+    named = _named(read_toml(path)) if path.suffix == ".toml" else []
+    for file in (path, *(path.parent / name for name in named)):
+        digest.update(hashlib.sha256(read_bytes(file)).digest())
     return digest.hexdigest()
-
-
-def _files(scene: Path) -> Iterator[Path]:
-    """A scene's file and those it names."""
-    yield scene
-    for name in _named(read_toml(scene)):
-        yield scene.parent / name
 
 
 def _named(data: Any) -> Iterator[str]:

@@ -7,20 +7,20 @@ One row a combination, failures included, kept as soon as it is finished: run ag
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
-from dataclasses import asdict, dataclass
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from contextlib import nullcontext
+from dataclasses import MISSING, asdict, dataclass, fields
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from sweepopt.checks import count, listed, number
 from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate import schemes
-from sweepopt.study.executors import Serial
+from sweepopt.io import as_path, read_toml
+from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, blank, failed, run_cell
 from sweepopt.study.ledger import Ledger
-from sweepopt.study.measure import THROUGH_CVXPY, Cell, CellRow, blank, failed, run_cell
 from sweepopt.study.reference import absent, make_reference
 from sweepopt.study.sources import Source, find_source
 from sweepopt.velocity import solvers
@@ -28,11 +28,12 @@ from sweepopt.velocity import solvers
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-Say = Callable[[str], object]
 IN_FLIGHT = 64
 """Cells handed to an executor at a time: each carries its reference."""
-LOST = ("WorkerDiedError", "KilledWorker")
-"""Exceptions, ours and dask's, of a task whose workers died; others end the study."""
+Jobs = Iterable[tuple[Cell, tuple[Any, ...]]]
+"""Cells and the arguments of the function that is called for each."""
+WORKER_DIED = ("WorkerDiedError", "KilledWorker")
+"""Exceptions, ours and dask's, of a cell whose workers died; others end the study."""
 
 
 @dataclass(frozen=True)
@@ -95,30 +96,71 @@ class Study:
         _text("title", self.title)
 
     def sources(self) -> list[Source]:
-        """The problems, their files read for a digest.
-
-        Raises
-        ------
-        InputError
-            If one is not there.
-        """
-        found = []
+        """The problems, their files read for a digest; InputError if one is not there."""
+        sources: list[Source] = []
         for k, name in enumerate(self.problems):
             try:
-                found.append(find_source(name, self.folder))
+                sources.append(find_source(name, self.folder))
             except InputError as error:
                 raise InputError(f"problems[{k}]: {error}") from error
-            if found[-1].name in (other.name for other in found[:-1]):
-                raise InputError(f"problems[{k}]: another one is called {found[-1].name!r} too")
-        return found
+            if sources[-1].name in (other.name for other in sources[:-1]):
+                raise InputError(f"problems[{k}]: another one is called {sources[-1].name!r} too")
+        return sources
 
     def cells(self) -> list[Cell]:
         """All combinations, the problem slowest."""
-        parts = self.schemes, self.solvers, self.steps, self.tols
-        return [
-            Cell(*combination, repeats=self.repeats)
-            for combination in product(self.sources(), *parts)
-        ]
+        lists = self.sources(), self.schemes, self.solvers, self.steps, self.tols
+        return [Cell(*combination, repeats=self.repeats) for combination in product(*lists)]
+
+
+def read_study(path: str | Path) -> Study:
+    """Read a study from a TOML file.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Raises
+    ------
+    InputError
+        Naming the file and the key at fault.
+
+    Notes
+    -----
+    ::
+
+        title = "What accuracy costs"                   # optional
+        problems = ["S03", "tube", "scenes/mine.toml"]  # relative to this file
+        schemes = ["catching-up", "midpoint"]
+        solvers = ["auto", "clarabel", "cvxpy:scs"]
+        steps = [100, 1000]
+        tols = [1e-6]                                   # optional
+        repeats = 3                                     # optional
+        [hard]                                          # optional: hard cases, run afterwards
+        seeds = [0]
+
+    Examples
+    --------
+    >>> from sweepopt.library import find_study
+    >>> read_study(find_study("accuracy")).repeats > 0
+    True
+    """
+    path = as_path("path", path)
+    data = read_toml(path)
+    data.pop("hard", None)
+    keys = {field.name: field for field in fields(Study) if field.name != "folder"}
+    for key in data:
+        if key not in keys:
+            raise InputError(f"{path}: {key}: unknown key; there are: {', '.join(keys)}")
+    for key, field in keys.items():
+        if field.default is MISSING and key not in data:
+            raise InputError(f"{path}: {key}: is missing")
+    try:
+        study = Study(**data, folder=str(path.parent))
+        study.sources()
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    return study
 
 
 def run(
@@ -126,7 +168,7 @@ def run(
     folder: str | Path,
     *,
     executor: Executor | None = None,
-    progress: Say | None = None,
+    progress: Callable[[str], object] = lambda words: None,
 ) -> DataFrame:
     """Compute the cells of a study that are not in the folder yet.
 
@@ -134,14 +176,13 @@ def run(
     ----------
     study : Study
     folder : str or Path
-        Where finished cells are kept, one file each. Killed at any moment, the study goes on from
-        there; a file that is not whole is computed again.
+        Where finished cells are kept. Killed at any moment, the study goes on from there; what is
+        not whole is computed again.
     executor : concurrent.futures.Executor, optional
-        `Processes(n)`, `dask_executor(client)`, or any other whose tasks run in processes with one
-        thread; by default cells are computed here, one after the other. The rows are the same bit
-        for bit, times apart.
+        `Processes(n)`, `dask_executor(client)`, or any other; by default cells are computed in one
+        thread, one after the other. The rows are the same bit for bit, times apart.
     progress : callable, optional
-        Told what is finished, for example `print`.
+        Called with a line of text when something is finished, for example `print`.
 
     Returns
     -------
@@ -156,27 +197,24 @@ def run(
         If a package of the extra "study" is missing.
     """
     _require_pandas()
-    say = progress or (lambda _: None)
-    executor = executor or Serial()
-    cells = study.cells()
-    ledger = Ledger(Path(folder))
+    cells, ledger = study.cells(), Ledger(Path(folder))
     ledger.describe(asdict(study))
     todo = [cell for cell in cells if ledger.row(cell) is None]
-    say(f"{len(cells)} cells, {len(cells) - len(todo)} of them finished before")
-
+    progress(f"{len(cells)} cells, {len(cells) - len(todo)} of them finished before")
     grids = {(cell.problem, cell.steps): cell for cell in todo}
     missing = [cell for cell in grids.values() if ledger.reference(cell) is None]
-    references = (Job(cell, (cell.problem, cell.steps)) for cell in missing)
-    for k, (cell, found) in enumerate(_computed(executor, make_reference, references), start=1):
-        found = absent(str(found)) if isinstance(found, BaseException) else found
-        ledger.keep_reference(cell, found)
-        say(f"reference {k} of {len(missing)}: {cell.problem.name} {cell.steps} steps")
-
-    jobs = (Job(cell, (cell, ledger.reference(cell))) for cell in todo)
-    for k, (cell, found) in enumerate(_computed(executor, run_cell, jobs), start=1):
-        row = failed(blank(cell), found) if isinstance(found, BaseException) else found
-        ledger.keep(row)
-        say(f"{k} of {len(todo)}: {cell}: {row.status}")
+    with nullcontext(executor) if executor else ThreadPoolExecutor(1) as pool:
+        jobs: Jobs = ((cell, (cell.problem, cell.steps)) for cell in missing)
+        for k, (cell, future) in enumerate(_computed(pool, make_reference, jobs), start=1):
+            error = future.exception()
+            ledger.keep_reference(cell, absent(str(error)) if error else future.result())
+            progress(f"reference {k} of {len(missing)}: {cell.problem.name} {cell.steps} steps")
+        jobs = ((cell, (cell, ledger.reference(cell))) for cell in todo)
+        for k, (cell, future) in enumerate(_computed(pool, run_cell, jobs), start=1):
+            error = future.exception()
+            row = failed(blank(cell), error) if error else future.result()
+            ledger.keep(row)
+            progress(f"{k} of {len(todo)}: {cell}: {row.status}")
     return read_table(study, folder)
 
 
@@ -190,45 +228,31 @@ def read_table(study: Study, folder: str | Path) -> DataFrame:
     return pd.DataFrame(rows, columns=list(CellRow._fields))
 
 
-class Job(NamedTuple):
-    """A cell and the arguments of the function that is computed for it."""
-
-    cell: Cell
-    arguments: tuple[Any, ...]
-
-
-class Done(NamedTuple):
-    """A cell and what was found, or the exception of the workers that died of it."""
-
-    cell: Cell
-    found: Any
-
-
 def _computed(
-    executor: Executor, function: Callable[..., Any], jobs: Iterable[Job]
-) -> Iterator[Done]:
-    """Results as they come, a limited number of jobs under way."""
+    executor: Executor, function: Callable[..., Any], jobs: Jobs
+) -> Iterator[tuple[Cell, Future[Any]]]:
+    """Cells and their finished futures as they come, a limited number of jobs under way.
+
+    Raises what a function raised, but for the death of its workers.
+    """
     running: dict[Future[Any], Cell] = {}
+    jobs = iter(jobs)
     try:
-        for job in jobs:
-            running[executor.submit(function, *job.arguments)] = job.cell
-            yield from _harvest(running, math.inf if len(running) >= IN_FLIGHT else 0.0)
-        while running:
-            yield from _harvest(running, math.inf)
+        while True:
+            while len(running) < IN_FLIGHT and (job := next(jobs, None)) is not None:
+                cell, arguments = job
+                running[executor.submit(function, *arguments)] = cell
+            if not running:
+                return
+            done = wait(running, return_when=FIRST_COMPLETED).done
+            for future in sorted(done, key=lambda one: one.exception() is not None):
+                error = future.exception()
+                if error is not None and type(error).__name__ not in WORKER_DIED:
+                    raise error
+                yield running.pop(future), future
     finally:
         for future in running:
             future.cancel()
-
-
-def _harvest(running: dict[Future[Any], Cell], patience: float) -> Iterator[Done]:
-    """What is done, waiting for the first one if there is patience."""
-    timeout = None if patience == math.inf else patience
-    for future in wait(running, timeout, FIRST_COMPLETED).done:
-        cell = running.pop(future)
-        error = future.exception()
-        if error is not None and type(error).__name__ not in LOST:
-            raise error
-        yield Done(cell, error or future.result())
 
 
 def _text(name: str, value: Any) -> None:

@@ -1,36 +1,33 @@
-"""One step: the program, its proof, the plan that chooses a path, the solvers (MATH 2, 5)."""
+"""One step: the program, its certificate, the plan that chooses a path, the solvers (MATH 2, 5)."""
 
 from __future__ import annotations
 
-from sweepopt.velocity.elimination import (
-    Solved,
-    VelocityOf,
+from sweepopt.velocity.certificate import (
+    Velocity,
+    certify,
+    certify_point,
 )
-from sweepopt.velocity.exact_residual import (
+from sweepopt.velocity.compiled import (
+    Factors,
     StateVelocity,
+    VelocityOf,
+    compile_projection,
+    compile_velocity,
+    factors,
     matrix,
-    of_state,
-)
-from sweepopt.velocity.interval import (
-    interval_of,
-    velocity_in,
 )
 from sweepopt.velocity.plan import (
     PATHS,
-    Factors,
     Plan,
     make_plan,
 )
 from sweepopt.velocity.program import (
-    POLISHED,
     Canonical,
-    Velocity,
     VelocityProgram,
-    rate,
     untranslated,
 )
 from sweepopt.velocity.proportional import (
-    OfLoad,
+    ReconstructionResiduals,
     Reduction,
 )
 from sweepopt.velocity.solvers import (
@@ -53,7 +50,6 @@ __all__ = [
     "DAQP",
     "OSQP",
     "PATHS",
-    "POLISHED",
     "REGISTRY",
     "ActiveSet",
     "Answer",
@@ -62,22 +58,22 @@ __all__ = [
     "Cvxpy",
     "Factors",
     "Newton",
-    "OfLoad",
     "Plan",
+    "ReconstructionResiduals",
     "Reduction",
     "Solve",
-    "Solved",
     "Solver",
     "StateVelocity",
     "Velocity",
     "VelocityOf",
     "VelocityProgram",
+    "certify",
+    "certify_point",
+    "compile_projection",
+    "compile_velocity",
+    "factors",
     "installed",
-    "interval_of",
     "make_plan",
     "matrix",
-    "of_state",
-    "rate",
     "untranslated",
-    "velocity_in",
 ]

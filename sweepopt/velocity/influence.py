@@ -1,6 +1,9 @@
-"""What a body does when its contact is held, or led, and how accurate that is known.
+"""Influence functions of a body, and how accurately they are known.
 
-With these answers A^-1 is applied once and for all (`sweepopt/reduction.py`).
+With E selecting the contact and N = (E A^-1 E^T)^-1, the influence function F of a load f is the
+answer of the body while its contact is held, A F = f - E^T (force on the contact) with E F = 0, and
+A^-1 E^T N zeta is its answer to a displacement zeta of the contact: A^-1 is applied once and for
+all.
 """
 
 from __future__ import annotations
@@ -13,73 +16,69 @@ from sweepopt.checks import Matrix
 from sweepopt.linalg import Elimination, Precise, product_error
 
 
-class Held(NamedTuple):
-    """The response F of a body whose contact is held, the force on that, and what F misses."""
+class Influence(NamedTuple):
+    """The influence function F of a load, its force on the contact, |its residual|_{A^-1}."""
 
     F: np.ndarray
-    pull: np.ndarray
-    missed: np.ndarray
+    force: np.ndarray
+    residual: float
 
 
-def held(A: Elimination, f: np.ndarray) -> Held:
-    """A F = f but on the contact, F = 0 there; what acts on the few is theirs to the last bit."""
-    few, inner = A.unknowns, f.copy()
-    inner[few] = 0.0
-    nothing = np.zeros(few.size)
-    F, pull = np.zeros(A.dim), nothing
+def influence(A: Elimination, f: np.ndarray) -> Influence:
+    """The influence function of f; a force on the contact itself is there to the last bit."""
+    contact, beside = A.unknowns, f.copy()
+    beside[contact] = 0.0
+    zero = np.zeros(contact.size)
+    F, force = np.zeros(A.dim), zero
+    residual = beside
     for _ in range(2):  # the second one refines
-        missed = A.precisely(-F, inner)
-        missed[few] -= pull
-        if not missed.any():
-            break
-        forward, more = A.reduce(missed)
-        # held at 0, the contact takes the force N E A^-1 r
-        F, pull = F + A.recover(forward, nothing), pull + more
-    missed = A.precisely(-F, inner)
-    missed[few] -= pull
-    return Held(F, f[few] + pull, missed)
+        forward, more = A.reduce(residual)
+        F, force = F + A.recover(forward, zero), force + more
+        residual = A.precisely(-F, beside)
+        residual[contact] -= force
+    return Influence(F, f[contact] + force, A.dual_norm(residual) + A.resolution(F))
 
 
-def follow(A: Elimination, zeta: np.ndarray) -> np.ndarray:
-    """A^-1 E^T N zeta: how the body follows its contact."""
+def extension(A: Elimination, zeta: np.ndarray) -> np.ndarray:
+    """A^-1 E^T N zeta: the body follows its contact."""
     u = A.recover(np.zeros(A.dim), A.N @ zeta)
     u[A.unknowns] = zeta  # to the last bit: stuck is 0.0
     return u
 
 
-class Uneven:
-    """|(M - (1 + gamma rho) A) v|_{A^-1} and |(B - rho A) v|_{A^-1}, relative to the factors.
+class ProportionalRounding:
+    """|(M - (1 + gamma rho) A) v|_{A^-1} + |(B - rho A) v|_{A^-1}, relative to the factors of A.
 
-    B is a multiple of A up to rounding, and A + gamma B is rounded; what that moves grows with the
-    condition of A. The rounding of A + gamma B is that of another multiple of A.
+    B is a multiple of A up to rounding, and M = A + gamma B is rounded; what that moves grows with
+    the condition of A. The rounding of M is estimated by that of another multiple of A.
     """
 
-    OTHER = 4 / 3
+    FACTOR = 4 / 3
 
     def __init__(self, A: Elimination, B: Matrix | None, rho: float) -> None:
         self._A = A
-        self._missed = [(1 / self.OTHER, product_error(self.OTHER, A.M))]
+        self._differences = [(1 / self.FACTOR, product_error(self.FACTOR, A.M))]
         if B is not None:
-            self._missed.append((1 / rho, (B - rho * A.M) - product_error(rho, A.M)))
+            self._differences.append((1 / rho, (B - rho * A.M) - product_error(rho, A.M)))
 
     def __call__(self, v: np.ndarray) -> float:
-        return 2 * sum(share * self._A.dual_norm(E @ v) for share, E in self._missed)
+        return 2 * sum(share * self._A.dual_norm(D @ v) for share, D in self._differences)
 
 
-def accuracy(A: Elimination, uneven: Uneven) -> float:
-    """|A v - E^T N d|_{A^-1} / |v|_A of v = A^-1 E^T N d, and what is uneven: twice the worst.
+def extension_error(A: Elimination, rounding: ProportionalRounding) -> float:
+    """|A v - E^T N d|_{A^-1} / |v|_A of extensions v of d, with the rounding of B and M.
 
-    Of six d: three are given, the others are the displacements under these as forces: smooth ones,
-    of which a badly conditioned A leaves less.
+    Twice the largest of six d: three are given, the others are the displacements under these as
+    forces. These are smooth, and of smooth ones a badly conditioned A leaves fewest digits.
     """
-    few, worst, precisely = A.unknowns, 0.0, Precise(A.N)
-    m = few.size
+    contact, worst, N = A.unknowns, 0.0, Precise(A.N)
+    m = contact.size
     for force in (np.ones(m), np.cos(np.arange(m) + 1.0), (-1.0) ** np.arange(m)):
-        on_few = np.zeros(A.dim)
-        on_few[few] = force
-        for d in (force, A.solve(on_few)[few]):
-            v, pull = follow(A, d), np.zeros(A.dim)
-            pull[few] = precisely(d)
-            missed = A.dual_norm(A.precisely(v, -pull)) + A.resolution(v) + uneven(v)
-            worst = max(worst, missed / A.norm(v))
+        on_contact = np.zeros(A.dim)
+        on_contact[contact] = force
+        for d in (force, A.solve(on_contact)[contact]):
+            v, total = extension(A, d), np.zeros(A.dim)
+            total[contact] = N(d)
+            residual = A.dual_norm(A.precisely(v, -total)) + A.resolution(v) + rounding(v)
+            worst = max(worst, residual / A.norm(v))
     return 2 * worst

@@ -4,28 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 
-from sweepopt.checks import Matrix
-from sweepopt.errors import PathError, SolverRefusedError, shown
-from sweepopt.linalg import Elimination, Factor, Multigrid
+from sweepopt.errors import PathError, SolverRefusedError
 from sweepopt.problem import SweepingProcess
-from sweepopt.sets import ConvexSet, same_array
-from sweepopt.velocity.elimination import (
-    SelectedVelocity,
-    Solved,
-    VelocityOf,
-    accurate,
-    eliminated,
-    linear,
-    unless_at_rest,
-)
+from sweepopt.sets import ConvexSet
 from sweepopt.velocity.proportional import Reduction, reduce
-from sweepopt.velocity.routes import Programmed, iterated
 from sweepopt.velocity.solvers import Solver, choose
 
 if TYPE_CHECKING:
@@ -34,36 +20,9 @@ if TYPE_CHECKING:
 PATHS = {
     "auto": "the first that applies",
     "proportional": "the contact alone, the other unknowns are recovered when asked for",
-    "multigrid": "all unknowns, for bodies whose factors do not fit in memory",
     "eliminated": "a program for the contact, two substitutions for the others",
     "full": "a program for all unknowns",
 }
-
-
-@dataclass(frozen=True, eq=False)
-class Factors:
-    """A matrix factorised in the ways that somebody asks for."""
-
-    M: Matrix
-    contact: np.ndarray
-    order: np.ndarray | None
-
-    @cached_property
-    def whole(self) -> Factor:
-        return Factor(self.M)
-
-    @cached_property
-    def hierarchy(self) -> Multigrid:
-        return Multigrid(self.M)
-
-    @cached_property
-    def elimination(self) -> Elimination:
-        return Elimination(self.M, self.contact, self.order)
-
-    @cached_property
-    def small(self) -> Factor:
-        """What is left for the contact."""
-        return Factor(self.elimination.N)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +50,6 @@ class Plan:
         The process of the contact alone, if the material and the load are proportional.
     order : ndarray of int or None
         An order of the unknowns with little fill, for elimination.
-    multigrid : bool
-        Whether matrices get a multigrid hierarchy instead of a factorisation.
     """
 
     unknowns: int
@@ -105,15 +62,12 @@ class Plan:
     contact: np.ndarray | None = None
     reduction: Reduction | None = None
     order: np.ndarray | None = None
-    multigrid: bool = False
 
     @property
     def path(self) -> str:
         """Which unknowns enter a step."""
         if self.reduction is not None:
             return "proportional"
-        if self.multigrid:
-            return "multigrid"
         if not self.solvers:
             return "linear"
         return "full" if self.contact is None else "eliminated"
@@ -133,7 +87,7 @@ class Plan:
     @property
     def eliminated(self) -> int:
         """How many unknowns leave the program before it is solved."""
-        return 0 if self.contact is None or self.multigrid else self.unknowns - len(self.contact)
+        return 0 if self.contact is None else self.unknowns - len(self.contact)
 
     def of_all_unknowns(self, reason: str) -> Plan:
         """The plan without its reduction, which does not suit the steps."""
@@ -146,50 +100,12 @@ class Plan:
     def _order(self) -> str:
         return "" if self.scheme.exact else f" (order {self.scheme.order})"
 
-    def velocity(self, M: Matrix | Factors) -> VelocityOf:
-        """Compile (q, C) -> certified velocity for one matrix; not to be shared by threads.
-
-        Each C is looked at again: a point needs a linear solve only, a set on the contact unknowns
-        a small program, any other set the full one. What a C needs is compiled when it comes.
-        """
-        factors = M if isinstance(M, Factors) else self.factors(M)
-        contact, enough = factors.contact, accurate(factors.M.shape[0], self.tol)
-        program = cache(lambda: Programmed(factors.whole, self.solver, self.tol, self.order))
-        if self.multigrid:
-            point = cache(lambda: linear(factors.hierarchy, enough))
-            selected = cache(lambda: iterated(factors.hierarchy, contact, self.tol))
-        else:
-            point = cache(lambda: linear(factors.whole, enough))
-            selected = cache(lambda: self._eliminated(factors, enough))
-
-        def solve(q: np.ndarray, C: ConvexSet) -> Solved:
-            if C.singleton:
-                return point()(q, C)
-            selection = C.selection if contact.size else None
-            if selection is None or not same_array(selection.unknowns, contact):
-                return program()(q, C)
-            return selected()(q, selection)
-
-        return solve
-
-    def factors(self, M: Matrix) -> Factors:
-        """What is known of a matrix before any velocity: nothing in it depends on steps."""
-        contact = np.zeros(0, dtype=int) if self.contact is None else self.contact
-        return Factors(M, contact, self.order)
-
-    def _eliminated(self, factors: Factors, enough: float) -> SelectedVelocity:
-        small = Programmed(factors.small, self.solver, self.tol, None)
-        moving = eliminated(factors.elimination, small, enough)
-        return unless_at_rest(factors.elimination.diagonal, moving)
-
     def __str__(self) -> str:
         solver = self.solvers[0].name if self.solvers else "linear solves, no optimiser"
         if self.solver == "auto" and self.solvers:
             solver += ", a formula where M is diagonal"
         if self.scheme.exact:
             solver = "closed forms between the switches, which are located"
-        if self.multigrid:
-            solver = "conjugate gradients with a multigrid cycle"
         lines = [
             f"path                {self.path}: {PATHS.get(self.path, 'a linear solve a step')}",
             f"unknowns            {self.unknowns}",
@@ -227,21 +143,16 @@ def make_plan(
     SolverRefusedError
         If the solver is not known or cannot treat one of the sets.
     """
-    solvers, contact = _looked(process.dim, members, solver, path)
+    solvers, contact = _looked(process.dim, members, solver, path, tol)
     if path in ("eliminated", "proportional") and contact is None:
         raise PathError(
             f"path={path!r} needs a C(t) that acts on the same few unknowns at all times: write it "
             "as so.image(E^T, S) with E selecting them"
         )
-    multigrid = path == "multigrid" or (path == "auto" and isinstance(process.metric, Multigrid))
-    if multigrid:
-        _require_multigrid(process, members, contact, solver)
-    if scheme.exact and multigrid:
-        raise PathError("path='multigrid' has no closed form; use another scheme than 'exact'")
     reduced: Reduction | str = "the unknowns shall be kept"
     if len(scheme.b) > 1:
         reduced = f"scheme {scheme.name!r} has several stages"
-    elif path in ("auto", "proportional") and contact is not None and not multigrid:
+    elif path in ("auto", "proportional") and contact is not None:
         reduced = reduce(process, tol, members[0][0])
     if path == "proportional" and isinstance(reduced, str):
         raise PathError(f"path='proportional' does not apply: {reduced}")
@@ -257,7 +168,6 @@ def make_plan(
         left_out=tuple(_left_out(process, solvers)),
         contact=contact,
         order=process.metric.order,
-        multigrid=multigrid,
         reduction=None if isinstance(reduced, str) else reduced,
     )
 
@@ -270,14 +180,14 @@ class _Looked(NamedTuple):
 
 
 def _looked(
-    dim: int, members: Sequence[tuple[float, ConvexSet]], solver: Any, path: str
+    dim: int, members: Sequence[tuple[float, ConvexSet]], solver: Any, path: str, tol: float
 ) -> _Looked:
     solvers: tuple[Solver, ...] = ()
     contacts: list[np.ndarray] = []
     for t, C in members:
         selection = None if path == "full" else C.selection
         try:
-            chosen = choose(solver, C if selection is None else selection.part)
+            chosen = choose(solver, C if selection is None else selection.part, tol)
         except SolverRefusedError as error:
             raise SolverRefusedError(f"{error} (C(t) at t = {t:g})") from error
         if not C.singleton:
@@ -296,25 +206,3 @@ def _left_out(process: SweepingProcess, solvers: tuple[Solver, ...]) -> Iterator
         yield "A: it is zero, the process is rate-independent"
     if not solvers:
         yield "optimiser: C(t) is a point, each step is one linear solve"
-
-
-def _require_multigrid(
-    process: SweepingProcess,
-    members: Sequence[tuple[float, ConvexSet]],
-    contact: np.ndarray | None,
-    solver: Any,
-) -> None:
-    """Refuse what the multigrid path does not treat."""
-    if solver != "auto":
-        raise SolverRefusedError(
-            f"path='multigrid' has no use for solver={shown(solver)}; leave one of them out"
-        )
-    if not sp.issparse(process.A):
-        raise PathError("path='multigrid' needs A as a sparse matrix")
-    parts = [C.selection.part for _, C in members if C.selection is not None and not C.singleton]
-    derivatives = [part.derivative(part.anchor) for part in parts]
-    separable = all(D is not None and D.ndim == 1 for D in derivatives)
-    if not all(C.singleton for _, C in members) and (contact is None or not separable):
-        raise PathError(
-            "path='multigrid' needs a C(t) that acts on few unknowns, each alone: an image of a Box"
-        )

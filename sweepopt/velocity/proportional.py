@@ -12,9 +12,8 @@ again a sweeping process: the library solves it as any other. The other unknowns
     u = A^-1 E^T N zeta + sum_k alpha_k F_k + alpha_0 F_0,
     alpha_k' + rho alpha_k = phi_k,   alpha_0' + rho alpha_0 = 0,
 
-F_k the response to f_k of the body whose contact is held, F_0 what u0 has beyond the response to
-its contact. The same scheme moves alpha, from alpha_0(t_0) = 1 and all others 0. u is computed when
-somebody asks for it.
+F_k the influence function of f_k, F_0 what u0 has beyond the extension of its contact. The same
+scheme moves alpha, from alpha_0(t_0) = 1 and all others 0. u is reconstructed when asked for.
 
 Where sum_k phi_k F_k = rho F_0 nothing moves beside the contact, as long as the phi_k stay what
 they are: alpha stays at its start, and u and u' beside a contact that is held are u0 and 0 to the
@@ -24,42 +23,33 @@ last bit.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from sweepopt.linalg import UNIT, Elimination, Precise
 from sweepopt.loads import Constant, Separable
-from sweepopt.problem import SweepingProcess, proportion
-from sweepopt.sets import AnySet, ConvexSet, Moving
-from sweepopt.velocity.influence import Uneven, accuracy, follow, held
-from sweepopt.velocity.program import is_rounding
+from sweepopt.problem import Motion, SweepingProcess, Terms, motion, proportion
+from sweepopt.sets import Moving, Selection
+from sweepopt.velocity.certificate import is_rounding
+from sweepopt.velocity.influence import (
+    ProportionalRounding,
+    extension,
+    extension_error,
+    influence,
+)
 
 if TYPE_CHECKING:
     from sweepopt.integrate import Scheme
 
-ACCURATE = 1e-10  # |A F - f|_{A^-1} in units of |F|_A: worse solves leave it to the general path
+ACCURATE = 1e-10  # |A F - f|_{A^-1} / |f|_{A^-1} up to which A^-1 is applied beforehand
 FLOOR = 1e-3  # of the velocity that the load alone would cause: less counts as this
-Pair = tuple[np.ndarray, np.ndarray]
-
-
-class OfLoad(NamedTuple):
-    """What the load alone brings into the residual of a step; `residual` knows its use."""
-
-    error: float
-    floor: float
-    square: float
-    ratio: float
 
 
 class Residual(NamedTuple):
-    """A residual in |.|_{M^-1} by the measured accuracy of the solves, and what it is compared to.
-
-    The size is |z|_M, at least FLOOR of what the load and what B u alone would move.
-    """
+    """A residual in |.|_{M^-1}, and the size of the velocity that it is compared to."""
 
     error: float
     size: float
@@ -82,15 +72,14 @@ class Reduction:
     rho: float
     process: SweepingProcess
     load: Separable
-    _balanced: np.ndarray | None
-    _shapes: np.ndarray
     _A: Elimination
-    _errors: np.ndarray
-    _responses: np.ndarray
-    _uneven: np.ndarray
-    _share: float
+    _functions: np.ndarray  # F_k as columns, then u0
+    _errors: np.ndarray  # |residual of each|_{A^-1}
+    _sizes: np.ndarray  # |f_k|_{A^-1}
+    _extension_error: float
+    _balanced: np.ndarray | None  # the load with which u0 is at rest beside the contact
 
-    def lift(self, zeta: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    def reconstruct(self, zeta: np.ndarray, alpha: np.ndarray) -> np.ndarray:
         """All unknowns, of u or of a velocity, from the few and the coefficients of the load.
 
         Parameters
@@ -102,11 +91,11 @@ class Reduction:
         -------
         ndarray, shape (dim,)
         """
-        u = self._shapes @ alpha + follow(self._A, zeta - alpha[-1] * self.process.u0)
+        u = self._functions @ alpha + extension(self._A, zeta - alpha[-1] * self.process.u0)
         u[self._A.unknowns] = zeta  # to the last bit
         return u
 
-    def still(self, values: np.ndarray) -> int:
+    def steps_at_rest(self, values: np.ndarray) -> int:
         """How many steps at the start leave u0 as it is beside the contact.
 
         Parameters
@@ -116,8 +105,13 @@ class Reduction:
         """
         if self._balanced is None:
             return 0
-        moves = (values != self._balanced)[:, self.beside].any(axis=1)
+        moves = (values[:, :-1] != self._balanced)[:, self.acts_beside[:-1]].any(axis=1)
         return int(moves.argmax()) if moves.any() else len(values)
+
+    @cached_property
+    def acts_beside(self) -> np.ndarray:
+        """Which terms of the load act beside the contact; shape (k + 1,), that of u0 does not."""
+        return np.append(self._functions[:, :-1].any(axis=0), False)
 
     def suits(self, mus: np.ndarray, scheme: Scheme, tol: float) -> bool:
         """Whether steps leave the velocities of alpha a thousand times as accurate as tol.
@@ -126,63 +120,67 @@ class Reduction:
         the start, are as near to each other as the run is long in units of 1 / rho.
         """
         gamma, span = scheme.a[-1][-1] * float(mus.min()), float(mus.sum())
-        lost = UNIT * self.rho * span / (1 + gamma * self.rho)
-        return scheme.exact or lost <= FLOOR * tol
+        rounding = UNIT * self.rho * span / (1 + gamma * self.rho)
+        return scheme.exact or rounding <= FLOOR * tol
 
-    def of_load(self, alphas: Pair, gammas: np.ndarray) -> list[OfLoad]:
-        """What the load brings into the residual of each step.
+    def residuals(
+        self, alphas: np.ndarray, rates: np.ndarray, gammas: np.ndarray
+    ) -> ReconstructionResiduals:
+        """The residuals of the reconstruction in each step.
 
-        With M = (1 + gamma rho) A, q = rho A u and both lifted, M z + q - f holds what each F_k
-        misses times phi_k = (1 + gamma rho) alpha_k' + rho alpha_k, and what A^-1 E^T N misses;
-        beside that what A + gamma B and B miss of multiples of A, where nothing cancels.
+        With M = (1 + gamma rho) A and q = rho A u - f, both reconstructed, M z + q holds each
+        residual of an influence function times (1 + gamma rho) alpha_k' + rho alpha_k, here with
+        absolute values, and the same of the extension.
 
         Parameters
         ----------
-        alphas : pair of ndarray, shape (n, k + 1)
-            Of the states u and of the velocities z.
+        alphas, rates : ndarray, shape (n, k + 1)
+            alpha at the start of each step and alpha' in it.
         gammas : ndarray, shape (n,)
         """
         ratios = 1 + gammas * self.rho
-        phi = np.abs(ratios[:, None] * alphas[1] + self.rho * alphas[0])
-        # A^-1 E^T N zeta and the F_k are orthogonal in the metric of A
-        squares = np.einsum("ik,kl,il->i", alphas[1], self._gram, alphas[1])
-        apart = np.abs(ratios[:, None] * alphas[1]) + np.abs(self.rho * alphas[0])
-        errors = phi @ self._errors + apart @ self._uneven
-        columns = (errors, FLOOR * (phi @ self._responses), squares, ratios)
-        return [OfLoad(*row) for row in zip(*(column.tolist() for column in columns), strict=True)]
+        weights = np.abs(ratios[:, None] * rates) + np.abs(self.rho * alphas)
+        functions = self._functions.copy()
+        functions[:, -1] -= extension(self._A, self.process.u0)
+        gram = functions.T @ (self._A.M @ functions)
+        squares = np.einsum("ik,kl,il->i", rates, gram, rates)
+        columns = weights @ self._errors, FLOOR * (weights @ self._sizes), squares, ratios
+        load = list(zip(*(column.tolist() for column in columns), strict=True))
+        return ReconstructionResiduals(self._A.N, self.rho, self._extension_error, load)
 
-    def residual(self, zeta: np.ndarray, velocity: np.ndarray, load: OfLoad) -> Residual:
-        """What the inclusion of all unknowns misses beyond that of the few, and its size.
 
-        Parameters
-        ----------
-        zeta, velocity : ndarray, shape (m,)
-            The state and the velocity of the few.
-        load : OfLoad
-            Of this step.
+@dataclass(frozen=True, eq=False)
+class ReconstructionResiduals:
+    """What the inclusion of all unknowns has of residual beyond that of the few, step by step.
+
+    Attributes
+    ----------
+    load : list of (error, floor, |sum alpha_k' F_k|_A^2, 1 + gamma rho)
+    """
+
+    N: np.ndarray
+    rho: float
+    extension_error: float
+    load: list[tuple[float, float, float, float]]
+
+    def __call__(self, i: int, zeta: np.ndarray, velocity: np.ndarray) -> Residual:
+        """In step i, from the state and the velocity of the few.
+
+        The size is |z|_M, at least FLOOR of what the load and what B u alone would move.
         """
-        N, ratio = self._A.N, load.ratio
-        u, square = math.sqrt(max(zeta.dot(N.dot(zeta)), 0.0)), velocity.dot(N.dot(velocity))
-        z = math.sqrt(max(square, 0.0))
-        error = load.error + self._share * (ratio * z + self.rho * u)
-        size = math.sqrt(ratio * max(load.square + square, 0.0))
-        floor = load.floor + FLOOR * self.rho * u
-        return Residual(error / math.sqrt(ratio), max(size, floor / math.sqrt(ratio)))
-
-    @cached_property
-    def beside(self) -> np.ndarray:
-        """Which coefficients have a response beside the contact; shape (k + 1,), that of u0 not."""
-        return np.append(self._shapes[:, :-1].any(axis=0), False)
-
-    @cached_property
-    def _gram(self) -> np.ndarray:
-        shapes = self._shapes.copy()
-        shapes[:, -1] -= follow(self._A, self.process.u0)
-        return shapes.T @ (self._A.M @ shapes)
+        error, floor, square, ratio = self.load[i]
+        N, rho = self.N, self.rho
+        u = math.sqrt(max(zeta.dot(N.dot(zeta)), 0.0))
+        z_square = max(velocity.dot(N.dot(velocity)), 0.0)
+        error += self.extension_error * (ratio * math.sqrt(z_square) + rho * u)
+        # extensions and influence functions are orthogonal in the metric of A
+        size = math.sqrt(ratio * max(square + z_square, 0.0))
+        root = math.sqrt(ratio)
+        return Residual(error / root, max(size, (floor + FLOOR * rho * u) / root))
 
 
 def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
-    """The reduction of a process, or a sentence that says what it lacks.
+    """The reduction of a process, or a sentence that says why there is none.
 
     The solves with A that come beforehand must be a thousand times as accurate as `tol` asks of
     each step.
@@ -197,84 +195,71 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     rho = proportion(process.A, process.B)
     if rho is None:
         return "B is not a multiple of A"
-    motion = _motion(process.C)
-    if isinstance(motion, str):
-        return motion
-    unknowns, terms, moving = motion
-    A = Elimination(process.A, unknowns, process.metric.order)
-    at_held = [held(A, f) for _, f in terms]
-    load = [(phi, one.pull) for (phi, _), one in zip(terms, at_held, strict=True)]
-    small = SweepingProcess(A.N, rho * A.N if rho else None, moving(load), process.u0[unknowns])
-    uneven = Uneven(A, process.B, rho)
-    share = accuracy(A, uneven)
-    responses = np.array([A.dual_norm(f) for _, f in terms])
-    errors = np.array([A.dual_norm(one.missed) + A.resolution(one.F) for one in at_held])
-    shapes = np.column_stack([*(one.F for one in at_held), process.u0])
-    missed = np.array([uneven(F) for F in shapes.T])
-    missed[-1] += share * math.sqrt(small.u0 @ (A.N @ small.u0))
-    worst = min(ACCURATE, FLOOR * tol)
-    if (np.maximum(errors, missed[:-1]) > worst * responses).any() or share > worst:
+    moved = motion(process.C)
+    found = _selected(moved)
+    if isinstance(found, str):
+        return found
+    selection, terms = found
+    few = selection.unknowns
+    A = Elimination(process.A, few, process.metric.order)
+    influences = [influence(A, f) for _, f in terms]
+    forces = [(phi, one.force) for (phi, _), one in zip(terms, influences, strict=True)]
+    C = Moving(selection.part, Separable(forces) if forces else None, moved.given_scale)
+    small = SweepingProcess(A.N, rho * A.N if rho else None, C, process.u0[few])
+
+    rounding = ProportionalRounding(A, process.B, rho)
+    share = extension_error(A, rounding)
+    errors = np.array([one.residual + rounding(one.F) for one in influences])
+    sizes = np.array([A.dual_norm(f) for _, f in terms])
+    enough = min(ACCURATE, FLOOR * tol)
+    if (errors > enough * sizes).any() or share > enough:
         return "A is too badly conditioned to apply its inverse beforehand"
-    histories = [*(phi for phi, _ in terms), Constant(0.0)]
-    alpha = Separable(list(zip(histories, np.eye(len(histories)), strict=True)))
-    phi = alpha.values(np.array([t]))[0]
-    f = sum((c * f for c, (_, f) in zip(phi, terms, strict=False)), np.zeros(A.dim))
-    pull = sum((c * one.pull for c, one in zip(phi, at_held, strict=False)), 0.0 * unknowns)
-    left = _left(A, process, f, rho * small.u0, pull) if rho else None
-    # alpha_0 = 1 weighs what F_0 misses with rho
-    errors = np.append(errors, 0.0 if left is None else left / rho)
-    responses = np.append(responses, 0.0 if left is None else A.dual_norm(f) / rho)
-    balanced = None if left is None else phi
-    return Reduction(rho, small, alpha, balanced, shapes, A, errors, responses, missed, share)
+
+    values = Separable(terms).coefficients(t) if terms else np.zeros(0)
+    f = sum((c * f for c, (_, f) in zip(values, terms, strict=True)), np.zeros(A.dim))
+    rest = _rest_residual(A, process, f) if rho else None
+    start = rounding(process.u0) + share * math.sqrt(small.u0 @ (A.N @ small.u0))
+    size = 0.0
+    if rest is not None:  # alpha_0 = 1 is weighed with rho
+        start, size = start + rest / rho, A.dual_norm(f) / rho
+    histories: Terms = (*terms, (Constant(0.0), process.u0))
+    units = np.eye(len(histories))
+    return Reduction(
+        rho,
+        small,
+        Separable([(phi, unit) for (phi, _), unit in zip(histories, units, strict=True)]),
+        A,
+        np.column_stack([*(one.F for one in influences), process.u0]),
+        np.append(errors, start),
+        np.append(sizes, size),
+        share,
+        None if rest is None else values,
+    )
 
 
-def _left(
-    A: Elimination, process: SweepingProcess, f: np.ndarray, strain: np.ndarray, pull: np.ndarray
-) -> float | None:
-    """|f - B u0|_{A^-1} beside what the contact takes, if no more than rounding is left of it.
-
-    The contact takes N strain - pull: rho u0 there, and what the response to f pulls.
-    """
-    few, q = A.unknowns, process.times_B(process.u0)
+def _rest_residual(A: Elimination, process: SweepingProcess, f: np.ndarray) -> float | None:
+    """|f - B u0|_{A^-1} beside the contact, if it is nothing but rounding."""
+    q = process.times_B(process.u0)
     beside = f - q
-    beside[few] = 0.0
+    beside[A.unknowns] = 0.0
     if not is_rounding(beside, q, f):
         return None
-    missed = -Precise(process.B)(process.u0, -f)
-    missed[few] += Precise(A.N)(strain, -pull)
-    return A.dual_norm(missed)
+    residual = Precise(process.B)(process.u0, -f)
+    residual[A.unknowns] = 0.0
+    return A.dual_norm(residual)
 
 
-class _Motion(NamedTuple):
-    """The unknowns that E selects, the terms of f, and what makes S(t) + N a(t) of those of a."""
-
-    unknowns: np.ndarray
-    terms: list[tuple[Any, np.ndarray]]
-    moving: Callable[[list[Any]], Moving]
-
-
-def _motion(C: AnySet) -> _Motion | str:
-    """C(t) = f(t) + E^T S(t), or a sentence that says what it lacks."""
-    shape, center, scale = C, None, None
-    if isinstance(C, Moving):
-        shape, center, scale = C.shape, C.center, C.scale
-    selection = shape.selection if isinstance(shape, ConvexSet) else None
+def _selected(moved: Motion) -> tuple[Selection, Terms] | str:
+    """E with S, and f, of C(t) = f(t) + E^T S(t); or a sentence that says what C(t) lacks."""
+    selection = None
+    if moved.shape is not None and moved.offsets is None:
+        selection = moved.shape.selection
     if selection is None:
         return "C(t) is not written as f(t) + E^T S(t) with E selecting few unknowns"
-    part = selection.part
-    terms: list[tuple[Any, np.ndarray]] = []
-    if isinstance(center, Separable):
-        terms = list(center.terms)
-    elif isinstance(center, np.ndarray):
-        terms = [(Constant(1.0), center)]
-    elif center is not None:
+    if moved.center.function is not None:
         return "the load is a function of time, not a Separable of few shapes"
-    if selection.shift is not None:
-        if scale is not None:
-            return "the set that is scaled is not centred"
-        terms.append((Constant(1.0), selection.shift))
-
-    def moving(load: list[Any]) -> Moving:
-        return Moving(part, Separable(load) if load else None, scale)
-
-    return _Motion(selection.unknowns, terms, moving)
+    if selection.shift is None:
+        return selection, moved.center.terms
+    if moved.given_scale is not None:
+        return "the set that is scaled is not centred"
+    return selection, (*moved.center.terms, (Constant(1.0), selection.shift))

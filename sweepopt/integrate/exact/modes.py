@@ -14,7 +14,7 @@ import numpy as np
 import scipy.linalg
 from scipy.linalg import lapack
 
-from sweepopt.integrate.exact.curves import Basis, Curve
+from sweepopt.integrate.exact.closed_forms import Basis, Curve
 from sweepopt.linalg import EPS
 
 SLOW = 1.0  # lam * length up to which a mode is a power series: 1 / lam would cancel
@@ -75,32 +75,31 @@ def whitening(SB: np.ndarray) -> np.ndarray:
 
 def decay(lam: np.ndarray, forces: Curve) -> Curve:
     """p with p' + lam p = r, p(0) = 0; one row a mode. `forces` has no exponentials in it."""
-    basis = forces.basis
-    length = basis.length
+    given = forces.basis
+    length, degree = given.length, given.degree
     slow = lam * length <= SLOW
-    degree = basis.degree + (TERMS if slow.any() else 0)
-    full = Basis(np.where(slow, 0.0, lam), degree, basis.waves, length)
-    p, s, c = full.cuts
-    first, sines, cosines = basis.cuts
-    r = np.zeros((lam.size, degree + 1))
-    r[:, : basis.degree + 1] = forces.weights[:, first:sines]
-    weights = np.zeros((lam.size, c + basis.waves.size))
-    sine, cosine = forces.weights[:, sines:cosines], forces.weights[:, cosines:]
+    if slow.any():
+        degree += TERMS
+    basis = Basis(np.where(slow, 0.0, lam), degree, given.waves, length)
+    sine, cosine = forces.weights[:, given.sines], forces.weights[:, given.cosines]
+    weights = np.zeros((lam.size, basis.size))
     rate = lam[:, None]
-    both = rate**2 + basis.waves**2
-    weights[:, s:c] = (rate * sine + basis.waves * cosine) / both
-    weights[:, c:] = (rate * cosine - basis.waves * sine) / both
-    start = -weights[:, c:].sum(axis=1)  # what powers and exponentials must begin with
-    powers = np.zeros_like(r)
+    squares = rate**2 + basis.waves**2
+    weights[:, basis.sines] = (rate * sine + basis.waves * cosine) / squares
+    weights[:, basis.cosines] = (rate * cosine - basis.waves * sine) / squares
+    start = -weights[:, basis.cosines].sum(axis=1)  # of the powers and exponentials at tau = 0
+
+    r, powers = np.zeros((2, lam.size, degree + 1))
+    r[:, : given.degree + 1] = forces.weights[:, given.powers]
     fast = ~slow
-    following = np.zeros(int(fast.sum()))
-    for k in reversed(range(basis.degree + 1)):
-        following = (r[fast, k] - (k + 1) / length * following) / lam[fast]
-        powers[fast, k] = following
+    higher = np.zeros(int(fast.sum()))
+    for k in reversed(range(given.degree + 1)):
+        higher = (r[fast, k] - (k + 1) / length * higher) / lam[fast]
+        powers[fast, k] = higher
     powers[slow, 0] = start[slow]
     for k in range(degree):
         powers[slow, k + 1] = length / (k + 1) * (r[slow, k] - lam[slow] * powers[slow, k])
-    weights[:, p:s] = powers
+    weights[:, basis.powers] = powers
     mode = np.flatnonzero(fast)
     weights[mode, mode] = (start - powers[:, 0])[fast]
-    return Curve(full, weights)
+    return Curve(basis, weights)

@@ -12,22 +12,20 @@ import numpy as np
 
 from sweepopt import checks
 from sweepopt.errors import InputError
-from sweepopt.integrate.exact.active import Active, just_after
-from sweepopt.integrate.exact.crossing import first_crossing
-from sweepopt.integrate.exact.curves import Curve
-from sweepopt.integrate.exact.forces import Smooth
+from sweepopt.integrate.exact.closed_forms import Curve
+from sweepopt.integrate.exact.face import Face, face_after
+from sweepopt.integrate.exact.first_root import first_root
 from sweepopt.integrate.exact.modes import decay, modes, whitening
-from sweepopt.integrate.exact.rows import Rows
+from sweepopt.integrate.exact.offsets import Rows, SmoothOffsets
 from sweepopt.linalg import EPS
 
-PHASES = 100_000
-"""Phases of a run, not counting kinks: more are taken for an accumulation of switches."""
-STALLED = 50  # phases in a row that are as short as rounding
+PHASES = 100_000  # 4000 take a second
+STALLED = 50  # phases in a row that are as short as rounding: the same
 
 
 @dataclass(frozen=True, eq=False)
 class Phase:
-    """u(s + tau) = u_s - paths @ p(tau), the active rows unchanged.
+    """u(start + tau) = u_s - paths @ p(tau), the active rows unchanged.
 
     Attributes
     ----------
@@ -52,17 +50,9 @@ class Phase:
         """u' at the times, shape (k, dim); exactly 0.0 in what is stuck."""
         return 0.0 - self.dp(t - self.start) @ self.paths.T
 
-    def terms(self, t: np.ndarray) -> np.ndarray:
-        """The absolute terms whose sum u' is, shape (k, dim): its rounding is relative to them."""
-        values = np.abs(self.dp.basis.at(t - self.start)) @ np.abs(self.dp.weights).T
-        return values @ np.abs(self.paths).T
 
-
-class Lifting(NamedTuple):
-    """All unknowns from few ones: lift(few, coefficients), both of them trajectories."""
-
-    coefficients: Trajectory
-    lift: Callable[[np.ndarray, np.ndarray], np.ndarray]
+Evaluate = Callable[[Phase, np.ndarray], np.ndarray]
+"""A function of a phase at some times, such as `Phase.state`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,11 +66,11 @@ class Trajectory:
         The time up to which they are known.
     switches : ndarray, shape (k,)
         Times at which the motion changes its closed form: a row begins or ceases to hold, or the
-        load has a kink while something moves.
+        load has a breakpoint while something moves.
     complete : bool
         False if the switches accumulate: then `end` is where they were given up.
-    lifting : Lifting or None
-        How all unknowns follow from those of the phases.
+    reconstruct : callable or None
+        (times, values, evaluate) -> values of all unknowns from those of few ones.
 
     Examples
     --------
@@ -96,7 +86,7 @@ class Trajectory:
     end: float
     switches: np.ndarray
     complete: bool = True
-    lifting: Lifting | None = None
+    reconstruct: Callable[[np.ndarray, np.ndarray, Evaluate], np.ndarray] | None = None
 
     def __repr__(self) -> str:
         return (
@@ -111,14 +101,14 @@ class Trajectory:
 
     def __call__(self, t: Any) -> np.ndarray:
         """u(t), shape (dim,) or (k, dim) for a scalar or an array t."""
-        return self.seen(t, Phase.state)
+        return self.evaluate(t, Phase.state)
 
     def velocity(self, t: Any) -> np.ndarray:
         """u'(t), the left derivative; shape (dim,) or (k, dim)."""
-        return self.seen(t, Phase.velocity)
+        return self.evaluate(t, Phase.velocity)
 
-    def seen(self, t: Any, look: Callable[[Phase, np.ndarray], np.ndarray]) -> np.ndarray:
-        """What `look` sees of the phases at the times."""
+    def evaluate(self, t: Any, of_phase: Evaluate) -> np.ndarray:
+        """What `of_phase` computes of the phases at the times."""
         times = checks.times("t", t)
         start = self.phases[0].start
         slack = checks.TIME_SLACK * max(abs(start), abs(self.end))
@@ -126,21 +116,26 @@ class Trajectory:
         if bad.any():
             raise InputError(f"t = {times[bad].flat[0]:g} is outside of [{start:g}, {self.end:g}]")
         flat = np.clip(times.ravel(), start, self.end)
-        which = np.maximum(np.searchsorted(self.starts, flat, side="left") - 1, 0)
+        phase_of = np.maximum(np.searchsorted(self.starts, flat, side="left") - 1, 0)
         values = np.zeros((flat.size, self.phases[0].u.size))
-        order = np.argsort(which, kind="stable")
-        for inside in np.split(order, np.flatnonzero(np.diff(which[order])) + 1):
+        order = np.argsort(phase_of, kind="stable")
+        for inside in np.split(order, np.flatnonzero(np.diff(phase_of[order])) + 1):
             if inside.size:
-                values[inside] = look(self.phases[which[inside[0]]], flat[inside])
-        if self.lifting is not None:
-            alphas = self.lifting.coefficients.seen(flat, look)
-            lifted = [self.lifting.lift(*pair) for pair in zip(values, alphas, strict=True)]
-            values = np.array(lifted)
+                values[inside] = of_phase(self.phases[phase_of[inside[0]]], flat[inside])
+        if self.reconstruct is not None:
+            values = self.reconstruct(flat, values, of_phase)
         return values.reshape(*times.shape, values.shape[-1])
 
 
-def integrate(rows: Rows, u0: np.ndarray, start: float, end: float) -> Trajectory:
-    """Follow the process from u0 at `start`, phase by phase.
+def exact_trajectory(
+    rows: Rows, u0: np.ndarray, start: float, end: float, most: int = PHASES
+) -> Trajectory:
+    """Move the process from u0 at `start`, phase by phase.
+
+    Parameters
+    ----------
+    most : int
+        Phases beside one for each breakpoint; more are taken for an accumulation of switches.
 
     Raises
     ------
@@ -149,70 +144,72 @@ def integrate(rows: Rows, u0: np.ndarray, start: float, end: float) -> Trajector
     """
     phases: list[Phase] = []
     switches: list[float] = []
-    kinks = [start, *rows.forces.breakpoints(start, end).tolist(), end]
+    breakpoints = [start, *rows.d.breakpoints(start, end).tolist(), end]
     u, before, stalled = u0, None, 0
-    for a, b in pairwise(kinks):
-        load, s = rows.forces.between(a, b), a
-        touched = np.zeros(0, dtype=int)
+    for a, b in pairwise(breakpoints):
+        d, s = rows.d.between(a, b), a
+        events = np.zeros(0, dtype=int)
         while s < b:
-            active = just_after(rows, load, s, u, touched)
-            phase, watched, signs = _phase(rows, load, s, b, u, active)
+            face = face_after(rows, d, s, u, events)
+            phase, limits = _phase(rows, d, s, b, u, face)
             moves = bool(phase.paths.size)
             if before is not None and (
-                set(active.rows) != before[0] or (s == a and (moves or before[1]))
+                set(face.active) != before[0] or (s == a and (moves or before[1]))
             ):
                 switches.append(s)
-            before = set(active.rows), moves
-            found = first_crossing(signs, active.orders[watched]) if watched.size else None
-            following = b if found is None else s + found.tau
+            before = set(face.active), moves
+            root = None
+            if limits.rows.size:
+                root = first_root(limits.signs, face.orders[limits.rows])
+            following = b if root is None else s + root.tau
             if b - following <= 4 * EPS * abs(b):
-                following, found = b, None
+                following, root = b, None
             stalled = stalled + 1 if following - s <= 64 * EPS * abs(following) else 0
             u = phase.state(np.array([following]))[0]
             if following > s or not phases:
                 phases.append(phase)
-            touched = np.zeros(0, dtype=int) if found is None else watched[found.rows]
+            events = np.zeros(0, dtype=int) if root is None else limits.rows[root.rows]
             s = following
-            if len(phases) > PHASES + len(kinks) or stalled > STALLED:
+            if len(phases) > most + len(breakpoints) or stalled > STALLED:
                 return Trajectory(phases, s, np.array(switches), complete=False)
     return Trajectory(phases, end, np.unique(switches))
 
 
-class _Watched(NamedTuple):
-    """The closed form from a time on, the rows that may end it, and their multipliers or slacks."""
+class _Limits(NamedTuple):
+    """The rows that may end a phase, and what must stay positive: multipliers and slacks."""
 
-    phase: Phase
     rows: np.ndarray
     signs: Curve
 
 
-def _phase(rows: Rows, load: Smooth, s: float, b: float, u: np.ndarray, active: Active) -> _Watched:
-    d = load.on(s, b - s)
-    holding = active.rows
-    N = rows.N[holding]
-    first = d.basis.cuts.powers
-    rest = Curve(d.basis, -d.weights)
-    rest.weights[:, first] += rows.NB @ u  # N B u_s - d
-    square = np.ix_(holding, holding)
-    SB = rows.SB[square]
+def _phase(
+    rows: Rows, d: SmoothOffsets, s: float, b: float, u: np.ndarray, face: Face
+) -> tuple[Phase, _Limits]:
+    """The closed form from s on, at most up to b."""
+    offsets = d.on(s, b - s)
+    given = offsets.basis
+    active = face.active
+    force = -offsets.weights  # N B u_s - d
+    force[:, given.powers.start] += rows.NB @ u
+    square = np.ix_(active, active)
     if rows.rate_independent:
-        V = whitening(SB) if holding else np.zeros((0, 0))
-        p = Curve(d.basis, V.T @ rest.weights[holding])
+        V = whitening(rows.SB[square]) if active else np.zeros((0, 0))
+        p = Curve(given, V.T @ force[active])
     else:
-        lam, V = modes(rows.S[square], SB)
-        p = decay(lam, Curve(d.basis, V.T @ rest.weights[holding]))
+        lam, V = modes(rows.S[square], rows.SB[square])
+        p = decay(lam, Curve(given, V.T @ force[active]))
     dp = p.derivative()
-    phase = Phase(s, u, N.T @ V, p, dp)
-    off = np.flatnonzero(~active.redundant & ~np.isin(np.arange(len(rows.N)), holding))
-    pushing = np.array([i for i, row in enumerate(holding) if not rows.frozen[row]], dtype=int)
-    watched = np.concatenate([np.array(holding, dtype=int)[pushing], off])
-    slacks = p.mapped(rows.SB[off][:, holding] @ V).weights
+    phase = Phase(s, u, rows.N[active].T @ V, p, dp)
+
+    inactive = np.flatnonzero(~face.redundant & ~np.isin(np.arange(len(rows.N)), active))
+    slacks = p.mapped(rows.SB[inactive][:, active] @ V).weights
     if not rows.rate_independent:
-        slacks = slacks + dp.mapped(rows.S[off][:, holding] @ V).weights
-    sines, skipped = d.basis.cuts.sines, p.basis.cuts.powers
-    powers, waves = rest.weights[off, :sines], rest.weights[off, sines:]
-    slacks[:, skipped : skipped + sines] -= powers
-    if waves.shape[1]:
-        slacks[:, -waves.shape[1] :] -= waves
-    multipliers = dp.mapped(V[pushing]).weights
-    return _Watched(phase, watched, Curve(p.basis, np.vstack([multipliers, slacks])))
+        slacks = slacks + dp.mapped(rows.S[inactive][:, active] @ V).weights
+    first = p.basis.powers.start
+    slacks[:, first : first + given.degree + 1] -= force[inactive, given.powers]
+    slacks[:, p.basis.sines] -= force[inactive, given.sines]
+    slacks[:, p.basis.cosines] -= force[inactive, given.cosines]
+    free = [i for i, row in enumerate(active) if not rows.equations[row]]
+    multipliers = dp.mapped(V[free]).weights
+    watched = np.concatenate([np.array(active, dtype=int)[free], inactive])
+    return phase, _Limits(watched, Curve(p.basis, np.vstack([multipliers, slacks])))

@@ -6,7 +6,7 @@ through every path and solver, and judges each step by its exact velocity.
 
 from sweepopt.study.hard import programs, runs
 from sweepopt.study.hard.bodies import Family, Hard
-from sweepopt.study.hard.exact import Exact, Program
+from sweepopt.study.hard.judge import Exact, Program
 
 FAMILIES: dict[str, Family] = {
     name: made

@@ -76,12 +76,12 @@ def _laplace(p: np.ndarray) -> np.ndarray:
     return edges @ edges.T / (4 * area)
 
 
-def some(random: Random, count: int = FEW, dim: int = N) -> np.ndarray:
+def contacts(random: Random, count: int = FEW, dim: int = N) -> np.ndarray:
     """A few of the unknowns."""
     return np.sort(random.permutation(dim)[:count])
 
 
-def moved(part: ConvexSet, force: Any, few: np.ndarray | None = None, dim: int = N) -> AnySet:
+def translate(part: ConvexSet, force: Any, few: np.ndarray | None = None, dim: int = N) -> AnySet:
     """force(t) + a set on all unknowns, or on a few."""
     if few is None:
         return Moving(part, force)
@@ -90,17 +90,17 @@ def moved(part: ConvexSet, force: Any, few: np.ndarray | None = None, dim: int =
     return Moving(image(E, part), force)
 
 
-def pushed(
+def one_step(
     M: np.ndarray, force: np.ndarray, part: ConvexSet, few: np.ndarray | None = None
 ) -> Hard:
     """One step of a body at rest under a force."""
     dim = len(M)
-    return Hard(lambda: SweepingProcess(M, None, moved(part, force, few, dim), np.zeros(dim)))
+    return Hard(lambda: SweepingProcess(M, None, translate(part, force, few, dim), np.zeros(dim)))
 
 
-def rubbed(random: Random, M: np.ndarray, units: Any = 1.0, forces: float = 1.0) -> Hard:
+def friction_step(random: Random, M: np.ndarray, units: Any = 1.0, forces: float = 1.0) -> Hard:
     """One step with friction at a few unknowns, lengths in units of 1 / units."""
-    few, units = some(random), np.broadcast_to(units, N)
+    few, units = contacts(random), np.broadcast_to(units, N)
     f, g = forces * 3 * random.normal(size=N), forces * random.uniform(0.2, 2.0, FEW)
     scaled = forces * (units[:, None] * M * units)
-    return pushed(scaled, units * f, Box(-units[few] * g, units[few] * g), few)
+    return one_step(scaled, units * f, Box(-units[few] * g, units[few] * g), few)

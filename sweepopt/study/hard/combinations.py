@@ -6,64 +6,80 @@ What makes a program hard was listed one by one; solvers fail where two or three
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sweepopt.loads import Separable
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Balls, Box, ConvexSet, HalfSpace, Orthant, Polyhedron
-from sweepopt.study.hard.bodies import Hard, N, Random, chain, moved, rod, slivers, some, spectral
+from sweepopt.study.hard.bodies import (
+    Hard,
+    N,
+    Random,
+    chain,
+    contacts,
+    rod,
+    slivers,
+    spectral,
+    translate,
+)
 
-Chosen = TypeVar("Chosen")
 STEPS = 4  # of a run
 
 
 class Shape(NamedTuple):
-    """A set on few unknowns: `scaled(units)` is it in other units; `edge` a force on its edge."""
+    """A set on few unknowns: `scaled(units)` is it in other units; `edge` a force on its edge.
+
+    So many unknowns in a row as `block` says have one unit.
+    """
 
     scaled: Callable[[np.ndarray], ConvexSet]
     edge: np.ndarray | None
-    block: int = 1  # so many unknowns in a row have one unit
+    block: int = 1
 
 
 def combination(random: Random) -> Hard:
     """Any matrix, units, set, load and history of those that are hard."""
-    body, M = _any(random, BODIES)
-    kind, make = _any(random, SHAPES)
-    load, push = _any(random, LOADS)
-    unit, measure = _any(random, UNITS)
-    past, follow = _any(random, HISTORIES)
-    A = M(random)
-    few, shape = make(random)
-    units, force = measure(random, few, shape.block)
-    f = push(random, few, shape.edge)
-    start, B = follow(random, A)
-    again = _repeated(random, few) if shape.block == 1 and random.uniform() < 0.2 else None
+    tables: tuple[Mapping[str, Any], ...] = MATRICES, SHAPES, LOADS, UNITS, HISTORIES
+    names = [list(table)[random.integers(len(table))] for table in tables]
+    draws = [table[name] for table, name in zip(tables, names, strict=True)]
+    draw_matrix, draw_shape, draw_load, draw_units, draw_history = draws
+    _, _, load, _, history = names
+    A = draw_matrix(random)
+    few, shape = draw_shape(random)
+    units, force = draw_units(random, few, shape.block)
+    f = draw_load(random, few, shape.edge)
+    start, B = draw_history(random, A)
     part = shape.scaled(force * units[few])
-    where = few
-    if again is not None and isinstance(part, Box):
-        where, part = np.concatenate([few, few[again]]), _added(part, again)
-    measured = force * np.outer(units, units)
-    A, B = measured * start, None if B is None else measured * B
-    steps = 1 if past == "one step" else STEPS
+    if shape.block == 1 and random.uniform() < 0.2:
+        again = random.permutation(few.size)[:4]  # contacts that are named twice
+        if isinstance(part, Box):
+            few, part = np.concatenate([few, few[again]]), _shared(part, again)
+            names.append("contacts named again")
+    scale = force * np.outer(units, units)
+    A, B = scale * start, None if B is None else scale * B
+    steps = 1 if history == "one step" else STEPS
     center: Any = force * units * f
     if steps > 1:
         # what is at the threshold comes there and stays
         rise = np.sin if load in EASY else lambda t: np.minimum(t, 1.0)
         center = Separable([(rise, center)])
-    C = moved(part, center, where)
-    words = [body, kind, load, unit, past, "contacts named again" if len(where) > len(few) else ""]
+    C = translate(part, center, few)
     return Hard(
         lambda: SweepingProcess(A, B, C, np.zeros(N)),
         float(steps),
         steps,
-        drawn=", ".join(word for word in words if word not in ("", *EASY)),
+        drawn=", ".join(name for name in names if name not in EASY),
     )
 
 
-def _any(random: Random, options: Mapping[str, Chosen]) -> tuple[str, Chosen]:
-    return list(options.items())[random.integers(len(options))]
+def _shared(part: Box, again: np.ndarray) -> Box:
+    """The same set if the contacts at those places share their bounds between two names."""
+    share = np.ones(part.dim)
+    share[again] = 0.5
+    lower, upper = share * part.lower, share * part.upper
+    return Box(np.concatenate([lower, lower[again]]), np.concatenate([upper, upper[again]]))
 
 
 # ---- matrices ---------------------------------------------------------------------------------
@@ -74,7 +90,7 @@ def _nearly_singular(random: Random) -> np.ndarray:
     return M - (np.linalg.eigvalsh(M)[0] - 1e-8) * np.eye(N)
 
 
-BODIES: dict[str, Callable[[Random], np.ndarray]] = {
+MATRICES: dict[str, Callable[[Random], np.ndarray]] = {
     "a chain": chain,
     "cond 1e12": lambda random: spectral(random, np.logspace(-12, 0, N)),
     "cond 1e7": lambda random: spectral(random, np.logspace(-7, 0, N)),
@@ -92,7 +108,7 @@ def _box(random: Random, g: np.ndarray) -> tuple[np.ndarray, Shape]:
         return Box(-units * g, units * g)
 
     edge = np.where(np.isfinite(g), g, 1.0) * random.choice([-1.0, 1.0], g.size)
-    return some(random, g.size), Shape(scaled, edge)
+    return contacts(random, g.size), Shape(scaled, edge)
 
 
 def _mixed(random: Random, count: int, low: float, high: float) -> np.ndarray:
@@ -110,13 +126,17 @@ def _rows(random: Random, G: np.ndarray) -> tuple[np.ndarray, Shape]:
     def scaled(units: np.ndarray) -> Polyhedron:
         return Polyhedron(G / units, np.ones(len(G)))
 
-    return some(random, G.shape[1]), Shape(scaled, None)
+    return contacts(random, G.shape[1]), Shape(scaled, None)
 
 
 def _half_space(random: Random) -> tuple[np.ndarray, Shape]:
     row = random.normal(size=6)
     edge = 0.3 * row / (row @ row)
-    return some(random, 6), Shape(lambda units: HalfSpace(row / units, 0.3), edge)
+    return contacts(random, 6), Shape(lambda units: HalfSpace(row / units, 0.3), edge)
+
+
+def _orthant(random: Random) -> tuple[np.ndarray, Shape]:
+    return contacts(random, 9), Shape(lambda units: Orthant(9), np.zeros(9))
 
 
 SHAPES: dict[str, Callable[[Random], tuple[np.ndarray, Shape]]] = {
@@ -127,26 +147,16 @@ SHAPES: dict[str, Callable[[Random], tuple[np.ndarray, Shape]]] = {
     "a thin box": lambda random: _box(random, 10 ** random.uniform(-14, 0, N)),
     "discs": lambda random: _discs(random, random.uniform(0.2, 1.0, 5)),
     "radii from 1e-12 to 1e12": lambda random: _discs(random, 10 ** random.uniform(-12, 12, 6)),
-    "an orthant": lambda random: (some(random, 9), Shape(lambda units: Orthant(9), np.zeros(9))),
+    "an orthant": lambda random: (
+        contacts(random, 9),
+        Shape(lambda units: Orthant(9), np.zeros(9)),
+    ),
     "a half-space": _half_space,
     "a polyhedron": lambda random: _rows(random, random.normal(size=(10, 5))),
     "rows that differ by 1e-7": lambda random: _rows(
         random, random.normal(size=4) + 1e-7 * random.normal(size=(3, 4))
     ),
 }
-
-
-def _repeated(random: Random, few: np.ndarray) -> np.ndarray:
-    """Places of contacts that are named once more."""
-    return random.permutation(few.size)[:4]
-
-
-def _added(part: Box, again: np.ndarray) -> Box:
-    """The same set if the contacts at those places share their bounds between two names."""
-    share = np.ones(part.dim)
-    share[again] = 0.5
-    lower, upper = share * part.lower, share * part.upper
-    return Box(np.concatenate([lower, lower[again]]), np.concatenate([upper, upper[again]]))
 
 
 # ---- loads ------------------------------------------------------------------------------------

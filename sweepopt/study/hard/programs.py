@@ -13,13 +13,13 @@ from sweepopt.study.hard.bodies import (
     N,
     Random,
     chain,
-    moved,
-    pushed,
+    contacts,
+    friction_step,
+    one_step,
     rod,
-    rubbed,
     slivers,
-    some,
     spectral,
+    translate,
 )
 
 
@@ -27,121 +27,121 @@ def threshold(random: Random) -> Hard:
     """Each load is its friction bound, or up to 1e-14 beside it."""
     g = random.uniform(0.5, 2.0, N)
     beside = 1 + random.choice([0, 0, 0, 1e-14, -1e-14], N)
-    return pushed(chain(random), random.choice([-1.0, 1.0], N) * g * beside, Box(-g, g))
+    return one_step(chain(random), random.choice([-1.0, 1.0], N) * g * beside, Box(-g, g))
 
 
 def weakly_active(random: Random) -> Hard:
     """Loads beside their bounds by 1e-3 to 1e-13 of these."""
     g = random.uniform(0.5, 2.0, N)
     beside = 1 + random.choice([-1.0, 1.0], N) * 10 ** random.uniform(-13, -3, N)
-    return pushed(chain(random), random.choice([-1.0, 1.0], N) * g * beside, Box(-g, g))
+    return one_step(chain(random), random.choice([-1.0, 1.0], N) * g * beside, Box(-g, g))
 
 
 def small_beta(random: Random) -> Hard:
     """beta 1e-8."""
     M = chain(random)
-    return rubbed(random, M - (np.linalg.eigvalsh(M)[0] - 1e-8) * np.eye(N))
+    return friction_step(random, M - (np.linalg.eigvalsh(M)[0] - 1e-8) * np.eye(N))
 
 
 def condition(random: Random) -> Hard:
     """cond(A) = 1e12."""
-    return rubbed(random, spectral(random, np.logspace(-12, 0, N)))
+    return friction_step(random, spectral(random, np.logspace(-12, 0, N)))
 
 
 def condition_all(random: Random) -> Hard:
     """cond(A) = 1e12, all in contact."""
     M, g = spectral(random, np.logspace(-12, 0, N)), random.uniform(0.2, 2.0, N)
-    return pushed(M, 3 * random.normal(size=N), Box(-g, g))
+    return one_step(M, 3 * random.normal(size=N), Box(-g, g))
 
 
 def mixed_bounds(random: Random) -> Hard:
     """g from 0 to 1e12 and inf in one contact."""
     g = random.permutation(np.concatenate([[0.0, 0.0, np.inf, np.inf], np.logspace(-12, 12, 10)]))
-    return pushed(chain(random), 3 * random.normal(size=N), Box(-g, g), some(random))
+    return one_step(chain(random), 3 * random.normal(size=N), Box(-g, g), contacts(random))
 
 
 def mixed_bounds_all(random: Random) -> Hard:
     """g from 0 to 1e12 and inf at all unknowns."""
     g = 10 ** random.uniform(-12, 12, N)
     g[random.permutation(N)[:6]] = [0.0, 0.0, np.inf, np.inf, 1e12, 1e-12]
-    return pushed(chain(random), 3 * random.normal(size=N), Box(-g, g))
+    return one_step(chain(random), 3 * random.normal(size=N), Box(-g, g))
 
 
 def forces_up(random: Random) -> Hard:
     """Forces x 2^40."""
-    return rubbed(random, chain(random), forces=2.0**40)
+    return friction_step(random, chain(random), forces=2.0**40)
 
 
 def forces_down(random: Random) -> Hard:
     """Forces x 2^-40."""
-    return rubbed(random, chain(random), forces=2.0**-40)
+    return friction_step(random, chain(random), forces=2.0**-40)
 
 
 def lengths_up(random: Random) -> Hard:
     """Lengths x 2^40."""
-    return rubbed(random, chain(random), units=2.0**-40)
+    return friction_step(random, chain(random), units=2.0**-40)
 
 
 def lengths_down(random: Random) -> Hard:
     """Lengths x 2^-40."""
-    return rubbed(random, chain(random), units=2.0**40)
+    return friction_step(random, chain(random), units=2.0**40)
 
 
 def mixed_units(random: Random) -> Hard:
     """Units of 2^-40 to 2^40 mixed inside one A."""
-    return rubbed(random, chain(random), units=2.0 ** random.integers(-40, 41, N))
+    return friction_step(random, chain(random), units=2.0 ** random.integers(-40, 41, N))
 
 
 def graded(random: Random) -> Hard:
     """A rod with cells from 1 to 1e-6."""
     h = random.permutation(np.logspace(-6, 0, N + 1))
     k = random.uniform(0.5, 2.0, N + 1) / h
-    return rubbed(random, rod(k))
+    return friction_step(random, rod(k))
 
 
 def jumps(random: Random) -> Hard:
     """Coefficients that jump by 1e8."""
     k = random.choice([1.0, 1e8], N + 1) * random.uniform(0.5, 2.0, N + 1)
-    return rubbed(random, rod(k))
+    return friction_step(random, rod(k))
 
 
 def sliver_triangles(random: Random) -> Hard:
     """A square of sliver triangles: widths of 1e-6 of their heights, every other column."""
-    return rubbed(random, slivers(random))
+    return friction_step(random, slivers(random))
 
 
 def singleton(random: Random) -> Hard:
     """C(t) one point."""
-    return pushed(chain(random), random.normal(size=N), Point(random.normal(size=N)))
+    return one_step(chain(random), random.normal(size=N), Point(random.normal(size=N)))
 
 
 def thin(random: Random) -> Hard:
     """A box of widths 1e-14 to 1."""
     g = 10 ** random.uniform(-14, 0, N)
-    return pushed(chain(random), 3 * random.normal(size=N), Box(-g, g))
+    return one_step(chain(random), 3 * random.normal(size=N), Box(-g, g))
 
 
 def unbounded(random: Random) -> Hard:
     """An orthant: contact that only pushes."""
-    return pushed(chain(random), random.normal(size=N), Orthant(FEW), some(random))
+    return one_step(chain(random), random.normal(size=N), Orthant(FEW), contacts(random))
 
 
 def half_space(random: Random) -> Hard:
     """A half-space."""
-    return pushed(chain(random), 3 * random.normal(size=N), HalfSpace(random.normal(size=N), 0.3))
+    return one_step(chain(random), 3 * random.normal(size=N), HalfSpace(random.normal(size=N), 0.3))
 
 
 def near_parallel(random: Random) -> Hard:
     """Half-spaces whose normals differ by 1e-7."""
     row = random.normal(size=4)
     G = row + 1e-7 * random.normal(size=(3, 4))
-    return pushed(chain(random, 4), -5 * row + random.normal(size=4), Polyhedron(G, np.ones(3)))
+    return one_step(chain(random, 4), -5 * row + random.normal(size=4), Polyhedron(G, np.ones(3)))
 
 
 def near_empty(random: Random) -> Hard:
     """A strip 1e-9 wide."""
     row = random.normal(size=4)
-    return pushed(
+    return one_step(
         chain(random, 4), 5 * random.normal(size=4), Polyhedron([row, -row], [0.5, -0.5 + 1e-9])
     )
 
@@ -149,7 +149,7 @@ def near_empty(random: Random) -> Hard:
 def empty(random: Random) -> Hard:
     """A strip that is missing by 1e-9."""
     row = random.normal(size=4)
-    made = pushed(
+    made = one_step(
         chain(random, 4), random.normal(size=4), Polyhedron([row, -row], [0.5, -0.5 - 1e-9])
     )
     return Hard(made.process, refused=EmptySetError)
@@ -159,7 +159,7 @@ def wedge(random: Random) -> Hard:
     """A polyhedron of many rows on a few unknowns."""
     G = random.normal(size=(10, 5))
     few = np.sort(random.permutation(N)[:5])
-    return pushed(chain(random), 5 * random.normal(size=N), Polyhedron(G, np.ones(10)), few)
+    return one_step(chain(random), 5 * random.normal(size=N), Polyhedron(G, np.ones(10)), few)
 
 
 def cone_units(random: Random) -> Hard:
@@ -167,7 +167,7 @@ def cone_units(random: Random) -> Hard:
     few = np.sort(random.permutation(N)[:8])
     radii = random.uniform(0.2, 1.0, 4)
     scale = 2.0**-40
-    return pushed(
+    return one_step(
         scale * chain(random), scale * random.normal(size=N), Balls(scale * radii, 2), few
     )
 
@@ -178,16 +178,16 @@ def cone_threshold(random: Random) -> Hard:
     angle = random.uniform(0, 6, N // 2)
     size = radii * (1 + random.choice([1e-6, -1e-6, 1e-10, 1e-12, -1e-12], N // 2))
     force = (size * np.array([np.cos(angle), np.sin(angle)])).T.ravel()
-    return pushed(chain(random), force, Balls(radii, 2))
+    return one_step(chain(random), force, Balls(radii, 2))
 
 
 def repeated(random: Random) -> Hard:
     """The same contact unknown named three times."""
-    few = some(random)
+    few = contacts(random)
     again = np.concatenate([few, few[:3], few[:1]])
     g = random.uniform(0.2, 1.0, again.size)
     M, force = chain(random), 3 * random.normal(size=N)
-    return Hard(lambda: SweepingProcess(M, None, moved(Box(-g, g), force, again), np.zeros(N)))
+    return Hard(lambda: SweepingProcess(M, None, translate(Box(-g, g), force, again), np.zeros(N)))
 
 
 def parts(random: Random) -> Hard:
@@ -195,24 +195,24 @@ def parts(random: Random) -> Hard:
     ends = random.uniform(0.2, 1.0, 5)
     part = product(Box(-ends, ends), Box([-np.inf] * 2, [np.inf] * 2), Orthant(3))
     few = np.sort(random.permutation(N)[: part.dim])
-    return pushed(chain(random), 3 * random.normal(size=N), part, few)
+    return one_step(chain(random), 3 * random.normal(size=N), part, few)
 
 
 def combined_box(random: Random) -> Hard:
     """Condition 1e6 to 1e12, mixed units, g from 0 to 1e12 and inf."""
     M = spectral(random, np.logspace(-random.uniform(6, 12), 0, N))
     units = 2.0 ** random.integers(-40, 41, N)
-    few, g = some(random), 10 ** random.uniform(-6, 2, FEW)
+    few, g = contacts(random), 10 ** random.uniform(-6, 2, FEW)
     g[random.permutation(FEW)[:4]] = [0.0, np.inf, 1e12, 1e-12]
     part = Box(-units[few] * g, units[few] * g)
-    return pushed(units[:, None] * M * units, units * random.normal(size=N), part, few)
+    return one_step(units[:, None] * M * units, units * random.normal(size=N), part, few)
 
 
 def combined_balls(random: Random) -> Hard:
     """Second-order-cone friction, condition 1e6 to 1e12, radii from 1e-6 to 1e2."""
     M = spectral(random, np.logspace(-random.uniform(6, 12), 0, N))
-    few, radii = some(random, 8), 10 ** random.uniform(-6, 2, 4)
-    return pushed(M, random.normal(size=N), Balls(radii, 2), few)
+    few, radii = contacts(random, 8), 10 ** random.uniform(-6, 2, 4)
+    return one_step(M, random.normal(size=N), Balls(radii, 2), few)
 
 
 def combined_rows(random: Random) -> Hard:
@@ -220,5 +220,7 @@ def combined_rows(random: Random) -> Hard:
     M = spectral(random, np.logspace(-random.uniform(4, 10), 0, N))
     row, scale = random.normal(size=5), 2.0**40
     G = np.concatenate([row + 1e-6 * random.normal(size=(2, 5)), random.normal(size=(3, 5))])
-    few = some(random, 5)
-    return pushed(scale * M, scale * random.normal(size=N), Polyhedron(G, scale * np.ones(5)), few)
+    few = contacts(random, 5)
+    return one_step(
+        scale * M, scale * random.normal(size=N), Polyhedron(G, scale * np.ones(5)), few
+    )

@@ -9,7 +9,7 @@ import numpy as np
 from sweepopt.loads import Separable
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Balls, Box, Moving, Polyhedron
-from sweepopt.study.hard.bodies import Hard, Random, chain, moved, some, spectral
+from sweepopt.study.hard.bodies import Hard, Random, chain, contacts, spectral, translate
 
 DIM, HALF = 16, 8  # unknowns, and those of them in contact
 
@@ -22,9 +22,9 @@ def _run(
     t_end: float = 6.0,
     steps: int = 12,
 ) -> Hard:
-    few, g = some(random, HALF, DIM), random.uniform(0.2, 1.0, HALF)
+    few, g = contacts(random, HALF, DIM), random.uniform(0.2, 1.0, HALF)
     shape = 3 * random.normal(size=DIM)
-    C = moved(Box(-g, g), Separable([(phi, shape)]), few, DIM)
+    C = translate(Box(-g, g), Separable([(phi, shape)]), few, DIM)
     return Hard(lambda: SweepingProcess(A, B, C, np.zeros(DIM)), t_end, steps)
 
 
@@ -43,14 +43,14 @@ def corner(random: Random) -> Hard:
 
 def rotating(random: Random) -> Hard:
     """Second-order-cone friction under a load that rotates through zero."""
-    few, radii = some(random, HALF, DIM), random.uniform(0.2, 1.0, HALF // 2)
+    few, radii = contacts(random, HALF, DIM), random.uniform(0.2, 1.0, HALF // 2)
     one, two = random.normal(size=(2, DIM))
     A, B = chain(random, DIM), chain(random, DIM)
 
     def load(t: float) -> np.ndarray:
         return np.sin(t - 0.5) * (np.cos(t) * one + np.sin(t) * two)
 
-    C = moved(Balls(radii, 2), load, few, DIM)
+    C = translate(Balls(radii, 2), load, few, DIM)
     return Hard(lambda: SweepingProcess(A, B, C, np.zeros(DIM)), 6.0, 12)
 
 
@@ -113,10 +113,10 @@ def _hold(random: Random, share: float) -> Hard:
     """Loads of `share` times the friction bound, which change their signs."""
     g, sign = random.uniform(0.5, 2.0, DIM), random.choice([-1.0, 1.0], DIM)
     A, B, u0 = chain(random, DIM), chain(random, DIM), random.normal(size=DIM)
-    held = B @ u0
+    equilibrium = B @ u0
 
     def load(t: float) -> np.ndarray:
-        return held + (share if int(t) % 2 else -share) * g * sign
+        return equilibrium + (share if int(t) % 2 else -share) * g * sign
 
     return Hard(lambda: SweepingProcess(A, B, Moving(Box(-g, g), load), u0), 10.0, 500)
 

@@ -4,28 +4,37 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from itertools import groupby
+from math import nan
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.errors import PathError, SolverRefusedError, SweepoptError, SweepoptWarning
+from sweepopt.checks import count, listed, number
+from sweepopt.errors import (
+    InputError,
+    PathError,
+    SolverRefusedError,
+    SweepoptError,
+    SweepoptWarning,
+    shown,
+)
 from sweepopt.integrate import StepInfo
-from sweepopt.linalg import EPS
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
-from sweepopt.sets import Moving
 from sweepopt.solve import solve
 from sweepopt.study.hard import FAMILIES
 from sweepopt.study.hard.bodies import Hard
 from sweepopt.study.hard.combinations import combination
-from sweepopt.study.hard.exact import Exact, Program
+from sweepopt.study.hard.judge import Judge
 from sweepopt.velocity import Cvxpy
 
 TARGET = 1e-8
 """True error, relative to max(|z*|_M, |M^-1 q|_M), that every step has to meet."""
-SLACK = 16 * EPS
-"""What a body may miss that is at rest, relative to the forces: its rule calls this rounding."""
+ROUNDING = 16 * np.finfo(float).eps
+"""Relative to the forces: a load above its threshold by no more counts as stuck."""
 UNKNOWN = "not known"
 """The answer of a case that 60 digits did not solve: nothing is said of the solvers then."""
 PATHS = ("full", "eliminated", "proportional")
@@ -40,6 +49,64 @@ SOLVERS: dict[str, Any] = {
 }
 
 
+@dataclass(frozen=True)
+class HardStudy:
+    """What `sweepopt study hard` runs; all there is by default.
+
+    Parameters
+    ----------
+    seeds : sequence of int
+        Whole numbers >= 0; each makes every family anew.
+    families, solvers, paths : sequence of str
+    combinations : int
+        How many cases are drawn by chance for each seed.
+    tol : float
+        What `solve` is asked for.
+
+    Raises
+    ------
+    InputError
+        Naming the key and the entry.
+
+    Examples
+    --------
+    >>> HardStudy(seeds=[0, 1], families=["threshold"]).families
+    ['threshold']
+    """
+
+    seeds: Sequence[int] = (0,)
+    families: Sequence[str] = tuple(FAMILIES)
+    solvers: Sequence[str] = tuple(SOLVERS)
+    paths: Sequence[str] = PATHS
+    combinations: int = 8
+    tol: float = 1e-9
+
+    def __post_init__(self) -> None:
+        for i, seed in enumerate(listed("seeds", self.seeds)):
+            count(f"seeds[{i}]", seed, least=0)
+        count("combinations", self.combinations, least=0)
+        number("tol", self.tol, minimum=0.0, strict=True)
+        for key, known in (("families", FAMILIES), ("solvers", SOLVERS), ("paths", PATHS)):
+            for i, name in enumerate(listed(key, getattr(self, key))):
+                if name not in known:
+                    words = f"{key}[{i}]: {shown(name)} is not known; there are: "
+                    raise InputError(words + ", ".join(known))
+
+
+def hard_study(data: Any) -> HardStudy:
+    """The table [hard] of a study file; InputError names the key at fault."""
+    if not isinstance(data, dict):
+        raise InputError(f"hard must be a table, got {shown(data)}")
+    known = [field.name for field in fields(HardStudy)]
+    for key in data:
+        if key not in known:
+            raise InputError(f"hard.{key}: unknown key; there are: {', '.join(known)}")
+    try:
+        return HardStudy(**data)
+    except InputError as error:
+        raise InputError(f"hard.{error}") from error
+
+
 class HardRow(NamedTuple):
     """One hard case, path and solver; the worst of its steps.
 
@@ -52,10 +119,10 @@ class HardRow(NamedTuple):
     error, certificate : float
         True and stated |z - z*|_M, relative to max(|z*|_M, |M^-1 q|_M).
     excess : float
-        Largest error - certificate in the unit of the forces, less SLACK where nothing moves:
+        Largest error - certificate in the unit of the forces, less ROUNDING where nothing moves:
         above 0 a certificate was wrong.
-    rung, attempts : str, int
-        Who found the last step, and the longest way to a step.
+    solved_by, attempts : str, int
+        Which solver answered the last step, and the most attempts at a step.
     seconds : float
         Of the run.
     verdict : str
@@ -66,44 +133,20 @@ class HardRow(NamedTuple):
     seed: int
     path: str
     solver: str
-    drawn: str
-    answer: str
-    error: float
-    certificate: float
-    excess: float
-    rung: str
-    attempts: int
-    seconds: float
-    verdict: str
+    drawn: str = ""
+    answer: str = ""
+    error: float = nan
+    certificate: float = nan
+    excess: float = nan
+    solved_by: str = ""
+    attempts: int = 0
+    seconds: float = nan
+    verdict: str = ""
 
     @property
     def good(self) -> bool:
         """Whether the right answer was given."""
         return self.verdict in ("met", "refused")
-
-
-class Judge:
-    """The exact velocities of one case, found once for all of its runs."""
-
-    def __init__(self, process: SweepingProcess, gamma: float) -> None:
-        self._program, self._process = Program(process.A, process.B, gamma), process
-        self._known: dict[bytes, Exact] = {}
-
-    def of(self, u: np.ndarray, t: float, near: np.ndarray) -> Exact:
-        """The velocity of the state u for C(t): from A, B and u, where nothing is rounded."""
-        C = self._process.C.at(t)
-        key = (b"" if self._process.B is None else u.tobytes()) + (
-            C.anchor.tobytes() if isinstance(self._process.C, Moving) else b""
-        )
-        if not isinstance(self._process.C, Moving):
-            key += np.float64(t).tobytes()
-        if key not in self._known:
-            self._known[key] = self._program.solve(self._program.term(u), C, near)
-        return self._known[key]
-
-    def error(self, z: np.ndarray, exact: Exact) -> float:
-        """|z - z*|_M."""
-        return self._program.error(z, exact)
 
 
 def rows(
@@ -113,22 +156,13 @@ def rows(
     solvers: Iterable[str] = SOLVERS,
     paths: Iterable[str] = PATHS,
     combinations: int = 0,
-    progress: Callable[[str], None] = lambda words: None,
+    tol: float = 1e-9,
+    progress: Callable[[str], object] = lambda words: None,
 ) -> Iterator[HardRow]:
-    """Run the cases.
+    """Run the cases; the parameters are those of `HardStudy`.
 
-    Parameters
-    ----------
-    families : iterable of str
-        Names in FAMILIES.
-    seeds : iterable of int
-    solvers : iterable of str
-        Names in SOLVERS; those that cannot treat a case leave no row.
-    paths : iterable of str
-    combinations : int
-        How many cases are drawn by chance for each seed.
-    progress : callable
-        Told each case.
+    A solver or a path that cannot treat a case leaves no row; `progress` is called with the name
+    of each case.
 
     Yields
     ------
@@ -141,37 +175,43 @@ def rows(
     ('met', True)
     """
     seeds, solvers, paths = list(seeds), list(solvers), list(paths)
-    for case in _cases(families, seeds, combinations):
-        progress(f"{case.name}, seed {case.seed}")
+    for name, seed, hard in _cases(families, seeds, combinations):
+        progress(f"{name}, seed {seed}")
+        answer = "" if hard.refused is None else f"refuse: {hard.refused.__name__}"
+        row = HardRow(name, seed, "", "", hard.drawn, answer)
         try:
-            process, judge = case.hard.process(), None
+            judge = Judge(hard.process(), hard.t_end / hard.steps)
         except SweepoptError as error:
-            yield _row(case, "", "", f"{type(error).__name__}: {error}", None)
+            yield row._replace(verdict=_verdict_on(error, hard))
             continue
         for path in paths:
             for solver in solvers:
-                found = _run(case.hard, process, path, SOLVERS[solver])
-                if found is None:
+                row = row._replace(path=path, solver=solver)
+                try:
+                    run = _run(hard, judge.process, path, SOLVERS[solver], tol)
+                except (SolverRefusedError, PathError):
                     continue
-                if isinstance(found, _Run) and judge is None:
-                    judge = Judge(process, case.hard.t_end / case.hard.steps)
-                yield _row(case, path, solver, found, judge)
+                except SweepoptError as error:
+                    yield row._replace(verdict=_verdict_on(error, hard))
+                    continue
+                yield _judged(row, hard, run, judge)
 
 
-class _Case(NamedTuple):
-    name: str
-    seed: int
-    hard: Hard
-
-
-def _cases(families: Iterable[str], seeds: list[int], combinations: int) -> Iterator[_Case]:
+def _cases(
+    families: Iterable[str], seeds: list[int], combinations: int
+) -> Iterator[tuple[str, int, Hard]]:
     for name in families:
         for seed in seeds:
-            yield _Case(name, seed, FAMILIES[name](np.random.default_rng(seed)))
+            yield name, seed, FAMILIES[name](np.random.default_rng(seed))
     for seed in seeds:
         for k in range(combinations):
-            random = np.random.default_rng([seed, k])
-            yield _Case(f"combination {k}", seed, combination(random))
+            yield f"combination {k}", seed, combination(np.random.default_rng([seed, k]))
+
+
+def _verdict_on(error: SweepoptError, hard: Hard) -> str:
+    if hard.refused is not None and isinstance(error, hard.refused):
+        return "refused"
+    return f"{type(error).__name__}: {error}"
 
 
 class _Run(NamedTuple):
@@ -180,77 +220,77 @@ class _Run(NamedTuple):
     seconds: float
 
 
-def _run(hard: Hard, process: SweepingProcess, path: str, solver: Any) -> _Run | str | None:
-    """The run, an error as a sentence, or None if the path or the solver does not apply."""
+def _run(hard: Hard, process: SweepingProcess, path: str, solver: Any, tol: float) -> _Run:
     steps: list[StepInfo] = []
 
     def keep(step: StepInfo) -> None:
         steps.append(step)
 
     started = time.perf_counter()
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SweepoptWarning)
-            solution = solve(
-                process,
-                t_end=hard.t_end,
-                steps=hard.steps,
-                scheme="implicit-euler",
-                solver=solver,
-                path=path,
-                callback=keep,
-            )
-    except (SolverRefusedError, PathError):
-        return None
-    except SweepoptError as error:
-        if hard.refused is not None and isinstance(error, hard.refused):
-            return ""
-        return f"{type(error).__name__}: {error}"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SweepoptWarning)
+        solution = solve(
+            process,
+            t_end=hard.t_end,
+            steps=hard.steps,
+            scheme="implicit-euler",
+            solver=solver,
+            tol=tol,
+            path=path,
+            callback=keep,
+        )
     return _Run(solution, steps, time.perf_counter() - started)
 
 
-def _row(case: _Case, path: str, solver: str, found: _Run | str, judge: Judge | None) -> HardRow:
-    hard, nan = case.hard, float("nan")
-    which = case.name, case.seed, path, solver, hard.drawn
-    if isinstance(found, str) or judge is None:
-        answer = "" if hard.refused is None else f"refuse: {hard.refused.__name__}"
-        return HardRow(*which, answer, nan, nan, nan, "", 0, nan, str(found) or "refused")
-    try:
-        judged = _judged(hard, found, judge)
-    except SweepoptError as error:
-        return HardRow(*which, UNKNOWN, nan, nan, nan, "", 0, found.seconds, str(error))
-    verdict = "met"
-    if hard.refused is not None:
-        verdict = f"not refused: {hard.refused.__name__} is right"
-    elif judged.error > TARGET:
-        verdict = f"error above {TARGET:g}"
-    elif judged.excess > 0:
-        verdict = "certificate below the error"
-    stats = found.solution.stats
-    found_by = str(stats["solver"][-1]), int(stats["attempts"].max())
-    return HardRow(*which, *judged, *found_by, found.seconds, verdict)
-
-
-class _Judged(NamedTuple):
-    answer: str
-    error: float
-    certificate: float
-    excess: float
-
-
-def _judged(hard: Hard, run: _Run, judge: Judge) -> _Judged:
-    """The last answer in words, and the worst of all steps."""
-    process, t = run.solution.process, run.solution.t
+def _judged(row: HardRow, hard: Hard, run: _Run, judge: Judge) -> HardRow:
+    """The row with the last answer in words, and the worst of all steps."""
+    t, u = run.solution.t, judge.process.u0
     error = certificate = excess = 0.0
-    answer, u = "", process.u0
+    answer, row = row.answer, row._replace(seconds=run.seconds)
+    stats = run.solution.stats
     for step in run.steps:
+        if "/" in str(stats["solver"][step.step]):
+            u = step.u
+            continue  # taken in parts: its velocity is the mean of theirs, of no one program
         # the time as a step makes it: a load may change within a rounding unit of t
         at = float(t[step.step]) + hard.t_end / hard.steps
-        exact = judge.of(u, at, step.velocity)
-        missed, size = judge.error(step.velocity, exact), exact.size or 1.0
-        error, certificate = max(error, missed / size), max(certificate, step.certificate / size)
-        slack = 0.0 if step.velocity.any() else SLACK
-        excess = max(excess, (missed - step.certificate) / (exact.forces or 1.0) - slack)
-        answer = f"|z| = {exact.length:.3g}, {np.count_nonzero(exact.z)} of {process.dim} move"
+        try:
+            exact = judge.of(u, at, step.velocity)
+        except SweepoptError as failure:
+            return row._replace(answer=UNKNOWN, verdict=str(failure))
+        apart, size = judge.error(step.velocity, exact), exact.size or 1.0
+        error, certificate = max(error, apart / size), max(certificate, step.certificate / size)
+        allowed = 0.0 if step.velocity.any() else ROUNDING
+        excess = max(excess, (apart - step.certificate) / (exact.forces or 1.0) - allowed)
+        answer = f"|z| = {exact.length:.3g}, {np.count_nonzero(exact.z)} of {len(u)} move"
         u = step.u
-    return _Judged(answer, error, certificate, excess)
+    if hard.refused is not None:
+        verdict = f"not refused: {hard.refused.__name__} is right"
+    elif error > TARGET:
+        verdict = f"error above {TARGET:g}"
+    else:
+        verdict = "certificate below the error" if excess > 0 else "met"
+    return row._replace(
+        answer=answer,
+        error=error,
+        certificate=certificate,
+        excess=excess,
+        solved_by=str(stats["solver"][-1]),
+        attempts=int(stats["attempts"].max()),
+        verdict=verdict,
+    )
+
+
+def hard_summary(rows: Sequence[HardRow]) -> str:
+    """A line a family, and each row with a wrong answer."""
+    lines = [f"{'family':<20}{'runs':>6}{'true error':>12}{'certificate':>13}  solved by"]
+    for name, group in groupby(rows, key=lambda row: row.family):
+        mine = list(group)
+        error = max((row.error for row in mine if row.solved_by), default=nan)
+        stated = max((row.certificate for row in mine if row.solved_by), default=nan)
+        solvers = ", ".join(sorted({row.solved_by or "refused" for row in mine}))
+        lines.append(f"{name:<20}{len(mine):6}{error:12.1e}{stated:13.1e}  {solvers}")
+    wrong = [row for row in rows if not row.good]
+    lines += ["", f"{len(rows)} runs, {len(wrong)} wrong"]
+    lines += [f"  {row.family} {row.seed} {row.path} {row.solver}: {row.verdict}" for row in wrong]
+    return "\n".join(lines)

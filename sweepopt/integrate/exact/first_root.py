@@ -1,0 +1,103 @@
+"""The first time at which one of several closed forms turns negative, which cannot be missed.
+
+A bound M of |f''| on all of the rest proves f > 0 up to the root of f + f' h - M h^2 / 2: each step
+is the largest that is proved free of roots. From the left it converges to a simple root like
+Newton's method and never passes it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sweepopt.errors import SweepoptError
+from sweepopt.integrate.exact.closed_forms import Curve
+from sweepopt.linalg import EPS
+
+NOISE = 16 * EPS  # rounding of a value, in units of the sum of its absolute terms
+STEPS = 100_000  # a simple root takes about ten
+
+
+class Root(NamedTuple):
+    """When, and which functions are zero there."""
+
+    tau: float
+    rows: np.ndarray
+
+
+def first_root(f: Curve, orders: np.ndarray) -> Root | None:
+    """The first tau in (0, length] at which an entry of f turns negative; None if none does.
+
+    Parameters
+    ----------
+    f : Curve
+    orders : ndarray of int, shape (rows,)
+        How many leading Taylor coefficients of an entry are zero at tau = 0; the next one is
+        positive, so that an entry that starts from zero rises from it.
+    """
+    basis, length = f.basis, f.basis.length
+    df = f.derivative()
+    values, slopes, bends = f.weights, df.weights, df.derivative().sizes
+    rises, positive_until = orders > 0, _positive_until(f, orders)
+    tau = 0.0
+    for _ in range(STEPS):
+        b = basis.at(tau)
+        value, slope = values @ b, slopes @ b
+        noise = NOISE * (np.abs(values) @ np.abs(b))
+        zero = value <= noise
+        falls = zero & (slope <= NOISE * (np.abs(slopes) @ np.abs(b)))
+        M = np.maximum(bends @ basis.bound(tau), np.finfo(float).tiny)
+        height = np.where(zero, 0.0, value)
+        root = np.sqrt(slope**2 + 2 * M * height)
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+            h = np.where(slope < 0, 2 * height / (root - slope), (slope + root) / M)
+        h = np.where(zero, np.maximum(h, np.sqrt(noise / M)), h)
+        if tau == 0.0:
+            falls, h = falls & ~rises, np.where(rises, positive_until, h)
+        if falls.any():
+            beyond = _beyond_touch(f, np.flatnonzero(falls), tau, noise[falls])
+            if beyond is None:
+                return Root(tau, np.flatnonzero(falls))
+            h[falls] = beyond
+        tau += max(float(h.min(initial=np.inf)), EPS * tau)
+        if tau >= length:
+            return None
+    raise SweepoptError(
+        f"an event is not found in {STEPS} steps that are proved free of events; the rates of the "
+        "process are too far apart for scheme='exact', use implicit-euler or sdirk2"
+    )
+
+
+def _beyond_touch(f: Curve, rows: np.ndarray, tau: float, noise: np.ndarray) -> np.ndarray | None:
+    """Steps after which entries at zero are positive again, where they only touch it.
+
+    Where f'' stays above half of its value c up to h = 4 |f'| / c, f falls by f'^2 / c at most:
+    this must be rounding. None if an entry may turn negative.
+    """
+    first = Curve(f.basis, f.weights[rows]).derivative()
+    second = first.derivative()
+    third = second.derivative()
+    b = f.basis.at(tau)
+    slope, c = np.minimum(first.weights @ b, 0.0), second.weights @ b
+    if not (c > 0).all():
+        return None
+    h = 4 * np.abs(slope) / c
+    steady = third.sizes @ f.basis.bound(tau) * h <= 0.5 * c
+    return h if (steady & (slope**2 <= 4 * noise * c)).all() else None
+
+
+def _positive_until(f: Curve, orders: np.ndarray) -> np.ndarray:
+    """Up to where an entry that rises from zero with its k-th derivative stays positive."""
+    until = np.full(orders.size, np.inf)
+    curve, bound, start = f, f.basis.bound(0.0), f.basis.at(0.0)
+    for order in range(1, int(orders.max(initial=0)) + 1):
+        curve = curve.derivative()
+        rising = orders == order
+        if rising.any():
+            leading = np.maximum(curve.weights[rising] @ start, 0.0)
+            limit = curve.derivative().sizes[rising] @ bound
+            with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+                until[rising] = 0.5 * leading / limit
+            until[rising & ~(until >= 0)] = np.inf  # 0 / 0: a constant
+    return until

@@ -1,0 +1,209 @@
+"""The process in the rows of C(t) = { w : N w <= d(t) }, d in closed form piece by piece."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+
+from sweepopt.errors import InputError
+from sweepopt.integrate.exact.closed_forms import Basis, Curve
+from sweepopt.linalg import dense
+from sweepopt.loads import Piece, breakpoints
+from sweepopt.problem import SweepingProcess, motion
+
+NONSMOOTH = 50  # unknowns in a set's inequalities
+UNKNOWNS = 300  # all of them: a phase has a dense eigenproblem of what moves
+SAME = 1e-14  # entries of unit rows, and offsets, that differ by less are equal: a few roundings
+FLAT = 0.5  # a wave with less than this angle left is a power series: 1 / w would cancel
+TERMS = 16  # of that series: FLAT^17 / 17! is below rounding
+
+
+class Offsets:
+    """d(t) = sum_k phi_k(t) weights[:, k].
+
+    Attributes
+    ----------
+    histories : list
+    weights : ndarray, shape (m, k)
+    """
+
+    def __init__(self, histories: list[Any], weights: np.ndarray) -> None:
+        self.histories, self.weights = histories, weights
+
+    def breakpoints(self, a: float, b: float) -> np.ndarray:
+        """All breakpoints strictly between a and b, increasing."""
+        return breakpoints(self.histories, a, b)
+
+    def between(self, a: float, b: float) -> SmoothOffsets:
+        """d between two neighbouring breakpoints."""
+        return SmoothOffsets(self.weights, [phi.piece(a, b) for phi in self.histories])
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothOffsets:
+    """d between two breakpoints; `pieces` are its histories in closed form."""
+
+    weights: np.ndarray
+    pieces: list[Piece]
+
+    def on(self, s: float, length: float) -> Curve:
+        """d(s + tau) for 0 <= tau <= length."""
+        rates = {abs(w) for piece in self.pieces for _, w, _ in piece.waves}
+        waves = sorted(w for w in rates if w * length > FLAT)
+        degree = max(len(piece.polynomial) - 1 for piece in self.pieces)
+        degree = degree if len(waves) == len(rates) else max(degree, TERMS)
+        basis = Basis(np.zeros(0), degree, np.array(waves), length)
+        rows = np.zeros((len(self.pieces), basis.size))
+        for row, piece in zip(rows, self.pieces, strict=True):
+            powers = _shifted(piece.polynomial, s - piece.origin)
+            row[: len(powers)] = powers * length ** np.arange(len(powers))
+            for a, w, p in piece.waves:
+                angle = p + w * s
+                if abs(w) * length <= FLAT:
+                    row[: TERMS + 1] += a * _sine_series(angle, w * length, TERMS)
+                else:
+                    j = waves.index(abs(w))
+                    row[basis.sines][j] += math.copysign(1.0, w) * a * math.cos(angle)
+                    row[basis.cosines][j] += a * math.sin(angle)
+        return Curve(basis, self.weights @ rows)
+
+    def taylor(self, s: float, terms: int) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients of d(s + tau) in tau, and the size of the terms that they are sums of.
+
+        The size has the effect of the rounding of s in it.
+
+        Returns
+        -------
+        coefficients, sizes : ndarray, shape (m, terms)
+        """
+        values, sizes = np.zeros((2, len(self.pieces), terms + 1))
+        for value, size, piece in zip(values, sizes, self.pieces, strict=True):
+            shift, count = s - piece.origin, min(len(piece.polynomial), terms + 1)
+            value[:count] = _shifted(piece.polynomial, shift)[:count]
+            size[:count] = _shifted([abs(c) for c in piece.polynomial], abs(shift))[:count]
+            for a, w, p in piece.waves:
+                value += a * _sine_series(p + w * s, w, terms)
+                size += abs(a) * np.cumprod([1.0, *(abs(w) / np.arange(1, terms + 1))])
+        moved = abs(s) * np.arange(1, terms + 1) * sizes[:, 1:]
+        return self.weights @ values[:, :-1], np.abs(self.weights) @ (sizes[:, :-1] + moved)
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """The process in the rows of C(t), which are unit vectors in the metric M: A, or B for A = 0.
+
+    Attributes
+    ----------
+    N : ndarray, shape (m, n)
+    equations : ndarray of bool, shape (m,)
+        Rows that hold with equality at all times.
+    R : ndarray, shape (m, n)
+        N L with M = L L^T.
+    NB, S, SB : ndarray, shapes (m, n), (m, m), (m, m)
+        N B, N M N^T and N B N^T.
+    d : Offsets
+    Lam : float
+        The largest rate of the process; 0 where A = 0.
+    rate_independent : bool
+    """
+
+    N: np.ndarray
+    equations: np.ndarray
+    R: np.ndarray
+    NB: np.ndarray
+    S: np.ndarray
+    SB: np.ndarray
+    d: Offsets
+    Lam: float
+    rate_independent: bool
+
+    @cached_property
+    def fixed(self) -> list[int]:
+        """The rows that always hold with equality."""
+        return np.flatnonzero(self.equations).tolist()
+
+
+def rows_of(process: SweepingProcess) -> Rows:
+    """The rows of a process.
+
+    Raises
+    ------
+    InputError
+        If a set is curved or has no rows, the load is a black box, or there are too many unknowns.
+    """
+    try:
+        return _rows_of(process)
+    except InputError as error:
+        raise InputError(f"scheme 'exact' does not apply: {error}") from error
+
+
+def _rows_of(process: SweepingProcess) -> Rows:
+    if process.dim > UNKNOWNS:
+        raise InputError(
+            f"the process has {process.dim} unknowns in its steps, more than {UNKNOWNS}. A body "
+            "whose B is a multiple of A and whose set acts on few unknowns needs these alone; for "
+            "others use midpoint or sdirk2"
+        )
+    moved = motion(process.C).rows()
+    metric = dense(process.metric.M)
+    B = np.zeros_like(metric) if process.B is None else dense(process.B)
+    R = moved.N @ scipy.linalg.cholesky(metric, lower=True)
+    lengths = np.linalg.norm(R, axis=1)
+    rows = np.flatnonzero(lengths > 0)
+    units = 1 / lengths[rows, None]
+    N, R = units * moved.N[rows], units * R[rows]
+    weights = units * np.column_stack([D for _, D in moved.d])[rows]
+    rows, equations = _distinct(R, weights, rows >= len(lengths) - moved.equations)
+    N, R, d = N[rows], R[rows], Offsets([phi for phi, _ in moved.d], weights[rows])
+    nonsmooth = process.dim - int(equations.sum())
+    if nonsmooth > NONSMOOTH:
+        raise InputError(
+            f"the process has {nonsmooth} nonsmooth unknowns, more than {NONSMOOTH}; use midpoint "
+            "or sdirk2"
+        )
+    lam = 0.0 if process.rate_independent else process.Lam
+    NB = N @ B
+    return Rows(N, equations, R, NB, R @ R.T, NB @ N.T, d, lam, process.rate_independent)
+
+
+def _distinct(
+    R: np.ndarray, weights: np.ndarray, equations: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows that are not repeated, and which of them hold with equality.
+
+    A pair n w <= d, -n w <= -d is an equation at all times; so is what a Box with equal bounds has.
+    """
+    size, parallel = np.abs(weights).max(axis=1, keepdims=True), R @ R.T
+    kept, equations = np.ones(len(R), dtype=bool), equations.copy()
+    for i in range(len(R)):
+        for j in np.flatnonzero(np.abs(parallel[i, :i]) > 1 - 1e-12).tolist():
+            sign = np.sign(parallel[i, j])
+            same_row = np.abs(R[i] - sign * R[j]).max() <= SAME
+            change = np.abs(weights[i] - sign * weights[j])
+            if kept[j] and same_row and (change <= SAME * np.maximum(size[i], size[j])).all():
+                equations[j] |= sign < 0 or equations[i]
+                kept[i] = False
+                break
+    return np.flatnonzero(kept), equations[kept]
+
+
+def _shifted(polynomial: Any, shift: float) -> np.ndarray:
+    """Coefficients in tau of a polynomial in shift + tau (Horner's scheme, repeated)."""
+    c = np.array(polynomial, dtype=float)
+    if shift:
+        for i in range(c.size - 1):
+            for k in reversed(range(i, c.size - 1)):
+                c[k] += shift * c[k + 1]
+    return c
+
+
+def _sine_series(angle: float, w: float, terms: int) -> np.ndarray:
+    """Taylor coefficients of sin(angle + w tau)."""
+    powers = np.cumprod([1.0, *(w / np.arange(1, terms + 1))])
+    sine, cosine = math.sin(angle), math.cos(angle)
+    return powers * np.array([sine, cosine, -sine, -cosine])[np.arange(terms + 1) % 4]

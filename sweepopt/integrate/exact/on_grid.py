@@ -1,0 +1,131 @@
+"""The exact trajectory on the grid of a run, the inclusion checked at each node."""
+
+from __future__ import annotations
+
+import time as clock
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+
+from sweepopt.errors import InputError, Status, shown
+from sweepopt.integrate.exact.offsets import Rows, rows_of
+from sweepopt.integrate.exact.trajectory import exact_trajectory
+from sweepopt.integrate.loop import FullCertificate, Observer, Restarts, integrate
+from sweepopt.integrate.record import Run, Summary
+from sweepopt.linalg import Factor
+from sweepopt.problem import SweepingProcess
+from sweepopt.velocity import Plan, Velocity, certify_point, matrix
+
+FLOOR = 0.01  # share of the largest terms so far that counts as the size of their sum
+BLOCK = 1000  # nodes that are computed at once
+
+
+class Move(Protocol):
+    """Moves a process through a grid: what the loop does with its first two arguments given."""
+
+    def __call__(
+        self,
+        times: np.ndarray,
+        mus: np.ndarray,
+        run: Run,
+        observer: Observer | None = None,
+        full_certificate: FullCertificate | None = None,
+    ) -> None: ...
+
+
+def mover(process: SweepingProcess, plan: Plan, restarts: Restarts | None = None) -> Move:
+    """What moves a process through a grid: the scheme's steps, or the exact trajectory.
+
+    `restarts` are for steps only.
+
+    Raises
+    ------
+    InputError
+        If the scheme is "exact" and the process is not one of polyhedra and loads as data.
+    """
+    if not plan.scheme.exact:
+        return partial(integrate, process, plan, restarts=restarts)
+    if plan.solver != "auto":
+        raise InputError(
+            f"scheme 'exact' has no use for solver={shown(plan.solver)}; leave one of them out"
+        )
+    return partial(_on_grid, rows_of(process), process, plan.tol)
+
+
+def _on_grid(
+    rows: Rows,
+    process: SweepingProcess,
+    tol: float,
+    times: np.ndarray,
+    mus: np.ndarray,
+    run: Run,
+    observer: Observer | None = None,
+    full_certificate: FullCertificate | None = None,
+) -> None:
+    """As the loop does, with nodes of the exact trajectory."""
+    try:
+        started = clock.perf_counter()
+        exact = run.exact = exact_trajectory(rows, process.u0, float(times[0]), float(times[-1]))
+        share = (clock.perf_counter() - started) / len(mus)
+        known = int(np.searchsorted(times, exact.end, side="right")) - 1
+        begun = np.searchsorted(times, exact.starts, side="right")
+        phases = np.bincount(begun, minlength=len(times)).tolist()  # that begin in each step
+        inclusion, before = _Inclusion(process), process.u0
+        for i in range(known):
+            started = clock.perf_counter()
+            k = i % BLOCK
+            if k == 0:
+                block = times[i + 1 : min(i + BLOCK, known) + 1]
+                states, derivatives = exact(block), exact.velocity(block)
+            u, mu = states[k], float(mus[i])
+            z = (u - before) / mu
+            found = inclusion(float(times[i + 1]), mu, u, derivatives[k])
+            step = Summary(phases[i + 1], 1, found.certificate, found.relative, "closed form")
+            if full_certificate is not None:
+                step = full_certificate(i, before, z, step)
+            if step.relative > tol:
+                run.status, run.relative = Status.INEXACT, step.relative
+                run.cause = (
+                    f"step {i} from t = {times[i]:g}: the closed form misses the inclusion by "
+                    f"{step.relative:.2g} of the velocity's size at its end, tol is {tol:g}. The "
+                    "data are scaled too badly for double precision; loosen tol or use "
+                    "implicit-euler or sdirk2"
+                )
+                return
+            if step.relative != step.relative:
+                run.status = Status.UNCERTIFIED
+            run.add(u, z, step, clock.perf_counter() - started + share)
+            before = u
+            if observer is not None and observer(i, u, z, step.certificate):
+                run.status = Status.STOPPED if run.done < len(mus) else run.status
+                return
+        if not exact.complete:
+            run.status = Status.SWITCHING
+            run.cause = f"That was at t = {exact.end:g}, after {len(exact.phases)} phases."
+    except KeyboardInterrupt:
+        run.status = Status.INTERRUPTED
+
+
+class _Inclusion:
+    """The residual of -u' in N_C(A u' + B u), from A, B and the set's own projection.
+
+    u' solves the program of an implicit Euler step that ends in u, M = A + mu B and
+    q = B (u - mu u'); the certificate is that of this program. B u and the load may cancel: then
+    it is compared to their sizes, not to that of their sum.
+    """
+
+    def __init__(self, process: SweepingProcess) -> None:
+        self._process = process
+        self._factors: dict[float, Factor] = {}
+        self._largest = 0.0
+
+    def __call__(self, t: float, mu: float, u: np.ndarray, z: np.ndarray) -> Velocity:
+        process, C = self._process, self._process.C.at(t)
+        if mu not in self._factors:
+            self._factors = {mu: Factor(matrix(process, mu))}
+        M, Bu = self._factors[mu], process.times_B(u)
+        q = process.times_B(u - mu * z)
+        terms = M.norm(z) + M.dual_norm(Bu) + M.dual_norm(C.anchor)
+        self._largest = max(self._largest, terms)
+        return certify_point(M, q, C, z, FLOOR * self._largest)

@@ -1,0 +1,234 @@
+"""Histories given by a formula: constant, polynomial, sine, triangle wave."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sweepopt.errors import InputError, shown
+from sweepopt.loads.history import (
+    Array,
+    ClosedForm,
+    Piece,
+    as_times,
+    check_fields,
+    interval,
+    read_only,
+)
+
+MOST_TURNS = 10_000_000
+"""Turning points of one history on one interval: 80 MB of them; more are a mistake of units."""
+
+
+@dataclass(frozen=True)
+class Constant(ClosedForm):
+    """``phi(t) = value``.
+
+    Parameters
+    ----------
+    value : float
+
+    Raises
+    ------
+    InputError
+        If the value is not a finite number.
+
+    Examples
+    --------
+    >>> Constant(3.0)(10.0)
+    3.0
+    """
+
+    value: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_fields(self, "value")
+
+    def __call__(self, t: ArrayLike) -> Any:
+        at = as_times(t)
+        return self.value if type(at) is float else np.full(np.shape(at), self.value)
+
+    def piece(self, a: float, b: float) -> Piece:
+        """The value."""
+        return Piece(a, (self.value,))
+
+
+@dataclass(frozen=True, eq=False)
+class Polynomial(ClosedForm):
+    """``phi(t) = sum_k coefficients[k] t^k``.
+
+    Parameters
+    ----------
+    coefficients : array_like, shape (m,)
+        The constant one first.
+
+    Raises
+    ------
+    InputError
+        If there are none, or one is not finite; when called, if the value overflows.
+
+    Examples
+    --------
+    >>> ramp = Polynomial([0.0, 1.5])
+    >>> ramp(2.0), Polynomial([0.0, 2.0, -1.0]).variation(0.0, 2.0)
+    (3.0, 2.0)
+    """
+
+    coefficients: Array
+
+    def __init__(self, coefficients: ArrayLike) -> None:
+        object.__setattr__(self, "coefficients", read_only("coefficients", coefficients))
+
+    def __call__(self, t: ArrayLike) -> Any:
+        at = as_times(t)
+        with np.errstate(over="ignore", invalid="ignore"):
+            value = 0.0 * at
+            for coefficient in reversed(self.coefficients.tolist()):
+                value = coefficient + value * at
+        if not (math.isfinite(value) if type(value) is float else np.isfinite(value).all()):
+            raise InputError(f"{self!r:.80} overflows at t = {shown(t)}; choose other units")
+        return value
+
+    def turning_points(self, a: float, b: float) -> Array:
+        """Real parts of the roots of the derivative: more points than needed do no harm."""
+        self(np.array([a, b]))  # refuses what overflows
+        # in units of the larger time; a leading term that is nothing beside the others has no root
+        unit = max(abs(a), abs(b)) or 1.0
+        slope = np.polynomial.polynomial.polyder(self.coefficients)
+        slope = slope * unit ** np.arange(slope.size)
+        slope[np.abs(slope) < 1e-30 * np.abs(slope).max()] = 0.0
+        slope = np.trim_zeros(slope, "b")
+        roots = unit * np.polynomial.polynomial.polyroots(slope) if slope.size else slope
+        roots = np.sort(roots.real)
+        return np.asarray(roots[(roots > a) & (roots < b)])
+
+    def piece(self, a: float, b: float) -> Piece:
+        """Itself."""
+        return Piece(0.0, tuple(self.coefficients.tolist()))
+
+    def __repr__(self) -> str:
+        return f"Polynomial({self.coefficients.tolist()})"
+
+
+class Periodic(ClosedForm):
+    """A wave with one crest and one trough a period; its first crest is at `crest`."""
+
+    amplitude: float
+    period: float
+
+    @property
+    def crest(self) -> float:
+        """Where one of the crests is."""
+        return self.period / 4.0
+
+    def turning_points(self, a: float, b: float) -> Array:
+        """Crests and troughs strictly inside (a, b)."""
+        half = self.period / 2.0
+        if (b - a) / half > MOST_TURNS:
+            raise InputError(
+                f"period {self.period:g} is too short: there are more than {MOST_TURNS:g} of them "
+                f"between t = {a:g} and {b:g}"
+            )
+        first = math.floor((a - self.crest) / half)
+        k = float(first) + np.arange(math.ceil((b - self.crest) / half) + 1 - first)
+        points = self.crest + k * half
+        return np.asarray(points[(points > a) & (points < b)])
+
+    def variation(self, a: float, b: float) -> float:
+        """Total variation on [a, b]: four amplitudes a period, the rest from crest to trough."""
+        a, b = interval(a, b)
+        part = math.fmod(b - a, self.period)  # exact, however many periods there are
+        whole = round((b - a - part) / self.period)
+        rest = super().variation(a, a + part if whole else b)
+        return 4.0 * abs(self.amplitude) * whole + rest
+
+
+@dataclass(frozen=True)
+class Sine(Periodic):
+    """``phi(t) = offset + amplitude sin(2 pi t / period + phase)``, phase in radians.
+
+    Parameters
+    ----------
+    amplitude, period, phase, offset : float
+        The period is > 0.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite, or the period not positive.
+
+    Examples
+    --------
+    >>> wave = Sine(amplitude=2.0, period=4.0)
+    >>> round(float(wave(1.0)), 12), wave.variation(0.0, 4.0)
+    (2.0, 8.0)
+    """
+
+    amplitude: float
+    period: float
+    phase: float = 0.0
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_fields(self, "amplitude", "period", "phase", "offset")
+
+    def __call__(self, t: ArrayLike) -> Any:
+        angle = 2.0 * math.pi * (as_times(t) / self.period) + self.phase
+        wave = math.sin(angle) if type(angle) is float else np.sin(angle)
+        return self.offset + self.amplitude * wave
+
+    @property
+    def crest(self) -> float:
+        """Where 2 pi t / period + phase = pi / 2."""
+        return (0.25 - self.phase / (2.0 * math.pi)) * self.period
+
+    def piece(self, a: float, b: float) -> Piece:
+        """Itself."""
+        wave = (self.amplitude, 2.0 * math.pi / self.period, self.phase)
+        return Piece(a, (self.offset,), (wave,))
+
+
+@dataclass(frozen=True)
+class Triangle(Periodic):
+    """Triangular wave from 0 at t = 0 up to `amplitude` at a quarter of the period.
+
+    Parameters
+    ----------
+    amplitude, period : float
+        The period is > 0.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite, or the period not positive.
+
+    Examples
+    --------
+    >>> wave = Triangle(amplitude=2.0, period=4.0)
+    >>> wave([0.0, 0.5, 1.0, 2.0, 3.0])
+    array([ 0.,  1.,  2.,  0., -2.])
+    >>> wave.breakpoints(0.0, 4.0), wave.variation(0.5, 1.5)
+    (array([1., 3.]), 2.0)
+    """
+
+    amplitude: float
+    period: float
+
+    def __post_init__(self) -> None:
+        check_fields(self, "amplitude", "period")
+
+    def __call__(self, t: ArrayLike) -> Any:
+        quarters = (4.0 * (as_times(t) / self.period)) % 4.0
+        if type(quarters) is float:
+            rising = min(quarters, 2.0 - quarters) if quarters <= 3.0 else quarters - 4.0
+        else:
+            rising = np.where(quarters <= 3.0, np.minimum(quarters, 2.0 - quarters), quarters - 4.0)
+        return self.amplitude * rising
+
+    def breakpoints(self, a: float, b: float) -> Array:
+        """Crests and troughs strictly inside (a, b)."""
+        return self.turning_points(*interval(a, b))

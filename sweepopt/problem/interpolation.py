@@ -1,0 +1,149 @@
+"""Histories on intervals: interpolating polynomials, and bounds of the interpolation error.
+
+A guaranteed bound must know a load at all times of an interval. Here a history is replaced on each
+interval by the polynomial of degree 4 through its values at the Gauss points. The error is zero for
+tables; for sines and polynomials it is bounded by the fifth derivative, for other functions by
+their variation, where that is known.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sweepopt.checks import number
+from sweepopt.errors import InputError
+from sweepopt.loads import Piece, Separable, breakpoints
+from sweepopt.problem.motion import Motion, TimeFunction
+from sweepopt.sets import basis, to_bernstein
+
+
+def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
+    points, weights = np.polynomial.legendre.leggauss(count)
+    return 0.5 + 0.5 * points, 0.5 * weights
+
+
+GAUSS, WEIGHTS = _gauss(6)
+"""Points and weights on [0, 1]: exact for squares of polynomials of degree 5."""
+TO_BERNSTEIN = to_bernstein(GAUSS)
+DERIVATIVE = 5 * basis(4, GAUSS) @ np.diff(TO_BERNSTEIN, axis=0)
+"""From values at GAUSS of a polynomial of degree 5 to those of its derivative."""
+
+NODES = _gauss(5)[0]
+NODES_TO_GAUSS = basis(4, GAUSS) @ to_bernstein(NODES)
+NODAL = math.factorial(5) ** 2 / math.factorial(10)  # max of prod |x - x_g| on [0, 1]
+PARTS = 64  # samples of an interval where only a variation is known: its bound is this much sharper
+NODES_TO_PARTS = basis(4, np.arange(PARTS + 1) / PARTS) @ to_bernstein(NODES)
+
+
+class Intervals(NamedTuple):
+    """Intervals inside the steps of a grid: the step of each, and its ends."""
+
+    step: np.ndarray
+    begin: np.ndarray
+    end: np.ndarray
+
+
+class Interpolated(NamedTuple):
+    """A TimeFunction of k terms on m intervals.
+
+    Attributes
+    ----------
+    values : ndarray, shape (m, 6, dim)
+        Of the polynomials, at GAUSS.
+    error : ndarray, shape (m, k)
+        A bound of sup |phi_k - its polynomial|; of the function itself where it has no terms.
+    slope_error : ndarray, shape (m, k)
+        A bound of int |phi_k' - the derivative of its polynomial|.
+    """
+
+    values: np.ndarray
+    error: np.ndarray
+    slope_error: np.ndarray
+
+
+def smooth_intervals(moved: Motion, t: np.ndarray) -> Intervals:
+    """The steps between the times t, cut at the breakpoints of all histories."""
+    histories = [*moved.center.histories, *moved.scale.histories]
+    cuts = np.unique(np.concatenate([t, breakpoints(histories, t[0], t[-1])]))
+    step = np.searchsorted(t, cuts[:-1], side="right") - 1
+    return Intervals(step, cuts[:-1], cuts[1:])
+
+
+def interpolate(f: TimeFunction, begin: np.ndarray, end: np.ndarray) -> Interpolated:
+    """Interpolate on intervals between breakpoints."""
+    h, m = end - begin, len(begin)
+    times = (begin[:, None] + h[:, None] * NODES).ravel()
+    ends = list(zip(begin.tolist(), end.tolist(), strict=True))
+    values, v = np.zeros((m, 5, f.dim)), f.variation
+    error, slope_error = np.zeros((2, m, max(len(f.terms), 1)))
+    if f.function is not None:
+        values += f.at(times).reshape(m, 5, f.dim)
+        if v is not None:
+            each = [
+                _by_variation(f.at, partial(increments, v), *x)
+                for x in zip(ends, values, strict=True)
+            ]
+            error[:, 0], slope_error[:, 0] = np.array(each).T
+    for k, (phi, vector) in enumerate(f.terms):
+        scalar = Separable([(phi, [1.0])]).at_many
+        samples = scalar(times).reshape(m, 5, 1)
+        values += samples * vector
+        if hasattr(phi, "piece"):
+            fifth = np.array([_fifth_derivative(phi.piece(a, b), a, b) for a, b in ends])
+            error[:, k] = fifth * h**5 * NODAL / 120
+            slope_error[:, k] = fifth * h**5 / 24  # Rolle: the error's derivative has four zeros
+        elif hasattr(phi, "variation"):
+            varies = partial(_variations, phi)
+            each = [_by_variation(scalar, varies, *x) for x in zip(ends, samples, strict=True)]
+            error[:, k], slope_error[:, k] = np.array(each).T
+    return Interpolated(NODES_TO_GAUSS @ values, error, slope_error)
+
+
+def _variations(phi: Any, times: np.ndarray) -> np.ndarray:
+    """Those of a history between the times."""
+    return np.array([phi.variation(a, b) for a, b in itertools.pairwise(times.tolist())])
+
+
+def _by_variation(
+    f: Callable[[np.ndarray], np.ndarray],
+    variations: Callable[[np.ndarray], np.ndarray],
+    ends: tuple[float, float],
+    values: np.ndarray,
+) -> tuple[float, float]:
+    """Both errors of a function of which only the variation is known, from samples on parts.
+
+    On a part an error e is at most (|e| at one end + |e| at the other + its variation) / 2.
+    """
+    a, b = ends
+    times = a + (b - a) * np.arange(PARTS + 1) / PARTS
+    e = np.linalg.norm(f(times) - NODES_TO_PARTS @ values, axis=1)
+    slopes = 4 * np.linalg.norm(np.diff(to_bernstein(NODES) @ values, axis=0), axis=1)
+    varies = variations(times) + slopes.max() / PARTS
+    return float((0.5 * (e[:-1] + e[1:] + varies)).max()), float(np.sum(varies))
+
+
+def increments(variation: Callable[[float], float], times: np.ndarray) -> np.ndarray:
+    """v(t_{i+1}) - v(t_i) of a variation, which never falls."""
+    grown = np.diff([number(f"variation({t:g})", variation(t)) for t in times.tolist()])
+    if (grown < 0).any():
+        i = int(np.argmin(grown))
+        raise InputError(
+            f"variation must not fall, but it does between t = {times[i]:g} and {times[i + 1]:g}; "
+            "give v with d_H(C(t), C(s)) <= v(t) - v(s) for s <= t"
+        )
+    return grown
+
+
+def _fifth_derivative(piece: Piece, a: float, b: float) -> float:
+    """A bound of |phi^(5)| on [a, b]."""
+    total = sum(abs(amplitude) * abs(rate) ** 5 for amplitude, rate, _ in piece.waves)
+    reach = max(abs(a - piece.origin), abs(b - piece.origin))
+    for k, c in enumerate(piece.polynomial[5:], start=5):
+        total += abs(c) * math.perm(k, 5) * reach ** (k - 5)
+    return total

@@ -1,0 +1,180 @@
+"""The algebra of sets: sums, multiples, intersections, products and images.
+
+    C + v, C + D, r C, -C, C & D, so.product(C, D, ...), so.image(M, C)
+
+What stays a point, a box, a polyhedron or a polytope is one; every other composed set is a lifted
+form (lifted.py), or a translate or multiple (similar.py) of what it was. Operators of `ConvexSet`
+call these functions.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from sweepopt.checks import HUGE, Matrix, matrix, number, vector
+from sweepopt.errors import InputError
+from sweepopt.linalg import dense
+from sweepopt.sets.base import Algebra, ConvexSet, binary, is_vector, require_same_dim
+from sweepopt.sets.lifted import Image, Intersection, Product, Sum, column_sizes
+from sweepopt.sets.moving import MovingSet
+from sweepopt.sets.polyhedra import ACTIVE_DIM, Polyhedron
+from sweepopt.sets.polytope import Polytope
+from sweepopt.sets.shapes import Box, Point
+from sweepopt.sets.similar import Scaling, Translation
+
+
+def add(C: ConvexSet, other: Any) -> Any:
+    """C + v or C + D; the sum with a point is a translation."""
+    if is_vector(other):
+        v = vector("v", other, C.dim)
+        return Point(C.offsets + v) if isinstance(C, Point) else Translation(C, v)
+    if not _is_set("C + D", other):
+        return NotImplemented
+    require_same_dim("C + D", C, other)
+    if isinstance(other, Point):
+        return C + other.offsets
+    return other + C.offsets if isinstance(C, Point) else Sum(C, other)
+
+
+def scale(factor: Any, C: ConvexSet) -> ConvexSet:
+    """r C for any finite r; 0 C is {0} and asks for a bounded C; where |r| < 1e-75 r is 0."""
+    if hasattr(factor, "at"):
+        raise InputError("C * D is not defined; use so.product(C, D) or C & D")
+    r = number("scale", factor)
+    if isinstance(C, Point):
+        return Point(r * C.offsets)
+    if abs(r) < 1 / HUGE:  # what it divides would overflow
+        if not np.isfinite(C.magnitude()):
+            raise InputError(
+                "scale 0 of an unbounded set is not closed in the limit; use scale > 0"
+            )
+        return Point(np.zeros(C.dim))
+    if isinstance(C, Box):
+        return C.scaled(r)
+    if isinstance(C, Scaling) and r * C.factor == 1:
+        return C.part
+    return Scaling(r, C)
+
+
+def intersect(C: ConvexSet, D: Any) -> Any:
+    """C & D; rows under rows are again a polyhedron, with its exact projection."""
+    if not _is_set("C & D", D):
+        return NotImplemented
+    require_same_dim("C & D", C, D)
+    above, below = C.rows(), D.rows()
+    if above is None or below is None or C.dim > ACTIVE_DIM:
+        return Intersection(C, D)
+    (G, h), (F, k) = above, below
+    stack = sp.vstack if sp.issparse(G) or sp.issparse(F) else np.vstack
+    return Polyhedron(stack([G, F]), np.concatenate([h, k]))
+
+
+def product(*sets: Any) -> Any:
+    """C x D x ..., one after the other in the vector; moving sets too.
+
+    Parameters
+    ----------
+    *sets : ConvexSet or MovingSet
+        One or more.
+
+    Raises
+    ------
+    InputError
+        If there is none, or one is no set.
+
+    Examples
+    --------
+    >>> from sweepopt.sets import Ball
+    >>> product(Ball([0.0, 0.0], 1.0), Box([-1], [1])).support([3.0, 4.0, 2.0])
+    7.0
+    """
+    if not sets or not all(isinstance(C, (ConvexSet, MovingSet)) for C in sets):
+        raise InputError("product(C, D, ...) takes one or more sets")
+    if any(isinstance(C, MovingSet) for C in sets):
+        return MovingSet(lambda t: product(*(C.at(t) for C in sets)), sum(C.dim for C in sets))
+    if all(isinstance(C, Box) for C in sets):
+        return Box(np.concatenate([C.lower for C in sets]), np.concatenate([C.upper for C in sets]))
+    if all(isinstance(C, Point) for C in sets):
+        return Point(np.concatenate([C.offsets for C in sets]))
+    return Product(tuple(sets))
+
+
+def image(M: Any, C: Any) -> Any:
+    """{ M s : s in C }; moving sets too.
+
+    Parameters
+    ----------
+    M : array_like or sparse, shape (dim, C.dim)
+        With M = E^T selecting unknowns the set acts on these alone.
+    C : ConvexSet or MovingSet
+
+    Raises
+    ------
+    InputError
+        If M is not a finite matrix with C.dim columns, or C no set; if a column that is not zero
+        has no entry of 1e-75 or more.
+
+    Examples
+    --------
+    >>> image([[1.0], [1.0]], Box([-1], [1])).support([2.0, 3.0])
+    5.0
+    """
+    if isinstance(C, MovingSet):
+        # all that depends on M alone is computed once, with a set of the right dim
+        template = Image(M, Point(np.zeros(C.dim)))
+        return MovingSet(lambda t: template.with_operand(C.at(t)), template.dim)
+    if not isinstance(C, ConvexSet):
+        raise InputError(f"image(M, C): C must be a set, got {type(C).__name__}")
+    M = matrix("M", M)
+    if isinstance(C, Box) and M.shape[0] and C.dim == M.shape[1]:
+        M, C = _with_own_columns(M, C)
+        M, C = _gathered(M, C) or (M, C)
+    found = Image(M, C)
+    if isinstance(C, Point):
+        return Point(found.M @ C.offsets)
+    if isinstance(C, Polytope) and not found.injective:
+        return Polytope((found.M @ C.vertices.T).T)
+    return found
+
+
+def _with_own_columns(M: Matrix, box: Box) -> tuple[Matrix, Box]:
+    """The same set with columns of numbers near 1: their units, powers of two, go to the box."""
+    units = np.array([binary(size) for size in column_sizes(M)])
+    if (units == 1).all():
+        return M, box
+    columns = M @ sp.diags_array(1 / units, format="csc") if sp.issparse(M) else M / units
+    return columns, Box(units * box.lower, units * box.upper)
+
+
+def _gathered(M: Matrix, box: Box) -> tuple[Matrix, Box] | None:
+    """M and a box with intervals on one unknown added up, those on none left out.
+
+    For an M whose columns are unit vectors or zero; None if there is nothing to gather. A contact
+    node that is named twice is one with the sum of its bounds.
+    """
+    entries = sp.coo_array(M)
+    entries.eliminate_zeros()
+    if np.unique(entries.col).size < entries.nnz or not (entries.data == 1).all():
+        return None
+    rows, place = np.unique(entries.row, return_inverse=True)
+    if not rows.size or rows.size == M.shape[1]:
+        return None
+    lower, upper = np.zeros((2, rows.size))
+    np.add.at(lower, place, box.lower[entries.col])
+    np.add.at(upper, place, box.upper[entries.col])
+    unit = (np.ones(rows.size), (rows, np.arange(rows.size)))
+    E = sp.csc_array(unit, shape=(M.shape[0], rows.size))
+    return (E if sp.issparse(M) else dense(E)), Box(lower, upper)
+
+
+def _is_set(what: str, D: Any) -> bool:
+    """True for a set, False for a moving set (which then takes over), an error otherwise."""
+    if not isinstance(D, ConvexSet) and not hasattr(D, "at"):
+        raise InputError(f"{what}: D must be a set, got {type(D).__name__}")
+    return isinstance(D, ConvexSet)
+
+
+ConvexSet.algebra = Algebra(add, scale, intersect, image)

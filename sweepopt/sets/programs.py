@@ -1,0 +1,118 @@
+"""Supports and projections that have no closed form, as cone programs for Clarabel.
+
+sigma(C, z) = min { <h, y> : features of z },
+z - P_C(z)  = argmin 1/2 |p|^2 - <z, p> + sigma(C, p).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import warnings
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from sweepopt.errors import EmptySetError, SweepoptError
+from sweepopt.sets.base import ConvexSet, binary
+from sweepopt.sets.cvxpy_lock import in_turn
+
+if TYPE_CHECKING:
+    import cvxpy as cp
+
+# steps of Clarabel that stay off the boundary of the cones, where it is stuck before its tolerance
+CAREFUL: dict[str, float] = {
+    "max_step_fraction": 0.8,
+    "iterative_refinement_reltol": 1e-15,
+    "iterative_refinement_abstol": 1e-15,
+}
+TIGHT = {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12, **CAREFUL}
+
+
+@in_turn
+def support_by_program(C: ConvexSet, z: np.ndarray) -> float:
+    """sigma(C, z) from its epigraph, for sets without a closed form; infeasible means +inf."""
+    import cvxpy as cp
+
+    length = float(np.abs(z).max())
+    if not length:
+        return 0.0
+    y, constraints = C.features(cp.Constant(z / length))
+    unit = binary(np.abs(C.offsets).max(initial=0.0))
+    value = (C.offsets / unit) @ cp.hstack(y) if y else cp.Constant(0.0)
+    problem = cp.Problem(cp.Minimize(value), constraints)
+    solve_tightly(problem)
+    if problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE):
+        return float("inf")
+    if problem.value is None or not np.isfinite(problem.value):
+        raise EmptySetError(f"{type(C).__name__} has no point: nothing meets all its conditions")
+    return length * unit * float(problem.value)
+
+
+class Normal(NamedTuple):
+    """A normal p, and the value y of its features: sigma(C, p) = <offsets, y>."""
+
+    p: np.ndarray
+    y: np.ndarray
+
+
+@in_turn
+def normal_by_program(C: ConvexSet, w: np.ndarray) -> Normal:
+    """w - P_C(w).
+
+    A solver's gap leaves an error of its square root, relative to the unit of length. So the
+    program is solved in units of the size of the data, and where |p| turns out to be much smaller
+    once more in units of |p|.
+    """
+    import cvxpy as cp
+
+    p = cp.Variable(C.dim)
+    features, constraints = C.features(p)
+    y = cp.hstack(features) if features else cp.Constant(np.zeros(1))
+    offsets = C.offsets if features else np.zeros(1)
+    size = binary(max(np.abs(w).max(initial=0.0), np.abs(C.offsets).max(initial=0.0)))
+
+    def solve(unit: float) -> Normal:
+        objective = 0.5 * cp.sum_squares(p) + (offsets @ y - w @ p) / unit
+        problem = cp.Problem(cp.Minimize(objective), constraints)
+        solve_tightly(problem)
+        if p.value is None:
+            raise EmptySetError(
+                f"{type(C).__name__} has no point: nothing meets all its conditions"
+            )
+        return Normal(unit * p.value, unit * y.value)
+
+    found = solve(size)
+    distance = float(np.linalg.norm(found.p))
+    if distance < 0.01 * size:
+        # a failure at this scale says nothing about the set
+        with contextlib.suppress(SweepoptError):
+            found = solve(binary(max(distance, 1e-6 * size)))
+    return found
+
+
+@in_turn
+def distance_by_program(C: ConvexSet, D: ConvexSet, unit: float) -> float | None:
+    """The distance of two sets in a unit: max of -sigma(C, p) - sigma(D, -p) over |p| <= 1."""
+    import cvxpy as cp
+
+    p = cp.Variable(C.dim)
+    one, constraints = C.epigraph(p)
+    two, more = D.epigraph(-p)
+    problem = cp.Problem(cp.Maximize(-(one + two) / unit), [*constraints, *more, cp.norm(p) <= 1])
+    solve_tightly(problem)
+    return None if problem.value is None else float(problem.value)
+
+
+def solve_tightly(problem: cp.Problem) -> None:
+    """Solve a small side program with Clarabel as far as double precision goes.
+
+    Its "inaccurate" only means that 1e-12 was not reached; whoever calls checks the answer.
+    """
+    import cvxpy as cp
+
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Solution may be inaccurate")
+        try:
+            problem.solve(solver=cp.CLARABEL, **TIGHT)
+        except cp.SolverError as error:
+            raise SweepoptError(f"Clarabel failed on a side program: {error}") from error

@@ -1,0 +1,148 @@
+"""The benchmarks at a size that takes seconds: what is computed, and how accurately.
+
+Nothing here looks at how long anything takes.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sweepopt as so
+from sweepopt.study.problems import BLOCK, problem
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
+import equal_error
+import loops_by_hand
+import packages
+from equal_error import REPORTS, Run, SmoothedLaw, Task, Way, cheapest, friction_of
+
+
+@pytest.fixture(scope="module")
+def task() -> Task:
+    return Task.of(BLOCK.process(), BLOCK.t_end)
+
+
+# ---- loops by hand ----------------------------------------------------------------------------
+
+
+def test_every_path_and_loop_is_as_accurate_as_it_says_and_ours_are_certified() -> None:
+    known = {one.path: one for one in (*loops_by_hand.SQUARE, *loops_by_hand.TINY)}
+    table = loops_by_hand.bench([8], steps=5, rounds=1)
+    assert set(table.path) == set(known)
+    for row in table.to_dict("records"):
+        by_hand = "hand" in row["path"] or "cvxpy" in row["path"]
+        assert row["difference"] <= known[row["path"]].accuracy, row["path"]
+        assert math.isnan(row["certificate"]) == by_hand, row["path"]
+        assert by_hand or row["certificate"] <= 1e-6
+        assert math.isnan(row["x by hand"]) == (not known[row["path"]].by_hand)
+    text = loops_by_hand.text(table)
+    assert "unit square, 8 cells a side: 72 unknowns, 9 with friction, 5 steps" in text
+
+
+def test_the_command_runs_chosen_paths_and_writes_rows(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    chosen = ["--cells", "4", "--steps", "3", "--rounds", "2", "--only", "eliminated"]
+    loops_by_hand.main([*chosen, "--memory", "--csv", str(tmp_path / "rows.csv")])
+    assert "eliminated" in capsys.readouterr().out
+    header, row = (tmp_path / "rows.csv").read_text().splitlines()
+    assert header.startswith("case,path,ms/step")
+    assert "eliminated" in row
+    assert loops_by_hand.SQUARE[-1].most < 1_001_000  # slow loops leave out large cases
+
+
+# ---- all ways at one error --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["S01", "S02", "S03", "block"])
+def test_the_smoothed_law_tends_to_the_exact_solution_in_proportion_to_eps(name: str) -> None:
+    posed = problem(name)
+    task = Task.of(posed.process(), posed.t_end)
+    errors = []
+    for eps in (1e-3, 1e-4, 1e-5, 1e-6):
+        law = SmoothedLaw(task.process, eps)
+        u = equal_error.integrate(task, law.velocity, "LSODA", 1e-11, law.slope)
+        errors.append(task.error(u))
+    slopes = np.diff(np.log10(errors))
+    assert np.all((slopes > -1.1) & (slopes < -0.8)), errors
+    assert errors[-1] < 2e-5
+
+
+@pytest.mark.parametrize("eps", [1e-1, 1e-8])
+def test_the_smoothed_velocity_solves_the_law(eps: float) -> None:
+    process = problem("S03").process()
+    friction, law = friction_of(process), SmoothedLaw(process, eps)
+    for t in np.linspace(0.05, 7.9, 40):
+        for u in (-1.0, 0.0, 0.3):
+            z = law.velocity(t, [u])[0]
+            s = 3.0 * math.sin(2.0 * t) - friction.b * u
+            assert friction.a * z + math.tanh(z / eps) == pytest.approx(s, abs=1e-12)
+    with pytest.raises(so.InputError, match="one unknown with a dashpot"):
+        friction_of(problem("P09").process())
+
+
+def test_every_way_reaches_the_error(task: Task) -> None:
+    ours = equal_error.scheme(task, "catching-up").steps(1000).states()
+    assert np.abs(equal_error.by_hand(task).steps(1000).states() - ours).max() < 1e-12
+    ways = [*equal_error.ours(task), equal_error.by_hand(task)]
+    ways += [equal_error.smoothed(task, method, 0.5) for method in equal_error.METHODS]
+    table = equal_error.equal_error(task, 1e-3, ways, rounds=1)
+    assert set(table.way) == {way.name for way in ways}
+    assert (table.error <= 1e-3).all()
+    assert (table.note == "").all()
+    assert table["x best"].min() == 1.0
+
+
+@pytest.mark.parametrize("order", [1.0, 2.0, 3.0])
+def test_the_search_finds_about_the_fewest_steps_or_extrapolates(task: Task, order: float) -> None:
+    def run(steps: int) -> Run:
+        return Run(f"{steps} steps", lambda: task.exact + 10.0 * float(steps) ** -order)
+
+    found = cheapest(task, Way("known", run), 1e-5)
+    steps, fewest = int(found.run.setting.split()[0]), (10.0 / 1e-5) ** (1.0 / order)
+    assert found.error <= 1e-5
+    assert fewest <= steps <= 1.3 * fewest + REPORTS
+    if order == 1.0:
+        far = cheapest(task, Way("known", run), 1e-5, most=20_000)
+        assert (far.run.setting, far.factor) == ("20000 steps", pytest.approx(50.0))
+        assert "extrapolated to 1e+06 steps, order 1.00" in far.note
+
+
+def test_a_way_that_never_gets_there_has_its_best_error(task: Task) -> None:
+    def settings(wanted: float) -> object:
+        for off in (1.0, 0.1, 0.5):
+            yield Run(f"off {off}", lambda off=off: task.exact + off)
+
+    found = cheapest(task, Way("poor", settings=settings), 1e-3)
+    assert (found.note, found.run.setting) == ("not reached", "off 0.1")
+
+
+# ---- other packages ---------------------------------------------------------------------------
+
+
+def test_packages_without_a_python_are_skipped(capsys: pytest.CaptureFixture[str]) -> None:
+    packages.main([])
+    assert capsys.readouterr().out.count("skipped, as no python that has it was named") == 2
+
+
+@pytest.mark.parametrize(
+    ("python", "words"), [(sys.executable, "No module named"), ("/no/such/python", "No such file")]
+)
+def test_a_python_without_the_package_says_so(python: str, words: str) -> None:
+    (peer,) = [peer for peer in packages.PEERS if peer.name.endswith("adaptive")]
+    answer = packages.ask(python, peer.package, next(peer.settings(1e-3)))
+    assert answer.error == math.inf
+    assert words in answer.message
+
+
+def test_a_package_is_judged_at_its_own_nodes_and_must_come_to_the_end(task: Task) -> None:
+    times = np.sort(np.append(np.linspace(0.0, 10.0, 37), [3.0, 3.0 + 1e-15]))
+    u = so.solve(task.process, steps=np.unique(times.round(12)), scheme="exact")(times)[:, 0]
+    assert packages.error_at_nodes(times, u) < 1e-8
+    assert packages.error_at_nodes(times, u + 0.5) == pytest.approx(0.5, abs=1e-8)
+    assert packages.error_at_nodes(times[:-3], u[:-3]) == math.inf

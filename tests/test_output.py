@@ -1,0 +1,232 @@
+"""What a run of a scene leaves behind: slip, summary and VTU files hold the solution's numbers."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+from meshes import ring, square
+
+import sweepopt as so
+from sweepopt.fem import BodyForce, Friction, Scene, Traction, Viscosity, antiplane
+from sweepopt.fem.output import MOST_VTU, Report, make_report, summary_of, write_summary, write_vtu
+from sweepopt.io import replacing
+
+
+def report_of(scene: Scene) -> Report:
+    return make_report(scene, scene.solve(), name="ring", text="[domain]", seconds=1.5)
+
+
+@pytest.fixture(scope="module")
+def report() -> Report:
+    return report_of(ring())
+
+
+# ---- slip -----------------------------------------------------------------------------------
+
+
+def test_traction_is_friction(report: Report) -> None:
+    slip = report.slip
+    assert slip is not None
+    g, slips = slip.contact.bound, slip.velocity != 0.0
+    assert slips.any()
+    assert not slips.all()
+    assert (np.abs(slip.traction) <= g * (1 + 1e-5)).all()
+    expected = np.broadcast_to(-g * np.sign(slip.velocity), slip.velocity.shape)
+    np.testing.assert_allclose(slip.traction[slips], expected[slips], rtol=1e-5)
+    power = -(slip.traction * slip.velocity) @ slip.contact.weight
+    dissipated = np.cumsum(np.diff(slip.t) * power)
+    np.testing.assert_allclose(report.energy.friction[1:], dissipated, rtol=1e-5, atol=1e-12)
+
+
+@pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "midpoint"])
+def test_traction_stays_below_the_bound_in_every_scheme(scheme: str) -> None:
+    slip = report_of(ring(element="P1", steps=120, scheme=scheme)).slip
+    assert slip is not None
+    assert np.abs(slip.traction / slip.contact.bound).max() == pytest.approx(1.0, abs=1e-5)
+
+
+def test_statistics_count_what_the_velocities_say(report: Report) -> None:
+    slip = report.slip
+    assert slip is not None
+    statistics = slip.statistics()
+    slips = slip.velocity != 0.0
+    share = slips @ slip.contact.weight / slip.contact.weight.sum()
+    assert statistics.most == pytest.approx(share.max())
+    assert statistics.time_of_most == slip.t[1 + int(np.argmax(share))]
+    assert statistics.switches == np.count_nonzero(np.diff(slips.astype(int), axis=0))
+    total = np.abs(np.diff(slip.displacement, axis=0)).sum(axis=0)
+    assert statistics.largest_total == pytest.approx(total.max())
+    assert statistics.mean_total <= statistics.largest_total
+    assert 0.0 < statistics.most <= statistics.ever + 1e-12 <= 1.0 + 1e-12
+
+
+def test_a_contact_that_never_slips_has_no_time_of_most() -> None:
+    load = BodyForce(so.Sine(1.0, period=9.0))
+    slip = report_of(ring(effects=[Viscosity(1.0), Friction("outer", g=1e9), load], steps=3)).slip
+    assert slip is not None
+    assert slip.statistics() == (0.0, 0.0, None, 0, 0, 0.0, 0.0)
+
+
+def test_positions_run_on_over_several_boundaries() -> None:
+    friction = Friction(["bottom", "left"], g={"bottom": 0.1, "left": 0.3})
+    pull = Traction("right", so.Sine(1.0, period=2.0))
+    effects = [Viscosity(1.0), friction, pull]
+    slip = report_of(antiplane(square(6), clamped="top", effects=effects, t_end=2.0, steps=12)).slip
+    assert slip is not None
+    assert len(slip.boundary_starts) == 2
+    # the shared corner counts once, the clamped one not at all
+    np.testing.assert_allclose(slip.position, np.arange(12) / 6.0, atol=1e-12)
+
+
+# ---- summary --------------------------------------------------------------------------------
+
+
+def test_summary_is_plain_finite_json_with_the_solutions_numbers(
+    report: Report, tmp_path: Path
+) -> None:
+    write_summary(report, tmp_path, ["solution.nc"])
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} in the summary")
+
+    text = (tmp_path / "summary.json").read_text(encoding="utf-8")
+    summary = json.loads(text, parse_constant=refuse)
+    scene, solution, energy = report.scene, report.solution, report.energy
+    names, counts = np.unique(solution.stats["solver"], return_counts=True)
+    expected = {
+        "success": True,
+        "message": solution.message,
+        "solvers": dict(zip(names, counts, strict=True)),
+        "slip": report.slip.statistics()._asdict(),
+        "materials": {"core": 1, "sleeve": 2},
+        "seconds": 1.5,
+        "files": ["solution.nc"],
+    }
+    assert {name: summary[name] for name in expected} == expected
+    assert summary["settings"]["t_reached"] == 6.0
+    assert summary["settings"]["steps"] == sum(summary["solvers"].values()) == 60
+    assert summary["plan"]["unknowns"] == solution.plan.unknowns
+    assert summary["plan"]["nonsmooth_unknowns"] == len(scene.contact)
+    assert summary["energy"]["work"] == energy.work[-1]
+    assert summary["energy"]["balance"] == energy.balance[-1]
+    assert summary["worst"]["relative"] == solution.stats["relative"].max()
+    assert summary["worst"]["viability"] == solution.viability().max()
+    largest = summary["max_displacement"]
+    assert np.abs(solution(largest["time"])).max() == largest["value"] == np.abs(solution.u).max()
+    assert summary["versions"]["sweepopt"] == so.__version__
+    assert {"python", "numpy", "scipy", "cvxpy", "osqp"} <= set(summary["versions"])
+
+
+def test_without_friction_there_is_no_slip_and_no_solver() -> None:
+    effects = [Viscosity(1.0), BodyForce(so.Sine(1.0, period=4.0))]
+    summary = summary_of(
+        report_of(antiplane(square(4), clamped="top", effects=effects, t_end=1.0, steps=4))
+    )
+    assert summary["slip"] is None
+    assert summary["settings"]["solver"] == "linear"
+    assert set(summary["units"].values()) == {"dimensionless", "1"}
+
+
+def test_numbers_that_are_not_finite_become_null(report: Report) -> None:
+    energy = report.energy._replace(work=np.full(61, np.nan))
+    summary = summary_of(replace(report, energy=energy, seconds=math.inf))
+    assert summary["energy"]["work"] is None
+    assert summary["seconds"] is None
+
+
+def test_files_of_an_earlier_run_do_not_pass_for_files_of_this_one(
+    report: Report, tmp_path: Path
+) -> None:
+    for name in ("contact.png", "foreign.png"):
+        (tmp_path / name).write_text("picture")
+    write_summary(report, tmp_path, ["contact.png", "gone.vtu"])
+    write_summary(report, tmp_path, ["solution.nc"])
+    assert not (tmp_path / "contact.png").exists()
+    assert (tmp_path / "foreign.png").exists()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "not json",
+        "[]",
+        '{"versions": {}, "files": ["mine.png"]}',
+        '{"versions": {"sweepopt": "0"}, "files": ["../mine.png", "mine.toml", 3]}',
+        '{"versions": {"sweepopt": "0"}, "files": ["FOLDER/mine.png"]}',
+    ],
+)
+def test_a_foreign_summary_removes_nothing(report: Report, tmp_path: Path, text: str) -> None:
+    folder = tmp_path / "results"
+    folder.mkdir()
+    mine = [tmp_path / "mine.png", folder / "mine.png", folder / "mine.toml"]
+    for path in mine:
+        path.write_text("mine")
+    (folder / "summary.json").write_text(text.replace("FOLDER", folder.as_posix()))
+    write_summary(report, folder, [])
+    assert all(path.exists() for path in mine)
+
+
+# ---- VTU ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("element", "kind"), [("P1", "triangle"), ("P2", "triangle6")])
+def test_vtu_series_holds_the_solution(tmp_path: Path, element: str, kind: str) -> None:
+    report = report_of(ring(element=element, steps=7))
+    series, *files = write_vtu(report, tmp_path)
+    index = json.loads(series.read_text(encoding="utf-8"))
+    assert index["file-series-version"] == "1.0"
+    assert [entry["time"] for entry in index["files"]] == pytest.approx(report.solution.t)
+    assert [series.parent / entry["name"] for entry in index["files"]] == files
+    body, solution = report.scene.discretisation, report.solution
+    for i, path in enumerate(files):
+        mesh = meshio.read(path)
+        assert [block.type for block in mesh.cells] == [kind]
+        np.testing.assert_array_equal(mesh.points[:, :2], body.points)
+        fields = {"displacement": solution.u[i], "velocity": solution.velocity[max(i - 1, 0)]}
+        for name, values in fields.items():
+            np.testing.assert_array_equal(mesh.point_data[name], body.expand(values))
+    points, cells = mesh.points, mesh.cells[0].data
+    centre = points[cells[:, :3]].mean(axis=1)
+    material = np.where(np.hypot(*centre[:, :2].T) < 1.5, 1, 2)
+    np.testing.assert_array_equal(mesh.cell_data["material"][0], material)
+    # VTK wants the middles of the edges 01, 12, 20 after the corners
+    for k, (a, b) in enumerate([(0, 1), (1, 2), (2, 0)][: cells.shape[1] - 3], start=3):
+        chord = points[cells[:, a]] - points[cells[:, b]]
+        middle = (points[cells[:, a]] + points[cells[:, b]]) / 2.0
+        gap = np.linalg.norm(points[cells[:, k]] - middle, axis=1)
+        assert (gap < 0.1 * np.linalg.norm(chord, axis=1)).all()
+
+
+@pytest.mark.parametrize("steps", [48, 49, 50, 99])
+def test_vtu_files_are_few_and_include_start_and_end(tmp_path: Path, steps: int) -> None:
+    scene = antiplane(square(1), clamped="top", effects=[Viscosity(1.0)], t_end=1.0, steps=steps)
+    series, *files = write_vtu(report_of(scene), tmp_path)
+    times = [entry["time"] for entry in json.loads(series.read_text())["files"]]
+    assert 25 <= len(files) <= MOST_VTU
+    assert (times[0], times[-1]) == (0.0, 1.0)
+    assert (np.diff(times) > 0).all()
+
+
+def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = tmp_path / "summary.json"
+    path.write_text("old")
+
+    def write_half() -> None:
+        with replacing(path) as part:
+            part.write_text("half of the n")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_half()
+    assert path.read_text() == "old"
+    with replacing(path) as part:
+        part.write_text("new")
+        assert path.read_text() == "old"
+    assert path.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [path]
