@@ -189,7 +189,7 @@ def _closed_forms(load: TimeFunction, name: str) -> Terms:
     """The terms of a load whose histories are all known in closed form."""
     if load.function is not None:
         raise InputError(
-            f"the process has a black-box {name}: a function of time tells no kinks; write it as "
+            f"the process has a black-box {name}: it has no known breakpoints; write it as "
             "so.Separable([(history, vector), ...]) of Polynomial, Sine, Triangle or Table"
         )
     for k, history in enumerate(load.histories):
