@@ -11,6 +11,7 @@ import json
 import math
 import os
 import re
+import sys
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -346,6 +347,5 @@ def versions_of(packages: Iterable[str]) -> dict[str, str]:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             continue
-    import sweepopt  # a clone on the path has no metadata
-
-    return {**found, "sweepopt": sweepopt.__version__}
+    # a clone on the path has no metadata
+    return {**found, "sweepopt": sys.modules["sweepopt"].__version__}

@@ -12,8 +12,6 @@ from sweepopt.loads.separable import DATA, Separable
 from sweepopt.loads.table import Table, check_points
 from sweepopt.loads.waveforms import Constant, Polynomial, Sine, Triangle
 
-kinks = breakpoints  # until no room asks for the old name
-
 __all__ = [
     "DATA",
     "Constant",
@@ -26,5 +24,4 @@ __all__ = [
     "Triangle",
     "breakpoints",
     "check_points",
-    "kinks",
 ]
