@@ -27,7 +27,6 @@ from sweepopt.integrate import Adaptive, Checkpoint, StepInfo, velocity_field
 from sweepopt.loads import Constant, Polynomial, Separable, Sine, Table, Triangle
 from sweepopt.problem import EvolutionVI, SweepingProcess
 from sweepopt.results import Energy, ErrorBound, Pass, Solution
-from sweepopt.resume import resume
 from sweepopt.sets import (
     Ball,
     Balls,
@@ -47,7 +46,7 @@ from sweepopt.sets import (
     image,
     product,
 )
-from sweepopt.solve import solve
+from sweepopt.solve import resume, solve
 from sweepopt.velocity import DAQP, OSQP, ActiveSet, Clarabel, Cvxpy, Newton, Plan
 
 __version__ = "0.1.0"

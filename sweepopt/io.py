@@ -7,7 +7,6 @@ file that is written takes its place only when it is complete.
 from __future__ import annotations
 
 import csv
-import hashlib
 import json
 import math
 import os
@@ -292,37 +291,6 @@ def put(path: Path, content: bytes) -> None:
         part.write_bytes(content)
 
 
-def sealed(content: dict[str, Any]) -> bytes:
-    """A record as JSON with its checksum."""
-    return json.dumps(
-        {"sha256": _checksum(content), "content": content}, indent=1, allow_nan=False
-    ).encode()
-
-
-def unsealed(data: bytes) -> Any:
-    """The content of a record.
-
-    Raises
-    ------
-    ValueError
-        If it is not whole.
-    """
-    try:
-        found = json.loads(data)
-        content = found["content"]
-        whole = found["sha256"] == _checksum(content)
-    except (KeyError, TypeError, RecursionError) as error:
-        raise ValueError(f"no record: {error}") from error
-    if not whole:
-        raise ValueError("the checksum does not fit")
-    return content
-
-
-def _checksum(content: Any) -> str:
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 def _force(path: Path, flags: int) -> None:
     """Wait until the disk has it."""
     handle = os.open(path, flags)
@@ -342,7 +310,7 @@ def write_npz(
 
     The file that was there before goes to `previous`.
     """
-    text = json.dumps({**record, "arrays": list(arrays)}, allow_nan=False)
+    text = json.dumps({**record, "arrays": list(arrays)})
     with replacing(path, previous) as part, part.open("wb") as file:
         np.savez(file, allow_pickle=False, **{"record": np.array(text), **arrays})
 
@@ -378,6 +346,6 @@ def versions_of(packages: Iterable[str]) -> dict[str, str]:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             continue
-    from sweepopt import __version__  # a clone on the path has no metadata
+    import sweepopt  # a clone on the path has no metadata
 
-    return {**found, "sweepopt": __version__}
+    return {**found, "sweepopt": sweepopt.__version__}

@@ -1,42 +1,48 @@
-"""solve(): from a process to a solution; every argument is checked before the loop starts."""
+"""The public face of a run: `solve` starts one, `resume` continues one from its checkpoint.
+
+From a process to a solution: options -> grid of times -> plan -> loop over time -> solution. Every
+argument is checked before the loop starts.
+"""
 
 from __future__ import annotations
 
-from functools import partial
+from dataclasses import replace
 from os import PathLike
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
-from sweepopt.checks import choice, number
-from sweepopt.errors import InputError, PathError, Status, StepError, shown
+from sweepopt.checks import number
+from sweepopt.errors import InputError, Status, StepError, shown
 from sweepopt.integrate import (
     MEMORY,
     Adaptive,
-    Bar,
+    AdaptiveResult,
     Callback,
     Checkpoint,
-    Checkpoints,
-    Frame,
-    Keeper,
-    Lift,
     Observers,
-    Refined,
+    ProgressBar,
+    Reconstruction,
+    Run,
+    SaveFunction,
     Scheme,
-    Walked,
+    Segments,
+    SolveOptions,
+    StoredRun,
     adapt,
     check_stability,
-    checkpoints,
-    choose,
+    checkpoint_writer,
     evaluation_times,
     mover,
+    newest,
+    require_same_problem,
     saving,
     time_grid,
     warn_of_overshoot,
 )
 from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
-from sweepopt.results import Solution, refine
-from sweepopt.velocity import PATHS, make_plan
+from sweepopt.results import NetCDFSink, Solution, StatesInFile, refine
+from sweepopt.velocity import Plan, make_plan
 
 
 def solve(
@@ -59,6 +65,8 @@ def solve(
 ) -> Solution:
     """Move a process through time and certify every step.
 
+    t_i = t_0 + i mu; u_{i+1} = u_i + mu sum_k b_k z_k with compensated summation.
+
     Parameters
     ----------
     process : SweepingProcess or EvolutionVI
@@ -66,7 +74,7 @@ def solve(
         End of the interval [0, t_end]; may be left out when `steps` is an array.
     steps : int, array_like or Adaptive
         Number of equal steps, or the increasing times themselves (the first one is where u0 holds),
-        or ``Adaptive(tol)``: steps that are chosen for an error of tol (see Notes).
+        or ``Adaptive(tol)``: steps that are chosen for an error of tol.
     scheme : str
         "auto" (midpoint; when A = 0 implicit-euler, or sdirk2 with Adaptive), "catching-up",
         "implicit-euler", "midpoint", "trapezoid" (A coercive only), "sdirk2"; "exact" for polyhedra
@@ -76,8 +84,9 @@ def solve(
         "auto", "clarabel", "osqp", "daqp", "newton", "cvxpy" or an object: ``OSQP(tol=1e-10)``.
     tol : float
         Each program's certificate is at most tol * max(|z|_M, |M^-1 q|_M); a step that misses it
-        is tried with tighter settings, then with another solver, then in 2 to 16 parts (see Notes),
-        then handled as on_failure says.
+        is tried with tighter settings, then with another solver, then in 2 to 16 equal parts (its
+        solver in `stats` is then "osqp/4", its certificate the worst of its parts' programs), then
+        handled as on_failure says.
     error : float, optional
         Refine the steps until `Solution.error_bound` is at most this; needs a load as data. The
         callback sees, and save= counts, the steps of the last run only, which is run once more.
@@ -101,7 +110,8 @@ def solve(
         Called after each step; returning True stops the run and keeps what was computed.
     checkpoint : Checkpoint, str or Path, optional
         A file that the run is written to again and again, so that ``so.resume(path, process)``
-        continues it if it is killed, with the same result bit for bit (see Notes).
+        continues it if it is killed, with the same result bit for bit. Not for `error`, Adaptive,
+        "exact" or NetCDF. It moves the result by rounding, see `Checkpoint`.
     on_failure : {"raise", "stop"}
         Raise StepError, or return the steps that are certified with status INEXACT.
     on_unstable : {"raise", "warn", "ignore"}
@@ -112,6 +122,7 @@ def solve(
     Returns
     -------
     Solution
+        Ctrl-C returns the steps computed so far with status INTERRUPTED.
 
     Raises
     ------
@@ -128,19 +139,6 @@ def solve(
     Adaptive steps come from several passes over the run, coarse and cheap ones first: `passes` of
     the Solution has them all. They hit the breakpoints of loads that are data and the times given
     as `save`. A callback, a function or a file gets the steps of the last pass, in one more run.
-    `tol` is lowered where the error asks for it. The proportional path is not used.
-
-    Checkpoints are for steps given beforehand and states in memory, not for `error`, Adaptive,
-    "exact" or NetCDF. Solvers forget earlier steps at each hundredth of the run, or as `Checkpoint`
-    says, which moves the result by rounding.
-
-    t_i = t_0 + i mu; u_{i+1} = u_i + mu sum_k b_k z_k with compensated summation. Ctrl-C returns
-    the steps computed so far with status INTERRUPTED.
-
-    A step in parts moves as so many steps of the scheme, and its velocity is their mean: u_n stays
-    linear on the grid. Its certificate is the worst of its parts' programs and says nothing of the
-    step as a whole; its solver in `stats` is "osqp/4" for 4 parts. `error_bound` looks at the nodes
-    and velocities only, at no certificate, and holds as for any other run.
 
     Examples
     --------
@@ -153,147 +151,205 @@ def solve(
     >>> sol.success, float(sol(0.5)[0]), round(float(sol(5.0)[0]), 3)
     (True, 0.0, 3.063)
     """
-    asked = _Asked(t_end, steps, scheme, solver, tol, path, save, memory, on_failure, on_unstable)
-    if error is not None:
-        if checkpoint is not None:
-            raise InputError("checkpoint= is for one run, but error= takes several; give steps")
-        return _refined(process, asked, error, callback, progress)
-    ready = _checked(process, asked, callback, checkpoint, progress)
-    walked, refined = ready.walked, Refined(())
-    if ready.frame:
-        walked, refined = adapt(
-            ready.frame, ready.process, walked.plan, save, ready.memory, ready.bar.update
-        )
-    return _moved(ready, walked, refined, callback, on_failure)
+    options = SolveOptions(
+        t_end, steps, scheme, solver, tol, path, save, memory, on_failure, on_unstable
+    )
+    process = sweeping(process)
+    if error is None:
+        return _run(process, options, callback, progress, checkpoint)
+    if checkpoint is not None:
+        raise InputError("checkpoint= is for one run, but error= takes several; give steps")
+    return _refined(process, options, error, callback, progress)
 
 
-class _Asked(NamedTuple):
-    """The arguments of `solve` that make up a run, as its checkpoint holds them."""
+def resume(
+    path: str | PathLike[str],
+    process: SweepingProcess | EvolutionVI,
+    *,
+    save: SaveFunction | None = None,
+    callback: Callback | None = None,
+    progress: bool = False,
+) -> Solution:
+    """Continue a run from the file that ``solve(..., checkpoint=path)`` wrote.
 
-    t_end: Any
-    steps: Any
-    scheme: Any
-    solver: Any
-    tol: Any
-    path: Any
-    save: Any
-    memory: Any
-    on_failure: Any
-    on_unstable: Any
+    The result is that of the run if it had not been stopped, bit for bit, but for the seconds in
+    `Solution.stats`. It goes on writing checkpoints. A run that had reached its end is given back.
 
+    Parameters
+    ----------
+    path : str or Path
+    process : SweepingProcess or EvolutionVI
+        The same problem as before; it is compared by checksums.
+    save : callable, optional
+        The function that was given as `save`, if there was one; what it recorded comes back.
+        All other arguments of `solve` are in the file.
+    callback, progress
+        As in `solve`.
 
-class _Ready(NamedTuple):
-    """A run that may start: all of it is checked. `frame` is that of adaptive steps."""
+    Returns
+    -------
+    Solution
 
-    process: SweepingProcess
-    frame: Frame | None
-    walked: Walked
-    memory: float
-    marks: Checkpoints | None
-    bar: Bar
+    Raises
+    ------
+    InputError
+        If there is no checkpoint, or it is one of another problem; the message says what differs.
+    CheckpointError
+        If both the file and the one before it are damaged.
+
+    Warns
+    -----
+    CheckpointWarning
+        If the file is damaged and the run goes on from the one before it; if versions of packages
+        have changed, so that last bits may differ.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> import sweepopt as so
+    >>> C = so.Moving(so.Box([-1], [1]), center=lambda t: [1.5 * t])
+    >>> process = so.SweepingProcess(A=[[0.5]], B=[[2.0]], C=C, u0=[0.0])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     where = so.Checkpoint(pathlib.Path(folder) / "run.npz", steps=50)
+    ...     stop = lambda step: step.step == 120
+    ...     sol = so.solve(process, t_end=5.0, steps=200, checkpoint=where, callback=stop)
+    ...     whole = so.resume(where.path, process)
+    >>> len(sol.t), len(whole.t)
+    (122, 201)
+    """
+    stored = newest(Checkpoint(path))
+    process = sweeping(process)
+    options = SolveOptions.from_json(stored.record["options"], stored.arrays)
+    times, _ = time_grid(options.t_end, options.steps)
+    require_same_problem(stored, process, times)
+    if (stored.record["options"]["save"] == {"function": True}) != callable(save):
+        need = "needs" if save is None else "had no"
+        raise InputError(f"save: the run in {stored.file} {need} function of (t, u, z) as save")
+    options = options if save is None else replace(options, save=save)
+    checkpoint = Checkpoint(path, **stored.record["checkpoint"])
+    return _run(process, options, callback, progress, checkpoint, stored)
 
 
 def _refined(
-    process: Any, asked: _Asked, error: float, callback: Callback | None, progress: bool
+    process: SweepingProcess,
+    options: SolveOptions,
+    error: float,
+    callback: Callback | None,
+    progress: bool,
 ) -> Solution:
     """Runs with more and more steps, until the bound of one is at most `error`."""
-    if isinstance(asked.steps, Adaptive):
+    if isinstance(options.steps, Adaptive):
         raise InputError("error= chooses the steps itself; leave Adaptive out, or error=")
-    again = partial(solve, process, **asked._replace(t_end=None, save=None)._asdict())
-    first, _ = time_grid(asked.t_end, asked.steps)
-    wanted = number("error", error, minimum=0.0, strict=True)
-    sol = refine(lambda times: again(steps=times), first, wanted)
-    if asked.save is None and callback is None and not progress:
+    first, _ = time_grid(options.t_end, options.steps)
+    bound = number("error", error, minimum=0.0, strict=True)
+    all_kept = replace(options, t_end=None, save=None)
+    sol = refine(lambda times: _run(process, replace(all_kept, steps=times)), first, bound)
+    if options.save is None and callback is None and not progress:
         return sol
-    return again(steps=sol.t, save=asked.save, callback=callback, progress=progress)
+    return _run(process, replace(options, t_end=None, steps=sol.t), callback, progress)
 
 
-def _checked(
-    process: Any, asked: _Asked, callback: Callback | None, checkpoint: Any, progress: bool
-) -> _Ready:
-    """Refuse what cannot be run, before anything is."""
-    choice("path", asked.path, PATHS)
-    choice("on_failure", asked.on_failure, ("raise", "stop"))
-    choice("on_unstable", asked.on_unstable, ("raise", "warn", "ignore"))
-    process = sweeping(process)
+def _run(
+    process: SweepingProcess,
+    options: SolveOptions,
+    callback: Callback | None = None,
+    progress: bool = False,
+    checkpoint: Any = None,
+    stored: StoredRun | None = None,
+) -> Solution:
+    """Check what remains to be checked, move u along the grid, and make a solution of the run."""
     if callback is not None and not callable(callback):
         raise InputError(f"callback must be a function of a StepInfo, got {shown(callback)}")
-    tol = number("tol", asked.tol, minimum=0.0, strict=True)
-    memory = number("memory", asked.memory, minimum=0.0, strict=True)
-    scheme = _scheme(asked, process.rate_independent)
-    frame = None
-    if isinstance(asked.steps, Adaptive):
-        frame = Frame(asked.steps, process, asked.t_end, scheme, asked.save)
-    times, mus = frame.grid() if frame else time_grid(asked.t_end, asked.steps)
-    members = process.check(evaluation_times(times, mus, scheme))
-    plan = make_plan(process, members, scheme, asked.solver, tol, asked.path)
-    if frame:
-        plan = plan.of_all_unknowns("its coefficients need all steps beforehand, these adapt")
-    elif plan.reduction and asked.path == "auto" and not plan.reduction.suits(mus, scheme, tol):
-        plan = plan.of_all_unknowns("the steps differ so much that short ones would be rounding")
-    walked = Walked(times, mus, plan, saving(asked.save, times, plan.entering, memory))
+    scheme = options.tableau(process.rate_independent)
+    segments = None
+    if isinstance(options.steps, Adaptive):
+        segments = Segments.of(options.steps, process, options.t_end, scheme, options.save)
+        times, mus = time_grid(None, segments.equal())
+    else:
+        times, mus = time_grid(options.t_end, options.steps)
+    plan = _plan(process, options, scheme, times, mus)
+    saved = saving(options.save, times, plan.entering, options.memory)
+    grid = AdaptiveResult(times, mus, plan, saved)
     process.check_start(float(times[0]))
-    check_stability(process, scheme, float(mus.max()), asked.on_unstable)
-    marks = checkpoints(checkpoint, process, plan, times, asked._asdict())
-    bar = Bar(progress, None if frame else len(mus), marks.done if marks else 0)
-    return _Ready(process, frame, walked, memory, marks, bar)
+    check_stability(process, scheme, float(mus.max()), options.on_unstable)
+    writer = checkpoint_writer(checkpoint, process, plan, times, options, stored)
+    bar = ProgressBar(progress, None if segments else len(mus), writer.done if writer else 0)
+    if segments:
+        grid = adapt(
+            options.steps, segments, process, plan, options.save, options.memory, bar.update
+        )
 
-
-def _scheme(asked: _Asked, rate_independent: bool) -> Scheme:
-    """The tableau, if adaptive steps can use it where they are asked for."""
-    name, adaptive = asked.scheme, isinstance(asked.steps, Adaptive)
-    if adaptive and asked.path == "proportional":
-        raise PathError("path='proportional' needs all steps beforehand; Adaptive cannot tell")
-    if adaptive and isinstance(name, str) and name == "auto" and rate_independent:
-        name = "sdirk2"
-    scheme = choose(name, rate_independent)
-    if adaptive and scheme.exact:
-        raise InputError("scheme 'exact' has no error in time that steps could be adapted to")
-    return scheme.unwatched if asked.on_unstable == "ignore" else scheme
-
-
-def _moved(
-    ready: _Ready, walked: Walked, refined: Refined, callback: Callback | None, on_failure: str
-) -> Solution:
-    """The run over the grid that was walked last, unless that was all there is to it."""
-    process, marks = ready.process, ready.marks
-    times, plan, wanted = walked.times, walked.plan, walked.wanted
-    moved = plan.reduction.process if plan.reduction else process
-    move = mover(moved, plan.of_entering, marks)
-    lift = Lift(plan, times, walked.mus)
-    beside = lift.seconds
-    recorded = marks.recorded if marks else []
-    observers = Observers(wanted, lift, times, process.u0, ready.bar, callback, recorded)
-    run, keeper, finished = walked.run, walked.keeper, False
+    times, plan, saved, run = grid.times, grid.plan, grid.wanted, grid.run
+    reconstruction = Reconstruction(plan, times, grid.mus)
+    sink = NetCDFSink(saved.path, float(times[0]), process.u0) if saved.path else None
+    recorded = writer.recorded if writer else []
+    observers = Observers(bar, sink, saved.function, recorded, callback)
+    succeeded = False
     try:
-        if run is None or keeper is None or observers.need_states:
-            keeper = Keeper(wanted.steps, moved.u0)
-            prove = lift.prove if plan.reduction else None
-            run = move(times, walked.mus, keeper, observers.look, prove)
-        if refined.cause and run.done == len(walked.mus):
-            run.status, run.cause = Status.INEXACT, refined.cause
-        failed = run.status in (Status.INEXACT, Status.SWITCHING) and on_failure == "raise"
-        finished = not failed
+        if run is None or observers.need_states:
+            moved = plan.reduction.process if plan.reduction else process
+            run = Run(len(grid.mus), saved.steps, moved.u0)
+            move = mover(moved, plan.of_entering, writer)
+            full_certificate = reconstruction.full_certificate if plan.reduction else None
+            move(times, grid.mus, run, observers.of_run(reconstruction, times), full_certificate)
+        if grid.cause and run.done == len(grid.mus):
+            run.status, run.cause = Status.INEXACT, grid.cause
+        failed = run.status in (Status.INEXACT, Status.SWITCHING)
+        succeeded = not failed or options.on_failure == "stop"
     finally:
-        observers.close(finished)
+        bar.close()
+        if sink is not None:
+            sink.close(succeeded)
     if run.overshot is not None:
-        warn_of_overshoot(plan.scheme, float(times[run.overshot]))
-    kept_steps, kept = keeper.close(run.done)
-    if failed:
-        u = lift.state(run.done, kept.nodes[-1])
+        warn_of_overshoot(scheme, float(times[run.overshot]))
+    if not succeeded:
+        u = reconstruction.state(run.done, run.kept().states.nodes[-1])
         raise StepError(run.cause, float(times[run.done]), run.done, u, run.relative)
-    states, kept_steps = observers.kept(kept, kept_steps)
-    thinned = len(kept_steps) < run.done  # else the times are there already
+    return _solution(process, grid, run, reconstruction, sink, recorded if saved.function else None)
+
+
+def _plan(
+    process: SweepingProcess,
+    options: SolveOptions,
+    scheme: Scheme,
+    times: np.ndarray,
+    mus: np.ndarray,
+) -> Plan:
+    """The plan of a run over this grid; C(t) is checked at all times that are asked for."""
+    members = process.check(evaluation_times(times, mus, scheme))
+    plan = make_plan(process, members, scheme, options.solver, options.tol, options.path)
+    if isinstance(options.steps, Adaptive):
+        return plan.of_all_unknowns("its coefficients need all steps beforehand, these adapt")
+    reduction = plan.reduction if options.path == "auto" else None
+    if reduction and not reduction.suits(mus, scheme, options.tol):
+        return plan.of_all_unknowns("the steps differ so much that short ones would be rounding")
+    return plan
+
+
+def _solution(
+    process: SweepingProcess,
+    grid: AdaptiveResult,
+    run: Run,
+    reconstruction: Reconstruction,
+    sink: NetCDFSink | None,
+    recorded: list[Any] | None,
+) -> Solution:
+    """The states of all unknowns where they are, and what is known of the run."""
+    kept = run.kept()
+    states, steps = reconstruction.states(kept), kept.steps
+    if sink is not None:
+        states, steps = StatesInFile(sink.path, sink.run), np.arange(sink.steps)
+    times = grid.times[: run.done + 1]
     return Solution(
         process=process,
-        plan=plan,
-        t=times[np.append(0, kept_steps + 1)] if thinned else times[: run.done + 1],
-        steps=kept_steps,
+        plan=grid.plan,
+        t=times if len(steps) == run.done else times[np.append(0, steps + 1)],
+        steps=steps,
         states=states,
-        statistics=run.log.of(times[1 : run.done + 1], beside),
+        statistics=run.log.statistics(times[1:], reconstruction.seconds),
         status=run.status,
         cause=run.cause,
-        exact=lift.trajectory(run.exact),
-        recorded=None if wanted.function is None else recorded,
-        passes=refined.passes,
+        exact=reconstruction.trajectory(run.exact),
+        recorded=recorded,
+        passes=grid.passes,
     )

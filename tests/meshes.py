@@ -1,13 +1,17 @@
-"""Meshes for tests, made in code, and Gmsh files written from them."""
+"""Meshes and bodies for tests, made in code, and Gmsh files written from them."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import meshio
 import numpy as np
 import skfem
+
+import sweepopt as so
+from sweepopt.fem import BodyForce, Elasticity, Friction, Scene, Viscosity, antiplane
 
 
 def square(n: int) -> skfem.MeshTri:
@@ -41,6 +45,19 @@ def annulus(n: int, *, curved: bool = True) -> skfem.MeshTri:
     return mesh.with_boundaries(
         {"inner": edges[~outside], "outer": edges[outside]}
     ).with_subdomains({"core": np.flatnonzero(inside), "sleeve": np.flatnonzero(~inside)})
+
+
+def ring(**changes: Any) -> Scene:
+    """A quadratic ring of two materials in SI units: glued inside, friction outside."""
+    effects = [
+        Viscosity({"core": 2.0, "sleeve": 1.0}),
+        Elasticity(2.0),
+        Friction("outer", g=0.6),
+        BodyForce(so.Sine(4.0, period=4.0), f0=lambda x: 1.0 + 0.4 * x[0]),
+    ]
+    settings: dict[str, Any] = {"clamped": "inner", "element": "P2", "effects": effects}
+    settings |= {"t_end": 6.0, "steps": 60, "units": "SI", "title": "a ring"}
+    return antiplane(annulus(2), **(settings | changes))
 
 
 def _cartesian(polar: np.ndarray) -> np.ndarray:

@@ -11,9 +11,7 @@ import pytest
 from cases import case
 
 import sweepopt as so
-from sweepopt.integrate.grid import time_grid
-from sweepopt.velocity.program import VelocityProgram
-from sweepopt.velocity.solvers import Answer
+from sweepopt.velocity import Answer
 
 
 def slider(g: float = 1.0) -> so.SweepingProcess:
@@ -71,16 +69,6 @@ def test_the_callback_stops_the_run_and_keeps_what_was_computed() -> None:
     assert sol(sol.t[-1]) == pytest.approx(sol.u[-1])
 
 
-def test_control_c_returns_what_was_computed() -> None:
-    def interrupt(step: so.StepInfo) -> None:
-        if step.step == 3:
-            raise KeyboardInterrupt
-
-    sol = so.solve(slider(), t_end=5.0, steps=40, callback=interrupt)
-    assert sol.status is so.Status.INTERRUPTED
-    assert sol.u.shape == (5, 1)
-
-
 class Lying:
     """A solver that says "solved" with a wrong answer."""
 
@@ -89,7 +77,7 @@ class Lying:
     def treats(self, C: object) -> bool:
         return True
 
-    def compile(self, program: VelocityProgram) -> object:
+    def compile(self, program: Any) -> object:
         n = program.M.dim
         return lambda q, C: Answer(np.full(n, 7.0), np.zeros(C.offsets.size), 1, "solved")
 
@@ -104,15 +92,11 @@ def hard() -> so.SweepingProcess:
     return so.SweepingProcess(M, None, C, [0, 0])
 
 
-def test_a_solver_that_lies_is_repaired_by_another_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sweepopt.velocity.polish.POLISHED", np.inf)  # which would repair it alone
-    with pytest.warns(so.InitialStateWarning):
-        sol = so.solve(hard(), t_end=1.0, steps=10, solver=Lying())
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+def test_a_solver_that_lies_is_believed_nothing() -> None:
+    sol = so.solve(hard(), t_end=1.0, steps=10, solver=Lying())
     assert sol.success
-    assert sol.stats["attempts"].max() >= 2
-    with pytest.warns(so.InitialStateWarning):
-        honest = so.solve(hard(), t_end=1.0, steps=10)
-    assert sol.u == pytest.approx(honest.u, abs=1e-6)
+    assert sol.u == pytest.approx(so.solve(hard(), t_end=1.0, steps=10).u, abs=1e-6)
 
 
 def test_a_tolerance_that_cannot_be_met_raises_or_stops_but_never_passes() -> None:
@@ -147,7 +131,6 @@ def test_auto_is_midpoint_and_implicit_euler_when_a_is_zero() -> None:
 def test_a_process_without_nonsmooth_part_gets_no_optimiser() -> None:
     with pytest.warns(so.InitialStateWarning):
         sol = so.solve(case("L13").process, t_end=6.0, steps=50)
-    assert sol.plan.solvers == ()
     assert sol.plan.nonsmooth_unknowns == 0
     assert "no optimiser" in str(sol.plan)
 
@@ -162,10 +145,9 @@ def test_a_cone_set_given_to_osqp_is_refused_by_name() -> None:
 
 
 def test_the_truncation_of_the_papers_lemma_is_one_expression_for_moving_sets() -> None:
-    this = case("P10")  # C(t) is a half-line
-    truncated = so.SweepingProcess([[0.5]], [[1.0]], this.process.C & so.Ball(np.zeros(1), 50), [0])
-    plain = so.solve(this.process, t_end=16.0, steps=101)
-    sol = so.solve(truncated, t_end=16.0, steps=101)
+    process = case("P10").process  # C(t) is a half-line
+    truncated = so.SweepingProcess([[0.5]], [[1.0]], process.C & so.Ball(np.zeros(1), 50), [0])
+    plain, sol = (so.solve(each, t_end=16.0, steps=101) for each in (process, truncated))
     assert sol.success
     assert sol.u == pytest.approx(plain.u, abs=1e-9)
 
@@ -199,13 +181,16 @@ def test_equal_steps_given_as_times_share_one_program() -> None:
     compiled = []
 
     class Counting(so.Clarabel):
-        def compile(self, program: VelocityProgram) -> object:
+        def compile(self, program: Any) -> object:
             compiled.append(program)
             return super().compile(program)
 
-    times = np.concatenate([np.linspace(0, 2, 41), np.linspace(2, 3, 11)[1:]])
-    so.solve(case("S03").process, steps=times, solver=Counting())
-    assert len(compiled) == 2
+    def programs(times: np.ndarray) -> int:
+        compiled.clear()
+        so.solve(case("S03").process, steps=times, solver=Counting())
+        return len(compiled)
+
+    assert programs(np.concatenate([np.linspace(0, 2, 41), np.linspace(2, 3, 11)[1:]])) == 2
 
 
 @pytest.mark.parametrize("stiffness", [1e-12, 1.0, 1e12])
@@ -280,11 +265,13 @@ def test_every_step_says_who_found_it() -> None:
 
 
 def test_steps_that_grow_by_little_each_keep_their_own_size_at_large_times() -> None:
+    # B = 0 and M = 1: u gains the size of each step
+    process = so.SweepingProcess([[1.0]], [[0.0]], so.Point([1.0]), [0.0])
     times = 1.7e9 + np.append(0.0, np.cumsum(1.0 + 3e-4 * np.linspace(0, 1, 1000)))
-    _, mus = time_grid(None, times)
-    assert np.abs(mus - np.diff(times)).max() <= 4e-6  # rounding of the times is 2.4e-7
-    _, equal = time_grid(None, 1.7e9 + np.arange(0, 10, 0.1))
-    assert np.unique(equal).size == 1
+    with pytest.warns(so.InitialStateWarning):
+        sol = so.solve(process, steps=times)
+    gained = np.diff(sol.u[:, 0]) / sol.velocity[:, 0]
+    assert np.abs(gained - np.diff(times)).max() <= 4e-6  # rounding of the times is 2.4e-7
 
 
 def overshoots(process: so.SweepingProcess, **how: Any) -> tuple[so.Solution, list[str]]:
@@ -325,19 +312,6 @@ def test_a_step_that_overshoots_is_warned_of(scheme: str, mu: float, reached: fl
     assert not said
 
 
-@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
-def test_nothing_is_looked_at_where_no_warning_is_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
-    def looked_at(*_: Any) -> Any:
-        raise AssertionError("a matrix or a step is looked at for nothing")
-
-    monkeypatch.setattr("sweepopt.integrate.overshoot.exceeds_none", looked_at)
-    monkeypatch.setattr("sweepopt.integrate.loop.overshot", looked_at)
-    with pytest.raises(AssertionError):
-        so.solve(far_outside(), t_end=20.0, steps=1)
-    so.solve(far_outside(), t_end=20.0, steps=1, on_unstable="ignore")
-    so.solve(far_outside(), t_end=20.0, steps=1, scheme="implicit-euler").error_bound()
-
-
 @pytest.mark.parametrize("path", ["full", "eliminated", "proportional"])
 def test_every_path_tells_of_an_overshoot(path: str) -> None:
     A = np.array([[3.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])
@@ -371,13 +345,10 @@ def test_a_load_that_jumps_lets_stiff_bodies_overshoot(scheme: str, jump: float)
     sol, said = overshoots(process, t_end=10.0, steps=100, scheme=scheme)
     assert sol.u[-1, 0] > 2.3  # it should rest at 2
     assert len(said) == 1
-    sol, said = overshoots(process, t_end=10.0, steps=100, scheme="implicit-euler")
-    assert sol.u[-1, 0] == pytest.approx(2.0)
-    assert not said
-    # short steps overshoot no more
-    sol, said = overshoots(process, t_end=10.0, steps=1000, scheme=scheme)
-    assert sol.u[-1, 0] == pytest.approx(2.0, abs=1e-4)
-    assert not said
+    for how in ({"steps": 100, "scheme": "implicit-euler"}, {"steps": 1000, "scheme": scheme}):
+        sol, said = overshoots(process, t_end=10.0, **how)
+        assert sol.u[-1, 0] == pytest.approx(2.0, abs=1e-4)
+        assert not said
 
 
 def test_bodies_that_start_far_outside_of_their_set_and_overshoot_are_told_of() -> None:

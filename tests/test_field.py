@@ -11,9 +11,6 @@ from cases import SETS, case, embedded
 from scipy.integrate import odeint, solve_ivp
 
 import sweepopt as so
-from sweepopt.linalg import Factor
-from sweepopt.study.problems import problem
-from sweepopt.velocity.program import VelocityProgram, closed_form
 
 COERCIVE = [name for name in SETS if name not in ("M16", "M17", "E20")]
 
@@ -32,22 +29,14 @@ def test_it_is_the_first_velocity_of_a_step_of_the_paper(name: str) -> None:
         z = velocity(t, u)
         assert z.shape == u.shape
         assert this.process.metric.norm(z - sol.velocity[0]) <= 1e-9 * (1 + np.abs(z).max())
-        # z = A^-1 (P_C(B u) - B u): the inclusion, by the set's own projection
-        C, q = this.process.C.at(float(t)), this.process.times_B(u)
-        program = VelocityProgram(Factor(this.process.A), C)
-        near = program.certify(q, C, z, np.zeros(C.offsets.size))
-        assert near.certificate + program.M.norm(z - near.z) <= 1e-9 * (1 + np.abs(z).max())
+        assert inclusion(this.process, t, u, z) <= 1e-9 * (1 + np.abs(z).max())
 
 
-@pytest.mark.parametrize("name", ["S01", "S02", "S03", "P10"])
-def test_one_unknown_has_the_formula_of_many_bit_for_bit(name: str) -> None:
-    process, random = problem(name).process(), np.random.default_rng(0)
-    velocity = so.velocity_field(process)
-    for _ in range(300):
-        t, u = random.uniform(0, 5), random.normal(size=1)
-        found = closed_form(process.metric, process.times_B(u), process.C.at(t)).z
-        assert velocity(t, u) == pytest.approx(found, rel=1e-15, abs=1e-15)
-    assert velocity(0.0, [0.0]).tolist() == [0.0]
+def inclusion(process: so.SweepingProcess, t: float, u: np.ndarray, z: np.ndarray) -> float:
+    """How far -z in N_C(A z + B u) is missed: sigma(C, -z) + <z, w>, and w beside C."""
+    C, force = process.C.at(float(t)), process.A @ z + process.times_B(u)
+    distance = np.linalg.norm(force - C.project(force))
+    return float(abs(C.support(-z) + z @ force) / (1 + np.linalg.norm(z)) + distance)
 
 
 def test_at_the_threshold_to_rounding_nothing_moves() -> None:
@@ -65,17 +54,14 @@ def test_contact_unknowns_are_eliminated_as_in_a_run() -> None:
     for t in (0.3, 1.4, 7.0):
         u = random.normal(size=body.dim)
         z = velocity(t, u)
-        C, q = body.C.at(t), body.times_B(u)
-        program = VelocityProgram(Factor(body.A), C)
-        near = program.certify(q, C, z, np.zeros(C.offsets.size))
-        size = program.M.norm(z)
-        assert near.certificate + program.M.norm(z - near.z) <= 1e-8 * size
-        assert program.M.norm(whole(t, u) - z) <= 1e-5 * size
+        assert inclusion(body, t, u, z) <= 1e-8 * np.linalg.norm(z)
+        assert whole(t, u) == pytest.approx(z, abs=1e-4 * np.abs(z).max())
 
 
 def test_lsoda_reaches_5e_10_on_a_scalar_case_in_2000_calls() -> None:
-    this = problem("S03")
-    process, times = this.process(), np.linspace(0.0, 8.0, 81)
+    load = so.Separable([(so.Sine(3.0, 2 * np.pi), [1.0])])
+    process = so.SweepingProcess([[0.5]], [[2.0]], so.Moving(so.Box([-1], [1]), load), [0.0])
+    times = np.linspace(0.0, 8.0, 81)
     velocity = so.velocity_field(process)
     exact = so.solve(process, t_end=8.0, steps=80, scheme="exact").u
     u, seen = odeint(

@@ -47,7 +47,7 @@ HARD: dict[str, tuple[Data, float]] = {
 def solve_once(process: so.SweepingProcess, **settings: Any) -> so.Solution:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", so.InitialStateWarning)
-        settings = {"t_end": 1.0, "steps": 1, "scheme": "implicit-euler", **settings}
+        settings = {"t_end": 1.0, "steps": 1, "scheme": "implicit-euler", "tol": 1e-9, **settings}
         return so.solve(process, **settings)
 
 
@@ -56,7 +56,8 @@ def solve_once(process: so.SweepingProcess, **settings: Any) -> so.Solution:
 def test_hard_programs_are_solved_with_a_proof(name: str, solver: str) -> None:
     (M, load, g), certificate = HARD[name]
     C = so.Moving(so.Box(-g, g), load)
-    sol = solve_once(so.SweepingProcess(M, None, C, np.zeros(N)), solver=solver)
+    tol = max(certificate, 1e-12)
+    sol = solve_once(so.SweepingProcess(M, None, C, np.zeros(N)), solver=solver, tol=tol)
     z = sol.velocity[0]
     assert sol.stats["relative"][0] <= certificate
     # the proof once more, from the inclusion itself: stuck inside, slipping against the bound
@@ -68,7 +69,7 @@ def test_hard_programs_are_solved_with_a_proof(name: str, solver: str) -> None:
 
 def test_the_active_set_solver_stands_alone() -> None:
     process = so.SweepingProcess(ILL, None, so.Moving(so.Box(-G, G), LOAD), np.zeros(N))
-    sol = solve_once(process, solver="active-set")
+    sol = solve_once(process, solver="active-set", tol=1e-8)
     exact = Program(ILL).solve(np.zeros(N), process.C.at(1.0), sol.velocity[0])
     error = Program(ILL).error(sol.velocity[0], exact) / exact.size
     assert error <= 1e-9
@@ -76,12 +77,14 @@ def test_the_active_set_solver_stands_alone() -> None:
     assert sol.stats["solver"][0] == "active-set"
 
 
+TOL = {"condition_all": 1e-7}  # what double precision can prove; all others: a tenth of TARGET
 # ---- every family, judged by its exact velocity -----------------------------------------------
 
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_hard_families_are_met_within_their_certificates(family: str) -> None:
-    found = list(rows([family], [0], solvers=["auto", "osqp", "clarabel"]))
+    solvers = ["auto", "osqp", "clarabel"]
+    found = list(rows([family], [0], solvers=solvers, tol=TOL.get(family, 1e-9)))
     assert found
     assert [row for row in found if not row.good] == []
 
@@ -90,7 +93,7 @@ def test_hard_families_are_met_within_their_certificates(family: str) -> None:
 @pytest.mark.parametrize("seed", range(1, 7))
 @pytest.mark.parametrize("family", FAMILIES)
 def test_hard_families_are_met_for_every_seed_and_solver(family: str, seed: int) -> None:
-    assert [row for row in rows([family], [seed]) if not row.good] == []
+    assert [row for row in rows([family], [seed], tol=TOL.get(family, 1e-9)) if not row.good] == []
 
 
 @pytest.mark.parametrize("seed", range(3))

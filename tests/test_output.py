@@ -6,30 +6,16 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import meshio
 import numpy as np
 import pytest
-from meshes import annulus, square
+from meshes import ring, square
 
 import sweepopt as so
-from sweepopt.fem import BodyForce, Elasticity, Friction, Scene, Traction, Viscosity, antiplane
+from sweepopt.fem import BodyForce, Friction, Scene, Traction, Viscosity, antiplane
 from sweepopt.fem.output import MOST_VTU, Report, make_report, summary_of, write_summary, write_vtu
 from sweepopt.io import replacing
-
-
-def ring(**changes: Any) -> Scene:
-    """A quadratic ring of two materials in SI units: glued inside, friction outside."""
-    effects = [
-        Viscosity({"core": 2.0, "sleeve": 1.0}),
-        Elasticity(2.0),
-        Friction("outer", g=0.6),
-        BodyForce(so.Sine(4.0, period=4.0), f0=lambda x: 1.0 + 0.4 * x[0]),
-    ]
-    settings: dict[str, Any] = {"clamped": "inner", "element": "P2", "effects": effects}
-    settings |= {"t_end": 6.0, "steps": 60, "units": "SI", "title": "a ring"}
-    return antiplane(annulus(2), **(settings | changes))
 
 
 def report_of(scene: Scene) -> Report:

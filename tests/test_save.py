@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
+import scipy.sparse as sp
 import xarray as xr
 from test_reduction import CONTACT, SETS, chain, load, process, select
 
 import sweepopt as so
-from sweepopt.integrate import netcdf_writer as blocks
-from sweepopt.integrate.states import Keeper
 
 PATHS = ["proportional", "eliminated"]
 
@@ -78,12 +78,14 @@ def test_a_function_records_every_step_and_sees_all_unknowns(path: str) -> None:
 
 
 @pytest.mark.parametrize("path", PATHS)
-def test_a_file_holds_what_memory_would(
-    path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(blocks, "BLOCK", 16.0 * 40 * 7)  # seven steps a block
-    whole, file = run(path), tmp_path / "run.nc"
-    sol = run(path, save=file)
+def test_a_file_holds_what_memory_would(path: str, tmp_path: Path) -> None:
+    dim, file = 10_000, tmp_path / "run.nc"
+    C = so.Moving(
+        -so.image(sp.eye_array(dim, format="csc")[:, CONTACT], SETS["intervals"]), wave(dim)
+    )
+    this = so.SweepingProcess(chain(dim), 1.7 * chain(dim), C, np.zeros(dim))
+    how: dict[str, Any] = {"t_end": 4.0, "steps": 250, "path": path}  # 100 steps are a block
+    whole, sol = so.solve(this, **how), so.solve(this, save=file, **how)
     assert list(tmp_path.iterdir()) == [file]
     assert np.array_equal(sol.u, whole.u)
     assert np.array_equal(sol.velocity, whole.velocity)
@@ -91,6 +93,10 @@ def test_a_file_holds_what_memory_would(
     with xr.open_dataset(file, engine="h5netcdf") as dataset:
         assert np.array_equal(dataset.time, whole.t)
         assert np.array_equal(dataset.u, whole.u)
+
+
+def wave(dim: int) -> so.Separable:
+    return so.Separable([(so.Sine(2.0, 3.0), np.sin(np.arange(dim)))])
 
 
 def test_a_file_of_a_run_that_fails_holds_the_steps_before(tmp_path: Path) -> None:
@@ -149,7 +155,7 @@ def test_a_history_that_does_not_fit_is_refused_before_the_run() -> None:
 def test_memory_does_not_grow_with_the_steps_that_are_not_kept() -> None:
     dim = 3000
     D = so.image(select(CONTACT, dim), SETS["intervals"])
-    C = so.Moving(-D, so.Separable([(so.Sine(2.0, 3.0), np.sin(np.arange(dim)))]))
+    C = so.Moving(-D, wave(dim))
     this = so.SweepingProcess(chain(dim), 2 * chain(dim), C, np.zeros(dim))
 
     def peak(steps: int) -> int:
@@ -217,34 +223,57 @@ def test_ctrl_c_in_a_users_function_leaves_a_consistent_solution(path: str, tmp_
         assert len(sol.velocity) == len(sol.t) - 1
 
 
-@pytest.mark.parametrize("save", [None, "last", 3, 7, [0.35, 1.0]], ids=str)
-@pytest.mark.parametrize("step", [0, 5, 6, 7, 79])
-@pytest.mark.parametrize("late", [False, True])
-def test_ctrl_c_between_a_step_and_its_count_leaves_a_consistent_solution(
-    step: int, save: Any, late: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+class CtrlC:
+    """Ctrl-C before the k-th line of the library that runs after a step."""
+
+    def __init__(self, step: int, k: int) -> None:
+        self.step, self.left = step, k
+        self.inside = str(Path(so.__file__).parent / "integrate")
+
+    def callback(self, info: so.StepInfo) -> None:
+        if info.step == self.step:
+            frame: Any = sys._getframe()
+            while frame is not None:
+                frame.f_trace, frame = self.trace, frame.f_back
+            sys.settrace(self.trace)
+
+    def trace(self, frame: Any, event: str, _: Any) -> Any:
+        if not frame.f_code.co_filename.startswith(self.inside):
+            return self.trace if frame.f_code.co_filename == __file__ else None
+        if event == "line":
+            self.left -= 1
+            if self.left == 0:
+                sys.settrace(None)
+                raise KeyboardInterrupt
+        return self.trace
+
+
+@pytest.mark.parametrize("save", [None, "last", 3], ids=str)
+def test_ctrl_c_at_any_line_of_a_step_leaves_a_consistent_solution(
+    save: Any, tmp_path: Path
 ) -> None:
-    whole, file, put = run("eliminated"), tmp_path / "run.npz", Keeper.put
-
-    def interrupted(keeper: Keeper, i: int, u: np.ndarray, z: np.ndarray) -> None:
-        if i < step or late:
-            put(keeper, i, u, z)
-        if i == step:
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(Keeper, "put", interrupted)
-    where = so.Checkpoint(file, steps=3)
-    sol = run("eliminated", save=save, checkpoint=where)
-    monkeypatch.undo()
-    assert sol.status is so.Status.INTERRUPTED
-    assert len(sol.stats) == step
-    assert sol.t[-1] == whole.t[step]
-    assert sol.u[-1] == pytest.approx(whole.u[step], abs=1e-12)
-    assert len(sol.velocity) == len(sol.t) - 1 == len(sol.steps)
-    found = so.resume(file, process(u0=np.zeros(40)))
-    expected = run("eliminated", save=save, checkpoint=so.Checkpoint(tmp_path / "a", steps=3))
-    assert found.u.tobytes() == expected.u.tobytes()
-    assert found.t.tobytes() == expected.t.tobytes()
-    assert found.velocity.tobytes() == expected.velocity.tobytes()
+    C = so.Moving(so.Box([-1.0], [1.0]), so.Separable([(so.Sine(3.0, 2.0), [1.0])]))
+    this = so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
+    how: dict[str, Any] = {"t_end": 1.0, "steps": 10, "save": save}
+    whole = so.solve(this, t_end=1.0, steps=10)
+    expected = so.solve(this, **how, checkpoint=so.Checkpoint(tmp_path / "a", steps=4))
+    done = set()
+    for k in range(1, 80, 4):
+        file = tmp_path / f"{k}.npz"
+        where = so.Checkpoint(file, steps=4)
+        sol = so.solve(this, **how, checkpoint=where, callback=CtrlC(4, k).callback)
+        assert sol.status is so.Status.INTERRUPTED
+        n = len(sol.stats)
+        done.add(n)
+        assert sol.t[-1] == whole.t[n]
+        assert sol.u[-1] == whole.u[n]
+        assert sol.velocity[-1] == whole.velocity[n - 1]
+        assert len(sol.velocity) == len(sol.t) - 1 == len(sol.steps)
+        found = so.resume(file, this)
+        assert found.u.tobytes() == expected.u.tobytes()
+        assert found.t.tobytes() == expected.t.tobytes()
+        assert found.velocity.tobytes() == expected.velocity.tobytes()
+    assert done >= {5, 6}
 
 
 def test_the_first_instant_of_a_thinned_run_has_no_velocity_to_judge() -> None:
@@ -303,3 +332,37 @@ def test_a_run_that_fails_does_not_replace_the_file_of_one_that_did_not(tmp_path
     (part,) = set(tmp_path.iterdir()) - {file}
     with xr.open_dataset(part, engine="h5netcdf") as dataset:
         assert dataset.sizes["time"] == 2
+
+
+# ---- what is known of each step -------------------------------------------------------------
+
+STATS = ("t", "seconds", "iterations", "attempts", "certificate", "relative", "solver")
+
+
+def slider(steps: int, **how: Any) -> so.Solution:
+    C = so.Moving(so.Box([-1], [1]), center=so.Separable([(so.Sine(3.0, 4.0), [1.0])]))
+    process = so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
+    return so.solve(process, t_end=steps / 100, steps=steps, **how)
+
+
+def test_all_columns_are_those_of_one_array() -> None:
+    table = slider(40).stats
+    assert table.dtype.names == STATS
+    assert table.shape == (40,)
+    assert table["t"] == pytest.approx(0.01 * np.arange(1, 41))
+    assert set(table["solver"]) == {"closed form"}
+    assert (table["seconds"] > 0).all()
+    assert (table["relative"] < 1e-12).all()
+    assert len(pd.DataFrame(table).columns) == len(STATS)
+
+
+def test_a_run_keeps_less_than_fifty_bytes_a_step() -> None:
+    steps = 10_000
+    slider(10)
+    tracemalloc.start()
+    before = tracemalloc.get_traced_memory()[0]
+    sol = slider(steps, save="last")
+    grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert sol.success
+    assert grown < 50 * steps, f"{grown / steps:.0f} bytes a step"

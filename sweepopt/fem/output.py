@@ -20,6 +20,7 @@ import numpy as np
 
 from sweepopt import io
 from sweepopt.fem.contact import Slip, slip_of
+from sweepopt.results import software, solver_name
 
 if TYPE_CHECKING:
     from sweepopt.fem.scene import Scene
@@ -87,19 +88,6 @@ def make_report(
     return Report(name, text, scene, solution, slip, energy, seconds)
 
 
-def solver_name(solution: Solution) -> str:
-    """The solver that the plan tries first; "linear" if no step needs one."""
-    solvers = solution.plan.solvers
-    return solvers[0].name if solvers else "linear"
-
-
-def versions_of(solution: Solution) -> dict[str, str]:
-    """Versions of what computed the solution."""
-    solver = solver_name(solution).split(":")[-1]
-    names = ["sweepopt", "numpy", "scipy", "cvxpy", "osqp", "clarabel", "scikit-fem", solver]
-    return io.versions_of(names)
-
-
 def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:
     """The numbers of a run as plain JSON types; null where there is no finite number.
 
@@ -153,7 +141,7 @@ def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:
             "iterations": stats["iterations"].sum(),
             "seconds": report.seconds,
             "materials": {name: k for k, name in enumerate(body.mesh.subdomains or {}, start=1)},
-            "versions": {"python": platform.python_version(), **versions_of(solution)},
+            "versions": {"python": platform.python_version(), **software(solution)},
             "files": files,
         }
     )
@@ -213,9 +201,7 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
 
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:
-    text = json.dumps(content, indent=2, allow_nan=False)
-    with io.replacing(path) as part:
-        part.write_text(text + "\n", encoding="utf-8")
+    io.put(path, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
 
 
 def _listed(path: Path) -> set[str]:

@@ -85,7 +85,7 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
     Parameters
     ----------
     source : str, Path or mapping
-        A path of a TOML file, the name of a problem of the library (see `list_problems`), TOML
+        A path of a TOML file, the name of a problem of the library (see `sweepopt list`), TOML
         text (anything with a line break), or the mapping that such text stands for.
     folder : str or Path
         Where relative paths of meshes and tables start; a file's own folder for a file.

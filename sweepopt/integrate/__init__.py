@@ -2,38 +2,16 @@
 
 from __future__ import annotations
 
-from sweepopt.integrate.adaptive import (
-    Adaptive,
-    Pass,
-    Refined,
-)
-from sweepopt.integrate.adaptive_driver import (
-    Frame,
-    Walked,
-    adapt,
-)
+from sweepopt.integrate.adaptive import Adaptive, AdaptiveResult, Pass, Segments, adapt
 from sweepopt.integrate.checkpoint import (
     Checkpoint,
-    Continued,
-    Stored,
-    about_computer,
-    decoded,
-    read_stored,
+    StoredRun,
+    checkpoint_writer,
+    newest,
+    require_same_problem,
 )
-from sweepopt.integrate.checkpoint_writer import (
-    Checkpoints,
-    checkpoints,
-)
-from sweepopt.integrate.exact import (
-    Trajectory,
-    mover,
-)
-from sweepopt.integrate.field import (
-    velocity_field,
-)
-from sweepopt.integrate.fingerprint import (
-    fingerprint,
-)
+from sweepopt.integrate.exact import Trajectory, mover
+from sweepopt.integrate.field import velocity_field
 from sweepopt.integrate.grid import (
     check_stability,
     divided,
@@ -41,71 +19,50 @@ from sweepopt.integrate.grid import (
     time_grid,
     warn_of_overshoot,
 )
-from sweepopt.integrate.loop import (
-    march,
-)
-from sweepopt.integrate.netcdf_writer import (
-    netcdf_package,
-)
+from sweepopt.integrate.loop import integrate
 from sweepopt.integrate.observers import (
-    Bar,
     Callback,
     Observers,
+    ProgressBar,
+    SaveFunction,
     StepInfo,
 )
-from sweepopt.integrate.reconstruction import (
-    Lift,
-)
-from sweepopt.integrate.schemes import (
-    SCHEMES,
-    Scheme,
-    choose,
-)
-from sweepopt.integrate.states import (
-    MEMORY,
-    Keeper,
-    States,
-    saving,
-)
-from sweepopt.integrate.statistics import (
-    Statistics,
-)
+from sweepopt.integrate.options import SolveOptions
+from sweepopt.integrate.reconstruction import Reconstruction
+from sweepopt.integrate.record import MEMORY, Index, Run, States, Statistics, saving
+from sweepopt.integrate.schemes import SCHEMES, Scheme
 
 __all__ = [
     "MEMORY",
     "SCHEMES",
     "Adaptive",
-    "Bar",
+    "AdaptiveResult",
     "Callback",
     "Checkpoint",
-    "Checkpoints",
-    "Continued",
-    "Frame",
-    "Keeper",
-    "Lift",
+    "Index",
     "Observers",
     "Pass",
-    "Refined",
+    "ProgressBar",
+    "Reconstruction",
+    "Run",
+    "SaveFunction",
     "Scheme",
+    "Segments",
+    "SolveOptions",
     "States",
     "Statistics",
     "StepInfo",
-    "Stored",
+    "StoredRun",
     "Trajectory",
-    "Walked",
-    "about_computer",
     "adapt",
     "check_stability",
-    "checkpoints",
-    "choose",
-    "decoded",
+    "checkpoint_writer",
     "divided",
     "evaluation_times",
-    "fingerprint",
-    "march",
+    "integrate",
     "mover",
-    "netcdf_package",
-    "read_stored",
+    "newest",
+    "require_same_problem",
     "saving",
     "time_grid",
     "velocity_field",

@@ -1,14 +1,18 @@
-"""What is written of a run that can be continued, and where: arguments of `solve` and their file.
+"""A run is written down again and again, so that one that was killed goes on from there.
 
-A checkpoint is a plain .npz file; `checkpoint_writer` writes it.
+A checkpoint is an .npz file with u and the compensation of its sum, what was kept and recorded, the
+arguments of `solve` and checksums of the problem. It does not hold what solvers remember of earlier
+steps: that is forgotten every so many steps, in every run with checkpoints, killed or not, so that
+both are equal to the last bit.
 """
 
 from __future__ import annotations
 
-import json
 import platform
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+import time as clock
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,14 +20,30 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.checks import count, number
-from sweepopt.errors import DamagedFileError, InputError, shown
-from sweepopt.io import read_npz, versions_of, writable
-from sweepopt.velocity import REGISTRY
+from sweepopt.errors import (
+    CheckpointError,
+    CheckpointWarning,
+    DamagedFileError,
+    InputError,
+    Status,
+    shown,
+    warn,
+)
+from sweepopt.integrate.adaptive import Adaptive
+from sweepopt.integrate.fingerprint import fingerprint
+from sweepopt.integrate.loop import RestartPoint
+from sweepopt.integrate.options import SolveOptions
+from sweepopt.integrate.record import Run
+from sweepopt.integrate.recorded import pack, unpack
+from sweepopt.io import read_npz, remove_parts, versions_of, writable, write_npz
+from sweepopt.problem import SweepingProcess
+from sweepopt.velocity import Plan
 
-SCHEMA = 1
-PARTS = {"schema", "versions", "problem", "plan", "settings", "checkpoint", "run"}
+SCHEMA = 2
 PACKAGES = ("numpy", "scipy", "cvxpy", "osqp", "clarabel", "cvxopt", "daqp", "pyamg")
-SOLVERS: dict[str, Any] = {getattr(kind, "__name__", name): kind for name, kind in REGISTRY.items()}
+"""Their versions may change the last bits of a result."""
+PARTS = 100  # of a run, at whose ends it may be written down if nobody says how many steps
+SECONDS = 10.0  # between two files, if nobody says how many
 
 
 @dataclass(frozen=True)
@@ -81,104 +101,268 @@ class Checkpoint:
         """The file that was there before the last one."""
         return self.file.with_name(self.file.name + ".previous")
 
-    @property
-    def arguments(self) -> dict[str, Any]:
-        """How often, in terms of JSON."""
-        return {
-            "steps": None if self.steps is None else int(self.steps),
-            "seconds": None if self.seconds is None else float(self.seconds),
-        }
+
+# ---- reading ------------------------------------------------------------------------------------
 
 
-class Stored(NamedTuple):
-    """What a file holds; `file` is where it was found."""
+class StoredRun(NamedTuple):
+    """What a checkpoint holds; `file` is where it is."""
 
     file: Path
     record: dict[str, Any]
     arrays: dict[str, np.ndarray]
 
-
-@dataclass(frozen=True)
-class Continued(Checkpoint):
-    """A checkpoint that a run begins with."""
-
-    stored: Stored | None = None
+    @property
+    def done(self) -> int:
+        """How many steps were done."""
+        return int(self.record["run"]["done"])
 
 
-def read_stored(file: Path) -> Stored:
-    """A checkpoint from a file.
+def newest(checkpoint: Checkpoint) -> StoredRun:
+    """The run in the file, or in the one before it if the file is damaged.
 
     Raises
     ------
-    FileNotFoundError
-    DamagedFileError
     InputError
-        If it cannot be read; if another version of the library has written it in another form.
+        If there is none, or it cannot be read.
+    CheckpointError
+        If both are damaged.
+
+    Warns
+    -----
+    CheckpointWarning
+        If it is from the file before.
     """
+    try:
+        return _read(checkpoint.file)
+    except FileNotFoundError:
+        try:  # killed just before the new file took its name
+            return _read(checkpoint.previous)
+        except FileNotFoundError:
+            raise InputError(f"there is no checkpoint {checkpoint.file}") from None
+    except DamagedFileError as damage:
+        try:
+            stored = _read(checkpoint.previous)
+        except FileNotFoundError:
+            raise damage from None
+        warn(
+            f"{damage}. The run goes on from the checkpoint before it, after step {stored.done}",
+            CheckpointWarning,
+        )
+        return stored
+
+
+def _read(file: Path) -> StoredRun:
     try:
         record, arrays = read_npz(file)
     except FileNotFoundError:
         raise
     except OSError as error:
         raise InputError(f"{file} cannot be read ({error.strerror or error})") from error
-    if not set(record) >= PARTS:
+    if "schema" not in record:
         raise DamagedFileError(f"{file} is no checkpoint")
-    if record.get("schema") != SCHEMA:
+    if record["schema"] != SCHEMA:
         raise InputError(
-            f"{file} is a checkpoint of form {record.get('schema')!r}; this version of sweepopt "
+            f"{file} is a checkpoint of form {record['schema']!r}; this version of sweepopt "
             f"reads form {SCHEMA}, continue with sweepopt {shown(record.get('versions'))}"
         )
-    return Stored(file, record, arrays)
+    return StoredRun(file, record, arrays)
 
 
-def about_computer() -> dict[str, str]:
-    """What may change the last bits of a result."""
+def require_same_problem(stored: StoredRun, process: SweepingProcess, times: np.ndarray) -> None:
+    """Refuse a checkpoint of another problem, and warn of other versions."""
+    began, now = stored.record["problem"], fingerprint(process, times)
+    differ = [name for name in now if began.get(name) != now[name]]
+    if differ:
+        raise InputError(
+            f"{stored.file} is a checkpoint of another problem: {', '.join(differ)} "
+            f"{'differ' if len(differ) > 1 else 'differs'} from what the run began with"
+        )
+    was, here = stored.record["versions"], _versions()
+    changed = [
+        f"{name} {was.get(name)} -> {here.get(name)}"
+        for name in sorted({*was, *here})
+        if was.get(name) != here.get(name)
+    ]
+    if changed:
+        warn(
+            f"the run began with other versions, last bits may differ: {', '.join(changed)}",
+            CheckpointWarning,
+        )
+
+
+def _versions() -> dict[str, str]:
     here = {"python": platform.python_version(), "machine": platform.machine()}
     return {**here, **versions_of(PACKAGES)}
 
 
-def encoded(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Arguments of solve in terms of JSON, and those that are arrays.
+# ---- writing ------------------------------------------------------------------------------------
+
+
+def checkpoint_writer(
+    asked: Any,
+    process: SweepingProcess,
+    plan: Plan,
+    times: np.ndarray,
+    options: SolveOptions,
+    stored: StoredRun | None = None,
+) -> CheckpointWriter | None:
+    """Read the argument `checkpoint` of solve; `stored` is the run that is continued.
 
     Raises
     ------
     InputError
-        If an argument cannot be written to a file.
+        If the run cannot be continued from a file, or its file is that of another one.
     """
-    plain: dict[str, Any] = {}
-    arrays: dict[str, np.ndarray] = {}
-    for name, value in settings.items():
-        value = value.item() if isinstance(value, np.generic) else value
-        if value is None or isinstance(value, (str, bool, int, float)):
-            plain[name] = value
-        elif name == "save" and callable(value):
-            plain[name] = {"function": True}
-        elif name == "solver" and SOLVERS.get(type(value).__name__) is type(value):
-            plain[name] = {"solver": type(value).__name__, **_plain(asdict(value))}
-        elif name in ("steps", "save"):
-            plain[name], arrays[f"settings.{name}"] = {"array": True}, np.asarray(value, float)
-        else:
-            raise InputError(f"{name}: with checkpoint= it must be one of the library's own")
-    return plain, arrays
+    if asked is None:
+        return None
+    checkpoint = asked if isinstance(asked, Checkpoint) else Checkpoint(asked)
+    whole = "checkpoint= is for steps given beforehand; "
+    if isinstance(options.steps, Adaptive):
+        raise InputError(whole + "Adaptive steps come from passes over the whole run")
+    if plan.scheme.exact:
+        raise InputError(whole + "scheme 'exact' computes the whole trajectory at once")
+    if isinstance(options.save, (str, PathLike)) and options.save != "last":
+        raise InputError(
+            "checkpoint= cannot continue a NetCDF file; keep the states in memory, save=k, or in "
+            "a file that save=f(t, u, z) writes"
+        )
+    if stored is None:
+        _require_free(checkpoint)
+    elif stored.record["plan"] != str(plan):
+        raise InputError(
+            f"{stored.file} is of a run that was planned differently:\n{stored.record['plan']}\n"
+            f"but now\n{plan}"
+        )
+    plain, arrays = options.to_json()
+    about = {
+        "schema": SCHEMA,
+        "versions": _versions(),
+        "problem": stored.record["problem"] if stored else fingerprint(process, times),
+        "plan": str(plan),
+        "options": plain,
+        "checkpoint": {
+            "steps": None if checkpoint.steps is None else int(checkpoint.steps),
+            "seconds": None if checkpoint.seconds is None else float(checkpoint.seconds),
+        },
+    }
+    return CheckpointWriter(checkpoint, about, arrays, len(times) - 1, stored)
 
 
-def _plain(fields: dict[str, Any]) -> dict[str, Any]:
+class CheckpointWriter:
+    """The restarts of the loop: writes the run down there, and begins where an earlier one was.
+
+    Attributes
+    ----------
+    recorded : list
+        What a function recorded so far; whoever records appends to it.
+    """
+
+    def __init__(
+        self,
+        checkpoint: Checkpoint,
+        about: dict[str, Any],
+        arrays: dict[str, np.ndarray],
+        steps: int,
+        stored: StoredRun | None,
+    ) -> None:
+        self._checkpoint, self._about, self._arrays = checkpoint, about, arrays
+        self._steps, self._stored = steps, stored
+        self._every = checkpoint.steps or -(-steps // PARTS)
+        usual = 0.0 if checkpoint.steps is not None else SECONDS
+        self._seconds = usual if checkpoint.seconds is None else checkpoint.seconds
+        self._written = clock.monotonic()
+        self.recorded: list[Any] = []
+
+    @property
+    def done(self) -> int:
+        """How many steps an earlier run has done."""
+        return 0 if self._stored is None else self._stored.done
+
+    def begin(self, run: Run, start: RestartPoint) -> RestartPoint:
+        with self._on_disk():
+            remove_parts(self._checkpoint.file)
+            if self._stored is None:
+                self._checkpoint.previous.unlink(missing_ok=True)  # that of another run
+        if self._stored is None:
+            self._write(run, start, None)
+            return start
+        try:
+            point = self._restore(self._stored, run)
+        except (KeyError, ValueError, TypeError, IndexError) as error:
+            raise DamagedFileError(f"{self._stored.file} does not fit together: {error}") from error
+        if self._stored.file == self._checkpoint.previous:
+            # the whole one must not give way to the damaged one
+            with self._on_disk():
+                self._checkpoint.file.unlink(missing_ok=True)
+        return point
+
+    def after_step(self, run: Run, point: RestartPoint) -> bool:
+        if run.done == 1:
+            pack(self.recorded)  # says so now if it cannot
+        last = run.done == self._steps
+        if run.done % self._every and not last:
+            return False
+        if last or clock.monotonic() - self._written >= self._seconds:
+            self._write(run, point, self._checkpoint.previous)
+            self._written = clock.monotonic()
+        return True
+
+    @contextmanager
+    def _on_disk(self) -> Iterator[None]:
+        """What a disk refuses is an error of the library."""
+        try:
+            yield
+        except OSError as error:
+            raise CheckpointError(
+                f"{self._checkpoint.file} cannot be replaced ({error.strerror or error})"
+            ) from error
+
+    def _write(self, run: Run, point: RestartPoint, previous: Path | None) -> None:
+        records, content = pack(self.recorded)
+        state = {
+            "done": run.done,
+            "steps": self._steps,
+            "status": run.status.name,
+            "overshot": run.overshot,
+            "solvers": run.log.solvers,
+            "recorded": records,
+        }
+        arrays = {**self._arrays, **run.arrays()}
+        arrays |= {"compensation": point.compensation, "recorded": content}
+        file = self._checkpoint.file
+        try:
+            write_npz(file, {**self._about, "run": state}, arrays, previous)
+        except OSError as error:
+            older = file.exists() or self._checkpoint.previous.exists()
+            raise CheckpointError(
+                f"the checkpoint after step {run.done} cannot be written "
+                f"({error.strerror or error}); "
+                + (f"the one before is whole: resume {file}" if older else "there is none before")
+            ) from error
+
+    def _restore(self, stored: StoredRun, run: Run) -> RestartPoint:
+        state, arrays = stored.record["run"], stored.arrays
+        run.restore(stored.done, arrays, state["solvers"])
+        run.status, run.overshot = Status[state["status"]], state["overshot"]
+        self.recorded[:] = unpack(state["recorded"], arrays["recorded"])
+        return RestartPoint(arrays["u"], arrays["compensation"])
+
+
+def _require_free(checkpoint: Checkpoint) -> None:
+    """Refuse to overwrite a run that is not finished, or any other file."""
     try:
-        json.dumps(fields, allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"solver: with checkpoint= its settings must be plain: {error}") from error
-    return fields
-
-
-def decoded(stored: Stored) -> dict[str, Any]:
-    """The arguments of solve from a checkpoint; a function as None."""
-    settings = dict(stored.record["settings"])
-    for name, value in settings.items():
-        if isinstance(value, dict) and value.get("array"):
-            settings[name] = stored.arrays[f"settings.{name}"]
-        elif isinstance(value, dict) and "solver" in value:
-            fields = {key: entry for key, entry in value.items() if key != "solver"}
-            settings[name] = SOLVERS[value["solver"]](**fields)
-        elif isinstance(value, dict):
-            settings[name] = None
-    return settings
+        stored = _read(checkpoint.file if checkpoint.file.exists() else checkpoint.previous)
+    except FileNotFoundError:
+        return
+    except DamagedFileError as error:
+        raise InputError(
+            f"checkpoint: {error}. It is not overwritten: so.resume looks for the one before it, "
+            "or choose another name"
+        ) from error
+    steps = stored.record["run"]["steps"]
+    if stored.done < steps:
+        raise InputError(
+            f"checkpoint: {stored.file} holds a run that has done {stored.done} of {steps} "
+            "steps; continue it with so.resume, or delete it"
+        )

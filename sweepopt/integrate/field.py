@@ -2,13 +2,12 @@
 
 u' = Phi(t, u) = A^-1 (P_{C(t)}(B u) - B u), P the projection in the A^-1 metric (MATH.md section
 3): the minimiser of the velocity program with M = A, q = B u. Phi is Lipschitz in u, with constant
-Lam, and as smooth in t as C(t); its kinks at switches are what an ODE solver must step over.
+Lam, and as smooth in t as C(t); at switches it has kinks, which an ODE solver must step over.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -16,10 +15,9 @@ import numpy as np
 from sweepopt.checks import instant, number, vector
 from sweepopt.errors import InputError, VelocityError
 from sweepopt.integrate.schemes import SCHEMES
-from sweepopt.loads import Separable
 from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
-from sweepopt.sets import AnySet, ConvexSet, Moving
-from sweepopt.velocity import StateVelocity, interval_of, make_plan, of_state, velocity_in
+from sweepopt.sets import ConvexSet
+from sweepopt.velocity import StateVelocity, compile_velocity, make_plan
 
 Field = Callable[[float, Any], np.ndarray]
 FIRST_STAGE = SCHEMES["trapezoid"]  # its first stage is this velocity
@@ -78,15 +76,6 @@ def velocity_field(
             "velocity_field needs A coercive: with A = 0 the velocity is no function of (t, u); "
             "use so.solve with implicit-euler, sdirk2 or exact"
         )
-    if process.dim == 1 and isinstance(solver, str) and solver == "auto":
-        scalar = _scalar(process, tol)
-        if scalar is not None:
-            return scalar
-    return _compiled(process, solver, tol)
-
-
-def _compiled(process: SweepingProcess, solver: Any, tol: float) -> Field:
-    """By the plan's velocity, as a step of a run finds it."""
 
     def compiled(t: float, C: ConvexSet) -> StateVelocity:
         if not C.certifiable:
@@ -95,67 +84,30 @@ def _compiled(process: SweepingProcess, solver: Any, tol: float) -> Field:
                 "state C with other shapes, such as a Box or the image of a small set"
             )
         plan = make_plan(process, process.check(np.array([t])), FIRST_STAGE, solver, tol)
-        return of_state(process, plan, 0.0, plan.factors(process.A))
+        return compile_velocity(process, plan, 0.0)
 
     try:
         start = process.C.at(0.0)
     except InputError:
-        found = None  # C is not known at t = 0: the first call compiles
+        solve = None  # C is not known at t = 0: the first call compiles
     else:
-        found = compiled(0.0, start)
+        solve = compiled(0.0, start)
 
     def field(t: float, u: Any) -> np.ndarray:
-        nonlocal found
+        nonlocal solve
         t, u = instant("t", t), vector("u", u, process.dim)
         C = process.C.at(t)
-        if found is None:
-            found = compiled(t, C)
-        velocity = found(u, C).velocity
-        if not velocity.relative <= tol:
-            raise _missed(t, u, velocity.relative, tol)
-        return velocity.z
+        if solve is None:
+            solve = compiled(t, C)
+        z, _, relative, *_ = solve(u, C)
+        if not relative <= tol:
+            raise VelocityError(
+                f"the velocity at t = {t:g} is known to {relative:.2g} of its size only, tol is "
+                f"{tol:g}; loosen tol or try another solver",
+                t,
+                u,
+                relative,
+            )
+        return z
 
     return field
-
-
-def _scalar(process: SweepingProcess, tol: float) -> Field | None:
-    """One unknown and a translated interval: plain numbers, as long as they are accurate enough."""
-    C = process.C
-    shape = C.shape if isinstance(C, Moving) and C.scale is None else C
-    interval = interval_of(shape) if isinstance(shape, ConvexSet) else None
-    if interval is None:
-        return None
-    A, B = float(process.A[0, 0]), float(process.times_B(np.ones(1))[0])
-    centre, closer = _centre(C), cache(lambda: _compiled(process, "auto", tol))
-
-    def field(t: float, u: Any) -> np.ndarray:
-        t = instant("t", t)
-        ready = type(u) is np.ndarray and u.shape == (1,) and u.dtype == float
-        state = u if ready else vector("u", u, 1)
-        z, _, relative = velocity_in(interval, centre(t), A, B * float(state[0]))
-        return np.array([z]) if relative <= tol else closer()(t, u)
-
-    return field
-
-
-def _centre(C: AnySet) -> Callable[[float], float]:
-    """center(t) of a set in one dimension."""
-    if not isinstance(C, Moving) or C.center is None:
-        return lambda t: 0.0
-    if isinstance(C.center, Separable):
-        weights = C.center.shapes[0].tolist()
-        value, weight = C.center.value, weights[0]
-        if len(weights) == 1:
-            return lambda t: weight * value(0, t)
-        return lambda t: sum([weight * value(k, t) for k, weight in enumerate(weights)])
-    return lambda t: float(C.center_at(t)[0])
-
-
-def _missed(t: float, u: np.ndarray, relative: float, tol: float) -> VelocityError:
-    return VelocityError(
-        f"the velocity at t = {t:g} is known to {relative:.2g} of its size only, tol is {tol:g}; "
-        "loosen tol or try another solver",
-        t,
-        u,
-        relative,
-    )

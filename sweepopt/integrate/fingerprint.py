@@ -14,7 +14,7 @@ from sweepopt.problem import SweepingProcess
 from sweepopt.sets import ConvexSet
 
 SAMPLES = 256  # times at which C(t) is compared
-ENTRIES = 2e7  # that their vectors may have in all
+ENTRIES = 2e7  # that the vectors there may have in all: more take seconds
 
 
 def fingerprint(process: SweepingProcess, times: np.ndarray) -> dict[str, str]:
@@ -27,57 +27,52 @@ def fingerprint(process: SweepingProcess, times: np.ndarray) -> dict[str, str]:
     members = [process.C.at(t) for t in times[some].tolist()]
     data = [getattr(process.C, name, None) for name in ("center", "scale", "offsets")]
     parts = {"A": process.A, "B": process.B, "u0": process.u0, "C(t)": [*data, *members]}
-    return {name: _Digest()(part) for name, part in parts.items()}
+    known: dict[int, str] = {}
+    return {name: _checksum(part, known) for name, part in parts.items()}
 
 
-class _Digest:
-    """The checksum of a nest of sets, arrays and numbers."""
-
-    def __init__(self) -> None:
-        self._known: dict[int, str] = {}  # shapes that many members share, by their id
-
-    def __call__(self, value: Any) -> str:
-        if isinstance(value, ConvexSet):
-            if id(value) not in self._known:
-                self._known[id(value)] = self._of(type(value).__name__, *self._entries(value))
-            return self._known[id(value)]
-        if sp.issparse(value):
-            entries = sp.csc_array(value)
-            indices = entries.indices.astype(np.int64), entries.indptr.astype(np.int64)
-            return self._of("sparse", entries.shape, entries.data, *indices)
-        if isinstance(value, np.ndarray):
-            array = np.ascontiguousarray(value)
-            content = hashlib.sha256(array.tobytes()).hexdigest()
-            return self._of(array.dtype.str, str(array.shape), content)
-        if isinstance(value, Separable):
-            return self._of("Separable", *value.terms)
-        if isinstance(value, DATA):
-            return self._of(type(value).__name__, *(vars(value)[name] for name in vars(value)))
-        if isinstance(value, (list, tuple)):
-            return self._of("list", *value)
-        value = value.item() if isinstance(value, np.generic) else value
-        if isinstance(value, (str, bool, int, float)) or value is None:
-            return _sha(f"{type(value).__name__} {value!r}")
-        return _sha(type(value).__name__)
-
-    def _of(self, kind: str, *parts: Any) -> str:
-        return _sha(" ".join([kind, *map(self, parts)]))
-
-    def _entries(self, C: ConvexSet) -> list[Any]:
-        """What a set is made of: its public attributes, none that are computed later."""
-        later = {
-            name
-            for kind in type(C).__mro__
-            for name, entry in vars(kind).items()
-            if isinstance(entry, cached_property)
-        }
-        public = sorted(name for name in vars(C) if not name.startswith("_") and name not in later)
-        entries = [entry for name in public for entry in (name, getattr(C, name))]
-        if any(callable(entry) for entry in entries):  # what it does is seen in what it gives
-            direction = np.cos(np.arange(C.dim) + 1.0)
-            entries += [f"{C.support(z):.6e}" for z in (direction, -direction)]
-        return entries
+def _checksum(value: Any, known: dict[int, str]) -> str:
+    """sha256 of a nest of sets, loads, arrays and numbers; `known` are sets that many share."""
+    if id(value) in known:
+        return known[id(value)]
+    parts: list[Any] | tuple[Any, ...] = []
+    text = type(value).__name__
+    if isinstance(value, ConvexSet):
+        parts = _attributes(value)
+    elif isinstance(value, Separable):
+        parts = value.terms
+    elif isinstance(value, DATA):
+        parts = list(vars(value).values())
+    elif isinstance(value, (list, tuple)):
+        text, parts = "list", value
+    elif sp.issparse(value):
+        matrix = sp.csc_array(value)
+        indices = matrix.indices.astype(np.int64), matrix.indptr.astype(np.int64)
+        text, parts = "sparse", [matrix.shape, matrix.data, *indices]
+    elif isinstance(value, np.ndarray):
+        content = hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()
+        text = f"{value.dtype.str} {value.shape} {content}"
+    elif value is None or isinstance(value, (str, bool, int, float, np.generic)):
+        plain = value.item() if isinstance(value, np.generic) else value
+        text = f"{type(plain).__name__} {plain!r}"
+    whole = " ".join([text, *(_checksum(part, known) for part in parts)])
+    checksum = hashlib.sha256(whole.encode()).hexdigest()
+    if isinstance(value, ConvexSet):
+        known[id(value)] = checksum
+    return checksum
 
 
-def _sha(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
+def _attributes(C: ConvexSet) -> list[Any]:
+    """What a set is made of: its public attributes, none that are computed later."""
+    later = {
+        name
+        for kind in type(C).__mro__
+        for name, entry in vars(kind).items()
+        if isinstance(entry, cached_property)
+    }
+    public = sorted(name for name in vars(C) if not name.startswith("_") and name not in later)
+    entries = [entry for name in public for entry in (name, getattr(C, name))]
+    if any(callable(entry) for entry in entries):  # what it does is seen in what it gives
+        direction = np.cos(np.arange(C.dim) + 1.0)
+        entries += [f"{C.support(z):.6e}" for z in (direction, -direction)]
+    return entries

@@ -1,12 +1,14 @@
-"""The only loop over time: one velocity a stage, one compensated sum a step."""
+"""The only loop over time: a velocity for each stage, a compensated sum for each step.
+
+t_i = t_0 + i mu and u_{i+1} = u_i + mu sum_k b_k z_k (MATH.md section 3).
+"""
 
 from __future__ import annotations
 
 import time as clock
 from array import array
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -15,126 +17,107 @@ from scipy.linalg import blas
 from sweepopt.checks import HUGE
 from sweepopt.errors import Status
 from sweepopt.integrate.overshoot import longest_safe, overshot
+from sweepopt.integrate.record import Run, Summary
 from sweepopt.integrate.schemes import Scheme
-from sweepopt.integrate.states import Keeper
-from sweepopt.integrate.statistics import Log
 from sweepopt.integrate.step import (
     INDEFINITE,
     PARTS,
     Parts,
     Stages,
-    Summary,
     Velocities,
-    combined,
-    compensated,
-    in_parts,
+    combination,
+    compensated_sum,
     step,
-    summary,
+    step_in_parts,
+    summarise,
 )
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan
 
-if TYPE_CHECKING:
-    from sweepopt.integrate.exact import Trajectory
+Observer = Callable[[int, np.ndarray, np.ndarray, float], "bool | None"]
+"""Sees a step's number, state, velocity and certificate; a true value stops the run."""
+FullCertificate = Callable[[int, np.ndarray, np.ndarray, Summary], Summary]
+"""What is known of all unknowns from a step's number, first state, velocity and summary."""
 
 
-Look = Callable[[int, np.ndarray, np.ndarray, float], "bool | None"]
-Prove = Callable[[int, np.ndarray, np.ndarray, "Summary"], "Summary"]
-
-
-class Place(NamedTuple):
-    """Where a run is: u after the steps that are done, and what rounding kept out of it."""
+class RestartPoint(NamedTuple):
+    """u after the steps that are done, and the compensation of its sum."""
 
     u: np.ndarray
-    lost: np.ndarray
+    compensation: np.ndarray
 
 
-class Marks(Protocol):
-    """Steps after which a run can be continued: what the programs remember ends there."""
+class Restarts(Protocol):
+    """Steps after which a run can go on later, to the same result: programs forget all of it."""
 
-    def begin(self, run: Run, keeper: Keeper, start: Place) -> Place:
+    def begin(self, run: Run, start: RestartPoint) -> RestartPoint:
         """Where the run begins: at `start`, or where an earlier one has come."""
         ...
 
-    def __call__(self, run: Run, keeper: Keeper, place: Place) -> bool:
-        """Whether the step that is done is a mark."""
+    def after_step(self, run: Run, point: RestartPoint) -> bool:
+        """Whether the step that is done is one of them."""
         ...
 
 
-def march(
+def integrate(
     process: SweepingProcess,
     plan: Plan,
     times: np.ndarray,
     mus: np.ndarray,
-    keeper: Keeper,
-    look: Look | None = None,
-    prove: Prove | None = None,
+    run: Run,
+    observer: Observer | None = None,
+    full_certificate: FullCertificate | None = None,
+    restarts: Restarts | None = None,
     velocities: Velocities | None = None,
-    marks: Marks | None = None,
-) -> Run:
-    """Move u through time; `look` sees every state, velocity and certificate, True from it stops.
+) -> None:
+    """Move u along the grid, and write every step into `run`.
 
-    A step that misses tol is taken in parts. `prove` adds to a step's certificate, from its number,
-    its first state and its velocity.
-    `velocities` are the compiled programs of an earlier run of the same process; at `marks` they
-    forget all steps, so that a run which is continued there is the same to the last bit.
-    Ctrl-C ends the loop, also in `look`: the keeper has the steps that are done.
+    A step that misses the tolerance is taken in parts; one that misses it all the same ends the
+    run. Ctrl-C ends it too, also in `observer`: the run has the steps that are done.
+
+    Parameters
+    ----------
+    velocities : Velocities, optional
+        The compiled programs of an earlier run of the same process.
     """
     steps = len(mus)
-    grid, sizes = _plain(times), _plain(mus)
+    starts, sizes = _plain(times), _plain(mus)
     velocities = velocities or Velocities(process, plan)
-    safe, limit = longest_safe(process, plan, mus), _limit(process, plan.scheme)
-    run = Run(Log(steps))
-    place = Place(process.u0, np.zeros(process.dim))
-    u, lost = place if marks is None else marks.begin(run, keeper, place)
+    safe, limit = longest_safe(process, plan, mus), _largest_state(process, plan.scheme)
+    point = RestartPoint(process.u0, np.zeros(process.dim))
+    u, compensation = point if restarts is None else restarts.begin(run, point)
     try:
         for i in range(run.done, steps):
-            started = clock.perf_counter()
-            mu = sizes[i]
-            z, stages = step(process, plan.scheme, velocities, grid[i], mu, u)
-            found, parts = summary(stages), None
-            if found.relative > plan.tol:
-                parts = in_parts(process, plan, velocities, grid[i], mu, u, found)
-                z, found = parts.z, parts.found
-            if prove is not None and not found.relative > plan.tol:
-                found = prove(i, u, z, found)
-            following, lost = compensated(u, mu * z, lost)
-            if found.relative > plan.tol or not blas.dnrm2(following) <= limit:
-                run.cause = _cause(process, i, grid[i], found, parts, plan.tol)
-                run.status, run.relative = Status.INEXACT, found.relative
-                break
-            if found.relative != found.relative:
+            began = clock.perf_counter()
+            t, mu = starts[i], sizes[i]
+            z, stages = step(process, plan.scheme, velocities, t, mu, u)
+            summary, parts = summarise(stages), None
+            if summary.relative > plan.tol:
+                parts = step_in_parts(process, plan, velocities, t, mu, u, summary)
+                z, summary = parts.z, parts.summary
+            if full_certificate is not None and not summary.relative > plan.tol:
+                summary = full_certificate(i, u, z, summary)
+            following, compensation = compensated_sum(u, mu * z, compensation)
+            if summary.relative > plan.tol or not blas.dnrm2(following) <= limit:
+                run.status, run.relative = Status.INEXACT, summary.relative
+                run.cause = _cause(process, i, t, summary, parts, plan.tol)
+                return
+            if summary.relative != summary.relative:
                 run.status = Status.UNCERTIFIED
             if mu > safe and run.overshot is None:
                 each = parts.stages if parts else [stages]
-                if mu > safe * len(each) and _overshot(process, plan, grid, i, u, each):
+                if mu > safe * len(each) and _overshot(process, plan, starts, i, u, each):
                     run.overshot = i
             u = following
-            keeper.put(i, u, z)
-            run.log.add(i, found, clock.perf_counter() - started)
-            run.done = i + 1
-            stop = look is not None and look(i, u, z, found.certificate)
-            if marks is not None and marks(run, keeper, Place(u, lost)):
+            run.add(u, z, summary, clock.perf_counter() - began)
+            stop = observer is not None and observer(i, u, z, summary.certificate)
+            if restarts is not None and restarts.after_step(run, RestartPoint(u, compensation)):
                 velocities.forget()
             if stop:
                 run.status = Status.STOPPED if run.done < steps else run.status
-                break
+                return
     except KeyboardInterrupt:
         run.status = Status.INTERRUPTED
-    return run
-
-
-@dataclass
-class Run:
-    """How a run ended, the first step that may have overshot, the dense exact trajectory."""
-
-    log: Log
-    done: int = 0
-    status: Status = Status.SUCCESS
-    cause: str = ""
-    relative: float = 0.0
-    overshot: int | None = None
-    exact: Trajectory | None = None
 
 
 def _plain(numbers: np.ndarray) -> array[float]:
@@ -142,7 +125,7 @@ def _plain(numbers: np.ndarray) -> array[float]:
     return array("d", np.ascontiguousarray(numbers, dtype=float).tobytes())
 
 
-def _limit(process: SweepingProcess, scheme: Scheme) -> float:
+def _largest_state(process: SweepingProcess, scheme: Scheme) -> float:
     """The largest |u|: where B enters explicitly, B u beyond what can be squared is a blow-up."""
     B = process.B
     if B is None or not scheme.explicit:
@@ -154,36 +137,36 @@ def _limit(process: SweepingProcess, scheme: Scheme) -> float:
 def _overshot(
     process: SweepingProcess,
     plan: Plan,
-    grid: array[float],
+    times: array[float],
     i: int,
     u: np.ndarray,
     parts: list[Stages],
 ) -> bool:
     """Whether step i from u, in so many equal parts, may have overshot."""
-    inner = np.linspace(grid[i], grid[i + 1], len(parts) + 1).tolist()
-    nodes = [*grid[max(i - 2, 0) : i], *inner, *grid[i + 2 : i + 3]]
+    inner = np.linspace(times[i], times[i + 1], len(parts) + 1).tolist()
+    nodes = [*times[max(i - 2, 0) : i], *inner, *times[i + 2 : i + 3]]
     for k, stages in enumerate(parts, start=min(i, 2)):
         try:
             if overshot(process, plan, nodes, k, u, stages):
                 return True
-        except Exception:  # these C(t) nobody asked for
+        except Exception:  # C(t) may have no value between the times of the grid
             return False
-        u = u + (nodes[k + 1] - nodes[k]) * combined(plan.scheme.b, stages)
+        u = u + (nodes[k + 1] - nodes[k]) * combination(plan.scheme.b, stages)
     return False
 
 
 def _cause(
-    process: SweepingProcess, i: int, t: float, found: Summary, parts: Parts | None, tol: float
+    process: SweepingProcess, i: int, t: float, summary: Summary, parts: Parts | None, tol: float
 ) -> str:
-    """Where and why a step failed, as far as that can be told."""
+    """Where and why a step failed, as far as that can be known."""
     where = f"step {i} from t = {t:g}"
-    if not found.relative > tol:
+    if not summary.relative > tol:
         return (
             f"{where}: the state grows beyond all numbers, which only errors do that a scheme "
             "amplifies; take smaller steps or implicit-euler"
         )
     best = (
-        f"the best certificate of {found.attempts} attempts is {found.relative:.2g} of the "
+        f"the best certificate of {summary.attempts} attempts is {summary.relative:.2g} of the "
         f"velocity's size, tol is {tol:g}"
     )
     tried = f", and to take it in {PARTS[0]} to {PARTS[-1]} parts does not help"
@@ -192,7 +175,7 @@ def _cause(
         tried, likely = "", "A is too badly conditioned to recover all unknowns"
     elif parts.cause:
         tried, likely = "", f"It cannot be taken in parts: {parts.cause}"
-    elif found.solver == INDEFINITE:
+    elif summary.solver == INDEFINITE:
         best = "A + gamma B is not positive definite to rounding"
         likely = "B is so large, or its rows cancel so far, that A is lost in the sum"
     elif not process.C.at(t).exact:

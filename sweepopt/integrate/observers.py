@@ -1,17 +1,15 @@
-"""Who sees the steps of a run: the progress bar, the file, the record, the user's callback."""
+"""Who sees the steps of a run: the progress bar, a file, the user's functions."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from sweepopt.errors import InputError, brought_by, shown
-from sweepopt.integrate.loop import Look
-from sweepopt.integrate.netcdf_writer import BlockWriter, Stored
-from sweepopt.integrate.reconstruction import Lift
-from sweepopt.integrate.states import Kept, Saving, States
+from sweepopt.integrate.loop import Observer
+from sweepopt.integrate.reconstruction import Reconstruction
 
 
 class StepInfo(NamedTuple):
@@ -28,10 +26,19 @@ class StepInfo(NamedTuple):
 
 
 Callback = Callable[[StepInfo], "bool | None"]
+SaveFunction = Callable[[float, np.ndarray, np.ndarray], Any]
 
 
-class Bar:
-    """A progress bar, or nothing where none is wanted.
+class Sink(Protocol):
+    """A file that takes the states of a run one after the other."""
+
+    def put(self, t: float, u: np.ndarray, velocity: np.ndarray) -> None:
+        """Take the state at the end t of the next step and the velocity of the step."""
+        ...
+
+
+class ProgressBar:
+    """A progress bar, or nothing where `visible` is false.
 
     Raises
     ------
@@ -39,84 +46,78 @@ class Bar:
         If tqdm is not installed.
     """
 
-    def __init__(self, shown: bool, steps: int | None, done: int = 0) -> None:
-        self.shown = shown
-        if shown:
+    def __init__(self, visible: bool, steps: int | None, done: int = 0) -> None:
+        self.visible = visible
+        if visible:
             with brought_by("fem"):
                 from tqdm.auto import tqdm
             self._bar = tqdm(total=steps, initial=done, unit="step")
 
     def update(self) -> None:
-        if self.shown:
+        if self.visible:
             self._bar.update()
 
     def close(self) -> None:
-        if self.shown:
+        if self.visible:
             self._bar.close()
 
 
 class Observers:
-    """All of them behind one `look`; they see all unknowns.
+    """All of them as one `observer` of the loop; they see all unknowns.
 
-    Attributes
+    Parameters
     ----------
+    bar : ProgressBar
+    sink : Sink or None
+    function : callable or None
+        What it returns for (t, u, z) of a step is appended to `recorded`.
     recorded : list
-        What the function given as `save` returned.
+        What it returned in the steps before.
+    callback : callable or None
+        A true value that it returns stops the run.
     """
 
     def __init__(
         self,
-        wanted: Saving,
-        lift: Lift,
-        times: np.ndarray,
-        u0: np.ndarray,
-        bar: Bar,
-        callback: Callback | None,
+        bar: ProgressBar,
+        sink: Sink | None,
+        function: SaveFunction | None,
         recorded: list[Any],
+        callback: Callback | None,
     ) -> None:
-        self.recorded = recorded
-        self._function, self._callback, self._bar = wanted.function, callback, bar
-        self._lift, self._times = lift, times
-        self._blocks = BlockWriter(wanted.path, float(times[0]), u0) if wanted.path else None
+        self._bar, self._sink, self._function, self._callback = bar, sink, function, callback
+        self._recorded = recorded
 
     @property
     def need_states(self) -> bool:
-        """Whether somebody looks at more than how many steps are done."""
-        return any(one is not None for one in (self._callback, self._blocks, self._function))
+        """Whether one of them looks at more than how many steps are done."""
+        return any(one is not None for one in (self._callback, self._sink, self._function))
 
-    @property
-    def look(self) -> Look | None:
-        """What the loop calls after a step; None if nobody looks."""
-        return self._look if self.need_states or self._bar.shown else None
-
-    def _look(self, i: int, u: np.ndarray, z: np.ndarray, certificate: float) -> bool | None:
-        self._bar.update()
+    def of_run(self, reconstruction: Reconstruction, times: np.ndarray) -> Observer | None:
+        """What the loop calls after each step; None if nobody looks."""
         if not self.need_states:
-            return None
-        lift, t = self._lift, float(self._times[i + 1])
-        u, z = lift.state(i + 1, u).copy(), lift.velocity(i, z).copy()
-        if self._blocks is not None:
-            self._blocks.put(t, u, z)
-        if self._function is not None:
-            self.recorded.append(self._function(t, u, z))
-        if self._callback is None:
-            return None
-        stop = self._callback(StepInfo(i, t, u, z, certificate))
-        try:
-            return bool(stop)
-        except (TypeError, ValueError) as error:
-            raise InputError(
-                f"callback must return True to stop the run, or nothing; got {shown(stop)}"
-            ) from error
+            return (lambda *step: self._bar.update()) if self._bar.visible else None
 
-    def close(self, finished: bool) -> None:
-        """The run is over, well or not."""
-        self._bar.close()
-        if self._blocks is not None:
-            self._blocks.close(finished)
+        def observe(i: int, u: np.ndarray, z: np.ndarray, certificate: float) -> bool:
+            self._bar.update()
+            t = float(times[i + 1])
+            u, z = reconstruction.state(i + 1, u).copy(), reconstruction.velocity(i, z).copy()
+            if self._sink is not None:
+                self._sink.put(t, u, z)
+            if self._function is not None:
+                self._recorded.append(self._function(t, u, z))
+            return self._callback is not None and _stops(
+                self._callback(StepInfo(i, t, u, z, certificate))
+            )
 
-    def kept(self, kept: Kept, steps: np.ndarray) -> tuple[States, np.ndarray]:
-        """The states of all unknowns where they are, and their steps."""
-        if self._blocks is None:
-            return self._lift.of(kept, steps), steps
-        return Stored(self._blocks.path, self._blocks.run), np.arange(self._blocks.steps)
+        return observe
+
+
+def _stops(answer: Any) -> bool:
+    """Whether a callback's answer ends the run."""
+    try:
+        return bool(answer)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"callback must return True to stop the run, or nothing; got {shown(answer)}"
+        ) from error

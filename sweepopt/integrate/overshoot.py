@@ -1,4 +1,4 @@
-"""Steps that may have gone past the true rest of a body: seen in the run, at mu Lam > a threshold.
+"""Steps that may have gone past the true rest of a body, where mu Lam is above a threshold.
 
 Where B u is far outside of C(t), u should come to rest at the edge of C(t), as exp(-t A^-1 B)
 decays. A scheme whose stability function turns negative goes past that point, and friction holds
@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.integrate.step import Stages, combined
+from sweepopt.integrate.step import Stages, combination
 from sweepopt.linalg import UNIT, exceeds_none, factorise
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan
 
-SEEN = 1e-3  # of what B u is outside: more rounding of B u hides it
-FAR = 2.0  # times the way that C(t) goes around the step: B u was not left behind by a load
+RESOLVED = 1e-3  # of how far B u is outside: more rounding of B u hides it
+FAR = 2.0  # times the way that C(t) goes around the step: a load leaves B u behind by less
 
 
 def longest_safe(process: SweepingProcess, plan: Plan, mus: np.ndarray) -> float:
@@ -52,10 +52,10 @@ def overshot(
         Times, of which the step goes from number k to k + 1.
     """
     scheme, (start, end) = plan.scheme, nodes[k : k + 2]
-    z, mu = stages[0].velocity.z, end - start
+    z, mu = stages[0].z, end - start
     along = process.times_B(z)
     outside = float(z @ (process.A @ z)) + scheme.a[0][0] * mu * float(z @ along)
-    gone = mu * float(along @ combined(scheme.b, stages))
+    gone = mu * float(along @ combination(scheme.b, stages))
 
     def edge(t: float) -> float:
         return float(process.C.at(t).support(-z))
@@ -65,8 +65,8 @@ def overshot(
     if not outside - gone < at_end - at_stage < math.inf:
         return False
     B: Any = process.B
-    lost = UNIT * np.abs(z) @ (abs(B) @ (np.abs(u) + mu * np.abs(z)))
-    if not lost < SEEN * outside:
+    rounding = UNIT * np.abs(z) @ (abs(B) @ (np.abs(u) + mu * np.abs(z)))
+    if not rounding < RESOLVED * outside:
         return False
     after = [end, *(min(end + scheme.c[-1] * (t - end), t) for t in nodes[k + 2 : k + 3])]
     earlier = nodes[max(k - 2, 0) : k]

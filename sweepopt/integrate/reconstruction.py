@@ -13,9 +13,15 @@ from typing import NamedTuple
 import numpy as np
 
 from sweepopt.integrate.exact import Evaluate, Trajectory, exact_trajectory, rows_of
+from sweepopt.integrate.record import (
+    KeptStates,
+    ReconstructedStates,
+    States,
+    StatesInMemory,
+    Summary,
+)
 from sweepopt.integrate.schemes import Scheme
-from sweepopt.integrate.states import Kept, Lifted, States
-from sweepopt.integrate.step import Summary, compensated
+from sweepopt.integrate.step import compensated_sum
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Moving, Point
 from sweepopt.velocity import Plan, ReconstructionResiduals, Reduction
@@ -24,12 +30,12 @@ from sweepopt.velocity import Plan, ReconstructionResiduals, Reduction
 class _Coefficients(NamedTuple):
     """alpha at all nodes, the seconds that each step of it took, its exact trajectory."""
 
-    alpha: Kept
+    alpha: StatesInMemory
     seconds: float
     exact: Trajectory | None
 
 
-class Lift:
+class Reconstruction:
     """All unknowns from those that enter the steps; without a reduction these are all."""
 
     def __init__(self, plan: Plan, times: np.ndarray, mus: np.ndarray) -> None:
@@ -45,7 +51,7 @@ class Lift:
         if scheme.exact:
             exact = _exact_coefficients(reduction, self._times)
             nodes = exact(self._times)
-            alpha = Kept(nodes, np.diff(nodes, axis=0) / self._mus[:, None])
+            alpha = StatesInMemory(nodes, np.diff(nodes, axis=0) / self._mus[:, None])
         else:
             alpha = _coefficients(reduction, scheme, self._times, self._mus)
         return _Coefficients(alpha, (clock.perf_counter() - begun) / len(self._mus), exact)
@@ -59,7 +65,7 @@ class Lift:
         )
 
     @property
-    def _alpha(self) -> Kept:
+    def _alpha(self) -> StatesInMemory:
         return self._coefficients.alpha
 
     @property
@@ -77,7 +83,9 @@ class Lift:
         reduction = self._plan.reduction
         return z if reduction is None else reduction.reconstruct(z, self._alpha.velocities[i])
 
-    def prove(self, i: int, zeta: np.ndarray, velocity: np.ndarray, step: Summary) -> Summary:
+    def full_certificate(
+        self, i: int, zeta: np.ndarray, velocity: np.ndarray, step: Summary
+    ) -> Summary:
         """The certificate of all unknowns from that of those that entered the step.
 
         A step in parts has the load's coefficients of the whole step: they are linear.
@@ -103,16 +111,23 @@ class Lift:
 
         return replace(few, reconstruct=all_unknowns)
 
-    def of(self, kept: Kept, steps: np.ndarray) -> States:
+    def states(self, kept: KeptStates) -> States:
         """The kept states as states of all unknowns."""
         reduction = self._plan.reduction
         if reduction is None:
-            return kept
-        unknowns = self._plan.unknowns
-        return Lifted(kept, lambda: self._alpha, steps, reduction.reconstruct, unknowns)
+            return kept.states
+        return ReconstructedStates(
+            kept.states,
+            lambda: self._alpha,
+            kept.steps,
+            reduction.reconstruct,
+            self._plan.unknowns,
+        )
 
 
-def _coefficients(reduction: Reduction, scheme: Scheme, times: np.ndarray, mus: np.ndarray) -> Kept:
+def _coefficients(
+    reduction: Reduction, scheme: Scheme, times: np.ndarray, mus: np.ndarray
+) -> StatesInMemory:
     """alpha at every node and its velocity in every step of a scheme of one stage.
 
     alpha' = (phi - rho alpha) / (1 + gamma rho), phi at the stage, alpha at the start of the step.
@@ -133,9 +148,9 @@ def _coefficients(reduction: Reduction, scheme: Scheme, times: np.ndarray, mus: 
         each = zip(constant[:, k].tolist(), slope[:, k].tolist(), sizes, strict=True)
         for i, (a, b, mu) in enumerate(each):
             velocities[i, k] = velocity = a + b * alpha
-            alpha, compensation = compensated(alpha, mu * velocity, compensation)
+            alpha, compensation = compensated_sum(alpha, mu * velocity, compensation)
             nodes[i + 1, k] = alpha
-    return Kept(nodes, velocities)
+    return StatesInMemory(nodes, velocities)
 
 
 def _exact_coefficients(reduction: Reduction, times: np.ndarray) -> Trajectory:

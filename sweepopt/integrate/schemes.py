@@ -57,7 +57,7 @@ class Scheme:
 
     @property
     def unwatched(self) -> Scheme:
-        """The same steps in a run that nobody shall be warned of: none is looked at."""
+        """The same scheme without warnings of steps that overshoot."""
         return replace(self, overshoots=math.inf)
 
 

@@ -1,4 +1,7 @@
-"""One step of a scheme: whole, or in parts where the whole misses its tolerance."""
+"""One step of a scheme: whole, or in equal parts where the whole misses its tolerance.
+
+u_{i+1} = u_i + mu sum_k b_k z_k, where z_k solves the program of stage k (see `schemes`).
+"""
 
 from __future__ import annotations
 
@@ -9,23 +12,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.errors import IndefiniteError
+from sweepopt.integrate.record import Summary
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.problem import SweepingProcess
-from sweepopt.velocity import Factors, Plan, Solved, StateVelocity, Velocity, matrix, of_state
+from sweepopt.velocity import (
+    Factors,
+    Plan,
+    StateVelocity,
+    Velocity,
+    compile_velocity,
+    factors,
+    matrix,
+)
 
-PARTS = (2, 4, 8, 16)  # that a step which missed is tried in
-INDEFINITE = "indefinite"  # who answers where M is no matrix of a program
-Stages = list[Solved]
-
-
-class Summary(NamedTuple):
-    """What the stages of a step have in common: their worst certificate, all their work."""
-
-    iterations: int
-    attempts: int
-    certificate: float
-    relative: float
-    solver: str
+PARTS = (2, 4, 8, 16)  # that a step which missed its tolerance is tried in
+INDEFINITE = "indefinite"  # who answers where A + gamma B is no matrix of a program
+Stages = list[Velocity]
 
 
 class Velocities:
@@ -37,28 +39,29 @@ class Velocities:
         self._process, self._plan = process, plan
         self._factors: dict[float, Factors] = {}
         self._compiled: dict[float, StateVelocity] = {}
-        self._refused: set[float] = set()
+        self._indefinite: set[float] = set()
 
     def __call__(self, gamma: float) -> StateVelocity:
         if gamma not in self._compiled:
-            if gamma in self._refused:
+            if gamma in self._indefinite:
                 raise IndefiniteError("A + gamma B is not positive definite to rounding")
             if gamma not in self._factors:
                 _make_room(self._factors, self.LIMIT)
-                self._factors[gamma] = self._plan.factors(matrix(self._process, gamma))
+                self._factors[gamma] = factors(self._plan, matrix(self._process, gamma))
             # apart from the factorisations: what is dropped depends on the steps since `forget`
             _make_room(self._compiled, self.LIMIT)
-            self._compiled[gamma] = of_state(self._process, self._plan, gamma, self._factors[gamma])
+            known = self._factors[gamma]
+            self._compiled[gamma] = compile_velocity(self._process, self._plan, gamma, known)
         return self._compiled[gamma]
 
     def forget(self) -> None:
         """Drop what programs remember of earlier steps, but not the factorisations."""
         self._compiled.clear()
-        self._refused.clear()
+        self._indefinite.clear()
 
     def refuse(self, gamma: float) -> None:
         """Do not factorise a matrix again that has shown not to be positive definite."""
-        self._refused.add(gamma)
+        self._indefinite.add(gamma)
         self._compiled.pop(gamma, None)
 
 
@@ -81,28 +84,41 @@ def step(
     """
     stages: Stages = []
     for weights, c in zip(scheme.a, scheme.c, strict=True):
-        known = u + mu * combined(weights[:-1], stages) if stages else u
+        known = u + mu * combination(weights[:-1], stages) if stages else u
         gamma = mu * weights[-1] if process.B is not None else 0.0
         try:
             solved = velocities(gamma)(known, process.C.at(t + c * mu))
         except IndefiniteError:
             velocities.refuse(gamma)
-            nothing = Velocity(np.zeros_like(u), math.inf, math.inf)
-            return nothing.z, [*stages, Solved(nothing, INDEFINITE, 0, 0)]
+            nothing = Velocity(np.zeros_like(u), math.inf, math.inf, INDEFINITE)
+            return nothing.z, [*stages, nothing]
         stages.append(solved)
-    return combined(scheme.b, stages), stages
+    return combination(scheme.b, stages), stages
 
 
 class Parts(NamedTuple):
-    """A step in parts: the mean of their velocities, what their stages solved, why it failed."""
+    """A step in equal parts; without stages where no number of parts meets the tolerance.
+
+    Attributes
+    ----------
+    z : ndarray
+        The mean of their velocities.
+    stages : list
+        What the stages of each part solved.
+    summary : Summary
+        The worst certificate of the parts, or that of the whole step without stages; the work is
+        all that was done.
+    cause : str
+        Why the step cannot be taken in parts at all.
+    """
 
     z: np.ndarray
     stages: list[Stages]
-    found: Summary
+    summary: Summary
     cause: str = ""
 
 
-def in_parts(
+def step_in_parts(
     process: SweepingProcess,
     plan: Plan,
     velocities: Velocities,
@@ -111,13 +127,11 @@ def in_parts(
     u: np.ndarray,
     whole: Summary,
 ) -> Parts:
-    """The step in 2, 4, .. equal parts of the same scheme, until all of them meet tol.
+    """The step in 2, 4, .. equal parts of the same scheme, until all of them meet the tolerance.
 
     A + gamma mu / k B is nearer to A, and C(t) is asked for at other times. u moves through the
     parts as through steps, so that the result is that of a finer grid. The certificate is the worst
-    of the parts' programs, each exact to it: no bound of what one whole step would have been, which
-    nobody knows. The work is all that was done. Where no number of parts helps, `found` has the
-    certificate of the whole.
+    of the parts' programs and no bound of the error of one whole step, which nobody knows.
     """
     iterations, attempts = whole.iterations, whole.attempts
     cause = ""
@@ -126,61 +140,59 @@ def in_parts(
         starts = t + h * np.arange(count)
         try:
             process.C.members(np.unique(starts[:, None] + h * np.array(plan.scheme.c)))
-        except Exception as error:  # these C(t) nobody asked for: what is done stays
+        except Exception as error:  # C(t) may have no value between the times of the grid
             cause = str(error) or type(error).__name__
             break
-        v, lost, z = u, np.zeros_like(u), np.zeros_like(u)
+        v, z = u, np.zeros_like(u)
+        compensation = np.zeros_like(u)
         stages: list[Stages] = []
         for start in starts.tolist():
-            part, solved = step(process, plan.scheme, velocities, start, h, v)
-            found = summary(solved)
-            iterations, attempts = iterations + found.iterations, attempts + found.attempts
-            if found.relative > plan.tol:
+            velocity, solved = step(process, plan.scheme, velocities, start, h, v)
+            part = summarise(solved)
+            iterations, attempts = iterations + part.iterations, attempts + part.attempts
+            if part.relative > plan.tol:
                 break
-            v, lost = compensated(v, h * part, lost)
-            z += part
+            v, compensation = compensated_sum(v, h * velocity, compensation)
+            z += velocity
             stages.append(solved)
         else:
-            every = summary([one for part in stages for one in part])
-            solver = f"{every.solver}/{count}"
-            return Parts(
-                z / count,
-                stages,
-                every._replace(iterations=iterations, attempts=attempts, solver=solver),
-            )
+            worst = summarise([one for part_stages in stages for one in part_stages])
+            solver = f"{worst.solver}/{count}"
+            summary = worst._replace(iterations=iterations, attempts=attempts, solver=solver)
+            return Parts(z / count, stages, summary)
     failed = whole._replace(iterations=iterations, attempts=attempts)
     return Parts(np.zeros_like(u), [], failed, cause)
 
 
-def summary(stages: Stages) -> Summary:
+def summarise(stages: Stages) -> Summary:
     """What the stages have in common; the solver is that of the last one."""
     last = stages[-1]
     if len(stages) == 1:
-        _, certificate, relative = last.velocity
-        return Summary(last.iterations, last.attempts, certificate, relative, last.solver)
+        _, certificate, relative, solver, iterations, attempts = last
+        return Summary(iterations, attempts, certificate, relative, solver)
     return Summary(
         sum(solved.iterations for solved in stages),
         max(solved.attempts for solved in stages),
-        _worst(solved.velocity.certificate for solved in stages),
-        _worst(solved.velocity.relative for solved in stages),
+        _worst(solved.certificate for solved in stages),
+        _worst(solved.relative for solved in stages),
         last.solver,
     )
 
 
-def compensated(u: Any, increment: Any, lost: Any) -> tuple[Any, Any]:
-    """u + increment, and what rounding keeps out of it (Kahan); `lost` is that of before."""
-    increment = increment - lost
-    following = u + increment
-    return following, (following - u) - increment
+def compensated_sum(u: Any, increment: Any, compensation: Any) -> tuple[Any, Any]:
+    """Kahan's sum: u + increment, and the compensation of what rounding has kept out of it."""
+    increment = increment - compensation
+    total = u + increment
+    return total, (total - u) - increment
 
 
-def combined(weights: Sequence[float], stages: Stages) -> np.ndarray:
+def combination(weights: Sequence[float], stages: Stages) -> np.ndarray:
     """sum of weights_k z_k; a single weight 1 keeps z itself."""
     if weights == (1.0,):
-        return stages[0].velocity.z
-    total = weights[0] * stages[0].velocity.z
+        return stages[0].z
+    total = weights[0] * stages[0].z
     for weight, solved in zip(weights[1:], stages[1:], strict=True):
-        total += weight * solved.velocity.z
+        total += weight * solved.z
     return total
 
 

@@ -131,10 +131,10 @@ class Motion:
         """C(t) as center(t) + scale(t) S, also where moving rows form a box; None if it is not."""
         if self.offsets is None:
             return None if self.shape is None else self
-        found = None if self.shape is None else self.shape.rows()
-        if self.offsets.function is not None or found is None:
+        rows = None if self.shape is None else self.shape.rows()
+        if self.offsets.function is not None or rows is None:
             return None
-        return _moving_box(dense(found[0]), self.offsets)
+        return _moving_box(dense(rows[0]), self.offsets)
 
     def rows(self) -> MovingRows:
         """C(t) as half-spaces with offsets in closed form.
@@ -157,17 +157,17 @@ class Motion:
         terms = _closed_forms(self.center if self.offsets is None else self.offsets, self.name)
         scale = 1.0 if self.given_scale is None else float(self.scale.at(np.zeros(1))[0, 0])
         try:
-            found = halfspaces(self.shape if scale == 1 else scale * self.shape)
+            polyhedron = halfspaces(self.shape if scale == 1 else scale * self.shape)
         except NoHalfspacesError as error:
             raise InputError(
                 "the process has a set that is not a polyhedron with known rows: "
                 f"{error}; use midpoint"
             ) from error
-        N = np.vstack([found.N, found.E])
+        N = np.vstack([polyhedron.N, polyhedron.E])
         if self.offsets is None:
             terms = tuple((phi, N @ f) for phi, f in terms)
-        fixed = (Constant(1.0), np.concatenate([found.d, found.e]))
-        return MovingRows(N, (fixed, *terms), len(found.e))
+        fixed = (Constant(1.0), np.concatenate([polyhedron.d, polyhedron.e]))
+        return MovingRows(N, (fixed, *terms), len(polyhedron.e))
 
 
 def motion(C: AnySet) -> Motion:
@@ -189,8 +189,9 @@ def _closed_forms(load: TimeFunction, name: str) -> Terms:
     """The terms of a load whose histories are all known in closed form."""
     if load.function is not None:
         raise InputError(
-            f"the process has a black-box {name}: a function of time tells no kinks; write it as "
-            "so.Separable([(history, vector), ...]) of Polynomial, Sine, Triangle or Table"
+            f"the process has a black-box {name}: the breakpoints of a function are not known; "
+            "write it as so.Separable([(history, vector), ...]) of Polynomial, Sine, Triangle or "
+            "Table"
         )
     for k, history in enumerate(load.histories):
         if not hasattr(history, "piece") or not hasattr(history, "breakpoints"):

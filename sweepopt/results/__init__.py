@@ -2,24 +2,37 @@
 
 from __future__ import annotations
 
-from sweepopt.results.energy import (
-    Energy,
+from sweepopt.results.energy import Energy
+from sweepopt.results.error_bound import ErrorBound
+from sweepopt.results.netcdf import (
+    NetCDFSink,
+    StatesInFile,
+    attributes_of,
+    dataset,
+    netcdf_package,
+    software,
+    solver_name,
+    statistics_of,
+    times_of,
+    variable,
 )
-from sweepopt.results.error_bound import (
-    ErrorBound,
-)
-from sweepopt.results.refinement import (
-    refine,
-)
-from sweepopt.results.solution import (
-    Pass,
-    Solution,
-)
+from sweepopt.results.refinement import refine
+from sweepopt.results.solution import Pass, Solution
 
 __all__ = [
     "Energy",
     "ErrorBound",
+    "NetCDFSink",
     "Pass",
     "Solution",
+    "StatesInFile",
+    "attributes_of",
+    "dataset",
+    "netcdf_package",
     "refine",
+    "software",
+    "solver_name",
+    "statistics_of",
+    "times_of",
+    "variable",
 ]

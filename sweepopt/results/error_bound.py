@@ -32,12 +32,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sweepopt.integrate import MEMORY, SCHEMES, Keeper, divided, march, saving, time_grid
+from sweepopt.integrate import MEMORY, SCHEMES, Run, divided, integrate, saving, time_grid
 from sweepopt.linalg import EPS
 from sweepopt.problem import Norms, SweepingProcess
 from sweepopt.results.nodes import Nodes, cubic
 from sweepopt.results.residuals import Residuals, residuals
-from sweepopt.velocity import Plan
+from sweepopt.velocity import Plan, compile_projection
 
 SUMMED = 64 * EPS  # rounding of a run's sums, in units of |u|_A and the root of its steps
 PARTS = 8  # of a step, for the second run where A = 0: its error is of first order too
@@ -89,10 +89,11 @@ def error_bound(
     plan = replace(plan, reduction=None, tol=min(plan.tol, TOL))
     near = run if own else _second_run(process, plan, run.t)
     norms = Norms(process)
-    found = residuals(process, plan.velocity(process.metric.M), norms, near, variation)
-    error = _growth(norms, near.t, found)
+    phi = compile_projection(plan, process.metric.M)
+    integrals = residuals(process, phi, norms, near, variation)
+    error = _growth(norms, near.t, integrals)
     nodes = run.at(near.t)
-    difference = _difference(near, found.slopes, nodes)
+    difference = _difference(near, integrals.slopes, nodes)
     rounding = SUMMED * math.sqrt(len(near.t)) * norms.A(near.u).max()
     parts = (len(near.t) - 1) // (len(run.t) - 1)
 
@@ -100,7 +101,7 @@ def error_bound(
         return (bound + rounding).reshape(-1, parts).max(axis=1)
 
     return ErrorBound.make(
-        guaranteed=found.guaranteed,
+        guaranteed=integrals.guaranteed,
         t=run.t,
         of_t=on_steps(norms.A(difference).max(axis=1) + error.A[1:]),
         B=on_steps(norms.B(difference).max(axis=1) + error.B[1:]),
@@ -120,12 +121,12 @@ def nodes_of(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
     times, mus = time_grid(None, t)
     wanted = saving(None, times, process.dim, MEMORY)
     for tol in (plan.tol, math.inf):
-        keeper = Keeper(wanted.steps, process.u0)
-        done = march(process, replace(plan, tol=tol), times, mus, keeper).done
-        if done == len(mus):
+        run = Run(len(mus), wanted.steps, process.u0)
+        integrate(process, replace(plan, tol=tol), times, mus, run)
+        if run.done == len(mus):
             break
-    kept = keeper.close(done)[1]
-    return Nodes(times, kept.nodes, kept.velocities)
+    states = run.kept().states
+    return Nodes(times, states.nodes, states.velocities)
 
 
 class _Error(NamedTuple):
@@ -135,11 +136,11 @@ class _Error(NamedTuple):
     B: np.ndarray
 
 
-def _growth(norms: Norms, t: np.ndarray, found: Residuals) -> _Error:
+def _growth(norms: Norms, t: np.ndarray, integrals: Residuals) -> _Error:
     """The theorem, step by step: the smallest of its bounds at each node."""
-    gaps, squares = found.gaps, found.squares
+    gaps, squares = integrals.gaps, integrals.squares
     if norms.rate_independent:
-        R = np.maximum.accumulate(found.largest) + np.cumsum(found.turning)
+        R = np.maximum.accumulate(integrals.largest) + np.cumsum(integrals.turning)
         error = np.append(0.0, R + np.sqrt(R**2 + np.cumsum(gaps)))
         return _Error(error, error)
     once = np.sqrt(np.diff(t) * (gaps + squares))  # Cauchy and Schwarz: int sqrt(2 G + |r|^2)

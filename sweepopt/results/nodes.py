@@ -40,7 +40,7 @@ def slopes_of_curves(process: SweepingProcess, phi: VelocityOf, near: Nodes) -> 
         slope = np.concatenate([mean[:1], inner, mean[-1:]])
     else:
         nodes = zip(near.t.tolist(), near.u, strict=True)
-        slope = np.array([phi(process.times_B(u), process.C.at(t)).velocity.z for t, u in nodes])
+        slope = np.array([phi(process.times_B(u), process.C.at(t)).z for t, u in nodes])
     first, last = slope[:-1], slope[1:]
     smooth = np.stack([first, 3 * mean - first - last, last], axis=1)
     return [np.repeat(mean[:, None], 3, axis=1), smooth]

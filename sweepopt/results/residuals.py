@@ -76,7 +76,7 @@ def residuals(
 
     Parameters
     ----------
-    phi : callable (q, C) -> Solved
+    phi : callable (q, C) -> Velocity
         The velocity for M = A (B where A = 0); its answers are not trusted.
     variation : callable or None
         v with d_H(C(t), C(s)) <= v(t) - v(s) for s <= t.
@@ -110,7 +110,7 @@ def _of_data(
 ) -> Residuals:
     """Bounds between breakpoints, many intervals at once; on each step the best of the curves."""
     n, dim = near.velocity.shape
-    found = np.zeros((len(curves), 4, n))
+    totals = np.zeros((len(curves), 4, n))
     whole = smooth_intervals(moved, near.t)
     count = max(CHUNK // (30 * dim), 1)
     bound = _BoundsOnIntervals(process, norms, near, moved)
@@ -119,19 +119,19 @@ def _of_data(
         center, scale = (
             interpolate(f, intervals.begin, intervals.end) for f in (moved.center, moved.scale)
         )
-        for total, slopes in zip(found, curves, strict=True):
+        for total, slopes in zip(totals, curves, strict=True):
             gaps, squares, largest, turning = bound(slopes, intervals, center, scale)
             np.add.at(total[0], intervals.step, gaps)
             np.add.at(total[1], intervals.step, squares)
             np.maximum.at(total[2], intervals.step, largest)
             np.add.at(total[3], intervals.step, turning)
-    cost = found[:, 0] + found[:, 1]
+    cost = totals[:, 0] + totals[:, 1]
     if norms.rate_independent:  # the bound is about sum turning + sqrt(sum gaps)
-        least = float(found[:, 0].min(axis=0).sum())
-        cost = found[:, 3] + found[:, 0] / (math.sqrt(least) or 1.0)
+        least = float(totals[:, 0].min(axis=0).sum())
+        cost = totals[:, 3] + totals[:, 0] / (math.sqrt(least) or 1.0)
     best, step = np.argmin(cost, axis=0), np.arange(n)
     guaranteed = moved.center.bounded and moved.scale.bounded
-    gaps, squares, largest, turning = found[best, :, step].T
+    gaps, squares, largest, turning = totals[best, :, step].T
     slopes = np.array(curves)[best, step]
     return Residuals(gaps, squares, largest, turning, slopes, guaranteed)
 
@@ -171,8 +171,8 @@ class _BoundsOnIntervals:
         inside = share < 1
         ends = basis(2, begin[:, None] + share[:, None] * HALVES) @ directions
         directions = np.where(inside[:, None, None], THIRDS @ ends, directions)
-        gaps, away = self._gaps(-directions * most[:, None], s, most.max(axis=1))
-        error = error + away / math.sqrt(norms.beta)
+        gaps, distance = self._gaps(-directions * most[:, None], s, most.max(axis=1))
+        error = error + distance / math.sqrt(norms.beta)
         # Minkowski: the interpolation error adds up in the norm
         squares = length * (np.sqrt(norms.dual(r) ** 2 @ WEIGHTS) + error) ** 2
         largest, slope = np.zeros((2, len(i)))
@@ -267,7 +267,7 @@ def _sampled(
         velocity, v = basis(2, GAUSS) @ slopes[i], basis(3, GAUSS) @ curves[i]
         q = [process.times_B(x) for x in v]
         sets = [process.C.at(t) for t in (near.t[i] + h[i] * GAUSS).tolist()]
-        z = np.array([phi(*one).velocity.z for one in zip(q, sets, strict=True)])
+        z = np.array([phi(*one).z for one in zip(q, sets, strict=True)])
         if not norms.rate_independent:
             squares[i] = h[i] * (norms.A(z - velocity) ** 2 @ WEIGHTS)
             continue

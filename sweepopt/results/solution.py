@@ -13,8 +13,9 @@ from sweepopt.integrate import Pass, States, Statistics
 from sweepopt.problem import SweepingProcess
 from sweepopt.results.energy import Energy, energy_of
 from sweepopt.results.interpolant import Interpolant
+from sweepopt.results.netcdf import to_xarray
 from sweepopt.results.nodes import Nodes
-from sweepopt.velocity import Plan, VelocityOf
+from sweepopt.velocity import Plan, VelocityOf, compile_projection
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -172,7 +173,7 @@ class Solution:
 
     @cached_property
     def _nearest(self) -> VelocityOf:
-        return self.plan.velocity(self.process.metric.M)
+        return compile_projection(self.plan, self.process.metric.M)
 
     def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
         """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A = 0).
@@ -245,7 +246,7 @@ class Solution:
 
     def _distance(self, force: np.ndarray, C: Any) -> float:
         # the velocity program with M = A, q = w is the projection of w on C in the A^-1 metric
-        found = self._nearest(force, C).velocity
+        found = self._nearest(force, C)
         if found.relative > self.plan.tol:
             raise SweepoptError(
                 f"the distance to C(t) is known to {found.relative:.2g} only, tol is "
@@ -265,8 +266,6 @@ class Solution:
 
     def to_xarray(self) -> Dataset:
         """The trajectory and its statistics as an xarray.Dataset (needs the extra "fem")."""
-        from sweepopt.fem.netcdf import to_xarray
-
         return to_xarray(self)
 
     def plot(self, ax: Axes | None = None) -> Axes:

@@ -1,32 +1,31 @@
-"""One step: the program, its proof, the plan that chooses a path, the solvers (MATH 2, 5)."""
+"""One step: the program, its certificate, the plan that chooses a path, the solvers (MATH 2, 5)."""
 
 from __future__ import annotations
 
-from sweepopt.velocity.elimination import (
-    Solved,
-    VelocityOf,
+from sweepopt.velocity.cascade import (
+    Factors,
 )
-from sweepopt.velocity.exact_residual import (
+from sweepopt.velocity.certificate import (
+    Velocity,
+    certify,
+    certify_point,
+)
+from sweepopt.velocity.compiled import (
     StateVelocity,
+    VelocityOf,
+    compile_projection,
+    compile_velocity,
+    factors,
     matrix,
-    of_state,
-)
-from sweepopt.velocity.interval import (
-    interval_of,
-    velocity_in,
 )
 from sweepopt.velocity.plan import (
     PATHS,
-    Factors,
     Plan,
     make_plan,
 )
 from sweepopt.velocity.program import (
-    POLISHED,
     Canonical,
-    Velocity,
     VelocityProgram,
-    rate,
     untranslated,
 )
 from sweepopt.velocity.proportional import (
@@ -53,7 +52,6 @@ __all__ = [
     "DAQP",
     "OSQP",
     "PATHS",
-    "POLISHED",
     "REGISTRY",
     "ActiveSet",
     "Answer",
@@ -66,18 +64,18 @@ __all__ = [
     "ReconstructionResiduals",
     "Reduction",
     "Solve",
-    "Solved",
     "Solver",
     "StateVelocity",
     "Velocity",
     "VelocityOf",
     "VelocityProgram",
+    "certify",
+    "certify_point",
+    "compile_projection",
+    "compile_velocity",
+    "factors",
     "installed",
-    "interval_of",
     "make_plan",
     "matrix",
-    "of_state",
-    "rate",
     "untranslated",
-    "velocity_in",
 ]

@@ -4,27 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import Matrix
 from sweepopt.errors import PathError, SolverRefusedError
-from sweepopt.linalg import Elimination, Factor, IterativeElimination, eliminate, factorise
 from sweepopt.problem import SweepingProcess
-from sweepopt.sets import ConvexSet, same_array
-from sweepopt.velocity.elimination import (
-    SelectedVelocity,
-    Solved,
-    VelocityOf,
-    accurate,
-    eliminated,
-    linear,
-    unless_at_rest,
-)
+from sweepopt.sets import ConvexSet
 from sweepopt.velocity.proportional import Reduction, reduce
-from sweepopt.velocity.routes import Programmed
 from sweepopt.velocity.solvers import Solver, choose
 
 if TYPE_CHECKING:
@@ -36,28 +23,6 @@ PATHS = {
     "eliminated": "a program for the contact, two substitutions for the others",
     "full": "a program for all unknowns",
 }
-
-
-@dataclass(frozen=True, eq=False)
-class Factors:
-    """A matrix factorised in the ways that somebody asks for."""
-
-    M: Matrix
-    contact: np.ndarray
-    order: np.ndarray | None
-
-    @cached_property
-    def whole(self) -> Factor:
-        return factorise(self.M)
-
-    @cached_property
-    def elimination(self) -> Elimination | IterativeElimination:
-        return eliminate(self.M, self.contact, self.order)
-
-    @cached_property
-    def small(self) -> Factor:
-        """What is left for the contact."""
-        return Factor(self.elimination.N)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,38 +100,6 @@ class Plan:
     def _order(self) -> str:
         return "" if self.scheme.exact else f" (order {self.scheme.order})"
 
-    def velocity(self, M: Matrix | Factors) -> VelocityOf:
-        """Compile (q, C) -> certified velocity for one matrix; not to be shared by threads.
-
-        Each C is looked at again: a point needs a linear solve only, a set on the contact unknowns
-        a small program, any other set the full one. What a C needs is compiled when it comes.
-        """
-        factors = M if isinstance(M, Factors) else self.factors(M)
-        contact, enough = factors.contact, accurate(factors.M.shape[0], self.tol)
-        program = cache(lambda: Programmed(factors.whole, self.solver, self.tol, self.order))
-        point = cache(lambda: linear(factors.whole, enough))
-        selected = cache(lambda: self._eliminated(factors, enough))
-
-        def solve(q: np.ndarray, C: ConvexSet) -> Solved:
-            if C.singleton:
-                return point()(q, C)
-            selection = C.selection if contact.size else None
-            if selection is None or not same_array(selection.unknowns, contact):
-                return program()(q, C)
-            return selected()(q, selection)
-
-        return solve
-
-    def factors(self, M: Matrix) -> Factors:
-        """What is known of a matrix before any velocity: nothing in it depends on steps."""
-        contact = np.zeros(0, dtype=int) if self.contact is None else self.contact
-        return Factors(M, contact, self.order)
-
-    def _eliminated(self, factors: Factors, enough: float) -> SelectedVelocity:
-        small = Programmed(factors.small, self.solver, self.tol, None)
-        moving = eliminated(factors.elimination, small, enough)
-        return unless_at_rest(factors.elimination.diagonal, moving)
-
     def __str__(self) -> str:
         solver = self.solvers[0].name if self.solvers else "linear solves, no optimiser"
         if self.solver == "auto" and self.solvers:
@@ -210,7 +143,7 @@ def make_plan(
     SolverRefusedError
         If the solver is not known or cannot treat one of the sets.
     """
-    solvers, contact = _looked(process.dim, members, solver, path)
+    solvers, contact = _looked(process.dim, members, solver, path, tol)
     if path in ("eliminated", "proportional") and contact is None:
         raise PathError(
             f"path={path!r} needs a C(t) that acts on the same few unknowns at all times: write it "
@@ -247,14 +180,14 @@ class _Looked(NamedTuple):
 
 
 def _looked(
-    dim: int, members: Sequence[tuple[float, ConvexSet]], solver: Any, path: str
+    dim: int, members: Sequence[tuple[float, ConvexSet]], solver: Any, path: str, tol: float
 ) -> _Looked:
     solvers: tuple[Solver, ...] = ()
     contacts: list[np.ndarray] = []
     for t, C in members:
         selection = None if path == "full" else C.selection
         try:
-            chosen = choose(solver, C if selection is None else selection.part)
+            chosen = choose(solver, C if selection is None else selection.part, tol)
         except SolverRefusedError as error:
             raise SolverRefusedError(f"{error} (C(t) at t = {t:g})") from error
         if not C.singleton:

@@ -1,9 +1,9 @@
-"""The one program every scheme asks for, stated once, and its certificate.
+"""The one program every scheme asks for, stated once.
 
     z = argmin  1/2 <M z, z> + <q, z> + sigma(C, -z)
 
 is strongly convex: it has exactly one solution, whatever a solver says. It is equivalent to
--z in N_C(M z + q). The certificate (MATH.md section 2) is computed from M, q and C alone.
+-z in N_C(M z + q) (MATH.md section 2).
 """
 
 from __future__ import annotations
@@ -16,32 +16,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.linalg import EPS, UNIT, Factor, euclidean
-from sweepopt.sets import ROUNDING, ConvexSet, Selection, Translation, in_turn
+from sweepopt.linalg import Factor
+from sweepopt.sets import ConvexSet, Translation, in_turn
 
 if TYPE_CHECKING:
     import cvxpy as cp
-
-POLISHED = 1e-12  # relative certificates above this are worth a polish
-
-
-class Velocity(NamedTuple):
-    """A velocity and the proof of it.
-
-    Attributes
-    ----------
-    z : ndarray, shape (dim,)
-        The velocity; sigma(C, -z) is finite, stuck unknowns are exactly 0.0.
-    certificate : float
-        >= |z - z*|_M up to rounding, from M, q and C alone; nan if the set has no proof.
-    relative : float
-        certificate / max(|z|_M, |M^-1 q|_M), q the full linear term; what `tol` bounds. Where it
-        is below POLISHED it may be certificate / |z|_M, which is larger.
-    """
-
-    z: np.ndarray
-    certificate: float
-    relative: float
 
 
 class Translate(NamedTuple):
@@ -173,56 +152,6 @@ class VelocityProgram:
             )
         return self._canonical[solver]
 
-    def certify(self, q: np.ndarray, C: ConvexSet, z: np.ndarray, y: np.ndarray) -> Velocity:
-        """Turn any approximate answer (z, y) into a velocity with a proven error bound.
-
-        C gives a pair -z' in N_C(w) near the answer; then rho = M z' + q - w carries all of the
-        error, and strong monotonicity of M + N_C^-1 gives |z' - z*|_M <= |rho|_{M^-1}; a set that
-        is short of an exact pair by `gap` adds 2 gap under the root. Of a pair that is rounded an
-        exact one is dw and dp away: then z' moves by |dp|_M, and rho by |dw|_{M^-1} + |dp|_M.
-        """
-        M = self.M
-        pair = C.normal_pair(-z, M.apply(z, q).value, M.diagonal, y)
-        if pair is None:
-            return Velocity(z, float("nan"), float("nan"))
-        z = 0.0 - pair.p
-        # norms that cost a solve are taken only where cheaper ones do not show rounding alone
-        rho, size_z, rounding = M.apply(z, q, -pair.w)
-        size_rho = M.dual_norm_within(rho, POLISHED * size_z) + rounding
-        certificate = math.sqrt(2 * pair.gap + size_rho**2)
-        if pair.perturbation is not None:
-            certificate += M.moved(*pair.perturbation)
-        size_q = 0.0 if certificate <= POLISHED * size_z else M.dual_norm(q - C.anchor)
-        return rate(z, certificate, size_z, size_q)
-
-    def at_rest(self, q: np.ndarray, C: Translate) -> Velocity | None:
-        """z = 0 exactly, if q is in C: nothing moves.
-
-        A force that misses C by rounding counts as inside.
-        """
-        c, S = C
-        few = S.selection
-        if few is not None:
-            shift = c if few.shift is None else few.shift + c
-            return at_rest_on(q, few._replace(shift=shift), self.M.diagonal)
-        force = q - c
-        rests = is_rounding(force - S.nearest(force, self.M.diagonal), q, c + S.anchor)
-        return Velocity(np.zeros_like(q), 0.0, 0.0) if rests else None
-
-
-def at_rest_on(q: np.ndarray, few: Selection, diagonal: np.ndarray) -> Velocity | None:
-    """The same where C acts on few unknowns: what acts beside them settles most steps."""
-    shift = np.zeros_like(q) if few.shift is None else few.shift
-    missed = q - shift
-    force = missed[few.unknowns]
-    missed[few.unknowns] = 0.0
-    if not _is_near(missed, q, shift):
-        return None
-    missed[few.unknowns] = force - few.part.nearest(force, diagonal[few.unknowns])
-    anchor = np.abs(shift)
-    anchor[few.unknowns] += np.abs(few.part.anchor)
-    return Velocity(np.zeros_like(q), 0.0, 0.0) if is_rounding(missed, q, anchor) else None
-
 
 def _derivative(
     expression: cp.Expression | None, columns: dict[int, int], size: int
@@ -238,48 +167,3 @@ def _derivative(
         moved = (part.data, (part.row + columns[variable.id], part.col))
         rows.append(sp.csc_array(moved, shape=(size, part.shape[1])))
     return sp.csc_array(sum(rows[1:], start=rows[0]))
-
-
-def is_rounding(missed: np.ndarray, q: np.ndarray, anchor: np.ndarray) -> bool:
-    """The rule of rest: q misses C by at most 8 rounding units of q and of C's translation.
-
-    It holds entry by entry.
-    """
-    return _is_near(missed, q, anchor) and bool(
-        (np.abs(missed) <= ROUNDING * (np.abs(q) + np.abs(anchor))).all()
-    )
-
-
-def _is_near(missed: np.ndarray, q: np.ndarray, anchor: np.ndarray) -> bool:
-    """What the rule of rest implies in the Euclidean norm, which costs less to look at."""
-    return bool(missed.dot(missed) <= 3 * ROUNDING**2 * (q.dot(q) + anchor.dot(anchor)))
-
-
-def rate(z: np.ndarray, certificate: float, size_z: float, size_q: float) -> Velocity:
-    """A velocity with its certificate in relation to max(|z|_M, |M^-1 q|_M).
-
-    What is not exact is known to one rounding of this size at best.
-    """
-    size = max(size_z, size_q)
-    certificate += UNIT * size if certificate else 0.0
-    relative = certificate / size if size else math.inf
-    return Velocity(z, certificate, float(relative) if certificate else 0.0)
-
-
-def has_closed_form(M: Factor, C: ConvexSet) -> bool:
-    """Whether M is diagonal and the projection in its metric is C's own (box, uniform ball)."""
-    return C.exact and M.is_diagonal and np.array_equal(C.weights(M.diagonal), M.diagonal)
-
-
-def closed_form(M: Factor, q: np.ndarray, C: ConvexSet) -> Velocity:
-    """z = M^-1 (P_C(q) - q) for a diagonal M; the certificate is what rounding leaves."""
-    missed, anchor = C.normal(q), C.anchor
-    if is_rounding(missed, q, anchor):
-        return Velocity(np.zeros_like(q), 0.0, 0.0)
-    z = 0.0 - missed / M.diagonal
-    force, shift = q / M.root, anchor / M.root
-    size_z = math.sqrt(-missed.dot(z))
-    # the rounding of the quotient, and of the differences that `missed` is made of
-    certificate = EPS * (size_z + euclidean(force) + euclidean(shift))
-    size_q = 0.0 if certificate <= ROUNDING * size_z else euclidean(force - shift)
-    return rate(z, certificate, size_z, size_q)

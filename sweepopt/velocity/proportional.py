@@ -33,13 +33,13 @@ from sweepopt.linalg import UNIT, Elimination, Precise
 from sweepopt.loads import Constant, Separable
 from sweepopt.problem import Motion, SweepingProcess, Terms, motion, proportion
 from sweepopt.sets import Moving, Selection
+from sweepopt.velocity.certificate import is_rounding
 from sweepopt.velocity.influence import (
     ProportionalRounding,
     extension,
     extension_error,
     influence,
 )
-from sweepopt.velocity.program import is_rounding
 
 if TYPE_CHECKING:
     from sweepopt.integrate import Scheme
@@ -196,10 +196,10 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     if rho is None:
         return "B is not a multiple of A"
     moved = motion(process.C)
-    found = _selected(moved)
-    if isinstance(found, str):
-        return found
-    selection, terms = found
+    selected = _selected(moved)
+    if isinstance(selected, str):
+        return selected
+    selection, terms = selected
     few = selection.unknowns
     A = Elimination(process.A, few, process.metric.order)
     influences = [influence(A, f) for _, f in terms]

@@ -155,12 +155,12 @@ class _Expansion:
         if (slack >= 0).all():
             return []
         try:
-            found = least_distance(G, slack, rounding)
+            nearest = least_distance(G, slack, rounding)
         except EmptySetError as error:
             raise _Infeasible from error
-        if found is None:
+        if nearest is None:
             raise SweepoptError("rounding keeps the active rows from being found")
-        return open_[found.active].tolist()
+        return open_[nearest.active].tolist()
 
     def _change_basis(self, s: np.ndarray, force: np.ndarray) -> None:
         """Let other rows carry the same velocity, where a redundant one becomes violated.
@@ -169,16 +169,16 @@ class _Expansion:
         """
         rows, open_ = self.rows, np.flatnonzero(self.open)
         tight = [*self.active, *open_.tolist()]
-        found = scipy.optimize.linprog(
+        program = scipy.optimize.linprog(
             s[tight] / (np.abs(s[tight]).max() or 1.0),
             A_eq=rows.R[tight].T,
             b_eq=force / (np.abs(force).max() or 1.0),
             bounds=[(None if rows.equations[row] else 0.0, None) for row in tight],
             method="highs-ds",
         )
-        if found.x is None:
+        if program.x is None:
             raise EmptySetError("C(t) becomes empty: its rows contradict")
-        loaded = [row for row, y in zip(tight, found.x, strict=True) if y > ZERO]
+        loaded = [row for row, y in zip(tight, program.x, strict=True) if y > ZERO]
         chosen = list(rows.fixed)
         for row in [*loaded, *self.active]:
             span = rows.R[chosen].T

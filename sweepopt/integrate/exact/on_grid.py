@@ -11,35 +11,33 @@ import numpy as np
 from sweepopt.errors import InputError, Status, shown
 from sweepopt.integrate.exact.offsets import Rows, rows_of
 from sweepopt.integrate.exact.trajectory import exact_trajectory
-from sweepopt.integrate.loop import Look, Marks, Prove, Run, march
-from sweepopt.integrate.states import Keeper
-from sweepopt.integrate.statistics import Log
-from sweepopt.integrate.step import Summary
+from sweepopt.integrate.loop import FullCertificate, Observer, Restarts, integrate
+from sweepopt.integrate.record import Run, Summary
 from sweepopt.linalg import Factor
 from sweepopt.problem import SweepingProcess
-from sweepopt.velocity import Plan, Velocity, VelocityProgram, matrix, rate
+from sweepopt.velocity import Plan, Velocity, certify_point, matrix
 
 FLOOR = 0.01  # share of the largest terms so far that counts as the size of their sum
 BLOCK = 1000  # nodes that are computed at once
 
 
 class Move(Protocol):
-    """Moves a process through a grid: what `march` does with its first two arguments given."""
+    """Moves a process through a grid: what the loop does with its first two arguments given."""
 
     def __call__(
         self,
         times: np.ndarray,
         mus: np.ndarray,
-        keeper: Keeper,
-        look: Look | None = None,
-        prove: Prove | None = None,
-    ) -> Run: ...
+        run: Run,
+        observer: Observer | None = None,
+        full_certificate: FullCertificate | None = None,
+    ) -> None: ...
 
 
-def mover(process: SweepingProcess, plan: Plan, marks: Marks | None = None) -> Move:
+def mover(process: SweepingProcess, plan: Plan, restarts: Restarts | None = None) -> Move:
     """What moves a process through a grid: the scheme's steps, or the exact trajectory.
 
-    `marks` are for steps only.
+    `restarts` are for steps only.
 
     Raises
     ------
@@ -47,7 +45,7 @@ def mover(process: SweepingProcess, plan: Plan, marks: Marks | None = None) -> M
         If the scheme is "exact" and the process is not one of polyhedra and loads as data.
     """
     if not plan.scheme.exact:
-        return partial(march, process, plan, marks=marks)
+        return partial(integrate, process, plan, restarts=restarts)
     if plan.solver != "auto":
         raise InputError(
             f"scheme 'exact' has no use for solver={shown(plan.solver)}; leave one of them out"
@@ -61,12 +59,11 @@ def _on_grid(
     tol: float,
     times: np.ndarray,
     mus: np.ndarray,
-    keeper: Keeper,
-    look: Look | None = None,
-    prove: Prove | None = None,
-) -> Run:
-    """As `march` does, with nodes of the exact trajectory."""
-    run = Run(Log(len(mus)))
+    run: Run,
+    observer: Observer | None = None,
+    full_certificate: FullCertificate | None = None,
+) -> None:
+    """As the loop does, with nodes of the exact trajectory."""
     try:
         started = clock.perf_counter()
         exact = run.exact = exact_trajectory(rows, process.u0, float(times[0]), float(times[-1]))
@@ -85,7 +82,8 @@ def _on_grid(
             z = (u - before) / mu
             found = inclusion(float(times[i + 1]), mu, u, derivatives[k])
             step = Summary(phases[i + 1], 1, found.certificate, found.relative, "closed form")
-            step = step if prove is None else prove(i, before, z, step)
+            if full_certificate is not None:
+                step = full_certificate(i, before, z, step)
             if step.relative > tol:
                 run.status, run.relative = Status.INEXACT, step.relative
                 run.cause = (
@@ -94,21 +92,19 @@ def _on_grid(
                     "data are scaled too badly for double precision; loosen tol or use "
                     "implicit-euler or sdirk2"
                 )
-                return run
+                return
             if step.relative != step.relative:
                 run.status = Status.UNCERTIFIED
-            keeper.put(i, u, z)
-            run.log.add(i, step, clock.perf_counter() - started + share)
-            run.done, before = i + 1, u
-            if look is not None and look(i, u, z, step.certificate):
+            run.add(u, z, step, clock.perf_counter() - started + share)
+            before = u
+            if observer is not None and observer(i, u, z, step.certificate):
                 run.status = Status.STOPPED if run.done < len(mus) else run.status
-                return run
+                return
         if not exact.complete:
             run.status = Status.SWITCHING
             run.cause = f"That was at t = {exact.end:g}, after {len(exact.phases)} phases."
     except KeyboardInterrupt:
         run.status = Status.INTERRUPTED
-    return run
 
 
 class _Inclusion:
@@ -130,8 +126,6 @@ class _Inclusion:
             self._factors = {mu: Factor(matrix(process, mu))}
         M, Bu = self._factors[mu], process.times_B(u)
         q = process.times_B(u - mu * z)
-        found = VelocityProgram(M, C).certify(q, C, z, np.zeros(C.offsets.size))
-        certificate = found.certificate + M.norm(z - found.z)
-        size = M.norm(z)
-        self._largest = max(self._largest, size + M.dual_norm(Bu) + M.dual_norm(C.anchor))
-        return rate(z, certificate, size, max(M.dual_norm(q - C.anchor), FLOOR * self._largest))
+        terms = M.norm(z) + M.dual_norm(Bu) + M.dual_norm(C.anchor)
+        self._largest = max(self._largest, terms)
+        return certify_point(M, q, C, z, FLOOR * self._largest)

@@ -79,7 +79,7 @@ class HardStudy:
     solvers: Sequence[str] = tuple(SOLVERS)
     paths: Sequence[str] = PATHS
     combinations: int = 8
-    tol: float = 1e-6
+    tol: float = 1e-9
 
     def __post_init__(self) -> None:
         for i, seed in enumerate(listed("seeds", self.seeds)):
@@ -156,7 +156,7 @@ def rows(
     solvers: Iterable[str] = SOLVERS,
     paths: Iterable[str] = PATHS,
     combinations: int = 0,
-    tol: float = 1e-6,
+    tol: float = 1e-9,
     progress: Callable[[str], object] = lambda words: None,
 ) -> Iterator[HardRow]:
     """Run the cases; the parameters are those of `HardStudy`.

@@ -8,7 +8,7 @@ from typing import Any
 from sweepopt.errors import SolverRefusedError, shown
 from sweepopt.sets import ConvexSet
 from sweepopt.velocity.solvers.active_set import ActiveSet
-from sweepopt.velocity.solvers.base import Answer, Solve, Solver
+from sweepopt.velocity.solvers.base import Answer, Small, Solve, Solver
 from sweepopt.velocity.solvers.clarabel import Clarabel
 from sweepopt.velocity.solvers.daqp import DAQP, installed
 from sweepopt.velocity.solvers.newton import Newton
@@ -27,7 +27,7 @@ REGISTRY: dict[str, Callable[[], Solver]] = {
 }
 
 
-def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
+def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
     """The solver for a set, and behind it those that repair a step it misses.
 
     "auto" is DAQP for small boxes if it is installed, Newton for small sets whose projection has a
@@ -40,13 +40,18 @@ def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
     solver : str or Solver
         "auto", a registered name or an object.
     C : ConvexSet
+    tol : float
+        Of the certificate: OSQP and Clarabel get settings that meet it, where they are not given.
 
     Raises
     ------
     SolverRefusedError
         If the name is unknown or the solver cannot treat C.
     """
-    general: list[Solver] = [other for other in (OSQP(), Clarabel(), LAST) if other.treats(C)]
+    if not C.certifiable:  # what the solver calls solved stands
+        tol = 0.0
+    iterating = OSQP.meeting(tol), Clarabel.meeting(tol)
+    general: list[Solver] = [other for other in (*iterating, LAST) if other.treats(C)]
     small: list[Solver] = [NEWTON] if NEWTON.treats(C) else []
     if isinstance(solver, str) and solver == "auto":
         fastest: list[Solver] = [FASTEST] if installed() and FASTEST.treats(C) else []
@@ -57,7 +62,8 @@ def choose(solver: Any, C: ConvexSet) -> tuple[Solver, ...]:
     if isinstance(solver, str):
         if solver not in REGISTRY:
             raise SolverRefusedError(f"solver {solver!r} is not known; use auto, {_names()}")
-        solver = REGISTRY[solver]()
+        kind: Any = REGISTRY[solver]
+        solver = kind.meeting(tol) if hasattr(kind, "meeting") else kind()
     lacks = [name for name in CONTRACT if not hasattr(solver, name)]
     if lacks or isinstance(solver, type):
         missing = f" (it has no {lacks[0]}, see help(sweepopt.solvers.Solver))" if lacks else ""
@@ -95,6 +101,7 @@ __all__ = [
     "Clarabel",
     "Cvxpy",
     "Newton",
+    "Small",
     "Solve",
     "Solver",
     "choose",

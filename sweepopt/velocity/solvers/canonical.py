@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -64,6 +64,11 @@ class CanonicalSolver(ABC):
     def __post_init__(self) -> None:
         number("tol", self.tol, minimum=0.0, strict=True)
         count("max_iter", self.max_iter)
+
+    @classmethod
+    @abstractmethod
+    def meeting(cls, tol: float) -> Self:
+        """The solver with settings for which a certificate of `tol` is to be expected."""
 
     @abstractmethod
     def workspace(self, program: VelocityProgram, P: sp.csc_array) -> Workspace:

@@ -43,6 +43,14 @@ class Clarabel(CanonicalSolver):
         """Every set."""
         return True
 
+    @classmethod
+    def meeting(cls, tol: float) -> Clarabel:
+        """Half the square of a certificate is a gap: a tenth of tol^2, between 1e-11 and 1e-4.
+
+        A smaller gap is at the mercy of rounding: what misses a tighter tol is polished.
+        """
+        return cls(tol=min(max(0.1 * tol**2, 1e-11), 1e-4))
+
     def refined(self) -> Clarabel | None:
         """Two digits tighter, as far as double precision goes."""
         return replace(self, tol=self.tol / 100) if self.tol > 1e-13 else None

@@ -68,15 +68,19 @@ class Newton(Small):
         return D is not None and (D.ndim == 1 or C.rows() is None)
 
     def compile(self, program: VelocityProgram) -> Solve:
-        """A function that starts from the velocity it found last."""
-        iterate, z = Iteration(program.M), np.zeros(program.M.dim)
+        """A function that starts from the velocity it found last, or from one it is given."""
+        return _WarmStarted(Iteration(program.M), np.zeros(program.M.dim), self.max_iter)
 
-        def solve(q: np.ndarray, C: ConvexSet) -> Answer:
-            nonlocal z
-            z, iterations = iterate(q, C, z, self.max_iter)
-            return Answer(z, np.zeros(C.offsets.size), iterations, "iterated")
 
-        return solve
+class _WarmStarted:
+    """Newton's method from the last answer; `z` is where it starts."""
+
+    def __init__(self, iterate: Iteration, z: np.ndarray, max_iter: int) -> None:
+        self._iterate, self.z, self._max_iter = iterate, z, max_iter
+
+    def __call__(self, q: np.ndarray, C: ConvexSet) -> Answer:
+        self.z, iterations = self._iterate(q, C, self.z, self._max_iter)
+        return Answer(self.z, np.zeros(C.offsets.size), iterations, "iterated")
 
 
 class Iteration:

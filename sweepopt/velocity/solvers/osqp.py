@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.sets import ConvexSet, silence
+from sweepopt.sets import ConvexSet
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.canonical import CanonicalSolver, Found, Workspace
 
 
 @dataclass(frozen=True)
 class OSQP(CanonicalSolver):
-    """OSQP with absolute and relative tolerance `tol`, polished.
+    """OSQP with absolute and relative tolerance `tol`.
+
+    Its own polish is off: refinement does the same, and keeps an answer only if it is better.
 
     Parameters
     ----------
@@ -41,6 +43,11 @@ class OSQP(CanonicalSolver):
         """Polyhedra."""
         return C.polyhedral
 
+    @classmethod
+    def meeting(cls, tol: float) -> OSQP:
+        """A hundredth of tol, between 1e-9 and 1e-3: residuals count more where M is soft."""
+        return cls(tol=min(max(0.01 * tol, 1e-9), 1e-3))
+
     def refined(self) -> OSQP | None:
         """Two digits tighter, with more iterations."""
         if self.tol <= 1e-11:
@@ -62,13 +69,11 @@ class OSQP(CanonicalSolver):
             fresh = osqp.OSQP()
             tolerances = {"eps_abs": self.tol, "eps_rel": self.tol, "max_iter": self.max_iter}
             data = (sp.csc_matrix(P), linear, rows, lower, upper)
-            fresh.setup(*data, verbose=False, polishing=True, **tolerances)
+            fresh.setup(*data, verbose=False, polishing=False, **tolerances)
             return fresh
 
         def run(engine: Any) -> Found:
-            # its polish reports an empty active set even when it is told to be quiet
-            with silence():
-                result = engine.solve(raise_error=False)
+            result = engine.solve(raise_error=False)
             x, info = np.array(result.x, dtype=float), result.info
             return Found(x, info.iter, info.status, info.status_val in (1, 2))
 

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from sweepopt.errors import InputError, SolverRefusedError, shown
-from sweepopt.sets import ConvexSet, in_turn, silence
+from sweepopt.sets import ConvexSet, in_turn
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.base import Answer, Solve, Solver
 
 QUADRATIC_ONLY = {"OSQP", "PIQP", "PROXQP", "DAQP", "HIGHS"}
 TIGHT: dict[str, dict[str, Any]] = {
     "CLARABEL": {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11},
-    "OSQP": {"eps_abs": 1e-10, "eps_rel": 1e-10, "max_iter": 100_000, "polishing": True},
+    "OSQP": {"eps_abs": 1e-10, "eps_rel": 1e-10, "max_iter": 100_000, "polishing": False},
 }
 
 
@@ -84,8 +84,7 @@ class Cvxpy:
             force = max(np.abs(q).max(), np.abs(offsets).max(initial=0.0)) or 1.0
             statement.q.value = q / force
             statement.offsets.value = offsets / force if size else np.zeros(1)
-            # OSQP's polish reports an empty active set even when it is told to be quiet
-            with warnings.catch_warnings(), silence():
+            with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", message="Solution may be inaccurate")
                 try:
                     statement.problem.solve(solver=name, enforce_dpp=True, **settings)

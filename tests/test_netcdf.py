@@ -1,0 +1,117 @@
+"""NetCDF files, read back: every number is the solution's, every variable says what it is."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from meshes import ring, square
+
+import sweepopt as so
+from sweepopt.fem import BodyForce, Scene, Viscosity, antiplane
+from sweepopt.fem.netcdf import write_netcdf
+from sweepopt.fem.output import Report, make_report
+
+
+def report_of(scene: Scene) -> Report:
+    return make_report(scene, scene.solve(), name="ring", text="[domain]")
+
+
+@pytest.fixture(scope="module")
+def report() -> Report:
+    return report_of(ring())
+
+
+def written_to(path: Path, report: Report) -> xr.Dataset:
+    write_netcdf(report, path)
+    with xr.open_dataset(path, engine="h5netcdf") as dataset:
+        return dataset.load()
+
+
+@pytest.fixture(scope="module")
+def written(report: Report, tmp_path_factory: pytest.TempPathFactory) -> xr.Dataset:
+    return written_to(tmp_path_factory.mktemp("netcdf") / "solution.nc", report)
+
+
+def assert_described(dataset: xr.Dataset) -> None:
+    for name, variable in dataset.variables.items():
+        assert variable.attrs.get("units"), f"{name} has no units"
+        assert len(variable.attrs.get("long_name", "")) > 3, f"{name} has no long_name"
+
+
+def test_every_variable_is_described_in_si_units(written: xr.Dataset) -> None:
+    assert_described(written)
+    expected = {
+        **{"displacement": "m", "velocity": "m s-1", "x": "m", "arc_length": "m"},
+        **{"time": "s", "step_end": "s", "friction_bound": "N m-1", "traction": "Pa"},
+        **{"energy_work": "J m-1", "relative": "1"},
+    }
+    assert {name: written[name].attrs["units"] for name in expected} == expected
+    assert set(written.sizes) == {"time", "step", "node", "triangle", "corner", "contact"}
+
+
+def test_the_solution_is_on_all_nodes(report: Report, written: xr.Dataset) -> None:
+    scene, solution, slip = report.scene, report.solution, report.slip
+    body, nodes = scene.discretisation, written.contact_node.values
+    displacement, velocity = written.displacement.values, written.velocity.values
+    held = np.setdiff1d(np.arange(len(body.points)), body.free)
+    assert held.size
+    assert not displacement[:, held].any()
+    for found, expected in [
+        (written.time, solution.t),
+        (displacement[:, body.free], solution.u),
+        (velocity[:, body.free], solution.velocity),
+        (np.column_stack([written.x, written.y]), body.points),
+        (written.triangles, body.triangles),
+        (displacement[:, nodes], slip.displacement),
+        (np.sign(velocity[:, nodes]), written.slip_state),
+        (written.traction, slip.traction),
+        (written.friction_bound, scene.contact.threshold),
+        (written.solver.values.astype(str), solution.stats["solver"]),
+        (written.viability, solution.viability()),
+        *((written[name], solution.stats[name]) for name in ("certificate", "iterations")),
+    ]:
+        np.testing.assert_array_equal(found, expected)
+    assert set(written.boundary.values) == {"outer"}
+
+
+def test_the_scene_and_its_origin_are_attributes(written: xr.Dataset) -> None:
+    expected = {"title": "a ring", "scene": "[domain]", "status": "success", "tol": 1e-6}
+    assert {name: written.attrs[name] for name in expected} == expected
+    assert "UGRID" in written.attrs["Conventions"]
+    for package in ("sweepopt", "numpy", "scipy", "cvxpy"):
+        assert f"{package} " in written.attrs["software"]
+
+
+def test_dimensionless_scenes_have_units_1_and_no_friction_means_no_contact(tmp_path: Path) -> None:
+    effects = [Viscosity(1.0), BodyForce(so.Sine(1.0, period=4.0))]
+    scene = antiplane(square(4), clamped="top", effects=effects, t_end=1.0, steps=4)
+    dataset = written_to(tmp_path / "solution.nc", report_of(scene))
+    assert_described(dataset)
+    assert "contact" not in dataset.sizes
+    others = set(dataset.variables) - {"seconds"}
+    assert {dataset[name].attrs["units"] for name in others} == {"1"}
+
+
+def test_any_solution_becomes_a_dataset() -> None:
+    C = so.Moving(so.Box([-1, -1], [1, 1]), center=lambda t: [1.5 * t, 0.0])
+    solution = so.solve(so.SweepingProcess(np.eye(2), 2 * np.eye(2), C, [0, 0]), t_end=3.0, steps=9)
+    dataset = solution.to_xarray()
+    assert_described(dataset)
+    assert dict(dataset.sizes) == {"time": 10, "unknown": 2, "step": 9}
+    np.testing.assert_array_equal(dataset.u, solution.u)
+    np.testing.assert_array_equal(dataset.velocity, solution.velocity)
+    np.testing.assert_array_equal(dataset.step_end, solution.t[1:])
+    assert set(solution.stats.dtype.names) - {"t"} <= set(dataset.variables)
+
+
+@pytest.mark.parametrize("package", ["xarray", "h5netcdf", "h5py"])
+def test_a_missing_package_names_the_extra_that_brings_it(
+    report: Report, tmp_path: Path, package: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(so.MissingExtraError, match=rf'{package}.*pip install "sweepopt\[fem\]"'):
+        write_netcdf(report, tmp_path / "solution.nc")

@@ -1,0 +1,166 @@
+"""The velocity of A, B and u themselves, where solvers see their rounded sum and product."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+pytest.importorskip("mpmath")
+
+import sweepopt as so
+from sweepopt.study.hard import Program
+from sweepopt.study.hard.bodies import chain, spectral
+
+N = 12
+FEW = np.eye(N)[:, [1, 4, 5, 9]]
+EDGE = np.random.default_rng(7).uniform(0.2, 1.0, N)
+SETS: dict[str, Callable[[], so.ConvexSet]] = {
+    "a point": lambda: so.Point(np.zeros(N)),
+    "a box": lambda: so.Box(-EDGE, EDGE),
+    "a box on a few": lambda: so.image(FEW, so.Box(-EDGE[:4], EDGE[:4])),
+    "a ball": lambda: so.Ball(np.zeros(N), 0.5),
+    "discs on a few": lambda: so.image(FEW, so.Balls(EDGE[:2], 2)),
+    "a polyhedron": lambda: so.Polyhedron(np.random.default_rng(8).normal(size=(9, N)), np.ones(9)),
+}
+FORMS: dict[str, Callable[[Any], Any]] = {"dense": np.array, "sparse": sp.csc_array}
+
+
+def one_step(process: so.SweepingProcess, gamma: float, tol: float = 1e-9) -> so.Solution:
+    """The velocity for M = A + gamma B."""
+    scheme = "implicit-euler" if gamma else "catching-up"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", so.InitialStateWarning)
+        return so.solve(
+            process, t_end=gamma or 1e-20, steps=1, scheme=scheme, tol=tol, on_unstable="ignore"
+        )
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("name", SETS)
+@pytest.mark.parametrize("gamma", [0.0, 1 / 3])
+@pytest.mark.parametrize("seed", [9, 12])
+def test_stiffness_of_1e10_costs_no_digits(seed: int, gamma: float, name: str, form: str) -> None:
+    random = np.random.default_rng(seed)
+    # the states that a stiff body comes to: large where it is soft, B u is small beside |B| |u|
+    A, B = chain(random, N), spectral(random, np.logspace(0, 10, N))
+    u = np.linalg.solve(B, random.normal(size=N))
+    C = so.Moving(SETS[name](), 3 * random.normal(size=N))
+    sol = one_step(so.SweepingProcess(FORMS[form](A), FORMS[form](B), C, u), gamma)
+    z, certificate = sol.velocity[0], sol.stats["certificate"][0]
+    program = Program(A, B, gamma)
+    exact = program.solve(program.term(u), C.at(0.0), z)
+    # what every velocity is refined to; without that the errors are 5e-8
+    assert program.error(z, exact) <= certificate <= 1e-9 * exact.size
+
+
+def test_a_state_that_only_rounding_moves_rests() -> None:
+    # B u = (0.1, -0.1) is in C, but the two products in it are rounded to 1e-7
+    B, u = np.array([[1e10 + 1, 1e10], [1e10, 1e10 + 1]]), np.array([0.1, -0.1]) * (1 + 2.0**-20)
+    assert np.abs(B @ u - u).max() > 1e-8
+    process = so.SweepingProcess(np.eye(2), B, so.Moving(so.Box([-1e-9] * 2, [1e-9] * 2), u), u)
+    sol = one_step(process, 0.1)
+    assert (sol.velocity == 0).all()
+    assert sol.stats["certificate"][0] == 0.0
+
+
+@pytest.mark.parametrize("scheme", ["implicit-euler", "sdirk2"])
+def test_a_body_that_creeps_to_its_equilibrium_is_certified_there(scheme: str) -> None:
+    random = np.random.default_rng(10)
+    A, B, load = chain(random, N), chain(random, N), random.normal(size=N)
+    process = so.SweepingProcess(A, B, so.Point(load), np.zeros(N))
+    with pytest.warns(so.InitialStateWarning):
+        sol = so.solve(process, t_end=400.0, steps=400, scheme=scheme, tol=1e-9)
+    assert sol.success
+    last = sol.velocity[-1]
+    assert np.abs(last).max() < 1e-12
+    if scheme == "implicit-euler":
+        u, program = sol.u[-2], Program(A, B, 1.0)
+        exact = program.solve(program.term(u), process.C.at(400.0), last)
+        assert program.error(last, exact) <= 1e-8 * exact.size
+
+
+@pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "sdirk2"])
+def test_a_body_that_starts_at_its_equilibrium_is_certified_there(scheme: str) -> None:
+    random = np.random.default_rng(13)
+    A, row, u0 = chain(random, N), random.normal(size=N), 1e3 * random.normal(size=N)
+    B = np.outer(row, row)
+    process = so.SweepingProcess(A, B, so.Point(B @ u0), u0)  # but for the rounding of B u0
+    sol = so.solve(process, t_end=3e-6, steps=3, scheme=scheme, tol=1e-9)
+    assert np.abs(sol.velocity).max() < 1e-9
+    if scheme == "implicit-euler":
+        program = Program(A, B, 1e-6)
+        exact = program.solve(program.term(u0), process.C, sol.velocity[0])
+        assert program.error(sol.velocity[0], exact) <= 1e-8 * exact.size
+
+
+@pytest.mark.parametrize("name", ["a point", "a box on a few"])
+@pytest.mark.parametrize("stiffness", [None, 0.5])
+def test_a_tolerance_near_rounding_is_met_by_a_closer_look(
+    name: str, stiffness: float | None
+) -> None:
+    n = 600
+    K = sp.csc_array(sp.diags_array([-1.0, 2.0 + 1e-6, -1.0], offsets=[-1, 0, 1], shape=(n, n)))
+    few = sp.csc_array((np.ones(3), ([5, 100, 400], range(3))), shape=(n, 3))
+    C = so.Point(np.zeros(n)) if name == "a point" else so.image(few, so.Box([-1.0] * 3, [1.0] * 3))
+    f = np.random.default_rng(0).normal(size=n)
+    moving = so.Moving(C, center=lambda t: t * f)
+    process = so.SweepingProcess(K, stiffness and stiffness * K, moving, np.zeros(n))
+    rough, fine = (so.solve(process, t_end=1.0, steps=5, tol=tol) for tol in (1e-6, 1e-11))
+    assert fine.success
+    assert 0 < fine.stats["relative"].max() <= 1e-11 < rough.stats["relative"].max()
+
+
+# ---- one unknown, in plain numbers -------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "trapezoid", "sdirk2"])
+@pytest.mark.parametrize("B", [1.0, 1e12])
+def test_one_unknown_alone_moves_as_one_of_two(scheme: str, B: float) -> None:
+    load = so.Separable([(so.Sine(2.0, 3.0), [1.0]), (so.Constant(0.25), [1.0])])
+    A = 1e12 if scheme == "catching-up" and B > 1 else 0.5
+    alone = so.SweepingProcess([[A]], [[B]], so.Moving(so.Box([-0.75], [0.5]), load), [0.3 / B])
+    twice = so.Separable([(one, [1.0, 1.0]) for one, _ in load.terms])
+    box = so.Box([-0.75] * 2, [0.5] * 2)
+    both = so.SweepingProcess(A * np.eye(2), B * np.eye(2), so.Moving(box, twice), [0.3 / B] * 2)
+    one, two = (
+        so.solve(process, t_end=7.0, steps=100, scheme=scheme, on_unstable="ignore")
+        for process in (alone, both)
+    )
+    np.testing.assert_allclose(one.u, two.u[:, :1], rtol=0, atol=1e-15 * abs(two.u).max())
+    assert max(one.stats["relative"].max(), two.stats["relative"].max()) <= 1e-6
+    assert set(one.stats["solver"]) == {"closed form"}
+
+
+def test_rows_that_are_nearly_the_same_are_told_apart() -> None:
+    C = so.Polyhedron([[2.0], [0.5], [-1.0]], [2.0, 0.499999995, 1e4])
+    process = so.SweepingProcess([[1.0]], [[1.0]], C, [1.5])
+    with pytest.warns(so.InitialStateWarning):
+        sol = so.solve(process, t_end=0.5, steps=1, scheme="catching-up")
+    for z in (sol.velocity[0, 0], so.velocity_field(process, tol=1e-10)(0.0, [1.5])[0]):
+        assert abs(z + 0.50000001) <= 1e-15 + sol.stats["certificate"][0]
+    assert sol.stats["certificate"][0] < 1e-14
+
+
+@pytest.mark.parametrize("C", [so.Box([-1.0], [1.0]), so.Balls([1.0], 1), so.HalfSpace([1.0], 1.0)])
+def test_a_velocity_field_looks_closer_where_plain_numbers_round_too_much(C: Any) -> None:
+    moving = so.Moving(C, so.Separable([(so.Constant(1e12), [1.0])]))
+    process = so.SweepingProcess([[1.0]], [[1.0]], moving, [0.0])
+    np.testing.assert_allclose(so.velocity_field(process)(0.0, [1e12 + 3]), [-2.0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("state", [np.inf, -np.inf, np.nan])
+def test_a_velocity_field_refuses_a_state_that_is_not_finite(state: float) -> None:
+    velocity = so.velocity_field(so.SweepingProcess([[1.0]], [[1.0]], so.Box([-1], [1]), [0.0]))
+    with pytest.raises(so.InputError, match=r"u\[0\] is"):
+        velocity(0.0, np.array([state]))
+
+
+def test_a_load_of_two_entries_does_not_move_one_unknown() -> None:
+    load = so.Separable([(so.Constant(5.0), [1.0, 2.0])])
+    with pytest.raises(so.InputError, match="center must have 1 entries, got 2"):
+        so.Moving(so.Box([-1.0], [1.0]), load)
