@@ -42,6 +42,7 @@ from sweepopt.sets.projection import (
     FIRST,
     LATER,
     ON_FACES,
+    SPARSE,
     Projection,
     Projector,
     fixed_point,
@@ -268,7 +269,7 @@ class Lifted(ConvexSet):
 
     def _found(self, v: np.ndarray) -> Projection | None:
         own = self._projector.start(v)
-        for effort in FIRST:
+        for effort in FIRST if self._projector.small else (SPARSE,):
             found = self._projector(v, own, effort)
             if found is not None:
                 return found
@@ -340,18 +341,15 @@ class Lifted(ConvexSet):
             return NormalPair(p, near.w.copy(), 0.0, near.perturbation(p))
         if self.lifted.g.size:
             return None
-        # not to rounding: the program's normal, and what the nearest point at hand misses of it
-        p, E = normal_by_program(self, v).p, self.lifted.E
-        w, size = v - p - self.lifted.image_of_zero(), abs(E).sum(axis=0).max()
-
-        def step(s: np.ndarray) -> np.ndarray:
-            return self.part.project(s - E.T @ (E @ s - w) / (size * abs(E).sum(axis=1).max()))
-
-        s = self.part.project(np.zeros(E.shape[1]))
-        better = fixed_point(step, s, float(np.abs(s).max()))
-        s, inner = s if better is None else better, self._pulled(p)
-        gap = self.part.support(inner) - float(inner @ s)
-        return NormalPair(p, self.lifted.image_of_zero() + E @ s, max(gap, 0.0))
+        # not to rounding: a point of C nearby, and the normal that is the nearer one of two
+        s = self._projector.approximate(v)
+        w = self.lifted.image_of_zero() + self.lifted.E @ s
+        pairs = []
+        for p in (v - w, normal_by_program(self, v).p):
+            inner = self._pulled(p)
+            gap = self.part.support(inner) - float(inner @ s)
+            pairs.append(NormalPair(p, w, max(gap, 0.0)))
+        return min(pairs, key=lambda pair: pair.gap)
 
     def require_nonempty(self, where: str = "C") -> None:
         for C in self.operands:
