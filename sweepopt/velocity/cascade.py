@@ -31,6 +31,7 @@ from sweepopt.velocity.certificate import (
     Proposal,
     Velocity,
     at_rest,
+    is_near,
 )
 from sweepopt.velocity.elimination import AllUnknowns, FewUnknowns, Unknowns
 from sweepopt.velocity.program import VelocityProgram, untranslated
@@ -219,6 +220,9 @@ class ClosedForm:
         M, velocity = _matrix(self._unknowns), None
         if M is self._inclusion.M:  # of all unknowns: without the loop that refines
             pair, size = self._pair(term.force, S), euclidean(term.force / M.root)
+            outside = M.diagonal * pair.z
+            if is_near(outside, term.q, term.c + S.anchor) and rest.holds(term, self._tol):
+                return at_rest(term.q, self.at_rest)
             velocity = self._inclusion.certify(term, pair, self._tol, size=size)
         if velocity is None or not velocity.relative <= self._tol:
             velocity = refined(self._inclusion, self._unknowns, self._pair, term, S, self._tol)
