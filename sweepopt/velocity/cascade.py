@@ -15,7 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.checks import Matrix
-from sweepopt.linalg import Elimination, Factor, IterativeElimination, eliminate, factorise
+from sweepopt.linalg import (
+    Elimination,
+    Factor,
+    IterativeElimination,
+    eliminate,
+    euclidean,
+    factorise,
+)
 from sweepopt.sets import ConvexSet
 from sweepopt.velocity.certificate import (
     SHARE,
@@ -24,6 +31,7 @@ from sweepopt.velocity.certificate import (
     Proposal,
     Velocity,
     at_rest,
+    is_near,
 )
 from sweepopt.velocity.elimination import AllUnknowns, FewUnknowns, Unknowns
 from sweepopt.velocity.program import VelocityProgram, untranslated
@@ -209,7 +217,15 @@ class ClosedForm:
         return self._cone is C or self._cone.same_cone(C)
 
     def __call__(self, term: LinearTerm, S: ConvexSet, rest: Rest) -> Velocity:
-        velocity = refined(self._inclusion, self._unknowns, self._pair, term, S, self._tol)
+        M, velocity = _matrix(self._unknowns), None
+        if M is self._inclusion.M:  # of all unknowns: without the loop that refines
+            pair, size = self._pair(term.force, S), euclidean(term.force / M.root)
+            outside = M.diagonal * pair.z
+            if is_near(outside, term.q, term.c + S.anchor) and rest.holds(term, self._tol):
+                return at_rest(term.q, self.at_rest)
+            velocity = self._inclusion.certify(term, pair, self._tol, size=size)
+        if velocity is None or not velocity.relative <= self._tol:
+            velocity = refined(self._inclusion, self._unknowns, self._pair, term, S, self._tol)
         return velocity._replace(solver="closed form")
 
     def _pair(self, linear: np.ndarray, S: ConvexSet) -> Proposal:

@@ -336,7 +336,7 @@ def rests(
         return is_rounding(force - S.nearest(force, diagonal), q, c + S.anchor)
     on_few = force[few.unknowns]
     force[few.unknowns] = 0.0
-    if not _is_near(force, q, c):
+    if not is_near(force, q, c):
         return False
     force[few.unknowns] = on_few - few.part.nearest(on_few, diagonal[few.unknowns])
     anchor = np.abs(c)
@@ -349,12 +349,12 @@ def is_rounding(outside: np.ndarray, q: np.ndarray, anchor: np.ndarray) -> bool:
 
     It holds entry by entry.
     """
-    return _is_near(outside, q, anchor) and bool(
+    return is_near(outside, q, anchor) and bool(
         (np.abs(outside) <= ROUNDING * (np.abs(q) + np.abs(anchor))).all()
     )
 
 
-def _is_near(outside: np.ndarray, q: np.ndarray, anchor: np.ndarray) -> bool:
+def is_near(outside: np.ndarray, q: np.ndarray, anchor: np.ndarray) -> bool:
     """What the rule of rest implies in the Euclidean norm, which costs less to look at."""
     return bool(outside.dot(outside) <= 3 * ROUNDING**2 * (q.dot(q) + anchor.dot(anchor)))
 

@@ -144,7 +144,9 @@ class StateVelocity:
     def _moving(
         self, solve: Cascade | ClosedForm, term: LinearTerm, S: ConvexSet, rest: Rest
     ) -> Velocity:
-        if rest.holds(term, self._tol):
+        # the closed form of all unknowns looks at rest itself, with the projection that it has
+        own = isinstance(solve, ClosedForm) and rest.inclusion is self._on_all
+        if not own and rest.holds(term, self._tol):
             return at_rest(term.q, solve.at_rest)
         return solve(term, S, rest)
 

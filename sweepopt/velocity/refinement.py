@@ -72,7 +72,8 @@ def refined(
                     return Velocity(z, unproven, unproven, iterations=iterations)
                 answer = near
             pair = answer
-        z = z + unknowns.recover(forward, pair.z - zeta)
+        change = unknowns.recover(forward, pair.z - zeta if count else pair.z)
+        z = z + change if count else change
         z[few] = zeta = pair.z  # to the last bit: stuck is 0.0
         moved = inclusion.M.margin * pair.moved
         proposal = Proposal(z, pair.w, few, pair.gap, moved)
