@@ -346,6 +346,6 @@ def versions_of(packages: Iterable[str]) -> dict[str, str]:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             continue
-    from sweepopt import __version__  # a clone on the path has no metadata
+    import sweepopt  # a clone on the path has no metadata
 
-    return {**found, "sweepopt": __version__}
+    return {**found, "sweepopt": sweepopt.__version__}

@@ -17,19 +17,18 @@ from sweepopt.errors import InputError, Status, StepError, shown
 from sweepopt.integrate import (
     MEMORY,
     Adaptive,
+    AdaptiveResult,
     Callback,
     Checkpoint,
-    Frame,
     Observers,
-    Pass,
     ProgressBar,
     Reconstruction,
     Run,
     SaveFunction,
     Scheme,
+    Segments,
     SolveOptions,
     StoredRun,
-    Walked,
     adapt,
     check_stability,
     checkpoint_writer,
@@ -262,21 +261,23 @@ def _run(
     if callback is not None and not callable(callback):
         raise InputError(f"callback must be a function of a StepInfo, got {shown(callback)}")
     scheme = options.tableau(process.rate_independent)
-    frame = None
+    segments = None
     if isinstance(options.steps, Adaptive):
-        frame = Frame(options.steps, process, options.t_end, scheme, options.save)
-    times, mus = frame.grid() if frame else time_grid(options.t_end, options.steps)
+        segments = Segments.of(options.steps, process, options.t_end, scheme, options.save)
+        times, mus = time_grid(None, segments.equal())
+    else:
+        times, mus = time_grid(options.t_end, options.steps)
     plan = _plan(process, options, scheme, times, mus)
-    grid = Walked(times, mus, plan, saving(options.save, times, plan.entering, options.memory))
+    saved = saving(options.save, times, plan.entering, options.memory)
+    grid = AdaptiveResult(times, mus, plan, saved)
     process.check_start(float(times[0]))
     check_stability(process, scheme, float(mus.max()), options.on_unstable)
     writer = checkpoint_writer(checkpoint, process, plan, times, options, stored)
-    bar = ProgressBar(progress, None if frame else len(mus), writer.done if writer else 0)
-    passes: tuple[Pass, ...] = ()
-    cause = ""
-    if frame:
-        grid, refined = adapt(frame, process, plan, options.save, options.memory, bar.update)
-        passes, cause = refined.passes, refined.cause
+    bar = ProgressBar(progress, None if segments else len(mus), writer.done if writer else 0)
+    if segments:
+        grid = adapt(
+            options.steps, segments, process, plan, options.save, options.memory, bar.update
+        )
 
     times, plan, saved, run = grid.times, grid.plan, grid.wanted, grid.run
     reconstruction = Reconstruction(plan, times, grid.mus)
@@ -291,8 +292,8 @@ def _run(
             move = mover(moved, plan.of_entering, writer)
             full_certificate = reconstruction.full_certificate if plan.reduction else None
             move(times, grid.mus, run, observers.of_run(reconstruction, times), full_certificate)
-        if cause and run.done == len(grid.mus):
-            run.status, run.cause = Status.INEXACT, cause
+        if grid.cause and run.done == len(grid.mus):
+            run.status, run.cause = Status.INEXACT, grid.cause
         failed = run.status in (Status.INEXACT, Status.SWITCHING)
         succeeded = not failed or options.on_failure == "stop"
     finally:
@@ -304,9 +305,7 @@ def _run(
     if not succeeded:
         u = reconstruction.state(run.done, run.kept().states.nodes[-1])
         raise StepError(run.cause, float(times[run.done]), run.done, u, run.relative)
-    return _solution(
-        process, grid, run, reconstruction, sink, recorded if saved.function else None, passes
-    )
+    return _solution(process, grid, run, reconstruction, sink, recorded if saved.function else None)
 
 
 def _plan(
@@ -329,12 +328,11 @@ def _plan(
 
 def _solution(
     process: SweepingProcess,
-    grid: Walked,
+    grid: AdaptiveResult,
     run: Run,
     reconstruction: Reconstruction,
     sink: NetCDFSink | None,
     recorded: list[Any] | None,
-    passes: tuple[Pass, ...],
 ) -> Solution:
     """The states of all unknowns where they are, and what is known of the run."""
     kept = run.kept()
@@ -353,5 +351,5 @@ def _solution(
         cause=run.cause,
         exact=reconstruction.trajectory(run.exact),
         recorded=recorded,
-        passes=passes,
+        passes=grid.passes,
     )

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from sweepopt.integrate.adaptive import Adaptive, Pass
-from sweepopt.integrate.adaptive_driver import Frame, Walked, adapt
+from sweepopt.integrate.adaptive import Adaptive, AdaptiveResult, Pass, Segments, adapt
 from sweepopt.integrate.checkpoint import (
     Checkpoint,
     StoredRun,
@@ -37,9 +36,9 @@ __all__ = [
     "MEMORY",
     "SCHEMES",
     "Adaptive",
+    "AdaptiveResult",
     "Callback",
     "Checkpoint",
-    "Frame",
     "Index",
     "Observers",
     "Pass",
@@ -48,13 +47,13 @@ __all__ = [
     "Run",
     "SaveFunction",
     "Scheme",
+    "Segments",
     "SolveOptions",
     "States",
     "Statistics",
     "StepInfo",
     "StoredRun",
     "Trajectory",
-    "Walked",
     "adapt",
     "check_stability",
     "checkpoint_writer",

@@ -2,11 +2,9 @@
 
 The flow forgets and forgives (MATH.md section 3): what a step's error does to u later, nobody knows
 at the step. So the grid is chosen for the run as a whole. A pass moves u along a grid of times; the
-differences of its velocities say where the steps must be short, and, carried along, how large the
-error is and what another grid would have: the coarsest one whose error is small is next. Where its
-error becomes too large after all, the steps that are to blame are halved, and the pass goes on from
-the first of them. Two passes whose distance their errors do not explain know less than they think.
-To the loop over time an adaptive grid is a grid as any other.
+differences of its velocities say where the steps must be short and, carried along the flow, how
+large its error is (`ErrorEstimator`). The next grid is the coarsest one whose local errors add up
+to a share of those of the last one. To the loop over time an adaptive grid is a grid as any other.
 
 Each segment between breakpoints is in equal parts that are halved again and again, so that steps
 share the compiled programs.
@@ -17,40 +15,39 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable
-from dataclasses import dataclass
-from itertools import pairwise
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import number
+from sweepopt.checks import TIME_SLACK, axes, number, vector
 from sweepopt.errors import InputError, Status
-from sweepopt.integrate.error_estimator import Limit, PassNodes, Watch
-from sweepopt.integrate.error_propagation import Flow
-from sweepopt.integrate.mesh_density import Density, density, finer_grid, first_grid
-from sweepopt.integrate.record import Run
+from sweepopt.integrate.error_estimator import ErrorEstimator, ErrorModel
+from sweepopt.integrate.grid import evaluation_times, time_grid
+from sweepopt.integrate.loop import integrate
+from sweepopt.integrate.record import Run, Saving, saving
+from sweepopt.integrate.schemes import Scheme
+from sweepopt.integrate.step import Velocities
 from sweepopt.linalg import EPS
+from sweepopt.loads import Separable
+from sweepopt.problem import SweepingProcess
+from sweepopt.sets import AnySet, MovingSet
+from sweepopt.velocity import Plan
 
-PASSES = 24
-STEPS = 1_000_000  # of the finest pass
-CHECKED = 256  # nodes at which passes are compared, fewer where states are large
-AIM = 1.9  # the error that a pass is made for, in units of tol,
-CAREFUL = 1.4  # and where it is estimated without the places of kinks
-ACCEPTED = 2.5  # the error that it may have,
-MENDED = 2.2  # the one that it is mended for,
-ALONE = 1.9  # what the first one may have,
-RESOLVED = 0.02  # and in units of the way that u goes: the steps have seen it move
-TOLD = 40  # steps from which on a pass can tell what another grid would miss
-FARTHEST, FARTHEST_TOLD = 4.8, 8.0  # times the steps of a pass that the last one may have
-BETWEEN, GROWTH = 0.2, (2.0, 4.0)  # of the last one's steps, and times those before, one between
-LEAST = 1.35  # times the steps before that a pass has
-TRIED, NEAR = 6, (0.6, 1.5)  # so many grids are tried, around the steps that the order suggests
-MENDS = 40  # times that a pass goes on from halved steps
-RISES = 4  # passes one after the other that overshoot, each with a greater error, lead nowhere
-APART = 2.0  # times as far apart as their errors let expect two passes may be
-MISTRUST = 2.0  # the most that an error counts for where they are further apart
-FIRST = 16  # steps of the first pass
-HIDDEN = 1 / 24  # of a jump of the velocity times the steps beside it: the error of a kink there
+STEPS = 1_000_000  # of the finest pass: hours
+PASSES = 24  # 24 times at least 1.2 more steps; no run of the study had more than 9
+FIRST, BLIND = 16, 40  # steps of the first pass, and where the load is a function of which
+# nothing is known but its values,
+A_PERIOD, A_PIECE = 5, 2  # in each period of the data, between breakpoints: a second difference
+AIM, ACCEPTED = 0.65, 0.9  # estimates in units of tol: the errors of one run in ten are greater
+FARTHEST = 6.0  # times the steps of a pass to which its differences say where they are needed
+LEAST = 1.1  # times the steps of a pass that the next one has
+RESOLVED = 0.02  # the error of a first pass that has seen the motion, in units of the way u goes
+HIDDEN = 1 / 8  # of velocity times step: the way of a slip in half a step that grows to velocity
+GRADED = 0.4  # no step is longer than 1 / 0.4 of the mean one: where nothing is seen, something may
+RISES = 4  # passes that overshoot, and have a greater error than one so many before, lead nowhere
+PROGRAM_SHARE = 0.05  # of tol that inexact programs may take
+EXACT = 1e-9  # no certificate below it is asked for: programs reach it on every scene
 
 
 class Pass(NamedTuple):
@@ -59,7 +56,6 @@ class Pass(NamedTuple):
     Attributes
     ----------
     steps : int
-        That were made: more than the pass has where it went on from halved ones.
     error : float
         Estimate of max_i |u_i - u(t_i)|_A, |.|_B where A = 0; nan if the pass was stopped.
     seconds : float
@@ -72,15 +68,15 @@ class Pass(NamedTuple):
 
 @dataclass(frozen=True)
 class Adaptive:
-    """Steps that are chosen such that max_i |u_i - u(t_i)|_A is about tol (|.|_B where A = 0).
+    """Steps that are chosen such that max_i |u_i - u(t_i)|_A is at most tol (|.|_B where A = 0).
 
     Parameters
     ----------
     tol : float
-        The global error aimed at, in the units of |u|_A. It is estimated, not proved.
+        The global error, in the units of |u|_A. It is estimated, not proved.
     first : float, optional
-        Longest step, t_end / 16 by default. An event of a callable load that is shorter than the
-        steps can pass unseen between them: make `first` as short as it.
+        Longest step, t_end / 16 by default, t_end / 40 where the load is a function. An event of
+        such a load that is shorter than the steps can pass unseen: make `first` as short as it.
     minimum : float, optional
         Shortest step, t_end 2^-40 by default.
 
@@ -95,7 +91,7 @@ class Adaptive:
     >>> C = so.Moving(so.Box([-1], [1]), center=lambda t: [1.5 * t])
     >>> process = so.SweepingProcess(A=[[0.5]], B=[[2.0]], C=C, u0=[0.0])
     >>> sol = so.solve(process, t_end=5.0, steps=so.Adaptive(1e-4))
-    >>> sol.passes[-1].error < 3e-4, round(float(sol(5.0)[0]), 3)
+    >>> sol.passes[-1].error < 1e-4, round(float(sol(5.0)[0]), 3)
     (True, 3.063)
     """
 
@@ -112,160 +108,312 @@ class Adaptive:
             raise InputError(f"minimum, {self.minimum:g}, is longer than first, {self.first:g}")
 
 
-class Refined(NamedTuple):
-    """The passes, and where and why they did not suffice."""
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """What all grids of a run have in common: the times that they hit, the longest steps between.
 
-    passes: tuple[Pass, ...]
-    failed: float | None = None
+    Attributes
+    ----------
+    cuts : ndarray, shape (k+1,)
+        0, the breakpoints of C(t), the times that are to be saved, and t_end.
+    longest : ndarray, shape (k,)
+    """
+
+    cuts: np.ndarray
+    longest: np.ndarray
+
+    @classmethod
+    def of(
+        cls, steps: Adaptive, process: SweepingProcess, t_end: Any, scheme: Scheme, save: Any
+    ) -> Segments:
+        """Those of a run, from its breakpoints, the periods of its data and its scheme."""
+        if t_end is None:
+            raise InputError("t_end is missing; Adaptive steps need it")
+        end = number("t_end", t_end, minimum=0.0, strict=True)
+        histories = _histories(process.C)
+        known = all(hasattr(history, "breakpoints") for history in histories)
+        longest = min(
+            end / (FIRST if known else BLIND) if steps.first is None else steps.first, end / 4
+        )
+        longest = min([longest, *(h.period / A_PERIOD for h in histories if hasattr(h, "period"))])
+        if scheme.explicit and process.B is not None and process.Lam > 0:
+            longest = min(longest, 1 / process.Lam)
+        breakpoints = np.array([0.0, end])
+        if isinstance(process.C, MovingSet):
+            breakpoints = _apart(np.append(breakpoints, process.C.breakpoints(0.0, end)))
+        cuts = breakpoints
+        if is_times(save):
+            times = vector("save", save)  # `saving` refuses those that are not between 0 and end
+            cuts = _apart(np.append(breakpoints, times[(times > 0.0) & (times < end)]))
+        if end / longest > STEPS:
+            raise InputError(
+                f"Adaptive: steps of at most {longest:.3g} up to t_end = {end:g} are more "
+                f"than {STEPS:g}; make first longer"
+            )
+        piece = np.searchsorted(breakpoints, 0.5 * (cuts[1:] + cuts[:-1])) - 1
+        return cls(cuts, np.minimum(longest, np.diff(breakpoints)[piece] / A_PIECE))
+
+    def equal(self, longest: float = math.inf) -> np.ndarray:
+        """Each segment in equal steps that are not too long."""
+        lengths = np.diff(self.cuts)
+        counts = np.ceil(lengths / np.minimum(self.longest, longest) * (1 - 1e-9))
+        return _parts(self.cuts, counts)
+
+    def refined(self, density: Density, goal: float) -> np.ndarray:
+        """The coarsest grid that has local errors of `goal` in sum.
+
+        Of those that follow the density in halves of halves of the first steps, and of equal steps,
+        which can be fewer where nearly all are halved.
+        """
+        r = density.order
+        best = self.equal((goal / density.sum(r + 1)) ** (1 / r))
+        scale = (goal / density.sum(1)) ** (1 / r)  # halving makes steps shorter than that
+        base, low, high = self.equal(), scale, 2.5 * scale
+        for _ in range(6):
+            middle = math.sqrt(low * high)
+            times = self._halved(base, density, middle)
+            if density.errors(times) > goal:
+                high = middle
+            else:
+                low = middle
+                best = min(best, times, key=len)
+        return best
+
+    def _halved(self, base: np.ndarray, density: Density, scale: float) -> np.ndarray:
+        """The base grid, its steps halved until none is longer than scale / density in it."""
+        edges = density.edges
+        middle, sizes = 0.5 * (edges[1:] + edges[:-1]), scale / density.rho
+        # the next step is at most about twice as long
+        sizes = np.minimum(sizes, middle + np.minimum.accumulate(sizes - middle))
+        sizes = np.minimum.accumulate((sizes + middle)[::-1])[::-1] - middle
+        starts, ends, nodes = base[:-1], base[1:], [base]
+        while starts.size:
+            i = np.searchsorted(edges, starts + 1e-6 * (ends - starts), side="right") - 1
+            j = np.searchsorted(edges, ends - 1e-6 * (ends - starts), side="left")
+            ranges = np.column_stack([i, np.maximum(j, i + 1)]).ravel()
+            smallest = np.minimum.reduceat(np.append(sizes, np.inf), ranges)[::2]
+            segment = np.searchsorted(self.cuts, starts, side="right") - 1
+            longest = np.minimum(smallest, self.longest[segment])
+            half = 0.5 * (starts + ends)
+            coarse = (ends - starts > longest * (1 + 1e-9)) & (half > starts) & (half < ends)
+            starts, half, ends = starts[coarse], half[coarse], ends[coarse]
+            nodes.append(half)
+            starts, ends = np.append(starts, half), np.append(half, ends)
+            order = np.argsort(starts, kind="stable")
+            starts, ends = starts[order], ends[order]
+        return np.unique(np.concatenate(nodes))
+
+
+@dataclass(frozen=True, eq=False)
+class Density:
+    """Steps that a unit of time needs between `edges`: h has a local error of (h rho)^(r+1)."""
+
+    edges: np.ndarray
+    rho: np.ndarray
+    order: int
+
+    @classmethod
+    def of(cls, estimator: ErrorEstimator) -> Density:
+        """From the local errors of each step."""
+        r, h = estimator.model.order, np.diff(estimator.times)
+        rho = estimator.leading ** (1 / (r + 1))
+        mean = float(rho @ h) / float(h.sum())
+        return cls(estimator.times, np.maximum(rho, GRADED * mean) if mean > 0 else 0 * h + 1, r)
+
+    def sum(self, power: int) -> float:
+        """The integral of rho^power."""
+        return float(self.rho**power @ np.diff(self.edges))
+
+    def steps(self, goal: float) -> float:
+        """How many there are about in a grid whose local errors are `goal` in sum."""
+        return self.sum(1) * (self.sum(1) / goal) ** (1 / self.order)
+
+    def errors(self, times: np.ndarray) -> float:
+        """The sum of the local errors on a grid."""
+        parts = np.append(0.0, np.cumsum(self.rho ** (self.order + 1) * np.diff(self.edges)))
+        return float(np.diff(np.interp(times, self.edges, parts)) @ np.diff(times) ** self.order)
+
+
+@dataclass(eq=False)
+class AdaptiveResult:
+    """The passes and the run over the grid of the last one.
+
+    Attributes
+    ----------
+    run : Run or None
+        None where the last grid ends before t_end, as steps became too short there.
+    cause : str
+        Why the last pass does not suffice.
+    """
+
+    times: np.ndarray
+    mus: np.ndarray
+    plan: Plan
+    wanted: Saving
+    run: Run | None = None
+    passes: tuple[Pass, ...] = ()
     cause: str = ""
 
 
-def refine(
+class _Passes:
+    """Moves u along one grid after the other."""
+
+    def __init__(
+        self,
+        segments: Segments,
+        process: SweepingProcess,
+        plan: Plan,
+        save: Any,
+        memory: float,
+        tick: Callable[[], Any],
+    ) -> None:
+        self._segments, self._process, self._plan = segments, process, plan
+        self._save, self._memory, self._tick = save, memory, tick
+        self._programs, self._model = Velocities(process, plan), ErrorModel(process, plan.scheme)
+        self.last: AdaptiveResult
+
+    def walk(self, times: np.ndarray, probing: bool) -> tuple[ErrorEstimator, Run]:
+        """One pass, the same as a run with steps=times to the last bit."""
+        process, plan = self._process, self._plan
+        times, mus = time_grid(None, times)
+        process.check(evaluation_times(times, mus, plan.scheme))
+        wanted = saving(self._save, times, plan.entering, self._memory)
+        run = Run(len(mus), wanted.steps, process.u0)
+        estimator = ErrorEstimator(self._model, times, self._segments.cuts, probing)
+
+        def look(i: int, u: np.ndarray, z: np.ndarray, _: float) -> None:
+            self._tick()
+            estimator.see(i, u, z)
+
+        self._programs.forget()
+        integrate(process, plan, times, mus, run, look, velocities=self._programs)
+        self.last = AdaptiveResult(times, mus, plan, wanted, run)
+        if run.status in (Status.SUCCESS, Status.UNCERTIFIED):
+            for i, t, u, rest in estimator.probes:
+                gamma = float(mus[i]) * plan.scheme.a[-1][-1] if process.B is not None else 0.0
+                z = np.where(rest, self._programs(gamma)(u, process.C.at(t)).z, 0.0)
+                hidden = HIDDEN * float(mus[i] * self._model.norms(z[None])[0])
+                estimator.error = max(estimator.error, hidden)
+                r = self._model.order
+                beside = slice(i, i + 2)  # it may be in either of the steps
+                estimator.leading[beside] = np.maximum(
+                    estimator.leading[beside], hidden / mus[beside] ** (r + 1)
+                )
+        return estimator, run
+
+    def certify(self, tol: float) -> None:
+        """Ask programs for certificates of tol, where that is less than what they have."""
+        if tol < self._plan.tol:
+            self._plan = replace(self._plan, tol=max(tol, EXACT))
+            self._programs = Velocities(self._process, self._plan)
+
+    def until(self, end: float) -> AdaptiveResult:
+        """The grid of the last pass until about that time, without a run."""
+        last, save = self.last, self._save
+        reached = max(int(np.searchsorted(last.times, end, side="right")) - 1, 1)
+        times, mus = last.times[: reached + 1], last.mus[:reached]
+        if is_times(save):
+            save = np.append([t for t in np.ravel(save) if t <= times[-1]], times[-1])
+        return AdaptiveResult(
+            times, mus, self._plan, saving(save, times, self._plan.entering, self._memory)
+        )
+
+
+def adapt(
     steps: Adaptive,
-    cuts: np.ndarray,
-    longest: float,
-    flow: Flow,
-    walk: Callable[[np.ndarray, Watch, int], Run],
-    checked: int = CHECKED,
-) -> Refined:
-    """Walk over better and better grids until the error of a pass is small.
+    segments: Segments,
+    process: SweepingProcess,
+    plan: Plan,
+    save: Any,
+    memory: float,
+    tick: Callable[[], Any],
+) -> AdaptiveResult:
+    """Better and better grids, until the estimated error of a pass is small.
 
-    Parameters
-    ----------
-    cuts : ndarray
-        The start, the breakpoints and the end.
-    longest : float
-        Longest step.
-    flow : Flow
-        Of the scheme.
-    walk : callable
-        (times, watch, known) -> Run: moves u along the grid and shows each step to the watch, after
-        the first ones that are known from the walk before; it ends where the watch sees too much.
-    checked : int
-        At how many nodes passes are compared.
-
-    Notes
-    -----
-    A pass carries its error along (see `Course`). Where two passes are much further apart than
-    their errors let expect, the error counts for more. For order p the next pass has about
-    n (E / tol)^(1/p) steps.
+    The errors of the passes are about in proportion to the sums of their local errors, but for luck
+    with the places of kinks in steps: the next grid is chosen by the geometric mean of two ratios.
     """
-    tol, span = steps.tol, float(cuts[-1] - cuts[0])
-    minimum = 2.0**-40 * span if steps.minimum is None else steps.minimum
-    shortest = min(minimum, float(np.diff(cuts).min()))  # breakpoints are met all the same
-    times, limit = first_grid(cuts, longest), None
+    moved, cuts, tol = (
+        _Passes(segments, process, plan, save, memory, tick),
+        segments.cuts,
+        steps.tol,
+    )
+    minimum = 2.0**-40 * cuts[-1] if steps.minimum is None else steps.minimum
+    shortest = min(minimum, float(np.diff(cuts).min()))  # breakpoints are met anyway
+    times, resting = segments.equal(), True
     passes: list[Pass] = []
-    watch: Watch | None = None
+    ratios: list[float] = []
     while True:
-        began, before = clock.perf_counter(), watch
-        nodes = before.nodes if before else None
-
-        def seen(
-            times: np.ndarray, known: int, limit: Limit | None, nodes: PassNodes | None = nodes
-        ) -> Watch:
-            return Watch(times, cuts, flow, nodes, checked, known, limit)
-
-        watch, run, made = _walked(times, limit, seen, walk)
-        times, n = watch.times, len(watch.times) - 1
+        began, n = clock.perf_counter(), len(times) - 1
+        estimator, run = moved.walk(times, probing=resting)
         walked = run.status in (Status.SUCCESS, Status.UNCERTIFIED)
-        error, trust = _error(watch, before) if walked else (math.nan, 1.0)
-        passes.append(Pass(made, error, clock.perf_counter() - began))
-        doubtful = before is None and not 0 < error < RESOLVED * watch.length
-        enough = error <= (ALONE if before is None else ACCEPTED) * tol and not doubtful
-        if not walked or enough:
-            return Refined(tuple(passes))
-        if tol < EPS * watch.size:
-            return Refined(tuple(passes), None, _below_rounding(tol, EPS * watch.size))
-        # where hardly anything was seen to move, steps twice as short look again
-        least = (2.0 if doubtful else LEAST) * n
-        aim = (AIM if flow.locates else CAREFUL) * tol
-        next_n = max(n * (error / aim) ** (1 / flow.order), least)
-        wanted = density(times, cuts, watch.sizes, flow.order, watch.jumps)
-        told = flow.locates and watch.whole and n >= TOLD
-        limit = None
-        if next_n <= (FARTHEST_TOLD if told else FARTHEST) * n:
-            limit = Limit(ACCEPTED * tol, MENDED * tol, shortest) if flow.locates else None
-        else:
-            # one pass between: as few steps as the last one can come after
-            next_n = min(max(BETWEEN * next_n, GROWTH[0] * n), GROWTH[1] * n)
-        if next_n > STEPS:
-            return Refined(tuple(passes), None, _too_many(n, error, next_n, tol))
-        if limit and told:
-            around = max(NEAR[0] * next_n, least), max(NEAR[1] * next_n, least)
-            times = _fewest(watch, flow, wanted, cuts, longest, around, aim / trust)
-        else:
-            times = finer_grid(wanted, cuts, longest, next_n)
-        failure = _failure(times, shortest, n, passes, run.overshot is not None)
-        if failure:
-            return Refined(tuple(passes), float(times[np.argmin(np.diff(times))]), failure)
+        error = estimator.error if walked else math.nan
+        passes.append(Pass(run.done, error, clock.perf_counter() - began))
+        resting = estimator.length == 0
+        result = replace(moved.last, passes=tuple(passes))
+        accepted = ACCEPTED * tol
+        if len(passes) == 1:  # it has no other one to be better than
+            accepted = min(0.5 * tol, RESOLVED * estimator.length)
+        if not walked or (error <= accepted and (error > 0 or len(passes) > 1)):
+            return result
+        if tol < EPS * estimator.size:
+            return replace(result, cause=_below_rounding(tol, EPS * estimator.size))
+        if len(passes) == 1 and not resting:  # what programs miss adds up along the way of u
+            moved.certify(PROGRAM_SHARE * tol / estimator.length)
+        density = Density.of(estimator)
+        sums = density.errors(times)
+        ratios.append(error / sums)
+        ratio = math.sqrt(ratios[-1] * ratios[-2]) if len(ratios) > 2 else ratios[-1]
+        goal = min(AIM * tol / ratio if error else math.inf, 0.7 * sums)
+        wanted = density.steps(goal)
+        if wanted > STEPS:
+            return replace(result, cause=_too_many(n, error, wanted, tol))
+        if wanted > FARTHEST * n:  # one pass between
+            goal *= (wanted / n / min(max(0.2 * wanted / n, 2.0), 4.0)) ** density.order
+        times = segments.refined(density, goal)
+        while len(times) < LEAST * n:  # an error that its steps' differences do not show
+            goal *= 0.5
+            times = segments.refined(density, goal)
+        cause = _failure(times, shortest, n, passes, run.overshot is not None)
+        if cause:
+            result = moved.until(float(times[np.argmin(np.diff(times))]))
+            return replace(result, passes=tuple(passes), cause=cause)
 
 
-def _walked(
-    times: np.ndarray,
-    limit: Limit | None,
-    seen: Callable[[np.ndarray, int, Limit | None], Watch],
-    walk: Callable[[np.ndarray, Watch, int], Run],
-) -> tuple[Watch, Run, int]:
-    """A pass, mended where its error is too large; how many steps were made for it."""
-    known, made, mends = 0, 0, 0
-    while True:
-        watch = seen(times, known, limit if mends < MENDS else None)
-        run = walk(times, watch, known)
-        made += run.done - known
-        if watch.mended is None or run.status in (Status.INTERRUPTED, Status.INEXACT):
-            return watch, run, made
-        (times, known), mends = watch.mended, mends + 1
+def is_times(save: Any) -> bool:
+    """Whether `save` is an array of times."""
+    return not isinstance(save, str) and not callable(save) and axes(save) == 1
 
 
-def _fewest(
-    watch: Watch,
-    flow: Flow,
-    wanted: Density,
-    cuts: np.ndarray,
-    longest: float,
-    around: tuple[float, float],
-    error: float,
-) -> np.ndarray:
-    """The coarsest one of some grids that would have no more than this error.
-
-    They follow the density or are of equal steps: where many kinks are close together, what the
-    density gains is less than what it loses by halving.
-    """
-    course, span = watch.course, cuts[-1] - cuts[0]
-
-    def small(times: np.ndarray) -> bool:
-        return bool(course.on(flow, times).sizes(flow).max() <= error)
-
-    numbers = np.geomspace(*around, TRIED).tolist()
-    few, many, found = 0, TRIED - 1, None
-    while few <= many:
-        middle = (few + many) // 2
-        n = numbers[middle]
-        times = first_grid(cuts, min(span / n, longest))
-        if small(times) or small(times := finer_grid(wanted, cuts, longest, n)):
-            found, many = times, middle - 1
-        else:
-            few = middle + 1
-    return finer_grid(wanted, cuts, longest, numbers[-1]) if found is None else found
+def _histories(C: AnySet) -> list[Any]:
+    """The functions of time that C(t) moves with."""
+    loads = [getattr(C, name, None) for name in ("center", "scale", "offsets")]
+    if type(C) is MovingSet:
+        loads = [C.at]
+    return [
+        history
+        for load in loads
+        if callable(load)
+        for history in ([phi for phi, _ in load.terms] if isinstance(load, Separable) else [load])
+    ]
 
 
-def _error(watch: Watch, before: Watch | None) -> tuple[float, float]:
-    """The error of a pass, and how much more it counts than it seems.
+def _parts(cuts: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Each segment in about so many equal parts."""
+    numbers = np.maximum(np.round(counts), 1).astype(int).tolist()
+    ends = zip(cuts, cuts[1:], numbers, strict=False)
+    return np.append(
+        np.concatenate([np.linspace(a, b, k, endpoint=False) for a, b, k in ends]), cuts[-1]
+    )
 
-    It is what the pass carried along, and what may be hidden beside breakpoints.
-    """
-    mus = np.diff(watch.times)
-    # a kink just beside a breakpoint: a jump of the velocity over a part of a step
-    jump = max((size * mus[i : i + 2].sum() for i, size in watch.jumps.items()), default=0.0)
-    error = watch.error + HIDDEN * float(jump)
-    if before is None or not watch.apart:
-        return error, 1.0
-    expected = error + before.error
-    if not expected:
-        return watch.apart, 1.0
-    # the root: the coarser one of both may be to blame
-    trust = min(max(math.sqrt(watch.apart / (APART * expected)), 1.0), MISTRUST)
-    return trust * error, trust
+
+def _apart(cuts: np.ndarray) -> np.ndarray:
+    """Increasing; breakpoints that differ by rounding are one."""
+    cuts = np.unique(cuts)
+    far = np.append(True, np.diff(cuts) > TIME_SLACK * cuts[-1])
+    far[-1] = True
+    kept = cuts[far]
+    return kept if kept[-1] - kept[-2] > TIME_SLACK * cuts[-1] else np.delete(kept, -2)
 
 
 def _below_rounding(tol: float, rounding: float) -> str:
@@ -290,7 +438,7 @@ def _failure(times: np.ndarray, shortest: float, n: int, passes: list[Pass], ove
     if step < shortest:
         return f"a step shorter than minimum = {shortest:g} is needed; {advice}"
     errors = [one.error for one in passes]
-    if overshot and len(passes) > RISES and all(a < b for a, b in pairwise(errors[-RISES - 1 :])):
+    if overshot and len(passes) > RISES and errors[-1] > errors[-1 - RISES]:
         return (
             f"the estimated error, {errors[-1]:.2g} with {n} steps, rises with "
             "shorter steps: they overshoot; take implicit-euler, which never does"

@@ -1,298 +1,312 @@
-"""What a pass over the run tells of its own error, without one more program.
+"""Estimate of the global error of a pass, from nothing but its states and velocities.
 
-Its velocities are looked at as they come: in blocks where states are large, so that no more than a
-few are held at a time. Where a limit is given, the error is looked at every few steps, and a step
-after which it is beyond the limit is the last one.
+A step h of a scheme of order r has the local error
+
+    d = h^(r+1) (p u^(r+1) + q J u^(r)),        J the derivative of Phi by u,
+
+with p and q from the tableau; a kink of the velocity after a share s of the step adds
+h^2 [u''] k(s), where k is the Peano kernel of the tableau's quadrature and [u''] the jump of the
+slope. Derivatives are difference quotients of the mean velocities z of the steps. Along z, J is
+about -<Bz, z> / <Az, z>, and 0 for unknowns that rest. The error goes along the flow with its sign,
+
+    e_{i+1} = R(h J) e_i + d_i,                 R the stability function,
+
+so that what cancels or is damped does not count.
+
+At A = 0 with flat faces what moves is where it should be after each step of a stiffly accurate
+scheme: the error before is forgotten, and only what stops within a step errs.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from sweepopt.integrate.error_model import Carried, Course, Missed, carry, chain
-from sweepopt.integrate.error_propagation import Flow
-from sweepopt.integrate.local_refinement import Mended, mended
-from sweepopt.integrate.switching_times import NONE, find_kinks, find_stops
+from sweepopt.integrate.schemes import Scheme
+from sweepopt.problem import SweepingProcess, squares
 
-WHOLE = 1 << 20  # numbers of the velocities of a pass that are kept all
-BLOCK = 65536  # numbers of the steps that are looked at together where they are more
-AHEAD, BESIDE = 3, 10  # steps after and before one that its kinks are told from
-LOOKS = 25  # at the error while a pass with a limit goes on
-
-
-class PassNodes(NamedTuple):
-    """States of a pass, a row each."""
-
-    t: np.ndarray
-    u: np.ndarray
+BLOCK = 1 << 17  # numbers of the velocities that are looked at together: a megabyte
+AHEAD, BESIDE = 3, 10  # steps after and before one that its derivatives and kinks are taken from
+STIFF = 1e6  # h |J| that is as good as infinite: R has its limit to six digits
+CURVED = 1.5  # a kink changes the slope by more than this times what the curvature beside it does
+OUTSIDE = 0.1  # of a gap that a kink may seem to be outside of it: velocities have errors too
+EARLY = 0.5  # of a step that a stop may seem to be before it, for the same reason
+STAGES = 1.5  # an error counts for more where z is the mean of stages, not the velocity half way:
+# kinks are located less well, and without it a fifth of the runs kept back missed the tolerance
+TURN = 0.25  # of jump times step: the largest error of a motion that stops or turns at once
+GOLDEN = 0.5 * (math.sqrt(5) - 1)  # its multiples modulo 1 fall into step with no period
 
 
-class Limit(NamedTuple):
-    """The error that a pass may have, the one it is mended for, and the shortest step there is."""
-
-    error: float
-    goal: float
-    shortest: float
-
-
-class Watch:
-    """Sees the velocities of a pass and carries the error along; keeps a few nodes of it.
-
-    Steps are looked at when those that follow them are known.
-
-    Parameters
-    ----------
-    times, cuts : ndarray
-        The grid; the start, the breakpoints and the end.
-    flow : Flow
-    before : PassNodes, optional
-        Of the pass before: where this one is compared with it.
-    kept : int
-        So many nodes are kept.
-    known : int
-        So many of the steps were seen before, in a pass that is mended.
-    limit : Limit, optional
-        An error beyond it stops the pass if it can be mended.
+class LocalErrors(NamedTuple):
+    """What each of m steps does to the error.
 
     Attributes
     ----------
-    jumps : dict
-        From a step that ends at a breakpoint, or at the end, to the jump of the velocity there: it
-        has none, so that something happened between that time and the middle of a step beside it.
+    local, damping : ndarray, shape (m, dim)
+        e_{i+1} = damping_i e_i + local_i.
+    leading : ndarray, shape (m,)
+        |d| / h^(r+1) in the mean over all places of a kink.
+    """
+
+    local: np.ndarray
+    damping: np.ndarray
+    leading: np.ndarray
+
+
+class Probe(NamedTuple):
+    """A time that no step has looked at, u there, and the unknowns that seem to rest there."""
+
+    step: int
+    t: float
+    u: np.ndarray
+    rest: np.ndarray
+
+
+class ErrorModel:
+    """Local errors of a scheme for a process; `order` is that of the error at the nodes."""
+
+    def __init__(self, process: SweepingProcess, scheme: Scheme) -> None:
+        self._process, self._scheme = process, scheme
+        n = len(scheme.b)
+        self._a = np.array([[*row, *[0.0] * (n - len(row))] for row in scheme.a])
+        self._b, self._c = np.array(scheme.b), np.array(scheme.c)
+        stiffly_accurate = scheme.a[-1] == scheme.b
+        self._continuous = not process.rate_independent  # the velocity
+        self._flat = not self._continuous and stiffly_accurate and process.C.at(0.0).polyhedral
+        self.order = int(scheme.order) if stiffly_accurate or self._continuous else 1
+        if self._flat:
+            self.order = 2
+        shares = (np.arange(1000) + 0.5) / 1000
+        kernel = self._kernel(shares)
+        self._p, self._largest = float(kernel.mean()), float(kernel[np.argmax(np.abs(kernel))])
+        if not self._continuous and not stiffly_accurate:
+            self._p = float(np.sqrt(np.mean(kernel**2)))  # midpoint's mean is 0, its errors are not
+        delays = self._a @ self._c if self.order == 2 else self._a.sum(axis=1)
+        self._q = float(self._b @ delays) - 1 / (self.order * (self.order + 1)) - self._p
+        self.safety = STAGES if n > 1 and not self._flat else 1.0
+
+    def _kernel(self, s: np.ndarray) -> np.ndarray:
+        """The Peano kernel of the quadrature."""
+        late = np.maximum(self._c[:, None] - s, 0.0) ** (self.order - 1) * (self._c[:, None] > s)
+        kernel: np.ndarray = self._b @ late - (1 - s) ** self.order / self.order
+        return kernel
+
+    def norms(self, rows: np.ndarray) -> np.ndarray:
+        """|u|_A of each row, |u|_B where A = 0."""
+        return np.sqrt(np.maximum(squares(self._process.metric.M, rows), 0.0))
+
+    def local_errors(self, times: np.ndarray, z: np.ndarray, segment: np.ndarray) -> LocalErrors:
+        """Of consecutive steps with mean velocities z; `segment` says between which breakpoints."""
+        r, h, middle = self.order, np.diff(times), 0.5 * (times[1:] + times[:-1])
+        slopes = np.diff(z, axis=0) / np.diff(middle)[:, None]
+        quotients, window = slopes, _windows(segment, r)
+        if r == 2:
+            quotients = np.diff(slopes, axis=0) / (0.5 * (middle[2:] - middle[:-2]))[:, None]
+        leading = abs(self._p) * self.norms(quotients)[window]
+        rates = self._rates(z)
+        damping, own = self._stability(np.minimum(h * rates, STIFF))
+        damping = np.where(z != 0, damping[:, None], 1.0)
+        if not self._continuous:
+            local = (h ** (r + 1))[:, None] * quotients[window]
+            if self._flat:
+                local = _stops(times, z, segment, TURN * local)
+            else:
+                local *= self._p
+            return LocalErrors(local, damping, leading)
+
+        lower = z
+        if r == 2:
+            steps = np.arange(len(z))
+            left, right = np.maximum(steps - 1, window), np.minimum(steps, window + 1)
+            lower = 0.5 * (slopes[left] + slopes[right])
+        drift = np.minimum(rates, STIFF / h) * self._q
+        leading = own * (leading + np.abs(drift * self.norms(lower)))
+        local = np.zeros_like(z)
+        if r == 2:
+            local, quotients = self._kinks(times, z, quotients, segment)
+        local += (h**3 if r == 2 else h**2)[:, None] * (
+            self._p * quotients[window] - drift[:, None] * lower
+        )
+        return LocalErrors(own[:, None] * local, damping, leading)
+
+    def _rates(self, z: np.ndarray) -> np.ndarray:
+        """-J along the velocities."""
+        sizes = self.norms(z)
+        if not self._continuous:
+            return np.where(sizes > 0, math.inf, 0.0)
+        if self._process.B is None:
+            return np.zeros(len(z))
+        return squares(self._process.B, z / np.where(sizes > 0, sizes, 1.0)[:, None])
+
+    def _stability(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """R(-x), and what steps leave of the error that arises in them."""
+        stages: list[np.ndarray] = []
+        own = np.ones_like(x)
+        for row in self._scheme.a:
+            known = sum(weight * stage for weight, stage in zip(row, stages, strict=False))
+            own /= 1 + x * row[-1]
+            stages.append((1 - x * known) / (1 + x * row[-1]))
+        return 1 - x * sum(b * stage for b, stage in zip(self._b, stages, strict=True)), own
+
+    def _kinks(
+        self, times: np.ndarray, z: np.ndarray, quotients: np.ndarray, segment: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The local errors of kinks, and the second difference quotients without them.
+
+        A kink between two midpoints is in the two second differences there alone: their sum is the
+        jump of the slope, their ratio the place. It is taken for one where their sum is a maximum
+        and more than the curvature beside it. Unknowns that the norm couples have theirs together.
+        """
+        h, middle = np.diff(times), 0.5 * (times[1:] + times[:-1])
+        width = (0.5 * (middle[2:] - middle[:-2]))[:, None]
+        inner = (segment[2:] == segment[:-2])[:, None]
+        separate = self._process.metric.is_diagonal
+        parts = np.abs if separate else lambda rows: self.norms(rows)[:, None]
+        # between the midpoints k + 1 and k + 2 are the differences k and k + 1
+        differences = quotients * width
+        sizes = parts(differences)
+        sums = np.where(inner[1:] & inner[:-1], parts(differences[1:] + differences[:-1]), 0.0)
+        none, edge = np.zeros((1, sums.shape[1])), np.full((1, sums.shape[1]), np.inf)
+        outer = np.where(inner, sizes / width, np.inf)
+        beside = np.minimum(np.vstack([edge, outer[:-2]]), np.vstack([outer[2:], edge]))
+        there = (sums >= np.vstack([none, sums[:-1]])) & (sums > np.vstack([sums[1:], none]))
+        there &= np.isfinite(beside) & (sums > CURVED * beside * (width[:-1] + width[1:]))
+        there &= np.abs(_share(sizes, sums) - 0.5) <= 0.5 + OUTSIDE
+        k, unknown = np.nonzero(np.broadcast_to(there, (len(sums), z.shape[1])))
+
+        # in both differences of a kink the curvature is that beside it on their side, or none
+        clean = np.where(inner, quotients, 0.0)
+        clean[k, unknown] = clean[k + 1, unknown] = 0.0
+        clean = np.pad(clean, ((1, 1), (0, 0)))
+        smooth = quotients.copy()
+        smooth[k, unknown], smooth[k + 1, unknown] = clean[k, unknown], clean[k + 3, unknown]
+        excess = (quotients - smooth) * width
+        jumps = excess[:-1] + excess[1:]
+        shares = np.clip(_share(parts(excess), parts(jumps)), 0.0, 1.0)
+        place = np.nan_to_num(np.broadcast_to(shares, jumps.shape)[k, unknown], nan=0.5)
+        t = (1 - place) * middle[k + 1] + place * middle[k + 2]
+        step = k + 1 + (t >= times[k + 2])
+        # a mean of velocities at both ends says in which step a kink is, but not where
+        at = self._kernel((t - times[step]) / h[step]) if self._c[0] else self._largest
+        local = np.zeros_like(z)
+        np.add.at(local, (step, unknown), h[step] ** 2 * jumps[k, unknown] * at)
+        return local, smooth
+
+
+class ErrorEstimator:
+    """Takes the steps of a pass as they come, and carries the error along.
+
+    Parameters
+    ----------
+    model : ErrorModel
+    times, cuts : ndarray
+        The grid; the start, the breakpoints and the end: no difference is taken across them.
+    probing : bool
+        Whether there are probes within steps, not only at the ends of segments.
+
+    Attributes
+    ----------
     error : float
         The largest error on the way.
-    apart : float
-        The largest distance to the pass before.
-    mended : Mended or None
-        The grid to go on with, of a pass that was stopped.
     length, size : float
         Of the way that u goes; the largest |u|.
-    whole, mendable : bool
-        Whether all velocities are kept; whether the pass may end for it to be mended.
+    leading : ndarray
+        As in `LocalErrors`, of the whole pass.
+    probes : list of Probe
     """
 
     def __init__(
-        self,
-        times: np.ndarray,
-        cuts: np.ndarray,
-        flow: Flow,
-        before: PassNodes | None,
-        kept: int,
-        known: int = 0,
-        limit: Limit | None = None,
+        self, model: ErrorModel, times: np.ndarray, cuts: np.ndarray, probing: bool
     ) -> None:
-        self.times, self._flow, self._mus = times, flow, np.diff(times)
-        self._middle = 0.5 * (times[1:] + times[:-1])
+        self.times, self.model, self._probing = times, model, probing
         self._segment = np.searchsorted(cuts[1:-1], times[:-1], side="right")
-        self._window = _windows(self._segment, flow.order)
-        # some nodes more where the steps are short: what is wrong there may soon be forgotten
-        self._kept = np.unique(np.linspace(0, len(times) - 2, kept).astype(int))
-        self._before = before
-        self._z = self._u = np.zeros(0)
+        self._z: list[np.ndarray] = []
+        self._u: list[np.ndarray] = []
         self._first = self._done = 0  # the step in the first row; how many were looked at
-        self._error, self._last, self._deviation = np.zeros(0), np.zeros(0), 0.0
-        self._sizes: list[np.ndarray] = []
-        self._nodes: list[PassNodes] = []
-        self._courses: list[Course] = []
-        self._missed: list[Missed] = []
-        self._carried: list[Carried] = []
-        self._known, self._limit = known, limit
-        self.whole = self.mendable = False
-        self.mended: Mended | None = None
-        self.jumps: dict[int, float] = {}
-        self.error = self.apart = self.length = self.size = 0.0
+        self.error = self.length = self.size = 0.0
+        self.leading = np.zeros(len(times) - 1)
+        self.probes: list[Probe] = []
 
-    @property
-    def sizes(self) -> np.ndarray:
-        """Of the r-th difference quotient of r + 1 steps, the first steps first."""
-        return np.concatenate(self._sizes)
-
-    @property
-    def nodes(self) -> PassNodes:
-        """The nodes that are kept."""
-        return PassNodes(*(np.concatenate(parts) for parts in zip(*self._nodes, strict=True)))
-
-    @property
-    def course(self) -> Course:
-        """How the velocity went, of a pass that is kept whole."""
-        return chain(self._courses)
-
-    def see(self, i: int, u: np.ndarray, z: np.ndarray) -> bool:
-        """Take the state after step i and its velocity; whether the pass shall end with it."""
-        n = len(self._mus)
+    def see(self, i: int, u: np.ndarray, z: np.ndarray) -> None:
+        """Take the state after step i and its velocity."""
         if i == 0:
-            self.whole = n * u.size <= WHOLE
-            self.mendable = self.whole and self._limit is not None
-            rows = n if self.whole else min(n, BLOCK // u.size + AHEAD + BESIDE + 1)
-            self._z, self._u = np.empty((rows, u.size)), np.empty((rows + 1, u.size))
-            self._u[0] = u - self._mus[0] * z
-            self._error = self._last = np.zeros_like(u)
-        row = i - self._first
-        self._z[row], self._u[row + 1] = z, u
-        if i + 1 == n:
-            self._look(n, n)
-        elif row + 1 == len(self._z):
+            self._u = [u - (self.times[1] - self.times[0]) * z]
+            self._error = np.zeros_like(u)
+        self._z.append(z)
+        self._u.append(u)
+        if i + 1 == len(self._segment):
+            self._look(i + 1, i + 1)
+        elif len(self._z) >= AHEAD + BESIDE + max(BLOCK // u.size, AHEAD):
             self._look(i + 1 - AHEAD, i + 1)
             kept = AHEAD + BESIDE
-            self._z[:kept] = self._z[-kept:]
-            self._u[: kept + 1] = self._u[-kept - 1 :]
-            self._first = i + 1 - kept
-        elif self.mendable and i >= self._known and (i + 1) % max(n // LOOKS, 2) == 0:
-            self._look(i + 1 - AHEAD, i + 1)
-        if self.mendable and self._limit and self.error > self._limit.error:
-            self._mend(self._limit)
-        return self.mended is not None
-
-    def _mend(self, limit: Limit) -> None:
-        """Choose the grid to go on with; if there is none, the pass goes on as it is."""
-        missed = Missed(*(np.concatenate(parts) for parts in zip(*self._missed, strict=True)))
-        carried = Carried(*(np.concatenate(parts) for parts in zip(*self._carried, strict=True)))
-        self.mended = mended(self._flow, self.times, missed, carried, *limit)
-        self._limit = None
+            self._z, self._u, self._first = self._z[-kept:], self._u[-kept - 1 :], i + 1 - kept
 
     def _look(self, stop: int, seen: int) -> None:
         """Carry the error over the steps that nobody has looked at, up to step `stop`."""
-        if stop <= self._done:
-            return
-        flow = self._flow
-        steps = np.arange(self._done, stop)
+        model, steps = self.model, np.arange(self._done, stop)
         rows = steps - self._first
-        z, h = self._z[rows], self._mus[steps]
-        self.length += float(h @ flow.norms(z))
-        course, slopes = self._course(steps, seen)
-        missed = course.own(flow, self._mus[max(self._done - 1, 0)])
-        carried = carry(missed, self._error, self._deviation)
-        self.error = max(self.error, float(carried.sizes(flow).max()))
-        if self.whole:
-            self._courses.append(course)
-            self._missed.append(missed)
-            self._carried.append(carried)
-        ends = np.append(self._segment[1:] != self._segment[:-1], True)[steps]
-        for i in steps[ends].tolist():
-            self._end(i)
-        self._compare(steps, slopes)
-        self._keep(steps)
-        self._error, self._deviation = carried.errors[-1], float(carried.deviations[-1])
-        self._last, self._done = course.high[-1], stop
-
-    def _course(self, steps: np.ndarray, seen: int) -> tuple[Course, np.ndarray]:
-        """How the velocity goes in these steps, from those beside them; its slopes."""
-        flow, r = self._flow, self._flow.order
-        start = max(int(steps[0]) - BESIDE, self._first)
-        end = min(int(steps[-1]) + 1 + AHEAD, seen)
-        times, segment = self.times[start : end + 1], self._segment[start:end]
-        z = self._z[start - self._first : end - self._first]
-        slopes = self._slopes(start, end - 1)
-        windows = slopes
-        if r == 2:
-            width = 0.5 * (self._middle[2:] - self._middle[:-2])[start : start + len(slopes) - 1]
-            windows = (slopes[1:] - slopes[:-1]) / width[:, None]
-        known = sum(map(len, self._sizes)) - start
-        self._sizes.append(flow.norms(windows[known:]) / r)
-
-        here = steps - start
-        kinks, curvature = NONE, windows
-        if flow.locates and flow.continuous:
-            kinks, curvature = find_kinks(times, z, segment, flow.parts)
-        elif flow.locates:
-            kinks = find_stops(times, z, segment)
-        kinks = kinks.within(int(here[0]), int(here[-1]) + 1)
-        moves, following = z[here] != 0, z[np.minimum(here + 1, len(z) - 1)]
-        # what turns from one step to the next has stopped and has started again
-        stops = following * z[here] <= 0 if flow.locates else following == 0
-        window = self._window[steps]
-        left, right = np.maximum(steps - 1, window), np.minimum(steps, window + r - 1)
-        slope = 0.5 * (slopes[left - start] + slopes[right - start])
-        high = curvature[window - start]
-        if flow.locates and not flow.continuous:
-            # but for stops that were not found, what moves is where it should be
-            high = np.where(moves & stops, high, 0.0)
-            high[kinks.step, kinks.unknown] = 0.0
-            bends = high.copy()
-            open_ = np.where(kinks.sure, 0.0, kinks.jump) / self._mus[steps][kinks.step]
-            bends[kinks.step, kinks.unknown] = open_
-        else:
-            begins = np.append(True, self._segment[1:] != self._segment[:-1])[steps]
-            bends = np.where(begins[:, None], 0.0, high - np.vstack([self._last, high[:-1]]))
-        course = Course(
-            times=self.times[steps[0] : steps[-1] + 2],
-            rates=flow.rates(z[here], flow.norms(z[here])),
-            lower=slope if r == 2 else z[here],
-            high=high,
-            bends=bends,
-            moves=moves,
-            stops=stops,
-            kinks=kinks,
-        )
-        return course, slope
-
-    def _keep(self, steps: np.ndarray) -> None:
-        kept = self._kept[(self._kept >= steps[0]) & (self._kept <= steps[-1])]
-        if kept.size:
-            u = self._u[kept - self._first + 1]
-            self._nodes.append(PassNodes(self.times[kept + 1], u))
-            self.size = max(self.size, float(self._flow.norms(u).max()))
-
-    def _slopes(self, start: int, stop: int) -> np.ndarray:
-        z = self._z[start - self._first : stop + 1 - self._first]
-        return np.diff(z, axis=0) / np.diff(self._middle[start : stop + 1])[:, None]
-
-    def _end(self, i: int) -> None:
-        """Look at the velocities where a segment ends: at a breakpoint, or at the end."""
-        flow = self._flow
-        if not flow.continuous:
-            return
-        if flow.order == 2 and i + 2 < len(self._mus):
-            self.jumps[i] = self._gap(i)
-        z, u = self._z[i - self._first], self._u[i + 1 - self._first]
-        if not z.all():
-            # no step of the segment follows, in which it would be seen to move
-            jump = flow.unheld(float(self.times[i + 1]), u, z)
-            self.jumps[i] = max(self.jumps.get(i, 0.0), jump)
-
-    def _gap(self, i: int) -> float:
-        """How far the velocities apart are that both sides have at a breakpoint."""
-        segment, middle, cut = self._segment, self._middle, self.times[i + 1]
-        z = self._z[i - self._first :]
-        gap = z[1] - z[0]
-        if i and segment[i - 1] == segment[i]:
-            gap = gap - (cut - middle[i]) * self._slopes(i - 1, i)[0]
-        if segment[i + 2] == segment[i + 1]:
-            gap = gap - (middle[i + 1] - cut) * self._slopes(i + 1, i + 2)[0]
-        return float(self._flow.norms(gap[None])[0])
-
-    def _compare(self, steps: np.ndarray, slopes: np.ndarray) -> None:
-        """Look at the nodes of the pass before in these steps; the parabola has its slopes."""
-        if self._before is None:
-            return
-        start, stop = steps[0], steps[-1] + 1
-        known = slice(*np.searchsorted(self._before.t, self.times[[start, stop]], side="right"))
-        t, v = (part[known] for part in self._before)
-        if not t.size:
-            return
-        i = np.searchsorted(self.times[1:], t)
-        begin, end = self.times[i], self.times[i + 1]
-        share = ((t - begin) / (end - begin))[:, None]
-        row, u = i - start, self._u[i - self._first]
-        u = (1 - share) * u + share * self._u[i + 1 - self._first]
-        u += (0.5 * (t - begin) * (t - end))[:, None] * slopes[row]
-        self.apart = max(self.apart, float(self._flow.norms(u - v).max()))
+        z, u, times = np.array(self._z), np.array(self._u), self.times[self._first : seen + 1]
+        found = model.local_errors(times, z, self._segment[self._first : seen])
+        errors = found.local[rows]
+        for k, damping in enumerate(found.damping[rows]):
+            self._error = errors[k] = damping * self._error + errors[k]
+        self.error = max(self.error, model.safety * float(model.norms(errors).max()))
+        self.length += float(np.diff(times)[rows] @ model.norms(z[rows]))
+        self.size = max(self.size, float(model.norms(u[rows + 1]).max()))
+        self.leading[steps] = found.leading[rows]
+        rests = np.vstack([z[:1] == 0, z == 0, z[-1:] == 0])
+        for i, k in zip(steps.tolist(), rows.tolist(), strict=True):
+            ends = i + 1 == len(self._segment) or self._segment[i] != self._segment[i + 1]
+            if ends and (rest := rests[k + 1] & rests[k + 2]).any():
+                self.probes.append(Probe(i, self.times[i + 1], u[k + 1], rest))
+            if self._probing and (rest := rests[k] & rests[k + 1] & rests[k + 2]).any():
+                since = (i * GOLDEN) % 1.0 * (self.times[i + 1] - self.times[i])
+                self.probes.append(Probe(i, self.times[i] + since, u[k] + since * z[k], rest))
+        self._done = stop
 
 
 def _windows(segment: np.ndarray, r: int) -> np.ndarray:
-    """The window that each step takes its derivatives from: within its segment if there is one.
-
-    Window k has the velocities of the steps from k to k + r.
-    """
+    """For each step the first one of r + 1 steps, within its segment if there are so many."""
     steps = np.arange(len(segment))
     chosen = np.full(len(steps), -1)
-    last = len(steps) - 1 - r
     for same in (True, False):
         for k in (steps - 1, steps, steps - 2)[: r + 1]:
-            there = (k >= 0) & (k <= last) & (chosen < 0)
-            inner = np.clip(k, 0, last)
+            inner = np.clip(k, 0, len(steps) - 1 - r)
             fits = segment[inner] == segment[inner + r] if same else True
-            chosen = np.where(there & fits, k, chosen)
+            chosen = np.where((k == inner) & (chosen < 0) & fits, k, chosen)
     return chosen
+
+
+def _share(sizes: np.ndarray, sums: np.ndarray) -> np.ndarray:
+    """The second one's share of the sum of two vectors, from the norms; nan where there is none."""
+    shares = np.full_like(sums, np.nan)
+    second = sizes[1:] ** 2 + sums**2 - sizes[:-1] ** 2
+    np.divide(second, 2 * sums**2, out=shares, where=sums > 0)
+    return shares
+
+
+def _stops(times: np.ndarray, z: np.ndarray, segment: np.ndarray, most: np.ndarray) -> np.ndarray:
+    """Local errors at A = 0 with flat faces: only where unknowns stop or turn, else 0.
+
+    The velocities of the two steps before it say where: there the line through them is 0, and u has
+    gone the way until there. Where they do not say it, it is `most`, the error at the worst place.
+    """
+    stops = z != 0
+    stops[:-1] &= z[1:] * z[:-1] <= 0
+    stops[-1] = False
+    local = np.where(stops, most, 0.0)
+    k, j = np.nonzero(stops[2:])
+    k += 2
+    middle, h = 0.5 * (times[1:] + times[:-1]), np.diff(times)
+    last, slope = z[k - 1, j], (z[k - 1, j] - z[k - 2, j]) / (middle[k - 1] - middle[k - 2])
+    usable = (segment[k - 2] == segment[k]) & (last * z[k - 2, j] > 0) & (slope * last < 0)
+    k, j, last, slope = k[usable], j[usable], last[usable], slope[usable]
+    start = last + slope * (times[k] - middle[k - 1])
+    tau = -start / slope
+    usable = (tau >= -EARLY * h[k]) & (tau <= h[k] + h[np.minimum(k + 1, len(h) - 1)])
+    k, j, tau, start, slope = (column[usable] for column in (k, j, tau, start, slope))
+    tau = np.maximum(tau, 0.0)
+    local[k, j] = h[k] * z[k, j] - tau * (start + 0.5 * slope * tau)
+    return local

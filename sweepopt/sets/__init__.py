@@ -33,7 +33,6 @@ from sweepopt.sets.curves import (
 )
 from sweepopt.sets.cvxpy_lock import (
     in_turn,
-    silence,
 )
 from sweepopt.sets.ellipsoid import (
     Ellipsoid,
@@ -102,6 +101,5 @@ __all__ = [
     "product",
     "products",
     "same_array",
-    "silence",
     "to_bernstein",
 ]

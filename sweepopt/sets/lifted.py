@@ -272,13 +272,13 @@ class Lifted(ConvexSet):
             found = self._projector(v, own, effort)
             if found is not None:
                 return found
+        if not self._projector.small:
+            return None
         p, y = normal_by_program(self, v)
         first = 0 if self.lifted.c is None else self.dim
         unit, row = self._units
         multipliers = unit / row * y[first : first + self.lifted.g.size]
-        starts = [own]
-        if max(self.lifted.E.shape) <= DENSE:
-            starts.insert(0, self._projector.from_program(v, p, multipliers))
+        starts = [self._projector.from_program(v, p, multipliers), own]
         for effort in (*FIRST, *LATER, *((ON_FACES,) if self.polyhedral else ())):
             for start in starts:
                 found = self._projector(v, start, effort)

@@ -97,7 +97,7 @@ class Projector:
     """
 
     def __init__(self, form: Form) -> None:
-        self.form = form
+        self.form, self.small = form, max(*form.E.shape, *form.F.shape) <= DENSE
         # units in which the columns of E and F are near 1, one for each part
         columns = np.sqrt(sum(_squares(M) for M in (form.E, form.F)))
         sizes = [binary(float(np.linalg.norm(columns[at]))) for at in places(form)]
@@ -150,9 +150,9 @@ class Splitting:
             for part, at in zip(form.parts, places(form), strict=True)
         ]
         scale = sp.diags_array(1 / units)
-        E, F = form.E @ scale, form.F @ scale
-        self.c = np.zeros(E.shape[0]) if form.c is None else form.c
-        self.E, self.F = (dense(E), dense(F)) if self.small else (sp.csr_array(E), sp.csr_array(F))
+        kept: Callable[[Any], Any] = dense if self.small else sp.csr_array
+        self.c = form.image_of_zero()
+        self.E, self.F = kept(form.E @ scale), kept(form.F @ scale)
         if self.small:
             self.start, Z = solutions(self.F, form.g)
             seen = self.E @ Z

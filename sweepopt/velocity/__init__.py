@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from sweepopt.velocity.cascade import (
+    Factors,
+)
 from sweepopt.velocity.certificate import (
     Velocity,
     certify,
     certify_point,
 )
 from sweepopt.velocity.compiled import (
-    Factors,
     StateVelocity,
     VelocityOf,
     compile_projection,

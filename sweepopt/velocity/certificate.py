@@ -214,6 +214,7 @@ class Inclusion:
     @cached_property
     def _shares(self) -> _Shares:
         B, root, factor = self._B, self.M.root, self.M.bound_factor
+        assert B is not None
         of_B = row_sum(B, root)
         entries = np.diff(B.indptr).max() if sp.issparse(B) else len(B)
         of_M = UNIT * factor * (self._stretch**2 + self._gamma * of_B) if self._gamma else 0.0
@@ -233,6 +234,8 @@ class Inclusion:
     @cached_property
     def _hidden(self) -> Matrix:
         """A + gamma B - M."""
+        assert self._A is not None
+        assert self._B is not None
         if not self._gamma:
             return 0.0 * self._A
         product = self._gamma * self._B
