@@ -81,7 +81,7 @@ def interpolate(f: TimeFunction, begin: np.ndarray, end: np.ndarray) -> Interpol
     times = (begin[:, None] + h[:, None] * NODES).ravel()
     ends = list(zip(begin.tolist(), end.tolist(), strict=True))
     values, v = np.zeros((m, 5, f.dim)), f.variation
-    error, slope_error = np.zeros((2, m, max(len(f.terms), 1)))
+    error, slope_error = np.zeros((2, m, len(f.terms) if f.function is None else 1))
     if f.function is not None:
         values += f.at(times).reshape(m, 5, f.dim)
         if v is not None:
