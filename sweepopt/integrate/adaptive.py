@@ -35,11 +35,11 @@ from sweepopt.sets import AnySet, MovingSet
 from sweepopt.velocity import Plan
 
 STEPS = 1_000_000  # of the finest pass: hours
-PASSES = 24  # 24 times at least 1.2 more steps; no run of the study had more than 9
+PASSES = 24  # more than twice as many as any run of the study had
 FIRST, BLIND = 16, 40  # steps of the first pass, and where the load is a function of which
 # nothing is known but its values,
 A_PERIOD, A_PIECE = 5, 2  # in each period of the data, between breakpoints: a second difference
-AIM, ACCEPTED = 0.7, 0.95  # estimates in units of tol: the errors of one run in ten are greater
+AIM, ACCEPTED = 0.7, 0.95  # estimates in units of tol: they scatter by about a third
 FARTHEST = 6.0  # times the steps of a pass to which its differences say where they are needed
 LEAST = 1.1  # times the steps of a pass that the next one has
 RESOLVED = 0.02  # the error of a first pass that has seen the motion, in units of the way u goes
