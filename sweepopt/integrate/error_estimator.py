@@ -48,11 +48,15 @@ class LocalErrors(NamedTuple):
         e_{i+1} = damping_i e_i + local_i.
     leading : ndarray, shape (m,)
         |d| / h^(r+1) in the mean over all places of a kink.
+    jumps : ndarray, shape (m,)
+        Of the velocity between a step and the next one, where there is a breakpoint: the exact one
+        has none, so that there is a kink in the half of a step beside it.
     """
 
     local: np.ndarray
     damping: np.ndarray
     leading: np.ndarray
+    jumps: np.ndarray
 
 
 class Probe(NamedTuple):
@@ -114,10 +118,11 @@ class ErrorModel:
                 local = _stops(times, z, segment, TURN * local)
             else:
                 local *= self._p
-            return LocalErrors(local, damping, leading)
+            return LocalErrors(local, damping, leading, np.zeros(len(z)))
 
-        lower = z
+        lower, jumps = z, np.zeros(len(z))
         if r == 2:
+            jumps[:-1] = self._jumps(h, z, slopes, segment)
             steps = np.arange(len(z))
             left, right = np.maximum(steps - 1, window), np.minimum(steps, window + 1)
             lower = 0.5 * (slopes[left] + slopes[right])
@@ -129,7 +134,7 @@ class ErrorModel:
         local += (h**3 if r == 2 else h**2)[:, None] * (
             self._p * quotients[window] - drift[:, None] * lower
         )
-        return LocalErrors(own[:, None] * local, damping, leading)
+        return LocalErrors(own[:, None] * local, damping, leading, jumps)
 
     def _rates(self, z: np.ndarray) -> np.ndarray:
         """-J along the velocities."""
@@ -149,6 +154,16 @@ class ErrorModel:
             own /= 1 + x * row[-1]
             stages.append((1 - x * known) / (1 + x * row[-1]))
         return 1 - x * sum(b * stage for b, stage in zip(self._b, stages, strict=True)), own
+
+    def _jumps(
+        self, h: np.ndarray, z: np.ndarray, slopes: np.ndarray, segment: np.ndarray
+    ) -> np.ndarray:
+        """Of the velocity at breakpoints, as the lines through both sides continue to there."""
+        same = segment[1:] == segment[:-1]
+        inner, none = np.where(same[:, None], slopes, 0.0), np.zeros_like(z[:1])
+        before = z + 0.5 * h[:, None] * np.vstack([none, inner])
+        after = z - 0.5 * h[:, None] * np.vstack([inner, none])
+        return np.where(same, 0.0, self.norms(after[1:] - before[:-1]))
 
     def _kinks(
         self, times: np.ndarray, z: np.ndarray, quotients: np.ndarray, segment: np.ndarray
@@ -212,7 +227,7 @@ class ErrorEstimator:
         The largest error on the way.
     length, size : float
         Of the way that u goes; the largest |u|.
-    leading : ndarray
+    leading, jumps : ndarray
         As in `LocalErrors`, of the whole pass.
     probes : list of Probe
     """
@@ -226,7 +241,7 @@ class ErrorEstimator:
         self._u: list[np.ndarray] = []
         self._first = self._done = 0  # the step in the first row; how many were looked at
         self.error = self.length = self.size = 0.0
-        self.leading = np.zeros(len(times) - 1)
+        self.leading, self.jumps = np.zeros((2, len(times) - 1))
         self.probes: list[Probe] = []
 
     def see(self, i: int, u: np.ndarray, z: np.ndarray) -> None:
@@ -255,7 +270,7 @@ class ErrorEstimator:
         self.error = max(self.error, model.safety * float(model.norms(errors).max()))
         self.length += float(np.diff(times)[rows] @ model.norms(z[rows]))
         self.size = max(self.size, float(model.norms(u[rows + 1]).max()))
-        self.leading[steps] = found.leading[rows]
+        self.leading[steps], self.jumps[steps] = found.leading[rows], found.jumps[rows]
         rests = np.vstack([z[:1] == 0, z == 0, z[-1:] == 0])
         for i, k in zip(steps.tolist(), rows.tolist(), strict=True):
             ends = i + 1 == len(self._segment) or self._segment[i] != self._segment[i + 1]
