@@ -90,14 +90,14 @@ def solve(
     error : float, optional
         Refine the steps until `Solution.error_bound` is at most this; needs a load as data. The
         callback sees, and save= counts, the steps of the last run only, which is run once more.
-    path : {"auto", "proportional", "eliminated", "full", "multigrid"}
+    path : {"auto", "proportional", "eliminated", "full"}
         Which unknowns enter a step: with "full" all of them; with "eliminated" the few that C(t)
         acts on enter a program and the others two substitutions; with "proportional" (B = rho A
         and a Separable load) the others enter no step at all, and certificates are relative to no
         less than a thousandth of what the load or B u alone would move (near an equilibrium, where
-        the two cancel, "eliminated" sees smaller velocities). "multigrid" iterates on all of them
-        and factorises nothing. "auto" takes multigrid where factors would not fit in memory, and
-        else proportional, eliminated or full, the first that applies.
+        the two cancel, "eliminated" sees smaller velocities). "auto" takes proportional, eliminated
+        or full, the first that applies. Where factors would not fit in memory, conjugate gradients
+        take their place on every path.
     save : None, "last", int, array_like, callable, str or Path
         What is kept: all steps, the last one, every k-th, those that end at the given times of the
         grid, what a function of (t, u, z) returns for each step (in `Solution.recorded`), or all

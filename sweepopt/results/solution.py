@@ -82,7 +82,7 @@ class Solution:
 
         t (its end), seconds, iterations, attempts, certificate (the largest bound of |z - z*|_M
         over the programs that the step solved), relative (the certificate in units of the program's
-        size, what tol bounds), solver (who found it: a solver's name, "linear", "multigrid",
+        size, what tol bounds), solver (who found it: a solver's name, "linear",
         "closed form" or "at rest"; "clarabel/4" for a step that missed tol as a whole and was taken
         in 4 parts: its programs are those of the parts, M = A + gamma mu / 4 B, and no bound of how
         far its mean velocity is from that of one whole step).
@@ -206,7 +206,7 @@ class Solution:
             |u - v|_B^2 (t) <= int 2 G + |r|^2 / 2,
 
         K(tau) = min(exp(nu tau), 1 + sqrt(Lam tau / 2), sqrt(Lam / lam)), nu = (Lam - lam)^2 / (8
-        (Lam + lam)), lam <= Lam the extreme eigenvalues of A^-1 B: `sweepopt.certificate` has all
+        (Lam + lam)), lam <= Lam the extreme eigenvalues of A^-1 B: `results/error_bound.py` has all
         of it, the notebook error_band.ipynb the proof. |u - u_n| <= |u - v| + |v - u_n|, v through
         the nodes of the run or of a more accurate one beside it. No constant is unknown, what the
         solvers miss is in r and G, and both are bounded on whole steps, not sampled. For a body of

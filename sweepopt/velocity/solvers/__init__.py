@@ -66,7 +66,7 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
         solver = kind.meeting(tol) if hasattr(kind, "meeting") else kind()
     lacks = [name for name in CONTRACT if not hasattr(solver, name)]
     if lacks or isinstance(solver, type):
-        missing = f" (it has no {lacks[0]}, see help(sweepopt.solvers.Solver))" if lacks else ""
+        missing = f" (it has no {lacks[0]}, see help(sweepopt.velocity.Solver))" if lacks else ""
         raise SolverRefusedError(
             f"solver must be a name ({_names()}) or an object: {shown(solver)}{missing}"
         )
