@@ -153,9 +153,7 @@ def options(draw: Any) -> dict[str, Any]:
         "scheme": rarely(st.sampled_from(SCHEMES), ANYTHING, 3),
         "solver": rarely(st.sampled_from(SOLVERS), st.one_of(st.sampled_from(SOLVED), ANYTHING), 3),
         "tol": st.sampled_from([*ODD_NUMBERS, 1e-3, 1e-9, 1e-15]),
-        "path": rarely(
-            st.sampled_from(["full", "eliminated", "proportional"]), ANYTHING, 3
-        ),
+        "path": rarely(st.sampled_from(["full", "eliminated", "proportional"]), ANYTHING, 3),
         "save": rarely(st.sampled_from(SAVES), ANYTHING, 3),
         "memory": st.sampled_from([*ODD_NUMBERS, 100]),
         "error": st.sampled_from([*ODD_NUMBERS, 0.5, 1e-2]),

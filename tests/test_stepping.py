@@ -232,7 +232,7 @@ def test_sets_with_curved_faces_meet_a_tight_tolerance_as_a_whole(name: str) -> 
         load = so.Separable([(so.Sine(3.0, 2 * np.pi), direction)])
         C = so.Moving(CURVED[name], load)
         process = so.SweepingProcess(np.eye(2), np.eye(2), C, [0.0, 0.0])
-        sol = so.solve(process, t_end=6.0, steps=20, tol=1e-9)
+        sol = so.solve(process, t_end=6.0, steps=20, tol=1e-11)
         assert sol.stats["relative"].max() <= 1e-11
         assert set(parts(sol)) == {1}
         # the velocity of diagonal matrices is a projection in the Euclidean norm: midpoint's

@@ -18,7 +18,6 @@ for _module, _package in (("skfem", "scikit-fem"), ("meshio", "meshio"), ("pydan
 
 from sweepopt.fem.contact import Contact  # noqa: E402
 from sweepopt.fem.effects import (  # noqa: E402
-    EFFECTS,
     BodyForce,
     Contribution,
     Effect,
@@ -30,7 +29,7 @@ from sweepopt.fem.effects import (  # noqa: E402
 from sweepopt.fem.fields import Profile  # noqa: E402
 from sweepopt.fem.mesh import read_mesh  # noqa: E402
 from sweepopt.fem.scene import Scene, antiplane  # noqa: E402
-from sweepopt.fem.scene_file import read_scene  # noqa: E402
+from sweepopt.fem.scene_file import EFFECTS, read_scene  # noqa: E402
 from sweepopt.fem.spaces import Discretisation  # noqa: E402
 
 __all__ = [

@@ -1,7 +1,8 @@
 """Effects: each is one record that contributes what it has, and nothing else.
 
-A new effect is one frozen dataclass with a method `contribute` and one line in `EFFECTS`; its
-fields are its keys in a scene file. Errors start with the name of the field at fault.
+A new effect is one frozen dataclass with a method `contribute`, and one line in
+`EFFECTS` of scene_file.py; its fields are its keys in a scene file. Errors start with the name of
+the field at fault.
 """
 
 from __future__ import annotations
@@ -221,16 +222,6 @@ class Traction:
         """One term of the load."""
         load = boundary_load(body, "f2", self.on, self.f2)
         return Contribution(load=(self.history, load))
-
-
-EFFECTS: dict[str, type] = {
-    "viscosity": Viscosity,
-    "elasticity": Elasticity,
-    "friction": Friction,
-    "body_force": BodyForce,
-    "traction": Traction,
-}
-"""Effects by the name of their table in a scene file."""
 
 
 def boundary_names(argument: str, value: object) -> tuple[str, ...]:

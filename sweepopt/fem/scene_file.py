@@ -16,13 +16,30 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from sweepopt.errors import InputError, shown
-from sweepopt.fem.effects import EFFECTS, Effect, boundary_names
+from sweepopt.fem.effects import (
+    BodyForce,
+    Effect,
+    Elasticity,
+    Friction,
+    Traction,
+    Viscosity,
+    boundary_names,
+)
 from sweepopt.fem.fields import Profile
 from sweepopt.fem.mesh import read_mesh
 from sweepopt.fem.scene import Scene, at_path, build, check_choices
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.io import as_path, find_scene, parse_toml, read_toml
 from sweepopt.loads import Constant, History, Sine, Table, Triangle, check_points
+
+EFFECTS: dict[str, type] = {
+    "viscosity": Viscosity,
+    "elasticity": Elasticity,
+    "friction": Friction,
+    "body_force": BodyForce,
+    "traction": Traction,
+}
+"""Effects by the name of their table in a scene file."""
 
 WAVEFORMS: dict[str, type] = {"constant": Constant, "sine": Sine, "triangle": Triangle}
 """Histories by the name of their waveform in a scene file."""

@@ -31,6 +31,11 @@ class Scheme:
     overshoots : float
         mu Lam from which a step can overshoot into a wrong stuck state although it is stable: where
         the stability function turns negative. Never for implicit-euler.
+
+    Raises
+    ------
+    InputError
+        If it is no tableau of this form, or amplifies stiff errors although a stage is implicit.
     """
 
     name: str
@@ -39,6 +44,26 @@ class Scheme:
     c: tuple[float, ...]
     order: float
     overshoots: float = math.inf
+
+    def __post_init__(self) -> None:
+        rows = [len(row) for row in self.a]
+        triangular = rows == list(range(1, len(rows) + 1)) == [*range(1, len(self.b) + 1)]
+        if not triangular or len(self.b) != len(self.c):
+            raise InputError(f"scheme {self.name!r}: a must be lower triangular, b and c as long")
+        if abs(sum(self.b) - 1) > 1e-12 or not all(0 <= c <= 1 for c in self.c):
+            raise InputError(f"scheme {self.name!r}: b must add up to 1, c lie in [0, 1]")
+        if any(row[-1] < 0 for row in self.a):
+            raise InputError(f"scheme {self.name!r}: the weights a_kk must not be negative")
+        if not self.explicit and abs(self._amplification(-1e12)) > 1 + 1e-6:
+            raise InputError(f"scheme {self.name!r} amplifies stiff errors: |R(-inf)| > 1")
+
+    def _amplification(self, z: float) -> float:
+        """The stability function R(z) = 1 + z b^T (I - z a)^{-1} 1 of the scheme."""
+        slopes: list[float] = []
+        for row in self.a:
+            known = 1 + sum(weight * slope for weight, slope in zip(row, slopes, strict=False))
+            slopes.append(z * known / (1 - z * row[-1]))
+        return 1 + sum(weight * slope for weight, slope in zip(self.b, slopes, strict=True))
 
     @property
     def implicit(self) -> bool:

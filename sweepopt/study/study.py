@@ -141,7 +141,7 @@ def read_study(path: str | Path) -> Study:
 
     Examples
     --------
-    >>> from sweepopt.library import find_study
+    >>> from sweepopt.io import find_study
     >>> read_study(find_study("accuracy")).repeats > 0
     True
     """

@@ -169,7 +169,7 @@ class Cascade:
             velocity = self._refined(k, term, S, best.z)
             iterations += velocity.iterations
             if velocity.relative < best.relative or math.isnan(velocity.relative):
-                polished = attempt.polish and math.isfinite(best.relative)
+                polished = attempt.polish and best.relative <= WRONG
                 name = best.solver if polished else attempt.solver.name
                 best = velocity._replace(solver=name)
             if not best.relative > self._tol:

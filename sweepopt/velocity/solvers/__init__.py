@@ -48,9 +48,8 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
     SolverRefusedError
         If the name is unknown or the solver cannot treat C.
     """
-    if not C.certifiable:  # what the solver calls solved stands
-        tol = 0.0
-    iterating = OSQP.meeting(tol), Clarabel.meeting(tol)
+    proved = C.certifiable  # else what a solver calls solved at its own tolerance stands
+    iterating = (OSQP.meeting(tol), Clarabel.meeting(tol)) if proved else (OSQP(), Clarabel())
     general: list[Solver] = [other for other in (*iterating, LAST) if other.treats(C)]
     small: list[Solver] = [NEWTON] if NEWTON.treats(C) else []
     if isinstance(solver, str) and solver == "auto":
@@ -63,7 +62,7 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
         if solver not in REGISTRY:
             raise SolverRefusedError(f"solver {solver!r} is not known; use auto, {_names()}")
         kind: Any = REGISTRY[solver]
-        solver = kind.meeting(tol) if hasattr(kind, "meeting") else kind()
+        solver = kind.meeting(tol) if proved and hasattr(kind, "meeting") else kind()
     lacks = [name for name in CONTRACT if not hasattr(solver, name)]
     if lacks or isinstance(solver, type):
         missing = f" (it has no {lacks[0]}, see help(sweepopt.velocity.Solver))" if lacks else ""
