@@ -217,6 +217,8 @@ def resume(
     >>> len(sol.t), len(whole.t)
     (122, 201)
     """
+    if save is not None and not callable(save):
+        raise InputError(f"save must be a function of (t, u, z) or left out, got {shown(save)}")
     stored = newest(Checkpoint(path))
     process = sweeping(process)
     options = SolveOptions.from_json(stored.record["options"], stored.arrays)

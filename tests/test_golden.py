@@ -42,8 +42,6 @@ from sweepopt import fem
 from sweepopt.cli import main
 
 GOLDEN = Path(__file__).parent / "golden"
-GOING = ("Secular",)
-"""Names that are public today and will not be: nothing is said about them."""
 
 
 # ---- signatures ---------------------------------------------------------------------------------
@@ -108,9 +106,7 @@ def api() -> Any:
     """Names of the library and of `sweepopt.fem`, how they are called, statuses and exceptions."""
     found: dict[str, Any] = {
         module.__name__: {
-            name: described(name, getattr(module, name))
-            for name in sorted(module.__all__)
-            if name not in GOING
+            name: described(name, getattr(module, name)) for name in sorted(module.__all__)
         }
         for module in (so, fem)
     }

@@ -200,13 +200,6 @@ class Factor:
         """|w|_{M^-1} = sqrt<M^-1 w, w>."""
         return float(np.sqrt(max(w @ self.solve(w), 0.0))) if w.any() else 0.0
 
-    def dual_norm_within(self, w: np.ndarray, enough: float) -> float:
-        """A bound of |w|_{M^-1}, one that costs no solve if that is at most `enough`."""
-        bound = self.dual_norm_bound(w)
-        if bound <= enough:
-            return bound
-        return min(bound, self.margin * self.dual_norm(w))
-
     def smallest_eigenvalue(self) -> float:
         """beta: the largest number with <Mx, x> >= beta |x|^2."""
         if not sp.issparse(self.M) or self.dim < SMALL:

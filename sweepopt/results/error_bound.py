@@ -100,8 +100,10 @@ def error_bound(
     def on_steps(bound: np.ndarray) -> np.ndarray:
         return (bound + rounding).reshape(-1, parts).max(axis=1)
 
+    # without factors Lam is what an iteration shows of it, and proved by no pivots
+    proved = process.metric.method == "factors"
     return ErrorBound.make(
-        guaranteed=integrals.guaranteed,
+        guaranteed=integrals.guaranteed and proved,
         t=run.t,
         of_t=on_steps(norms.A(difference).max(axis=1) + error.A[1:]),
         B=on_steps(norms.B(difference).max(axis=1) + error.B[1:]),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from sweepopt.errors import PathError, SolverRefusedError
+from sweepopt.linalg import factor_bytes
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import ConvexSet
 from sweepopt.velocity.proportional import Reduction, reduce
@@ -204,5 +205,8 @@ def _left_out(process: SweepingProcess, solvers: tuple[Solver, ...]) -> Iterator
         yield "B: there is none, velocities do not depend on history"
     if process.rate_independent:
         yield "A: it is zero, the process is rate-independent"
+    if process.metric.method != "factors":
+        size = factor_bytes(process.metric.M) / 1e9
+        yield f"factors: they would need {size:.3g} GB; conjugate gradients take their place"
     if not solvers:
         yield "optimiser: C(t) is a point, each step is one linear solve"

@@ -192,6 +192,8 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     """
     if process.rate_independent:
         return "A is zero"
+    if process.metric.method != "factors":
+        return "the factors of A do not fit in memory"
     rho = proportion(process.A, process.B)
     if rho is None:
         return "B is not a multiple of A"

@@ -135,10 +135,6 @@ def _half_space(random: Random) -> tuple[np.ndarray, Shape]:
     return contacts(random, 6), Shape(lambda units: HalfSpace(row / units, 0.3), edge)
 
 
-def _orthant(random: Random) -> tuple[np.ndarray, Shape]:
-    return contacts(random, 9), Shape(lambda units: Orthant(9), np.zeros(9))
-
-
 SHAPES: dict[str, Callable[[Random], tuple[np.ndarray, Shape]]] = {
     "a box": lambda random: _box(random, random.uniform(0.2, 2.0, 14)),
     "a box on all": lambda random: _box(random, random.uniform(0.2, 2.0, N)),

@@ -246,6 +246,7 @@ def _judged(row: HardRow, hard: Hard, run: _Run, judge: Judge) -> HardRow:
     """The row with the last answer in words, and the worst of all steps."""
     t, u = run.solution.t, judge.process.u0
     error = certificate = excess = 0.0
+    proved, judged = True, 0
     answer, row = row.answer, row._replace(seconds=run.seconds)
     stats = run.solution.stats
     for step in run.steps:
@@ -259,6 +260,7 @@ def _judged(row: HardRow, hard: Hard, run: _Run, judge: Judge) -> HardRow:
         except SweepoptError as failure:
             return row._replace(answer=UNKNOWN, verdict=str(failure))
         apart, size = judge.error(step.velocity, exact), exact.size or 1.0
+        proved, judged = proved and not np.isnan(step.certificate), judged + 1
         error, certificate = max(error, apart / size), max(certificate, step.certificate / size)
         allowed = 0.0 if step.velocity.any() else ROUNDING
         excess = max(excess, (apart - step.certificate) / (exact.forces or 1.0) - allowed)
@@ -266,6 +268,10 @@ def _judged(row: HardRow, hard: Hard, run: _Run, judge: Judge) -> HardRow:
         u = step.u
     if hard.refused is not None:
         verdict = f"not refused: {hard.refused.__name__} is right"
+    elif not judged:
+        verdict = "all steps were taken in parts: none is judged"
+    elif not proved:
+        verdict = "no certificate"
     elif error > TARGET:
         verdict = f"error above {TARGET:g}"
     else:

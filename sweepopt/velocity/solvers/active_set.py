@@ -1,4 +1,4 @@
-"""A dual active-set method for small polyhedra: the last attempt, for badly conditioned bodies.
+"""An active-set method for small polyhedra, the last of the cascade: for ill-conditioned bodies.
 
 For C = { w : G w <= h } the velocity program is the projection of q on C in the M^-1 metric. With
 M = L L^T and w = q + L x this is the shortest x with  G L x <= h - G q,  z = L^-T x: the condition
