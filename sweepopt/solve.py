@@ -276,19 +276,20 @@ def _run(
     check_stability(process, scheme, float(mus.max()), options.on_unstable)
     writer = checkpoint_writer(checkpoint, process, plan, times, options, stored)
     bar = ProgressBar(progress, None if segments else len(mus), writer.done if writer else 0)
-    if segments:
-        grid = adapt(
-            options.steps, segments, process, plan, options.save, options.memory, bar.update
-        )
-
-    times, plan, saved, run = grid.times, grid.plan, grid.wanted, grid.run
-    reconstruction = Reconstruction(plan, times, grid.mus)
-    sink = NetCDFSink(saved.path, float(times[0]), process.u0) if saved.path else None
-    recorded = writer.recorded if writer else []
-    observers = Observers(bar, sink, saved.function, recorded, callback)
+    sink, recorded = None, writer.recorded if writer else []
     succeeded = False
     try:
-        if run is None or observers.need_states:
+        if segments:
+            grid = adapt(
+                options.steps, segments, process, plan, options.save, options.memory, bar.update
+            )
+        times, plan, saved, run = grid.times, grid.plan, grid.wanted, grid.run
+        reconstruction = Reconstruction(plan, times, grid.mus)
+        interrupted = run is not None and run.status is Status.INTERRUPTED
+        if saved.path and not interrupted:
+            sink = NetCDFSink(saved.path, float(times[0]), process.u0)
+        observers = Observers(bar, sink, saved.function, recorded, callback)
+        if run is None or (observers.need_states and not interrupted):
             moved = plan.reduction.process if plan.reduction else process
             run = Run(len(grid.mus), saved.steps, moved.u0)
             move = mover(moved, plan.of_entering, writer)

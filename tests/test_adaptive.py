@@ -14,7 +14,10 @@ import scipy.sparse as sp
 from cases import SETS, case
 
 import sweepopt as so
+from sweepopt.integrate import ProgressBar, adaptive
+from sweepopt.integrate.step import Velocities
 from sweepopt.study.problems import BURST, problem
+from sweepopt.velocity import Velocity
 
 FACTOR = 3.0  # by which an error may miss its tolerance in one run of a hundred
 
@@ -142,6 +145,15 @@ def test_few_processes_that_the_method_was_not_made_for_miss_the_tolerance(
     assert np.mean(errors <= FACTOR) >= 0.98
     if errors.size > 10:
         assert np.mean(errors <= 1.0) >= 0.9
+
+
+@pytest.mark.parametrize(("A", "scheme"), [(1.0, "midpoint"), (0.0, "sdirk2")])
+def test_nine_of_ten_random_processes_meet_the_tolerance_and_none_is_far_from_it(
+    A: float, scheme: str
+) -> None:
+    errors = np.ravel([random_errors(seed, A, scheme) for seed in range(12)])
+    assert np.mean(errors <= 1.0) >= 0.9
+    assert errors.max() <= FACTOR
 
 
 @pytest.mark.parametrize("data", [True, False])
@@ -275,6 +287,160 @@ def test_ctrl_c_returns_the_steps_of_the_pass_under_way() -> None:
     assert sol.status is so.Status.INTERRUPTED
     assert len(sol.t) == 11
     assert math.isnan(sol.passes[-1].error)
+
+
+class Interrupting:
+    """The load 3 sin 2t, and Ctrl-C when `when` says so of the times it was evaluated at."""
+
+    def __init__(self, when: Any) -> None:
+        self.when, self.times = when, []
+
+    def __call__(self, t: float) -> list[float]:
+        self.times.append(t)
+        if self.when(self.times):
+            raise KeyboardInterrupt
+        return [3 * math.sin(2 * t)]
+
+    def process(self) -> so.SweepingProcess:
+        C = so.Moving(so.Box([-1], [1]), self)
+        return so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
+
+
+def a_probe(times: list[float]) -> bool:
+    """The first time off the grid, of 80 steps, after it was checked twice."""
+    return len(times) > 200 and times[-1] not in times[:-1]
+
+
+def a_second_pass(times: list[float]) -> bool:
+    """Half way in the first half step."""
+    return abs(times[-1] - 0.0125) < 1e-9
+
+
+@pytest.mark.parametrize("how", [{}, {"callback": lambda info: None}, {"save": lambda t, u, z: t}])
+@pytest.mark.parametrize("when", [a_probe, a_second_pass])
+def test_ctrl_c_between_two_passes_returns_the_one_before(when: Any, how: dict[str, Any]) -> None:
+    load = Interrupting(when)
+    sol = so.solve(load.process(), t_end=8.0, steps=so.Adaptive(1e-5, first=0.1), **how)
+    assert sol.status is so.Status.INTERRUPTED
+    assert len(sol.passes) == 1
+    assert math.isnan(sol.passes[0].error) == (when is a_probe)
+    assert sol.passes[0].steps == len(sol.stats) == 80
+    assert sol.t[-1] == 8.0
+
+
+def test_ctrl_c_between_two_passes_writes_no_file(tmp_path: Path) -> None:
+    load, file = Interrupting(a_second_pass), tmp_path / "run.nc"
+    sol = so.solve(load.process(), t_end=8.0, steps=so.Adaptive(1e-5, first=0.1), save=file)
+    assert sol.status is so.Status.INTERRUPTED
+    assert sol.t.tolist() == [0.0, 8.0]
+    assert np.isfinite(sol.u).all()
+    assert not list(tmp_path.iterdir())
+
+
+def test_ctrl_c_before_the_first_step_returns_the_start() -> None:
+    # C(t) is checked at 161 times before the first pass, and again in it
+    load = Interrupting(lambda times: len(times) == 200)
+    sol = so.solve(load.process(), t_end=8.0, steps=so.Adaptive(1e-5, first=0.1))
+    assert sol.status is so.Status.INTERRUPTED
+    assert sol.t.tolist() == [0.0]
+    assert sol.passes == ()
+
+
+@pytest.mark.parametrize("failure", [KeyboardInterrupt, ZeroDivisionError])
+def test_the_progress_bar_is_closed_if_a_pass_is_left(
+    monkeypatch: pytest.MonkeyPatch, failure: type[BaseException]
+) -> None:
+    closed = []
+    monkeypatch.setattr(ProgressBar, "close", lambda bar: closed.append(bar))
+
+    def fail(times: list[float]) -> bool:
+        if a_second_pass(times):
+            raise failure
+        return False
+
+    process, steps = Interrupting(fail).process(), so.Adaptive(1e-5, first=0.1)
+    try:
+        so.solve(process, t_end=8.0, steps=steps)
+    except Exception:
+        assert failure is ZeroDivisionError
+    assert len(closed) == 1
+
+
+@pytest.mark.parametrize(
+    "between",
+    [
+        lambda t: so.Box([-1.0], [math.nan]),
+        lambda t: so.Box([1.0], [-1.0]),
+        lambda t: 1 / 0,
+    ],
+)
+def test_a_probe_where_the_set_has_no_value_is_skipped(between: Any) -> None:
+    probes = []
+
+    def C(t: float) -> so.Box:
+        if abs(480 * t - round(480 * t)) < 1e-9:
+            return so.Box([-1.0], [1.0])
+        probes.append(t)
+        return between(t)
+
+    process = so.SweepingProcess([[1.0]], [[1.0]], so.MovingSet(C), [0.0])
+    sol = so.solve(process, t_end=1.0, steps=so.Adaptive(1e-3))
+    assert probes
+    assert sol.success
+    assert not sol.u.any()
+
+
+@pytest.mark.parametrize(("relative", "used"), [(1e-9, True), (math.nan, True), (1.0, False)])
+def test_a_probe_counts_unless_its_certificate_misses_tol(
+    monkeypatch: pytest.MonkeyPatch, relative: float, used: bool
+) -> None:
+    probes = []
+
+    def velocity(self: Any, probe: Any, mu: float) -> Any:
+        self._programs = lambda gamma: lambda u, C: Velocity(np.full(1, 7.0), relative, relative)
+        probes.append(original(self, probe, mu))
+        self._programs = Velocities(self._process, self._plan)
+        return probes[-1]
+
+    original = adaptive._AdaptiveDriver._velocity
+    monkeypatch.setattr(adaptive._AdaptiveDriver, "_velocity", velocity)
+    process = so.SweepingProcess([[1.0]], [[1.0]], so.Box([-1], [1]), u0=[0.0])
+    so.solve(process, t_end=1.0, steps=so.Adaptive(1e3))
+    assert probes
+    assert all((z is not None) == used for z in probes)
+
+
+class Wave:
+    """A user's history."""
+
+    def __init__(self, period: Any) -> None:
+        self.period = period
+
+    def __call__(self, t: Any) -> Any:
+        return 3 * np.sin(2 * np.asarray(t))
+
+
+@pytest.mark.parametrize("period", [None, math.nan, math.inf, -1.0, 0, "long", np.ones(2), np.pi])
+def test_a_period_that_is_no_positive_number_limits_no_steps(period: Any) -> None:
+    load = so.Separable([(Wave(period), [1.0])])
+    process = so.SweepingProcess([[0.5]], [[2.0]], so.Moving(so.Box([-1], [1]), load), [0.0])
+    assert so.solve(process, t_end=8.0, steps=so.Adaptive(1e-2)).success
+
+
+def test_what_limits_the_steps_is_named_where_they_are_too_many() -> None:
+    def solve(history: Any, stiffness: float = 1.0, **how: Any) -> so.Solution:
+        C = so.Moving(so.Box([-1], [1]), so.Separable([(history, [1.0])]))
+        process = so.SweepingProcess([[1.0]], [[stiffness]], C, [0.0])
+        return so.solve(process, t_end=8.0, on_unstable="ignore", **how)
+
+    with pytest.raises(so.InputError, match="have a period of 1e-06 and need 5 steps in each"):
+        solve(so.Sine(3.0, 1e-6), steps=so.Adaptive(1e-3))
+    with pytest.raises(so.InputError, match=r"1 / Lam = 1e-06: take an implicit scheme"):
+        solve(so.Sine(3.0, 4.0), 1e6, steps=so.Adaptive(1e-3), scheme="catching-up")
+    with pytest.raises(so.InputError, match="make first longer"):
+        solve(so.Sine(3.0, 4.0), steps=so.Adaptive(1e-3, first=1e-6))
+    # a wave without amplitude needs no steps
+    assert solve(so.Sine(0.0, 1e-6), steps=so.Adaptive(1e-3)).success
 
 
 def jumping() -> so.SweepingProcess:

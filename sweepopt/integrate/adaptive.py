@@ -14,39 +14,41 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from sweepopt.checks import TIME_SLACK, axes, number, vector
-from sweepopt.errors import InputError, Status
-from sweepopt.integrate.error_estimator import ErrorEstimator, ErrorModel
+from sweepopt.errors import IndefiniteError, InputError, Status
+from sweepopt.integrate.error_estimator import ErrorEstimator, ErrorModel, Probe
 from sweepopt.integrate.grid import evaluation_times, time_grid
 from sweepopt.integrate.loop import integrate
 from sweepopt.integrate.record import Run, Saving, saving
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.integrate.step import Velocities
 from sweepopt.linalg import EPS
-from sweepopt.loads import Separable
-from sweepopt.problem import SweepingProcess
+from sweepopt.problem import SweepingProcess, motion
 from sweepopt.sets import AnySet, MovingSet
 from sweepopt.velocity import Plan
 
 STEPS = 1_000_000  # of the finest pass: hours
 PASSES = 24  # more than twice as many as any run of the study had
-FIRST, BLIND = 16, 40  # steps of the first pass, and where the load is a function of which
-# nothing is known but its values,
-A_PERIOD, A_PIECE = 5, 2  # in each period of the data, between breakpoints: a second difference
-AIM, ACCEPTED = 0.7, 0.95  # estimates in units of tol: they scatter by about a third
+FIRST = 16  # steps of the first pass
+FIRST_UNKNOWN = 40  # the same where the load is a function: nothing but its values is known
+PER_PERIOD = 5  # steps in each period of the data, at least
+PER_PIECE = 2  # steps between breakpoints, at least: for a second difference
+AIM = 0.7  # estimate that the next pass should have, in units of tol: it scatters by a third
+ACCEPTED = 0.95  # estimate of the last pass, in units of tol, at most
 FARTHEST = 6.0  # times the steps of a pass to which its differences say where they are needed
 LEAST = 1.1  # times the steps of a pass that the next one has
-RESOLVED = 0.02  # the error of a first pass that has seen the motion, in units of the way u goes
-HIDDEN = 1 / 12  # of jump times step: the mean error of a kink anywhere in a half step beside it
-GRADED = 0.4  # no step is longer than 1 / 0.4 of the mean one: where nothing is seen, something may
+RESOLVED = 0.02  # the error of a first pass that resolves the motion, in units of u's arc length
+HIDDEN = 1 / 12  # of jump times step: mean error of a switch anywhere in the half step beside it
+GRADED = 0.4  # no step is longer than 1 / 0.4 of the mean one: events there may be unresolved
 RISES = 4  # passes that overshoot, and have a greater error than one so many before, lead nowhere
 PROGRAM_SHARE = 0.05  # of tol that inexact programs may take
+NUMBER = (int, float, np.integer, np.floating)  # types that a period may have
 EXACT = 1e-9  # no certificate below it is asked for: programs reach it on every scene
 
 
@@ -132,12 +134,20 @@ class Segments:
         end = number("t_end", t_end, minimum=0.0, strict=True)
         histories = _histories(process.C)
         known = all(hasattr(history, "breakpoints") for history in histories)
-        longest = min(
-            end / (FIRST if known else BLIND) if steps.first is None else steps.first, end / 4
-        )
-        longest = min([longest, *(h.period / A_PERIOD for h in histories if hasattr(h, "period"))])
+        first = end / (FIRST if known else FIRST_UNKNOWN) if steps.first is None else steps.first
+        period = min(map(_period, histories), default=math.inf)
+        stable = math.inf
         if scheme.explicit and process.B is not None and process.Lam > 0:
-            longest = min(longest, 1 / process.Lam)
+            stable = 1 / process.Lam
+        limits = {
+            "make first longer": first,
+            f"the data have a period of {period:.3g} and need {PER_PERIOD} steps in each: take a "
+            "shorter t_end or leave out the term of that period": period / PER_PERIOD,
+            f"{scheme.name} is stable up to about 1 / Lam = {stable:.3g}: take an implicit scheme "
+            "or a shorter t_end": stable,
+        }
+        remedy = min(limits, key=limits.__getitem__)
+        longest = min(limits[remedy], end / 4)
         breakpoints = np.array([0.0, end])
         if isinstance(process.C, MovingSet):
             breakpoints = _apart(np.append(breakpoints, process.C.breakpoints(0.0, end)))
@@ -148,10 +158,10 @@ class Segments:
         if end / longest > STEPS:
             raise InputError(
                 f"Adaptive: steps of at most {longest:.3g} up to t_end = {end:g} are more "
-                f"than {STEPS:g}; make first longer"
+                f"than {STEPS:g}; {remedy}"
             )
         piece = np.searchsorted(breakpoints, 0.5 * (cuts[1:] + cuts[:-1])) - 1
-        return cls(cuts, np.minimum(longest, np.diff(breakpoints)[piece] / A_PIECE))
+        return cls(cuts, np.minimum(longest, np.diff(breakpoints)[piece] / PER_PIECE))
 
     def equal(self, longest: float = math.inf) -> np.ndarray:
         """Each segment in equal steps that are not too long."""
@@ -255,8 +265,8 @@ class AdaptiveResult:
     cause: str = ""
 
 
-class _Passes:
-    """Moves u along one grid after the other."""
+class _AdaptiveDriver:
+    """Integrates over one grid after the other, and estimates the error of each pass."""
 
     def __init__(
         self,
@@ -270,36 +280,82 @@ class _Passes:
         self._segments, self._process, self._plan = segments, process, plan
         self._save, self._memory, self._tick = save, memory, tick
         self._programs, self._model = Velocities(process, plan), ErrorModel(process, plan.scheme)
-        self.last: AdaptiveResult
+        self._passes: list[Pass] = []
+        self._last, _ = self._start(segments.equal())
 
-    def walk(self, times: np.ndarray, probing: bool) -> tuple[ErrorEstimator, Run]:
-        """One pass, the same as a run with steps=times to the last bit."""
-        process, plan = self._process, self._plan
+    def _start(self, times: np.ndarray) -> tuple[AdaptiveResult, Run]:
+        """A run over this grid with no step yet."""
         times, mus = time_grid(None, times)
-        process.check(evaluation_times(times, mus, plan.scheme))
-        wanted = saving(self._save, times, plan.entering, self._memory)
-        run = Run(len(mus), wanted.steps, process.u0)
-        estimator = ErrorEstimator(self._model, times, self._segments.cuts, probing)
+        wanted = saving(self._save, times, self._plan.entering, self._memory)
+        run = Run(len(mus), wanted.steps, self._process.u0)
+        return AdaptiveResult(times, mus, self._plan, wanted, run), run
 
-        def look(i: int, u: np.ndarray, z: np.ndarray, _: float) -> None:
+    @property
+    def passes(self) -> tuple[Pass, ...]:
+        """The passes so far."""
+        return tuple(self._passes)
+
+    @property
+    def last(self) -> AdaptiveResult:
+        """The run of the last pass."""
+        return replace(self._last, passes=self.passes)
+
+    def run_pass(self, times: np.ndarray, probing: bool) -> tuple[ErrorEstimator, Run]:
+        """One pass, the same as a run with steps=times to the last bit."""
+        began = clock.perf_counter()
+        process, plan = self._process, self._plan
+        result, run = self._start(times)
+        process.check(evaluation_times(result.times, result.mus, plan.scheme))
+        estimator = ErrorEstimator(self._model, result.times, self._segments.cuts, probing)
+
+        def observe(i: int, u: np.ndarray, z: np.ndarray, _: float) -> None:
             self._tick()
-            estimator.see(i, u, z)
+            estimator.add_step(i, u, z)
 
         self._programs.forget()
-        integrate(process, plan, times, mus, run, look, velocities=self._programs)
-        self.last = AdaptiveResult(times, mus, plan, wanted, run)
+        integrate(process, plan, result.times, result.mus, run, observe, velocities=self._programs)
+        self._last = result
+        # without an error until all of it is estimated
+        self._passes.append(Pass(run.done, math.nan, clock.perf_counter() - began))
         if run.status in (Status.SUCCESS, Status.UNCERTIFIED):
-            for i, t, u, rest in estimator.probes:
-                gamma = float(mus[i]) * plan.scheme.a[-1][-1] if process.B is not None else 0.0
-                z = np.where(rest, self._programs(gamma)(u, process.C.at(t)).z, 0.0)
-                estimator.jumps[i] = max(estimator.jumps[i], self._model.norms(z[None])[0])
-            hidden = HIDDEN * np.column_stack([estimator.jumps, estimator.jumps])
-            hidden *= np.column_stack([mus, np.append(mus[1:], 0.0)])
-            estimator.error += float(hidden.sum(axis=1).max())
-            beside = np.maximum(hidden[:, 0], np.append(0.0, hidden[:-1, 1]))
-            leading = beside / mus ** (self._model.order + 1)
-            estimator.leading = np.maximum(estimator.leading, leading)
+            self._add_hidden_switches(estimator, result.mus)
+            self._passes[-1] = Pass(run.done, estimator.error, clock.perf_counter() - began)
         return estimator, run
+
+    def _add_hidden_switches(self, estimator: ErrorEstimator, mus: np.ndarray) -> None:
+        """Errors of switches that no step shows, from the velocities at the probes."""
+        for probe in estimator.probes:
+            z = self._velocity(probe, float(mus[probe.step]))
+            if z is not None:
+                jump = self._model.norms(np.where(probe.rest, z, 0.0)[None])[0]
+                estimator.jumps[probe.step] = max(estimator.jumps[probe.step], jump)
+        hidden = HIDDEN * np.column_stack([estimator.jumps, estimator.jumps])
+        hidden *= np.column_stack([mus, np.append(mus[1:], 0.0)])
+        estimator.error += float(hidden.sum(axis=1).max())
+        beside = np.maximum(hidden[:, 0], np.append(0.0, hidden[:-1, 1]))
+        leading = beside / mus ** (self._model.order + 1)
+        estimator.leading = np.maximum(estimator.leading, leading)
+
+    def _velocity(self, probe: Probe, mu: float) -> np.ndarray | None:
+        """The velocity at a probe; None where C(t) has no value or the certificate misses tol."""
+        process, plan = self._process, self._plan
+        try:
+            process.C.members(np.array([probe.t]))
+        except Exception:  # C(t) may have no value between the times of the grid
+            return None
+        gamma = mu * plan.scheme.a[-1][-1] if process.B is not None else 0.0
+        try:
+            velocity = self._programs(gamma)(probe.u, process.C.at(probe.t))
+        except IndefiniteError:
+            return None
+        # sets without a proof have certificate nan
+        return None if velocity.relative > plan.tol else velocity.z
+
+    def interrupted(self) -> AdaptiveResult:
+        """The run of the last pass, or one without steps, as Ctrl-C leaves it."""
+        if self._last.run is not None:
+            self._last.run.status = Status.INTERRUPTED
+        return self.last
 
     def certify(self, tol: float) -> None:
         """Ask programs for certificates of tol, where that is less than what they have."""
@@ -309,13 +365,17 @@ class _Passes:
 
     def until(self, end: float) -> AdaptiveResult:
         """The grid of the last pass until about that time, without a run."""
-        last, save = self.last, self._save
+        last, save = self._last, self._save
         reached = max(int(np.searchsorted(last.times, end, side="right")) - 1, 1)
         times, mus = last.times[: reached + 1], last.mus[:reached]
         if is_times(save):
             save = np.append([t for t in np.ravel(save) if t <= times[-1]], times[-1])
         return AdaptiveResult(
-            times, mus, self._plan, saving(save, times, self._plan.entering, self._memory)
+            times,
+            mus,
+            self._plan,
+            saving(save, times, self._plan.entering, self._memory),
+            passes=self.passes,
         )
 
 
@@ -330,36 +390,42 @@ def adapt(
 ) -> AdaptiveResult:
     """Better and better grids, until the estimated error of a pass is small.
 
-    The errors of the passes are about in proportion to the sums of their local errors, but for luck
-    with the places of kinks in steps: the next grid is chosen by the geometric mean of two ratios.
+    Ctrl-C during a pass returns its steps, Ctrl-C between two passes the one before.
     """
-    moved, cuts, tol = (
-        _Passes(segments, process, plan, save, memory, tick),
-        segments.cuts,
-        steps.tol,
-    )
+    driver = _AdaptiveDriver(segments, process, plan, save, memory, tick)
+    try:
+        return _refine(steps, segments, driver)
+    except KeyboardInterrupt:  # `integrate` takes those that arrive during its steps
+        return driver.interrupted()
+
+
+def _refine(steps: Adaptive, segments: Segments, driver: _AdaptiveDriver) -> AdaptiveResult:
+    """The passes.
+
+    Their errors are about in proportion to the sums of their local errors, but for the places that
+    switches happen to have in steps: the next grid is chosen by the geometric mean of two ratios.
+    """
+    cuts, tol = segments.cuts, steps.tol
     minimum = 2.0**-40 * cuts[-1] if steps.minimum is None else steps.minimum
     shortest = min(minimum, float(np.diff(cuts).min()))  # breakpoints are met anyway
     times, resting = segments.equal(), True
-    passes: list[Pass] = []
     ratios: list[float] = []
     while True:
-        began, n = clock.perf_counter(), len(times) - 1
-        estimator, run = moved.walk(times, probing=resting)
-        walked = run.status in (Status.SUCCESS, Status.UNCERTIFIED)
-        error = estimator.error if walked else math.nan
-        passes.append(Pass(run.done, error, clock.perf_counter() - began))
+        n = len(times) - 1
+        estimator, run = driver.run_pass(times, probing=resting)
+        result, passes = driver.last, driver.passes
+        error = passes[-1].error
         resting = estimator.length == 0
-        result = replace(moved.last, passes=tuple(passes))
         accepted = ACCEPTED * tol
         if len(passes) == 1:  # it has no other one to be better than
             accepted = min(0.5 * tol, RESOLVED * estimator.length)
-        if not walked or (error <= accepted and (error > 0 or len(passes) > 1)):
+        complete = run.status in (Status.SUCCESS, Status.UNCERTIFIED)
+        if not complete or (error <= accepted and (error > 0 or len(passes) > 1)):
             return result
         if tol < EPS * estimator.size:
             return replace(result, cause=_below_rounding(tol, EPS * estimator.size))
-        if len(passes) == 1 and not resting:  # what programs miss adds up along the way of u
-            moved.certify(PROGRAM_SHARE * tol / estimator.length)
+        if len(passes) == 1 and not resting:  # residuals of programs add up along the trajectory
+            driver.certify(PROGRAM_SHARE * tol / estimator.length)
         density = Density.of(estimator)
         sums = density.errors(times)
         ratios.append(error / sums)
@@ -376,8 +442,8 @@ def adapt(
             times = segments.refined(density, goal)
         cause = _failure(times, shortest, n, passes, run.overshot is not None)
         if cause:
-            result = moved.until(float(times[np.argmin(np.diff(times))]))
-            return replace(result, passes=tuple(passes), cause=cause)
+            result = driver.until(float(times[np.argmin(np.diff(times))]))
+            return replace(result, cause=cause)
 
 
 def is_times(save: Any) -> bool:
@@ -387,15 +453,20 @@ def is_times(save: Any) -> bool:
 
 def _histories(C: AnySet) -> list[Any]:
     """The functions of time that C(t) moves with."""
-    loads = [getattr(C, name, None) for name in ("center", "scale", "offsets")]
-    if type(C) is MovingSet:
-        loads = [C.at]
-    return [
-        history
-        for load in loads
-        if callable(load)
-        for history in ([phi for phi, _ in load.terms] if isinstance(load, Separable) else [load])
-    ]
+    moving = motion(C)
+    if moving.shape is None:
+        return [C.at]
+    loads = [moving.center, moving.scale, *([moving.offsets] if moving.offsets else [])]
+    functions = [load.function for load in loads if load.function is not None]
+    return [*functions, *(history for load in loads for history in load.histories)]
+
+
+def _period(history: Any) -> float:
+    """The period of a history, infinite where it has none; it may be a user's own object."""
+    period, amplitude = getattr(history, "period", None), getattr(history, "amplitude", None)
+    if isinstance(amplitude, NUMBER) and amplitude == 0:
+        return math.inf
+    return float(period) if isinstance(period, NUMBER) and period > 0 else math.inf
 
 
 def _parts(cuts: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -428,12 +499,14 @@ def _too_many(n: int, error: float, next_n: float, tol: float) -> str:
     )
 
 
-def _failure(times: np.ndarray, shortest: float, n: int, passes: list[Pass], overshot: bool) -> str:
+def _failure(
+    times: np.ndarray, shortest: float, n: int, passes: Sequence[Pass], overshot: bool
+) -> str:
     """Why it makes no sense to go on from n steps, or nothing."""
     step = float(np.diff(times).min())
     advice = (
-        "does the load jump there? Give it as data (a Table has no jumps, and its kinks are met "
-        "exactly) or loosen the tolerance"
+        "does the load jump there? Give it as data (a Table has no jumps, and its breakpoints are "
+        "met exactly) or loosen the tolerance"
     )
     if step < shortest:
         return f"a step shorter than minimum = {shortest:g} is needed; {advice}"

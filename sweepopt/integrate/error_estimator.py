@@ -4,10 +4,10 @@ A step h of a scheme of order r has the local error
 
     d = h^(r+1) (p u^(r+1) + q J u^(r)),        J the derivative of Phi by u,
 
-with p and q from the tableau; a kink of the velocity after a share s of the step adds
-h^2 [u''] k(s), where k is the Peano kernel of the tableau's quadrature and [u''] the jump of the
-slope. Derivatives are difference quotients of the mean velocities z of the steps. Along z, J is
-about -<Bz, z> / <Az, z>, and 0 for unknowns that rest. The error goes along the flow with its sign,
+with p and q from the tableau; a switch after a share s of the step adds h^2 [u''] k(s), where k is
+the Peano kernel of the tableau's quadrature and [u''] the jump of the velocity's slope. Derivatives
+are difference quotients of the mean velocities z of the steps. Along z, J is about
+-<Bz, z> / <Az, z>, and 0 for unknowns that rest. The error is propagated with its sign,
 
     e_{i+1} = R(h J) e_i + d_i,                 R the stability function,
 
@@ -27,14 +27,15 @@ import numpy as np
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.problem import SweepingProcess, squares
 
-BLOCK = 1 << 17  # numbers of the velocities that are looked at together: a megabyte
-AHEAD, BESIDE = 3, 10  # steps after and before one that its derivatives and kinks are taken from
+BLOCK = 1 << 17  # numbers of the velocities that are processed together: a megabyte
+AHEAD = 3  # steps after one that its derivatives and switches are taken from
+BESIDE = 10  # steps before it
 STIFF = 1e6  # h |J| that is as good as infinite: R has its limit to six digits
-CURVED = 1.5  # a kink changes the slope by more than this times what the curvature beside it does
-OUTSIDE = 0.1  # of a gap that a kink may seem to be outside of it: velocities have errors too
+CURVED = 1.5  # a switch changes the slope by more than so many times what curvature beside it does
+OUTSIDE = 0.1  # of a gap that a switch may seem to be outside of it: velocities have errors too
 EARLY = 0.5  # of a step that a stop may seem to be before it, for the same reason
 STAGES = 1.5  # an error counts for more where z is the mean of stages, not the velocity half way:
-# kinks are located less well, and without it a fifth of the runs kept back missed the tolerance
+# switches are located less well, and without it a fifth of the runs kept back missed the tolerance
 TURN = 0.25  # of jump times step: the largest error of a motion that stops or turns at once
 GOLDEN = 0.5 * (math.sqrt(5) - 1)  # its multiples modulo 1 fall into step with no period
 
@@ -47,10 +48,10 @@ class LocalErrors(NamedTuple):
     local, damping : ndarray, shape (m, dim)
         e_{i+1} = damping_i e_i + local_i.
     leading : ndarray, shape (m,)
-        |d| / h^(r+1) in the mean over all places of a kink.
+        |d| / h^(r+1) in the mean over all places of a switch.
     jumps : ndarray, shape (m,)
         Of the velocity between a step and the next one, where there is a breakpoint: the exact one
-        has none, so that there is a kink in the half of a step beside it.
+        has none, so that there is a switch in the half of a step beside it.
     """
 
     local: np.ndarray
@@ -60,7 +61,7 @@ class LocalErrors(NamedTuple):
 
 
 class Probe(NamedTuple):
-    """A time that no step has looked at, u there, and the unknowns that seem to rest there."""
+    """A time at which no step has evaluated C, u and the unknowns that seem to rest there."""
 
     step: int
     t: float
@@ -130,7 +131,7 @@ class ErrorModel:
         leading = own * (leading + np.abs(drift * self.norms(lower)))
         local = np.zeros_like(z)
         if r == 2:
-            local, quotients = self._kinks(times, z, quotients, segment)
+            local, quotients = self._switches(times, z, quotients, segment)
         local += (h**3 if r == 2 else h**2)[:, None] * (
             self._p * quotients[window] - drift[:, None] * lower
         )
@@ -165,13 +166,13 @@ class ErrorModel:
         after = z - 0.5 * h[:, None] * np.vstack([inner, none])
         return np.where(same, 0.0, self.norms(after[1:] - before[:-1]))
 
-    def _kinks(
+    def _switches(
         self, times: np.ndarray, z: np.ndarray, quotients: np.ndarray, segment: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The local errors of kinks, and the second difference quotients without them.
+        """The local errors of switches, and the second difference quotients without them.
 
-        A kink between two midpoints is in the two second differences there alone: their sum is the
-        jump of the slope, their ratio the place. It is taken for one where their sum is a maximum
+        A switch between two midpoints is in the two second differences there alone: their sum is
+        the jump of the slope, their ratio the place. One is assumed where their sum is a maximum
         and more than the curvature beside it. Unknowns that the norm couples have theirs together.
         """
         h, middle = np.diff(times), 0.5 * (times[1:] + times[:-1])
@@ -191,7 +192,7 @@ class ErrorModel:
         there &= np.abs(_share(sizes, sums) - 0.5) <= 0.5 + OUTSIDE
         k, unknown = np.nonzero(np.broadcast_to(there, (len(sums), z.shape[1])))
 
-        # in both differences of a kink the curvature is that beside it on their side, or none
+        # in both differences of a switch the curvature is that beside it on their side, or none
         clean = np.where(inner, quotients, 0.0)
         clean[k, unknown] = clean[k + 1, unknown] = 0.0
         clean = np.pad(clean, ((1, 1), (0, 0)))
@@ -203,7 +204,7 @@ class ErrorModel:
         place = np.nan_to_num(np.broadcast_to(shares, jumps.shape)[k, unknown], nan=0.5)
         t = (1 - place) * middle[k + 1] + place * middle[k + 2]
         step = k + 1 + (t >= times[k + 2])
-        # a mean of velocities at both ends says in which step a kink is, but not where
+        # a mean of velocities at both ends says in which step a switch is, but not where
         at = self._kernel((t - times[step]) / h[step]) if self._c[0] else self._largest
         local = np.zeros_like(z)
         np.add.at(local, (step, unknown), h[step] ** 2 * jumps[k, unknown] * at)
@@ -211,7 +212,7 @@ class ErrorModel:
 
 
 class ErrorEstimator:
-    """Takes the steps of a pass as they come, and carries the error along.
+    """Takes the steps of a pass as they come, and propagates the error.
 
     Parameters
     ----------
@@ -224,9 +225,9 @@ class ErrorEstimator:
     Attributes
     ----------
     error : float
-        The largest error on the way.
+        The largest error so far.
     length, size : float
-        Of the way that u goes; the largest |u|.
+        Arc length of u; the largest |u|.
     leading, jumps : ndarray
         As in `LocalErrors`, of the whole pass.
     probes : list of Probe
@@ -239,12 +240,12 @@ class ErrorEstimator:
         self._segment = np.searchsorted(cuts[1:-1], times[:-1], side="right")
         self._z: list[np.ndarray] = []
         self._u: list[np.ndarray] = []
-        self._first = self._done = 0  # the step in the first row; how many were looked at
+        self._first = self._done = 0  # the step in the first row; how many are processed
         self.error = self.length = self.size = 0.0
         self.leading, self.jumps = np.zeros((2, len(times) - 1))
         self.probes: list[Probe] = []
 
-    def see(self, i: int, u: np.ndarray, z: np.ndarray) -> None:
+    def add_step(self, i: int, u: np.ndarray, z: np.ndarray) -> None:
         """Take the state after step i and its velocity."""
         if i == 0:
             self._u = [u - (self.times[1] - self.times[0]) * z]
@@ -252,25 +253,25 @@ class ErrorEstimator:
         self._z.append(z)
         self._u.append(u)
         if i + 1 == len(self._segment):
-            self._look(i + 1, i + 1)
+            self._propagate(i + 1, i + 1)
         elif len(self._z) >= AHEAD + BESIDE + max(BLOCK // u.size, AHEAD):
-            self._look(i + 1 - AHEAD, i + 1)
+            self._propagate(i + 1 - AHEAD, i + 1)
             kept = AHEAD + BESIDE
             self._z, self._u, self._first = self._z[-kept:], self._u[-kept - 1 :], i + 1 - kept
 
-    def _look(self, stop: int, seen: int) -> None:
-        """Carry the error over the steps that nobody has looked at, up to step `stop`."""
+    def _propagate(self, stop: int, available: int) -> None:
+        """Propagate the error over the next steps, up to step `stop` of the available ones."""
         model, steps = self.model, np.arange(self._done, stop)
         rows = steps - self._first
-        z, u, times = np.array(self._z), np.array(self._u), self.times[self._first : seen + 1]
-        found = model.local_errors(times, z, self._segment[self._first : seen])
-        errors = found.local[rows]
-        for k, damping in enumerate(found.damping[rows]):
+        z, u, times = np.array(self._z), np.array(self._u), self.times[self._first : available + 1]
+        step_errors = model.local_errors(times, z, self._segment[self._first : available])
+        errors = step_errors.local[rows]
+        for k, damping in enumerate(step_errors.damping[rows]):
             self._error = errors[k] = damping * self._error + errors[k]
         self.error = max(self.error, model.safety * float(model.norms(errors).max()))
         self.length += float(np.diff(times)[rows] @ model.norms(z[rows]))
         self.size = max(self.size, float(model.norms(u[rows + 1]).max()))
-        self.leading[steps], self.jumps[steps] = found.leading[rows], found.jumps[rows]
+        self.leading[steps], self.jumps[steps] = step_errors.leading[rows], step_errors.jumps[rows]
         rests = np.vstack([z[:1] == 0, z == 0, z[-1:] == 0])
         for i, k in zip(steps.tolist(), rows.tolist(), strict=True):
             ends = i + 1 == len(self._segment) or self._segment[i] != self._segment[i + 1]
