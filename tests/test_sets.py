@@ -867,6 +867,79 @@ def test_sets_of_many_unknowns_are_made_of_sparse_matrices() -> None:
     np.testing.assert_allclose(p[inside], ratio * w[inside], rtol=0, atol=1e-12)
 
 
+class Discs(NamedTuple):
+    """Discs and a box of 160 unknowns, disc by disc too."""
+
+    discs: so.Balls
+    box: so.Box
+    each: list[tuple[so.Ball, so.Box]]
+
+
+@pytest.fixture
+def many() -> Discs:
+    random = np.random.default_rng(0)
+    radii, (lower, upper) = random.uniform(0.5, 2, 80), random.uniform(0.1, 1.5, (2, 160))
+    each = [
+        (so.Ball([0.0, 0.0], radii[k]), so.Box(-lower[2 * k : 2 * k + 2], upper[2 * k : 2 * k + 2]))
+        for k in range(80)
+    ]
+    return Discs(so.Balls(radii, 2), so.Box(-lower, upper), each)
+
+
+@pytest.mark.parametrize("sign", "&+")
+def test_many_discs_and_a_box_are_the_product_of_small_sets(many: Discs, sign: str) -> None:
+    whole, *each = (
+        C & D if sign == "&" else C + D for C, D in [(many.discs, many.box), *many.each[:20]]
+    )
+    v = 3 * np.random.default_rng(1).normal(size=160)
+    w = whole.project(v)
+    small = [C.project(x) for C, x in zip(each, v[:40].reshape(-1, 2), strict=True)]
+    np.testing.assert_allclose(w[:40], np.concatenate(small), rtol=0, atol=1e-12)
+    pair = whole.normal_pair(v - w, w, np.ones(160))
+    assert pair is not None
+    assert pair.gap == 0
+    np.testing.assert_allclose(pair.w, w, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(pair.p, v - w, rtol=0, atol=1e-12)
+
+
+def test_products_split_where_the_factors_of_both_end() -> None:
+    ball = so.Ball([0.5, 0.0], 1.0)
+    inner = so.product(so.Balls([1.0, 2.0], 2), so.Box([0.0] * 3, [1.0] * 3), ball)
+    C = -2.0 * inner + np.arange(9.0)
+    assert C.ends.tolist() == [2, 4, 5, 6, 7, 9]
+    ends, v = np.array([4, 6, 9]), 3 * np.random.default_rng(0).normal(size=9)
+    each = zip(C.factors(ends), np.split(v, ends[:-1]), strict=True)
+    np.testing.assert_array_equal(np.concatenate([D.project(x) for D, x in each]), C.project(v))
+
+
+def test_a_run_in_many_discs_cut_with_a_box_is_certified(many: Discs) -> None:
+    C = so.Moving(many.discs & many.box, center=lambda t: 5 * t * np.cos(np.arange(160)))
+    A = np.diag(np.linspace(1.0, 2.0, 160))
+    found = so.solve(so.SweepingProcess(A, None, C, np.zeros(160)), t_end=1.0, steps=2)
+    assert found.status == so.Status.SUCCESS
+    assert found.stats["certificate"].max() <= 1e-8
+
+
+@pytest.mark.parametrize("other", [so.Ball(np.zeros(160), 5.0), so.HalfSpace(np.ones(160), -2.0)])
+def test_large_cuts_that_are_no_products_have_pairs(many: Discs, other: so.ConvexSet) -> None:
+    C, v = many.discs & other, 2 * np.random.default_rng(2).normal(size=160)
+    w = C.project(v)
+    pair = C.normal_pair(v - w, w, np.ones(160))
+    assert pair is not None
+    assert pair.gap == 0
+    for part in (many.discs, other):
+        assert part.contains(pair.w, 1e-13)
+    np.testing.assert_allclose(pair.w + pair.p, v, rtol=0, atol=1e-13)
+
+
+def test_large_sets_can_be_copied_with_their_factorisations() -> None:
+    M = np.random.default_rng(0).normal(size=(3, 320)) / 20
+    C, v = so.image(M, so.Balls(np.ones(160), 2)), 3 * np.ones(3)
+    w = C.project(v)
+    for twin in (copy.deepcopy(C), pickle.loads(pickle.dumps(C))):
+        np.testing.assert_array_equal(twin.project(v), w)
+
+
 def test_rows_and_columns_that_nothing_can_be_divided_by_are_refused() -> None:
     with pytest.raises(so.InputError, match=r"row 1 of G is 4.94066e-324.*other units"):
         so.Polyhedron([[1.0, 0.0], [0.0, 5e-324], [0.0, 0.0]], [1.0, 1.0, 0.0])

@@ -150,6 +150,13 @@ class Balls(ConvexSet):
         arms = v.reshape(-1, self.block)
         return scipy.linalg.block_diag(*map(_ball_derivative, arms, self.radii))
 
+    @property
+    def ends(self) -> np.ndarray:
+        return np.arange(self.block, self.dim + 1, self.block)
+
+    def factors(self, ends: np.ndarray) -> list[ConvexSet]:
+        return [Balls(radii, self.block) for radii in np.split(self.radii, ends[:-1] // self.block)]
+
     def same_cone(self, other: ConvexSet) -> bool:
         return isinstance(other, Balls) and (self.block, self.dim) == (other.block, other.dim)
 

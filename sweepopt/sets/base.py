@@ -153,6 +153,11 @@ class Form(NamedTuple):
         parts = tuple(part for form in forms for part in form.parts)
         return cls(c, E, F, np.concatenate([form.g for form in forms]), parts)
 
+    @property
+    def small(self) -> bool:
+        """Whether dense matrices of its size are cheap."""
+        return max(*self.E.shape, *self.F.shape) <= DENSE
+
     def image_of_zero(self) -> np.ndarray:
         """c as a vector."""
         return np.zeros(self.E.shape[0]) if self.c is None else self.c
@@ -393,6 +398,15 @@ class ConvexSet(ABC):
     def selection(self) -> Selection | None:
         """The few unknowns C acts on, if it is the image of a set under a selection of them."""
         return None
+
+    @property
+    def ends(self) -> np.ndarray:
+        """Where the factors of C end in the vector, if C is a product of sets; the last is dim."""
+        return np.array([self.dim])
+
+    def factors(self, ends: np.ndarray) -> list[ConvexSet]:
+        """C as the product of sets that end at some of these."""
+        return [self]
 
     def rows(self) -> tuple[Any, np.ndarray] | None:
         """G and h with C = { w : G w <= h }, if C is written so."""

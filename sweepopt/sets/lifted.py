@@ -10,7 +10,9 @@ this form; what a sum, an intersection or an image knows beyond it stands in its
 from __future__ import annotations
 
 import copy
+from abc import abstractmethod
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -64,11 +66,14 @@ class Product(ConvexSet):
     def __init__(self, parts: tuple[ConvexSet, ...]) -> None:
         self.parts = parts
         self.dim = sum(part.dim for part in parts)
-        self.offsets = np.concatenate([part.offsets for part in parts])
         self.polyhedral = all(part.polyhedral for part in parts)
         self.certifiable = all(part.certifiable for part in parts)
         self.exact = all(part.exact for part in parts)
         self._cuts = np.cumsum([part.dim for part in parts])[:-1]
+
+    @cached_property
+    def offsets(self) -> np.ndarray:  # type: ignore[override]
+        return np.concatenate([part.offsets for part in self.parts])
 
     def _split(self, *vectors: np.ndarray) -> Any:
         """The parts, each with its blocks of the vectors."""
@@ -148,6 +153,24 @@ class Product(ConvexSet):
     def form(self) -> Form:
         return Form.beside([part.form() for part in self.parts])
 
+    @property
+    def ends(self) -> np.ndarray:
+        starts = [0, *self._cuts]
+        parts = zip(starts, self.parts, strict=True)
+        return np.concatenate([start + part.ends for start, part in parts])
+
+    def factors(self, ends: np.ndarray) -> list[ConvexSet]:
+        pieces: list[ConvexSet] = []
+        starts = [0, *self._cuts]
+        for start, part in zip(starts, self.parts, strict=True):
+            inner = ends[(ends > start) & (ends < start + part.dim)] - start
+            pieces += part.factors(np.append(inner, part.dim))
+        # of several pieces where a part ends and the factor does not
+        reached = np.cumsum([piece.dim for piece in pieces])
+        last = (np.searchsorted(reached, ends) + 1).tolist()
+        groups = [tuple(pieces[i:j]) for i, j in pairwise([0, *last])]
+        return [group[0] if len(group) == 1 else Product(group) for group in groups]
+
     def same_cone(self, other: ConvexSet) -> bool:
         return (
             isinstance(other, Product)
@@ -185,6 +208,7 @@ class Lifted(ConvexSet):
     """{ c + E s : s in S, F s = g }, S the product of exact parts."""
 
     exact = False
+    product: Product | None = None  # the same set, where it is projected on factor by factor
     _last: tuple[np.ndarray, Projection | None] | None = None
 
     def __init__(self, dim: int, *operands: ConvexSet) -> None:
@@ -199,6 +223,10 @@ class Lifted(ConvexSet):
 
     def form(self) -> Form:
         return self.lifted
+
+    def __getstate__(self) -> dict[str, Any]:
+        # factorisations cannot be pickled, and are made again when they are needed
+        return {name: x for name, x in self.__dict__.items() if name not in ("_projector", "_last")}
 
     @cached_property
     def part(self) -> ConvexSet:
@@ -287,12 +315,19 @@ class Lifted(ConvexSet):
                     return found
         return None
 
+    def weights(self, tau: np.ndarray) -> np.ndarray:
+        return super().weights(tau) if self.product is None else self.product.weights(tau)
+
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
+        if self.product is not None:
+            return self.product.project(w)
         near = self.near(w)
         return w - normal_by_program(self, w).p if near is None else near.w.copy()
 
     def normal(self, v: np.ndarray) -> np.ndarray:
+        if self.product is not None:
+            return self.product.normal(v)
         near = self.near(v)
         if near is None:
             return v - self.project(v)
@@ -321,6 +356,8 @@ class Lifted(ConvexSet):
         return [one for one in known if one is not None]
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        if self.product is not None:
+            return self.product.derivative(v)
         near = self.near(v)
         return None if near is None else near.splitting.derivative(near)
 
@@ -329,6 +366,8 @@ class Lifted(ConvexSet):
     ) -> NormalPair | None:
         if not self.certifiable:
             return None
+        if self.product is not None:
+            return self.product.normal_pair(p, w, tau)
         step = float(np.mean(tau))
         pair = self._pair_of(w + step * p)
         return pair and pair.over(step)
@@ -344,12 +383,19 @@ class Lifted(ConvexSet):
         # not to rounding: a point of C nearby, and the normal that is the nearer one of two
         s = self._projector.approximate(v)
         w = self.lifted.image_of_zero() + self.lifted.E @ s
-        pairs = []
-        for p in (v - w, normal_by_program(self, v).p):
-            inner = self._pulled(p)
-            gap = self.part.support(inner) - float(inner @ s)
-            pairs.append(NormalPair(p, w, max(gap, 0.0)))
+        normals = (v - w, normal_by_program(self, v).p)
+        pairs = [NormalPair(p, w, self._gap_of_parts(p, s)) for p in normals]
         return min(pairs, key=lambda pair: pair.gap)
+
+    def _gap_of_parts(self, p: np.ndarray, s: np.ndarray) -> float:
+        """At least sigma(C, p) - <p, c + E s> for s in S, no rows F: what is rounded counts."""
+        inner = self._pulled(p)
+        sigma, rest = self.part.support(inner), self.lifted.E.T @ p - inner
+        gap = max(sigma - float(inner @ s), 0.0)
+        gap += ROUNDING * (abs(sigma) + float(np.abs(inner) @ np.abs(s)))
+        # entries of E^T p that count as 0; where S is unbounded along them, p is rounded
+        more = self.part.support(rest) - float(rest @ s)
+        return gap + (max(more, 0.0) if np.isfinite(more) else float(np.abs(rest) @ np.abs(s)))
 
     def require_nonempty(self, where: str = "C") -> None:
         for C in self.operands:
@@ -368,12 +414,41 @@ def _with_image(E: np.ndarray, p: np.ndarray, inner: np.ndarray) -> np.ndarray |
     return p
 
 
-class Sum(Lifted):
-    """The Minkowski sum C + D:  sigma(C + D, z) = sigma(C, z) + sigma(D, z)."""
+class Pair(Lifted):
+    """C + D or C & D. Of products alike both are products:
+
+    (C_1 x C_2) & (D_1 x D_2) = (C_1 & D_1) x (C_2 & D_2), and so it is with +.
+    """
 
     def __init__(self, first: ConvexSet, second: ConvexSet) -> None:
         super().__init__(first.dim, first, second)
         self.first, self.second = first, second
+
+    @abstractmethod
+    def _of(self, C: ConvexSet, D: ConvexSet) -> ConvexSet:
+        """C + D, or C & D."""
+
+    @property
+    def ends(self) -> np.ndarray:
+        return np.intersect1d(self.first.ends, self.second.ends)
+
+    def factors(self, ends: np.ndarray) -> list[ConvexSet]:
+        each = zip(self.first.factors(ends), self.second.factors(ends), strict=True)
+        return [self._of(C, D) for C, D in each]
+
+    @cached_property
+    def product(self) -> Product | None:  # type: ignore[override]
+        if self.lifted.small or self.ends.size == 1:
+            return None
+        return Product(tuple(self.factors(self.ends)))
+
+
+class Sum(Pair):
+    """The Minkowski sum C + D:  sigma(C + D, z) = sigma(C, z) + sigma(D, z)."""
+
+    def _of(self, C: ConvexSet, D: ConvexSet) -> ConvexSet:
+        total: ConvexSet = C + D
+        return total
 
     @cached_property
     def lifted(self) -> Form:  # c + d + [E_1, E_2] s
@@ -408,12 +483,12 @@ class Sum(Lifted):
         return self.first.polar() & self.second.polar()
 
 
-class Intersection(Lifted):
+class Intersection(Pair):
     """C & D, non-empty:  sigma(C & D, z) = min over p of  sigma(C, p) + sigma(D, z - p)."""
 
-    def __init__(self, first: ConvexSet, second: ConvexSet) -> None:
-        super().__init__(first.dim, first, second)
-        self.first, self.second = first, second
+    def _of(self, C: ConvexSet, D: ConvexSet) -> ConvexSet:
+        common: ConvexSet = C & D
+        return common
 
     @cached_property
     def lifted(self) -> Form:  # c + E_1 s_1, and rows E_1 s_1 - E_2 s_2 = d - c
@@ -423,12 +498,31 @@ class Intersection(Lifted):
 
     def _decided(self, v: np.ndarray) -> NormalPair | None:
         """The pair of one of the two sets, if its point lies in the other: exact from any v."""
+        if self.product is not None:
+            return None  # so it is with each factor
         for part, other in ((self.first, self.second), (self.second, self.first)):
             if part.exact and self.certifiable:
                 w = part.project(v)
                 if not other.normal(w).any():
                     return NormalPair(part.normal(v), w, 0.0, rounded(v))
-        return None
+        return None if self.lifted.small else self._alternated(v)
+
+    def _alternated(self, v: np.ndarray) -> NormalPair | None:
+        """Normals p of C and q of D at w = v - p - q by Dykstra's alternation, for large sets.
+
+        J. P. Boyle, R. L. Dykstra, Advances in Order Restricted Statistical Inference, 1986.
+        """
+        if not (self.certifiable and self.first.exact and self.second.exact):
+            return None
+
+        def step(p: np.ndarray) -> np.ndarray:
+            return self.first.normal(v - self.second.normal(v - p))
+
+        p = fixed_point(step, np.zeros(self.dim), float(np.abs(v).max()))
+        if p is None:
+            return None
+        q = self.second.normal(v - p)
+        return NormalPair(p + q, v - p - q, 0.0, rounded(v))
 
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)

@@ -21,7 +21,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from sweepopt.linalg import dense
-from sweepopt.sets.base import DENSE, RANK, ROUNDING, Form, Perturbation, binary
+from sweepopt.sets.base import RANK, ROUNDING, Form, Perturbation, binary
 
 LAST = 2 * float(np.finfo(float).eps)  # what one number of many is rounded
 SQUARED = 1e-5  # pivots whose squares are more than this share can be divided by
@@ -86,7 +86,7 @@ class Effort(NamedTuple):
 
 FIRST = (Effort(160, 1.0, 1.0), Effort(SWEEPS, 1.0, 0.125))
 LATER = (Effort(100, 10.0, 1.0), Effort(100, 10.0, 0.125))
-# 1,800 discs on a gradient: gap 1e-15 after 500 accelerated sweeps in this unit, 1 in unit 1
+# 900 discs on a gradient (1,800 unknowns): gap 1e-15 after 500 accelerated sweeps, 1 in unit 1
 SPARSE = Effort(SWEEPS, 1.0, 1 / 32)
 ON_FACES = Effort(40, 1e3, 1.0)  # of polyhedra, where no tangent faces amplify what is rounded
 
@@ -99,7 +99,7 @@ class Projector:
     """
 
     def __init__(self, form: Form) -> None:
-        self.form, self.small = form, max(*form.E.shape, *form.F.shape) <= DENSE
+        self.form, self.small = form, form.small
         # units in which the columns of E and F are near 1, one for each part
         columns = np.sqrt(sum(_squares(M) for M in (form.E, form.F)))
         sizes = [binary(float(np.linalg.norm(columns[at]))) for at in places(form)]
@@ -108,11 +108,13 @@ class Projector:
 
     def splitting(self, unit: float) -> Splitting:
         """In another unit."""
-        if unit not in self._kept:
+        splitting = self._kept.get(unit)
+        if splitting is None:  # threads may build it twice, but none reads what another one clears
+            splitting = Splitting(self.form, unit * self._units)
             if len(self._kept) >= UNITS:
                 self._kept.clear()
-            self._kept[unit] = Splitting(self.form, unit * self._units)
-        return self._kept[unit]
+            self._kept[unit] = splitting
+        return splitting
 
     def start(self, v: np.ndarray) -> Start:
         """From where v pulls a point of F s = g."""
@@ -152,7 +154,7 @@ class Splitting:
 
     def __init__(self, form: Form, units: np.ndarray) -> None:
         self.form, self.units = form, units
-        self.small = max(*form.E.shape, *form.F.shape) <= DENSE
+        self.small = form.small
         self._each = [
             (part, at, float(units[at.start]))
             for part, at in zip(form.parts, places(form), strict=True)

@@ -68,6 +68,10 @@ class Similar(ConvexSet):
         self.part.require_nonempty(where)
 
     @property
+    def ends(self) -> np.ndarray:
+        return self.part.ends
+
+    @property
     def nonsmooth_dim(self) -> int:
         return self.part.nonsmooth_dim
 
@@ -128,6 +132,10 @@ class Translation(Similar):
     ) -> NormalPair | None:
         found = self.part.normal_pair(p, w - self.v, tau)
         return found and found._replace(w=found.w + self.v)
+
+    def factors(self, ends: np.ndarray) -> list[ConvexSet]:
+        each = zip(self.part.factors(ends), np.split(self.v, ends[:-1]), strict=True)
+        return [C + v for C, v in each]
 
     def same_cone(self, other: ConvexSet) -> bool:
         return isinstance(other, Translation) and _same(self.part, other.part)
@@ -209,6 +217,9 @@ class Scaling(Similar):
             return None
         moved = found.perturbation and Perturbation(r * found.perturbation.w, found.perturbation.p)
         return NormalPair(sign * found.p, self.factor * found.w, r * found.gap, moved)
+
+    def factors(self, ends: np.ndarray) -> list[ConvexSet]:
+        return [self.factor * C for C in self.part.factors(ends)]
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (
