@@ -15,15 +15,7 @@ from sweepopt.errors import IndefiniteError
 from sweepopt.integrate.record import Summary
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.problem import SweepingProcess
-from sweepopt.velocity import (
-    Factors,
-    Plan,
-    StateVelocity,
-    Velocity,
-    compile_velocity,
-    factors,
-    matrix,
-)
+from sweepopt.velocity import Plan, StateVelocity, Velocity, compile_velocity
 
 PARTS = (2, 4, 8, 16)  # that a step which missed its tolerance is tried in
 INDEFINITE = "indefinite"  # who answers where A + gamma B is no matrix of a program
@@ -37,37 +29,30 @@ class Velocities:
 
     def __init__(self, process: SweepingProcess, plan: Plan) -> None:
         self._process, self._plan = process, plan
-        self._factors: dict[float, Factors] = {}
-        self._compiled: dict[float, StateVelocity] = {}
+        self._compiled: dict[float, StateVelocity] = {}  # the one that was asked last at the end
         self._indefinite: set[float] = set()
 
     def __call__(self, gamma: float) -> StateVelocity:
-        if gamma not in self._compiled:
+        velocity = self._compiled.pop(gamma, None)
+        if velocity is None:
             if gamma in self._indefinite:
                 raise IndefiniteError("A + gamma B is not positive definite to rounding")
-            if gamma not in self._factors:
-                _make_room(self._factors, self.LIMIT)
-                self._factors[gamma] = factors(self._plan, matrix(self._process, gamma))
-            # apart from the factorisations: what is dropped depends on the steps since `forget`
-            _make_room(self._compiled, self.LIMIT)
-            known = self._factors[gamma]
-            self._compiled[gamma] = compile_velocity(self._process, self._plan, gamma, known)
-        return self._compiled[gamma]
+            velocity = compile_velocity(self._process, self._plan, gamma)
+            if len(self._compiled) == self.LIMIT:
+                del self._compiled[next(iter(self._compiled))]
+        self._compiled[gamma] = velocity
+        return velocity
 
     def forget(self) -> None:
         """Drop what programs remember of earlier steps, but not the factorisations."""
-        self._compiled.clear()
+        for velocity in self._compiled.values():
+            velocity.forget()
         self._indefinite.clear()
 
     def refuse(self, gamma: float) -> None:
         """Do not factorise a matrix again that has shown not to be positive definite."""
         self._indefinite.add(gamma)
         self._compiled.pop(gamma, None)
-
-
-def _make_room(cache: dict[float, Any], limit: int) -> None:
-    if len(cache) == limit:
-        del cache[next(iter(cache))]
 
 
 def step(
