@@ -79,7 +79,7 @@ def test_the_bound_is_never_below_the_error_and_the_lower_one_never_above(
 def test_the_bound_holds_on_all_grids_and_with_inexact_solvers(
     name: str, scheme: str, tol: float
 ) -> None:
-    for steps in (11, 101, 211, 503, 1009, 2003)[name in CURVED :]:
+    for steps in (101, 503, 2003):
         sol = run(name, steps, scheme, solver=so.Clarabel(tol=tol), tol=max(tol, 1e-6))
         bound = sol.error_bound()
         assert bound.guaranteed
@@ -108,21 +108,26 @@ def test_the_error_of_an_inexact_solver_is_inside_the_bound(name: str, scheme: s
     assert largest_error(name, sol) <= sol.error_bound()
 
 
-def test_the_bound_of_first_order_schemes_is_close_to_their_error() -> None:
-    for steps, median, worst in ((101, 2.0, 10.0), (1009, 1.3, 3.0)):
-        effectivity = []
-        for name in COERCIVE:
-            for scheme in ("catching-up", "implicit-euler"):
-                sol = run(name, steps, scheme)
-                effectivity.append(sol.error_bound() / case(name).error(sol))
-        assert np.median(effectivity) <= median
-        assert max(effectivity) <= worst
+@pytest.mark.parametrize(
+    ("names", "steps", "median", "worst"),
+    [(COERCIVE, 101, 2.0, 10.0), (("S03", "P09", "V05"), 1009, 1.3, 3.0)],
+)
+def test_the_bound_of_first_order_schemes_is_close_to_their_error(
+    names: list[str], steps: int, median: float, worst: float
+) -> None:
+    effectivity = []
+    for name in names:
+        for scheme in ("catching-up", "implicit-euler"):
+            sol = run(name, steps, scheme)
+            effectivity.append(sol.error_bound() / case(name).error(sol))
+    assert np.median(effectivity) <= median
+    assert max(effectivity) <= worst
 
 
 @pytest.mark.parametrize("name", ["S03", "P09", "V05"])
 @pytest.mark.parametrize("scheme", ["midpoint", "trapezoid", "sdirk2"])
 def test_the_bound_falls_with_the_order_of_the_scheme(name: str, scheme: str) -> None:
-    grids = (101, 211, 503, 1009)
+    grids = (53, 101, 211, 401)
     bounds = [float(run(name, steps, scheme).error_bound()) for steps in grids]
     assert -np.polyfit(np.log(grids), np.log(bounds), 1)[0] >= 1.45
 
@@ -155,7 +160,7 @@ def test_a_set_that_is_a_function_needs_its_variation_too() -> None:
         return so.Box([2 * np.sin(t) - 1 - 0.2 * t], [2 * np.sin(t) + 1 + 0.1 * t])
 
     process = so.SweepingProcess([[1.0]], [[1.0]], so.MovingSet(C), [0.0])
-    reference = so.solve(process, t_end=4.0, steps=10_000)
+    reference = so.solve(process, t_end=4.0, steps=3000)
     for steps in (100, 400):
         sol = so.solve(process, t_end=4.0, steps=steps)
         error = np.abs(sol.u - reference(sol.t)).max()
@@ -169,7 +174,7 @@ def test_a_scale_that_moves_is_data_too() -> None:
     load = so.Separable([(so.Sine(2.0, 5.0), [1.0])])
     C = so.Moving(so.Box([-1], [1]), load, so.Sine(0.3, 3.0, 0.0, 0.6))
     process = so.SweepingProcess([[1.0]], [[1.5]], C, [0.0])
-    reference = so.solve(process, t_end=6.0, steps=10_000)
+    reference = so.solve(process, t_end=6.0, steps=3000)
     for scheme in ("implicit-euler", "midpoint"):
         sol = so.solve(process, t_end=6.0, steps=300, scheme=scheme)
         error = np.abs(sol.u - reference(sol.t)).max()
@@ -355,7 +360,7 @@ def check_bound(seed: int, rate_independent: bool) -> None:
 
 @pytest.mark.parametrize("rate_independent", [False, True])
 def test_the_bound_holds_for_random_processes_on_coarse_grids(rate_independent: bool) -> None:
-    for seed in range(12):
+    for seed in range(6):
         check_bound(seed, rate_independent)
 
 
@@ -370,7 +375,7 @@ def test_the_bound_holds_for_many_random_processes(block: int, rate_independent:
 def test_errors_grow_no_faster_than_the_theory_says() -> None:
     """|u - v|_A (t) <= K(t) |u - v|_A (0) with K(t) = min(exp(nu t), 1 + sqrt(Lam t / 2), ...)."""
     random = np.random.default_rng(3)
-    for _ in range(20):
+    for _ in range(8):
         A, B = random_matrix(random, 4), random_matrix(random, 4)
         C = so.Box(-random.uniform(0, 1, 4), random.uniform(0, 1, 4))
         one, two = (so.SweepingProcess(A, B, C, random.normal(size=4)) for _ in range(2))

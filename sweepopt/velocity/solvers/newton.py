@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
 from sweepopt.checks import count
-from sweepopt.linalg import EPS, Factor, dense, euclidean
+from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, dense, euclidean
 from sweepopt.sets import ConvexSet, binary
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.base import Answer, Small, Solve
@@ -111,7 +111,7 @@ class Iteration:
             if self._factor.is_sharp:
                 w, size_z = self.M @ z + q, euclidean(pulled * scale)
             else:
-                w, size_z, _ = self._factor.apply(z, q)
+                w, size_z = self._factor.apply(z, q, NEGLIGIBLE)
                 size_z *= self._unit
             v = w - pulled
             missed = C.project(v) - w
