@@ -56,8 +56,8 @@ def read_mesh(path: str | Path) -> skfem.MeshTri:
 
     Examples
     --------
-    >>> from sweepopt.io import find_problem
-    >>> sorted(read_mesh(find_problem("tube").with_suffix(".msh")).subdomains)
+    >>> from sweepopt.io import find_scene
+    >>> sorted(read_mesh(find_scene("tube").with_suffix(".msh")).subdomains)
     ['core', 'sleeve']
     """
     path = as_path("path", path)

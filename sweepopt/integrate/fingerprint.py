@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.loads import DATA, Separable
+from sweepopt.loads import History, Separable
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import ConvexSet
 
@@ -41,7 +41,7 @@ def _checksum(value: Any, known: dict[int, str]) -> str:
         parts = _attributes(value)
     elif isinstance(value, Separable):
         parts = value.terms
-    elif isinstance(value, DATA):
+    elif isinstance(value, History):
         parts = list(vars(value).values())
     elif isinstance(value, (list, tuple)):
         text, parts = "list", value
