@@ -19,7 +19,7 @@ import scipy.linalg
 import scipy.optimize
 
 from sweepopt.errors import EmptySetError, SweepoptError
-from sweepopt.integrate.exact.offsets import Rows, SmoothOffsets
+from sweepopt.integrate.exact.rows import Rows, SmoothOffsets
 from sweepopt.linalg import EPS
 from sweepopt.sets import least_distance
 

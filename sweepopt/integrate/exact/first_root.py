@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sweepopt.errors import SweepoptError
-from sweepopt.integrate.exact.closed_forms import Curve
+from sweepopt.integrate.exact.exponential_sum import ExponentialSum
 from sweepopt.linalg import EPS
 
 NOISE = 16 * EPS  # rounding of a value, in units of the sum of its absolute terms
@@ -26,28 +26,27 @@ class Root(NamedTuple):
     rows: np.ndarray
 
 
-def first_root(f: Curve, orders: np.ndarray) -> Root | None:
+def first_root(f: ExponentialSum, orders: np.ndarray) -> Root | None:
     """The first tau in (0, length] at which an entry of f turns negative; None if none does.
 
     Parameters
     ----------
-    f : Curve
+    f : ExponentialSum
     orders : ndarray of int, shape (rows,)
         How many leading Taylor coefficients of an entry are zero at tau = 0; the next one is
         positive, so that an entry that starts from zero rises from it.
     """
-    basis, length = f.basis, f.basis.length
-    df = f.derivative()
-    values, slopes, bends = f.weights, df.weights, df.derivative().sizes
+    length, df = f.length, f.derivative()
+    ddf = df.derivative()
     rises, positive_until = orders > 0, _positive_until(f, orders)
     tau = 0.0
     for _ in range(STEPS):
-        b = basis.at(tau)
-        value, slope = values @ b, slopes @ b
-        noise = NOISE * (np.abs(values) @ np.abs(b))
+        b = f.basis(tau)
+        value, slope = (f.weights @ b).real, (df.weights @ b).real
+        noise = NOISE * (f.sizes @ np.abs(b))
         zero = value <= noise
-        falls = zero & (slope <= NOISE * (np.abs(slopes) @ np.abs(b)))
-        M = np.maximum(bends @ basis.bound(tau), np.finfo(float).tiny)
+        falls = zero & (slope <= NOISE * (df.sizes @ np.abs(b)))
+        M = np.maximum(ddf.sizes @ f.bound(tau), np.finfo(float).tiny)
         height = np.where(zero, 0.0, value)
         root = np.sqrt(slope**2 + 2 * M * height)
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
@@ -69,33 +68,32 @@ def first_root(f: Curve, orders: np.ndarray) -> Root | None:
     )
 
 
-def _beyond_touch(f: Curve, rows: np.ndarray, tau: float, noise: np.ndarray) -> np.ndarray | None:
+def _beyond_touch(f: ExponentialSum, rows: np.ndarray, tau: float, noise: np.ndarray) -> np.ndarray | None:
     """Steps after which entries at zero are positive again, where they only touch it.
 
     Where f'' stays above half of its value c up to h = 4 |f'| / c, f falls by f'^2 / c at most:
     this must be rounding. None if an entry may turn negative.
     """
-    first = Curve(f.basis, f.weights[rows]).derivative()
+    first = f.with_weights(f.weights[rows]).derivative()
     second = first.derivative()
     third = second.derivative()
-    b = f.basis.at(tau)
-    slope, c = np.minimum(first.weights @ b, 0.0), second.weights @ b
+    slope, c = np.minimum(first(tau), 0.0), second(tau)
     if not (c > 0).all():
         return None
     h = 4 * np.abs(slope) / c
-    steady = third.sizes @ f.basis.bound(tau) * h <= 0.5 * c
+    steady = third.sizes @ f.bound(tau) * h <= 0.5 * c
     return h if (steady & (slope**2 <= 4 * noise * c)).all() else None
 
 
-def _positive_until(f: Curve, orders: np.ndarray) -> np.ndarray:
+def _positive_until(f: ExponentialSum, orders: np.ndarray) -> np.ndarray:
     """Up to where an entry that rises from zero with its k-th derivative stays positive."""
     until = np.full(orders.size, np.inf)
-    curve, bound, start = f, f.basis.bound(0.0), f.basis.at(0.0)
+    curve, bound = f, f.bound(0.0)
     for order in range(1, int(orders.max(initial=0)) + 1):
         curve = curve.derivative()
         rising = orders == order
         if rising.any():
-            leading = np.maximum(curve.weights[rising] @ start, 0.0)
+            leading = np.maximum(curve(0.0)[rising], 0.0)
             limit = curve.derivative().sizes[rising] @ bound
             with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
                 until[rising] = 0.5 * leading / limit

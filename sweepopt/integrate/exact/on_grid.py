@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from sweepopt.errors import InputError, Status, shown
-from sweepopt.integrate.exact.offsets import Rows, rows_of
+from sweepopt.integrate.exact.rows import Rows, rows_of
 from sweepopt.integrate.exact.trajectory import exact_trajectory
 from sweepopt.integrate.loop import FullCertificate, Observer, Restarts, integrate
 from sweepopt.integrate.record import Run, Summary
