@@ -69,10 +69,11 @@ class ExponentialSum:
 
     def derivative(self) -> ExponentialSum:
         """The derivative in tau."""
-        powers, exponentials = np.split(self.weights, [self.degree + 1], axis=1)
-        lower = powers[:, 1:] * (self._powers[1:] / self.length)
-        end = np.zeros((len(powers), 1))
-        return self.with_weights(np.hstack([lower, end, exponentials * self.rates]))
+        W, end = self.weights, self.degree
+        D = np.zeros_like(W)
+        D[:, :end] = W[:, 1 : end + 1] * (self._powers[1:] / self.length)
+        D[:, end + 1 :] = W[:, end + 1 :] * self.rates
+        return self.with_weights(D)
 
     def extended(self, lam: np.ndarray) -> ExponentialSum:
         """The same function, with room for exp(-lam tau): see `decay`."""

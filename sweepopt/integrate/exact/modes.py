@@ -26,8 +26,6 @@ def modes(SA: np.ndarray, SB: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     stiffnesses differ, slow modes are as accurate as fast ones (Demmel and Veselic, SIAM J. Matrix
     Anal. Appl. 13(4), 1992).
     """
-    if SA.shape[0] == 1:
-        return SB[0] / SA[0], 1 / np.sqrt(SA)
     n = len(SA)
     lower = scipy.linalg.cholesky(SA, lower=True)
     root, order = _root(SB)
@@ -35,10 +33,7 @@ def modes(SA: np.ndarray, SB: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if not rank:
         return np.zeros(n), scipy.linalg.solve_triangular(lower, np.eye(n), lower=True).T
     K = scipy.linalg.solve_triangular(lower, root, lower=True)
-    sigma, U, W, scales, _, failed = lapack.dgejsv(K, joba=2, jobu=1, jobv=0)
-    if failed:
-        lam, V = scipy.linalg.eigh(SB, SA)
-        return np.maximum(lam, 0.0), V
+    sigma, U, W, scales, *_ = lapack.dgejsv(K, joba=2, jobu=1, jobv=0)
     sigma = sigma * (scales[0] / scales[1])
     lam = np.append(sigma**2, np.zeros(n - rank))
     V = scipy.linalg.solve_triangular(lower, U, lower=True, trans=1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -180,17 +179,13 @@ def _distinct(
 
     A pair n w <= d, -n w <= -d is an equation at all times; so is what a Box with equal bounds has.
     """
-    size, parallel = np.abs(weights).max(axis=1, keepdims=True), R @ R.T
+    rounding, parallel = SAME * np.abs(weights).max(axis=1), R @ R.T
     kept, equations = np.ones(len(R), dtype=bool), equations.copy()
-    for i in range(len(R)):
-        for j in np.flatnonzero(np.abs(parallel[i, :i]) > 1 - 1e-12).tolist():
-            sign = np.sign(parallel[i, j])
-            same_row = np.abs(R[i] - sign * R[j]).max() <= SAME
-            change = np.abs(weights[i] - sign * weights[j])
-            if kept[j] and same_row and (change <= SAME * np.maximum(size[i], size[j])).all():
-                equations[j] |= sign < 0 or equations[i]
-                kept[i] = False
-                break
+    for i, j in np.argwhere(np.tril(np.abs(parallel) > 1 - 1e-12, -1)).tolist():
+        sign = np.sign(parallel[i, j])
+        change = np.abs(weights[i] - sign * weights[j]).max()
+        same = change <= max(rounding[i], rounding[j]) and np.abs(R[i] - sign * R[j]).max() <= SAME
+        if kept[i] and kept[j] and same:
+            equations[j] |= sign < 0 or equations[i]
+            kept[i] = False
     return np.flatnonzero(kept), equations[kept]
-
-

@@ -32,15 +32,14 @@ class Phase:
     start : float
     u : ndarray, shape (dim,)
     paths : ndarray, shape (dim, modes)
-    p, dp : ExponentialSum
-        The modes and their derivative.
+    p : ExponentialSum
+        The modes.
     """
 
     start: float
     u: np.ndarray
     paths: np.ndarray
     p: ExponentialSum
-    dp: ExponentialSum
 
     def state(self, t: np.ndarray) -> np.ndarray:
         """u at the times, shape (k, dim)."""
@@ -48,7 +47,7 @@ class Phase:
 
     def velocity(self, t: np.ndarray) -> np.ndarray:
         """u' at the times, shape (k, dim); exactly 0.0 in what is stuck."""
-        return 0.0 - self.dp(t - self.start) @ self.paths.T
+        return 0.0 - self.p.derivative()(t - self.start) @ self.paths.T
 
 
 Evaluate = Callable[[Phase, np.ndarray], np.ndarray]
@@ -158,17 +157,14 @@ def exact_trajectory(
             ):
                 switches.append(s)
             before = set(face.active), moves
-            root = None
-            if limits.rows.size:
-                root = first_root(limits.signs, face.orders[limits.rows])
-            following = b if root is None else s + root.tau
+            root = first_root(limits.signs, face.orders[limits.rows])
+            events, following = limits.rows[root.rows], s + root.tau
             if b - following <= 4 * EPS * abs(b):
-                following, root = b, None
+                events, following = events[:0], b
             stalled = stalled + 1 if following - s <= 64 * EPS * abs(following) else 0
             u = phase.state(np.array([following]))[0]
             if following > s or not phases:
                 phases.append(phase)
-            events = np.zeros(0, dtype=int) if root is None else limits.rows[root.rows]
             s = following
             if len(phases) > most + len(breakpoints) or stalled > STALLED:
                 return Trajectory(phases, s, np.array(switches), complete=False)
@@ -187,20 +183,22 @@ def _phase(
 ) -> tuple[Phase, _Limits]:
     """The closed form from s on, at most up to b."""
     active, offsets = face.active, d.on(s, b - s)
-    square, S = np.ix_(active, active), rows.S * (not rows.rate_independent)
+    square = np.ix_(active, active)
     force = offsets.with_weights(-offsets.weights)
     force.weights[:, 0] += rows.NB @ u  # N B u_s - d
     if rows.rate_independent:
         V = np.eye(len(active))
-        p = force.with_weights(np.linalg.solve(rows.SB[square], force.weights[active]))
+        p = force.with_weights(np.linalg.solve(rows.S[square], force.weights[active]))
     else:
         lam, V = modes(rows.S[square], rows.SB[square])
         force = force.extended(lam)
         p = decay(lam, force.with_weights(V.T @ force.weights[active]))
     dp = p.derivative()
-    phase = Phase(s, u, rows.N[active].T @ V, p, dp)
+    phase = Phase(s, u, rows.N[active].T @ V, p)
     # the slacks N (A u' + B u) <= d, and the multipliers of the active rows in their place
-    signs = rows.SB[:, active] @ V @ p.weights + S[:, active] @ V @ dp.weights - force.weights
+    signs = rows.SB[:, active] @ V @ p.weights - force.weights
+    if not rows.rate_independent:
+        signs += rows.S[:, active] @ V @ dp.weights
     signs[active] = V @ dp.weights
     changing = ~face.redundant
     changing[active] = ~rows.equations[active]
