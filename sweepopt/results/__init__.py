@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from sweepopt.results.energy import Energy
 from sweepopt.results.error_bound import ErrorBound
+from sweepopt.results.finer_grids import refine
 from sweepopt.results.netcdf import (
     NetCDFSink,
     StatesInFile,
@@ -16,7 +17,6 @@ from sweepopt.results.netcdf import (
     times_of,
     variable,
 )
-from sweepopt.results.refinement import refine
 from sweepopt.results.solution import Pass, Solution
 
 __all__ = [

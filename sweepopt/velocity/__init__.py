@@ -29,7 +29,6 @@ from sweepopt.velocity.program import (
     untranslated,
 )
 from sweepopt.velocity.proportional import (
-    ReconstructionResiduals,
     Reduction,
 )
 from sweepopt.velocity.solvers import (
@@ -61,7 +60,6 @@ __all__ = [
     "Factors",
     "Newton",
     "Plan",
-    "ReconstructionResiduals",
     "Reduction",
     "Solve",
     "Solver",

@@ -23,9 +23,10 @@ last bit.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -48,11 +49,8 @@ ACCURATE = 1e-10  # |A F - f|_{A^-1} / |f|_{A^-1} up to which A^-1 is applied be
 FLOOR = 1e-3  # of the velocity that the load alone would cause: less counts as this
 
 
-class Residual(NamedTuple):
-    """A residual in |.|_{M^-1}, and the size of the velocity that it is compared to."""
-
-    error: float
-    size: float
+Residuals = Callable[[int, np.ndarray, np.ndarray], tuple[float, float]]
+"""(step, zeta, zeta') -> a residual in |.|_{M^-1}, and the size of velocity it is compared to."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,14 +121,13 @@ class Reduction:
         rounding = UNIT * self.rho * span / (1 + gamma * self.rho)
         return scheme.exact or rounding <= FLOOR * tol
 
-    def residuals(
-        self, alphas: np.ndarray, rates: np.ndarray, gammas: np.ndarray
-    ) -> ReconstructionResiduals:
-        """The residuals of the reconstruction in each step.
+    def residuals(self, alphas: np.ndarray, rates: np.ndarray, gammas: np.ndarray) -> Residuals:
+        """What the inclusion of all unknowns has of residual beyond that of the few.
 
         With M = (1 + gamma rho) A and q = rho A u - f, both reconstructed, M z + q holds each
         residual of an influence function times (1 + gamma rho) alpha_k' + rho alpha_k, here with
-        absolute values, and the same of the extension.
+        absolute values, and the same of the extension. The size is |z|_M, at least FLOOR of what
+        the load and what B u alone would move.
 
         Parameters
         ----------
@@ -138,45 +135,26 @@ class Reduction:
             alpha at the start of each step and alpha' in it.
         gammas : ndarray, shape (n,)
         """
-        ratios = 1 + gammas * self.rho
-        weights = np.abs(ratios[:, None] * rates) + np.abs(self.rho * alphas)
+        N, rho, ratios = self._A.N, self.rho, 1 + gammas * self.rho
+        weights = np.abs(ratios[:, None] * rates) + np.abs(rho * alphas)
         functions = self._functions.copy()
         functions[:, -1] -= extension(self._A, self.process.u0)
         gram = functions.T @ (self._A.M @ functions)
         squares = np.einsum("ik,kl,il->i", rates, gram, rates)
         columns = weights @ self._errors, FLOOR * (weights @ self._sizes), squares, ratios
         load = list(zip(*(column.tolist() for column in columns), strict=True))
-        return ReconstructionResiduals(self._A.N, self.rho, self._extension_error, load)
 
+        def residual(i: int, zeta: np.ndarray, velocity: np.ndarray) -> tuple[float, float]:
+            error, floor, square, ratio = load[i]
+            u = math.sqrt(max(zeta.dot(N.dot(zeta)), 0.0))
+            z_square = max(velocity.dot(N.dot(velocity)), 0.0)
+            error += self._extension_error * (ratio * math.sqrt(z_square) + rho * u)
+            # extensions and influence functions are orthogonal in the metric of A
+            size = math.sqrt(ratio * max(square + z_square, 0.0))
+            root = math.sqrt(ratio)
+            return error / root, max(size, (floor + FLOOR * rho * u) / root)
 
-@dataclass(frozen=True, eq=False)
-class ReconstructionResiduals:
-    """What the inclusion of all unknowns has of residual beyond that of the few, step by step.
-
-    Attributes
-    ----------
-    load : list of (error, floor, |sum alpha_k' F_k|_A^2, 1 + gamma rho)
-    """
-
-    N: np.ndarray
-    rho: float
-    extension_error: float
-    load: list[tuple[float, float, float, float]]
-
-    def __call__(self, i: int, zeta: np.ndarray, velocity: np.ndarray) -> Residual:
-        """In step i, from the state and the velocity of the few.
-
-        The size is |z|_M, at least FLOOR of what the load and what B u alone would move.
-        """
-        error, floor, square, ratio = self.load[i]
-        N, rho = self.N, self.rho
-        u = math.sqrt(max(zeta.dot(N.dot(zeta)), 0.0))
-        z_square = max(velocity.dot(N.dot(velocity)), 0.0)
-        error += self.extension_error * (ratio * math.sqrt(z_square) + rho * u)
-        # extensions and influence functions are orthogonal in the metric of A
-        size = math.sqrt(ratio * max(square + z_square, 0.0))
-        root = math.sqrt(ratio)
-        return Residual(error / root, max(size, (floor + FLOOR * rho * u) / root))
+        return residual
 
 
 def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
