@@ -12,7 +12,7 @@ from sweepopt.errors import InputError, Status, shown
 from sweepopt.integrate.exact.rows import Rows, rows_of
 from sweepopt.integrate.exact.trajectory import exact_trajectory
 from sweepopt.integrate.loop import FullCertificate, Observer, Restarts, integrate
-from sweepopt.integrate.record import Run, Summary
+from sweepopt.integrate.record import Run
 from sweepopt.linalg import Factor
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan, Velocity, certify_point, matrix
@@ -72,9 +72,9 @@ def _on_grid(
             u, mu = states[k], float(mus[i])
             z = (u - before) / mu
             at_end = certificate(float(times[i + 1]), mu, u, derivatives[k])
-            step = Summary(phases[i + 1], 1, at_end.certificate, at_end.relative, "closed form")
+            step = at_end._replace(z=z, solver="closed form", iterations=phases[i + 1], attempts=1)
             if full_certificate is not None:
-                step = full_certificate(i, before, z, step)
+                step = full_certificate(i, before, step)
             if step.relative > tol:
                 run.status, run.relative = Status.INEXACT, step.relative
                 run.cause = (
@@ -86,7 +86,7 @@ def _on_grid(
                 return
             if np.isnan(step.relative):
                 run.status = Status.UNCERTIFIED
-            run.add(u, z, step, clock.perf_counter() - started + share)
+            run.add(u, step, clock.perf_counter() - started + share)
             before = u
             if observer is not None and observer(i, u, z, step.certificate):
                 run.status = Status.STOPPED if run.done < len(mus) else run.status
