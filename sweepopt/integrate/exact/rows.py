@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -19,28 +21,6 @@ from sweepopt.problem import SweepingProcess, motion
 NONSMOOTH = 50  # unknowns in a set's inequalities
 UNKNOWNS = 300  # all of them: a phase has a dense eigenproblem of what moves
 SAME = 1e-14  # entries of unit rows, and offsets, that differ by less are equal: a few roundings
-
-
-@dataclass(frozen=True, eq=False)
-class Offsets:
-    """d(t) = sum_k phi_k(t) weights[:, k].
-
-    Attributes
-    ----------
-    histories : list
-    weights : ndarray, shape (m, k)
-    """
-
-    histories: list[Any]
-    weights: np.ndarray
-
-    def breakpoints(self, a: float, b: float) -> np.ndarray:
-        """All breakpoints strictly between a and b, increasing."""
-        return breakpoints(self.histories, a, b)
-
-    def between(self, a: float, b: float) -> SmoothOffsets:
-        """d between two neighbouring breakpoints."""
-        return SmoothOffsets(self.weights, [phi.piece(a, b) for phi in self.histories])
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +87,8 @@ class Rows:
         N L with M = L L^T.
     NB, S, SB : ndarray, shapes (m, n), (m, m), (m, m)
         N B, N M N^T and N B N^T.
-    d : Offsets
+    histories, weights : list, ndarray of shape (m, k)
+        d(t) = sum_k phi_k(t) weights[:, k].
     Lam : float
         The largest rate of the process; 0 where A = 0.
     rate_independent : bool
@@ -119,7 +100,8 @@ class Rows:
     NB: np.ndarray
     S: np.ndarray
     SB: np.ndarray
-    d: Offsets
+    histories: list[Any]
+    weights: np.ndarray
     Lam: float
     rate_independent: bool
 
@@ -127,6 +109,14 @@ class Rows:
     def fixed(self) -> list[int]:
         """The rows that always hold with equality."""
         return np.flatnonzero(self.equations).tolist()
+
+    def smooth_offsets(
+        self, start: float, end: float
+    ) -> Iterator[tuple[float, float, SmoothOffsets]]:
+        """Neighbouring breakpoints a and b between the two times, and d between a and b."""
+        ends = [start, *breakpoints(self.histories, start, end).tolist(), end]
+        for a, b in pairwise(ends):
+            yield a, b, SmoothOffsets(self.weights, [phi.piece(a, b) for phi in self.histories])
 
 
 def rows_of(process: SweepingProcess) -> Rows:
@@ -160,16 +150,16 @@ def _rows_of(process: SweepingProcess) -> Rows:
     N, R = units * moved.N[rows], units * R[rows]
     weights = units * np.column_stack([D for _, D in moved.d])[rows]
     rows, equations = _distinct(R, weights, rows >= len(lengths) - moved.equations)
-    N, R, d = N[rows], R[rows], Offsets([phi for phi, _ in moved.d], weights[rows])
+    N, R, weights = N[rows], R[rows], weights[rows]
     nonsmooth = process.dim - int(equations.sum())
     if nonsmooth > NONSMOOTH:
         raise InputError(
             f"the process has {nonsmooth} nonsmooth unknowns, more than {NONSMOOTH}; use midpoint "
             "or sdirk2"
         )
-    lam = 0.0 if process.rate_independent else process.Lam
-    NB = N @ B
-    return Rows(N, equations, R, NB, R @ R.T, NB @ N.T, d, lam, process.rate_independent)
+    histories, still = [phi for phi, _ in moved.d], process.rate_independent
+    lam, NB = 0.0 if still else process.Lam, N @ B
+    return Rows(N, equations, R, NB, R @ R.T, NB @ N.T, histories, weights, lam, still)
 
 
 def _distinct(
