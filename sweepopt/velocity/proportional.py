@@ -26,7 +26,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -175,8 +175,8 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     rho = proportion(process.A, process.B)
     if rho is None:
         return "B is not a multiple of A"
-    moved = motion(process.C)
-    selected = _selected(moved)
+    scale = getattr(process.C, "scale", None)
+    selected = _selected(motion(process.C), scale)
     if isinstance(selected, str):
         return selected
     selection, terms = selected
@@ -184,7 +184,7 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     A = Elimination(process.A, few, process.metric.order)
     influences = [influence(A, f) for _, f in terms]
     forces = [(phi, one.force) for (phi, _), one in zip(terms, influences, strict=True)]
-    C = Moving(selection.part, Separable(forces) if forces else None, moved.given_scale)
+    C = Moving(selection.part, Separable(forces) if forces else None, scale)
     small = SweepingProcess(A.N, rho * A.N if rho else None, C, process.u0[few])
 
     rounding = ProportionalRounding(A, process.B, rho)
@@ -229,7 +229,7 @@ def _rest_residual(A: Elimination, process: SweepingProcess, f: np.ndarray) -> f
     return A.dual_norm(residual)
 
 
-def _selected(moved: Motion) -> tuple[Selection, Terms] | str:
+def _selected(moved: Motion, scale: Any) -> tuple[Selection, Terms] | str:
     """E with S, and f, of C(t) = f(t) + E^T S(t); or a sentence that says what C(t) lacks."""
     selection = None
     if moved.shape is not None and moved.offsets is None:
@@ -240,6 +240,6 @@ def _selected(moved: Motion) -> tuple[Selection, Terms] | str:
         return "the load is a function of time, not a Separable of few shapes"
     if selection.shift is None:
         return selection, moved.center.terms
-    if moved.given_scale is not None:
+    if scale is not None:
         return "the set that is scaled is not centred"
     return selection, (*moved.center.terms, (Constant(1.0), selection.shift))
