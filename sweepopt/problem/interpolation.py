@@ -66,9 +66,9 @@ class Interpolated(NamedTuple):
     slope_error: np.ndarray
 
 
-def smooth_intervals(moved: Motion, t: np.ndarray) -> Intervals:
+def smooth_intervals(moving: Motion, t: np.ndarray) -> Intervals:
     """The steps between the times t, cut at the breakpoints of all histories."""
-    histories = [*moved.center.histories, *moved.scale.histories]
+    histories = [*moving.center.histories, *moving.scale.histories]
     cuts = np.unique(np.concatenate([t, breakpoints(histories, t[0], t[-1])]))
     step = np.searchsorted(t, cuts[:-1], side="right") - 1
     return Intervals(step, cuts[:-1], cuts[1:])

@@ -87,15 +87,15 @@ def error_bound(
     """The bound of a run, with v through its own nodes or those of a more accurate second run."""
     own = plan.scheme.order >= 2 and not process.rate_independent
     plan = replace(plan, reduction=None, tol=min(plan.tol, TOL))
-    near = run if own else _second_run(process, plan, run.t)
+    nodes = run if own else _second_run(process, plan, run.t)
     norms = Norms(process)
     phi = compile_projection(plan, process.metric.M)
-    integrals = residuals(process, phi, norms, near, variation)
-    error_A, error_B = _growth(norms, near.t, integrals)
-    nodes = run.at(near.t)
-    difference = _difference(near, integrals.slopes, nodes)
-    rounding = SUMMED * math.sqrt(len(near.t)) * norms.A(near.u).max()
-    parts = (len(near.t) - 1) // (len(run.t) - 1)
+    integrals = residuals(process, phi, norms, nodes, variation)
+    error_A, error_B = _growth(norms, nodes.t, integrals)
+    states = run.at(nodes.t)
+    difference = _difference(nodes, integrals.slopes, states)
+    rounding = SUMMED * math.sqrt(len(nodes.t)) * norms.A(nodes.u).max()
+    parts = (len(nodes.t) - 1) // (len(run.t) - 1)
 
     def on_steps(bound: np.ndarray) -> np.ndarray:
         return (bound + rounding).reshape(-1, parts).max(axis=1)
@@ -107,7 +107,7 @@ def error_bound(
         t=run.t,
         of_t=on_steps(norms.A(difference).max(axis=1) + error_A[1:]),
         B=on_steps(norms.B(difference).max(axis=1) + error_B[1:]),
-        lower=0.0 if own else max(float((norms.A(near.u - nodes) - error_A).max()), 0.0),
+        lower=0.0 if own else max(float((norms.A(nodes.u - states) - error_A).max()), 0.0),
     )
 
 
@@ -163,12 +163,12 @@ def _fan(norms: Norms, t: np.ndarray, once: np.ndarray) -> np.ndarray:
     return some[np.searchsorted(ends, np.arange(n + 1))]
 
 
-def _difference(near: Nodes, slopes: np.ndarray, u: np.ndarray) -> np.ndarray:
+def _difference(nodes: Nodes, slopes: np.ndarray, u: np.ndarray) -> np.ndarray:
     """v - u_n on each step, u at its nodes: Bernstein coefficients, shape (n, 4, dim)."""
-    h = np.diff(near.t)[:, None, None]
+    h = np.diff(nodes.t)[:, None, None]
     share = (np.arange(4) / 3)[:, None]
     return (
-        cubic(near.u[:-1], near.u[1:], h * slopes)
+        cubic(nodes.u[:-1], nodes.u[1:], h * slopes)
         - (1 - share) * u[:-1, None]
         - share * u[1:, None]
     )

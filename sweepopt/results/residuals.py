@@ -69,7 +69,7 @@ class Residuals(NamedTuple):
 class _Model(NamedTuple):
     """C(t) on intervals: within `distance` of center(t) + scale(t) shape, one of each for each."""
 
-    moved: Motion
+    motion: Motion
     intervals: Intervals
     shapes: list[ConvexSet]
     distance: np.ndarray
@@ -79,10 +79,10 @@ def residuals(
     process: SweepingProcess,
     phi: VelocityOf,
     norms: Norms,
-    near: Nodes,
+    nodes: Nodes,
     variation: Callable[[float], float] | None,
 ) -> Residuals:
-    """The residuals of the curve through the nodes of `near`, on each step the best of two.
+    """The residuals of the better of two curves through the nodes, step by step.
 
     Parameters
     ----------
@@ -91,57 +91,57 @@ def residuals(
     variation : callable or None
         v with d_H(C(t), C(s)) <= v(t) - v(s) for s <= t.
     """
-    curves = slopes_of_curves(process, phi, near)
-    model = _model(process, norms, near, variation)
+    curves = slopes_of_curves(process, phi, nodes)
+    model = _model(process, norms, nodes, variation)
     if model is None:
-        totals, guaranteed = np.array([_sampled(process, norms, near, v) for v in curves]), False
+        totals, guaranteed = np.array([_sampled(process, norms, nodes, v) for v in curves]), False
     else:
-        totals = _bounds(process, norms, near, curves, model)
-        guaranteed = model.moved.center.bounded and model.moved.scale.bounded
+        totals = _bounds(process, norms, nodes, curves, model)
+        guaranteed = model.motion.center.bounded and model.motion.scale.bounded
     cost = totals[:, 0] + totals[:, 1]
     if norms.rate_independent:  # the bound is about sum turning + sqrt(sum gaps)
         least = float(totals[:, 0].min(axis=0).sum())
         cost = totals[:, 3] + totals[:, 0] / (math.sqrt(least) or 1.0)
-    best, step = np.argmin(cost, axis=0), np.arange(len(near.velocity))
+    best, step = np.argmin(cost, axis=0), np.arange(len(nodes.velocity))
     gaps, squares, largest, turning = totals[best, :, step].T
     slopes = np.array(curves)[best, step]
     return Residuals(gaps, squares, largest, turning, slopes, guaranteed)
 
 
 def _model(
-    process: SweepingProcess, norms: Norms, near: Nodes, variation: Callable[[float], float] | None
+    process: SweepingProcess, norms: Norms, nodes: Nodes, variation: Callable[[float], float] | None
 ) -> _Model | None:
     """What is known of C(t) on intervals that cover the steps; None if nothing is."""
-    moved = motion(process.C).translated()
-    if moved is not None and variation is not None and not moved.center.bounded:
-        moved = _with_variation(moved, variation)
-    if moved is not None and moved.shape is not None and moved.scale.function is None:
-        intervals = smooth_intervals(moved, near.t)
+    moving = motion(process.C).translated()
+    if moving is not None and variation is not None and not moving.center.bounded:
+        moving = _with_variation(moving, variation)
+    if moving is not None and moving.shape is not None and moving.scale.function is None:
+        intervals = smooth_intervals(moving, nodes.t)
         count = len(intervals.step)
-        return _Model(moved, intervals, [moved.shape] * count, np.zeros(count))
+        return _Model(moving, intervals, [moving.shape] * count, np.zeros(count))
     if variation is None or norms.rate_independent:  # a curve that jumps has no int |r'|
         return None
-    steps = Intervals(np.arange(len(near.velocity)), near.t[:-1], near.t[1:])
+    steps = Intervals(np.arange(len(nodes.velocity)), nodes.t[:-1], nodes.t[1:])
     members = [process.C.at(t) for t in (0.5 * (steps.begin + steps.end)).tolist()]
     still = Motion(None, TimeFunction.of(None, process.dim), TimeFunction.of(1.0, 1))
-    return _Model(still, steps, members, increments(variation, near.t))
+    return _Model(still, steps, members, increments(variation, nodes.t))
 
 
-def _with_variation(moved: Motion, variation: Callable[[float], float]) -> Motion | None:
+def _with_variation(moving: Motion, variation: Callable[[float], float]) -> Motion | None:
     """Translates of a bounded set are as far apart as their centers."""
-    assert moved.shape is not None
-    if not moved.scale.constant or not math.isfinite(moved.shape.magnitude()):
+    assert moving.shape is not None
+    if not moving.scale.constant or not math.isfinite(moving.shape.magnitude()):
         return None
-    center = moved.center
+    center = moving.center
     value = center.function or (lambda t: center.at(np.array([t]))[0])
-    return replace(moved, center=TimeFunction((), center.dim, value, variation))
+    return replace(moving, center=TimeFunction((), center.dim, value, variation))
 
 
 def _bounds(
-    process: SweepingProcess, norms: Norms, near: Nodes, curves: list[np.ndarray], model: _Model
+    process: SweepingProcess, norms: Norms, nodes: Nodes, curves: list[np.ndarray], model: _Model
 ) -> np.ndarray:
     """int 2 G, int |r|^2, sup |r| and int |r'| of each curve on each step: bounds."""
-    n, dim = near.velocity.shape
+    n, dim = nodes.velocity.shape
     totals = np.zeros((len(curves), 4, n))
     count = max(CHUNK // (30 * dim), 1)
     for start in range(0, len(model.shapes), count):
@@ -152,10 +152,10 @@ def _bounds(
         )
         center, scale = (
             interpolate(f, intervals.begin, intervals.end)
-            for f in (model.moved.center, model.moved.scale)
+            for f in (model.motion.center, model.motion.scale)
         )
         for total, slopes in zip(totals, curves, strict=True):
-            bounds = _on_intervals(process, norms, near, slopes, some, center, scale)
+            bounds = _on_intervals(process, norms, nodes, slopes, some, center, scale)
             for k, add in enumerate((np.add, np.add, np.maximum, np.add)):
                 add.at(total[k], intervals.step, bounds[k])
     return totals
@@ -164,34 +164,34 @@ def _bounds(
 def _on_intervals(
     process: SweepingProcess,
     norms: Norms,
-    near: Nodes,
+    nodes: Nodes,
     slopes: np.ndarray,
     model: _Model,
     center: Interpolated,
     scale: Interpolated,
 ) -> np.ndarray:
     """The four bounds of one curve on each interval, shape (4, intervals)."""
-    moved, (i, a, b) = model.moved, model.intervals
-    h, length, root = near.t[i + 1] - near.t[i], b - a, math.sqrt(norms.beta)
-    begin, share = ((a - near.t[i]) / h)[:, None], (length / h)[:, None]
+    moving, (i, a, b) = model.motion, model.intervals
+    h, length, root = nodes.t[i + 1] - nodes.t[i], b - a, math.sqrt(norms.beta)
+    begin, share = ((a - nodes.t[i]) / h)[:, None], (length / h)[:, None]
     theta = begin + share * GAUSS
-    force = force_along(process, near, slopes, i, theta) - center.values
+    force = force_along(process, nodes, slopes, i, theta) - center.values
     units = model.shapes[0].weights(process.metric.diagonal)
     if norms.rate_independent:
         units = h[:, None, None] * units
     s = _curve_in_shape(norms, model, force, units * (basis(2, theta) @ slopes[i]), scale.values)
     r = force - scale.values * (basis(s.shape[1] - 1, GAUSS) @ s)
 
-    sizes = np.array([float(norms.dual(f)) for _, f in moved.center.terms])
-    if moved.center.function is not None:
+    sizes = np.array([float(norms.dual(f)) for _, f in moving.center.terms])
+    if moving.center.function is not None:
         sizes = np.array([1 / root])  # its variation is a Euclidean one
     error, turning = center.error @ sizes, center.slope_error @ sizes
     most = (TO_BERNSTEIN @ scale.values).max(axis=1)
     if scale.error.any():
-        each = np.array([norms.dual(f * s).max(axis=1) for _, f in moved.scale.terms]).T
+        each = np.array([norms.dual(f * s).max(axis=1) for _, f in moving.scale.terms]).T
         error = error + (scale.error * each).sum(axis=1)
         turning = turning + (scale.slope_error * each).sum(axis=1)
-        most = most + scale.error @ np.abs([f for _, f in moved.scale.terms])
+        most = most + scale.error @ np.abs([f for _, f in moving.scale.terms])
 
     # G <= sup scale * (sigma(S, -v') + <v', s>), a scale of several entries inside the parentheses
     directions = HALVES_TO_BERNSTEIN @ (basis(2, begin + share * HALVES) @ slopes[i])
@@ -233,7 +233,7 @@ def _curve_in_shape(
         # at the ends without tau v', which jumps there: r must be continuous
         ends = TO_BERNSTEIN[[0, -1]]
         aim[:, [0, -1]] = over_scale(ends @ force, ends @ scale)
-    if not model.moved.scale.constant:  # a moving scale times a line has degree 5
+    if not model.motion.scale.constant:  # a moving scale times a line has degree 5
         aim = aim[:, [0, -1]]
     return np.array([[S.project(w) for w in x] for S, x in zip(model.shapes, aim, strict=True)])
 
@@ -246,16 +246,18 @@ def _gap(S: ConvexSet, p: np.ndarray, s: np.ndarray, ratio: float) -> Any:
     return S.gap_along_curve(p, s, ratio)
 
 
-def _sampled(process: SweepingProcess, norms: Norms, near: Nodes, slopes: np.ndarray) -> np.ndarray:
+def _sampled(
+    process: SweepingProcess, norms: Norms, nodes: Nodes, slopes: np.ndarray
+) -> np.ndarray:
     """The four integrals on each step by Gauss's rule, shape (4, n); no bounds."""
-    h, n = np.diff(near.t), len(near.velocity)
+    h, n = np.diff(nodes.t), len(nodes.velocity)
     theta = np.broadcast_to(GAUSS, (n, len(GAUSS)))
     velocity = basis(2, theta) @ slopes
-    force = force_along(process, near, slopes, np.arange(n), theta)
+    force = force_along(process, nodes, slopes, np.arange(n), theta)
     push = velocity * (0.0 if norms.rate_independent else process.metric.diagonal.mean())
     gaps, r = np.zeros(theta.shape), np.zeros(force.shape)
     for i, j in np.ndindex(*theta.shape):
-        C = process.C.at(float(near.t[i] + h[i] * theta[i, j]))
+        C = process.C.at(float(nodes.t[i] + h[i] * theta[i, j]))
         w = C.project(force[i, j] - push[i, j])
         gaps[i, j], r[i, j] = C.gap(-velocity[i, j], w), force[i, j] - w
     squares = norms.dual(r) ** 2 @ WEIGHTS

@@ -36,10 +36,10 @@ from sweepopt.problem import Motion, SweepingProcess, Terms, motion, proportion
 from sweepopt.sets import Moving, Selection
 from sweepopt.velocity.certificate import is_rounding
 from sweepopt.velocity.influence import (
-    ProportionalRounding,
     extension,
     extension_error,
     influence,
+    proportional_rounding,
 )
 
 if TYPE_CHECKING:
@@ -187,7 +187,7 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     C = Moving(selection.part, Separable(forces) if forces else None, scale)
     small = SweepingProcess(A.N, rho * A.N if rho else None, C, process.u0[few])
 
-    rounding = ProportionalRounding(A, process.B, rho)
+    rounding = proportional_rounding(A, process.B, rho)
     share = extension_error(A, rounding)
     errors = np.array([one.residual + rounding(one.F) for one in influences])
     sizes = np.array([A.dual_norm(f) for _, f in terms])
@@ -229,17 +229,17 @@ def _rest_residual(A: Elimination, process: SweepingProcess, f: np.ndarray) -> f
     return A.dual_norm(residual)
 
 
-def _selected(moved: Motion, scale: Any) -> tuple[Selection, Terms] | str:
+def _selected(moving: Motion, scale: Any) -> tuple[Selection, Terms] | str:
     """E with S, and f, of C(t) = f(t) + E^T S(t); or a sentence that says what C(t) lacks."""
     selection = None
-    if moved.shape is not None and moved.offsets is None:
-        selection = moved.shape.selection
+    if moving.shape is not None and moving.offsets is None:
+        selection = moving.shape.selection
     if selection is None:
         return "C(t) is not written as f(t) + E^T S(t) with E selecting few unknowns"
-    if moved.center.function is not None:
+    if moving.center.function is not None:
         return "the load is a function of time, not a Separable of few shapes"
     if selection.shift is None:
-        return selection, moved.center.terms
+        return selection, moving.center.terms
     if scale is not None:
         return "the set that is scaled is not centred"
-    return selection, (*moved.center.terms, (Constant(1.0), selection.shift))
+    return selection, (*moving.center.terms, (Constant(1.0), selection.shift))

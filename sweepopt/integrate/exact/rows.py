@@ -56,8 +56,8 @@ class SmoothOffsets:
         """
         series = np.array([_taylor(piece, s, terms + 1) for piece in self.pieces])
         values, sizes = series[:, 0], series[:, 1]
-        moved = abs(s) * np.arange(1, terms + 1) * sizes[:, 1:]
-        return self.weights @ values[:, :-1], np.abs(self.weights) @ (sizes[:, :-1] + moved)
+        shift = abs(s) * np.arange(1, terms + 1) * sizes[:, 1:]
+        return self.weights @ values[:, :-1], np.abs(self.weights) @ (sizes[:, :-1] + shift)
 
 
 def _taylor(piece: Piece, s: float, terms: int) -> np.ndarray:
@@ -140,16 +140,16 @@ def _rows_of(process: SweepingProcess) -> Rows:
             "whose B is a multiple of A and whose set acts on few unknowns needs these alone; for "
             "others use midpoint or sdirk2"
         )
-    moved = motion(process.C).rows()
+    halfspaces = motion(process.C).rows()
     metric = dense(process.metric.M)
     B = np.zeros_like(metric) if process.B is None else dense(process.B)
-    R = moved.N @ scipy.linalg.cholesky(metric, lower=True)
+    R = halfspaces.N @ scipy.linalg.cholesky(metric, lower=True)
     lengths = np.linalg.norm(R, axis=1)
     rows = np.flatnonzero(lengths > 0)
     units = 1 / lengths[rows, None]
-    N, R = units * moved.N[rows], units * R[rows]
-    weights = units * np.column_stack([D for _, D in moved.d])[rows]
-    rows, equations = _distinct(R, weights, rows >= len(lengths) - moved.equations)
+    N, R = units * halfspaces.N[rows], units * R[rows]
+    weights = units * np.column_stack([D for _, D in halfspaces.d])[rows]
+    rows, equations = _distinct(R, weights, rows >= len(lengths) - halfspaces.equations)
     N, R, weights = N[rows], R[rows], weights[rows]
     nonsmooth = process.dim - int(equations.sum())
     if nonsmooth > NONSMOOTH:
@@ -157,7 +157,7 @@ def _rows_of(process: SweepingProcess) -> Rows:
             f"the process has {nonsmooth} nonsmooth unknowns, more than {NONSMOOTH}; use midpoint "
             "or sdirk2"
         )
-    histories, still = [phi for phi, _ in moved.d], process.rate_independent
+    histories, still = [phi for phi, _ in halfspaces.d], process.rate_independent
     lam, NB = 0.0 if still else process.Lam, N @ B
     return Rows(N, equations, R, NB, R @ R.T, NB @ N.T, histories, weights, lam, still)
 
