@@ -63,7 +63,7 @@ def test_the_bound_is_never_below_the_error_and_the_lower_one_never_above(
     name: str, scheme: str
 ) -> None:
     # where A = 0 the bound takes eight times the steps
-    for steps in (101,) if name in CURVED else (11, 101) if name in COERCIVE else (11,):
+    for steps in (101,) if name in CURVED else (11, 53) if name in COERCIVE else (11,):
         sol = run(name, steps, scheme)
         bound, error = sol.error_bound(), largest_error(name, sol)
         assert bound.guaranteed
@@ -79,7 +79,7 @@ def test_the_bound_is_never_below_the_error_and_the_lower_one_never_above(
 def test_the_bound_holds_on_all_grids_and_with_inexact_solvers(
     name: str, scheme: str, tol: float
 ) -> None:
-    for steps in (101, 503, 2003):
+    for steps in (11, 101, 211, 503, 1009, 2003)[name in CURVED :]:
         sol = run(name, steps, scheme, solver=so.Clarabel(tol=tol), tol=max(tol, 1e-6))
         bound = sol.error_bound()
         assert bound.guaranteed
@@ -108,26 +108,21 @@ def test_the_error_of_an_inexact_solver_is_inside_the_bound(name: str, scheme: s
     assert largest_error(name, sol) <= sol.error_bound()
 
 
-@pytest.mark.parametrize(
-    ("names", "steps", "median", "worst"),
-    [(COERCIVE, 101, 2.0, 10.0), (("S03", "P09", "V05"), 1009, 1.3, 3.0)],
-)
-def test_the_bound_of_first_order_schemes_is_close_to_their_error(
-    names: list[str], steps: int, median: float, worst: float
-) -> None:
-    effectivity = []
-    for name in names:
-        for scheme in ("catching-up", "implicit-euler"):
-            sol = run(name, steps, scheme)
-            effectivity.append(sol.error_bound() / case(name).error(sol))
-    assert np.median(effectivity) <= median
-    assert max(effectivity) <= worst
+def test_the_bound_of_first_order_schemes_is_close_to_their_error() -> None:
+    for steps, median, worst in ((101, 1.5, 3.0), (211, 1.3, 2.0)):
+        effectivity = []
+        for name in COERCIVE:
+            for scheme in ("catching-up", "implicit-euler"):
+                sol = run(name, steps, scheme)
+                effectivity.append(sol.error_bound() / case(name).error(sol))
+        assert np.median(effectivity) <= median
+        assert max(effectivity) <= worst
 
 
 @pytest.mark.parametrize("name", ["S03", "P09", "V05"])
 @pytest.mark.parametrize("scheme", ["midpoint", "trapezoid", "sdirk2"])
 def test_the_bound_falls_with_the_order_of_the_scheme(name: str, scheme: str) -> None:
-    grids = (53, 101, 211, 401)
+    grids = (51, 101, 201, 401)
     bounds = [float(run(name, steps, scheme).error_bound()) for steps in grids]
     assert -np.polyfit(np.log(grids), np.log(bounds), 1)[0] >= 1.45
 
@@ -160,8 +155,8 @@ def test_a_set_that_is_a_function_needs_its_variation_too() -> None:
         return so.Box([2 * np.sin(t) - 1 - 0.2 * t], [2 * np.sin(t) + 1 + 0.1 * t])
 
     process = so.SweepingProcess([[1.0]], [[1.0]], so.MovingSet(C), [0.0])
-    reference = so.solve(process, t_end=4.0, steps=3000)
-    for steps in (100, 400):
+    reference = so.solve(process, t_end=4.0, steps=4000)
+    for steps in (50, 200):
         sol = so.solve(process, t_end=4.0, steps=steps)
         error = np.abs(sol.u - reference(sol.t)).max()
         sampled, known = sol.error_bound(), sol.error_bound(variation=lambda t: 2.2 * t)
@@ -176,7 +171,7 @@ def test_a_scale_that_moves_is_data_too() -> None:
     process = so.SweepingProcess([[1.0]], [[1.5]], C, [0.0])
     reference = so.solve(process, t_end=6.0, steps=3000)
     for scheme in ("implicit-euler", "midpoint"):
-        sol = so.solve(process, t_end=6.0, steps=300, scheme=scheme)
+        sol = so.solve(process, t_end=6.0, steps=100, scheme=scheme)
         error = np.abs(sol.u - reference(sol.t)).max()
         bound = sol.error_bound()
         assert bound.guaranteed
@@ -253,7 +248,7 @@ def test_velocities_in_a_curved_cone_stay_where_its_support_is_finite() -> None:
     load = so.Separable([(so.Sine(3.0, 4.0), [1.0, 0.2, 0.5])])
     C = so.Moving(so.SecondOrderCone(3), load)
     process = so.SweepingProcess(np.diag([1.0, 2, 1]), np.eye(3) + 1, C, np.zeros(3))
-    fine = so.solve(process, t_end=5.0, steps=2000)
+    fine = so.solve(process, t_end=5.0, steps=1000)
     for scheme in ("implicit-euler", "midpoint"):
         sol = so.solve(process, t_end=5.0, steps=50, scheme=scheme)
         error = sizes(process, sol.u - fine(sol.t)).max()
@@ -360,7 +355,7 @@ def check_bound(seed: int, rate_independent: bool) -> None:
 
 @pytest.mark.parametrize("rate_independent", [False, True])
 def test_the_bound_holds_for_random_processes_on_coarse_grids(rate_independent: bool) -> None:
-    for seed in range(6):
+    for seed in range(8):
         check_bound(seed, rate_independent)
 
 

@@ -15,7 +15,7 @@ from sweepopt.results.dataset import (
 )
 from sweepopt.results.energy import Energy
 from sweepopt.results.error_bound import ErrorBound
-from sweepopt.results.refinement import refine
+from sweepopt.results.finer_grids import refine
 from sweepopt.results.solution import Pass, Solution
 
 __all__ = [
