@@ -16,11 +16,11 @@ pytest.importorskip("mpmath")
 
 import sweepopt as so
 from sweepopt.cli import main
-from sweepopt.study.hard import FAMILIES, Program, table
+from sweepopt.study.hard import FAMILIES, Program, suite
 from sweepopt.study.hard.bodies import chain, one_step, spectral
 from sweepopt.study.hard.combinations import combination
 from sweepopt.study.hard.judge import Judge
-from sweepopt.study.hard.table import PATHS, HardRow, rows
+from sweepopt.study.hard.suite import PATHS, HardRow, rows
 
 RNG = np.random.default_rng(0)
 N = 60
@@ -186,7 +186,7 @@ def test_the_judge_sees_wrong_answers_and_certificates(
         def lying(process: so.SweepingProcess, *, callback: Any, **settings: Any) -> so.Solution:
             return so.solve(process, callback=lambda step: callback(wrong(step)), **settings)
 
-        monkeypatch.setattr(table, "solve", lying)
+        monkeypatch.setattr(suite, "solve", lying)
         return next(iter(rows([family], [2], solvers=["auto"], paths=["full"])))
 
     right = judged(lambda step: step)
@@ -206,7 +206,7 @@ def test_an_error_of_the_library_is_a_wrong_row_whatever_its_words(
     def failing(*_: Any, **settings: Any) -> so.Solution:
         raise so.InputError(f"path={settings['path']!r} is in the text")
 
-    monkeypatch.setattr(table, "solve", failing)
+    monkeypatch.setattr(suite, "solve", failing)
     found = list(rows(["small_beta"], [0], solvers=["auto"]))
     assert [row.path for row in found] == list(PATHS)
     assert all(row.verdict.startswith("InputError: path=") and not row.good for row in found)

@@ -21,7 +21,7 @@ from study_table import NASTY, study_table
 import sweepopt as so
 from sweepopt.cli import main
 from sweepopt.study import write_report
-from sweepopt.study.hard.table import HardRow
+from sweepopt.study.hard.suite import HardRow
 from sweepopt.study.problems import problem
 
 TITLE = "What <accuracy> & certainty cost"

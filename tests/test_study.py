@@ -33,7 +33,7 @@ from sweepopt.study import (
     summary,
 )
 from sweepopt.study.problems import problem
-from sweepopt.study.reference import SAFETY, Reference, error_of
+from sweepopt.study.reference_states import SAFETY, Reference, error_of
 from sweepopt.study.study import Cell, CellRow, run_cell
 
 TIMES = ["wall", "cpu"]

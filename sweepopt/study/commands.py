@@ -18,7 +18,7 @@ from sweepopt.study.cell import solution_of
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
 from sweepopt.study.executors import Processes, dask_executor
-from sweepopt.study.hard.table import HardRow, hard_study, hard_summary, rows
+from sweepopt.study.hard.suite import HardRow, hard_study, hard_summary, rows
 from sweepopt.study.report import write_report
 from sweepopt.study.sources import find_source
 from sweepopt.study.study import Study, read_study, run

@@ -19,7 +19,7 @@ import numpy as np
 from sweepopt.errors import DamagedFileError
 from sweepopt.io import put, read_npz, write_npz
 from sweepopt.study.cell import Cell, CellRow
-from sweepopt.study.reference import Reference
+from sweepopt.study.reference_states import Reference
 
 COLUMNS: dict[str, Any] = get_type_hints(CellRow)
 

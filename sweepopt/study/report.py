@@ -21,7 +21,7 @@ from sweepopt.study.advice import advice_table
 from sweepopt.study.band import most_moving
 from sweepopt.study.diagram import ACCURACIES, COLOURS, COLUMNS, COSTS, check_table, placed
 from sweepopt.study.hard import FAMILIES
-from sweepopt.study.hard.table import TARGET, HardRow
+from sweepopt.study.hard.suite import TARGET, HardRow
 from sweepopt.study.machine import processor, versions
 
 if TYPE_CHECKING:

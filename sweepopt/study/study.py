@@ -23,7 +23,7 @@ from sweepopt.io import as_path, read_toml
 from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, blank, failed, run_cell
 from sweepopt.study.ledger import Ledger
 from sweepopt.study.records import each, known, read_record
-from sweepopt.study.reference import absent, make_reference
+from sweepopt.study.reference_states import absent, make_reference
 from sweepopt.study.sources import Source, find_source
 from sweepopt.velocity import solvers
 

@@ -49,17 +49,16 @@ def in_polyhedron(N: np.ndarray, q: np.ndarray, G: np.ndarray, h: np.ndarray) ->
     stay independent).
     """
     lengths = np.sqrt(np.einsum("ij,jk,ik->i", G, N.astype(float), G))
-    G = digits.exactly(G)
     start = digits.exactly(h) - _product(G, q)
     active: list[int] = []
     # of the active rows: columns of H = G N G^T, the inverse of their block of it, multipliers
-    H, inverse, y = G[:, :0], G[:0, :0], G[:0, 0]
+    H, inverse, y = digits.exactly(np.zeros((len(G), 0))), N[:0, :0], q[:0]
     for _ in range(CHANGES):
         slack = start + H @ y
         noise = ROUNDING * (abs(start) + abs(H) @ abs(y))
         violated = [k for k, s in enumerate(slack) if s < -noise[k] and k not in active]
         if not violated:
-            return -(y @ G[active])
+            return -_product(G[active].T, y)
         new = min(violated, key=lambda k: slack[k] / lengths[k])
         column, multiplier = _product(G, _product(G[new : new + 1], N)[0]), 0 * start[new]
         while True:
@@ -88,7 +87,8 @@ def in_polyhedron(N: np.ndarray, q: np.ndarray, G: np.ndarray, h: np.ndarray) ->
 
 def _product(G: np.ndarray, X: np.ndarray) -> np.ndarray:
     """G X by the entries of G that are not 0: most rows are those of boxes."""
-    return np.array([row[row != 0] @ X[row != 0] for row in G], dtype=object)
+    terms = ((row[places], places) for row in G for places in [np.flatnonzero(row)])
+    return np.array([digits.exactly(row) @ X[places] for row, places in terms], dtype=object)
 
 
 def in_balls(N: np.ndarray, q: np.ndarray, radii: np.ndarray) -> np.ndarray:
