@@ -18,7 +18,7 @@ from sweepopt.fem import read_mesh, read_scene
 from sweepopt.io import find_scene, find_study, read_toml
 from sweepopt.loads import Table
 from sweepopt.study import read_study
-from sweepopt.study.hard.table import hard_study
+from sweepopt.study.hard.suite import hard_study
 
 DATA = Path(__file__).parent / "data"
 MESHES = ["tube_2.2.msh", "tube_2.2_binary.msh", "tube_4.1.msh", "tube_4.1_binary.msh"]

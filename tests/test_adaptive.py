@@ -16,8 +16,10 @@ from cases import SETS, case
 import sweepopt as so
 from sweepopt.integrate import ProgressBar, adaptive
 from sweepopt.integrate.step import Velocities
-from sweepopt.study.problems import BURST, problem
+from sweepopt.study.problems import problem
 from sweepopt.velocity import Velocity
+
+BURST = problem("H18").load[0]["table"]
 
 FACTOR = 3.0  # by which an error may miss its tolerance in one run of a hundred
 
