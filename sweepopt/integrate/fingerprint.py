@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.loads import DATA, Separable
+from sweepopt.loads import History, Separable
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import ConvexSet, MovingSet
 
@@ -36,7 +36,7 @@ def _checksum(value: Any, known: dict[int, str]) -> str:
         return known[id(value)]
     text: str = type(value).__name__
     parts: list[Any] = []
-    if isinstance(value, (ConvexSet, MovingSet, Separable, *DATA)):
+    if isinstance(value, (ConvexSet, MovingSet, Separable, History)):
         parts = _attributes(value)
     elif isinstance(value, (list, tuple)):
         parts = list(value)
