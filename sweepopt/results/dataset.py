@@ -107,29 +107,18 @@ def netcdf_package() -> Any:
 
 # ---- datasets -----------------------------------------------------------------------------------
 
+STATISTICS = {
+    "certificate": "largest error bound of the step's velocity programs",
+    "relative": "certificate relative to the size of the program, what tol bounds",
+    "iterations": "iterations of the solver",
+    "attempts": "solvers and settings tried; 0 where the body is at rest",
+    "seconds": "wall time of the step",
+    "solver": "solver that answered the step",
+}
+
 
 def to_xarray(solution: Solution) -> xr.Dataset:
-    """A solution as a dataset: u, velocity and the statistics of each step; see there."""
-    kept = "step" if solution.complete else "kept_step"
-    variables = {
-        "u": variable(("time", "unknown"), solution.u, "u_n at the kept grid times"),
-        "velocity": variable(
-            (kept, "unknown"), solution.velocity, "velocity u_n' in each kept step"
-        ),
-        **statistics_of(solution),
-    }
-    coordinates = {
-        **times_of(solution),
-        kept: variable((kept,), solution.steps, "step, counted from 0"),
-        "unknown": variable(("unknown",), np.arange(solution.u.shape[1]), "unknown"),
-    }
-    return dataset(variables, coordinates, attributes_of(solution, "A sweeping process"))
-
-
-def dataset(
-    variables: dict[str, Any], coordinates: dict[str, Any], attributes: dict[str, Any]
-) -> xr.Dataset:
-    """An xarray.Dataset.
+    """A solution as a dataset: u, velocity and the statistics of each step; see there.
 
     Raises
     ------
@@ -138,59 +127,34 @@ def dataset(
     """
     with brought_by("fem"):
         import xarray
-    return xarray.Dataset(variables, coordinates, attributes)
-
-
-def variable(
-    dims: tuple[str, ...], values: Any, long_name: str, units: str = "1", **attributes: Any
-) -> tuple[Any, ...]:
-    """A variable of a dataset."""
-    return dims, values, {"long_name": long_name, "units": units, **attributes}
-
-
-def times_of(solution: Solution, unit: str = "1") -> dict[str, Any]:
-    """The kept times and the ends of all steps."""
-    ends = solution.stats["t"]
-    return {
-        "time": variable(("time",), solution.t, "time", unit),
-        "step": variable(("step",), np.arange(len(ends)), "step, counted from 0"),
-        "step_end": variable(("step",), ends, "time at the end of the step", unit),
+    kept, stats, plan = "step" if solution.complete else "kept_step", solution.stats, solution.plan
+    variables: dict[str, tuple[Any, Any, str]] = {
+        "u": (("time", "unknown"), solution.u, "u_n at the kept grid times"),
+        "velocity": ((kept, "unknown"), solution.velocity, "velocity u_n' in each kept step"),
+        **{name: ("step", stats[name], words) for name, words in STATISTICS.items()},
+        "viability": ("step", solution.viability(), "bound of the distance of its force to C"),
+        "time": ("time", solution.t, "time"),
+        "step": ("step", np.arange(len(stats)), "step, counted from 0"),
+        "step_end": ("step", stats["t"], "time at the end of the step"),
+        kept: (kept, solution.steps, "step, counted from 0"),
+        "unknown": ("unknown", np.arange(solution.u.shape[1]), "unknown"),
     }
-
-
-def statistics_of(
-    solution: Solution, certificate: str = "1", viability: str = "1"
-) -> dict[str, Any]:
-    """What is known of each step, with the units of its certificate and viability."""
-    stats = solution.stats
-    described = {
-        "certificate": ("largest error bound of the step's velocity programs", certificate),
-        "relative": ("certificate relative to the size of the program, what tol bounds", "1"),
-        "iterations": ("iterations of the solver", "1"),
-        "attempts": ("solvers and settings tried; 0 where the body is at rest", "1"),
-        "seconds": ("wall time of the step", "s"),
-    }
-    steps = {name: variable(("step",), stats[name], *words) for name, words in described.items()}
-    answered = "solver that answered the step"
-    steps["solver"] = variable(("step",), stats["solver"].astype(object), answered)
-    bound = "bound of the distance of the step's force to C"
-    steps["viability"] = variable(("step",), solution.viability(), bound, viability)
-    return steps
-
-
-def attributes_of(solution: Solution, title: str) -> dict[str, Any]:
-    """How the solution came about."""
-    plan = solution.plan
-    solver = solver_name(solution)
-    return {
-        "title": title,
-        "software": ", ".join(f"{name} {number}" for name, number in software(solution).items()),
-        "status": solution.status.name.lower(),
-        "message": solution.message,
-        "scheme": plan.scheme.name,
-        "solver": solver,
-        "tol": plan.tol,
-    }
+    run = xarray.Dataset(
+        {
+            name: (dims, values, {"long_name": words, "units": "s" if name == "seconds" else "1"})
+            for name, (dims, values, words) in variables.items()
+        },
+        attrs={
+            "title": "A sweeping process",
+            "software": ", ".join(f"{name} {of_it}" for name, of_it in software(solution).items()),
+            "status": solution.status.name.lower(),
+            "message": solution.message,
+            "scheme": plan.scheme.name,
+            "solver": solver_name(solution),
+            "tol": plan.tol,
+        },
+    )
+    return run.assign(solver=run.solver.astype(object)).set_coords("step_end")
 
 
 def solver_name(solution: Solution) -> str:
