@@ -6,8 +6,7 @@ u_{i+1} = u_i + mu sum_k b_k z_k, where z_k solves the program of stage k (see `
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from functools import lru_cache
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,14 +14,7 @@ import numpy as np
 from sweepopt.errors import IndefiniteError
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.problem import SweepingProcess
-from sweepopt.velocity import (
-    Plan,
-    StateVelocity,
-    Velocity,
-    compile_velocity,
-    factors,
-    matrix,
-)
+from sweepopt.velocity import Plan, StateVelocity, Velocity, compile_velocity
 
 PARTS = (2, 4, 8, 16)  # of a step that missed its tolerance: halved like steps of adaptive grids
 MATRICES = 15  # kept factorised: irregular grids would otherwise keep one a step
@@ -34,17 +26,22 @@ class Velocities:
     """Compiled velocity programs, one per matrix A + gamma B."""
 
     def __init__(self, process: SweepingProcess, plan: Plan) -> None:
-        factorised = lru_cache(MATRICES)(lambda gamma: factors(plan, matrix(process, gamma)))
-        # apart from the factorisations: what is dropped depends on the steps since `forget`
-        compiled = lru_cache(MATRICES)(
-            lambda gamma: compile_velocity(process, plan, gamma, factorised(gamma))
-        )
-        self._compiled: Callable[[float], StateVelocity] = compiled
-        self.forget = compiled.cache_clear
-        """Drop what programs remember of earlier steps, but not the factorisations."""
+        self._process, self._plan = process, plan
+        self._compiled: dict[float, StateVelocity] = {}  # the one that was asked last at the end
 
     def __call__(self, gamma: float) -> StateVelocity:
-        return self._compiled(gamma)
+        velocity = self._compiled.pop(gamma, None)
+        if velocity is None:
+            velocity = compile_velocity(self._process, self._plan, gamma)
+            if len(self._compiled) == MATRICES:
+                del self._compiled[next(iter(self._compiled))]
+        self._compiled[gamma] = velocity
+        return velocity
+
+    def forget(self) -> None:
+        """Drop what programs remember of earlier steps, but not the factorisations."""
+        for velocity in self._compiled.values():
+            velocity.forget()
 
 
 class Step(NamedTuple):
