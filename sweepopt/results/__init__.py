@@ -4,14 +4,9 @@ from __future__ import annotations
 
 from sweepopt.results.dataset import (
     NetCDFSink,
-    attributes_of,
-    dataset,
     netcdf_package,
     software,
     solver_name,
-    statistics_of,
-    times_of,
-    variable,
 )
 from sweepopt.results.energy import Energy
 from sweepopt.results.error_bound import ErrorBound
@@ -24,13 +19,8 @@ __all__ = [
     "NetCDFSink",
     "Pass",
     "Solution",
-    "attributes_of",
-    "dataset",
     "netcdf_package",
     "refine",
     "software",
     "solver_name",
-    "statistics_of",
-    "times_of",
-    "variable",
 ]
