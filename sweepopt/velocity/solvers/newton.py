@@ -102,7 +102,7 @@ class _Iteration:
             pulled = T * z
             if self._factor.is_sharp:
                 w, size_z = self.M @ z + q, euclidean(pulled * scale)
-            else:
+            else:  # at condition 1e12 the plain product costs a digit of the certificate
                 w, size_z, _ = self._factor.apply(z, q)
                 size_z *= self._unit
             v = w - pulled
