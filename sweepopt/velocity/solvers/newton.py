@@ -76,7 +76,9 @@ class _Iteration:
     """Newton steps for one M; the last velocity and the last factorised block are kept.
 
     Contact states change rarely from step to step, and with them the block: that of M for the
-    slipping entries, or that of M^-1 for the stuck ones where these are fewer.
+    slipping entries, or that of M^-1 for the stuck ones where these are fewer. Where M is
+    ill-conditioned M z + q is computed more sharply: at condition 1e12, all in contact, plain
+    products cost a digit of the certificate.
     """
 
     def __init__(self, M: Factor, max_iter: int) -> None:
@@ -102,7 +104,7 @@ class _Iteration:
             pulled = T * z
             if self._factor.is_sharp:
                 w, size_z = self.M @ z + q, euclidean(pulled * scale)
-            else:  # at condition 1e12 the plain product costs a digit of the certificate
+            else:
                 w, size_z, _ = self._factor.apply(z, q)
                 size_z *= self._unit
             v = w - pulled
