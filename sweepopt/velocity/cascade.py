@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from functools import cache
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -146,12 +147,11 @@ class Cascade:
             shape = untranslated(attempt.cone).S
             self._compiled[k] = attempt.solver.compile(VelocityProgram(M.small, shape))
         compiled = self._compiled[k]
-        if attempt.from_best and start.any():
-            compiled.z = start[M.unknowns]
+        starts = iter([start[M.unknowns]] if attempt.from_best and start.any() else [])
 
         def solve(linear: np.ndarray, C: ConvexSet) -> Answer:
             c, shape = untranslated(C)
-            return compiled(linear if shape is C else linear - c, shape)
+            return compiled(linear if shape is C else linear - c, shape, *islice(starts, 1))
 
         S = of.whole if isinstance(M.unknowns, slice) else of.S
         return refined(self.inclusion, by_program(M, solve, S, self._tol), of, self._tol)
