@@ -902,13 +902,12 @@ def test_many_discs_and_a_box_are_the_product_of_small_sets(many: Discs, sign: s
     np.testing.assert_allclose(pair.p, v - w, rtol=0, atol=1e-12)
 
 
-def test_products_split_where_the_factors_of_both_end() -> None:
-    ball = so.Ball([0.5, 0.0], 1.0)
-    inner = so.product(so.Balls([1.0, 2.0], 2), so.Box([0.0] * 3, [1.0] * 3), ball)
+def test_products_know_their_factors() -> None:
+    inner = so.product(so.Balls([1.0, 2.0], 2), so.Box([0.0] * 3, [1.0] * 3), so.Ball([0.5, 0], 1))
     C = -2.0 * inner + np.arange(9.0)
-    assert C.ends.tolist() == [2, 4, 5, 6, 7, 9]
-    ends, v = np.array([4, 6, 9]), 3 * np.random.default_rng(0).normal(size=9)
-    each = zip(C.factors(ends), np.split(v, ends[:-1]), strict=True)
+    factors, v = C.factors(), 3 * np.random.default_rng(0).normal(size=9)
+    assert [D.dim for D in factors] == [2, 2, 1, 1, 1, 2]
+    each = zip(factors, np.split(v, [2, 4, 5, 6, 7]), strict=True)
     np.testing.assert_array_equal(np.concatenate([D.project(x) for D, x in each]), C.project(v))
 
 

@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 from laws import ZOO
 
 import sweepopt as so
-from sweepopt.sets.lifted import Image, Intersection, Product, Sum
-from sweepopt.sets.similar import Scaling, Translation
+from sweepopt.sets.generated import GeneratedCone
+from sweepopt.sets.lifted import Embedding, Image, Intersection, Product, Sum
+from sweepopt.sets.similar import Similar
 from sweepopt.study.hard.bodies import rod
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
@@ -81,13 +82,20 @@ def _(C: so.SecondOrderCone, F: float, where: bool) -> so.ConvexSet:
 
 
 @rescaled.register
-def _(C: Translation, F: float, where: bool) -> so.ConvexSet:
-    return rescaled(C.part, F, where) + F * C.v
+def _(C: Similar, F: float, where: bool) -> so.ConvexSet:
+    part = F * C.factor * C.part if where else C.factor * rescaled(C.part, F, where)
+    return part if C.v is None else part + F * C.v
 
 
 @rescaled.register
-def _(C: Scaling, F: float, where: bool) -> so.ConvexSet:
-    return F * C.factor * C.part if where else C.factor * rescaled(C.part, F, where)
+def _(C: GeneratedCone, F: float, where: bool) -> so.ConvexSet:
+    return so.Polyhedron(F * C.G, np.zeros(len(C.G))).polar() if where else C
+
+
+@rescaled.register
+def _(C: Embedding, F: float, where: bool) -> so.ConvexSet:
+    M = C.columns.M
+    return so.image(F * M, C.operand) if where else so.image(M, rescaled(C.operand, F, where))
 
 
 @rescaled.register
@@ -97,17 +105,19 @@ def _(C: Product, F: float, where: bool) -> so.ConvexSet:
 
 @rescaled.register
 def _(C: Image, F: float, where: bool) -> so.ConvexSet:
-    return so.image(F * C.M, C.operand) if where else so.image(C.M, rescaled(C.operand, F, where))
+    return F * C if where else Image(C.lifted.E, rescaled(C.part, F, where))
 
 
 @rescaled.register
 def _(C: Sum, F: float, where: bool) -> so.ConvexSet:
-    return rescaled(C.first, F, where) + rescaled(C.second, F, where)
+    first, second = C.operands
+    return rescaled(first, F, where) + rescaled(second, F, where)
 
 
 @rescaled.register
 def _(C: Intersection, F: float, where: bool) -> so.ConvexSet:
-    return rescaled(C.first, F, where) & rescaled(C.second, F, where)
+    first, second = C.operands
+    return rescaled(first, F, where) & rescaled(second, F, where)
 
 
 def spd(random: np.random.Generator, dim: int) -> np.ndarray:

@@ -64,7 +64,7 @@ from sweepopt.sets.shapes import (
     WholeSpace,
 )
 from sweepopt.sets.similar import (
-    Translation,
+    Similar,
 )
 
 __all__ = [
@@ -90,7 +90,7 @@ __all__ = [
     "Polytope",
     "SecondOrderCone",
     "Selection",
-    "Translation",
+    "Similar",
     "WholeSpace",
     "basis",
     "binary",
