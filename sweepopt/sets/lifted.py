@@ -178,6 +178,10 @@ class Product(ConvexSet):
         return Product(tuple(part.polar() for part in self.parts))
 
 
+def _product(parts: tuple[ConvexSet, ...]) -> ConvexSet:
+    return parts[0] if len(parts) == 1 else Product(parts)
+
+
 class Lifted(ConvexSet):
     """{ c + E s : s in S, F s = g }, S the product of exact parts."""
 
@@ -186,7 +190,7 @@ class Lifted(ConvexSet):
 
     def __init__(self, form: Form) -> None:
         self.lifted, self.dim = form, form.E.shape[0]
-        self.part = form.parts[0] if len(form.parts) == 1 else Product(form.parts)
+        self.part = _product(form.parts)
         self.polyhedral, self.certifiable = self.part.polyhedral, self.part.certifiable
 
     def form(self) -> Form:
@@ -226,14 +230,7 @@ class Lifted(ConvexSet):
         z, form = vector("z", z, self.dim), self.lifted
         if form.g.size:
             return support_by_program(self, z)
-        return self.part.support(self._pulled(z)) + (0.0 if form.c is None else float(form.c @ z))
-
-    def _pulled(self, z: np.ndarray) -> np.ndarray:
-        """E^T z; an entry that is nothing but rounding is 0, so that it meets sigma's domain."""
-        E = self.lifted.E
-        inner = np.asarray(E.T @ z)
-        inner[np.abs(inner) <= 2 * ROUNDING * (abs(E).T @ np.abs(z))] = 0.0
-        return inner
+        return self.part.support(_pulled(form.E.T, z)) + (0.0 if form.c is None else float(form.c @ z))
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (
@@ -376,7 +373,7 @@ class Lifted(ConvexSet):
 
     def _gap_of_parts(self, p: np.ndarray, s: np.ndarray) -> float:
         """At least sigma(C, p) - <p, c + E s> for s in S, no rows F: what is rounded counts."""
-        inner = self._pulled(p)
+        inner = _pulled(self.lifted.E.T, p)
         sigma, rest = self.part.support(inner), self.lifted.E.T @ p - inner
         gap = max(sigma - float(inner @ s), 0.0)
         gap += ROUNDING * (abs(sigma) + float(np.abs(inner) @ np.abs(s)))
@@ -404,6 +401,13 @@ class Lifted(ConvexSet):
         F, g, unit = form.F / self._units[1], form.g / self._units[1], binary(size)
         distance = separation_by_program(self.part, F, g, unit)
         return distance <= (1e-10 if self.certifiable else 1e-6)
+
+
+def _pulled(transposed: Any, z: np.ndarray) -> np.ndarray:
+    """E^T z; an entry that is nothing but rounding is 0, so that it meets sigma's domain."""
+    inner = np.asarray(transposed @ z)
+    inner[np.abs(inner) <= 2 * ROUNDING * (abs(transposed) @ np.abs(z))] = 0.0
+    return inner
 
 
 def _with_image(E: np.ndarray, p: np.ndarray, inner: np.ndarray) -> np.ndarray | None:
@@ -590,6 +594,8 @@ def image_of(columns: Columns, C: ConvexSet) -> ConvexSet:
         rows = C.polar().rows()  # <p, M s> <= 0 for all s of the cone
         assert rows is not None
         return GeneratedCone(rows[0] @ M.T)
+    if isinstance(C, GeneratedCone):
+        return GeneratedCone(C.G @ M.T)
     return Image(M, C)
 
 
@@ -612,7 +618,7 @@ class Image(Lifted):
         raise self._polar_unknown()
 
 
-class Embedding(ConvexSet):
+class Embedding(Lifted):
     """{ M s : s in C } for an M with orthogonal columns whose lengths are weights of C.
 
     With M = E^T selecting a few of many unknowns this is how contact enters a large body: the
@@ -624,19 +630,13 @@ class Embedding(ConvexSet):
         self.polyhedral, self.certifiable = operand.polyhedral, operand.certifiable
         self.exact, self._selected = operand.exact, columns.selected
 
-    def form(self) -> Form:
+    @cached_property
+    def lifted(self) -> Form:  # type: ignore[override]
         return self.operand.form().image(self.columns.M)
 
     @cached_property
-    def _unit(self) -> float:
-        return binary(float(abs(self.columns.M).max()))
-
-    @cached_property
-    def offsets(self) -> np.ndarray:  # type: ignore[override]
-        return self._unit * self.operand.offsets
-
-    def features(self, p: cp.Expression) -> Features:
-        return self.operand.features((self.columns.transposed / self._unit) @ p)
+    def part(self) -> ConvexSet:  # type: ignore[override]
+        return _product(self.lifted.parts)
 
     def _push(self, s: np.ndarray) -> np.ndarray:
         """M s."""
@@ -662,9 +662,6 @@ class Embedding(ConvexSet):
             p = p + self._push((inner - self._pull(p)) / self.columns.squares)
         return p if np.abs(p).max() > ROUNDING * size else np.zeros(self.dim)
 
-    def support(self, z: np.ndarray) -> float:
-        return self.operand.support(self._pull(vector("z", z, self.dim)))
-
     def project(self, w: np.ndarray) -> np.ndarray:
         return self._push(self.operand.project(self._solve(vector("w", w, self.dim))))
 
@@ -677,7 +674,7 @@ class Embedding(ConvexSet):
 
     def weights(self, tau: np.ndarray) -> np.ndarray:
         if self._selected is None or self._selected.size < self.dim:
-            return super().weights(tau)
+            return ConvexSet.weights(self, tau)
         return self._push(self.operand.weights(self._pull(tau)))
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
@@ -704,24 +701,11 @@ class Embedding(ConvexSet):
             moved = Perturbation(size @ moved.w, size @ (moved.p / squares))
         return NormalPair(self._with_image(p, pair.p), self._push(pair.w), pair.gap, moved)
 
-    def same_cone(self, other: ConvexSet) -> bool:
-        return (
-            isinstance(other, Embedding)
-            and same_array(self.columns.M, other.columns.M)
-            and self.operand.same_cone(other.operand)
-        )
-
     def require_nonempty(self, where: str = "C") -> None:
         self.operand.require_nonempty(where)
 
     def magnitude(self) -> float:
         return float(np.sqrt(self.columns.squares.max())) * self.operand.magnitude()
-
-    def _distance(self, other: ConvexSet) -> float | None:
-        if not (isinstance(other, Embedding) and same_array(self.columns.M, other.columns.M)):
-            return None
-        distance = self.operand.distance_bound(other.operand)
-        return None if distance is None else float(np.sqrt(self.columns.squares.max())) * distance
 
     def halfspaces(self) -> Halfspaces:
         """Beside the few unknowns that a selection acts on w is 0."""

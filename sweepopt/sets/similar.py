@@ -103,11 +103,6 @@ class Similar(ConvexSet):
         moved = pair.perturbation and Perturbation(r * pair.perturbation.w, pair.perturbation.p)
         return NormalPair(sign * pair.p, self._to(pair.w), r * pair.gap, moved)
 
-    def gap(self, p: np.ndarray, w: np.ndarray) -> float:
-        if self.v is not None:  # what rounding of w - v does counts
-            return super().gap(p, w)
-        return abs(self.factor) * self.part.gap(self._sign * p, self._back(w))
-
     def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
         if self.v is not None:
             return super().gap_along_curve(p, w, ratio)
