@@ -25,6 +25,7 @@ from sweepopt.sets.base import RANK, ROUNDING, Form, Perturbation, binary
 SWEEPS = (10, 40, 160)  # plain ones, before each try of Newton's method, for small sets
 CONFIRMING = 5  # and after it
 NEWTON_STEPS = 30
+SHARES = 0.5 ** np.arange(6)  # of a step
 ACCELERATED = 500  # sweeps of large sets: 900 discs on a gradient (1,800 unknowns) take as many
 MEMORY = 10  # steps that Anderson's acceleration looks back
 # sizes of the unit of s: a smaller one pulls harder on E s = v, which helps where parts are tangent
@@ -201,18 +202,22 @@ class Splitting:
     def _newton(self, step: Map, near: Map, x: np.ndarray) -> np.ndarray:
         """Semismooth Newton steps on x - step(x) = 0, the shortest ones where many x solve it.
 
-        They end where the residual does not fall.
+        One that makes the residual larger is halved; at a kink no part of it need be better.
         """
-        residual = step(x) - x
+        residual, size = step(x) - x, np.abs(x).max()
         for _ in range(NEWTON_STEPS):
-            D = self._derivative(2 * near(x) - x) if residual.any() else None
-            if D is None:
+            D = self._derivative(2 * near(x) - x)
+            if D is None or np.abs(residual).max() <= ROUNDING * size:
                 break
-            ahead = x + _shortest(self._jacobian(D), residual)
-            left = step(ahead) - ahead
-            if not np.linalg.norm(left) < np.linalg.norm(residual):
-                break
-            x, residual = ahead, left
+            change = _shortest(self._jacobian(D), residual)
+            tried = []
+            for share in SHARES:
+                ahead = x + share * change
+                tried.append((ahead, step(ahead) - ahead))
+                if np.linalg.norm(tried[-1][1]) < np.linalg.norm(residual):
+                    tried = tried[-1:]
+                    break
+            x, residual = tried[0]
         return x
 
     def _jacobian(self, D: np.ndarray) -> np.ndarray:

@@ -177,8 +177,9 @@ class Similar(ConvexSet):
         inner = self.part.selection
         if inner is None:
             return None
+        r, part = self.factor, inner.part
         shift = self.v if inner.shift is None else self._to(inner.shift)
-        return Selection(inner.unknowns, self.algebra.scale(self.factor, inner.part), shift)
+        return Selection(inner.unknowns, part if r == 1 else self.algebra.scale(r, part), shift)
 
     def polar(self) -> ConvexSet:
         if self.v is not None and self.v.any():
