@@ -37,7 +37,7 @@ from sweepopt.sets.base import (
 )
 from sweepopt.sets.generated import GeneratedCone
 from sweepopt.sets.polytope import Polytope
-from sweepopt.sets.programs import separation_by_program, normal_by_program, support_by_program
+from sweepopt.sets.programs import normal_by_program, separation_by_program, support_by_program
 from sweepopt.sets.projection import Projection, Projector, Splitting, fixed_point, places
 from sweepopt.sets.shapes import Box, Point
 from sweepopt.sets.similar import Similar
@@ -230,7 +230,9 @@ class Lifted(ConvexSet):
         z, form = vector("z", z, self.dim), self.lifted
         if form.g.size:
             return support_by_program(self, z)
-        return self.part.support(_pulled(form.E.T, z)) + (0.0 if form.c is None else float(form.c @ z))
+        return self.part.support(_pulled(form.E.T, z)) + (
+            0.0 if form.c is None else float(form.c @ z)
+        )
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (
