@@ -872,13 +872,13 @@ def gap_along_a_curve_bounds_the_gap_between_samples_too(entry: Entry, s: Sample
     if rng.random() < 0.5:  # a curve that goes round a corner little by little
         v = far_and_near(rng, C.dim) + 0.1 * rng.normal(size=(4, C.dim))
         w, p = np.array([C.project(x) for x in v]), np.array([C.normal(x) for x in v[[0, 1, 3]]])
+    theta = (np.arange(40) + 0.5) / 40
+    at, along = basis(2, theta) @ p, basis(3, theta) @ w
+    missed = np.array([C.support(x) - x @ y for x, y in zip(at, along, strict=True)])
+    slack = max(entry.tol, entry.support_tol, entry.edge_tol) * size(w, C.offsets) * size(p)
     for ratio in (0.0, 1.0, np.inf):
         found = C.gap_along_curve(p, w, ratio)
-        theta = (np.arange(40) + 0.5) / 40
-        at, along = basis(2, theta) @ p, basis(3, theta) @ w
-        missed = np.array([C.support(x) - x @ y for x, y in zip(at, along, strict=True)])
         moved = found.distance * np.linalg.norm(at, axis=1) if found.distance else 0.0
-        slack = max(entry.tol, entry.support_tol, entry.edge_tol) * size(w, C.offsets) * size(p)
         # the midpoint rule on a smooth curve of degree 5
         assert np.mean(missed - moved) <= found.gap + slack + 2e-3 * np.abs(missed).max()
 

@@ -230,9 +230,8 @@ class Lifted(ConvexSet):
         z, form = vector("z", z, self.dim), self.lifted
         if form.g.size:
             return support_by_program(self, z)
-        return self.part.support(_pulled(form.E.T, z)) + (
-            0.0 if form.c is None else float(form.c @ z)
-        )
+        shift = 0.0 if form.c is None else float(form.c @ z)
+        return self.part.support(_pulled(form.E.T, z)) + shift
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (
