@@ -34,10 +34,18 @@ class Sample:
     C : ConvexSet
     inside : callable
         cvxpy variable w -> constraints for w in C.
+    restated : callable, optional
+        (F, where) -> F C, written down by somebody who measures in other units; `where` says which
+        data hold the unit, for sets that have a choice.
     """
 
     C: so.ConvexSet
     inside: Callable[[cp.Variable], Constraints]
+    restated: Callable[[float, bool], so.ConvexSet] | None = None
+
+    def in_units(self, F: float, where: bool) -> so.ConvexSet:
+        """F C."""
+        return F * self.C if self.restated is None else self.restated(F, where)
 
     def extreme(self, z: np.ndarray) -> tuple[float, np.ndarray | None]:
         """sup of <w, z> over the set and a point where it is taken, by the independent form."""
@@ -108,14 +116,18 @@ def _dim(frame: Rng, dim: int | None) -> int:
 
 def point(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     p = rng.normal(size=_dim(frame, dim))
-    return Sample(so.Point(p), lambda w: [w == p])
+    return Sample(so.Point(p), lambda w: [w == p], lambda F, _: so.Point(F * p))
 
 
 def box(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     dim = _dim(frame, dim)
     lower = rng.normal(size=dim)
     upper = lower + rng.exponential(size=dim)
-    return Sample(so.Box(lower, upper), lambda w: [w >= lower, w <= upper])
+    return Sample(
+        so.Box(lower, upper),
+        lambda w: [w >= lower, w <= upper],
+        lambda F, _: so.Box(F * lower, F * upper),
+    )
 
 
 def open_box(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
@@ -144,7 +156,11 @@ def whole_space(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
 
 def ball(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     center, radius = rng.normal(size=_dim(frame, dim)), rng.exponential()
-    return Sample(so.Ball(center, radius), lambda w: [cp.norm(w - center) <= radius])
+    return Sample(
+        so.Ball(center, radius),
+        lambda w: [cp.norm(w - center) <= radius],
+        lambda F, _: so.Ball(F * center, F * radius),
+    )
 
 
 def balls(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
@@ -153,6 +169,7 @@ def balls(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     return Sample(
         so.Balls(radii, block),
         lambda w: [cp.norm(w[k * block : (k + 1) * block]) <= radii[k] for k in range(count)],
+        lambda F, _: so.Balls(F * radii, block),
     )
 
 
@@ -165,6 +182,7 @@ def _ellipsoid(frame: Rng, rng: Rng, dim: int | None, decades: float) -> Sample:
     return Sample(
         so.Ellipsoid(center, shape),
         lambda w: [cp.norm((axes / np.sqrt(squares)).T @ (w - center)) <= 1],
+        lambda F, _: so.Ellipsoid(F * center, F * F * shape),
     )
 
 
@@ -174,7 +192,18 @@ def ellipsoid(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
 
 def half_space(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     normal, offset = frame.normal(size=_dim(frame, dim)), rng.normal()
-    return Sample(so.HalfSpace(normal, offset), lambda w: [normal @ w <= offset])
+    return Sample(
+        so.HalfSpace(normal, offset),
+        lambda w: [normal @ w <= offset],
+        lambda F, where: so.HalfSpace(normal / F if where else normal, F ** (not where) * offset),
+    )
+
+
+def rows(G: Any, h: np.ndarray, inside: Callable[[cp.Variable], Constraints]) -> Sample:
+    def restated(F: float, where: bool) -> so.Polyhedron:
+        return so.Polyhedron(G / F, h) if where else so.Polyhedron(G, F * h)
+
+    return Sample(so.Polyhedron(G, h), inside, restated)
 
 
 def polyhedron(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
@@ -184,14 +213,14 @@ def polyhedron(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     G = np.vstack([G, G[:2]])
     x = rng.normal(size=dim)
     h = G @ x + rng.exponential(size=len(G))
-    return Sample(so.Polyhedron(sp.csr_array(G), h), lambda w: [G @ w <= h])
+    return rows(sp.csr_array(G), h, lambda w: [G @ w <= h])
 
 
 def vertex_cone(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     # more rows through one vertex than there are unknowns
     dim = _dim(frame, dim)
     G = np.abs(frame.normal(size=(2 * dim + 2, dim)))
-    return Sample(so.Polyhedron(G, np.zeros(len(G))), lambda w: [G @ w <= 0])
+    return rows(G, np.zeros(len(G)), lambda w: [G @ w <= 0])
 
 
 def flat(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
@@ -202,12 +231,16 @@ def flat(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     G = np.vstack([row, -row, np.eye(dim)])
     level, top = rng.normal(), np.abs(rng.normal(size=dim)) + 3
     h = np.concatenate([[level, -level], top])
-    return Sample(so.Polyhedron(G, h), lambda w: [row @ w == level, w <= top])
+    return rows(G, h, lambda w: [row @ w == level, w <= top])
 
 
 def polytope(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     vertices = frame.normal(size=(int(frame.integers(1, 9)), _dim(frame, dim)))
-    return Sample(so.Polytope(vertices), lambda w: _hull(vertices, w))
+    return Sample(
+        so.Polytope(vertices),
+        lambda w: _hull(vertices, w),
+        lambda F, _: so.Polytope(F * vertices),
+    )
 
 
 def _hull(vertices: np.ndarray, w: cp.Variable) -> Constraints:
@@ -218,7 +251,7 @@ def _hull(vertices: np.ndarray, w: cp.Variable) -> Constraints:
 def second_order_cone(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     dim = _dim(frame, dim)
     inside = [lambda w: [w[0] >= 0], lambda w: [cp.norm(w[1:]) <= w[0]]][dim > 1]
-    return Sample(so.SecondOrderCone(dim), inside)
+    return Sample(so.SecondOrderCone(dim), inside, lambda F, _: so.SecondOrderCone(dim))
 
 
 def constraints(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
@@ -236,7 +269,9 @@ def translated(build: Build) -> Build:
     def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
         s = build(frame, rng, dim)
         v = rng.normal(size=s.C.dim)
-        return Sample(s.C + v, lambda w: s.inside(w - v))
+        return Sample(
+            s.C + v, lambda w: s.inside(w - v), lambda F, where: s.in_units(F, where) + F * v
+        )
 
     return make
 
@@ -244,7 +279,11 @@ def translated(build: Build) -> Build:
 def scaled(build: Build) -> Build:
     def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
         s, r = build(frame, rng, dim), rng.uniform(0.5, 3)
-        return Sample(r * s.C, lambda w: s.inside(w / r))
+        return Sample(
+            r * s.C,
+            lambda w: s.inside(w / r),
+            lambda F, where: F * r * s.C if where else r * s.in_units(F, where),
+        )
 
     return make
 
@@ -252,7 +291,7 @@ def scaled(build: Build) -> Build:
 def negated(build: Build) -> Build:
     def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
         s = build(frame, rng, dim)
-        return Sample(-s.C, lambda w: s.inside(-w))
+        return Sample(-s.C, lambda w: s.inside(-w), lambda F, where: -s.in_units(F, where))
 
     return make
 
@@ -263,8 +302,15 @@ def moving(build: Build) -> Build:
     def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
         s = build(frame, rng, dim)
         v, t = rng.normal(size=s.C.dim), rng.uniform()
-        C = so.Moving(s.C, center=lambda t: t * v, scale=lambda t: 1 + t)
-        return Sample(C.at(t), lambda w: s.inside((w - t * v) / (1 + t)))
+
+        def at(C: so.ConvexSet, v: np.ndarray) -> so.ConvexSet:
+            return so.Moving(C, center=lambda t: t * v, scale=lambda t: 1 + t).at(t)
+
+        return Sample(
+            at(s.C, v),
+            lambda w: s.inside((w - t * v) / (1 + t)),
+            lambda F, where: at(s.in_units(F, where), F * v),
+        )
 
     return make
 
@@ -278,38 +324,29 @@ def summed(one: Build, two: Build) -> Build:
             first = cp.Variable(a.C.dim)
             return [*a.inside(first), *b.inside(w - first)]
 
-        return Sample(a.C + b.C, inside)
+        return Sample(a.C + b.C, inside, lambda F, x: a.in_units(F, x) + b.in_units(F, x))
 
     return make
 
 
-def met(one: Build, two: Build) -> Build:
+def met(one: Build, two: Build, points: int = 6, far: float = 3.0) -> Build:
     """C & D with D shifted so that means of some points of each coincide."""
 
     def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
         a = one(frame, rng, dim)
         b = two(frame, rng, a.C.dim)
         x, y = (
-            np.mean([s.C.project(3 * rng.normal(size=s.C.dim)) for _ in range(6)], axis=0)
+            np.mean([s.C.project(far * rng.normal(size=s.C.dim)) for _ in range(points)], axis=0)
             for s in (a, b)
         )
-        v = x - y
-        return Sample(a.C & (b.C + v), lambda w: [*a.inside(w), *b.inside(w - v)])
+        return common(a, b, x - y)
 
     return make
 
 
 def touching(one: Build, two: Build) -> Build:
     """C & D with D shifted so that a point of each boundary coincides: hardly any interior."""
-
-    def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
-        a = one(frame, rng, dim)
-        b = two(frame, rng, a.C.dim)
-        x = a.C.project(9 * rng.normal(size=a.C.dim))
-        v = x - b.C.project(9 * rng.normal(size=a.C.dim))
-        return Sample(a.C & (b.C + v), lambda w: [*a.inside(w), *b.inside(w - v)])
-
-    return make
+    return met(one, two, points=1, far=9.0)
 
 
 def cut(one: Build, two: Build) -> Build:
@@ -317,10 +354,24 @@ def cut(one: Build, two: Build) -> Build:
 
     def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
         a = one(frame, rng, dim)
-        b = two(frame, rng, a.C.dim)
-        return Sample(a.C & b.C, lambda w: [*a.inside(w), *b.inside(w)])
+        return common(a, two(frame, rng, a.C.dim), np.zeros(a.C.dim))
 
     return make
+
+
+def common(a: Sample, b: Sample, v: np.ndarray) -> Sample:
+    """C & (D + v)."""
+    if not v.any():
+        return Sample(
+            a.C & b.C,
+            lambda w: [*a.inside(w), *b.inside(w)],
+            lambda F, x: a.in_units(F, x) & b.in_units(F, x),
+        )
+    return Sample(
+        a.C & (b.C + v),
+        lambda w: [*a.inside(w), *b.inside(w - v)],
+        lambda F, x: a.in_units(F, x) & (b.in_units(F, x) + F * v),
+    )
 
 
 def truncated(build: Build) -> Build:
@@ -329,8 +380,13 @@ def truncated(build: Build) -> Build:
     def make(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
         s = build(frame, rng, dim)
         n = 2 + float(np.linalg.norm(s.C.project(np.zeros(s.C.dim))))
-        ball = so.Ball(np.zeros(s.C.dim), n)
-        return Sample(s.C & ball, lambda w: [*s.inside(w), cp.norm(w) <= n])
+        zero = np.zeros(s.C.dim)
+        ball = Sample(
+            so.Ball(zero, n),
+            lambda w: [cp.norm(w) <= n],
+            lambda F, _: so.Ball(zero, F * n),
+        )
+        return common(s, ball, zero)
 
     return make
 
@@ -345,7 +401,11 @@ def crossed(*builds: Build) -> Build:
             blocks = [s.inside(w[i:j]) for s, i, j in ends]
             return [constraint for block in blocks for constraint in block]
 
-        return Sample(so.product(*(s.C for s in parts)), inside)
+        return Sample(
+            so.product(*(s.C for s in parts)),
+            inside,
+            lambda F, where: so.product(*(s.in_units(F, where) for s in parts)),
+        )
 
     return make
 
@@ -371,7 +431,11 @@ def mapped(build: Build, kind: str, scale: float = 1.0, columns: int | None = No
             part = cp.Variable(dim)
             return [M @ part == w, *s.inside(part)]
 
-        return Sample(so.image(M, s.C), inside)
+        return Sample(
+            so.image(M, s.C),
+            inside,
+            lambda F, x: so.image(F * M, s.C) if x else so.image(M, s.in_units(F, x)),
+        )
 
     return make
 
@@ -808,13 +872,13 @@ def gap_along_a_curve_bounds_the_gap_between_samples_too(entry: Entry, s: Sample
     if rng.random() < 0.5:  # a curve that goes round a corner little by little
         v = far_and_near(rng, C.dim) + 0.1 * rng.normal(size=(4, C.dim))
         w, p = np.array([C.project(x) for x in v]), np.array([C.normal(x) for x in v[[0, 1, 3]]])
+    theta = (np.arange(40) + 0.5) / 40
+    at, along = basis(2, theta) @ p, basis(3, theta) @ w
+    missed = np.array([C.support(x) - x @ y for x, y in zip(at, along, strict=True)])
+    slack = max(entry.tol, entry.support_tol, entry.edge_tol) * size(w, C.offsets) * size(p)
     for ratio in (0.0, 1.0, np.inf):
         found = C.gap_along_curve(p, w, ratio)
-        theta = (np.arange(40) + 0.5) / 40
-        at, along = basis(2, theta) @ p, basis(3, theta) @ w
-        missed = np.array([C.support(x) - x @ y for x, y in zip(at, along, strict=True)])
         moved = found.distance * np.linalg.norm(at, axis=1) if found.distance else 0.0
-        slack = max(entry.tol, entry.support_tol, entry.edge_tol) * size(w, C.offsets) * size(p)
         # the midpoint rule on a smooth curve of degree 5
         assert np.mean(missed - moved) <= found.gap + slack + 2e-3 * np.abs(missed).max()
 

@@ -309,21 +309,13 @@ WIDE: dict[str, Any] = {
 @pytest.mark.parametrize("name", WIDE)
 def test_the_velocity_in_an_image_with_many_preimages_is_certified(name: str, scale: float) -> None:
     # M between 2e-3 and 6e-3: an error of w counts 500 times in the velocity
-    for seed in range(40 if name in ("box", "ball") and scale == 1 else 6):
+    for seed in range(6):
         rng = np.random.default_rng(seed)
         part = WIDE[name](rng)
         G, k = scale * rng.normal(size=(3, part.dim)), 5 * scale * rng.normal(size=3)
         C = so.Moving(so.image(G, part), center=lambda t, k=k: t * k)
         process = so.SweepingProcess(np.diag([2e-3, 4e-3, 6e-3]), None, C, np.zeros(3))
         so.solve(process, t_end=1.0, steps=3)  # raises StepError above 1e-6
-
-
-def test_the_velocity_in_a_zonotope_is_certified() -> None:
-    rng = np.random.default_rng(0)
-    G, k = np.round(rng.normal(size=(3, 5)), 1), 5 * rng.normal(size=3)
-    C = so.Moving(so.image(G, so.Box(-np.ones(5), np.ones(5))), center=lambda t: k * np.sin(3 * t))
-    process = so.SweepingProcess(np.diag([0.002, 0.004, 0.006]), None, C, [0, 0, 0])
-    so.solve(process, t_end=1.0, steps=10)
 
 
 # ---- support functions --------------------------------------------------------------------------
@@ -700,17 +692,8 @@ MALFORMED: dict[str, tuple[Any, str]] = {
 @pytest.mark.parametrize("case", MALFORMED)
 def test_malformed_input_is_refused_by_name(case: str) -> None:
     make, message = MALFORMED[case]
-    with pytest.raises(so.InputError, match=message):
-        make()
-
-
-@pytest.mark.parametrize(
-    "make",
-    [lambda: so.Box([1], [0]), lambda: so.Polytope(np.zeros((0, 2)))],
-    ids=["box", "polytope"],
-)
-def test_sets_without_a_point_say_that_they_are_empty(make: Any) -> None:
-    with pytest.raises(so.EmptySetError, match="empty"):
+    empty = case in ("box upside down", "polytope without vertices", "boxes that do not meet")
+    with pytest.raises(so.EmptySetError if empty else so.InputError, match=message):
         make()
 
 
@@ -902,13 +885,12 @@ def test_many_discs_and_a_box_are_the_product_of_small_sets(many: Discs, sign: s
     np.testing.assert_allclose(pair.p, v - w, rtol=0, atol=1e-12)
 
 
-def test_products_split_where_the_factors_of_both_end() -> None:
-    ball = so.Ball([0.5, 0.0], 1.0)
-    inner = so.product(so.Balls([1.0, 2.0], 2), so.Box([0.0] * 3, [1.0] * 3), ball)
+def test_products_know_their_factors() -> None:
+    inner = so.product(so.Balls([1.0, 2.0], 2), so.Box([0.0] * 3, [1.0] * 3), so.Ball([0.5, 0], 1))
     C = -2.0 * inner + np.arange(9.0)
-    assert C.ends.tolist() == [2, 4, 5, 6, 7, 9]
-    ends, v = np.array([4, 6, 9]), 3 * np.random.default_rng(0).normal(size=9)
-    each = zip(C.factors(ends), np.split(v, ends[:-1]), strict=True)
+    factors, v = C.factors(), 3 * np.random.default_rng(0).normal(size=9)
+    assert [D.dim for D in factors] == [2, 2, 1, 1, 1, 2]
+    each = zip(factors, np.split(v, [2, 4, 5, 6, 7]), strict=True)
     np.testing.assert_array_equal(np.concatenate([D.project(x) for D, x in each]), C.project(v))
 
 

@@ -5,7 +5,6 @@ Energies are in force * length: A in force * time / length, B in force / length,
 
 from __future__ import annotations
 
-from functools import singledispatch
 from typing import Any
 
 import cvxpy as cp
@@ -16,98 +15,11 @@ from hypothesis import strategies as st
 from laws import ZOO
 
 import sweepopt as so
-from sweepopt.sets.lifted import Image, Intersection, Product, Sum
-from sweepopt.sets.similar import Scaling, Translation
 from sweepopt.study.hard.bodies import rod
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 POWERS = (-40, -13, 0, 17, 40)
 ENOUGH = 1e-12
-
-
-@singledispatch
-def rescaled(C: Any, F: float, where: bool) -> so.ConvexSet:
-    """F C, written down by somebody who measures in other units.
-
-    `where` says which data hold the unit, for sets that have a choice.
-    """
-    raise NotImplementedError(type(C).__name__)
-
-
-@rescaled.register
-def _(C: so.Point, F: float, where: bool) -> so.ConvexSet:
-    return so.Point(F * C.offsets)
-
-
-@rescaled.register
-def _(C: so.Box, F: float, where: bool) -> so.ConvexSet:
-    return so.Box(F * C.lower, F * C.upper)
-
-
-@rescaled.register
-def _(C: so.Ball, F: float, where: bool) -> so.ConvexSet:
-    return so.Ball(F * C.center, F * C.radius)
-
-
-@rescaled.register
-def _(C: so.Balls, F: float, where: bool) -> so.ConvexSet:
-    return so.Balls(F * C.radii, C.block)
-
-
-@rescaled.register
-def _(C: so.Ellipsoid, F: float, where: bool) -> so.ConvexSet:
-    return so.Ellipsoid(F * C.center, F * F * C.shape)
-
-
-@rescaled.register
-def _(C: so.Polyhedron, F: float, where: bool) -> so.ConvexSet:
-    return so.Polyhedron(C.G / F, C.h) if where else so.Polyhedron(C.G, F * C.h)
-
-
-@rescaled.register
-def _(C: so.HalfSpace, F: float, where: bool) -> so.ConvexSet:
-    row = C.G[0]
-    return so.HalfSpace(row / F, C.offset) if where else so.HalfSpace(row, F * C.offset)
-
-
-@rescaled.register
-def _(C: so.Polytope, F: float, where: bool) -> so.ConvexSet:
-    return so.Polytope(F * C.vertices)
-
-
-@rescaled.register
-def _(C: so.SecondOrderCone, F: float, where: bool) -> so.ConvexSet:
-    return C
-
-
-@rescaled.register
-def _(C: Translation, F: float, where: bool) -> so.ConvexSet:
-    return rescaled(C.part, F, where) + F * C.v
-
-
-@rescaled.register
-def _(C: Scaling, F: float, where: bool) -> so.ConvexSet:
-    return F * C.factor * C.part if where else C.factor * rescaled(C.part, F, where)
-
-
-@rescaled.register
-def _(C: Product, F: float, where: bool) -> so.ConvexSet:
-    return so.product(*(rescaled(part, F, where) for part in C.parts))
-
-
-@rescaled.register
-def _(C: Image, F: float, where: bool) -> so.ConvexSet:
-    return so.image(F * C.M, C.operand) if where else so.image(C.M, rescaled(C.operand, F, where))
-
-
-@rescaled.register
-def _(C: Sum, F: float, where: bool) -> so.ConvexSet:
-    return rescaled(C.first, F, where) + rescaled(C.second, F, where)
-
-
-@rescaled.register
-def _(C: Intersection, F: float, where: bool) -> so.ConvexSet:
-    return rescaled(C.first, F, where) & rescaled(C.second, F, where)
 
 
 def spd(random: np.random.Generator, dim: int) -> np.ndarray:
@@ -142,9 +54,9 @@ KINDS = [name for name in ZOO if name != "constraints"]
 def test_units_change_nothing_but_rounding(
     name: str, seed: int, powers: tuple[int, int, int], where: bool
 ) -> None:
-    C = ZOO[name].sample(seed).C
+    sample = ZOO[name].sample(seed)
     F, L, T = (2.0**power for power in powers)
-    plain, other = run(C, seed), run(rescaled(C, F, where), seed, F, L, T)
+    plain, other = run(sample.C, seed), run(sample.in_units(F, where), seed, F, L, T)
     assert plain.stats["relative"].max() <= 1e-9
     assert_same(plain, other, L, T)
 

@@ -61,7 +61,7 @@ from sweepopt.sets.shapes import (
     WholeSpace,
 )
 from sweepopt.sets.similar import (
-    Translation,
+    Similar,
 )
 
 __all__ = [
@@ -86,7 +86,7 @@ __all__ = [
     "Polytope",
     "SecondOrderCone",
     "Selection",
-    "Translation",
+    "Similar",
     "WholeSpace",
     "basis",
     "binary",

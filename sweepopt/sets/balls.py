@@ -9,7 +9,7 @@ import scipy.linalg
 
 from sweepopt.checks import dimension, entries, number, vector
 from sweepopt.errors import InputError
-from sweepopt.sets.base import ROUNDING, ConvexSet, CurveGap, Features, Halfspaces
+from sweepopt.sets.base import ROUNDING, ConvexSet, CurveGap, Features, Halfspaces, total_gap
 from sweepopt.sets.curves import ball_arc
 
 if TYPE_CHECKING:
@@ -133,7 +133,7 @@ class Balls(ConvexSet):
         return Features([sizes], norms_below(p, sizes, self.block))
 
     def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
-        return CurveGap.beside(
+        return total_gap(
             Ball(np.zeros(self.block), radius).gap_along_curve(directions, points, ratio)
             for radius, directions, points in zip(
                 self.radii,
@@ -150,12 +150,8 @@ class Balls(ConvexSet):
         arms = v.reshape(-1, self.block)
         return scipy.linalg.block_diag(*map(_ball_derivative, arms, self.radii))
 
-    @property
-    def ends(self) -> np.ndarray:
-        return np.arange(self.block, self.dim + 1, self.block)
-
-    def factors(self, ends: np.ndarray) -> list[ConvexSet]:
-        return [Balls(radii, self.block) for radii in np.split(self.radii, ends[:-1] // self.block)]
+    def factors(self) -> list[ConvexSet]:
+        return [Ball(np.zeros(self.block), radius) for radius in self.radii]
 
     def same_cone(self, other: ConvexSet) -> bool:
         return isinstance(other, Balls) and (self.block, self.dim) == (other.block, other.dim)

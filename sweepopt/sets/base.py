@@ -92,11 +92,11 @@ class CurveGap(NamedTuple):
     gap: float
     distance: float
 
-    @classmethod
-    def beside(cls, factors: Iterable[CurveGap]) -> CurveGap:
-        """That of a product of sets, from those of its factors."""
-        gaps, distance = np.array(list(factors)).T
-        return cls(float(gaps.sum()), float(np.linalg.norm(distance)))
+
+def total_gap(factors: Iterable[CurveGap]) -> CurveGap:
+    """That of a product of sets, from those of its factors."""
+    gaps, distance = np.array(list(factors)).T
+    return CurveGap(float(gaps.sum()), float(np.linalg.norm(distance)))
 
 
 class Halfspaces(NamedTuple):
@@ -399,13 +399,8 @@ class ConvexSet(ABC):
         """The few unknowns C acts on, if it is the image of a set under a selection of them."""
         return None
 
-    @property
-    def ends(self) -> np.ndarray:
-        """Where the factors of C end in the vector, if C is a product of sets; the last is dim."""
-        return np.array([self.dim])
-
-    def factors(self, ends: np.ndarray) -> list[ConvexSet]:
-        """C as the product of sets that end at some of these."""
+    def factors(self) -> list[ConvexSet]:
+        """The smallest sets whose product C is known to be."""
         return [self]
 
     def rows(self) -> tuple[Any, np.ndarray] | None:

@@ -9,21 +9,18 @@ this form; what a sum, an intersection or an image knows beyond it stands in its
 
 from __future__ import annotations
 
-import copy
-from abc import abstractmethod
 from functools import cached_property
-from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 
 from sweepopt.checks import Matrix, divisor, matrix, vector
 from sweepopt.errors import EmptySetError, InputError
 from sweepopt.linalg import dense
 from sweepopt.sets.base import (
-    DENSE,
     RANK,
     ROUNDING,
     ConvexSet,
@@ -35,23 +32,15 @@ from sweepopt.sets.base import (
     Perturbation,
     Selection,
     binary,
-    require_same_dim,
     same_array,
+    total_gap,
 )
-from sweepopt.sets.polyhedra import Polyhedron
-from sweepopt.sets.programs import distance_by_program, normal_by_program, support_by_program
-from sweepopt.sets.projection import (
-    FIRST,
-    LATER,
-    ON_FACES,
-    SPARSE,
-    Projection,
-    Projector,
-    fixed_point,
-    places,
-    rounded,
-)
-from sweepopt.sets.shapes import Box
+from sweepopt.sets.generated import GeneratedCone
+from sweepopt.sets.polytope import Polytope
+from sweepopt.sets.programs import normal_by_program, separation_by_program, support_by_program
+from sweepopt.sets.projection import Projection, Projector, Splitting, fixed_point, places
+from sweepopt.sets.shapes import Box, Point
+from sweepopt.sets.similar import Similar
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -141,7 +130,7 @@ class Product(ConvexSet):
         return sum(part.gap(*blocks) for part, *blocks in self._split(p, w))
 
     def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
-        return CurveGap.beside(
+        return total_gap(
             part.gap_along_curve(a.T, b.T, ratio) for part, a, b in self._split(p.T, w.T)
         )
 
@@ -153,23 +142,8 @@ class Product(ConvexSet):
     def form(self) -> Form:
         return Form.beside([part.form() for part in self.parts])
 
-    @property
-    def ends(self) -> np.ndarray:
-        starts = [0, *self._cuts]
-        parts = zip(starts, self.parts, strict=True)
-        return np.concatenate([start + part.ends for start, part in parts])
-
-    def factors(self, ends: np.ndarray) -> list[ConvexSet]:
-        pieces: list[ConvexSet] = []
-        starts = [0, *self._cuts]
-        for start, part in zip(starts, self.parts, strict=True):
-            inner = ends[(ends > start) & (ends < start + part.dim)] - start
-            pieces += part.factors(np.append(inner, part.dim))
-        # of several pieces where a part ends and the factor does not
-        reached = np.cumsum([piece.dim for piece in pieces])
-        last = (np.searchsorted(reached, ends) + 1).tolist()
-        groups = [tuple(pieces[i:j]) for i, j in pairwise([0, *last])]
-        return [group[0] if len(group) == 1 else Product(group) for group in groups]
+    def factors(self) -> list[ConvexSet]:
+        return [C for part in self.parts for C in part.factors()]
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (
@@ -204,22 +178,20 @@ class Product(ConvexSet):
         return Product(tuple(part.polar() for part in self.parts))
 
 
+def _product(parts: tuple[ConvexSet, ...]) -> ConvexSet:
+    return parts[0] if len(parts) == 1 else Product(parts)
+
+
 class Lifted(ConvexSet):
     """{ c + E s : s in S, F s = g }, S the product of exact parts."""
 
     exact = False
-    product: Product | None = None  # the same set, where it is projected on factor by factor
-    _last: tuple[np.ndarray, Projection | None] | None = None
+    _last: Projection | None = None
 
-    def __init__(self, dim: int, *operands: ConvexSet) -> None:
-        self.dim, self.operands = dim, operands
-        self.polyhedral = all(C.polyhedral for C in operands)
-        self.certifiable = all(C.certifiable for C in operands)
-
-    @cached_property
-    def lifted(self) -> Form:
-        """c, E, F, g and the parts."""
-        raise NotImplementedError
+    def __init__(self, form: Form) -> None:
+        self.lifted, self.dim = form, form.E.shape[0]
+        self.part = _product(form.parts)
+        self.polyhedral, self.certifiable = self.part.polyhedral, self.part.certifiable
 
     def form(self) -> Form:
         return self.lifted
@@ -227,12 +199,6 @@ class Lifted(ConvexSet):
     def __getstate__(self) -> dict[str, Any]:
         # factorisations cannot be pickled, and are made again when they are needed
         return {name: x for name, x in self.__dict__.items() if name not in ("_projector", "_last")}
-
-    @cached_property
-    def part(self) -> ConvexSet:
-        """S."""
-        parts = self.lifted.parts
-        return parts[0] if len(parts) == 1 else Product(parts)
 
     # ---- support function -----------------------------------------------------------------------
 
@@ -264,24 +230,52 @@ class Lifted(ConvexSet):
         z, form = vector("z", z, self.dim), self.lifted
         if form.g.size:
             return support_by_program(self, z)
-        return self.part.support(self._pulled(z)) + (0.0 if form.c is None else float(form.c @ z))
-
-    def _pulled(self, z: np.ndarray) -> np.ndarray:
-        """E^T z; an entry that is nothing but rounding is 0, so that it meets sigma's domain."""
-        E = self.lifted.E
-        inner = np.asarray(E.T @ z)
-        inner[np.abs(inner) <= 2 * ROUNDING * (abs(E).T @ np.abs(z))] = 0.0
-        return inner
+        shift = 0.0 if form.c is None else float(form.c @ z)
+        return self.part.support(_pulled(form.E.T, z)) + shift
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (
             isinstance(other, Lifted)
-            and type(self) is type(other)
-            and len(self.operands) == len(other.operands)
-            and all(C.same_cone(D) for C, D in zip(self.operands, other.operands, strict=True))
+            and (self.lifted.c is None) == (other.lifted.c is None)
+            and all(map(same_array, self.lifted[1:3], other.lifted[1:3]))
+            and self.part.same_cone(other.part)
         )
 
+    def magnitude(self) -> float:
+        if self.lifted.g.size:
+            return super().magnitude()
+        each = zip(self._norms, self.lifted.parts, strict=True)
+        size = sum(norm * part.magnitude() for norm, part in each if norm)
+        return float(np.linalg.norm(self.lifted.image_of_zero())) + size
+
+    def _distance(self, other: ConvexSet) -> float | None:
+        if self.lifted.g.size or not (isinstance(other, Lifted) and self.same_cone(other)):
+            return None
+        each = zip(self.lifted.parts, other.lifted.parts, strict=True)
+        distances = [C.distance_bound(D) for C, D in each]
+        known = [norm * d for norm, d in zip(self._norms, distances, strict=True) if d is not None]
+        c = self.lifted.image_of_zero() - other.lifted.image_of_zero()
+        return sum(known) + float(np.linalg.norm(c)) if len(known) == len(distances) else None
+
+    @property
+    def _norms(self) -> list[float]:
+        """Bounds of |E_i| for each part."""
+        blocks = [abs(self.lifted.E[:, at]) for at in places(self.lifted)]
+        sums = [(E.sum(axis=0).max(), E.sum(axis=1).max(), (E * E).sum()) for E in blocks]
+        return [float(np.sqrt(min(columns * rows, square))) for columns, rows, square in sums]
+
     # ---- projection -----------------------------------------------------------------------------
+
+    @cached_property
+    def product(self) -> ConvexSet | None:
+        """The same set as a product of independent ones, if it is: each has its own units."""
+        blocks = _independent(self.lifted)
+        if len(blocks) < 2:
+            return None
+        rows = np.concatenate([block.rows for block in blocks])
+        place = (np.ones(self.dim), (rows, np.arange(self.dim)))
+        order = sp.csc_array(place, shape=(self.dim, self.dim))
+        return Embedding(Columns.of(order), Product(tuple(_of_form(form) for _, form in blocks)))
 
     @cached_property
     def _projector(self) -> Projector:
@@ -289,31 +283,25 @@ class Lifted(ConvexSet):
 
     def near(self, v: np.ndarray) -> Projection | None:
         """The projection of v, exact to rounding, and its parts; None if it is not found."""
-        last = self._last
-        if last is None or not np.array_equal(last[0], v):
-            # a projection, its normal and the pair are asked for one after the other
-            last = self._last = (v.copy(), self._found(v) if self.certifiable else None)
-        return last[1]
+        near = self._nearest(v) if self.certifiable else None
+        return near if near is not None and near.exact else None
 
-    def _found(self, v: np.ndarray) -> Projection | None:
-        own = self._projector.start(v)
-        for effort in FIRST if self._projector.small else (SPARSE,):
-            found = self._projector(v, own, effort)
-            if found is not None:
-                return found
-        if not self._projector.small:
-            return None
-        p, y = normal_by_program(self, v)
-        first = 0 if self.lifted.c is None else self.dim
-        unit, row = self._units
-        multipliers = unit / row * y[first : first + self.lifted.g.size]
-        starts = [self._projector.from_program(v, p, multipliers), own]
-        for effort in (*FIRST, *LATER, *((ON_FACES,) if self.polyhedral else ())):
-            for start in starts:
-                found = self._projector(v, start, effort)
-                if found is not None:
-                    return found
-        return None
+    def _nearest(self, v: np.ndarray) -> Projection:
+        last = self._last
+        if last is None or not np.array_equal(last.v, v):
+            # a projection, its normal and the pair are asked for one after the other
+            v, project = v.copy(), self._projector
+            last = project(v, project.start(v))
+            if not last.exact and self.lifted.small:
+                # an interior point method comes to the right faces where sweeps crawl
+                p, y = normal_by_program(self, v)
+                first = 0 if self.lifted.c is None else self.dim
+                unit, row = self._units
+                multipliers = unit / row * y[first : first + self.lifted.g.size]
+                again = project(v, project.start_beside(v, p, multipliers))
+                last = again if again.exact else last
+            self._last = last
+        return last
 
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return super().weights(tau) if self.product is None else self.product.weights(tau)
@@ -336,24 +324,20 @@ class Lifted(ConvexSet):
 
     def _normal(self, near: Projection) -> np.ndarray:
         """v - w, as a part computes it in whose domain E^T p must be."""
-        p = near.splitting.normal(near)
         if (near.w == near.v).all():
             return np.zeros(self.dim)
+        p = near.splitting.normal(near)
         if self.lifted.g.size or not near.splitting.small:
             return p
-        known = self._common(near, p)
+        # the vectors near p whose image E_i^T p is the normal of part i, part by part
+        n, E = near.normals, self.lifted.E
+        each = [_with_image(dense(E[:, at]), p, n[at]) for at in reversed(places(self.lifted))]
+        known = [one for one in each if one is not None]
         best = next((one for one in known if np.isfinite(self.support(one))), p)
         noise = (best != 0) & (np.abs(best) <= ROUNDING * np.abs(best).max())
         # what one part holds is 0.0, and rounding of the others
         still = np.where(noise & np.any([one == 0 for one in known], axis=0), 0.0, best)
         return still if np.isfinite(self.support(still)) else best
-
-    def _common(self, near: Projection, p: np.ndarray) -> list[np.ndarray]:
-        """The vectors near p whose image E_i^T p is the normal of part i, part by part."""
-        n, E = near.splitting.units * near.splitting.normals(near), self.lifted.E
-        blocks = [(dense(E[:, at]), n[at]) for at in reversed(places(self.lifted))]
-        known = [_with_image(block, p, inner) for block, inner in blocks]
-        return [one for one in known if one is not None]
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         if self.product is not None:
@@ -374,14 +358,15 @@ class Lifted(ConvexSet):
 
     def _pair_of(self, v: np.ndarray) -> NormalPair | None:
         """The normal pair of the projection of v; None if there is no proof."""
-        near = self.near(v)
-        if near is not None:
+        near = self._nearest(v)
+        if near.exact:
             p = self._normal(near)
-            return NormalPair(p, near.w.copy(), 0.0, near.perturbation(p))
+            moved = near.splitting.perturbation(near, p) or _rounded(v)
+            return NormalPair(p, near.w.copy(), 0.0, moved)
         if self.lifted.g.size:
             return None
         # not to rounding: a point of C nearby, and the normal that is the nearer one of two
-        s = self._projector.approximate(v)
+        s = near.parts
         w = self.lifted.image_of_zero() + self.lifted.E @ s
         normals = (v - w, normal_by_program(self, v).p)
         pairs = [NormalPair(p, w, self._gap_of_parts(p, s)) for p in normals]
@@ -389,7 +374,7 @@ class Lifted(ConvexSet):
 
     def _gap_of_parts(self, p: np.ndarray, s: np.ndarray) -> float:
         """At least sigma(C, p) - <p, c + E s> for s in S, no rows F: what is rounded counts."""
-        inner = self._pulled(p)
+        inner = _pulled(self.lifted.E.T, p)
         sigma, rest = self.part.support(inner), self.lifted.E.T @ p - inner
         gap = max(sigma - float(inner @ s), 0.0)
         gap += ROUNDING * (abs(sigma) + float(np.abs(inner) @ np.abs(s)))
@@ -398,8 +383,32 @@ class Lifted(ConvexSet):
         return gap + (max(more, 0.0) if np.isfinite(more) else float(np.abs(rest) @ np.abs(s)))
 
     def require_nonempty(self, where: str = "C") -> None:
-        for C in self.operands:
-            C.require_nonempty(where)
+        self.part.require_nonempty(where)
+        if self.lifted.g.size and not self._has_point():
+            raise EmptySetError(f"{where} is empty: the two sets of C & D do not meet")
+
+    def _has_point(self) -> bool:
+        """Whether F s = g for some s of S: alternating projections find one, or a program does."""
+        form, size = self.lifted, float(np.abs(self.offsets).max(initial=0.0))
+        if self.certifiable:
+            ties = Splitting(form._replace(c=None, E=0 * form.E), np.ones(form.E.shape[1]))
+            tied = ties.near(np.zeros(self.dim))
+            s, fixed = fixed_point(lambda s: self.part.project(tied(s)), ties.start, size)
+            size = max(size, float(np.abs(s).max()))
+            distance = np.abs(s - tied(s)).max()
+            if fixed or distance <= 10 * ROUNDING * size:
+                # nearest points of S and { F s = g }: what is between them separates the two
+                return bool(distance <= 10 * ROUNDING * size)
+        F, g, unit = form.F / self._units[1], form.g / self._units[1], binary(size)
+        distance = separation_by_program(self.part, F, g, unit)
+        return distance <= (1e-10 if self.certifiable else 1e-6)
+
+
+def _pulled(transposed: Any, z: np.ndarray) -> np.ndarray:
+    """E^T z; an entry that is nothing but rounding is 0, so that it meets sigma's domain."""
+    inner = np.asarray(transposed @ z)
+    inner[np.abs(inner) <= 2 * ROUNDING * (abs(transposed) @ np.abs(z))] = 0.0
+    return inner
 
 
 def _with_image(E: np.ndarray, p: np.ndarray, inner: np.ndarray) -> np.ndarray | None:
@@ -414,115 +423,87 @@ def _with_image(E: np.ndarray, p: np.ndarray, inner: np.ndarray) -> np.ndarray |
     return p
 
 
-class Pair(Lifted):
-    """C + D or C & D. Of products alike both are products:
-
-    (C_1 x C_2) & (D_1 x D_2) = (C_1 & D_1) x (C_2 & D_2), and so it is with +.
-    """
-
-    def __init__(self, first: ConvexSet, second: ConvexSet) -> None:
-        super().__init__(first.dim, first, second)
-        self.first, self.second = first, second
-
-    @abstractmethod
-    def _of(self, C: ConvexSet, D: ConvexSet) -> ConvexSet:
-        """C + D, or C & D."""
-
-    @property
-    def ends(self) -> np.ndarray:
-        return np.intersect1d(self.first.ends, self.second.ends)
-
-    def factors(self, ends: np.ndarray) -> list[ConvexSet]:
-        each = zip(self.first.factors(ends), self.second.factors(ends), strict=True)
-        return [self._of(C, D) for C, D in each]
-
-    @cached_property
-    def product(self) -> Product | None:  # type: ignore[override]
-        if self.lifted.small or self.ends.size == 1:
-            return None
-        return Product(tuple(self.factors(self.ends)))
+def _rounded(v: np.ndarray) -> Perturbation:
+    """A pair's perturbation where nothing is known but v, of which w and p are parts."""
+    size = np.full(v.size, 10 * ROUNDING * np.abs(v).max())
+    return Perturbation(size, size)
 
 
-class Sum(Pair):
+class _Block(NamedTuple):
+    """What a form says of some entries of its vectors, whatever the others are."""
+
+    rows: np.ndarray
+    form: Form
+
+
+def _independent(form: Form) -> list[_Block]:
+    """The blocks that a form consists of: parts that no row of E or F ties to each other."""
+    parts = [C for part in form.parts for C in part.factors()]
+    owner = np.repeat(np.arange(len(parts)), [C.dim for C in parts])
+    member = sp.csr_array((np.ones(owner.size), (owner, np.arange(owner.size))))
+    table = sp.vstack([abs(form.E), abs(form.F), member])
+    graph = sp.block_array([[None, table], [table.T, None]])
+    label = connected_components(graph, directed=False)[1]
+    counts = [form.E.shape[0], form.g.size, len(parts)]
+    of_w, of_F, of_part, of_s = np.split(label, np.cumsum(counts))
+    groups = np.unique(of_s)
+    # rows without entries go with the first
+    of_w, of_F = (np.where(np.isin(x, groups), x, groups[0]) for x in (of_w, of_F))
+    blocks = []
+    for group in groups if groups.size > 1 else ():
+        rows, ties, at = (np.flatnonzero(x == group) for x in (of_w, of_F, of_s))
+        own = tuple(parts[i] for i in np.flatnonzero(of_part == group))
+        c = None if form.c is None else form.c[rows]
+        E, F = form.E[rows][:, at], form.F[ties][:, at]
+        if rows.size:
+            blocks.append(_Block(rows, Form(c, E, F, form.g[ties], own)))
+    return blocks
+
+
+def _of_form(form: Form) -> ConvexSet:
+    """The set of a form, as the image of a part if it is no more than that."""
+    if len(form.parts) > 1 or form.g.size:
+        return Lifted(form)
+    image = image_of(Columns.of(form.E), form.parts[0])
+    return image if form.c is None else Similar(image, form.c)
+
+
+class Sum(Lifted):
     """The Minkowski sum C + D:  sigma(C + D, z) = sigma(C, z) + sigma(D, z)."""
 
-    def _of(self, C: ConvexSet, D: ConvexSet) -> ConvexSet:
-        total: ConvexSet = C + D
-        return total
-
-    @cached_property
-    def lifted(self) -> Form:  # c + d + [E_1, E_2] s
-        one = sp.eye_array(self.dim)
-        both = Form.beside([self.first.form(), self.second.form()])
-        return both.image(sp.hstack([one, one]))
-
-    def _common(self, near: Projection, p: np.ndarray) -> list[np.ndarray]:
-        # sets that are projected on exactly compute their own normals
-        forms = [C.form() for C in self.operands]
-        cut = np.split(near.parts, [forms[0].E.shape[1]])
-        x, y = (form.image_of_zero() + form.E @ s for form, s in zip(forms, cut, strict=True))
-        each = ((self.second, near.v - x), (self.first, near.v - y))
-        own = [C.normal(v) for C, v in each if C.exact or (isinstance(C, Image) and C.dual)]
-        return [*own, *super()._common(near, p)]
-
-    def magnitude(self) -> float:
-        return self.first.magnitude() + self.second.magnitude()
-
-    def _distance(self, other: ConvexSet) -> float | None:
-        if not isinstance(other, Sum):
-            return None
-        one = self.first.distance_bound(other.first)
-        two = self.second.distance_bound(other.second)
-        return None if one is None or two is None else one + two
+    def __init__(self, first: ConvexSet, second: ConvexSet) -> None:
+        self.operands = first, second
+        one = sp.eye_array(first.dim)  # c + d + [E_1, E_2] s
+        super().__init__(Form.beside([first.form(), second.form()]).image(sp.hstack([one, one])))
 
     @property
     def anchor(self) -> np.ndarray:
-        return self.first.anchor + self.second.anchor
+        return self.operands[0].anchor + self.operands[1].anchor
 
     def polar(self) -> ConvexSet:
-        return self.first.polar() & self.second.polar()
+        both: ConvexSet = self.operands[0].polar() & self.operands[1].polar()
+        return both
 
 
-class Intersection(Pair):
+class Intersection(Lifted):
     """C & D, non-empty:  sigma(C & D, z) = min over p of  sigma(C, p) + sigma(D, z - p)."""
 
-    def _of(self, C: ConvexSet, D: ConvexSet) -> ConvexSet:
-        common: ConvexSet = C & D
-        return common
-
-    @cached_property
-    def lifted(self) -> Form:  # c + E_1 s_1, and rows E_1 s_1 - E_2 s_2 = d - c
-        one = sp.eye_array(self.dim)
-        both = Form.beside([self.first.form(), self.second.form()])
-        return both.cut(sp.hstack([one, -one])).image(sp.hstack([one, 0 * one]))
+    def __init__(self, first: ConvexSet, second: ConvexSet) -> None:
+        self.operands = first, second
+        one = sp.eye_array(first.dim)  # c + E_1 s_1, and rows E_1 s_1 - E_2 s_2 = d - c
+        both = Form.beside([first.form(), second.form()])
+        super().__init__(both.cut(sp.hstack([one, -one])).image(sp.hstack([one, 0 * one])))
 
     def _decided(self, v: np.ndarray) -> NormalPair | None:
         """The pair of one of the two sets, if its point lies in the other: exact from any v."""
-        if self.product is not None:
+        if self.product is not None or not self.certifiable:
             return None  # so it is with each factor
-        for part, other in ((self.first, self.second), (self.second, self.first)):
-            if part.exact and self.certifiable:
+        for part, other in (self.operands, self.operands[::-1]):
+            if part.exact:
                 w = part.project(v)
                 if not other.normal(w).any():
-                    return NormalPair(part.normal(v), w, 0.0, rounded(v))
-        return None if self.lifted.small else self._alternated(v)
-
-    def _alternated(self, v: np.ndarray) -> NormalPair | None:
-        """Normals p of C and q of D at w = v - p - q by Dykstra's alternation, for large sets.
-
-        J. P. Boyle, R. L. Dykstra, Advances in Order Restricted Statistical Inference, 1986.
-        """
-        if not (self.certifiable and self.first.exact and self.second.exact):
-            return None
-
-        def step(p: np.ndarray) -> np.ndarray:
-            return self.first.normal(v - self.second.normal(v - p))
-
-        p = fixed_point(step, np.zeros(self.dim), float(np.abs(v).max()))
-        if p is None:
-            return None
-        q = self.second.normal(v - p)
-        return NormalPair(p + q, v - p - q, 0.0, rounded(v))
+                    return NormalPair(part.normal(v), w, 0.0, _rounded(v))
+        return None
 
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
@@ -541,205 +522,191 @@ class Intersection(Pair):
         if not p.any() or [part.dim for part in form.parts] != 2 * [self.dim]:
             return p
         # the normals of two parts add up: what none of them holds is exactly 0
-        total = np.sum(np.split(near.splitting.units * near.splitting.normals(near), 2), axis=0)
+        total = np.sum(np.split(near.normals, 2), axis=0)
         within = np.abs(total - p).max() <= 10 * ROUNDING * np.abs(near.v).max()
         return total if within else p
 
-    def require_nonempty(self, where: str = "C") -> None:
-        super().require_nonempty(where)
-        if not self._parts_meet():
-            raise EmptySetError(f"{where} is empty: the two sets of C & D do not meet")
-
-    def _parts_meet(self) -> bool:
-        """Whether alternating projections find a common point, or no plane separates the parts."""
-        tol, inaccurate = (ROUNDING, 1e-10) if self.certifiable else (1e-7, 1e-6)
-
-        def step(b: np.ndarray) -> np.ndarray:
-            return self.second.project(self.first.project(b))
-
-        b = step(np.zeros(self.dim))
-        if self.certifiable:
-            nearest = fixed_point(step, b, float(np.abs(b).max()))
-            b = b if nearest is None else nearest
-        a = self.first.project(b)
-        size = max(np.abs(a).max(), np.abs(b).max(), np.abs(self.offsets).max(initial=0.0))
-        if np.abs(a - b).max() <= tol * size:
-            return True
-        # a plane between the nearest points a and b proves that there is none
-        p = b - a
-        between = -self.first.support(p) - self.second.support(-p)
-        if between > 0.1 * (p @ p):
-            return False
-        distance = distance_by_program(self.first, self.second, binary(float(size)))
-        return distance is not None and distance <= inaccurate
-
     def magnitude(self) -> float:
-        return min(self.first.magnitude(), self.second.magnitude())
+        return min(C.magnitude() for C in self.operands)
 
     def polar(self) -> ConvexSet:
         """(C & D)° = closure of C° + D°; projections on a sum are those on its closure."""
-        return self.first.polar() + self.second.polar()
+        closure: ConvexSet = self.operands[0].polar() + self.operands[1].polar()
+        return closure
 
 
-class Image(Lifted):
-    """{ M s : s in C }:  sigma(M C, z) = sigma(C, M^T z).
+# ---- images -------------------------------------------------------------------------------------
 
-    With M = E^T selecting a few of many unknowns this is how contact enters a large body: the
-    set acts on m unknowns only, and a plan can eliminate the others. `image` makes it.
 
-    Where the columns of M are orthogonal and their lengths weights of the projection on C, the
-    projection has a closed form; where M is injective and small, normal pairs of C are lifted.
+class Columns(NamedTuple):
+    """A matrix M, and what depends on it alone.
+
+    Attributes
+    ----------
+    transposed : ndarray or sparse
+    squares : ndarray, shape (k,)
+        The squared lengths of the columns.
+    orthogonal : bool
+        Whether the columns are orthogonal, none of them 0.
+    selected : ndarray or None
+        The rows that M picks, if its columns are distinct unit vectors.
+    """
+
+    M: Matrix
+    transposed: Matrix
+    squares: np.ndarray
+    orthogonal: bool
+    selected: np.ndarray | None
+
+    @classmethod
+    def of(cls, M: Any) -> Columns:
+        """Raises InputError if M is no finite matrix that things can be divided by."""
+        M = matrix("M", M)
+        if not M.shape[0]:
+            raise InputError("M must have at least one row")
+        for j, entry in enumerate(column_sizes(M)):
+            if entry:
+                divisor(f"the largest entry of column {j} of M", entry)
+        # made once: a transpose costs a sparse matrix each time
+        transposed = M.T.tocsr() if sp.issparse(M) else M.T
+        squares = np.asarray((transposed * transposed).sum(axis=1), dtype=float).ravel()
+        return cls(M, transposed, squares, _orthogonal(M, squares), _selected(M))
+
+
+def image_of(columns: Columns, C: ConvexSet) -> ConvexSet:
+    """{ M s : s in C } as what it is: a point, a polytope, a cone, a set of few unknowns, or more.
 
     Raises
     ------
     InputError
-        If M is not a finite matrix with C.dim columns; if a column that is not zero has no entry of
-        1e-75 or more.
+        If C has another dim than M has columns.
+    """
+    M = columns.M
+    if M.shape[1] != C.dim:
+        raise InputError(f"image(M, C): M has {M.shape[1]} columns but C has dim {C.dim}")
+    if isinstance(C, Point):
+        return Point(M @ C.offsets)
+    weights = C.weights(columns.squares)
+    if columns.orthogonal and (abs(weights - columns.squares) <= ROUNDING * weights).all():
+        return Embedding(columns, C)
+    if isinstance(C, Polytope):
+        return Polytope((M @ C.vertices.T).T)
+    if isinstance(C, Box) and not C.offsets.any():
+        rows = C.polar().rows()  # <p, M s> <= 0 for all s of the cone
+        assert rows is not None
+        return GeneratedCone(rows[0] @ M.T)
+    if isinstance(C, GeneratedCone):
+        return GeneratedCone(C.G @ M.T)
+    return Image(M, C)
+
+
+class Image(Lifted):
+    """{ M s : s in C }:  sigma(M C, z) = sigma(C, M^T z)."""
+
+    def __init__(self, M: Matrix, operand: ConvexSet) -> None:
+        super().__init__(operand.form().image(M))
+        self.operand = operand
+
+    @property
+    def nonsmooth_dim(self) -> int:
+        return self.operand.nonsmooth_dim
+
+    def require_nonempty(self, where: str = "C") -> None:
+        self.operand.require_nonempty(where)
+
+    def polar(self) -> ConvexSet:
+        self.operand.polar()  # says so if this is no cone at all
+        raise self._polar_unknown()
+
+
+class Embedding(Lifted):
+    """{ M s : s in C } for an M with orthogonal columns whose lengths are weights of C.
+
+    With M = E^T selecting a few of many unknowns this is how contact enters a large body: the
+    set acts on m unknowns only, and a plan can eliminate the others.
     """
 
-    def __init__(self, M: Any, part: ConvexSet) -> None:
-        self.M = matrix("M", M)
-        dim, columns = self.M.shape
-        if not dim:
-            raise InputError("M must have at least one row")
-        if columns != part.dim:
-            raise InputError(f"image(M, C): M has {columns} columns but C has dim {part.dim}")
-        for j, entry in enumerate(column_sizes(self.M)):
-            if entry:
-                divisor(f"the largest entry of column {j} of M", entry)
-        self._selected = selected(self.M)
-        # made once: a transpose costs a sparse matrix each time
-        self._transposed = self.M.T.tocsr() if sp.issparse(self.M) else self.M.T
-        self._squares = self._transposed * self._transposed
-        self._diagonal = np.asarray(self._squares.sum(axis=1), dtype=float).ravel()
-        self._orthogonal = _orthogonal(self.M, self._diagonal)
-        self._pinv = None
-        self.injective = self._orthogonal and bool((self._diagonal > 0).all())
-        if not self._orthogonal and max(self.M.shape) <= DENSE:
-            full = dense(self.M)
-            self.injective = bool(np.linalg.matrix_rank(full) == columns)
-            self._pinv = np.linalg.pinv(full) if self.injective else None
-        self._set_operand(dim, part)
-
-    def _set_operand(self, dim: int, operand: ConvexSet) -> None:
-        for cached in ("lifted", "part", "offsets", "_units", "_projector", "_last"):
-            self.__dict__.pop(cached, None)  # those of another operand
-        super().__init__(dim, operand)
-        self.operand = operand
-        weights = operand.weights(self._diagonal)
-        even = np.abs(weights - self._diagonal) <= ROUNDING * weights
-        self._closed_form = self._orthogonal and self.injective and bool(even.all())
-        self.exact = self._closed_form and operand.exact
-        # a cone of generators: by Moreau its normals are the projections on the polar polyhedron
-        cone = isinstance(operand, Box) and not operand.offsets.any()
-        self.dual = self._polar_rows() if cone and not self._closed_form else None
-
-    def with_operand(self, operand: ConvexSet) -> Image:
-        """{ M s : s in operand } with all that depends on M alone taken over."""
-        require_same_dim("image(M, C)", self.operand, operand)
-        other = copy.copy(self)
-        other._set_operand(self.dim, operand)
-        return other
+    def __init__(self, columns: Columns, operand: ConvexSet) -> None:
+        self.columns, self.operand, self.dim = columns, operand, columns.M.shape[0]
+        self.polyhedral, self.certifiable = operand.polyhedral, operand.certifiable
+        self.exact, self._selected = operand.exact, columns.selected
 
     @cached_property
-    def lifted(self) -> Form:
-        return self.operand.form().image(self.M)
+    def lifted(self) -> Form:  # type: ignore[override]
+        return self.operand.form().image(self.columns.M)
 
-    def _solve(self, w: np.ndarray) -> np.ndarray:
-        """The s with M s nearest to w, for an injective M."""
-        if self._pinv is not None:
-            return self._pinv @ w
-        return w[self._selected] if self._selected is not None else self._pull(w) / self._diagonal
+    @cached_property
+    def part(self) -> ConvexSet:  # type: ignore[override]
+        return _product(self.lifted.parts)
 
     def _push(self, s: np.ndarray) -> np.ndarray:
         """M s."""
         if self._selected is None:
-            return self.M @ s
+            return self.columns.M @ s
         w = np.zeros(self.dim)
         w[self._selected] = s
         return w
 
     def _pull(self, z: np.ndarray) -> np.ndarray:
         """M^T z."""
-        return self._transposed @ z if self._selected is None else z[self._selected]
+        return self.columns.transposed @ z if self._selected is None else z[self._selected]
+
+    def _solve(self, w: np.ndarray) -> np.ndarray:
+        """The s with M s nearest to w."""
+        s = self._pull(w)
+        return s if self._selected is not None else s / self.columns.squares
 
     def _with_image(self, p: np.ndarray, inner: np.ndarray) -> np.ndarray:
-        """The vector nearest to p with M^T p = inner, for an injective M."""
+        """The vector nearest to p with M^T p = inner."""
         size = np.abs(p).max()
         for _ in range(2):
-            change = inner - self._pull(p)
-            p = p + (
-                self._push(change / self._diagonal) if self._pinv is None else self._pinv.T @ change
-            )
+            p = p + self._push((inner - self._pull(p)) / self.columns.squares)
         return p if np.abs(p).max() > ROUNDING * size else np.zeros(self.dim)
 
-    def support(self, z: np.ndarray) -> float:
-        if self._selected is None:
-            return super().support(z)
-        return self.operand.support(self._pull(vector("z", z, self.dim)))
-
     def project(self, w: np.ndarray) -> np.ndarray:
-        w = vector("w", w, self.dim)
-        if self.dual is not None:
-            return w - self.dual.project(w)
-        if self._closed_form:
-            return self._push(self.operand.project(self._solve(w)))
-        return super().project(w)
+        return self._push(self.operand.project(self._solve(vector("w", w, self.dim))))
 
     def normal(self, v: np.ndarray) -> np.ndarray:
-        if self.dual is None and not self._closed_form:
-            return super().normal(v)
-        p = v - self.project(v) if self.dual is None else self.dual.project(v)
+        p = v - self.project(v)
         if np.abs(p).max() <= ROUNDING * np.abs(v).max():
             return np.zeros(self.dim)
         # p holds rounding of v; a second look leaves that of p, as the domain of sigma needs it
-        if self.dual is not None:
-            return self.dual.project(p)
-        return self._with_image(p, self._diagonal * self.operand.normal(self._solve(v)))
+        return self._with_image(p, self.columns.squares * self.operand.normal(self._solve(v)))
+
+    def weights(self, tau: np.ndarray) -> np.ndarray:
+        if self._selected is None or self._selected.size < self.dim:
+            return ConvexSet.weights(self, tau)
+        return self._push(self.operand.weights(self._pull(tau)))
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         """That of P(v); None for a selection, whose part has one."""
-        if self.dual is not None:
-            normal = self.dual.derivative(v)
-            return None if normal is None else np.eye(self.dim) - normal
-        return None if self._selected is not None else super().derivative(v)
+        if self._selected is not None and self._selected.size < self.dim:
+            return None
+        D = self.operand.derivative(self._solve(v))
+        if D is None or (D.ndim == 1 and self._selected is not None):
+            return None if D is None else self._push(D)
+        M = dense(self.columns.M)
+        return M @ ((np.diag(D) if D.ndim == 1 else D) / self.columns.squares) @ M.T
 
     def normal_pair(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray | None = None
     ) -> NormalPair | None:
-        if not (self.injective and self.certifiable):
-            return super().normal_pair(p, w, tau)
-        inner = self._pull(p)
-        weights = (self._squares @ tau) / self._diagonal**2  # tau in the units of s
-        found = self.operand.normal_pair(inner, self._solve(w), weights)
-        if found is None:
+        squares, transposed = self.columns.squares, self.columns.transposed
+        weights = (transposed * transposed) @ tau / squares**2  # tau in the units of s
+        pair = self.operand.normal_pair(self._pull(p), self._solve(w), weights)
+        if pair is None:
             return None
-        moved = found.perturbation
+        moved = pair.perturbation
         if moved is not None:
-            size = abs(self.M)
-            back = size / self._diagonal if self._pinv is None else np.abs(self._pinv.T)
-            moved = Perturbation(size @ moved.w, back @ moved.p)
-        return NormalPair(self._with_image(p, found.p), self._push(found.w), found.gap, moved)
+            size = abs(self.columns.M)
+            moved = Perturbation(size @ moved.w, size @ (moved.p / squares))
+        return NormalPair(self._with_image(p, pair.p), self._push(pair.w), pair.gap, moved)
 
-    def _pair_of(self, v: np.ndarray) -> NormalPair | None:
-        if self.dual is None:
-            return super()._pair_of(v)
-        normal = self.normal(v)
-        return NormalPair(normal, v - normal, 0.0)
-
-    def same_cone(self, other: ConvexSet) -> bool:
-        return isinstance(other, Image) and same_array(self.M, other.M) and super().same_cone(other)
+    def require_nonempty(self, where: str = "C") -> None:
+        self.operand.require_nonempty(where)
 
     def magnitude(self) -> float:
-        total = self._diagonal.max() if self._orthogonal else self._diagonal.sum()
-        return float(np.sqrt(total)) * self.operand.magnitude() if total else 0.0
-
-    def _distance(self, other: ConvexSet) -> float | None:
-        if not (isinstance(other, Image) and same_array(self.M, other.M)):
-            return None
-        found = self.operand.distance_bound(other.operand)
-        square = self._diagonal.max() if self._orthogonal else self._diagonal.sum()
-        return None if found is None else float(np.sqrt(square)) * found
+        return float(np.sqrt(self.columns.squares.max())) * self.operand.magnitude()
 
     def halfspaces(self) -> Halfspaces:
         """Beside the few unknowns that a selection acts on w is 0."""
@@ -756,31 +723,28 @@ class Image(Lifted):
 
     @property
     def selection(self) -> Selection | None:
-        found = self._selected
-        return None if found is None else Selection(found, self.operand, None)
+        if self._selected is None:
+            return None
+        return Selection(self._selected, self.operand, None)
 
     def polar(self) -> ConvexSet:
         self.operand.polar()  # says so if this is no cone at all
         if not isinstance(self.operand, Box):
             raise self._polar_unknown()
-        return self._polar_rows()
-
-    def _polar_rows(self) -> ConvexSet:
-        """<p, M s> <= 0 for all s of the cone: M^T p is in its polar, row by row."""
         rows = self.operand.polar().rows()
-        assert rows is not None  # the polar of a box is a box
-        return Polyhedron(rows[0] @ self.M.T, rows[1])
+        assert rows is not None
+        return GeneratedCone(rows[0] @ self.columns.transposed).polar()
 
 
 def _orthogonal(M: Matrix, diagonal: np.ndarray) -> bool:
-    """Whether the columns of M are orthogonal; more columns than rows never are."""
-    if (diagonal > 0).sum() > M.shape[0]:
+    """Whether the columns of M are orthogonal and none is 0; more of them than rows never are."""
+    if not (diagonal > 0).all() or diagonal.size > M.shape[0]:
         return False
     rest = sp.csr_array(M.T @ M) - sp.diags_array(diagonal)
     return bool(abs(rest).max() <= ROUNDING * diagonal.max())
 
 
-def selected(M: Matrix) -> np.ndarray | None:
+def _selected(M: Matrix) -> np.ndarray | None:
     """The rows that M picks, if its columns are distinct unit vectors."""
     entries = sp.coo_array(M)
     entries.eliminate_zeros()

@@ -17,7 +17,7 @@ from sweepopt.errors import InputError
 from sweepopt.loads import Separable, breakpoints
 from sweepopt.sets.base import ConvexSet, is_vector, require_same_dim
 from sweepopt.sets.shapes import Point
-from sweepopt.sets.similar import Translation
+from sweepopt.sets.similar import Similar
 
 
 class MovingSet:
@@ -232,7 +232,7 @@ class Moving(MovingSet):
             return scaled
         if isinstance(scaled, Point):
             return Point(scaled.offsets + self.center_at(t))
-        return Translation(scaled, self.center_at(t))
+        return Similar(scaled, self.center_at(t))
 
 
 class MovingOffsets(MovingSet):

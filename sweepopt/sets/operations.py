@@ -18,19 +18,18 @@ from sweepopt.checks import HUGE, Matrix, matrix, number, vector
 from sweepopt.errors import InputError
 from sweepopt.linalg import dense
 from sweepopt.sets.base import Algebra, ConvexSet, binary, is_vector, require_same_dim
-from sweepopt.sets.lifted import Image, Intersection, Product, Sum, column_sizes
+from sweepopt.sets.lifted import Columns, Intersection, Product, Sum, column_sizes, image_of
 from sweepopt.sets.moving import MovingSet
 from sweepopt.sets.polyhedra import ACTIVE_DIM, Polyhedron
-from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.shapes import Box, Point
-from sweepopt.sets.similar import Scaling, Translation
+from sweepopt.sets.similar import Similar
 
 
 def add(C: ConvexSet, other: Any) -> Any:
     """C + v or C + D; the sum with a point is a translation."""
     if is_vector(other):
         v = vector("v", other, C.dim)
-        return Point(C.offsets + v) if isinstance(C, Point) else Translation(C, v)
+        return Point(C.offsets + v) if isinstance(C, Point) else Similar(C, v)
     if not _is_set("C + D", other):
         return NotImplemented
     require_same_dim("C + D", C, other)
@@ -54,9 +53,9 @@ def scale(factor: Any, C: ConvexSet) -> ConvexSet:
         return Point(np.zeros(C.dim))
     if isinstance(C, Box):
         return C.scaled(r)
-    if isinstance(C, Scaling) and r * C.factor == 1:
+    if isinstance(C, Similar) and C.v is None and r * C.factor == 1:
         return C.part
-    return Scaling(r, C)
+    return Similar(C, None, r)
 
 
 def intersect(C: ConvexSet, D: Any) -> Any:
@@ -123,21 +122,17 @@ def image(M: Any, C: Any) -> Any:
     5.0
     """
     if isinstance(C, MovingSet):
-        # all that depends on M alone is computed once, with a set of the right dim
-        template = Image(M, Point(np.zeros(C.dim)))
-        return MovingSet(lambda t: template.with_operand(C.at(t)), template.dim)
+        # all that depends on M alone is computed once; a set of the right dim is looked at now
+        columns = Columns.of(M)
+        dim = image_of(columns, Point(np.zeros(C.dim))).dim
+        return MovingSet(lambda t: image_of(columns, C.at(t)), dim)
     if not isinstance(C, ConvexSet):
         raise InputError(f"image(M, C): C must be a set, got {type(C).__name__}")
     M = matrix("M", M)
     if isinstance(C, Box) and M.shape[0] and C.dim == M.shape[1]:
         M, C = _with_own_columns(M, C)
         M, C = _gathered(M, C) or (M, C)
-    found = Image(M, C)
-    if isinstance(C, Point):
-        return Point(found.M @ C.offsets)
-    if isinstance(C, Polytope) and not found.injective:
-        return Polytope((found.M @ C.vertices.T).T)
-    return found
+    return image_of(Columns.of(M), C)
 
 
 def _with_own_columns(M: Matrix, box: Box) -> tuple[Matrix, Box]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -91,16 +91,16 @@ def normal_by_program(C: ConvexSet, w: np.ndarray) -> Normal:
 
 
 @in_turn
-def distance_by_program(C: ConvexSet, D: ConvexSet, unit: float) -> float | None:
-    """The distance of two sets in a unit: max of -sigma(C, p) - sigma(D, -p) over |p| <= 1."""
+def separation_by_program(S: ConvexSet, F: Any, g: np.ndarray, unit: float) -> float:
+    """min |F s - g| over S, in a unit: max of <g, lam> - sigma(S, F^T lam) over |lam| <= 1."""
     import cvxpy as cp
 
-    p = cp.Variable(C.dim)
-    one, constraints = C.epigraph(p)
-    two, more = D.epigraph(-p)
-    problem = cp.Problem(cp.Maximize(-(one + two) / unit), [*constraints, *more, cp.norm(p) <= 1])
+    multipliers = cp.Variable(g.size)
+    sigma, constraints = S.epigraph(F.T @ multipliers)
+    objective = cp.Maximize((g @ multipliers - sigma) / unit)
+    problem = cp.Problem(objective, [*constraints, cp.norm(multipliers) <= 1])
     solve_tightly(problem)
-    return None if problem.value is None else float(problem.value)
+    return float("inf") if problem.value is None else float(problem.value)
 
 
 def solve_tightly(problem: cp.Problem) -> None:

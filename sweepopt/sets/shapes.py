@@ -165,13 +165,9 @@ class Box(ConvexSet):
     def rounding_scale(self, x: np.ndarray) -> float:
         return 0.0
 
-    @property
-    def ends(self) -> np.ndarray:
-        return np.arange(1, self.dim + 1)
-
-    def factors(self, ends: np.ndarray) -> list[ConvexSet]:
-        bounds = (np.split(bound, ends[:-1]) for bound in (self.lower, self.upper))
-        return [Box(*each) for each in zip(*bounds, strict=True)]
+    def factors(self) -> list[ConvexSet]:
+        bounds = zip(self.lower[:, None], self.upper[:, None], strict=True)
+        return [Box(*each) for each in bounds]
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
         return ((v >= self.lower) & (v <= self.upper)).astype(float)

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.linalg import Factor
-from sweepopt.sets import ConvexSet, Translation, in_turn
+from sweepopt.sets import ConvexSet, Similar, in_turn
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -32,12 +32,10 @@ class Translate(NamedTuple):
 
 def untranslated(C: ConvexSet) -> Translate:
     """C with all its translations taken out: it enters the program through q - C alone."""
-    if not isinstance(C, Translation):
-        return Translate(np.zeros(C.dim), C)
-    c, S = C.v, C.part
-    while isinstance(S, Translation):
-        c, S = c + S.v, S.part
-    return Translate(c, S)
+    c = None
+    while isinstance(C, Similar) and C.v is not None:
+        c, C = C.v if c is None else c + C.v, C.centred
+    return Translate(np.zeros(C.dim) if c is None else c, C)
 
 
 class Expressions(NamedTuple):
