@@ -14,7 +14,7 @@ are difference quotients of the mean velocities z of the steps. Along z, J is ab
 so that what cancels or is damped does not count.
 
 At A = 0 with flat faces what moves is where it should be after each step of a stiffly accurate
-scheme: the error before is forgotten, and only what stops within a step errs.
+scheme: the error before is forgotten, and only steps within which an unknown starts or stops err.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ AHEAD, BESIDE = 3, 10  # steps after and before one that its derivatives and swi
 STIFF = 1e6  # h |J| that is as good as infinite: R has its limit to six digits
 CURVED = 1.5  # curvature of the steps beside it alone gives 1, a switch more
 STAGES = 1.3  # an error counts for more where z is the mean of stages, not the velocity half way:
-# switches are located less well, and without it a fifth of the runs kept back missed the tolerance
-TURN = 0.25  # of jump times step: the largest error of a motion that stops or turns at once
+# switches are located less well, and without it a fifth of the tuning runs missed the tolerance
+TURN = 1 / 8  # of [u''] h^2: what a motion that turns half way between two times goes unseen
 GOLDEN = 0.5 * (math.sqrt(5) - 1)  # its multiples modulo 1 fall into step with no period
 
 
@@ -79,8 +79,8 @@ class ErrorModel:
             self.order = 2
         kernel = self._kernel((np.arange(1000) + 0.5) / 1000)
         self._p, self._largest = float(kernel.mean()), float(kernel[np.argmax(np.abs(kernel))])
-        if not continuous and not stiffly_accurate:
-            self._p = float(np.sqrt(np.mean(kernel**2)))  # midpoint's mean is 0, its errors are not
+        if not continuous:  # velocities jump anywhere in a step: the mean of errors may be 0
+            self._p = float(np.sqrt(np.mean(kernel**2)))
         powers = scheme.c if self.order == 2 else [1.0] * len(self._b)
         delays = [sum(a * c for a, c in zip(row, powers, strict=False)) for row in scheme.a]
         self._q = float(self._b @ delays) - 1 / (self.order * (self.order + 1)) - self._p
@@ -109,7 +109,7 @@ class ErrorModel:
         damping = np.where(z != 0, self._scheme.amplification(-x)[:, None], 1.0)
         if self._process.rate_independent:
             local = powers * quotients[window]
-            local = np.where(_stops(z), TURN * local, 0.0) if self._flat else self._p * local
+            local = np.where(_switching(z), TURN * local, 0.0) if self._flat else self._p * local
             return LocalErrors(local, damping, leading, jumps)
 
         drift = self._q * (x / h)[:, None] * z
@@ -263,9 +263,11 @@ def _windows(segment: np.ndarray, r: int) -> np.ndarray:
     return np.maximum(window, 0)
 
 
-def _stops(z: np.ndarray) -> np.ndarray:
-    """Which unknowns move in a step, but not on in the next one."""
-    stops = z != 0
-    stops[:-1] &= z[1:] * z[:-1] <= 0
-    stops[-1] = False
-    return stops
+def _switching(z: np.ndarray) -> np.ndarray:
+    """Where unknowns move in a step in which one of them, perhaps another, starts, stops or turns.
+
+    A stage may take one that starts for resting, and one that it carries along for moving on.
+    """
+    moves, signs = z != 0, np.pad(np.sign(z), ((1, 1), (0, 0)), mode="edge")
+    changes = (signs[1:-1] != signs[:-2]) | (signs[1:-1] != signs[2:])
+    return moves & (moves & changes).any(axis=1, keepdims=True)

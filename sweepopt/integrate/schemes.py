@@ -82,8 +82,8 @@ class Scheme:
         return not any(row[-1] > 0 for row in self.a)
 
     @property
-    def unwatched(self) -> Scheme:
-        """The same scheme without warnings of steps that overshoot."""
+    def without_overshoot_warning(self) -> Scheme:
+        """The same scheme, whose steps are not checked for overshooting."""
         return replace(self, overshoots=math.inf)
 
 
