@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple, TypeAlias
+from collections.abc import Iterable
+from typing import Any, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
@@ -27,9 +27,7 @@ def number(name: str, value: Any, minimum: float | None = None, strict: bool = F
     array = floats(name, value, "one number")
     if array.size != 1:
         raise InputError(f"{name} must be one number, got {array.size} of them")
-    result = float(array.ravel()[0])
-    if not abs(result) <= HUGE:
-        raise _refused(name, result, "a finite number")
+    result = float(bounded(name, array.reshape(()), "a finite number"))
     if minimum is not None and (result < minimum or (strict and result == minimum)):
         raise InputError(f"{name} must be {'>' if strict else '>='} {minimum:g}, got {result:g}")
     if strict and minimum == 0:
@@ -94,24 +92,14 @@ def listed(name: str, value: Any) -> tuple[Any, ...]:
 
 def vector(name: str, value: Any, dim: int | None = None, finite: bool = True) -> np.ndarray:
     """A float array of shape (dim,); a scalar counts as one entry."""
-    try:  # most are right, and nothing else is looked at
-        ready = np.array(unmasked(value))
-        if ready.dtype == float and dim and ready.shape == (dim,) and blas.dnrm2(ready) <= HUGE:
-            return ready
-    except (TypeError, ValueError, OverflowError):
-        pass  # said in full below
     array = floats(name, value, "an array of numbers", ndmin=1)
     if array.ndim != 1:
         raise InputError(f"{name} must have one axis, got shape {array.shape}")
     if dim is not None and array.size != dim:
         raise InputError(f"{name} must have {dim} entries, got {array.size}")
-    allowed = np.abs(array) <= HUGE
-    if not finite:
-        allowed |= np.isinf(array)
-    if not allowed.all():
-        i = int(np.argmin(allowed))
-        raise _refused(f"{name}[{i}]", array[i], "finite numbers" if finite else "numbers")
-    return array
+    if array.size and blas.dnrm2(array) <= HUGE:  # as most are; much quicker than entry by entry
+        return array
+    return bounded(name, array, "finite numbers" if finite else "numbers", finite)
 
 
 def entries(name: str, value: Any, finite: bool = True) -> np.ndarray:
@@ -124,11 +112,7 @@ def entries(name: str, value: Any, finite: bool = True) -> np.ndarray:
 
 def times(name: str, value: Any) -> np.ndarray:
     """Finite times as floats, of any shape; () for one of them."""
-    array = floats(name, value, "a time or an array of times")
-    allowed = np.abs(array) <= HUGE
-    if not allowed.all():
-        raise _refused(name, array[~allowed].flat[0], "finite times")
-    return array
+    return bounded(name, floats(name, value, "a time or an array of times"), "finite times")
 
 
 def is_finite(array: np.ndarray) -> bool:
@@ -141,15 +125,12 @@ def matrix(name: str, value: Any) -> Matrix:
     """A finite float matrix with two axes: dense as an ndarray, sparse as CSC."""
     if sp.issparse(value):
         result = sp.csc_array(value)
-        entries = result.data = floats(name, result.data, "a matrix of numbers")
+        result.data = floats(name, result.data, "a matrix of numbers")
     else:
-        result = entries = floats(name, value, "a matrix of numbers")
+        result = floats(name, value, "a matrix of numbers")
     if result.ndim != 2:
         raise InputError(f"{name} must have two axes, got shape {result.shape}")
-    if not (np.abs(entries) <= HUGE).all():
-        i, j, entry = _first(result, lambda data: ~(np.abs(data) <= HUGE))
-        raise _refused(f"{name}[{i}, {j}]", entry, "finite numbers")
-    return result
+    return bounded(name, result, "finite numbers")
 
 
 def symmetric(name: str, value: Any, dim: int | None = None) -> Matrix:
@@ -166,7 +147,7 @@ def symmetric(name: str, value: Any, dim: int | None = None) -> Matrix:
         raise InputError(f"{name} must be {wanted}, got shape {result.shape}")
     difference = abs(result - result.T)
     if difference.max() > 1e-12 * abs(result).max():
-        i, j, _ = _first(difference, lambda data: data == data.max())
+        i, j = np.unravel_index(difference.argmax(), difference.shape)
         raise InputError(
             f"{name} must be symmetric: {name}[{i}, {j}] = {result[i, j]:.15g} but "
             f"{name}[{j}, {i}] = {result[j, i]:.15g}; pass ({name} + {name}.T) / 2 if that is meant"
@@ -182,7 +163,7 @@ def floats(name: str, value: Any, what: str, ndmin: int = 0) -> np.ndarray:
         array = np.array(unmasked(value), ndmin=ndmin)
         if array.dtype.kind not in "biufO":
             raise TypeError(f"entries are {array.dtype}")
-        return array.astype(float)
+        return array.astype(float, copy=False)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} must be {what}, got {shown(value)} ({error})") from error
 
@@ -194,23 +175,23 @@ def unmasked(value: Any) -> Any:
     return np.ma.filled(value.astype(float), np.nan)
 
 
-def _refused(name: str, value: float, wanted: str) -> InputError:
-    """The error for an entry that is not finite, or too large to be multiplied."""
-    if not math.isfinite(value):
-        return InputError(f"{name} is {value}; give {wanted}")
-    return InputError(
-        f"{name} is {value:g}, beyond {HUGE:g}: products overflow; choose other units"
+def bounded(name: str, value: Matrix, wanted: str, finite: bool = True) -> Matrix:
+    """The array, unless an entry is nan, infinite, or so large that products overflow."""
+    entries = value.data if sp.issparse(value) else value
+    allowed = np.abs(entries) <= HUGE
+    if not finite:
+        allowed |= np.isinf(entries)
+    if np.all(allowed):
+        return value
+    k = int(np.argmin(allowed))
+    place = np.unravel_index(k, np.shape(value))
+    if sp.issparse(value):
+        stored = sp.coo_array(value)
+        place = stored.row[k], stored.col[k]
+    label = f"{name}[{', '.join(map(str, place))}]" if place else name
+    entry = entries.flat[k]
+    if not math.isfinite(entry):
+        raise InputError(f"{label} is {entry}; give {wanted}")
+    raise InputError(
+        f"{label} is {entry:g}, beyond {HUGE:g}: products overflow; choose other units"
     )
-
-
-class _Entry(NamedTuple):
-    row: int
-    column: int
-    value: float
-
-
-def _first(value: Matrix, condition: Callable[[np.ndarray], np.ndarray]) -> _Entry:
-    """The first stored entry for which a condition holds."""
-    entries = sp.coo_array(value)
-    k = int(np.flatnonzero(condition(entries.data))[0])
-    return _Entry(int(entries.row[k]), int(entries.col[k]), float(entries.data[k]))

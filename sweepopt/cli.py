@@ -1,7 +1,7 @@
 """The command line: ``sweepopt run SCENE``, ``list``, ``study`` and ``compare``.
 
-It parses, runs, and hands the run to `fem.output`, `fem.netcdf` and `fem.pictures`. What a command
-needs is imported when it runs, so that the list works with the core install.
+It parses, runs, and hands the run to `fem.output` and `fem.pictures`. What a command needs is
+imported when it runs, so that the list works with the core install.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ def _compare(chosen: argparse.Namespace) -> int:
 def _run(chosen: argparse.Namespace) -> int:
     _require("fem", "plot")
     from sweepopt.fem import read_scene
-    from sweepopt.fem.output import make_report
+    from sweepopt.fem.output import Report
 
     path = find_scene(chosen.scene)
     given = {name: getattr(chosen, name) for name in ("steps", "scheme", "solver", "tol")}
@@ -150,7 +150,7 @@ def _run(chosen: argparse.Namespace) -> int:
         return _exit_code(solution)
 
     text = path.read_text(encoding="utf-8")
-    report = make_report(scene, solution, name=path.stem, text=text, seconds=seconds)
+    report = Report(scene, solution, name=path.stem, text=text, seconds=seconds)
     files = _write(report, folder)
     _conclude(report, folder, files)
     return _exit_code(solution)
@@ -173,12 +173,12 @@ def _announce(scene: Scene) -> None:
 
 def _write(report: Report, folder: Path) -> list[str]:
     """Write all files of a run; their names relative to the folder, the summary last."""
-    from sweepopt.fem import netcdf, output, pictures
+    from sweepopt.fem import output, pictures
 
     figures = {"displacement.png": pictures.displacement_figure(report)}
     if report.slip is not None:
         figures["contact.png"] = pictures.contact_figure(report)
-    netcdf.write_netcdf(report, folder / "solution.nc")
+    output.write_netcdf(report, folder / "solution.nc")
     for name, figure in figures.items():
         with replacing(folder / name) as part:
             figure.savefig(part)
@@ -191,9 +191,7 @@ def _write(report: Report, folder: Path) -> list[str]:
 def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:
     """Print how the run went and where its files are."""
     solution, energy = report.solution, report.energy
-    units = {
-        name: f" {unit}" if unit != "1" else "" for name, unit in report.units._asdict().items()
-    }
+    units = {name: f" {unit}" if unit != "1" else "" for name, unit in report.units.items()}
     second, meter, joule = units["time"], units["length"], units["energy"]
     lines = {
         "status": solution.message,

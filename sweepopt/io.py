@@ -68,12 +68,12 @@ def read_bytes(path: Path) -> bytes:
         raise InputError(f"{shown(str(path))}: cannot be read ({error})") from None
 
 
-def read_text(path: Path, advice: str, encoding: str = "utf-8") -> str:
-    """A file of UTF-8 text; `advice` ends the sentence for one that is not."""
+def read_text(path: Path) -> str:
+    """A file of UTF-8 text, with or without a byte order mark."""
     try:
-        return read_bytes(path).decode(encoding)
+        return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise InputError(f"{path}: is not UTF-8 text{advice}") from None
+        raise InputError(f"{path}: is not UTF-8 text; save it as UTF-8, a table as CSV") from None
 
 
 def parse_toml(where: str, text: str) -> dict[str, Any]:
@@ -94,7 +94,7 @@ def parse_toml(where: str, text: str) -> dict[str, Any]:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file."""
-    return parse_toml(str(path), read_text(path, ", as TOML must be"))
+    return parse_toml(str(path), read_text(path))
 
 
 # ---- tables ----
@@ -119,47 +119,33 @@ def read_columns(path: str | Path, *names: str) -> tuple[Array, list[int]]:
     InputError
         Naming the file, the column and the row at fault.
     """
-    lines = _rows(path, _text(path))
-    header = [name.strip() for name in next(lines, (0, []))[1]]
+    rows, table = [], []
+    for row, line in enumerate(read_text(as_path("path", path)).splitlines(), start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            try:
+                table.append(next(csv.reader([line])))
+            except csv.Error as error:  # a cell beyond the reader's limit
+                raise InputError(f"{path}, row {row}: {error}; is it a table?") from error
+            rows.append(row)
+    header = [name.strip() for name in table[0]] if table else []
     for name in names:
         if header.count(name) != 1:
             fault = "is there twice" if name in header else "is missing"
             raise InputError(
                 f"{path}: column {name!r} {fault}; there are: {', '.join(header) or 'none'}"
             )
-    picked = [header.index(name) for name in names]
-    rows: list[int] = []
-    data: list[list[float]] = []
-    for row, cells in lines:
+    columns = np.empty((len(names), max(len(table) - 1, 0)))
+    for k, (row, cells) in enumerate(zip(rows[1:], table[1:], strict=True)):
         if len(cells) > len(header):
             raise InputError(
                 f"{path}, row {row}: {len(cells)} cells under {len(header)} column names; "
                 "write decimals with a point (1.5, not 1,5)"
             )
-        cells += [""] * (len(header) - len(cells))
-        rows.append(row)
-        data.append(
-            [
-                _number(f"{path}, column {name!r}, row {row}", cells[k].strip())
-                for name, k in zip(names, picked, strict=True)
-            ]
-        )
-    return np.array(data, dtype=float).reshape(-1, len(names)).T, rows
-
-
-def _text(path: str | Path) -> str:
-    if not isinstance(path, (str, os.PathLike)):
-        raise InputError(f"path must be the path of a CSV file, got {shown(path)}")
-    return read_text(Path(path), "; export it as CSV", "utf-8-sig")
-
-
-def _rows(path: str | Path, text: str) -> Iterator[tuple[int, list[str]]]:
-    for row, line in enumerate(text.splitlines(), start=1):
-        if line.strip() and not line.lstrip().startswith("#"):
-            try:
-                yield row, next(csv.reader([line]))
-            except csv.Error as error:  # a cell beyond the reader's limit
-                raise InputError(f"{path}, row {row}: {error}; is it a table?") from error
+        by_name = dict(zip(header, cells, strict=False))
+        for name, column in zip(names, columns, strict=True):
+            where = f"{path}, column {name!r}, row {row}"
+            column[k] = _number(where, by_name.get(name, "").strip())
+    return columns, rows[1:]
 
 
 def _number(where: str, cell: str) -> float:
@@ -183,14 +169,12 @@ def list_problems() -> dict[str, str]:
     >>> "tube" in list_problems()
     True
     """
-    return {
-        path.stem: str(tomllib.loads(path.read_text(encoding="utf-8")).get("title", ""))
-        for path in sorted(_problems().glob("*.toml"))
-    }
+    files = sorted(_problems().glob("*.toml"))
+    return {path.stem: str(read_toml(path).get("title", "")) for path in files}
 
 
-def find_problem(name: str) -> Path:
-    """The scene file of a problem.
+def find_scene(scene: str) -> Path:
+    """The file of a scene that is given by its path or by the name of a problem.
 
     Raises
     ------
@@ -199,15 +183,10 @@ def find_problem(name: str) -> Path:
 
     Examples
     --------
-    >>> find_problem("tube").name
+    >>> find_scene("tube").name
     'tube.toml'
     """
-    return _library("*.toml", name, "a scene file nor a problem")
-
-
-def find_scene(scene: str) -> Path:
-    """The file of a scene that is given by its path or by the name of a problem."""
-    return _given(scene) or find_problem(scene)
+    return _find("*.toml", scene, "a scene file nor a problem")
 
 
 def find_study(study: str) -> Path:
@@ -223,16 +202,13 @@ def find_study(study: str) -> Path:
     >>> find_study("accuracy").name
     'accuracy.toml'
     """
-    return _given(study) or _library("*/*.toml", study, "a study file nor a study")
+    return _find("*/*.toml", study, "a study file nor a study")
 
 
-def _given(name: str) -> Path | None:
-    """The path that a name is."""
+def _find(pattern: str, name: str, what: str) -> Path:
     path = Path(name)
-    return path if path.suffix == ".toml" or os.path.isfile(path) else None
-
-
-def _library(pattern: str, name: str, what: str) -> Path:
+    if path.suffix == ".toml" or os.path.isfile(path):
+        return path
     known = {path.stem: path for path in _problems().glob(pattern)}
     if name not in known:
         names = ", ".join(sorted(known)) or "none"

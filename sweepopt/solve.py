@@ -6,6 +6,7 @@ argument is checked before the loop starts.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from os import PathLike
 from typing import Any, Literal
@@ -20,7 +21,8 @@ from sweepopt.integrate import (
     AdaptiveResult,
     Callback,
     Checkpoint,
-    Observers,
+    CheckpointWriter,
+    Observer,
     ProgressBar,
     Reconstruction,
     Run,
@@ -28,6 +30,7 @@ from sweepopt.integrate import (
     Scheme,
     Segments,
     SolveOptions,
+    StepInfo,
     StoredRun,
     adapt,
     check_stability,
@@ -35,14 +38,15 @@ from sweepopt.integrate import (
     evaluation_times,
     mover,
     newest,
+    observer,
     require_same_problem,
     saving,
     time_grid,
     warn_of_overshoot,
 )
 from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
-from sweepopt.results import NetCDFSink, Solution, StatesInFile, refine
-from sweepopt.velocity import Plan, make_plan
+from sweepopt.results import NetCDFSink, Solution, refine
+from sweepopt.velocity import make_plan
 
 
 def solve(
@@ -262,39 +266,34 @@ def _run(
     """Check what remains to be checked, move u along the grid, and make a solution of the run."""
     if callback is not None and not callable(callback):
         raise InputError(f"callback must be a function of a StepInfo, got {shown(callback)}")
-    scheme = options.tableau(process.rate_independent)
+    scheme, steps = options.tableau(process.rate_independent), options.steps
     segments = None
-    if isinstance(options.steps, Adaptive):
-        segments = Segments.of(options.steps, process, options.t_end, scheme, options.save)
-        times, mus = time_grid(None, segments.equal())
-    else:
-        times, mus = time_grid(options.t_end, options.steps)
-    plan = _plan(process, options, scheme, times, mus)
-    saved = saving(options.save, times, plan.entering, options.memory)
-    grid = AdaptiveResult(times, mus, plan, saved)
-    process.check_start(float(times[0]))
-    check_stability(process, scheme, float(mus.max()), options.on_unstable)
-    writer = checkpoint_writer(checkpoint, process, plan, times, options, stored)
-    bar = ProgressBar(progress, None if segments else len(mus), writer.done if writer else 0)
-    sink, recorded = None, writer.recorded if writer else []
-    succeeded = False
+    if isinstance(steps, Adaptive):
+        segments = Segments.of(steps, process, options.t_end, scheme, options.save)
+    grid = _first_grid(process, options, scheme, segments)
+    writer = checkpoint_writer(checkpoint, process, grid.plan, grid.times, options, stored)
+    recorded = writer.recorded if writer else []
+    bar = ProgressBar(progress, None if segments else len(grid.mus), writer.done if writer else 0)
+    sink, succeeded = None, False
     try:
         if segments:
             grid = adapt(
-                options.steps, segments, process, plan, options.save, options.memory, bar.update
+                steps, segments, process, grid.plan, options.save, options.memory, bar.update
             )
-        times, plan, saved, run = grid.times, grid.plan, grid.wanted, grid.run
-        reconstruction = Reconstruction(plan, times, grid.mus)
+        reconstruction, run = Reconstruction(grid.plan, grid.times, grid.mus), grid.run
         interrupted = run is not None and run.status is Status.INTERRUPTED
-        if saved.path and not interrupted:
-            sink = NetCDFSink(saved.path, float(times[0]), process.u0)
-        observers = Observers(bar, sink, saved.function, recorded, callback)
-        if run is None or (observers.need_states and not interrupted):
-            moved = plan.reduction.process if plan.reduction else process
-            run = Run(len(grid.mus), saved.steps, moved.u0)
-            move = mover(moved, plan.of_entering, writer)
-            full_certificate = reconstruction.full_certificate if plan.reduction else None
-            move(times, grid.mus, run, observers.of_run(reconstruction, times), full_certificate)
+        watchers: list[Callable[[StepInfo], Any]] = []
+        if grid.wanted.path and not interrupted:
+            sink = NetCDFSink(grid.wanted.path, float(grid.times[0]), process.u0)
+            watchers.append(sink.put)
+        if record := grid.wanted.function:
+            watchers.append(lambda step: recorded.append(record(step.t, step.u, step.velocity)))
+        if callback:
+            watchers.append(callback)
+        if run is None or (watchers and not interrupted):
+            looked_at = watchers or progress
+            observe = observer(bar, watchers, reconstruction, grid.times) if looked_at else None
+            run = _moved(process, grid, reconstruction, observe, writer)
         if grid.cause and run.done == len(grid.mus):
             run.status, run.cause = Status.INEXACT, grid.cause
         failed = run.status in (Status.INEXACT, Status.SWITCHING)
@@ -304,29 +303,50 @@ def _run(
         if sink is not None:
             sink.close(succeeded)
     if run.overshot is not None:
-        warn_of_overshoot(scheme, float(times[run.overshot]))
+        warn_of_overshoot(scheme, float(grid.times[run.overshot]))
     if not succeeded:
-        u = reconstruction.state(run.done, run.kept().states.nodes[-1])
-        raise StepError(run.cause, float(times[run.done]), run.done, u, run.relative)
-    return _solution(process, grid, run, reconstruction, sink, recorded if saved.function else None)
+        u = reconstruction.state(run.done, run.u)
+        raise StepError(run.cause, float(grid.times[run.done]), run.done, u, run.relative)
+    return _solution(process, grid, run, reconstruction, sink, recorded)
 
 
-def _plan(
-    process: SweepingProcess,
-    options: SolveOptions,
-    scheme: Scheme,
-    times: np.ndarray,
-    mus: np.ndarray,
-) -> Plan:
-    """The plan of a run over this grid; C(t) is checked at all times that are asked for."""
+def _first_grid(
+    process: SweepingProcess, options: SolveOptions, scheme: Scheme, segments: Segments | None
+) -> AdaptiveResult:
+    """The grid and its plan; C(t) is checked at all times that are asked for."""
+    times, mus = (
+        time_grid(None, segments.equal()) if segments else time_grid(options.t_end, options.steps)
+    )
     members = process.check(evaluation_times(times, mus, scheme))
     plan = make_plan(process, members, scheme, options.solver, options.tol, options.path)
-    if isinstance(options.steps, Adaptive):
-        return plan.of_all_unknowns("its coefficients need all steps beforehand, these adapt")
     reduction = plan.reduction if options.path == "auto" else None
-    if reduction and not reduction.suits(mus, scheme, options.tol):
-        return plan.of_all_unknowns("the steps differ so much that short ones would be rounding")
-    return plan
+    if segments:
+        plan = plan.of_all_unknowns("its coefficients need all steps beforehand, these adapt")
+    elif reduction and not reduction.suits(mus, scheme, options.tol):
+        plan = plan.of_all_unknowns("the steps differ so much that short ones would be rounding")
+    saved = saving(options.save, times, plan.entering, options.memory)
+    process.check_start(float(times[0]))
+    check_stability(process, scheme, float(mus.max()), options.on_unstable)
+    return AdaptiveResult(times, mus, plan, saved)
+
+
+def _moved(
+    process: SweepingProcess,
+    grid: AdaptiveResult,
+    reconstruction: Reconstruction,
+    observe: Observer | None,
+    writer: CheckpointWriter | None,
+) -> Run:
+    """The run over the grid, from its start or from where a stored one is."""
+    plan, full_certificate = grid.plan, None
+    if plan.reduction:
+        process, full_certificate = plan.reduction.process, reconstruction.full_certificate
+    run = Run(len(grid.mus), grid.wanted.steps, process.u0)
+    move = mover(process, plan.of_entering, writer)
+    if writer:
+        writer.begin(run)
+    move(grid.times, grid.mus, run, observe, full_certificate)
+    return run
 
 
 def _solution(
@@ -335,13 +355,13 @@ def _solution(
     run: Run,
     reconstruction: Reconstruction,
     sink: NetCDFSink | None,
-    recorded: list[Any] | None,
+    recorded: list[Any],
 ) -> Solution:
     """The states of all unknowns where they are, and what is known of the run."""
     kept = run.kept()
     states, steps = reconstruction.states(kept), kept.steps
     if sink is not None:
-        states, steps = StatesInFile(sink.path, sink.run), np.arange(sink.steps)
+        states, steps = sink.states(), np.arange(sink.steps)
     times = grid.times[: run.done + 1]
     return Solution(
         process=process,
@@ -349,10 +369,10 @@ def _solution(
         t=times if len(steps) == run.done else times[np.append(0, steps + 1)],
         steps=steps,
         states=states,
-        statistics=run.log.statistics(times[1:], reconstruction.seconds),
+        statistics=run.statistics(times, reconstruction.seconds),
         status=run.status,
         cause=run.cause,
         exact=reconstruction.trajectory(run.exact),
-        recorded=recorded,
+        recorded=recorded if grid.wanted.function else None,
         passes=grid.passes,
     )

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import sweepopt as so
 from sweepopt import resume
 from sweepopt.fem import read_mesh, read_scene
-from sweepopt.io import find_problem, find_study, read_toml
+from sweepopt.io import find_scene, find_study, read_toml
 from sweepopt.loads import Table
 from sweepopt.study import read_study
 from sweepopt.study.hard.table import hard_study
@@ -42,7 +42,7 @@ def write_seeds(folder: Path) -> None:
     (folder / "tube.msh").write_bytes((DATA / "gmsh" / "tube_2.2.msh").read_bytes())
     (folder / "tube_loads.csv").write_text(CSV)
     (folder / "folder.msh").mkdir()
-    tube = find_problem("tube").read_text()
+    tube = find_scene("tube").read_text()
     (folder / "tube.toml").write_text(tube)
     full = tube.replace("[effects.traction]", "[[effects.traction]]").replace('"P2"', '"P1"')
     (folder / "full.toml").write_text(full + FULL)

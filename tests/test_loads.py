@@ -125,7 +125,7 @@ def test_a_black_box_history_may_be_evaluated_but_not_measured():
         (lambda: Table([0.0, 1.0], [0.0, 1.0])("a"), "t must be a time or an array .*, got 'a'"),
         (lambda: Sine(1.0, period=1.0)([[1.0], []]), "t must be a time or an array of times"),
         (lambda: Constant()("a"), "t must be a time or an array of times, got 'a'"),
-        (lambda: Table.from_csv(3, "f2"), "path must be the path of a CSV file, got 3"),
+        (lambda: Table.from_csv(3, "f2"), "path must be a path, got 3"),
         (lambda: Separable([]), "terms must hold"),
         (lambda: Separable(None), "terms must hold .*, got None"),
         (lambda: Separable([Constant(1.0)]), r"terms\[0\] must be a pair"),

@@ -12,12 +12,11 @@ from meshes import ring, square
 
 import sweepopt as so
 from sweepopt.fem import BodyForce, Scene, Viscosity, antiplane
-from sweepopt.fem.netcdf import write_netcdf
-from sweepopt.fem.output import Report, make_report
+from sweepopt.fem.output import Report, write_netcdf
 
 
 def report_of(scene: Scene) -> Report:
-    return make_report(scene, scene.solve(), name="ring", text="[domain]")
+    return Report(scene, scene.solve(), name="ring", text="[domain]")
 
 
 @pytest.fixture(scope="module")

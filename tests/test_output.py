@@ -14,12 +14,12 @@ from meshes import ring, square
 
 import sweepopt as so
 from sweepopt.fem import BodyForce, Friction, Scene, Traction, Viscosity, antiplane
-from sweepopt.fem.output import MOST_VTU, Report, make_report, summary_of, write_summary, write_vtu
+from sweepopt.fem.output import MOST_VTU, Report, summary_of, write_summary, write_vtu
 from sweepopt.io import replacing
 
 
 def report_of(scene: Scene) -> Report:
-    return make_report(scene, scene.solve(), name="ring", text="[domain]", seconds=1.5)
+    return Report(scene, scene.solve(), name="ring", text="[domain]", seconds=1.5)
 
 
 @pytest.fixture(scope="module")
@@ -79,9 +79,8 @@ def test_positions_run_on_over_several_boundaries() -> None:
     effects = [Viscosity(1.0), friction, pull]
     slip = report_of(antiplane(square(6), clamped="top", effects=effects, t_end=2.0, steps=12)).slip
     assert slip is not None
-    assert len(slip.boundary_starts) == 2
     # the shared corner counts once, the clamped one not at all
-    np.testing.assert_allclose(slip.position, np.arange(12) / 6.0, atol=1e-12)
+    np.testing.assert_allclose(slip.contact.position, np.arange(12) / 6.0, atol=1e-12)
 
 
 # ---- summary --------------------------------------------------------------------------------
@@ -133,11 +132,9 @@ def test_without_friction_there_is_no_slip_and_no_solver() -> None:
     assert set(summary["units"].values()) == {"dimensionless", "1"}
 
 
-def test_numbers_that_are_not_finite_become_null(report: Report) -> None:
-    energy = report.energy._replace(work=np.full(61, np.nan))
-    summary = summary_of(replace(report, energy=energy, seconds=math.inf))
-    assert summary["energy"]["work"] is None
-    assert summary["seconds"] is None
+@pytest.mark.parametrize("seconds", [math.inf, math.nan])
+def test_numbers_that_are_not_finite_become_null(report: Report, seconds: float) -> None:
+    assert summary_of(replace(report, seconds=seconds))["seconds"] is None
 
 
 def test_files_of_an_earlier_run_do_not_pass_for_files_of_this_one(

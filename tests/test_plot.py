@@ -17,7 +17,7 @@ from meshes import annulus, square
 import sweepopt as so
 from sweepopt import plot
 from sweepopt.fem import BodyForce, Elasticity, Friction, Scene, Traction, Viscosity, antiplane
-from sweepopt.fem.output import Report, make_report
+from sweepopt.fem.output import Report
 from sweepopt.fem.pictures import STATE_COLOURS, contact_figure, displacement_figure
 
 
@@ -42,7 +42,7 @@ def half_ring() -> Scene:
 @pytest.fixture(scope="module")
 def run() -> Report:
     scene = half_ring()
-    return make_report(scene, scene.solve())
+    return Report(scene, scene.solve())
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -98,7 +98,7 @@ def test_the_times_shown_have_stick_slip_and_reversal_and_the_end(run: Report) -
 @pytest.mark.parametrize("steps", [1, 2, 5])
 def test_the_shortest_runs_have_pictures(steps: int, tmp_path: Path) -> None:
     scene = half_ring()
-    run = make_report(scene, scene.solve(steps=steps))
+    run = Report(scene, scene.solve(steps=steps))
     displacement_figure(run).savefig(tmp_path / "displacement.png")
     contact_figure(run).savefig(tmp_path / "contact.png")
 
@@ -106,7 +106,7 @@ def test_the_shortest_runs_have_pictures(steps: int, tmp_path: Path) -> None:
 def test_a_body_at_rest_without_friction_has_a_picture(tmp_path: Path) -> None:
     mesh = square(3).scaled((5.0, 1.0))
     scene = antiplane(mesh, clamped="top", effects=[Viscosity(1.0)], t_end=1.0, steps=3)
-    figure = displacement_figure(make_report(scene, scene.solve()))
+    figure = displacement_figure(Report(scene, scene.solve()))
     figure.savefig(tmp_path / "displacement.png")
     assert not figure.legends
     assert "(" not in figure.axes[0].get_ylabel() + figure.axes[-1].get_ylabel()
@@ -142,7 +142,7 @@ def test_several_boundaries_share_one_picture(tmp_path: Path) -> None:
     friction = Friction(["bottom", "left"], g={"bottom": 0.1, "left": 0.3})
     effects = [Viscosity(1.0), friction, Traction("right", so.Sine(1.0, period=2.0))]
     scene = antiplane(square(5), clamped="top", effects=effects, t_end=2.0, steps=20)
-    figure = contact_figure(make_report(scene, scene.solve()))
+    figure = contact_figure(Report(scene, scene.solve()))
     save(figure, tmp_path / "contact.png")
     zone, moved, _ = figure.axes
     assert zone.get_ylabel() == "arc length of bottom, left"

@@ -228,8 +228,8 @@ BAD_HISTORIES = [
     ({"waveform": ["sine"]}, r"history.waveform: \['sine'\] is not among"),
     ({"waveform": "sine", "amplitude": 1.0}, "history.period: is missing"),
     ({"waveform": "sine", "amplitude": 1.0, "period": -1.0}, "history.period must be > 0"),
-    ({"waveform": "sine", "amplitude": "2", "period": 1.0}, "history.amplitude: must be a number"),
-    ({"waveform": "constant", "value": 1.0, "csv": "loads.csv"}, "history.waveform: unknown key"),
+    ({"waveform": "sine", "amplitude": "2", "period": 1.0}, "history.amplitude: must be a valid"),
+    ({"waveform": "constant", "value": 1.0, "csv": "loads.csv"}, ".*waveform: unknown key"),
     ({"table": {"t": [0.0, 1.0]}}, "history.table.values: is missing"),
     (
         {"table": {"t": [0.0, 0.0], "values": [0, 1]}},
@@ -246,8 +246,11 @@ BAD_HISTORIES = [
     ({"csv": "text.csv", "column": "f2"}, "history.*text.csv, column 'f2', row 3: 'much' is not"),
     ({"csv": "short.csv", "column": "f2"}, "history does not cover the run, .*covers .0, 0.5"),
     ({"csv": "late.csv", "column": "f2"}, "history does not cover the run, .*covers .0.25, 9"),
-    ({"csv": "loads.csv", "column": "f2", "scale": "1"}, "history.scale: must be a number"),
-    ({"csv": "loads.csv", "column": "f2", "scale": float("nan")}, "history.scale.* is nan"),
+    ({"csv": "loads.csv", "column": "f2", "scale": "1"}, "history.scale: must be a valid number"),
+    (
+        {"csv": "loads.csv", "column": "f2", "scale": float("nan")},
+        "history.scale: must be a finite",
+    ),
 ]
 BAD += [(f"effects.{key}", value, f"effects.{message}") for key, value, message in BAD_EFFECTS]
 BAD += [("effects.friction", TWICE, "effects hold friction twice")]

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -20,9 +19,10 @@ import skfem
 from numpy.typing import NDArray
 
 from sweepopt.errors import InputError
-from sweepopt.fem.fields import Datum
-from sweepopt.fem.mesh import Indices, cross, opposite
-from sweepopt.fem.spaces import Discretisation, edge_groups, friction_weights, refuse_overflow
+from sweepopt.fem.fields import FRICTION, Datum, evaluate
+from sweepopt.fem.mesh import Indices, on_the_left
+from sweepopt.fem.spaces import Discretisation, refuse_overflow
+from sweepopt.loads import Separable
 from sweepopt.sets import Box, ConvexSet, image
 
 if TYPE_CHECKING:
@@ -30,6 +30,12 @@ if TYPE_CHECKING:
     from sweepopt.results import Solution
 
 Array = NDArray[np.float64]
+
+EDGE_RULE = {
+    "P1": (np.array([[0.0, 1.0]]), np.array([1 / 2, 1 / 2])),
+    "P2": (np.array([[0.0, 0.5, 1.0]]), np.array([1 / 6, 4 / 6, 1 / 6])),
+}
+"""Nodal quadrature on an edge: trapezoid for P1, Simpson for P2."""
 
 STATES = {-1: "slips_backward", 0: "sticks", 1: "slips_forward"}
 
@@ -48,8 +54,8 @@ class Contact:
     points : ndarray, shape (m, 2)
     boundary : ndarray of str, shape (m,)
         Name of the boundary it is on.
-    arc : ndarray, shape (m,)
-        Arc length from the start of that boundary.
+    arc, position : ndarray, shape (m,)
+        Arc length from the start of that boundary, and of all, one after the other.
     weight, bound : ndarray, shape (m,)
         w_k (a length) and g_k of ``J_h(v) = sum_k w_k g_k |v_k|``.
     """
@@ -58,6 +64,7 @@ class Contact:
     points: Array
     boundary: NDArray[np.str_]
     arc: Array
+    position: Array
     weight: Array
     bound: Array
 
@@ -77,54 +84,59 @@ class Contact:
 
 
 def contact_on(body: Discretisation, on: Sequence[str], g: Datum) -> Contact:
-    """Contact of the boundaries `on` with friction bound `g`.
+    """Contact of the boundaries `on` with friction bound `g`, lumped by nodal quadrature.
+
+    Trapezoid (P1) or Simpson (P2) on every edge, with the length element of a curved edge taken
+    at its nodes. The nodes of the rule are those of the element, so that
+    ``J_h(v) = sum_k w_k g_k |v_k|`` stays separable: the dissipation is a box on the contact
+    unknowns. Where v does not change sign within an edge the error is O(h^2) for P1 and O(h^4)
+    for P2; on edges where it does, O(h^2) of the edge's own share in both, as |v| has a kink.
 
     Raises
     ------
     InputError
         If all of it is clamped.
     """
-    facets, weights, bounds = friction_weights(body, "g", on, g)
-    nodes = _edge_nodes(body, facets)
-    size = body.basis.N
-    weight = np.bincount(nodes.ravel(), weights.ravel(), size)
-    with np.errstate(over="ignore"):
-        threshold = np.bincount(nodes.ravel(), (weights * bounds).ravel(), size)
-    glued = np.bincount(nodes.ravel(), np.isinf(bounds).ravel(), size) > 0
-    refuse_overflow("g", threshold[~glued])
+    facets, groups = body.edges("on", on)
+    basis = body.edge_basis(facets, quadrature=EDGE_RULE[body.element])
+    weights, bounds = basis.dx, evaluate("g", g, basis.global_coordinates(), groups, FRICTION)
+    nodes = body.edge_nodes(facets).T
 
-    walks, arcs, names = [], [], []
-    for name, mine in edge_groups(body, on, facets).items():
+    def at_nodes(values: Array) -> Array:
+        return np.asarray(np.bincount(nodes.ravel(), values.ravel(), body.basis.N), dtype=float)
+
+    weight = at_nodes(weights)
+    with np.errstate(over="ignore"):
+        threshold = at_nodes(weights * bounds)
+    refuse_overflow("g", threshold[at_nodes(np.isinf(bounds)) == 0])
+
+    walks, arcs = [], []
+    for mine in groups.values():
         order, forward = _walk(body.mesh, facets[mine])
+        along = nodes[mine[order]]
+        walks.append(np.where(forward[:, None], along, along[:, ::-1]).ravel())
         length = weights[mine[order]].sum(axis=1)
-        along = np.where(forward[:, None], nodes[mine[order]], nodes[mine[order], ::-1])
-        end = np.cumsum(length)
-        walks.append(along.ravel())
-        arcs.append(np.linspace(end - length, end, along.shape[1], axis=1).ravel())
-        names.append(np.full(along.size, name))
-    walk, arc, boundary = map(np.concatenate, (walks, arcs, names))
+        ends = np.cumsum(length)
+        arcs.append(np.linspace(ends - length, ends, along.shape[1], axis=1).ravel())
+    walk, arc = np.concatenate(walks), np.concatenate(arcs)
+    before = np.cumsum([0.0, *(part.max() for part in arcs[:-1])])
+    piece = np.repeat(np.arange(len(arcs)), [part.size for part in arcs])
 
     _, first = np.unique(walk, return_index=True)
-    rubbing = np.isin(walk, body.free) & (threshold[walk] > 0.0)
-    keep = np.sort(first[rubbing[first]])
-    k = walk[keep]
-    if not np.any(np.isin(walk, body.free)):
+    free = np.sort(first[np.isin(walk[first], body.free)])
+    if not free.size:
         raise InputError(f"on: all of {', '.join(on)} is clamped; nothing can slip there")
+    keep = free[threshold[walk[free]] > 0.0]
+    k = walk[keep]
     return Contact(
         unknown=np.searchsorted(body.free, k),
         points=body.points[k],
-        boundary=boundary[keep],
+        boundary=np.array(on)[piece[keep]],
         arc=arc[keep],
+        position=(arc + before[piece])[keep],
         weight=weight[k],
         bound=threshold[k] / weight[k],
     )
-
-
-def _edge_nodes(body: Discretisation, facets: Indices) -> Indices:
-    """Degrees of freedom of each edge, start, (middle,) end, shape (m, 2 or 3)."""
-    start, end = body.basis.nodal_dofs[0, body.mesh.facets[:, facets]]
-    middle = [body.basis.facet_dofs[0, facets]] if body.element == "P2" else []
-    return np.stack([start, *middle, end], axis=1).astype(np.int64)
 
 
 def _walk(mesh: skfem.MeshTri, facets: Indices) -> tuple[Indices, NDArray[np.bool_]]:
@@ -137,22 +149,19 @@ def _walk(mesh: skfem.MeshTri, facets: Indices) -> tuple[Indices, NDArray[np.boo
     forward : ndarray of bool, shape (m,)
         Whether the edge is walked from its first to its second node.
     """
-    start, end = mesh.facets[:, facets].astype(np.int64)
-    left = cross(mesh.p[:, end] - mesh.p[:, start], opposite(mesh, facets, 0) - mesh.p[:, start])
-    forward = left > 0.0
-    tail, head = np.where(forward, start, end), np.where(forward, end, start)
+    forward = on_the_left(mesh, facets, 0)
+    tail, head = np.where(forward, mesh.facets[:, facets], mesh.facets[::-1, facets])
     leaving: dict[int, list[int]] = {}
-    for k in range(facets.size):
-        leaving.setdefault(int(tail[k]), []).append(k)
-    open_ends = np.flatnonzero(~np.isin(tail, head))
-    closed = np.lexsort((np.abs(mesh.p[1, tail]), -mesh.p[0, tail]))
+    for k, node in enumerate(tail):
+        leaving.setdefault(node, []).append(k)
     order: list[int] = []
-    for k in np.concatenate([open_ends, closed]):
-        at = int(tail[k])
-        while leaving.get(at):
-            order.append(leaving[at].pop(0))
-            at = int(head[order[-1]])
-    walked = np.array(order, dtype=np.int64)
+    x, y = mesh.p[:, tail]
+    for k in np.lexsort((np.abs(y), -x, np.isin(tail, head))):
+        node = tail[k]
+        while leaving.get(node):
+            order.append(leaving[node].pop(0))
+            node = head[order[-1]]
+    walked = np.array(order)
     return walked, forward[walked]
 
 
@@ -223,21 +232,6 @@ class Slip:
         """int |u'| dt of each node, shape (m,)."""
         return np.asarray(np.diff(self.t) @ np.abs(self.velocity))
 
-    @cached_property
-    def position(self) -> Array:
-        """Arc length along all contact boundaries, one after the other; shape (m,)."""
-        starts = self.boundary_starts
-        position = np.array(self.contact.arc)
-        for start, end in pairwise([*starts, position.size]):
-            position[start:end] += position[start - 1] if start else 0.0
-        return position
-
-    @cached_property
-    def boundary_starts(self) -> list[int]:
-        """The first node of each boundary."""
-        names = self.contact.boundary
-        return [0, *(np.flatnonzero(names[1:] != names[:-1]) + 1).tolist()]
-
     def statistics(self) -> SlipStatistics:
         """The slip statistics of the run."""
         weight = self.contact.weight / self.contact.weight.sum()
@@ -278,10 +272,8 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     if problem.B is not None:
         stage_u = solution.u[:-1] + implicit * mu[:, None] * solution.velocity
         force += stage_u @ problem.B[rows].T
-    if callable(problem.load):
-        force -= np.array([problem.load(float(t))[rows] for t in stage_t])
-    elif problem.load is not None:
-        force -= problem.load[rows]
+    if isinstance(problem.load, Separable):  # what a scene's load is, if it has one
+        force -= problem.load.values(stage_t) @ problem.load.shapes[rows].T
     return Slip(
         contact=contact,
         t=solution.t,

@@ -75,7 +75,7 @@ class Viscosity:
     eta: Datum
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "eta", check_datum("eta", self.eta, POSITIVE))
+        check_datum("eta", self.eta, POSITIVE)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix A."""
@@ -105,7 +105,7 @@ class Elasticity:
     kappa: Datum
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "kappa", check_datum("kappa", self.kappa, NON_NEGATIVE))
+        check_datum("kappa", self.kappa, NON_NEGATIVE)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix B; none if kappa is zero everywhere."""
@@ -115,7 +115,7 @@ class Elasticity:
 
 @dataclass(frozen=True)
 class Friction:
-    """``J(v) = int_{Gamma_3} g |v|``, lumped at the nodes of the boundary (see `friction_weights`).
+    """``J(v) = int_{Gamma_3} g |v|``, lumped at the nodes of the boundary (see `contact_on`).
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ class Friction:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "on", boundary_names("on", self.on))
-        object.__setattr__(self, "g", check_datum("g", self.g, FRICTION))
+        check_datum("g", self.g, FRICTION)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The contact; none if g is zero everywhere."""
@@ -177,7 +177,7 @@ class BodyForce:
 
     def __post_init__(self) -> None:
         check_history(self.history)
-        object.__setattr__(self, "f0", check_datum("f0", self.f0))
+        check_datum("f0", self.f0)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
@@ -216,7 +216,7 @@ class Traction:
     def __post_init__(self) -> None:
         object.__setattr__(self, "on", boundary_names("on", self.on))
         check_history(self.history)
-        object.__setattr__(self, "f2", check_datum("f2", self.f2))
+        check_datum("f2", self.f2)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""

@@ -49,27 +49,27 @@ class Profile:
     """
 
     along: str
-    at: Array
-    values: Array
+    at: ArrayLike
+    values: ArrayLike
 
-    def __init__(self, along: str, at: ArrayLike, values: ArrayLike) -> None:
-        choice("along", along, DIRECTIONS)
-        object.__setattr__(self, "along", along)
-        object.__setattr__(self, "at", vector("at", at))
-        object.__setattr__(self, "values", vector("values", values, self.at.size))
-        if self.at.size < 2 or np.any(np.diff(self.at) <= 0.0):
+    def __post_init__(self) -> None:
+        choice("along", self.along, DIRECTIONS)
+        at = vector("at", self.at)
+        if at.size < 2 or np.any(np.diff(at) <= 0.0):
             raise InputError("at must have two entries or more and increase strictly")
+        object.__setattr__(self, "at", at)
+        object.__setattr__(self, "values", vector("values", self.values, at.size))
 
     def __call__(self, x: Array) -> Array:
         where = DIRECTIONS[self.along](np.asarray(x))
-        low, high = float(np.min(where)), float(np.max(where))
-        slack = 1e-9 * max(abs(self.at[0]), abs(self.at[-1]))
-        if low < self.at[0] - slack or high > self.at[-1] + slack:
+        at, values = np.asarray(self.at), np.asarray(self.values)
+        slack = 1e-9 * np.abs(at).max()
+        if where.min() < at[0] - slack or where.max() > at[-1] + slack:
             raise InputError(
-                f"at covers [{self.at[0]:g}, {self.at[-1]:g}] but {self.along} runs over "
-                f"[{low:g}, {high:g}]; extend the profile"
+                f"at covers [{at[0]:g}, {at[-1]:g}] but {self.along} runs over "
+                f"[{where.min():g}, {where.max():g}]; extend the profile"
             )
-        return np.asarray(np.interp(where, self.at, self.values))
+        return np.asarray(np.interp(where, at, values))
 
 
 Datum = float | Mapping[str, float] | Profile | Callable[[Array], ArrayLike]
@@ -87,15 +87,15 @@ class Range:
     def check(self, name: str, values: ArrayLike) -> None:
         """Refuse values that are not finite or lie below the minimum."""
         array = floats(name, values, "a number")
-        bad = np.isnan(array) if self.infinite else ~np.isfinite(array)
-        if np.any(bad):
-            raise InputError(f"{name} must be finite, got {array[bad].flat[0]}")
-        bad = array <= self.minimum if self.strict else array < self.minimum
-        if np.any(bad):
-            relation = ">" if self.strict else ">="
-            raise InputError(
-                f"{name} must be {relation} {self.minimum:g}, got {array[bad].flat[0]:g}"
-            )
+        relation, low = (
+            (">", array <= self.minimum) if self.strict else (">=", array < self.minimum)
+        )
+        for bad, wanted in (
+            (np.isnan(array) if self.infinite else ~np.isfinite(array), "finite"),
+            (low, f"{relation} {self.minimum:g}"),
+        ):
+            if np.any(bad):
+                raise InputError(f"{name} must be {wanted}, got {array[bad].flat[0]:g}")
 
 
 ANY = Range()
@@ -104,7 +104,7 @@ POSITIVE = Range(0.0, strict=True)
 FRICTION = Range(0.0, infinite=True)
 
 
-def check_datum(name: str, datum: Any, allowed: Range = ANY) -> Datum:
+def check_datum(name: str, datum: Any, allowed: Range = ANY) -> None:
     """Check a coefficient as far as no mesh is needed; a function is checked where it is used.
 
     Raises
@@ -116,20 +116,25 @@ def check_datum(name: str, datum: Any, allowed: Range = ANY) -> Datum:
         if not datum:
             raise InputError(f"{name} must name a group or more")
         for key, value in datum.items():
-            _check_number(f"{name}.{key}", value, allowed)
-        return dict(datum)
-    if isinstance(datum, Profile):
+            check_number(f"{name}.{key}", value)
+            allowed.check(f"{name}.{key}", value)
+    elif isinstance(datum, Profile):
         allowed.check(f"{name}.values", datum.values)
-        return datum
-    if callable(datum):
-        return datum
-    return _check_number(name, datum, allowed)
+    elif not callable(datum):
+        check_number(name, datum)
+        allowed.check(name, datum)
+
+
+def check_number(name: str, value: Any) -> None:
+    """Refuse what only becomes a number by a cast: words, True, a list of one."""
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.number)):
+        raise InputError(f"{name} must be a number, got {shown(value)}")
 
 
 def evaluate(
     name: str,
     datum: Datum,
-    x: Array,
+    points: ArrayLike,
     groups: Mapping[str, Indices],
     allowed: Range = ANY,
 ) -> Array:
@@ -140,56 +145,48 @@ def evaluate(
     name : str
         What to call it in an error.
     datum : number, mapping, Profile or callable
-    x : ndarray, shape (2, cells, points)
+    points : array_like, shape (2, cells, ...)
     groups : mapping of str to indices of cells
         What a mapping may name; every cell must be covered by exactly one named group.
 
     Returns
     -------
-    ndarray, shape (cells, points)
+    ndarray, shape (cells, ...)
     """
-    shape = x.shape[1:]
+    x = np.asarray(points)
+    values = np.full(x.shape[1:], np.nan)
     if isinstance(datum, Mapping):
-        return _by_group(name, datum, groups, shape)
-    if not callable(datum):
-        return np.full(shape, float(datum))
-    try:
-        values = np.asarray(datum(x), dtype=float)
-        values = np.array(np.broadcast_to(values, shape))
-    except InputError as error:
-        raise InputError(f"{name}.{error}") from error
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(
-            f"{name} must turn points of shape (2, ...) into numbers of shape (...); {error}"
-        ) from error
+        _fill_groups(name, values, datum, groups)
+    elif not callable(datum):
+        values[:] = datum
+    else:
+        try:
+            values[:] = np.asarray(datum(x), dtype=float)
+        except InputError as error:
+            raise InputError(f"{name}.{error}") from error
+        except (TypeError, ValueError, OverflowError) as error:
+            raise InputError(
+                f"{name} must turn points of shape (2, ...) into numbers of shape (...); {error}"
+            ) from error
     allowed.check(name, values)
     return values
 
 
-def _by_group(
-    name: str, datum: Mapping[str, float], groups: Mapping[str, Indices], shape: tuple[int, ...]
-) -> Array:
-    names = ", ".join(sorted(groups)) or "none"
-    values = np.full(shape, np.nan)
+def _fill_groups(
+    name: str, values: Array, datum: Mapping[str, float], groups: Mapping[str, Indices]
+) -> None:
+    covered = np.zeros(len(values), dtype=int)
     for key, value in datum.items():
         if key not in groups:
-            raise InputError(f"{name}.{key} is not a group here; there are: {names}")
-        cells = groups[key]
-        if not np.all(np.isnan(values[cells])):
+            known = ", ".join(sorted(groups)) or "none"
+            raise InputError(f"{name}.{key} is not a group here; there are: {known}")
+        values[groups[key]] = value
+        covered[groups[key]] += 1
+        if covered.max() > 1:
             raise InputError(f"{name}.{key} overlaps another group of {name}; name disjoint ones")
-        values[cells] = float(value)
-    missing = np.isnan(values[:, 0])
-    if np.any(missing):
-        open_names = [key for key in sorted(groups) if np.any(missing[groups[key]])]
+    if not covered.all():
+        open_groups = [key for key in sorted(groups) if not covered[groups[key]].all()]
         raise InputError(
-            f"{name} gives no value for {', '.join(open_names) or 'triangles of no group'}; "
+            f"{name} gives no value for {', '.join(open_groups) or 'triangles of no group'}; "
             "cover every group"
         )
-    return values
-
-
-def _check_number(name: str, value: Any, allowed: Range) -> float:
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.number)):
-        raise InputError(f"{name} must be a number, got {shown(value)}")
-    allowed.check(name, value)
-    return float(value)

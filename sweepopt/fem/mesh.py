@@ -10,7 +10,6 @@ from __future__ import annotations
 import io
 import threading
 import warnings
-from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
@@ -28,7 +27,7 @@ FLAT = 1e-10
 """An area below this share of the square of the longest edge is rounding, no triangle."""
 HUGE = 1e100
 """Coordinates beyond this overflow when they are squared and multiplied by a coefficient."""
-CORNERS = {"vertex": 1, "line": 2, "line3": 3, "triangle": 3, "triangle6": 6}
+NODES = {"vertex": 1, "line": 2, "line3": 3, "triangle": 3, "triangle6": 6}
 """Elements that a mesh of a section may have, and their numbers of nodes."""
 GROUPS = ("gmsh:physical", "medit:ref")
 """What meshio calls the number of an element's group; 0 is none."""
@@ -57,8 +56,8 @@ def read_mesh(path: str | Path) -> skfem.MeshTri:
 
     Examples
     --------
-    >>> from sweepopt.io import find_problem
-    >>> sorted(read_mesh(find_problem("tube").with_suffix(".msh")).subdomains)
+    >>> from sweepopt.io import find_scene
+    >>> sorted(read_mesh(find_scene("tube").with_suffix(".msh")).subdomains)
     ['core', 'sleeve']
     """
     path = as_path("path", path)
@@ -79,18 +78,16 @@ def check_mesh(mesh: skfem.MeshTri) -> None:
     """
     check_nodes(mesh.doflocs)
     corners = mesh.p[:, mesh.t]
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    longest = np.maximum(np.sum(first**2, axis=0), np.sum(second**2, axis=0))
-    _refuse_triangles(mesh, np.abs(cross(first, second)) <= FLAT * longest, "has no area")
+    edges = corners[:, 1:] - corners[:, :1]
+    longest = np.max(np.sum(edges**2, axis=0), axis=0)
+    _refuse_triangles(mesh, np.abs(np.linalg.det(edges.T)) <= FLAT * longest, "has no area")
 
     shared = np.bincount(mesh.t2f.ravel(), minlength=mesh.nfacets)
     _refuse_triangles(mesh, np.any(shared[mesh.t2f] > 2, axis=0), "shares an edge with two others")
     inner = np.flatnonzero(mesh.f2t[1] >= 0)
-    start, end = mesh.p[:, mesh.facets[:, inner]].swapaxes(0, 1)
-    sides = [cross(end - start, opposite(mesh, inner, k) - start) for k in (0, 1)]
-    folded = np.zeros(mesh.nelements, dtype=bool)
-    folded[mesh.f2t[1, inner[sides[0] * sides[1] > 0.0]]] = True
-    _refuse_triangles(mesh, folded, "is inverted: it overlaps a neighbour")
+    folded = inner[on_the_left(mesh, inner, 0) == on_the_left(mesh, inner, 1)]
+    overlaps = np.isin(np.arange(mesh.nelements), mesh.f2t[1, folded])
+    _refuse_triangles(mesh, overlaps, "is inverted: it overlaps a neighbour")
 
     if isinstance(mesh, skfem.MeshTri2):
         # not by its `detDF`, which raises an error of its own where one is 0
@@ -105,6 +102,15 @@ def check_nodes(points: NDArray[np.float64]) -> None:
     bad = np.flatnonzero(~(np.abs(points) < HUGE).all(axis=0))
     if bad.size:
         raise InputError(f"node {bad[0]} has coordinates {points[:, bad[0]]}; mesh again")
+
+
+def on_the_left(mesh: skfem.MeshTri, facets: Indices, side: int) -> NDArray[np.bool_]:
+    """Whether triangle `side` (0 or 1) of each facet is to the left of it, from node to node."""
+    corners = mesh.t[:, mesh.f2t[side, facets]]
+    start, end = mesh.facets[:, facets]
+    apex = corners.sum(axis=0) - start - end
+    along, across = mesh.p[:, end] - mesh.p[:, start], mesh.p[:, apex] - mesh.p[:, start]
+    return np.asarray(along[0] * across[1] > along[1] * across[0])
 
 
 def _parsed(path: Path, content: bytes) -> meshio.Mesh:
@@ -131,106 +137,70 @@ def _parsed(path: Path, content: bytes) -> meshio.Mesh:
 
 
 def _mesh_of(raw: meshio.Mesh) -> skfem.MeshTri:
-    blocks = [block for block in raw.cells if len(block.data)]
-    kinds = {block.type for block in blocks}
-    if foreign := sorted(kinds - set(CORNERS)):
-        raise InputError(f"only triangles are supported, not {foreign[0]}")
-    for block in blocks:
-        nodes = np.asarray(block.data)
-        if nodes.shape[1:] != (CORNERS[block.type],):
-            raise InputError("is damaged: a section has fewer numbers than it announces")
-        if nodes.min() < 0 or nodes.max() >= len(raw.points):
-            raise InputError("is damaged: an element names a node that is not in the file")
-    surfaces = sorted(kinds & {"triangle", "triangle6"})
-    if not surfaces:
-        raise InputError("has no triangles; save the meshed surface in a physical group")
-    if len(surfaces) == 2:
-        raise InputError("mixes triangles of first and second order; use one order")
     points = np.asarray(raw.points, dtype=float)
-    cells = np.vstack([block.data for block in blocks if block.type == surfaces[0]])
-    used = np.unique(cells)
+    for kind, nodes in ((block.type, np.asarray(block.data)) for block in raw.cells):
+        if kind not in NODES:
+            raise InputError(f"only triangles are supported, not {kind}")
+        if nodes.shape[1:] != (NODES[kind],):
+            raise InputError("is damaged: a section has fewer numbers than it announces")
+        if nodes.min(initial=0) < 0 or nodes.max(initial=0) >= len(points):
+            raise InputError("is damaged: an element names a node that is not in the file")
+    cells = {kind: nodes for kind, nodes in raw.cells_dict.items() if len(nodes)}
+    surface, line = ("triangle6", "line3") if "triangle6" in cells else ("triangle", "line")
+    if surface not in cells:
+        raise InputError("has no triangles; save the meshed surface in a physical group")
+    if set(cells) - {surface, line, "vertex"}:
+        raise InputError("mixes elements of first and second order; use one order")
+    triangles, lines = cells[surface], cells.get(line, np.empty((0, 2), int))[:, :2]
+    used, corners = np.unique(triangles), np.unique(triangles[:, :3])
     check_nodes(points[used].T)
     thickness = np.ptp(points[used, 2:], axis=0).max(initial=0.0)  # of a file with two or three
     if thickness > 1e-9 * np.ptp(points[used, :2]):
         raise InputError("is not flat: z varies; the section must lie in a plane z = constant")
-    curved = surfaces == ["triangle6"]
-    if curved:
-        _require_middles(cells)
-    # corners first, as scikit-fem numbers them; nodes of no triangle are dropped
-    corners = np.unique(cells[:, :3])
-    middle = np.setdiff1d(used, corners)
-    number = np.full(len(points), -1)
-    number[corners] = np.arange(corners.size)
-    number[middle] = corners.size + np.arange(middle.size)
-    xy = np.ascontiguousarray(points[np.concatenate([corners, middle]), :2].T)
-    t = np.ascontiguousarray(number[cells].T)
-    mesh = skfem.MeshTri2(xy, t) if curved else skfem.MeshTri(xy, t)
+    kind = skfem.MeshTri2 if surface == "triangle6" else skfem.MeshTri
+    nodes, t = points[used, :2].T, np.searchsorted(used, triangles).T
+    try:  # it numbers the corners first, in the order of `corners`, and keeps one middle of an edge
+        mesh = kind(np.ascontiguousarray(nodes), np.ascontiguousarray(t))
+        whole = bool(np.all(mesh.doflocs[:, mesh.dofs.element_dofs[3:]] == nodes[:, t[3:]]))
+    except IndexError:  # or has fewer of them than edges
+        whole = False
+    if not whole:
+        raise InputError("is damaged: the edges of its triangles have not one middle node each")
     check_mesh(mesh)
 
-    lines = [block.data[:, :2] for block in blocks if block.type in ("line", "line3")]
-    edges = number[np.vstack(lines)] if lines else np.empty((0, 2), dtype=int)
-    boundaries = {
-        name: _facets(mesh, edges[members], name)
-        for name, members in _groups(raw, 1, ("line", "line3")).items()
-    }
-    return mesh.with_boundaries(boundaries).with_subdomains(_groups(raw, 2, surfaces))
+    edges, wanted = (
+        np.sort(pairs, axis=0).astype(np.int64).T @ [len(points), 1]
+        for pairs in (corners[mesh.facets], lines.T)
+    )
+    facets, known = np.searchsorted(edges, wanted), np.isin(wanted, edges)
+    boundaries = _groups(raw, 1, line)
+    for name, members in boundaries.items():
+        if not known[members].all():
+            raise InputError(f"physical curve {name!r} has a line that is no edge of a triangle")
+        boundaries[name] = np.unique(facets[members])
+    return mesh.with_boundaries(boundaries).with_subdomains(_groups(raw, 2, surface))
 
 
-def _require_middles(cells: Indices) -> None:
-    """Refuse six-node triangles unless each edge has one middle node, and that no other edge."""
-    edges = np.sort(np.vstack([cells[:, [0, 1]], cells[:, [1, 2]], cells[:, [2, 0]]]), axis=1)
-    middles = cells[:, 3:].T.ravel()
-    both = np.column_stack([edges, middles])
-    counts = {len(np.unique(one, axis=0)) for one in (edges, middles, both)}
-    if len(counts) > 1 or np.isin(middles, cells[:, :3]).any():
-        raise InputError("is damaged: the edges of its triangles have not one middle node each")
-
-
-def _groups(raw: meshio.Mesh, dimension: int, kinds: Sequence[str]) -> dict[str, Indices]:
-    """Named groups of one dimension: positions among all elements of these kinds.
+def _groups(raw: meshio.Mesh, dimension: int, kind: str) -> dict[str, Indices]:
+    """Named groups of one dimension: positions among all elements of the kind.
 
     meshio has named groups as `cell_sets` or as numbers of the elements, whose names are in
     `field_data`; a number is negative where the elements are turned round.
     """
-    names = {
-        (value[1], value[0]): name
-        for name, value in raw.field_data.items()
-        if np.shape(value) == (2,)
+    groups = {
+        name: sets[kind].astype(int)
+        for name, sets in raw.cell_sets_dict.items()
+        if kind in sets and not name.startswith("gmsh:")
     }
-    found: dict[str, list[Indices]] = {}
-    offset = 0
-    for k, block in enumerate(raw.cells):
-        if block.type not in kinds:
-            continue
-        members = {
-            name: np.asarray(sets[k], dtype=np.int64)
-            for name, sets in raw.cell_sets.items()
-            if not name.startswith("gmsh:")
-        }
-        for numbers in (np.abs(raw.cell_data[key][k]) for key in GROUPS if key in raw.cell_data):
-            for number in np.unique(numbers[numbers != 0]).tolist():
-                name = names.get((dimension, number), str(number))
-                members[name] = np.union1d(
-                    members.get(name, np.empty(0, np.int64)), np.flatnonzero(numbers == number)
-                )
-        for name, positions in members.items():
-            if positions.size:
-                found.setdefault(name, []).append(offset + positions)
-        offset += len(block.data)
-    return {name: np.unique(np.concatenate(members)) for name, members in found.items()}
-
-
-def _facets(mesh: skfem.MeshTri, edges: Indices, name: str) -> Indices:
-    """Edge numbers of the mesh for pairs of nodes."""
-    pairs = np.sort(edges, axis=1)
-    keys = mesh.facets[0].astype(np.int64) * mesh.nvertices + mesh.facets[1]
-    wanted = pairs[:, 0] * mesh.nvertices + pairs[:, 1]
-    order = np.argsort(keys)
-    at = np.minimum(np.searchsorted(keys, wanted, sorter=order), keys.size - 1)
-    facets = order[at]
-    if np.any(pairs < 0) or np.any(keys[facets] != wanted):
-        raise InputError(f"physical curve {name!r} has a line that is no edge of a triangle")
-    return np.asarray(np.unique(facets))
+    names = {tuple(np.ravel(value)): name for name, value in raw.field_data.items()}
+    for numbers in (
+        raw.cell_data_dict[key].get(kind, []) for key in GROUPS if key in raw.cell_data
+    ):
+        for number in np.setdiff1d(np.abs(numbers), 0).tolist():
+            name = names.get((number, dimension), str(number))
+            members = np.flatnonzero(np.abs(numbers) == number)
+            groups[name] = np.union1d(groups.get(name, members), members)
+    return groups
 
 
 def _refuse_triangles(mesh: skfem.MeshTri, bad: NDArray[np.bool_], fault: str) -> None:
@@ -239,15 +209,3 @@ def _refuse_triangles(mesh: skfem.MeshTri, bad: NDArray[np.bool_], fault: str) -
         x, y = mesh.p[:, mesh.t[:, k]].mean(axis=1)
         more = f" (and {bad.sum() - 1} more)" if bad.sum() > 1 else ""
         raise InputError(f"triangle {k} near ({x:g}, {y:g}) {fault}{more}; repair the mesh")
-
-
-def opposite(mesh: skfem.MeshTri, facets: Indices, side: int) -> NDArray[np.float64]:
-    """The corner of a facet's triangle that is not on the facet, shape (2, k)."""
-    corners = mesh.t[:, mesh.f2t[side, facets]]
-    other = corners.sum(axis=0) - mesh.facets[:, facets].sum(axis=0)
-    return np.asarray(mesh.p[:, other])
-
-
-def cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """``a_x b_y - a_y b_x``: positive if b points to the left of a."""
-    return np.asarray(a[0] * b[1] - a[1] * b[0])

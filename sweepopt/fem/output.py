@@ -1,8 +1,8 @@
-"""What a run of a scene leaves behind: a summary in JSON and VTU files for ParaView.
+"""What a run of a scene leaves behind: a summary in JSON, a NetCDF file, VTU files for ParaView.
 
 Every file is written beside its place and then moved there, so that a reader never meets half of
 one, and a run that fails leaves the files of the run before it whole. Pictures are made by
-`sweepopt.fem.pictures`, the NetCDF file by `sweepopt.fem.netcdf`.
+`sweepopt.fem.pictures`.
 """
 
 from __future__ import annotations
@@ -10,82 +10,84 @@ from __future__ import annotations
 import json
 import platform
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import meshio
 import numpy as np
 
 from sweepopt import io
-from sweepopt.fem.contact import Slip, slip_of
-from sweepopt.results import software, solver_name
+from sweepopt.fem.contact import STATES, Slip, slip_of
+from sweepopt.results import netcdf_package, software, solver_name
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from sweepopt.fem.scene import Scene
     from sweepopt.results import Energy, Solution
 
 SUMMARY = "summary.json"
+RESULTS = (".nc", ".png", ".vtu", ".series")
+"""Files of a run that the next one in the same folder may remove."""
 MOST_VTU = 50
 """VTU files of a run: enough for a film, few enough for a large mesh."""
-
-
-class Units(NamedTuple):
-    """Units of antiplane quantities; energies and forces are per length of the body."""
-
-    time: str
-    length: str
-    velocity: str
-    traction: str
-    force: str
-    energy: str
-    certificate: str
-    viability: str
-
-
-DIMENSIONLESS = Units(*["1"] * len(Units._fields))
-SI = Units("s", "m", "m s-1", "Pa", "N m-1", "J m-1", "W^0.5 m^-0.5", "W^0.5 m^-0.5")
+SI = {
+    "time": "s",
+    "length": "m",
+    "velocity": "m s-1",
+    "traction": "Pa",
+    "force": "N m-1",
+    "energy": "J m-1",
+    "certificate": "W^0.5 m^-0.5",
+    "viability": "W^0.5 m^-0.5",
+}
+"""Units of antiplane quantities; energies and forces are per length of the body."""
 
 
 @dataclass(frozen=True, eq=False)
 class Report:
     """A run of a scene and what its files and pictures have in common.
 
-    Attributes
+    Parameters
     ----------
-    name, text : str
-        The scene's name and its file's text.
     scene : Scene
     solution : Solution
         With one step or more.
+    name, text : str
+        The scene's name and its file's text.
+    seconds : float
+        Wall time of the solution.
+
+    Attributes
+    ----------
     slip : Slip or None
         None without friction.
     energy : Energy
-    seconds : float
-        Wall time of the solution.
     """
 
-    name: str
-    text: str
     scene: Scene
     solution: Solution
-    slip: Slip | None
-    energy: Energy
-    seconds: float
+    name: str = ""
+    text: str = ""
+    seconds: float = 0.0
+
+    @cached_property
+    def slip(self) -> Slip | None:
+        """What the contact does."""
+        return slip_of(self.scene, self.solution)
+
+    @cached_property
+    def energy(self) -> Energy:
+        """The energies of the run."""
+        return self.solution.energy()
 
     @property
-    def units(self) -> Units:
+    def units(self) -> dict[str, str]:
         """Units of the scene's quantities."""
-        return SI if self.scene.units == "SI" else DIMENSIONLESS
-
-
-def make_report(
-    scene: Scene, solution: Solution, *, name: str = "", text: str = "", seconds: float = 0.0
-) -> Report:
-    """Compute slip and energies of a run, once."""
-    slip, energy = slip_of(scene, solution), solution.energy()
-    return Report(name, text, scene, solution, slip, energy, seconds)
+        return SI if self.scene.units == "SI" else dict.fromkeys(SI, "1")
 
 
 def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:
@@ -108,7 +110,7 @@ def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:
             "status": solution.status.name.lower(),
             "success": solution.success,
             "message": solution.message,
-            "units": {"scene": scene.units, **report.units._asdict()},
+            "units": {"scene": scene.units, **report.units},
             "settings": {
                 "t_end": scene.t_end,
                 "t_reached": solution.t[-1],
@@ -159,6 +161,102 @@ def write_summary(report: Report, folder: Path, files: Sequence[str]) -> None:
         (folder / name).unlink(missing_ok=True)
 
 
+VARIABLES = {
+    "displacement": ("time node", "length", "displacement out of the plane"),
+    "velocity": ("step node", "velocity", "velocity out of the plane in each step"),
+    "mesh": ("", "", "mesh of triangles; a quadratic element counts as four"),
+    "triangles": ("triangle corner", "", "nodes of each triangle"),
+    "x": ("node", "length", "x coordinate of the node"),
+    "y": ("node", "length", "y coordinate of the node"),
+    "energy_stored": ("time", "energy", "change of the elastic energy 1/2 <B u, u>, per length"),
+    "energy_viscous": ("time", "energy", "energy dissipated by viscosity, per length"),
+    "energy_friction": ("time", "energy", "energy dissipated by friction, per length"),
+    "energy_work": ("time", "energy", "work of the loads, per length"),
+    "contact_node": ("contact", "", "node of the contact"),
+    "boundary": ("contact", "", "boundary of the contact node"),
+    "arc_length": ("contact", "length", "arc length from the start of the node's boundary"),
+    "contact_weight": ("contact", "length", "length of boundary of the contact node"),
+    "friction_bound": ("contact", "force", "friction force at which it slips, w g, per length"),
+    "traction": ("step contact", "traction", "friction traction on the body, against the slip"),
+    "slip_state": ("step contact", "", "direction of slip; 0 where the velocity is exactly 0.0"),
+}
+"""Dimensions, quantity (of `SI`) and description of what `dataset_of` adds to a solution's own."""
+
+
+def dataset_of(report: Report) -> xr.Dataset:
+    """A run as a dataset on its mesh: what `solution.nc` holds.
+
+    Dimensions are time, step, node (clamped ones too), triangle, corner and contact. Mesh and
+    fields follow the UGRID conventions, flags the CF conventions.
+    """
+    scene, solution, slip = report.scene, report.solution, report.slip
+    body = scene.discretisation
+    values = {
+        "displacement": body.expand(solution.u),
+        "velocity": body.expand(solution.velocity),
+        "mesh": np.int32(0),
+        "triangles": body.triangles.astype(np.int32),
+        "x": body.points[:, 0],
+        "y": body.points[:, 1],
+        **{f"energy_{name}": values for name, values in report.energy._asdict().items()},
+    }
+    if slip is not None:
+        contact = slip.contact
+        values |= {
+            "contact_node": body.free[contact.unknown],
+            "boundary": contact.boundary.astype(object),
+            "arc_length": contact.arc,
+            "contact_weight": contact.weight,
+            "friction_bound": contact.threshold,
+            "traction": slip.traction,
+            "slip_state": slip.state,
+        }
+    run = solution.to_xarray().drop_dims("unknown")
+    for name, (dims, quantity, words) in VARIABLES.items():
+        if name in values:
+            unit = report.units.get(quantity, "1")
+            run[name] = dims.split(), values[name], {"long_name": words, "units": unit}
+    for name in ("time", "certificate", "viability"):
+        run[name].attrs["units"] = report.units[name]
+    run.step_end.attrs["units"] = report.units["time"]
+    for name in ("displacement", "velocity"):
+        run[name].attrs |= {"mesh": "mesh", "location": "node"}
+    run.mesh.attrs |= {
+        "cf_role": "mesh_topology",
+        "topology_dimension": np.int32(2),
+        "node_coordinates": "x y",
+        "face_node_connectivity": "triangles",
+        "face_dimension": "triangle",
+    }
+    run.triangles.attrs |= {"cf_role": "face_node_connectivity", "start_index": np.int32(0)}
+    if slip is not None:
+        run.slip_state.attrs |= {
+            "flag_values": np.array(list(STATES), dtype=np.int8),
+            "flag_meanings": " ".join(STATES.values()),
+        }
+    coordinates = {"x", "y", "contact_node", "boundary", "arc_length"} & set(run)
+    return run.set_coords(coordinates).assign_attrs(
+        title=scene.title or report.name or "An antiplane problem",
+        Conventions="CF-1.11 UGRID-1.0",
+        scene=report.text,
+        units_of_the_scene=scene.units,
+    )
+
+
+def write_netcdf(report: Report, path: Path) -> None:
+    """Write `dataset_of` a run, compressed."""
+    netcdf_package()  # says so now if it is missing
+    run = dataset_of(report)
+    packed = {"zlib": True, "complevel": 1, "shuffle": True}
+    encoding = {
+        name: {**(packed if values.size > 1000 else {}), "_FillValue": None}
+        for name, values in run.variables.items()
+        if values.dtype.kind in "if"
+    }
+    with io.replacing(path) as part:
+        run.to_netcdf(part, engine="h5netcdf", encoding=encoding)
+
+
 def write_vtu(report: Report, folder: Path) -> list[Path]:
     """Write `vtu/step_*.vtu` at even times, at most 50, and the series that ParaView opens.
 
@@ -172,35 +270,36 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
     """
     solution, body = report.solution, report.scene.discretisation
     nodes = np.ascontiguousarray(body.basis.element_dofs.T)
-    cells = [({3: "triangle", 6: "triangle6"}[nodes.shape[1]], nodes)]
-    points = np.column_stack([body.points, np.zeros(len(body.points))])
-    groups = dict(body.mesh.subdomains or {})
-    material = np.zeros(body.mesh.nelements, dtype=np.int32)
-    for k, members in enumerate(groups.values(), start=1):
+    cells = [({"P1": "triangle", "P2": "triangle6"}[body.element], nodes)]
+    points = np.pad(body.points, ((0, 0), (0, 1)))
+    material = np.zeros(len(nodes), dtype=np.int32)
+    for k, members in enumerate((body.mesh.subdomains or {}).values(), start=1):
         material[members] = k
     folder = folder / "vtu"
     folder.mkdir(parents=True, exist_ok=True)
     last = len(solution.steps)
-    stride = -(-last // (MOST_VTU - 1))
     written, entries = [], []
-    for i in [*range(0, last, stride), last]:
+    for i in [*range(0, last, -(-last // (MOST_VTU - 1))), last]:
         fields = {
             "displacement": body.expand(solution.u[i]),
             "velocity": body.expand(solution.velocity[max(i - 1, 0)]),
         }
-        materials = {"material": [material]} if groups else None
-        mesh = meshio.Mesh(points, cells, point_data=fields, cell_data=materials)
-        path = folder / f"step_{i:06d}.vtu"
-        with io.replacing(path) as part:
+        mesh = meshio.Mesh(
+            points,
+            cells,
+            point_data=fields,
+            cell_data={"material": [material]} if body.mesh.subdomains else None,
+        )
+        written.append(folder / f"step_{i:06d}.vtu")
+        with io.replacing(written[-1]) as part:
             meshio.write(part, mesh, file_format="vtu", compression="zlib")
-        written.append(path)
-        entries.append({"name": path.name, "time": float(solution.t[i])})
+        entries.append({"name": written[-1].name, "time": float(solution.t[i])})
     series = folder / "solution.vtu.series"
     _write_json(series, {"file-series-version": "1.0", "files": entries})
     return [series, *written]
 
 
-def _write_json(path: Path, content: Mapping[str, Any]) -> None:
+def _write_json(path: Path, content: dict[str, Any]) -> None:
     io.put(path, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
 
 
@@ -209,24 +308,18 @@ def _listed(path: Path) -> set[str]:
     try:
         summary = json.loads(path.read_text(encoding="utf-8"))
         names = summary["files"] if "sweepopt" in summary["versions"] else []
-        return {str(name) for name in names if _is_result(Path(str(name)))}
+        paths = [Path(str(name)) for name in names]
     except (OSError, ValueError, KeyError, TypeError):
         return set()
+    return {
+        str(name)
+        for name in paths
+        if name.suffix in RESULTS and ".." not in name.parts and not name.is_absolute()
+    }
 
 
-def _is_result(name: Path) -> bool:
-    inside = not name.is_absolute() and ".." not in name.parts
-    return inside and name.suffix in (".nc", ".png", ".vtu", ".series")
-
-
-def _plain(value: Any) -> Any:
+def _plain(value: dict[str, Any]) -> dict[str, Any]:
     """Plain JSON types; None for a number that is not finite."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
+    text = json.dumps(value, default=lambda array: array.tolist())
+    plain: dict[str, Any] = json.loads(text, parse_constant=lambda _: None)
+    return plain

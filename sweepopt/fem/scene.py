@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,14 +70,9 @@ class Scene:
         """`sweepopt.solve` with the scene's settings; keywords replace or add arguments."""
         from sweepopt.solve import solve
 
-        settings = {
-            "t_end": self.t_end,
-            "steps": self.steps,
-            "scheme": self.scheme,
-            "solver": self.solver,
-            "tol": self.tol,
-        }
-        given = {key: value for key, value in settings.items() if value is not None}
+        names = ("t_end", "steps", "scheme", "solver", "tol")
+        settings = {name: getattr(self, name) for name in names}
+        given = {name: value for name, value in settings.items() if value is not None}
         return solve(self.problem, **(given | changes))
 
 
@@ -142,21 +137,13 @@ def antiplane(
         ) from None
     if t_end is not None:
         t_end = number("t_end", t_end, minimum=0.0, strict=True)
-    labelled = {f"effects[{k}]": effect for k, effect in enumerate(effects)}
-    settings = {
-        "t_end": t_end,
-        "steps": steps,
-        "scheme": scheme,
-        "solver": solver,
-        "tol": tol,
-        "units": units,
-        "title": title,
-    }
     choice("units", units, UNITS)
     if isinstance(mesh, (str, Path)):
         mesh = read_mesh(mesh)
     body = Discretisation(mesh, boundary_names("clamped", clamped), element)
-    scene = build(body, labelled, u0, settings)
+    settings = {"t_end": t_end, "steps": steps, "scheme": scheme, "solver": solver, "tol": tol}
+    labelled = {f"effects[{k}]": effect for k, effect in enumerate(effects)}
+    scene = build(body, labelled, u0, settings | {"units": units, "title": title})
     check_choices(scene)
     return scene
 
@@ -175,8 +162,7 @@ def build(
         with at_path(label):
             parts.append(effect.contribute(body))
             _check_duration(parts[-1], settings["t_end"])
-    A = _total([part.A for part in parts])
-    B = _total([part.B for part in parts])
+    A, B = _total(part.A for part in parts), _total(part.B for part in parts)
     loads = [part.load for part in parts if part.load is not None]
     contacts = [part.contact for part in parts if part.contact is not None]
     if A is None:
@@ -233,6 +219,6 @@ def _check_duration(part: Contribution, t_end: float | None) -> None:
                 raise InputError(fault) from error
 
 
-def _total(matrices: Sequence[sp.csc_array | None]) -> sp.csc_array | None:
+def _total(matrices: Iterable[sp.csc_array | None]) -> Any:
     present = [matrix for matrix in matrices if matrix is not None]
-    return sp.csc_array(sum(present[1:], start=present[0])) if present else None
+    return sum(present) if present else None

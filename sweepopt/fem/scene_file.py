@@ -1,19 +1,19 @@
 """Scene files: TOML whose values are data (numbers, tables, columns, named waveforms), never code.
 
-The shape of a file is checked by the pydantic models below; the tables under ``[effects]`` are
-read into the records of `EFFECTS`, whose fields are their keys and which check themselves. Every
-error starts with the path of the key at fault, such as ``effects.friction.g``.
+The keys of each table are checked by pydantic; the tables under ``[effects]`` are read into the
+records of `EFFECTS`, whose fields are their keys and which check their values. Every error starts
+with the path of the key at fault, such as ``effects.friction.g``.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, fields
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.effects import (
@@ -43,6 +43,9 @@ EFFECTS: dict[str, type] = {
 
 WAVEFORMS: dict[str, type] = {"constant": Constant, "sine": Sine, "triangle": Triangle}
 """Histories by the name of their waveform in a scene file."""
+
+
+Model = TypeVar("Model", bound=BaseModel)
 
 
 class _Part(BaseModel):
@@ -75,8 +78,7 @@ class _File(_Part):
     units: Literal["dimensionless", "SI"] = "dimensionless"
 
 
-@dataclass(frozen=True)
-class _CsvColumn:
+class _CsvColumn(_Part):
     """``history = { csv = "loads.csv", column = "f2", time = "t", scale = 1.0 }``."""
 
     csv: str
@@ -85,15 +87,11 @@ class _CsvColumn:
     scale: float = 1.0
 
 
-@dataclass(frozen=True)
-class _Rows:
+class _Rows(_Part):
     """``history = { table = { t = [...], values = [...] } }``."""
 
-    t: list[float]
-    values: list[float]
-
-    def __post_init__(self) -> None:
-        check_points("t", self.t, self.values)
+    t: Any
+    values: Any
 
 
 def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = ".") -> Scene:
@@ -153,7 +151,7 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
     (120.0, 480, 'SI')
     """
     data, folder = _load(source, as_path("folder", folder))
-    file = _validate(data)
+    file = _checked(_File, data)
     effects = _effects(file.effects, folder)
     with at_path("domain"):
         try:
@@ -189,79 +187,79 @@ def _load(source: str | Path | Mapping[str, Any], folder: Path) -> tuple[Mapping
     return read_toml(path), path.parent
 
 
-def _validate(data: Mapping[str, Any]) -> _File:
+def _checked(model: type[Model], table: Any, path: str = "") -> Model:
+    """The model of a table; one below a path says which keys it has."""
     try:
-        return _File.model_validate(data)
+        return model.model_validate(table)
     except ValidationError as error:
+        known = f"; there are: {', '.join(model.model_fields)}" if path else ""
         faults = []
         for fault in error.errors():
             # a union repeats the key with the name of the branch it tried
-            path = ".".join(str(key) for key in fault["loc"] if key not in ("str", "list[str]"))
+            keys = [str(key) for key in fault["loc"] if key not in ("str", "list[str]")]
             asked = fault["msg"].replace("Input should be", "must be")
-            message = {"extra_forbidden": "unknown key", "missing": "is missing"}.get(
-                fault["type"], f"{asked}, got {shown(fault['input'])}"
-            )
-            faults.append(f"{path}: {message}")
+            message = {
+                "extra_forbidden": f"unknown key{known}",
+                "missing": "is missing",
+                "model_type": f"must be a table, got {shown(fault['input'])}",
+            }.get(fault["type"], f"{asked}, got {shown(fault['input'])}")
+            faults.append(f"{'.'.join(filter(None, [path, *keys]))}: {message}")
         raise InputError("; ".join(dict.fromkeys(faults))) from error
 
 
 def _effects(tables: Mapping[str, Any], folder: Path) -> dict[str, Effect]:
-    found: dict[str, Effect] = {}
+    effects: dict[str, Effect] = {}
     for name, table in tables.items():
+        path = f"effects.{name}"
         if name not in EFFECTS:
-            raise InputError(f"effects.{name}: unknown key; there are: {', '.join(EFFECTS)}")
-        several = table if isinstance(table, list) else [table]
-        for k, one in enumerate(several):
-            label = f"effects.{name}[{k}]" if isinstance(table, list) else f"effects.{name}"
-            found[label] = _record(EFFECTS[name], one, label, folder)
-    return found
+            raise InputError(f"{path}: unknown key; there are: {', '.join(EFFECTS)}")
+        several = enumerate(table) if isinstance(table, list) else ()
+        labelled = {f"{path}[{k}]": one for k, one in several} or {path: table}
+        for label, one in labelled.items():
+            effects[label] = _record(EFFECTS[name], one, label, folder)
+    return effects
 
 
-def _record(kind: Callable[..., Any], table: Any, path: str, folder: Path) -> Any:
+def _record(kind: type, table: Any, path: str, folder: Path) -> Any:
     """A record from a table whose keys are the record's fields."""
-    if not isinstance(table, Mapping):
-        raise InputError(f"{path}: must be a table, got {shown(table)}")
-    known = {field.name: field for field in fields(kind)}  # type: ignore[arg-type]
-    for key in table:
-        if key not in known:
-            raise InputError(f"{path}.{key}: unknown key; there are: {', '.join(known)}")
-    for key, field in known.items():
-        if field.default is MISSING and key not in table:
-            raise InputError(f"{path}.{key}: is missing")
-    values = {key: _value(key, value, f"{path}.{key}", folder) for key, value in table.items()}
-    for key, value in values.items():
-        wanted = {"float": (int, float), "str": (str,)}.get(str(known[key].type))
-        if wanted and (not isinstance(value, wanted) or isinstance(value, bool)):
-            kinds = "a number" if float in wanted else "a string"
-            raise InputError(f"{path}.{key}: must be {kinds}, got {shown(value)}")
+    keys: dict[str, Any] = {
+        field.name: (
+            float if field.type == "float" else Any,
+            ... if field.default is MISSING else field.default,
+        )
+        for field in fields(kind)
+    }
+    _checked(create_model(kind.__name__, __base__=_Part, **keys), table, path)
+    values = dict(table)
+    for key, value in table.items():
+        if key == "history":
+            values[key] = _history(value, f"{path}.{key}", folder)
+        elif isinstance(value, Mapping) and "along" in value:
+            values[key] = _record(Profile, value, f"{path}.{key}", folder)
     with at_path(path):
         return kind(**values)
 
 
-def _value(key: str, value: Any, path: str, folder: Path) -> Any:
-    if key == "history":
-        return _history(value, path, folder)
-    if isinstance(value, Mapping) and "along" in value:
-        return _record(Profile, value, path, folder)
-    return value
-
-
 def _history(table: Any, path: str, folder: Path) -> History:
-    if not isinstance(table, Mapping):
-        raise InputError(f"{path}: must be a table with csv, waveform or table; got {shown(table)}")
-    if "csv" in table:
-        source: _CsvColumn = _record(_CsvColumn, table, path, folder)
-        with at_path(path):
-            return Table.from_csv(
-                folder / source.csv, source.column, time=source.time, scale=source.scale
+    match table:
+        case {"csv": _}:
+            source = _checked(_CsvColumn, table, path)
+            with at_path(path):
+                return Table.from_csv(
+                    folder / source.csv, source.column, time=source.time, scale=source.scale
+                )
+        case {"waveform": str(name), **keys} if name in WAVEFORMS:
+            waveform: History = _record(WAVEFORMS[name], keys, path, folder)
+            return waveform
+        case {"waveform": name}:
+            known = ", ".join(WAVEFORMS)
+            raise InputError(f"{path}.waveform: {shown(name)} is not among {known}")
+        case {"table": columns, **others} if not others:
+            rows = _checked(_Rows, columns, f"{path}.table")
+            with at_path(f"{path}.table"):
+                return Table(*check_points("t", rows.t, rows.values))
+        case {**keys}:
+            raise InputError(
+                f"{path}: must have one of csv, waveform or table; got {', '.join(map(str, keys))}"
             )
-    if "waveform" in table:
-        rest = dict(table)
-        name = rest.pop("waveform")
-        if name not in tuple(WAVEFORMS):
-            raise InputError(f"{path}.waveform: {shown(name)} is not among {', '.join(WAVEFORMS)}")
-        return _record(WAVEFORMS[name], rest, path, folder)
-    if set(table) == {"table"}:
-        rows: _Rows = _record(_Rows, table["table"], f"{path}.table", folder)
-        return Table(rows.t, rows.values)
-    raise InputError(f"{path}: must have one of csv, waveform or table; got {', '.join(table)}")
+    raise InputError(f"{path}: must be a table with csv, waveform or table; got {shown(table)}")

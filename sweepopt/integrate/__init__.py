@@ -5,6 +5,7 @@ from __future__ import annotations
 from sweepopt.integrate.adaptive import Adaptive, AdaptiveResult, Pass, Segments, adapt
 from sweepopt.integrate.checkpoint import (
     Checkpoint,
+    CheckpointWriter,
     StoredRun,
     checkpoint_writer,
     newest,
@@ -19,13 +20,13 @@ from sweepopt.integrate.grid import (
     time_grid,
     warn_of_overshoot,
 )
-from sweepopt.integrate.loop import integrate
+from sweepopt.integrate.loop import Observer, integrate
 from sweepopt.integrate.observers import (
     Callback,
-    Observers,
     ProgressBar,
     SaveFunction,
     StepInfo,
+    observer,
 )
 from sweepopt.integrate.options import SolveOptions
 from sweepopt.integrate.reconstruction import Reconstruction
@@ -39,8 +40,9 @@ __all__ = [
     "AdaptiveResult",
     "Callback",
     "Checkpoint",
+    "CheckpointWriter",
     "Index",
-    "Observers",
+    "Observer",
     "Pass",
     "ProgressBar",
     "Reconstruction",
@@ -62,6 +64,7 @@ __all__ = [
     "integrate",
     "mover",
     "newest",
+    "observer",
     "require_same_problem",
     "saving",
     "time_grid",

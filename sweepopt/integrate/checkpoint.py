@@ -1,17 +1,15 @@
 """A run is written down again and again, so that one that was killed goes on from there.
 
-A checkpoint is an .npz file with u and the compensation of its sum, what was kept and recorded, the
-arguments of `solve` and checksums of the problem. It does not hold what solvers remember of earlier
-steps: that is forgotten every so many steps, in every run with checkpoints, killed or not, so that
-both are equal to the last bit.
+A checkpoint is an .npz file with the arrays of the run, what a function recorded, the arguments of
+`solve` and checksums of the problem. It does not hold what solvers remember of earlier steps: that
+is forgotten every so many steps, in every run with checkpoints, killed or not, so that both are
+equal to the last bit.
 """
 
 from __future__ import annotations
 
 import platform
 import time as clock
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -25,21 +23,19 @@ from sweepopt.errors import (
     CheckpointWarning,
     DamagedFileError,
     InputError,
-    Status,
     shown,
     warn,
 )
 from sweepopt.integrate.adaptive import Adaptive
 from sweepopt.integrate.fingerprint import fingerprint
-from sweepopt.integrate.loop import RestartPoint
+from sweepopt.integrate.json_arrays import pack, unpack
 from sweepopt.integrate.options import SolveOptions
 from sweepopt.integrate.record import Run
-from sweepopt.integrate.recorded import pack, unpack
 from sweepopt.io import read_npz, remove_parts, versions_of, writable, write_npz
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan
 
-SCHEMA = 2
+SCHEMA = 3
 PACKAGES = ("numpy", "scipy", "cvxpy", "osqp", "clarabel", "cvxopt", "daqp", "pyamg")
 """Their versions may change the last bits of a result."""
 PARTS = 100  # of a run, at whose ends it may be written down if nobody says how many steps
@@ -86,9 +82,9 @@ class Checkpoint:
 
     def __post_init__(self) -> None:
         if self.steps is not None:
-            count("steps", self.steps)
+            object.__setattr__(self, "steps", count("steps", self.steps))
         if self.seconds is not None:
-            number("seconds", self.seconds, minimum=0.0)
+            object.__setattr__(self, "seconds", number("seconds", self.seconds, minimum=0.0))
         writable("checkpoint", self.path)
 
     @property
@@ -241,16 +237,13 @@ def checkpoint_writer(
         "problem": stored.record["problem"] if stored else fingerprint(process, times),
         "plan": str(plan),
         "options": plain,
-        "checkpoint": {
-            "steps": None if checkpoint.steps is None else int(checkpoint.steps),
-            "seconds": None if checkpoint.seconds is None else float(checkpoint.seconds),
-        },
+        "checkpoint": {"steps": checkpoint.steps, "seconds": checkpoint.seconds},
     }
-    return CheckpointWriter(checkpoint, about, arrays, len(times) - 1, stored)
+    return CheckpointWriter(checkpoint, about, arrays, stored)
 
 
 class CheckpointWriter:
-    """The restarts of the loop: writes the run down there, and begins where an earlier one was.
+    """Writes a run down after some of its steps, and restores one that was written down.
 
     Attributes
     ----------
@@ -263,14 +256,10 @@ class CheckpointWriter:
         checkpoint: Checkpoint,
         about: dict[str, Any],
         arrays: dict[str, np.ndarray],
-        steps: int,
         stored: StoredRun | None,
     ) -> None:
         self._checkpoint, self._about, self._arrays = checkpoint, about, arrays
-        self._steps, self._stored = steps, stored
-        self._every = checkpoint.steps or -(-steps // PARTS)
-        usual = 0.0 if checkpoint.steps is not None else SECONDS
-        self._seconds = usual if checkpoint.seconds is None else checkpoint.seconds
+        self._stored = stored
         self._written = clock.monotonic()
         self.recorded: list[Any] = []
 
@@ -279,60 +268,50 @@ class CheckpointWriter:
         """How many steps an earlier run has done."""
         return 0 if self._stored is None else self._stored.done
 
-    def begin(self, run: Run, start: RestartPoint) -> RestartPoint:
-        with self._on_disk():
-            remove_parts(self._checkpoint.file)
-            if self._stored is None:
-                self._checkpoint.previous.unlink(missing_ok=True)  # that of another run
-        if self._stored is None:
-            self._write(run, start, None)
-            return start
+    def begin(self, run: Run) -> None:
+        """Write down the start of a run, or take it to where the stored one is."""
+        stored, checkpoint = self._stored, self._checkpoint
+        if stored is not None:
+            try:
+                run.restore(stored.record["run"], stored.arrays)
+                self.recorded[:] = unpack(stored.record["recorded"], stored.arrays["recorded"])
+            except (KeyError, ValueError, TypeError, IndexError) as error:
+                raise DamagedFileError(f"{stored.file} does not fit together: {error}") from error
         try:
-            point = self._restore(self._stored, run)
-        except (KeyError, ValueError, TypeError, IndexError) as error:
-            raise DamagedFileError(f"{self._stored.file} does not fit together: {error}") from error
-        if self._stored.file == self._checkpoint.previous:
-            # the whole one must not give way to the damaged one
-            with self._on_disk():
-                self._checkpoint.file.unlink(missing_ok=True)
-        return point
+            remove_parts(checkpoint.file)
+            if stored is None:
+                checkpoint.previous.unlink(missing_ok=True)  # that of another run
+            elif stored.file == checkpoint.previous:
+                # the whole one must not give way to the damaged one
+                checkpoint.file.unlink(missing_ok=True)
+        except OSError as error:
+            raise CheckpointError(
+                f"{checkpoint.file} cannot be replaced ({error.strerror or error})"
+            ) from error
+        if stored is None:
+            self._write(run, None)
 
-    def after_step(self, run: Run, point: RestartPoint) -> bool:
+    def __call__(self, run: Run) -> bool:
+        """Write the run down if it is time; whether a run can be continued from this step."""
         if run.done == 1:
             pack(self.recorded)  # says so now if it cannot
-        last = run.done == self._steps
-        if run.done % self._every and not last:
+        at, last = self._checkpoint, run.done == run.steps
+        if run.done % (at.steps or -(-run.steps // PARTS)) and not last:
             return False
-        if last or clock.monotonic() - self._written >= self._seconds:
-            self._write(run, point, self._checkpoint.previous)
+        usual = SECONDS if at.steps is None else 0.0
+        wait = usual if at.seconds is None else at.seconds
+        if last or clock.monotonic() - self._written >= wait:
+            self._write(run, at.previous)
             self._written = clock.monotonic()
         return True
 
-    @contextmanager
-    def _on_disk(self) -> Iterator[None]:
-        """What a disk refuses is an error of the library."""
-        try:
-            yield
-        except OSError as error:
-            raise CheckpointError(
-                f"{self._checkpoint.file} cannot be replaced ({error.strerror or error})"
-            ) from error
-
-    def _write(self, run: Run, point: RestartPoint, previous: Path | None) -> None:
+    def _write(self, run: Run, previous: Path | None) -> None:
+        state, arrays = run.store()
         records, content = pack(self.recorded)
-        state = {
-            "done": run.done,
-            "steps": self._steps,
-            "status": run.status.name,
-            "overshot": run.overshot,
-            "solvers": run.log.solvers,
-            "recorded": records,
-        }
-        arrays = {**self._arrays, **run.arrays()}
-        arrays |= {"compensation": point.compensation, "recorded": content}
+        record = {**self._about, "run": state, "recorded": records}
         file = self._checkpoint.file
         try:
-            write_npz(file, {**self._about, "run": state}, arrays, previous)
+            write_npz(file, record, {**self._arrays, **arrays, "recorded": content}, previous)
         except OSError as error:
             older = file.exists() or self._checkpoint.previous.exists()
             raise CheckpointError(
@@ -340,13 +319,6 @@ class CheckpointWriter:
                 f"({error.strerror or error}); "
                 + (f"the one before is whole: resume {file}" if older else "there is none before")
             ) from error
-
-    def _restore(self, stored: StoredRun, run: Run) -> RestartPoint:
-        state, arrays = stored.record["run"], stored.arrays
-        run.restore(stored.done, arrays, state["solvers"])
-        run.status, run.overshot = Status[state["status"]], state["overshot"]
-        self.recorded[:] = unpack(state["recorded"], arrays["recorded"])
-        return RestartPoint(arrays["u"], arrays["compensation"])
 
 
 def _require_free(checkpoint: Checkpoint) -> None:

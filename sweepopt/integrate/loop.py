@@ -6,9 +6,7 @@ t_i = t_0 + i mu and u_{i+1} = u_i + mu sum_k b_k z_k (MATH.md section 3).
 from __future__ import annotations
 
 import time as clock
-from array import array
-from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,46 +15,26 @@ from scipy.linalg import blas
 from sweepopt.checks import HUGE
 from sweepopt.errors import Status
 from sweepopt.integrate.overshoot import longest_safe, overshot
-from sweepopt.integrate.record import Run, Summary
+from sweepopt.integrate.record import Run
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.integrate.step import (
     INDEFINITE,
     PARTS,
-    Parts,
-    Stages,
+    Step,
     Velocities,
     combination,
     compensated_sum,
     step,
-    step_in_parts,
-    summarise,
 )
 from sweepopt.problem import SweepingProcess
-from sweepopt.velocity import Plan
+from sweepopt.velocity import Plan, Velocity
 
 Observer = Callable[[int, np.ndarray, np.ndarray, float], "bool | None"]
 """Sees a step's number, state, velocity and certificate; a true value stops the run."""
-FullCertificate = Callable[[int, np.ndarray, np.ndarray, Summary], Summary]
-"""What is known of all unknowns from a step's number, first state, velocity and summary."""
-
-
-class RestartPoint(NamedTuple):
-    """u after the steps that are done, and the compensation of its sum."""
-
-    u: np.ndarray
-    compensation: np.ndarray
-
-
-class Restarts(Protocol):
-    """Steps after which a run can go on later, to the same result: programs forget all of it."""
-
-    def begin(self, run: Run, start: RestartPoint) -> RestartPoint:
-        """Where the run begins: at `start`, or where an earlier one has come."""
-        ...
-
-    def after_step(self, run: Run, point: RestartPoint) -> bool:
-        """Whether the step that is done is one of them."""
-        ...
+FullCertificate = Callable[[int, np.ndarray, Velocity], Velocity]
+"""A step's velocity with the certificate of all unknowns, from its number and first state."""
+Restarts = Callable[[Run], bool]
+"""Whether programs shall forget the steps so far, as those of a run that goes on from there do."""
 
 
 def integrate(
@@ -70,7 +48,7 @@ def integrate(
     restarts: Restarts | None = None,
     velocities: Velocities | None = None,
 ) -> None:
-    """Move u along the grid, and write every step into `run`.
+    """Move u along the grid from where `run` is, and write every step into it.
 
     A step that misses the tolerance is taken in parts; one that misses it all the same ends the
     run. Ctrl-C ends it too, also in `observer`: the run has the steps that are done.
@@ -81,48 +59,40 @@ def integrate(
         The compiled programs of an earlier run of the same process.
     """
     steps = len(mus)
-    starts, sizes = _plain(times), _plain(mus)
+    starts, sizes = times.data, mus.data  # these give floats of Python
     velocities = velocities or Velocities(process, plan)
     safe, limit = longest_safe(process, plan, mus), _largest_state(process, plan.scheme)
-    point = RestartPoint(process.u0, np.zeros(process.dim))
-    u, compensation = point if restarts is None else restarts.begin(run, point)
+    u, compensation = run.u, run.compensation
     try:
         for i in range(run.done, steps):
             began = clock.perf_counter()
             t, mu = starts[i], sizes[i]
-            z, stages = step(process, plan.scheme, velocities, t, mu, u)
-            summary, parts = summarise(stages), None
-            if summary.relative > plan.tol:
-                parts = step_in_parts(process, plan, velocities, t, mu, u, summary)
-                z, summary = parts.z, parts.summary
-            if full_certificate is not None and not summary.relative > plan.tol:
-                summary = full_certificate(i, u, z, summary)
-            following, compensation = compensated_sum(u, mu * z, compensation)
-            if summary.relative > plan.tol or not blas.dnrm2(following) <= limit:
-                run.status, run.relative = Status.INEXACT, summary.relative
-                run.cause = _cause(process, i, t, summary, parts, plan.tol)
+            taken = step(process, plan, velocities, t, mu, u)
+            velocity = taken.velocity
+            if full_certificate is not None and not velocity.relative > plan.tol:
+                velocity = full_certificate(i, u, velocity)
+            following, compensation = compensated_sum(u, mu * velocity.z, compensation)
+            if velocity.relative > plan.tol or not blas.dnrm2(following) <= limit:
+                run.status, run.relative = Status.INEXACT, velocity.relative
+                run.cause = f"step {i} from t = {t:g}: " + _cause(
+                    process, t, velocity, taken, plan.tol
+                )
                 return
-            if summary.relative != summary.relative:
+            if velocity.relative != velocity.relative:
                 run.status = Status.UNCERTIFIED
-            if mu > safe and run.overshot is None:
-                each = parts.stages if parts else [stages]
-                if mu > safe * len(each) and _overshot(process, plan, starts, i, u, each):
-                    run.overshot = i
+            too_long = mu > safe * len(taken.parts) and run.overshot is None
+            if too_long and _overshot(process, plan, starts, i, u, taken):
+                run.overshot = i
             u = following
-            run.add(u, z, summary, clock.perf_counter() - began)
-            stop = observer is not None and observer(i, u, z, summary.certificate)
-            if restarts is not None and restarts.after_step(run, RestartPoint(u, compensation)):
+            run.add(u, velocity, clock.perf_counter() - began, compensation)
+            stop = observer is not None and observer(i, u, velocity.z, velocity.certificate)
+            if restarts is not None and restarts(run):
                 velocities.forget()
             if stop:
                 run.status = Status.STOPPED if run.done < steps else run.status
                 return
     except KeyboardInterrupt:
         run.status = Status.INTERRUPTED
-
-
-def _plain(numbers: np.ndarray) -> array[float]:
-    """Floats of Python, as a list has them, in a quarter of its memory."""
-    return array("d", np.ascontiguousarray(numbers, dtype=float).tobytes())
 
 
 def _largest_state(process: SweepingProcess, scheme: Scheme) -> float:
@@ -137,15 +107,15 @@ def _largest_state(process: SweepingProcess, scheme: Scheme) -> float:
 def _overshot(
     process: SweepingProcess,
     plan: Plan,
-    times: array[float],
+    times: Sequence[float],
     i: int,
     u: np.ndarray,
-    parts: list[Stages],
+    taken: Step,
 ) -> bool:
-    """Whether step i from u, in so many equal parts, may have overshot."""
-    inner = np.linspace(times[i], times[i + 1], len(parts) + 1).tolist()
+    """Whether step i from u, in its parts, may have overshot."""
+    inner = np.linspace(times[i], times[i + 1], len(taken.parts) + 1).tolist()
     nodes = [*times[max(i - 2, 0) : i], *inner, *times[i + 2 : i + 3]]
-    for k, stages in enumerate(parts, start=min(i, 2)):
+    for k, stages in enumerate(taken.parts, start=min(i, 2)):
         try:
             if overshot(process, plan, nodes, k, u, stages):
                 return True
@@ -155,29 +125,26 @@ def _overshot(
     return False
 
 
-def _cause(
-    process: SweepingProcess, i: int, t: float, summary: Summary, parts: Parts | None, tol: float
-) -> str:
-    """Where and why a step failed, as far as that can be known."""
-    where = f"step {i} from t = {t:g}"
-    if not summary.relative > tol:
+def _cause(process: SweepingProcess, t: float, velocity: Velocity, taken: Step, tol: float) -> str:
+    """Why a step failed, as far as that can be known."""
+    if not velocity.relative > tol:
         return (
-            f"{where}: the state grows beyond all numbers, which only errors do that a scheme "
-            "amplifies; take smaller steps or implicit-euler"
+            "the state grows beyond all numbers, which only errors do that a scheme amplifies; "
+            "take smaller steps or implicit-euler"
         )
     best = (
-        f"the best certificate of {summary.attempts} attempts is {summary.relative:.2g} of the "
+        f"the best certificate of {velocity.attempts} attempts is {velocity.relative:.2g} of the "
         f"velocity's size, tol is {tol:g}"
     )
     tried = f", and to take it in {PARTS[0]} to {PARTS[-1]} parts does not help"
     likely = "The data of this step are scaled too badly for double precision"
-    if parts is None or parts.stages:
+    if taken.parts:
         tried, likely = "", "A is too badly conditioned to recover all unknowns"
-    elif parts.cause:
-        tried, likely = "", f"It cannot be taken in parts: {parts.cause}"
-    elif summary.solver == INDEFINITE:
+    elif taken.cause:
+        tried, likely = "", f"It cannot be taken in parts: {taken.cause}"
+    elif velocity.solver == INDEFINITE:
         best = "A + gamma B is not positive definite to rounding"
         likely = "B is so large, or its rows cancel so far, that A is lost in the sum"
     elif not process.C.at(t).exact:
         likely = "C(t) is nearly empty, or its projection is not exact enough"
-    return f"{where}: {best}{tried}. {likely}; loosen tol, take smaller steps or another solver"
+    return f"{best}{tried}. {likely}; loosen tol, take smaller steps or another solver"

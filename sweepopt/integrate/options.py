@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -64,17 +64,18 @@ class SolveOptions:
         """
         plain: dict[str, Any] = {}
         arrays: dict[str, np.ndarray] = {}
-        for field in fields(self):
-            name, value = field.name, getattr(self, field.name)
-            value = value.item() if isinstance(value, np.generic) else value
+        for name, value in vars(self).items():
+            kind = type(value)
+            if isinstance(value, np.generic):
+                value = value.item()
             if value is None or isinstance(value, (str, bool, int, float)):
                 plain[name] = value
             elif name == "save" and callable(value):
                 plain[name] = {"function": True}
-            elif name == "solver" and SOLVERS.get(type(value).__name__) is type(value):
-                plain[name] = {"solver": type(value).__name__, "settings": _plain(asdict(value))}
+            elif name == "solver" and SOLVERS.get(kind.__name__) is kind:
+                plain[name] = {"solver": kind.__name__, "settings": _plain(asdict(value))}
             elif name in ("steps", "save"):
-                plain[name] = {"array": True}
+                plain[name] = {"array": name}
                 arrays[f"options.{name}"] = np.asarray(value, float)
             else:
                 raise InputError(f"{name}: with checkpoint= it must be one of the library's own")
@@ -83,15 +84,18 @@ class SolveOptions:
     @classmethod
     def from_json(cls, plain: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> SolveOptions:
         """The options from what `to_json` made of them; a function as None."""
-        options = dict(plain)
-        for name, value in plain.items():
-            if isinstance(value, dict) and "array" in value:
-                options[name] = arrays[f"options.{name}"]
-            elif isinstance(value, dict) and "solver" in value:
-                options[name] = SOLVERS[value["solver"]](**value["settings"])
-            elif isinstance(value, dict):
-                options[name] = None
-        return cls(**options)
+
+        def option(value: Any) -> Any:
+            match value:
+                case {"function": True}:
+                    return None
+                case {"array": name}:
+                    return arrays[f"options.{name}"]
+                case {"solver": name, "settings": settings}:
+                    return SOLVERS[name](**settings)
+            return value
+
+        return cls(**{name: option(value) for name, value in plain.items()})
 
 
 def _plain(settings: dict[str, Any]) -> dict[str, Any]:

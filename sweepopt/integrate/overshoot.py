@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from sweepopt.integrate.step import Stages, combination
-from sweepopt.linalg import UNIT, exceeds_none, factorise
+from sweepopt.linalg import UNIT, exceeds_none
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan
 
@@ -30,7 +30,7 @@ def longest_safe(process: SweepingProcess, plan: Plan, mus: np.ndarray) -> float
     limit = plan.scheme.overshoots
     if process.B is None or process.rate_independent or not plan.solvers or math.isinf(limit):
         return math.inf
-    if exceeds_none(process.metric, process.B, limit / float(mus.max()), factorise):
+    if exceeds_none(process.metric, process.B, limit / float(mus.max())):
         return math.inf
     return limit / process.Lam
 

@@ -13,24 +13,19 @@ from typing import NamedTuple
 import numpy as np
 
 from sweepopt.integrate.exact import Evaluate, Trajectory, exact_trajectory, rows_of
-from sweepopt.integrate.record import (
-    KeptStates,
-    ReconstructedStates,
-    States,
-    StatesInMemory,
-    Summary,
-)
+from sweepopt.integrate.record import Index, KeptStates, States
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.integrate.step import compensated_sum
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Moving, Point
-from sweepopt.velocity import Plan, ReconstructionResiduals, Reduction
+from sweepopt.velocity import Plan, ReconstructionResiduals, Reduction, Velocity
 
 
 class _Coefficients(NamedTuple):
-    """alpha at all nodes, the seconds that each step of it took, its exact trajectory."""
+    """alpha at all nodes, alpha' in all steps, the seconds that each took, the exact trajectory."""
 
-    alpha: StatesInMemory
+    nodes: np.ndarray
+    velocities: np.ndarray
     seconds: float
     exact: Trajectory | None
 
@@ -51,22 +46,18 @@ class Reconstruction:
         if scheme.exact:
             exact = _exact_coefficients(reduction, self._times)
             nodes = exact(self._times)
-            alpha = StatesInMemory(nodes, np.diff(nodes, axis=0) / self._mus[:, None])
+            velocities = np.diff(nodes, axis=0) / self._mus[:, None]
         else:
-            alpha = _coefficients(reduction, scheme, self._times, self._mus)
-        return _Coefficients(alpha, (clock.perf_counter() - begun) / len(self._mus), exact)
+            nodes, velocities = _coefficients(reduction, scheme, self._times, self._mus)
+        seconds = (clock.perf_counter() - begun) / len(self._mus)
+        return _Coefficients(nodes, velocities, seconds, exact)
 
     @cached_property
     def _residuals(self) -> ReconstructionResiduals:
         assert self._plan.reduction is not None
         gammas = self._mus * self._plan.scheme.a[-1][-1]
-        return self._plan.reduction.residuals(
-            self._alpha.nodes[:-1], self._alpha.velocities, gammas
-        )
-
-    @property
-    def _alpha(self) -> StatesInMemory:
-        return self._coefficients.alpha
+        alpha = self._coefficients
+        return self._plan.reduction.residuals(alpha.nodes[:-1], alpha.velocities, gammas)
 
     @property
     def seconds(self) -> float:
@@ -76,26 +67,26 @@ class Reconstruction:
     def state(self, node: int, u: np.ndarray) -> np.ndarray:
         """The state at a node of the grid."""
         reduction = self._plan.reduction
-        return u if reduction is None else reduction.reconstruct(u, self._alpha.nodes[node])
+        return u if reduction is None else reduction.reconstruct(u, self._coefficients.nodes[node])
 
     def velocity(self, i: int, z: np.ndarray) -> np.ndarray:
         """The velocity of a step."""
         reduction = self._plan.reduction
-        return z if reduction is None else reduction.reconstruct(z, self._alpha.velocities[i])
+        if reduction is None:
+            return z
+        return reduction.reconstruct(z, self._coefficients.velocities[i])
 
-    def full_certificate(
-        self, i: int, zeta: np.ndarray, velocity: np.ndarray, step: Summary
-    ) -> Summary:
+    def full_certificate(self, i: int, zeta: np.ndarray, velocity: Velocity) -> Velocity:
         """The certificate of all unknowns from that of those that entered the step.
 
         A step in parts has the load's coefficients of the whole step: they are linear.
         """
-        error, size = self._residuals(i, zeta, velocity)
-        certificate = step.certificate + error
-        if step.relative > 0:
-            size = max(size, step.certificate / step.relative)
+        error, size = self._residuals(i, zeta, velocity.z)
+        certificate = velocity.certificate + error
+        if velocity.relative > 0:
+            size = max(size, velocity.certificate / velocity.relative)
         relative = certificate / size if certificate > 0 else certificate
-        return Summary(step.iterations, step.attempts, certificate, relative, step.solver)
+        return velocity._replace(certificate=certificate, relative=relative)
 
     def trajectory(self, few: Trajectory | None) -> Trajectory | None:
         """The exact trajectory of all unknowns from that of those that entered."""
@@ -112,22 +103,31 @@ class Reconstruction:
         return replace(few, reconstruct=all_unknowns)
 
     def states(self, kept: KeptStates) -> States:
-        """The kept states as states of all unknowns."""
-        reduction = self._plan.reduction
+        """The kept states as states of all unknowns, made when they are asked for."""
+        steps, few, few_velocities = kept
+        reduction, dim = self._plan.reduction, self._plan.unknowns
         if reduction is None:
-            return kept.states
-        return ReconstructedStates(
-            kept.states,
-            lambda: self._alpha,
-            kept.steps,
-            reduction.reconstruct,
-            self._plan.unknowns,
-        )
+            return States(few.__getitem__, few_velocities.__getitem__)
+        nodes, reconstruct = np.append(0, steps + 1), reduction.reconstruct
+
+        def all_unknowns(few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+            every = np.zeros((*few.shape[:-1], dim))
+            for index in np.ndindex(few.shape[:-1]):
+                every[index] = reconstruct(few[index], alpha[index])
+            return every
+
+        def u(i: Index) -> np.ndarray:
+            return all_unknowns(few[i], self._coefficients.nodes[nodes[i]])
+
+        def velocity(i: Index) -> np.ndarray:
+            return all_unknowns(few_velocities[i], self._coefficients.velocities[steps[i]])
+
+        return States(u, velocity)
 
 
 def _coefficients(
     reduction: Reduction, scheme: Scheme, times: np.ndarray, mus: np.ndarray
-) -> StatesInMemory:
+) -> tuple[np.ndarray, np.ndarray]:
     """alpha at every node and its velocity in every step of a scheme of one stage.
 
     alpha' = (phi - rho alpha) / (1 + gamma rho), phi at the stage, alpha at the start of the step.
@@ -150,7 +150,7 @@ def _coefficients(
             velocities[i, k] = velocity = a + b * alpha
             alpha, compensation = compensated_sum(alpha, mu * velocity, compensation)
             nodes[i + 1, k] = alpha
-    return StatesInMemory(nodes, velocities)
+    return nodes, velocities
 
 
 def _exact_coefficients(reduction: Reduction, times: np.ndarray) -> Trajectory:

@@ -1,23 +1,22 @@
-"""What is known of a run so far: the states that are kept, the statistics of its steps, its end.
+"""What is kept of a run: some states and velocities, one row of statistics a step, how it ended.
 
-The loop over time writes into a `Run`, the checkpoint reads and restores it, the solution is made
-of it. `saving` reads what the user wants to keep.
+The loop over time writes into a `Run`, the checkpoint stores and restores its arrays, the solution
+is made of it. `saving` reads what the user wants to keep.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from sweepopt.checks import TIME_SLACK, axes, vector
 from sweepopt.errors import InputError, Status, shown
 from sweepopt.io import writable
+from sweepopt.velocity import Velocity
 
 if TYPE_CHECKING:
     from sweepopt.integrate.exact import Trajectory
@@ -28,193 +27,50 @@ MEMORY = 4e9
 Index = Any  # int, slice or array of ints
 
 
-# ---- states -------------------------------------------------------------------------------------
-
-
-class States(Protocol):
-    """States and velocities of the kept steps, by their number."""
-
-    def u(self, i: Index) -> np.ndarray:
-        """The states at the kept nodes i; node 0 is the start."""
-        ...
-
-    def velocity(self, i: Index) -> np.ndarray:
-        """The velocities of the kept steps i; step i ends at node i + 1."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class StatesInMemory:
-    """States of shape (k + 1, dim) and velocities of shape (k, dim)."""
-
-    nodes: np.ndarray
-    velocities: np.ndarray
-
-    def u(self, i: Index) -> np.ndarray:
-        return self.nodes[i]
-
-    def velocity(self, i: Index) -> np.ndarray:
-        return self.velocities[i]
-
-
-@dataclass(frozen=True, eq=False)
-class ReconstructedStates:
-    """States of few unknowns in memory; `reconstruct` gives all of a node or of a step.
+class States(NamedTuple):
+    """States and velocities of the kept steps by their number, wherever they are.
 
     Attributes
     ----------
-    few : StatesInMemory
-    alpha : callable -> StatesInMemory
-        Coefficients of the load at every node and step of the run, computed when asked for.
-    steps : ndarray, shape (k,)
-        The kept steps, counted in the run.
-    reconstruct : callable (few, alpha) -> ndarray, shape (dim,)
-    dim : int
-        How many unknowns there are in all.
+    u : callable
+        The states at the kept nodes i; node 0 is the start.
+    velocity : callable
+        The velocities of the kept steps i; step i ends at node i + 1.
     """
 
-    few: StatesInMemory
-    alpha: Callable[[], StatesInMemory]
-    steps: np.ndarray
-    reconstruct: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    dim: int
-
-    def u(self, i: Index) -> np.ndarray:
-        return self._all(self.few.nodes[i], self.alpha().nodes[self._nodes[i]])
-
-    def velocity(self, i: Index) -> np.ndarray:
-        return self._all(self.few.velocities[i], self.alpha().velocities[self.steps[i]])
-
-    @cached_property
-    def _nodes(self) -> np.ndarray:
-        return np.append(0, self.steps + 1)
-
-    def _all(self, few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-        every = np.zeros((*few.shape[:-1], self.dim))
-        for index in np.ndindex(few.shape[:-1]):
-            every[index] = self.reconstruct(few[index], alpha[index])
-        return every
-
-
-# ---- statistics ---------------------------------------------------------------------------------
-
-STATS = np.dtype(
-    [
-        ("t", float),
-        ("seconds", float),
-        ("iterations", int),
-        ("attempts", int),
-        ("certificate", float),
-        ("relative", float),
-        ("solver", "U20"),
-    ]
-)
-"""A row of `Solution.stats`."""
-
-
-class Summary(NamedTuple):
-    """What the programs of a step have in common: their worst certificate, all their work.
-
-    Attributes
-    ----------
-    certificate, relative : float
-        Bound of the velocity's error, and in units of the program's size; nan without a proof.
-    solver : str
-        Who answered the last one.
-    """
-
-    iterations: int
-    attempts: int
-    certificate: float
-    relative: float
-    solver: str
-
-
-@dataclass(frozen=True, eq=False)
-class Statistics:
-    """The statistics of n steps.
-
-    Attributes
-    ----------
-    columns : mapping of ndarray, shape (n,)
-        That of the solvers holds numbers of `solvers`.
-    solvers : tuple of str
-    """
-
-    columns: Mapping[str, np.ndarray]
-    solvers: tuple[str, ...]
-
-    def __len__(self) -> int:
-        return len(self.columns["t"])
-
-    def table(self) -> np.ndarray:
-        """A structured array of dtype STATS, shape (n,)."""
-        rows = np.zeros(len(self), dtype=STATS)
-        for name in self.columns.keys() - {"solver"}:
-            rows[name] = self.columns[name]
-        names = np.array([*self.solvers, ""], dtype=STATS["solver"])
-        rows["solver"] = names[self.columns["solver"]]
-        return rows
-
-
-class Log:
-    """The statistics of a run as it goes: a column each takes 30 bytes a step in all."""
-
-    def __init__(self, steps: int) -> None:
-        def column(kind: Any) -> np.ndarray:
-            # written to, all of it is in memory from here on: a run grows by nothing later
-            return np.full(steps, 0, kind)
-
-        # in the order of a `Summary`
-        self._numbers = {
-            "iterations": column(np.int32),
-            "attempts": column(np.int32),
-            "certificate": column(float),
-            "relative": column(float),
-        }
-        self._seconds, self._solver = column(np.float32), column(np.int16)
-        self._names: dict[str, int] = {}
-        self._columns = tuple(self._numbers.values())
-
-    def add(self, i: int, step: Summary, seconds: float) -> None:
-        """Write what is known of step i."""
-        for column, value in zip(self._columns, step, strict=False):
-            column[i] = value
-        self._seconds[i] = seconds
-        self._solver[i] = self._names.setdefault(step.solver, len(self._names))
-
-    @property
-    def columns(self) -> dict[str, np.ndarray]:
-        """All columns; that of the solvers holds numbers of `solvers`."""
-        return {**self._numbers, "seconds": self._seconds, "solver": self._solver}
-
-    @property
-    def solvers(self) -> list[str]:
-        """Who found the velocities, in order of appearance."""
-        return list(self._names)
-
-    def restore(self, columns: Mapping[str, np.ndarray], solvers: list[str]) -> None:
-        """Take the columns of the first steps from an earlier run."""
-        for name, column in self.columns.items():
-            column[: len(columns[name])] = columns[name]
-        self._names = {name: number for number, name in enumerate(solvers)}
-
-    def statistics(self, ends: np.ndarray, beside: float) -> Statistics:
-        """Those of the steps with these end times; each took so many seconds beside the loop."""
-        n = len(ends)
-        self._seconds[:n] += np.float32(beside)
-        columns = {name: column[:n] for name, column in self.columns.items()}
-        return Statistics({"t": ends, **columns}, tuple(self.solvers))
-
-
-# ---- the run ------------------------------------------------------------------------------------
+    u: Callable[[Index], np.ndarray]
+    velocity: Callable[[Index], np.ndarray]
 
 
 class KeptStates(NamedTuple):
-    """The kept steps, counted in the run, and their states."""
+    """The kept steps, counted in the run, the start and the states at their ends, velocities."""
 
     steps: np.ndarray
-    states: StatesInMemory
+    nodes: np.ndarray
+    velocities: np.ndarray
+
+
+NUMBERS = ("seconds", "iterations", "attempts", "certificate", "relative")
+ROW = np.dtype([*zip(NUMBERS, ("f4", "i4", "i4", float, float), strict=True), ("solver", "i2")])
+"""A step's statistics in 30 bytes; the solver is the number of its name."""
+
+
+class Statistics(NamedTuple):
+    """The statistics of n steps: when they end, rows of type ROW, names of solvers."""
+
+    ends: np.ndarray
+    rows: np.ndarray
+    solvers: tuple[str, ...]
+
+    def table(self) -> np.ndarray:
+        """A structured array with full numbers and the names themselves, shape (n,)."""
+        names = np.array([*self.solvers, ""])
+        kinds = [(name, int if ROW[name].kind == "i" else float) for name in NUMBERS]
+        table = np.zeros(len(self.ends), [("t", float), *kinds, ("solver", names.dtype)])
+        table["t"], table["solver"] = self.ends, names[self.rows["solver"]]
+        for name in NUMBERS:
+            table[name] = self.rows[name]
+        return table
 
 
 class Run:
@@ -230,7 +86,6 @@ class Run:
 
     Attributes
     ----------
-    log : Log
     status : Status
     cause : str
         Which step failed and why.
@@ -243,77 +98,97 @@ class Run:
     """
 
     def __init__(self, steps: int, kept: np.ndarray, u0: np.ndarray) -> None:
-        self.log = Log(steps)
         self.status, self.cause, self.relative = Status.SUCCESS, "", 0.0
         self.overshot: int | None = None
         self.exact: Trajectory | None = None
+        # written to, all of it is in memory from here on: a run grows by nothing later
+        self._rows = np.full(steps, 0, ROW)
+        self._solvers: dict[str, int] = {}
         self._kept = kept
         self._nodes = np.zeros((kept.size + 1, u0.size))
         self._velocities = np.zeros((kept.size, u0.size))
         self._nodes[0] = u0
-        # steps that are done, the state and the velocity of the last one: one assignment, so that
-        # Ctrl-C finds them of the same step
-        self._last = 0, u0, np.zeros(u0.size)
-        self._go_on(0)
+        # steps that are done and kept, the last state, velocity and compensation of its sum: one
+        # assignment, so that Ctrl-C finds them of the same step
+        self._last = 0, 0, u0, np.zeros(u0.size), np.zeros(u0.size)
+
+    @property
+    def steps(self) -> int:
+        """How many there are in the grid."""
+        return len(self._rows)
 
     @property
     def done(self) -> int:
         """How many steps are done."""
         return self._last[0]
 
-    def add(self, u: np.ndarray, velocity: np.ndarray, step: Summary, seconds: float) -> None:
-        """Take the next step: the state at its end, its velocity, what is known of it."""
-        self.log.add(self._last[0], step, seconds)
-        self.add_state(u, velocity)
+    @property
+    def u(self) -> np.ndarray:
+        """The last state."""
+        return self._last[2]
 
-    def add_state(self, u: np.ndarray, velocity: np.ndarray) -> None:
-        """Take the state and velocity of the next step, which is in the log already."""
-        i, row = self._last[0], self._row
-        if i == self._next:
-            self._nodes[row + 1], self._velocities[row] = u, velocity
-        self._last = i + 1, u, velocity
-        if i == self._next:
-            self._go_on(row + 1)
+    @property
+    def compensation(self) -> np.ndarray:
+        """What rounding has kept out of the last state (`compensated_sum`)."""
+        return self._last[4]
 
-    def _go_on(self, row: int) -> None:
-        """Wait for the step that is kept next, in this row."""
-        self._row = row
-        self._next = int(self._kept[row]) if row < self._kept.size else -1
+    def add(
+        self, u: np.ndarray, velocity: Velocity, seconds: float, compensation: Any = 0.0
+    ) -> None:
+        """Take the next step: the state at its end, its mean velocity with what is known of it."""
+        i, k, *_ = self._last
+        z, certificate, relative = velocity.z, velocity.certificate, velocity.relative
+        number = self._solvers.setdefault(velocity.solver, len(self._solvers))
+        work = velocity.iterations, velocity.attempts
+        self._rows[i] = seconds, *work, certificate, relative, number
+        if i == self._kept[k]:
+            self._nodes[k + 1], self._velocities[k] = u, z
+            k += 1
+        self._last = i + 1, k, u, z, compensation
 
     def kept(self) -> KeptStates:
         """The kept ones of the steps that are done, and the last one."""
-        done, u, velocity = self._last
-        k = int(np.searchsorted(self._kept, done))
+        done, k, u, velocity, _ = self._last
         steps = self._kept[:k]
         if done and done - 1 not in steps[-1:]:
             steps = np.append(steps, done - 1)
             self._nodes[k + 1], self._velocities[k] = u, velocity
-            k += 1
-        return KeptStates(steps, StatesInMemory(self._nodes[: k + 1], self._velocities[:k]))
+        return KeptStates(steps, self._nodes[: len(steps) + 1], self._velocities[: len(steps)])
 
-    def arrays(self) -> dict[str, np.ndarray]:
-        """All that `restore` needs in arrays."""
-        done, u, velocity = self._last
-        k = int(np.searchsorted(self._kept, done))
-        arrays = {f"log.{name}": column[:done] for name, column in self.log.columns.items()}
-        arrays |= {"nodes": self._nodes[: k + 1], "velocities": self._velocities[:k]}
-        return {**arrays, "u": u, "velocity": velocity}
+    def statistics(self, times: np.ndarray, beside: float) -> Statistics:
+        """Those of the steps that are done; each took so many seconds beside the loop."""
+        rows = self._rows[: self.done]
+        rows["seconds"] += np.float32(beside)
+        return Statistics(times[1 : self.done + 1], rows, tuple(self._solvers))
 
-    def restore(self, done: int, arrays: Mapping[str, np.ndarray], solvers: list[str]) -> None:
-        """Take the first steps from `arrays` of an earlier run."""
-        columns = {name: arrays[f"log.{name}"] for name in self.log.columns}
-        self.log.restore(columns, solvers)
-        k = int(np.searchsorted(self._kept, done))
+    def store(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        """All that `restore` needs, in terms of JSON and in arrays."""
+        done, k, u, velocity, compensation = self._last
+        plain = {
+            "done": done,
+            "steps": self.steps,
+            "status": self.status.name,
+            "overshot": self.overshot,
+            "solvers": list(self._solvers),
+        }
+        arrays = {"rows": self._rows[:done], "nodes": self._nodes[: k + 1]}
+        arrays |= {"velocities": self._velocities[:k], "u": u, "velocity": velocity}
+        return plain, {**arrays, "compensation": compensation}
+
+    def restore(self, plain: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
+        """Take the first steps from what an earlier run has stored."""
+        self.status, self.overshot = Status[plain["status"]], plain["overshot"]
+        self._solvers = {name: number for number, name in enumerate(plain["solvers"])}
+        done, k = plain["done"], len(arrays["velocities"])
+        self._rows[:done] = arrays["rows"]
         self._nodes[: k + 1], self._velocities[:k] = arrays["nodes"], arrays["velocities"]
-        self._last = done, arrays["u"], arrays["velocity"]
-        self._go_on(k)
+        self._last = done, k, arrays["u"], arrays["velocity"], arrays["compensation"]
 
 
 # ---- what is kept -------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Saving:
+class Saving(NamedTuple):
     """What `save=` asks for, checked.
 
     Attributes

@@ -12,20 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.errors import IndefiniteError
-from sweepopt.integrate.record import Summary
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.problem import SweepingProcess
-from sweepopt.velocity import (
-    Factors,
-    Plan,
-    StateVelocity,
-    Velocity,
-    compile_velocity,
-    factors,
-    matrix,
-)
+from sweepopt.velocity import Plan, StateVelocity, Velocity, compile_velocity
 
-PARTS = (2, 4, 8, 16)  # that a step which missed its tolerance is tried in
+PARTS = (2, 4, 8, 16)  # of a step that missed its tolerance: halved like steps of adaptive grids
+MATRICES = 15  # kept factorised: irregular grids would otherwise keep one a step
 INDEFINITE = "indefinite"  # who answers where A + gamma B is no matrix of a program
 Stages = list[Velocity]
 
@@ -33,52 +25,96 @@ Stages = list[Velocity]
 class Velocities:
     """Compiled velocity programs, one per matrix A + gamma B."""
 
-    LIMIT = 16  # irregular grids would otherwise keep one factorisation per step
-
     def __init__(self, process: SweepingProcess, plan: Plan) -> None:
         self._process, self._plan = process, plan
-        self._factors: dict[float, Factors] = {}
-        self._compiled: dict[float, StateVelocity] = {}
-        self._indefinite: set[float] = set()
+        self._compiled: dict[float, StateVelocity] = {}  # the one that was asked last at the end
 
     def __call__(self, gamma: float) -> StateVelocity:
-        if gamma not in self._compiled:
-            if gamma in self._indefinite:
-                raise IndefiniteError("A + gamma B is not positive definite to rounding")
-            if gamma not in self._factors:
-                _make_room(self._factors, self.LIMIT)
-                self._factors[gamma] = factors(self._plan, matrix(self._process, gamma))
-            # apart from the factorisations: what is dropped depends on the steps since `forget`
-            _make_room(self._compiled, self.LIMIT)
-            known = self._factors[gamma]
-            self._compiled[gamma] = compile_velocity(self._process, self._plan, gamma, known)
-        return self._compiled[gamma]
+        velocity = self._compiled.pop(gamma, None)
+        if velocity is None:
+            velocity = compile_velocity(self._process, self._plan, gamma)
+            if len(self._compiled) == MATRICES:
+                del self._compiled[next(iter(self._compiled))]
+        self._compiled[gamma] = velocity
+        return velocity
 
     def forget(self) -> None:
         """Drop what programs remember of earlier steps, but not the factorisations."""
-        self._compiled.clear()
-        self._indefinite.clear()
-
-    def refuse(self, gamma: float) -> None:
-        """Do not factorise a matrix again that has shown not to be positive definite."""
-        self._indefinite.add(gamma)
-        self._compiled.pop(gamma, None)
+        for velocity in self._compiled.values():
+            velocity.forget()
 
 
-def _make_room(cache: dict[float, Any], limit: int) -> None:
-    if len(cache) == limit:
-        del cache[next(iter(cache))]
+class Step(NamedTuple):
+    """A step, whole or in equal parts.
+
+    Attributes
+    ----------
+    velocity : Velocity
+        The mean velocity with the worst certificate of the programs and all their work. In parts
+        that is no bound of the error of one whole step, which nobody knows.
+    parts : list of list of Velocity
+        What the stages of each part solved; none where no number of parts meets the tolerance.
+    cause : str
+        Why the step cannot be taken in parts at all.
+    """
+
+    velocity: Velocity
+    parts: list[Stages]
+    cause: str = ""
 
 
 def step(
+    process: SweepingProcess,
+    plan: Plan,
+    velocities: Velocities,
+    t: float,
+    mu: float,
+    u: np.ndarray,
+) -> Step:
+    """A step of the plan's scheme that meets its tolerance, if there is one.
+
+    One that misses it as a whole is tried in 2, 4, .. equal parts of the same scheme, until all of
+    them meet it: A + gamma mu / k B is nearer to A, and C(t) is asked for at other times. u moves
+    through the parts as through steps, so that the result is that of a finer grid.
+    """
+    scheme = plan.scheme
+    stages = _stages(process, scheme, velocities, t, mu, u)
+    whole = _mean(scheme.b, stages)
+    if not whole.relative > plan.tol:
+        return Step(whole, [stages])
+    work = [whole]
+    cause = ""
+    for count in PARTS:
+        h = mu / count
+        starts = t + h * np.arange(count)
+        try:
+            process.C.members(np.unique(starts[:, None] + h * np.array(scheme.c)))
+        except Exception as error:  # C(t) may have no value between the times of the grid
+            cause = str(error) or type(error).__name__
+            break
+        v, compensation, parts, means = u, np.zeros_like(u), [], []
+        for start in starts.tolist():
+            parts.append(_stages(process, scheme, velocities, start, h, v))
+            means.append(_mean(scheme.b, parts[-1]))
+            work.append(means[-1])
+            if means[-1].relative > plan.tol:
+                break
+            v, compensation = compensated_sum(v, h * means[-1].z, compensation)
+        else:
+            mean = _mean([1 / count] * count, means)
+            return Step(_with_work(mean._replace(solver=f"{mean.solver}/{count}"), work), parts)
+    return Step(_with_work(whole, work), [], cause)
+
+
+def _stages(
     process: SweepingProcess,
     scheme: Scheme,
     velocities: Velocities,
     t: float,
     mu: float,
     u: np.ndarray,
-) -> tuple[np.ndarray, Stages]:
-    """One step of the tableau: its mean velocity and what its stages solved.
+) -> Stages:
+    """What the stages of the tableau solve, up to one that has no program.
 
     A matrix A + gamma B that is not positive definite to rounding gives no velocity.
     """
@@ -87,95 +123,30 @@ def step(
         known = u + mu * combination(weights[:-1], stages) if stages else u
         gamma = mu * weights[-1] if process.B is not None else 0.0
         try:
-            solved = velocities(gamma)(known, process.C.at(t + c * mu))
+            stages.append(velocities(gamma)(known, process.C.at(t + c * mu)))
         except IndefiniteError:
-            velocities.refuse(gamma)
-            nothing = Velocity(np.zeros_like(u), math.inf, math.inf, INDEFINITE)
-            return nothing.z, [*stages, nothing]
-        stages.append(solved)
-    return combination(scheme.b, stages), stages
+            return [Velocity(np.zeros_like(u), math.inf, math.inf, INDEFINITE)]
+    return stages
 
 
-class Parts(NamedTuple):
-    """A step in equal parts; without stages where no number of parts meets the tolerance.
-
-    Attributes
-    ----------
-    z : ndarray
-        The mean of their velocities.
-    stages : list
-        What the stages of each part solved.
-    summary : Summary
-        The worst certificate of the parts, or that of the whole step without stages; the work is
-        all that was done.
-    cause : str
-        Why the step cannot be taken in parts at all.
-    """
-
-    z: np.ndarray
-    stages: list[Stages]
-    summary: Summary
-    cause: str = ""
+def _mean(weights: Sequence[float], velocities: Stages) -> Velocity:
+    """The weighted velocity, the worst certificate and all the work; the solver is the last one."""
+    if len(velocities) == 1:
+        return velocities[0]
+    return Velocity(
+        combination(weights, velocities),
+        _worst(one.certificate for one in velocities),
+        _worst(one.relative for one in velocities),
+        velocities[-1].solver,
+        sum(one.iterations for one in velocities),
+        max(one.attempts for one in velocities),
+    )
 
 
-def step_in_parts(
-    process: SweepingProcess,
-    plan: Plan,
-    velocities: Velocities,
-    t: float,
-    mu: float,
-    u: np.ndarray,
-    whole: Summary,
-) -> Parts:
-    """The step in 2, 4, .. equal parts of the same scheme, until all of them meet the tolerance.
-
-    A + gamma mu / k B is nearer to A, and C(t) is asked for at other times. u moves through the
-    parts as through steps, so that the result is that of a finer grid. The certificate is the worst
-    of the parts' programs and no bound of the error of one whole step, which nobody knows.
-    """
-    iterations, attempts = whole.iterations, whole.attempts
-    cause = ""
-    for count in PARTS:
-        h = mu / count
-        starts = t + h * np.arange(count)
-        try:
-            process.C.members(np.unique(starts[:, None] + h * np.array(plan.scheme.c)))
-        except Exception as error:  # C(t) may have no value between the times of the grid
-            cause = str(error) or type(error).__name__
-            break
-        v, z = u, np.zeros_like(u)
-        compensation = np.zeros_like(u)
-        stages: list[Stages] = []
-        for start in starts.tolist():
-            velocity, solved = step(process, plan.scheme, velocities, start, h, v)
-            part = summarise(solved)
-            iterations, attempts = iterations + part.iterations, attempts + part.attempts
-            if part.relative > plan.tol:
-                break
-            v, compensation = compensated_sum(v, h * velocity, compensation)
-            z += velocity
-            stages.append(solved)
-        else:
-            worst = summarise([one for part_stages in stages for one in part_stages])
-            solver = f"{worst.solver}/{count}"
-            summary = worst._replace(iterations=iterations, attempts=attempts, solver=solver)
-            return Parts(z / count, stages, summary)
-    failed = whole._replace(iterations=iterations, attempts=attempts)
-    return Parts(np.zeros_like(u), [], failed, cause)
-
-
-def summarise(stages: Stages) -> Summary:
-    """What the stages have in common; the solver is that of the last one."""
-    last = stages[-1]
-    if len(stages) == 1:
-        _, certificate, relative, solver, iterations, attempts = last
-        return Summary(iterations, attempts, certificate, relative, solver)
-    return Summary(
-        sum(solved.iterations for solved in stages),
-        max(solved.attempts for solved in stages),
-        _worst(solved.certificate for solved in stages),
-        _worst(solved.relative for solved in stages),
-        last.solver,
+def _with_work(velocity: Velocity, work: Stages) -> Velocity:
+    """The velocity, and what was done until it was known."""
+    return velocity._replace(
+        iterations=sum(one.iterations for one in work), attempts=sum(one.attempts for one in work)
     )
 
 
@@ -186,13 +157,13 @@ def compensated_sum(u: Any, increment: Any, compensation: Any) -> tuple[Any, Any
     return total, (total - u) - increment
 
 
-def combination(weights: Sequence[float], stages: Stages) -> np.ndarray:
+def combination(weights: Sequence[float], velocities: Stages) -> np.ndarray:
     """sum of weights_k z_k; a single weight 1 keeps z itself."""
     if weights == (1.0,):
-        return stages[0].z
-    total = weights[0] * stages[0].z
-    for weight, solved in zip(weights[1:], stages[1:], strict=True):
-        total += weight * solved.z
+        return velocities[0].z
+    total = weights[0] * velocities[0].z
+    for weight, velocity in zip(weights[1:], velocities[1:], strict=True):
+        total += weight * velocity.z
     return total
 
 

@@ -4,36 +4,43 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
 from sweepopt.errors import MissingExtraError, SolverRefusedError
-from sweepopt.linalg.conjugate_gradients import ConjugateGradients, IterativeElimination
-from sweepopt.linalg.factor import Elimination, Factor
+from sweepopt.linalg.cholesky import Cholesky, cholesky
+from sweepopt.linalg.conjugate_gradients import ConjugateGradients
 
 SHARE = 0.6  # of the physical memory for factors: the rest is for the mesh, the states and Python
 
 
-def factorise(M: Matrix, name: str = "M") -> Factor:
-    """M factorised, or treated by conjugate gradients where its factors would not fit in memory."""
-    if _fits(M):
-        return Factor(M, name)
-    with _memory_named(M):
-        return ConjugateGradients(M, name)
+def engine(
+    M: Matrix, order: np.ndarray | None = None, kept: np.ndarray | None = None
+) -> Cholesky | ConjugateGradients:
+    """What solves with M, and eliminates all unknowns but those that are kept.
 
-
-def eliminate(
-    M: Matrix, unknowns: np.ndarray, order: np.ndarray | None = None
-) -> Elimination | IterativeElimination:
-    """M for the elimination of all but a few unknowns, by factors where these fit in memory."""
-    if _fits(M):
-        return Elimination(M, unknowns, order)
-    with _memory_named(M):
-        return IterativeElimination(M, unknowns)
+    Parameters
+    ----------
+    order : ndarray of int, optional
+        An order of the unknowns with little fill; the kept ones go to its end.
+    """
+    need, there = factor_bytes(M), _physical_memory()
+    if need > SHARE * there:
+        try:
+            return ConjugateGradients(M, kept)
+        except MissingExtraError as error:
+            raise SolverRefusedError(
+                f"factors of {M.shape[0]} unknowns would need about {need / 1e9:.3g} GB, this "
+                f"machine has {there / 1e9:.3g} GB, and conjugate gradients need a package: {error}"
+            ) from error
+    if kept is None:
+        return cholesky(M)
+    if order is None and sp.issparse(M):
+        order = cholesky(M).order
+    everyone = np.arange(M.shape[0]) if order is None else order
+    return cholesky(M, np.concatenate([everyone[~np.isin(everyone, kept)], kept]), kept.size)
 
 
 def factor_bytes(M: Matrix) -> float:
@@ -45,23 +52,6 @@ def factor_bytes(M: Matrix) -> float:
     """
     n = M.shape[0]
     return 240.0 * n * math.log2(n + 1) if sp.issparse(M) and M.nnz > n else 0.0
-
-
-@contextmanager
-def _memory_named(M: Matrix) -> Iterator[None]:
-    """A missing package is missed because factors need more memory than there is: say how much."""
-    try:
-        yield
-    except MissingExtraError as error:
-        need, there = factor_bytes(M) / 1e9, _physical_memory() / 1e9
-        raise SolverRefusedError(
-            f"factors of {M.shape[0]} unknowns would need about {need:.3g} GB, this machine has "
-            f"{there:.3g} GB, and conjugate gradients need a package: {error}"
-        ) from error
-
-
-def _fits(M: Matrix) -> bool:
-    return factor_bytes(M) <= SHARE * _physical_memory()
 
 
 def _physical_memory() -> float:

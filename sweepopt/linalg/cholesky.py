@@ -1,4 +1,4 @@
-"""L L^T = M for a sparse M: by CHOLMOD where cvxopt is installed and M not too large, or SuperLU.
+"""L L^T = M: by CHOLMOD where cvxopt is installed and M not too large, by SuperLU, or by LAPACK.
 
 On the unit square with P1 elements, in ms on one core, a solve and the two substitutions of a step:
 
@@ -9,21 +9,28 @@ On the unit square with P1 elements, in ms on one core, a solve and the two subs
     1,001,000    212    205     126    146     (CHOLMOD in blocks, else it factorises 30 s)
 
 Both take about a second to factorise 100,172 unknowns, SuperLU 14 to 17 s for 1,001,000.
+
+All factorise M / unit = P^T L L^T P with P w = w[order], `unit` a power of two, in an order of
+their own if none is given.
 """
 
 from __future__ import annotations
 
 import math
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import cache
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
+import scipy.linalg
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
+from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
 from sweepopt.checks import Matrix
+from sweepopt.linalg.matrices import euclidean
 
 SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 LIMIT = 200_000  # unknowns that CHOLMOD is faster for
@@ -32,68 +39,18 @@ WHOLE, LOWER, UPPER, DIAGONAL = 0, 4, 5, 6  # CHOLMOD's numbers of M, L, L^T and
 _settings_lock = threading.Lock()
 
 
-class Whole(Protocol):
-    """M factorised.
-
-    Attributes
-    ----------
-    order : ndarray of int
-        An order of the unknowns with little fill.
-    pivots : ndarray
-        Those of the unknowns, as M counts them.
-    """
-
-    order: np.ndarray
-    pivots: np.ndarray
-
-    def solve(self, w: np.ndarray) -> np.ndarray:
-        """M^-1 w, of one vector or of columns."""
-        ...
-
-
-class Halves(Protocol):
-    """M / unit = P^T L L^T P with P w = w[order]; both substitutions apart.
-
-    Attributes
-    ----------
-    pivots : ndarray
-    tail : ndarray, shape (m, m)
-        The last rows and columns of L; only where all pivots are positive.
-    """
-
-    pivots: np.ndarray
-    tail: np.ndarray
-
-    def solve(self, w: np.ndarray) -> np.ndarray:
-        """M^-1 w, of one vector or of columns."""
-        ...
-
-    def forward(self, w: np.ndarray) -> np.ndarray:
-        """L^-1 P w, of one vector."""
-        ...
-
-    def backward(self, y: np.ndarray) -> np.ndarray:
-        """P^T L^-T y, of one vector."""
-        ...
-
-
-def whole(M: Matrix) -> Whole:
-    """M factorised in an order of its own."""
-    return _Cholmod(M) if _has_cholmod(M) else _SuperLU(M)
-
-
-def halves(M: Matrix, order: np.ndarray, m: int) -> Halves:
-    """M factorised in a given order, whose last m unknowns have their block of L at hand."""
-    return _Cholmod(M, order, m) if _has_cholmod(M) else _Substitutions(M, order, m)
-
-
-def _has_cholmod(M: Matrix) -> bool:
-    return M.shape[0] <= LIMIT and installed()
+def cholesky(M: Matrix, order: np.ndarray | None = None, m: int = 0) -> Cholesky:
+    """M factorised; the last m unknowns of a given order have their block of L at hand."""
+    if not sp.issparse(M):
+        return Dense(M, order, m)
+    if M.shape[0] <= LIMIT and has_cholmod():
+        return Cholmod(M, order, m)
+    return SuperLU(M, order, m)
 
 
 @cache
-def installed() -> bool:
-    """Whether CHOLMOD is there."""
+def has_cholmod() -> bool:
+    """Whether CHOLMOD is installed."""
     try:
         from cvxopt import amd, cholmod  # noqa: F401
     except ImportError:  # not installed, or it lacks something itself
@@ -106,33 +63,117 @@ def unit_of(M: Matrix) -> float:
     return math.ldexp(1.0, math.frexp(float(M.diagonal().max()))[1])
 
 
-class _Cholmod:
-    """M / unit = P^T L D L^T P, with ones on the diagonal of this L.
+class Cholesky(ABC):
+    """M / unit = P^T L L^T P, and the elimination of all but the last m unknowns of the order.
+
+    For M z = r + E^T s, E selecting the m, the last rows and columns T of L give the Schur
+    complement N = (E M^-1 E^T)^-1 = unit T T^T.
+
+    Attributes
+    ----------
+    order : ndarray of int or None
+    unit : float
+    pivots : ndarray
+        Those of the unknowns, as M counts and measures them.
+    tail : ndarray, shape (m, m)
+        T; only where all pivots are positive.
+    """
+
+    method = "factors"
+    order: np.ndarray | None
+    unit: float
+    pivots: np.ndarray
+    tail: np.ndarray
+
+    @abstractmethod
+    def solve(self, w: np.ndarray) -> np.ndarray:
+        """M^-1 w, of one vector or of columns."""
+
+    @abstractmethod
+    def forward(self, w: np.ndarray) -> np.ndarray:
+        """L^-1 P w, of one vector."""
+
+    @abstractmethod
+    def backward(self, y: np.ndarray) -> np.ndarray:
+        """P^T L^-T y, of one vector."""
+
+    @property
+    def N(self) -> np.ndarray:
+        """The Schur complement."""
+        return self.unit * (self.tail @ self.tail.T)
+
+    def reduce(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Forward substitution of r, and the force N E M^-1 r."""
+        forward = self.forward(r)
+        return forward, self.tail @ forward[-len(self.tail) :]
+
+    def size(self, forward: np.ndarray) -> float:
+        """|r|_{M^-1} from the forward substitution of r."""
+        return euclidean(forward) / math.sqrt(self.unit)
+
+    def recover(self, forward: np.ndarray, zeta: np.ndarray) -> np.ndarray:
+        """z from the forward substitution of r and E z = zeta."""
+        y = forward / self.unit
+        y[-len(self.tail) :] = self.tail.T @ zeta
+        return self.backward(y)
+
+
+class Dense(Cholesky):
+    """LAPACK's factor of a dense M."""
+
+    def __init__(self, M: np.ndarray, order: np.ndarray | None, m: int) -> None:
+        self.order, self.unit = order, unit_of(M)
+        self._places = slice(None) if order is None else order
+        ordered = M if order is None else M[np.ix_(order, order)]
+        self._lower = scipy.linalg.cholesky(ordered / self.unit, lower=True)
+        self.tail = self._lower[len(M) - m :, len(M) - m :]
+        self.pivots = np.empty(len(M))
+        self.pivots[self._places] = self.unit * self._lower.diagonal() ** 2
+
+    def solve(self, w: np.ndarray) -> np.ndarray:
+        z = np.empty_like(w)
+        z[self._places] = lapack.dpotrs(self._lower, w[self._places], lower=True)[0]
+        z /= self.unit
+        return z
+
+    def forward(self, w: np.ndarray) -> np.ndarray:
+        return lapack.dtrtrs(self._lower, w[self._places], lower=True)[0]
+
+    def backward(self, y: np.ndarray) -> np.ndarray:
+        z = np.empty_like(y)
+        z[self._places] = lapack.dtrtrs(self._lower, y, lower=True, trans=1)[0]
+        return z
+
+
+class Cholmod(Cholesky):
+    """CHOLMOD's L D L^T of M / unit, with ones on the diagonal of its L.
 
     Where a hard limit of memory (ulimit -v) is met, cvxopt 1.3 may end the process.
     """
 
-    def __init__(self, M: Matrix, order: np.ndarray | None = None, m: int = 0) -> None:
-        from cvxopt import amd, cholmod, matrix
+    def __init__(self, M: Matrix, order: np.ndarray | None, m: int) -> None:
+        from cvxopt import amd, cholmod, matrix, spmatrix
 
         self._matrix, self._solve = matrix, cholmod.solve
-        self._unit = unit_of(M)
-        A = _triangle(M, self._unit)
-        self.order = np.ravel(amd.order(A)) if order is None else order
-        self._factor = _factorised(A, self.order)
+        self.unit = unit_of(M)
+        lower = sp.tril(M, format="coo")
+        rows, columns = lower.row.astype(np.int64), lower.col.astype(np.int64)
+        triangle = spmatrix(lower.data / self.unit, rows, columns, M.shape)
+        self.order = np.ravel(amd.order(triangle)) if order is None else order
+        self._factor = _factorised(triangle, self.order)
         D = 1 / self._system(DIAGONAL, np.ones(len(self.order)))
         self._root = np.sqrt(np.abs(D))
         self.pivots = np.empty_like(D)
-        self.pivots[self.order] = self._unit * D
+        self.pivots[self.order] = self.unit * D
         if m and D.min() > 0:
             tail = np.array(matrix(cholmod.getfactor(self._factor)[-m:, -m:]))
             np.fill_diagonal(tail, 1.0)  # where D was
             self.tail = tail * self._root[-m:]
-            self._factor = _factorised(A, self.order)  # getfactor has emptied it
+            self._factor = _factorised(triangle, self.order)  # getfactor has emptied it
 
     def solve(self, w: np.ndarray) -> np.ndarray:
         z = self._system(WHOLE, w)
-        z /= self._unit
+        z /= self.unit
         return z
 
     def forward(self, w: np.ndarray) -> np.ndarray:
@@ -149,15 +190,6 @@ class _Cholmod:
         x = self._matrix(np.asarray(w, dtype=float))
         self._solve(self._factor, x, sys=which)
         return np.asarray(x).reshape(w.shape)
-
-
-def _triangle(M: Matrix, unit: float) -> Any:
-    """The lower triangle of M / unit as cvxopt has it."""
-    from cvxopt import spmatrix
-
-    lower = sp.tril(M, format="coo")
-    rows, columns = lower.row.astype(np.int64), lower.col.astype(np.int64)
-    return spmatrix(lower.data / unit, rows, columns, M.shape)
 
 
 def _factorised(A: Any, order: np.ndarray) -> Any:
@@ -185,38 +217,39 @@ def _with_settings(call: Callable[..., Any], *args: Any) -> Any:
             options.update(before)
 
 
-class _SuperLU:
-    def __init__(self, M: Matrix) -> None:
-        lu = spla.splu(sp.csc_matrix(M), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC)
-        self.solve = lu.solve
-        self.order = np.argsort(lu.perm_c)
-        # with pivots on the diagonal their signs are the inertia (Sylvester)
-        self.pivots = lu.U.diagonal()[lu.perm_c]
+class SuperLU(Cholesky):
+    """SuperLU's L U of M, whose U is D L^T: pivots stay on the diagonal.
 
+    Their signs are the inertia (Sylvester). For the two substitutions apart L sqrt(D) is
+    factorised once more.
+    """
 
-class _Substitutions:
-    """The factor factorised: that gives its substitutions apart, forward and transposed."""
-
-    def __init__(self, M: Matrix, order: np.ndarray, m: int) -> None:
-        self._order = order
-        self._unit = unit_of(M)
-        ordered = sp.csc_matrix(M[order][:, order])
-        lu = spla.splu(ordered, permc_spec="NATURAL", **SYMMETRIC)
+    def __init__(self, M: Matrix, order: np.ndarray | None, m: int) -> None:
+        self._whole: Any = None
+        if order is None:
+            lu = spla.splu(sp.csc_matrix(M), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC)
+            self.order, self._whole = np.argsort(lu.perm_c), lu
+            self.pivots = lu.U.diagonal()[lu.perm_c]
+            return
+        self.order, self.unit = order, unit_of(M)
+        lu = spla.splu(sp.csc_matrix(M[order][:, order]), permc_spec="NATURAL", **SYMMETRIC)
         pivots = lu.U.diagonal()
         self.pivots = np.empty_like(pivots)
         self.pivots[order] = pivots
         if pivots.min() > 0:
-            lower = (lu.L @ sp.diags_array(np.sqrt(pivots / self._unit))).tocsc()
+            lower = (lu.L @ sp.diags_array(np.sqrt(pivots / self.unit))).tocsc()
             self.tail = lower[-m:, -m:].toarray()
             self._triangle = spla.splu(lower, permc_spec="NATURAL", **SYMMETRIC)
 
     def solve(self, w: np.ndarray) -> np.ndarray:
-        return self.backward(self.forward(w)) / self._unit
+        if self._whole is not None:
+            return self._whole.solve(w)
+        return self.backward(self.forward(w)) / self.unit
 
     def forward(self, w: np.ndarray) -> np.ndarray:
-        return self._triangle.solve(w[self._order])
+        return self._triangle.solve(w[self.order])
 
     def backward(self, y: np.ndarray) -> np.ndarray:
         z = np.empty_like(y)
-        z[self._order] = self._triangle.solve(y, "T")
+        z[self.order] = self._triangle.solve(y, "T")
         return z

@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
+import scipy.sparse.linalg as spla
 
 from sweepopt.checks import Matrix
 from sweepopt.errors import IndefiniteError, SolverRefusedError, brought_by
-from sweepopt.linalg.factor import Factor
+from sweepopt.linalg.matrices import euclidean, lanczos_start
 
-RESIDUAL = 1e-13  # of a solve, in the norm of the V-cycle: a few digits above rounding
+RESIDUAL = 1e-13  # of a solve, relative: a few digits above rounding
 MAX_STEPS = 1000  # of one solve: a cycle that fits needs 17 to 28, measured on P1 and P2 Laplacians
 HIERARCHY: dict[str, Any] = {
     "strength": ("symmetric", {"theta": 0.08}),  # pyamg's value for Laplacians in the plane
@@ -30,14 +31,14 @@ HIERARCHY: dict[str, Any] = {
 }
 
 
-class ConjugateGradients(Factor):
+class ConjugateGradients:
     """A sparse M = M^T > 0 that is not factorised.
 
     Parameters
     ----------
     M : sparse, shape (dim, dim)
-    name : str
-        How error messages call M.
+    kept : ndarray of int, optional
+        The unknowns that are not eliminated.
 
     Raises
     ------
@@ -50,95 +51,78 @@ class ConjugateGradients(Factor):
     """
 
     method = "conjugate gradients"
+    order = None
 
-    def __init__(self, M: Matrix, name: str = "M") -> None:
-        super().__init__(sp.csr_array(M.T), name)  # M = M^T: no copy of a CSC matrix
-
-    def _factorise_sparse(self) -> np.ndarray:
+    def __init__(self, M: Matrix, kept: np.ndarray | None = None) -> None:
         with brought_by("speed"):
             import pyamg
-        weights = sp.diags_array(1 / self.root)
-        self._A = sp.csr_array(weights @ self.M @ weights)
+        self.pivots = M.diagonal()
+        self._root = np.sqrt(self.pivots)
+        weights = sp.diags_array(1 / self._root)
+        self._A = sp.csr_array(weights @ M @ weights)
         # constants, in the scaled unknowns or in the given ones: whatever costs less energy
-        candidates = np.ones(self.dim), self.root / self.root.max()
+        candidates = np.ones(len(self._root)), self._root / self._root.max()
         smoothest = min(candidates, key=lambda x: (x @ (self._A @ x)) / (x @ x))
         hierarchy = pyamg.smoothed_aggregation_solver(self._A, B=smoothest[:, None], **HIERARCHY)
-        self._cycle = hierarchy.aspreconditioner("V").matvec
+        self._cycle = hierarchy.aspreconditioner("V")
+        self._operator = spla.LinearOperator(M.shape, matvec=self._image, dtype=float)
         # all eigenvectors are in a random right-hand side: a negative curvature shows
-        self._iterate(np.random.default_rng(0).normal(size=self.dim), RESIDUAL)
-        return self.diagonal / self.diagonal
+        self.solve(self._root * lanczos_start(len(self._root)))
+        if kept is not None:
+            self._kept = kept
+            S = np.column_stack([self._influence(unknown) for unknown in kept])
+            N = scipy.linalg.inv(0.5 * (S + S.T))
+            self.N = 0.5 * (N + N.T)
+
+    def _influence(self, unknown: int) -> np.ndarray:
+        """A column of S."""
+        unit = np.zeros(len(self._root))
+        unit[unknown] = 1.0
+        return self.solve(unit)[self._kept]
+
+    def _image(self, x: np.ndarray) -> np.ndarray:
+        image = self._A @ x
+        if not x @ image > 0:
+            raise IndefiniteError("the matrix must be positive definite: <Mx, x> <= 0 was met")
+        return image
 
     def solve(self, w: np.ndarray) -> np.ndarray:
         """M^-1 w of one vector or of columns, to RESIDUAL or to where rounding lets it stagnate."""
         if w.ndim == 2:
             return np.column_stack([self.solve(column) for column in w.T])
-        right = w / self.root
-        x, residual, size = np.zeros_like(right), right, self._size(right)
+        right = w / self._root
+        x, residual, size = np.zeros_like(right), right, euclidean(right)
         target = RESIDUAL * size
         while size > target:
-            change = self._iterate(residual, target / size)
+            change, failed = spla.cg(
+                self._operator, residual, rtol=0.0, atol=target, maxiter=MAX_STEPS, M=self._cycle
+            )
+            if failed:
+                raise SolverRefusedError(
+                    f"conjugate gradients do not converge in {MAX_STEPS} steps for this matrix, "
+                    "and its factors do not fit in memory; take a coarser mesh"
+                )
             # the residual that the iteration carries along drifts from the true one
             residual, before = right - self._A @ (x + change), size
-            size = self._size(residual)
+            size = euclidean(residual)
             if size < before:
                 x = x + change
             if size > 0.5 * before:
                 break
-        return x / self.root
-
-    def _size(self, r: np.ndarray) -> float:
-        return math.sqrt(max(r @ self._cycle(r), 0.0))
-
-    def _iterate(self, r: np.ndarray, reduction: float) -> np.ndarray:
-        """Preconditioned conjugate gradients (Hestenes, Stiefel) that look at the curvature."""
-        x, direction, size, first = np.zeros_like(r), np.zeros_like(r), 0.0, math.inf
-        for step in range(MAX_STEPS):
-            y = self._cycle(r)
-            before, size = size, float(r @ y)
-            first = size if step == 0 else first
-            if 0 <= size <= reduction**2 * first:
-                return x
-            direction = y + (size / before if step else 0.0) * direction
-            image = self._A @ direction
-            curvature = float(direction @ image)
-            if not (size > 0 and curvature > 0):
-                raise IndefiniteError("the matrix must be positive definite: <Mx, x> <= 0 was met")
-            x += size / curvature * direction
-            r = r - size / curvature * image
-        raise SolverRefusedError(
-            f"conjugate gradients do not converge in {MAX_STEPS} steps for this matrix, "
-            "and its factors do not fit in memory; take a coarser mesh"
-        )
-
-
-class IterativeElimination(ConjugateGradients):
-    """As `Elimination`, by solves with M: E M^-1 E^T costs one for each unknown that is kept."""
-
-    def __init__(self, M: Matrix, unknowns: np.ndarray) -> None:
-        super().__init__(M)
-        self.unknowns = unknowns
-        columns = []
-        for unknown in unknowns:
-            unit = np.zeros(self.dim)
-            unit[unknown] = 1.0
-            columns.append(self.solve(unit)[unknowns])
-        S = np.column_stack(columns)
-        self.N = scipy.linalg.inv(0.5 * (S + S.T))
-        self.N = 0.5 * (self.N + self.N.T)
+        return x / self._root
 
     def reduce(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The rows r and M^-1 r, and the force N E M^-1 r on zeta = E z."""
         solved = self.solve(r)
-        return np.stack([r, solved]), self.N @ solved[self.unknowns]
+        return np.stack([r, solved]), self.N @ solved[self._kept]
 
     def size(self, forward: np.ndarray) -> float:
         """|r|_{M^-1} from what `reduce` gave for r."""
         r, solved = forward
         return math.sqrt(max(float(r @ solved), 0.0))
 
-    def recover(self, forward: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """z with M z = r + E^T s and E z = zeta, from `reduce` of r and the force N zeta."""
-        _, solved = forward
-        pressure = np.zeros(self.dim)
-        pressure[self.unknowns] = force - self.N @ solved[self.unknowns]
+    def recover(self, forward: np.ndarray, zeta: np.ndarray) -> np.ndarray:
+        """z with M z = r + E^T s and E z = zeta, from `reduce` of r."""
+        solved, pressure = forward[1], np.zeros(len(self._root))
+        pressure[self._kept] = self.N @ (zeta - solved[self._kept])
         return np.asarray(solved + self.solve(pressure))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -27,31 +26,26 @@ def largest_eigenvalue(M: Matrix) -> float:
     return float(spla.eigsh(M, k=1, which="LA", v0=start, return_eigenvectors=False)[0])
 
 
-def largest_ratio(A: Factor, B: Matrix, factorise: Callable[[Matrix], Any] = Factor) -> float:
+def largest_ratio(A: Factor, B: Matrix) -> float:
     """A number that no eigenvalue of A^-1 B exceeds, for B positive semidefinite.
 
     Iterations find the largest eigenvalue from below, or miss it: what they find, and a little
     more, is proved by `exceeds_none`, or raised until it is. So it is above the eigenvalue by 1e-9
     of it where rounding lets that be seen, and not at all where both matrices are diagonal.
-
-    Parameters
-    ----------
-    factorise : callable
-        Raises IndefiniteError if its argument is not positive definite.
     """
     # in a body of few materials the eigenvalue itself
     least = float((np.asarray(B.diagonal(), dtype=float) / A.diagonal).max())
     if A.is_diagonal and is_diagonal(B):
         return least
     s = (1 + MARGINS[0]) * least
-    if exceeds_none(A, B, s, factorise):
+    if exceeds_none(A, B, s):
         return s
     found = _found(A, B, least)
     candidates = ((1 + margin) * found for margin in MARGINS)
-    return next((s for s in candidates if exceeds_none(A, B, s, factorise)), math.inf)
+    return next((s for s in candidates if exceeds_none(A, B, s)), math.inf)
 
 
-def exceeds_none(A: Factor, B: Matrix, s: float, factorise: Callable[[Matrix], Any]) -> bool:
+def exceeds_none(A: Factor, B: Matrix, s: float) -> bool:
     """Whether s is proved to be no less than all eigenvalues of A^-1 B, up to rounding.
 
     That is if the pivots of s A - B are positive (Sylvester's law of inertia).
@@ -60,7 +54,7 @@ def exceeds_none(A: Factor, B: Matrix, s: float, factorise: Callable[[Matrix], A
     if is_dominant(difference, slack=32 * UNIT):
         return True
     try:
-        factorise(difference)
+        Factor(difference)
     except InputError:
         return False
     return True
@@ -79,11 +73,8 @@ def _found(A: Factor, B: Matrix, least: float) -> float:
         return least
 
 
-def is_semidefinite(M: Matrix, factorise: Callable[[Matrix], Any] = Factor) -> bool:
-    """Whether a symmetric matrix is positive semidefinite up to rounding, in its own units.
-
-    `factorise` raises IndefiniteError if its argument is not positive definite.
-    """
+def is_semidefinite(M: Matrix) -> bool:
+    """Whether a symmetric matrix is positive semidefinite up to rounding, in its own units."""
     diagonal = np.asarray(M.diagonal(), dtype=float)
     if (diagonal < 0).any():
         return False
@@ -96,7 +87,7 @@ def is_semidefinite(M: Matrix, factorise: Callable[[Matrix], Any] = Factor) -> b
     shift = np.where(empty, 1.0, 1e-10 * diagonal)
     shifted = M + (sp.diags_array(shift, format="csc") if sp.issparse(M) else np.diag(shift))
     try:
-        factorise(shifted)
+        Factor(shifted)
     except IndefiniteError:
         return False
     return True

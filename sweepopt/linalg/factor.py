@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
-from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
 from sweepopt.checks import Matrix, divisor
 from sweepopt.errors import IndefiniteError, SolverRefusedError
-from sweepopt.linalg.cholesky import halves, unit_of, whole
+from sweepopt.linalg.choice import engine
 from sweepopt.linalg.matrices import (
     PIVOT,
     SMALL,
@@ -48,10 +47,8 @@ class Factor:
 
     Attributes
     ----------
-    order : ndarray of int or None
-        An order of the unknowns with little fill, for a sparse M.
-    method : str
-        How its equations are solved, for people.
+    unknowns : ndarray of int or slice
+        Those that a program with M has: all.
 
     Raises
     ------
@@ -59,10 +56,16 @@ class Factor:
         If M is not positive definite.
     """
 
-    order: np.ndarray | None = None
-    method = "factors"
+    unknowns: Any = slice(None)
 
-    def __init__(self, M: Matrix, name: str = "M") -> None:
+    def __init__(
+        self,
+        M: Matrix,
+        name: str = "M",
+        *,
+        unknowns: np.ndarray | None = None,
+        order: np.ndarray | None = None,
+    ) -> None:
         self.M, self.dim = M, M.shape[0]
         self.diagonal = np.asarray(M.diagonal(), dtype=float)
         if not (self.diagonal > 0).all():
@@ -77,7 +80,8 @@ class Factor:
         try:
             # pivots of inf or nan are refused below
             with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-                pivots = self._factorise_sparse() if sp.issparse(M) else self._factorise_dense()
+                self._engine = engine(M, order, unknowns)
+                pivots = self._engine.pivots / self.diagonal
         except (scipy.linalg.LinAlgError, RuntimeError, ArithmeticError):
             pivots = np.zeros(1)
         except MemoryError as error:
@@ -89,20 +93,36 @@ class Factor:
         if not pivots.min() > PIVOT:
             raise IndefiniteError(f"{name} must be positive definite; it has an eigenvalue <= 0")
 
-    def _factorise_sparse(self) -> np.ndarray:
-        self._whole = whole(self.M)
-        self.order = self._whole.order
-        return self._whole.pivots / self.diagonal
+    @property
+    def order(self) -> np.ndarray | None:
+        """An order of the unknowns with little fill, for a sparse M."""
+        return self._engine.order
 
-    def _factorise_dense(self) -> np.ndarray:
-        self._cholesky = scipy.linalg.cho_factor(self.M, lower=True)[0]
-        return self._cholesky.diagonal() ** 2 / self.diagonal
+    @property
+    def method(self) -> str:
+        """How its equations are solved, for people."""
+        return self._engine.method
 
     def solve(self, w: np.ndarray) -> np.ndarray:
         """M^-1 w."""
-        if sp.issparse(self.M):
-            return self._whole.solve(w)
-        return lapack.dpotrs(self._cholesky, w, lower=True)[0]
+        return self._engine.solve(w)
+
+    @property
+    def small(self) -> Factor:
+        """The matrix of the program for the `unknowns` alone: of all unknowns M itself."""
+        return self
+
+    def reduce(self, r: np.ndarray) -> tuple[Any, np.ndarray]:
+        """What `recover` needs of a force r, and the force on the `unknowns`."""
+        return r, r
+
+    def size(self, forward: Any) -> float | None:
+        """|r|_{M^-1} from what `reduce` gave for r; None where that takes a solve."""
+        return None
+
+    def recover(self, forward: Any, zeta: np.ndarray) -> np.ndarray:
+        """The z that is zeta on the `unknowns` and balances r beside them."""
+        return zeta
 
     def solve_many(self, rows: np.ndarray) -> np.ndarray:
         """M^-1 of each row, shape (k, dim)."""
@@ -123,19 +143,23 @@ class Factor:
         """M z + the others, in higher precision where rounding may exceed `enough` * |z|_M."""
         force = self.M.dot(z)
         size = math.sqrt(max(z.dot(force), 0.0))
-        rounding = self.rounding(z, more[0])
+        rounding = self.rounding(euclidean(self.root * z), euclidean(more[0] / self.root))
         if rounding <= enough * size:
             return Applied(sum(more, start=force), size, rounding)
         return Applied(self.precisely(z, *more), size, self.precisely.share * rounding)
 
-    def rounding(self, z: np.ndarray, q: np.ndarray) -> float:
+    def rounding(self, z: float, q: float) -> float:
         """A bound in |.|_{M^-1} of what M @ z + q rounds, without a solve.
 
         Each entry rounds about sqrt(k) times for k entries a row (Higham and Mary, SIAM J. Sci.
         Comput. 41, 2019), and | |M| |z| |_{M^-1} is bounded as D^-1/2 M D^-1/2 is.
+
+        Parameters
+        ----------
+        z, q : float
+            |D^1/2 z| and |D^-1/2 q|, D = diag(M).
         """
-        forces = self._spread * euclidean(self.root * z) + euclidean(q / self.root)
-        return UNIT * forces * self.bound_factor
+        return UNIT * (self._spread * z + q) * self.bound_factor
 
     @cached_property
     def is_sharp(self) -> bool:
@@ -158,17 +182,18 @@ class Factor:
 
     def moved(self, w: np.ndarray, z: np.ndarray) -> float:
         """A bound of |w|_{M^-1} + 2 |z|_M from bounds of their entries, without a solve."""
-        return self.dual_norm_bound(w) + 2 * math.sqrt(self._row_sum) * euclidean(self.root * z)
+        return self.dual_norm_bound(w) + 2 * self.stretch * euclidean(self.root * z)
 
     @cached_property
-    def _row_sum(self) -> float:
-        return row_sum(self.M, self.root)
+    def stretch(self) -> float:
+        """|z|_M <= this times |z| in units of the diagonal of M."""
+        return math.sqrt(row_sum(self.M, self.root))
 
     @cached_property
     def _spread(self) -> float:
         """Rounding units a row, times the largest row sum of | D^-1/2 M D^-1/2 |."""
         entries = np.diff(self.M.indptr).max() if sp.issparse(self.M) else self.dim
-        return (2 + math.sqrt(entries)) * self._row_sum
+        return (2 + math.sqrt(entries)) * self.stretch**2
 
     @cached_property
     def precisely(self) -> Precise:
@@ -229,61 +254,22 @@ class Elimination(Factor):
     """
 
     def __init__(self, M: Matrix, unknowns: np.ndarray, order: np.ndarray | None = None) -> None:
-        self.unknowns = unknowns
-        if order is None:
-            order = Factor(M).order
-        everyone = np.arange(M.shape[0]) if order is None else order
-        first = everyone[~np.isin(everyone, unknowns)]
-        self._order = np.concatenate([first, unknowns])
-        self._unit = unit_of(M)
-        super().__init__(M)
-        self.N = self._unit * (self._tail @ self._tail.T)
+        super().__init__(M, unknowns=unknowns, order=order)
+        self.unknowns, self.N = unknowns, self._engine.N
 
-    def _factorise_sparse(self) -> np.ndarray:
-        self._halves = halves(self.M, self._order, self.unknowns.size)
-        pivots = self._halves.pivots / self.diagonal
-        if pivots.min() > 0:
-            self._tail = self._halves.tail
-        return pivots
-
-    def _factorise_dense(self) -> np.ndarray:
-        ordered = self.M[np.ix_(self._order, self._order)]
-        self._lower = scipy.linalg.cholesky(ordered / self._unit, lower=True)
-        m = self.unknowns.size
-        self._tail = self._lower[-m:, -m:]
-        return self._unit * self._lower.diagonal() ** 2 / self.diagonal[self._order]
-
-    def solve(self, w: np.ndarray) -> np.ndarray:
-        """M^-1 w."""
-        if sp.issparse(self.M):
-            return self._halves.solve(w)
-        return self._backward(self._forward(w))
-
-    def _forward(self, w: np.ndarray) -> np.ndarray:
-        """L^-1 P w, P the order, L L^T = P M P^T / unit."""
-        if sp.issparse(self.M):
-            return self._halves.forward(w)
-        return lapack.dtrtrs(self._lower, w[self._order], lower=True)[0]
-
-    def _backward(self, y: np.ndarray) -> np.ndarray:
-        """P^T L^-T y / unit."""
-        y = y / self._unit
-        if sp.issparse(self.M):
-            return self._halves.backward(y)
-        z = np.empty_like(y)
-        z[self._order] = lapack.dtrtrs(self._lower, y, lower=True, trans=1)[0]
-        return z
+    @cached_property
+    def small(self) -> Factor:
+        """N with its own factors."""
+        return Factor(self.N)
 
     def reduce(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Forward substitution of r, and the force N E M^-1 r on zeta."""
-        forward = self._forward(r)
-        return forward, self._tail @ forward[-self.unknowns.size :]
+        """What `recover` needs of a force r, and the force N E M^-1 r on zeta."""
+        return self._engine.reduce(r)
 
     def size(self, forward: np.ndarray) -> float:
-        """|r|_{M^-1} from the forward substitution of r."""
-        return euclidean(forward) / math.sqrt(self._unit)
+        """|r|_{M^-1} from what `reduce` gave for r."""
+        return self._engine.size(forward)
 
-    def recover(self, forward: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """z from the forward substitution and the total force N zeta on zeta."""
-        forward[-self.unknowns.size :] = lapack.dtrtrs(self._tail, force, lower=True)[0]
-        return self._backward(forward)
+    def recover(self, forward: np.ndarray, zeta: np.ndarray) -> np.ndarray:
+        """z with M z = r + E^T s and E z = zeta."""
+        return self._engine.recover(forward, zeta)

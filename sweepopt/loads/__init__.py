@@ -8,12 +8,11 @@ their exact variation and their breakpoints, and `Separable` keeps shapes and hi
 from __future__ import annotations
 
 from sweepopt.loads.history import History, Piece, breakpoints
-from sweepopt.loads.separable import DATA, Separable
+from sweepopt.loads.separable import Separable
 from sweepopt.loads.table import Table, check_points
 from sweepopt.loads.waveforms import Constant, Polynomial, Sine, Triangle
 
 __all__ = [
-    "DATA",
     "Constant",
     "History",
     "Piece",

@@ -7,7 +7,7 @@ variation there, so a history that is data says both.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,23 +16,6 @@ from sweepopt.checks import HUGE, entries, number, times
 from sweepopt.errors import InputError
 
 Array = NDArray[np.float64]
-
-
-@runtime_checkable
-class History(Protocol):
-    """A scalar function of time that knows its variation."""
-
-    def __call__(self, t: ArrayLike) -> Any:
-        """phi(t), a float of a number and an array of an array."""
-        ...
-
-    def variation(self, a: float, b: float) -> float:
-        """Exact total variation on [a, b]."""
-        ...
-
-    def breakpoints(self, a: float, b: float) -> Array:
-        """Where it is not smooth, strictly inside (a, b), increasing."""
-        ...
 
 
 class Piece(NamedTuple):
@@ -53,11 +36,15 @@ class Piece(NamedTuple):
     waves: tuple[tuple[float, float, float], ...] = ()
 
 
-class ClosedForm:
-    """A history that is monotone between its turning points; straight unless a class says more."""
+class History:
+    """Data of the library: monotone between turning points, straight unless a class says more.
+
+    A user's own history is any function of time; one with `variation` and `breakpoints` too gets
+    error bounds.
+    """
 
     def __call__(self, t: ArrayLike) -> Any:
-        """phi(t)."""
+        """phi(t), a float of a number and an array of an array."""
         raise NotImplementedError
 
     def turning_points(self, a: float, b: float) -> Array:

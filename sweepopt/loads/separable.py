@@ -11,11 +11,7 @@ from numpy.typing import ArrayLike
 
 from sweepopt.checks import unmasked
 from sweepopt.errors import InputError, shown
-from sweepopt.loads.history import Array, breakpoints, read_only
-from sweepopt.loads.table import Table
-from sweepopt.loads.waveforms import Constant, Polynomial, Sine, Triangle
-
-DATA = (Constant, Polynomial, Sine, Triangle, Table)  # histories that take all times at once
+from sweepopt.loads.history import Array, History, breakpoints, read_only
 
 
 class Separable:
@@ -41,6 +37,7 @@ class Separable:
 
     Examples
     --------
+    >>> from sweepopt.loads import Constant, Sine
     >>> f = Separable([(Constant(1.0), [1.0, 0.0]), (Sine(1.0, period=4.0), [0.0, 2.0])])
     >>> f(1.0)
     array([1., 2.])
@@ -82,7 +79,7 @@ class Separable:
         """Values ``phi_k(t)`` at many times, shape (len(times), k)."""
         table = np.empty((len(times), len(self.terms)))
         for k, (history, _) in enumerate(self.terms):
-            values = history(times) if isinstance(history, DATA) else None
+            values = history(times) if isinstance(history, History) else None
             if values is None or not np.isfinite(values).all():
                 values = [self.value(k, t) for t in times.tolist()]
             table[:, k] = values

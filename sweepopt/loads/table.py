@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 from sweepopt.checks import HUGE, TIME_SLACK, number
 from sweepopt.errors import InputError
 from sweepopt.io import read_columns
-from sweepopt.loads.history import Array, ClosedForm, as_times, interval, read_only
+from sweepopt.loads.history import Array, History, as_times, interval, read_only
 
 
 @dataclass(frozen=True, eq=False)
-class Table(ClosedForm):
+class Table(History):
     """Piecewise linear history through measured points.
 
     Parameters

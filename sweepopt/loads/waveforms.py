@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from sweepopt.errors import InputError, shown
 from sweepopt.loads.history import (
     Array,
-    ClosedForm,
+    History,
     Piece,
     as_times,
     check_fields,
@@ -25,7 +25,7 @@ MOST_TURNS = 10_000_000
 
 
 @dataclass(frozen=True)
-class Constant(ClosedForm):
+class Constant(History):
     """``phi(t) = value``.
 
     Parameters
@@ -49,8 +49,7 @@ class Constant(ClosedForm):
         check_fields(self, "value")
 
     def __call__(self, t: ArrayLike) -> Any:
-        at = as_times(t)
-        return self.value if type(at) is float else np.full(np.shape(at), self.value)
+        return self.value + 0.0 * as_times(t)
 
     def piece(self, a: float, b: float) -> Piece:
         """The value."""
@@ -58,7 +57,7 @@ class Constant(ClosedForm):
 
 
 @dataclass(frozen=True, eq=False)
-class Polynomial(ClosedForm):
+class Polynomial(History):
     """``phi(t) = sum_k coefficients[k] t^k``.
 
     Parameters
@@ -114,7 +113,7 @@ class Polynomial(ClosedForm):
         return f"Polynomial({self.coefficients.tolist()})"
 
 
-class Periodic(ClosedForm):
+class Periodic(History):
     """A wave with one crest and one trough a period; its first crest is at `crest`."""
 
     amplitude: float

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg
 
 from sweepopt.errors import InputError
-from sweepopt.linalg import SMALL, dense, factorise, largest_ratio
+from sweepopt.linalg import SMALL, Factor, dense, largest_ratio
 from sweepopt.problem.process import SweepingProcess, proportion
 
 
@@ -78,7 +78,7 @@ def _rates(process: SweepingProcess) -> tuple[float, float]:
     if rho is not None:
         return rho, rho
     try:
-        lam = 1 / largest_ratio(factorise(process.B, "B"), process.A, factorise)
+        lam = 1 / largest_ratio(Factor(process.B, "B"), process.A)
     except InputError:  # B is singular
         lam = 0.0
     return 0.99 * lam, 1.01 * process.Lam

@@ -18,7 +18,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import Matrix, symmetric, vector
 from sweepopt.errors import InitialStateWarning, InputError, VariationWarning, shown, warn
-from sweepopt.linalg import EPS, factorise, is_semidefinite, largest_eigenvalue, largest_ratio
+from sweepopt.linalg import EPS, Factor, is_semidefinite, largest_eigenvalue, largest_ratio
 from sweepopt.sets import AnySet, ConvexSet, Moving, MovingSet, Point
 
 SAME = 8 * EPS  # entries of B and rho A may differ by this share
@@ -73,13 +73,13 @@ class SweepingProcess:
         self.u0 = vector("u0", u0, self.dim)
         if self.B is not None and abs(self.B).max() == 0:
             self.B = None
-        if self.B is not None and not is_semidefinite(self.B, factorise):
+        if self.B is not None and not is_semidefinite(self.B):
             raise InputError("B must be positive semidefinite; it has a negative eigenvalue")
         self.rate_independent = bool(abs(self.A).max() == 0)
         if self.rate_independent and self.B is None:
             raise InputError("A and B are both zero: nothing determines the velocity")
         # MATH.md: A = 0 lets B take A's place in every norm
-        self.metric = factorise(self._metric_matrix, "B" if self.rate_independent else "A")
+        self.metric = Factor(self._metric_matrix, "B" if self.rate_independent else "A")
 
     @property
     def _metric_matrix(self) -> Matrix:
@@ -120,7 +120,7 @@ class SweepingProcess:
             return 0.0
         if self.rate_independent:
             return float("inf")
-        return largest_ratio(self.metric, self.B, factorise)
+        return largest_ratio(self.metric, self.B)
 
     def times_B(self, u: np.ndarray) -> np.ndarray:
         """B u, zero where there is no B."""

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from sweepopt.results.energy import Energy
-from sweepopt.results.error_bound import ErrorBound
-from sweepopt.results.netcdf import (
+from sweepopt.results.dataset import (
     NetCDFSink,
-    StatesInFile,
     attributes_of,
     dataset,
     netcdf_package,
@@ -16,6 +13,8 @@ from sweepopt.results.netcdf import (
     times_of,
     variable,
 )
+from sweepopt.results.energy import Energy
+from sweepopt.results.error_bound import ErrorBound
 from sweepopt.results.refinement import refine
 from sweepopt.results.solution import Pass, Solution
 
@@ -25,7 +24,6 @@ __all__ = [
     "NetCDFSink",
     "Pass",
     "Solution",
-    "StatesInFile",
     "attributes_of",
     "dataset",
     "netcdf_package",

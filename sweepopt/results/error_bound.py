@@ -127,8 +127,8 @@ def nodes_of(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
         integrate(process, replace(plan, tol=tol), times, mus, run)
         if run.done == len(mus):
             break
-    states = run.kept().states
-    return Nodes(times, states.nodes, states.velocities)
+    _, nodes, velocities = run.kept()
+    return Nodes(times, nodes, velocities)
 
 
 class _Error(NamedTuple):

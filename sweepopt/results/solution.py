@@ -11,9 +11,9 @@ import numpy as np
 from sweepopt.errors import InputError, Status, SweepoptError, shown
 from sweepopt.integrate import Pass, States, Statistics
 from sweepopt.problem import SweepingProcess
+from sweepopt.results.dataset import to_xarray
 from sweepopt.results.energy import Energy, energy_of
 from sweepopt.results.interpolant import Interpolant
-from sweepopt.results.netcdf import to_xarray
 from sweepopt.results.nodes import Nodes
 from sweepopt.velocity import Plan, VelocityOf, compile_projection
 
@@ -92,12 +92,12 @@ class Solution:
     @property
     def complete(self) -> bool:
         """Whether all steps are kept."""
-        return len(self.steps) == len(self.statistics)
+        return len(self.steps) == len(self.statistics.ends)
 
     @cached_property
     def _grid(self) -> np.ndarray:
         """All times of the run, kept or not, shape (n+1,)."""
-        return self.t if self.complete else np.append(self.t[0], self.statistics.columns["t"])
+        return self.t if self.complete else np.append(self.t[0], self.statistics.ends)
 
     @cached_property
     def _interpolant(self) -> Interpolant:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ import scipy.sparse as sp
 from sweepopt.checks import divisor, matrix, number, vector
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
 from sweepopt.linalg import EPS, dense, row_lengths
-from sweepopt.sets.active_set import Near, least_distance, projector
+from sweepopt.sets.active_set import least_distance, projector
 from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
@@ -28,7 +29,7 @@ from sweepopt.sets.shapes import Orthant
 if TYPE_CHECKING:
     import cvxpy as cp
 
-REFINEMENTS = 3  # of a face, and of its nearest point: a long way there rounds
+REFINEMENTS = 3  # of a point on a face: a long way there rounds
 ACTIVE_DIM = 1000  # up to here the active-set projection is used, beyond a sparse QP
 
 
@@ -37,27 +38,6 @@ class _Normal(NamedTuple):
 
     normal: np.ndarray
     active: np.ndarray
-
-
-class _Face:
-    """Independent rows with equality, in the metric of 1 / tau, `units` the root of tau."""
-
-    def __init__(self, rows: np.ndarray, h: np.ndarray, units: np.ndarray) -> None:
-        self.rows, self._h, self._units = rows, h, units
-        self._Q, self._R = np.linalg.qr((rows * units).T)
-
-    def nearest(self, w: np.ndarray) -> np.ndarray:
-        """The point of the face nearest to w."""
-        missed = scipy.linalg.solve_triangular(self._R, self.missed(w), trans=1)
-        return w - self._units * (self._Q @ missed)
-
-    def missed(self, w: np.ndarray) -> np.ndarray:
-        """By how much w misses the face."""
-        return np.asarray(self.rows @ w - self._h)
-
-    def multipliers(self, p: np.ndarray) -> np.ndarray:
-        """y with the sum of y_k times the rows nearest to p."""
-        return scipy.linalg.solve_triangular(self._R, self._Q.T @ (self._units * p))
 
 
 class Polyhedron(ConvexSet):
@@ -128,54 +108,50 @@ class Polyhedron(ConvexSet):
 
     def support(self, z: np.ndarray) -> float:
         z = vector("z", z, self.dim)
-        size = float(np.abs(z).max(initial=0.0))
-        if not size or not self.h.size:
-            return 0.0 if not size else float("inf")
+        if not z.any() or not self.h.size:
+            return float("inf") if z.any() else 0.0
         # seen from a point of the set: h - G x >= 0 is as large as the set, wherever that is
         inside = self.project(np.zeros(self.dim))
         slack = np.maximum(self.h - self.G @ inside, 0.0)
-        # rows of length 1: HiGHS looks at absolute numbers
+        y = self._multipliers(z, slack)
+        return float("inf") if y is None else float(inside @ z + slack @ y)
+
+    def _multipliers(self, p: np.ndarray, slack: np.ndarray) -> np.ndarray | None:
+        """The y >= 0 with G^T y = p that minimises <slack, y>; None if there is none."""
+        # rows of length 1 and units of the data: HiGHS looks at absolute numbers
         lengths = row_lengths(self.G)
         weights = 1 / np.where(lengths > 0, lengths, 1.0)
-        slack = weights * slack
-        rows = self.G.T * weights
-        scale = float(slack.max()) or 1.0
+        size, costs = float(np.abs(p).max()), weights * slack
         result = scipy.optimize.linprog(
-            slack / scale,
-            A_eq=rows,
-            b_eq=z / size,
+            costs / (float(np.abs(costs).max()) or 1.0),
+            A_eq=self.G.T * weights,
+            b_eq=p / size,
             method="highs",
             options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
         )
         if result.status == 2:
-            return float("inf")
-        if result.fun is None:
+            return None
+        if result.x is None:
             raise SweepoptError(f"HiGHS failed on the support function: {result.message}")
-        return float(inside @ z) + size * scale * float(result.fun)
+        return size * weights * result.x
 
     def normal(self, v: np.ndarray) -> np.ndarray:
         v = vector("v", v, self.dim)
         exact = self._exact_normal(v, np.ones(self.dim))
         return normal_by_program(self, v).p if exact is None else exact.normal
 
-    def _exact_normal(
-        self, v: np.ndarray, tau: np.ndarray, near: np.ndarray | None = None
-    ) -> _Normal | None:
+    def _exact_normal(self, v: np.ndarray, tau: np.ndarray) -> _Normal | None:
         """(v - w) / tau from the active rows, w the nearest point in the metric of 1 / tau.
 
-        None in large dimensions and where the rows are not found. Where v is far away, a point
-        `near` w tells rows that rounding of v hides.
+        None in large dimensions and where the rows are not found.
         """
-        slack = self.h - self.G @ v
+        slack, root = self.h - self.G @ v, np.sqrt(tau)
         if (slack >= 0).all():
             return _Normal(np.zeros(self.dim), np.zeros(0, dtype=int))
         if self.dim > ACTIVE_DIM:
             return None
-        units = np.sqrt(tau)
-        G = self.G @ sp.diags_array(units) if sp.issparse(self.G) else self.G * units
-        beside = None if near is None else Near(self.h - self.G @ near, self._rounding(near))
-        found = least_distance(G, slack, self._rounding(v), beside)
-        return None if found is None else _Normal(0.0 - found.u / units, found.active)
+        found = least_distance(_columns(self.G, root), slack, self._rounding(v))
+        return None if found is None else _Normal(0.0 - found.u / root, found.active)
 
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
@@ -190,34 +166,56 @@ class Polyhedron(ConvexSet):
     def normal_pair(
         self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray | None = None
     ) -> NormalPair | None:
-        v, near = w + tau * p, w
-        for _ in range(REFINEMENTS):
-            found = self._exact_normal(v, tau, near)
-            if found is None:
-                return None
-            inside = v - tau * found.normal
-            if not found.active.size:
-                return NormalPair(found.normal, w if self._has(w, found.active, w) else inside, 0.0)
-            # v is rounded where tau * p is large beside w: on the face of the normal w and p are,
-            # once more
-            face = _Face(dense(self.G[found.active]), self.h[found.active], np.sqrt(tau))
-            multipliers = face.multipliers(p)
-            if (multipliers < 0).any():
-                multipliers = np.maximum(face.multipliers(found.normal), 0.0)
-            normal = face.rows.T @ multipliers
-            for start in (w, inside):
-                near = start
-                for _ in range(REFINEMENTS):
-                    near = face.nearest(near)
-                    if self._has(near, found.active, start):
-                        return NormalPair(normal, near, 0.0)
-        return NormalPair(normal, inside, float(multipliers @ np.abs(face.missed(inside))))
+        """On the face that v = w + tau p is nearest to.
 
-    def _has(self, w: np.ndarray, active: np.ndarray, start: np.ndarray) -> bool:
-        """Whether w is in C, and on the rows that are active, but for rounding on the way there."""
-        slack = self.h - self.G @ w
-        rounding = self._rounding(np.abs(w) + EPS * np.abs(start))
-        return bool((slack >= -rounding).all() and (slack <= rounding)[active].all())
+        v is rounded where tau p is large beside w. So only the active rows come from it; their
+        multipliers come from p, and the point is the one of their face nearest to w. Where rounding
+        hides which rows these are, the linear program of the support function at p tells.
+        """
+        v, root = w + tau * p, np.sqrt(tau)
+        found = self._exact_normal(v, tau)
+        if found is None:
+            return None
+        rows = dense(self.G[found.active])
+        Q, R = np.linalg.qr((rows * root).T)
+        multipliers = scipy.linalg.solve_triangular(R, Q.T @ (root * p))
+        if (multipliers < 0).any():
+            multipliers = scipy.linalg.solve_triangular(R, Q.T @ (root * found.normal))
+            multipliers = np.maximum(multipliers, 0.0)
+        outside = scipy.linalg.solve_triangular(R, rows @ w - self.h[found.active], trans=1)
+        point = self._on_face(w - root * (Q @ outside), found.active, root)
+        if point is not None:
+            return NormalPair(multipliers @ rows, point, 0.0)
+        with contextlib.suppress(SweepoptError):  # of HiGHS
+            y = self._multipliers(p, self.h - self.G @ w)
+            point = None if y is None else self._on_face(w, np.flatnonzero(y), root)
+        if point is not None:
+            return NormalPair(self.G.T @ y, point, 0.0)
+        inside = v - tau * found.normal
+        gap = multipliers @ np.abs(rows @ inside - self.h[found.active])
+        return NormalPair(multipliers @ rows, inside, float(gap))
+
+    def _on_face(self, start: np.ndarray, active: np.ndarray, root: np.ndarray) -> Any:
+        """The point nearest to start with equality on active rows; None if rounding hides it."""
+        w, stack = start, sp.vstack if sp.issparse(self.G) else np.vstack
+        for _ in range(1 + REFINEMENTS):
+            slack = self.h - self.G @ w
+            rounding = self._rounding(np.abs(w) + EPS * np.abs(start))
+            slack, rounding = (
+                np.append(slack, -slack[active]),
+                np.append(rounding, rounding[active]),
+            )
+            if (slack >= -rounding).all():
+                return w
+            try:
+                sides = stack([self.G, -self.G[active]])
+                way = least_distance(_columns(sides, root), slack, rounding)
+            except EmptySetError:
+                return None
+            if way is None:
+                return None
+            w = w + root * way.u
+        return None
 
     def _rounding(self, w: np.ndarray) -> np.ndarray:
         return ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(w))
@@ -294,9 +292,7 @@ class HalfSpace(Polyhedron):
             return float("inf")
         return factor * self.offset
 
-    def _exact_normal(
-        self, v: np.ndarray, tau: np.ndarray, near: np.ndarray | None = None
-    ) -> _Normal:
+    def _exact_normal(self, v: np.ndarray, tau: np.ndarray) -> _Normal:
         row = self.G[0]
         length = float(np.linalg.norm(row * np.sqrt(tau)))
         excess = float(row @ v) - self.offset
@@ -306,3 +302,8 @@ class HalfSpace(Polyhedron):
         if not (isinstance(other, HalfSpace) and same_array(self.G, other.G)):
             return None
         return abs(self.offset - other.offset) / float(np.linalg.norm(self.G))
+
+
+def _columns(G: Any, units: np.ndarray) -> Any:
+    """G with its columns in these units."""
+    return G @ sp.diags_array(units) if sp.issparse(G) else G * units

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from sweepopt.errors import InputError, SweepoptError
-from sweepopt.io import find_problem, read_bytes, read_toml
+from sweepopt.io import find_scene, read_bytes, read_toml
 from sweepopt.problem import SweepingProcess
 from sweepopt.study import problems
 
@@ -75,7 +75,7 @@ def find_source(name: str, folder: str | Path = ".") -> Source:
         path = Path(problems.__file__)
     elif path.suffix != ".toml":
         try:
-            path = find_problem(name)
+            path = find_scene(name)
         except InputError as error:
             known = ", ".join(problems.PROBLEMS)
             raise InputError(f"{error}, and for studies {known}") from error

@@ -2,36 +2,17 @@
 
 from __future__ import annotations
 
-from sweepopt.velocity.cascade import (
-    Factors,
-)
-from sweepopt.velocity.certificate import (
-    Velocity,
-    certify,
-    certify_point,
-)
+from sweepopt.velocity.certificate import Velocity, certify, certify_point
 from sweepopt.velocity.compiled import (
     StateVelocity,
     VelocityOf,
     compile_projection,
     compile_velocity,
-    factors,
     matrix,
 )
-from sweepopt.velocity.plan import (
-    PATHS,
-    Plan,
-    make_plan,
-)
-from sweepopt.velocity.program import (
-    Canonical,
-    VelocityProgram,
-    untranslated,
-)
-from sweepopt.velocity.proportional import (
-    ReconstructionResiduals,
-    Reduction,
-)
+from sweepopt.velocity.plan import PATHS, Plan, make_plan
+from sweepopt.velocity.program import VelocityProgram, untranslated
+from sweepopt.velocity.proportional import ReconstructionResiduals, Reduction
 from sweepopt.velocity.solvers import (
     DAQP,
     OSQP,
@@ -44,9 +25,7 @@ from sweepopt.velocity.solvers import (
     Solve,
     Solver,
 )
-from sweepopt.velocity.solvers.reference import (
-    installed,
-)
+from sweepopt.velocity.solvers.reference import installed
 
 __all__ = [
     "DAQP",
@@ -55,10 +34,8 @@ __all__ = [
     "REGISTRY",
     "ActiveSet",
     "Answer",
-    "Canonical",
     "Clarabel",
     "Cvxpy",
-    "Factors",
     "Newton",
     "Plan",
     "ReconstructionResiduals",
@@ -73,7 +50,6 @@ __all__ = [
     "certify_point",
     "compile_projection",
     "compile_velocity",
-    "factors",
     "installed",
     "make_plan",
     "matrix",

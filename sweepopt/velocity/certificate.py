@@ -35,8 +35,9 @@ from sweepopt.linalg import (
     row_sum,
     sum_error,
 )
-from sweepopt.sets import ROUNDING, Box, ConvexSet, Selection
+from sweepopt.sets import ROUNDING, Box, ConvexSet
 
+CLOSED_FORM = "closed form"  # who finds a velocity that a formula gives
 SHARE = 0.1  # of the tolerance, for rounding that is bounded and not looked at more closely
 
 
@@ -65,44 +66,61 @@ class Velocity(NamedTuple):
     attempts: int = 0
 
 
-class LinearTerm(NamedTuple):
-    """The linear term q - c of the program for C = c + S.
+class Instance(NamedTuple):
+    """One inclusion: C = c + E^T S with E selecting unknowns, or all, and q = B u.
 
     Attributes
     ----------
     force : ndarray, shape (dim,)
         q - c, rounded.
     q, c : ndarray, shape (dim,)
+    S : ConvexSet
+    whole : ConvexSet
+        E^T S.
     u : ndarray or None
-        The state with q = B u; None where q is given.
+        None where q is given.
+    unknowns : ndarray of int or slice
+        Those that S acts on.
     """
 
     force: np.ndarray
     q: np.ndarray
     c: np.ndarray
+    S: ConvexSet
+    whole: ConvexSet
     u: np.ndarray | None = None
+    unknowns: Any = slice(None)
 
 
 class Proposal(NamedTuple):
-    """A normal pair of C = c + S: -z in N_C(c + w), w zero beside some unknowns.
+    """A normal pair of C = c + E^T S: -E z in N_S(w), but for a gap and for rounding.
 
     Attributes
     ----------
     z : ndarray, shape (dim,)
     w : ndarray, shape (m,)
-        A point of S on `unknowns`.
+        A point of S.
     unknowns : ndarray of int or slice
+        What E selects.
     gap : float
-        By how much the pair may fail to be normal: sigma(S, -z) + <z, w> <= gap.
-    moved : float
+        By how much the pair may fail to be normal: sigma(S, -E z) - <-E z, w> <= gap.
+    perturbation : float
         Bound of what the rounding of the pair moves z and w, in |.|_M and |.|_{M^-1}.
+    size : float, optional
+        |M^-1 (q - c)|_M if it is known; it costs a solve.
+    solver : str
+    iterations : int
+        Of the solver.
     """
 
     z: np.ndarray
     w: np.ndarray
-    unknowns: Any
+    unknowns: Any = slice(None)
     gap: float = 0.0
-    moved: float = 0.0
+    perturbation: float = 0.0
+    size: float | None = None
+    solver: str = ""
+    iterations: int = 0
 
 
 class Inclusion:
@@ -121,118 +139,82 @@ class Inclusion:
     ) -> None:
         self.M, self._A, self._B, self._gamma = M, A, B, gamma
 
-    @cached_property
-    def _condensed(self) -> Factor:
-        """N = (E M^-1 E^T)^-1, if M is factorised for the elimination of other unknowns."""
-        return Factor(self.M.N)  # type: ignore[attr-defined]
-
-    def certify(
-        self, term: LinearTerm, found: Proposal, tol: float, *, size: float | None = None
-    ) -> Velocity:
-        """The velocity of a normal pair with its certificate, as sharp as `tol` needs it.
-
-        Parameters
-        ----------
-        size : float, optional
-            |M^-1 (q - c)|_M if it is known; it costs a solve.
-        """
-        M, z, few = self.M, found.z, found.unknowns
-        product = M.diagonal * z if M.is_diagonal else M.M.dot(z)
-        size_z = math.sqrt(max(z.dot(product), 0.0))
-        allowed = SHARE * tol * size_z
-        of_products = 2 * M.rounding(z, term.force)
-        of_data = self._hidden_bound(term, z, size_z)
-        rounding, metric = of_products + of_data, 1.0
+    def certify(self, of: Instance, pair: Proposal, tol: float) -> Velocity:
+        """The velocity of a normal pair with its certificate, as sharp as `tol` needs it."""
+        M, z, size = self.M, pair.z, pair.size
+        force = euclidean(of.force / M.root)
+        if M.is_diagonal:  # all norms are those in its units
+            product = M.diagonal * z
+            size_z = length = math.sqrt(z.dot(product))
+            size = force
+        else:
+            product = M.M.dot(z)
+            size_z, length = math.sqrt(max(z.dot(product), 0.0)), euclidean(M.root * z)
+        allowed, metric = SHARE * tol * size_z, 1.0
+        of_products = 2 * M.rounding(length, force)
+        of_data = self._rounding_of_data(size_z, of.u)
+        rounding = of_products + of_data
         if rounding <= allowed:
-            rho = product + term.force
-            rho[few] -= found.w
+            rho = product + of.force
+            rho[pair.unknowns] -= pair.w
         else:
             w = np.zeros_like(z)
-            w[few] = found.w
-            rho = self.exact_residual(term, z, -w)
+            w[pair.unknowns] = pair.w
+            rho = self.exact_residual(of, z, -w)
             rounding = M.precisely.share * of_products
-            rounding += self._product.share * of_data if of_data else 0.0
+            rounding += self._exact_B.share * of_data if of_data else 0.0
             metric = math.sqrt(max(1 - self._metric_error, 0.0))
-        residual = self._dual_norm(rho, few, allowed) + rounding
-        certificate = math.sqrt(2 * found.gap + residual**2) + found.moved
-        if not metric:  # M says nothing of A + gamma B
-            return Velocity(z, math.inf, math.inf)
+            if not metric:  # M says nothing of A + gamma B
+                return Velocity(z, math.inf, math.inf)
+        residual = M.dual_norm_bound(rho)
+        if residual > allowed:
+            residual = min(residual, M.margin * M.dual_norm(rho))
+        certificate = math.sqrt(2 * pair.gap + (residual + rounding) ** 2) + pair.perturbation
         certificate /= metric
         if size is None and not certificate <= tol * size_z:
-            size = M.dual_norm(term.force)
-        size_z = max(size_z, size or 0.0)
-        return rated(z, certificate, size_z * metric)
+            size = M.dual_norm(of.force)
+        return rated(z, certificate, max(size_z, size or 0.0) * metric, pair.solver)
 
-    # ---- the residual and its rounding ---------------------------------------------------------
+    # ---- rounding ------------------------------------------------------------------------------
 
-    def _hidden_bound(self, term: LinearTerm, z: np.ndarray, size: float) -> float:
+    def exact_residual(self, of: Instance, z: np.ndarray, *more: np.ndarray) -> np.ndarray:
+        """A z + B (u + gamma z) - c + the others, rounded once."""
+        if self._B is None or of.u is None:
+            return self.M.precisely(z, of.q, -of.c, *more)
+        of_q = self._exact_B(of.u, -of.q)
+        return self.M.precisely(z, of.q, -of.c, of_q, self._rounding_of_M @ z, *more)
+
+    def _rounding_of_data(self, size: float, u: np.ndarray | None) -> float:
         """A bound of (A + gamma B - M) z + (B u - q) in |.|_{M^-1}, for |z|_M <= size."""
-        if self._B is None or term.u is None:
-            return 0.0
-        shares = self._shares
-        by_size = shares.of_size <= NEGLIGIBLE
-        of_M = shares.of_size * size if by_size else shares.of_z * euclidean(self.M.root * z)
-        return of_M + self.rounding_of_force(term.u)
-
-    def rounding_of_force(self, u: np.ndarray | None) -> float:
-        """A bound of |B u - q|_{M^-1}."""
         if self._B is None or u is None:
             return 0.0
-        return self._shares.of_u * euclidean(self.M.root * u)
+        return self.share_of_z * size + self.share_of_u * euclidean(self.M.root * u)
 
-    def exact_residual(self, term: LinearTerm, z: np.ndarray, *more: np.ndarray) -> np.ndarray:
-        """A z + B (u + gamma z) - c + the others, rounded once."""
-        if self._B is None or term.u is None:
-            return self.M.precisely(z, term.q, -term.c, *more)
-        hidden = self._product(term.u, -term.q)
-        return self.M.precisely(z, term.q, -term.c, hidden, self._hidden @ z, *more)
-
-    def exact_force(self, u: np.ndarray) -> np.ndarray:
-        """B u, rounded once."""
-        return self._product(u)
-
-    def forces(self, q: np.ndarray, c: np.ndarray) -> float:
-        """A number below |M^-1 q|_M + |M^-1 c|_M, which need a solve."""
-        root = self.M.root
-        return (euclidean(q / root) + euclidean(c / root)) / self._stretch
-
-    def _dual_norm(self, rho: np.ndarray, few: Any, enough: float) -> float:
-        """A bound of |rho|_{M^-1}; the cheapest one that is at most `enough`.
-
-        On the few unknowns that are not eliminated it is a norm of few entries: |E^T r|_{M^-1} is
-        |r|_{N^-1}.
-        """
+    @cached_property
+    def share_of_u(self) -> float:
+        """|B u - q|_{M^-1} as a share of |u| in units of the diagonal of M."""
+        if self._B is None:
+            return 0.0
+        entries = np.diff(self._B.indptr).max() if sp.issparse(self._B) else len(self._B)
         M = self.M
-        bound = M.dual_norm_bound(rho)
-        if bound > enough and few is getattr(M, "unknowns", None):
-            beside = rho.copy()
-            beside[few] = 0.0
-            on_few = M.margin * self._condensed.dual_norm(rho[few])
-            bound = min(bound, on_few + M.dual_norm_bound(beside))
-        return bound if bound <= enough else min(bound, M.margin * M.dual_norm(rho))
+        return UNIT * M.bound_factor * (3 + math.sqrt(entries)) * row_sum(self._B, M.root)
 
     @cached_property
-    def _shares(self) -> _Shares:
-        B, root, factor = self._B, self.M.root, self.M.bound_factor
-        assert B is not None
-        of_B = row_sum(B, root)
-        entries = np.diff(B.indptr).max() if sp.issparse(B) else len(B)
-        of_M = UNIT * factor * (self._stretch**2 + self._gamma * of_B) if self._gamma else 0.0
-        of_u = UNIT * factor * (3 + math.sqrt(entries)) * of_B
-        return _Shares(of_M * factor, of_M, of_u)
+    def share_of_z(self) -> float:
+        """|(A + gamma B - M) z|_{M^-1} as a share of |z|_M."""
+        if self._B is None or not self._gamma:
+            return 0.0
+        M = self.M
+        sums = M.stretch**2 + self._gamma * row_sum(self._B, M.root)
+        return UNIT * M.bound_factor**2 * sums
 
     @cached_property
-    def _stretch(self) -> float:
-        """|z|_M <= this times |z| in units of the diagonal of M."""
-        return math.sqrt(row_sum(self.M.M, self.M.root))
-
-    @cached_property
-    def _product(self) -> Precise:
+    def _exact_B(self) -> Precise:
         assert self._B is not None
         return Precise(self._B)
 
     @cached_property
-    def _hidden(self) -> Matrix:
+    def _rounding_of_M(self) -> Matrix:
         """A + gamma B - M."""
         assert self._A is not None
         assert self._B is not None
@@ -247,32 +229,48 @@ class Inclusion:
         if self._B is None or not self._gamma:
             return 0.0
         M = self.M
-        share = row_sum(self._hidden, M.root) * M.bound_factor**2
+        share = row_sum(self._rounding_of_M, M.root) * M.bound_factor**2
         if share > NEGLIGIBLE and M.dim <= 10 * SMALL:
-            similar = M.solve_many(dense(self._hidden)) * M.root / M.root[:, None]
+            similar = M.solve_many(dense(self._rounding_of_M)) * M.root / M.root[:, None]
             share = float(np.abs(np.linalg.eigvals(similar)).max())
         return share
 
+    # ---- rest ----------------------------------------------------------------------------------
 
-class _Shares(NamedTuple):
-    """What rounding hides of the residual: M z as a share of |z|_M or of |z|, B u of |u|.
+    def rests(self, of: Instance, tol: float, outside: np.ndarray | None = None) -> bool:
+        """Whether q is in C, and B u as well where q may be rounded to more than a share of tol.
 
-    The lengths of z and u are in units of the diagonal of M.
-    """
+        Parameters
+        ----------
+        outside : ndarray, shape (dim,), optional
+            How far q is outside of C = c + S, if that is known.
+        """
+        if outside is None:
+            if not rests(of, of.q, self.M.diagonal):
+                return False
+        elif not is_rounding(outside, of.q, of.c, of.whole.anchor):
+            return False
+        if self._B is None or of.u is None:
+            return True
+        root = self.M.root
+        # below |M^-1 q|_M + |M^-1 c|_M, which need a solve
+        forces = (euclidean(of.q / root) + euclidean(of.c / root)) / self.M.stretch
+        rounding = self.share_of_u * euclidean(root * of.u)
+        return rounding <= SHARE * tol * forces or self.rests_exactly(of)
 
-    of_size: float
-    of_z: float
-    of_u: float
+    def rests_exactly(self, of: Instance) -> bool:
+        """Whether B u, rounded once, is in C."""
+        return of.u is not None and rests(of, self._exact_B(of.u), self.M.diagonal)
 
 
-def rated(z: np.ndarray, certificate: float, size: float) -> Velocity:
+def rated(z: np.ndarray, certificate: float, size: float, solver: str = "") -> Velocity:
     """A velocity whose certificate is compared to a size.
 
     What is not exact is known to one rounding of this size at best.
     """
     certificate += UNIT * size if certificate else 0.0
     relative = certificate / size if size else math.inf
-    return Velocity(z, certificate, float(relative) if certificate else 0.0)
+    return Velocity(z, certificate, float(relative) if certificate else 0.0, solver)
 
 
 def certify(
@@ -291,9 +289,8 @@ def certify(
     pair = pair_near(M, q, C, z, np.zeros(C.offsets.size) if y is None else y, tol)
     if pair is None:
         return Velocity(z, math.nan, math.nan)
-    term = LinearTerm(q, q, np.zeros_like(q))
-    size = M.dual_norm(q - C.anchor)
-    return Inclusion(M).certify(term, pair, tol, size=size)
+    pair = pair._replace(size=M.dual_norm(q - C.anchor))
+    return Inclusion(M).certify(Instance(q, q, np.zeros_like(q), C, C), pair, tol)
 
 
 def certify_point(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray, floor: float) -> Velocity:
@@ -317,46 +314,46 @@ def pair_near(
     pair = C.normal_pair(-z, force, M.diagonal, y)
     if pair is None:
         return None
-    moved = 0.0 if pair.perturbation is None else M.moved(*pair.perturbation)
-    return Proposal(0.0 - pair.p, pair.w, slice(None), pair.gap, moved)
+    perturbation = 0.0 if pair.perturbation is None else M.moved(*pair.perturbation)
+    return Proposal(0.0 - pair.p, pair.w, gap=pair.gap, perturbation=perturbation)
 
 
 # ---- rest --------------------------------------------------------------------------------------
 
 
-def rests(
-    q: np.ndarray, c: np.ndarray, S: ConvexSet, few: Selection | None, diagonal: np.ndarray
-) -> bool:
-    """Whether z = 0: q is in C = c + S but for rounding, `few` the selection of C if it has one.
+def rests(of: Instance, q: np.ndarray, diagonal: np.ndarray) -> bool:
+    """Whether z = 0 for a linear term q: it is in C = c + E^T S but for rounding.
 
-    Where C acts on few unknowns, the force beside them settles most steps.
+    Where S acts on few unknowns, the force beside them settles most steps.
     """
-    force = q - c
-    if few is None:
-        return is_rounding(force - S.nearest(force, diagonal), q, c + S.anchor)
-    on_few = force[few.unknowns]
-    force[few.unknowns] = 0.0
-    if not is_near(force, q, c):
+    few, outside, anchor = of.unknowns, q - of.c, of.S.anchor
+    acting = np.array(outside[few])
+    outside[few] = 0.0
+    if not is_near(outside, q, of.c, anchor):
         return False
-    force[few.unknowns] = on_few - few.part.nearest(on_few, diagonal[few.unknowns])
-    anchor = np.abs(c)
-    anchor[few.unknowns] += np.abs(few.part.anchor)
-    return is_rounding(force, q, anchor)
+    outside[few] = acting - of.S.nearest(acting, diagonal[few])
+    shift = np.abs(of.c)
+    shift[few] += np.abs(anchor)
+    return is_rounding(outside, q, shift)
 
 
-def is_rounding(outside: np.ndarray, q: np.ndarray, anchor: np.ndarray) -> bool:
-    """The rule of rest: q is out of C by at most 8 rounding units of q and of C's translation.
+def is_rounding(outside: np.ndarray, q: np.ndarray, *shifts: np.ndarray) -> bool:
+    """The rule of rest: q is out of C by at most 8 rounding units of q and of C's translations.
 
     It holds entry by entry.
     """
-    return is_near(outside, q, anchor) and bool(
-        (np.abs(outside) <= ROUNDING * (np.abs(q) + np.abs(anchor))).all()
-    )
+    if not is_near(outside, q, *shifts):
+        return False
+    scale = sum(map(np.abs, shifts), start=np.abs(q))
+    return bool((np.abs(outside) <= ROUNDING * scale).all())
 
 
-def is_near(outside: np.ndarray, q: np.ndarray, anchor: np.ndarray) -> bool:
+def is_near(outside: np.ndarray, q: np.ndarray, *shifts: np.ndarray) -> bool:
     """What the rule of rest implies in the Euclidean norm, which costs less to look at."""
-    return bool(outside.dot(outside) <= 3 * ROUNDING**2 * (q.dot(q) + anchor.dot(anchor)))
+    squares = q.dot(q)
+    for shift in shifts:
+        squares += shift.dot(shift)
+    return bool(outside.dot(outside) <= (2 + len(shifts)) * ROUNDING**2 * squares)
 
 
 def at_rest(q: np.ndarray, solver: str = "at rest") -> Velocity:
@@ -374,11 +371,10 @@ class OneUnknown:
     look.
     """
 
-    def __init__(self, inclusion: Inclusion, B: float, S: Box, tol: float) -> None:
-        shares = inclusion._shares if inclusion._B is not None else _Shares(0.0, 0.0, 0.0)
-        self._M, self._B, self._allowed = float(inclusion.M.diagonal[0]), B, SHARE * tol
-        self._root = math.sqrt(self._M)
-        self._of_z, self._of_u = shares.of_z, shares.of_u
+    def __init__(self, inclusion: Inclusion, B: Matrix | None, S: Box, tol: float) -> None:
+        self._M, self._allowed = float(inclusion.M.diagonal[0]), SHARE * tol
+        self._B, self._root = 0.0 if B is None else float(dense(B)[0, 0]), math.sqrt(self._M)
+        self._of_z, self._of_u = inclusion.share_of_z, inclusion.share_of_u
         self._lower, self._upper = float(S.lower[0]), float(S.upper[0])
 
     def __call__(self, u: float, c: float) -> Velocity | None:
@@ -388,11 +384,10 @@ class OneUnknown:
         forces = (abs(q) + abs(c)) / self._root
         hidden = self._root * self._of_u * abs(u)
         if abs(outside) <= ROUNDING * (abs(q) + abs(c)) < math.inf:
-            return at_rest(np.zeros(1), "closed form") if hidden <= self._allowed * forces else None
+            return at_rest(np.zeros(1), CLOSED_FORM) if hidden <= self._allowed * forces else None
         z = 0.0 - outside / self._M
         size = max(abs(outside), abs(v)) / self._root
         certificate = EPS * (size + forces) + self._root * self._of_z * abs(z) + hidden
         if not certificate <= self._allowed * size:
             return None
-        certificate += UNIT * size
-        return Velocity(np.array([z]), certificate, certificate / size, "closed form")
+        return rated(np.array([z]), certificate, size, CLOSED_FORM)

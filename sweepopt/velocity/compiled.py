@@ -14,22 +14,14 @@ from functools import cached_property
 import numpy as np
 
 from sweepopt.checks import Matrix
-from sweepopt.linalg import dense
+from sweepopt.linalg import Elimination, Factor
 from sweepopt.problem import SweepingProcess
-from sweepopt.sets import Box, ConvexSet, Selection, same_array
-from sweepopt.velocity.cascade import Cascade, ClosedForm, Factors, Rest, compiled
-from sweepopt.velocity.certificate import (
-    Inclusion,
-    LinearTerm,
-    OneUnknown,
-    Velocity,
-    at_rest,
-    rests,
-)
-from sweepopt.velocity.elimination import NoUnknowns
+from sweepopt.sets import Box, ConvexSet, same_array
+from sweepopt.velocity.cascade import Cascade, ClosedForm
+from sweepopt.velocity.certificate import Inclusion, Instance, OneUnknown, Velocity, at_rest
 from sweepopt.velocity.plan import Plan
 from sweepopt.velocity.program import untranslated
-from sweepopt.velocity.refinement import refined
+from sweepopt.velocity.refinement import by_solve, refined
 
 VelocityOf = Callable[[np.ndarray, ConvexSet], Velocity]
 DEFAULT_TOL = 1e-6  # what is aimed at where every answer is welcome (tol = inf)
@@ -40,29 +32,14 @@ def matrix(process: SweepingProcess, gamma: float) -> Matrix:
     return process.A if process.B is None or not gamma else process.A + gamma * process.B
 
 
-def factors(plan: Plan, M: Matrix) -> Factors:
-    """What a plan needs of a matrix before any velocity."""
-    contact = np.zeros(0, dtype=int) if plan.contact is None else plan.contact
-    return Factors(M, contact, plan.order)
-
-
-def compile_velocity(
-    process: SweepingProcess, plan: Plan, gamma: float, known: Factors | None = None
-) -> StateVelocity:
-    """(u, C) -> the velocity z with -z in N_C(A z + B (u + gamma z)), certified.
-
-    Parameters
-    ----------
-    known : Factors, optional
-        Of `matrix(process, gamma)`.
-    """
-    known = known or factors(plan, matrix(process, gamma))
-    return StateVelocity(plan, known, process.A, process.B, gamma)
+def compile_velocity(process: SweepingProcess, plan: Plan, gamma: float) -> StateVelocity:
+    """(u, C) -> the velocity z with -z in N_C(A z + B (u + gamma z)), certified."""
+    return StateVelocity(plan, matrix(process, gamma), process.A, process.B, gamma)
 
 
 def compile_projection(plan: Plan, M: Matrix) -> VelocityOf:
     """(q, C) -> the z with -z in N_C(M z + q), certified: M z + q is q projected on C."""
-    return StateVelocity(plan, factors(plan, M)).of_force
+    return StateVelocity(plan, M).of_force
 
 
 class StateVelocity:
@@ -73,8 +50,8 @@ class StateVelocity:
     Parameters
     ----------
     plan : Plan
-    known : Factors
-        Of A + gamma B, rounded.
+    M : ndarray or sparse, shape (dim, dim)
+        A + gamma B, rounded.
     A, B : ndarray or sparse, shape (dim, dim), optional
     gamma : float
     """
@@ -82,16 +59,21 @@ class StateVelocity:
     def __init__(
         self,
         plan: Plan,
-        known: Factors,
+        M: Matrix,
         A: Matrix | None = None,
         B: Matrix | None = None,
         gamma: float = 0.0,
     ) -> None:
-        self._factors, self._B, self._data = known, B, (A, B, gamma)
-        self._solver = plan.solver
+        self._M, self._B, self._data = M, B, (A, B, gamma)
+        contact = np.zeros(0, dtype=int) if plan.contact is None else plan.contact
+        self._contact, self._order, self._solver = contact, plan.order, plan.solver
         self._tol = plan.tol if math.isfinite(plan.tol) else DEFAULT_TOL
-        self._few: Cascade | ClosedForm | None = None
-        self._all: Cascade | ClosedForm | None = None
+        self.forget()
+
+    def forget(self) -> None:
+        """Drop what solvers remember of earlier calls; the factorisations stay."""
+        self._method: Cascade | ClosedForm | None = None
+        self._inclusion: Inclusion | None = None  # that of the method
         self._one: tuple[ConvexSet, OneUnknown | None] | None = None
 
     def __call__(self, u: np.ndarray, C: ConvexSet) -> Velocity:
@@ -111,55 +93,47 @@ class StateVelocity:
         """One unknown in an interval, in plain numbers."""
         c, S = untranslated(C)
         if self._one is None or self._one[0] is not S:
-            B = 0.0 if self._B is None else float(dense(self._B)[0, 0])
             formula = None
             if isinstance(S, Box) and not S.singleton:
-                formula = OneUnknown(self._on_all, B, S, self._tol)
+                formula = OneUnknown(self._on_all, self._B, S, self._tol)
             self._one = S, formula
         velocity = self._one[1]
         return None if velocity is None else velocity(float(u[0]), float(c[0]))
 
     def _of_force(self, q: np.ndarray, u: np.ndarray | None, C: ConvexSet) -> Velocity:
         if C.singleton:
-            return self._linear(q, u, C)
-        contact, selection = self._factors.contact, C.selection
-        if selection is not None and same_array(selection.unknowns, contact):
-            return self._of_few(q, u, selection)
-        c, S = untranslated(C)
-        if self._all is None or not self._all.serves(S):
-            self._all = compiled(self._on_all, self._factors, False, S, self._solver, self._tol)
-        diagonal = self._factors.whole.diagonal
-        rest = Rest(self._on_all, u, lambda force: rests(force, c, S, selection, diagonal))
-        return self._moving(self._all, LinearTerm(q - c, q, c, u), S, rest)
+            inclusion, of = self._on_all, Instance(q - C.anchor, q, C.anchor, C, C, u)
+            velocity = refined(inclusion, by_solve(inclusion.M), of, self._tol)
+            return velocity._replace(solver="linear", attempts=1)
+        c, whole = untranslated(C)
+        selection = whole.selection
+        if selection is not None and same_array(selection.unknowns, self._contact):
+            few, S, shift = selection
+            inclusion, cone = self._on_few, untranslated(S).S
+            c = c if shift is None else c + shift
+            of = Instance(q - c, q, c, S, whole, u, few)
+        elif selection is not None and selection.shift is None:
+            inclusion, cone = self._on_all, whole
+            of = Instance(q - c, q, c, selection.part, whole, u, selection.unknowns)
+        else:
+            inclusion, cone, of = self._on_all, whole, Instance(q - c, q, c, whole, whole, u)
+        method = self._method
+        if method is None or inclusion is not self._inclusion or not method.serves(cone):
+            self._inclusion = inclusion
+            method = self._method = self._compiled(inclusion, cone)
+        if not isinstance(method, ClosedForm) and inclusion.rests(of, self._tol):
+            return at_rest(q)
+        return method(of)
 
-    def _of_few(self, q: np.ndarray, u: np.ndarray | None, selection: Selection) -> Velocity:
-        S, shift = selection.part, selection.shift
-        c, shape = np.zeros_like(q) if shift is None else shift, untranslated(S).S
-        if self._few is None or not self._few.serves(shape):
-            self._few = compiled(self._on_few, self._factors, True, shape, self._solver, self._tol)
-        diagonal = self._factors.elimination.diagonal
-        rest = Rest(self._on_few, u, lambda force: rests(force, c, S, selection, diagonal))
-        return self._moving(self._few, LinearTerm(q - c, q, c, u), S, rest)
-
-    def _moving(
-        self, solve: Cascade | ClosedForm, term: LinearTerm, S: ConvexSet, rest: Rest
-    ) -> Velocity:
-        # the closed form of all unknowns looks at rest itself, with the projection that it has
-        own = isinstance(solve, ClosedForm) and rest.inclusion is self._on_all
-        if not own and rest.holds(term, self._tol):
-            return at_rest(term.q, solve.at_rest)
-        return solve(term, S, rest)
-
-    def _linear(self, q: np.ndarray, u: np.ndarray | None, C: ConvexSet) -> Velocity:
-        c = C.anchor
-        term, unknowns = LinearTerm(q - c, q, c, u), NoUnknowns(self._factors.whole)
-        velocity = refined(self._on_all, unknowns, None, term, C, self._tol)
-        return velocity._replace(solver="linear", attempts=1)
+    def _compiled(self, inclusion: Inclusion, cone: ConvexSet) -> Cascade | ClosedForm:
+        if self._solver == "auto" and ClosedForm.applies(inclusion.M.small, cone):
+            return ClosedForm(inclusion, cone, self._tol)
+        return Cascade(inclusion, self._solver, cone, self._tol)
 
     @cached_property
     def _on_all(self) -> Inclusion:
-        return Inclusion(self._factors.whole, *self._data)
+        return Inclusion(Factor(self._M), *self._data)
 
     @cached_property
     def _on_few(self) -> Inclusion:
-        return Inclusion(self._factors.elimination, *self._data)
+        return Inclusion(Elimination(self._M, self._contact, self._order), *self._data)

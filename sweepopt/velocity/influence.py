@@ -41,7 +41,7 @@ def influence(A: Elimination, f: np.ndarray) -> Influence:
 
 def extension(A: Elimination, zeta: np.ndarray) -> np.ndarray:
     """A^-1 E^T N zeta: the body follows its contact."""
-    u = A.recover(np.zeros(A.dim), A.N @ zeta)
+    u = A.recover(np.zeros(A.dim), zeta)
     u[A.unknowns] = zeta  # to the last bit: stuck is 0.0
     return u
 

@@ -8,6 +8,11 @@ matrix N and a linear term that come out of factors. Of its answer z the residua
 is computed in twice the precision, and z + dz solves the inclusion if dz solves the program with M
 for its matrix and r - M z for its linear term. So do M's errors leave the answer, as those of
 a factorisation leave the solution of linear equations.
+
+For C = c + E^T S, E selecting few unknowns, zeta = E z solves a small program with the matrix
+N = (E M^-1 E^T)^-1, the linear term N E M^-1 (q - c) and the set S; then z = M^-1 (c - q + E^T w)
+with w = N zeta + N E M^-1 (q - c) (MATH.md section 5). For a residual of some z in place of q - c
+the same program gives the change of z.
 """
 
 from __future__ import annotations
@@ -18,70 +23,78 @@ from collections.abc import Callable
 import numpy as np
 
 from sweepopt.checks import is_finite
+from sweepopt.linalg import Factor
 from sweepopt.sets import ConvexSet
-from sweepopt.velocity.certificate import Inclusion, LinearTerm, Proposal, Velocity, pair_near
-from sweepopt.velocity.elimination import Unknowns
+from sweepopt.velocity.certificate import Inclusion, Instance, Proposal, Velocity, pair_near
 from sweepopt.velocity.solvers import Answer
 
 REFINEMENTS = 20  # each leaves a share |M^-1 (A + gamma B - M)| of the error; most need one
 SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
+NO_UNKNOWNS = np.zeros(0, dtype=int)
 Solve = Callable[[np.ndarray, ConvexSet], Answer | Proposal]
+Propose = Callable[[np.ndarray, np.ndarray | None], Proposal | Velocity]
+"""From the residual of a z, None for 0, to a better pair; a velocity where that has no proof."""
 
 
-def refined(
-    inclusion: Inclusion,
-    unknowns: Unknowns,
-    solve: Solve | None,
-    term: LinearTerm,
-    S: ConvexSet,
-    tol: float,
-) -> Velocity:
-    """The velocity of a solver, refined as long as its certificate is above `tol` and falls.
-
-    Parameters
-    ----------
-    unknowns : Unknowns
-        Those of the program that the solver sees.
-    solve : callable (linear term, S) -> Answer, optional
-        None for a program of no unknowns.
-    S : ConvexSet
-        The set on these unknowns, without its translation.
-    """
-    N, few = unknowns.N, unknowns.unknowns
-    z, size = np.zeros_like(term.force), None
-    zeta = z[few]
-    best = Velocity(z, math.inf, math.inf)
-    residual, iterations = term.force, 0
-    for count in range(1 + REFINEMENTS):
-        forward, linear = unknowns.reduce(residual)
-        if count == 0:
-            size = unknowns.size(forward)
-        elif N is not None:
-            linear = unknowns.exact_product(-zeta, linear)
-        pair = Proposal(zeta, zeta, few)  # C is a point
-        if solve is not None and N is not None:
-            answer = solve(linear, S)
-            if isinstance(answer, Answer):
-                iterations += answer.iterations
-                if not is_finite(answer.z):
-                    break
-                near = pair_near(N, linear, S, answer.z, answer.y, tol)
-                if near is None:
-                    z = unknowns.recover(forward, answer.z)
-                    unproven = math.nan if answer.status in SOLVED else math.inf
-                    return Velocity(z, unproven, unproven, iterations=iterations)
-                answer = near
-            pair = answer
-        change = unknowns.recover(forward, pair.z - zeta if count else pair.z)
-        z = z + change if count else change
-        z[few] = zeta = pair.z  # to the last bit: stuck is 0.0
-        moved = inclusion.M.margin * pair.moved
-        proposal = Proposal(z, pair.w, few, pair.gap, moved)
-        found = inclusion.certify(term, proposal, tol, size=size)
-        falls = found.certificate <= 0.5 * best.certificate
-        if found.relative < best.relative:
-            best = found
+def refined(inclusion: Inclusion, propose: Propose, of: Instance, tol: float) -> Velocity:
+    """The velocity of a solver, refined as long as its certificate is above `tol` and falls."""
+    best = Velocity(np.zeros_like(of.force), math.inf, math.inf)
+    residual, z, size, iterations = of.force, None, None, 0
+    for _ in range(1 + REFINEMENTS):
+        pair = propose(residual, z)
+        if isinstance(pair, Velocity):
+            best = pair if z is None else best
+            break
+        iterations += pair.iterations
+        if z is None:
+            size = pair.size
+        elif size is not None:
+            pair = pair._replace(size=size)
+        velocity = inclusion.certify(of, pair, tol)
+        falls = velocity.certificate <= 0.5 * best.certificate
+        if velocity.relative < best.relative:
+            best = velocity
         if best.relative <= tol or not falls:
             break
-        residual = inclusion.exact_residual(term, z)
+        z = pair.z
+        residual = inclusion.exact_residual(of, z)
     return best._replace(iterations=iterations)
+
+
+def by_program(M: Factor, solve: Solve, S: ConvexSet, tol: float) -> Propose:
+    """The program of the unknowns that M keeps, as a solver answers it."""
+    few = M.unknowns
+
+    def propose(residual: np.ndarray, z: np.ndarray | None) -> Proposal | Velocity:
+        forward, force = M.reduce(-residual)
+        linear = -force if z is None else M.small.precisely(-z[few], -force)
+        answer, iterations = solve(linear, S), 0
+        if isinstance(answer, Answer):
+            _, _, iterations, status = answer
+            if not is_finite(answer.z):
+                return Velocity(np.zeros_like(residual), math.inf, math.inf, iterations=iterations)
+            pair = pair_near(M.small, linear, S, answer.z, answer.y, tol)
+            if pair is None:
+                unproven = math.nan if status in SOLVED else math.inf
+                z = M.recover(forward, answer.z)
+                return Velocity(z, unproven, unproven, iterations=iterations)
+        else:
+            pair = answer
+        zeta = pair.z
+        z = M.recover(forward, zeta) if z is None else z + M.recover(forward, zeta - z[few])
+        z[few] = zeta  # to the last bit: stuck is 0.0
+        perturbation, size = M.margin * pair.perturbation, M.size(forward)
+        return Proposal(z, pair.w, few, pair.gap, perturbation, size, iterations=iterations)
+
+    return propose
+
+
+def by_solve(M: Factor) -> Propose:
+    """The solution of the linear system that is left where C is a point."""
+
+    def propose(residual: np.ndarray, z: np.ndarray | None) -> Proposal:
+        change = -M.solve(residual)
+        z = change if z is None else z + change
+        return Proposal(z, z[NO_UNKNOWNS], NO_UNKNOWNS, size=0.0)  # no larger than |z|_M
+
+    return propose

@@ -12,25 +12,23 @@ At A = 0 only rows without slack can be active, S = N B N^T and s_k = (k + 1) d_
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
 import scipy.optimize
 
 from sweepopt.errors import EmptySetError, SweepoptError
-from sweepopt.integrate.exact.offsets import Rows, SmoothOffsets
+from sweepopt.integrate.exact.rows import Rows, SmoothOffsets
 from sweepopt.linalg import EPS
 from sweepopt.sets import least_distance
 
 ZERO = 256 * EPS  # of the terms: a coefficient that is smaller is rounding of their sums
-EVENT = 1e3  # times that: what rounding of an event's time leaves of a row that is zero there
 ORDERS = 8  # a row undecided by them is taken for redundant
 SPANNED = 1e-10  # a unit row is dependent on others if less of it is outside of their span
 
 
-@dataclass(frozen=True, eq=False)
-class Face:
+class Face(NamedTuple):
     """The rows that hold after a time.
 
     Attributes
@@ -48,10 +46,6 @@ class Face:
     redundant: np.ndarray
 
 
-class _Infeasible(Exception):
-    """A row that depends on those that hold is violated: others must hold."""
-
-
 def face_after(rows: Rows, d: SmoothOffsets, t: float, u: np.ndarray, events: np.ndarray) -> Face:
     """The face just after t.
 
@@ -66,125 +60,96 @@ def face_after(rows: Rows, d: SmoothOffsets, t: float, u: np.ndarray, events: np
         If C is empty there.
     """
     force, size = d.taylor(t, ORDERS + 2)
-    open_ = ~rows.equations
+    undecided, orders = ~rows.equations, np.zeros(len(rows.N), dtype=int)
+    active, carried, rounding = list(rows.fixed), None, 0.0
     if rows.rate_independent:
         slack = force[:, 0] - rows.NB @ u
-        open_ &= slack <= ZERO * (size[:, 0] + np.abs(rows.NB) @ np.abs(u))
-        open_[events] = ~rows.equations[events]
+        undecided &= slack <= ZERO * (size[:, 0] + np.abs(rows.NB) @ np.abs(u))
+        undecided[events] = ~rows.equations[events]
         factors = np.arange(1, ORDERS + 2)
         force, size = factors * force[:, 1:], factors * size[:, 1:]
-    expansion = _Expansion(rows, list(rows.fixed), open_, np.zeros(len(rows.N), dtype=int), u)
-    try:
-        for k in range(ORDERS + 1):
-            expansion.decide(k, force[:, k], size[:, k], events if k == 0 else events[:0])
-            if not expansion.open.any():
-                break
-    except _Infeasible:
-        raise EmptySetError(f"C(t) at t = {t:g} is empty: its rows contradict") from None
-    return Face(expansion.active, expansion.orders, expansion.open)
-
-
-@dataclass(eq=False)
-class _Expansion:
-    """The rows that are active or open (undecided) up to an order, and u_k for the next one."""
-
-    rows: Rows
-    active: list[int]
-    open: np.ndarray
-    orders: np.ndarray
-    u: np.ndarray
-    force: np.ndarray | None = None  # R^T y of order 0
-    rounding: float = 0.0  # of u_k, in units of s
-
-    def decide(self, k: int, force: np.ndarray, size: np.ndarray, events: np.ndarray) -> None:
-        """Solve the program of order k and decide what its signs decide."""
-        rows, s, noise = self.rows, force, ZERO * size + self.rounding
+    for k in range(ORDERS + 1):
+        s, noise = force[:, k], ZERO * size[:, k]
         if not rows.rate_independent:
-            s = s - rows.NB @ self.u
-            noise = noise + ZERO * (np.abs(rows.NB) @ np.abs(self.u))
-        try:
-            entering = self._entering(s, noise)
-        except _Infeasible:
-            if self.force is None:
-                raise
-            self._change_basis(s, self.force)
-            entering = self._entering(s, noise)
-        basis = self.active + entering
-        matrix = rows.SB if rows.rate_independent else rows.S
-        y = -np.linalg.solve(matrix[basis][:, basis], s[basis]) if basis else np.zeros(0)
-        value = s + matrix[:, basis] @ y  # the slack of a row, or its multiplier
-        value[basis] = y
+            s = s - rows.NB @ u
+            noise = noise + ZERO * (np.abs(rows.NB) @ np.abs(u)) + rounding
+        basis = _basis(rows, active, undecided, s, noise)
+        if basis is None and carried is not None:  # a redundant row becomes violated
+            undecided[active] = True
+            active = _exchanged(rows, active, undecided, s, carried)
+            undecided[active] = undecided[rows.equations] = False
+            basis = _basis(rows, active, undecided, s, noise)
+        if basis is None:
+            raise EmptySetError(f"C(t) at t = {t:g} is empty: its rows contradict")
+        y = -np.linalg.solve(rows.S[np.ix_(basis, basis)], s[basis])
+        values = s + rows.S[:, basis] @ y  # the slack of a row, or its multiplier
+        values[basis] = y
         worst = float(noise[basis].max(initial=0.0))
-        noise = noise + worst
-        noise[events] *= EVENT
-        decided = self.open & (value > noise)
-        inactive = decided.copy()
-        inactive[entering] = False
-        self.open = self.open & ~decided
-        self.orders[decided] = k
-        self.orders[inactive] += rows.rate_independent  # its s is the derivative of the slack
-        if self.force is None:
-            self.force = rows.R[basis].T @ y
-        self.active = self.active + [row for row in entering if decided[row]]
+        decided = undecided & (values > noise + worst)
+        undecided &= ~decided
+        orders[decided] = k
+        slacks = decided.copy()
+        slacks[basis] = False
+        orders[slacks] += rows.rate_independent  # its s is the derivative of the slack
+        if carried is None:
+            carried = rows.R[basis].T @ y
+        active += [row for row in basis[len(active) :] if decided[row]]
+        if not undecided.any():
+            break
         if not rows.rate_independent:
-            self.u = -(value[self.active] @ rows.N[self.active]) / (k + 1)
-            self.rounding = worst * rows.Lam / (k + 1) if self.u.any() else 0.0
+            u = -(values[active] @ rows.N[active]) / (k + 1)
+            rounding = worst * rows.Lam / (k + 1) if u.any() else 0.0
+    return Face(active, orders, undecided)
 
-    def _entering(self, s: np.ndarray, noise: np.ndarray) -> list[int]:
-        """The open rows that hold at the x of least norm with R x = s on the active rows and
-        R x <= s on the open ones.
 
-        Raises
-        ------
-        _Infeasible
-            If there is none.
-        """
-        R, active, open_ = self.rows.R, self.active, np.flatnonzero(self.open)
-        if not open_.size:
-            return []
-        G, slack, rounding = R[open_], s[open_], noise[open_]
-        if active:  # x = Q_1 T^-T s + Q_2 y for the QR factors of R^T on the active rows
-            Q, T = np.linalg.qr(R[active].T, mode="complete")
-            k = len(active)
-            x = Q[:, :k] @ scipy.linalg.solve_triangular(T[:k], s[active], trans=1)
-            G, slack, rounding = G @ Q[:, k:], slack - G @ x, rounding + noise[active].max()
-            free = np.linalg.norm(G, axis=1) > SPANNED
-            if (slack < -rounding)[~free].any():
-                raise _Infeasible
-            open_, G, slack, rounding = open_[free], G[free], slack[free], rounding[free]
-        if (slack >= 0).all():
-            return []
-        try:
-            nearest = least_distance(G, slack, rounding)
-        except EmptySetError as error:
-            raise _Infeasible from error
-        if nearest is None:
-            raise SweepoptError("rounding keeps the active rows from being found")
-        return open_[nearest.active].tolist()
+def _basis(
+    rows: Rows, active: list[int], undecided: np.ndarray, s: np.ndarray, noise: np.ndarray
+) -> list[int] | None:
+    """The active rows, and the undecided ones that hold at the x of least norm with R x = s on
+    the active and R x <= s on the undecided rows; None if there is no x.
+    """
+    others = np.flatnonzero(undecided)
+    G, slack, noise_of = rows.R[others], s[others], noise[others]
+    if active:  # x = Q_1 T^-T s + Q_2 y for the QR factors of R^T on the active rows
+        Q, T = np.linalg.qr(rows.R[active].T, mode="complete")
+        k = len(active)
+        x = Q[:, :k] @ scipy.linalg.solve_triangular(T[:k], s[active], trans=1)
+        G, slack, noise_of = G @ Q[:, k:], slack - G @ x, noise_of + noise[active].max()
+        free = np.linalg.norm(G, axis=1) > SPANNED
+        if (slack < -noise_of)[~free].any():
+            return None
+        others, G, slack, noise_of = others[free], G[free], slack[free], noise_of[free]
+    if (slack >= 0).all():
+        return active
+    try:
+        nearest = least_distance(G, slack, noise_of)
+    except EmptySetError:
+        return None
+    if nearest is None:
+        raise SweepoptError("rounding hides which rows are active")
+    return active + others[nearest.active].tolist()
 
-    def _change_basis(self, s: np.ndarray, force: np.ndarray) -> None:
-        """Let other rows carry the same velocity, where a redundant one becomes violated.
 
-        Of all multipliers of the velocity, R^T y = force, those of least <s, y>: a linear program.
-        """
-        rows, open_ = self.rows, np.flatnonzero(self.open)
-        tight = [*self.active, *open_.tolist()]
-        program = scipy.optimize.linprog(
-            s[tight] / (np.abs(s[tight]).max() or 1.0),
-            A_eq=rows.R[tight].T,
-            b_eq=force / (np.abs(force).max() or 1.0),
-            bounds=[(None if rows.equations[row] else 0.0, None) for row in tight],
-            method="highs-ds",
-        )
-        if program.x is None:
-            raise EmptySetError("C(t) becomes empty: its rows contradict")
-        loaded = [row for row, y in zip(tight, program.x, strict=True) if y > ZERO]
-        chosen = list(rows.fixed)
-        for row in [*loaded, *self.active]:
-            span = rows.R[chosen].T
-            rest = rows.R[row] - span @ np.linalg.lstsq(span, rows.R[row], rcond=None)[0]
-            if np.linalg.norm(rest) > SPANNED:
-                chosen.append(row)
-        self.open[self.active] = True
-        self.active = chosen
-        self.open[chosen] = self.open[rows.equations] = False
+def _exchanged(
+    rows: Rows, active: list[int], tight: np.ndarray, s: np.ndarray, force: np.ndarray
+) -> list[int]:
+    """Independent tight rows that carry the same force where those that did cannot go on.
+
+    Of all multipliers of the force, R^T y = force, those of least <s, y>: a linear program.
+    """
+    program = scipy.optimize.linprog(
+        s[tight] / (np.abs(s[tight]).max() or 1.0),
+        A_eq=rows.R[tight].T,
+        b_eq=force / (np.abs(force).max() or 1.0),
+        bounds=[(None if equation else 0.0, None) for equation in rows.equations[tight]],
+        method="highs-ds",
+    )
+    if program.x is None:
+        raise EmptySetError("C(t) becomes empty: its rows contradict")
+    chosen = list(rows.fixed)
+    for row in [*np.flatnonzero(tight)[program.x > ZERO].tolist(), *active]:
+        span = rows.R[chosen].T
+        rest = rows.R[row] - span @ np.linalg.lstsq(span, rows.R[row], rcond=None)[0]
+        if np.linalg.norm(rest) > SPANNED:
+            chosen.append(row)
+    return chosen

@@ -3,39 +3,30 @@
 from __future__ import annotations
 
 import time as clock
+from collections.abc import Callable
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 
 from sweepopt.errors import InputError, Status, shown
-from sweepopt.integrate.exact.offsets import Rows, rows_of
+from sweepopt.integrate.exact.rows import Rows, rows_of
 from sweepopt.integrate.exact.trajectory import exact_trajectory
 from sweepopt.integrate.loop import FullCertificate, Observer, Restarts, integrate
-from sweepopt.integrate.record import Run, Summary
+from sweepopt.integrate.record import Run
 from sweepopt.linalg import Factor
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan, Velocity, certify_point, matrix
 
-FLOOR = 0.01  # share of the largest terms so far that counts as the size of their sum
+FLOOR = 0.01  # share of the largest forces so far that counts as the size of their sum
 BLOCK = 1000  # nodes that are computed at once
 
 
-class Move(Protocol):
-    """Moves a process through a grid: what the loop does with its first two arguments given."""
-
-    def __call__(
-        self,
-        times: np.ndarray,
-        mus: np.ndarray,
-        run: Run,
-        observer: Observer | None = None,
-        full_certificate: FullCertificate | None = None,
-    ) -> None: ...
-
-
-def mover(process: SweepingProcess, plan: Plan, restarts: Restarts | None = None) -> Move:
+def mover(
+    process: SweepingProcess, plan: Plan, restarts: Restarts | None = None
+) -> Callable[..., None]:
     """What moves a process through a grid: the scheme's steps, or the exact trajectory.
+
+    It takes what `integrate` takes beside the process and the plan.
 
     `restarts` are for steps only.
 
@@ -71,7 +62,7 @@ def _on_grid(
         known = int(np.searchsorted(times, exact.end, side="right")) - 1
         begun = np.searchsorted(times, exact.starts, side="right")
         phases = np.bincount(begun, minlength=len(times)).tolist()  # that begin in each step
-        inclusion, before = _Inclusion(process), process.u0
+        certificate, before = _certificate(process), process.u0
         for i in range(known):
             started = clock.perf_counter()
             k = i % BLOCK
@@ -80,10 +71,10 @@ def _on_grid(
                 states, derivatives = exact(block), exact.velocity(block)
             u, mu = states[k], float(mus[i])
             z = (u - before) / mu
-            found = inclusion(float(times[i + 1]), mu, u, derivatives[k])
-            step = Summary(phases[i + 1], 1, found.certificate, found.relative, "closed form")
+            at_end = certificate(float(times[i + 1]), mu, u, derivatives[k])
+            step = at_end._replace(z=z, solver="closed form", iterations=phases[i + 1], attempts=1)
             if full_certificate is not None:
-                step = full_certificate(i, before, z, step)
+                step = full_certificate(i, before, step)
             if step.relative > tol:
                 run.status, run.relative = Status.INEXACT, step.relative
                 run.cause = (
@@ -93,9 +84,9 @@ def _on_grid(
                     "implicit-euler or sdirk2"
                 )
                 return
-            if step.relative != step.relative:
+            if np.isnan(step.relative):
                 run.status = Status.UNCERTIFIED
-            run.add(u, z, step, clock.perf_counter() - started + share)
+            run.add(u, step, clock.perf_counter() - started + share)
             before = u
             if observer is not None and observer(i, u, z, step.certificate):
                 run.status = Status.STOPPED if run.done < len(mus) else run.status
@@ -107,25 +98,25 @@ def _on_grid(
         run.status = Status.INTERRUPTED
 
 
-class _Inclusion:
-    """The residual of -u' in N_C(A u' + B u), from A, B and the set's own projection.
+def _certificate(
+    process: SweepingProcess,
+) -> Callable[[float, float, np.ndarray, np.ndarray], Velocity]:
+    """The certificate of -u' in N_C(A u' + B u) at a node, from A, B and the set's own projection.
 
     u' solves the program of an implicit Euler step that ends in u, M = A + mu B and
     q = B (u - mu u'); the certificate is that of this program. B u and the load may cancel: then
     it is compared to their sizes, not to that of their sum.
     """
+    factors: dict[float, Factor] = {}
+    largest = 0.0
 
-    def __init__(self, process: SweepingProcess) -> None:
-        self._process = process
-        self._factors: dict[float, Factor] = {}
-        self._largest = 0.0
+    def certificate(t: float, mu: float, u: np.ndarray, z: np.ndarray) -> Velocity:
+        nonlocal factors, largest
+        if mu not in factors:
+            factors = {mu: Factor(matrix(process, mu))}
+        C, M = process.C.at(t), factors[mu]
+        forces = M.norm(z) + M.dual_norm(process.times_B(u)) + M.dual_norm(C.anchor)
+        largest = max(largest, forces)
+        return certify_point(M, process.times_B(u - mu * z), C, z, FLOOR * largest)
 
-    def __call__(self, t: float, mu: float, u: np.ndarray, z: np.ndarray) -> Velocity:
-        process, C = self._process, self._process.C.at(t)
-        if mu not in self._factors:
-            self._factors = {mu: Factor(matrix(process, mu))}
-        M, Bu = self._factors[mu], process.times_B(u)
-        q = process.times_B(u - mu * z)
-        terms = M.norm(z) + M.dual_norm(Bu) + M.dual_norm(C.anchor)
-        self._largest = max(self._largest, terms)
-        return certify_point(M, q, C, z, FLOOR * self._largest)
+    return certificate

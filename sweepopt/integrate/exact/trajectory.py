@@ -12,11 +12,11 @@ import numpy as np
 
 from sweepopt import checks
 from sweepopt.errors import InputError
-from sweepopt.integrate.exact.closed_forms import Curve
+from sweepopt.integrate.exact.exponential_sum import ExponentialSum, decay
 from sweepopt.integrate.exact.face import Face, face_after
 from sweepopt.integrate.exact.first_root import first_root
-from sweepopt.integrate.exact.modes import decay, modes, whitening
-from sweepopt.integrate.exact.offsets import Rows, SmoothOffsets
+from sweepopt.integrate.exact.modes import modes
+from sweepopt.integrate.exact.rows import Rows, SmoothOffsets
 from sweepopt.linalg import EPS
 
 PHASES = 100_000  # 4000 take a second
@@ -32,15 +32,14 @@ class Phase:
     start : float
     u : ndarray, shape (dim,)
     paths : ndarray, shape (dim, modes)
-    p, dp : Curve
-        The modes and their derivative.
+    p : ExponentialSum
+        The modes.
     """
 
     start: float
     u: np.ndarray
     paths: np.ndarray
-    p: Curve
-    dp: Curve
+    p: ExponentialSum
 
     def state(self, t: np.ndarray) -> np.ndarray:
         """u at the times, shape (k, dim)."""
@@ -48,7 +47,7 @@ class Phase:
 
     def velocity(self, t: np.ndarray) -> np.ndarray:
         """u' at the times, shape (k, dim); exactly 0.0 in what is stuck."""
-        return 0.0 - self.dp(t - self.start) @ self.paths.T
+        return 0.0 - self.p.derivative()(t - self.start) @ self.paths.T
 
 
 Evaluate = Callable[[Phase, np.ndarray], np.ndarray]
@@ -158,17 +157,14 @@ def exact_trajectory(
             ):
                 switches.append(s)
             before = set(face.active), moves
-            root = None
-            if limits.rows.size:
-                root = first_root(limits.signs, face.orders[limits.rows])
-            following = b if root is None else s + root.tau
+            root = first_root(limits.signs, face.orders[limits.rows])
+            events, following = limits.rows[root.rows], s + root.tau
             if b - following <= 4 * EPS * abs(b):
-                following, root = b, None
+                events, following = events[:0], b
             stalled = stalled + 1 if following - s <= 64 * EPS * abs(following) else 0
             u = phase.state(np.array([following]))[0]
             if following > s or not phases:
                 phases.append(phase)
-            events = np.zeros(0, dtype=int) if root is None else limits.rows[root.rows]
             s = following
             if len(phases) > most + len(breakpoints) or stalled > STALLED:
                 return Trajectory(phases, s, np.array(switches), complete=False)
@@ -179,37 +175,31 @@ class _Limits(NamedTuple):
     """The rows that may end a phase, and what must stay positive: multipliers and slacks."""
 
     rows: np.ndarray
-    signs: Curve
+    signs: ExponentialSum
 
 
 def _phase(
     rows: Rows, d: SmoothOffsets, s: float, b: float, u: np.ndarray, face: Face
 ) -> tuple[Phase, _Limits]:
     """The closed form from s on, at most up to b."""
-    offsets = d.on(s, b - s)
-    given = offsets.basis
-    active = face.active
-    force = -offsets.weights  # N B u_s - d
-    force[:, given.powers.start] += rows.NB @ u
+    active, offsets = face.active, d.on(s, b - s)
     square = np.ix_(active, active)
+    force = offsets.with_weights(-offsets.weights)
+    force.weights[:, 0] += rows.NB @ u  # N B u_s - d
     if rows.rate_independent:
-        V = whitening(rows.SB[square]) if active else np.zeros((0, 0))
-        p = Curve(given, V.T @ force[active])
+        V = np.eye(len(active))
+        p = force.with_weights(np.linalg.solve(rows.S[square], force.weights[active]))
     else:
         lam, V = modes(rows.S[square], rows.SB[square])
-        p = decay(lam, Curve(given, V.T @ force[active]))
+        force = force.extended(lam)
+        p = decay(lam, force.with_weights(V.T @ force.weights[active]))
     dp = p.derivative()
-    phase = Phase(s, u, rows.N[active].T @ V, p, dp)
-
-    inactive = np.flatnonzero(~face.redundant & ~np.isin(np.arange(len(rows.N)), active))
-    slacks = p.mapped(rows.SB[inactive][:, active] @ V).weights
+    phase = Phase(s, u, rows.N[active].T @ V, p)
+    # the slacks N (A u' + B u) <= d, and the multipliers of the active rows in their place
+    signs = rows.SB[:, active] @ V @ p.weights - force.weights
     if not rows.rate_independent:
-        slacks = slacks + dp.mapped(rows.S[inactive][:, active] @ V).weights
-    first = p.basis.powers.start
-    slacks[:, first : first + given.degree + 1] -= force[inactive, given.powers]
-    slacks[:, p.basis.sines] -= force[inactive, given.sines]
-    slacks[:, p.basis.cosines] -= force[inactive, given.cosines]
-    free = [i for i, row in enumerate(active) if not rows.equations[row]]
-    multipliers = dp.mapped(V[free]).weights
-    watched = np.concatenate([np.array(active, dtype=int)[free], inactive])
-    return phase, _Limits(watched, Curve(p.basis, np.vstack([multipliers, slacks])))
+        signs += rows.S[:, active] @ V @ dp.weights
+    signs[active] = V @ dp.weights
+    changing = ~face.redundant
+    changing[active] = ~rows.equations[active]
+    return phase, _Limits(np.flatnonzero(changing), p.with_weights(signs[changing]))

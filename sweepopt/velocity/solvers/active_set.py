@@ -76,7 +76,8 @@ class ActiveSet(Small):
                 if x is None:
                     return Answer(z, nothing, 0, "failed: rounding")
                 z = scipy.linalg.solve_triangular(L, x, lower=True, trans=1)
-                if M.rounding(z, q) <= NEGLIGIBLE * euclidean(x):
+                rounding = M.rounding(euclidean(M.root * z), euclidean(q / M.root))
+                if rounding <= NEGLIGIBLE * euclidean(x):
                     break
                 # what L L^T misses of M goes to the linear term
                 moved = M.precisely(z, q, -(L @ (L.T @ z)))

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy.linalg
+from scipy.special import comb, factorial
 
 from sweepopt.errors import InputError
-from sweepopt.integrate.exact.closed_forms import Basis, Curve
+from sweepopt.integrate.exact.exponential_sum import SLOW, TERMS, ExponentialSum
 from sweepopt.linalg import dense
 from sweepopt.loads import Piece, breakpoints
 from sweepopt.problem import SweepingProcess, motion
@@ -19,10 +19,9 @@ from sweepopt.problem import SweepingProcess, motion
 NONSMOOTH = 50  # unknowns in a set's inequalities
 UNKNOWNS = 300  # all of them: a phase has a dense eigenproblem of what moves
 SAME = 1e-14  # entries of unit rows, and offsets, that differ by less are equal: a few roundings
-FLAT = 0.5  # a wave with less than this angle left is a power series: 1 / w would cancel
-TERMS = 16  # of that series: FLAT^17 / 17! is below rounding
 
 
+@dataclass(frozen=True, eq=False)
 class Offsets:
     """d(t) = sum_k phi_k(t) weights[:, k].
 
@@ -32,8 +31,8 @@ class Offsets:
     weights : ndarray, shape (m, k)
     """
 
-    def __init__(self, histories: list[Any], weights: np.ndarray) -> None:
-        self.histories, self.weights = histories, weights
+    histories: list[Any]
+    weights: np.ndarray
 
     def breakpoints(self, a: float, b: float) -> np.ndarray:
         """All breakpoints strictly between a and b, increasing."""
@@ -51,26 +50,20 @@ class SmoothOffsets:
     weights: np.ndarray
     pieces: list[Piece]
 
-    def on(self, s: float, length: float) -> Curve:
+    def on(self, s: float, length: float) -> ExponentialSum:
         """d(s + tau) for 0 <= tau <= length."""
-        rates = {abs(w) for piece in self.pieces for _, w, _ in piece.waves}
-        waves = sorted(w for w in rates if w * length > FLAT)
-        degree = max(len(piece.polynomial) - 1 for piece in self.pieces)
-        degree = degree if len(waves) == len(rates) else max(degree, TERMS)
-        basis = Basis(np.zeros(0), degree, np.array(waves), length)
-        rows = np.zeros((len(self.pieces), basis.size))
-        for row, piece in zip(rows, self.pieces, strict=True):
-            powers = _shifted(piece.polynomial, s - piece.origin)
-            row[: len(powers)] = powers * length ** np.arange(len(powers))
+        slow = [[x for x in p.waves if abs(x[1]) * length <= SLOW] for p in self.pieces]
+        degree = TERMS if any(slow) else 0
+        powers = np.arange(max(degree + 1, *(len(p.polynomial) for p in self.pieces)))
+        fast = sorted({w for p in self.pieces for _, w, _ in p.waves if abs(w) * length > SLOW})
+        rows = np.zeros((len(self.pieces), powers.size + len(fast)), dtype=complex)
+        for row, piece, series in zip(rows, self.pieces, slow, strict=True):
+            values, _ = _taylor(piece._replace(waves=tuple(series)), s, powers.size)
+            row[: powers.size] = values * length**powers
             for a, w, p in piece.waves:
-                angle = p + w * s
-                if abs(w) * length <= FLAT:
-                    row[: TERMS + 1] += a * _sine_series(angle, w * length, TERMS)
-                else:
-                    j = waves.index(abs(w))
-                    row[basis.sines][j] += math.copysign(1.0, w) * a * math.cos(angle)
-                    row[basis.cosines][j] += a * math.sin(angle)
-        return Curve(basis, self.weights @ rows)
+                if w in fast:
+                    row[powers.size + fast.index(w)] += -1j * a * np.exp(1j * (p + w * s))
+        return ExponentialSum(self.weights @ rows, 1j * np.array(fast), length)
 
     def taylor(self, s: float, terms: int) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients of d(s + tau) in tau, and the size of the terms that they are sums of.
@@ -81,16 +74,24 @@ class SmoothOffsets:
         -------
         coefficients, sizes : ndarray, shape (m, terms)
         """
-        values, sizes = np.zeros((2, len(self.pieces), terms + 1))
-        for value, size, piece in zip(values, sizes, self.pieces, strict=True):
-            shift, count = s - piece.origin, min(len(piece.polynomial), terms + 1)
-            value[:count] = _shifted(piece.polynomial, shift)[:count]
-            size[:count] = _shifted([abs(c) for c in piece.polynomial], abs(shift))[:count]
-            for a, w, p in piece.waves:
-                value += a * _sine_series(p + w * s, w, terms)
-                size += abs(a) * np.cumprod([1.0, *(abs(w) / np.arange(1, terms + 1))])
+        series = np.array([_taylor(piece, s, terms + 1) for piece in self.pieces])
+        values, sizes = series[:, 0], series[:, 1]
         moved = abs(s) * np.arange(1, terms + 1) * sizes[:, 1:]
         return self.weights @ values[:, :-1], np.abs(self.weights) @ (sizes[:, :-1] + moved)
+
+
+def _taylor(piece: Piece, s: float, terms: int) -> np.ndarray:
+    """Coefficients of phi(s + tau) in tau, and those of the sum of its absolute terms."""
+    series, k = np.zeros((2, terms)), np.arange(terms)
+    j = np.arange(len(piece.polynomial))
+    c, shift = np.array(piece.polynomial), s - piece.origin
+    binomials, exponents = comb(j, j[:, None]), np.maximum(j - j[:, None], 0)
+    for row, (one, by) in zip(series, ((c, shift), (np.abs(c), abs(shift))), strict=True):
+        row[: j.size] = ((binomials * by**exponents) @ one)[:terms]
+    for a, w, p in piece.waves:
+        powers = a * (1j * w) ** k / factorial(k)
+        series += (-1j * np.exp(1j * (p + w * s)) * powers).real, np.abs(powers)
+    return series
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,32 +179,13 @@ def _distinct(
 
     A pair n w <= d, -n w <= -d is an equation at all times; so is what a Box with equal bounds has.
     """
-    size, parallel = np.abs(weights).max(axis=1, keepdims=True), R @ R.T
+    rounding, parallel = SAME * np.abs(weights).max(axis=1), R @ R.T
     kept, equations = np.ones(len(R), dtype=bool), equations.copy()
-    for i in range(len(R)):
-        for j in np.flatnonzero(np.abs(parallel[i, :i]) > 1 - 1e-12).tolist():
-            sign = np.sign(parallel[i, j])
-            same_row = np.abs(R[i] - sign * R[j]).max() <= SAME
-            change = np.abs(weights[i] - sign * weights[j])
-            if kept[j] and same_row and (change <= SAME * np.maximum(size[i], size[j])).all():
-                equations[j] |= sign < 0 or equations[i]
-                kept[i] = False
-                break
+    for i, j in np.argwhere(np.tril(np.abs(parallel) > 1 - 1e-12, -1)).tolist():
+        sign = np.sign(parallel[i, j])
+        change = np.abs(weights[i] - sign * weights[j]).max()
+        same = change <= max(rounding[i], rounding[j]) and np.abs(R[i] - sign * R[j]).max() <= SAME
+        if kept[i] and kept[j] and same:
+            equations[j] |= sign < 0 or equations[i]
+            kept[i] = False
     return np.flatnonzero(kept), equations[kept]
-
-
-def _shifted(polynomial: Any, shift: float) -> np.ndarray:
-    """Coefficients in tau of a polynomial in shift + tau (Horner's scheme, repeated)."""
-    c = np.array(polynomial, dtype=float)
-    if shift:
-        for i in range(c.size - 1):
-            for k in reversed(range(i, c.size - 1)):
-                c[k] += shift * c[k + 1]
-    return c
-
-
-def _sine_series(angle: float, w: float, terms: int) -> np.ndarray:
-    """Taylor coefficients of sin(angle + w tau)."""
-    powers = np.cumprod([1.0, *(w / np.arange(1, terms + 1))])
-    sine, cosine = math.sin(angle), math.cos(angle)
-    return powers * np.array([sine, cosine, -sine, -cosine])[np.arange(terms + 1) % 4]

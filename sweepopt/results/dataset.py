@@ -1,19 +1,20 @@
 """Solutions as NetCDF files and xarray datasets, every variable with its unit and name.
 
-`NetCDFSink` takes the states of a long run in blocks while it goes, `StatesInFile` reads them.
+`NetCDFSink` takes the states of a long run in blocks while it goes, and reads them later.
 """
 
 from __future__ import annotations
 
 import os
 import uuid
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sweepopt.errors import InputError, brought_by
-from sweepopt.integrate import Index
+from sweepopt.integrate import Index, States, StepInfo
 from sweepopt.io import part_of, versions_of
 
 if TYPE_CHECKING:
@@ -31,8 +32,6 @@ class NetCDFSink:
 
     Attributes
     ----------
-    run : str
-        Tells the file from one of another run.
     steps : int
         How many steps it got.
 
@@ -43,35 +42,36 @@ class NetCDFSink:
     """
 
     def __init__(self, path: Path, t: float, u0: np.ndarray) -> None:
-        h5netcdf = netcdf_package()
-        self.path = path
-        self._part = part_of(path)
-        self._file = h5netcdf.File(self._part, "w")
-        self.run = uuid.uuid4().hex
-        self._file.attrs["run"] = self.run
+        self._path, self._part = path, part_of(path)
+        self._file = netcdf_package().File(self._part, "w")
+        self._run = uuid.uuid4().hex  # tells the file from one of another run
+        self._file.attrs["run"] = self._run
         self._file.dimensions = {"time": None, "step": None, "unknown": u0.size}
-        rows = max(int(BLOCK // (16 * u0.size)), 1)
+        block = max(int(BLOCK // (16 * u0.size)), 1)
         for name, dims, words in (
             ("time", ("time",), "time"),
             ("u", ("time", "unknown"), "u_n at the grid times"),
             ("velocity", ("step", "unknown"), "velocity u_n' in each step"),
         ):
-            chunks = (1024,) if len(dims) == 1 else (min(rows, 64), u0.size)
+            chunks = (1024,) if len(dims) == 1 else (min(block, 64), u0.size)
             created = self._file.create_variable(name, dims, float, chunks=chunks)
             created.attrs.update({"long_name": words, "units": "1"})
-        self._t, self._u = np.zeros(rows), np.zeros((rows, u0.size))
-        self._z = np.zeros((rows, u0.size))
-        self.steps = self._waiting = self._written = 0
-        self._resize(1)
+        self._block = {
+            "time": np.zeros(block),
+            "u": np.zeros((block, u0.size)),
+            "velocity": np.zeros((block, u0.size)),
+        }
+        self.steps = self._written = 0
+        self._file.resize_dimension("time", 1)
         self._file.variables["time"][0], self._file.variables["u"][0] = t, u0
 
-    def put(self, t: float, u: np.ndarray, velocity: np.ndarray) -> None:
-        """Take the state at the end t of the next step and the velocity of the step."""
-        row = self._waiting
-        self._t[row], self._u[row], self._z[row] = t, u, velocity
-        self._waiting += 1
+    def put(self, step: StepInfo) -> None:
+        """Take the state at the end of the next step and the velocity of the step."""
+        row = self.steps - self._written
+        for name, value in (("time", step.t), ("u", step.u), ("velocity", step.velocity)):
+            self._block[name][row] = value
         self.steps += 1
-        if self._waiting == len(self._t):
+        if row + 1 == len(self._block["time"]):
             self._write()
 
     def close(self, finished: bool) -> None:
@@ -79,46 +79,33 @@ class NetCDFSink:
         self._write()
         self._file.close()
         if finished:
-            os.replace(self._part, self.path)
+            os.replace(self._part, self._path)
 
     def _write(self) -> None:
-        start, count = self._written, self._waiting
-        if count:
-            self._resize(start + count + 1)
-            variables = self._file.variables
-            variables["time"][start + 1 : start + count + 1] = self._t[:count]
-            variables["u"][start + 1 : start + count + 1] = self._u[:count]
-            variables["velocity"][start : start + count] = self._z[:count]
-        self._written, self._waiting = start + count, 0
+        start, end = self._written, self.steps
+        self._file.resize_dimension("time", end + 1)
+        self._file.resize_dimension("step", end)
+        for name, rows in self._block.items():
+            first = 0 if name == "velocity" else 1  # the start has a state and no velocity
+            self._file.variables[name][start + first : end + first] = rows[: end - start]
+        self._written = end
 
-    def _resize(self, nodes: int) -> None:
-        self._file.resize_dimension("time", nodes)
-        self._file.resize_dimension("step", nodes - 1)
+    def states(self) -> States:
+        """The states in the file, read when they are asked for."""
 
+        def read(name: str, i: Index) -> np.ndarray:
+            if not self._path.is_file():
+                raise InputError(f"{self._path}, which holds the states of this run, is not there")
+            with netcdf_package().File(self._path, "r") as file:
+                if file.attrs.get("run") != self._run:
+                    raise InputError(f"another run has written {self._path}: these states are gone")
+                stored = file.variables[name]
+                if isinstance(i, slice):
+                    return np.asarray(stored[i])
+                rows = [np.asarray(stored[int(k)]) for k in np.ravel(i)]
+                return np.reshape(rows, (*np.shape(i), stored.shape[1]))
 
-class StatesInFile:
-    """States in a file that `NetCDFSink` wrote, read row by row."""
-
-    def __init__(self, path: Path, run: str) -> None:
-        self.path, self.run = path, run
-
-    def u(self, i: Index) -> np.ndarray:
-        return self._read("u", i)
-
-    def velocity(self, i: Index) -> np.ndarray:
-        return self._read("velocity", i)
-
-    def _read(self, name: str, i: Index) -> np.ndarray:
-        if not self.path.is_file():
-            raise InputError(f"{self.path}, which holds the states of this run, is not there")
-        with netcdf_package().File(self.path, "r") as file:
-            if file.attrs.get("run") != self.run:
-                raise InputError(f"another run has written {self.path}: these states are gone")
-            stored = file.variables[name]
-            if isinstance(i, slice):
-                return np.asarray(stored[i])
-            rows = [np.asarray(stored[int(k)]) for k in np.ravel(i)]
-            return np.reshape(rows, (*np.shape(i), stored.shape[1]))
+        return States(partial(read, "u"), partial(read, "velocity"))
 
 
 def netcdf_package() -> Any:
