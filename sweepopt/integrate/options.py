@@ -49,7 +49,7 @@ class SolveOptions:
         scheme = choose(name, rate_independent)
         if adaptive and scheme.exact:
             raise InputError("scheme 'exact' has no error in time that steps could be adapted to")
-        return scheme.unwatched if self.on_unstable == "ignore" else scheme
+        return scheme.without_overshoot_warning if self.on_unstable == "ignore" else scheme
 
     def to_json(self) -> dict[str, Any]:
         """The options in terms of JSON.
