@@ -77,14 +77,13 @@ def test_the_active_set_solver_stands_alone() -> None:
     assert sol.stats["solver"][0] == "active-set"
 
 
-TOL = {"condition_all": 1e-7}  # what double precision can prove; all others: a tenth of TARGET
 # ---- every family, judged by its exact velocity -----------------------------------------------
 
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_hard_families_are_met_within_their_certificates(family: str) -> None:
     solvers = ["auto", "osqp", "clarabel"]
-    found = list(rows([family], [0], solvers=solvers, tol=TOL.get(family, 1e-9)))
+    found = list(rows([family], [0], solvers=solvers, tol=1e-9))
     assert found
     assert [row for row in found if not row.good] == []
 
@@ -93,7 +92,7 @@ def test_hard_families_are_met_within_their_certificates(family: str) -> None:
 @pytest.mark.parametrize("seed", range(1, 7))
 @pytest.mark.parametrize("family", FAMILIES)
 def test_hard_families_are_met_for_every_seed_and_solver(family: str, seed: int) -> None:
-    assert [row for row in rows([family], [seed], tol=TOL.get(family, 1e-9)) if not row.good] == []
+    assert [row for row in rows([family], [seed], tol=1e-9) if not row.good] == []
 
 
 @pytest.mark.parametrize("seed", range(3))
