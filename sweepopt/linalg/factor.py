@@ -70,7 +70,7 @@ class Factor:
         try:
             # pivots of inf or nan are refused below
             with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-                self._engine = engine(M, order, unknowns)
+                self._engine: Any = engine(M, order, unknowns)
                 pivots = self._engine.pivots / self.diagonal
         except (scipy.linalg.LinAlgError, RuntimeError, ArithmeticError):
             pivots = np.zeros(1)
@@ -129,9 +129,10 @@ class Factor:
         """M z + q, with more digits where rounding may exceed `enough` * |z|_M, and |z|_M."""
         force = self.M.dot(z)
         size = math.sqrt(max(z.dot(force), 0.0))
-        if self.rounding(euclidean(self.root * z), euclidean(q / self.root)) <= enough * size:
-            return force + q, size
-        return self.precisely(z, q), size
+        sharp = self.is_sharp or enough * size >= self.rounding(
+            euclidean(self.root * z), euclidean(q / self.root)
+        )
+        return (force + q if sharp else self.precisely(z, q)), size
 
     def rounding(self, z: float, q: float) -> float:
         """A bound in |.|_{M^-1} of what M @ z + q rounds, without a solve.

@@ -316,10 +316,11 @@ def rests(of: Instance, q: np.ndarray, diagonal: np.ndarray) -> bool:
     Where S acts on few unknowns, the force beside them settles most steps.
     """
     few, outside, anchor = of.unknowns, q - of.c, of.S.anchor
-    acting = np.array(outside[few])
-    outside[few] = 0.0
-    if not is_near(outside, q, of.c, anchor):
-        return False
+    acting = outside[few]
+    if of.S is not of.whole:
+        outside[few] = 0.0
+        if not is_near(outside, q, of.c, anchor):
+            return False
     outside[few] = acting - of.S.nearest(acting, diagonal[few])
     shift = np.abs(of.c)
     shift[few] += np.abs(anchor)
