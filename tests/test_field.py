@@ -19,7 +19,7 @@ COERCIVE = [name for name in SETS if name not in ("M16", "M17", "E20")]
 def test_it_is_the_first_velocity_of_a_step_of_the_paper(name: str) -> None:
     this = case(name)
     velocity = so.velocity_field(this.process)
-    for t in np.linspace(0.1, 0.9, 9) * this.t_end:
+    for t in np.array([0.1, 0.35, 0.6, 0.9]) * this.t_end:
         mu = 1e-3
         u = np.random.default_rng(int(1e3 * t)).normal(size=this.process.dim)
         moved = so.SweepingProcess(this.process.A, this.process.B, this.process.C, u)
@@ -47,15 +47,13 @@ def test_at_the_threshold_to_rounding_nothing_moves() -> None:
 
 
 def test_contact_unknowns_are_eliminated_as_in_a_run() -> None:
-    this = case("P09")
-    body, random = embedded(this), np.random.default_rng(1)
+    body, random = embedded(case("P09")), np.random.default_rng(1)
     velocity = so.velocity_field(body)
     whole = so.velocity_field(body, solver="clarabel", tol=1e-5)
-    for t in (0.3, 1.4, 7.0):
-        u = random.normal(size=body.dim)
-        z = velocity(t, u)
-        assert inclusion(body, t, u, z) <= 1e-8 * np.linalg.norm(z)
-        assert whole(t, u) == pytest.approx(z, abs=1e-4 * np.abs(z).max())
+    u = random.normal(size=body.dim)
+    z = velocity(1.4, u)
+    assert inclusion(body, 1.4, u, z) <= 1e-8 * np.linalg.norm(z)
+    assert whole(1.4, u) == pytest.approx(z, abs=1e-4 * np.abs(z).max())
 
 
 def test_lsoda_reaches_5e_10_on_a_scalar_case_in_2000_calls() -> None:
@@ -64,21 +62,21 @@ def test_lsoda_reaches_5e_10_on_a_scalar_case_in_2000_calls() -> None:
     times = np.linspace(0.0, 8.0, 81)
     velocity = so.velocity_field(process)
     exact = so.solve(process, t_end=8.0, steps=80, scheme="exact").u
-    u, seen = odeint(
+    u, info = odeint(
         velocity, process.u0, times, tfirst=True, rtol=1e-10, atol=1e-11, full_output=True
     )
     assert np.abs(u - exact).max() <= 5e-10
-    assert seen["nfe"][-1] <= 2000
+    assert info["nfe"][-1] <= 2000
 
 
 @pytest.mark.parametrize("name", ["V05", "P09"])
 def test_scipy_follows_the_reference(name: str) -> None:
     this = case(name)
-    found = solve_ivp(
+    solution = solve_ivp(
         so.velocity_field(this.process), (0.0, this.t_end), this.process.u0, method="LSODA",
         rtol=1e-9, atol=1e-10, max_step=0.1, t_eval=np.linspace(0, this.t_end, 102),
     )  # fmt: skip
-    assert np.abs(found.y.T - this.exact(101)).max() <= 1e-7
+    assert np.abs(solution.y.T - this.exact(101)).max() <= 1e-7
 
 
 def test_a_process_without_viscosity_is_refused() -> None:
@@ -100,7 +98,6 @@ def test_a_set_without_certificates_and_what_is_no_process_are_refused() -> None
         so.velocity_field(case("S01").process, tol=0.0)
 
 
-@pytest.mark.parametrize("name", ["S03", "P09"])
 @pytest.mark.parametrize(
     ("t", "u", "message"),
     [
@@ -110,15 +107,15 @@ def test_a_set_without_certificates_and_what_is_no_process_are_refused() -> None
         (1.0, np.nan, r"u\[0\] is nan"),
     ],
 )
-def test_times_and_states_are_checked(name: str, t: Any, u: Any, message: str) -> None:
-    process = case(name).process
+def test_times_and_states_are_checked(t: Any, u: Any, message: str) -> None:
+    process = case("P09").process
     if u is None or u is np.nan:
         u = np.full(process.dim, 0.0 if u is None else u)
     with pytest.raises(so.InputError, match=message):
         so.velocity_field(process)(t, u)
 
 
-@pytest.mark.parametrize("name", ["S03", "V05", "P09"])
+@pytest.mark.parametrize("name", ["S03", "P09"])
 def test_a_missed_tolerance_raises_with_its_time(name: str) -> None:
     velocity = so.velocity_field(case(name).process, tol=1e-19)
     with pytest.raises(

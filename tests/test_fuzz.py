@@ -102,7 +102,7 @@ def test_bad_input_gets_an_error_of_ours_or_a_right_answer(
 ) -> None:
     monkeypatch.chdir(folder)  # a checkpoint may be written where a hostile word names a file
     for name_of_limit in (
-        "results.refinement.STEPS",
+        "results.finer_grids.STEPS",
         "integrate.adaptive.STEPS",
     ):  # no hang, but long
         monkeypatch.setattr(f"sweepopt.{name_of_limit}", 5_000)

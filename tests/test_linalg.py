@@ -12,7 +12,14 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from sweepopt.errors import InputError
-from sweepopt.linalg import Elimination, Factor, cholesky, is_semidefinite, largest_ratio
+from sweepopt.linalg import (
+    Elimination,
+    Factor,
+    cholesky,
+    is_semidefinite,
+    largest_eigenvalue,
+    largest_ratio,
+)
 
 
 def laplacian(n: int) -> np.ndarray:
@@ -51,16 +58,16 @@ def test_solves_and_norms_are_those_of_the_matrix(M: np.ndarray) -> None:
     assert factor.dual_norm(w) <= factor.dual_norm_bound(w)
 
 
-def test_the_bound_of_the_dual_norm_is_met_by_the_slowest_mode() -> None:
-    M = laplacian(80)
-    mode = np.linalg.eigh(M)[1][:, 0]
-    factor = Factor(sp.csc_array(M))
+def test_bounds_are_met_by_the_slowest_mode() -> None:
+    values, modes = np.linalg.eigh(laplacian(80))
+    factor, mode = Factor(sp.csc_array(laplacian(80))), modes[:, 0]
     assert factor.dual_norm(mode) <= factor.dual_norm_bound(mode) <= 1.2 * factor.dual_norm(mode)
+    assert factor.smallest_eigenvalue() == pytest.approx(values[0], rel=1e-9)
 
 
 @pytest.mark.usefixtures("engine")
 @pytest.mark.parametrize("M", MATRICES.values(), ids=MATRICES)
-@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("count", [1, 3])
 def test_elimination_is_exact(M: np.ndarray, count: int) -> None:
     full = M.toarray() if sp.issparse(M) else M
     n = len(full)
@@ -105,29 +112,25 @@ def plate(side: int) -> sp.csc_array:
     return sp.csc_array(sp.kron(one, line) + sp.kron(line, one))
 
 
-@pytest.mark.usefixtures("engine")
-def test_all_factors_of_a_sparse_matrix_agree() -> None:
+def test_an_order_has_little_fill_and_serves_an_elimination(engine: str) -> None:
     M = plate(25)
+    order = Factor(M).order
+    assert order is not None
+    assert np.array_equal(np.sort(order), np.arange(M.shape[0]))
+    fill = [
+        spla.splu(sp.csc_matrix(one), permc_spec="NATURAL").L.nnz for one in (M[order][:, order], M)
+    ]
+    assert fill[0] < 0.6 * fill[1], engine
     columns = np.random.default_rng(0).normal(size=(7, M.shape[0]))
     exact = np.linalg.solve(M.toarray(), columns.T).T
     few = np.arange(0, M.shape[0], 26)
-    for factor in (Factor(M), Elimination(M, few), Elimination(M, few, Factor(M).order)):
+    for factor in (Factor(M), Elimination(M, few), Elimination(M, few, order)):
         assert factor.solve_many(columns) == pytest.approx(exact, rel=1e-12, abs=1e-12)
         assert factor.solve(columns[3]) == pytest.approx(exact[3], rel=1e-12, abs=1e-12)
 
 
-def test_an_order_has_little_fill(engine: str) -> None:
-    M = plate(40)
-    order = Factor(M).order
-    assert order is not None
-    assert np.array_equal(np.sort(order), np.arange(M.shape[0]))
-    filled = spla.splu(sp.csc_matrix(M[order][:, order]), permc_spec="NATURAL").L.nnz
-    natural = spla.splu(sp.csc_matrix(M), permc_spec="NATURAL").L.nnz
-    assert filled < 0.5 * natural, engine
-
-
 @pytest.mark.usefixtures("engine")
-@pytest.mark.parametrize("power", [1, 7, -30])
+@pytest.mark.parametrize("power", [7, -30])
 def test_units_that_are_powers_of_two_change_no_bit(power: int) -> None:
     M, w, few, unit = plate(12), np.sin(np.arange(144.0)), np.arange(12), 2.0**power
     for one, other in (
@@ -180,8 +183,8 @@ def test_threads_do_not_disturb_each_other() -> None:
 
     alone = [worked(M) for M in matrices]
     with ThreadPoolExecutor(8) as pool:
-        for found, expected in zip(pool.map(worked, 20 * matrices), 20 * alone, strict=True):
-            assert np.array_equal(found, expected)
+        for result, expected in zip(pool.map(worked, 20 * matrices), 20 * alone, strict=True):
+            assert np.array_equal(result, expected)
 
 
 def test_what_others_set_for_their_factors_is_left_alone() -> None:
@@ -206,7 +209,7 @@ def test_a_package_that_cannot_be_loaded_is_done_without(monkeypatch: pytest.Mon
         cholesky.has_cholmod.cache_clear()
 
 
-def missed(n: int = 200) -> tuple[sp.csc_array, float]:
+def hidden(n: int = 200) -> tuple[sp.csc_array, float]:
     """A matrix whose largest eigenvector no Lanczos iteration from the usual start ever meets."""
     start = np.random.default_rng(0).normal(size=n)
     # within the first entries the rest is a multiple of 1: powers of it turn no start into v
@@ -219,19 +222,16 @@ def missed(n: int = 200) -> tuple[sp.csc_array, float]:
 
 
 def test_the_largest_ratio_is_never_below_the_eigenvalue() -> None:
-    B, exact = missed()
+    B, exact = hidden()
     A = Factor(sp.csc_array(np.diag(np.ones(200))))
-    found = spla.eigsh(
-        B, k=1, v0=np.random.default_rng(0).normal(size=200), tol=1e-4, return_eigenvectors=False
-    )
-    assert found[0] == pytest.approx(2.0)  # what there is to see from that start
+    assert largest_eigenvalue(B.dot, 200, 1e-4) == pytest.approx(2.0)  # what there is to see
     assert exact <= largest_ratio(A, B) <= 2.0 * exact
     root = sp.csc_array(laplacian(200))
     scaled = sp.csc_array(root @ B @ root.T)
     assert exact <= largest_ratio(Factor(sp.csc_array(root @ root.T)), scaled) <= 2.0 * exact
 
 
-@pytest.mark.parametrize("n", [1, 3, 30, 80, 200])
+@pytest.mark.parametrize("n", [1, 3, 80])
 @pytest.mark.parametrize("convert", [np.asarray, sp.csc_array])
 def test_the_largest_ratio_is_just_above_the_eigenvalue(n: int, convert: type) -> None:
     random = np.random.default_rng(n)

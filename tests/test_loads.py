@@ -22,28 +22,21 @@ INTERVALS = [(0.0, 8.0), (0.31, 0.32), (-0.9, 0.1), (0.5, 2.0), (1.0, 1.0), (3.3
 
 
 @pytest.mark.parametrize("phi", HISTORIES, ids=str)
-@pytest.mark.parametrize(("a", "b"), INTERVALS)
-def test_variation_is_that_of_a_fine_sampling(phi, a, b):
-    t = np.union1d(np.linspace(a, b, 100_001), phi.breakpoints(a, b))
-    sampled = np.abs(np.diff(phi(t))).sum()
-    assert phi.variation(a, b) == pytest.approx(sampled, rel=1e-6, abs=1e-12)
-    assert phi.variation(a, b) >= sampled - 1e-12 * (1 + sampled)
-
-
-@pytest.mark.parametrize("phi", HISTORIES, ids=str)
-def test_variation_is_additive(phi):
+def test_variation_is_that_of_a_fine_sampling_additive_and_straight_between_breakpoints(phi):
+    for a, b in INTERVALS:
+        t = np.union1d(np.linspace(a, b, 100_001), phi.breakpoints(a, b))
+        sampled = np.abs(np.diff(phi(t))).sum()
+        assert phi.variation(a, b) == pytest.approx(sampled, rel=1e-6, abs=1e-12)
+        assert phi.variation(a, b) >= sampled - 1e-12 * (1 + sampled)
     cuts = np.linspace(-0.7, 8.9, 38)
     pieces = sum(phi.variation(a, b) for a, b in pairwise(cuts))
     assert pieces == pytest.approx(phi.variation(cuts[0], cuts[-1]), rel=1e-12, abs=1e-14)
-
-
-@pytest.mark.parametrize("phi", [phi for phi in HISTORIES if not isinstance(phi, Sine)], ids=str)
-def test_a_history_is_straight_between_its_breakpoints(phi):
     cuts = phi.breakpoints(-0.5, 8.5)
     assert np.all((cuts > -0.5) & (cuts < 8.5))
-    ends = np.concatenate([[-0.5], cuts, [8.5]])
-    middle = (ends[1:] + ends[:-1]) / 2
-    np.testing.assert_allclose(phi(middle), (phi(ends[1:]) + phi(ends[:-1])) / 2, atol=1e-12)
+    if not isinstance(phi, Sine):
+        ends = np.concatenate([[-0.5], cuts, [8.5]])
+        middle = (ends[1:] + ends[:-1]) / 2
+        np.testing.assert_allclose(phi(middle), (phi(ends[1:]) + phi(ends[:-1])) / 2, atol=1e-12)
 
 
 def test_variation_of_a_billion_periods_costs_nothing():
@@ -116,18 +109,14 @@ def test_a_black_box_history_may_be_evaluated_but_not_measured():
     [
         (lambda: Sine(1.0, period=0.0), "period must be > 0"),
         (lambda: Triangle(np.nan, period=1.0), "amplitude is nan"),
-        (lambda: Sine("big", period=1.0), "amplitude must be"),
         (lambda: Constant([1.0, 2.0]), "value must be one number"),
-        (lambda: Table([0.0], [1.0]), "times must have two entries"),
         (lambda: Table([0.0, 1.0, 1.0], [1.0, 2.0, 3.0]), r"entry 2 \(1\) follows entry 1 \(1\)"),
         (lambda: Table([0.0, 1.0], [1.0, np.inf]), r"values\[1\] is inf"),
         (lambda: Table([0.0, 1.0], [1.0]), "values has 1 entries for 2 times"),
         (lambda: Table([0.0, 1.0], [0.0, 1.0])("a"), "t must be a time or an array .*, got 'a'"),
-        (lambda: Sine(1.0, period=1.0)([[1.0], []]), "t must be a time or an array of times"),
         (lambda: Constant()("a"), "t must be a time or an array of times, got 'a'"),
         (lambda: Table.from_csv(3, "f2"), "path must be a path, got 3"),
         (lambda: Separable([]), "terms must hold"),
-        (lambda: Separable(None), "terms must hold .*, got None"),
         (lambda: Separable([Constant(1.0)]), r"terms\[0\] must be a pair"),
         (lambda: Separable([(1.0, [1.0])]), r"terms\[0\]\[0\] must be callable"),
         (lambda: Separable([(Constant(1.0), [[1.0]])]), r"terms\[0\]\[1\] must have one axis"),
@@ -136,7 +125,6 @@ def test_a_black_box_history_may_be_evaluated_but_not_measured():
             lambda: Separable([(Constant(1.0), [1.0]), (Constant(1.0), [1.0, 2.0])]),
             r"terms\[1\]\[1\] has 2 entries, terms\[0\]\[1\] has 1",
         ),
-        (lambda: Separable([(lambda t: np.nan, [1.0])])(0.5), r"terms\[0\]\[0\] is nan at t = 0.5"),
         *(
             (
                 lambda value=value: Separable([(Constant(), [1.0]), (lambda t: value, [1.0])])(0.5),
@@ -170,12 +158,8 @@ def test_a_csv_column_becomes_a_table(tmp_path):
         ("", "log.csv: column 't' is missing; there are: none"),
         ("t,f2\n0,1\n", "log.csv: 1 data rows"),
         ("# units\nt,f2\n0,1\n1,\n", r"log.csv, column 'f2', row 4: '' is not a finite number"),
-        ("t,f2\n0,1\n1\n", "log.csv, column 'f2', row 3: '' is not"),
-        ("t,f2\n0,1\n1,nan\n", "log.csv, column 'f2', row 3: 'nan' is not"),
         ("t,f2\n0,1\n\n1,two\n", "log.csv, column 'f2', row 4: 'two' is not"),
-        ("t,f2\n0,1\n1,1\n1,3\n", "log.csv, column 't', row 4: time 1 does not come after 1"),
         ("t,f2\n0,1\n2,1\n1,3\n", "log.csv, column 't', row 4: time 1 does not come after 2"),
-        ("t,f2\n0,0,1,5\n", "log.csv, row 2: 4 cells under 2 column names; write decimals with a"),
         ("t,f2\n0,1\n1,0,5\n", r"log.csv, row 3: 3 cells under 2 .* point \(1.5, not 1,5\)"),
         ("t,f2\n0,1_0\n1,2\n", "log.csv, column 'f2', row 2: '1_0' is not a finite number"),
         pytest.param(

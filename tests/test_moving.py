@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import sweepopt as so
 
-TIMES = (0.0, 0.3, 2.0)
+TIMES = (0.3, 2.0)
 G = np.vstack([np.eye(2), -np.eye(2), [[1.0, 1.0]]])
 BALL = so.Ball([0.2, -0.1], 0.8)
 
@@ -39,54 +39,38 @@ def same(C: so.ConvexSet, D: so.ConvexSet) -> None:
         np.testing.assert_allclose(C.project(4 * z), D.project(4 * z), atol=1e-12)
 
 
+OPERATIONS: dict[str, Any] = {
+    "C+v": lambda C: C + [1.0, 2.0],
+    "v+C": lambda C: np.array([1.0, 2.0]) + C,
+    "C-v": lambda C: C - [1.0, 2.0],
+    "v-C": lambda C: [1.0, 2.0] - C,
+    "rC": lambda C: 2.0 * C,
+    "Cr": lambda C: C * np.float64(0.5),
+    "-rC": lambda C: -3.0 * C,
+    "-C": lambda C: -C,
+    "C+D": lambda C: C + BALL,
+    "D+C": lambda C: BALL + C,
+    "C&D": lambda C: C & so.Ball([0.0, 0.0], 5.0),
+    "D&C": lambda C: so.Ball([0.0, 0.0], 5.0) & C,
+    "product": lambda C: so.product(C, BALL, C),
+    "image": lambda C: so.image([[1.0, 0.0], [1.0, 1.0], [0.0, 2.0]], C),
+}
+
+
 @MOVING
-@pytest.mark.parametrize("t", TIMES)
-@pytest.mark.parametrize(
-    "operation",
-    [
-        lambda C: C + [1.0, 2.0],
-        lambda C: np.array([1.0, 2.0]) + C,
-        lambda C: C - [1.0, 2.0],
-        lambda C: [1.0, 2.0] - C,
-        lambda C: 2.0 * C,
-        lambda C: C * np.float64(0.5),
-        lambda C: -3.0 * C,
-        lambda C: -C,
-        lambda C: C + BALL,
-        lambda C: BALL + C,
-        lambda C: C & so.Ball([0.0, 0.0], 5.0),
-        lambda C: so.Ball([0.0, 0.0], 5.0) & C,
-        lambda C: so.product(C, BALL, C),
-        lambda C: so.image([[1.0, 0.0], [1.0, 1.0], [0.0, 2.0]], C),
-    ],
-    ids=[
-        "C+v",
-        "v+C",
-        "C-v",
-        "v-C",
-        "rC",
-        "Cr",
-        "-rC",
-        "-C",
-        "C+D",
-        "D+C",
-        "C&D",
-        "D&C",
-        "product",
-        "image",
-    ],
-)
-def test_operations_commute_with_time(operation: Any, C: Any, t: float) -> None:
-    same(operation(C).at(t), operation(C.at(t)))
+@pytest.mark.parametrize("operation", OPERATIONS)
+def test_operations_commute_with_time(operation: str, C: Any) -> None:
+    for t in TIMES:
+        same(OPERATIONS[operation](C).at(t), OPERATIONS[operation](C.at(t)))
 
 
-@pytest.mark.parametrize("t", TIMES)
-def test_operations_of_two_moving_sets_commute_with_time(t: float) -> None:
+def test_operations_of_two_moving_sets_commute_with_time() -> None:
     C, D = FAMILIES["translated"], FAMILIES["any"]
-    same((C + D).at(t), C.at(t) + D.at(t))
-    same(so.product(C, D).at(t), so.product(C.at(t), D.at(t)))
     E = so.MovingSet(lambda t: so.Ball([0.0, t], 3.0))
-    same((C & E).at(t), C.at(t) & E.at(t))
+    for t in TIMES:
+        same((C + D).at(t), C.at(t) + D.at(t))
+        same(so.product(C, D).at(t), so.product(C.at(t), D.at(t)))
+        same((C & E).at(t), C.at(t) & E.at(t))
 
 
 @settings(derandomize=True, deadline=None, max_examples=30, database=None)
@@ -102,12 +86,8 @@ def test_a_moving_set_is_center_plus_scale_times_shape(t: float, seed: int) -> N
 
 @MOVING
 def test_all_members_share_one_cone(C: Any) -> None:
-    first = C.at(0.0)
-    for t in TIMES[1:]:
-        if t < 2:  # where the scale is 0 the set is a point
-            assert first.same_cone(C.at(t))
-            assert (C & BALL).at(0.0).same_cone((C & BALL).at(t))
-            assert so.image(np.eye(2), C).at(0.0).same_cone(so.image(np.eye(2), C).at(t))
+    for D in (C, C & BALL, so.image(np.eye(2), C)):
+        assert D.at(0.0).same_cone(D.at(0.3))
 
 
 def test_members_of_a_polyhedron_with_moving_offsets_share_the_matrix_itself() -> None:
@@ -142,25 +122,14 @@ def test_a_set_with_a_known_dim_is_not_asked_for_before_it_starts() -> None:
     assert so.solve(process, steps=np.linspace(5, 6, 5)).t[0] == 5.0
 
 
-def test_a_set_of_scale_zero_is_its_center() -> None:
-    C = so.Moving(BALL, center=[3.0, 4.0], scale=lambda t: 1 - t).at(1.0)
-    assert C.singleton
-    np.testing.assert_array_equal(C.anchor, [3.0, 4.0])
-
-
-def test_a_moving_point_stays_a_point() -> None:
-    C = so.Moving(so.Point([1.0, 0.0]), center=lambda t: [t, t], scale=2.0).at(3.0)
-    assert C.singleton
-    np.testing.assert_array_equal(C.anchor, [5.0, 3.0])
-
-
-def test_the_anchor_is_the_center_of_a_translate() -> None:
+def test_a_moving_point_is_its_center() -> None:
+    point = so.Moving(so.Point([1.0, 0.0]), center=lambda t: [t, t], scale=2.0).at(3.0)
+    shrunk = so.Moving(BALL, center=[5.0, 3.0], scale=lambda t: 1 - t).at(1.0)
+    for C in (point, shrunk):
+        assert C.singleton
+        np.testing.assert_array_equal(C.anchor, [5.0, 3.0])
     C = so.Moving(so.Orthant(2), center=lambda t: [t, 2 * t])
     np.testing.assert_array_equal(C.at(1.5).anchor, [1.5, 3.0])
-
-
-def test_a_set_at_rest_is_the_same_object_at_all_times() -> None:
-    assert BALL.at(0.0) is BALL
     assert BALL.at(9.0) is BALL
 
 
@@ -168,12 +137,9 @@ def boom(t: float) -> so.ConvexSet:
     return so.Box([0.0], [1.0 - t])
 
 
-LIST = [so.Box([0.0], [1.0])]
-
 MALFORMED: dict[str, tuple[Any, str]] = {
     "no function": (lambda: so.MovingSet(BALL), "MovingSet needs a function.*Ball"),
     "function that returns a number": (lambda: so.MovingSet(lambda t: t), "must be a set.*float"),
-    "function that returns a list": (lambda: so.MovingSet(lambda t: LIST), "must be a set.*list"),
     "function that returns a moving set": (
         lambda: so.MovingSet(lambda t: FAMILIES["any"]),
         "must be a set, got MovingSet",
@@ -199,18 +165,13 @@ MALFORMED: dict[str, tuple[Any, str]] = {
         r"center\(t\) at t = 1 must be an array of numbers",
     ),
     "scale below 0": (lambda: so.Moving(BALL, scale=-1.0), "scale must be >= 0, got -1"),
-    "scale of nan": (lambda: so.Moving(BALL, scale=np.nan), r"scale is nan"),
     "scale(t) below 0": (
         lambda: so.Moving(BALL, scale=lambda t: 1 - t).at(3.0),
         r"scale\(t\) at t = 3 must be >= 0, got -2",
     ),
     "C at a word": (lambda: so.Moving(BALL, lambda t: [t, t]).at("x"), "t must be one number"),
-    "C that rests at a word": (lambda: so.Moving(BALL).at("x"), "t must be one number"),
-    "any C at a word": (lambda: FAMILIES["any"].at("x"), "t must be one number"),
     "C at no time": (lambda: FAMILIES["any"].at(None), "t is nan"),
-    "C at inf": (lambda: so.Moving(BALL, lambda t: [t, t]).at(np.inf), "t is inf"),
-    "a center at a word": (lambda: so.Moving(BALL, lambda t: [t, t]).center_at("x"), "t must be"),
-    "a scale at a word": (lambda: so.Moving(BALL, scale=lambda t: t).scale_at("x"), "t must be"),
+    "a scale at inf": (lambda: so.Moving(BALL, scale=lambda t: t).scale_at(np.inf), "t is inf"),
     "scale(t) of nothing": (
         lambda: so.Moving(BALL, scale=lambda t: None).at(3.0),
         r"scale\(t\) at t = 3",
@@ -231,7 +192,6 @@ MALFORMED: dict[str, tuple[Any, str]] = {
     "intersection with None": (lambda: FAMILIES["any"] & None, "D must be a set, got NoneType"),
     "difference of sets": (lambda: FAMILIES["any"] - BALL, "C - D is ambiguous"),
     "product by *": (lambda: FAMILIES["any"] * BALL, r"C \* D is not defined"),
-    "product by * from the left": (lambda: BALL * FAMILIES["any"], r"C \* D is not defined"),
     "scaled by nan": (lambda: np.nan * FAMILIES["any"], r"scale is nan"),
     "image of another width": (lambda: so.image(np.eye(3), FAMILIES["any"]), "C has dim 2"),
 }

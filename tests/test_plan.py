@@ -73,10 +73,8 @@ def test_stuck_contacts_of_a_large_body_are_exactly_zero(name: str) -> None:
 
 
 def test_the_plan_prints_what_is_simulated_and_what_is_not() -> None:
-    plan = make_plan(
-        process("box"), [(0.0, process("box").C.at(0.0))], SCHEMES["midpoint"], "osqp", 1e-6
-    )
-    shown = str(plan)
+    this, scheme = process("box"), SCHEMES["midpoint"]
+    shown = str(make_plan(this, [(0.0, this.C.at(0.0))], scheme, "osqp", 1e-6))
     for line in (
         "unknowns            40",
         "nonsmooth unknowns  4",
@@ -85,7 +83,7 @@ def test_the_plan_prints_what_is_simulated_and_what_is_not() -> None:
     ):
         assert line in shown
     bare = so.SweepingProcess(chain(), None, so.Point(np.ones(40)), np.zeros(40))
-    shown = str(make_plan(bare, [(0.0, bare.C)], SCHEMES["midpoint"], "auto", 1e-6))
+    shown = str(make_plan(bare, [(0.0, bare.C)], scheme, "auto", 1e-6))
     assert "no optimiser" in shown
     assert "velocities do not depend on history" in shown
 

@@ -80,7 +80,7 @@ def test_the_a_priori_bound_is_near_the_largest_velocity() -> None:
 
 
 def test_the_variation_of_a_translated_and_scaled_set_is_that_of_its_motion() -> None:
-    times = np.linspace(0, 2 * np.pi, 1001)
+    times = np.linspace(0, 2 * np.pi, 501)
     moved = so.Moving(so.Ball([0, 0], 1), lambda t: [np.cos(t), np.sin(t)])
     grown = so.Moving(so.Ball([0, 0], 2), scale=lambda t: 2 + np.sin(t))
     u0, A = np.zeros(2), np.eye(2)
@@ -88,7 +88,7 @@ def test_the_variation_of_a_translated_and_scaled_set_is_that_of_its_motion() ->
     assert so.SweepingProcess(A, None, grown, u0).variation(times) == pytest.approx(8, 1e-5)
     # [l(t), r(t)] as a polyhedron: the larger of the two ends' changes, step by step
     ends = case("S04").process
-    grid = np.linspace(0, 10, 501)
+    grid = np.linspace(0, 10, 101)
     left = np.abs(np.diff(-1 + np.sin(grid) - 0.3 * np.cos(3 * grid)))
     right = np.abs(np.diff(1 + 0.6 * np.sin(2 * grid) + 0.5 * np.sin(grid)))
     assert ends.variation(grid) == pytest.approx(np.maximum(left, right).sum())
@@ -135,9 +135,9 @@ class NeverRuns:
 )
 def test_the_a_priori_bound_holds_for_all_kinds_of_moving_sets(C: so.MovingSet) -> None:
     process = so.SweepingProcess(np.eye(2), 0.2 * np.eye(2), C, [0, 0])
-    sol = so.solve(process, t_end=2.0, steps=400, scheme="implicit-euler")
+    sol = so.solve(process, t_end=2.0, steps=50, scheme="implicit-euler")
     largest = np.linalg.norm(sol.velocity, axis=1).max()
-    assert 0 < largest <= process.velocity_bound(np.linspace(0, 2, 401)).value
+    assert 0 < largest <= process.velocity_bound(np.linspace(0, 2, 51)).value
 
 
 def test_a_variation_that_is_not_known_is_refused() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import resource
-import subprocess
 import sys
 import tracemalloc
 from pathlib import Path
@@ -34,7 +32,7 @@ def run(path: str, **changes: Any) -> so.Solution:
         (25, [0, 25, 50, 75, 80]),
         ([0.0, 1.0, 2.55], [0, 20, 51, 80]),
         ([4.0], [0, 80]),
-        (500, [0, 80]),
+        (10**30, [0, 80]),
     ],
     ids=str,
 )
@@ -57,9 +55,10 @@ def test_the_interpolant_answers_in_kept_steps_and_refuses_others(path: str) -> 
     assert some(inside) == pytest.approx(whole(inside), abs=1e-14)
     assert np.array_equal(some(0.0), whole.u[0])
     assert some.viability(1.25) == whole.viability(1.25)
-    for t in (0.02, 1.19, 1.26):
+    for ask, t in [(some, 0.02), (some, 1.26), (some.viability, 0.0), (some.residual, 0.0)]:
         with pytest.raises(so.InputError, match="not kept"):
-            some(t)
+            ask(t)
+    assert run(path, save=1).viability(0.0) == whole.viability(0.0)
     with pytest.raises(so.InputError, match="not all were kept"):
         some.energy()
     dataset = some.to_xarray()
@@ -99,18 +98,19 @@ def wave(dim: int) -> so.Separable:
     return so.Separable([(so.Sine(2.0, 3.0), np.sin(np.arange(dim)))])
 
 
-def test_a_file_of_a_run_that_fails_holds_the_steps_before(tmp_path: Path) -> None:
+def test_a_run_that_fails_has_a_file_of_its_steps_and_replaces_no_other(tmp_path: Path) -> None:
     def stop(info: so.StepInfo) -> None:
         if info.step == 11:
             raise RuntimeError("enough")
 
+    file = tmp_path / "run.nc"
+    sol = run("eliminated", save=str(file), callback=lambda info: info.step == 3)
     with pytest.raises(RuntimeError, match="enough"):
-        run("eliminated", save=str(tmp_path / "run.nc"), callback=stop)
-    (part,) = tmp_path.iterdir()
+        run("eliminated", save=file, callback=stop)
+    assert sol.u.shape == (5, 40)
+    (part,) = set(tmp_path.iterdir()) - {file}
     with xr.open_dataset(part, engine="h5netcdf") as dataset:
         assert dataset.sizes["time"] == 13
-    sol = run("eliminated", save=tmp_path / "run.nc", callback=lambda info: info.step == 3)
-    assert sol.u.shape == (5, 40)
 
 
 def test_a_run_that_stops_early_keeps_its_last_step() -> None:
@@ -134,9 +134,15 @@ def test_a_run_that_stops_early_keeps_its_last_step() -> None:
         ("nowhere/run.nc", r"no folder .*nowhere"),
         (True, "save must be None, 'last'"),
         (1.5, "save must be None, 'last'"),
+        (np.array(5), "save must be None, 'last'"),
+        ("folder.nc", "cannot be written"),
     ],
 )
-def test_what_save_cannot_be_is_said_before_the_run(save: Any, words: str) -> None:
+def test_what_save_cannot_be_is_said_before_the_run(
+    save: Any, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("folder.nc").mkdir()
     with pytest.raises(so.InputError, match=words):
         run("eliminated", save=save)
 
@@ -167,34 +173,6 @@ def test_memory_does_not_grow_with_the_steps_that_are_not_kept() -> None:
 
     peak(3)
     assert peak(400) <= 1.3 * peak(10)
-
-
-MEASURED = """
-import resource, sys
-sys.path.insert(0, "tests")
-import numpy as np, scipy.sparse as sp, sweepopt as so
-n = 316
-line = sp.diags_array([2.0 * np.ones(n), -np.ones(n - 1), -np.ones(n - 1)], offsets=[0, -1, 1])
-A = sp.csc_array(sp.kron(line, sp.eye_array(n)) + sp.kron(sp.eye_array(n), line))
-few = np.arange(n) * n
-E = sp.csc_array((np.ones(n), (few, np.arange(n))), shape=(n * n, n))
-f = so.Separable([(so.Sine(1.0, 4.0), np.ones(n * n))])
-C = so.Moving(-so.image(E, so.Box(-np.ones(n), np.ones(n))), f)
-this = so.SweepingProcess(A, A, C, np.zeros(n * n))
-so.solve(this, t_end=4.0, steps=int(sys.argv[1]), save="last", path="eliminated")
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
-"""
-
-
-@pytest.mark.slow
-def test_ten_thousand_steps_of_a_hundred_thousand_unknowns_take_the_memory_of_ten() -> None:
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss > 0  # a unit that the system knows
-    peaks = []
-    for steps in ("10", "10000"):
-        command = [sys.executable, "-c", MEASURED, steps]
-        found = subprocess.run(command, capture_output=True, text=True, check=True)
-        peaks.append(int(found.stdout))
-    assert peaks[1] <= 1.3 * peaks[0]
 
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
@@ -248,7 +226,7 @@ class CtrlC:
         return self.trace
 
 
-@pytest.mark.parametrize("save", [None, "last", 3], ids=str)
+@pytest.mark.parametrize("save", [None, 3], ids=str)
 def test_ctrl_c_at_any_line_of_a_step_leaves_a_consistent_solution(
     save: Any, tmp_path: Path
 ) -> None:
@@ -258,7 +236,7 @@ def test_ctrl_c_at_any_line_of_a_step_leaves_a_consistent_solution(
     whole = so.solve(this, t_end=1.0, steps=10)
     expected = so.solve(this, **how, checkpoint=so.Checkpoint(tmp_path / "a", steps=4))
     done = set()
-    for k in range(1, 80, 4):
+    for k in range(1, 80, 6):
         file = tmp_path / f"{k}.npz"
         where = so.Checkpoint(file, steps=4)
         sol = so.solve(this, **how, checkpoint=where, callback=CtrlC(4, k).callback)
@@ -276,16 +254,6 @@ def test_ctrl_c_at_any_line_of_a_step_leaves_a_consistent_solution(
     assert done >= {5, 6}
 
 
-def test_the_first_instant_of_a_thinned_run_has_no_velocity_to_judge() -> None:
-    whole = run("eliminated")
-    some = run("eliminated", save=25)
-    assert np.array_equal(some([0.0, 0.0]), whole.u[[0, 0]])
-    for measure in (some.viability, some.residual):
-        with pytest.raises(so.InputError, match="not kept"):
-            measure(0.0)
-    assert run("eliminated", save=1).viability(0.0) == whole.viability(0.0)
-
-
 def test_times_are_matched_with_the_nearest_node_and_then_found_again() -> None:
     this = process(u0=np.zeros(40))
     grid = np.linspace(0.0, 1.0, 8)
@@ -297,41 +265,11 @@ def test_times_are_matched_with_the_nearest_node_and_then_found_again() -> None:
     assert np.array_equal(kept.t, fine[[0, 3, 17, 33, 40]])
 
 
-@pytest.mark.parametrize("save", [10**30, np.array(5)])
-def test_odd_strides_are_taken_or_refused(save: Any) -> None:
-    if isinstance(save, int):
-        assert np.array_equal(run("eliminated", save=save).t, [0.0, 4.0])
-        return
-    with pytest.raises(so.InputError, match="save must be None, 'last'"):
-        run("eliminated", save=save)
-
-
-def test_a_file_that_cannot_be_written_is_refused_before_the_run(tmp_path: Path) -> None:
-    (tmp_path / "folder.nc").mkdir()
-    with pytest.raises(so.InputError, match="cannot be written"):
-        run("eliminated", save=tmp_path / "folder.nc")
-
-
 def test_a_file_that_another_run_has_replaced_is_not_mistaken_for_this_ones(tmp_path: Path) -> None:
     first = run("eliminated", save=tmp_path / "run.nc")
     so.solve(process(u0=np.zeros(40)), t_end=3.0, steps=80, save=tmp_path / "run.nc")
     with pytest.raises(so.InputError, match="another run has written"):
         first(1.0)
-
-
-def test_a_run_that_fails_does_not_replace_the_file_of_one_that_did_not(tmp_path: Path) -> None:
-    file = tmp_path / "run.nc"
-    whole = run("eliminated", save=file)
-
-    def stop(info: so.StepInfo) -> None:
-        raise RuntimeError("enough")
-
-    with pytest.raises(RuntimeError, match="enough"):
-        run("eliminated", save=file, callback=stop)
-    assert whole.u.shape == (81, 40)
-    (part,) = set(tmp_path.iterdir()) - {file}
-    with xr.open_dataset(part, engine="h5netcdf") as dataset:
-        assert dataset.sizes["time"] == 2
 
 
 # ---- what is known of each step -------------------------------------------------------------

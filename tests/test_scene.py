@@ -338,16 +338,6 @@ def test_the_tube_sticks_slips_and_reverses():
     assert np.abs(sol.u[-1]).max() > 2e-5  # what friction locks in after the load is gone
 
 
-@pytest.mark.slow
-def test_the_tube_at_full_size():
-    scene = read_scene("tube")
-    sol = scene.solve()
-    assert sol.success
-    assert len(sol.t) == scene.steps + 1
-    coarse = scene.solve(steps=scene.steps // 2)
-    assert np.abs(sol.u[::2] - coarse.u).max() < 0.02 * np.abs(sol.u).max()
-
-
 def run_python(code):
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Contact, contact_on
 from sweepopt.fem.fields import FRICTION, NON_NEGATIVE, POSITIVE, Datum, check_datum
-from sweepopt.fem.spaces import Discretisation, boundary_load, stiffness, volume_load
+from sweepopt.fem.spaces import LOAD, STIFFNESS, Discretisation, assemble
 
 Array = NDArray[np.float64]
 Phi = Callable[[float], ArrayLike]
@@ -79,7 +79,7 @@ class Viscosity:
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix A."""
-        return Contribution(A=stiffness(body, "eta", self.eta, POSITIVE))
+        return Contribution(A=assemble(body, STIFFNESS, "eta", self.eta, allowed=POSITIVE))
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Elasticity:
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix B; none if kappa is zero everywhere."""
-        B = stiffness(body, "kappa", self.kappa, NON_NEGATIVE)
+        B = assemble(body, STIFFNESS, "kappa", self.kappa, allowed=NON_NEGATIVE)
         return Contribution(B=B if B.count_nonzero() else None)
 
 
@@ -181,7 +181,7 @@ class BodyForce:
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
-        return Contribution(load=(self.history, volume_load(body, "f0", self.f0)))
+        return Contribution(load=(self.history, assemble(body, LOAD, "f0", self.f0)))
 
 
 @dataclass(frozen=True)
@@ -220,8 +220,7 @@ class Traction:
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
-        load = boundary_load(body, "f2", self.on, self.f2)
-        return Contribution(load=(self.history, load))
+        return Contribution(load=(self.history, assemble(body, LOAD, "f2", self.f2, self.on)))
 
 
 def boundary_names(argument: str, value: object) -> tuple[str, ...]:

@@ -112,23 +112,18 @@ def check_datum(name: str, datum: Any, allowed: Range = ANY) -> None:
     InputError
         Naming the coefficient, the group and the value.
     """
+    numbers = {} if callable(datum) else {name: datum}
     if isinstance(datum, Mapping):
-        if not datum:
+        numbers = {f"{name}.{key}": value for key, value in datum.items()}
+        if not numbers:
             raise InputError(f"{name} must name a group or more")
-        for key, value in datum.items():
-            check_number(f"{name}.{key}", value)
-            allowed.check(f"{name}.{key}", value)
     elif isinstance(datum, Profile):
         allowed.check(f"{name}.values", datum.values)
-    elif not callable(datum):
-        check_number(name, datum)
-        allowed.check(name, datum)
-
-
-def check_number(name: str, value: Any) -> None:
-    """Refuse what only becomes a number by a cast: words, True, a list of one."""
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.number)):
-        raise InputError(f"{name} must be a number, got {shown(value)}")
+    for label, value in numbers.items():
+        # no words, True or lists of one, which numpy would turn into a number
+        if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.number)):
+            raise InputError(f"{label} must be a number, got {shown(value)}")
+        allowed.check(label, value)
 
 
 def evaluate(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,17 +16,6 @@ MOST_PICTURES = 6
 """Panels of a page that are still large enough to see the slip zone."""
 MOST_POINTS = 4
 """Contact points whose histories can still be told apart."""
-
-
-class Scale(NamedTuple):
-    """A factor that makes numbers readable, and their unit then; "" is dimensionless."""
-
-    factor: float
-    unit: str
-
-    def label(self, quantity: str) -> str:
-        """The quantity with its unit, for an axis."""
-        return f"{quantity} ({self.unit})" if self.unit else quantity
 
 
 def displacement_figure(report: Report, times: Sequence[float] | None = None) -> Any:
@@ -50,8 +39,8 @@ def displacement_figure(report: Report, times: Sequence[float] | None = None) ->
         solution(times)  # refuses those outside of the run
         indices = [int(np.abs(solution.t - t).argmin()) for t in times]
     fields = body.expand(solution.u[indices])
-    height, length = _length(report, fields), _length(report, body.points)
-    fields, points = height.factor * fields, length.factor * body.points
+    (height, unit), (length, meter) = _length(report, fields), _length(report, body.points)
+    fields, points = height * fields, length * body.points
     limit = float(np.abs(fields).max()) or 1.0
     figure, panels = _page(np.ptp(points, axis=0), len(indices))
     colours = {"cmap": "PRGn", "vmin": -limit, "vmax": limit, "shading": "gouraud"}
@@ -60,7 +49,7 @@ def displacement_figure(report: Report, times: Sequence[float] | None = None) ->
     for panel, i, field in zip(panels.flat, indices, fields, strict=False):
         image = panel.tripcolor(*points.T, body.triangles, field, rasterized=True, **colours)
         _draw_lines(panel, points[edges], "black", 0.6)
-        title = f"t = {solution.t[i]:.4g}{' s' if length.unit else ''}"
+        title = f"t = {solution.t[i]:.4g}{' s' if meter else ''}"
         if slip is not None:
             step = max(i - 1, 0)  # the one that ends there; at the start the first
             _draw_states(panel, points, edges, body.free[slip.contact.unknown], slip.state[step])
@@ -70,10 +59,10 @@ def displacement_figure(report: Report, times: Sequence[float] | None = None) ->
         panel.set_aspect("equal")
         panel.margins(0.05)
     for panel in panels[-1]:
-        panel.set_xlabel(length.label("x"))
+        panel.set_xlabel(f"x{meter}")
     for panel in panels[:, 0]:
-        panel.set_ylabel(length.label("y"))
-    bar = figure.colorbar(image, ax=panels, label=height.label("displacement"), shrink=0.8)
+        panel.set_ylabel(f"y{meter}")
+    bar = figure.colorbar(image, ax=panels, label=f"displacement{unit}", shrink=0.8)
     if fields.any():
         bar.ax.set_ylim(fields.min(), fields.max())
     if slip is not None:
@@ -96,40 +85,42 @@ def contact_figure(report: Report) -> Any:
     slip = report.slip
     assert slip is not None
     contact = slip.contact
-    height, length = _length(report, slip.displacement), _length(report, contact.position)
+    height, unit = _length(report, slip.displacement)
+    length, meter = _length(report, contact.position)
+    meters = meter.strip(" ()")
     figure = new_figure((8.5, 9.0))
     zone, moved, traction = figure.subplots(3, 1, sharex=True, height_ratios=[1.3, 1.0, 1.0])
     boundaries = list(dict.fromkeys(contact.boundary))
-    _draw_zone(zone, slip, length.factor)
-    zone.set_ylabel(length.label(f"arc length of {', '.join(boundaries)}"))
+    _draw_zone(zone, slip, length)
+    zone.set_ylabel(f"arc length of {', '.join(boundaries)}{meter}")
     for k, node in enumerate(_nodes_shown(slip)):
         look: dict[str, Any] = {"color": LINE_COLOURS[k], "linestyle": LINE_STYLES[k]}
-        zone.axhline(length.factor * contact.position[node], lw=2.6, color="white")
-        zone.axhline(length.factor * contact.position[node], lw=1.4, **look)
+        zone.axhline(length * contact.position[node], lw=2.6, color="white")
+        zone.axhline(length * contact.position[node], lw=1.4, **look)
         boundary = f"{contact.boundary[node]} " if len(boundaries) > 1 else ""
-        place = f"at {boundary}{length.factor * contact.arc[node]:.3g} {length.unit}".rstrip()
-        u = height.factor * slip.displacement[:, node]
+        place = f"at {boundary}{length * contact.arc[node]:.3g} {meters}".rstrip()
+        u = height * slip.displacement[:, node]
         moved.plot(slip.t, u, lw=1.5, label=place, **look)
         draw_stick(moved, slip.state[:, node] == 0, slip.t, u, LINE_COLOURS[k])
         traction.plot(slip.stage_t, slip.traction[:, node] / contact.bound[node], lw=1.5, **look)
     moved.plot([], [], color=STICK, lw=6.0, alpha=0.25, label="sticks")
-    moved.set_ylabel(height.label("displacement"))
+    moved.set_ylabel(f"displacement{unit}")
     moved.legend(fontsize="small", ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     for level in (-1.0, 1.0):
         traction.axhline(level, color="black", lw=1.0, linestyle=":", zorder=0)
     traction.set(ylabel="friction traction / bound", ylim=(-1.15, 1.15))
-    traction.set(xlabel="time (s)" if length.unit else "time", xlim=(slip.t[0], slip.t[-1]))
+    traction.set(xlabel="time (s)" if meter else "time", xlim=(slip.t[0], slip.t[-1]))
     for panel in (moved, traction):
         panel.grid(alpha=0.3)
     return figure
 
 
-def _length(report: Report, values: np.ndarray) -> Scale:
-    """Metres, or a thousandth and so on, so that the largest number is 0.1 or more."""
+def _length(report: Report, values: np.ndarray) -> tuple[float, str]:
+    """A factor that makes the largest 0.1 or more, and its unit then; "" is dimensionless."""
     if report.units["length"] == "1":
-        return Scale(1.0, "")
+        return 1.0, ""
     k = int(np.clip(np.ceil(-(1 + np.log10(np.abs(values).max() or 1.0)) / 3), 0, 3))
-    return Scale(1e3**k, ("m", "mm", "µm", "nm")[k])
+    return 1e3**k, f" ({('m', 'mm', 'µm', 'nm')[k]})"
 
 
 def _informative(report: Report) -> list[int]:

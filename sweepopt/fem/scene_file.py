@@ -213,9 +213,9 @@ def _effects(tables: Mapping[str, Any], folder: Path) -> dict[str, Effect]:
         path = f"effects.{name}"
         if name not in EFFECTS:
             raise InputError(f"{path}: unknown key; there are: {', '.join(EFFECTS)}")
-        several = enumerate(table) if isinstance(table, list) else ()
-        labelled = {f"{path}[{k}]": one for k, one in several} or {path: table}
-        for label, one in labelled.items():
+        several = table if isinstance(table, list) else [table]
+        for k, one in enumerate(several):
+            label = f"{path}[{k}]" if several is table else path
             effects[label] = _record(EFFECTS[name], one, label, folder)
     return effects
 

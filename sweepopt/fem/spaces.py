@@ -178,44 +178,36 @@ class Discretisation:
             )
 
 
-def stiffness(body: Discretisation, name: str, coefficient: Datum, allowed: Range) -> sp.csc_array:
-    """Matrix of ``int c grad u . grad v`` on the unknowns, shape (dim, dim)."""
-    form = skfem.BilinearForm(lambda u, v, w: w.c * dot(grad(u), grad(v)))
-    groups = body.mesh.subdomains or {}
-    full = _assemble(form, name, coefficient, body.basis, groups, allowed)
-    matrix = sp.csc_array(full[body.free][:, body.free])
-    refuse_overflow(name, matrix.data)
-    return matrix
+STIFFNESS = skfem.BilinearForm(lambda u, v, w: w.c * dot(grad(u), grad(v)))
+LOAD = skfem.LinearForm(lambda v, w: w.c * v)
 
 
-def volume_load(body: Discretisation, name: str, density: Datum) -> Array:
-    """Vector of ``int_Omega f0 v`` on the unknowns, shape (dim,)."""
-    return _load(body, name, density, body.basis, body.mesh.subdomains or {})
-
-
-def boundary_load(body: Discretisation, name: str, on: Sequence[str], density: Datum) -> Array:
-    """Vector of ``int_{Gamma_2} f2 v`` on the unknowns, shape (dim,)."""
-    facets, groups = body.edges("on", on)
-    basis = body.edge_basis(facets, intorder=QUADRATURE[body.element])
-    return _load(body, name, density, basis, groups)
-
-
-def _load(
-    body: Discretisation, name: str, density: Datum, basis: Any, groups: dict[str, Indices]
-) -> Array:
-    form = skfem.LinearForm(lambda v, w: w.c * v)
-    load = _assemble(form, name, density, basis, groups, ANY)[body.free]
-    refuse_overflow(name, load)
-    return np.asarray(load)
-
-
-def _assemble(
-    form: Any, name: str, c: Datum, basis: Any, groups: dict[str, Indices], allowed: Range
+def assemble(
+    body: Discretisation,
+    form: skfem.BilinearForm | skfem.LinearForm,
+    name: str,
+    coefficient: Datum,
+    on: Sequence[str] = (),
+    allowed: Range = ANY,
 ) -> Any:
-    """The integrals of a form with coefficient c, those that overflow too."""
-    values = evaluate(name, c, basis.global_coordinates(), groups, allowed)
+    """Integrals of a form with a coefficient over the body, or over its boundaries `on`.
+
+    Returns
+    -------
+    sparse, shape (dim, dim), or ndarray, shape (dim,)
+        On the unknowns.
+    """
+    basis, groups = body.basis, body.mesh.subdomains or {}
+    if on:
+        facets, groups = body.edges("on", on)
+        basis = body.edge_basis(facets, intorder=QUADRATURE[body.element])
+    values = evaluate(name, coefficient, basis.global_coordinates(), groups, allowed)
     with np.errstate(over="ignore", invalid="ignore"):
-        return form.assemble(basis, c=skfem.DiscreteField(values))
+        integrals = form.assemble(basis, c=skfem.DiscreteField(values))[body.free]
+    if sp.issparse(integrals):
+        integrals = sp.csc_array(integrals[:, body.free])
+    refuse_overflow(name, integrals.data if sp.issparse(integrals) else integrals)
+    return integrals
 
 
 def refuse_overflow(name: str, integrals: ArrayLike) -> None:

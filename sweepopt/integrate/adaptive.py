@@ -16,6 +16,7 @@ import math
 import time as clock
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,22 +35,22 @@ from sweepopt.sets import AnySet, MovingSet
 from sweepopt.velocity import Plan
 
 STEPS = 1_000_000  # of the finest pass: hours
-PASSES = 24  # more than twice as many as any run of the study had
 FIRST = 16  # steps of the first pass
 FIRST_UNKNOWN = 40  # the same where the load is a function: nothing but its values is known
 PER_PERIOD = 5  # steps in each period of the data, at least
-PER_PIECE = 2  # steps between breakpoints, at least: for a second difference
-AIM = 0.7  # estimate that the next pass should have, in units of tol: it scatters by a third
-ACCEPTED = 0.95  # estimate of the last pass, in units of tol, at most
+PER_PIECE = 3  # steps between breakpoints, at least: for a second difference
+AIM = 0.75  # estimate that the next pass should have, in units of tol: it scatters by a third
 FARTHEST = 6.0  # times the steps of a pass to which its differences say where they are needed
 LEAST = 1.1  # times the steps of a pass that the next one has
-RESOLVED = 0.02  # the error of a first pass that resolves the motion, in units of u's arc length
 HIDDEN = 1 / 12  # of jump times step: mean error of a switch anywhere in the half step beside it
 GRADED = 0.4  # no step is longer than 1 / 0.4 of the mean one: events there may be unresolved
-RISES = 4  # passes that overshoot, and have a greater error than one so many before, lead nowhere
 PROGRAM_SHARE = 0.05  # of tol that inexact programs may take
-NUMBER = (int, float, np.integer, np.floating)  # types that a period may have
 EXACT = 1e-9  # no certificate below it is asked for: programs reach it on every scene
+ADVICE = (
+    "does the load jump there? Give it as data (a Table has no jumps, and its breakpoints are "
+    "met exactly) or loosen the tolerance"
+)
+COMPLETE = (Status.SUCCESS, Status.UNCERTIFIED)
 
 
 class Pass(NamedTuple):
@@ -118,10 +119,13 @@ class Segments:
     ----------
     cuts : ndarray, shape (k+1,)
         0, the breakpoints of C(t), the times that are to be saved, and t_end.
+    breakpoints : ndarray
+        The same without the times to be saved.
     longest : ndarray, shape (k,)
     """
 
     cuts: np.ndarray
+    breakpoints: np.ndarray
     longest: np.ndarray
 
     @classmethod
@@ -161,57 +165,29 @@ class Segments:
                 f"than {STEPS:g}; {remedy}"
             )
         piece = np.searchsorted(breakpoints, 0.5 * (cuts[1:] + cuts[:-1])) - 1
-        return cls(cuts, np.minimum(longest, np.diff(breakpoints)[piece] / PER_PIECE))
+        return cls(cuts, breakpoints, np.minimum(longest, np.diff(breakpoints)[piece] / PER_PIECE))
 
     def equal(self, longest: float = math.inf) -> np.ndarray:
         """Each segment in equal steps that are not too long."""
-        lengths = np.diff(self.cuts)
-        counts = np.ceil(lengths / np.minimum(self.longest, longest) * (1 - 1e-9))
-        return _parts(self.cuts, counts)
+        counts = np.ceil(np.diff(self.cuts) / np.minimum(self.longest, longest) * (1 - 1e-9))
+        pieces = zip(self.cuts, self.cuts[1:], counts.astype(int).tolist(), strict=False)
+        inner = [np.linspace(a, b, k, endpoint=False) for a, b, k in pieces]
+        return np.append(np.concatenate(inner), self.cuts[-1])
 
-    def refined(self, density: Density, goal: float) -> np.ndarray:
-        """The coarsest grid that has local errors of `goal` in sum.
+    def refined(self, density: Density, goal: float, least: float) -> np.ndarray:
+        """A grid of at least so many steps whose local errors are `goal` in sum.
 
-        Of those that follow the density in halves of halves of the first steps, and of equal steps,
-        which can be fewer where nearly all are halved.
+        The coarsest of those that halve steps of the first pass until no local error is too large,
+        or of equal steps, which can be fewer where nearly all are halved.
         """
         r = density.order
-        best = self.equal((goal / density.sum(r + 1)) ** (1 / r))
-        scale = (goal / density.sum(1)) ** (1 / r)  # halving makes steps shorter than that
-        base, low, high = self.equal(), scale, 2.5 * scale
-        for _ in range(6):
-            middle = math.sqrt(low * high)
-            times = self._halved(base, density, middle)
-            if density.errors(times) > goal:
-                high = middle
-            else:
-                low = middle
-                best = min(best, times, key=len)
-        return best
-
-    def _halved(self, base: np.ndarray, density: Density, scale: float) -> np.ndarray:
-        """The base grid, its steps halved until none is longer than scale / density in it."""
-        edges = density.edges
-        middle, sizes = 0.5 * (edges[1:] + edges[:-1]), scale / density.rho
-        # the next step is at most about twice as long
-        sizes = np.minimum(sizes, middle + np.minimum.accumulate(sizes - middle))
-        sizes = np.minimum.accumulate((sizes + middle)[::-1])[::-1] - middle
-        starts, ends, nodes = base[:-1], base[1:], [base]
-        while starts.size:
-            i = np.searchsorted(edges, starts + 1e-6 * (ends - starts), side="right") - 1
-            j = np.searchsorted(edges, ends - 1e-6 * (ends - starts), side="left")
-            ranges = np.column_stack([i, np.maximum(j, i + 1)]).ravel()
-            smallest = np.minimum.reduceat(np.append(sizes, np.inf), ranges)[::2]
-            segment = np.searchsorted(self.cuts, starts, side="right") - 1
-            longest = np.minimum(smallest, self.longest[segment])
-            half = 0.5 * (starts + ends)
-            coarse = (ends - starts > longest * (1 + 1e-9)) & (half > starts) & (half < ends)
-            starts, half, ends = starts[coarse], half[coarse], ends[coarse]
-            nodes.append(half)
-            starts, ends = np.append(starts, half), np.append(half, ends)
-            order = np.argsort(starts, kind="stable")
-            starts, ends = starts[order], ends[order]
-        return np.unique(np.concatenate(nodes))
+        equal = self.equal((goal / density.integral(r + 1)) ** (1 / r))
+        largest = 4 * goal / max(density.steps(goal), least)
+        while True:
+            times = density.halved(self.equal(), largest)
+            if len(times) > least and not density.local_errors(times).sum() > goal:
+                return min(times, equal, key=len) if len(equal) > least else times
+            largest *= 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,18 +206,27 @@ class Density:
         mean = float(rho @ h) / float(h.sum())
         return cls(estimator.times, np.maximum(rho, GRADED * mean) if mean > 0 else 0 * h + 1, r)
 
-    def sum(self, power: int) -> float:
-        """The integral of rho^power."""
+    def integral(self, power: int) -> float:
+        """Of rho^power."""
         return float(self.rho**power @ np.diff(self.edges))
 
     def steps(self, goal: float) -> float:
         """How many there are about in a grid whose local errors are `goal` in sum."""
-        return self.sum(1) * (self.sum(1) / goal) ** (1 / self.order)
+        return self.integral(1) * (self.integral(1) / goal) ** (1 / self.order)
 
-    def errors(self, times: np.ndarray) -> float:
-        """The sum of the local errors on a grid."""
+    def local_errors(self, times: np.ndarray) -> np.ndarray:
+        """Of each step of a grid."""
         parts = np.append(0.0, np.cumsum(self.rho ** (self.order + 1) * np.diff(self.edges)))
-        return float(np.diff(np.interp(times, self.edges, parts)) @ np.diff(times) ** self.order)
+        return np.diff(np.interp(times, self.edges, parts)) * np.diff(times) ** self.order
+
+    def halved(self, times: np.ndarray, largest: float) -> np.ndarray:
+        """The grid, its steps halved until no local error is above the largest allowed one."""
+        while True:
+            middle = 0.5 * (times[1:] + times[:-1])
+            coarse = (self.local_errors(times) > largest) & (middle > times[:-1])
+            if not coarse.any():
+                return times
+            times = np.sort(np.append(times, middle[coarse & (middle < times[1:])]))
 
 
 @dataclass(eq=False)
@@ -280,8 +265,7 @@ class _AdaptiveDriver:
         self._segments, self._process, self._plan = segments, process, plan
         self._save, self._memory, self._tick = save, memory, tick
         self._programs, self._model = Velocities(process, plan), ErrorModel(process, plan.scheme)
-        self._passes: list[Pass] = []
-        self._last, _ = self._start(segments.equal())
+        self.result, _ = self._start(segments.equal())
 
     def _start(self, times: np.ndarray) -> tuple[AdaptiveResult, Run]:
         """A run over this grid with no step yet."""
@@ -290,23 +274,13 @@ class _AdaptiveDriver:
         run = Run(len(mus), wanted.steps, self._process.u0)
         return AdaptiveResult(times, mus, self._plan, wanted, run), run
 
-    @property
-    def passes(self) -> tuple[Pass, ...]:
-        """The passes so far."""
-        return tuple(self._passes)
-
-    @property
-    def last(self) -> AdaptiveResult:
-        """The run of the last pass."""
-        return replace(self._last, passes=self.passes)
-
     def run_pass(self, times: np.ndarray, probing: bool) -> tuple[ErrorEstimator, Run]:
         """One pass, the same as a run with steps=times to the last bit."""
-        began = clock.perf_counter()
+        began, passes = clock.perf_counter(), self.result.passes
         process, plan = self._process, self._plan
         result, run = self._start(times)
         process.check(evaluation_times(result.times, result.mus, plan.scheme))
-        estimator = ErrorEstimator(self._model, result.times, self._segments.cuts, probing)
+        estimator = ErrorEstimator(self._model, result.times, self._segments.breakpoints, probing)
 
         def observe(i: int, u: np.ndarray, z: np.ndarray, _: float) -> None:
             self._tick()
@@ -314,12 +288,13 @@ class _AdaptiveDriver:
 
         self._programs.forget()
         integrate(process, plan, result.times, result.mus, run, observe, velocities=self._programs)
-        self._last = result
         # without an error until all of it is estimated
-        self._passes.append(Pass(run.done, math.nan, clock.perf_counter() - began))
-        if run.status in (Status.SUCCESS, Status.UNCERTIFIED):
+        result.passes = (*passes, Pass(run.done, math.nan, clock.perf_counter() - began))
+        self.result = result
+        if run.status in COMPLETE:
             self._add_hidden_switches(estimator, result.mus)
-            self._passes[-1] = Pass(run.done, estimator.error, clock.perf_counter() - began)
+            seconds = clock.perf_counter() - began
+            result.passes = (*passes, Pass(run.done, estimator.error, seconds))
         return estimator, run
 
     def _add_hidden_switches(self, estimator: ErrorEstimator, mus: np.ndarray) -> None:
@@ -329,10 +304,9 @@ class _AdaptiveDriver:
             if z is not None:
                 jump = self._model.norms(np.where(probe.rest, z, 0.0)[None])[0]
                 estimator.jumps[probe.step] = max(estimator.jumps[probe.step], jump)
-        hidden = HIDDEN * np.column_stack([estimator.jumps, estimator.jumps])
-        hidden *= np.column_stack([mus, np.append(mus[1:], 0.0)])
-        estimator.error += float(hidden.sum(axis=1).max())
-        beside = np.maximum(hidden[:, 0], np.append(0.0, hidden[:-1, 1]))
+        before, after = HIDDEN * estimator.jumps * mus, HIDDEN * estimator.jumps[:-1] * mus[1:]
+        estimator.error += float((before + np.append(after, 0.0)).max())
+        beside = np.maximum(before, np.append(0.0, after))
         leading = beside / mus ** (self._model.order + 1)
         estimator.leading = np.maximum(estimator.leading, leading)
 
@@ -351,31 +325,22 @@ class _AdaptiveDriver:
         # sets without a proof have certificate nan
         return None if velocity.relative > plan.tol else velocity.z
 
-    def interrupted(self) -> AdaptiveResult:
-        """The run of the last pass, or one without steps, as Ctrl-C leaves it."""
-        if self._last.run is not None:
-            self._last.run.status = Status.INTERRUPTED
-        return self.last
-
     def certify(self, tol: float) -> None:
         """Ask programs for certificates of tol, where that is less than what they have."""
         if tol < self._plan.tol:
             self._plan = replace(self._plan, tol=max(tol, EXACT))
             self._programs = Velocities(self._process, self._plan)
 
-    def until(self, end: float) -> AdaptiveResult:
+    def until(self, end: float, cause: str) -> AdaptiveResult:
         """The grid of the last pass until about that time, without a run."""
-        last, save = self._last, self._save
+        last, save = self.result, self._save
         reached = max(int(np.searchsorted(last.times, end, side="right")) - 1, 1)
-        times, mus = last.times[: reached + 1], last.mus[:reached]
+        times = last.times[: reached + 1]
         if is_times(save):
             save = np.append([t for t in np.ravel(save) if t <= times[-1]], times[-1])
+        wanted = saving(save, times, self._plan.entering, self._memory)
         return AdaptiveResult(
-            times,
-            mus,
-            self._plan,
-            saving(save, times, self._plan.entering, self._memory),
-            passes=self.passes,
+            times, last.mus[:reached], self._plan, wanted, None, last.passes, cause
         )
 
 
@@ -396,11 +361,14 @@ def adapt(
     try:
         return _refine(steps, segments, driver)
     except KeyboardInterrupt:  # `integrate` takes those that arrive during its steps
-        return driver.interrupted()
+        result = driver.result
+        if result.run is not None:
+            result.run.status = Status.INTERRUPTED
+        return result
 
 
 def _refine(steps: Adaptive, segments: Segments, driver: _AdaptiveDriver) -> AdaptiveResult:
-    """The passes.
+    """The passes; the first one has no other to be better than, so that there are two at least.
 
     Their errors are about in proportion to the sums of their local errors, but for the places that
     switches happen to have in steps: the next grid is chosen by the geometric mean of two ratios.
@@ -408,42 +376,35 @@ def _refine(steps: Adaptive, segments: Segments, driver: _AdaptiveDriver) -> Ada
     cuts, tol = segments.cuts, steps.tol
     minimum = 2.0**-40 * cuts[-1] if steps.minimum is None else steps.minimum
     shortest = min(minimum, float(np.diff(cuts).min()))  # breakpoints are met anyway
-    times, resting = segments.equal(), True
-    ratios: list[float] = []
+    times, ratios = segments.equal(), []
+    resting = True
     while True:
         n = len(times) - 1
         estimator, run = driver.run_pass(times, probing=resting)
-        result, passes = driver.last, driver.passes
-        error = passes[-1].error
-        resting = estimator.length == 0
-        accepted = ACCEPTED * tol
-        if len(passes) == 1:  # it has no other one to be better than
-            accepted = min(0.5 * tol, RESOLVED * estimator.length)
-        complete = run.status in (Status.SUCCESS, Status.UNCERTIFIED)
-        if not complete or (error <= accepted and (error > 0 or len(passes) > 1)):
+        result, resting = driver.result, estimator.length == 0
+        error = result.passes[-1].error
+        if run.status not in COMPLETE or (error <= tol and len(result.passes) > 1):
             return result
-        if tol < EPS * estimator.size:
-            return replace(result, cause=_below_rounding(tol, EPS * estimator.size))
-        if len(passes) == 1 and not resting:  # residuals of programs add up along the trajectory
+        if len(result.passes) == 1 and not resting:
+            # residuals of programs add up along the trajectory
             driver.certify(PROGRAM_SHARE * tol / estimator.length)
         density = Density.of(estimator)
-        sums = density.errors(times)
-        ratios.append(error / sums)
+        total = float(density.local_errors(times).sum())
+        ratios.append(error / total)
         ratio = math.sqrt(ratios[-1] * ratios[-2]) if len(ratios) > 2 else ratios[-1]
-        goal = min(AIM * tol / ratio if error else math.inf, 0.7 * sums)
+        goal = min(AIM * tol / ratio if error else math.inf, total)
         wanted = density.steps(goal)
-        if wanted > STEPS:
-            return replace(result, cause=_too_many(n, error, wanted, tol))
+        rounding = EPS * estimator.size
+        result.cause = _failure(tol, rounding, result.passes, wanted, run.overshot is not None)
+        if result.cause:
+            return result
         if wanted > FARTHEST * n:  # one pass between
-            goal *= (wanted / n / min(max(0.2 * wanted / n, 2.0), 4.0)) ** density.order
-        times = segments.refined(density, goal)
-        while len(times) < LEAST * n:  # an error that its steps' differences do not show
-            goal *= 0.5
-            times = segments.refined(density, goal)
-        cause = _failure(times, shortest, n, passes, run.overshot is not None)
-        if cause:
-            result = driver.until(float(times[np.argmin(np.diff(times))]))
-            return replace(result, cause=cause)
+            goal *= (wanted / n) ** (density.order / 2)
+        times = segments.refined(density, goal, LEAST * n)
+        h = np.diff(times)
+        if h.min() < shortest:
+            cause = f"a step shorter than minimum = {shortest:g} is needed; {ADVICE}"
+            return driver.until(float(np.median(times[1:][h < 2 * h.min()])), cause)
 
 
 def is_times(save: Any) -> bool:
@@ -464,18 +425,9 @@ def _histories(C: AnySet) -> list[Any]:
 def _period(history: Any) -> float:
     """The period of a history, infinite where it has none; it may be a user's own object."""
     period, amplitude = getattr(history, "period", None), getattr(history, "amplitude", None)
-    if isinstance(amplitude, NUMBER) and amplitude == 0:
+    if isinstance(amplitude, Real) and amplitude == 0:
         return math.inf
-    return float(period) if isinstance(period, NUMBER) and period > 0 else math.inf
-
-
-def _parts(cuts: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Each segment in about so many equal parts."""
-    numbers = np.maximum(np.round(counts), 1).astype(int).tolist()
-    ends = zip(cuts, cuts[1:], numbers, strict=False)
-    return np.append(
-        np.concatenate([np.linspace(a, b, k, endpoint=False) for a, b, k in ends]), cuts[-1]
-    )
+    return float(period) if isinstance(period, Real) and float(period) > 0 else math.inf
 
 
 def _apart(cuts: np.ndarray) -> np.ndarray:
@@ -487,38 +439,26 @@ def _apart(cuts: np.ndarray) -> np.ndarray:
     return kept if kept[-1] - kept[-2] > TIME_SLACK * cuts[-1] else np.delete(kept, -2)
 
 
-def _below_rounding(tol: float, rounding: float) -> str:
-    return f"tol = {tol:g} is less than the rounding of u, {rounding:.2g}; loosen it"
-
-
-def _too_many(n: int, error: float, next_n: float, tol: float) -> str:
-    estimate = "" if math.isnan(error) else f" and an estimated error of {error:.2g}"
-    return (
-        f"tol = {tol:g} would take about {next_n:.2g} steps, more than {STEPS:g}; the run has "
-        f"{n}{estimate}. Loosen the tolerance or take a scheme of higher order"
-    )
-
-
 def _failure(
-    times: np.ndarray, shortest: float, n: int, passes: Sequence[Pass], overshot: bool
+    tol: float, rounding: float, passes: Sequence[Pass], wanted: float, overshot: bool
 ) -> str:
-    """Why it makes no sense to go on from n steps, or nothing."""
-    step = float(np.diff(times).min())
-    advice = (
-        "does the load jump there? Give it as data (a Table has no jumps, and its breakpoints are "
-        "met exactly) or loosen the tolerance"
-    )
-    if step < shortest:
-        return f"a step shorter than minimum = {shortest:g} is needed; {advice}"
-    errors = [one.error for one in passes]
-    if overshot and len(passes) > RISES and errors[-1] > errors[-1 - RISES]:
+    """Why it makes no sense to go on to so many steps, or nothing."""
+    if tol < rounding:
+        return f"tol = {tol:g} is less than the rounding of u, {rounding:.2g}; loosen it"
+    n, error, _ = passes[-1]
+    back = 4 if overshot else 6  # errors rise now and then, but not over so many passes
+    rises = error > passes[-1 - back :][0].error
+    if rises and overshot and (len(passes) > back or wanted > STEPS):
         return (
-            f"the estimated error, {errors[-1]:.2g} with {n} steps, rises with "
-            "shorter steps: they overshoot; take implicit-euler, which never does"
+            f"the estimated error, {error:.2g} with {n} steps, rises with shorter steps: they "
+            "overshoot; take implicit-euler, which never does"
         )
-    if len(passes) == PASSES or (len(passes) > 7 and errors[-1] > errors[-7]):
+    if rises and len(passes) > back:
+        return f"the estimated error, {error:.2g}, does not fall any more with {n} steps; {ADVICE}"
+    if wanted > STEPS:
+        estimate = "" if math.isnan(error) else f" and an estimated error of {error:.2g}"
         return (
-            f"the estimated error, {errors[-1]:.2g}, does not fall any more with "
-            f"{n} steps; {advice}"
+            f"tol = {tol:g} would take about {wanted:.2g} steps, more than {STEPS:g}; the run has "
+            f"{n}{estimate}. Loosen the tolerance or take a scheme of higher order"
         )
     return ""

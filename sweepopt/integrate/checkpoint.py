@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import platform
 import time as clock
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -129,31 +129,31 @@ def newest(checkpoint: Checkpoint) -> StoredRun:
     CheckpointWarning
         If it is from the file before.
     """
-    try:
-        return _read(checkpoint.file)
-    except FileNotFoundError:
-        try:  # killed just before the new file took its name
-            return _read(checkpoint.previous)
-        except FileNotFoundError:
-            raise InputError(f"there is no checkpoint {checkpoint.file}") from None
-    except DamagedFileError as damage:
+    damage: DamagedFileError | None = None
+    for file in (checkpoint.file, checkpoint.previous):
         try:
-            stored = _read(checkpoint.previous)
-        except FileNotFoundError:
-            raise damage from None
-        warn(
-            f"{damage}. The run goes on from the checkpoint before it, after step {stored.done}",
-            CheckpointWarning,
-        )
+            stored = _read(file)
+        except FileNotFoundError:  # killed just before the new file took its name
+            continue
+        except DamagedFileError as error:
+            damage = damage or error
+            continue
+        if damage:
+            warn(
+                f"{damage}. The run goes on from the checkpoint before it, after step "
+                f"{stored.done}",
+                CheckpointWarning,
+            )
         return stored
+    raise damage or InputError(f"there is no checkpoint {checkpoint.file}")
 
 
 def _read(file: Path) -> StoredRun:
     try:
         record, arrays = read_npz(file)
-    except FileNotFoundError:
-        raise
     except OSError as error:
+        if isinstance(error, FileNotFoundError):
+            raise
         raise InputError(f"{file} cannot be read ({error.strerror or error})") from error
     if "schema" not in record:
         raise DamagedFileError(f"{file} is no checkpoint")
@@ -230,48 +230,49 @@ def checkpoint_writer(
             f"{stored.file} is of a run that was planned differently:\n{stored.record['plan']}\n"
             f"but now\n{plan}"
         )
-    plain, arrays = options.to_json()
     about = {
         "schema": SCHEMA,
         "versions": _versions(),
         "problem": stored.record["problem"] if stored else fingerprint(process, times),
         "plan": str(plan),
-        "options": plain,
+        "options": options.to_json(),
         "checkpoint": {"steps": checkpoint.steps, "seconds": checkpoint.seconds},
     }
-    return CheckpointWriter(checkpoint, about, arrays, stored)
+    return CheckpointWriter(checkpoint, about, stored)
 
 
+@dataclass
 class CheckpointWriter:
     """Writes a run down after some of its steps, and restores one that was written down.
 
     Attributes
     ----------
+    checkpoint : Checkpoint
+    about : dict
+        What is known of the run beforehand, in terms of JSON.
+    stored : StoredRun or None
+        The run that is continued.
     recorded : list
         What a function recorded so far; whoever records appends to it.
+    written : float
+        When the last file was, by a clock.
     """
 
-    def __init__(
-        self,
-        checkpoint: Checkpoint,
-        about: dict[str, Any],
-        arrays: dict[str, np.ndarray],
-        stored: StoredRun | None,
-    ) -> None:
-        self._checkpoint, self._about, self._arrays = checkpoint, about, arrays
-        self._stored = stored
-        self._written = clock.monotonic()
-        self.recorded: list[Any] = []
+    checkpoint: Checkpoint
+    about: dict[str, Any]
+    stored: StoredRun | None
+    recorded: list[Any] = field(default_factory=list)
+    written: float = field(default_factory=clock.monotonic)
 
     @property
     def done(self) -> int:
         """How many steps an earlier run has done."""
-        return 0 if self._stored is None else self._stored.done
+        return self.stored.done if self.stored else 0
 
     def begin(self, run: Run) -> None:
         """Write down the start of a run, or take it to where the stored one is."""
-        stored, checkpoint = self._stored, self._checkpoint
-        if stored is not None:
+        stored, checkpoint = self.stored, self.checkpoint
+        if stored:
             try:
                 run.restore(stored.record["run"], stored.arrays)
                 self.recorded[:] = unpack(stored.record["recorded"], stored.arrays["recorded"])
@@ -279,7 +280,7 @@ class CheckpointWriter:
                 raise DamagedFileError(f"{stored.file} does not fit together: {error}") from error
         try:
             remove_parts(checkpoint.file)
-            if stored is None:
+            if not stored:
                 checkpoint.previous.unlink(missing_ok=True)  # that of another run
             elif stored.file == checkpoint.previous:
                 # the whole one must not give way to the damaged one
@@ -288,32 +289,32 @@ class CheckpointWriter:
             raise CheckpointError(
                 f"{checkpoint.file} cannot be replaced ({error.strerror or error})"
             ) from error
-        if stored is None:
+        if not stored:
             self._write(run, None)
 
     def __call__(self, run: Run) -> bool:
         """Write the run down if it is time; whether a run can be continued from this step."""
         if run.done == 1:
             pack(self.recorded)  # says so now if it cannot
-        at, last = self._checkpoint, run.done == run.steps
+        at, last = self.checkpoint, run.done == run.steps
         if run.done % (at.steps or -(-run.steps // PARTS)) and not last:
             return False
-        usual = SECONDS if at.steps is None else 0.0
-        wait = usual if at.seconds is None else at.seconds
-        if last or clock.monotonic() - self._written >= wait:
+        seconds = at.seconds
+        if seconds is None:
+            seconds = SECONDS if at.steps is None else 0.0
+        if last or clock.monotonic() - self.written >= seconds:
             self._write(run, at.previous)
-            self._written = clock.monotonic()
+            self.written = clock.monotonic()
         return True
 
     def _write(self, run: Run, previous: Path | None) -> None:
         state, arrays = run.store()
-        records, content = pack(self.recorded)
-        record = {**self._about, "run": state, "recorded": records}
-        file = self._checkpoint.file
+        records, arrays["recorded"] = pack(self.recorded)
+        file = self.checkpoint.file
         try:
-            write_npz(file, record, {**self._arrays, **arrays, "recorded": content}, previous)
+            write_npz(file, {**self.about, "run": state, "recorded": records}, arrays, previous)
         except OSError as error:
-            older = file.exists() or self._checkpoint.previous.exists()
+            older = file.exists() or self.checkpoint.previous.exists()
             raise CheckpointError(
                 f"the checkpoint after step {run.done} cannot be written "
                 f"({error.strerror or error}); "

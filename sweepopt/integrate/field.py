@@ -2,7 +2,7 @@
 
 u' = Phi(t, u) = A^-1 (P_{C(t)}(B u) - B u), P the projection in the A^-1 metric (MATH.md section
 3): the minimiser of the velocity program with M = A, q = B u. Phi is Lipschitz in u, with constant
-Lam, and as smooth in t as C(t); at switches it has kinks, which an ODE solver must step over.
+Lam, and as smooth in t as C(t); its slope jumps at switching times, where ODE solvers reject steps.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ def velocity_field(
     >>> velocity = so.velocity_field(process)
     >>> velocity(0.5, [0.0]), velocity(1.0, [0.0])
     (array([0.]), array([1.]))
-    >>> found = solve_ivp(velocity, (0.0, 5.0), process.u0, method="LSODA", rtol=1e-10, atol=1e-12)
-    >>> found.y[:, -1].round(8)
+    >>> run = solve_ivp(velocity, (0.0, 5.0), process.u0, method="LSODA", rtol=1e-10, atol=1e-12)
+    >>> run.y[:, -1].round(8)
     array([3.06250001])
     """
     process = sweeping(process)

@@ -34,20 +34,20 @@ def _checksum(value: Any, known: dict[int, str]) -> str:
     """sha256 of a nest of sets, loads, arrays and numbers; `known` are sets that many share."""
     if id(value) in known:
         return known[id(value)]
-    text, parts = type(value).__name__, []
+    text: str = type(value).__name__
+    parts: list[Any] = []
     if isinstance(value, (ConvexSet, MovingSet, Separable, History)):
         parts = _attributes(value)
     elif isinstance(value, (list, tuple)):
-        text, parts = "list", list(value)
+        parts = list(value)
     elif sp.issparse(value):
         matrix = sp.csc_array(value)
-        indices = matrix.indices.astype(np.int64), matrix.indptr.astype(np.int64)
-        text, parts = "sparse", [matrix.shape, matrix.data, *indices]
+        parts = [matrix.shape, matrix.data, matrix.indices, matrix.indptr]
     elif isinstance(value, np.ndarray):
         content = hashlib.sha256(np.ascontiguousarray(value).data).hexdigest()
         text = f"{value.dtype.str} {value.shape} {content}"
-    elif value is None or isinstance(value, (str, bool, int, float, np.generic)):
-        text = repr(value.item() if isinstance(value, np.generic) else value)
+    elif value is None or isinstance(value, (str, int, float, np.generic)):
+        text = repr(value)
     whole = " ".join([text, *(_checksum(part, known) for part in parts)])
     checksum = hashlib.sha256(whole.encode()).hexdigest()
     if isinstance(value, ConvexSet):
@@ -57,14 +57,10 @@ def _checksum(value: Any, known: dict[int, str]) -> str:
 
 def _attributes(value: Any) -> list[Any]:
     """What a set or a load is made of: its public attributes, none that are computed later."""
-    later = {
-        name
-        for kind in type(value).__mro__
-        for name, entry in vars(kind).items()
-        if isinstance(entry, cached_property)
-    }
-    public = {name: entry for name, entry in vars(value).items() if name[0] != "_"}
-    entries = [part for name in sorted(public.keys() - later) for part in (name, public[name])]
+    kinds = [vars(kind) for kind in type(value).__mro__]
+    later = {name for kind in kinds for name in kind if isinstance(kind[name], cached_property)}
+    names = sorted(name for name in vars(value).keys() - later if name[0] != "_")
+    entries = [*names, *(getattr(value, name) for name in names)]
     if isinstance(value, ConvexSet) and any(map(callable, entries)):
         # what a function in it does is seen in what it gives
         direction = np.cos(np.arange(value.dim) + 1.0)

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from sweepopt.checks import choice, number
-from sweepopt.errors import InputError, PathError
+from sweepopt.errors import InputError, PathError, shown
 from sweepopt.integrate.adaptive import Adaptive
 from sweepopt.integrate.record import MEMORY
 from sweepopt.integrate.schemes import Scheme, choose
 from sweepopt.velocity import PATHS, REGISTRY
-
-SOLVERS: dict[str, Any] = {getattr(kind, "__name__", name): kind for name, kind in REGISTRY.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,55 +49,43 @@ class SolveOptions:
         scheme = choose(name, rate_independent)
         if adaptive and scheme.exact:
             raise InputError("scheme 'exact' has no error in time that steps could be adapted to")
-        return scheme.unwatched if self.on_unstable == "ignore" else scheme
+        return scheme.without_overshoot_warning if self.on_unstable == "ignore" else scheme
 
-    def to_json(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        """The options in terms of JSON, and those that are arrays.
+    def to_json(self) -> dict[str, Any]:
+        """The options in terms of JSON.
 
         Raises
         ------
         InputError
             If an option cannot be written to a file.
         """
-        plain: dict[str, Any] = {}
-        arrays: dict[str, np.ndarray] = {}
-        for name, value in vars(self).items():
-            kind = type(value)
-            if isinstance(value, np.generic):
-                value = value.item()
-            if value is None or isinstance(value, (str, bool, int, float)):
-                plain[name] = value
-            elif name == "save" and callable(value):
-                plain[name] = {"function": True}
-            elif name == "solver" and SOLVERS.get(kind.__name__) is kind:
-                plain[name] = {"solver": kind.__name__, "settings": _plain(asdict(value))}
-            elif name in ("steps", "save"):
-                plain[name] = {"array": name}
-                arrays[f"options.{name}"] = np.asarray(value, float)
-            else:
-                raise InputError(f"{name}: with checkpoint= it must be one of the library's own")
-        return plain, arrays
+
+        def plain(value: Any) -> Any:
+            if callable(value) and value is self.save:
+                return {"function": True}
+            for name, kind in REGISTRY.items():
+                if type(value) is kind:
+                    return {"solver": name, "settings": asdict(value)}
+            if np.asarray(value).dtype == object:
+                raise InputError(
+                    "with checkpoint= a solver must be one of the library's own and its settings "
+                    f"plain, not {shown(value)}"
+                )
+            return np.asarray(value).tolist()
+
+        return dict(json.loads(json.dumps(vars(self), default=plain)))
 
     @classmethod
-    def from_json(cls, plain: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> SolveOptions:
+    def from_json(cls, plain: dict[str, Any]) -> SolveOptions:
         """The options from what `to_json` made of them; a function as None."""
 
         def option(value: Any) -> Any:
             match value:
                 case {"function": True}:
                     return None
-                case {"array": name}:
-                    return arrays[f"options.{name}"]
                 case {"solver": name, "settings": settings}:
-                    return SOLVERS[name](**settings)
+                    kind: Any = REGISTRY[name]
+                    return kind(**settings)
             return value
 
         return cls(**{name: option(value) for name, value in plain.items()})
-
-
-def _plain(settings: dict[str, Any]) -> dict[str, Any]:
-    try:
-        json.dumps(settings, allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"solver: with checkpoint= its settings must be plain: {error}") from error
-    return settings

@@ -18,7 +18,7 @@ from sweepopt.linalg import UNIT, exceeds_none
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan
 
-RESOLVED = 1e-3  # of how far B u is outside: more rounding of B u hides it
+RESOLVED = 1e-3  # of how far B u is outside: more rounding of B u hides it, as springs of 1e15 show
 FAR = 2.0  # times the way that C(t) goes around the step: a load leaves B u behind by less
 
 

@@ -6,6 +6,7 @@ u = A^-1 E^T N zeta + sum_k alpha_k F_k + alpha_0 F_0,   alpha_k' + rho alpha_k 
 from __future__ import annotations
 
 import time as clock
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple
@@ -18,7 +19,7 @@ from sweepopt.integrate.schemes import Scheme
 from sweepopt.integrate.step import compensated_sum
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Moving, Point
-from sweepopt.velocity import Plan, ReconstructionResiduals, Reduction, Velocity
+from sweepopt.velocity import Plan, Reduction, Velocity
 
 
 class _Coefficients(NamedTuple):
@@ -53,7 +54,7 @@ class Reconstruction:
         return _Coefficients(nodes, velocities, seconds, exact)
 
     @cached_property
-    def _residuals(self) -> ReconstructionResiduals:
+    def _residual(self) -> Callable[[int, np.ndarray, np.ndarray], tuple[float, float]]:
         assert self._plan.reduction is not None
         gammas = self._mus * self._plan.scheme.a[-1][-1]
         alpha = self._coefficients
@@ -81,7 +82,7 @@ class Reconstruction:
 
         A step in parts has the load's coefficients of the whole step: they are linear.
         """
-        error, size = self._residuals(i, zeta, velocity.z)
+        error, size = self._residual(i, zeta, velocity.z)
         certificate = velocity.certificate + error
         if velocity.relative > 0:
             size = max(size, velocity.certificate / velocity.relative)

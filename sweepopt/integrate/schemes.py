@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 from sweepopt.errors import InputError, shown
 
@@ -54,12 +55,12 @@ class Scheme:
             raise InputError(f"scheme {self.name!r}: b must add up to 1, c lie in [0, 1]")
         if any(row[-1] < 0 for row in self.a):
             raise InputError(f"scheme {self.name!r}: the weights a_kk must not be negative")
-        if not self.explicit and abs(self._amplification(-1e12)) > 1 + 1e-6:
+        if not self.explicit and abs(self.amplification(-1e12)) > 1 + 1e-6:
             raise InputError(f"scheme {self.name!r} amplifies stiff errors: |R(-inf)| > 1")
 
-    def _amplification(self, z: float) -> float:
+    def amplification(self, z: Any) -> Any:
         """The stability function R(z) = 1 + z b^T (I - z a)^{-1} 1 of the scheme."""
-        slopes: list[float] = []
+        slopes: list[Any] = []
         for row in self.a:
             known = 1 + sum(weight * slope for weight, slope in zip(row, slopes, strict=False))
             slopes.append(z * known / (1 - z * row[-1]))
@@ -81,8 +82,8 @@ class Scheme:
         return not any(row[-1] > 0 for row in self.a)
 
     @property
-    def unwatched(self) -> Scheme:
-        """The same scheme without warnings of steps that overshoot."""
+    def without_overshoot_warning(self) -> Scheme:
+        """The same scheme, whose steps are not checked for overshooting."""
         return replace(self, overshoots=math.inf)
 
 

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from sweepopt.linalg.choice import factor_bytes
-from sweepopt.linalg.eigenvalues import (
-    exceeds_none,
-    is_semidefinite,
-    largest_eigenvalue,
-    largest_ratio,
-)
+from sweepopt.linalg.eigenvalues import exceeds_none, is_semidefinite, largest_ratio
 from sweepopt.linalg.factor import NEGLIGIBLE, Elimination, Factor
-from sweepopt.linalg.matrices import EPS, SMALL, UNIT, dense, euclidean, row_lengths, row_sum
-from sweepopt.linalg.twice_precision import Precise, product_error, sum_error
+from sweepopt.linalg.matrices import (
+    EPS,
+    SMALL,
+    UNIT,
+    dense,
+    euclidean,
+    largest_eigenvalue,
+    row_lengths,
+    row_sum,
+)
+from sweepopt.linalg.twice_precision import Precise, exact_sum, product_error
 
 __all__ = [
     "EPS",
@@ -23,6 +27,7 @@ __all__ = [
     "Precise",
     "dense",
     "euclidean",
+    "exact_sum",
     "exceeds_none",
     "factor_bytes",
     "is_semidefinite",
@@ -31,5 +36,4 @@ __all__ = [
     "product_error",
     "row_lengths",
     "row_sum",
-    "sum_error",
 ]

@@ -1,4 +1,4 @@
-"""L L^T = M: by CHOLMOD where cvxopt is installed and M not too large, by SuperLU, or by LAPACK.
+"""L L^T = M for a sparse M: by CHOLMOD where cvxopt is installed and M not too large, or SuperLU.
 
 On the unit square with P1 elements, in ms on one core, a solve and the two substitutions of a step:
 
@@ -10,8 +10,8 @@ On the unit square with P1 elements, in ms on one core, a solve and the two subs
 
 Both take about a second to factorise 100,172 unknowns, SuperLU 14 to 17 s for 1,001,000.
 
-All factorise M / unit = P^T L L^T P with P w = w[order], `unit` a power of two, in an order of
-their own if none is given.
+Both factorise M / unit = P^T L L^T P with P w = w[order], `unit` a power of two, in an order of
+their own if none is given; for a dense M there is LAPACK.
 """
 
 from __future__ import annotations
@@ -40,12 +40,8 @@ _settings_lock = threading.Lock()
 
 
 def cholesky(M: Matrix, order: np.ndarray | None = None, m: int = 0) -> Cholesky:
-    """M factorised; the last m unknowns of a given order have their block of L at hand."""
-    if not sp.issparse(M):
-        return Dense(M, order, m)
-    if M.shape[0] <= LIMIT and has_cholmod():
-        return Cholmod(M, order, m)
-    return SuperLU(M, order, m)
+    """A sparse M factorised; the last m unknowns of a given order have their block of L at hand."""
+    return (Cholmod if M.shape[0] <= LIMIT and has_cholmod() else SuperLU)(M, order, m)
 
 
 @cache
@@ -71,7 +67,7 @@ class Cholesky(ABC):
 
     Attributes
     ----------
-    order : ndarray of int or None
+    order : ndarray of int
     unit : float
     pivots : ndarray
         Those of the unknowns, as M counts and measures them.
@@ -80,7 +76,7 @@ class Cholesky(ABC):
     """
 
     method = "factors"
-    order: np.ndarray | None
+    order: np.ndarray
     unit: float
     pivots: np.ndarray
     tail: np.ndarray
@@ -118,31 +114,18 @@ class Cholesky(ABC):
         return self.backward(y)
 
 
-class Dense(Cholesky):
+class Dense:
     """LAPACK's factor of a dense M."""
 
-    def __init__(self, M: np.ndarray, order: np.ndarray | None, m: int) -> None:
-        self.order, self.unit = order, unit_of(M)
-        self._places = slice(None) if order is None else order
-        ordered = M if order is None else M[np.ix_(order, order)]
-        self._lower = scipy.linalg.cholesky(ordered / self.unit, lower=True)
-        self.tail = self._lower[len(M) - m :, len(M) - m :]
-        self.pivots = np.empty(len(M))
-        self.pivots[self._places] = self.unit * self._lower.diagonal() ** 2
+    method, order = "factors", None
+
+    def __init__(self, M: np.ndarray) -> None:
+        self._lower = scipy.linalg.cholesky(M, lower=True)
+        self.pivots = self._lower.diagonal() ** 2
 
     def solve(self, w: np.ndarray) -> np.ndarray:
-        z = np.empty_like(w)
-        z[self._places] = lapack.dpotrs(self._lower, w[self._places], lower=True)[0]
-        z /= self.unit
-        return z
-
-    def forward(self, w: np.ndarray) -> np.ndarray:
-        return lapack.dtrtrs(self._lower, w[self._places], lower=True)[0]
-
-    def backward(self, y: np.ndarray) -> np.ndarray:
-        z = np.empty_like(y)
-        z[self._places] = lapack.dtrtrs(self._lower, y, lower=True, trans=1)[0]
-        return z
+        """M^-1 w, of one vector or of columns."""
+        return lapack.dpotrs(self._lower, w, lower=True)[0]
 
 
 class Cholmod(Cholesky):

@@ -18,14 +18,6 @@ from sweepopt.linalg.matrices import SMALL, UNIT, dense, is_diagonal, is_dominan
 MARGINS = (1e-9, 1e-6, 1e-3, *(10.0**k for k in range(-2, 16)))  # of a bound of an eigenvalue
 
 
-def largest_eigenvalue(M: Matrix) -> float:
-    """The largest eigenvalue of a symmetric matrix, |M| for a positive semidefinite one."""
-    if M.shape[0] < SMALL or not sp.issparse(M):
-        return float(np.linalg.eigvalsh(dense(M))[-1])
-    start = lanczos_start(M.shape[0])
-    return float(spla.eigsh(M, k=1, which="LA", v0=start, return_eigenvectors=False)[0])
-
-
 def largest_ratio(A: Factor, B: Matrix) -> float:
     """A number that no eigenvalue of A^-1 B exceeds, for B positive semidefinite.
 

@@ -4,36 +4,26 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
-import scipy.sparse.linalg as spla
 
 from sweepopt.checks import Matrix, divisor
 from sweepopt.errors import IndefiniteError, SolverRefusedError
 from sweepopt.linalg.choice import engine
 from sweepopt.linalg.matrices import (
     PIVOT,
-    SMALL,
     UNIT,
     euclidean,
     is_diagonal,
-    lanczos_start,
+    largest_eigenvalue,
     row_sum,
 )
 from sweepopt.linalg.twice_precision import Precise
 
 NEGLIGIBLE = 1e-12  # of |z|_M: more rounding of M z than this is avoided
-
-
-class Applied(NamedTuple):
-    """M z + q, |z|_M and a bound of what rounding misses, in |.|_{M^-1}."""
-
-    value: np.ndarray
-    size: float
-    rounding: float
 
 
 class Factor:
@@ -80,7 +70,7 @@ class Factor:
         try:
             # pivots of inf or nan are refused below
             with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-                self._engine = engine(M, order, unknowns)
+                self._engine: Any = engine(M, order, unknowns)
                 pivots = self._engine.pivots / self.diagonal
         except (scipy.linalg.LinAlgError, RuntimeError, ArithmeticError):
             pivots = np.zeros(1)
@@ -128,10 +118,6 @@ class Factor:
         """M^-1 of each row, shape (k, dim)."""
         return self.solve(np.asfortranarray(rows.T)).T
 
-    def _solve_scaled(self, w: np.ndarray) -> np.ndarray:
-        """Solve with D^-1/2 M D^-1/2, D = diag(M)."""
-        return self.root * self.solve(self.root * w)
-
     def dual_norm_bound(self, w: np.ndarray) -> float:
         """A bound of |w|_{M^-1} that costs no solve: |D^-1/2 w| / sqrt(lambda_min), D = diag(M).
 
@@ -139,14 +125,14 @@ class Factor:
         """
         return euclidean(w / self.root) * self.bound_factor
 
-    def apply(self, z: np.ndarray, *more: np.ndarray, enough: float = NEGLIGIBLE) -> Applied:
-        """M z + the others, in higher precision where rounding may exceed `enough` * |z|_M."""
+    def apply(self, z: np.ndarray, q: np.ndarray, enough: float) -> tuple[np.ndarray, float]:
+        """M z + q, with more digits where rounding may exceed `enough` * |z|_M, and |z|_M."""
         force = self.M.dot(z)
         size = math.sqrt(max(z.dot(force), 0.0))
-        rounding = self.rounding(euclidean(self.root * z), euclidean(more[0] / self.root))
-        if rounding <= enough * size:
-            return Applied(sum(more, start=force), size, rounding)
-        return Applied(self.precisely(z, *more), size, self.precisely.share * rounding)
+        sharp = self.is_sharp or enough * size >= self.rounding(
+            euclidean(self.root * z), euclidean(q / self.root)
+        )
+        return (force + q if sharp else self.precisely(z, q)), size
 
     def rounding(self, z: float, q: float) -> float:
         """A bound in |.|_{M^-1} of what M @ z + q rounds, without a solve.
@@ -204,18 +190,13 @@ class Factor:
 
     @cached_property
     def bound_factor(self) -> float:
-        """1 / sqrt(lambda_min), lambda_min that of D^-1/2 M D^-1/2, D = diag(M)."""
-        if self.dim < SMALL:
-            columns = [self._solve_scaled(e) for e in np.eye(self.dim)]
-            return float(np.sqrt(np.linalg.eigvalsh(np.array(columns))[-1]))
-        # Lanczos meets the largest eigenvalue of the inverse from below, here to 0.1 %; 10 % are
-        # added. The norm is applied to rounding errors only.
-        inverse = spla.LinearOperator((self.dim, self.dim), matvec=self._solve_scaled, dtype=float)
-        start = lanczos_start(self.dim)
-        largest = spla.eigsh(
-            inverse, k=1, which="LA", v0=start, tol=1e-3, return_eigenvectors=False
-        )
-        return float(1.1 * np.sqrt(largest[0]))
+        """1 / sqrt(lambda_min), lambda_min that of D^-1/2 M D^-1/2, D = diag(M).
+
+        Lanczos meets the largest eigenvalue of the inverse from below, here to 0.1 %; 10 % are
+        added. The norm is applied to rounding errors only.
+        """
+        scaled = largest_eigenvalue(lambda w: self.root * self.solve(self.root * w), self.dim, 1e-3)
+        return 1.1 * math.sqrt(scaled)
 
     def norm(self, z: np.ndarray) -> float:
         """|z|_M = sqrt<Mz, z>."""
@@ -227,14 +208,8 @@ class Factor:
 
     def smallest_eigenvalue(self) -> float:
         """beta: the largest number with <Mx, x> >= beta |x|^2."""
-        if not sp.issparse(self.M) or self.dim < SMALL:
-            # from above: that of M itself would be lost beside its largest one
-            return float(1 / np.linalg.eigvalsh(self.solve_many(np.eye(self.dim)))[-1])
-        inverse = spla.LinearOperator((self.dim, self.dim), matvec=self.solve, dtype=float)
-        start = lanczos_start(self.dim)
-        return float(
-            1 / spla.eigsh(inverse, k=1, which="LA", v0=start, return_eigenvectors=False)[0]
-        )
+        # from above: that of M itself would be lost beside its largest one
+        return 1 / largest_eigenvalue(self.solve, self.dim)
 
 
 class Elimination(Factor):

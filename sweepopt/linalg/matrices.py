@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import scipy.sparse as sp
+import scipy.sparse.linalg as spla
 
 from sweepopt.checks import Matrix
 
@@ -50,3 +52,14 @@ def dense(M: Matrix) -> np.ndarray:
 def lanczos_start(dim: int) -> np.ndarray:
     """A start for Lanczos that no structure of a matrix is orthogonal to, the same every time."""
     return np.random.default_rng(0).normal(size=dim)
+
+
+def largest_eigenvalue(
+    product: Callable[[np.ndarray], np.ndarray], dim: int, tol: float = 0.0
+) -> float:
+    """The largest eigenvalue of the symmetric matrix of these products."""
+    if dim < SMALL:
+        return float(np.linalg.eigvalsh(np.array([product(e) for e in np.eye(dim)]))[-1])
+    matrix = spla.LinearOperator((dim, dim), matvec=product, dtype=float)
+    start = lanczos_start(dim)
+    return float(spla.eigsh(matrix, 1, which="LA", v0=start, tol=tol, return_eigenvectors=False)[0])

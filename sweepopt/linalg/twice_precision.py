@@ -40,54 +40,57 @@ class Precise:
     """
 
     def __init__(self, M: Matrix, slices: int = 3) -> None:
+        M = sp.csr_array(M)
         # in units of the diagonal, by powers of 2: nothing is rounded
         diagonal = M.diagonal()
         self._unit = np.exp2(np.floor(0.5 * np.log2(np.where(diagonal > 0, diagonal, 1.0))))
-        rest = _scaled(M, 1 / self._unit)
-        entries = rest.data if sp.issparse(rest) else rest
-        terms = int(np.diff(rest.tocsr().indptr).max()) if sp.issparse(rest) else rest.shape[1]
-        self._bits = int((53 - math.ceil(math.log2(terms + 1))) // 2)
+        weights = sp.diags_array(1 / self._unit)
+        scaled = sp.csr_array(weights @ M @ weights)
+        entries_of_a_row = int(np.diff(scaled.indptr).max())
+        self._bits = (53 - math.ceil(math.log2(entries_of_a_row + 1))) // 2
         self.share = slices * math.sqrt(len(diagonal)) * 2.0 ** (-self._bits * (slices - 1))
-        self._slices = []
-        for part in _cut(entries, self._bits, slices):
-            one = rest.copy()
-            if sp.issparse(one):
-                one.data = part
-            else:
-                one = part
-            self._slices.append(one)
+        self._slices = [
+            sp.csr_array((part, scaled.indices, scaled.indptr), shape=M.shape)
+            for part in _cut(scaled.data, self._bits, slices)
+        ]
 
     def __call__(self, z: np.ndarray, *more: np.ndarray) -> np.ndarray:
         """M z + the sum of the others."""
+        return exact_sum([*self.terms(z), *more])
+
+    def terms(self, z: np.ndarray) -> list[np.ndarray]:
+        """Vectors whose sum is M z."""
         parts = _cut(self._unit * z, self._bits, len(self._slices))
-        terms = [entry / self._unit for entry in more]
-        tail, rounded = np.zeros_like(z), np.zeros_like(z)
+        terms, rounded, tail = [], np.zeros_like(z), np.zeros_like(z)
         for M in self._slices:
             tail = parts.pop() + tail  # what the slices before leave of z
             products = (M @ np.array([*parts, tail]).T).T
-            terms += list(products[:-1])
+            terms += [self._unit * product for product in products[:-1]]
             rounded += products[-1]
-        return self._unit * _sum([*terms, rounded])
+        return [*terms, self._unit * rounded]
 
 
-def product_error(factor: float, M: Matrix) -> Any:
-    """What rounding keeps out of `factor * M`, entry by entry and exactly (Dekker's product)."""
-    rest = M.copy()
-    entries = rest.data if sp.issparse(rest) else rest
-    high, low = _halves(entries)
+def exact_sum(terms: list[np.ndarray]) -> np.ndarray:
+    """The sum, with what each addition rounds away (Knuth's two-sum)."""
+    total, lost = terms[0], np.zeros_like(terms[0])
+    for term in terms[1:]:
+        following = total + term
+        added = following - total
+        lost += (total - (following - added)) + (term - added)
+        total = following
+    return total + lost
+
+
+def product_error(factor: float, x: Any) -> Any:
+    """What rounding keeps out of `factor * x`, entry by entry and exactly (Dekker's product)."""
+    if sp.issparse(x):
+        error = x.copy()
+        error.data = product_error(factor, x.data)
+        return error
+    high, low = _halves(x)
     factor_high, factor_low = _halves(np.float64(factor))
-    missed = factor_high * high - factor * entries
-    missed = ((missed + factor_high * low) + factor_low * high) + factor_low * low
-    if sp.issparse(rest):
-        rest.data = missed
-        return rest
-    return missed
-
-
-def sum_error(A: Matrix, B: Matrix, total: Matrix) -> Any:
-    """What rounding keeps out of `total` = A + B, entry by entry and exactly (Knuth's two-sum)."""
-    added = total - A
-    return (A - (total - added)) + (B - added)
+    error = factor_high * high - factor * x
+    return ((error + factor_high * low) + factor_low * high) + factor_low * low
 
 
 def _halves(x: Any) -> tuple[Any, Any]:
@@ -110,21 +113,3 @@ def _cut(x: np.ndarray, bits: int, slices: int) -> list[np.ndarray]:
         x = x - part
         largest = math.ldexp(largest, -bits) if largest else 0.0
     return [*parts, x]
-
-
-def _sum(terms: list[np.ndarray]) -> np.ndarray:
-    """The sum, with what each addition rounds away (Knuth's two-sum)."""
-    total, lost = terms[0], np.zeros_like(terms[0])
-    for term in terms[1:]:
-        following = total + term
-        added = following - total
-        lost += (total - (following - added)) + (term - added)
-        total = following
-    return total + lost
-
-
-def _scaled(M: Matrix, weights: np.ndarray) -> Any:
-    if sp.issparse(M):
-        W = sp.diags_array(weights)
-        return sp.csr_array(W @ M @ W)
-    return weights[:, None] * M * weights

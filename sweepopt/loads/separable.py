@@ -79,10 +79,10 @@ class Separable:
         """Values ``phi_k(t)`` at many times, shape (len(times), k)."""
         table = np.empty((len(times), len(self.terms)))
         for k, (history, _) in enumerate(self.terms):
-            values = history(times) if isinstance(history, History) else None
-            if values is None or not np.isfinite(values).all():
-                values = [self.value(k, t) for t in times.tolist()]
-            table[:, k] = values
+            if isinstance(history, History):  # takes all times at once
+                table[:, k] = history(times)
+            else:
+                table[:, k] = [self.value(k, t) for t in times.tolist()]
         return table
 
     def value(self, k: int, t: float) -> float:

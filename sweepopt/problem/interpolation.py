@@ -11,7 +11,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -67,9 +66,9 @@ class Interpolated(NamedTuple):
     slope_error: np.ndarray
 
 
-def smooth_intervals(moved: Motion, t: np.ndarray) -> Intervals:
+def smooth_intervals(moving: Motion, t: np.ndarray) -> Intervals:
     """The steps between the times t, cut at the breakpoints of all histories."""
-    histories = [*moved.center.histories, *moved.scale.histories]
+    histories = [*moving.center.histories, *moving.scale.histories]
     cuts = np.unique(np.concatenate([t, breakpoints(histories, t[0], t[-1])]))
     step = np.searchsorted(t, cuts[:-1], side="right") - 1
     return Intervals(step, cuts[:-1], cuts[1:])
@@ -79,52 +78,41 @@ def interpolate(f: TimeFunction, begin: np.ndarray, end: np.ndarray) -> Interpol
     """Interpolate on intervals between breakpoints."""
     h, m = end - begin, len(begin)
     times = (begin[:, None] + h[:, None] * NODES).ravel()
-    ends = list(zip(begin.tolist(), end.tolist(), strict=True))
-    values, v = np.zeros((m, 5, f.dim)), f.variation
-    error, slope_error = np.zeros((2, m, len(f.terms) if f.function is None else 1))
+    terms: list[tuple[Any, Any, Any]] = [
+        (Separable([(phi, [1.0])]).at_many, vector, phi) for phi, vector in f.terms
+    ]
     if f.function is not None:
-        values += f.at(times).reshape(m, 5, f.dim)
-        if v is not None:
-            each = [
-                _by_variation(f.at, partial(increments, v), *x)
-                for x in zip(ends, values, strict=True)
-            ]
-            error[:, 0], slope_error[:, 0] = np.array(each).T
-    for k, (phi, vector) in enumerate(f.terms):
-        scalar = Separable([(phi, [1.0])]).at_many
-        samples = scalar(times).reshape(m, 5, 1)
+        terms = [(f.at, 1.0, f)]
+    values, errors = np.zeros((m, 5, f.dim)), np.zeros((m, len(terms), 2))
+    for k, (function, vector, history) in enumerate(terms):
+        samples = function(times).reshape(m, 5, -1)
         values += samples * vector
-        if hasattr(phi, "piece"):
-            fifth = np.array([_fifth_derivative(phi.piece(a, b), a, b) for a, b in ends])
-            error[:, k] = fifth * h**5 * NODAL / 120
-            slope_error[:, k] = fifth * h**5 / 24  # Rolle: the error's derivative has four zeros
-        elif hasattr(phi, "variation"):
-            varies = partial(_variations, phi)
-            each = [_by_variation(scalar, varies, *x) for x in zip(ends, samples, strict=True)]
-            error[:, k], slope_error[:, k] = np.array(each).T
-    return Interpolated(NODES_TO_GAUSS @ values, error, slope_error)
-
-
-def _variations(phi: Any, times: np.ndarray) -> np.ndarray:
-    """Those of a history between the times."""
-    return np.array([phi.variation(a, b) for a, b in itertools.pairwise(times.tolist())])
+        for i, (a, b) in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
+            if hasattr(history, "piece"):
+                fifth = _fifth_derivative(history.piece(a, b), a, b) * h[i] ** 5
+                # Rolle: the error's derivative has four zeros
+                errors[i, k] = fifth * NODAL / 120, fifth / 24
+            elif getattr(history, "variation", None) is not None:
+                errors[i, k] = _by_variation(function, history, a, b, samples[i])
+    return Interpolated(NODES_TO_GAUSS @ values, errors[..., 0], errors[..., 1])
 
 
 def _by_variation(
-    f: Callable[[np.ndarray], np.ndarray],
-    variations: Callable[[np.ndarray], np.ndarray],
-    ends: tuple[float, float],
-    values: np.ndarray,
+    f: Callable[[np.ndarray], np.ndarray], history: Any, a: float, b: float, values: np.ndarray
 ) -> tuple[float, float]:
     """Both errors of a function of which only the variation is known, from samples on parts.
 
     On a part an error e is at most (|e| at one end + |e| at the other + its variation) / 2.
     """
-    a, b = ends
     times = a + (b - a) * np.arange(PARTS + 1) / PARTS
     e = np.linalg.norm(f(times) - NODES_TO_PARTS @ values, axis=1)
     slopes = 4 * np.linalg.norm(np.diff(to_bernstein(NODES) @ values, axis=0), axis=1)
-    varies = variations(times) + slopes.max() / PARTS
+    if isinstance(history, TimeFunction):
+        assert history.variation is not None
+        varies = increments(history.variation, times)
+    else:
+        varies = np.array([history.variation(*ends) for ends in itertools.pairwise(times.tolist())])
+    varies = varies + slopes.max() / PARTS
     return float((0.5 * (e[:-1] + e[1:] + varies)).max()), float(np.sum(varies))
 
 

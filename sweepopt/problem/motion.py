@@ -112,8 +112,6 @@ class Motion:
         S, or { w : G w <= 0 } where `offsets` are given; None for neither.
     center, scale : TimeFunction
         A scale of several entries goes with a box S.
-    given_scale : callable, float or None
-        The scale as it was given to the set.
     offsets : TimeFunction or None
         h.
     name : str
@@ -123,7 +121,6 @@ class Motion:
     shape: ConvexSet | None
     center: TimeFunction
     scale: TimeFunction
-    given_scale: Any = None
     offsets: TimeFunction | None = None
     name: str = "center"
 
@@ -155,7 +152,7 @@ class Motion:
                 "so.Polyhedron(G, so.Separable(...))"
             )
         terms = _closed_forms(self.center if self.offsets is None else self.offsets, self.name)
-        scale = 1.0 if self.given_scale is None else float(self.scale.at(np.zeros(1))[0, 0])
+        scale = float(self.scale.at(np.zeros(1))[0, 0])
         try:
             polyhedron = halfspaces(self.shape if scale == 1 else scale * self.shape)
         except NoHalfspacesError as error:
@@ -178,7 +175,7 @@ def motion(C: AnySet) -> Motion:
     if isinstance(C, Moving):
         scale = one if C.scale is None else TimeFunction.of(C.scale, 1)
         center = TimeFunction.of(C.center, C.dim)
-        return Motion(C.shape, center, scale, C.scale, name=C.center_name)
+        return Motion(C.shape, center, scale, name=C.center_name)
     if isinstance(C, MovingOffsets):
         offsets = TimeFunction.of(C.offsets, C.shape.offsets.size)
         return Motion(C.shape, still, one, offsets=offsets, name="h")

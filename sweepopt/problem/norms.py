@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -49,16 +48,12 @@ class Norms:
         return np.sqrt(np.maximum((rows * solved).sum(axis=1), 0.0)).reshape(w.shape[:-1])
 
     def growth(self, tau: np.ndarray) -> np.ndarray:
-        """K(tau) of MATH 3: |u(tau) - v(tau)|_A <= K(tau) |u(0) - v(0)|_A."""
-        lam, Lam = self.lam, self.Lam
-        if Lam == 0:
+        """K(tau) of MATH 3 without sqrt(Lam / lam), which |.|_B / sqrt(lam) does not need."""
+        if self.Lam == 0:
             return np.ones_like(tau)
-        bounds = [1 + np.sqrt(0.5 * Lam * tau)]
+        nu = (self.Lam - self.lam) ** 2 / (8 * (self.Lam + self.lam))
         with np.errstate(over="ignore"):
-            bounds.append(np.exp((Lam - lam) ** 2 / (8 * (Lam + lam)) * tau))
-        if lam > 0:
-            bounds.append(np.full_like(tau, math.sqrt(Lam / lam)))
-        return np.min(bounds, axis=0)
+            return np.minimum(np.exp(nu * tau), 1 + np.sqrt(0.5 * self.Lam * tau))
 
 
 def squares(M: Any, x: np.ndarray) -> np.ndarray:

@@ -229,7 +229,7 @@ class SweepingProcess:
         times = vector("times", times)
         force = self.times_B(self.u0)
         distance = float(np.linalg.norm(force - self.C.at(float(times[0])).project(force)))
-        norm_B = 0.0 if self.B is None else largest_eigenvalue(self.B)
+        norm_B = 0.0 if self.B is None else largest_eigenvalue(self.B.dot, self.dim)
         start = 8 * v if paper else v + distance
         with np.errstate(over="ignore"):
             growth = float(np.exp(norm_B * (times[-1] - times[0]) / self.beta))

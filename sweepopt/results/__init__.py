@@ -4,18 +4,13 @@ from __future__ import annotations
 
 from sweepopt.results.dataset import (
     NetCDFSink,
-    attributes_of,
-    dataset,
     netcdf_package,
     software,
     solver_name,
-    statistics_of,
-    times_of,
-    variable,
 )
 from sweepopt.results.energy import Energy
 from sweepopt.results.error_bound import ErrorBound
-from sweepopt.results.refinement import refine
+from sweepopt.results.finer_grids import refine
 from sweepopt.results.solution import Pass, Solution
 
 __all__ = [
@@ -24,13 +19,8 @@ __all__ = [
     "NetCDFSink",
     "Pass",
     "Solution",
-    "attributes_of",
-    "dataset",
     "netcdf_package",
     "refine",
     "software",
     "solver_name",
-    "statistics_of",
-    "times_of",
-    "variable",
 ]

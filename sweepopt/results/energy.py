@@ -39,15 +39,11 @@ class Energy(NamedTuple):
 def energy_of(process: SweepingProcess, t: np.ndarray, states: States) -> Energy:
     """Energies of a run of which all steps are kept; forces are taken at the middle of each."""
     mu = np.diff(t)
-    viscous, friction, work = np.zeros((3, len(mu)))
+    powers = np.zeros((3, len(t)))  # viscous, friction, work; none before the start
     for i in range(len(mu)):
         z = states.velocity(i)
         C = process.C.at(float(t[i] + 0.5 * mu[i]))
-        viscous[i] = z @ (process.A @ z)
-        work[i] = C.anchor @ z
-        friction[i] = C.support(-z) + work[i]
+        work = C.anchor @ z
+        powers[:, i + 1] = z @ (process.A @ z), C.support(-z) + work, work
     stored = np.array([0.5 * u @ process.times_B(u) for u in map(states.u, range(len(t)))])
-    viscous, friction, work = (
-        np.append(0.0, np.cumsum(mu * rate)) for rate in (viscous, friction, work)
-    )
-    return Energy(stored - stored[0], viscous, friction, work)
+    return Energy(stored - stored[0], *np.cumsum(powers * np.append(0.0, mu), axis=1))

@@ -10,8 +10,9 @@ Then for e = u - v, as monotonicity of the normal cone gives <e', A e' + B e + r
     |e(t)|_B^2 <= |e(0)|_B^2 + int 2 G + |r|^2 / 2                     (energy)
     |e(t)|_A <= |e(0)|_A + sqrt(t (|e(0)|_B^2 + int 2 G + |r|^2)).
 
-K(tau) = min(exp(nu tau), 1 + sqrt(Lam tau / 2), sqrt(Lam / lam)), nu = (Lam - lam)^2 / (8 (Lam +
-lam)), with lam <= Lam the extreme eigenvalues of A^-1 B. Where A = 0, | | are those of B and
+K(tau) = min(exp(nu tau), 1 + sqrt(Lam tau / 2)), nu = (Lam - lam)^2 / (8 (Lam + lam)), with
+lam <= Lam the extreme eigenvalues of A^-1 B, and |e|_A <= |e|_B / sqrt(lam). Where A = 0, | | are
+those of B and
 
     |e(t)|_B <= R + sqrt(R^2 + 2 int G),   R = sup |r| + int |r'|,
 
@@ -28,7 +29,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -87,15 +87,15 @@ def error_bound(
     """The bound of a run, with v through its own nodes or those of a more accurate second run."""
     own = plan.scheme.order >= 2 and not process.rate_independent
     plan = replace(plan, reduction=None, tol=min(plan.tol, TOL))
-    near = run if own else _second_run(process, plan, run.t)
+    nodes = run if own else _second_run(process, plan, run.t)
     norms = Norms(process)
     phi = compile_projection(plan, process.metric.M)
-    integrals = residuals(process, phi, norms, near, variation)
-    error = _growth(norms, near.t, integrals)
-    nodes = run.at(near.t)
-    difference = _difference(near, integrals.slopes, nodes)
-    rounding = SUMMED * math.sqrt(len(near.t)) * norms.A(near.u).max()
-    parts = (len(near.t) - 1) // (len(run.t) - 1)
+    integrals = residuals(process, phi, norms, nodes, variation)
+    error_A, error_B = _growth(norms, nodes.t, integrals)
+    states = run.at(nodes.t)
+    difference = _difference(nodes, integrals.slopes, states)
+    rounding = SUMMED * math.sqrt(len(nodes.t)) * norms.A(nodes.u).max()
+    parts = (len(nodes.t) - 1) // (len(run.t) - 1)
 
     def on_steps(bound: np.ndarray) -> np.ndarray:
         return (bound + rounding).reshape(-1, parts).max(axis=1)
@@ -105,9 +105,9 @@ def error_bound(
     return ErrorBound.make(
         guaranteed=integrals.guaranteed and proved,
         t=run.t,
-        of_t=on_steps(norms.A(difference).max(axis=1) + error.A[1:]),
-        B=on_steps(norms.B(difference).max(axis=1) + error.B[1:]),
-        lower=0.0 if own else max(float((norms.A(near.u - nodes) - error.A).max()), 0.0),
+        of_t=on_steps(norms.A(difference).max(axis=1) + error_A[1:]),
+        B=on_steps(norms.B(difference).max(axis=1) + error_B[1:]),
+        lower=0.0 if own else max(float((norms.A(nodes.u - states) - error_A).max()), 0.0),
     )
 
 
@@ -115,7 +115,7 @@ def _second_run(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
     """Midpoint on the same grid; where A = 0 implicit Euler on a finer one."""
     if process.rate_independent:
         return nodes_of(process, replace(plan, scheme=SCHEMES["implicit-euler"]), divided(t, PARTS))
-    return nodes_of(process, replace(plan, scheme=SCHEMES["midpoint"].unwatched), t)
+    return nodes_of(process, replace(plan, scheme=SCHEMES["midpoint"].without_overshoot_warning), t)
 
 
 def nodes_of(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
@@ -131,20 +131,17 @@ def nodes_of(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
     return Nodes(times, nodes, velocities)
 
 
-class _Error(NamedTuple):
-    """Bounds of |u - v| up to each node, in the two norms, shape (n+1,)."""
+def _growth(norms: Norms, t: np.ndarray, integrals: Residuals) -> tuple[np.ndarray, np.ndarray]:
+    """The smallest of the theorem's bounds of |u - v|_A and |u - v|_B at each node.
 
-    A: np.ndarray
-    B: np.ndarray
-
-
-def _growth(norms: Norms, t: np.ndarray, integrals: Residuals) -> _Error:
-    """The theorem, step by step: the smallest of its bounds at each node."""
+    Off, of 180 bounds: the fan makes 38 larger (up to 14 times), |.|_B / sqrt(lam) 132 (6.5), the
+    energy 8 (1.8), for |.|_B the root of the squares 148 (15), the sum 53 (6.5).
+    """
     gaps, squares = integrals.gaps, integrals.squares
     if norms.rate_independent:
         R = np.maximum.accumulate(integrals.largest) + np.cumsum(integrals.turning)
         error = np.append(0.0, R + np.sqrt(R**2 + np.cumsum(gaps)))
-        return _Error(error, error)
+        return error, error
     once = np.sqrt(np.diff(t) * (gaps + squares))  # Cauchy and Schwarz: int sqrt(2 G + |r|^2)
     B = np.zeros(len(t))
     root = math.sqrt(norms.Lam)
@@ -154,7 +151,7 @@ def _growth(norms: Norms, t: np.ndarray, integrals: Residuals) -> _Error:
     A = np.minimum(energy, _fan(norms, t, once))
     if norms.lam > 0:
         A = np.minimum(A, B / math.sqrt(norms.lam))
-    return _Error(A, B if norms.Lam else np.zeros(len(t)))
+    return A, B if norms.Lam else np.zeros(len(t))
 
 
 def _fan(norms: Norms, t: np.ndarray, once: np.ndarray) -> np.ndarray:
@@ -166,12 +163,12 @@ def _fan(norms: Norms, t: np.ndarray, once: np.ndarray) -> np.ndarray:
     return some[np.searchsorted(ends, np.arange(n + 1))]
 
 
-def _difference(near: Nodes, slopes: np.ndarray, u: np.ndarray) -> np.ndarray:
+def _difference(nodes: Nodes, slopes: np.ndarray, u: np.ndarray) -> np.ndarray:
     """v - u_n on each step, u at its nodes: Bernstein coefficients, shape (n, 4, dim)."""
-    h = np.diff(near.t)[:, None, None]
+    h = np.diff(nodes.t)[:, None, None]
     share = (np.arange(4) / 3)[:, None]
     return (
-        cubic(near.u[:-1], near.u[1:], h * slopes)
+        cubic(nodes.u[:-1], nodes.u[1:], h * slopes)
         - (1 - share) * u[:-1, None]
         - share * u[1:, None]
     )

@@ -14,7 +14,7 @@ from sweepopt.integrate import States
 
 @dataclass(frozen=True, eq=False)
 class Interpolant:
-    """u_n(t) = u_i + (t - t_i) / mu (u_{i+1} - u_i).
+    """u_n(t) = u_{i+1} - (t_{i+1} - t) u_n', u_n' the velocity of step i.
 
     Attributes
     ----------
@@ -31,24 +31,14 @@ class Interpolant:
 
     def __call__(self, t: Any) -> np.ndarray:
         times = self.inside(t)
-        start = times == self.t[0]
-        if start.any() and self.begins[0] > self.t[0]:  # the start is kept without the first step
-            first = self.states.u(0)
-            values = np.zeros((*times.shape, first.size))
-            values[start] = first
-            values[~start] = self(times[~start]) if not start.all() else 0.0
-            return values
-        # many times in few steps: every node is looked up once
-        i, where = np.unique(self.step_of(times), return_inverse=True)
-        where = where.reshape(times.shape)
-        begin, end = self.begins[i][where], self.t[i + 1][where]
-        share = ((times - begin) / (end - begin))[..., None]
-        after = self.states.u(i + 1)[where]
-        if (self.begins[i] == self.t[i]).all():
-            # the form with two weights meets both nodes exactly
-            return (1 - share) * self.states.u(i)[where] + share * after
-        back = (1 - share) * (end - begin)[..., None] * self.states.velocity(i)[where]
-        return after - back
+        later = times > self.t[0]  # the start is kept, its step may not be
+        start = self.states.u(0)
+        values = np.tile(start, (*times.shape, 1))
+        # many times in few steps: every step is looked up once
+        i, where = np.unique(self.step_of(times[later]), return_inverse=True)
+        before = (self.t[i + 1][where] - times[later])[:, None]
+        values[later] = self.states.u(i + 1)[where] - before * self.states.velocity(i)[where]
+        return values
 
     def inside(self, t: Any) -> np.ndarray:
         """The times as floats; one that misses a kept node by rounding is that node."""
@@ -56,10 +46,10 @@ class Interpolant:
         if len(self.t) < 2:
             raise InputError("the run has no complete step to interpolate")
         slack = checks.TIME_SLACK * max(abs(self.t[0]), abs(self.t[-1]))
-        bad = ~((times >= self.t[0] - slack) & (times <= self.t[-1] + slack))
-        if bad.any():
+        outside = ~((times >= self.t[0] - slack) & (times <= self.t[-1] + slack))
+        if outside.any():
             raise InputError(
-                f"t = {times[bad].flat[0]:g} is outside of [{self.t[0]:g}, {self.t[-1]:g}]"
+                f"t = {times[outside].flat[0]:g} is outside of [{self.t[0]:g}, {self.t[-1]:g}]"
             )
         nearest = self.t[np.clip(np.searchsorted(self.t, times - slack), 0, len(self.t) - 1)]
         return np.where(np.abs(nearest - times) <= slack, nearest, times)
@@ -67,10 +57,10 @@ class Interpolant:
     def step_of(self, times: np.ndarray) -> np.ndarray:
         """i with t in (t_i, t_{i+1}]; the whole of the time must be in the step that ends there."""
         i = np.maximum(np.searchsorted(self.t, times, side="left") - 1, 0)
-        lost = times < self.begins[i]
-        if lost.any():
+        between = times < self.begins[i]
+        if between.any():
             raise InputError(
-                f"t = {times[lost].flat[0]:g} is in a step that was not kept; solve with another "
-                "save="
+                f"t = {times[between].flat[0]:g} is in a step that was not kept; solve with "
+                "another save="
             )
         return i

@@ -26,21 +26,21 @@ class Nodes(NamedTuple):
         return self.u[i] + (times - self.t[i])[:, None] * self.velocity[i]
 
 
-def slopes_of_curves(process: SweepingProcess, phi: VelocityOf, near: Nodes) -> list[np.ndarray]:
+def slopes_of_curves(process: SweepingProcess, phi: VelocityOf, nodes: Nodes) -> list[np.ndarray]:
     """Bernstein coefficients of v', shape (n, 3, dim), of two curves through the nodes.
 
     Straight, and smooth: for A coercive the cubic with the slopes Phi(t_i, u_i), else that with the
     slopes of parabolas through three nodes. Effectivities with the straight one alone are 2 to 50
     times as large, with the smooth one alone 2 to 4 times, infinite where sigma is.
     """
-    mean = near.velocity
+    mean = nodes.velocity
     if process.rate_independent:
-        h = np.diff(near.t)[:, None]
+        h = np.diff(nodes.t)[:, None]
         inner = (h[1:] * mean[:-1] + h[:-1] * mean[1:]) / (h[1:] + h[:-1])
         slope = np.concatenate([mean[:1], inner, mean[-1:]])
     else:
-        nodes = zip(near.t.tolist(), near.u, strict=True)
-        slope = np.array([phi(process.times_B(u), process.C.at(t)).z for t, u in nodes])
+        each = zip(nodes.t.tolist(), nodes.u, strict=True)
+        slope = np.array([phi(process.times_B(u), process.C.at(t)).z for t, u in each])
     first, last = slope[:-1], slope[1:]
     smooth = np.stack([first, 3 * mean - first - last, last], axis=1)
     return [np.repeat(mean[:, None], 3, axis=1), smooth]
@@ -48,7 +48,7 @@ def slopes_of_curves(process: SweepingProcess, phi: VelocityOf, near: Nodes) -> 
 
 def force_along(
     process: SweepingProcess,
-    near: Nodes,
+    nodes: Nodes,
     slopes: np.ndarray,
     i: np.ndarray,
     theta: np.ndarray,
@@ -57,8 +57,10 @@ def force_along(
     velocity = basis(2, theta) @ slopes[i]
     force = _apply(process.A, velocity)
     if process.B is not None:
-        h = (near.t[i + 1] - near.t[i])[:, None, None]
-        force += _apply(process.B, basis(3, theta) @ cubic(near.u[i], near.u[i + 1], h * slopes[i]))
+        h = (nodes.t[i + 1] - nodes.t[i])[:, None, None]
+        force += _apply(
+            process.B, basis(3, theta) @ cubic(nodes.u[i], nodes.u[i + 1], h * slopes[i])
+        )
     return force
 
 

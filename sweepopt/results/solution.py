@@ -13,6 +13,7 @@ from sweepopt.integrate import Pass, States, Statistics
 from sweepopt.problem import SweepingProcess
 from sweepopt.results.dataset import to_xarray
 from sweepopt.results.energy import Energy, energy_of
+from sweepopt.results.error_bound import ErrorBound, error_bound, nodes_of
 from sweepopt.results.interpolant import Interpolant
 from sweepopt.results.nodes import Nodes
 from sweepopt.velocity import Plan, VelocityOf, compile_projection
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
     from sweepopt.integrate import Trajectory
-    from sweepopt.results.error_bound import ErrorBound
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +152,7 @@ class Solution:
             ratio = self.process.Lam if not self.process.rate_independent else 1.0
             ratios = float(not self.process.rate_independent) + implicit * ratio
             return self.stats["certificate"] * np.sqrt(ratios)
-        return self._at_times(t, lambda _, force, C: self._distance(force, C))
+        return self._at_times(t, self._distance)
 
     def residual(self, t: Any) -> np.ndarray:
         """The residual of the variational inequality, sigma(C(t), -u_n') + <u_n', A u_n' + B u_n>.
@@ -232,8 +232,6 @@ class Solution:
         return self._bound_with(None)
 
     def _bound_with(self, variation: Callable[[float], float] | None) -> ErrorBound:
-        from sweepopt.results.error_bound import error_bound, nodes_of
-
         if self.complete:
             run = Nodes(self.t, self.u, self.velocity)
         elif self.exact is not None:
@@ -244,24 +242,23 @@ class Solution:
         with np.errstate(over="ignore", invalid="ignore"):  # a bound may be infinite
             return error_bound(self.process, self.plan, run, variation)
 
-    def _distance(self, force: np.ndarray, C: Any) -> float:
+    def _distance(self, _: np.ndarray, force: np.ndarray, C: Any) -> float:
         # the velocity program with M = A, q = w is the projection of w on C in the A^-1 metric
-        found = self._nearest(force, C)
-        if found.relative > self.plan.tol:
+        nearest = self._nearest(force, C)
+        if nearest.relative > self.plan.tol:
             raise SweepoptError(
-                f"the distance to C(t) is known to {found.relative:.2g} only, tol is "
+                f"the distance to C(t) is known to {nearest.relative:.2g} only, tol is "
                 f"{self.plan.tol:g}; solve with a looser tol to see it all the same"
             )
-        return self.process.metric.norm(found.z)
+        return self.process.metric.norm(nearest.z)
 
     def _at_times(self, t: Any, measure: Any) -> np.ndarray:
-        times = self._interpolant.inside(t)
-        values = []
+        times, values = self._interpolant.inside(t), list[float]()
         steps = self._interpolant.step_of(times)
-        for time, i in zip(times.ravel(), steps.ravel(), strict=True):
-            z = self.states.velocity(int(i))
-            force = self.process.A @ z + self.process.times_B(self(float(time)))
-            values.append(measure(z, force, self.process.C.at(float(time))))
+        for time, i in zip(times.ravel().tolist(), steps.ravel().tolist(), strict=True):
+            z = self.states.velocity(i)
+            force = self.process.A @ z + self.process.times_B(self(time))
+            values.append(measure(z, force, self.process.C.at(time)))
         return np.array(values).reshape(times.shape)
 
     def to_xarray(self) -> Dataset:

@@ -8,20 +8,17 @@ from sweepopt.sets.active_set import (
 from sweepopt.sets.balls import (
     Ball,
     Balls,
+    SecondOrderCone,
 )
 from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
     Features,
     NoHalfspacesError,
-    NormalPair,
     Selection,
     binary,
     halfspaces,
     same_array,
-)
-from sweepopt.sets.cones import (
-    SecondOrderCone,
 )
 from sweepopt.sets.constraints import (
     Constraints,
@@ -83,7 +80,6 @@ __all__ = [
     "MovingOffsets",
     "MovingSet",
     "NoHalfspacesError",
-    "NormalPair",
     "Orthant",
     "Point",
     "Polyhedron",

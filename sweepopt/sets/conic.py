@@ -33,51 +33,17 @@ TIE = 0.0137  # exponents are rounded beside the simple fractions that simple nu
 
 
 class Block(NamedTuple):
-    """A cone that is not linear: its kind, its rows, and the order or exponents it has."""
+    """A factor of K: its kind, its rows, and the order or exponents it has.
+
+    The kinds, of a block s, are "zero" and "nonneg", row by row; "soc", |s[1:]| <= s[0]; "psd", a
+    positive semidefinite matrix of order n in n (n + 1) / 2 rows, the upper triangle by columns,
+    times sqrt 2 off the diagonal; "exp", s[1] exp(s[0] / s[1]) <= s[2]; and "power",
+    |s[-1]| <= prod s[i]^a[i] with exponents a > 0 whose sum is 1.
+    """
 
     kind: str
     rows: slice
     more: Any
-
-
-class Cones(NamedTuple):
-    """K: its blocks, in this order.
-
-    Attributes
-    ----------
-    zero, nonneg : int
-        Numbers of rows that are 0, and of rows that are >= 0.
-    soc : tuple of int
-        Rows of each second-order cone |s[1:]| <= s[0].
-    psd : tuple of int
-        Orders n of positive semidefinite matrices, in n (n + 1) / 2 rows: the upper triangle by
-        columns, with sqrt 2 times what is off the diagonal.
-    exp : int
-        Number of cones s[1] exp(s[0] / s[1]) <= s[2].
-    power : tuple of tuple of float
-        The exponents a > 0 of each cone |s[-1]| <= prod s[i]^a[i]; their sum is 1.
-    """
-
-    zero: int
-    nonneg: int
-    soc: tuple[int, ...]
-    psd: tuple[int, ...]
-    exp: int
-    power: tuple[tuple[float, ...], ...]
-
-    def blocks(self) -> list[Block]:
-        """All blocks behind the linear rows."""
-        sizes: list[tuple[str, int, Any]] = [
-            *(("soc", n, None) for n in self.soc),
-            *(("psd", n * (n + 1) // 2, n) for n in self.psd),
-            *(("exp", 3, None) for _ in range(self.exp)),
-            *(("power", len(a) + 1, a) for a in self.power),
-        ]
-        ends = np.cumsum([self.zero + self.nonneg, *(size for _, size, _ in sizes)]).tolist()
-        return [
-            Block(kind, slice(start, start + size), more)
-            for start, (kind, size, more) in zip(ends, sizes, strict=False)
-        ]
 
 
 class Conic(NamedTuple):
@@ -86,7 +52,7 @@ class Conic(NamedTuple):
     h: np.ndarray
     G: sp.csr_array
     H: sp.csr_array
-    K: Cones
+    K: list[Block]
 
 
 def conic(w: cp.Variable, constraints: list[cp.Constraint]) -> Conic:
@@ -100,9 +66,20 @@ def conic(w: cp.Variable, constraints: list[cp.Constraint]) -> Conic:
     A, dims = sp.csc_array(data["A"]), data["dims"]
     column = np.arange(A.shape[1]) - data["param_prob"].var_id_to_col[w.id]
     of_w = (column >= 0) & (column < w.size)
-    power: list[tuple[float, ...]] = [(float(a), 1 - float(a)) for a in dims.p3d]
-    power += [tuple(map(float, a)) for a in getattr(dims, "pnd", [])]
-    K = Cones(dims.zero, dims.nonneg, tuple(dims.soc), tuple(dims.psd), dims.exp, tuple(power))
+    exponents: list[tuple[float, ...]] = [(float(a), 1 - float(a)) for a in dims.p3d]
+    exponents += [tuple(map(float, a)) for a in getattr(dims, "pnd", [])]
+    sizes: list[tuple[str, int, Any]] = [
+        *[("zero", dims.zero, None), ("nonneg", dims.nonneg, None)],
+        *(("soc", size, None) for size in dims.soc),
+        *(("psd", n * (n + 1) // 2, n) for n in dims.psd),
+        *(("exp", 3, None) for _ in range(dims.exp)),
+        *(("power", len(a) + 1, a) for a in exponents),
+    ]
+    ends = np.cumsum([size for _, size, _ in sizes]).tolist()
+    K = [
+        Block(kind, slice(end - size, end), more)
+        for end, (kind, size, more) in zip(ends, sizes, strict=True)
+    ]
     h = np.array(data["b"], dtype=float)
     return Conic(h, sp.csr_array(A[:, of_w]), sp.csr_array(A[:, ~of_w]), K)
 
@@ -122,24 +99,24 @@ def in_own_units(C: Conic) -> Conic:
     return Conic(A[:, [-1]].toarray().ravel(), A[:, :n], A[:, n:-1], K)
 
 
-def _turn(K: Cones, size: int) -> sp.csr_array:
+def _turn(K: list[Block], size: int) -> sp.csr_array:
     """s0 + s1 and s0 - s1 for the first rows of second-order cones; its square is diagonal."""
-    cones = [rows for kind, rows, _ in K.blocks() if kind == "soc"]
+    cones = [rows for kind, rows, _ in K if kind == "soc"]
     i = np.array([rows.start for rows in cones if rows.stop - rows.start > 1], dtype=int)
     change = np.repeat([1.0, 1.0, -2.0], i.size)
     places = (np.concatenate([i, i + 1, i + 1]), np.concatenate([i + 1, i, i + 1]))
     return sp.csr_array(sp.eye_array(size) + sp.csr_array((change, places), shape=(size, size)))
 
 
-def _shear(K: Cones, D: np.ndarray) -> sp.csr_array:
+def _shear(K: list[Block], D: np.ndarray) -> sp.csr_array:
     """s0 + s1 log r in exponential cones whose s2 is multiplied by r times as much as s1."""
-    i = np.array([rows.start for kind, rows, _ in K.blocks() if kind == "exp"], dtype=int)
+    i = np.array([rows.start for kind, rows, _ in K if kind == "exp"], dtype=int)
     change = np.log(2.0) * (D[i + 2] - D[i + 1])
     moved = sp.csr_array((change, (i, i + 1)), shape=(D.size, D.size))
     return sp.csr_array(sp.eye_array(D.size) + moved)
 
 
-def _symmetries(K: Cones) -> sp.csr_array:
+def _symmetries(K: list[Block]) -> sp.csr_array:
     """S: for every x, shear turn^-1 diag(2^(S x)) turn is an automorphism of K.
 
     Each linear row has a unit of its own, every other block one for all of its rows. Matrices P s P
@@ -147,10 +124,12 @@ def _symmetries(K: Cones) -> sp.csr_array:
     so may s2 in exponential ones, s0 corrected, and in second-order cones the two factors of
     (s0 + s1) (s0 - s1) >= |s[2:]|^2: this is how cvxpy states |w|^2 <= t.
     """
-    parts: list[Any] = [sp.eye_array(K.zero + K.nonneg)]
-    for kind, rows, more in K.blocks():
-        part = np.ones((rows.stop - rows.start, 1))
-        if kind == "soc" and len(part) > 1:
+    parts: list[Any] = []
+    for kind, rows, more in K:
+        part: Any = np.ones((rows.stop - rows.start, 1))
+        if kind in ("zero", "nonneg"):
+            part = sp.eye_array(len(part))
+        elif kind == "soc" and len(part) > 1:
             part = np.pad(part, ((0, 0), (0, 1)))
             part[:2, 1] = [1, -1]
         elif kind == "exp":
@@ -186,28 +165,30 @@ def _exponents(A: sp.csr_array, symmetries: sp.csr_array, n: int) -> tuple[np.nd
     exact = {"atol": 0.0, "btol": 1e-13, "conlim": 0.0, "maxiter": 10 * sum(equations.shape)}
     weight = np.where(entries.col < entries.shape[1] - 1, 1.0, WEIGHT)
     goal = -weight * np.log2(entries.data)
-    found = np.floor(lsmr(sp.diags_array(weight) @ equations, goal, **exact)[0] + 0.5 + TIE)
-    x, E = np.split(found, [symmetries.shape[1]])
+    whole = np.floor(lsmr(sp.diags_array(weight) @ equations, goal, **exact)[0] + 0.5 + TIE)
+    x, E = np.split(whole, [symmetries.shape[1]])
     return symmetries @ x, np.concatenate([np.zeros(n), E[:-1], [0.0]])
 
 
-def in_dual(y: cp.Expression, K: Cones) -> list[cp.Constraint]:
+def in_dual(y: cp.Expression, K: list[Block]) -> list[cp.Constraint]:
     """y in the dual cone of K: <y, s> >= 0 for all s in K."""
     import cvxpy as cp
 
-    found = [y[K.zero : K.zero + K.nonneg] >= 0] if K.nonneg else []
-    for kind, rows, more in K.blocks():
+    dual = []
+    for kind, rows, more in K:
         part = y[rows]
-        if kind == "soc":
-            found.append(cp.SOC(part[0], part[1:]))
+        if kind == "nonneg" and part.size:
+            dual.append(part >= 0)
+        elif kind == "soc":
+            dual.append(cp.SOC(part[0], part[1:]))
         elif kind == "psd":
-            found.append(cp.reshape(_matrix(more) @ part, (more, more), order="F") >> 0)
+            dual.append(cp.reshape(_matrix(more) @ part, (more, more), order="F") >> 0)
         elif kind == "exp":
-            found.append(cp.ExpCone(-part[1], -part[0], np.e * part[2]))
-        else:
+            dual.append(cp.ExpCone(-part[1], -part[0], np.e * part[2]))
+        elif kind == "power":
             a = np.array(more)
-            found.append(cp.PowConeND(cp.multiply(1 / a, part[:-1]), part[-1], a))
-    return found
+            dual.append(cp.PowConeND(cp.multiply(1 / a, part[:-1]), part[-1], a))
+    return dual
 
 
 def _matrix(n: int) -> sp.csr_array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.linalg
@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from sweepopt.checks import divisor, matrix, number, vector
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
 from sweepopt.linalg import EPS, dense, row_lengths
-from sweepopt.sets.active_set import least_distance, projector
+from sweepopt.sets.active_set import Nearest, least_distance, projector
 from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
@@ -31,13 +31,6 @@ if TYPE_CHECKING:
 
 REFINEMENTS = 3  # of a point on a face: a long way there rounds
 ACTIVE_DIM = 1000  # up to here the active-set projection is used, beyond a sparse QP
-
-
-class _Normal(NamedTuple):
-    """A normal of a polyhedron, and the rows that it is made of."""
-
-    normal: np.ndarray
-    active: np.ndarray
 
 
 class Polyhedron(ConvexSet):
@@ -138,20 +131,20 @@ class Polyhedron(ConvexSet):
     def normal(self, v: np.ndarray) -> np.ndarray:
         v = vector("v", v, self.dim)
         exact = self._exact_normal(v, np.ones(self.dim))
-        return normal_by_program(self, v).p if exact is None else exact.normal
+        return normal_by_program(self, v).p if exact is None else exact.u
 
-    def _exact_normal(self, v: np.ndarray, tau: np.ndarray) -> _Normal | None:
-        """(v - w) / tau from the active rows, w the nearest point in the metric of 1 / tau.
+    def _exact_normal(self, v: np.ndarray, tau: np.ndarray) -> Nearest | None:
+        """u = (v - w) / tau from the active rows, w the nearest point in the metric of 1 / tau.
 
         None in large dimensions and where the rows are not found.
         """
         slack, root = self.h - self.G @ v, np.sqrt(tau)
         if (slack >= 0).all():
-            return _Normal(np.zeros(self.dim), np.zeros(0, dtype=int))
+            return Nearest(np.zeros(self.dim), np.zeros(0, dtype=int))
         if self.dim > ACTIVE_DIM:
             return None
         found = least_distance(_columns(self.G, root), slack, self._rounding(v))
-        return None if found is None else _Normal(0.0 - found.u / root, found.active)
+        return None if found is None else Nearest(0.0 - found.u / root, found.active)
 
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
@@ -180,7 +173,7 @@ class Polyhedron(ConvexSet):
         Q, R = np.linalg.qr((rows * root).T)
         multipliers = scipy.linalg.solve_triangular(R, Q.T @ (root * p))
         if (multipliers < 0).any():
-            multipliers = scipy.linalg.solve_triangular(R, Q.T @ (root * found.normal))
+            multipliers = scipy.linalg.solve_triangular(R, Q.T @ (root * found.u))
             multipliers = np.maximum(multipliers, 0.0)
         outside = scipy.linalg.solve_triangular(R, rows @ w - self.h[found.active], trans=1)
         point = self._on_face(w - root * (Q @ outside), found.active, root)
@@ -191,7 +184,7 @@ class Polyhedron(ConvexSet):
             point = None if y is None else self._on_face(w, np.flatnonzero(y), root)
         if point is not None:
             return NormalPair(self.G.T @ y, point, 0.0)
-        inside = v - tau * found.normal
+        inside = v - tau * found.u
         gap = multipliers @ np.abs(rows @ inside - self.h[found.active])
         return NormalPair(multipliers @ rows, inside, float(gap))
 
@@ -222,7 +215,7 @@ class Polyhedron(ConvexSet):
 
     def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
         found = self._exact_normal(w, tau)
-        return self.project(w) if found is None else w - tau * found.normal
+        return self.project(w) if found is None else w - tau * found.u
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -292,11 +285,11 @@ class HalfSpace(Polyhedron):
             return float("inf")
         return factor * self.offset
 
-    def _exact_normal(self, v: np.ndarray, tau: np.ndarray) -> _Normal:
+    def _exact_normal(self, v: np.ndarray, tau: np.ndarray) -> Nearest:
         row = self.G[0]
         length = float(np.linalg.norm(row * np.sqrt(tau)))
         excess = float(row @ v) - self.offset
-        return _Normal(max(excess, 0.0) / length * (row / length), np.flatnonzero([excess > 0]))
+        return Nearest(max(excess, 0.0) / length * (row / length), np.flatnonzero([excess > 0]))
 
     def _distance(self, other: ConvexSet) -> float | None:
         if not (isinstance(other, HalfSpace) and same_array(self.G, other.G)):

@@ -172,7 +172,7 @@ class Similar(ConvexSet):
     def nonsmooth_dim(self) -> int:
         return self.part.nonsmooth_dim
 
-    @property
+    @cached_property  # a step asks for that of the shape that it moves
     def selection(self) -> Selection | None:
         inner = self.part.selection
         if inner is None:

@@ -24,36 +24,32 @@ def advice(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
     Returns
     -------
     pandas DataFrame
-        A row a problem and target, with the columns problem, target and those of the cell; a
-        target that no cell meets has no row.
+        A row a problem and target, with the columns of the cell and its target; a target
+        that no cell meets has no row.
     """
     import pandas as pd
 
-    known = table[table.success & table.error.notna()]
-    chosen = []
-    for problem in table.problem.unique():
-        mine = known[known.problem == problem]
-        for target in targets:
-            enough = mine[mine.error <= target * mine["size"]]
-            if len(enough):
-                chosen.append({"target": target, **enough.loc[enough.wall.idxmin()].to_dict()})
-    columns = ["problem", "target", *(name for name in table.columns if name != "problem")]
-    return pd.DataFrame(chosen, columns=columns)
+    known = table[table.success & table.error.notna()].sort_values("wall", kind="stable")
+    chosen = [
+        known[known.error <= target * known["size"]]
+        .drop_duplicates("problem")
+        .assign(target=target)
+        for target in targets
+    ]
+    return pd.concat(chosen, ignore_index=True)
 
 
 def advice_table(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
     """The advice in words: a row a problem, a column a target, "-" where no cell meets it."""
-    import pandas as pd
-
-    chosen = {
-        (row.problem, row.target): f"{row.scheme} {row.steps} {row.solver}, {1e3 * row.wall:.3g} ms"
-        for row in advice(table, targets).itertuples()
-    }
-    rows = {
-        problem: {f"{target:g}": chosen.get((problem, target), "-") for target in targets}
-        for problem in table.problem.unique()
-    }
-    return pd.DataFrame.from_dict(rows, orient="index")
+    chosen = advice(table, targets)
+    words = [
+        f"{row.scheme} {row.steps} {row.solver}, {1e3 * row.wall:.3g} ms"
+        for row in chosen.itertuples()
+    ]
+    wide = chosen.assign(words=words).pivot(index="problem", columns="target", values="words")
+    wide = wide.reindex(index=table.problem.unique(), columns=list(targets)).astype(object)
+    wide = wide.where(wide.notna(), "-")
+    return wide.rename(columns="{:g}".format).rename_axis(index=None, columns=None)
 
 
 def summary(table: DataFrame, targets: Sequence[float] = TARGETS) -> str:

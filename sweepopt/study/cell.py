@@ -18,7 +18,7 @@ from sweepopt.errors import SweepoptError, SweepoptWarning
 from sweepopt.results import Solution
 from sweepopt.solve import solve
 from sweepopt.study.machine import one_thread, processor, versions
-from sweepopt.study.reference import Reference, absent, distance, error_of
+from sweepopt.study.reference_states import Reference, absent, distance, error_of
 from sweepopt.study.sources import Source
 from sweepopt.velocity import Cvxpy
 

@@ -7,20 +7,19 @@ what is not whole is not there, and is computed again.
 
 from __future__ import annotations
 
-import io
 import json
 import math
 import os
-import zipfile
 import zlib
 from pathlib import Path
 from typing import Any, get_type_hints
 
 import numpy as np
 
-from sweepopt.io import put, replacing
+from sweepopt.errors import DamagedFileError
+from sweepopt.io import put, read_npz, write_npz
 from sweepopt.study.cell import Cell, CellRow
-from sweepopt.study.reference import Reference
+from sweepopt.study.reference_states import Reference
 
 COLUMNS: dict[str, Any] = get_type_hints(CellRow)
 
@@ -65,18 +64,16 @@ class Ledger:
     def reference(self, cell: Cell) -> Reference | None:
         """The reference of a cell, None if it is not finished."""
         try:
-            content = io.BytesIO(self._reference(cell).read_bytes())
-            with np.load(content, allow_pickle=False) as archive:
-                u, uncertainty, words = archive["u"], archive["uncertainty"], archive["words"]
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+            record, arrays = read_npz(self._reference(cell))
+        except (OSError, DamagedFileError):
             return None
-        return Reference(u, float(uncertainty), str(words[0]), str(words[1]))
+        return Reference(arrays["u"], **record)
 
     def keep_reference(self, cell: Cell, reference: Reference) -> None:
         """Keep the reference of a cell; a zip has a checksum for each of its entries."""
-        words = np.array([reference.kind, reference.message])
-        with replacing(self._reference(cell)) as part, part.open("wb") as file:
-            np.savez(file, u=reference.u, uncertainty=reference.uncertainty, words=words)
+        record = reference._asdict()
+        arrays = {"u": record.pop("u")}
+        write_npz(self._reference(cell), record, arrays)
 
     def _reference(self, cell: Cell) -> Path:
         name = f"{cell.problem.name}-{cell.problem.digest[:16]}-{cell.steps}.npz"

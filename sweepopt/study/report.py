@@ -8,51 +8,34 @@ from __future__ import annotations
 
 import html
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from sweepopt.errors import InputError, Status, brought_by
 from sweepopt.io import put
 from sweepopt.results import Solution
 from sweepopt.study.advice import advice_table
 from sweepopt.study.band import most_moving
-from sweepopt.study.diagram import (
-    ACCURACIES,
-    COLOURS,
-    COLUMNS,
-    COSTS,
-    check_table,
-    curves,
-    indices,
-    placed,
-)
+from sweepopt.study.diagram import ACCURACIES, COLOURS, COLUMNS, COSTS, check_table, placed
 from sweepopt.study.hard import FAMILIES
-from sweepopt.study.hard.table import TARGET, HardRow
+from sweepopt.study.hard.suite import TARGET, HardRow
 from sweepopt.study.machine import processor, versions
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
+    from pandas import DataFrame, Series
 
-SYMBOLS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross", "star")
 SHOWN = [
     *("problem", "scheme", "solver", "steps", "tol", "status", "error", "bound", "guaranteed"),
     *("certificate", "wall", "solver_calls", "unknowns", "path", "message"),
 ]
-LEAST = 1e-18  # hard cases: errors of 0, of bodies at rest, are drawn here
-NUMBERS = {
-    "tol": "g",
-    "error": ".2e",
-    "bound": ".2e",
-    "certificate": ".1e",
-    "seconds": ".3g",
-    "solver_calls": ".0f",
-    "unknowns": ".0f",
-}
+NUMBERS = {"tol": ":g", "error": ":.2e", "bound": ":.2e", "wall": ":.3g", "solver_calls": ":.0f"}
+TOOLTIP: dict[str, Any] = {"y": False, "kind": False, "steps": True, **NUMBERS, "status": True}
+"""Columns of a cell's tooltip and their formats."""
+LEAST = 1e-18
+"""Hard cases: errors of 0, of bodies at rest, are drawn here."""
 PAGE = Template("""\
 <!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>$title</title>
@@ -123,16 +106,20 @@ def write_report(
         from plotly.offline import get_plotlyjs
 
     parts = []
+    here = {"machine": processor(), **versions()}
     if table is not None:
         check_table(table)
+        here = {name: " / ".join(map(str, table[name].unique())) for name in here}
         parts += _study_section(table)
     if solutions:
-        parts += ["<h2>Trajectories</h2>", _html(_trajectory_figure(solutions))]
+        parts += ["<h2>Trajectories</h2>", _page_of(_trajectories(solutions))]
     if hard:
         parts += _hard_section(hard)
+    date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+    about = [date, here.pop("machine"), ", ".join(" ".join(pair) for pair in here.items())]
     page = PAGE.substitute(
         title=html.escape(title),
-        about=html.escape(_about(table)),
+        about=html.escape("; ".join(about)),
         plotly=get_plotlyjs(),
         body="\n".join(parts),
     )
@@ -140,25 +127,9 @@ def write_report(
     return target
 
 
-def _about(table: DataFrame | None) -> str:
-    """When the report was written, and where its cells ran."""
-    date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
-    here = {"machine": processor(), **versions()}
-    if table is not None:
-        here = {name: " / ".join(map(str, table[name].unique())) for name in here}
-    machine = here.pop("machine")
-    return "; ".join([date, machine, ", ".join(" ".join(pair) for pair in here.items())])
-
-
-# ---- the study --------------------------------------------------------------------------------
-
-
 def _study_section(table: DataFrame) -> list[str]:
-    failed = int((~table.success).sum())
     usual = Status.SUCCESS.value  # the one message that need not be shown
-    status = ["" if good else "✗ " for good in table.success] + table.status
-    message = table.message.str.replace(usual, "", regex=False)
-    shown = table[SHOWN].assign(status=status, message=message).rename(columns={"wall": "seconds"})
+    shown = table[SHOWN].assign(message=table.message.str.replace(usual, "", regex=False))
     return [
         "<h2>The fastest way to each relative error</h2>",
         advice_table(table).to_html(border=0),
@@ -166,212 +137,159 @@ def _study_section(table: DataFrame) -> list[str]:
         "<p>Down is more accurate, left is cheaper; what failed stands above the others, an error "
         "of 0 below them. A click in the legend hides a line in all panels, a double click hides "
         "all others.</p>",
-        _html(_cost_figure(table)),
-        f'<h2>All cells</h2><p class="{"bad" if failed else "good"}">{len(table)} cells, '
-        f"{failed} failed</p>",
-        _table(shown.iloc[np.argsort(table.success, kind="stable")]),
+        _page_of(_cost_figure(table)),
+        "<h2>All cells</h2>",
+        _count(len(table), "cells", int((~table.success).sum()), "failed"),
+        _table(shown, "status", table.success),
     ]
 
 
 def _cost_figure(table: DataFrame) -> Any:
     """Error against cost, a panel a problem; a menu chooses the cost."""
-    from plotly.subplots import make_subplots
+    import pandas as pd
+    import plotly.express as px
 
-    problems = list(table.problem.unique())
-    columns = min(len(problems), COLUMNS)
-    titles = [html.escape(problem) for problem in problems]
-    figure = make_subplots(-(-len(problems) // columns), columns, subplot_titles=titles)
-    schemes, solvers = indices(table, "scheme"), indices(table, "solver")
-    cells: list[DataFrame] = []  # those of each trace, for the menu
-
-    def add(k: int, rows: DataFrame, y: str, name: str, **style: Any) -> None:
-        if len(rows):
-            cells.append(rows)
-            figure.add_scatter(
-                x=rows.wall.tolist(),
-                y=rows[y].tolist(),
-                name=name,
-                legendgroup=name,
-                showlegend=name not in {trace.name for trace in figure.data},
-                legendrank=1000 + (style["mode"] != "lines+markers"),
-                hovertext=[_tooltip(row) for row in table.loc[rows.index].to_dict("records")],
-                hoverinfo="text",
-                row=k // columns + 1,
-                col=k % columns + 1,
-                **style,
-            )
-
-    for k, problem in enumerate(problems):
-        for name, rows in curves(placed(table[table.problem == problem])):
-            colour = COLOURS[schemes[rows.scheme.iloc[0]] % len(COLOURS)]
-            symbol = SYMBOLS[solvers[rows.solver.iloc[0]] % len(SYMBOLS)]
-            known = rows[rows.kind == "known"]
-            marker = {"symbol": symbol, "size": 8}
-            add(k, known, "y", name, mode="lines+markers", line_color=colour, marker=marker)
-            proved = known[known.guaranteed & np.isfinite(known.bound)]
-            dashed = {"dash": "dash", "width": 1, "color": colour}
-            add(k, proved, "bound", "guaranteed bound", mode="lines", line=dashed)
-            for kind, others in rows[rows.kind != "known"].groupby("kind"):
-                sign = "x" if kind == "failed" else "circle-open"
-                marker = {"symbol": sign, "size": 9, "color": colour}
-                add(k, others, "y", kind, mode="markers", marker=marker)
-    axis = {"type": "log", "exponentformat": "power"}
+    panels = []
+    for _, rows in table.sort_values("steps", kind="stable").groupby("problem", sort=False):
+        for cost, words in COSTS.items():
+            rows = placed(rows, cost, "error").rename(columns={"x": words})
+        panels.append(rows)
+    cells = pd.concat(panels)
+    proved = cells[(cells.kind == "known") & cells.guaranteed]
+    figure = px.line(
+        pd.concat([cells, proved.assign(y=proved.bound, kind="guaranteed bound")]),
+        x=COSTS["wall"],
+        y="y",
+        color="scheme",
+        symbol="solver",
+        line_dash="kind",
+        line_dash_map={"known": "solid", "guaranteed bound": "dash"},
+        line_group="tol",
+        category_orders={name: list(table[name].unique()) for name in ("scheme", "solver")},
+        custom_data=list(COSTS.values()),
+        hover_data=TOOLTIP,
+        **_panels("problem", table.problem),
+    )
+    styles = {
+        "known": {"mode": "lines+markers", "marker_size": 8},
+        "guaranteed bound": {"mode": "lines"},
+        "failed": {"mode": "markers", "marker": {"symbol": "x", "size": 9}},
+    }
+    unknown = {"mode": "markers", "marker": {"symbol": "circle-open", "size": 9}}
+    names: set[str] = set()
+    for trace in figure.data:
+        scheme, kind, solver = trace.name.split(", ")
+        name = f"{scheme} · {solver}" if kind == "known" else kind
+        trace.update(name=name, legendgroup=name, showlegend=name not in names)
+        trace.update(styles.get(kind, unknown))
+        names.add(name)
+    axis = {"type": "log", "exponentformat": "power", "matches": None, "showticklabels": True}
     figure.update_xaxes(title_text=COSTS["wall"], **axis)
-    figure.update_yaxes(**axis)
+    figure.update_yaxes(title_text="", **axis)
     figure.update_yaxes(title_text=f"{ACCURACIES['error']}, |·|<sub>A</sub>", col=1)
     titles = [f"{name}.title.text" for name in figure.layout if name.startswith("xaxis")]
     buttons = [
         {
             "label": words,
             "method": "update",
-            "args": [{"x": [rows[cost].tolist() for rows in cells]}, dict.fromkeys(titles, words)],
+            "args": [
+                {"x": [trace.customdata[:, k].tolist() for trace in figure.data]},
+                dict.fromkeys(titles, words),
+            ],
         }
-        for cost, words in COSTS.items()
+        for k, words in enumerate(COSTS.values())
     ]
     menu = {"buttons": buttons, "x": 1.02, "xanchor": "left", "y": 1.0, "yanchor": "bottom"}
-    height = 120 + 330 * -(-len(problems) // columns)
-    figure.update_layout(updatemenus=[menu], height=height)
-    return figure
+    return figure.update_layout(updatemenus=[menu])
 
 
-def _tooltip(row: dict[str, Any]) -> str:
-    """A cell in the lines of a tooltip, escaped: Plotly reads some HTML in it."""
-    lines = [
-        f"{row['scheme']} · {row['solver']}, {row['steps']} steps, tol {row['tol']:g}",
-        f"{row['wall']:.3g} s, {row['solver_calls']:.0f} solver calls",
-        f"error {row['error']:.2e}, bound {row['bound']:.2e}",
-    ]
-    if not row["success"]:
-        lines = [lines[0], row["status"], row["message"][:200]]
-    return "<br>".join(html.escape(str(line)) for line in lines)
+def _trajectories(solutions: Mapping[str, Solution]) -> Any:
+    """A panel a run: the component that moves most, in its guaranteed band."""
+    import pandas as pd
+    import plotly.express as px
+
+    curves = []
+    for name, solution in solutions.items():
+        t, u, band, k = most_moving(solution)
+        curve = {"t": t, "at least": u - band, "at most": u + band, "computed": u}
+        curves.append(pd.DataFrame(curve).assign(run=f"{name}, u[{k}]"))
+    frame = pd.concat(curves)
+    drawn = ["at least", "at most", "computed"]
+    figure = px.line(frame, x="t", y=drawn, **_panels("run", frame.run))
+    figure.update_traces(line_color=COLOURS[0])
+    figure.update_traces(line_width=0, selector={"name": "at least"})
+    figure.update_traces(line_width=0, fill="tonexty", selector={"name": "at most"})
+    figure.update_xaxes(matches=None, showticklabels=True, title_text="t")
+    return figure.update_yaxes(matches=None, showticklabels=True, title_text="")
 
 
-# ---- trajectories -----------------------------------------------------------------------------
-
-
-def _trajectory_figure(solutions: Mapping[str, Solution]) -> Any:
-    """A panel a run, with its guaranteed band."""
-    from plotly.subplots import make_subplots
-
-    curves = {name: most_moving(solution) for name, solution in solutions.items()}
-    columns = min(len(curves), COLUMNS)
-    titles = [html.escape(f"{name}, u[{curve.component}]") for name, curve in curves.items()]
-    figure = make_subplots(-(-len(curves) // columns), columns, subplot_titles=titles)
-    for k, (t, u, band, _) in enumerate(curves.values()):
-        place = {"row": k // columns + 1, "col": k % columns + 1}
-        known = band is not None
-        figure.add_scatter(
-            x=t.tolist(),
-            y=u.tolist(),
-            name="computed",
-            legendgroup="computed",
-            showlegend=k == 0,
-            line_color=COLOURS[0],
-            customdata=band.tolist() if band is not None else None,
-            hovertemplate="t = %{x:.5g}<br>u = %{y:.5g}" + known * " ± %{customdata:.2g}",
-            **place,
-        )
-        if band is not None:
-            figure.add_scatter(
-                x=np.concatenate([t, t[::-1]]).tolist(),
-                y=np.concatenate([u + band, (u - band)[::-1]]).tolist(),
-                name="guaranteed band",
-                legendgroup="guaranteed band",
-                showlegend="guaranteed band" not in {trace.name for trace in figure.data},
-                fill="toself",
-                mode="none",
-                opacity=0.3,
-                fillcolor=COLOURS[0],
-                hoverinfo="skip",
-                **place,
-            )
-    figure.update_layout(height=80 + 300 * -(-len(curves) // columns))
-    figure.update_xaxes(title_text="t")
-    return figure
-
-
-# ---- hard cases -------------------------------------------------------------------------------
-
-
-def _hard_section(rows: Sequence[HardRow]) -> list[str]:
+def _hard_section(hard: Sequence[HardRow]) -> list[str]:
     import pandas as pd
 
-    wrong = sum(not row.good for row in rows)
-    table = pd.DataFrame(rows)
-    table["verdict"] = [("✓ " if row.good else "✗ ") + row.verdict for row in rows]
-    table = table.iloc[np.argsort([row.good for row in rows], kind="stable")]
-    about = pd.DataFrame(
-        [(name, FAMILIES[name].__doc__) for name in table.family.unique() if name in FAMILIES],
-        columns=["family", "what is hard about it"],
-    )
+    table, good = pd.DataFrame(hard), pd.Series([row.good for row in hard])
+    families = [name for name in table.family.unique() if name in FAMILIES]
+    about = pd.DataFrame({"what is hard about it": [FAMILIES[name].__doc__ for name in families]})
     return [
         "<h2>Hard cases</h2>",
-        f'<p class="{"bad" if wrong else "good"}">{len(rows)} runs, {wrong} wrong</p>',
+        _count(len(table), "runs", int((~good).sum()), "wrong"),
         "<p>The worst step of each run, judged by its exact velocity: the true error stays below "
         f"{TARGET:g} and below the certificate. A click in the legend hides a solver.</p>",
-        _html(_hard_figure(rows)),
-        _table(table.drop(columns="excess")),
-        "<h3>The families</h3>" + _table(about),
+        _page_of(_hard_figure(table)),
+        _table(table.drop(columns="excess"), "verdict", good),
+        "<h3>The families</h3>" + about.set_axis(families).to_html(border=0),
     ]
 
 
-def _hard_figure(rows: Sequence[HardRow]) -> Any:
+def _hard_figure(table: DataFrame) -> Any:
     """The true error of each run against its certificate."""
-    import plotly.graph_objects as go
+    import plotly.express as px
 
-    figure = go.Figure()
-    for k, solver in enumerate(dict.fromkeys(row.solver for row in rows)):
-        mine = [row for row in rows if row.solver == solver and row.error == row.error]
-        figure.add_scatter(
-            x=[max(row.certificate, LEAST) for row in mine],
-            y=[max(row.error, LEAST) for row in mine],
-            mode="markers",
-            name=solver or "refused",
-            marker={"color": COLOURS[k % len(COLOURS)], "symbol": SYMBOLS[k % len(SYMBOLS)]},
-            hovertext=[
-                "<br>".join(
-                    html.escape(line)
-                    for line in (
-                        f"{row.family}, seed {row.seed}, {row.path}, {row.solver}",
-                        f"error {row.error:.1e}, certificate {row.certificate:.1e}",
-                        f"solved by {row.solved_by}: {row.verdict}",
-                    )
-                )
-                for row in mine
-            ],
-            hoverinfo="text",
-        )
-    ends = [LEAST, 1.0]
-    figure.add_scatter(x=ends, y=ends, mode="lines", name="error = certificate", line_color="#888")
-    figure.add_scatter(
-        x=ends, y=[TARGET] * 2, mode="lines", name="target", line={"color": "#888", "dash": "dot"}
+    figure = px.scatter(
+        table.dropna(subset="error").assign(
+            certificate=table.certificate.clip(lower=LEAST), error=table.error.clip(lower=LEAST)
+        ),
+        x="certificate",
+        y="error",
+        color="solver",
+        symbol="solver",
+        color_discrete_sequence=COLOURS,
+        hover_data=["family", "seed", "path", "solved_by", "verdict"],
+        log_x=True,
+        log_y=True,
     )
-    axes = {"type": "log", "exponentformat": "power"}
-    figure.update_xaxes(title_text="certificate, relative", **axes)
-    figure.update_yaxes(title_text="true error, relative", **axes)
-    figure.update_layout(height=480)
-    return figure
+    figure.add_shape(type="line", x0=LEAST, y0=LEAST, x1=1, y1=1, name="error = certificate")
+    figure.add_hline(TARGET, line_dash="dot", annotation_text="target")
+    figure.update_xaxes(title_text="certificate, relative", exponentformat="power")
+    return figure.update_yaxes(title_text="true error, relative", exponentformat="power")
 
 
-# ---- both -------------------------------------------------------------------------------------
+def _panels(column: str, names: Iterable[str]) -> dict[str, Any]:
+    """Arguments of Plotly Express for a panel a name, and for colours as in the picture."""
+    count = len(set(names))
+    return {
+        "facet_col": column,
+        "facet_col_wrap": min(count, COLUMNS),
+        "height": 120 + 320 * -(-count // COLUMNS),
+        "color_discrete_sequence": COLOURS,
+    }
 
 
-def _html(figure: Any) -> str:
+def _page_of(figure: Any) -> str:
+    """A diagram as a part of the page."""
+    # "run=block" of a panel's title
+    figure.for_each_annotation(lambda one: one.update(text=one.text.rpartition("=")[2]))
     figure.update_layout(template="plotly_white", margin={"t": 60, "l": 60, "r": 20, "b": 50})
     config = {"displaylogo": False, "responsive": True}
     return str(figure.to_html(full_html=False, include_plotlyjs=False, config=config))
 
 
-def _table(table: DataFrame) -> str:
-    """Numbers in few digits, what is missing as a dash; text is escaped by pandas."""
+def _count(total: int, things: str, bad: int, how: str) -> str:
+    return f'<p class="{"bad" if bad else "good"}">{total} {things}, {bad} {how}</p>'
 
-    def written(form: str) -> Any:
-        return lambda x: "-" if x != x else format(x, form)
 
-    formats = {
-        name: written(form)
-        for name, form in NUMBERS.items()
-        if name in table and table[name].dtype.kind == "f"
-    }
-    text = table.to_html(index=False, border=0, na_rep="-", formatters=formats)
+def _table(table: DataFrame, column: str, good: Series) -> str:
+    """What is not good comes first, marked in a column; text is escaped by pandas."""
+    marked = table[column].where(good, "✗ " + table[column])
+    table = table.assign(**{column: marked}).loc[good.sort_values(kind="stable").index]
+    text = table.to_html(index=False, border=0, na_rep="-", float_format="{:.3g}".format)
     return f'<div class="scroll">{text}</div>'

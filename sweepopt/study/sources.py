@@ -70,18 +70,17 @@ def find_source(name: str, folder: str | Path = ".") -> Source:
     >>> find_source("S03").name, Path(find_source("tube").path).name
     ('S03', 'tube.toml')
     """
-    path = Path(folder, name)
     if name in problems.PROBLEMS:
-        path = Path(problems.__file__)
-    elif path.suffix != ".toml":
+        return Source(name, str(problems.FILE), _digest(problems.FILE))
+    path = Path(folder, name)
+    if path.suffix != ".toml":
         try:
             path = find_scene(name)
         except InputError as error:
             known = ", ".join(problems.PROBLEMS)
             raise InputError(f"{error}, and for studies {known}") from error
     path = path.resolve()
-    small = name in problems.PROBLEMS
-    return Source(name if small else path.stem, str(path), _digest(path))
+    return Source(path.stem, str(path), _digest(path))
 
 
 @lru_cache(maxsize=8)
@@ -89,7 +88,7 @@ def _opened(source: Source) -> Posed:
     path = Path(source.path)
     if _digest(path) != source.digest:
         raise SweepoptError(f"{path} is not as it was when the study started; start it again")
-    if path.suffix != ".toml":
+    if path == problems.FILE:
         small = problems.problem(source.name)
         return Posed(small.process(), small.t_end)
     from sweepopt.fem import read_scene
@@ -100,10 +99,9 @@ def _opened(source: Source) -> Posed:
 
 
 def _digest(path: Path) -> str:
-    """Of a file and, if it is a scene, of its mesh and its tables."""
+    """Of a file, of its mesh and of its tables."""
     digest = hashlib.sha256()
-    named = _named(read_toml(path)) if path.suffix == ".toml" else []
-    for file in (path, *(path.parent / name for name in named)):
+    for file in (path, *(path.parent / name for name in _named(read_toml(path)))):
         digest.update(hashlib.sha256(read_bytes(file)).digest())
     return digest.hexdigest()
 

@@ -7,21 +7,23 @@ One row a combination, failures included, kept as soon as it is finished: run ag
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import nullcontext
-from dataclasses import MISSING, asdict, dataclass, fields
-from itertools import product
+from dataclasses import asdict, dataclass
+from functools import partial
+from itertools import islice, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sweepopt.checks import count, listed, number
+from sweepopt.checks import count, number
 from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, read_toml
 from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, blank, failed, run_cell
 from sweepopt.study.ledger import Ledger
-from sweepopt.study.reference import absent, make_reference
+from sweepopt.study.records import each, known, read_record
+from sweepopt.study.reference_states import absent, make_reference
 from sweepopt.study.sources import Source, find_source
 from sweepopt.velocity import solvers
 
@@ -30,8 +32,8 @@ if TYPE_CHECKING:
 
 IN_FLIGHT = 64
 """Cells handed to an executor at a time: each carries its reference."""
-Jobs = Iterable[tuple[Cell, tuple[Any, ...]]]
-"""Cells and the arguments of the function that is called for each."""
+Jobs = Iterator[tuple[Any, ...]]
+"""Cells, what is called for each, and its arguments."""
 WORKER_DIED = ("WorkerDiedError", "KilledWorker")
 """Exceptions, ours and dask's, of a cell whose workers died; others end the study."""
 
@@ -80,15 +82,14 @@ class Study:
     def __post_init__(self) -> None:
         checks: dict[str, Callable[[str, Any], object]] = {
             "problems": _text,
-            "schemes": _scheme,
+            "schemes": known(("auto", *schemes.SCHEMES)),
             "solvers": _solver,
             "steps": count,
-            "tols": lambda name, value: number(name, value, minimum=0.0, strict=True),
+            "tols": partial(number, minimum=0.0, strict=True),
         }
         for name, check in checks.items():
-            entries = listed(name, getattr(self, name))
+            entries = each(name, getattr(self, name), check)
             for k, entry in enumerate(entries):
-                check(f"{name}[{k}]", entry)
                 if entry in entries[:k]:
                     raise InputError(f"{name}[{k}]: {shown(entry)} is there twice")
             object.__setattr__(self, name, entries)
@@ -148,15 +149,8 @@ def read_study(path: str | Path) -> Study:
     path = as_path("path", path)
     data = read_toml(path)
     data.pop("hard", None)
-    keys = {field.name: field for field in fields(Study) if field.name != "folder"}
-    for key in data:
-        if key not in keys:
-            raise InputError(f"{path}: {key}: unknown key; there are: {', '.join(keys)}")
-    for key, field in keys.items():
-        if field.default is MISSING and key not in data:
-            raise InputError(f"{path}: {key}: is missing")
+    study = read_record(f"{path}: ", Study, data, folder=str(path.parent))
     try:
-        study = Study(**data, folder=str(path.parent))
         study.sources()
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
@@ -196,7 +190,6 @@ def run(
     MissingExtraError
         If a package of the extra "study" is missing.
     """
-    _require_pandas()
     cells, ledger = study.cells(), Ledger(Path(folder))
     ledger.describe(asdict(study))
     todo = [cell for cell in cells if ledger.row(cell) is None]
@@ -204,15 +197,14 @@ def run(
     grids = {(cell.problem, cell.steps): cell for cell in todo}
     missing = [cell for cell in grids.values() if ledger.reference(cell) is None]
     with nullcontext(executor) if executor else ThreadPoolExecutor(1) as pool:
-        jobs: Jobs = ((cell, (cell.problem, cell.steps)) for cell in missing)
-        for k, (cell, future) in enumerate(_computed(pool, make_reference, jobs), start=1):
-            error = future.exception()
-            ledger.keep_reference(cell, absent(str(error)) if error else future.result())
+        jobs: Jobs = ((cell, make_reference, cell.problem, cell.steps) for cell in missing)
+        for k, (cell, made) in enumerate(_computed(pool, jobs), start=1):
+            died = isinstance(made, Exception)
+            ledger.keep_reference(cell, absent(str(made)) if died else made)
             progress(f"reference {k} of {len(missing)}: {cell.problem.name} {cell.steps} steps")
-        jobs = ((cell, (cell, ledger.reference(cell))) for cell in todo)
-        for k, (cell, future) in enumerate(_computed(pool, run_cell, jobs), start=1):
-            error = future.exception()
-            row = failed(blank(cell), error) if error else future.result()
+        jobs = ((cell, run_cell, cell, ledger.reference(cell)) for cell in todo)
+        for k, (cell, made) in enumerate(_computed(pool, jobs), start=1):
+            row = failed(blank(cell), made) if isinstance(made, Exception) else made
             ledger.keep(row)
             progress(f"{k} of {len(todo)}: {cell}: {row.status}")
     return read_table(study, folder)
@@ -220,27 +212,23 @@ def run(
 
 def read_table(study: Study, folder: str | Path) -> DataFrame:
     """The finished cells of a study as a table, whether or not there are more to come."""
-    _require_pandas()
-    import pandas as pd
+    with brought_by("study"):
+        import pandas as pd
 
     ledger = Ledger(Path(folder))
     rows = [row for cell in study.cells() if (row := ledger.row(cell)) is not None]
     return pd.DataFrame(rows, columns=list(CellRow._fields))
 
 
-def _computed(
-    executor: Executor, function: Callable[..., Any], jobs: Jobs
-) -> Iterator[tuple[Cell, Future[Any]]]:
-    """Cells and their finished futures as they come, a limited number of jobs under way.
+def _computed(executor: Executor, jobs: Jobs) -> Iterator[tuple[Cell, Any]]:
+    """Cells and their results as they come, a limited number of jobs under way.
 
-    Raises what a function raised, but for the death of its workers.
+    The death of a job's workers is its result; other exceptions are raised.
     """
     running: dict[Future[Any], Cell] = {}
-    jobs = iter(jobs)
     try:
         while True:
-            while len(running) < IN_FLIGHT and (job := next(jobs, None)) is not None:
-                cell, arguments = job
+            for cell, function, *arguments in islice(jobs, IN_FLIGHT - len(running)):
                 running[executor.submit(function, *arguments)] = cell
             if not running:
                 return
@@ -249,7 +237,7 @@ def _computed(
                 error = future.exception()
                 if error is not None and type(error).__name__ not in WORKER_DIED:
                     raise error
-                yield running.pop(future), future
+                yield running.pop(future), error or future.result()
     finally:
         for future in running:
             future.cancel()
@@ -260,20 +248,6 @@ def _text(name: str, value: Any) -> None:
         raise InputError(f"{name} must be text, got {shown(value)}")
 
 
-def _scheme(name: str, value: Any) -> None:
-    _known(name, value, ("auto", *schemes.SCHEMES))
-
-
 def _solver(name: str, value: Any) -> None:
     if not (isinstance(value, str) and value.startswith(THROUGH_CVXPY)):
-        _known(name, value, ("auto", *solvers.REGISTRY, f"{THROUGH_CVXPY}NAME"))
-
-
-def _known(name: str, value: Any, names: tuple[str, ...]) -> None:
-    if value not in names:
-        raise InputError(f"{name}: {shown(value)} is not known; use {', '.join(names)}")
-
-
-def _require_pandas() -> None:
-    with brought_by("study"):
-        import pandas  # noqa: F401
+        known(("auto", *solvers.REGISTRY, f"{THROUGH_CVXPY}NAME"))(name, value)

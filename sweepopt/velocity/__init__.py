@@ -12,7 +12,7 @@ from sweepopt.velocity.compiled import (
 )
 from sweepopt.velocity.plan import PATHS, Plan, make_plan
 from sweepopt.velocity.program import VelocityProgram, untranslated
-from sweepopt.velocity.proportional import ReconstructionResiduals, Reduction
+from sweepopt.velocity.proportional import Reduction
 from sweepopt.velocity.solvers import (
     DAQP,
     OSQP,
@@ -38,7 +38,6 @@ __all__ = [
     "Cvxpy",
     "Newton",
     "Plan",
-    "ReconstructionResiduals",
     "Reduction",
     "Solve",
     "Solver",

@@ -2,7 +2,7 @@
 
 A solver fails on the one step in a thousand that another takes with ease: its tighter settings,
 Newton steps from its answer and the other solvers stand behind it. The certificate judges them all
-alike. A closed form has no need of a cascade.
+alike.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from functools import cache
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -87,14 +88,31 @@ def _chain(
 
 
 class Cascade:
-    """Instance -> the first velocity that meets the tolerance, or the best, for one cone.
+    """Instance -> its velocity: at rest, by a formula, or by the first solver that meets `tol`.
 
-    A solver is compiled when it is asked first.
+    Where no solver does it is the best. A solver is compiled when it is asked first.
+
+    Parameters
+    ----------
+    inclusion : Inclusion
+    solver : str or Solver
+        The user's choice.
+    cone : ConvexSet
+        Any member of the family on the unknowns of the inclusion's program.
+    tol : float
     """
 
     def __init__(self, inclusion: Inclusion, solver: Any, cone: ConvexSet, tol: float) -> None:
-        self._inclusion, self._cone, self._tol = inclusion, cone, tol
-        self._attempts = list(attempts(solver, inclusion.M, cone, tol))
+        self.inclusion, self._cone, self._tol = inclusion, cone, tol
+        M = inclusion.M.small
+        # z = M^-1 (P_S(q) - q) where the projection in M's metric is the set's own: box, ball
+        self._has_formula = (
+            solver == "auto"
+            and cone.exact
+            and M.is_diagonal
+            and np.array_equal(cone.weights(M.diagonal), M.diagonal)
+        )
+        self._attempts = [] if self._has_formula else list(attempts(solver, inclusion.M, cone, tol))
         self._compiled: dict[int, Any] = {}
 
     def serves(self, C: ConvexSet) -> bool:
@@ -102,6 +120,10 @@ class Cascade:
         return self._cone is C or self._cone.same_cone(C)
 
     def __call__(self, of: Instance) -> Velocity:
+        if self._has_formula:
+            return self._by_formula(of)
+        if self.inclusion.rests(of, self._tol):
+            return at_rest(of.q)
         best, iterations = Velocity(np.zeros_like(of.force), math.inf, math.inf, "none"), 0
         for k, attempt in enumerate(self._attempts):
             velocity = self._asked(k, of, best.z)
@@ -114,7 +136,7 @@ class Cascade:
                 break
             if not velocity.relative <= WRONG:
                 del self._compiled[k]  # a workspace that failed is not used again
-            if k == 0 and self._inclusion.rests_exactly(of):
+            if k == 0 and self.inclusion.rests_exactly(of):
                 return at_rest(of.q)
         return best._replace(iterations=iterations, attempts=k + 1)
 
@@ -125,36 +147,19 @@ class Cascade:
             shape = untranslated(attempt.cone).S
             self._compiled[k] = attempt.solver.compile(VelocityProgram(M.small, shape))
         compiled = self._compiled[k]
-        if attempt.from_best and start.any():
-            compiled.z = start[M.unknowns]
+        starts = iter([start[M.unknowns]] if attempt.from_best and start.any() else [])
 
         def solve(linear: np.ndarray, C: ConvexSet) -> Answer:
             c, shape = untranslated(C)
-            return compiled(linear if shape is C else linear - c, shape)
+            return compiled(linear if shape is C else linear - c, shape, *islice(starts, 1))
 
         S = of.whole if isinstance(M.unknowns, slice) else of.S
-        propose = by_program(M, solve, S, self._tol)
-        return refined(self._inclusion, propose, of, self._tol)
+        return refined(self.inclusion, by_program(M, solve, S, self._tol), of, self._tol)
 
-
-class ClosedForm:
-    """z = M^-1 (P_S(q) - q) for a diagonal M and a set whose projection is that in M's metric."""
-
-    def __init__(self, inclusion: Inclusion, cone: ConvexSet, tol: float) -> None:
-        self._inclusion, self._cone, self._tol = inclusion, cone, tol
-
-    @staticmethod
-    def applies(M: Factor, C: ConvexSet) -> bool:
-        """Whether M is diagonal and the projection in its metric is C's own (box, uniform ball)."""
-        return C.exact and M.is_diagonal and np.array_equal(C.weights(M.diagonal), M.diagonal)
-
-    def serves(self, C: ConvexSet) -> bool:
-        """Whether the formula holds for C."""
-        return self._cone is C or self._cone.same_cone(C)
-
-    def __call__(self, of: Instance) -> Velocity:
-        inclusion, M, S, tol = self._inclusion, self._inclusion.M, of.S, self._tol
-        if M.small is M:  # without the loop that refines
+    def _by_formula(self, of: Instance) -> Velocity:
+        inclusion, tol = self.inclusion, self._tol
+        M, S = inclusion.M, of.S
+        if M.small is M:  # without the loop that refines, and with one projection
             S = of.whole
             outside = S.normal(of.force)
             if inclusion.rests(of, tol, outside):
@@ -166,10 +171,9 @@ class ClosedForm:
                 return velocity
         elif inclusion.rests(of, tol):
             return at_rest(of.q, CLOSED_FORM)
-        velocity = refined(inclusion, by_program(M, self._pair, S, tol), of, tol)
-        return velocity._replace(solver=CLOSED_FORM)
 
-    def _pair(self, linear: np.ndarray, S: ConvexSet) -> Proposal:
-        return Proposal(
-            0.0 - S.normal(linear) / self._inclusion.M.small.diagonal, S.project(linear)
-        )
+        def solve(linear: np.ndarray, S: ConvexSet) -> Proposal:
+            return Proposal(0.0 - S.normal(linear) / M.small.diagonal, S.project(linear))
+
+        velocity = refined(inclusion, by_program(M, solve, S, tol), of, tol)
+        return velocity._replace(solver=CLOSED_FORM)

@@ -25,15 +25,14 @@ from sweepopt.checks import Matrix
 from sweepopt.linalg import (
     EPS,
     NEGLIGIBLE,
-    SMALL,
     UNIT,
     Factor,
     Precise,
     dense,
     euclidean,
+    exact_sum,
     product_error,
     row_sum,
-    sum_error,
 )
 from sweepopt.sets import ROUNDING, Box, ConvexSet
 
@@ -161,9 +160,8 @@ class Inclusion:
             w = np.zeros_like(z)
             w[pair.unknowns] = pair.w
             rho = self.exact_residual(of, z, -w)
-            rounding = M.precisely.share * of_products
-            rounding += self._exact_B.share * of_data if of_data else 0.0
-            metric = math.sqrt(max(1 - self._metric_error, 0.0))
+            rounding *= self._share
+            metric = math.sqrt(max(1 - self.share_of_z, 0.0))
             if not metric:  # M says nothing of A + gamma B
                 return Velocity(z, math.inf, math.inf)
         residual = M.dual_norm_bound(rho)
@@ -179,10 +177,13 @@ class Inclusion:
 
     def exact_residual(self, of: Instance, z: np.ndarray, *more: np.ndarray) -> np.ndarray:
         """A z + B (u + gamma z) - c + the others, rounded once."""
-        if self._B is None or of.u is None:
+        A, B, gamma = self._exact_A, self._B, self._gamma
+        if B is None or of.u is None:
             return self.M.precisely(z, of.q, -of.c, *more)
-        of_q = self._exact_B(of.u, -of.q)
-        return self.M.precisely(z, of.q, -of.c, of_q, self._rounding_of_M @ z, *more)
+        terms = [*A.terms(z), *self._exact_B.terms(of.u), -of.c, *more]
+        if gamma:
+            terms += [*self._exact_B.terms(gamma * z), B @ product_error(gamma, z)]
+        return exact_sum(terms)
 
     def _rounding_of_data(self, size: float, u: np.ndarray | None) -> float:
         """A bound of (A + gamma B - M) z + (B u - q) in |.|_{M^-1}, for |z|_M <= size."""
@@ -209,31 +210,19 @@ class Inclusion:
         return UNIT * M.bound_factor**2 * sums
 
     @cached_property
+    def _exact_A(self) -> Precise:
+        return self.M.precisely if self._A is None else Precise(self._A)
+
+    @cached_property
     def _exact_B(self) -> Precise:
         assert self._B is not None
         return Precise(self._B)
 
-    @cached_property
-    def _rounding_of_M(self) -> Matrix:
-        """A + gamma B - M."""
-        assert self._A is not None
-        assert self._B is not None
-        if not self._gamma:
-            return 0.0 * self._A
-        product = self._gamma * self._B
-        return product_error(self._gamma, self._B) + sum_error(self._A, product, self.M.M)
-
-    @cached_property
-    def _metric_error(self) -> float:
-        """|M^-1/2 (A + gamma B - M) M^-1/2|: by how much the two metrics differ."""
-        if self._B is None or not self._gamma:
-            return 0.0
-        M = self.M
-        share = row_sum(self._rounding_of_M, M.root) * M.bound_factor**2
-        if share > NEGLIGIBLE and M.dim <= 10 * SMALL:
-            similar = M.solve_many(dense(self._rounding_of_M)) * M.root / M.root[:, None]
-            share = float(np.abs(np.linalg.eigvals(similar)).max())
-        return share
+    @property
+    def _share(self) -> float:
+        """Of the rounding in double precision, what is left of it in `exact_residual`."""
+        share = self._exact_A.share
+        return share if self._B is None else max(share, self._exact_B.share)
 
     # ---- rest ----------------------------------------------------------------------------------
 
@@ -310,7 +299,7 @@ def pair_near(
     M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray, y: np.ndarray, tol: float
 ) -> Proposal | None:
     """The normal pair of C near an approximate answer; None if the set has no proof."""
-    force = M.apply(z, q, enough=SHARE * tol).value
+    force, _ = M.apply(z, q, SHARE * tol)
     pair = C.normal_pair(-z, force, M.diagonal, y)
     if pair is None:
         return None
@@ -327,10 +316,11 @@ def rests(of: Instance, q: np.ndarray, diagonal: np.ndarray) -> bool:
     Where S acts on few unknowns, the force beside them settles most steps.
     """
     few, outside, anchor = of.unknowns, q - of.c, of.S.anchor
-    acting = np.array(outside[few])
-    outside[few] = 0.0
-    if not is_near(outside, q, of.c, anchor):
-        return False
+    acting = outside[few]
+    if of.S is not of.whole:
+        outside[few] = 0.0
+        if not is_near(outside, q, of.c, anchor):
+            return False
     outside[few] = acting - of.S.nearest(acting, diagonal[few])
     shift = np.abs(of.c)
     shift[few] += np.abs(anchor)

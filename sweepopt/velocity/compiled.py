@@ -17,8 +17,8 @@ from sweepopt.checks import Matrix
 from sweepopt.linalg import Elimination, Factor
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Box, ConvexSet, same_array
-from sweepopt.velocity.cascade import Cascade, ClosedForm
-from sweepopt.velocity.certificate import Inclusion, Instance, OneUnknown, Velocity, at_rest
+from sweepopt.velocity.cascade import Cascade
+from sweepopt.velocity.certificate import Inclusion, Instance, OneUnknown, Velocity
 from sweepopt.velocity.plan import Plan
 from sweepopt.velocity.program import untranslated
 from sweepopt.velocity.refinement import by_solve, refined
@@ -72,8 +72,7 @@ class StateVelocity:
 
     def forget(self) -> None:
         """Drop what solvers remember of earlier calls; the factorisations stay."""
-        self._method: Cascade | ClosedForm | None = None
-        self._inclusion: Inclusion | None = None  # that of the method
+        self._cascade: Cascade | None = None
         self._one: tuple[ConvexSet, OneUnknown | None] | None = None
 
     def __call__(self, u: np.ndarray, C: ConvexSet) -> Velocity:
@@ -82,12 +81,8 @@ class StateVelocity:
             if velocity is not None:
                 return velocity
         if self._B is None:
-            return self._of_force(np.zeros_like(u), None, C)
-        return self._of_force(self._B.dot(u), u, C)
-
-    def of_force(self, q: np.ndarray, C: ConvexSet) -> Velocity:
-        """The z with -z in N_C(M z + q): of a linear term that is given, and of M as it is."""
-        return self._of_force(q, None, C)
+            return self.of_force(np.zeros_like(u), C)
+        return self.of_force(self._B.dot(u), C, u)
 
     def _of_one(self, u: np.ndarray, C: ConvexSet) -> Velocity | None:
         """One unknown in an interval, in plain numbers."""
@@ -100,7 +95,8 @@ class StateVelocity:
         velocity = self._one[1]
         return None if velocity is None else velocity(float(u[0]), float(c[0]))
 
-    def _of_force(self, q: np.ndarray, u: np.ndarray | None, C: ConvexSet) -> Velocity:
+    def of_force(self, q: np.ndarray, C: ConvexSet, u: np.ndarray | None = None) -> Velocity:
+        """The z with -z in N_C(M z + q); u has q = B u, without it M and q are taken as exact."""
         if C.singleton:
             inclusion, of = self._on_all, Instance(q - C.anchor, q, C.anchor, C, C, u)
             velocity = refined(inclusion, by_solve(inclusion.M), of, self._tol)
@@ -117,18 +113,10 @@ class StateVelocity:
             of = Instance(q - c, q, c, selection.part, whole, u, selection.unknowns)
         else:
             inclusion, cone, of = self._on_all, whole, Instance(q - c, q, c, whole, whole, u)
-        method = self._method
-        if method is None or inclusion is not self._inclusion or not method.serves(cone):
-            self._inclusion = inclusion
-            method = self._method = self._compiled(inclusion, cone)
-        if not isinstance(method, ClosedForm) and inclusion.rests(of, self._tol):
-            return at_rest(q)
-        return method(of)
-
-    def _compiled(self, inclusion: Inclusion, cone: ConvexSet) -> Cascade | ClosedForm:
-        if self._solver == "auto" and ClosedForm.applies(inclusion.M.small, cone):
-            return ClosedForm(inclusion, cone, self._tol)
-        return Cascade(inclusion, self._solver, cone, self._tol)
+        cascade = self._cascade
+        if cascade is None or inclusion is not cascade.inclusion or not cascade.serves(cone):
+            cascade = self._cascade = Cascade(inclusion, self._solver, cone, self._tol)
+        return cascade(of)
 
     @cached_property
     def _on_all(self) -> Inclusion:

@@ -8,6 +8,7 @@ all.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -46,26 +47,22 @@ def extension(A: Elimination, zeta: np.ndarray) -> np.ndarray:
     return u
 
 
-class ProportionalRounding:
-    """|(M - (1 + gamma rho) A) v|_{A^-1} + |(B - rho A) v|_{A^-1}, relative to the factors of A.
+def proportional_rounding(
+    A: Elimination, B: Matrix | None, rho: float
+) -> Callable[[np.ndarray], float]:
+    """v -> |(M - (1 + gamma rho) A) v|_{A^-1} + |(B - rho A) v|_{A^-1}, relative to A's factors.
 
     B is a multiple of A up to rounding, and M = A + gamma B is rounded; what that moves grows with
-    the condition of A. The rounding of M is estimated by that of another multiple of A.
+    the condition of A. The rounding of M is estimated by that of another multiple of A, 4 / 3.
     """
-
-    FACTOR = 4 / 3
-
-    def __init__(self, A: Elimination, B: Matrix | None, rho: float) -> None:
-        self._A = A
-        self._differences = [(1 / self.FACTOR, product_error(self.FACTOR, A.M))]
-        if B is not None:
-            self._differences.append((1 / rho, (B - rho * A.M) - product_error(rho, A.M)))
-
-    def __call__(self, v: np.ndarray) -> float:
-        return 2 * sum(share * self._A.dual_norm(D @ v) for share, D in self._differences)
+    other = 4 / 3
+    differences = [product_error(other, A.M) / other]
+    if B is not None:
+        differences.append(((B - rho * A.M) - product_error(rho, A.M)) / rho)
+    return lambda v: 2 * sum(A.dual_norm(D @ v) for D in differences)
 
 
-def extension_error(A: Elimination, rounding: ProportionalRounding) -> float:
+def extension_error(A: Elimination, rounding: Callable[[np.ndarray], float]) -> float:
     """|A v - E^T N d|_{A^-1} / |v|_A of extensions v of d, with the rounding of B and M.
 
     Twice the largest of six d: three are given, the others are the displacements under these as

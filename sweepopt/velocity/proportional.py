@@ -23,9 +23,10 @@ last bit.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,10 +36,10 @@ from sweepopt.problem import Motion, SweepingProcess, Terms, motion, proportion
 from sweepopt.sets import Moving, Selection
 from sweepopt.velocity.certificate import is_rounding
 from sweepopt.velocity.influence import (
-    ProportionalRounding,
     extension,
     extension_error,
     influence,
+    proportional_rounding,
 )
 
 if TYPE_CHECKING:
@@ -48,11 +49,8 @@ ACCURATE = 1e-10  # |A F - f|_{A^-1} / |f|_{A^-1} up to which A^-1 is applied be
 FLOOR = 1e-3  # of the velocity that the load alone would cause: less counts as this
 
 
-class Residual(NamedTuple):
-    """A residual in |.|_{M^-1}, and the size of the velocity that it is compared to."""
-
-    error: float
-    size: float
+Residuals = Callable[[int, np.ndarray, np.ndarray], tuple[float, float]]
+"""(step, zeta, zeta') -> a residual in |.|_{M^-1}, and the size of velocity it is compared to."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,14 +121,13 @@ class Reduction:
         rounding = UNIT * self.rho * span / (1 + gamma * self.rho)
         return scheme.exact or rounding <= FLOOR * tol
 
-    def residuals(
-        self, alphas: np.ndarray, rates: np.ndarray, gammas: np.ndarray
-    ) -> ReconstructionResiduals:
-        """The residuals of the reconstruction in each step.
+    def residuals(self, alphas: np.ndarray, rates: np.ndarray, gammas: np.ndarray) -> Residuals:
+        """What the inclusion of all unknowns has of residual beyond that of the few.
 
         With M = (1 + gamma rho) A and q = rho A u - f, both reconstructed, M z + q holds each
         residual of an influence function times (1 + gamma rho) alpha_k' + rho alpha_k, here with
-        absolute values, and the same of the extension.
+        absolute values, and the same of the extension. The size is |z|_M, at least FLOOR of what
+        the load and what B u alone would move.
 
         Parameters
         ----------
@@ -138,45 +135,26 @@ class Reduction:
             alpha at the start of each step and alpha' in it.
         gammas : ndarray, shape (n,)
         """
-        ratios = 1 + gammas * self.rho
-        weights = np.abs(ratios[:, None] * rates) + np.abs(self.rho * alphas)
+        N, rho, ratios = self._A.N, self.rho, 1 + gammas * self.rho
+        weights = np.abs(ratios[:, None] * rates) + np.abs(rho * alphas)
         functions = self._functions.copy()
         functions[:, -1] -= extension(self._A, self.process.u0)
         gram = functions.T @ (self._A.M @ functions)
         squares = np.einsum("ik,kl,il->i", rates, gram, rates)
         columns = weights @ self._errors, FLOOR * (weights @ self._sizes), squares, ratios
         load = list(zip(*(column.tolist() for column in columns), strict=True))
-        return ReconstructionResiduals(self._A.N, self.rho, self._extension_error, load)
 
+        def residual(i: int, zeta: np.ndarray, velocity: np.ndarray) -> tuple[float, float]:
+            error, floor, square, ratio = load[i]
+            u = math.sqrt(max(zeta.dot(N.dot(zeta)), 0.0))
+            z_square = max(velocity.dot(N.dot(velocity)), 0.0)
+            error += self._extension_error * (ratio * math.sqrt(z_square) + rho * u)
+            # extensions and influence functions are orthogonal in the metric of A
+            size = math.sqrt(ratio * max(square + z_square, 0.0))
+            root = math.sqrt(ratio)
+            return error / root, max(size, (floor + FLOOR * rho * u) / root)
 
-@dataclass(frozen=True, eq=False)
-class ReconstructionResiduals:
-    """What the inclusion of all unknowns has of residual beyond that of the few, step by step.
-
-    Attributes
-    ----------
-    load : list of (error, floor, |sum alpha_k' F_k|_A^2, 1 + gamma rho)
-    """
-
-    N: np.ndarray
-    rho: float
-    extension_error: float
-    load: list[tuple[float, float, float, float]]
-
-    def __call__(self, i: int, zeta: np.ndarray, velocity: np.ndarray) -> Residual:
-        """In step i, from the state and the velocity of the few.
-
-        The size is |z|_M, at least FLOOR of what the load and what B u alone would move.
-        """
-        error, floor, square, ratio = self.load[i]
-        N, rho = self.N, self.rho
-        u = math.sqrt(max(zeta.dot(N.dot(zeta)), 0.0))
-        z_square = max(velocity.dot(N.dot(velocity)), 0.0)
-        error += self.extension_error * (ratio * math.sqrt(z_square) + rho * u)
-        # extensions and influence functions are orthogonal in the metric of A
-        size = math.sqrt(ratio * max(square + z_square, 0.0))
-        root = math.sqrt(ratio)
-        return Residual(error / root, max(size, (floor + FLOOR * rho * u) / root))
+        return residual
 
 
 def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
@@ -197,8 +175,8 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     rho = proportion(process.A, process.B)
     if rho is None:
         return "B is not a multiple of A"
-    moved = motion(process.C)
-    selected = _selected(moved)
+    scale = getattr(process.C, "scale", None)
+    selected = _selected(motion(process.C), scale)
     if isinstance(selected, str):
         return selected
     selection, terms = selected
@@ -206,10 +184,10 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     A = Elimination(process.A, few, process.metric.order)
     influences = [influence(A, f) for _, f in terms]
     forces = [(phi, one.force) for (phi, _), one in zip(terms, influences, strict=True)]
-    C = Moving(selection.part, Separable(forces) if forces else None, moved.given_scale)
+    C = Moving(selection.part, Separable(forces) if forces else None, scale)
     small = SweepingProcess(A.N, rho * A.N if rho else None, C, process.u0[few])
 
-    rounding = ProportionalRounding(A, process.B, rho)
+    rounding = proportional_rounding(A, process.B, rho)
     share = extension_error(A, rounding)
     errors = np.array([one.residual + rounding(one.F) for one in influences])
     sizes = np.array([A.dual_norm(f) for _, f in terms])
@@ -251,17 +229,17 @@ def _rest_residual(A: Elimination, process: SweepingProcess, f: np.ndarray) -> f
     return A.dual_norm(residual)
 
 
-def _selected(moved: Motion) -> tuple[Selection, Terms] | str:
+def _selected(moving: Motion, scale: Any) -> tuple[Selection, Terms] | str:
     """E with S, and f, of C(t) = f(t) + E^T S(t); or a sentence that says what C(t) lacks."""
     selection = None
-    if moved.shape is not None and moved.offsets is None:
-        selection = moved.shape.selection
+    if moving.shape is not None and moving.offsets is None:
+        selection = moving.shape.selection
     if selection is None:
         return "C(t) is not written as f(t) + E^T S(t) with E selecting few unknowns"
-    if moved.center.function is not None:
+    if moving.center.function is not None:
         return "the load is a function of time, not a Separable of few shapes"
     if selection.shift is None:
-        return selection, moved.center.terms
-    if moved.given_scale is not None:
+        return selection, moving.center.terms
+    if scale is not None:
         return "the set that is scaled is not centred"
-    return selection, (*moved.center.terms, (Constant(1.0), selection.shift))
+    return selection, (*moving.center.terms, (Constant(1.0), selection.shift))

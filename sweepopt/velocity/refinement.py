@@ -21,6 +21,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+import scipy.sparse as sp
 
 from sweepopt.checks import is_finite
 from sweepopt.linalg import Factor
@@ -80,6 +81,8 @@ def by_program(M: Factor, solve: Solve, S: ConvexSet, tol: float) -> Propose:
                 return Velocity(z, unproven, unproven, iterations=iterations)
         else:
             pair = answer
+        if z is not None:
+            pair = with_forces_at_rest(M.small, linear, S, pair)
         zeta = pair.z
         z = M.recover(forward, zeta) if z is None else z + M.recover(forward, zeta - z[few])
         z[few] = zeta  # to the last bit: stuck is 0.0
@@ -87,6 +90,24 @@ def by_program(M: Factor, solve: Solve, S: ConvexSet, tol: float) -> Propose:
         return Proposal(z, pair.w, few, pair.gap, perturbation, size, iterations=iterations)
 
     return propose
+
+
+def with_forces_at_rest(N: Factor, q: np.ndarray, S: ConvexSet, pair: Proposal) -> Proposal:
+    """The pair with the forces w at rest that leave the least residual, if S has them.
+
+    What z rounds, dz, leaves a residual N_mm dz on the unknowns m that move. With the forces of z
+    itself at rest there is no other, and |.|_{N^-1} of it can be cond(N) times |dz|_N; with those
+    of z - dz it is |dz|_N. A w of S that differs only where z = 0 is as normal as the pair's.
+    """
+    rest = pair.z == 0
+    if not rest.any() or sp.issparse(N.M) or pair.perturbation:
+        return pair
+    residual, moves = N.precisely(pair.z, q, -pair.w), ~rest
+    dz = np.linalg.solve(N.M[np.ix_(moves, moves)], residual[moves])
+    w = pair.w.copy()
+    w[rest] += residual[rest] - N.M[np.ix_(rest, moves)] @ dz
+    w = S.project(w)
+    return pair._replace(w=w) if np.array_equal(w[moves], pair.w[moves]) else pair
 
 
 def by_solve(M: Factor) -> Propose:

@@ -62,9 +62,10 @@ def face_after(rows: Rows, d: SmoothOffsets, t: float, u: np.ndarray, events: np
     force, size = d.taylor(t, ORDERS + 2)
     undecided, orders = ~rows.equations, np.zeros(len(rows.N), dtype=int)
     active, carried, rounding = list(rows.fixed), None, 0.0
+    absolute = np.abs(rows.NB)
     if rows.rate_independent:
         slack = force[:, 0] - rows.NB @ u
-        undecided &= slack <= ZERO * (size[:, 0] + np.abs(rows.NB) @ np.abs(u))
+        undecided &= slack <= ZERO * (size[:, 0] + absolute @ np.abs(u))
         undecided[events] = ~rows.equations[events]
         factors = np.arange(1, ORDERS + 2)
         force, size = factors * force[:, 1:], factors * size[:, 1:]
@@ -72,7 +73,7 @@ def face_after(rows: Rows, d: SmoothOffsets, t: float, u: np.ndarray, events: np
         s, noise = force[:, k], ZERO * size[:, k]
         if not rows.rate_independent:
             s = s - rows.NB @ u
-            noise = noise + ZERO * (np.abs(rows.NB) @ np.abs(u)) + rounding
+            noise = noise + ZERO * (absolute @ np.abs(u)) + rounding
         basis = _basis(rows, active, undecided, s, noise)
         if basis is None and carried is not None:  # a redundant row becomes violated
             undecided[active] = True

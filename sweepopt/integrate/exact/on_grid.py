@@ -26,9 +26,7 @@ def mover(
 ) -> Callable[..., None]:
     """What moves a process through a grid: the scheme's steps, or the exact trajectory.
 
-    It takes what `integrate` takes beside the process and the plan.
-
-    `restarts` are for steps only.
+    It takes what `integrate` takes beside the process and the plan; `restarts` are for steps only.
 
     Raises
     ------
@@ -59,15 +57,15 @@ def _on_grid(
         started = clock.perf_counter()
         exact = run.exact = exact_trajectory(rows, process.u0, float(times[0]), float(times[-1]))
         share = (clock.perf_counter() - started) / len(mus)
-        known = int(np.searchsorted(times, exact.end, side="right")) - 1
+        count = int(np.searchsorted(times, exact.end, side="right")) - 1
         begun = np.searchsorted(times, exact.starts, side="right")
         phases = np.bincount(begun, minlength=len(times)).tolist()  # that begin in each step
         certificate, before = _certificate(process), process.u0
-        for i in range(known):
+        for i in range(count):
             started = clock.perf_counter()
             k = i % BLOCK
             if k == 0:
-                block = times[i + 1 : min(i + BLOCK, known) + 1]
+                block = times[i + 1 : min(i + BLOCK, count) + 1]
                 states, derivatives = exact(block), exact.velocity(block)
             u, mu = states[k], float(mus[i])
             z = (u - before) / mu

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import scipy.linalg
-from scipy.special import comb, factorial
+from scipy.special import comb
 
 from sweepopt.errors import InputError
 from sweepopt.integrate.exact.exponential_sum import SLOW, TERMS, ExponentialSum
@@ -19,28 +21,6 @@ from sweepopt.problem import SweepingProcess, motion
 NONSMOOTH = 50  # unknowns in a set's inequalities
 UNKNOWNS = 300  # all of them: a phase has a dense eigenproblem of what moves
 SAME = 1e-14  # entries of unit rows, and offsets, that differ by less are equal: a few roundings
-
-
-@dataclass(frozen=True, eq=False)
-class Offsets:
-    """d(t) = sum_k phi_k(t) weights[:, k].
-
-    Attributes
-    ----------
-    histories : list
-    weights : ndarray, shape (m, k)
-    """
-
-    histories: list[Any]
-    weights: np.ndarray
-
-    def breakpoints(self, a: float, b: float) -> np.ndarray:
-        """All breakpoints strictly between a and b, increasing."""
-        return breakpoints(self.histories, a, b)
-
-    def between(self, a: float, b: float) -> SmoothOffsets:
-        """d between two neighbouring breakpoints."""
-        return SmoothOffsets(self.weights, [phi.piece(a, b) for phi in self.histories])
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,22 +56,28 @@ class SmoothOffsets:
         """
         series = np.array([_taylor(piece, s, terms + 1) for piece in self.pieces])
         values, sizes = series[:, 0], series[:, 1]
-        moved = abs(s) * np.arange(1, terms + 1) * sizes[:, 1:]
-        return self.weights @ values[:, :-1], np.abs(self.weights) @ (sizes[:, :-1] + moved)
+        shift = abs(s) * np.arange(1, terms + 1) * sizes[:, 1:]
+        return self.weights @ values[:, :-1], np.abs(self.weights) @ (sizes[:, :-1] + shift)
 
 
 def _taylor(piece: Piece, s: float, terms: int) -> np.ndarray:
     """Coefficients of phi(s + tau) in tau, and those of the sum of its absolute terms."""
-    series, k = np.zeros((2, terms)), np.arange(terms)
-    j = np.arange(len(piece.polynomial))
+    series = np.zeros((2, terms))
     c, shift = np.array(piece.polynomial), s - piece.origin
-    binomials, exponents = comb(j, j[:, None]), np.maximum(j - j[:, None], 0)
+    binomials, exponents = _binomials(c.size)
     for row, (one, by) in zip(series, ((c, shift), (np.abs(c), abs(shift))), strict=True):
-        row[: j.size] = ((binomials * by**exponents) @ one)[:terms]
+        row[: c.size] = ((binomials * by**exponents) @ one)[:terms]
     for a, w, p in piece.waves:
-        powers = a * (1j * w) ** k / factorial(k)
+        powers = a * np.cumprod(np.append(1.0, 1j * w / np.arange(1, terms)))
         series += (-1j * np.exp(1j * (p + w * s)) * powers).real, np.abs(powers)
     return series
+
+
+@cache
+def _binomials(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """j over k, and j - k: (shift + tau)^j = sum_k (j over k) shift^(j - k) tau^k."""
+    j = np.arange(count)
+    return comb(j, j[:, None]), np.maximum(j - j[:, None], 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +93,8 @@ class Rows:
         N L with M = L L^T.
     NB, S, SB : ndarray, shapes (m, n), (m, m), (m, m)
         N B, N M N^T and N B N^T.
-    d : Offsets
+    histories, weights : list, ndarray of shape (m, k)
+        d(t) = sum_k phi_k(t) weights[:, k].
     Lam : float
         The largest rate of the process; 0 where A = 0.
     rate_independent : bool
@@ -119,7 +106,8 @@ class Rows:
     NB: np.ndarray
     S: np.ndarray
     SB: np.ndarray
-    d: Offsets
+    histories: list[Any]
+    weights: np.ndarray
     Lam: float
     rate_independent: bool
 
@@ -127,6 +115,14 @@ class Rows:
     def fixed(self) -> list[int]:
         """The rows that always hold with equality."""
         return np.flatnonzero(self.equations).tolist()
+
+    def smooth_offsets(
+        self, start: float, end: float
+    ) -> Iterator[tuple[float, float, SmoothOffsets]]:
+        """Neighbouring breakpoints a and b between the two times, and d between a and b."""
+        ends = [start, *breakpoints(self.histories, start, end).tolist(), end]
+        for a, b in pairwise(ends):
+            yield a, b, SmoothOffsets(self.weights, [phi.piece(a, b) for phi in self.histories])
 
 
 def rows_of(process: SweepingProcess) -> Rows:
@@ -150,26 +146,26 @@ def _rows_of(process: SweepingProcess) -> Rows:
             "whose B is a multiple of A and whose set acts on few unknowns needs these alone; for "
             "others use midpoint or sdirk2"
         )
-    moved = motion(process.C).rows()
+    halfspaces = motion(process.C).rows()
     metric = dense(process.metric.M)
     B = np.zeros_like(metric) if process.B is None else dense(process.B)
-    R = moved.N @ scipy.linalg.cholesky(metric, lower=True)
+    R = halfspaces.N @ scipy.linalg.cholesky(metric, lower=True)
     lengths = np.linalg.norm(R, axis=1)
     rows = np.flatnonzero(lengths > 0)
     units = 1 / lengths[rows, None]
-    N, R = units * moved.N[rows], units * R[rows]
-    weights = units * np.column_stack([D for _, D in moved.d])[rows]
-    rows, equations = _distinct(R, weights, rows >= len(lengths) - moved.equations)
-    N, R, d = N[rows], R[rows], Offsets([phi for phi, _ in moved.d], weights[rows])
+    N, R = units * halfspaces.N[rows], units * R[rows]
+    weights = units * np.column_stack([D for _, D in halfspaces.d])[rows]
+    rows, equations = _distinct(R, weights, rows >= len(lengths) - halfspaces.equations)
+    N, R, weights = N[rows], R[rows], weights[rows]
     nonsmooth = process.dim - int(equations.sum())
     if nonsmooth > NONSMOOTH:
         raise InputError(
             f"the process has {nonsmooth} nonsmooth unknowns, more than {NONSMOOTH}; use midpoint "
             "or sdirk2"
         )
-    lam = 0.0 if process.rate_independent else process.Lam
-    NB = N @ B
-    return Rows(N, equations, R, NB, R @ R.T, NB @ N.T, d, lam, process.rate_independent)
+    histories, still = [phi for phi, _ in halfspaces.d], process.rate_independent
+    lam, NB = 0.0 if still else process.Lam, N @ B
+    return Rows(N, equations, R, NB, R @ R.T, NB @ N.T, histories, weights, lam, still)
 
 
 def _distinct(

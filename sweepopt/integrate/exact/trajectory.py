@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -143,11 +142,10 @@ def exact_trajectory(
     """
     phases: list[Phase] = []
     switches: list[float] = []
-    breakpoints = [start, *rows.d.breakpoints(start, end).tolist(), end]
     u, before, stalled = u0, None, 0
-    for a, b in pairwise(breakpoints):
-        d, s = rows.d.between(a, b), a
-        events = np.zeros(0, dtype=int)
+    for a, b, d in rows.smooth_offsets(start, end):
+        s, events = a, np.zeros(0, dtype=int)
+        most += 1
         while s < b:
             face = face_after(rows, d, s, u, events)
             phase, limits = _phase(rows, d, s, b, u, face)
@@ -166,7 +164,7 @@ def exact_trajectory(
             if following > s or not phases:
                 phases.append(phase)
             s = following
-            if len(phases) > most + len(breakpoints) or stalled > STALLED:
+            if len(phases) > most or stalled > STALLED:
                 return Trajectory(phases, s, np.array(switches), complete=False)
     return Trajectory(phases, end, np.unique(switches))
 

@@ -57,6 +57,12 @@ def spectral(random: Random, values: np.ndarray) -> np.ndarray:
     return 0.5 * (M + M.T)
 
 
+def nearly_singular(random: Random) -> np.ndarray:
+    """beta 1e-8."""
+    M = chain(random)
+    return M - (np.linalg.eigvalsh(M)[0] - 1e-8) * np.eye(N)
+
+
 def slivers(random: Random) -> np.ndarray:
     """A square of triangles, every other column of them 1e-6 wide, held along two sides."""
     x = np.cumsum(np.tile([1.0, 1e-6], 4)[:7])
@@ -90,11 +96,10 @@ def translate(part: ConvexSet, force: Any, few: np.ndarray | None = None, dim: i
     return Moving(image(E, part), force)
 
 
-def one_step(
-    M: np.ndarray, force: np.ndarray, part: ConvexSet, few: np.ndarray | None = None
-) -> Hard:
-    """One step of a body at rest under a force."""
+def one_step(M: np.ndarray, force: np.ndarray, part: Any, few: np.ndarray | None = None) -> Hard:
+    """One step of a body at rest under a force; `part` is a set, or the bounds of friction."""
     dim = len(M)
+    part = part if isinstance(part, ConvexSet) else Box(-part, part)
     return Hard(lambda: SweepingProcess(M, None, translate(part, force, few, dim), np.zeros(dim)))
 
 
@@ -103,4 +108,4 @@ def friction_step(random: Random, M: np.ndarray, units: Any = 1.0, forces: float
     few, units = contacts(random), np.broadcast_to(units, N)
     f, g = forces * 3 * random.normal(size=N), forces * random.uniform(0.2, 2.0, FEW)
     scaled = forces * (units[:, None] * M * units)
-    return one_step(scaled, units * f, Box(-units[few] * g, units[few] * g), few)
+    return one_step(scaled, units * f, units[few] * g, few)

@@ -19,6 +19,7 @@ from sweepopt.study.hard.bodies import (
     Random,
     chain,
     contacts,
+    nearly_singular,
     rod,
     slivers,
     spectral,
@@ -85,16 +86,11 @@ def _shared(part: Box, again: np.ndarray) -> Box:
 # ---- matrices ---------------------------------------------------------------------------------
 
 
-def _nearly_singular(random: Random) -> np.ndarray:
-    M = chain(random)
-    return M - (np.linalg.eigvalsh(M)[0] - 1e-8) * np.eye(N)
-
-
-MATRICES: dict[str, Callable[[Random], np.ndarray]] = {
+MATRICES: dict[str, Callable[..., np.ndarray]] = {
     "a chain": chain,
     "cond 1e12": lambda random: spectral(random, np.logspace(-12, 0, N)),
     "cond 1e7": lambda random: spectral(random, np.logspace(-7, 0, N)),
-    "beta 1e-8": _nearly_singular,
+    "beta 1e-8": nearly_singular,
     "cells 1 to 1e-6": lambda random: rod(1 / random.permutation(np.logspace(-6, 0, N + 1))),
     "jumps of 1e8": lambda random: rod(random.choice([1.0, 1e8], N + 1)),
     "slivers": slivers,
@@ -135,7 +131,7 @@ def _half_space(random: Random) -> tuple[np.ndarray, Shape]:
     return contacts(random, 6), Shape(lambda units: HalfSpace(row / units, 0.3), edge)
 
 
-SHAPES: dict[str, Callable[[Random], tuple[np.ndarray, Shape]]] = {
+SHAPES: dict[str, Callable[..., tuple[np.ndarray, Shape]]] = {
     "a box": lambda random: _box(random, random.uniform(0.2, 2.0, 14)),
     "a box on all": lambda random: _box(random, random.uniform(0.2, 2.0, N)),
     "g from 0 to inf": lambda random: _box(random, _mixed(random, 14, -12, 12)),
@@ -157,42 +153,36 @@ SHAPES: dict[str, Callable[[Random], tuple[np.ndarray, Shape]]] = {
 
 # ---- loads ------------------------------------------------------------------------------------
 
-Push = Callable[[Random, np.ndarray, "np.ndarray | None"], np.ndarray]
 
-
-def _anything(random: Random, few: np.ndarray, edge: np.ndarray | None) -> np.ndarray:
+def _anything(random: Random, few: np.ndarray, edge: Any) -> np.ndarray:
     return 3 * random.normal(size=N)
 
 
-def _beside(random: Random, few: np.ndarray, edge: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    f = np.zeros(N)
-    f[few] = edge * (1 + shares)
-    return f
+def _beside(shares: Callable[[Random, int], np.ndarray]) -> Callable[..., np.ndarray]:
+    """Loads beside the edge of the set by shares of them; any load if it has no edge."""
+
+    def load(random: Random, few: np.ndarray, edge: Any) -> np.ndarray:
+        if edge is None:
+            return _anything(random, few, edge)
+        f = np.zeros(N)
+        f[few] = edge * (1 + shares(random, few.size))
+        return f
+
+    return load
 
 
-def _threshold(random: Random, few: np.ndarray, edge: np.ndarray | None) -> np.ndarray:
-    if edge is None:
-        return _anything(random, few, edge)
-    return _beside(random, few, edge, random.choice([0, 0, 0, 1e-14, -1e-14], few.size))
+def _weakly(random: Random, count: int) -> np.ndarray:
+    return random.choice([-1.0, 1.0], count) * 10 ** random.uniform(-13, -3, count)
 
 
-def _weakly(random: Random, few: np.ndarray, edge: np.ndarray | None) -> np.ndarray:
-    if edge is None:
-        return _anything(random, few, edge)
-    shares = random.choice([-1.0, 1.0], few.size) * 10 ** random.uniform(-13, -3, few.size)
-    return _beside(random, few, edge, shares)
-
-
-LOADS: dict[str, Push] = {
+LOADS: dict[str, Callable[..., np.ndarray]] = {
     "any load": _anything,
     "another load": _anything,
-    "at the threshold": _threshold,
-    "weakly active": _weakly,
+    "at the threshold": _beside(lambda random, m: random.choice([0, 0, 0, 1e-14, -1e-14], m)),
+    "weakly active": _beside(_weakly),
 }
 
 # ---- units ------------------------------------------------------------------------------------
-
-Measure = Callable[[Random, np.ndarray, int], tuple[np.ndarray, float]]
 
 
 def _mixed_units(random: Random, few: np.ndarray, block: int) -> tuple[np.ndarray, float]:
@@ -201,7 +191,7 @@ def _mixed_units(random: Random, few: np.ndarray, block: int) -> tuple[np.ndarra
     return units, 1.0
 
 
-UNITS: dict[str, Measure] = {
+UNITS: dict[str, Callable[..., tuple[np.ndarray, float]]] = {
     "plain": lambda random, few, block: (np.ones(N), 1.0),
     "no units": lambda random, few, block: (np.ones(N), 1.0),
     "forces x 2^40": lambda random, few, block: (np.ones(N), 2.0**40),
@@ -213,19 +203,17 @@ UNITS: dict[str, Measure] = {
 
 # ---- history ----------------------------------------------------------------------------------
 
-Pair = tuple[np.ndarray, "np.ndarray | None"]
 
-
-def _singular(random: Random, A: np.ndarray) -> Pair:
+def _singular(random: Random, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     row = random.normal(size=N)
     return A, np.outer(row, row)
 
 
-def _small_viscosity(random: Random, A: np.ndarray) -> Pair:
+def _small_viscosity(random: Random, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return 10.0 ** -random.integers(2, 13) * A, chain(random)
 
 
-HISTORIES: dict[str, Callable[[Random, np.ndarray], Pair]] = {
+HISTORIES: dict[str, Callable[..., tuple[np.ndarray, Any]]] = {
     "one step": lambda random, A: (A, None),
     "B = 0": lambda random, A: (A, None),
     "any B": lambda random, A: (A, chain(random)),

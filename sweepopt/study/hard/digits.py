@@ -1,4 +1,4 @@
-"""Numbers of 60 digits: doubles as they are, and linear equations with symmetric matrices."""
+"""Numbers of 60 digits: doubles as they are, and linear equations with definite matrices."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 DIGITS = 60
+"""Twice those of data with units from 2^-40 to 2^40 and condition 1e12, and some to spare."""
 
 
 def exactly(x: Any) -> np.ndarray:
@@ -21,41 +22,19 @@ def exactly(x: Any) -> np.ndarray:
     return result
 
 
-def factor(M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """L and D with L D L^T = M."""
-    S, n = M.copy(), len(M)
-    L, D = exactly(np.eye(n)), exactly(np.zeros(n))
-    for k in range(n):
-        D[k] = S[k, k]
-        L[k + 1 :, k] = S[k + 1 :, k] / D[k]
-        S[k + 1 :, k + 1 :] -= np.outer(L[k + 1 :, k], S[k, k + 1 :])
-    return L, D
-
-
-def forward(L: np.ndarray, b: np.ndarray) -> np.ndarray:
-    b = b.copy()
-    for k in range(len(b)):
-        b[k + 1 :] -= L[k + 1 :, k] * b[k]
-    return b
-
-
-def backward(L: np.ndarray, b: np.ndarray) -> np.ndarray:
-    b = b.copy()
-    for k in range(len(b) - 1, -1, -1):
-        b[:k] -= L[k, :k] * b[k]
-    return b
-
-
 def solve(M: np.ndarray, b: np.ndarray) -> np.ndarray:
-    L, D = factor(M)
-    return backward(L, forward(L, b) / D)
+    """M^-1 b by elimination, M symmetric positive definite and b a vector or a matrix."""
+    n, S = len(M), np.column_stack([M, b])
+    for k in range(n):
+        S[k + 1 :, k:] -= np.outer(S[k + 1 :, k] / S[k, k], S[k, k:])
+    for k in reversed(range(n)):
+        S[k, n:] /= S[k, k]
+        S[:k, n:] -= np.outer(S[:k, k], S[k, n:])
+    return S[:, n:].reshape(b.shape)
 
 
 def sqrt(x: Any) -> Any:
+    """Of each entry."""
     import mpmath
 
-    return mpmath.sqrt(x)
-
-
-def root(x: Any) -> float:
-    return float(sqrt(x)) if x > 0 else 0.0
+    return np.frompyfunc(mpmath.sqrt, 1, 1)(x)

@@ -33,11 +33,10 @@ def corner(random: Random) -> Hard:
     G = np.array([[1.0, 0.2], [0.3, 1.0], [-1.0, -0.6]]) + 0.1 * random.normal(size=(3, 2))
     phase = random.uniform(0, 6)
     A, B = chain(random, 2), chain(random, 2)
-
-    def load(t: float) -> np.ndarray:
-        return 3 * np.array([np.cos(t + phase), np.sin(2 * t + phase)])
-
-    C = Moving(Polyhedron(G, np.ones(3)), load)
+    C = Moving(
+        Polyhedron(G, np.ones(3)),
+        lambda t: 3 * np.array([np.cos(t + phase), np.sin(2 * t + phase)]),
+    )
     return Hard(lambda: SweepingProcess(A, B, C, np.zeros(2)), 6.0, 30)
 
 
@@ -46,10 +45,7 @@ def rotating(random: Random) -> Hard:
     few, radii = contacts(random, HALF, DIM), random.uniform(0.2, 1.0, HALF // 2)
     one, two = random.normal(size=(2, DIM))
     A, B = chain(random, DIM), chain(random, DIM)
-
-    def load(t: float) -> np.ndarray:
-        return np.sin(t - 0.5) * (np.cos(t) * one + np.sin(t) * two)
-
+    load = lambda t: np.sin(t - 0.5) * (np.cos(t) * one + np.sin(t) * two)  # noqa: E731
     C = translate(Balls(radii, 2), load, few, DIM)
     return Hard(lambda: SweepingProcess(A, B, C, np.zeros(DIM)), 6.0, 12)
 

@@ -1,14 +1,11 @@
-"""The program  -z in N_C(N z + q)  in 60 digits: an active set for each kind of set C.
+"""The program  -z in N_C(N z + q)  in 60 digits: an active set for polyhedra, smoothing for balls.
 
-A polyhedron by a dual active set, a box by a primal-dual one, balls by Newton's method; each ends
-when no sign and no bound is violated, so that the answer is the only one there is.
+Neither needs a start, so that no solver's answer is favoured.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import singledispatch
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,192 +14,126 @@ from sweepopt.linalg import dense
 from sweepopt.sets import Ball, Balls, Box, ConvexSet, Point
 from sweepopt.study.hard import digits
 
-CHANGES = 2000  # changes of the active set
-NEWTON = 15  # steps of Newton's method from one start
+CHANGES = 2000  # of the active set: it is finite, and this ends what is not
 ROUNDING = 1e-45  # relative: of 60 digits, the rest is for condition numbers
+NEWTON = 200  # steps at each smoothing, of which some 20 are needed
+SMOOTHING = 10.0 ** -np.arange(2, 36, 4)  # velocities are then known to some 25 digits
 
 
-@singledispatch
-def velocity(C: ConvexSet, N: np.ndarray, q: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """z with -z in N_C(N z + q), from one that may be near it.
+def velocity(C: ConvexSet, N: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """z with -z in N_C(N z + q).
 
-    For rows w = q - N G^T y in C with y >= 0: the most violated row enters, rows with y < 0 leave
-    (Goldfarb and Idnani's dual method, Math. Programming 27, 1983, in the metric of N^-1: finite,
-    whatever the rows, as those that hold w stay independent).
+    Raises
+    ------
+    InputError
+        If C is neither a polyhedron that states its rows nor made of balls.
     """
+    if isinstance(C, Ball):
+        return in_balls(N, q - digits.exactly(C.center), np.array([C.radius]))
+    if isinstance(C, Balls):
+        return in_balls(N, q, C.radii)
+    if isinstance(C, Point):
+        point = C.project(np.zeros(C.dim))
+        C = Box(point, point)
     rows = C.rows()
     if rows is None:
         raise InputError(f"no exact velocity is known for a {type(C).__name__}")
-    G, h = digits.exactly(dense(rows[0])), digits.exactly(rows[1])
-    H, start, active = G @ N @ G.T, h - G @ q, np.zeros(0, dtype=int)
-    y, lengths = 0 * h, np.array([digits.sqrt(x) for x in H.diagonal()])
+    return in_polyhedron(N, q, dense(rows[0]), rows[1])
+
+
+def in_polyhedron(N: np.ndarray, q: np.ndarray, G: np.ndarray, h: np.ndarray) -> np.ndarray:
+    """The velocity for C = { w : G w <= h }, by rows w = q - N G^T y in C with y >= 0.
+
+    The most violated row enters, rows with y < 0 leave (Goldfarb and Idnani's dual method, Math.
+    Programming 27, 1983, in the metric of N^-1: finite, whatever the rows, as those that hold w
+    stay independent).
+    """
+    lengths = np.sqrt(np.einsum("ij,jk,ik->i", G, N.astype(float), G))
+    start = digits.exactly(h) - _product(G, q)
+    active: list[int] = []
+    # of the active rows: columns of H = G N G^T, the inverse of their block of it, multipliers
+    H, inverse, y = digits.exactly(np.zeros((len(G), 0))), N[:0, :0], q[:0]
     for _ in range(CHANGES):
         slack = start + H @ y
         noise = ROUNDING * (abs(start) + abs(H) @ abs(y))
-        violated = np.where(slack < -noise, slack / lengths, 0)
-        violated[active] = 0
-        new = int(np.argmin(violated))
-        if not violated[new] < 0:
-            return -(G.T @ y)
-        while new not in active:
-            shares = digits.solve(H[np.ix_(active, active)], H[active, new])
-            free = H[new, new] - H[new, active] @ shares
-            wanted = -slack[new] / free if free > ROUNDING * H[new, new] else None
-            falling = active[(shares > 0).astype(bool)]
-            limits = y[falling] / shares[(shares > 0).astype(bool)]
-            last = int(np.argmin(limits)) if falling.size else -1
-            if wanted is None and last < 0:
+        violated = [k for k, s in enumerate(slack) if s < -noise[k] and k not in active]
+        if not violated:
+            return -_product(G[active].T, y)
+        new = min(violated, key=lambda k: slack[k] / lengths[k])
+        column, multiplier = _product(G, _product(G[new : new + 1], N)[0]), 0 * start[new]
+        while True:
+            shares = inverse @ H[new]
+            free = column[new] - H[new] @ shares
+            steps = [(y[i] / share, i) for i, share in enumerate(shares) if share > 0]
+            if free > ROUNDING * column[new]:
+                steps.append((-slack[new] / free, len(active)))
+            if not steps:
                 raise SweepoptError("C has no point")
-            whole = last < 0 or (wanted is not None and wanted <= limits[last])
-            length = wanted if whole else limits[last]
-            y[active] -= length * shares
-            y[new] += length
-            slack = start + H @ y
-            if whole:
-                active = np.append(active, new)
-            else:
-                y[falling[last]] *= 0
-                active = active[active != falling[last]]
-    raise SweepoptError("the exact active set was not found")
-
-
-@velocity.register
-def _(C: Point, N: np.ndarray, q: np.ndarray, near: np.ndarray) -> np.ndarray:
-    return digits.solve(N, digits.exactly(C.project(np.zeros(C.dim))) - q)
-
-
-@velocity.register
-def _(C: Box, N: np.ndarray, q: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """A primal-dual active set; one entry at a time once blocks of them go round."""
-    lower, upper = digits.exactly(C.lower), digits.exactly(C.upper)
-    side = -np.sign(near).astype(int)  # of its bound where an entry slips, 0 where it sticks
-    pinned = C.lower == C.upper
-    for count in range(CHANGES):
-        free = np.flatnonzero((side != 0) | pinned)
-        z = np.full(len(q), q[0] * 0, dtype=object)
-        bound = np.where(side > 0, upper, lower)
-        if free.size:
-            z[free] = digits.solve(N[np.ix_(free, free)], bound[free] - q[free])
-        w = N @ z + q
-        noise = ROUNDING * (abs(N) @ abs(z) + abs(q))
-        wanted = side.copy()
-        wanted[(side * z > 0) & ~pinned] = 0
-        sticks = (side == 0) & ~pinned
-        wanted[np.flatnonzero(sticks & (w > upper + noise).astype(bool))] = 1
-        wanted[np.flatnonzero(sticks & (w < lower - noise).astype(bool))] = -1
-        changed = np.flatnonzero(wanted != side)
-        if not changed.size:
-            return z
-        changed = changed if count < 20 else changed[:1]
-        side[changed] = wanted[changed]
-    raise SweepoptError("the exact active set was not found")
-
-
-class _Balls(NamedTuple):
-    """min 1/2 <N z, z> + <force, z> + sum r_k |z_k| over blocks z_k, `places` of z."""
-
-    N: np.ndarray
-    force: np.ndarray
-    radii: np.ndarray
-    places: list[slice]
-
-    @property
-    def balls(self) -> Iterator[tuple[slice, Any]]:
-        return zip(self.places, self.radii, strict=True)
-
-    def newton(self, z: np.ndarray) -> np.ndarray | None:
-        """Semismooth Newton steps on w = P_C(w - T z), T a number for each ball; None if they go
-        round."""
-        N, unit = self.N, digits.exactly(np.eye(self.places[0].stop))
-        for _ in range(NEWTON):
-            w, dz = N @ z + self.force, -z
-            size = abs(N) @ abs(z) + abs(self.force)
-            J, residual, free, violated = N.copy(), w * 0, np.zeros(len(z), dtype=bool), False
-            for at, r in self.balls:
-                T = N[at, at].trace()
-                v = w[at] - T * z[at]
-                length = digits.sqrt(v @ v)
-                if length > r * (1 + ROUNDING):
-                    # of w - P(v), with I - P' divided out: what is left is symmetric
-                    across = r / (length - r) * (unit - np.outer(v, v) / length**2)
-                    residual[at] = w[at] - r / length * v
-                    violated |= bool((abs(residual[at]) > ROUNDING * size[at]).any())
-                    residual[at] += across @ residual[at]
-                    J[at, at] += T * across
-                    free[at] = True
-                else:
-                    violated |= bool(z[at].any())
-            if not violated:
-                return z
-            right = -residual[free] - N[np.ix_(free, ~free)] @ dz[~free]
-            dz[free] = digits.solve(J[np.ix_(free, free)], right)
-            z = z + dz
-        return None
-
-    def rounded(self, z: np.ndarray, s: np.ndarray, share: Any) -> tuple[np.ndarray, np.ndarray]:
-        """The minimiser with r sqrt(|z_k|^2 + e_k^2) for r |z_k|, and s_k, the slopes of that.
-
-        e_k is a share of the velocity that the forces on the ball alone would cause. Newton's
-        method on both, s_k sqrt(|z_k|^2 + e_k^2) = r z_k, with a line search: with z alone it
-        crawls where e is small (Andersen, Christiansen, Conn and Overton, SIAM J. Sci. Comput. 22,
-        2000).
-        """
-        e = [
-            share * (r + digits.sqrt(self.force[at] @ self.force[at])) / self.N[at, at].trace()
-            for at, r in self.balls
-        ]
-
-        def roots(z: np.ndarray) -> np.ndarray:
-            pairs = zip(self.places, e, strict=True)
-            return np.array([digits.sqrt(z[at] @ z[at] + ek**2) for at, ek in pairs])
-
-        def value(z: np.ndarray) -> Any:
-            return z @ (self.N @ z) / 2 + self.force @ z + self.radii @ roots(z)
-
-        unit = digits.exactly(np.eye(self.places[0].stop))
-        now = value(z)
-        for _ in range(50):
-            pull, bend = 0 * z, 0 * self.N
-            for (at, r), root in zip(self.balls, roots(z), strict=True):
-                turn = np.outer(s[at], z[at]) / root**2
-                pull[at] = r / root * z[at]
-                bend[at, at] = r / root * unit - (turn + turn.T) / 2
-            slope = self.N @ z + self.force + pull
-            dz = -digits.solve(self.N + bend, slope)
-            gain, length = -(slope @ dz), 1.0
-            while (following := value(z + length * dz)) > now - 0.1 * length * gain:
-                length /= 2
-                if length < 1e-12:
-                    return z, s
-            s = pull + bend @ dz
-            for at, r in self.balls:
-                s[at] = s[at] * min(1, r / digits.sqrt(s[at] @ s[at])) if s[at].any() else s[at]
-            z, now = z + length * dz, following
-            if gain <= ROUNDING * abs(now):
+            length, last = min(steps)
+            y, multiplier = y - length * shares, multiplier + length
+            if last == len(active):
                 break
-        return z, s
-
-
-@velocity.register
-def _(C: Ball, N: np.ndarray, q: np.ndarray, near: np.ndarray) -> np.ndarray:
-    return _in_balls(N, q - digits.exactly(C.center), np.array([C.radius]), near)
-
-
-@velocity.register
-def _(C: Balls, N: np.ndarray, q: np.ndarray, near: np.ndarray) -> np.ndarray:
-    return _in_balls(N, q, C.radii, near)
-
-
-def _in_balls(N: np.ndarray, q: np.ndarray, radii: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Newton's method; where it goes round, from minimisers that come closer and closer."""
-    block = len(q) // len(radii)
-    places = [slice(k * block, (k + 1) * block) for k in range(len(radii))]
-    program = _Balls(N, q, digits.exactly(radii), places)
-    z = digits.exactly(near)
-    s = 0 * z
-    for count in range(1, 40):
-        minimiser = program.newton(z)
-        if minimiser is not None:
-            return minimiser
-        z, s = program.rounded(z, s, digits.exactly(10.0**-count).item())
+            active.pop(last)
+            inverse = inverse - np.outer(inverse[last], inverse[last]) / inverse[last, last]
+            inverse = np.delete(np.delete(inverse, last, axis=0), last, axis=1)
+            H, y = np.delete(H, last, axis=1), np.delete(y, last)
+            slack = start + H @ y + multiplier * column
+        active.append(new)
+        H, y = np.column_stack([H, column]), np.append(y, multiplier)
+        bordered = np.append(-shares, 1)
+        inverse = np.pad(inverse, (0, 1)) + np.outer(bordered, bordered) / free
     raise SweepoptError("the exact active set was not found")
+
+
+def _product(G: np.ndarray, X: np.ndarray) -> np.ndarray:
+    """G X by the entries of G that are not 0: most rows are those of boxes."""
+    terms = ((row[places], places) for row in G for places in [np.flatnonzero(row)])
+    return np.array([digits.exactly(row) @ X[places] for row, places in terms], dtype=object)
+
+
+def in_balls(N: np.ndarray, q: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """The velocity for balls |w_k| <= r_k side by side: the limit of smoother and smoother ones.
+
+    z minimises 1/2 <N z, z> + <q, z> + sum r_k rho_k, rho_k = sqrt(|z_k|^2 + e_k^2) for |z_k|, and
+    e_k is a share of the velocity that the forces on the ball alone would cause. Newton's method on
+    z and s_k = r_k z_k / rho_k with a line search: with z alone it crawls where e is small
+    (Andersen, Christiansen, Conn and Overton, SIAM J. Sci. Comput. 22, 2000).
+    """
+    radii, block = digits.exactly(radii), len(q) // len(radii)
+    places = [slice(k, k + block) for k in range(0, len(q), block)]
+    traces = np.array([N[at, at].trace() for at in places])
+    unit, z, s = digits.exactly(np.eye(block)), 0 * q, 0 * q
+
+    def lengths(x: np.ndarray, e: Any = 0) -> np.ndarray:
+        return digits.sqrt((x * x).reshape(-1, block).sum(axis=1) + e * e)
+
+    def value(z: np.ndarray, e: np.ndarray) -> Any:
+        return z @ (N @ z) / 2 + q @ z + radii @ lengths(z, e)
+
+    for share in SMOOTHING:
+        e = share * (radii + lengths(q)) / traces
+        for _ in range(NEWTON):
+            rho, bend = lengths(z, e), 0 * N
+            for at, r, root in zip(places, radii, rho, strict=True):
+                turn = np.outer(s[at], z[at]) / root**2
+                bend[at, at] = r / root * unit - (turn + turn.T) / 2
+            pull = np.repeat(radii / rho, block) * z
+            slope = N @ z + q + pull
+            if (abs(slope) <= share * (abs(N) @ abs(z) + abs(q) + abs(pull))).all():
+                break
+            dz = -digits.solve(N + bend, slope)
+            now, length = value(z, e), 1.0
+            while value(z + length * dz, e) > now + 0.1 * length * (slope @ dz) + share * abs(now):
+                length /= 2
+            s = pull + bend @ dz
+            s *= np.repeat(
+                [
+                    min(1, r / size) if size else 1
+                    for r, size in zip(radii, lengths(s), strict=True)
+                ],
+                block,
+            )
+            z = z + length * dz
+        else:
+            raise SweepoptError("the exact velocity was not found")
+    return np.repeat(lengths(z) > 1e3 * e, block) * z  # the others are stuck

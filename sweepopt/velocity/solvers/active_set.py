@@ -19,7 +19,7 @@ from sweepopt.sets import ROUNDING, ConvexSet, NoHalfspacesError, halfspaces, le
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.base import Answer, Small, Solve
 
-REFINEMENTS = 3  # corrections of what L rounds
+REFINEMENTS = 3  # of what L rounds: without them polyhedra beside jumps of 1e8 are not met
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ class Answer(NamedTuple):
     status: str
 
 
-Solve = Callable[[np.ndarray, ConvexSet], Answer]
+Solve = Callable[..., Answer]
 
 
 class Solver(Protocol):
@@ -41,7 +41,10 @@ class Solver(Protocol):
         ...
 
     def compile(self, program: VelocityProgram) -> Solve:
-        """A function (q, C) -> Answer for C with this cone; not to be shared by threads."""
+        """A function (q, C) -> Answer for C with this cone; not to be shared by threads.
+
+        A solver that polishes velocities of others, like Newton, takes one as a third argument.
+        """
         ...
 
     def refined(self) -> Solver | None:

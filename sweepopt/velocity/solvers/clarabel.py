@@ -89,7 +89,7 @@ def _units(P: Any, A: sp.csc_array, dims: Any) -> tuple[np.ndarray, np.ndarray]:
 
     The variables of the quadratic term have theirs already. A cone that they are in gets their
     unit, and all other variables that of their cones: |p| <= t with p in 1e-10 lets a solver that
-    meets both sides to 1e-9 forget p.
+    meets both sides to 1e-9 forget p (discs in mixed units at condition 1e12 are not met then).
     """
     tied = np.zeros(A.shape[1], dtype=bool)
     tied[sp.coo_array(P).col] = True

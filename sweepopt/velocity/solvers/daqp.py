@@ -66,7 +66,7 @@ class DAQP(Small):
 
 
 class _Workspace:
-    """The inverse of M in units of its diagonal, the last bounds and the engine that has them."""
+    """The inverse of M in units of its diagonal, and an engine that starts from its last answer."""
 
     def __init__(self, M: Factor) -> None:
         root = M.root
@@ -76,40 +76,31 @@ class _Workspace:
         self._root, self._inverse = root, np.ascontiguousarray(lower + np.tril(lower, -1).T)
         self._engine: Any = None
         self._box: ConvexSet | None = None
-        self._unit = 0.0
+        self._bounds = np.zeros((2, M.dim))
 
     def __call__(self, q: np.ndarray, C: ConvexSet) -> Answer:
-        q, nothing = q / self._root, np.zeros(C.offsets.size)
+        q, no_features = q / self._root, np.zeros(C.offsets.size)
         force = binary(np.abs(q).max())
-        self._update(self._inverse.dot(q) / -force, C, force)
-        w, _, flag, info = self._engine.solve()
-        if flag != 1:
-            self._engine = None  # a workspace that failed once is not used again
-            return Answer(np.zeros_like(q), nothing, 0, f"failed: flag {flag}")
-        z = self._inverse.dot(w * force - q) / self._root
-        return Answer(z, nothing, int(info["iterations"]), "solved")
-
-    def _update(self, linear: np.ndarray, C: ConvexSet, unit: float) -> None:
-        """The program of this linear term and of C, both in a unit of force."""
-        same = C is self._box and unit == self._unit
-        if same and self._engine is not None:
-            self._engine.update(f=linear)
-            return
-        if not same:
-            self._box, self._unit = C, unit
-            far = np.full(linear.size, FAR)
-            bounds = np.array([C.project(far), C.project(-far)]) / self._root
-            with np.errstate(over="ignore"):  # a unit of next to nothing: as far as INFINITE
-                bounds = bounds / unit
-            self._above, self._below = np.maximum(np.minimum(bounds, INFINITE), -INFINITE)
+        linear = self._inverse.dot(q) / -force
+        if C is not self._box:
+            far = np.full(q.size, FAR)
+            self._box, self._bounds = C, np.array([C.project(far), C.project(-far)]) / self._root
+        with np.errstate(over="ignore"):  # a unit of next to nothing: as far as INFINITE
+            above, below = np.maximum(np.minimum(self._bounds / force, INFINITE), -INFINITE)
         if self._engine is None:
             import daqp
 
             self._engine = daqp.Model()
-            no_rows, sense = np.zeros((0, linear.size)), np.zeros(linear.size, dtype=np.int32)
-            self._engine.setup(self._inverse, linear, no_rows, self._above, self._below, sense)
+            no_rows, sense = np.zeros((0, q.size)), np.zeros(q.size, dtype=np.int32)
+            self._engine.setup(self._inverse, linear, no_rows, above, below, sense)
         else:
-            self._engine.update(f=linear, bupper=self._above, blower=self._below)
+            self._engine.update(f=linear, bupper=above, blower=below)
+        w, _, flag, info = self._engine.solve()
+        if flag != 1:
+            self._engine = None  # a workspace that failed once is not used again
+            return Answer(np.zeros_like(q), no_features, 0, f"failed: flag {flag}")
+        z = self._inverse.dot(w * force - q) / self._root
+        return Answer(z, no_features, int(info["iterations"]), "solved")
 
 
 @cache

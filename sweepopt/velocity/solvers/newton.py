@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
 from sweepopt.checks import count
-from sweepopt.linalg import EPS, Factor, dense, euclidean
+from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, dense, euclidean
 from sweepopt.sets import ConvexSet, binary
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.base import Answer, Small, Solve
@@ -69,53 +69,47 @@ class Newton(Small):
 
     def compile(self, program: VelocityProgram) -> Solve:
         """A function that starts from the velocity it found last, or from one it is given."""
-        return _WarmStarted(Iteration(program.M), np.zeros(program.M.dim), self.max_iter)
+        return _Iteration(program.M, self.max_iter)
 
 
-class _WarmStarted:
-    """Newton's method from the last answer; `z` is where it starts."""
-
-    def __init__(self, iterate: Iteration, z: np.ndarray, max_iter: int) -> None:
-        self._iterate, self.z, self._max_iter = iterate, z, max_iter
-
-    def __call__(self, q: np.ndarray, C: ConvexSet) -> Answer:
-        self.z, iterations = self._iterate(q, C, self.z, self._max_iter)
-        return Answer(self.z, np.zeros(C.offsets.size), iterations, "iterated")
-
-
-class Iteration:
-    """Newton steps for one M; the last factorised block is kept.
+class _Iteration:
+    """Newton steps for one M; the last velocity and the last factorised block are kept.
 
     Contact states change rarely from step to step, and with them the block: that of M for the
-    slipping entries, or that of M^-1 for the stuck ones where these are fewer.
+    slipping entries, or that of M^-1 for the stuck ones where these are fewer. Where M is
+    ill-conditioned M z + q is computed more sharply: at condition 1e12, all in contact, plain
+    products cost a digit of the certificate.
     """
 
-    def __init__(self, M: Factor) -> None:
+    def __init__(self, M: Factor, max_iter: int) -> None:
         self._factor, self.M, self._diagonal = M, dense(M.M), M.diagonal
+        self._max_iter, self._z = max_iter, np.zeros(M.dim)
         self._take(self._diagonal)
         self._stuck = b""
         self._kept = np.zeros(0, dtype=int)
         self._block, self._inverted = self.M, False
 
-    def __call__(
-        self, q: np.ndarray, C: ConvexSet, z: np.ndarray, max_iter: int
-    ) -> tuple[np.ndarray, int]:
+    def __call__(self, q: np.ndarray, C: ConvexSet, start: np.ndarray | None = None) -> Answer:
+        self._z, iterations = self._iterated(q, C, self._z if start is None else start)
+        return Answer(self._z, np.zeros(C.offsets.size), iterations, "iterated")
+
+    def _iterated(self, q: np.ndarray, C: ConvexSet, z: np.ndarray) -> tuple[np.ndarray, int]:
         """Newton steps from z until nothing changes; returns the last z and their number."""
         T = C.weights(self._diagonal)
         if T is not self._T:
             self._take(T)
         scale = self._scale
         smallest, stalled = math.inf, 0
-        for iteration in range(max_iter):
+        for iteration in range(self._max_iter):
             pulled = T * z
             if self._factor.is_sharp:
                 w, size_z = self.M @ z + q, euclidean(pulled * scale)
             else:
-                w, size_z, _ = self._factor.apply(z, q)
+                w, size_z = self._factor.apply(z, q, NEGLIGIBLE)
                 size_z *= self._unit
             v = w - pulled
-            missed = C.project(v) - w
-            size = euclidean(missed * scale)
+            residual = C.project(v) - w
+            size = euclidean(residual * scale)
             rounding = EPS * (euclidean(w * scale) + size_z)
             # at rounding the equation cannot get better: stop when it does not, or when it cycles
             stalled += size >= smallest
@@ -127,15 +121,15 @@ class Iteration:
                 return z, iteration
             try:
                 if D.ndim == 1:
-                    following = self._separable(D == 1, z, missed)
+                    following = self._separable(D == 1, z, residual)
                 else:
-                    following = z + self._coupled(T, D, z, missed)
+                    following = z + self._coupled(T, D, z, residual)
             except np.linalg.LinAlgError:
                 return z, iteration
             if not math.isfinite(following @ following):
                 return z, iteration
             z = following
-        return z, max_iter
+        return z, self._max_iter
 
     def _take(self, T: np.ndarray) -> None:
         """Roots of T in its own units: the same numbers whatever power of two the units are."""
@@ -143,8 +137,8 @@ class Iteration:
         self._T, self._roots, self._unit = T, np.sqrt(T / unit), math.sqrt(unit)
         self._scale = 1 / self._roots
 
-    def _separable(self, stuck: np.ndarray, z: np.ndarray, missed: np.ndarray) -> np.ndarray:
-        """Stuck entries get 0, slipping ones solve M dz = missed; nothing reverses."""
+    def _separable(self, stuck: np.ndarray, z: np.ndarray, residual: np.ndarray) -> np.ndarray:
+        """Stuck entries get 0, slipping ones solve M dz = residual; nothing reverses."""
         if stuck.tobytes() != self._stuck:
             self._stuck = b""
             free = np.flatnonzero(~stuck)
@@ -157,16 +151,16 @@ class Iteration:
                 raise np.linalg.LinAlgError("the block is not positive definite to rounding")
             self._stuck = stuck.tobytes()
         following = np.where(stuck, 0.0, z)
-        held, kept = following - z, self._kept
+        change, kept = following - z, self._kept
         if self._inverted:
             # the few stuck entries: the forces on them that hold them, in the inverse
-            force = np.where(stuck, 0.0, missed)
+            force = np.where(stuck, 0.0, residual)
             if kept.size:
-                inner = held[kept] - self._inverse[kept] @ force
+                inner = change[kept] - self._inverse[kept] @ force
                 force[kept] = lapack.dpotrs(self._block, inner, lower=True)[0]
             following = np.where(stuck, 0.0, z + self._inverse @ force)
         elif kept.size:
-            right = missed - self.M @ held if held.any() else missed
+            right = residual - self.M @ change if change.any() else residual
             following[kept] += lapack.dpotrs(self._block, right[kept], lower=True)[0]
         return np.where(following * z < 0, 0.0, following)
 
@@ -179,9 +173,9 @@ class Iteration:
         return np.tril(lower) + np.tril(lower, -1).T
 
     def _coupled(
-        self, T: np.ndarray, D: np.ndarray, z: np.ndarray, missed: np.ndarray
+        self, T: np.ndarray, D: np.ndarray, z: np.ndarray, residual: np.ndarray
     ) -> np.ndarray:
-        """Solve (M - D (M - T)) dz = missed, with the rows where D is the identity taken out."""
+        """Solve (M - D (M - T)) dz = residual, with the rows where D is the identity taken out."""
         stuck = (D.diagonal() == 1) & (np.abs(D).sum(axis=1) == 1)
         dz = np.where(stuck, -z, 0.0)
         free = ~stuck
@@ -189,7 +183,7 @@ class Iteration:
             return dz
         rows = self.M[free]
         rows = rows - D[free] @ self.M + D[free] * T
-        right = missed[free] - rows[:, stuck] @ dz[stuck]
+        right = residual[free] - rows[:, stuck] @ dz[stuck]
         # in units of T: pivots are chosen by size
         units = self._roots[free]
         dz[free] = np.linalg.solve(rows[:, free] / np.outer(units, units), right / units) / units

@@ -5,14 +5,15 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from functools import partial
 from itertools import groupby
 from math import nan
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import count, listed, number
+from sweepopt.checks import count, number
 from sweepopt.errors import (
     InputError,
     PathError,
@@ -22,13 +23,12 @@ from sweepopt.errors import (
     shown,
 )
 from sweepopt.integrate import StepInfo
-from sweepopt.problem import SweepingProcess
-from sweepopt.results import Solution
 from sweepopt.solve import solve
 from sweepopt.study.hard import FAMILIES
 from sweepopt.study.hard.bodies import Hard
 from sweepopt.study.hard.combinations import combination
 from sweepopt.study.hard.judge import Judge
+from sweepopt.study.records import each, known, read_record
 from sweepopt.velocity import Cvxpy
 
 TARGET = 1e-8
@@ -82,29 +82,18 @@ class HardStudy:
     tol: float = 1e-9
 
     def __post_init__(self) -> None:
-        for i, seed in enumerate(listed("seeds", self.seeds)):
-            count(f"seeds[{i}]", seed, least=0)
+        each("seeds", self.seeds, partial(count, least=0))
         count("combinations", self.combinations, least=0)
         number("tol", self.tol, minimum=0.0, strict=True)
-        for key, known in (("families", FAMILIES), ("solvers", SOLVERS), ("paths", PATHS)):
-            for i, name in enumerate(listed(key, getattr(self, key))):
-                if name not in known:
-                    words = f"{key}[{i}]: {shown(name)} is not known; there are: "
-                    raise InputError(words + ", ".join(known))
+        for key, names in (("families", FAMILIES), ("solvers", SOLVERS), ("paths", PATHS)):
+            each(key, getattr(self, key), known(names))
 
 
-def hard_study(data: Any) -> HardStudy:
+def hard_study(data: Any, where: str = "") -> HardStudy:
     """The table [hard] of a study file; InputError names the key at fault."""
     if not isinstance(data, dict):
-        raise InputError(f"hard must be a table, got {shown(data)}")
-    known = [field.name for field in fields(HardStudy)]
-    for key in data:
-        if key not in known:
-            raise InputError(f"hard.{key}: unknown key; there are: {', '.join(known)}")
-    try:
-        return HardStudy(**data)
-    except InputError as error:
-        raise InputError(f"hard.{error}") from error
+        raise InputError(f"{where}hard must be a table, got {shown(data)}")
+    return read_record(f"{where}hard.", HardStudy, data)
 
 
 class HardRow(NamedTuple):
@@ -188,13 +177,11 @@ def rows(
             for solver in solvers:
                 row = row._replace(path=path, solver=solver)
                 try:
-                    run = _run(hard, judge.process, path, SOLVERS[solver], tol)
+                    yield _run(hard, judge, row, tol)
                 except (SolverRefusedError, PathError):
                     continue
                 except SweepoptError as error:
                     yield row._replace(verdict=_verdict_on(error, hard))
-                    continue
-                yield _judged(row, hard, run, judge)
 
 
 def _cases(
@@ -214,76 +201,57 @@ def _verdict_on(error: SweepoptError, hard: Hard) -> str:
     return f"{type(error).__name__}: {error}"
 
 
-class _Run(NamedTuple):
-    solution: Solution
-    steps: list[StepInfo]
-    seconds: float
-
-
-def _run(hard: Hard, process: SweepingProcess, path: str, solver: Any, tol: float) -> _Run:
+def _run(hard: Hard, judge: Judge, row: HardRow, tol: float) -> HardRow:
+    """A run as a row: the last answer in words, and the worst of all steps."""
     steps: list[StepInfo] = []
-
-    def keep(step: StepInfo) -> None:
-        steps.append(step)
-
     started = time.perf_counter()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SweepoptWarning)
         solution = solve(
-            process,
+            judge.process,
             t_end=hard.t_end,
             steps=hard.steps,
             scheme="implicit-euler",
-            solver=solver,
+            solver=SOLVERS[row.solver],
             tol=tol,
-            path=path,
-            callback=keep,
+            path=row.path,
+            callback=lambda step: steps.append(step),
         )
-    return _Run(solution, steps, time.perf_counter() - started)
-
-
-def _judged(row: HardRow, hard: Hard, run: _Run, judge: Judge) -> HardRow:
-    """The row with the last answer in words, and the worst of all steps."""
-    t, u = run.solution.t, judge.process.u0
-    error = certificate = excess = 0.0
-    proved, judged = True, 0
-    answer, row = row.answer, row._replace(seconds=run.seconds)
-    stats = run.solution.stats
-    for step in run.steps:
-        if "/" in str(stats["solver"][step.step]):
-            u = step.u
+    row = row._replace(seconds=time.perf_counter() - started)
+    u, error, certificate, excess, judged = judge.process.u0, 0.0, 0.0, 0.0, 0
+    for step, solver, t in zip(steps, solution.stats["solver"], solution.t, strict=False):
+        before, u = u, step.u
+        if "/" in str(solver):
             continue  # taken in parts: its velocity is the mean of theirs, of no one program
-        # the time as a step makes it: a load may change within a rounding unit of t
-        at = float(t[step.step]) + hard.t_end / hard.steps
         try:
-            exact = judge.of(u, at, step.velocity)
+            # the time as a step makes it: a load may change within a rounding unit of t
+            exact = judge.of(before, float(t) + hard.t_end / hard.steps)
         except SweepoptError as failure:
             return row._replace(answer=UNKNOWN, verdict=str(failure))
-        apart, size = judge.error(step.velocity, exact), exact.size or 1.0
-        proved, judged = proved and not np.isnan(step.certificate), judged + 1
-        error, certificate = max(error, apart / size), max(certificate, step.certificate / size)
+        apart, size = judge.program.error(step.velocity, exact), exact.size or 1.0
+        judged, error = judged + 1, max(error, apart / size)
+        certificate = float(
+            np.maximum(certificate, step.certificate / size)
+        )  # nan if there is none
         allowed = 0.0 if step.velocity.any() else ROUNDING
         excess = max(excess, (apart - step.certificate) / (exact.forces or 1.0) - allowed)
         answer = f"|z| = {exact.length:.3g}, {np.count_nonzero(exact.z)} of {len(u)} move"
-        u = step.u
-    if hard.refused is not None:
-        verdict = f"not refused: {hard.refused.__name__} is right"
-    elif not judged:
-        verdict = "all steps were taken in parts: none is judged"
-    elif not proved:
-        verdict = "no certificate"
-    elif error > TARGET:
-        verdict = f"error above {TARGET:g}"
-    else:
-        verdict = "certificate below the error" if excess > 0 else "met"
+        row = row._replace(answer=answer)
+    verdicts = {
+        f"not refused: {getattr(hard.refused, '__name__', '')} is right": hard.refused is not None,
+        "all steps were taken in parts: none is judged": not judged,
+        "no certificate": np.isnan(certificate),
+        f"error above {TARGET:g}": error > TARGET,
+        "certificate below the error": excess > 0,
+        "met": True,
+    }
     return row._replace(
-        answer=answer,
         error=error,
         certificate=certificate,
         excess=excess,
-        solved_by=str(stats["solver"][-1]),
-        attempts=int(stats["attempts"].max()),
-        verdict=verdict,
+        solved_by=str(solution.stats["solver"][-1]),
+        attempts=int(solution.stats["attempts"].max()),
+        verdict=next(words for words, so in verdicts.items() if so),
     )
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sweepopt.errors import EmptySetError
-from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Balls, Box, HalfSpace, Orthant, Point, Polyhedron, product
 from sweepopt.study.hard.bodies import (
     FEW,
@@ -15,32 +16,34 @@ from sweepopt.study.hard.bodies import (
     chain,
     contacts,
     friction_step,
+    nearly_singular,
     one_step,
     rod,
     slivers,
     spectral,
-    translate,
 )
+
+
+def _beside(random: Random, g: np.ndarray, shares: np.ndarray) -> Hard:
+    """Loads beside their bounds by these shares of them."""
+    return one_step(chain(random), random.choice([-1.0, 1.0], N) * g * (1 + shares), g)
 
 
 def threshold(random: Random) -> Hard:
     """Each load is its friction bound, or up to 1e-14 beside it."""
     g = random.uniform(0.5, 2.0, N)
-    beside = 1 + random.choice([0, 0, 0, 1e-14, -1e-14], N)
-    return one_step(chain(random), random.choice([-1.0, 1.0], N) * g * beside, Box(-g, g))
+    return _beside(random, g, random.choice([0, 0, 0, 1e-14, -1e-14], N))
 
 
 def weakly_active(random: Random) -> Hard:
     """Loads beside their bounds by 1e-3 to 1e-13 of these."""
     g = random.uniform(0.5, 2.0, N)
-    beside = 1 + random.choice([-1.0, 1.0], N) * 10 ** random.uniform(-13, -3, N)
-    return one_step(chain(random), random.choice([-1.0, 1.0], N) * g * beside, Box(-g, g))
+    return _beside(random, g, random.choice([-1.0, 1.0], N) * 10 ** random.uniform(-13, -3, N))
 
 
 def small_beta(random: Random) -> Hard:
     """beta 1e-8."""
-    M = chain(random)
-    return friction_step(random, M - (np.linalg.eigvalsh(M)[0] - 1e-8) * np.eye(N))
+    return friction_step(random, nearly_singular(random))
 
 
 def condition(random: Random) -> Hard:
@@ -51,20 +54,20 @@ def condition(random: Random) -> Hard:
 def condition_all(random: Random) -> Hard:
     """cond(A) = 1e12, all in contact."""
     M, g = spectral(random, np.logspace(-12, 0, N)), random.uniform(0.2, 2.0, N)
-    return one_step(M, 3 * random.normal(size=N), Box(-g, g))
+    return one_step(M, 3 * random.normal(size=N), g)
 
 
 def mixed_bounds(random: Random) -> Hard:
     """g from 0 to 1e12 and inf in one contact."""
     g = random.permutation(np.concatenate([[0.0, 0.0, np.inf, np.inf], np.logspace(-12, 12, 10)]))
-    return one_step(chain(random), 3 * random.normal(size=N), Box(-g, g), contacts(random))
+    return one_step(chain(random), 3 * random.normal(size=N), g, contacts(random))
 
 
 def mixed_bounds_all(random: Random) -> Hard:
     """g from 0 to 1e12 and inf at all unknowns."""
     g = 10 ** random.uniform(-12, 12, N)
     g[random.permutation(N)[:6]] = [0.0, 0.0, np.inf, np.inf, 1e12, 1e-12]
-    return one_step(chain(random), 3 * random.normal(size=N), Box(-g, g))
+    return one_step(chain(random), 3 * random.normal(size=N), g)
 
 
 def forces_up(random: Random) -> Hard:
@@ -118,7 +121,7 @@ def singleton(random: Random) -> Hard:
 def thin(random: Random) -> Hard:
     """A box of widths 1e-14 to 1."""
     g = 10 ** random.uniform(-14, 0, N)
-    return one_step(chain(random), 3 * random.normal(size=N), Box(-g, g))
+    return one_step(chain(random), 3 * random.normal(size=N), g)
 
 
 def unbounded(random: Random) -> Hard:
@@ -138,33 +141,32 @@ def near_parallel(random: Random) -> Hard:
     return one_step(chain(random, 4), -5 * row + random.normal(size=4), Polyhedron(G, np.ones(3)))
 
 
+def _strip(random: Random, force: float, width: float) -> Hard:
+    row = random.normal(size=4)
+    part = Polyhedron([row, -row], [0.5, -0.5 + width])
+    return one_step(chain(random, 4), force * random.normal(size=4), part)
+
+
 def near_empty(random: Random) -> Hard:
     """A strip 1e-9 wide."""
-    row = random.normal(size=4)
-    return one_step(
-        chain(random, 4), 5 * random.normal(size=4), Polyhedron([row, -row], [0.5, -0.5 + 1e-9])
-    )
+    return _strip(random, 5.0, 1e-9)
 
 
 def empty(random: Random) -> Hard:
     """A strip that is missing by 1e-9."""
-    row = random.normal(size=4)
-    made = one_step(
-        chain(random, 4), random.normal(size=4), Polyhedron([row, -row], [0.5, -0.5 - 1e-9])
-    )
-    return Hard(made.process, refused=EmptySetError)
+    return replace(_strip(random, 1.0, -1e-9), refused=EmptySetError)
 
 
 def wedge(random: Random) -> Hard:
     """A polyhedron of many rows on a few unknowns."""
     G = random.normal(size=(10, 5))
-    few = np.sort(random.permutation(N)[:5])
+    few = contacts(random, 5)
     return one_step(chain(random), 5 * random.normal(size=N), Polyhedron(G, np.ones(10)), few)
 
 
 def cone_units(random: Random) -> Hard:
     """Second-order-cone friction, forces x 2^-40."""
-    few = np.sort(random.permutation(N)[:8])
+    few = contacts(random, 8)
     radii = random.uniform(0.2, 1.0, 4)
     scale = 2.0**-40
     return one_step(
@@ -186,15 +188,14 @@ def repeated(random: Random) -> Hard:
     few = contacts(random)
     again = np.concatenate([few, few[:3], few[:1]])
     g = random.uniform(0.2, 1.0, again.size)
-    M, force = chain(random), 3 * random.normal(size=N)
-    return Hard(lambda: SweepingProcess(M, None, translate(Box(-g, g), force, again), np.zeros(N)))
+    return one_step(chain(random), 3 * random.normal(size=N), g, again)
 
 
 def parts(random: Random) -> Hard:
     """A box, a disc and a half-line side by side, glued unknowns between them."""
     ends = random.uniform(0.2, 1.0, 5)
     part = product(Box(-ends, ends), Box([-np.inf] * 2, [np.inf] * 2), Orthant(3))
-    few = np.sort(random.permutation(N)[: part.dim])
+    few = contacts(random, part.dim)
     return one_step(chain(random), 3 * random.normal(size=N), part, few)
 
 
@@ -204,8 +205,8 @@ def combined_box(random: Random) -> Hard:
     units = 2.0 ** random.integers(-40, 41, N)
     few, g = contacts(random), 10 ** random.uniform(-6, 2, FEW)
     g[random.permutation(FEW)[:4]] = [0.0, np.inf, 1e12, 1e-12]
-    part = Box(-units[few] * g, units[few] * g)
-    return one_step(units[:, None] * M * units, units * random.normal(size=N), part, few)
+    scaled, force = units[:, None] * M * units, units * random.normal(size=N)
+    return one_step(scaled, force, units[few] * g, few)
 
 
 def combined_balls(random: Random) -> Hard:

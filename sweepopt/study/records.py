@@ -1,0 +1,45 @@
+"""Tables of a study's file as records that check themselves; errors name the key at fault."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import MISSING, fields
+from typing import Any, TypeVar
+
+from sweepopt.checks import listed
+from sweepopt.errors import InputError, shown
+
+Record = TypeVar("Record")
+
+
+def read_record(where: str, kind: type[Record], data: dict[str, Any], **given: Any) -> Record:
+    """A dataclass whose fields are the keys of a table, those that are given apart."""
+    keys = {field.name: field for field in fields(kind) if field.name not in given}  # type: ignore[arg-type]
+    for key in data:
+        if key not in keys:
+            raise InputError(f"{where}{key}: unknown key; there are: {', '.join(keys)}")
+    for key, field in keys.items():
+        if field.default is MISSING and key not in data:
+            raise InputError(f"{where}{key}: is missing")
+    try:
+        return kind(**data, **given)
+    except InputError as error:
+        raise InputError(f"{where}{error}") from error
+
+
+def each(name: str, values: Any, check: Callable[[str, Any], object]) -> tuple[Any, ...]:
+    """A list with one entry or more, each of them checked under its own name."""
+    entries = listed(name, values)
+    for k, entry in enumerate(entries):
+        check(f"{name}[{k}]", entry)
+    return entries
+
+
+def known(names: Iterable[str]) -> Callable[[str, Any], None]:
+    """A check that a value is one of some names."""
+
+    def check(name: str, value: Any) -> None:
+        if value not in tuple(names):
+            raise InputError(f"{name}: {shown(value)} is not known; use {', '.join(names)}")
+
+    return check
