@@ -88,7 +88,7 @@ def test_values_and_switch_times_are_those_of_the_reference(name: str) -> None:
 @pytest.mark.parametrize("name", ["S02", "P09", "P10", "M16", "E20"])
 def test_as_the_contact_of_a_larger_body_a_case_is_as_exact(name: str, path: str) -> None:
     this, body = case(name), embedded(case(name))
-    center, E = this.process.C.center, np.eye(body.dim)[-this.process.dim :]
+    center, E = problem(name).C().center, np.eye(body.dim)[-this.process.dim :]
     load = so.Separable([(phi, E.T @ f) for phi, f in center.terms])
     C = so.Moving(so.image(E.T, this.process.C.shape), load)
     process = so.SweepingProcess(body.A, body.B, C, body.u0)
