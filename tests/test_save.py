@@ -98,6 +98,16 @@ def wave(dim: int) -> so.Separable:
     return so.Separable([(so.Sine(2.0, 3.0), np.sin(np.arange(dim)))])
 
 
+def test_a_file_has_the_states_of_the_run_whatever_a_callback_does_to_its_own(
+    tmp_path: Path,
+) -> None:
+    in_file = run("eliminated", save=tmp_path / "run.nc", callback=lambda step: step.u.fill(7.0))
+    whole = run("eliminated")
+    assert np.array_equal(in_file.u, whole.u)
+    for nodes in ([3, 1, 1], [[-1, 0]], 5, slice(2, 4)):
+        assert np.array_equal(in_file.states.u(nodes), whole.u[nodes])
+
+
 def test_a_run_that_fails_has_a_file_of_its_steps_and_replaces_no_other(tmp_path: Path) -> None:
     def stop(info: so.StepInfo) -> None:
         if info.step == 11:

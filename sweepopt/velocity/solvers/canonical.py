@@ -16,7 +16,7 @@ from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.base import Answer, Solve
 
 
-class Found(NamedTuple):
+class EngineAnswer(NamedTuple):
     """What an engine answers; is_solved tells whether it may be used again."""
 
     x: np.ndarray
@@ -32,13 +32,13 @@ class Workspace(NamedTuple):
     ----------
     build : callable linear -> engine
         An engine has `update(q=linear)`.
-    run : callable engine -> Found
+    run : callable engine -> EngineAnswer
     units : ndarray, shape (k,)
         Of the variables: the engine sees x / units.
     """
 
     build: Callable[[np.ndarray], Any]
-    run: Callable[[Any], Found]
+    run: Callable[[Any], EngineAnswer]
     units: np.ndarray
 
 
@@ -93,12 +93,12 @@ class CanonicalSolver(ABC):
                 engine = build(linear / force)
             else:
                 engine.update(q=linear / force)
-            found = run(engine)
-            x = found.x * (force / program.stiffness)
-            if not found.is_solved or not np.isfinite(x).all():
+            raw = run(engine)
+            x = raw.x * (force / program.stiffness)
+            if not raw.is_solved or not np.isfinite(x).all():
                 engine = None  # a workspace that failed once is not used again
                 x = np.where(np.isfinite(x), x, 0.0)
             answer = transposed @ (units * x)
-            return Answer(answer[:n], answer[n:], found.iterations, found.status)
+            return Answer(answer[:n], answer[n:], raw.iterations, raw.status)
 
         return solve

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from sweepopt.sets import CAREFUL, ConvexSet
 from sweepopt.velocity.program import VelocityProgram
-from sweepopt.velocity.solvers.canonical import CanonicalSolver, Found, Workspace
+from sweepopt.velocity.solvers.canonical import CanonicalSolver, EngineAnswer, Workspace
 
 SOLVED = {"Solved", "AlmostSolved"}
 
@@ -76,10 +76,10 @@ class Clarabel(CanonicalSolver):
         def build(linear: np.ndarray) -> Any:
             return clarabel.DefaultSolver(P, linear, A, rows * b, cones, settings)
 
-        def run(engine: Any) -> Found:
+        def run(engine: Any) -> EngineAnswer:
             solution = engine.solve()
             status = str(solution.status)
-            return Found(np.array(solution.x), solution.iterations, status, status in SOLVED)
+            return EngineAnswer(np.array(solution.x), solution.iterations, status, status in SOLVED)
 
         return Workspace(build, run, columns)
 

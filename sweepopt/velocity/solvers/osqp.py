@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from sweepopt.sets import ConvexSet
 from sweepopt.velocity.program import VelocityProgram
-from sweepopt.velocity.solvers.canonical import CanonicalSolver, Found, Workspace
+from sweepopt.velocity.solvers.canonical import CanonicalSolver, EngineAnswer, Workspace
 
 
 @dataclass(frozen=True)
@@ -72,9 +72,9 @@ class OSQP(CanonicalSolver):
             fresh.setup(*data, verbose=False, polishing=False, **tolerances)
             return fresh
 
-        def run(engine: Any) -> Found:
+        def run(engine: Any) -> EngineAnswer:
             result = engine.solve(raise_error=False)
             x, info = np.array(result.x, dtype=float), result.info
-            return Found(x, info.iter, info.status, info.status_val in (1, 2))
+            return EngineAnswer(x, info.iter, info.status, info.status_val in (1, 2))
 
         return Workspace(build, run, np.ones(P.shape[0]))
