@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from copy import deepcopy
 
 import numpy as np
@@ -152,6 +150,10 @@ def along(direction, at, *values):
     return {"kappa": {"along": direction, "at": at, **({"values": values[0]} if values else {})}}
 
 
+def table(times, values):
+    return {"table": {"t": times, "values": values}}
+
+
 BAD = [
     # the file as a whole
     ("unit", "SI", "unit: unknown key"),
@@ -200,11 +202,7 @@ BAD_EFFECTS = [
     ("elasticity", {"kappa": -1}, "elasticity.kappa must be >= 0, got -1"),
     ("elasticity", along("z", [0, 1], [1, 1]), "elasticity.kappa.along must be one of x, y"),
     ("elasticity", along("x", [0, 1]), "elasticity.kappa.values: is missing"),
-    (
-        "elasticity",
-        along("x", [0, 0.5], [1, 1]),
-        r"elasticity.kappa.at covers \[0, 0.5\] but x runs",
-    ),
+    ("elasticity", along("x", [0, 0.5], [1, 1]), r"elasticity.kappa.at covers \[0, 0.5\] but x"),
     ("elasticity", along("x", [0, 2], [1, -1]), "elasticity.kappa.values must be >= 0, got -1"),
     ("friction", {"on": "left", "g": -1.0}, "friction.g must be >= 0, got -1"),
     ("friction", {"on": "left", "g": float("nan")}, "friction.g must be finite"),
@@ -212,11 +210,7 @@ BAD_EFFECTS = [
     ("friction", {"on": "top", "g": 1.0}, "friction.on: all of top is clamped"),
     ("friction", {"on": 3, "g": 1.0}, "friction.on must be a name"),
     ("friction", {"g": 1.0}, "friction.on: is missing"),
-    (
-        "friction",
-        {"on": ["left", "right"], "g": {"left": 1}},
-        "friction.g gives no value for",
-    ),
+    ("friction", {"on": ["left", "right"], "g": {"left": 1}}, "friction.g gives no value for"),
     ("traction", {"on": "left"}, "traction.history: is missing"),
     ("traction", [TRACTION, {}], r"traction\[1\].on: is missing"),
     ("traction", TRACTION | {"f2": "1"}, "traction.f2 must be a number, got '1'"),
@@ -231,15 +225,12 @@ BAD_HISTORIES = [
     ({"waveform": "sine", "amplitude": "2", "period": 1.0}, "history.amplitude: must be a valid"),
     ({"waveform": "constant", "value": 1.0, "csv": "loads.csv"}, ".*waveform: unknown key"),
     ({"table": {"t": [0.0, 1.0]}}, "history.table.values: is missing"),
-    (
-        {"table": {"t": [0.0, 0.0], "values": [0, 1]}},
-        r"history.table.t must increase strictly, but entry 1 \(0\)",
-    ),
-    ({"table": {"t": "ab", "values": [0, 1]}}, "history.table.t must be an array of numbers"),
-    ({"table": {"t": [0.0], "values": [0]}}, "history.table.t must have two entries"),
-    ({"table": {"t": [0.0, 1.0], "values": [0]}}, "history.table.values has 1 entries for 2"),
-    ({"table": {"t": [0.0, 1.0], "values": ["a", 1]}}, "history.table.values must be an array"),
-    ({"table": {"t": [0.0, 0.5], "values": [0, 1]}}, r"history does not cover the run, \[0, 1\]"),
+    (table([0, 0], [0, 1]), r"history.table.t must increase strictly, but entry 1 \(0\)"),
+    (table("ab", [0, 1]), "history.table.t must be an array of numbers"),
+    (table([0], [0]), "history.table.t must have two entries"),
+    (table([0, 1], [0]), "history.table.values has 1 entries for 2"),
+    (table([0, 1], ["a", 1]), "history.table.values must be an array"),
+    (table([0, 0.5], [0, 1]), r"history does not cover the run, \[0, 1\]"),
     ({"csv": "absent.csv", "column": "f2"}, "history.*absent.csv: cannot be read"),
     ({"csv": "loads.csv"}, "history.column: is missing"),
     ({"csv": "loads.csv", "column": "f9"}, "history.*loads.csv: column 'f9' is missing; there are"),
@@ -247,10 +238,7 @@ BAD_HISTORIES = [
     ({"csv": "short.csv", "column": "f2"}, "history does not cover the run, .*covers .0, 0.5"),
     ({"csv": "late.csv", "column": "f2"}, "history does not cover the run, .*covers .0.25, 9"),
     ({"csv": "loads.csv", "column": "f2", "scale": "1"}, "history.scale: must be a valid number"),
-    (
-        {"csv": "loads.csv", "column": "f2", "scale": float("nan")},
-        "history.scale: must be a finite",
-    ),
+    ({"csv": "loads.csv", "column": "f2", "scale": np.nan}, "history.scale: must be a finite"),
 ]
 BAD += [(f"effects.{key}", value, f"effects.{message}") for key, value, message in BAD_EFFECTS]
 BAD += [("effects.friction", TWICE, "effects hold friction twice")]
@@ -336,24 +324,3 @@ def test_the_tube_sticks_slips_and_reverses():
     ]:  # fmt: skip
         assert low <= share[round(t / 1.25) - 1] <= high, (t, share[round(t / 1.25) - 1])
     assert np.abs(sol.u[-1]).max() > 2e-5  # what friction locks in after the load is gone
-
-
-def run_python(code):
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-
-
-def test_the_core_and_the_list_of_problems_need_no_extra():
-    code = (
-        "import sys\n"
-        "for name in ('skfem', 'meshio', 'pydantic'): sys.modules[name] = None\n"
-        "import sweepopt\n"
-        "from sweepopt.io import list_problems\n"
-        "assert 'tube' in list_problems()\n"
-        "try:\n"
-        "    import sweepopt.fem\n"
-        "except sweepopt.MissingExtraError as error:\n"
-        "    print(error)\n"
-    )
-    done = run_python(code)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == 'scikit-fem is not installed; run: pip install "sweepopt[fem]"\n'
