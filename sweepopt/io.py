@@ -46,7 +46,7 @@ def writable(name: str, value: Any) -> Path:
     except (OSError, ValueError, RuntimeError) as error:  # too long, a zero byte, a circle of links
         raise InputError(f"{name} is {given}, which is no path: {error}") from error
     if not folder:
-        raise InputError(f"{name} is {given}, but there is no folder {shown(str(path.parent))}")
+        raise InputError(f"{name} is {given}, but there is no folder {str(path.parent)!r}")
     if taken or not os.access(path.parent, os.W_OK):
         raise InputError(f"{name} is {given}, which cannot be written there")
     return path

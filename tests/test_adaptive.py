@@ -19,7 +19,6 @@ BURST = problem("H18").load[0]["table"]
 
 FACTOR = 3.0  # by which an error may miss its tolerance in one run of a hundred
 
-
 # V05, L13 start outside of C(0) on purpose
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 

@@ -497,7 +497,7 @@ def test_a_moving_cone_that_rests_at_zero_has_a_polar() -> None:
 
 
 @pytest.mark.parametrize("squared", [False, True])
-@pytest.mark.parametrize("power", [-60, -30, -10, 0, 20, 60])
+@pytest.mark.parametrize("power", [-60, 0, 60])
 def test_user_constraints_may_have_any_units(power: int, squared: bool) -> None:
     r = 2.0**power
     C = so.Constraints(2, lambda w: [cp.sum_squares(w) <= r**2 if squared else cp.norm(w) <= r])
@@ -705,29 +705,6 @@ def test_every_set_refuses_vectors_of_another_shape(name: str) -> None:
             C.support(wrong)
         with pytest.raises(so.InputError, match=re.compile("^[wzv]")):
             C.project(wrong)
-
-
-@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
-@pytest.mark.parametrize("power", [-40, -20, 20, 40])
-def test_rows_and_vertices_in_other_units_are_the_same_set(power: int) -> None:
-    unit = 2.0**power
-    for seed in range(10):
-        random = np.random.default_rng(seed)
-        G, V, h = random.normal(size=(8, 3)), random.normal(size=(6, 3)), np.ones(8)
-        z = G.T @ random.uniform(size=8)
-        expected = unit * so.Polyhedron(G, h).support(z)
-        assert so.Polyhedron(G / unit, h).support(z) == pytest.approx(expected, rel=1e-9)
-        roots, f = random.normal(size=(3, 3)), 3 * random.normal(size=3)
-        A = roots @ roots.T + np.eye(3)
-        found = [
-            so.solve(
-                so.SweepingProcess(k * A, None, so.Moving(so.Polytope(k * V), k * f), np.zeros(3)),
-                t_end=1.0,
-                steps=1,
-            ).u[-1]
-            for k in (1.0, unit)
-        ]
-        np.testing.assert_allclose(*found, rtol=0, atol=1e-12 * np.abs(found[0]).max())
 
 
 def test_sums_and_images_of_rows_are_projected_on_to_rounding() -> None:

@@ -144,7 +144,7 @@ def test_constraints_may_be_stated_in_any_units(name: str, path: str) -> None:
     how = {"path": path, "solver": "clarabel" if path == "eliminated" else "auto"}
     kept = CONTACT if path == "eliminated" else np.eye(3)
     found = []
-    for force, length in ((0, 0), (40, -40), (-40, 40), (17, 0)):
+    for force, length in ((0, 0), (40, -40), (-40, 40)):
         F, L = 2.0**force, 2.0**length
         C = stated(name, F)
         found.append((run(so.image(kept, C) if path == "eliminated" else C, 3, F, L, **how), L))
