@@ -81,6 +81,8 @@ def test_the_times_shown_have_stick_slip_and_reversal_and_the_end(run: Report) -
     assert min(np.diff(times)) >= 6.0 / 12
     seen = {colour for panel in panels for colour in boundary_drawn(panel)[1]}
     assert seen == {to_hex(colour) for colour in STATE_COLOURS.values()}
+    with pytest.raises(so.InputError, match=r"t = 7 is outside of \[0, 6\]"):
+        displacement_figure(run, [1.0, 7.0])
 
 
 @pytest.mark.parametrize("steps", [1, 2])
@@ -98,11 +100,6 @@ def test_a_body_at_rest_without_friction_has_a_picture(tmp_path: Path) -> None:
     figure.savefig(tmp_path / "displacement.png")
     assert not figure.legends
     assert "(" not in figure.axes[0].get_ylabel() + figure.axes[-1].get_ylabel()
-
-
-def test_times_outside_of_the_run_are_refused(run: Report) -> None:
-    with pytest.raises(so.InputError, match=r"t = 7 is outside of \[0, 6\]"):
-        displacement_figure(run, [1.0, 7.0])
 
 
 def test_contact_histories_are_those_of_the_solution(run: Report, tmp_path: Path) -> None:
