@@ -10,8 +10,9 @@ import pytest
 pytest.importorskip("skfem")
 
 from meshes import annulus, square, write_msh
+from test_golden import SCENE_TEXT
 
-from sweepopt import InputError, Sine, Table
+from sweepopt import Constant, InputError, Sine, Table, Triangle
 from sweepopt.fem import (
     BodyForce,
     Elasticity,
@@ -23,38 +24,6 @@ from sweepopt.fem import (
     read_scene,
 )
 
-FULL = """
-title = "a ring"
-units = "SI"
-[domain]
-mesh = "ring.msh"
-clamped = "inner"
-element = "P2"
-[time]
-end = 2.0
-steps = 8
-[solve]
-scheme = "implicit-euler"
-solver = "osqp"
-tol = 1e-5
-[effects.viscosity]
-eta = { core = 1.0, sleeve = 0.2 }
-[effects.elasticity]
-kappa = { along = "radius", at = [0.9, 2.1], values = [1.0, 3.0] }
-[effects.friction]
-on = "outer"
-g = 0.3
-[[effects.traction]]
-on = "outer"
-history = { csv = "loads.csv", column = "f2", time = "t", scale = 2.0 }
-[[effects.traction]]
-on = ["outer"]
-f2 = { along = "angle", at = [0.0, 360.0], values = [0.0, 1.0] }
-history = { table = { t = [0.0, 1.0, 2.0], values = [0.0, 1.0, 0.0] } }
-[effects.body_force]
-f0 = 2.0
-history = { waveform = "sine", amplitude = 1.0, period = 4.0 }
-"""
 SMALL = {
     "domain": {"mesh": "square.msh", "clamped": "top"},
     "time": {"end": 1.0, "steps": 4},
@@ -69,12 +38,13 @@ def folder(tmp_path_factory):
     write_msh(path / "ring.msh", annulus(2))
     write_msh(path / "square.msh", square(2))
     write_msh(path / "coarse.msh", square(1))
+    (path / "f.csv").write_text("t,f\n0,0\n1,0.5\n2,0.25\n")
     (path / "loads.csv").write_text("t,f2\n0,0\n1,0.5\n2,0.25\n")
     (path / "short.csv").write_text("t,f2\n0,0\n0.5,0.5\n")
     (path / "late.csv").write_text("t,f2\n0.25,0\n9,0.5\n")
     (path / "text.csv").write_text("t,f2\n0,0\n1,much\n")
     (path / "broken.msh").write_text("$MeshFormat\n")
-    (path / "full.toml").write_text(FULL)
+    (path / "full.toml").write_text(SCENE_TEXT)
     return path
 
 
@@ -91,6 +61,7 @@ def same(one, two):
     )
 
 
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 def test_a_file_states_the_same_problem_as_python(folder):
     scene = read_scene(folder / "full.toml")
     by_hand = antiplane(
@@ -101,9 +72,11 @@ def test_a_file_states_the_same_problem_as_python(folder):
             Viscosity({"core": 1.0, "sleeve": 0.2}),
             Elasticity(Profile("radius", [0.9, 2.1], [1.0, 3.0])),
             Friction("outer", g=0.3),
+            BodyForce(Table([0, 2], [0, 1]), f0=2.0),
             Traction("outer", Table([0, 1, 2], [0, 1, 0.5])),
-            Traction("outer", Table([0, 1, 2], [0, 1, 0]), f2=Profile("angle", [0, 360], [0, 1])),
-            BodyForce(Sine(1.0, period=4.0), f0=2.0),
+            Traction("outer", Sine(1.0, period=4.0, phase=0.1, offset=0.2), f2=2.0),
+            Traction("outer", Triangle(1.0, period=4.0)),
+            Traction("outer", Constant(1.0)),
         ],
     )
     assert same(scene, by_hand)
@@ -121,8 +94,8 @@ def test_text_a_path_and_a_mapping_are_read_alike(folder):
 
     scenes = [
         read_scene(str(folder / "full.toml")),
-        read_scene(FULL, folder=folder),
-        read_scene(tomllib.loads(FULL), folder=folder),
+        read_scene(SCENE_TEXT, folder=folder),
+        read_scene(tomllib.loads(SCENE_TEXT), folder=folder),
     ]
     assert all(same(scenes[0], scene) for scene in scenes[1:])
 
@@ -294,7 +267,7 @@ def test_a_bad_file_is_refused(source, message):
 
 def test_folders_are_paths_and_files_are_text(tmp_path):
     with pytest.raises(InputError, match="folder must be a path, got None"):
-        read_scene(FULL, folder=None)
+        read_scene(SCENE_TEXT, folder=None)
     (tmp_path / "scene.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match=r"scene.toml: is not UTF-8 text"):
         read_scene(tmp_path / "scene.toml")
