@@ -173,7 +173,7 @@ class Solution:
 
     @cached_property
     def _nearest(self) -> VelocityOf:
-        return compile_projection(self.plan, self.process.metric.M)
+        return compile_projection(self.plan, self.process.metric)
 
     def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
         """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A = 0).

@@ -49,8 +49,6 @@ class Plan:
         The few unknowns the set acts on, if all others are eliminated; None keeps them.
     reduction : Reduction or None
         The process of the contact alone, if the material and the load are proportional.
-    order : ndarray of int or None
-        An order of the unknowns with little fill, for elimination.
     """
 
     unknowns: int
@@ -62,7 +60,6 @@ class Plan:
     left_out: tuple[str, ...]
     contact: np.ndarray | None = None
     reduction: Reduction | None = None
-    order: np.ndarray | None = None
 
     @property
     def path(self) -> str:
@@ -83,7 +80,7 @@ class Plan:
         """The plan of the process that the loop moves: the reduction's, if there is one."""
         if self.reduction is None:
             return self
-        return replace(self, unknowns=self.entering, contact=None, reduction=None, order=None)
+        return replace(self, unknowns=self.entering, contact=None, reduction=None)
 
     @property
     def eliminated(self) -> int:
@@ -168,7 +165,6 @@ def make_plan(
         tol=tol,
         left_out=tuple(_left_out(process, solvers)),
         contact=contact,
-        order=process.metric.order,
         reduction=None if isinstance(reduced, str) else reduced,
     )
 
