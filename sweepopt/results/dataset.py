@@ -94,7 +94,7 @@ class NetCDFSink:
                     raise InputError(f"another run has written {self._path}: these states are gone")
                 return np.asarray(file.variables[name][i])
 
-        return States(partial(read, "u"), partial(read, "velocity"))
+        return States(np.arange(self.steps), partial(read, "u"), partial(read, "velocity"))
 
 
 def netcdf_package() -> Any:
