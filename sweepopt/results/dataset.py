@@ -103,7 +103,7 @@ class NetCDFSink:
                 rows, where = np.unique(np.arange(variable.shape[0])[i], return_inverse=True)
                 return np.asarray(variable[rows])[where.reshape(np.shape(i))]
 
-        return States(partial(read, "u"), partial(read, "velocity"))
+        return States(np.arange(self.steps), partial(read, "u"), partial(read, "velocity"))
 
 
 def netcdf_package() -> Any:
