@@ -32,7 +32,6 @@ import numpy as np
 import pytest
 
 pytest.importorskip("skfem")
-pytest.importorskip("mpmath")
 
 from cases import SETS, case
 from meshes import annulus, write_msh

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-pytest.importorskip("mpmath")
-
 import sweepopt as so
 from sweepopt.study.hard import Program
 from sweepopt.study.hard.bodies import chain, spectral
