@@ -42,12 +42,13 @@ def _checksum(value: Any, known: dict[int, str]) -> str:
         parts = list(value)
     elif sp.issparse(value):
         matrix = sp.csc_array(value)
-        parts = [matrix.shape, matrix.data, matrix.indices, matrix.indptr]
+        places = (index.astype(np.int64) for index in (matrix.indices, matrix.indptr))
+        parts = [matrix.shape, matrix.data, *places]
     elif isinstance(value, np.ndarray):
         content = hashlib.sha256(np.ascontiguousarray(value).data).hexdigest()
         text = f"{value.dtype.str} {value.shape} {content}"
     elif value is None or isinstance(value, (str, int, float, np.generic)):
-        text = repr(value)
+        text = repr(value.item() if isinstance(value, np.generic) else value)
     whole = " ".join([text, *(_checksum(part, known) for part in parts)])
     checksum = hashlib.sha256(whole.encode()).hexdigest()
     if isinstance(value, ConvexSet):

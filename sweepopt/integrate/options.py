@@ -68,8 +68,8 @@ class SolveOptions:
                     return {"solver": name, "settings": asdict(value)}
             if np.asarray(value).dtype == object:
                 raise InputError(
-                    "with checkpoint= a solver must be one of the library's own and its settings "
-                    f"plain, not {shown(value)}"
+                    "with checkpoint= options are written to a file: a solver must be one of the "
+                    f"library's own and its settings plain, other options numbers or text, not {shown(value)}"
                 )
             return np.asarray(value).tolist()
 

@@ -207,7 +207,7 @@ class Run:
 
     def statistics(self, beside: float) -> Statistics:
         """Those of the steps that are done; each took so many seconds beside the loop."""
-        rows = self._rows[: self.done]
+        rows = self._rows[: self.done].copy()
         rows["seconds"] += np.float32(beside)
         return Statistics(self.grid.times[1 : self.done + 1], rows, tuple(self._solvers))
 
