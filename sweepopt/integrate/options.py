@@ -69,7 +69,8 @@ class SolveOptions:
             if np.asarray(value).dtype == object:
                 raise InputError(
                     "with checkpoint= options are written to a file: a solver must be one of the "
-                    f"library's own and its settings plain, other options numbers or text, not {shown(value)}"
+                    "library's own and its settings plain, other options numbers or text, "
+                    f"not {shown(value)}"
                 )
             return np.asarray(value).tolist()
 
