@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from sweepopt.sets.active_set import (
-    least_distance,
-)
 from sweepopt.sets.balls import (
     Ball,
     Balls,
@@ -33,6 +30,9 @@ from sweepopt.sets.cvxpy_lock import (
 )
 from sweepopt.sets.ellipsoid import (
     Ellipsoid,
+)
+from sweepopt.sets.least_distance import (
+    least_distance,
 )
 from sweepopt.sets.moving import (
     AnySet,

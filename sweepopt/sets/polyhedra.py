@@ -13,7 +13,6 @@ import scipy.sparse as sp
 from sweepopt.checks import divisor, matrix, number, vector
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
 from sweepopt.linalg import EPS, dense, row_lengths
-from sweepopt.sets.active_set import Nearest, least_distance, projector
 from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
@@ -22,6 +21,7 @@ from sweepopt.sets.base import (
     binary,
     same_array,
 )
+from sweepopt.sets.least_distance import Nearest, least_distance, projector
 from sweepopt.sets.moving import MovingOffsets
 from sweepopt.sets.programs import normal_by_program
 from sweepopt.sets.shapes import Orthant

@@ -10,7 +10,6 @@ from scipy.spatial import ConvexHull, QhullError
 from sweepopt.checks import matrix, vector
 from sweepopt.errors import EmptySetError
 from sweepopt.linalg import dense
-from sweepopt.sets.active_set import projector
 from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
@@ -20,6 +19,7 @@ from sweepopt.sets.base import (
     binary,
     same_array,
 )
+from sweepopt.sets.least_distance import projector
 from sweepopt.sets.programs import normal_by_program
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import Any
 from sweepopt.errors import SolverRefusedError, shown
 from sweepopt.sets import ConvexSet, Similar
 from sweepopt.velocity.solvers.active_set import ActiveSet
-from sweepopt.velocity.solvers.base import Answer, Small, Solve, Solver
 from sweepopt.velocity.solvers.clarabel import Clarabel
+from sweepopt.velocity.solvers.contract import Answer, Small, Solve, Solver
 from sweepopt.velocity.solvers.daqp import DAQP, has_daqp
 from sweepopt.velocity.solvers.newton import Newton
 from sweepopt.velocity.solvers.osqp import OSQP

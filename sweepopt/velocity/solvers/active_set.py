@@ -17,7 +17,7 @@ from sweepopt.errors import EmptySetError
 from sweepopt.linalg import NEGLIGIBLE, dense, euclidean
 from sweepopt.sets import ROUNDING, ConvexSet, NoHalfspacesError, halfspaces, least_distance
 from sweepopt.velocity.program import VelocityProgram
-from sweepopt.velocity.solvers.base import Answer, Small, Solve
+from sweepopt.velocity.solvers.contract import Answer, Small, Solve
 
 REFINEMENTS = 3  # of what L rounds: without them polyhedra beside jumps of 1e8 are not met
 

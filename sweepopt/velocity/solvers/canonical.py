@@ -21,7 +21,7 @@ import scipy.sparse as sp
 from sweepopt.checks import count, number
 from sweepopt.sets import ConvexSet, in_turn
 from sweepopt.velocity.program import VelocityProgram
-from sweepopt.velocity.solvers.base import Answer, Solve
+from sweepopt.velocity.solvers.contract import Answer, Solve
 
 if TYPE_CHECKING:
     import cvxpy as cp

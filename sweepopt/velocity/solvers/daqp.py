@@ -22,7 +22,7 @@ from sweepopt.errors import MissingExtraError
 from sweepopt.linalg import Factor, dense
 from sweepopt.sets import ConvexSet, binary
 from sweepopt.velocity.program import VelocityProgram
-from sweepopt.velocity.solvers.base import Answer, Small, Solve
+from sweepopt.velocity.solvers.contract import Answer, Small, Solve
 
 FAR, INFINITE = 1e60, 1e30  # beyond any bound of a set; what DAQP takes for no bound
 

@@ -21,7 +21,7 @@ from sweepopt.checks import count
 from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, dense, euclidean
 from sweepopt.sets import ConvexSet, binary
 from sweepopt.velocity.program import VelocityProgram
-from sweepopt.velocity.solvers.base import Answer, Small, Solve
+from sweepopt.velocity.solvers.contract import Answer, Small, Solve
 
 SMALL = 40  # up to so many slipping entries an inverse is not worth it
 PATIENCE = 5  # steps that may fail to improve on the best one: more are a cycle

@@ -11,7 +11,7 @@ import numpy as np
 from sweepopt.errors import InputError, SolverRefusedError, shown
 from sweepopt.sets import ConvexSet, in_turn
 from sweepopt.velocity.program import VelocityProgram
-from sweepopt.velocity.solvers.base import Answer, Solve, Solver
+from sweepopt.velocity.solvers.contract import Answer, Solve, Solver
 
 if TYPE_CHECKING:
     import cvxpy as cp
