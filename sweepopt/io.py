@@ -46,7 +46,7 @@ def writable(name: str, value: Any) -> Path:
     except (OSError, ValueError, RuntimeError) as error:  # too long, a zero byte, a circle of links
         raise InputError(f"{name} is {given}, which is no path: {error}") from error
     if not folder:
-        raise InputError(f"{name} is {given}, but there is no folder {shown(str(path.parent))}")
+        raise InputError(f"{name} is {given}, but there is no folder {str(path.parent)!r}")
     if taken or not os.access(path.parent, os.W_OK):
         raise InputError(f"{name} is {given}, which cannot be written there")
     return path
@@ -317,11 +317,11 @@ def read_npz(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 def versions_of(packages: Iterable[str]) -> dict[str, str]:
     """The versions of those that are installed, and of the library."""
-    found = {}
+    versions = {}
     for name in dict.fromkeys(packages):
         try:
-            found[name] = metadata.version(name)
+            versions[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             continue
     # a clone on the path has no metadata
-    return {**found, "sweepopt": sys.modules["sweepopt"].__version__}
+    return {**versions, "sweepopt": sys.modules["sweepopt"].__version__}

@@ -18,10 +18,10 @@ from sweepopt.errors import InputError, Status, StepError, shown
 from sweepopt.integrate import (
     MEMORY,
     Adaptive,
-    AdaptiveResult,
     Callback,
     Checkpoint,
     CheckpointWriter,
+    Grid,
     Observer,
     ProgressBar,
     Reconstruction,
@@ -271,26 +271,26 @@ def _run(
     if isinstance(steps, Adaptive):
         segments = Segments.of(steps, process, options.t_end, scheme, options.save)
     grid = _first_grid(process, options, scheme, segments)
-    writer = checkpoint_writer(checkpoint, process, grid.plan, grid.times, options, stored)
+    writer = checkpoint_writer(checkpoint, process, grid, options, stored)
     recorded = writer.recorded if writer else []
     bar = ProgressBar(progress, None if segments else len(grid.mus), writer.done if writer else 0)
-    sink, succeeded = None, False
+    run, interrupted, sink, succeeded = None, False, None, False
     try:
         if segments:
-            grid = adapt(
+            run = adapt(
                 steps, segments, process, grid.plan, options.save, options.memory, bar.update
             )
-        reconstruction, run = Reconstruction(grid.plan, grid.times, grid.mus), grid.run
-        interrupted = run is not None and run.status is Status.INTERRUPTED
+            grid, interrupted = run.grid, run.status is Status.INTERRUPTED
+        reconstruction = Reconstruction(grid)
         watchers: list[Callable[[StepInfo], Any]] = []
-        if grid.wanted.path and not interrupted:
-            sink = NetCDFSink(grid.wanted.path, float(grid.times[0]), process.u0)
+        if grid.saving.path and not interrupted:
+            sink = NetCDFSink(grid.saving.path, float(grid.times[0]), process.u0)
             watchers.append(sink.put)
-        if record := grid.wanted.function:
+        if record := grid.saving.function:
             watchers.append(lambda step: recorded.append(record(step.t, step.u, step.velocity)))
         if callback:
             watchers.append(callback)
-        if run is None or (watchers and not interrupted):
+        if run is None or (not interrupted and (watchers or not run.done)):
             looked_at = watchers or progress
             observe = observer(bar, watchers, reconstruction, grid.times) if looked_at else None
             run = _moved(process, grid, reconstruction, observe, writer)
@@ -307,12 +307,12 @@ def _run(
     if not succeeded:
         u = reconstruction.state(run.done, run.u)
         raise StepError(run.cause, float(grid.times[run.done]), run.done, u, run.relative)
-    return _solution(process, grid, run, reconstruction, sink, recorded)
+    return _solution(process, run, reconstruction, sink, recorded)
 
 
 def _first_grid(
     process: SweepingProcess, options: SolveOptions, scheme: Scheme, segments: Segments | None
-) -> AdaptiveResult:
+) -> Grid:
     """The grid and its plan; C(t) is checked at all times that are asked for."""
     times, mus = (
         time_grid(None, segments.equal()) if segments else time_grid(options.t_end, options.steps)
@@ -327,12 +327,12 @@ def _first_grid(
     saved = saving(options.save, times, plan.entering, options.memory)
     process.check_start(float(times[0]))
     check_stability(process, scheme, float(mus.max()), options.on_unstable)
-    return AdaptiveResult(times, mus, plan, saved)
+    return Grid(times, mus, plan, saved)
 
 
 def _moved(
     process: SweepingProcess,
-    grid: AdaptiveResult,
+    grid: Grid,
     reconstruction: Reconstruction,
     observe: Observer | None,
     writer: CheckpointWriter | None,
@@ -341,38 +341,35 @@ def _moved(
     plan, full_certificate = grid.plan, None
     if plan.reduction:
         process, full_certificate = plan.reduction.process, reconstruction.full_certificate
-    run = Run(len(grid.mus), grid.wanted.steps, process.u0)
+    run = Run(grid, process.u0)
     move = mover(process, plan.of_entering, writer)
     if writer:
         writer.begin(run)
-    move(grid.times, grid.mus, run, observe, full_certificate)
+    move(run, observe, full_certificate)
     return run
 
 
 def _solution(
     process: SweepingProcess,
-    grid: AdaptiveResult,
     run: Run,
     reconstruction: Reconstruction,
     sink: NetCDFSink | None,
     recorded: list[Any],
 ) -> Solution:
     """The states of all unknowns where they are, and what is known of the run."""
-    kept = run.kept()
-    states, steps = reconstruction.states(kept), kept.steps
-    if sink is not None:
-        states, steps = sink.states(), np.arange(sink.steps)
-    times = grid.times[: run.done + 1]
+    grid, times = run.grid, run.grid.times[: run.done + 1]
+    states = sink.states() if sink else reconstruction.states(run.states())
+    steps = states.steps
     return Solution(
         process=process,
         plan=grid.plan,
         t=times if len(steps) == run.done else times[np.append(0, steps + 1)],
         steps=steps,
         states=states,
-        statistics=run.statistics(times, reconstruction.seconds),
+        statistics=run.statistics(reconstruction.seconds),
         status=run.status,
         cause=run.cause,
         exact=reconstruction.trajectory(run.exact),
-        recorded=recorded if grid.wanted.function else None,
+        recorded=recorded if grid.saving.function else None,
         passes=grid.passes,
     )

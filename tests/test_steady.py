@@ -91,6 +91,25 @@ def test_a_body_that_is_held_does_not_move_at_all(
     assert (sol.u == u0).all()
 
 
+@pytest.mark.parametrize("scheme", ["midpoint", "trapezoid", "sdirk2"])
+def test_a_stiff_body_that_slides_steadily_is_not_said_to_overshoot(scheme: str) -> None:
+    # mu Lam = 50; warnings are errors here
+    C = so.Moving(so.Box([-1.0], [1.0]), center=lambda t: [2.0 + 50 * t])
+    process = so.SweepingProcess([[1.0]], [[50.0]], C, u0=[0.02])
+    sol = so.solve(process, t_end=20.0, steps=20, scheme=scheme)
+    assert sol.u[-1, 0] == pytest.approx(20.0, abs=0.1)
+
+
+def test_times_far_from_zero_keep_their_own_steps() -> None:
+    # seconds since 1970: steps of 1 and 1.5 ms, rounded to 2.4e-7 as the times are
+    stamps = 1.7e9 + np.array([0, 0.001, 0.0025])
+    process = so.SweepingProcess([[1.0]], [[1.0]], so.Point([1.0]), [0.0])
+    with pytest.warns(so.InitialStateWarning):
+        sol = so.solve(process, steps=stamps, scheme="catching-up")
+    assert sol.u[1, 0] == pytest.approx(stamps[1] - stamps[0], rel=1e-9)
+    assert sol.velocity == pytest.approx(np.diff(sol.u, axis=0) / np.diff(sol.t)[:, None])
+
+
 # ---- units -------------------------------------------------------------------------------------
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sweepopt.integrate.adaptive import Adaptive, AdaptiveResult, Pass, Segments, adapt
+from sweepopt.integrate.adaptive import Adaptive, Segments, adapt
 from sweepopt.integrate.checkpoint import (
     Checkpoint,
     CheckpointWriter,
@@ -18,7 +18,6 @@ from sweepopt.integrate.grid import (
     divided,
     evaluation_times,
     time_grid,
-    warn_of_overshoot,
 )
 from sweepopt.integrate.loop import Observer, integrate
 from sweepopt.integrate.observers import (
@@ -29,18 +28,19 @@ from sweepopt.integrate.observers import (
     observer,
 )
 from sweepopt.integrate.options import SolveOptions
+from sweepopt.integrate.overshoot import warn_of_overshoot
 from sweepopt.integrate.reconstruction import Reconstruction
-from sweepopt.integrate.record import MEMORY, Index, Run, States, Statistics, saving
+from sweepopt.integrate.record import MEMORY, Grid, Index, Pass, Run, States, Statistics, saving
 from sweepopt.integrate.schemes import SCHEMES, Scheme
 
 __all__ = [
     "MEMORY",
     "SCHEMES",
     "Adaptive",
-    "AdaptiveResult",
     "Callback",
     "Checkpoint",
     "CheckpointWriter",
+    "Grid",
     "Index",
     "Observer",
     "Pass",

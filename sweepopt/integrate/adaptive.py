@@ -17,7 +17,7 @@ import time as clock
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from sweepopt.errors import IndefiniteError, InputError, Status
 from sweepopt.integrate.error_estimator import ErrorEstimator, ErrorModel, Probe
 from sweepopt.integrate.grid import evaluation_times, time_grid
 from sweepopt.integrate.loop import integrate
-from sweepopt.integrate.record import Run, Saving, saving
+from sweepopt.integrate.record import Grid, Pass, Run, saving
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.integrate.step import Velocities
 from sweepopt.linalg import EPS
@@ -51,22 +51,6 @@ ADVICE = (
     "met exactly) or loosen the tolerance"
 )
 COMPLETE = (Status.SUCCESS, Status.UNCERTIFIED)
-
-
-class Pass(NamedTuple):
-    """One pass of adaptive steps over the run.
-
-    Attributes
-    ----------
-    steps : int
-    error : float
-        Estimate of max_i |u_i - u(t_i)|_A, |.|_B where A = 0; nan if the pass was stopped.
-    seconds : float
-    """
-
-    steps: int
-    error: float
-    seconds: float
 
 
 @dataclass(frozen=True)
@@ -229,27 +213,6 @@ class Density:
             times = np.sort(np.append(times, middle[coarse & (middle < times[1:])]))
 
 
-@dataclass(eq=False)
-class AdaptiveResult:
-    """The passes and the run over the grid of the last one.
-
-    Attributes
-    ----------
-    run : Run or None
-        None where the last grid ends before t_end, as steps became too short there.
-    cause : str
-        Why the last pass does not suffice.
-    """
-
-    times: np.ndarray
-    mus: np.ndarray
-    plan: Plan
-    wanted: Saving
-    run: Run | None = None
-    passes: tuple[Pass, ...] = ()
-    cause: str = ""
-
-
 class _AdaptiveDriver:
     """Integrates over one grid after the other, and estimates the error of each pass."""
 
@@ -265,37 +228,38 @@ class _AdaptiveDriver:
         self._segments, self._process, self._plan = segments, process, plan
         self._save, self._memory, self._tick = save, memory, tick
         self._programs, self._model = Velocities(process, plan), ErrorModel(process, plan.scheme)
-        self.result, _ = self._start(segments.equal())
+        self.run = self._start(segments.equal())
 
-    def _start(self, times: np.ndarray) -> tuple[AdaptiveResult, Run]:
+    def _start(self, times: np.ndarray, passes: tuple[Pass, ...] = ()) -> Run:
         """A run over this grid with no step yet."""
         times, mus = time_grid(None, times)
-        wanted = saving(self._save, times, self._plan.entering, self._memory)
-        run = Run(len(mus), wanted.steps, self._process.u0)
-        return AdaptiveResult(times, mus, self._plan, wanted, run), run
+        saved = saving(self._save, times, self._plan.entering, self._memory)
+        return Run(Grid(times, mus, self._plan, saved, passes), self._process.u0)
 
-    def run_pass(self, times: np.ndarray, probing: bool) -> tuple[ErrorEstimator, Run]:
+    def run_pass(self, times: np.ndarray, probing: bool) -> ErrorEstimator:
         """One pass, the same as a run with steps=times to the last bit."""
-        began, passes = clock.perf_counter(), self.result.passes
+        began, passes = clock.perf_counter(), self.run.grid.passes
         process, plan = self._process, self._plan
-        result, run = self._start(times)
-        process.check(evaluation_times(result.times, result.mus, plan.scheme))
-        estimator = ErrorEstimator(self._model, result.times, self._segments.breakpoints, probing)
+        run = self._start(times, passes)
+        grid = run.grid
+        process.check(evaluation_times(grid.times, grid.mus, plan.scheme))
+        estimator = ErrorEstimator(self._model, grid.times, self._segments.breakpoints, probing)
 
         def observe(i: int, u: np.ndarray, z: np.ndarray, _: float) -> None:
             self._tick()
             estimator.add_step(i, u, z)
 
         self._programs.forget()
-        integrate(process, plan, result.times, result.mus, run, observe, velocities=self._programs)
+        integrate(process, plan, run, observe, velocities=self._programs)
         # without an error until all of it is estimated
-        result.passes = (*passes, Pass(run.done, math.nan, clock.perf_counter() - began))
-        self.result = result
+        this = Pass(run.done, math.nan, clock.perf_counter() - began)
+        run.grid = grid._replace(passes=(*passes, this))
+        self.run = run
         if run.status in COMPLETE:
-            self._add_hidden_switches(estimator, result.mus)
-            seconds = clock.perf_counter() - began
-            result.passes = (*passes, Pass(run.done, estimator.error, seconds))
-        return estimator, run
+            self._add_hidden_switches(estimator, grid.mus)
+            this = Pass(run.done, estimator.error, clock.perf_counter() - began)
+            run.grid = grid._replace(passes=(*passes, this))
+        return estimator
 
     def _add_hidden_switches(self, estimator: ErrorEstimator, mus: np.ndarray) -> None:
         """Errors of switches that no step shows, from the velocities at the probes."""
@@ -331,17 +295,16 @@ class _AdaptiveDriver:
             self._plan = replace(self._plan, tol=max(tol, EXACT))
             self._programs = Velocities(self._process, self._plan)
 
-    def until(self, end: float, cause: str) -> AdaptiveResult:
-        """The grid of the last pass until about that time, without a run."""
-        last, save = self.result, self._save
+    def until(self, end: float, cause: str) -> Run:
+        """A run with no step yet over the grid of the last pass until about that time."""
+        last, save = self.run.grid, self._save
         reached = max(int(np.searchsorted(last.times, end, side="right")) - 1, 1)
         times = last.times[: reached + 1]
         if is_times(save):
             save = np.append([t for t in np.ravel(save) if t <= times[-1]], times[-1])
-        wanted = saving(save, times, self._plan.entering, self._memory)
-        return AdaptiveResult(
-            times, last.mus[:reached], self._plan, wanted, None, last.passes, cause
-        )
+        saved = saving(save, times, self._plan.entering, self._memory)
+        grid = Grid(times, last.mus[:reached], self._plan, saved, last.passes, cause)
+        return Run(grid, self._process.u0)
 
 
 def adapt(
@@ -352,22 +315,21 @@ def adapt(
     save: Any,
     memory: float,
     tick: Callable[[], Any],
-) -> AdaptiveResult:
-    """Better and better grids, until the estimated error of a pass is small.
+) -> Run:
+    """The run over the last of better and better grids, the first with a small estimated error.
 
+    It has no step yet where that grid ends before t_end, as steps became too short there.
     Ctrl-C during a pass returns its steps, Ctrl-C between two passes the one before.
     """
     driver = _AdaptiveDriver(segments, process, plan, save, memory, tick)
     try:
         return _refine(steps, segments, driver)
     except KeyboardInterrupt:  # `integrate` takes those that arrive during its steps
-        result = driver.result
-        if result.run is not None:
-            result.run.status = Status.INTERRUPTED
-        return result
+        driver.run.status = Status.INTERRUPTED
+        return driver.run
 
 
-def _refine(steps: Adaptive, segments: Segments, driver: _AdaptiveDriver) -> AdaptiveResult:
+def _refine(steps: Adaptive, segments: Segments, driver: _AdaptiveDriver) -> Run:
     """The passes; the first one has no other to be better than, so that there are two at least.
 
     Their errors are about in proportion to the sums of their local errors, but for the places that
@@ -380,12 +342,13 @@ def _refine(steps: Adaptive, segments: Segments, driver: _AdaptiveDriver) -> Ada
     resting = True
     while True:
         n = len(times) - 1
-        estimator, run = driver.run_pass(times, probing=resting)
-        result, resting = driver.result, estimator.length == 0
-        error = result.passes[-1].error
-        if run.status not in COMPLETE or (error <= tol and len(result.passes) > 1):
-            return result
-        if len(result.passes) == 1 and not resting:
+        estimator = driver.run_pass(times, probing=resting)
+        run, resting = driver.run, estimator.length == 0
+        passes = run.grid.passes
+        error = passes[-1].error
+        if run.status not in COMPLETE or (error <= tol and len(passes) > 1):
+            return run
+        if len(passes) == 1 and not resting:
             # residuals of programs add up along the trajectory
             driver.certify(PROGRAM_SHARE * tol / estimator.length)
         density = Density.of(estimator)
@@ -395,9 +358,10 @@ def _refine(steps: Adaptive, segments: Segments, driver: _AdaptiveDriver) -> Ada
         goal = min(AIM * tol / ratio if error else math.inf, total)
         wanted = density.steps(goal)
         rounding = EPS * estimator.size
-        result.cause = _failure(tol, rounding, result.passes, wanted, run.overshot is not None)
-        if result.cause:
-            return result
+        cause = _failure(tol, rounding, passes, wanted, run.overshot is not None)
+        if cause:
+            run.grid = run.grid._replace(cause=cause)
+            return run
         if wanted > FARTHEST * n:  # one pass between
             goal *= (wanted / n) ** (density.order / 2)
         times = segments.refined(density, goal, LEAST * n)

@@ -30,10 +30,9 @@ from sweepopt.integrate.adaptive import Adaptive
 from sweepopt.integrate.fingerprint import fingerprint
 from sweepopt.integrate.json_arrays import pack, unpack
 from sweepopt.integrate.options import SolveOptions
-from sweepopt.integrate.record import Run
+from sweepopt.integrate.record import Grid, Run
 from sweepopt.io import read_npz, remove_parts, versions_of, writable, write_npz
 from sweepopt.problem import SweepingProcess
-from sweepopt.velocity import Plan
 
 SCHEMA = 3
 PACKAGES = ("numpy", "scipy", "cvxpy", "osqp", "clarabel", "cvxopt", "daqp", "pyamg")
@@ -198,8 +197,7 @@ def _versions() -> dict[str, str]:
 def checkpoint_writer(
     asked: Any,
     process: SweepingProcess,
-    plan: Plan,
-    times: np.ndarray,
+    grid: Grid,
     options: SolveOptions,
     stored: StoredRun | None = None,
 ) -> CheckpointWriter | None:
@@ -216,7 +214,7 @@ def checkpoint_writer(
     whole = "checkpoint= is for steps given beforehand; "
     if isinstance(options.steps, Adaptive):
         raise InputError(whole + "Adaptive steps come from passes over the whole run")
-    if plan.scheme.exact:
+    if grid.plan.scheme.exact:
         raise InputError(whole + "scheme 'exact' computes the whole trajectory at once")
     if isinstance(options.save, (str, PathLike)) and options.save != "last":
         raise InputError(
@@ -225,16 +223,16 @@ def checkpoint_writer(
         )
     if stored is None:
         _require_free(checkpoint)
-    elif stored.record["plan"] != str(plan):
+    elif stored.record["plan"] != str(grid.plan):
         raise InputError(
             f"{stored.file} is of a run that was planned differently:\n{stored.record['plan']}\n"
-            f"but now\n{plan}"
+            f"but now\n{grid.plan}"
         )
     about = {
         "schema": SCHEMA,
         "versions": _versions(),
-        "problem": stored.record["problem"] if stored else fingerprint(process, times),
-        "plan": str(plan),
+        "problem": stored.record["problem"] if stored else fingerprint(process, grid.times),
+        "plan": str(grid.plan),
         "options": options.to_json(),
         "checkpoint": {"steps": checkpoint.steps, "seconds": checkpoint.seconds},
     }

@@ -76,13 +76,3 @@ def check_stability(process: SweepingProcess, scheme: Scheme, mu: float, on_unst
         )
     effect = "amplifies errors" if number_ > 2 else "can overshoot into a wrong stuck state"
     warn(f"scheme {scheme.name!r} {effect}: {remedy}", StabilityWarning)
-
-
-def warn_of_overshoot(scheme: Scheme, t: float) -> None:
-    """Tell of a step that decays from outside of C(t) while mu Lam is too large to resolve that."""
-    warn(
-        f"scheme {scheme.name!r} may have overshot into a wrong stuck state in the step from "
-        f"t = {t:g}: B u starts far outside of C(t) there and mu Lam is above "
-        f"{scheme.overshoots:.3g}; take smaller steps, or implicit-euler, which never does",
-        StabilityWarning,
-    )

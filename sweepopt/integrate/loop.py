@@ -6,7 +6,7 @@ t_i = t_0 + i mu and u_{i+1} = u_i + mu sum_k b_k z_k (MATH.md section 3).
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,7 +22,6 @@ from sweepopt.integrate.step import (
     PARTS,
     Step,
     Velocities,
-    combination,
     compensated_sum,
     step,
 )
@@ -40,26 +39,26 @@ Restarts = Callable[[Run], bool]
 def integrate(
     process: SweepingProcess,
     plan: Plan,
-    times: np.ndarray,
-    mus: np.ndarray,
     run: Run,
     observer: Observer | None = None,
     full_certificate: FullCertificate | None = None,
     restarts: Restarts | None = None,
     velocities: Velocities | None = None,
 ) -> None:
-    """Move u along the grid from where `run` is, and write every step into it.
+    """Move u along the grid of `run` from where it is, and write every step into it.
 
     A step that misses the tolerance is taken in parts; one that misses it all the same ends the
     run. Ctrl-C ends it too, also in `observer`: the run has the steps that are done.
 
     Parameters
     ----------
+    plan : Plan
+        That of the unknowns which enter the steps.
     velocities : Velocities, optional
         The compiled programs of an earlier run of the same process.
     """
-    steps = len(mus)
-    starts, sizes = times.data, mus.data  # these give floats of Python
+    mus, steps = run.grid.mus, run.steps
+    starts, sizes = run.grid.times.data, mus.data  # these give floats of Python
     velocities = velocities or Velocities(process, plan)
     safe, limit = longest_safe(process, plan, mus), _largest_state(process, plan.scheme)
     u, compensation = run.u, run.compensation
@@ -81,7 +80,7 @@ def integrate(
             if velocity.relative != velocity.relative:
                 run.status = Status.UNCERTIFIED
             too_long = mu > safe * len(taken.parts) and run.overshot is None
-            if too_long and _overshot(process, plan, starts, i, u, taken):
+            if too_long and overshot(process, plan, starts, i, u, taken):
                 run.overshot = i
             u = following
             run.add(u, velocity, clock.perf_counter() - began, compensation)
@@ -102,27 +101,6 @@ def _largest_state(process: SweepingProcess, scheme: Scheme) -> float:
         return HUGE**2
     entries = B.data if sp.issparse(B) else B.ravel(order="K")
     return 1e-5 * HUGE / max(blas.dnrm2(entries) if entries.size else 0.0, 1.0)
-
-
-def _overshot(
-    process: SweepingProcess,
-    plan: Plan,
-    times: Sequence[float],
-    i: int,
-    u: np.ndarray,
-    taken: Step,
-) -> bool:
-    """Whether step i from u, in its parts, may have overshot."""
-    inner = np.linspace(times[i], times[i + 1], len(taken.parts) + 1).tolist()
-    nodes = [*times[max(i - 2, 0) : i], *inner, *times[i + 2 : i + 3]]
-    for k, stages in enumerate(taken.parts, start=min(i, 2)):
-        try:
-            if overshot(process, plan, nodes, k, u, stages):
-                return True
-        except Exception:  # C(t) may have no value between the times of the grid
-            return False
-        u = u + (nodes[k + 1] - nodes[k]) * combination(plan.scheme.b, stages)
-    return False
 
 
 def _cause(process: SweepingProcess, t: float, velocity: Velocity, taken: Step, tol: float) -> str:

@@ -8,12 +8,15 @@ the body wherever B u is inside C(t) then. implicit-euler never does.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from sweepopt.integrate.step import Stages, combination
+from sweepopt.errors import StabilityWarning, warn
+from sweepopt.integrate.schemes import Scheme
+from sweepopt.integrate.step import Stages, Step, combination
 from sweepopt.linalg import UNIT, exceeds_none
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan
@@ -36,6 +39,27 @@ def longest_safe(process: SweepingProcess, plan: Plan, mus: np.ndarray) -> float
 
 
 def overshot(
+    process: SweepingProcess,
+    plan: Plan,
+    times: Sequence[float],
+    i: int,
+    u: np.ndarray,
+    taken: Step,
+) -> bool:
+    """Whether step i of the grid from u, in its parts, may have overshot."""
+    inner = np.linspace(times[i], times[i + 1], len(taken.parts) + 1).tolist()
+    nodes = [*times[max(i - 2, 0) : i], *inner, *times[i + 2 : i + 3]]
+    for k, stages in enumerate(taken.parts, start=min(i, 2)):
+        try:
+            if _part_overshot(process, plan, nodes, k, u, stages):
+                return True
+        except Exception:  # C(t) may have no value between the times of the grid
+            return False
+        u = u + (nodes[k + 1] - nodes[k]) * combination(plan.scheme.b, stages)
+    return False
+
+
+def _part_overshot(
     process: SweepingProcess, plan: Plan, nodes: list[float], k: int, u: np.ndarray, stages: Stages
 ) -> bool:
     """Whether a step from u may have gone past the rest that it should come to.
@@ -73,3 +97,13 @@ def overshot(
     earlier += [t + scheme.c[0] * (start - t) for t in earlier[-1:]]
     ways = (abs(edge(s) - edge(t)) for times in (after, earlier) for s, t in pairwise(times))
     return outside > FAR * (abs(at_end - at_stage) + sum(ways))
+
+
+def warn_of_overshoot(scheme: Scheme, t: float) -> None:
+    """Tell of a step that decays from outside of C(t) while mu Lam is too large to resolve that."""
+    warn(
+        f"scheme {scheme.name!r} may have overshot into a wrong stuck state in the step from "
+        f"t = {t:g}: B u starts far outside of C(t) there and mu Lam is above "
+        f"{scheme.overshoots:.3g}; take smaller steps, or implicit-euler, which never does",
+        StabilityWarning,
+    )

@@ -14,12 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from sweepopt.integrate.exact import Evaluate, Trajectory, exact_trajectory, rows_of
-from sweepopt.integrate.record import Index, KeptStates, States
+from sweepopt.integrate.record import Grid, Index, States
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.integrate.step import compensated_sum
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Moving, Point
-from sweepopt.velocity import Plan, Reduction, Velocity
+from sweepopt.velocity import Reduction, Velocity
 
 
 class _Coefficients(NamedTuple):
@@ -34,8 +34,8 @@ class _Coefficients(NamedTuple):
 class Reconstruction:
     """All unknowns from those that enter the steps; without a reduction these are all."""
 
-    def __init__(self, plan: Plan, times: np.ndarray, mus: np.ndarray) -> None:
-        self._plan, self._times, self._mus = plan, times, mus
+    def __init__(self, grid: Grid) -> None:
+        self._plan, self._times, self._mus = grid.plan, grid.times, grid.mus
 
     @cached_property
     def _coefficients(self) -> _Coefficients:
@@ -103,13 +103,13 @@ class Reconstruction:
 
         return replace(few, reconstruct=all_unknowns)
 
-    def states(self, kept: KeptStates) -> States:
-        """The kept states as states of all unknowns, made when they are asked for."""
-        steps, few, few_velocities = kept
+    def states(self, entering: States) -> States:
+        """The states of all unknowns from those that entered, made when they are asked for."""
         reduction, dim = self._plan.reduction, self._plan.unknowns
         if reduction is None:
-            return States(few.__getitem__, few_velocities.__getitem__)
-        nodes, reconstruct = np.append(0, steps + 1), reduction.reconstruct
+            return entering
+        steps, reconstruct = entering.steps, reduction.reconstruct
+        nodes = np.append(0, steps + 1)
 
         def all_unknowns(few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
             every = np.zeros((*few.shape[:-1], dim))
@@ -118,12 +118,12 @@ class Reconstruction:
             return every
 
         def u(i: Index) -> np.ndarray:
-            return all_unknowns(few[i], self._coefficients.nodes[nodes[i]])
+            return all_unknowns(entering.u(i), self._coefficients.nodes[nodes[i]])
 
         def velocity(i: Index) -> np.ndarray:
-            return all_unknowns(few_velocities[i], self._coefficients.velocities[steps[i]])
+            return all_unknowns(entering.velocity(i), self._coefficients.velocities[steps[i]])
 
-        return States(u, velocity)
+        return States(steps, u, velocity)
 
 
 def _coefficients(

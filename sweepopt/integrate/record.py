@@ -16,7 +16,7 @@ import numpy as np
 from sweepopt.checks import TIME_SLACK, axes, vector
 from sweepopt.errors import InputError, Status, shown
 from sweepopt.io import writable
-from sweepopt.velocity import Velocity
+from sweepopt.velocity import Plan, Velocity
 
 if TYPE_CHECKING:
     from sweepopt.integrate.exact import Trajectory
@@ -32,22 +32,17 @@ class States(NamedTuple):
 
     Attributes
     ----------
+    steps : ndarray of int, shape (k,)
+        The kept steps, counted in the run.
     u : callable
         The states at the kept nodes i; node 0 is the start.
     velocity : callable
         The velocities of the kept steps i; step i ends at node i + 1.
     """
 
+    steps: np.ndarray
     u: Callable[[Index], np.ndarray]
     velocity: Callable[[Index], np.ndarray]
-
-
-class KeptStates(NamedTuple):
-    """The kept steps, counted in the run, the start and the states at their ends, velocities."""
-
-    steps: np.ndarray
-    nodes: np.ndarray
-    velocities: np.ndarray
 
 
 NUMBERS = ("seconds", "iterations", "attempts", "certificate", "relative")
@@ -73,15 +68,69 @@ class Statistics(NamedTuple):
         return table
 
 
+class Saving(NamedTuple):
+    """What `save=` asks for, checked.
+
+    Attributes
+    ----------
+    steps : ndarray of int
+        The steps whose end is kept in memory; the last step that is done always is.
+    function : callable or None
+        (t, u, z) -> anything, recorded for every step.
+    path : Path or None
+        A NetCDF file for the states of all steps.
+    """
+
+    steps: np.ndarray
+    function: Callable[[float, np.ndarray, np.ndarray], Any] | None = None
+    path: Path | None = None
+
+
+class Pass(NamedTuple):
+    """One pass of adaptive steps over the run.
+
+    Attributes
+    ----------
+    steps : int
+    error : float
+        Estimate of max_i |u_i - u(t_i)|_A, |.|_B where A = 0; nan if the pass was stopped.
+    seconds : float
+    """
+
+    steps: int
+    error: float
+    seconds: float
+
+
+class Grid(NamedTuple):
+    """The steps of a run: when, by which plan, and what is kept of them.
+
+    Attributes
+    ----------
+    times : ndarray, shape (n+1,)
+    mus : ndarray, shape (n,)
+    plan : Plan
+    saving : Saving
+    passes : tuple of Pass
+        Those of adaptive steps that led to this grid.
+    cause : str
+        Why adaptive steps ended with this grid short of their tolerance.
+    """
+
+    times: np.ndarray
+    mus: np.ndarray
+    plan: Plan
+    saving: Saving
+    passes: tuple[Pass, ...] = ()
+    cause: str = ""
+
+
 class Run:
     """A run as far as it has come.
 
     Parameters
     ----------
-    steps : int
-        Of the grid.
-    kept : ndarray of int
-        The steps whose end is kept; the last step that is done always is.
+    grid : Grid
     u0 : ndarray, shape (dim,)
 
     Attributes
@@ -97,16 +146,16 @@ class Run:
         The dense trajectory of the scheme "exact".
     """
 
-    def __init__(self, steps: int, kept: np.ndarray, u0: np.ndarray) -> None:
+    def __init__(self, grid: Grid, u0: np.ndarray) -> None:
+        self.grid, self._kept = grid, grid.saving.steps
         self.status, self.cause, self.relative = Status.SUCCESS, "", 0.0
         self.overshot: int | None = None
         self.exact: Trajectory | None = None
         # written to, all of it is in memory from here on: a run grows by nothing later
-        self._rows = np.full(steps, 0, ROW)
+        self._rows = np.full(len(grid.mus), 0, ROW)
         self._solvers: dict[str, int] = {}
-        self._kept = kept
-        self._nodes = np.zeros((kept.size + 1, u0.size))
-        self._velocities = np.zeros((kept.size, u0.size))
+        self._nodes = np.zeros((self._kept.size + 1, u0.size))
+        self._velocities = np.zeros((self._kept.size, u0.size))
         self._nodes[0] = u0
         # steps that are done and kept, the last state, velocity and compensation of its sum: one
         # assignment, so that Ctrl-C finds them of the same step
@@ -146,20 +195,21 @@ class Run:
             k += 1
         self._last = i + 1, k, u, z, compensation
 
-    def kept(self) -> KeptStates:
+    def states(self) -> States:
         """The kept ones of the steps that are done, and the last one."""
         done, k, u, velocity, _ = self._last
         steps = self._kept[:k]
         if done and done - 1 not in steps[-1:]:
             steps = np.append(steps, done - 1)
             self._nodes[k + 1], self._velocities[k] = u, velocity
-        return KeptStates(steps, self._nodes[: len(steps) + 1], self._velocities[: len(steps)])
+        nodes, velocities = self._nodes[: len(steps) + 1], self._velocities[: len(steps)]
+        return States(steps, nodes.__getitem__, velocities.__getitem__)
 
-    def statistics(self, times: np.ndarray, beside: float) -> Statistics:
+    def statistics(self, beside: float) -> Statistics:
         """Those of the steps that are done; each took so many seconds beside the loop."""
         rows = self._rows[: self.done]
         rows["seconds"] += np.float32(beside)
-        return Statistics(times[1 : self.done + 1], rows, tuple(self._solvers))
+        return Statistics(self.grid.times[1 : self.done + 1], rows, tuple(self._solvers))
 
     def store(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """All that `restore` needs, in terms of JSON and in arrays."""
@@ -186,24 +236,6 @@ class Run:
 
 
 # ---- what is kept -------------------------------------------------------------------------------
-
-
-class Saving(NamedTuple):
-    """What `save=` asks for, checked.
-
-    Attributes
-    ----------
-    steps : ndarray of int
-        The steps whose end is kept in memory; the last step that is done always is.
-    function : callable or None
-        (t, u, z) -> anything, recorded for every step.
-    path : Path or None
-        A NetCDF file for the states of all steps.
-    """
-
-    steps: np.ndarray
-    function: Callable[[float, np.ndarray, np.ndarray], Any] | None = None
-    path: Path | None = None
 
 
 def saving(save: Any, times: np.ndarray, dim: int, memory: float) -> Saving:

@@ -32,7 +32,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sweepopt.integrate import MEMORY, SCHEMES, Run, divided, integrate, saving, time_grid
+from sweepopt.integrate import MEMORY, SCHEMES, Grid, Run, divided, integrate, saving, time_grid
 from sweepopt.linalg import EPS
 from sweepopt.problem import Norms, SweepingProcess
 from sweepopt.results.nodes import Nodes, cubic
@@ -121,14 +121,14 @@ def _second_run(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
 def nodes_of(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
     """All nodes of a run on the grid t; where its programs miss tol, their residual is bounded."""
     times, mus = time_grid(None, t)
-    wanted = saving(None, times, process.dim, MEMORY)
+    grid = Grid(times, mus, plan, saving(None, times, process.dim, MEMORY))
     for tol in (plan.tol, math.inf):
-        run = Run(len(mus), wanted.steps, process.u0)
-        integrate(process, replace(plan, tol=tol), times, mus, run)
+        run = Run(grid, process.u0)
+        integrate(process, replace(plan, tol=tol), run)
         if run.done == len(mus):
             break
-    _, nodes, velocities = run.kept()
-    return Nodes(times, nodes, velocities)
+    states = run.states()
+    return Nodes(times, states.u(slice(None)), states.velocity(slice(None)))
 
 
 def _growth(norms: Norms, t: np.ndarray, integrals: Residuals) -> tuple[np.ndarray, np.ndarray]:

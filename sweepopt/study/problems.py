@@ -88,15 +88,18 @@ class Problem:
     set: dict[str, Any]
     load: list[dict[str, Any]]
 
-    def process(self) -> SweepingProcess:
-        """The process, built anew."""
+    def C(self) -> Any:
+        """The moving set."""
         terms = []
         for term in self.load:
             (history, arguments), (_, direction) = term.items()
             terms.append((HISTORIES[history](*arguments), direction))
         ((kind, arguments),) = self.set.items()
-        C = SETS[kind](Separable(terms), *arguments)
-        return SweepingProcess(self.A, self.B, C, self.u0)
+        return SETS[kind](Separable(terms), *arguments)
+
+    def process(self) -> SweepingProcess:
+        """The process, built anew."""
+        return SweepingProcess(self.A, self.B, self.C(), self.u0)
 
 
 PROBLEMS = {name: Problem(name, **data) for name, data in read_toml(FILE).items()}

@@ -141,7 +141,7 @@ def make_plan(
     SolverRefusedError
         If the solver is not known or cannot treat one of the sets.
     """
-    solvers, contact = _looked(process.dim, members, solver, path, tol)
+    solvers, contact = _solvers(process.dim, members, solver, path, tol)
     if path in ("eliminated", "proportional") and contact is None:
         raise PathError(
             f"path={path!r} needs a C(t) that acts on the same few unknowns at all times: write it "
@@ -169,16 +169,16 @@ def make_plan(
     )
 
 
-class _Looked(NamedTuple):
+class _Solvers(NamedTuple):
     """Who solves for the sets, and the few unknowns that all of them act on, if there are such."""
 
     solvers: tuple[Solver, ...]
     contact: np.ndarray | None
 
 
-def _looked(
+def _solvers(
     dim: int, members: Sequence[tuple[float, ConvexSet]], solver: Any, path: str, tol: float
-) -> _Looked:
+) -> _Solvers:
     solvers: tuple[Solver, ...] = ()
     contacts: list[np.ndarray] = []
     for t, C in members:
@@ -192,7 +192,7 @@ def _looked(
             contacts.append(np.arange(C.dim) if selection is None else selection.unknowns)
     few = bool(contacts) and contacts[0].size < dim
     same = all(np.array_equal(contact, contacts[0]) for contact in contacts)
-    return _Looked(solvers, contacts[0] if few and same else None)
+    return _Solvers(solvers, contacts[0] if few and same else None)
 
 
 def _left_out(process: SweepingProcess, solvers: tuple[Solver, ...]) -> Iterator[str]:

@@ -33,7 +33,7 @@ REFINEMENTS = 20  # each leaves a share |M^-1 (A + gamma B - M)| of the error; m
 SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
 NO_UNKNOWNS = np.zeros(0, dtype=int)
 UNSOLVED = Velocity(np.zeros(0), math.inf, math.inf)
-Solve = Callable[[np.ndarray, ConvexSet], Answer | Proposal]
+AnswerOf = Callable[[np.ndarray, ConvexSet], Answer | Proposal]
 Propose = Callable[[np.ndarray, np.ndarray | None], Proposal | Velocity]
 """From the residual of a z, None for 0, to a better pair; a velocity where that has no proof."""
 
@@ -63,7 +63,7 @@ def refined(inclusion: Inclusion, propose: Propose, of: Instance, tol: float) ->
     return best._replace(z=z, iterations=iterations)
 
 
-def by_program(M: Factor, solve: Solve, S: ConvexSet, tol: float) -> Propose:
+def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
     """The program of the unknowns that M keeps, as a solver answers it."""
     few = M.unknowns
 

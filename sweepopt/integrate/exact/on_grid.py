@@ -46,13 +46,12 @@ def _on_grid(
     rows: Rows,
     process: SweepingProcess,
     tol: float,
-    times: np.ndarray,
-    mus: np.ndarray,
     run: Run,
     observer: Observer | None = None,
     full_certificate: FullCertificate | None = None,
 ) -> None:
     """As the loop does, with nodes of the exact trajectory."""
+    times, mus = run.grid.times, run.grid.mus
     try:
         started = clock.perf_counter()
         exact = run.exact = exact_trajectory(rows, process.u0, float(times[0]), float(times[-1]))

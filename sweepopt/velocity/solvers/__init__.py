@@ -10,7 +10,7 @@ from sweepopt.sets import ConvexSet, Similar
 from sweepopt.velocity.solvers.active_set import ActiveSet
 from sweepopt.velocity.solvers.base import Answer, Small, Solve, Solver
 from sweepopt.velocity.solvers.clarabel import Clarabel
-from sweepopt.velocity.solvers.daqp import DAQP, installed
+from sweepopt.velocity.solvers.daqp import DAQP, has_daqp
 from sweepopt.velocity.solvers.newton import Newton
 from sweepopt.velocity.solvers.osqp import OSQP
 from sweepopt.velocity.solvers.reference import Cvxpy
@@ -53,7 +53,7 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
     general: list[Solver] = [other for other in (*iterating, LAST) if other.treats(C)]
     small: list[Solver] = [NEWTON] if NEWTON.treats(C) else []
     if isinstance(solver, str) and solver == "auto":
-        fastest: list[Solver] = [FASTEST] if installed() and FASTEST.treats(C) else []
+        fastest: list[Solver] = [FASTEST] if has_daqp() and FASTEST.treats(C) else []
         D = C.derivative(C.anchor) if small and C.polyhedral else None
         if (D is not None and D.ndim == 2) or not C.exact:
             return (*fastest, general[0], *small, *general[1:])
