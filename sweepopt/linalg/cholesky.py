@@ -19,7 +19,8 @@ from __future__ import annotations
 import math
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
@@ -179,22 +180,21 @@ def _factorised(A: Any, order: np.ndarray) -> Any:
     """The factor of A in this order and no other."""
     from cvxopt import cholmod, matrix
 
-    p = matrix(order.astype(np.int64))
-    factor = _with_settings(cholmod.symbolic, A, p)
-    _with_settings(cholmod.numeric, A, factor)
+    with _own_settings(cholmod.options):
+        factor = cholmod.symbolic(A, matrix(order.astype(np.int64)))
+        cholmod.numeric(A, factor)
     return factor
 
 
-def _with_settings(call: Callable[..., Any], *args: Any) -> Any:
-    """A call with our settings alone; they are the module's, others have theirs back at once."""
-    from cvxopt.cholmod import options
-
+@contextmanager
+def _own_settings(options: dict[str, Any]) -> Iterator[None]:
+    """Our settings alone; they are the module's, others have theirs back."""
     with _settings_lock:
         before = dict(options)
+        options.clear()
+        options.update(SETTINGS)
         try:
-            options.clear()
-            options.update(SETTINGS)
-            return call(*args)
+            yield
         finally:
             options.clear()
             options.update(before)
