@@ -824,10 +824,10 @@ def descriptions_are_consistent(entry: Entry, s: Sample, rng: Rng) -> None:
 
 
 def normal_pair_is_proven_near_any_guess(entry: Entry, s: Sample, rng: Rng) -> None:
-    C, y = s.C, np.zeros(s.C.offsets.size)
+    C = s.C
     p, w = rng.normal(size=C.dim), far_and_near(rng, C.dim)
     tau = 10.0 ** rng.uniform(-1, 1, size=C.dim)
-    found = C.normal_pair(p, w, tau, y)
+    found = C.normal_pair(p, w, tau)
     if not C.certifiable:
         assert found is None
         return
@@ -850,7 +850,7 @@ def normal_pair_error_is_as_small_as_the_perturbation(entry: Entry, s: Sample, r
     unit = size(v, C.offsets)
     for delta in (1e-4, 1e-6, 0.0):
         dp, dw = delta * unit * rng.uniform(-1, 1, size=(2, C.dim))
-        found = C.normal_pair(p + dp, w + dw, np.full(C.dim, tau), np.zeros(C.offsets.size))
+        found = C.normal_pair(p + dp, w + dw, np.full(C.dim, tau))
         reach = 40 * delta + 10 * entry.tol
         close(found.p, p, reach, unit)
         close(found.w, w, reach, unit)

@@ -281,9 +281,7 @@ class ConvexSet(ABC):
         """The size of the numbers whose rounding is in P_C(x)."""
         return float(np.abs(x).max())
 
-    def normal_pair(
-        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray | None = None
-    ) -> NormalPair | None:
+    def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         """A proven normal pair near the approximate one (p, w); None if the set has no proof.
 
         Parameters
@@ -292,8 +290,6 @@ class ConvexSet(ABC):
             Approximately p in N_C(w): p = -z and w = M z + q from a solver.
         tau : ndarray, shape (dim,)
             Positive weights that bring p to the units of w (the diagonal of M).
-        y : ndarray, shape (k,)
-            The solver's value of the features, for sets that can use it.
         """
         weights = self.weights(tau)
         v = w + weights * p

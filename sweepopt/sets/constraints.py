@@ -90,7 +90,7 @@ class Constraints(ConvexSet):
         ties = [M.T @ y == right for M, right in ((self.G, p), (self.H, 0)) if M.shape[1]]
         return Features([y], [*ties, *in_dual(y, self.cones)])
 
-    def normal_pair(self, p: Any, w: Any, tau: Any, y: Any = None) -> None:
+    def normal_pair(self, p: Any, w: Any, tau: Any) -> None:
         return None
 
     def polar(self) -> ConvexSet:

@@ -83,9 +83,7 @@ class Ellipsoid(ConvexSet):
         a = d / np.sqrt(e)
         return None if a @ a <= 1 else secular(a, 1 / e, 1.0)
 
-    def normal_pair(
-        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray | None = None
-    ) -> NormalPair | None:
+    def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         found = super().normal_pair(p, w, tau)
         if found is None or not found.p.any():
             return found

@@ -106,9 +106,7 @@ class Product(ConvexSet):
             start += part.dim
         return Features(y, constraints)
 
-    def normal_pair(
-        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray | None = None
-    ) -> NormalPair | None:
+    def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         known = []
         for part, *blocks in self._split(p, w, tau):
             pair = part.normal_pair(*blocks)
@@ -351,9 +349,7 @@ class Lifted(ConvexSet):
         near = self.near(v)
         return None if near is None else near.splitting.derivative(near)
 
-    def normal_pair(
-        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray | None = None
-    ) -> NormalPair | None:
+    def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         if not self.certifiable:
             return None
         if self.product is not None:
@@ -673,9 +669,7 @@ class Embedding(Lifted):
         M = dense(self.columns.M)
         return M @ ((np.diag(D) if D.ndim == 1 else D) / self.columns.squares) @ M.T
 
-    def normal_pair(
-        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray | None = None
-    ) -> NormalPair | None:
+    def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         squares, transposed = self.columns.squares, self.columns.transposed
         weights = (transposed * transposed) @ tau / squares**2  # tau in the units of s
         pair = self.operand.normal_pair(self._pull(p), self._solve(w), weights)

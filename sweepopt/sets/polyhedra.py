@@ -156,9 +156,7 @@ class Polyhedron(ConvexSet):
             return None
         return np.eye(self.dim) - projector(dense(self.G[found.active]))
 
-    def normal_pair(
-        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray | None = None
-    ) -> NormalPair | None:
+    def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         """On the face that v = w + tau p is nearest to.
 
         v is rounded where tau p is large beside w. So only the active rows come from it; their

@@ -90,9 +90,7 @@ class Similar(ConvexSet):
         v = 0.0 if self.v is None else max(super().rounding_scale(x), float(np.abs(self.v).max()))
         return max(scale, v)
 
-    def normal_pair(
-        self, p: np.ndarray, w: np.ndarray, tau: np.ndarray, y: np.ndarray | None = None
-    ) -> NormalPair | None:
+    def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         if self.factor == 1:
             pair = self.part.normal_pair(p, self._back(w), tau)
             return pair and pair._replace(w=self._to(pair.w))

@@ -242,7 +242,7 @@ def _certificate(statement: VelocityProgram, q: np.ndarray, C: ConvexSet, answer
     """The relative certificate of an answer, inf if there is none."""
     if not (np.isfinite(answer.z).all() and np.isfinite(answer.y).all()):
         return inf
-    relative = certify(statement.M, q, C, answer.z, answer.y).relative
+    relative = certify(statement.M, q, C, answer.z).relative
     return inf if math.isnan(relative) else relative
 
 

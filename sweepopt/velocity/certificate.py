@@ -267,15 +267,14 @@ def certify(
     q: np.ndarray,
     C: ConvexSet,
     z: np.ndarray,
-    y: np.ndarray | None = None,
     *,
     tol: float = NEGLIGIBLE,
 ) -> Velocity:
-    """The velocity that C's normal pair near (z, y) makes of an approximate answer, with its proof.
+    """The velocity that C's normal pair near z makes of an approximate answer, with its proof.
 
     The program is that of M, q and C: -z in N_C(M z + q).
     """
-    pair = pair_near(M, q, C, z, np.zeros(C.offsets.size) if y is None else y, tol)
+    pair = pair_near(M, q, C, z, tol)
     if pair is None:
         return Velocity(z, math.nan, math.nan)
     pair = pair._replace(size=M.dual_norm(q - C.anchor))
@@ -295,12 +294,10 @@ def certify_point(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray, floor: 
     return rated(z, near.certificate + M.norm(z - near.z), size)
 
 
-def pair_near(
-    M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray, y: np.ndarray, tol: float
-) -> Proposal | None:
+def pair_near(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray, tol: float) -> Proposal | None:
     """The normal pair of C near an approximate answer; None if the set has no proof."""
     force, _ = M.apply(z, q, SHARE * tol)
-    pair = C.normal_pair(-z, force, M.diagonal, y)
+    pair = C.normal_pair(-z, force, M.diagonal)
     if pair is None:
         return None
     perturbation = 0.0 if pair.perturbation is None else M.moved(*pair.perturbation)

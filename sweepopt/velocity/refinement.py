@@ -75,7 +75,7 @@ def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
             _, _, iterations, status = answer
             if not is_finite(answer.z):
                 return Velocity(np.zeros_like(residual), math.inf, math.inf, iterations=iterations)
-            pair = pair_near(M.small, linear, S, answer.z, answer.y, tol)
+            pair = pair_near(M.small, linear, S, answer.z, tol)
             if pair is None:
                 unproven = math.nan if status in SOLVED else math.inf
                 z = M.recover(forward, answer.z)
