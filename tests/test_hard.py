@@ -308,8 +308,8 @@ def test_the_command_writes_the_table(tmp_path: Path, capsys: pytest.CaptureFixt
         ("[hard]\nseeds = []", "hard.seeds must be a list with one entry or more"),
         ("[hard]\nseeds = [-1]", "hard.seeds[0] must be a whole number >= 0, got -1"),
         ("[hard]\ntol = 0.0", "hard.tol must be > 0"),
-        ('[hard]\nfamilies = ["soft"]', "hard.families[0]: 'soft' is not known; use thr"),
-        ('[hard]\nsolvers = ["magic"]', "hard.solvers[0]: 'magic' is not known; use auto"),
+        ('[hard]\nfamilies = ["soft"]', "hard.families[0]: 'soft' is not known; there are: thr"),
+        ('[hard]\nsolvers = ["magic"]', "hard.solvers[0]: 'magic' is not known; there are: auto"),
     ],
 )
 def test_a_bad_table_is_refused(

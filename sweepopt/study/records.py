@@ -35,11 +35,11 @@ def each(name: str, values: Any, check: Callable[[str, Any], object]) -> tuple[A
     return entries
 
 
-def known(names: Iterable[str]) -> Callable[[str, Any], None]:
-    """A check that a value is one of some names."""
+def known(names: Iterable[str], advice: str = "use") -> Callable[[str, Any], None]:
+    """A check that a value is one of some names, which a refusal lists after the advice."""
 
     def check(name: str, value: Any) -> None:
         if value not in tuple(names):
-            raise InputError(f"{name}: {shown(value)} is not known; use {', '.join(names)}")
+            raise InputError(f"{name}: {shown(value)} is not known; {advice} {', '.join(names)}")
 
     return check

@@ -34,6 +34,14 @@ SHOWN = [
 NUMBERS = {"tol": ":g", "error": ":.2e", "bound": ":.2e", "wall": ":.3g", "solver_calls": ":.0f"}
 TOOLTIP: dict[str, Any] = {"y": False, "kind": False, "steps": True, **NUMBERS, "status": True}
 """Columns of a cell's tooltip and their formats."""
+STYLES: dict[str, Any] = {
+    "known": {"mode": "lines+markers", "marker_size": 8},
+    "guaranteed bound": {"mode": "lines"},
+    "failed": {"mode": "markers", "marker": {"symbol": "x", "size": 9}},
+}
+UNKNOWN: dict[str, Any] = {"mode": "markers", "marker": {"symbol": "circle-open", "size": 9}}
+"""How a line is drawn, by the kind of its cells."""
+BAND = "guaranteed band"
 LEAST = 1e-18
 """Hard cases: errors of 0, of bodies at rest, are drawn here."""
 PAGE = Template("""\
@@ -146,18 +154,10 @@ def _study_section(table: DataFrame) -> list[str]:
 
 def _cost_figure(table: DataFrame) -> Any:
     """Error against cost, a panel a problem; a menu chooses the cost."""
-    import pandas as pd
     import plotly.express as px
 
-    panels = []
-    for _, rows in table.sort_values("steps", kind="stable").groupby("problem", sort=False):
-        for cost, words in COSTS.items():
-            rows = placed(rows, cost, "error").rename(columns={"x": words})
-        panels.append(rows)
-    cells = pd.concat(panels)
-    proved = cells[(cells.kind == "known") & cells.guaranteed]
     figure = px.line(
-        pd.concat([cells, proved.assign(y=proved.bound, kind="guaranteed bound")]),
+        _points(table),
         x=COSTS["wall"],
         y="y",
         color="scheme",
@@ -170,37 +170,43 @@ def _cost_figure(table: DataFrame) -> Any:
         hover_data=TOOLTIP,
         **_panels("problem", table.problem),
     )
-    styles = {
-        "known": {"mode": "lines+markers", "marker_size": 8},
-        "guaranteed bound": {"mode": "lines"},
-        "failed": {"mode": "markers", "marker": {"symbol": "x", "size": 9}},
-    }
-    unknown = {"mode": "markers", "marker": {"symbol": "circle-open", "size": 9}}
     names: set[str] = set()
     for trace in figure.data:
         scheme, kind, solver = trace.name.split(", ")
         name = f"{scheme} · {solver}" if kind == "known" else kind
         trace.update(name=name, legendgroup=name, showlegend=name not in names)
-        trace.update(styles.get(kind, unknown))
+        trace.update(STYLES.get(kind, UNKNOWN))
         names.add(name)
     axis = {"type": "log", "exponentformat": "power", "matches": None, "showticklabels": True}
     figure.update_xaxes(title_text=COSTS["wall"], **axis)
     figure.update_yaxes(title_text="", **axis)
     figure.update_yaxes(title_text=f"{ACCURACIES['error']}, |·|<sub>A</sub>", col=1)
+    return figure.update_layout(updatemenus=[_cost_menu(figure)])
+
+
+def _points(table: DataFrame) -> DataFrame:
+    """The cells of all panels, with a place for each cost, and their guaranteed bounds."""
+    import pandas as pd
+
+    panels = []
+    for _, rows in table.sort_values("steps", kind="stable").groupby("problem", sort=False):
+        for cost, words in COSTS.items():
+            rows = placed(rows, cost, "error").rename(columns={"x": words})
+        panels.append(rows)
+    cells = pd.concat(panels)
+    proved = cells[(cells.kind == "known") & cells.guaranteed]
+    return pd.concat([cells, proved.assign(y=proved.bound, kind="guaranteed bound")])
+
+
+def _cost_menu(figure: Any) -> dict[str, Any]:
+    """A menu that moves all points to another cost."""
     titles = [f"{name}.title.text" for name in figure.layout if name.startswith("xaxis")]
-    buttons = [
-        {
-            "label": words,
-            "method": "update",
-            "args": [
-                {"x": [trace.customdata[:, k].tolist() for trace in figure.data]},
-                dict.fromkeys(titles, words),
-            ],
-        }
-        for k, words in enumerate(COSTS.values())
-    ]
-    menu = {"buttons": buttons, "x": 1.02, "xanchor": "left", "y": 1.0, "yanchor": "bottom"}
-    return figure.update_layout(updatemenus=[menu])
+    buttons = []
+    for k, words in enumerate(COSTS.values()):
+        costs = [trace.customdata[:, k].tolist() for trace in figure.data]
+        change = [{"x": costs}, dict.fromkeys(titles, words)]
+        buttons.append({"label": words, "method": "update", "args": change})
+    return {"buttons": buttons, "x": 1.02, "xanchor": "left", "y": 1.0, "yanchor": "bottom"}
 
 
 def _trajectories(solutions: Mapping[str, Solution]) -> Any:
@@ -211,14 +217,13 @@ def _trajectories(solutions: Mapping[str, Solution]) -> Any:
     curves = []
     for name, solution in solutions.items():
         t, u, band, k = most_moving(solution)
-        curve = {"t": t, "at least": u - band, "at most": u + band, "computed": u}
+        curve = {"t": t, "lower": u - band, BAND: u + band, "computed": u}
         curves.append(pd.DataFrame(curve).assign(run=f"{name}, u[{k}]"))
     frame = pd.concat(curves)
-    drawn = ["at least", "at most", "computed"]
-    figure = px.line(frame, x="t", y=drawn, **_panels("run", frame.run))
+    figure = px.line(frame, x="t", y=["lower", BAND, "computed"], **_panels("run", frame.run))
     figure.update_traces(line_color=COLOURS[0])
-    figure.update_traces(line_width=0, selector={"name": "at least"})
-    figure.update_traces(line_width=0, fill="tonexty", selector={"name": "at most"})
+    figure.update_traces(line_width=0, showlegend=False, selector={"name": "lower"})
+    figure.update_traces(line_width=0, fill="tonexty", selector={"name": BAND})
     figure.update_xaxes(matches=None, showticklabels=True, title_text="t")
     return figure.update_yaxes(matches=None, showticklabels=True, title_text="")
 
@@ -257,8 +262,9 @@ def _hard_figure(table: DataFrame) -> Any:
         log_x=True,
         log_y=True,
     )
-    figure.add_shape(type="line", x0=LEAST, y0=LEAST, x1=1, y1=1, name="error = certificate")
-    figure.add_hline(TARGET, line_dash="dot", annotation_text="target")
+    diagonal = {"text": "error = certificate&nbsp; ", "textposition": "end", "yanchor": "top"}
+    figure.add_shape(type="line", x0=LEAST, y0=LEAST, x1=1, y1=1, label=diagonal)
+    figure.add_hline(TARGET, line_dash="dot", label={"text": "target", "textposition": "end"})
     figure.update_xaxes(title_text="certificate, relative", exponentformat="power")
     return figure.update_yaxes(title_text="true error, relative", exponentformat="power")
 
@@ -278,7 +284,8 @@ def _page_of(figure: Any) -> str:
     """A diagram as a part of the page."""
     # "run=block" of a panel's title
     figure.for_each_annotation(lambda one: one.update(text=one.text.rpartition("=")[2]))
-    figure.update_layout(template="plotly_white", margin={"t": 60, "l": 60, "r": 20, "b": 50})
+    figure.update_layout(template="plotly_white", legend_title_text="")
+    figure.update_layout(margin={"t": 60, "l": 60, "r": 20, "b": 50})
     config = {"displaylogo": False, "responsive": True}
     return str(figure.to_html(full_html=False, include_plotlyjs=False, config=config))
 

@@ -86,7 +86,7 @@ class HardStudy:
         count("combinations", self.combinations, least=0)
         number("tol", self.tol, minimum=0.0, strict=True)
         for key, names in (("families", FAMILIES), ("solvers", SOLVERS), ("paths", PATHS)):
-            each(key, getattr(self, key), known(names))
+            each(key, getattr(self, key), known(names, "there are:"))
 
 
 def hard_study(data: Any, where: str = "") -> HardStudy:
