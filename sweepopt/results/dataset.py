@@ -30,11 +30,6 @@ class NetCDFSink:
 
     Dimensions are time (one longer), step and unknown, as in `Solution.to_xarray`.
 
-    Attributes
-    ----------
-    steps : int
-        How many steps are in the file.
-
     Raises
     ------
     MissingExtraError
@@ -57,7 +52,7 @@ class NetCDFSink:
             created.attrs.update({"long_name": words, "units": "1"})
         self._file.resize_dimension("time", 1)
         self._file.variables["time"][0], self._file.variables["u"][0] = t, u0
-        self.steps, self._waiting = 0, list[StepInfo]()
+        self._steps, self._waiting = 0, list[StepInfo]()
 
     def put(self, step: StepInfo) -> None:
         """Take the state at the end of the next step and the velocity of the step."""
@@ -73,9 +68,9 @@ class NetCDFSink:
             os.replace(self._part, self._path)
 
     def _write(self) -> None:
-        start, waiting, variables = self.steps, self._waiting, self._file.variables
+        start, waiting, variables = self._steps, self._waiting, self._file.variables
         if waiting:
-            end = self.steps = start + len(waiting)
+            end = self._steps = start + len(waiting)
             self._file.resize_dimension("time", end + 1)
             self._file.resize_dimension("step", end)
             variables["time"][start + 1 :] = [step.t for step in waiting]
@@ -94,7 +89,7 @@ class NetCDFSink:
                     raise InputError(f"another run has written {self._path}: these states are gone")
                 return np.asarray(file.variables[name][i])
 
-        return States(np.arange(self.steps), partial(read, "u"), partial(read, "velocity"))
+        return States(np.arange(self._steps), partial(read, "u"), partial(read, "velocity"))
 
 
 def netcdf_package() -> Any:
