@@ -159,6 +159,8 @@ def symmetric(name: str, value: Any, dim: int | None = None) -> Matrix:
 
 def floats(name: str, value: Any, what: str, ndmin: int = 0) -> np.ndarray:
     """A float copy of value; complex numbers and words are refused, not cast."""
+    if type(value) is np.ndarray and value.dtype == float and value.ndim >= ndmin:
+        return value.copy()  # as in every step
     try:
         array = np.array(unmasked(value), ndmin=ndmin)
         if array.dtype.kind not in "biufO":

@@ -39,7 +39,7 @@ DONE, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
 EXTRAS = {
     "fem": ("skfem", "xarray", "h5netcdf", "h5py"),
     "plot": ("matplotlib",),
-    "study": ("pandas", "threadpoolctl", "mpmath", "matplotlib", "plotly"),
+    "study": ("pandas", "threadpoolctl", "matplotlib", "plotly"),
 }
 """Packages whose absence would only show when a long run is over, by the extra that brings them."""
 

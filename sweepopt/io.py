@@ -317,11 +317,11 @@ def read_npz(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 def versions_of(packages: Iterable[str]) -> dict[str, str]:
     """The versions of those that are installed, and of the library."""
-    found = {}
+    versions = {}
     for name in dict.fromkeys(packages):
         try:
-            found[name] = metadata.version(name)
+            versions[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             continue
     # a clone on the path has no metadata
-    return {**found, "sweepopt": sys.modules["sweepopt"].__version__}
+    return {**versions, "sweepopt": sys.modules["sweepopt"].__version__}

@@ -20,6 +20,7 @@ from sweepopt.fem import (
     Viscosity,
     antiplane,
 )
+from sweepopt.fem.output import Report
 
 
 def square(n: int) -> skfem.MeshTri:
@@ -65,7 +66,19 @@ def ring(**changes: Any) -> Scene:
     ]
     settings: dict[str, Any] = {"clamped": "inner", "element": "P2", "effects": effects}
     settings |= {"t_end": 6.0, "steps": 60, "units": "SI", "title": "a ring"}
-    return antiplane(annulus(2), **(settings | changes))
+    settings |= changes
+    return antiplane(settings.pop("mesh", None) or annulus(2), **settings)
+
+
+def smooth() -> Scene:
+    """A square without friction or units."""
+    effects = [Viscosity(1.0), BodyForce(so.Sine(1.0, period=4.0))]
+    return antiplane(square(4), clamped="top", effects=effects, t_end=1.0, steps=4)
+
+
+def report_of(scene: Scene, **more: Any) -> Report:
+    """The scene and its run, as what is written of them sees them."""
+    return Report(scene, scene.solve(), **more)
 
 
 def errors(body: Discretisation, u: Any, exact: Any, gradient: Any) -> tuple[float, float]:

@@ -16,8 +16,7 @@ pytest.importorskip("pyamg")
 
 
 def chain(n: int, mass: float = 0.0) -> sp.csc_array:
-    rows = [np.full(n - 1, -1.0), np.full(n, 2.0 + mass), np.full(n - 1, -1.0)]
-    return sp.csc_array(sp.diags_array(rows, offsets=[-1, 0, 1]))
+    return sp.csc_array(sp.diags_array([-1.0, 2.0 + mass, -1.0], offsets=[-1, 0, 1], shape=(n, n)))
 
 
 def square(n: int, contrast: float = 1.0) -> sp.csc_array:
@@ -97,8 +96,7 @@ def test_what_is_not_positive_definite_is_refused() -> None:
 
 
 def run(n: int = 50, load: float = 3.0, shift: float = 1.0) -> so.Solution:
-    A, few = square(n), np.arange(n)
-    E = sp.csc_array((np.ones(n), (few, np.arange(n))), shape=(n * n, n))
+    A, E = square(n), sp.eye_array(n * n, format="csc")[:, :n]
     f = np.random.default_rng(5).uniform(0, load, n * n) / n
     C = so.Moving(so.image(E, so.Box(-np.ones(n), np.ones(n))), so.Separable([(so.Sine(1, 4), f)]))
     B = sp.csc_array(A + shift * sp.eye_array(n * n))

@@ -32,7 +32,6 @@ import numpy as np
 import pytest
 
 pytest.importorskip("skfem")
-pytest.importorskip("mpmath")
 
 from cases import SETS, case
 from meshes import annulus, write_msh
@@ -142,7 +141,7 @@ def cli() -> Any:
     return found
 
 
-SCENE = tomllib.loads("""
+SCENE_TEXT = """
 title = "a ring"
 units = "SI"
 domain = { mesh = "ring.msh", clamped = ["inner"], element = "P2" }
@@ -166,7 +165,8 @@ history = { waveform = "triangle", amplitude = 1.0, period = 4.0 }
 [[effects.traction]]
 on = "outer"
 history = { waveform = "constant", value = 1.0 }
-""")
+"""
+SCENE = tomllib.loads(SCENE_TEXT)
 STUDY = """
 problems = ["S03"]
 schemes = ["midpoint"]

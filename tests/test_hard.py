@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("mpmath")
-
 import sweepopt as so
 from sweepopt.cli import main
 from sweepopt.study.hard import FAMILIES, Program, suite
@@ -34,7 +32,7 @@ Data = tuple[np.ndarray, np.ndarray, np.ndarray]
 HARD: dict[str, tuple[Data, float]] = {
     "plain": ((A, LOAD, G), 1e-12),
     "beta 1e-8": ((A - (np.linalg.eigvalsh(A)[0] - 1e-8) * np.eye(N), LOAD, G), 1e-12),
-    "condition 1e12": ((ILL, LOAD, G), 1e-6),
+    "condition 1e12": ((ILL, LOAD, G), 1e-9),
     "glued beside nearly free": ((A, LOAD, np.where(np.arange(N) % 2, 1e12, 1e-3)), 1e-12),
     "g from 1e-12 to 1e12": ((A, LOAD, np.logspace(-12, 12, N)), 1e-11),
     "forces x 1e-9": ((1e-9 * A, 1e-9 * LOAD, 1e-9 * G), 1e-12),
@@ -69,7 +67,7 @@ def test_hard_programs_are_solved_with_a_proof(name: str, solver: str) -> None:
 
 def test_the_active_set_solver_stands_alone() -> None:
     process = so.SweepingProcess(ILL, None, so.Moving(so.Box(-G, G), LOAD), np.zeros(N))
-    sol = solve_once(process, solver="active-set", tol=1e-8)
+    sol = solve_once(process, solver="active-set", tol=1e-9)
     program = Program(ILL)
     exact = program.solve(np.zeros(N), process.C.at(1.0))
     error = program.error(sol.velocity[0], exact) / exact.size
@@ -172,7 +170,8 @@ def test_the_judge_does_not_round_the_sum_and_the_product_of_the_data() -> None:
     program = Program(np.eye(1), np.array([[3e-9]]), 1e-9)
     assert program.M[0, 0] != 1
     assert abs(float(program.M[0, 0] - 1) - 3e-18) <= 1e-33
-    assert float(program.term(u)[0] - 3e-9) == pytest.approx(3e-9 * 2.0**-30, rel=1e-12)
+    moved = program.term(u) - program.term(np.ones(1))
+    assert float(moved[0]) == pytest.approx(3e-9 * 2.0**-30, rel=1e-12)
 
 
 @pytest.mark.parametrize("family", ["condition", "lengths_down", "forces_up", "stiff"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -171,45 +172,32 @@ def test_bad_input_is_refused_by_name(call: Callable[[], Any], message: str) -> 
         call()
 
 
-def block() -> so.SweepingProcess:
-    C = so.Moving(so.Box([-1], [1]), center=lambda t: [3 * t])
-    return so.SweepingProcess([[1.0]], [[1.0]], C, [0.0])
-
-
 def test_what_a_callback_returns_is_a_yes_or_a_no() -> None:
     for wrong in (np.zeros(2), np.ones(3)):
         with pytest.raises(so.InputError, match="callback must return True to stop"):
-            so.solve(block(), t_end=1.0, steps=4, callback=lambda _, wrong=wrong: wrong)
+            run(callback=lambda _, wrong=wrong: wrong)
     for right in (None, False, np.False_, 0, np.zeros(1)):
-        sol = so.solve(block(), t_end=1.0, steps=4, callback=lambda _, right=right: right)
-        assert sol.status is so.Status.SUCCESS
+        assert run(callback=lambda _, right=right: right).status is so.Status.SUCCESS
     for stop in (True, np.True_, 1):
-        sol = so.solve(block(), t_end=1.0, steps=4, callback=lambda _, stop=stop: stop)
+        sol = run(callback=lambda _, stop=stop: stop)
         assert sol.status is so.Status.STOPPED
         assert len(sol.stats) == 1
 
 
 @pytest.mark.parametrize("lacks", ["name", "treats", "compile", "refined"])
 def test_an_object_that_lacks_a_part_of_a_solver_is_refused(lacks: str) -> None:
-    class Half:
-        pass
-
-    for name in {"name", "treats", "compile", "refined"} - {lacks}:
-        setattr(Half, name, lambda *_: None)
+    parts = {"name", "treats", "compile", "refined"} - {lacks}
+    half = SimpleNamespace(**dict.fromkeys(parts, lambda *_: None))
     with pytest.raises(so.SolverRefusedError, match=f"it has no {lacks}"):
-        so.solve(block(), t_end=1.0, steps=4, solver=Half())
+        run(solver=half)
 
 
-class Bare:
-    """The least that `print` and contextlib.redirect_stdout ask of a stream."""
-
-    def write(self, text: str) -> int:
-        return len(text)
+BARE = SimpleNamespace(write=len)  # the least that `print` and redirect_stdout ask of a stream
 
 
-@pytest.mark.parametrize("stream", [Bare(), io.StringIO(), None], ids=["bare", "text", "none"])
+@pytest.mark.parametrize("stream", [BARE, io.StringIO(), None], ids=["bare", "text", "none"])
 @pytest.mark.parametrize("solver", ["osqp", "cvxpy"])
 def test_output_may_be_redirected_to_anything(stream: Any, solver: str) -> None:
     with contextlib.redirect_stdout(stream):
-        assert so.solve(block(), t_end=1.0, steps=4, solver=solver).success
+        assert run(process(C=so.Moving(BOX, lambda t: [3 * t, t])), solver=solver).success
     assert not isinstance(stream, io.StringIO) or not stream.getvalue()

@@ -34,7 +34,6 @@ HOMES = {
     "tqdm": ("integrate",),
     "pandas": ("study",),
     "plotly": ("study",),
-    "mpmath": ("study",),
     "threadpoolctl": ("study",),
     "distributed": ("study",),
 }

@@ -8,20 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from meshes import ring, square
+from meshes import report_of, ring, smooth
 
 import sweepopt as so
-from sweepopt.fem import BodyForce, Scene, Viscosity, antiplane
 from sweepopt.fem.output import Report, write_netcdf
-
-
-def report_of(scene: Scene) -> Report:
-    return Report(scene, scene.solve(), name="ring", text="[domain]")
 
 
 @pytest.fixture(scope="module")
 def report() -> Report:
-    return report_of(ring())
+    return report_of(ring(), name="ring", text="[domain]")
 
 
 def written_to(path: Path, report: Report) -> xr.Dataset:
@@ -86,9 +81,7 @@ def test_the_scene_and_its_origin_are_attributes(written: xr.Dataset) -> None:
 
 
 def test_dimensionless_scenes_have_units_1_and_no_friction_means_no_contact(tmp_path: Path) -> None:
-    effects = [Viscosity(1.0), BodyForce(so.Sine(1.0, period=4.0))]
-    scene = antiplane(square(4), clamped="top", effects=effects, t_end=1.0, steps=4)
-    dataset = written_to(tmp_path / "solution.nc", report_of(scene))
+    dataset = written_to(tmp_path / "solution.nc", report_of(smooth()))
     assert_described(dataset)
     assert "contact" not in dataset.sizes
     others = set(dataset.variables) - {"seconds"}

@@ -12,7 +12,7 @@ import pytest
 from matplotlib.collections import LineCollection, QuadMesh
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
-from meshes import annulus, square
+from meshes import annulus, report_of, ring, square
 
 import sweepopt as so
 from sweepopt import plot
@@ -23,26 +23,14 @@ from sweepopt.fem.pictures import STATE_COLOURS, contact_figure, displacement_fi
 
 def half_ring() -> Scene:
     """Small in metres, so that pictures need millimetres."""
-    return antiplane(
-        annulus(2).scaled(0.01),
-        clamped="inner",
-        element="P2",
-        effects=[
-            Viscosity(2.0),
-            Elasticity(1.0),
-            Friction("outer", g=0.006),
-            BodyForce(so.Sine(4.0, period=4.0), f0=lambda x: 1.0 + 40.0 * x[0]),
-        ],
-        t_end=6.0,
-        steps=60,
-        units="SI",
-    )
+    force = BodyForce(so.Sine(4.0, period=4.0), f0=lambda x: 1.0 + 40.0 * x[0])
+    effects = [Viscosity(2.0), Elasticity(1.0), Friction("outer", g=0.006), force]
+    return ring(effects=effects, mesh=annulus(2).scaled(0.01))
 
 
 @pytest.fixture(scope="module")
 def run() -> Report:
-    scene = half_ring()
-    return Report(scene, scene.solve())
+    return report_of(half_ring())
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -93,6 +81,8 @@ def test_the_times_shown_have_stick_slip_and_reversal_and_the_end(run: Report) -
     assert min(np.diff(times)) >= 6.0 / 12
     seen = {colour for panel in panels for colour in boundary_drawn(panel)[1]}
     assert seen == {to_hex(colour) for colour in STATE_COLOURS.values()}
+    with pytest.raises(so.InputError, match=r"t = 7 is outside of \[0, 6\]"):
+        displacement_figure(run, [1.0, 7.0])
 
 
 @pytest.mark.parametrize("steps", [1, 2])
@@ -106,15 +96,10 @@ def test_the_shortest_runs_have_pictures(steps: int, tmp_path: Path) -> None:
 def test_a_body_at_rest_without_friction_has_a_picture(tmp_path: Path) -> None:
     mesh = square(3).scaled((5.0, 1.0))
     scene = antiplane(mesh, clamped="top", effects=[Viscosity(1.0)], t_end=1.0, steps=3)
-    figure = displacement_figure(Report(scene, scene.solve()))
+    figure = displacement_figure(report_of(scene))
     figure.savefig(tmp_path / "displacement.png")
     assert not figure.legends
     assert "(" not in figure.axes[0].get_ylabel() + figure.axes[-1].get_ylabel()
-
-
-def test_times_outside_of_the_run_are_refused(run: Report) -> None:
-    with pytest.raises(so.InputError, match=r"t = 7 is outside of \[0, 6\]"):
-        displacement_figure(run, [1.0, 7.0])
 
 
 def test_contact_histories_are_those_of_the_solution(run: Report, tmp_path: Path) -> None:
@@ -142,7 +127,10 @@ def test_several_boundaries_share_one_picture(tmp_path: Path) -> None:
     friction = Friction(["bottom", "left"], g={"bottom": 0.1, "left": 0.3})
     effects = [Viscosity(1.0), friction, Traction("right", so.Sine(1.0, period=2.0))]
     scene = antiplane(square(5), clamped="top", effects=effects, t_end=2.0, steps=20)
-    figure = contact_figure(Report(scene, scene.solve()))
+    run = report_of(scene)
+    # the shared corner counts once, the clamped one not at all
+    np.testing.assert_allclose(run.slip.contact.position, np.arange(10) / 5.0, atol=1e-12)
+    figure = contact_figure(run)
     save(figure, tmp_path / "contact.png")
     zone, moved, _ = figure.axes
     assert zone.get_ylabel() == "arc length of bottom, left"

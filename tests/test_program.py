@@ -239,7 +239,7 @@ def test_what_daqp_cannot_treat_or_find_is_said(monkeypatch: pytest.MonkeyPatch)
     assert not so.DAQP().treats(so.Polytope([[0.0, 1], [1, 0], [0, 0]]))
     assert not so.DAQP(max_dim=2).treats(so.Box([-1, -1, -1], [1, 1, 1]))
     C = so.Box([-1.0], [1.0])
-    monkeypatch.setattr("sweepopt.velocity.solvers.daqp.installed", lambda: False)
+    monkeypatch.setattr("sweepopt.velocity.solvers.daqp.has_daqp", lambda: False)
     with pytest.raises(so.MissingExtraError, match="speed"):
         so.DAQP().compile(VelocityProgram(Factor(np.eye(1)), C))
 

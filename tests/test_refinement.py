@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -10,12 +9,11 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-pytest.importorskip("mpmath")
-
 import sweepopt as so
 from sweepopt.study.hard import Program
 from sweepopt.study.hard.bodies import chain, spectral
 
+pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 N = 12
 FEW = np.eye(N)[:, [1, 4, 5, 9]]
 EDGE = np.random.default_rng(7).uniform(0.2, 1.0, N)
@@ -33,11 +31,8 @@ FORMS: dict[str, Callable[[Any], Any]] = {"dense": np.array, "sparse": sp.csc_ar
 def one_step(process: so.SweepingProcess, gamma: float, tol: float = 1e-9) -> so.Solution:
     """The velocity for M = A + gamma B."""
     scheme = "implicit-euler" if gamma else "catching-up"
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", so.InitialStateWarning)
-        return so.solve(
-            process, t_end=gamma or 1e-20, steps=1, scheme=scheme, tol=tol, on_unstable="ignore"
-        )
+    how = {"scheme": scheme, "tol": tol, "on_unstable": "ignore"}
+    return so.solve(process, t_end=gamma or 1e-20, steps=1, **how)
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -78,9 +73,7 @@ def test_a_body_near_its_equilibrium_is_certified(start: str, scheme: str) -> No
     if start == "far":
         B, load, u0, steps, mu = chain(random, N), random.normal(size=N), 0 * u0, 400, 1.0
     process = so.SweepingProcess(A, B, so.Point(load), u0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", so.InitialStateWarning)
-        sol = so.solve(process, t_end=steps * mu, steps=steps, scheme=scheme, tol=1e-9)
+    sol = so.solve(process, t_end=steps * mu, steps=steps, scheme=scheme, tol=1e-9)
     assert sol.success
     last = sol.velocity[-1]
     assert np.abs(last).max() < (1e-9 if start == "there" else 1e-12)
@@ -131,8 +124,7 @@ def test_one_unknown_alone_moves_as_one_of_two(scheme: str, B: float) -> None:
 def test_rows_that_are_nearly_the_same_are_told_apart() -> None:
     C = so.Polyhedron([[2.0], [0.5], [-1.0]], [2.0, 0.499999995, 1e4])
     process = so.SweepingProcess([[1.0]], [[1.0]], C, [1.5])
-    with pytest.warns(so.InitialStateWarning):
-        sol = so.solve(process, t_end=0.5, steps=1, scheme="catching-up")
+    sol = so.solve(process, t_end=0.5, steps=1, scheme="catching-up")
     for z in (sol.velocity[0, 0], so.velocity_field(process, tol=1e-10)(0.0, [1.5])[0]):
         assert abs(z + 0.50000001) <= 1e-15 + sol.stats["certificate"][0]
     assert sol.stats["certificate"][0] < 1e-14
@@ -145,8 +137,8 @@ def test_a_velocity_field_looks_closer_where_plain_numbers_round_too_much(C: Any
     np.testing.assert_allclose(so.velocity_field(process)(0.0, [1e12 + 3]), [-2.0], rtol=1e-12)
 
 
-@pytest.mark.parametrize("state", [np.inf, -np.inf, np.nan])
-def test_a_velocity_field_refuses_a_state_that_is_not_finite(state: float) -> None:
+def test_a_velocity_field_of_one_unknown_refuses_a_state_that_is_not_finite() -> None:
     velocity = so.velocity_field(so.SweepingProcess([[1.0]], [[1.0]], so.Box([-1], [1]), [0.0]))
-    with pytest.raises(so.InputError, match=r"u\[0\] is"):
-        velocity(0.0, np.array([state]))
+    for state in (np.inf, -np.inf, np.nan):
+        with pytest.raises(so.InputError, match=r"u\[0\] is"):
+            velocity(0.0, np.array([state]))

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_checkpoint import same
+from test_checkpoint import free, polygon, same
 
 import sweepopt as so
 
@@ -40,31 +40,9 @@ def on_few(B: Any = B) -> so.SweepingProcess:
     return body(B=B, C=so.image(np.eye(N)[:, FEW], so.Box(-GAP[FEW], GAP[FEW])))
 
 
-def stated() -> so.SweepingProcess:
-    """A set that is written in cvxpy and asked for its projection at every time."""
-    import cvxpy as cp
-
-    C = so.Moving(so.Constraints(2, lambda w: [cp.norm(w) <= 1]), lambda t: [2 * t, np.sin(t)])
-    return so.SweepingProcess(np.eye(2), np.eye(2), C, [0.0, 0.0])
-
-
-def two_sets() -> so.SweepingProcess:
-    """An intersection, whose support function is a program of its own."""
-    C = so.Box([-1, -1, -1], [1, 1, 1]) & so.Ball([0, 0, 0], 1.2)
+def three(C: so.ConvexSet) -> so.SweepingProcess:
     load = so.Separable([(so.Sine(3.0, 3.0), np.array([1.0, 0.5, -1.0]))])
     return so.SweepingProcess(A[:3, :3], B[:3, :3], so.Moving(C, load), np.zeros(3))
-
-
-def three() -> so.SweepingProcess:
-    load = so.Separable([(so.Sine(3.0, 3.0), np.array([1.0, 0.5, -1.0]))])
-    C = so.Moving(so.Box(-GAP[:3], GAP[:3]), load)
-    return so.SweepingProcess(A[:3, :3], B[:3, :3], C, np.zeros(3))
-
-
-def polygon() -> so.SweepingProcess:
-    G = np.array([[1.0, 0.2], [-1.0, 0.1], [0.3, 1.0], [-0.2, -1.0]])
-    C = so.Polyhedron(G, lambda t: [1 + t, 0.5 - 2 * t, 1 + np.sin(t), 0.5 - t])
-    return so.SweepingProcess(np.zeros((2, 2)), [[2.0, 0.5], [0.5, 1.0]], C, [0.0, 0.0])
 
 
 ROUTES: dict[str, tuple[Callable[[], so.SweepingProcess], dict[str, Any]]] = {
@@ -81,10 +59,11 @@ ROUTES: dict[str, tuple[Callable[[], so.SweepingProcess], dict[str, Any]]] = {
     "proportional": (lambda: on_few(B=2 * A), {"path": "proportional"}),
     "two stages": (on_few, {"path": "full", "scheme": "sdirk2", "solver": "osqp"}),
     "adaptive": (body, {"steps": so.Adaptive(1e-2)}),
-    "exact": (three, {"scheme": "exact"}),
+    "exact": (lambda: three(so.Box(-GAP[:3], GAP[:3])), {"scheme": "exact"}),
     "rows that move": (polygon, {"t_end": 0.6}),
-    "stated in cvxpy": (stated, {"steps": 8}),
-    "two sets": (two_sets, {"steps": 12}),
+    "stated in cvxpy": (free, {"steps": 8}),
+    # an intersection, whose support function is a program of its own
+    "two sets": (lambda: three(so.Box([-1] * 3, [1] * 3) & so.Ball([0] * 3, 1.2)), {"steps": 12}),
 }
 
 
@@ -179,9 +158,9 @@ def resident() -> int:
 
 def watched(name: str, steps: int, kept: int = 0) -> None:
     """Print what is resident at a hundred steps of a run; it runs in a process of its own."""
-    given = {"A": A[:2, :2], "B": B[:2, :2], "C": so.Box([-0.5, -1.0], [0.5, 1.0])} | SMALL[name]
+    given = {"A": A[:2, :2], "B": B[:2, :2]} | SMALL[name]
     load = so.Separable([(so.Sine(3.0, 1.0), np.array([1.0, -1.0]))])
-    C = so.Moving(given.pop("C"), load)
+    C = so.Moving(so.Box([-0.5, -1.0], [0.5, 1.0]), load)
     process = so.SweepingProcess(given.pop("A"), given.pop("B"), C, [0.0, 0.0])
     every, hoard = steps // 100, []
 

@@ -72,7 +72,6 @@ def assert_same(plain: so.Solution, other: so.Solution, L: float, T: float = 1.0
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_hull_is_met_in_the_units_of_a_body_whose_stiffness_jumps(seed: int) -> None:
-    pytest.importorskip("mpmath")
     from sweepopt.study.hard import Program
 
     random, n = np.random.default_rng(seed), 6

@@ -32,8 +32,8 @@ def largest_ratio(A: Factor, B: Matrix) -> float:
     s = (1 + MARGINS[0]) * least
     if exceeds_none(A, B, s):
         return s
-    found = _found(A, B, least)
-    candidates = ((1 + margin) * found for margin in MARGINS)
+    estimate = _estimate(A, B, least)
+    candidates = ((1 + margin) * estimate for margin in MARGINS)
     return next((s for s in candidates if exceeds_none(A, B, s)), math.inf)
 
 
@@ -52,15 +52,15 @@ def exceeds_none(A: Factor, B: Matrix, s: float) -> bool:
     return True
 
 
-def _found(A: Factor, B: Matrix, least: float) -> float:
+def _estimate(A: Factor, B: Matrix, least: float) -> float:
     """The largest eigenvalue of A^-1 B, or what of it can be seen."""
     if not sp.issparse(A.M) or A.dim < SMALL:
         return float(scipy.linalg.eigh(dense(B), dense(A.M), eigvals_only=True)[-1])
     inverse = spla.LinearOperator((A.dim, A.dim), matvec=A.solve, dtype=float)
     how: dict[str, Any] = {"M": A.M, "Minv": inverse, "which": "LA", "v0": lanczos_start(A.dim)}
     try:  # the eigenvalue is as exact as the square of tol
-        found = spla.eigsh(B, k=1, tol=1e-6, return_eigenvectors=False, **how)[0]
-        return max(float(found), least)
+        largest = spla.eigsh(B, k=1, tol=1e-6, return_eigenvectors=False, **how)[0]
+        return max(float(largest), least)
     except spla.ArpackError:  # it does not converge
         return least
 

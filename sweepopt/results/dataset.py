@@ -37,12 +37,13 @@ class NetCDFSink:
     """
 
     def __init__(self, path: Path, t: float, u0: np.ndarray) -> None:
-        self._path, self._part = path, part_of(path)
+        self._path, self._part, self._dim = path, part_of(path), u0.size
         self._file = netcdf_package().File(self._part, "w")
         self._run = self._file.attrs["run"] = uuid.uuid4().hex  # another run has another one
         self._file.dimensions = {"time": None, "step": None, "unknown": u0.size}
-        self._block = max(int(BLOCK // (16 * u0.size)), 1)
-        rows = min(self._block, 64), u0.size
+        # a copy: a callback may change the state that it sees
+        self._block = np.zeros((max(int(BLOCK // (16 * u0.size)), 1), 1 + 2 * u0.size))
+        rows = min(len(self._block), 64), u0.size
         for name, dims, chunks, words in (
             ("time", ("time",), (1024,), "time"),
             ("u", ("time", "unknown"), rows, "u_n at the grid times"),
@@ -52,12 +53,13 @@ class NetCDFSink:
             created.attrs.update({"long_name": words, "units": "1"})
         self._file.resize_dimension("time", 1)
         self._file.variables["time"][0], self._file.variables["u"][0] = t, u0
-        self._steps, self._waiting = 0, list[StepInfo]()
+        self._steps = self._waiting = 0
 
     def put(self, step: StepInfo) -> None:
         """Take the state at the end of the next step and the velocity of the step."""
-        self._waiting.append(step)
-        if len(self._waiting) == self._block:
+        self._block[self._waiting] = np.concatenate([[step.t], step.u, step.velocity])
+        self._waiting += 1
+        if self._waiting == len(self._block):
             self._write()
 
     def close(self, finished: bool) -> None:
@@ -68,15 +70,17 @@ class NetCDFSink:
             os.replace(self._part, self._path)
 
     def _write(self) -> None:
-        start, waiting, variables = self._steps, self._waiting, self._file.variables
-        if waiting:
-            end = self._steps = start + len(waiting)
+        start, variables = self._steps, self._file.variables
+        end = start + self._waiting
+        if end > start:
+            t, u, velocity = np.hsplit(self._block[: self._waiting], [1, 1 + self._dim])
             self._file.resize_dimension("time", end + 1)
             self._file.resize_dimension("step", end)
-            variables["time"][start + 1 :] = [step.t for step in waiting]
-            variables["u"][start + 1 :] = [step.u for step in waiting]
-            variables["velocity"][start:] = [step.velocity for step in waiting]
-        self._waiting = []
+            variables["time"][start + 1 :] = t.ravel()
+            variables["u"][start + 1 :] = u
+            variables["velocity"][start:] = velocity
+        # one assignment at the end: what Ctrl-C cuts short is written again by `close`
+        self._steps, self._waiting = end, 0
 
     def states(self) -> States:
         """The states in the file, read when they are asked for."""
@@ -87,7 +91,12 @@ class NetCDFSink:
             with netcdf_package().File(self._path, "r") as file:
                 if file.attrs.get("run") != self._run:
                     raise InputError(f"another run has written {self._path}: these states are gone")
-                return np.asarray(file.variables[name][i])
+                variable = file.variables[name]
+                if isinstance(i, slice):
+                    return np.asarray(variable[i])
+                # a file has its rows read in order, each once
+                rows, where = np.unique(np.arange(variable.shape[0])[i], return_inverse=True)
+                return np.asarray(variable[rows])[where.reshape(np.shape(i))]
 
         return States(np.arange(self._steps), partial(read, "u"), partial(read, "velocity"))
 

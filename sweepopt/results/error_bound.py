@@ -89,7 +89,7 @@ def error_bound(
     plan = replace(plan, reduction=None, tol=min(plan.tol, TOL))
     nodes = run if own else _second_run(process, plan, run.t)
     norms = Norms(process)
-    phi = compile_projection(plan, process.metric.M)
+    phi = compile_projection(plan, process.metric)
     integrals = residuals(process, phi, norms, nodes, variation)
     error_A, error_B = _growth(norms, nodes.t, integrals)
     states = run.at(nodes.t)

@@ -176,7 +176,7 @@ class Solution:
 
     @cached_property
     def _nearest(self) -> VelocityOf:
-        return compile_projection(self.plan, self.process.metric.M)
+        return compile_projection(self.plan, self.process.metric)
 
     def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
         """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A = 0).
@@ -208,9 +208,9 @@ class Solution:
             |u - v|_A (t) <= int K(t - s) sqrt(2 G + |r|^2) ds    (|r| in the dual norm of A),
             |u - v|_B^2 (t) <= int 2 G + |r|^2 / 2,
 
-        K(tau) = min(exp(nu tau), 1 + sqrt(Lam tau / 2), sqrt(Lam / lam)), nu = (Lam - lam)^2 / (8
-        (Lam + lam)), lam <= Lam the extreme eigenvalues of A^-1 B: `results/error_bound.py` has all
-        of it, the notebook error_band.ipynb the proof. |u - u_n| <= |u - v| + |v - u_n|, v through
+        K(tau) = min(exp(nu tau), 1 + sqrt(Lam tau / 2)), nu = (Lam - lam)^2 / (8 (Lam + lam)), with
+        lam <= Lam the extreme eigenvalues of A^-1 B: `results/error_bound.py` has all of it, the
+        notebook error_band.ipynb the proof. |u - u_n| <= |u - v| + |v - u_n|, v through
         the nodes of the run or of a more accurate one beside it. No constant is unknown, what the
         solvers miss is in r and G, and both are bounded on whole steps, not sampled. For a body of
         finite elements u is the solution of the semi-discrete problem.

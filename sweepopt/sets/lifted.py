@@ -330,14 +330,20 @@ class Lifted(ConvexSet):
         if self.lifted.g.size or not near.splitting.small:
             return p
         # the vectors near p whose image E_i^T p is the normal of part i, part by part
-        n, E = near.normals, self.lifted.E
-        each = [_with_image(dense(E[:, at]), p, n[at]) for at in reversed(places(self.lifted))]
-        known = [one for one in each if one is not None]
-        best = next((one for one in known if np.isfinite(self.support(one))), p)
-        noise = (best != 0) & (np.abs(best) <= ROUNDING * np.abs(best).max())
-        # what one part holds is 0.0, and rounding of the others
-        still = np.where(noise & np.any([one == 0 for one in known], axis=0), 0.0, best)
-        return still if np.isfinite(self.support(still)) else best
+        for at, E, back in self._blocks:
+            inner, best = near.normals[at], p
+            for _ in range(2):
+                best = best + back @ (inner - E.T @ best)
+            if np.isfinite(self.support(best)):
+                return best
+        return p
+
+    @cached_property
+    def _blocks(self) -> list[tuple[slice, np.ndarray, np.ndarray]]:
+        """E_i and the inverse of E_i^T of each part whose E_i has full rank, the last first."""
+        blocks = [(at, dense(self.lifted.E[:, at])) for at in reversed(places(self.lifted))]
+        full = [(at, E) for at, E in blocks if np.linalg.matrix_rank(E) == E.shape[1]]
+        return [(at, E, np.linalg.pinv(E.T, rcond=RANK)) for at, E in full]
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         if self.product is not None:
@@ -409,18 +415,6 @@ def _pulled(transposed: Any, z: np.ndarray) -> np.ndarray:
     inner = np.asarray(transposed @ z)
     inner[np.abs(inner) <= 2 * ROUNDING * (abs(transposed) @ np.abs(z))] = 0.0
     return inner
-
-
-def _with_image(E: np.ndarray, p: np.ndarray, inner: np.ndarray) -> np.ndarray | None:
-    """The vector nearest to p with E^T p = inner, for an E of full column rank."""
-    if E.shape == (p.size, p.size) and (np.eye(p.size) == E).all():
-        return inner
-    if np.linalg.matrix_rank(E) < E.shape[1]:
-        return None
-    back = np.linalg.pinv(E.T, rcond=RANK)
-    for _ in range(2):
-        p = p + back @ (inner - E.T @ p)
-    return p
 
 
 def _rounded(v: np.ndarray) -> Perturbation:
@@ -516,15 +510,6 @@ class Intersection(Lifted):
 
     def _pair_of(self, v: np.ndarray) -> NormalPair | None:
         return self._decided(v) or super()._pair_of(v)
-
-    def _normal(self, near: Projection) -> np.ndarray:
-        p, form = super()._normal(near), self.lifted
-        if not p.any() or [part.dim for part in form.parts] != 2 * [self.dim]:
-            return p
-        # the normals of two parts add up: what none of them holds is exactly 0
-        total = np.sum(np.split(near.normals, 2), axis=0)
-        within = np.abs(total - p).max() <= 10 * ROUNDING * np.abs(near.v).max()
-        return total if within else p
 
     def magnitude(self) -> float:
         return min(C.magnitude() for C in self.operands)

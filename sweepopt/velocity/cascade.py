@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from functools import cache
-from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +25,7 @@ from sweepopt.velocity.certificate import (
     at_rest,
 )
 from sweepopt.velocity.program import VelocityProgram, untranslated
-from sweepopt.velocity.refinement import by_program, refined
+from sweepopt.velocity.refinement import UNSOLVED, by_program, refined
 from sweepopt.velocity.solvers import NEWTON, Answer, Solver, choose
 
 WRONG = 1e-2  # a larger relative certificate is that of a failure, not of a loose solver
@@ -124,21 +123,22 @@ class Cascade:
             return self._by_formula(of)
         if self.inclusion.rests(of, self._tol):
             return at_rest(of.q)
-        best, iterations = Velocity(np.zeros_like(of.force), math.inf, math.inf, "none"), 0
+        best, solver, iterations = UNSOLVED, "none", 0
         for k, attempt in enumerate(self._attempts):
             velocity = self._asked(k, of, best.z)
             iterations += velocity.iterations
             if velocity.relative < best.relative or math.isnan(velocity.relative):
-                improved = attempt.from_best and best.relative <= WRONG
-                name = best.solver if improved else attempt.solver.name
-                best = velocity._replace(solver=name)
+                if not (attempt.from_best and best.relative <= WRONG):  # else it is improved
+                    solver = attempt.solver.name
+                best = velocity
             if not best.relative > self._tol:
                 break
             if not velocity.relative <= WRONG:
                 del self._compiled[k]  # a workspace that failed is not used again
             if k == 0 and self.inclusion.rests_exactly(of):
                 return at_rest(of.q)
-        return best._replace(iterations=iterations, attempts=k + 1)
+        z = np.zeros_like(of.force) if best is UNSOLVED else best.z
+        return Velocity(z, best.certificate, best.relative, solver, iterations, k + 1)
 
     def _asked(self, k: int, of: Instance, start: np.ndarray) -> Velocity:
         attempt = self._attempts[k]
@@ -147,11 +147,12 @@ class Cascade:
             shape = untranslated(attempt.cone).S
             self._compiled[k] = attempt.solver.compile(VelocityProgram(M.small, shape))
         compiled = self._compiled[k]
-        starts = iter([start[M.unknowns]] if attempt.from_best and start.any() else [])
+        starts = [start[M.unknowns]] if attempt.from_best and start.any() else []
 
         def solve(linear: np.ndarray, C: ConvexSet) -> Answer:
             c, shape = untranslated(C)
-            return compiled(linear if shape is C else linear - c, shape, *islice(starts, 1))
+            given = [starts.pop()] if starts else []
+            return compiled(linear if shape is C else linear - c, shape, *given)
 
         S = of.whole if isinstance(M.unknowns, slice) else of.S
         return refined(self.inclusion, by_program(M, solve, S, self._tol), of, self._tol)

@@ -34,12 +34,13 @@ def matrix(process: SweepingProcess, gamma: float) -> Matrix:
 
 def compile_velocity(process: SweepingProcess, plan: Plan, gamma: float) -> StateVelocity:
     """(u, C) -> the velocity z with -z in N_C(A z + B (u + gamma z)), certified."""
-    return StateVelocity(plan, matrix(process, gamma), process.A, process.B, gamma)
+    M = matrix(process, gamma)
+    return StateVelocity(plan, M, process.metric, process.A, process.B, gamma)
 
 
-def compile_projection(plan: Plan, M: Matrix) -> VelocityOf:
+def compile_projection(plan: Plan, M: Factor) -> VelocityOf:
     """(q, C) -> the z with -z in N_C(M z + q), certified: M z + q is q projected on C."""
-    return StateVelocity(plan, M).of_force
+    return StateVelocity(plan, M.M, M).of_force
 
 
 class StateVelocity:
@@ -52,6 +53,8 @@ class StateVelocity:
     plan : Plan
     M : ndarray or sparse, shape (dim, dim)
         A + gamma B, rounded.
+    metric : Factor
+        Of M itself, or of a matrix with its pattern.
     A, B : ndarray or sparse, shape (dim, dim), optional
     gamma : float
     """
@@ -60,13 +63,14 @@ class StateVelocity:
         self,
         plan: Plan,
         M: Matrix,
+        metric: Factor,
         A: Matrix | None = None,
         B: Matrix | None = None,
         gamma: float = 0.0,
     ) -> None:
-        self._M, self._B, self._data = M, B, (A, B, gamma)
+        self._M, self._metric, self._B, self._data = M, metric, B, (A, B, gamma)
         contact = np.zeros(0, dtype=int) if plan.contact is None else plan.contact
-        self._contact, self._order, self._solver = contact, plan.order, plan.solver
+        self._contact, self._solver = contact, plan.solver
         self._tol = plan.tol if math.isfinite(plan.tol) else DEFAULT_TOL
         self.forget()
 
@@ -120,8 +124,9 @@ class StateVelocity:
 
     @cached_property
     def _on_all(self) -> Inclusion:
-        return Inclusion(Factor(self._M), *self._data)
+        M = self._metric if self._metric.M is self._M else Factor(self._M)
+        return Inclusion(M, *self._data)
 
     @cached_property
     def _on_few(self) -> Inclusion:
-        return Inclusion(Elimination(self._M, self._contact, self._order), *self._data)
+        return Inclusion(Elimination(self._M, self._contact, self._metric.order), *self._data)

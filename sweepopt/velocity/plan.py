@@ -49,8 +49,6 @@ class Plan:
         The few unknowns the set acts on, if all others are eliminated; None keeps them.
     reduction : Reduction or None
         The process of the contact alone, if the material and the load are proportional.
-    order : ndarray of int or None
-        An order of the unknowns with little fill, for elimination.
     """
 
     unknowns: int
@@ -62,7 +60,6 @@ class Plan:
     left_out: tuple[str, ...]
     contact: np.ndarray | None = None
     reduction: Reduction | None = None
-    order: np.ndarray | None = None
 
     @property
     def path(self) -> str:
@@ -83,7 +80,7 @@ class Plan:
         """The plan of the process that the loop moves: the reduction's, if there is one."""
         if self.reduction is None:
             return self
-        return replace(self, unknowns=self.entering, contact=None, reduction=None, order=None)
+        return replace(self, unknowns=self.entering, contact=None, reduction=None)
 
     @property
     def eliminated(self) -> int:
@@ -144,7 +141,7 @@ def make_plan(
     SolverRefusedError
         If the solver is not known or cannot treat one of the sets.
     """
-    solvers, contact = _looked(process.dim, members, solver, path, tol)
+    solvers, contact = _solvers(process.dim, members, solver, path, tol)
     if path in ("eliminated", "proportional") and contact is None:
         raise PathError(
             f"path={path!r} needs a C(t) that acts on the same few unknowns at all times: write it "
@@ -168,21 +165,20 @@ def make_plan(
         tol=tol,
         left_out=tuple(_left_out(process, solvers)),
         contact=contact,
-        order=process.metric.order,
         reduction=None if isinstance(reduced, str) else reduced,
     )
 
 
-class _Looked(NamedTuple):
+class _Solvers(NamedTuple):
     """Who solves for the sets, and the few unknowns that all of them act on, if there are such."""
 
     solvers: tuple[Solver, ...]
     contact: np.ndarray | None
 
 
-def _looked(
+def _solvers(
     dim: int, members: Sequence[tuple[float, ConvexSet]], solver: Any, path: str, tol: float
-) -> _Looked:
+) -> _Solvers:
     solvers: tuple[Solver, ...] = ()
     contacts: list[np.ndarray] = []
     for t, C in members:
@@ -196,7 +192,7 @@ def _looked(
             contacts.append(np.arange(C.dim) if selection is None else selection.unknowns)
     few = bool(contacts) and contacts[0].size < dim
     same = all(np.array_equal(contact, contacts[0]) for contact in contacts)
-    return _Looked(solvers, contacts[0] if few and same else None)
+    return _Solvers(solvers, contacts[0] if few and same else None)
 
 
 def _left_out(process: SweepingProcess, solvers: tuple[Solver, ...]) -> Iterator[str]:

@@ -49,7 +49,7 @@ ACCURATE = 1e-10  # |A F - f|_{A^-1} / |f|_{A^-1} up to which A^-1 is applied be
 FLOOR = 1e-3  # of the velocity that the load alone would cause: less counts as this
 
 
-Residuals = Callable[[int, np.ndarray, np.ndarray], tuple[float, float]]
+ResidualOf = Callable[[int, np.ndarray, np.ndarray], tuple[float, float]]
 """(step, zeta, zeta') -> a residual in |.|_{M^-1}, and the size of velocity it is compared to."""
 
 
@@ -121,7 +121,7 @@ class Reduction:
         rounding = UNIT * self.rho * span / (1 + gamma * self.rho)
         return scheme.exact or rounding <= FLOOR * tol
 
-    def residuals(self, alphas: np.ndarray, rates: np.ndarray, gammas: np.ndarray) -> Residuals:
+    def residuals(self, alphas: np.ndarray, rates: np.ndarray, gammas: np.ndarray) -> ResidualOf:
         """What the inclusion of all unknowns has of residual beyond that of the few.
 
         With M = (1 + gamma rho) A and q = rho A u - f, both reconstructed, M z + q holds each

@@ -32,15 +32,15 @@ from sweepopt.velocity.solvers import Answer
 REFINEMENTS = 20  # each leaves a share |M^-1 (A + gamma B - M)| of the error; most need one
 SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
 NO_UNKNOWNS = np.zeros(0, dtype=int)
-Solve = Callable[[np.ndarray, ConvexSet], Answer | Proposal]
+UNSOLVED = Velocity(np.zeros(0), math.inf, math.inf)
+AnswerOf = Callable[[np.ndarray, ConvexSet], Answer | Proposal]
 Propose = Callable[[np.ndarray, np.ndarray | None], Proposal | Velocity]
 """From the residual of a z, None for 0, to a better pair; a velocity where that has no proof."""
 
 
 def refined(inclusion: Inclusion, propose: Propose, of: Instance, tol: float) -> Velocity:
     """The velocity of a solver, refined as long as its certificate is above `tol` and falls."""
-    best = Velocity(np.zeros_like(of.force), math.inf, math.inf)
-    residual, z, size, iterations = of.force, None, None, 0
+    best, residual, z, size, iterations = UNSOLVED, of.force, None, None, 0
     for _ in range(1 + REFINEMENTS):
         pair = propose(residual, z)
         if isinstance(pair, Velocity):
@@ -59,10 +59,11 @@ def refined(inclusion: Inclusion, propose: Propose, of: Instance, tol: float) ->
             break
         z = pair.z
         residual = inclusion.exact_residual(of, z)
-    return best._replace(iterations=iterations)
+    z = np.zeros_like(of.force) if best is UNSOLVED else best.z
+    return best._replace(z=z, iterations=iterations)
 
 
-def by_program(M: Factor, solve: Solve, S: ConvexSet, tol: float) -> Propose:
+def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
     """The program of the unknowns that M keeps, as a solver answers it."""
     few = M.unknowns
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import decimal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -10,15 +13,19 @@ DIGITS = 60
 """Twice those of data with units from 2^-40 to 2^40 and condition 1e12, and some to spare."""
 
 
-def exactly(x: Any) -> np.ndarray:
-    """Doubles as mpmath numbers, without rounding; what is one stays as it is."""
-    import mpmath
+@contextmanager
+def precise() -> Iterator[None]:
+    """All that is computed within has 60 digits; also a decorator."""
+    with decimal.localcontext(decimal.Context(prec=DIGITS)):
+        yield
 
-    mpmath.mp.dps = DIGITS
+
+def exactly(x: Any) -> np.ndarray:
+    """Doubles as decimal numbers, without rounding; what is one stays as it is."""
     x = np.asarray(x)
     x = x if x.dtype == object else x.astype(float)
     result = np.empty(x.shape, dtype=object)
-    result.ravel()[:] = [mpmath.mpf(entry) for entry in x.ravel()]
+    result.ravel()[:] = [decimal.Decimal(entry) for entry in x.ravel().tolist()]
     return result
 
 
@@ -35,6 +42,4 @@ def solve(M: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def sqrt(x: Any) -> Any:
     """Of each entry."""
-    import mpmath
-
-    return np.frompyfunc(mpmath.sqrt, 1, 1)(x)
+    return np.frompyfunc(decimal.Decimal.sqrt, 1, 1)(x)

@@ -20,7 +20,7 @@ from sweepopt.velocity import untranslated
 
 
 class Exact(NamedTuple):
-    """The velocity as mpmath numbers, shape (dim,), and sizes in |.|_M.
+    """The velocity as decimal numbers, shape (dim,), and sizes in |.|_M.
 
     Attributes
     ----------
@@ -47,6 +47,7 @@ class Program:
     gamma : float
     """
 
+    @digits.precise()
     def __init__(self, A: Matrix, B: Matrix | None = None, gamma: float = 0.0) -> None:
         A = digits.exactly(dense(A))
         self._B = 0 * A if B is None else digits.exactly(dense(B))
@@ -54,12 +55,14 @@ class Program:
         self._inverse = digits.solve(self.M, digits.exactly(np.eye(len(A))))
         self._condensed: dict[bytes, np.ndarray] = {}
 
+    @digits.precise()
     def term(self, u: np.ndarray) -> np.ndarray:
-        """The linear term B u, as mpmath numbers."""
+        """The linear term B u, as decimal numbers."""
         return self._B @ digits.exactly(u)
 
+    @digits.precise()
     def solve(self, q: np.ndarray, C: ConvexSet) -> Exact:
-        """The velocity for a linear term of doubles or mpmath numbers and a set.
+        """The velocity for a linear term of doubles or decimal numbers and a set.
 
         Raises
         ------
@@ -89,10 +92,12 @@ class Program:
 
         return Exact(z, length, max(length, dual(force)), dual(q) + dual(shift))
 
+    @digits.precise()
     def norm(self, z: np.ndarray) -> float:
         """|z|_M."""
         return float(digits.sqrt(z @ (self.M @ z)))
 
+    @digits.precise()
     def error(self, z: np.ndarray, exact: Exact) -> float:
         """|z - z*|_M."""
         return self.norm(digits.exactly(z) - exact.z)

@@ -5,6 +5,7 @@ Neither needs a start, so that no solver's answer is favoured.
 
 from __future__ import annotations
 
+from decimal import Decimal
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,9 @@ from sweepopt.sets import Ball, Balls, Box, ConvexSet, Point
 from sweepopt.study.hard import digits
 
 CHANGES = 2000  # of the active set: it is finite, and this ends what is not
-ROUNDING = 1e-45  # relative: of 60 digits, the rest is for condition numbers
+ROUNDING = Decimal("1e-45")  # relative: of 60 digits, the rest is for condition numbers
 NEWTON = 200  # steps at each smoothing, of which some 20 are needed
-SMOOTHING = 10.0 ** -np.arange(2, 36, 4)  # velocities are then known to some 25 digits
+SMOOTHING = [Decimal(10) ** -k for k in range(2, 36, 4)]  # velocities have then some 25 digits
 
 
 def velocity(C: ConvexSet, N: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -48,7 +49,7 @@ def in_polyhedron(N: np.ndarray, q: np.ndarray, G: np.ndarray, h: np.ndarray) ->
     Programming 27, 1983, in the metric of N^-1: finite, whatever the rows, as those that hold w
     stay independent).
     """
-    lengths = np.sqrt(np.einsum("ij,jk,ik->i", G, N.astype(float), G))
+    lengths = digits.exactly(np.sqrt(np.einsum("ij,jk,ik->i", G, N.astype(float), G)))
     start = digits.exactly(h) - _product(G, q)
     active: list[int] = []
     # of the active rows: columns of H = G N G^T, the inverse of their block of it, multipliers
@@ -122,8 +123,8 @@ def in_balls(N: np.ndarray, q: np.ndarray, radii: np.ndarray) -> np.ndarray:
             if (abs(slope) <= share * (abs(N) @ abs(z) + abs(q) + abs(pull))).all():
                 break
             dz = -digits.solve(N + bend, slope)
-            now, length = value(z, e), 1.0
-            while value(z + length * dz, e) > now + 0.1 * length * (slope @ dz) + share * abs(now):
+            now, length = value(z, e), Decimal(1)
+            while value(z + length * dz, e) > now + length / 10 * (slope @ dz) + share * abs(now):
                 length /= 2
             s = pull + bend @ dz
             s *= np.repeat(
@@ -136,4 +137,4 @@ def in_balls(N: np.ndarray, q: np.ndarray, radii: np.ndarray) -> np.ndarray:
             z = z + length * dz
         else:
             raise SweepoptError("the exact velocity was not found")
-    return np.repeat(lengths(z) > 1e3 * e, block) * z  # the others are stuck
+    return np.repeat(lengths(z) > 1000 * e, block) * z  # the others are stuck

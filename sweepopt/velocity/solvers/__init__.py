@@ -6,11 +6,11 @@ from collections.abc import Callable
 from typing import Any
 
 from sweepopt.errors import SolverRefusedError, shown
-from sweepopt.sets import ConvexSet
+from sweepopt.sets import ConvexSet, Similar
 from sweepopt.velocity.solvers.active_set import ActiveSet
 from sweepopt.velocity.solvers.base import Answer, Small, Solve, Solver
 from sweepopt.velocity.solvers.clarabel import Clarabel
-from sweepopt.velocity.solvers.daqp import DAQP, installed
+from sweepopt.velocity.solvers.daqp import DAQP, has_daqp
 from sweepopt.velocity.solvers.newton import Newton
 from sweepopt.velocity.solvers.osqp import OSQP
 from sweepopt.velocity.solvers.reference import Cvxpy
@@ -53,7 +53,7 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
     general: list[Solver] = [other for other in (*iterating, LAST) if other.treats(C)]
     small: list[Solver] = [NEWTON] if NEWTON.treats(C) else []
     if isinstance(solver, str) and solver == "auto":
-        fastest: list[Solver] = [FASTEST] if installed() and FASTEST.treats(C) else []
+        fastest: list[Solver] = [FASTEST] if has_daqp() and FASTEST.treats(C) else []
         D = C.derivative(C.anchor) if small and C.polyhedral else None
         if (D is not None and D.ndim == 2) or not C.exact:
             return (*fastest, general[0], *small, *general[1:])
@@ -71,19 +71,18 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
         )
     if not solver.treats(C):
         raise SolverRefusedError(
-            f"{solver.name} cannot treat {describe(C)}: OSQP solves quadratic programs over "
+            f"{solver.name} cannot treat {_curved_parts(C)}: OSQP solves quadratic programs over "
             "polyhedra, Newton and DAQP small programs with simple sets; use "
             'solver="clarabel"'
         )
     return (solver, *(other for other in (*small, *general) if other.name != solver.name))
 
 
-def describe(C: ConvexSet) -> str:
-    """The shapes that make a set a cone set, by name."""
-    parts = [getattr(C, name, None) for name in ("part", "first", "second")]
-    inner = [part for part in (*parts, *getattr(C, "parts", ())) if isinstance(part, ConvexSet)]
-    curved = [describe(part) for part in inner if not part.polyhedral]
-    return ", ".join(dict.fromkeys(curved)) or type(C).__name__
+def _curved_parts(C: ConvexSet) -> str:
+    """The parts of C that are no polyhedra, by name."""
+    parts = [part.part if isinstance(part, Similar) else part for part in C.form().parts]
+    curved = dict.fromkeys(type(part).__name__ for part in parts if not part.polyhedral)
+    return ", ".join(curved) or type(C).__name__
 
 
 def _names() -> str:
@@ -92,7 +91,6 @@ def _names() -> str:
 
 __all__ = [
     "DAQP",
-    "LAST",
     "NEWTON",
     "OSQP",
     "ActiveSet",

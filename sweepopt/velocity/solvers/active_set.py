@@ -57,8 +57,8 @@ class ActiveSet(Small):
 
         def nearest(q: np.ndarray, G: np.ndarray, h: np.ndarray) -> np.ndarray | None:
             rounding = ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(q))
-            found = least_distance(G @ L, h - G @ q, rounding)
-            return None if found is None else found.u
+            projection = least_distance(G @ L, h - G @ q, rounding)
+            return None if projection is None else projection.u
 
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:
             rows = _rows(C)

@@ -9,8 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.sets import CAREFUL, ConvexSet
-from sweepopt.velocity.program import VelocityProgram
-from sweepopt.velocity.solvers.canonical import CanonicalSolver, Found, Workspace
+from sweepopt.velocity.solvers.canonical import CanonicalSolver, EngineAnswer, Workspace
 
 SOLVED = {"Solved", "AlmostSolved"}
 
@@ -55,11 +54,10 @@ class Clarabel(CanonicalSolver):
         """Two digits tighter, as far as double precision goes."""
         return replace(self, tol=self.tol / 100) if self.tol > 1e-13 else None
 
-    def workspace(self, program: VelocityProgram, P: sp.csc_array) -> Workspace:
+    def workspace(self, cone: ConvexSet, P: sp.csc_array, data: dict[str, Any]) -> Workspace:
         """The rows in units of their cones."""
         import clarabel
 
-        data = program.canonical("CLARABEL").data
         A, b, dims = data["A"], data["b"], data["dims"]
         cones = _cones(clarabel, dims)
         rows, columns = _units(P, sp.csc_array(A), dims)
@@ -69,17 +67,17 @@ class Clarabel(CanonicalSolver):
         settings.max_iter = self.max_iter
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = self.tol
         settings.presolve_enable = False  # updates need the problem as it was set up
-        if not program.cone.certifiable:  # an answer stands if Clarabel calls it solved
+        if not cone.certifiable:  # an answer stands if Clarabel calls it solved
             for name, value in CAREFUL.items():
                 setattr(settings, name, value)
 
         def build(linear: np.ndarray) -> Any:
             return clarabel.DefaultSolver(P, linear, A, rows * b, cones, settings)
 
-        def run(engine: Any) -> Found:
+        def run(engine: Any) -> EngineAnswer:
             solution = engine.solve()
             status = str(solution.status)
-            return Found(np.array(solution.x), solution.iterations, status, status in SOLVED)
+            return EngineAnswer(np.array(solution.x), solution.iterations, status, status in SOLVED)
 
         return Workspace(build, run, columns)
 

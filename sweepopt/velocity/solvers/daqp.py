@@ -60,7 +60,7 @@ class DAQP(Small):
 
     def compile(self, program: VelocityProgram) -> Solve:
         """Invert M once; a call updates the linear term and the bounds."""
-        if not installed():
+        if not has_daqp():
             raise MissingExtraError("daqp", "speed")
         return _Workspace(program.M)
 
@@ -104,6 +104,6 @@ class _Workspace:
 
 
 @cache
-def installed() -> bool:
+def has_daqp() -> bool:
     """Whether DAQP is there, so that "auto" may choose it."""
     return find_spec("daqp") is not None

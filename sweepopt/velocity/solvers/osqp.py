@@ -9,8 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.sets import ConvexSet
-from sweepopt.velocity.program import VelocityProgram
-from sweepopt.velocity.solvers.canonical import CanonicalSolver, Found, Workspace
+from sweepopt.velocity.solvers.canonical import CanonicalSolver, EngineAnswer, Workspace
 
 
 @dataclass(frozen=True)
@@ -54,11 +53,10 @@ class OSQP(CanonicalSolver):
             return None
         return replace(self, tol=self.tol / 100, max_iter=4 * self.max_iter)
 
-    def workspace(self, program: VelocityProgram, P: sp.csc_array) -> Workspace:
+    def workspace(self, cone: ConvexSet, P: sp.csc_array, data: dict[str, Any]) -> Workspace:
         """Equations and inequalities as rows between bounds."""
         import osqp
 
-        data = program.canonical("OSQP").data
         equations, inequalities = data["A"], data["F"]
         rows = sp.csc_matrix(sp.vstack([equations, inequalities]))
         equal, below = equations.shape[0], inequalities.shape[0]
@@ -68,13 +66,21 @@ class OSQP(CanonicalSolver):
         def build(linear: np.ndarray) -> Any:
             fresh = osqp.OSQP()
             tolerances = {"eps_abs": self.tol, "eps_rel": self.tol, "max_iter": self.max_iter}
-            data = (sp.csc_matrix(P), linear, rows, lower, upper)
-            fresh.setup(*data, verbose=False, polishing=False, **tolerances)
+            fresh.setup(
+                sp.csc_matrix(P),
+                linear,
+                rows,
+                lower,
+                upper,
+                verbose=False,
+                polishing=False,
+                **tolerances,
+            )
             return fresh
 
-        def run(engine: Any) -> Found:
+        def run(engine: Any) -> EngineAnswer:
             result = engine.solve(raise_error=False)
             x, info = np.array(result.x, dtype=float), result.info
-            return Found(x, info.iter, info.status, info.status_val in (1, 2))
+            return EngineAnswer(x, info.iter, info.status, info.status_val in (1, 2))
 
         return Workspace(build, run, np.ones(P.shape[0]))

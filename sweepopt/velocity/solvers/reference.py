@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from sweepopt.errors import InputError, SolverRefusedError, shown
 from sweepopt.sets import ConvexSet, in_turn
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.base import Answer, Solve, Solver
+
+if TYPE_CHECKING:
+    import cvxpy as cp
 
 QUADRATIC_ONLY = {"OSQP", "PIQP", "PROXQP", "DAQP", "HIGHS"}
 TIGHT: dict[str, dict[str, Any]] = {
@@ -74,34 +77,58 @@ class Cvxpy:
                 f"cvxpy has no solver {name!r} here; it has {', '.join(installed())}"
             )
         settings = self.settings or TIGHT.get(name, {})
-        statement = program.statement()
         n, size = program.M.dim, program.cone.offsets.size
+        problem, z, y, linear, weights = _with_parameters(program)
 
         @in_turn
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:
             offsets = C.offsets
             # forces in units of the largest one: solvers' absolute tolerances need it
             force = max(np.abs(q).max(), np.abs(offsets).max(initial=0.0)) or 1.0
-            statement.q.value = q / force
-            statement.offsets.value = offsets / force if size else np.zeros(1)
+            linear.value = q / force
+            if weights is not None:
+                weights.value = offsets / force
             with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", message="Solution may be inaccurate")
                 try:
-                    statement.problem.solve(solver=name, enforce_dpp=True, **settings)
+                    problem.solve(solver=name, enforce_dpp=True, **settings)
                 except cp.SolverError as error:
                     return Answer(np.zeros(n), np.zeros(size), 0, f"failed: {error}")
                 except (TypeError, ValueError) as error:
                     raise SolverRefusedError(
                         f"cvxpy's {name} does not take the settings {settings}: {error}"
                     ) from error
-            if statement.z.value is None:
-                return Answer(np.zeros(n), np.zeros(size), 0, str(statement.problem.status))
-            iterations = statement.problem.solver_stats.num_iters or 0
+            if z.value is None:
+                return Answer(np.zeros(n), np.zeros(size), 0, str(problem.status))
+            iterations = problem.solver_stats.num_iters or 0
             scale = force / program.stiffness
-            z, y = statement.z.value * scale, np.asarray(statement.y.value)[:size] * scale
-            return Answer(z, y, iterations, str(statement.problem.status))
+            features = np.zeros(0) if y is None else y.value * scale
+            return Answer(z.value * scale, features, iterations, str(problem.status))
 
         return solve
+
+
+class Parametric(NamedTuple):
+    """The program with parameters in the linear part of its objective alone (DPP)."""
+
+    problem: cp.Problem
+    z: cp.Expression
+    y: cp.Expression | None
+    q: cp.Parameter
+    offsets: cp.Parameter | None
+
+
+@in_turn
+def _with_parameters(program: VelocityProgram) -> Parametric:
+    import cvxpy as cp
+
+    z, y, objective, constraints = program.statement()
+    q, offsets = cp.Parameter(program.M.dim), None
+    objective += q @ z
+    if y is not None:
+        offsets = cp.Parameter(y.size)
+        objective += offsets @ y
+    return Parametric(cp.Problem(cp.Minimize(objective), constraints), z, y, q, offsets)
 
 
 def installed() -> list[str]:
