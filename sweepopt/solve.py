@@ -163,7 +163,7 @@ def solve(
         return _run(process, options, callback, progress, checkpoint)
     if checkpoint is not None:
         raise InputError("checkpoint= is for one run, but error= takes several; give steps")
-    return _refined(process, options, error, callback, progress)
+    return _refine(process, options, error, callback, progress)
 
 
 def resume(
@@ -236,7 +236,7 @@ def resume(
     return _run(process, options, callback, progress, checkpoint, stored)
 
 
-def _refined(
+def _refine(
     process: SweepingProcess,
     options: SolveOptions,
     error: float,
@@ -291,9 +291,10 @@ def _run(
         if callback:
             watchers.append(callback)
         if run is None or (not interrupted and (watchers or not run.done)):
-            looked_at = watchers or progress
-            observe = observer(bar, watchers, reconstruction, grid.times) if looked_at else None
-            run = _moved(process, grid, reconstruction, observe, writer)
+            observe = None
+            if watchers or progress:
+                observe = observer(bar, watchers, reconstruction, grid.times)
+            run = _integrate(process, grid, reconstruction, observe, writer)
         if grid.cause and run.done == len(grid.mus):
             run.status, run.cause = Status.INEXACT, grid.cause
         failed = run.status in (Status.INEXACT, Status.SWITCHING)
@@ -330,7 +331,7 @@ def _first_grid(
     return Grid(times, mus, plan, saved)
 
 
-def _moved(
+def _integrate(
     process: SweepingProcess,
     grid: Grid,
     reconstruction: Reconstruction,
@@ -359,12 +360,10 @@ def _solution(
     """The states of all unknowns where they are, and what is known of the run."""
     grid, times = run.grid, run.grid.times[: run.done + 1]
     states = sink.states() if sink else reconstruction.states(run.states())
-    steps = states.steps
     return Solution(
         process=process,
         plan=grid.plan,
-        t=times if len(steps) == run.done else times[np.append(0, steps + 1)],
-        steps=steps,
+        t=times if len(states.steps) == run.done else times[np.append(0, states.steps + 1)],
         states=states,
         statistics=run.statistics(reconstruction.seconds),
         status=run.status,

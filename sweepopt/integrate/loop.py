@@ -66,21 +66,21 @@ def integrate(
         for i in range(run.done, steps):
             began = clock.perf_counter()
             t, mu = starts[i], sizes[i]
-            taken = step(process, plan, velocities, t, mu, u)
-            velocity = taken.velocity
+            result = step(process, plan, velocities, t, mu, u)
+            velocity = result.velocity
             if full_certificate is not None and not velocity.relative > plan.tol:
                 velocity = full_certificate(i, u, velocity)
             following, compensation = compensated_sum(u, mu * velocity.z, compensation)
             if velocity.relative > plan.tol or not blas.dnrm2(following) <= limit:
                 run.status, run.relative = Status.INEXACT, velocity.relative
                 run.cause = f"step {i} from t = {t:g}: " + _cause(
-                    process, t, velocity, taken, plan.tol
+                    process, t, velocity, result, plan.tol
                 )
                 return
             if velocity.relative != velocity.relative:
                 run.status = Status.UNCERTIFIED
-            too_long = mu > safe * len(taken.parts) and run.overshot is None
-            if too_long and overshot(process, plan, starts, i, u, taken):
+            too_long = mu > safe * len(result.parts) and run.overshot is None
+            if too_long and overshot(process, plan, starts, i, u, result):
                 run.overshot = i
             u = following
             run.add(u, velocity, clock.perf_counter() - began, compensation)
@@ -103,7 +103,7 @@ def _largest_state(process: SweepingProcess, scheme: Scheme) -> float:
     return 1e-5 * HUGE / max(blas.dnrm2(entries) if entries.size else 0.0, 1.0)
 
 
-def _cause(process: SweepingProcess, t: float, velocity: Velocity, taken: Step, tol: float) -> str:
+def _cause(process: SweepingProcess, t: float, velocity: Velocity, result: Step, tol: float) -> str:
     """Why a step failed, as far as that can be known."""
     if not velocity.relative > tol:
         return (
@@ -116,10 +116,10 @@ def _cause(process: SweepingProcess, t: float, velocity: Velocity, taken: Step, 
     )
     tried = f", and to take it in {PARTS[0]} to {PARTS[-1]} parts does not help"
     likely = "The data of this step are scaled too badly for double precision"
-    if taken.parts:
+    if result.parts:
         tried, likely = "", "A is too badly conditioned to recover all unknowns"
-    elif taken.cause:
-        tried, likely = "", f"It cannot be taken in parts: {taken.cause}"
+    elif result.cause:
+        tried, likely = "", f"It cannot be taken in parts: {result.cause}"
     elif velocity.solver == INDEFINITE:
         best = "A + gamma B is not positive definite to rounding"
         likely = "B is so large, or its rows cancel so far, that A is lost in the sum"

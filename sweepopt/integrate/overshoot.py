@@ -44,12 +44,12 @@ def overshot(
     times: Sequence[float],
     i: int,
     u: np.ndarray,
-    taken: Step,
+    step: Step,
 ) -> bool:
     """Whether step i of the grid from u, in its parts, may have overshot."""
-    inner = np.linspace(times[i], times[i + 1], len(taken.parts) + 1).tolist()
+    inner = np.linspace(times[i], times[i + 1], len(step.parts) + 1).tolist()
     nodes = [*times[max(i - 2, 0) : i], *inner, *times[i + 2 : i + 3]]
-    for k, stages in enumerate(taken.parts, start=min(i, 2)):
+    for k, stages in enumerate(step.parts, start=min(i, 2)):
         try:
             if _part_overshot(process, plan, nodes, k, u, stages):
                 return True

@@ -30,11 +30,6 @@ class NetCDFSink:
 
     Dimensions are time (one longer), step and unknown, as in `Solution.to_xarray`.
 
-    Attributes
-    ----------
-    steps : int
-        How many steps are in the file.
-
     Raises
     ------
     MissingExtraError
@@ -58,7 +53,7 @@ class NetCDFSink:
             created.attrs.update({"long_name": words, "units": "1"})
         self._file.resize_dimension("time", 1)
         self._file.variables["time"][0], self._file.variables["u"][0] = t, u0
-        self.steps = self._waiting = 0
+        self._steps = self._waiting = 0
 
     def put(self, step: StepInfo) -> None:
         """Take the state at the end of the next step and the velocity of the step."""
@@ -75,7 +70,7 @@ class NetCDFSink:
             os.replace(self._part, self._path)
 
     def _write(self) -> None:
-        start, variables = self.steps, self._file.variables
+        start, variables = self._steps, self._file.variables
         end = start + self._waiting
         if end > start:
             t, u, velocity = np.hsplit(self._block[: self._waiting], [1, 1 + self._dim])
@@ -85,7 +80,7 @@ class NetCDFSink:
             variables["u"][start + 1 :] = u
             variables["velocity"][start:] = velocity
         # one assignment at the end: what Ctrl-C cuts short is written again by `close`
-        self.steps, self._waiting = end, 0
+        self._steps, self._waiting = end, 0
 
     def states(self) -> States:
         """The states in the file, read when they are asked for."""
@@ -103,7 +98,7 @@ class NetCDFSink:
                 rows, where = np.unique(np.arange(variable.shape[0])[i], return_inverse=True)
                 return np.asarray(variable[rows])[where.reshape(np.shape(i))]
 
-        return States(np.arange(self.steps), partial(read, "u"), partial(read, "velocity"))
+        return States(np.arange(self._steps), partial(read, "u"), partial(read, "velocity"))
 
 
 def netcdf_package() -> Any:

@@ -37,10 +37,9 @@ class Solution:
     plan : Plan
     t : ndarray, shape (k+1,)
         The start and the ends of the kept steps: with ``save=None`` the whole grid, k = n.
-    steps : ndarray of int, shape (k,)
-        The kept steps, counted from 0.
     states : States
-        Where `u` and `velocity` come from: ``states.u(i)`` gives some nodes without the others.
+        The kept steps, and where `u` and `velocity` come from: ``states.u(i)`` gives some nodes
+        without the others.
     statistics : Statistics
         What `stats` is made of.
     status : Status
@@ -57,7 +56,6 @@ class Solution:
     process: SweepingProcess
     plan: Plan
     t: np.ndarray
-    steps: np.ndarray
     states: States
     statistics: Statistics
     status: Status
@@ -65,6 +63,11 @@ class Solution:
     recorded: list[Any] | None = None
     exact: Trajectory | None = None
     passes: tuple[Pass, ...] = ()
+
+    @property
+    def steps(self) -> np.ndarray:
+        """The kept steps, counted from 0, shape (k,)."""
+        return self.states.steps
 
     @cached_property
     def u(self) -> np.ndarray:
