@@ -328,13 +328,18 @@ class Lifted(ConvexSet):
         if self.lifted.g.size or not near.splitting.small:
             return p
         # the vectors near p whose image E_i^T p is the normal of part i, part by part
+        normals, known = near.normals, []
         for at, E, back in self._blocks:
-            inner, best = near.normals[at], p
+            inner, one = normals[at], p
             for _ in range(2):
-                best = best + back @ (inner - E.T @ best)
-            if np.isfinite(self.support(best)):
-                return best
-        return p
+                one = one + back @ (inner - E.T @ one)
+            known.append(one)
+        best = next((one for one in known if np.isfinite(self.support(one))), p)
+        noise = (best != 0) & (np.abs(best) <= ROUNDING * np.abs(best).max())
+        # what one part holds is 0.0, and rounding of the others
+        noise &= np.any([one == 0 for one in known], axis=0)
+        still = np.where(noise, 0.0, best)
+        return still if noise.any() and np.isfinite(self.support(still)) else best
 
     @cached_property
     def _blocks(self) -> list[tuple[slice, np.ndarray, np.ndarray]]:
@@ -506,6 +511,15 @@ class Intersection(Lifted):
 
     def _pair_of(self, v: np.ndarray) -> NormalPair | None:
         return self._decided(v) or super()._pair_of(v)
+
+    def _normal(self, near: Projection) -> np.ndarray:
+        p, form = super()._normal(near), self.lifted
+        if not p.any() or [part.dim for part in form.parts] != 2 * [self.dim]:
+            return p
+        # the normals of two parts add up: what none of them holds is exactly 0
+        total = np.sum(np.split(near.normals, 2), axis=0)
+        within = np.abs(total - p).max() <= 10 * ROUNDING * np.abs(near.v).max()
+        return total if within else p
 
     def magnitude(self) -> float:
         return min(C.magnitude() for C in self.operands)
