@@ -25,7 +25,7 @@ Indices = NDArray[np.int64]
 
 FLAT = 1e-10
 """An area below this share of the square of the longest edge is rounding, no triangle."""
-HUGE = 1e100
+LARGEST = 1e100
 """Coordinates beyond this overflow when they are squared and multiplied by a coefficient."""
 NODES = {"vertex": 1, "line": 2, "line3": 3, "triangle": 3, "triangle6": 6}
 """Elements that a mesh of a section may have, and their numbers of nodes."""
@@ -99,7 +99,7 @@ def check_mesh(mesh: skfem.MeshTri) -> None:
 
 def check_nodes(points: NDArray[np.float64]) -> None:
     """Refuse coordinates, shape (2 or 3, N), that are not numbers or overflow when squared."""
-    bad = np.flatnonzero(~(np.abs(points) < HUGE).all(axis=0))
+    bad = np.flatnonzero(~(np.abs(points) < LARGEST).all(axis=0))
     if bad.size:
         raise InputError(f"node {bad[0]} has coordinates {points[:, bad[0]]}; mesh again")
 

@@ -41,7 +41,7 @@ PER_PERIOD = 5  # steps in each period of the data, at least
 PER_PIECE = 3  # steps between breakpoints, at least: for a second difference
 AIM = 0.75  # estimate that the next pass should have, in units of tol: it scatters by a third
 FARTHEST = 6.0  # times the steps of a pass to which its differences say where they are needed
-LEAST = 1.1  # times the steps of a pass that the next one has
+GROWTH = 1.1  # times the steps of a pass that the next one has
 HIDDEN = 1 / 12  # of jump times step: mean error of a switch anywhere in the half step beside it
 GRADED = 0.4  # no step is longer than 1 / 0.4 of the mean one: events there may be unresolved
 PROGRAM_SHARE = 0.05  # of tol that inexact programs may take
@@ -364,7 +364,7 @@ def _refine(steps: Adaptive, segments: Segments, driver: _AdaptiveDriver) -> Run
             return run
         if wanted > FARTHEST * n:  # one pass between
             goal *= (wanted / n) ** (density.order / 2)
-        times = segments.refined(density, goal, LEAST * n)
+        times = segments.refined(density, goal, GROWTH * n)
         h = np.diff(times)
         if h.min() < shortest:
             cause = f"a step shorter than minimum = {shortest:g} is needed; {ADVICE}"

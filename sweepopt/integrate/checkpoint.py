@@ -37,7 +37,7 @@ from sweepopt.problem import SweepingProcess
 SCHEMA = 3
 PACKAGES = ("numpy", "scipy", "cvxpy", "osqp", "clarabel", "cvxopt", "daqp", "pyamg")
 """Their versions may change the last bits of a result."""
-PARTS = 100  # of a run, at whose ends it may be written down if nobody says how many steps
+WRITES = 100  # of a run, at whose ends it may be written down if nobody says how many steps
 SECONDS = 10.0  # between two files, if nobody says how many
 
 
@@ -295,7 +295,7 @@ class CheckpointWriter:
         if run.done == 1:
             pack(self.recorded)  # says so now if it cannot
         at, last = self.checkpoint, run.done == run.steps
-        if run.done % (at.steps or -(-run.steps // PARTS)) and not last:
+        if run.done % (at.steps or -(-run.steps // WRITES)) and not last:
             return False
         seconds = at.seconds
         if seconds is None:

@@ -120,10 +120,10 @@ def _stages(
     """
     stages: Stages = []
     for weights, c in zip(scheme.a, scheme.c, strict=True):
-        known = u + mu * combination(weights[:-1], stages) if stages else u
+        start = u + mu * combination(weights[:-1], stages) if stages else u
         gamma = mu * weights[-1] if process.B is not None else 0.0
         try:
-            stages.append(velocities(gamma)(known, process.C.at(t + c * mu)))
+            stages.append(velocities(gamma)(start, process.C.at(t + c * mu)))
         except IndefiniteError:
             return [Velocity(np.zeros_like(u), math.inf, math.inf, INDEFINITE)]
     return stages

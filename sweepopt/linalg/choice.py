@@ -13,7 +13,7 @@ from sweepopt.errors import MissingExtraError, SolverRefusedError
 from sweepopt.linalg.cholesky import Cholesky, Dense, cholesky
 from sweepopt.linalg.conjugate_gradients import ConjugateGradients
 
-SHARE = 0.6  # of the physical memory for factors: the rest is for the mesh, the states and Python
+MEMORY_SHARE = 0.6  # of the physical memory, for factors: the rest is for mesh, states and Python
 
 
 def engine(
@@ -27,7 +27,7 @@ def engine(
         An order of the unknowns with little fill; the kept ones go to its end.
     """
     need, there = factor_bytes(M), _physical_memory()
-    if need > SHARE * there:
+    if need > MEMORY_SHARE * there:
         try:
             return ConjugateGradients(M, kept)
         except MissingExtraError as error:

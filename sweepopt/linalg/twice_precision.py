@@ -72,13 +72,13 @@ class Precise:
 
 def exact_sum(terms: list[np.ndarray]) -> np.ndarray:
     """The sum, with what each addition rounds away (Knuth's two-sum)."""
-    total, lost = terms[0], np.zeros_like(terms[0])
+    total, remainder = terms[0], np.zeros_like(terms[0])
     for term in terms[1:]:
         following = total + term
         added = following - total
-        lost += (total - (following - added)) + (term - added)
+        remainder += (total - (following - added)) + (term - added)
         total = following
-    return total + lost
+    return total + remainder
 
 
 def product_error(factor: float, x: Any) -> Any:

@@ -36,8 +36,8 @@ DERIVATIVE = 5 * basis(4, GAUSS) @ np.diff(TO_BERNSTEIN, axis=0)
 NODES = _gauss(5)[0]
 NODES_TO_GAUSS = basis(4, GAUSS) @ to_bernstein(NODES)
 NODAL = math.factorial(5) ** 2 / math.factorial(10)  # max of prod |x - x_g| on [0, 1]
-PARTS = 64  # samples of an interval where only a variation is known: its bound is this much sharper
-NODES_TO_PARTS = basis(4, np.arange(PARTS + 1) / PARTS) @ to_bernstein(NODES)
+SAMPLES = 64  # of an interval of which only a variation is known: its bound is that much sharper
+NODES_TO_PARTS = basis(4, np.arange(SAMPLES + 1) / SAMPLES) @ to_bernstein(NODES)
 
 
 class Intervals(NamedTuple):
@@ -104,7 +104,7 @@ def _by_variation(
 
     On a part an error e is at most (|e| at one end + |e| at the other + its variation) / 2.
     """
-    times = a + (b - a) * np.arange(PARTS + 1) / PARTS
+    times = a + (b - a) * np.arange(SAMPLES + 1) / SAMPLES
     e = np.linalg.norm(f(times) - NODES_TO_PARTS @ values, axis=1)
     slopes = 4 * np.linalg.norm(np.diff(to_bernstein(NODES) @ values, axis=0), axis=1)
     if isinstance(history, TimeFunction):
@@ -112,7 +112,7 @@ def _by_variation(
         varies = increments(history.variation, times)
     else:
         varies = np.array([history.variation(*ends) for ends in itertools.pairwise(times.tolist())])
-    varies = varies + slopes.max() / PARTS
+    varies = varies + slopes.max() / SAMPLES
     return float((0.5 * (e[:-1] + e[1:] + varies)).max()), float(np.sum(varies))
 
 

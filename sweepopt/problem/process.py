@@ -21,7 +21,7 @@ from sweepopt.errors import InitialStateWarning, InputError, VariationWarning, s
 from sweepopt.linalg import EPS, Factor, is_semidefinite, largest_eigenvalue, largest_ratio
 from sweepopt.sets import AnySet, ConvexSet, Moving, MovingSet, Point
 
-SAME = 8 * EPS  # entries of B and rho A may differ by this share
+PROPORTIONAL = 8 * EPS  # entries of B and rho A may differ by this share
 
 
 class VelocityBound(NamedTuple):
@@ -342,5 +342,5 @@ def proportion(A: Matrix, B: Matrix | None) -> float | None:
         return None
     i = int(np.argmax(A.diagonal()))
     rho = float(B[i, i] / A[i, i])
-    difference = abs(B - rho * A) - SAME * rho * abs(A)
+    difference = abs(B - rho * A) - PROPORTIONAL * rho * abs(A)
     return rho if difference.max() <= 0 else None

@@ -40,7 +40,7 @@ from sweepopt.results.residuals import Residuals, residuals
 from sweepopt.velocity import Plan, compile_projection
 
 SUMMED = 64 * EPS  # rounding of a run's sums, in units of |u|_A and the root of its steps
-PARTS = 8  # of a step, for the second run where A = 0: its error is of first order too
+FINER = 8  # of a step, for the second run where A = 0: its error is of first order too
 TOL = 1e-9  # of the second run's programs: their error is in the bound
 
 
@@ -114,7 +114,7 @@ def error_bound(
 def _second_run(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
     """Midpoint on the same grid; where A = 0 implicit Euler on a finer one."""
     if process.rate_independent:
-        return nodes_of(process, replace(plan, scheme=SCHEMES["implicit-euler"]), divided(t, PARTS))
+        return nodes_of(process, replace(plan, scheme=SCHEMES["implicit-euler"]), divided(t, FINER))
     return nodes_of(process, replace(plan, scheme=SCHEMES["midpoint"].without_overshoot_warning), t)
 
 

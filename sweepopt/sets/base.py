@@ -365,8 +365,8 @@ class ConvexSet(ABC):
             return float(
                 np.abs(difference(*([C.support(e) for e in axes] for C in (self, other)))).max()
             )
-        found = [C._distance(D) for C, D in ((self, other), (other, self))]
-        return min((distance for distance in found if distance is not None), default=None)
+        bounds = [C._distance(D) for C, D in ((self, other), (other, self))]
+        return min((distance for distance in bounds if distance is not None), default=None)
 
     def _distance(self, other: ConvexSet) -> float | None:
         """A bound that the family knows; asked in both orders, the smaller one counts."""

@@ -136,25 +136,25 @@ class Polyhedron(ConvexSet):
     def _exact_normal(self, v: np.ndarray, tau: np.ndarray) -> Nearest | None:
         """u = (v - w) / tau from the active rows, w the nearest point in the metric of 1 / tau.
 
-        None in large dimensions and where the rows are not found.
+        None in large dimensions and where no active rows prove it.
         """
         slack, root = self.h - self.G @ v, np.sqrt(tau)
         if (slack >= 0).all():
             return Nearest(np.zeros(self.dim), np.zeros(0, dtype=int))
         if self.dim > ACTIVE_DIM:
             return None
-        found = least_distance(_columns(self.G, root), slack, self._rounding(v))
-        return None if found is None else Nearest(0.0 - found.u / root, found.active)
+        normal = least_distance(_columns(self.G, root), slack, self._rounding(v))
+        return None if normal is None else Nearest(0.0 - normal.u / root, normal.active)
 
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
         return w - self.normal(w)
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
-        found = self._exact_normal(v, np.ones(self.dim))
-        if found is None:
+        normal = self._exact_normal(v, np.ones(self.dim))
+        if normal is None:
             return None
-        return np.eye(self.dim) - projector(dense(self.G[found.active]))
+        return np.eye(self.dim) - projector(dense(self.G[normal.active]))
 
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         """On the face that v = w + tau p is nearest to.
@@ -164,17 +164,17 @@ class Polyhedron(ConvexSet):
         hides which rows these are, the linear program of the support function at p tells.
         """
         v, root = w + tau * p, np.sqrt(tau)
-        found = self._exact_normal(v, tau)
-        if found is None:
+        normal = self._exact_normal(v, tau)
+        if normal is None:
             return None
-        rows = dense(self.G[found.active])
+        rows = dense(self.G[normal.active])
         Q, R = np.linalg.qr((rows * root).T)
         multipliers = scipy.linalg.solve_triangular(R, Q.T @ (root * p))
         if (multipliers < 0).any():
-            multipliers = scipy.linalg.solve_triangular(R, Q.T @ (root * found.u))
+            multipliers = scipy.linalg.solve_triangular(R, Q.T @ (root * normal.u))
             multipliers = np.maximum(multipliers, 0.0)
-        outside = scipy.linalg.solve_triangular(R, rows @ w - self.h[found.active], trans=1)
-        point = self._on_face(w - root * (Q @ outside), found.active, root)
+        outside = scipy.linalg.solve_triangular(R, rows @ w - self.h[normal.active], trans=1)
+        point = self._on_face(w - root * (Q @ outside), normal.active, root)
         if point is not None:
             return NormalPair(multipliers @ rows, point, 0.0)
         with contextlib.suppress(SweepoptError):  # of HiGHS
@@ -182,8 +182,8 @@ class Polyhedron(ConvexSet):
             point = None if y is None else self._on_face(w, np.flatnonzero(y), root)
         if point is not None:
             return NormalPair(self.G.T @ y, point, 0.0)
-        inside = v - tau * found.u
-        gap = multipliers @ np.abs(rows @ inside - self.h[found.active])
+        inside = v - tau * normal.u
+        gap = multipliers @ np.abs(rows @ inside - self.h[normal.active])
         return NormalPair(multipliers @ rows, inside, float(gap))
 
     def _on_face(self, start: np.ndarray, active: np.ndarray, root: np.ndarray) -> Any:
@@ -212,8 +212,8 @@ class Polyhedron(ConvexSet):
         return ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(w))
 
     def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        found = self._exact_normal(w, tau)
-        return self.project(w) if found is None else w - tau * found.u
+        normal = self._exact_normal(w, tau)
+        return self.project(w) if normal is None else w - tau * normal.u
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp

@@ -31,7 +31,7 @@ HULL = 8  # dimensions up to which a hull is computed
 TURNS = 20  # changes of the face, for each vertex
 
 
-class _Held(NamedTuple):
+class _Face(NamedTuple):
     """Vertices, and a mean of them."""
 
     vertices: np.ndarray
@@ -73,17 +73,17 @@ class Polytope(ConvexSet):
 
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
-        held = self._held(w)
-        if held is None:
+        face = self._nearest_face(w)
+        if face is None:
             return w - normal_by_program(self, w).p
-        return w if self._at(w, held.point) else held.point
+        return w if self._at(w, face.point) else face.point
 
     def _at(self, w: np.ndarray, point: np.ndarray) -> bool:
         """Whether w is a point of the hull, to rounding."""
         size = max(np.abs(w).max(), np.abs(self.vertices).max())
         return bool(np.abs(w - point).max() <= 10 * ROUNDING * size)
 
-    def _held(self, w: np.ndarray) -> _Held | None:
+    def _nearest_face(self, w: np.ndarray) -> _Face | None:
         """The vertices whose hull is the face nearest to w, and the nearest point.
 
         Wolfe, Finding the nearest point in a polytope, Math. Programming 11 (1976): a vertex ahead
@@ -91,22 +91,22 @@ class Polytope(ConvexSet):
         vertex with the largest share: no rounding of a far w, or vertex, hides another one.
         """
         V = self.vertices
-        held, shares = [int(np.argmax((V - V.mean(axis=0)) @ w))], np.ones(1)
+        active, shares = [int(np.argmax((V - V.mean(axis=0)) @ w))], np.ones(1)
         for _ in range(TURNS * len(V)):
             order = np.argsort(-shares, kind="stable")
-            held, shares = [held[k] for k in order], shares[order]
-            arms = V - V[held[0]]
-            point = V[held[0]] + shares[1:] @ arms[held[1:]]
+            active, shares = [active[k] for k in order], shares[order]
+            arms = V - V[active[0]]
+            point = V[active[0]] + shares[1:] @ arms[active[1:]]
             p = w - point
             ahead = arms @ p - ROUNDING * (np.abs(arms) @ (np.abs(w) + np.abs(point)))
-            ahead[held] = 0.0
+            ahead[active] = 0.0
             new = int(np.argmax(ahead))
             if self._at(w, point) or not ahead[new] > 0:
-                return _Held(V[held], point)
-            before, held, shares = held, [*held, new], np.append(shares, 0.0)
+                return _Face(V[active], point)
+            before, active, shares = active, [*active, new], np.append(shares, 0.0)
             while True:
-                edges = (V[held[1:]] - V[held[0]]).T
-                rest = np.linalg.lstsq(edges, w - V[held[0]], rcond=None)[0]
+                edges = (V[active[1:]] - V[active[0]]).T
+                rest = np.linalg.lstsq(edges, w - V[active[0]], rcond=None)[0]
                 wanted = np.append(1 - rest.sum(), rest)
                 if (wanted > 0).all():
                     shares = wanted
@@ -116,21 +116,21 @@ class Polytope(ConvexSet):
                 limits = np.where(falling, shares, 1) / fall  # 0 where a share is and stays 0
                 last = int(np.argmin(limits))
                 shares = np.delete(shares + limits[last] * (wanted - shares), last)
-                del held[last]
-            if held == before:  # the new one left at once: only rounding says that it is ahead
-                return _Held(V[held], point)
+                del active[last]
+            if active == before:  # the new one left at once: only rounding says that it is ahead
+                return _Face(V[active], point)
         return None
 
     def rounding_scale(self, x: np.ndarray) -> float:
         return max(super().rounding_scale(x), float(np.abs(self.vertices).max()))
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
-        held = self._held(v)
-        if held is None:
+        face = self._nearest_face(v)
+        if face is None:
             return None
-        if self._at(v, held.point):
+        if self._at(v, face.point):
             return np.eye(self.dim)
-        return projector(held.vertices[1:] - held.vertices[0])
+        return projector(face.vertices[1:] - face.vertices[0])
 
     def halfspaces(self) -> Halfspaces:
         """The facets of the hull, in its affine span where it is flat."""

@@ -81,13 +81,13 @@ def normal_by_program(C: ConvexSet, w: np.ndarray) -> Normal:
             )
         return Normal(unit * p.value, unit * y.value)
 
-    found = solve(size)
-    distance = float(np.linalg.norm(found.p))
+    solution = solve(size)
+    distance = float(np.linalg.norm(solution.p))
     if distance < 0.01 * size:
         # a failure at this scale says nothing about the set
         with contextlib.suppress(SweepoptError):
-            found = solve(binary(max(distance, 1e-6 * size)))
-    return found
+            solution = solve(binary(max(distance, 1e-6 * size)))
+    return solution
 
 
 @in_turn

@@ -31,7 +31,7 @@ SHARES = 0.5 ** np.arange(6)  # of a step: 25 discs in the image of a gradient n
 # Units of s: a smaller one pulls harder on E s = v, which 4 % need, where parts are tangent.
 UNITS = (1.0, 0.125)
 ACCELERATED = 500  # sweeps of large sets: 900 discs on a gradient (1,800 unknowns) take as many
-MEMORY = 10  # steps that Anderson's acceleration looks back, as in Walker and Ni's tests
+LOOK_BACK = 10  # steps that Anderson's acceleration looks back, as in Walker and Ni's tests
 LIGHT = 1e-4  # weight of what should move little (w, p) beside what may (s, n)
 
 Map = Callable[[np.ndarray], np.ndarray]
@@ -185,13 +185,13 @@ class Splitting:
         else:
             x, fixed = fixed_point(step, x, size)
         s, image = near(x), 2 * near(x) - x
-        held = self.projected(image)
+        on_parts = self.projected(image)
         # a far start may have left nothing but its rounding: judged by the data, and without it
         limits = np.abs(self.form.g) + size * abs(self.F).sum(axis=1)
-        off = np.abs(self.form.g - self.F @ held)
-        exact = fixed and np.abs(held - s).max() <= 10 * ROUNDING * size
+        off = np.abs(self.form.g - self.F @ on_parts)
+        exact = fixed and np.abs(on_parts - s).max() <= 10 * ROUNDING * size
         exact = exact and bool((off <= 10 * ROUNDING * limits).all())
-        return Projection(v, self.point(v, held), held, image, exact, self)
+        return Projection(v, self.point(v, on_parts), on_parts, image, exact, self)
 
     def _finished(self, step: Map, near: Map, x: np.ndarray, size: float) -> FixedPoint:
         """Plain sweeps, which never leave the faces that they come to, then Newton's method."""
@@ -213,14 +213,14 @@ class Splitting:
             if D is None or np.abs(residual).max() <= ROUNDING * size:
                 break
             change = _shortest(self._jacobian(D), residual)
-            tried = []
+            trials = []
             for share in SHARES:
                 ahead = x + share * change
-                tried.append((ahead, step(ahead) - ahead))
-                if np.linalg.norm(tried[-1][1]) < np.linalg.norm(residual):
-                    tried = tried[-1:]
+                trials.append((ahead, step(ahead) - ahead))
+                if np.linalg.norm(trials[-1][1]) < np.linalg.norm(residual):
+                    trials = trials[-1:]
                     break
-            x, residual = tried[0]
+            x, residual = trials[0]
         return x
 
     def _jacobian(self, D: np.ndarray) -> np.ndarray:
@@ -275,8 +275,8 @@ class Splitting:
         right = np.column_stack([np.concatenate(off), np.diag(rounding)])
         back = LIGHT * _shortest(system, right)[-2 * k :]
         # what is known adds up, what is rounding adds up as the root of squares
-        moved = np.abs(back[:, 0]) + np.linalg.norm(back[:, 1:], axis=1)
-        return Perturbation(moved[:k], moved[k:])
+        shifts = np.abs(back[:, 0]) + np.linalg.norm(back[:, 1:], axis=1)
+        return Perturbation(shifts[:k], shifts[k:])
 
     def derivative(self, near: Projection) -> np.ndarray | None:
         """dw/dv."""
@@ -328,7 +328,7 @@ class FixedPoint(NamedTuple):
 
 
 def fixed_point(
-    step: Map, x: np.ndarray, size: float, sweeps: int = ACCELERATED, memory: int = MEMORY
+    step: Map, x: np.ndarray, size: float, sweeps: int = ACCELERATED, memory: int = LOOK_BACK
 ) -> FixedPoint:
     """x = step(x) for a nonexpansive step, `size` that of its data; without memory plain sweeps.
 

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from sweepopt.integrate import Scheme
 
 ACCURATE = 1e-10  # |A F - f|_{A^-1} / |f|_{A^-1} up to which A^-1 is applied beforehand
-FLOOR = 1e-3  # of the velocity that the load alone would cause: less counts as this
+LEAST_SPEED = 1e-3  # of the velocity that the load alone would cause: less counts as this
 
 
 ResidualOf = Callable[[int, np.ndarray, np.ndarray], tuple[float, float]]
@@ -119,15 +119,15 @@ class Reduction:
         """
         gamma, span = scheme.a[-1][-1] * float(mus.min()), float(mus.sum())
         rounding = UNIT * self.rho * span / (1 + gamma * self.rho)
-        return scheme.exact or rounding <= FLOOR * tol
+        return scheme.exact or rounding <= LEAST_SPEED * tol
 
     def residuals(self, alphas: np.ndarray, rates: np.ndarray, gammas: np.ndarray) -> ResidualOf:
         """What the inclusion of all unknowns has of residual beyond that of the few.
 
         With M = (1 + gamma rho) A and q = rho A u - f, both reconstructed, M z + q holds each
         residual of an influence function times (1 + gamma rho) alpha_k' + rho alpha_k, here with
-        absolute values, and the same of the extension. The size is |z|_M, at least FLOOR of what
-        the load and what B u alone would move.
+        absolute values, and the same of the extension. The size is |z|_M, at least LEAST_SPEED of
+        what the load and what B u alone would move.
 
         Parameters
         ----------
@@ -141,7 +141,7 @@ class Reduction:
         functions[:, -1] -= extension(self._A, self.process.u0)
         gram = functions.T @ (self._A.M @ functions)
         squares = np.einsum("ik,kl,il->i", rates, gram, rates)
-        columns = weights @ self._errors, FLOOR * (weights @ self._sizes), squares, ratios
+        columns = weights @ self._errors, LEAST_SPEED * (weights @ self._sizes), squares, ratios
         load = list(zip(*(column.tolist() for column in columns), strict=True))
 
         def residual(i: int, zeta: np.ndarray, velocity: np.ndarray) -> tuple[float, float]:
@@ -152,7 +152,7 @@ class Reduction:
             # extensions and influence functions are orthogonal in the metric of A
             size = math.sqrt(ratio * max(square + z_square, 0.0))
             root = math.sqrt(ratio)
-            return error / root, max(size, (floor + FLOOR * rho * u) / root)
+            return error / root, max(size, (floor + LEAST_SPEED * rho * u) / root)
 
         return residual
 
@@ -191,7 +191,7 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     share = extension_error(A, rounding)
     errors = np.array([one.residual + rounding(one.F) for one in influences])
     sizes = np.array([A.dual_norm(f) for _, f in terms])
-    enough = min(ACCURATE, FLOOR * tol)
+    enough = min(ACCURATE, LEAST_SPEED * tol)
     if (errors > enough * sizes).any() or share > enough:
         return "A is too badly conditioned to apply its inverse beforehand"
 

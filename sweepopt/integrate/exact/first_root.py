@@ -16,7 +16,7 @@ from sweepopt.integrate.exact.exponential_sum import ExponentialSum
 from sweepopt.linalg import EPS
 
 NOISE = 16 * EPS  # rounding of a value, in units of the sum of its absolute terms
-STEPS = 100_000  # a simple root takes about ten
+ITERATIONS = 100_000  # a simple root takes about ten
 TINY = np.sqrt(np.finfo(float).tiny)  # a product with it does not underflow
 
 
@@ -40,7 +40,7 @@ def first_root(f: ExponentialSum, orders: np.ndarray) -> Root:
     """
     length, df = f.length, f.derivative()
     ddf, tau = df.derivative(), 0.0
-    for _ in range(STEPS):
+    for _ in range(ITERATIONS):
         b = f.basis(tau)
         value, slope = (f.weights @ b).real, (df.weights @ b).real
         noise = NOISE * (f.sizes @ np.abs(b))
@@ -63,8 +63,8 @@ def first_root(f: ExponentialSum, orders: np.ndarray) -> Root:
         if tau >= length:
             return Root(length, np.zeros(0, dtype=int))
     raise SweepoptError(
-        f"no event in {STEPS} steps that are proved free of events; the rates of the process are "
-        "too far apart for scheme='exact', use implicit-euler or sdirk2"
+        f"no event in {ITERATIONS} steps that are proved free of events; the rates of the "
+        "process are too far apart for scheme='exact', use implicit-euler or sdirk2"
     )
 
 

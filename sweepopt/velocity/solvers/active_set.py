@@ -65,12 +65,12 @@ class ActiveSet(Small):
             assert rows is not None
             G, h = rows
             z, nothing = np.zeros_like(q), np.zeros(C.offsets.size)
-            moved = q
+            corrected = q
             if not L.size:
                 return Answer(z, nothing, 0, "failed: rounding")
             for _ in range(1 + REFINEMENTS):
                 try:
-                    x = nearest(moved, G, h)
+                    x = nearest(corrected, G, h)
                 except EmptySetError:  # C was looked at before: M L^-T is rounding here
                     x = None
                 if x is None:
@@ -80,7 +80,7 @@ class ActiveSet(Small):
                 if rounding <= NEGLIGIBLE * euclidean(x):
                     break
                 # what L L^T misses of M goes to the linear term
-                moved = M.precisely(z, q, -(L @ (L.T @ z)))
+                corrected = M.precisely(z, q, -(L @ (L.T @ z)))
             return Answer(z, nothing, 1, "solved")
 
         return solve

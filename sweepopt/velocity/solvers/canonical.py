@@ -140,6 +140,6 @@ def _derivative(expression: cp.Expression, columns: dict[int, int], size: int) -
     total = sp.csc_array((size, expression.size))
     for variable, part in expression.grad.items():
         part = sp.coo_array(np.atleast_2d(part) if np.isscalar(part) else part)
-        moved = (part.data, (part.row + columns[variable.id], part.col))
-        total += sp.csc_array(moved, shape=total.shape)
+        placed = (part.data, (part.row + columns[variable.id], part.col))
+        total += sp.csc_array(placed, shape=total.shape)
     return total

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from sweepopt.sets import CAREFUL, ConvexSet
 from sweepopt.velocity.solvers.canonical import CanonicalSolver, EngineAnswer, Workspace
 
-SOLVED = {"Solved", "AlmostSolved"}
+USABLE = {"Solved", "AlmostSolved"}
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Clarabel(CanonicalSolver):
         def run(engine: Any) -> EngineAnswer:
             solution = engine.solve()
             status = str(solution.status)
-            return EngineAnswer(np.array(solution.x), solution.iterations, status, status in SOLVED)
+            return EngineAnswer(np.array(solution.x), solution.iterations, status, status in USABLE)
 
         return Workspace(build, run, columns)
 

@@ -24,7 +24,7 @@ from sweepopt.sets import ConvexSet, binary
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.contract import Answer, Small, Solve
 
-FAR, INFINITE = 1e60, 1e30  # beyond any bound of a set; what DAQP takes for no bound
+BEYOND, INFINITE = 1e60, 1e30  # beyond any bound of a set; what DAQP takes for no bound
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class _Workspace:
         force = binary(np.abs(q).max())
         linear = self._inverse.dot(q) / -force
         if C is not self._box:
-            far = np.full(q.size, FAR)
+            far = np.full(q.size, BEYOND)
             self._box, self._bounds = C, np.array([C.project(far), C.project(-far)]) / self._root
         with np.errstate(over="ignore"):  # a unit of next to nothing: as far as INFINITE
             above, below = np.maximum(np.minimum(self._bounds / force, INFINITE), -INFINITE)

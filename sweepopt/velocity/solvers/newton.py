@@ -23,7 +23,7 @@ from sweepopt.sets import ConvexSet, binary
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.contract import Answer, Small, Solve
 
-SMALL = 40  # up to so many slipping entries an inverse is not worth it
+FEW_SLIPPING = 40  # up to so many slipping entries an inverse is not worth it
 PATIENCE = 5  # steps that may fail to improve on the best one: more are a cycle
 
 
@@ -142,7 +142,7 @@ class _Iteration:
         if stuck.tobytes() != self._stuck:
             self._stuck = b""
             free = np.flatnonzero(~stuck)
-            self._inverted = free.size > max(stuck.size // 2, SMALL)
+            self._inverted = free.size > max(stuck.size // 2, FEW_SLIPPING)
             self._kept = np.flatnonzero(stuck) if self._inverted else free
             matrix = self._inverse if self._inverted else self.M
             block = matrix[self._kept][:, self._kept]
