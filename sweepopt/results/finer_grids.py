@@ -13,8 +13,8 @@ from sweepopt.results.solution import Solution
 
 GROWTH = 8  # at most this many times the steps, from one run to the next: the rate is estimated
 LEAST_GAIN = 0.9  # a bound that falls by less has come down to what programs and sums round
-FINEST = 1_000_000  # of the finest grid: its states of one unknown take 16 MB
-HOPELESS = 100 * FINEST  # needed by the order of the scheme, from a grid that may be too coarse
+STEPS = 1_000_000  # of the finest grid: its states of one unknown take 16 MB
+HOPELESS = 100 * STEPS  # needed by the order of the scheme, from a grid that may be too coarse
 
 
 def refine(run: Callable[[np.ndarray], Solution], times: np.ndarray, error: float) -> Solution:
@@ -37,7 +37,7 @@ def refine(run: Callable[[np.ndarray], Solution], times: np.ndarray, error: floa
         If finer grids do not help any more.
     """
     last: float | None = None
-    while len(times) <= FINEST:
+    while len(times) <= STEPS:
         solution = run(times)
         if not solution.success:
             return solution
@@ -59,7 +59,7 @@ def refine(run: Callable[[np.ndarray], Solution], times: np.ndarray, error: floa
         times = divided(times, max(math.ceil(min(factor, GROWTH)), 2))
     raise AccuracyError(
         f"error = {error:g} was asked for, but the bound is {float(bound):.3g} with "
-        f"{len(solution.t) - 1} steps and finer grids do not help or take more than {FINEST:g} "
+        f"{len(solution.t) - 1} steps and finer grids do not help or take more than {STEPS:g} "
         "steps. Ask for less, take a scheme of second order, or tighten tol",
         solution,
     )
