@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -65,60 +64,45 @@ TOKENS += [b"-9223372036854775808", b"", b" ", b"\n", b"\r", b"\t"]
 TOKENS += [b"9" * 5000, b"9" * 30, b"[" * 3000, b"a" * 5000]
 
 
-@dataclass(frozen=True)
-class Damage:
-    """What is done to the bytes of a file, at shares of its length."""
-
-    kind: str
-    at: float
-    more: Any
-
-    def __call__(self, content: bytes) -> bytes:
-        at, lines = int(self.at * len(content)), content.split(b"\n")
-        k = int(self.at * (len(lines) - 1))
-        match self.kind:
-            case "cut":
-                return content[:at]
-            case "flip":
-                flipped = bytes(byte ^ (1 << self.more) for byte in content[at : at + 1])
-                return content[:at] + flipped + content[at + 1 :]
-            case "insert":
-                return content[:at] + self.more + content[at:]
-            case "drop":
-                del lines[k]
-            case "twice":
-                lines.insert(k, lines[k])
-            case "swap":
-                other = int(self.more * (len(lines) - 1))
-                lines[k], lines[other] = lines[other], lines[k]
-            case "word":
-                place, token = self.more
-                mark = next((mark for mark in (b" = ", b",", b" ") if mark in lines[k]), b"\n")
-                words = lines[k].split(mark)
-                words[place % len(words)] = token
-                lines[k] = mark.join(words)
-        return b"\n".join(lines)
-
-
+Damage = tuple[str, float, float, bytes]
+"""What is done to the bytes of a file, two shares of its length, and what comes in."""
 SHARE = st.floats(0, 1, width=32)
-TOKEN = st.sampled_from(TOKENS)
-DAMAGE = st.one_of(
-    st.builds(Damage, st.just("cut"), SHARE, st.none()),
-    st.builds(Damage, st.just("flip"), SHARE, st.integers(0, 7)),
-    st.builds(Damage, st.just("insert"), SHARE, TOKEN),
-    st.builds(Damage, st.sampled_from(["drop", "twice"]), SHARE, st.none()),
-    st.builds(Damage, st.just("word"), SHARE, st.tuples(st.integers(0, 9), TOKEN)),
-    st.builds(Damage, st.just("word"), SHARE, st.tuples(st.integers(0, 9), TOKEN)),
-    st.builds(Damage, st.just("swap"), SHARE, SHARE),
+KINDS = ["cut", "flip", "insert", "drop", "twice", "swap", "word", "word"]
+DAMAGES = st.lists(
+    st.tuples(st.sampled_from(KINDS), SHARE, SHARE, st.sampled_from(TOKENS)), max_size=2
 )
-DAMAGES = st.lists(DAMAGE, max_size=2)
+
+
+def damage(content: bytes, kind: str, share: float, more: float, token: bytes) -> bytes:
+    at, lines = int(share * len(content)), content.split(b"\n")
+    k, other = (int(x * (len(lines) - 1)) for x in (share, more))
+    match kind:
+        case "cut":
+            return content[:at]
+        case "flip":
+            flipped = bytes(byte ^ (1 << int(7 * more)) for byte in content[at : at + 1])
+            return content[:at] + flipped + content[at + 1 :]
+        case "insert":
+            return content[:at] + token + content[at:]
+        case "drop":
+            del lines[k]
+        case "twice":
+            lines.insert(k, lines[k])
+        case "swap":
+            lines[k], lines[other] = lines[other], lines[k]
+        case "word":
+            mark = next((mark for mark in (b" = ", b",", b" ") if mark in lines[k]), b"\n")
+            words = lines[k].split(mark)
+            words[int(10 * more) % len(words)] = token
+            lines[k] = mark.join(words)
+    return b"\n".join(lines)
 
 
 def damaged(folder: Path, name: str, damages: list[Damage]) -> Path:
     """The file after all of it, beside its neighbours."""
     content = (folder / name).read_bytes()
-    for damage in damages:
-        content = damage(content)
+    for one in damages:
+        content = damage(content, *one)
     path = folder / f"damaged{Path(name).suffix}"
     path.write_bytes(content)
     return path
@@ -137,27 +121,23 @@ VALUES += [{"csv": "tube_loads.csv", "column": "f2"}, ["contact", "pulled"], b"x
 VALUES += [{"table": {"t": [0, 120], "values": [10**400, 1]}}, *MESHES, "exact"]
 
 
-@dataclass(frozen=True)
-class Change:
-    """A key of a nest of tables that gets another value, is dropped or renamed."""
+Change = tuple[int, str, Any]
+HOW = st.sampled_from(["set", "set", "set", "set", "drop", "rename", "wrap"])
+CHANGES = st.lists(st.tuples(st.integers(0, 60), HOW, st.sampled_from(VALUES)), max_size=2)
 
-    at: int
-    kind: str
-    value: Any
 
-    def __call__(self, data: dict[str, Any]) -> None:
-        places = list(_places(data))
-        if not places:
-            return
-        table, key = places[self.at % len(places)]
-        if self.kind == "drop":
-            del table[key]
-        elif self.kind == "rename" and isinstance(table, dict):
-            table[f"{key}x"] = table.pop(key)
-        elif self.kind == "wrap":
-            table[key] = [table[key]]
-        else:
-            table[key] = copy.deepcopy(made(self.value))
+def change(data: dict[str, Any], at: int, how: str, value: Any) -> None:
+    """A key of a nest of tables gets another value, is dropped or renamed."""
+    places = list(_places(data))
+    if not places:
+        return
+    table, key = places[at % len(places)]
+    if how == "drop":
+        del table[key]
+    elif how == "rename" and isinstance(table, dict):
+        table[f"{key}x"] = table.pop(key)
+    else:
+        table[key] = [table[key]] if how == "wrap" else copy.deepcopy(made(value))
 
 
 def _places(data: Any) -> Any:
@@ -168,13 +148,6 @@ def _places(data: Any) -> Any:
             yield from _places(data[key])
 
 
-CHANGE = st.builds(
-    Change,
-    st.integers(0, 60),
-    st.sampled_from(["set", "set", "set", "set", "drop", "rename", "wrap"]),
-    st.sampled_from(VALUES),
-)
-CHANGES = st.lists(CHANGE, max_size=2)
 SCENES = st.sampled_from(["tube.toml", "full.toml"])
 STUDIES = st.sampled_from(["accuracy.toml", "hard.toml"])
 
@@ -183,8 +156,8 @@ def ask_scene(folder: Path, name: str, damages: list[Damage], changes: list[Chan
     """A scene that is read is simulated, for three steps."""
     if changes:
         data = copy.deepcopy(read_toml(folder / name))
-        for change in changes:
-            change(data)
+        for one in changes:
+            change(data, *one)
         scene = read_scene(data, folder=folder)
     else:
         scene = read_scene(damaged(folder, name, damages))
@@ -196,8 +169,8 @@ def ask_study(folder: Path, name: str, damages: list[Damage], changes: list[Chan
     path = damaged(folder, name, damages)
     data = read_toml(path)
     if name == "hard.toml":
-        for change in changes:
-            change(data)
+        for one in changes:
+            change(data, *one)
         hard_study(data.get("hard"))
     else:
         assert read_study(path).cells()

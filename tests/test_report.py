@@ -181,7 +181,7 @@ def test_hard_cases_are_drawn_and_the_wrong_ones_come_first(browser: Browser) ->
     shown = browser.text()
     assert "5 runs, 2 wrong" in shown
     assert shown.index("✗ certificate below the error") < shown.index("refuse: EmptySetError")
-    assert "Each load is its friction bound" in shown
+    assert "each load is its friction bound" in shown
 
 
 def test_the_heading_names_machine_and_versions(browser: Browser) -> None:

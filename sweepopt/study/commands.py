@@ -55,7 +55,7 @@ def study_command(chosen: argparse.Namespace) -> None:
         files += [TABLE, DIAGRAM]
     if hard is not None:
         # in this process, from the start: they take a minute a seed
-        judged = list(rows(**vars(hard), progress=_say))
+        judged = list(rows(hard, _say))
         folder.mkdir(parents=True, exist_ok=True)
         pd.DataFrame(judged).to_csv(folder / HARD, index=False)
         print(hard_summary(judged))

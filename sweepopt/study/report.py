@@ -233,7 +233,9 @@ def _hard_section(hard: Sequence[HardRow]) -> list[str]:
 
     table, good = pd.DataFrame(hard), pd.Series([row.good for row in hard])
     families = [name for name in table.family.unique() if name in FAMILIES]
-    about = pd.DataFrame({"what is hard about it": [FAMILIES[name].__doc__ for name in families]})
+    about = pd.DataFrame(
+        {"what is hard about it": [", ".join(FAMILIES[name]) for name in families]}
+    )
     return [
         "<h2>Hard cases</h2>",
         _count(len(table), "runs", int((~good).sum()), "wrong"),

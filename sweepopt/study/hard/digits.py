@@ -1,10 +1,10 @@
-"""Numbers of 60 digits: doubles as they are, and linear equations with definite matrices."""
+"""Numbers of 60 digits: doubles as they are, and inverses of definite matrices."""
 
 from __future__ import annotations
 
-import decimal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from decimal import Context, Decimal, localcontext
 from typing import Any
 
 import numpy as np
@@ -16,30 +16,31 @@ DIGITS = 60
 @contextmanager
 def precise() -> Iterator[None]:
     """All that is computed within has 60 digits; also a decorator."""
-    with decimal.localcontext(decimal.Context(prec=DIGITS)):
+    with localcontext(Context(prec=DIGITS)):
         yield
 
 
-def exactly(x: Any) -> np.ndarray:
+def exactly(x: Any) -> Any:
     """Doubles as decimal numbers, without rounding; what is one stays as it is."""
-    x = np.asarray(x)
-    x = x if x.dtype == object else x.astype(float)
-    result = np.empty(x.shape, dtype=object)
-    result.ravel()[:] = [decimal.Decimal(entry) for entry in x.ravel().tolist()]
-    return result
-
-
-def solve(M: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """M^-1 b by elimination, M symmetric positive definite and b a vector or a matrix."""
-    n, S = len(M), np.column_stack([M, b])
-    for k in range(n):
-        S[k + 1 :, k:] -= np.outer(S[k + 1 :, k] / S[k, k], S[k, k:])
-    for k in reversed(range(n)):
-        S[k, n:] /= S[k, k]
-        S[:k, n:] -= np.outer(S[:k, k], S[k, n:])
-    return S[:, n:].reshape(b.shape)
+    return np.frompyfunc(Decimal, 1, 1)(x)
 
 
 def sqrt(x: Any) -> Any:
     """Of each entry."""
-    return np.frompyfunc(decimal.Decimal.sqrt, 1, 1)(x)
+    return np.frompyfunc(Decimal.sqrt, 1, 1)(x)
+
+
+def eliminate(S: np.ndarray, row: Any, column: int) -> None:
+    """Make a column of S that of the unit matrix, with its 1 in a row."""
+    others = np.arange(len(S)) != row
+    S[row] /= S[row, column]
+    S[others] -= np.outer(S[others, column], S[row])
+
+
+def inverse(M: np.ndarray) -> np.ndarray:
+    """M^-1, M symmetric positive definite."""
+    n = len(M)
+    S = np.column_stack([M, exactly(np.eye(n))])
+    for k in range(n):
+        eliminate(S, k, k)
+    return S[:, n:]

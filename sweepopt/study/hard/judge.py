@@ -1,6 +1,6 @@
 """The exact velocity of a small program in 60 digits, to judge what double precision answers.
 
--z in N_C(M z + q) for C = c + E^T S, S a box, balls or a polyhedron: the unknowns beside E z are
+-z in N_C(M z + q) for C = c + E^T S, S a polyhedron or balls: the unknowns beside E z are
 eliminated, the rest is solved by `velocities`. The solution is unique.
 """
 
@@ -18,21 +18,23 @@ from sweepopt.study.hard import digits
 from sweepopt.study.hard.velocities import velocity
 from sweepopt.velocity import untranslated
 
+ROUNDING = 16 * np.finfo(float).eps
+"""Relative to the forces: a load above its threshold by no more counts as stuck."""
+
 
 class Exact(NamedTuple):
     """The velocity as decimal numbers, shape (dim,), and sizes in |.|_M.
 
     Attributes
     ----------
-    length, size : float
-        |z|_M, and max(|z|_M, |M^-1 q|_M), q the full linear term.
+    size : float
+        max(|z|_M, |M^-1 q|_M), q the full linear term.
     forces : float
         |M^-1 q|_M + |M^-1 c|_M of C = c + S, which cancel in the full linear term: rounding of
         the two is rounding of the data.
     """
 
     z: np.ndarray
-    length: float
     size: float
     forces: float
 
@@ -52,8 +54,7 @@ class Program:
         A = digits.exactly(dense(A))
         self._B = 0 * A if B is None else digits.exactly(dense(B))
         self.M = A + digits.exactly(gamma) * self._B
-        self._inverse = digits.solve(self.M, digits.exactly(np.eye(len(A))))
-        self._condensed: dict[bytes, np.ndarray] = {}
+        self._inverse = digits.inverse(self.M)
 
     @digits.precise()
     def term(self, u: np.ndarray) -> np.ndarray:
@@ -72,25 +73,21 @@ class Program:
         # C = shift + a set on the unknowns `few`; nothing holds the forces on the others
         if C.selection is not None:
             few, part, shift = C.selection
-            shift = np.zeros(C.dim) if shift is None else shift
         else:
             (shift, part), few = untranslated(C), np.arange(C.dim)
-        q, shift = digits.exactly(q), digits.exactly(shift)
-        W, force = self._inverse, q - shift
-        if few.tobytes() not in self._condensed:
-            unit, whole = digits.exactly(np.eye(len(few))), len(few) == len(W)
-            at = np.ix_(few, few)
-            self._condensed[few.tobytes()] = self.M[at] if whole else digits.solve(W[at], unit)
-        N, free = self._condensed[few.tobytes()], W @ force
+        q = digits.exactly(q)
+        force = q if shift is None else q - digits.exactly(shift)
+        W, free = self._inverse, self._inverse @ force
+        at = np.ix_(few, few)
+        N = self.M[at] if len(few) == len(W) else digits.inverse(W[at])
         moves = velocity(part, N, N @ free[few])
         z = W[:, few] @ (N @ (moves + free[few])) - free
         z[few] = moves
-        length = self.norm(z)
 
         def dual(f: np.ndarray) -> float:
             return float(digits.sqrt(f @ (W @ f)))
 
-        return Exact(z, length, max(length, dual(force)), dual(q) + dual(shift))
+        return Exact(z, max(self.norm(z), dual(force)), dual(q) + dual(q - force))
 
     @digits.precise()
     def norm(self, z: np.ndarray) -> float:
@@ -104,15 +101,39 @@ class Program:
 
 
 class Judge:
-    """The exact velocities of one case, computed once for all of its runs."""
+    """The exact velocities of one case, computed once for all of its runs.
 
-    def __init__(self, process: SweepingProcess, gamma: float) -> None:
-        self.process, self.program = process, Program(process.A, process.B, gamma)
+    Parameters
+    ----------
+    process : SweepingProcess
+    mu : float
+        The step of implicit Euler.
+    """
+
+    def __init__(self, process: SweepingProcess, mu: float) -> None:
+        self.process, self.mu = process, mu
+        self.program = Program(process.A, process.B, mu)
         self._known: dict[tuple[float, bytes], Exact] = {}
 
-    def of(self, u: np.ndarray, t: float) -> Exact:
-        """The velocity of the state u for C(t): from A, B and u, where nothing is rounded."""
+    def exact(self, u: np.ndarray, t: float) -> Exact:
+        """The velocity of the step from u at t: from A, B and u, where nothing is rounded."""
         key = t, b"" if self.process.B is None else u.tobytes()
         if key not in self._known:
-            self._known[key] = self.program.solve(self.program.term(u), self.process.C.at(t))
+            # the time as a step makes it: a load may change within a rounding unit of t
+            C = self.process.C.at(t + self.mu)
+            self._known[key] = self.program.solve(self.program.term(u), C)
         return self._known[key]
+
+    def step(
+        self, u: np.ndarray, t: float, z: np.ndarray, certificate: float
+    ) -> tuple[float, float, float]:
+        """Error and certificate of a velocity relative to `size`, and their excess.
+
+        The excess is error - certificate in the unit of the forces, less ROUNDING where nothing
+        moves.
+        """
+        exact = self.exact(u, t)
+        error, size = self.program.error(z, exact), exact.size or 1.0
+        allowed = 0.0 if z.any() else ROUNDING
+        excess = (error - certificate) / (exact.forces or 1.0) - allowed
+        return error / size, certificate / size, excess

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import groupby
+from itertools import product
 from math import nan
 from typing import Any, NamedTuple
 
@@ -22,21 +22,16 @@ from sweepopt.errors import (
     SweepoptWarning,
     shown,
 )
-from sweepopt.integrate import StepInfo
 from sweepopt.solve import solve
-from sweepopt.study.hard import FAMILIES
-from sweepopt.study.hard.bodies import Hard
-from sweepopt.study.hard.combinations import combination
+from sweepopt.study.hard.bodies import Random
+from sweepopt.study.hard.families import FAMILIES, Names, chosen, combination, make
+from sweepopt.study.hard.ingredients import HISTORIES, REFUSED, History
 from sweepopt.study.hard.judge import Judge
 from sweepopt.study.records import each, known, read_record
 from sweepopt.velocity import Cvxpy
 
 TARGET = 1e-8
 """True error, relative to max(|z*|_M, |M^-1 q|_M), that every step has to meet."""
-ROUNDING = 16 * np.finfo(float).eps
-"""Relative to the forces: a load above its threshold by no more counts as stuck."""
-UNKNOWN = "not known"
-"""The answer of a case that 60 digits did not solve: nothing is said of the solvers then."""
 PATHS = ("full", "eliminated", "proportional")
 SOLVERS: dict[str, Any] = {
     "auto": "auto",
@@ -102,7 +97,7 @@ class HardRow(NamedTuple):
     Attributes
     ----------
     drawn : str
-        What is hard about a combination.
+        What is hard about it.
     answer : str
         The true one: of the last step, or the error that is right.
     error, certificate : float
@@ -139,16 +134,9 @@ class HardRow(NamedTuple):
 
 
 def rows(
-    families: Iterable[str] = FAMILIES,
-    seeds: Iterable[int] = (0,),
-    *,
-    solvers: Iterable[str] = SOLVERS,
-    paths: Iterable[str] = PATHS,
-    combinations: int = 0,
-    tol: float = 1e-9,
-    progress: Callable[[str], object] = lambda words: None,
+    study: HardStudy, progress: Callable[[str], object] = lambda words: None
 ) -> Iterator[HardRow]:
-    """Run the cases; the parameters are those of `HardStudy`.
+    """Run the cases of a study.
 
     A solver or a path that cannot treat a case leaves no row; `progress` is called with the name
     of each case.
@@ -159,112 +147,88 @@ def rows(
 
     Examples
     --------
-    >>> row = next(rows(["threshold"], solvers=["auto"]))
+    >>> row = next(rows(HardStudy(families=["threshold"], solvers=["auto"])))
     >>> row.verdict, row.error < 1e-12
     ('met', True)
     """
-    seeds, solvers, paths = list(seeds), list(solvers), list(paths)
-    for name, seed, hard in _cases(families, seeds, combinations):
+    for name, seed, names, random in _cases(study):
         progress(f"{name}, seed {seed}")
-        answer = "" if hard.refused is None else f"refuse: {hard.refused.__name__}"
-        row = HardRow(name, seed, "", "", hard.drawn, answer)
-        try:
-            judge = Judge(hard.process(), hard.t_end / hard.steps)
-        except SweepoptError as error:
-            yield row._replace(verdict=_verdict_on(error, hard))
-            continue
-        for path in paths:
-            for solver in solvers:
-                row = row._replace(path=path, solver=solver)
-                try:
-                    yield _run(hard, judge, row, tol)
-                except (SolverRefusedError, PathError):
-                    continue
-                except SweepoptError as error:
-                    yield row._replace(verdict=_verdict_on(error, hard))
+        history, process = chosen(HISTORIES, names), make(names, random)
+        judge = Judge(process, history.t_end / history.steps)
+        refused = next((REFUSED[name] for name in names if name in REFUSED), None)
+        answer = f"refuse: {refused.__name__}" if refused else ""
+        for path, solver in product(study.paths, study.solvers):
+            row = HardRow(name, seed, path, solver, ", ".join(names), answer)
+            try:
+                yield _run(judge, row, study.tol, history)
+            except (SolverRefusedError, PathError):
+                continue
+            except SweepoptError as error:
+                verdict = (
+                    "refused" if type(error) is refused else f"{type(error).__name__}: {error}"
+                )
+                yield row._replace(verdict=verdict)
 
 
-def _cases(
-    families: Iterable[str], seeds: list[int], combinations: int
-) -> Iterator[tuple[str, int, Hard]]:
-    for name in families:
-        for seed in seeds:
-            yield name, seed, FAMILIES[name](np.random.default_rng(seed))
-    for seed in seeds:
-        for k in range(combinations):
-            yield f"combination {k}", seed, combination(np.random.default_rng([seed, k]))
+def _cases(study: HardStudy) -> Iterator[tuple[str, int, Names, Random]]:
+    for name, seed in product(study.families, study.seeds):
+        yield name, seed, FAMILIES[name], np.random.default_rng(seed)
+    for seed, k in product(study.seeds, range(study.combinations)):
+        random = np.random.default_rng([seed, k])
+        yield f"combination {k}", seed, combination(random), random
 
 
-def _verdict_on(error: SweepoptError, hard: Hard) -> str:
-    if hard.refused is not None and isinstance(error, hard.refused):
-        return "refused"
-    return f"{type(error).__name__}: {error}"
-
-
-def _run(hard: Hard, judge: Judge, row: HardRow, tol: float) -> HardRow:
+def _run(judge: Judge, row: HardRow, tol: float, history: History) -> HardRow:
     """A run as a row: the last answer in words, and the worst of all steps."""
-    steps: list[StepInfo] = []
     started = time.perf_counter()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SweepoptWarning)
         solution = solve(
             judge.process,
-            t_end=hard.t_end,
-            steps=hard.steps,
+            t_end=history.t_end,
+            steps=history.steps,
             scheme="implicit-euler",
             solver=SOLVERS[row.solver],
             tol=tol,
             path=row.path,
-            callback=lambda step: steps.append(step),
         )
-    row = row._replace(seconds=time.perf_counter() - started)
-    u, error, certificate, excess, judged = judge.process.u0, 0.0, 0.0, 0.0, 0
-    for step, solver, t in zip(steps, solution.stats["solver"], solution.t, strict=False):
-        before, u = u, step.u
-        if "/" in str(solver):
-            continue  # taken in parts: its velocity is the mean of theirs, of no one program
-        try:
-            # the time as a step makes it: a load may change within a rounding unit of t
-            exact = judge.of(before, float(t) + hard.t_end / hard.steps)
-        except SweepoptError as failure:
-            return row._replace(answer=UNKNOWN, verdict=str(failure))
-        apart, size = judge.program.error(step.velocity, exact), exact.size or 1.0
-        judged, error = judged + 1, max(error, apart / size)
-        certificate = float(
-            np.maximum(certificate, step.certificate / size)
-        )  # nan if there is none
-        allowed = 0.0 if step.velocity.any() else ROUNDING
-        excess = max(excess, (apart - step.certificate) / (exact.forces or 1.0) - allowed)
-        answer = f"|z| = {exact.length:.3g}, {np.count_nonzero(exact.z)} of {len(u)} move"
-        row = row._replace(answer=answer)
+    seconds, stats = time.perf_counter() - started, solution.stats
+    steps = zip(solution.u, solution.t, solution.velocity, stats["certificate"], strict=False)
+    # of a step that is taken in parts the velocity is the mean of theirs, of no one program
+    judged = [
+        judge.step(u, float(t), z, certificate)
+        for (u, t, z, certificate), solver in zip(steps, stats["solver"], strict=True)
+        if "/" not in str(solver)
+    ]
+    error, certificate, excess = map(float, np.max(judged or [(nan, nan, nan)], axis=0))
+    exact = judge.exact(solution.u[-2], float(solution.t[-2]))
+    length, moving = judge.program.norm(exact.z), np.count_nonzero(exact.z)
     verdicts = {
-        f"not refused: {getattr(hard.refused, '__name__', '')} is right": hard.refused is not None,
-        "all steps were taken in parts: none is judged": not judged,
         "no certificate": np.isnan(certificate),
         f"error above {TARGET:g}": error > TARGET,
         "certificate below the error": excess > 0,
         "met": True,
     }
     return row._replace(
+        answer=f"|z| = {length:.3g}, {moving} of {len(exact.z)} move",
         error=error,
         certificate=certificate,
         excess=excess,
-        solved_by=str(solution.stats["solver"][-1]),
-        attempts=int(solution.stats["attempts"].max()),
+        solved_by=str(stats["solver"][-1]),
+        attempts=int(stats["attempts"].max()),
+        seconds=seconds,
         verdict=next(words for words, so in verdicts.items() if so),
     )
 
 
 def hard_summary(rows: Sequence[HardRow]) -> str:
     """A line a family, and each row with a wrong answer."""
-    lines = [f"{'family':<20}{'runs':>6}{'true error':>12}{'certificate':>13}  solved by"]
-    for name, group in groupby(rows, key=lambda row: row.family):
-        mine = list(group)
-        error = max((row.error for row in mine if row.solved_by), default=nan)
-        stated = max((row.certificate for row in mine if row.solved_by), default=nan)
-        solvers = ", ".join(sorted({row.solved_by or "refused" for row in mine}))
-        lines.append(f"{name:<20}{len(mine):6}{error:12.1e}{stated:13.1e}  {solvers}")
+    import pandas as pd
+
+    families = pd.DataFrame(rows).groupby("family", sort=False)
+    worst = families[["error", "certificate"]].max().assign(runs=families.size())
     wrong = [row for row in rows if not row.good]
-    lines += ["", f"{len(rows)} runs, {len(wrong)} wrong"]
+    lines = [worst.to_string(float_format="{:.1e}".format), ""]
+    lines += [f"{len(rows)} runs, {len(wrong)} wrong"]
     lines += [f"  {row.family} {row.seed} {row.path} {row.solver}: {row.verdict}" for row in wrong]
     return "\n".join(lines)

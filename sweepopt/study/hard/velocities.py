@@ -1,24 +1,25 @@
-"""The program  -z in N_C(N z + q)  in 60 digits: an active set for polyhedra, smoothing for balls.
+"""The program  -z in N_C(N z + q)  in 60 digits, by linear complementarity problems.
 
-Neither needs a start, so that no solver's answer is favoured.
+It needs no start, so that no solver's answer is favoured.
 """
 
 from __future__ import annotations
 
 from decimal import Decimal
-from typing import Any
 
 import numpy as np
 
 from sweepopt.errors import InputError, SweepoptError
 from sweepopt.linalg import dense
-from sweepopt.sets import Ball, Balls, Box, ConvexSet, Point
+from sweepopt.sets import Balls, Box, ConvexSet
 from sweepopt.study.hard import digits
 
-CHANGES = 2000  # of the active set: it is finite, and this ends what is not
-ROUNDING = Decimal("1e-45")  # relative: of 60 digits, the rest is for condition numbers
-NEWTON = 200  # steps at each smoothing, of which some 20 are needed
-SMOOTHING = [Decimal(10) ** -k for k in range(2, 36, 4)]  # velocities have then some 25 digits
+STEPS = 500  # of a method that is finite or converges fast: this ends what is not
+ROUNDING = Decimal("1e-50")  # relative: of 60 digits, the rest is for what elimination adds
+ZERO = Decimal(
+    "1e-35"
+)  # relative: pivots of normals that differ by 1e-7 at condition 1e12 are larger
+ENOUGH = Decimal("1e-25")  # relative, of a step; the next one would be its square
 
 
 def velocity(C: ConvexSet, N: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -29,112 +30,83 @@ def velocity(C: ConvexSet, N: np.ndarray, q: np.ndarray) -> np.ndarray:
     InputError
         If C is neither a polyhedron that states its rows nor made of balls.
     """
-    if isinstance(C, Ball):
-        return in_balls(N, q - digits.exactly(C.center), np.array([C.radius]))
     if isinstance(C, Balls):
-        return in_balls(N, q, C.radii)
-    if isinstance(C, Point):
-        point = C.project(np.zeros(C.dim))
-        C = Box(point, point)
-    rows = C.rows()
+        return _in_balls(N, q, digits.exactly(C.radii))
+    rows = (Box(C.anchor, C.anchor) if C.singleton else C).rows()
     if rows is None:
         raise InputError(f"no exact velocity is known for a {type(C).__name__}")
-    return in_polyhedron(N, q, dense(rows[0]), rows[1])
+    G = digits.exactly(dense(rows[0]))
+    return -_multipliers(N, q, G, digits.exactly(rows[1])) @ G
 
 
-def in_polyhedron(N: np.ndarray, q: np.ndarray, G: np.ndarray, h: np.ndarray) -> np.ndarray:
-    """The velocity for C = { w : G w <= h }, by rows w = q - N G^T y in C with y >= 0.
+def _multipliers(P: np.ndarray, q: np.ndarray, G: np.ndarray, h: np.ndarray) -> np.ndarray:
+    """y >= 0 of the rows G w <= h, at w = q - P G^T y nearest to q in the metric of P^-1.
 
-    The most violated row enters, rows with y < 0 leave (Goldfarb and Idnani's dual method, Math.
-    Programming 27, 1983, in the metric of N^-1: finite, whatever the rows, as those that hold w
-    stay independent).
+    Rows that are violated join the problem until there are none. In the metric of P all rows have
+    about the same length, and faces of width 0 are made as wide as their rounding.
     """
-    lengths = digits.exactly(np.sqrt(np.einsum("ij,jk,ik->i", G, N.astype(float), G)))
-    start = digits.exactly(h) - _product(G, q)
-    active: list[int] = []
-    # of the active rows: columns of H = G N G^T, the inverse of their block of it, multipliers
-    H, inverse, y = digits.exactly(np.zeros((len(G), 0))), N[:0, :0], q[:0]
-    for _ in range(CHANGES):
-        slack = start + H @ y
-        noise = ROUNDING * (abs(start) + abs(H) @ abs(y))
-        violated = [k for k, s in enumerate(slack) if s < -noise[k] and k not in active]
-        if not violated:
-            return -_product(G[active].T, y)
-        new = min(violated, key=lambda k: slack[k] / lengths[k])
-        column, multiplier = _product(G, _product(G[new : new + 1], N)[0]), 0 * start[new]
-        while True:
-            shares = inverse @ H[new]
-            free = column[new] - H[new] @ shares
-            steps = [(y[i] / share, i) for i, share in enumerate(shares) if share > 0]
-            if free > ROUNDING * column[new]:
-                steps.append((-slack[new] / free, len(active)))
-            if not steps:
-                raise SweepoptError("C has no point")
-            length, last = min(steps)
-            y, multiplier = y - length * shares, multiplier + length
-            if last == len(active):
-                break
-            active.pop(last)
-            inverse = inverse - np.outer(inverse[last], inverse[last]) / inverse[last, last]
-            inverse = np.delete(np.delete(inverse, last, axis=0), last, axis=1)
-            H, y = np.delete(H, last, axis=1), np.delete(y, last)
-            slack = start + H @ y + multiplier * column
-        active.append(new)
-        H, y = np.column_stack([H, column]), np.append(y, multiplier)
-        bordered = np.append(-shares, 1)
-        inverse = np.pad(inverse, (0, 1)) + np.outer(bordered, bordered) / free
+    lengths = np.sqrt(np.einsum("ij,jk,ik->i", *(x.astype(float) for x in (G, P, G))))
+    scale = digits.exactly(lengths + (lengths == 0))
+    G = G / scale[:, None]
+    noise = ROUNDING * abs(G @ q).max()
+    slack = h / scale - G @ q + noise
+    y, active = 0 * h, np.zeros(len(h), dtype=bool)
+    for _ in range(STEPS):
+        violated = (slack + G @ (P @ (y @ G)) < -noise) & ~active
+        if not violated.any():
+            return y / scale
+        active |= violated
+        y[active] = _complementary(G[active] @ P @ G[active].T, slack[active])
     raise SweepoptError("the exact active set was not found")
 
 
-def _product(G: np.ndarray, X: np.ndarray) -> np.ndarray:
-    """G X by the entries of G that are not 0: most rows are those of boxes."""
-    terms = ((row[places], places) for row in G for places in [np.flatnonzero(row)])
-    return np.array([digits.exactly(row) @ X[places] for row, places in terms], dtype=object)
+def _complementary(H: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """y >= 0 with s = H y + b >= 0 and <s, y> = 0, some b < 0 and H semidefinite.
 
-
-def in_balls(N: np.ndarray, q: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """The velocity for balls |w_k| <= r_k side by side: the limit of smoother and smoother ones.
-
-    z minimises 1/2 <N z, z> + <q, z> + sum r_k rho_k, rho_k = sqrt(|z_k|^2 + e_k^2) for |z_k|, and
-    e_k is a share of the velocity that the forces on the ball alone would cause. Newton's method on
-    z and s_k = r_k z_k / rho_k with a line search: with z alone it crawls where e is small
-    (Andersen, Christiansen, Conn and Overton, SIAM J. Sci. Comput. 22, 2000).
+    Lemke's method (Cottle, Pang and Stone, The Linear Complementarity Problem, 4.4): y and s stay
+    complementary in s = H y + b + e y_0 while y_0 falls to 0. The columns of the tableau are those
+    of s, y and y_0, the last one is the value of the basis.
     """
-    radii, block = digits.exactly(radii), len(q) // len(radii)
-    places = [slice(k, k + block) for k in range(0, len(q), block)]
-    traces = np.array([N[at, at].trace() for at in places])
-    unit, z, s = digits.exactly(np.eye(block)), 0 * q, 0 * q
+    m = len(b)
+    unit, ones = digits.exactly(np.eye(m)), digits.exactly(np.ones(m))
+    table = np.column_stack([unit, -H, -ones, b])
+    basis, row, column = np.arange(m), b.argmin(), 2 * m
+    for _ in range(STEPS):
+        leaving, basis[row] = int(basis[row]), column
+        digits.eliminate(table, row, column)
+        values = 0 * table[0]
+        values[basis] = table[:, -1]
+        if values[2 * m] <= ROUNDING * abs(b).max():
+            return values[m : 2 * m]
+        column = (leaving + m) % (2 * m)
+        falls = table[:, column]
+        rows = np.flatnonzero(falls > ZERO * abs(falls).max())
+        if not rows.size:
+            break
+        row = rows[(table[rows, -1] / falls[rows]).argmin()]
+    raise SweepoptError("C has no point")
 
-    def lengths(x: np.ndarray, e: Any = 0) -> np.ndarray:
-        return digits.sqrt((x * x).reshape(-1, block).sum(axis=1) + e * e)
 
-    def value(z: np.ndarray, e: np.ndarray) -> Any:
-        return z @ (N @ z) / 2 + q @ z + radii @ lengths(z, e)
+def _in_balls(N: np.ndarray, q: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """The velocity for balls |w_k| <= r_k side by side, by sequential quadratic programming.
 
-    for share in SMOOTHING:
-        e = share * (radii + lengths(q)) / traces
-        for _ in range(NEWTON):
-            rho, bend = lengths(z, e), 0 * N
-            for at, r, root in zip(places, radii, rho, strict=True):
-                turn = np.outer(s[at], z[at]) / root**2
-                bend[at, at] = r / root * unit - (turn + turn.T) / 2
-            pull = np.repeat(radii / rho, block) * z
-            slope = N @ z + q + pull
-            if (abs(slope) <= share * (abs(N) @ abs(z) + abs(q) + abs(pull))).all():
-                break
-            dz = -digits.solve(N + bend, slope)
-            now, length = value(z, e), Decimal(1)
-            while value(z + length * dz, e) > now + length / 10 * (slope @ dz) + share * abs(now):
-                length /= 2
-            s = pull + bend @ dz
-            s *= np.repeat(
-                [
-                    min(1, r / size) if size else 1
-                    for r, size in zip(radii, lengths(s), strict=True)
-                ],
-                block,
-            )
-            z = z + length * dz
-        else:
-            raise SweepoptError("the exact velocity was not found")
-    return np.repeat(lengths(z) > 1000 * e, block) * z  # the others are stuck
+    At a point of C each ball is replaced by the half-space that touches it in this direction; its
+    multiplier y_k / r_k bends the objective along the sphere. Where multipliers fall their bend
+    falls by no more than 4 a step: without it some steps go round in circles.
+    """
+    owner = np.repeat(np.arange(len(radii)), len(q) // len(radii))
+    ball = digits.exactly(owner == np.arange(len(radii))[:, None])
+    V, w, bend = digits.inverse(N), q, 0 * radii
+    for _ in range(STEPS):
+        size = digits.sqrt(ball @ (w * w))
+        normal = w / (size + (size == 0))[owner]
+        w, G = normal * np.minimum(size, radii)[owner], ball * normal
+        K = np.diag(bend[owner]) - G.T @ (bend[:, None] * G)
+        P = digits.inverse(V + K)
+        center = q + P @ (K @ (w - q))
+        y = _multipliers(P, center, G, radii)
+        step = center - P @ (y @ G) - w
+        if (abs(step) <= ENOUGH * radii[owner]).all():
+            return -y @ G
+        w, bend = w + step, np.maximum(y / radii, bend / 4)
+    raise SweepoptError("the exact velocity was not found")
