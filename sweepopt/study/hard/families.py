@@ -90,7 +90,7 @@ def combination(random: Random) -> Names:
 
 
 ON_ALL = "a box on all"
-HOLD = (ON_ALL, "any B", "500 steps, loads that change their signs")
+HOLD = ("ten springs", ON_ALL, "any B", "500 steps, loads that change their signs")
 FAMILIES: dict[str, Names] = {
     "threshold": (THRESHOLD, ON_ALL),
     "weakly_active": (WEAKLY, ON_ALL),
