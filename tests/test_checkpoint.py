@@ -164,7 +164,12 @@ def test_a_run_can_be_killed_again_and_again(tmp_path: Path) -> None:
 
 def test_what_a_function_recorded_comes_back(tmp_path: Path) -> None:
     def record(t: float, u: np.ndarray, z: np.ndarray) -> Any:
-        return {"t": t, "u": u[3], "rows": u[:4].reshape(2, 2), "z": (z[4] > 0, [1, True, None])}
+        return {
+            "t": t,
+            "u": u[3],
+            "rows": u[:4].reshape(2, 2),
+            "z": (z[4] > 0, [1, True, "word", None]),
+        }
 
     process, settings = arguments("proportional")
     whole = so.solve(process, save=record, **settings)
@@ -179,8 +184,8 @@ def test_what_a_function_recorded_comes_back(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "bad",
-    [object(), "word", 2**70, {1: 2.0}, np.array(["a"])],
-    ids=["object", "text", "integer", "dict", "array of text"],
+    [object(), 2**70, {1: 2.0}, np.array(["a"])],
+    ids=["object", "integer", "dict", "array of text"],
 )
 def test_records_that_no_file_can_hold_are_refused_at_the_first_step(
     bad: Any, tmp_path: Path
@@ -296,14 +301,14 @@ def test_a_load_that_differs_late_or_between_the_times_that_are_compared_is_anot
 def content_of(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """A checkpoint is a plain .npz with a record in JSON."""
     arrays = dict(np.load(path))
-    return json.loads(arrays.pop("record").item()), arrays
+    return json.loads(arrays.pop("record").tobytes()), arrays
 
 
 def rewritten(path: Path, change: Callable[[dict[str, Any], dict[str, Any]], None]) -> None:
     record, arrays = content_of(path)
     change(record, arrays)
     with path.open("wb") as file:
-        np.savez(file, **{"record": np.array(json.dumps(record)), **arrays})
+        np.savez(file, **{"record": np.frombuffer(json.dumps(record).encode(), np.uint8), **arrays})
 
 
 def test_another_form_other_versions_and_states_that_do_not_fit_are_noticed(
@@ -386,7 +391,7 @@ def test_two_damaged_files_are_an_error_and_none_is_one(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "record",
-    [np.array([{"schema": 3}], dtype=object), np.array(json.dumps({"arrays": []}))],
+    [np.array([{"schema": 4}], dtype=object), np.frombuffer(b'{"run": 3}', np.uint8)],
     ids=["pickle", "another file"],
 )
 def test_no_pickle_and_no_other_file_is_read(

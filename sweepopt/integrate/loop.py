@@ -14,6 +14,7 @@ from scipy.linalg import blas
 
 from sweepopt.checks import HUGE
 from sweepopt.errors import Status
+from sweepopt.integrate.exact import exact_steps
 from sweepopt.integrate.overshoot import longest_safe, overshot
 from sweepopt.integrate.record import Run
 from sweepopt.integrate.schemes import Scheme
@@ -60,21 +61,30 @@ def integrate(
     mus, steps = run.grid.mus, run.steps
     starts, sizes = run.grid.times.data, mus.data  # these give floats of Python
     velocities = velocities or Velocities(process, plan)
+
+    def take_step(i: int, u: np.ndarray) -> Step | None:
+        return step(process, plan, velocities, starts[i], sizes[i], u)
+
+    take = exact_steps(process, plan, run) if plan.scheme.exact else take_step
     safe, limit = longest_safe(process, plan, mus), _largest_state(process, plan.scheme)
     u, compensation = run.u, run.compensation
     try:
         for i in range(run.done, steps):
             began = clock.perf_counter()
-            t, mu = starts[i], sizes[i]
-            result = step(process, plan, velocities, t, mu, u)
-            velocity = result.velocity
+            result = take(i, u)
+            if result is None:
+                return
+            velocity, mu = result.velocity, sizes[i]
             if full_certificate is not None and not velocity.relative > plan.tol:
                 velocity = full_certificate(i, u, velocity)
-            following, compensation = compensated_sum(u, mu * velocity.z, compensation)
+            if result.end is None:
+                following, compensation = compensated_sum(u, mu * velocity.z, compensation)
+            else:
+                following = result.end
             if velocity.relative > plan.tol or not blas.dnrm2(following) <= limit:
                 run.status, run.relative = Status.INEXACT, velocity.relative
-                run.cause = f"step {i} from t = {t:g}: " + _cause(
-                    process, t, velocity, result, plan.tol
+                run.cause = f"step {i} from t = {starts[i]:g}: " + _cause(
+                    process, plan, starts[i], velocity, result
                 )
                 return
             if velocity.relative != velocity.relative:
@@ -103,8 +113,15 @@ def _largest_state(process: SweepingProcess, scheme: Scheme) -> float:
     return 1e-5 * HUGE / max(blas.dnrm2(entries) if entries.size else 0.0, 1.0)
 
 
-def _cause(process: SweepingProcess, t: float, velocity: Velocity, result: Step, tol: float) -> str:
+def _cause(process: SweepingProcess, plan: Plan, t: float, velocity: Velocity, result: Step) -> str:
     """Why a step failed, as far as that can be known."""
+    tol = plan.tol
+    if plan.scheme.exact:
+        return (
+            f"the closed form misses the inclusion by {velocity.relative:.2g} of the velocity's "
+            f"size at its end, tol is {tol:g}. The data are scaled too badly for double precision; "
+            "loosen tol or use implicit-euler or sdirk2"
+        )
     if not velocity.relative > tol:
         return (
             "the state grows beyond all numbers, which only errors do that a scheme amplifies; "

@@ -56,11 +56,14 @@ class Step(NamedTuple):
         What the stages of each part solved; none where no number of parts meets the tolerance.
     cause : str
         Why the step cannot be taken in parts at all.
+    end : ndarray or None
+        The state at its end, where that is not a sum.
     """
 
     velocity: Velocity
     parts: list[Stages]
     cause: str = ""
+    end: np.ndarray | None = None
 
 
 def step(

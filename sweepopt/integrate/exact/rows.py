@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import scipy.linalg
-from scipy.special import comb
 
 from sweepopt.errors import InputError
 from sweepopt.integrate.exact.exponential_sum import SLOW, TERMS, ExponentialSum
@@ -62,22 +61,15 @@ class SmoothOffsets:
 
 def _taylor(piece: Piece, s: float, terms: int) -> np.ndarray:
     """Coefficients of phi(s + tau) in tau, and those of the sum of its absolute terms."""
-    series = np.zeros((2, terms))
-    c, shift = np.array(piece.polynomial), s - piece.origin
-    binomials, exponents = _binomials(c.size)
-    for row, (one, by) in zip(series, ((c, shift), (np.abs(c), abs(shift))), strict=True):
-        row[: c.size] = ((binomials * by**exponents) @ one)[:terms]
+    series, shift = np.zeros((2, terms)), s - piece.origin
+    for coefficient in reversed(piece.polynomial):  # Horner's rule, in powers of tau
+        carried = np.roll(series, 1, axis=1)
+        carried[:, 0] = coefficient, abs(coefficient)
+        series = np.array([[shift], [abs(shift)]]) * series + carried
     for a, w, p in piece.waves:
         powers = a * np.cumprod(np.append(1.0, 1j * w / np.arange(1, terms)))
         series += (-1j * np.exp(1j * (p + w * s)) * powers).real, np.abs(powers)
     return series
-
-
-@cache
-def _binomials(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """j over k, and j - k: (shift + tau)^j = sum_k (j over k) shift^(j - k) tau^k."""
-    j = np.arange(count)
-    return comb(j, j[:, None]), np.maximum(j - j[:, None], 0)
 
 
 @dataclass(frozen=True, eq=False)
