@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -144,21 +144,20 @@ def exact_trajectory(
     switches: list[float] = []
     u, before, stalled = u0, None, 0
     for a, b, d in rows.smooth_offsets(start, end):
-        s, events = a, np.zeros(0, dtype=int)
+        s = a
         most += 1
         while s < b:
-            face = face_after(rows, d, s, u, events)
-            phase, limits = _phase(rows, d, s, b, u, face)
+            face = face_after(rows, d, s, u)
+            phase, length = _phase(rows, d, s, b, u, face)
             moves = bool(phase.paths.size)
             if before is not None and (
                 set(face.active) != before[0] or (s == a and (moves or before[1]))
             ):
                 switches.append(s)
             before = set(face.active), moves
-            root = first_root(limits.signs, face.orders[limits.rows])
-            events, following = limits.rows[root.rows], s + root.tau
+            following = s + length
             if b - following <= 4 * EPS * abs(b):
-                events, following = events[:0], b
+                following = b
             stalled = stalled + 1 if following - s <= 64 * EPS * abs(following) else 0
             u = phase.state(np.array([following]))[0]
             if following > s or not phases:
@@ -169,17 +168,10 @@ def exact_trajectory(
     return Trajectory(phases, end, np.unique(switches))
 
 
-class _Limits(NamedTuple):
-    """The rows that may end a phase, and what must stay positive: multipliers and slacks."""
-
-    rows: np.ndarray
-    signs: ExponentialSum
-
-
 def _phase(
     rows: Rows, d: SmoothOffsets, s: float, b: float, u: np.ndarray, face: Face
-) -> tuple[Phase, _Limits]:
-    """The closed form from s on, at most up to b."""
+) -> tuple[Phase, float]:
+    """The closed form from s on, and after which time another row holds, at most b - s."""
     active, offsets = face.active, d.on(s, b - s)
     square = np.ix_(active, active)
     force = offsets.with_weights(-offsets.weights)
@@ -200,4 +192,4 @@ def _phase(
     signs[active] = V @ dp.weights
     changing = ~face.redundant
     changing[active] = ~rows.equations[active]
-    return phase, _Limits(np.flatnonzero(changing), p.with_weights(signs[changing]))
+    return phase, first_root(p.with_weights(signs[changing]), face.orders[changing])
