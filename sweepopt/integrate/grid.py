@@ -35,16 +35,9 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
     if end is not None and abs(times[-1] - end) > TIME_SLACK * abs(times[-1]):
         raise InputError(f"steps end at {times[-1]:g}, but t_end is {end:g}; leave t_end out")
     mus = np.diff(times)
-    order = np.argsort(mus, kind="stable")
-    rounding = 4 * EPS * np.abs(times).max()
-    group = np.cumsum(np.diff(mus[order], prepend=mus[order[0]]) > rounding)
-    ordered, counts = mus[order], np.bincount(group)
-    last = np.cumsum(counts) - 1
-    # neighbours by rounding may drift apart in a long chain: then each keeps its own
-    one_size = ordered[last] - ordered[last - counts + 1] <= 4 * rounding
-    sizes = np.bincount(group, weights=ordered) / counts
-    mus[order] = np.where(one_size[group], sizes[group], ordered)
-    return times, mus
+    rounded = np.round(mus / (32 * EPS * np.abs(times).max()))
+    _, group, counts = np.unique(rounded, return_inverse=True, return_counts=True)
+    return times, (np.bincount(group, weights=mus) / counts)[group]
 
 
 def divided(times: np.ndarray, parts: int) -> np.ndarray:

@@ -85,8 +85,7 @@ def step(
     whole = _mean(scheme.b, stages)
     if not whole.relative > plan.tol:
         return Step(whole, [stages])
-    work = [whole]
-    cause = ""
+    work, cause = [whole], ""
     for count in PARTS:
         h = mu / count
         starts = t + h * np.arange(count)
@@ -104,9 +103,9 @@ def step(
                 break
             v, compensation = compensated_sum(v, h * means[-1].z, compensation)
         else:
-            mean = _mean([1 / count] * count, means)
-            return Step(_with_work(mean._replace(solver=f"{mean.solver}/{count}"), work), parts)
-    return Step(_with_work(whole, work), [], cause)
+            mean = _mean([1 / count] * count, means, work)
+            return Step(mean._replace(solver=f"{mean.solver}/{count}"), parts)
+    return Step(_mean((1.0,), [whole], work), [], cause)
 
 
 def _stages(
@@ -132,24 +131,18 @@ def _stages(
     return stages
 
 
-def _mean(weights: Sequence[float], velocities: Stages) -> Velocity:
+def _mean(weights: Sequence[float], velocities: Stages, work: Stages | None = None) -> Velocity:
     """The weighted velocity, the worst certificate and all the work; the solver is the last one."""
-    if len(velocities) == 1:
+    if len(velocities) == 1 and work is None:
         return velocities[0]
+    work = work or velocities
     return Velocity(
         combination(weights, velocities),
         _worst(one.certificate for one in velocities),
         _worst(one.relative for one in velocities),
         velocities[-1].solver,
-        sum(one.iterations for one in velocities),
-        max(one.attempts for one in velocities),
-    )
-
-
-def _with_work(velocity: Velocity, work: Stages) -> Velocity:
-    """The velocity, and what was done until it was known."""
-    return velocity._replace(
-        iterations=sum(one.iterations for one in work), attempts=sum(one.attempts for one in work)
+        sum(one.iterations for one in work),
+        max(one.attempts for one in work),
     )
 
 
