@@ -45,22 +45,6 @@ def polygon() -> so.SweepingProcess:
     return so.SweepingProcess(np.zeros((2, 2)), [[2.0, 0.5], [0.5, 1.0]], C, [0.0, 0.0])
 
 
-def section() -> so.EvolutionVI:
-    """A square body whose contact is all that enters a program."""
-    import skfem
-
-    from sweepopt.fem import Elasticity, Friction, Traction, Viscosity, antiplane
-
-    mesh = skfem.MeshTri().refined(3).with_defaults()
-    effects = [
-        Viscosity(1.0),
-        Elasticity(lambda x: 1 + x[0]),
-        Friction("left", g=0.3),
-        Traction("right", so.Sine(2.0, 2.0)),
-    ]
-    return antiplane(mesh, clamped="top", effects=effects).problem
-
-
 def free() -> so.SweepingProcess:
     """Nothing nonsmooth, and no proof: a set of the user's."""
     import cvxpy as cp
@@ -81,7 +65,6 @@ RUNS: dict[str, tuple[Callable[[], Any], dict[str, Any]]] = {
     "newton": (body, {"path": "eliminated", "solver": "newton", "save": "last"}),
     "two stages": (body, {"scheme": "sdirk2", "solver": "clarabel", "save": [1.0, 3.0]}),
     "balls": (balls, {"solver": "clarabel"}),
-    "section": (section, {"path": "eliminated", "solver": "osqp"}),
     "polygon": (polygon, {"solver": "osqp", "t_end": 0.6}),
     "uncertified": (free, {"steps": 24}),
     "times of the user": (
@@ -143,23 +126,15 @@ def test_a_resumed_run_is_the_whole_run(name: str, tmp_path: Path) -> None:
     never = so.Checkpoint(tmp_path / "never", steps=9, seconds=1e6)
     assert name != "full" or same(so.solve(process, checkpoint=never, **settings), whole)
     assert whole.velocity.any()
-    for at in (0, 8, 21):
-        path = tmp_path / f"b{at}.npz"
-        killed(path, name, at)
-        resumed = so.resume(path, arguments(name)[0])
-        assert same(resumed, whole), at
-        assert np.array_equal(resumed.plan.solvers, whole.plan.solvers)
-        assert same(so.resume(path, process), whole)  # the end is in the file too
-
-
-def test_a_run_can_be_killed_again_and_again(tmp_path: Path) -> None:
-    process, _, whole = finished(tmp_path, "eliminated")
     path = tmp_path / "b.npz"
-    killed(path, "eliminated", 12)
-    for at in (20, 41, 79):
+    killed(path, name, 0)
+    for at in (8, 21):  # again and again
         with pytest.raises(Killed):
-            so.resume(path, process, callback=stopping(at))
-    assert same(so.resume(path, process), whole)
+            so.resume(path, arguments(name)[0], callback=stopping(at))
+    resumed = so.resume(path, arguments(name)[0])
+    assert same(resumed, whole)
+    assert np.array_equal(resumed.plan.solvers, whole.plan.solvers)
+    assert same(so.resume(path, process), whole)  # the end is in the file too
 
 
 def test_what_a_function_recorded_comes_back(tmp_path: Path) -> None:
@@ -244,9 +219,8 @@ MOMENTS = [RANDOM.uniform(0.0, 1.2) for _ in range(25)]
     [
         ("full", [0.1], 200, 5, 1),
         pytest.param("proportional", MOMENTS, 1200, 5, 15, marks=pytest.mark.slow),
-        pytest.param("section", MOMENTS, 300, 6, 15, marks=pytest.mark.slow),
     ],
-    ids=["once", "25 times", "25 times, a section"],
+    ids=["once", "25 times"],
 )
 def test_a_run_that_is_killed_loses_nothing(
     name: str, delays: list[float], steps: int, every: int, alive: int, tmp_path: Path
@@ -466,8 +440,9 @@ def test_a_full_disk_leaves_the_old_checkpoint_and_says_so(
         ({"solver": so.Cvxpy("OSQP", {"callback": print})}, "plain"),
         ({"checkpoint": 3}, "checkpoint must be a path"),
         ({"checkpoint": "no/such/folder/run.npz"}, "there is no folder"),
+        ({"checkpoint": "x" * 300 + ".npz"}, "checkpoint is"),
+        ({"checkpoint": "a\0b.npz"}, "checkpoint is"),
     ],
-    ids=str,
 )
 def test_what_cannot_be_continued_is_refused(
     changes: dict[str, Any], words: str, tmp_path: Path
@@ -490,12 +465,6 @@ def test_a_run_that_is_not_finished_is_not_overwritten(tmp_path: Path) -> None:
             so.Checkpoint(path, **wrong)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("name", ["x" * 300 + ".npz", "a\0b.npz"])
-def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(so.InputError, match="checkpoint is"):
-        so.Checkpoint(str(tmp_path / name))
-
-
 @pytest.mark.parametrize("name", ["run.npz", "run.npz.previous"])
 def test_a_file_that_cannot_be_read_is_named(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -503,7 +472,7 @@ def test_a_file_that_cannot_be_read_is_named(
     path, process = tmp_path / "run.npz", body()
     so.solve(process, t_end=1.0, steps=12, checkpoint=so.Checkpoint(path, steps=3))
     if name != path.name:
-        path.write_bytes(b"damaged")
+        path.unlink()
     plain = Path.open
 
     def refusing(file: Path, *how: Any, **more: Any) -> Any:
@@ -515,10 +484,6 @@ def test_a_file_that_cannot_be_read_is_named(
     refused = f"{name} cannot be read .Permission denied"
     with pytest.raises(so.InputError, match=refused):
         so.resume(path, process)
-    if name != path.name:
-        path.unlink()
-        with pytest.raises(so.InputError, match=refused):
-            so.resume(path, process)
     with pytest.raises(so.InputError, match=refused):
         so.solve(process, t_end=1.0, steps=12, checkpoint=path)
 
