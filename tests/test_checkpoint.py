@@ -390,9 +390,9 @@ def test_a_file_cannot_ask_for_more_memory_than_it_has_bytes(tmp_path: Path) -> 
         header = io.BytesIO()
         about = {"descr": "<f8", "fortran_order": False, "shape": (size,)}
         np.lib.format.write_array_header_1_0(header, about)
-        np.savez(path, **{name: array for name, array in arrays.items() if name != "u"})
+        np.savez(path, **{name: array for name, array in arrays.items() if name != "last"})
         with zipfile.ZipFile(path, "a") as file:
-            file.writestr("u.npy", header.getvalue())
+            file.writestr("last.npy", header.getvalue())
         with pytest.raises(so.CheckpointError, match="damaged"):
             so.resume(path, body())
 

@@ -55,16 +55,16 @@ def residual(process: so.SweepingProcess, found: Trajectory, times: np.ndarray) 
 def integral_error(found: Trajectory) -> float:
     """How far u is from u0 + int u', by Gauss's rule on fine intervals in every phase."""
     x, weights = np.polynomial.legendre.leggauss(12)
-    worst, u = 0.0, found.phases[0].state(found.starts[:1])[0]
+    worst, u = 0.0, found(found.starts[0])
     ends = [*found.starts[1:], found.end]
     for phase, end in zip(found.phases, ends, strict=True):
-        worst = max(worst, np.abs(phase.state(np.array([phase.start]))[0] - u).max())
+        worst = max(worst, np.abs(phase.state(phase.start) - u).max())
         cuts = phase.start + (end - phase.start) * np.append(0.0, np.geomspace(1e-6, 1.0, 40))
         for a, b in pairwise(cuts):
             total = weights @ phase.velocity(0.5 * (a + b) + 0.5 * (b - a) * x) * 0.5 * (b - a)
             change = phase.state(np.array([a, b]))
             worst = max(worst, np.abs(change[1] - change[0] - total).max())
-        u = phase.state(np.array([end]))[0]
+        u = phase.state(end)
     return worst
 
 

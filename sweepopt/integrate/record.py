@@ -210,7 +210,7 @@ class Run:
 
     def store(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """All that `restore` needs, in terms of JSON and in arrays."""
-        done, k, u, velocity, compensation = self._last
+        done, k, *last = self._last
         plain = {
             "done": done,
             "steps": self.steps,
@@ -218,9 +218,12 @@ class Run:
             "overshot": self.overshot,
             "solvers": list(self._solvers),
         }
-        arrays = {"rows": self._rows[:done], "nodes": self._nodes[: k + 1]}
-        arrays |= {"velocities": self._velocities[:k], "u": u, "velocity": velocity}
-        return plain, {**arrays, "compensation": compensation}
+        return plain, {
+            "rows": self._rows[:done],
+            "nodes": self._nodes[: k + 1],
+            "velocities": self._velocities[:k],
+            "last": np.array(last),
+        }
 
     def restore(self, plain: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
         """Take the first steps from what an earlier run has stored."""
@@ -229,7 +232,8 @@ class Run:
         done, k = plain["done"], len(arrays["velocities"])
         self._rows[:done] = arrays["rows"]
         self._nodes[: k + 1], self._velocities[:k] = arrays["nodes"], arrays["velocities"]
-        self._last = done, k, arrays["u"], arrays["velocity"], arrays["compensation"]
+        u, velocity, compensation = arrays["last"]
+        self._last = done, k, u, velocity, compensation
 
 
 # ---- what is kept -------------------------------------------------------------------------------

@@ -57,17 +57,15 @@ def face_after(rows: Rows, d: SmoothOffsets, t: float, u: np.ndarray) -> Face:
     force, size = d.taylor(t, ORDERS + 2)
     undecided, orders = ~rows.equations, np.zeros(len(rows.N), dtype=int)
     active, first, rounding = list(rows.fixed), None, 0.0
-    absolute = np.abs(rows.NB)
+    NB = rows.NB
     if rows.rate_independent:
-        slack = force[:, 0] - rows.NB @ u
-        undecided &= slack <= ZERO * (size[:, 0] + absolute @ np.abs(u))
+        undecided &= force[:, 0] - NB @ u <= ZERO * (size[:, 0] + np.abs(NB) @ np.abs(u))
+        NB = 0 * NB
         factors = np.arange(1, ORDERS + 2)
         force, size = factors * force[:, 1:], factors * size[:, 1:]
     for k in range(ORDERS + 1):
-        s, noise = force[:, k], ZERO * size[:, k]
-        if not rows.rate_independent:
-            s = s - rows.NB @ u
-            noise = noise + ZERO * (absolute @ np.abs(u)) + rounding
+        s = force[:, k] - NB @ u
+        noise = ZERO * (size[:, k] + np.abs(NB) @ np.abs(u)) + rounding
         basis = _basis(rows, active, undecided, s, noise)
         if basis is None and first is not None:  # a redundant row becomes violated
             undecided[active] = ~rows.equations[active]
@@ -93,9 +91,8 @@ def face_after(rows: Rows, d: SmoothOffsets, t: float, u: np.ndarray) -> Face:
         active += [row for row in basis[len(active) :] if decided[row]]
         if not undecided.any():
             break
-        if not rows.rate_independent:
-            u = -(values[active] @ rows.N[active]) / (k + 1)
-            rounding = worst * rows.Lam / (k + 1) if u.any() else 0.0
+        u = -(values[active] @ rows.N[active]) / (k + 1)
+        rounding = worst * rows.Lam / (k + 1) if u.any() else 0.0
     return Face(active, orders, undecided)
 
 

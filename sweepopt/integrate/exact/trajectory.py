@@ -29,12 +29,12 @@ class Phase:
     start: float
     u: ExponentialSum
 
-    def state(self, t: np.ndarray) -> np.ndarray:
-        """u at the times, shape (k, dim)."""
+    def state(self, t: Any) -> np.ndarray:
+        """u at the times, shape (dim,) or (k, dim)."""
         return self.u(t - self.start)
 
-    def velocity(self, t: np.ndarray) -> np.ndarray:
-        """u' at the times, shape (k, dim); exactly 0.0 in what is stuck."""
+    def velocity(self, t: Any) -> np.ndarray:
+        """u' at the times, shape (dim,) or (k, dim); exactly 0.0 in what is stuck."""
         return 0.0 + self.u.derivative()(t - self.start)
 
 
@@ -128,24 +128,21 @@ def exact_trajectory(
     """
     phases: list[Phase] = []
     switches: list[float] = []
-    u, before, stalled = u0, None, 0
+    u, before, stalled = u0, set[int](), 0
     for a, b, d in rows.smooth_offsets(start, end):
         s = a
         most += 1
         while s < b:
             face = face_after(rows, d, s, u)
             phase, length = _phase(rows, d, s, b, u, face)
-            moves = bool(face.active)
-            if before is not None and (
-                set(face.active) != before[0] or (s == a and (moves or before[1]))
-            ):
+            active = set(face.active)
+            if phases and (active != before or (s == a and active)):
                 switches.append(s)
-            before = set(face.active), moves
-            following = s + length
+            before, following = active, s + length
             if b - following <= 4 * EPS * abs(b):
                 following = b
             stalled = stalled + 1 if following - s <= 64 * EPS * abs(following) else 0
-            u = phase.state(np.array([following]))[0]
+            u = phase.state(following)
             if following > s or not phases:
                 phases.append(phase)
             s = following
