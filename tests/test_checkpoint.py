@@ -495,5 +495,5 @@ def test_a_folder_that_refuses_is_an_error_of_ours(
         raise PermissionError(errno.EACCES, "Permission denied")
 
     monkeypatch.setattr(Path, "iterdir", refuse)
-    with pytest.raises(so.CheckpointError, match=r"run.npz cannot be replaced .Permission denied"):
+    with pytest.raises(so.CheckpointError, match=r"run.npz cannot be replaced .*Permission"):
         so.solve(body(), t_end=1.0, steps=12, checkpoint=tmp_path / "run.npz")

@@ -264,26 +264,15 @@ class CheckpointWriter:
 
     def begin(self, run: Run) -> None:
         """Write down the start of a run, or take it to where the stored one is."""
-        stored, checkpoint = self.stored, self.checkpoint
+        stored = self.stored
         if stored:
             try:
                 run.restore(stored.record["run"], stored.arrays)
                 self.recorded[:] = decoded(stored.record["recorded"])
             except (KeyError, ValueError, TypeError, IndexError) as error:
                 raise DamagedFileError(f"{stored.file} does not fit together: {error}") from error
-        try:
-            remove_parts(checkpoint.file)
-            if not stored:
-                checkpoint.previous.unlink(missing_ok=True)  # that of another run
-            elif stored.file == checkpoint.previous:
-                # the whole one must not give way to the damaged one
-                checkpoint.file.unlink(missing_ok=True)
-        except OSError as error:
-            raise CheckpointError(
-                f"{checkpoint.file} cannot be replaced ({error.strerror or error})"
-            ) from error
-        if not stored:
-            self._write(run, None)
+        # in the place of a damaged one too, which must not take that of the whole one before it
+        self._write(run, None)
 
     def __call__(self, run: Run) -> bool:
         """Write the run down if it is time; whether a run can be continued from this step."""
@@ -310,13 +299,17 @@ class CheckpointWriter:
         state, arrays = run.store()
         file, record = self.checkpoint.file, {**self.about, "run": state}
         try:
+            if previous is None:
+                remove_parts(file)
+                if not self.stored:
+                    self.checkpoint.previous.unlink(missing_ok=True)  # that of another run
             write_npz(file, {**record, "recorded": self._records()}, arrays, previous)
         except OSError as error:
             older = file.exists() or self.checkpoint.previous.exists()
+            before = f"the one before is whole: resume {file}" if older else "there is none before"
             raise CheckpointError(
-                f"the checkpoint after step {run.done} cannot be written "
-                f"({error.strerror or error}); "
-                + (f"the one before is whole: resume {file}" if older else "there is none before")
+                f"the checkpoint {file} cannot be replaced after step {run.done} "
+                f"({error.strerror or error}); {before}"
             ) from error
 
 
