@@ -35,7 +35,7 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
     if end is not None and abs(times[-1] - end) > TIME_SLACK * abs(times[-1]):
         raise InputError(f"steps end at {times[-1]:g}, but t_end is {end:g}; leave t_end out")
     mus = np.diff(times)
-    rounded = np.round(mus / (32 * EPS * np.abs(times).max()))
+    rounded = np.round(mus / (8 * EPS * np.abs(times).max()))
     _, group, counts = np.unique(rounded, return_inverse=True, return_counts=True)
     return times, (np.bincount(group, weights=mus) / counts)[group]
 

@@ -9,7 +9,6 @@ import time as clock
 from collections.abc import Callable
 
 import numpy as np
-import scipy.sparse as sp
 from scipy.linalg import blas
 
 from sweepopt.checks import HUGE
@@ -106,33 +105,27 @@ def integrate(
 
 def _largest_state(process: SweepingProcess, scheme: Scheme) -> float:
     """The largest |u|: where B enters explicitly, B u beyond what can be squared is a blow-up."""
-    B = process.B
-    if B is None or not scheme.explicit:
+    if process.B is None or not scheme.explicit:
         return HUGE**2
-    entries = B.data if sp.issparse(B) else B.ravel(order="K")
-    return 1e-5 * HUGE / max(blas.dnrm2(entries) if entries.size else 0.0, 1.0)
+    return HUGE / 1e10 / max(float(abs(process.B).max()), 1.0)
 
 
 def _cause(process: SweepingProcess, plan: Plan, t: float, velocity: Velocity, result: Step) -> str:
     """Why a step failed, as far as that can be known."""
-    tol = plan.tol
+    missed = f"{velocity.relative:.2g} of the velocity's size"
+    likely = "The data of this step are scaled too badly for double precision"
     if plan.scheme.exact:
         return (
-            f"the closed form misses the inclusion by {velocity.relative:.2g} of the velocity's "
-            f"size at its end, tol is {tol:g}. The data are scaled too badly for double precision; "
-            "loosen tol or use implicit-euler or sdirk2"
+            f"the closed form misses the inclusion by {missed} at its end, tol is {plan.tol:g}. "
+            f"{likely}; loosen tol or use implicit-euler or sdirk2"
         )
-    if not velocity.relative > tol:
+    if not velocity.relative > plan.tol:
         return (
             "the state grows beyond all numbers, which only errors do that a scheme amplifies; "
             "take smaller steps or implicit-euler"
         )
-    best = (
-        f"the best certificate of {velocity.attempts} attempts is {velocity.relative:.2g} of the "
-        f"velocity's size, tol is {tol:g}"
-    )
+    best = f"the best certificate of {velocity.attempts} attempts is {missed}, tol is {plan.tol:g}"
     tried = f", and to take it in {PARTS[0]} to {PARTS[-1]} parts does not help"
-    likely = "The data of this step are scaled too badly for double precision"
     if result.parts:
         tried, likely = "", "A is too badly conditioned to recover all unknowns"
     elif result.cause:
