@@ -35,9 +35,12 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
     if end is not None and abs(times[-1] - end) > TIME_SLACK * abs(times[-1]):
         raise InputError(f"steps end at {times[-1]:g}, but t_end is {end:g}; leave t_end out")
     mus = np.diff(times)
-    rounded = np.round(mus / (8 * EPS * np.abs(times).max()))
-    _, group, counts = np.unique(rounded, return_inverse=True, return_counts=True)
-    return times, (np.bincount(group, weights=mus) / counts)[group]
+    order, rounding = np.argsort(mus), 4 * EPS * np.abs(times).max()
+    group = np.zeros(len(mus), dtype=int)
+    group[order[1:]] = np.cumsum(np.diff(mus[order]) > rounding)
+    mean = (np.bincount(group, weights=mus) / np.bincount(group))[group]
+    # neighbours by rounding may drift apart in a long chain: then each keeps its own
+    return times, np.where(np.abs(mean - mus) <= 2 * rounding, mean, mus)
 
 
 def divided(times: np.ndarray, parts: int) -> np.ndarray:
