@@ -486,14 +486,3 @@ def test_a_file_that_cannot_be_read_is_named(
         so.resume(path, process)
     with pytest.raises(so.InputError, match=refused):
         so.solve(process, t_end=1.0, steps=12, checkpoint=path)
-
-
-def test_a_folder_that_refuses_is_an_error_of_ours(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: Any) -> Any:
-        raise PermissionError(errno.EACCES, "Permission denied")
-
-    monkeypatch.setattr(Path, "iterdir", refuse)
-    with pytest.raises(so.CheckpointError, match=r"run.npz cannot be replaced .*Permission"):
-        so.solve(body(), t_end=1.0, steps=12, checkpoint=tmp_path / "run.npz")

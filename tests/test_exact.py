@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -12,7 +13,7 @@ from cases import DATA, GRIDS, case, embedded
 
 import sweepopt as so
 from sweepopt.errors import Status
-from sweepopt.integrate.exact import Trajectory, exact_trajectory, rows_of
+from sweepopt.integrate.exact import Trajectory, exact_trajectory, on_grid, rows_of
 from sweepopt.study.problems import problem
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
@@ -330,11 +331,16 @@ def test_a_start_outside_of_the_set_begins_with_a_velocity() -> None:
     assert residual(block(u0=5.0), found, np.linspace(0.01, 8, 60)) <= 1e-12
 
 
-def test_switches_that_accumulate_end_the_trajectory() -> None:
-    found = exact_trajectory(rows_of(block()), np.zeros(1), 0.0, 8.0, most=5)
+def test_switches_that_accumulate_end_the_trajectory(monkeypatch: pytest.MonkeyPatch) -> None:
+    few = partial(exact_trajectory, most=5)
+    found = few(rows_of(block()), np.zeros(1), 0.0, 8.0)
     assert found.end < 8.0
     with pytest.raises(so.InputError, match="is outside of"):
         found(8.0)
+    monkeypatch.setattr(on_grid, "exact_trajectory", few)
+    sol = so.solve(block(), t_end=8.0, steps=100, scheme="exact", on_failure="stop")
+    assert sol.status is Status.SWITCHING
+    assert 0 < found.end - sol.t[-1] < 0.08
 
 
 BOX = so.Box([-1, -1], [1, 1])

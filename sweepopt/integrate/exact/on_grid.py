@@ -44,23 +44,21 @@ def exact_steps(
     largest = 0.0
 
     @lru_cache(maxsize=1)
-    def trajectory() -> Trajectory:
-        run.exact = exact_trajectory(rows, process.u0, float(times[0]), float(times[-1]))
-        return run.exact
-
-    @lru_cache(maxsize=1)
-    def block(first: int) -> tuple[np.ndarray, np.ndarray]:
-        nodes = np.minimum(times[first + 1 : first + BLOCK + 1], trajectory().end)
-        return trajectory()(nodes), trajectory().velocity(nodes)
+    def block(exact: Trajectory, first: int) -> tuple[np.ndarray, np.ndarray]:
+        nodes = np.minimum(times[first + 1 : first + BLOCK + 1], exact.end)
+        return exact(nodes), exact.velocity(nodes)
 
     def take(i: int, u: np.ndarray) -> Step | None:
         nonlocal largest
-        exact, end, mu, k = trajectory(), float(times[i + 1]), float(run.grid.mus[i]), i % BLOCK
+        exact, end, mu, k = run.exact, float(times[i + 1]), float(run.grid.mus[i]), i % BLOCK
+        if exact is None:
+            exact = exact_trajectory(rows, process.u0, float(times[0]), float(times[-1]))
+            run.exact = exact
         if end > exact.end:
             run.status = Status.SWITCHING
             run.cause = f"That was at t = {exact.end:g}, after {len(exact.phases)} phases."
             return None
-        after, z = (values[k] for values in block(i - k))
+        after, z = (values[k] for values in block(exact, i - k))
         C, M = process.C.at(end), factor(mu)
         forces = M.norm(z) + M.dual_norm(process.times_B(after)) + M.dual_norm(C.anchor)
         largest = max(largest, forces)
