@@ -23,7 +23,6 @@ from sweepopt.integrate.step import (
     Step,
     Velocities,
     compensated_sum,
-    step,
 )
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan, Velocity
@@ -62,7 +61,7 @@ def integrate(
     velocities = velocities or Velocities(process, plan)
 
     def take_step(i: int, u: np.ndarray) -> Step | None:
-        return step(process, plan, velocities, starts[i], sizes[i], u)
+        return velocities.step(starts[i], sizes[i], u)
 
     take = exact_steps(process, plan, run) if plan.scheme.exact else take_step
     safe, limit = longest_safe(process, plan, mus), _largest_state(process, plan.scheme)

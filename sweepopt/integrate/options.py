@@ -11,7 +11,6 @@ from sweepopt.checks import choice, number
 from sweepopt.errors import InputError, PathError
 from sweepopt.integrate.adaptive import Adaptive
 from sweepopt.integrate.json_arrays import decoded, encoded
-from sweepopt.integrate.record import MEMORY
 from sweepopt.integrate.schemes import Scheme, choose
 from sweepopt.velocity import PATHS, REGISTRY
 
@@ -20,16 +19,16 @@ from sweepopt.velocity import PATHS, REGISTRY
 class SolveOptions:
     """What `solve` was asked for; see there. `steps` and `save` are checked with the process."""
 
-    t_end: Any = None
-    steps: Any = 1000
-    scheme: Any = "auto"
-    solver: Any = "auto"
-    tol: float = 1e-6
-    path: str = "auto"
-    save: Any = None
-    memory: float = MEMORY
-    on_failure: str = "raise"
-    on_unstable: str = "raise"
+    t_end: Any
+    steps: Any
+    scheme: Any
+    solver: Any
+    tol: float
+    path: str
+    save: Any
+    memory: float
+    on_failure: str
+    on_unstable: str
 
     def __post_init__(self) -> None:
         choice("path", self.path, PATHS)
