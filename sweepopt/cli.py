@@ -244,3 +244,7 @@ def _plain_warnings() -> Iterator[None]:
 
 def _say(message: str) -> None:
     print(f"sweepopt: {message}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -59,20 +59,17 @@ def integrate(
     mus, steps = run.grid.mus, run.steps
     starts, sizes = run.grid.times.data, mus.data  # these give floats of Python
     velocities = velocities or Velocities(process, plan)
-
-    def take_step(i: int, u: np.ndarray) -> Step | None:
-        return velocities.step(starts[i], sizes[i], u)
-
-    take = exact_steps(process, plan, run) if plan.scheme.exact else take_step
+    take = exact_steps(process, plan, run) if plan.scheme.exact else velocities.step
     safe, limit = longest_safe(process, plan, mus), _largest_state(process, plan.scheme)
     u, compensation = run.u, run.compensation
     try:
         for i in range(run.done, steps):
             began = clock.perf_counter()
-            result = take(i, u)
+            mu = sizes[i]
+            result = take(starts[i], mu, u)
             if result is None:
                 return
-            velocity, mu = result.velocity, sizes[i]
+            velocity = result.velocity
             if full_certificate is not None and not velocity.relative > plan.tol:
                 velocity = full_certificate(i, u, velocity)
             if result.end is None:

@@ -149,7 +149,7 @@ class Run:
         self.overshot: int | None = None
         self.exact: Trajectory | None = None
         # written to, all of it is in memory from here on: a run grows by nothing later
-        self._rows = np.full(len(grid.mus), 0, ROW)
+        self._rows, self._times = np.full(len(grid.mus), 0, ROW), grid.times.data
         self._solvers: dict[str, int] = {}
         self._nodes = np.zeros((self._kept.size + 1, u0.size))
         self._velocities = np.zeros((self._kept.size, u0.size))
@@ -185,7 +185,7 @@ class Run:
         i, k, *_ = self._last
         z, certificate, relative, solver, iterations, attempts = velocity
         number = self._solvers.setdefault(solver, len(self._solvers))
-        end = self.grid.times[i + 1]
+        end = self._times[i + 1]
         self._rows[i] = end, seconds, iterations, attempts, certificate, relative, number
         if i == self._kept[k]:
             self._nodes[k + 1], self._velocities[k] = u, z

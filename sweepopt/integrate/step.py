@@ -104,7 +104,8 @@ class Velocities:
 
         A matrix A + gamma B that is not positive definite to rounding gives no velocity.
         """
-        process, scheme, stages = self._process, self._plan.scheme, list[Velocity]()
+        process, scheme = self._process, self._plan.scheme
+        stages: Stages = []
         for weights, c in zip(scheme.a, scheme.c, strict=True):
             start = u + mu * combination(weights[:-1], stages) if stages else u
             gamma = mu * weights[-1] if process.B is not None else 0.0

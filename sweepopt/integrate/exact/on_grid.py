@@ -22,8 +22,9 @@ BLOCK = 1000  # nodes that are computed at once: one by one they take twice as l
 
 def exact_steps(
     process: SweepingProcess, plan: Plan, run: Run
-) -> Callable[[int, np.ndarray], Step | None]:
-    """What takes step i from u along the exact trajectory; None where the switches accumulate.
+) -> Callable[[float, float, np.ndarray], Step | None]:
+    """What takes the next step along the exact trajectory, of length mu from t, u; None where the
+    switches accumulate.
 
     The certificate is that of -u' in N_C(A u' + B u) at the end of the step, from A, B and the
     set's own projection: u' solves the program of an implicit Euler step that ends in u,
@@ -48,9 +49,10 @@ def exact_steps(
         nodes = np.minimum(times[first + 1 : first + BLOCK + 1], exact.end)
         return exact(nodes), exact.velocity(nodes)
 
-    def take(i: int, u: np.ndarray) -> Step | None:
+    def take(t: float, mu: float, u: np.ndarray) -> Step | None:
         nonlocal largest
-        exact, end, mu, k = run.exact, float(times[i + 1]), float(run.grid.mus[i]), i % BLOCK
+        exact, i = run.exact, run.done
+        end, k = float(times[i + 1]), i % BLOCK
         if exact is None:
             exact = exact_trajectory(rows, process.u0, float(times[0]), float(times[-1]))
             run.exact = exact
@@ -63,7 +65,7 @@ def exact_steps(
         forces = M.norm(z) + M.dual_norm(process.times_B(after)) + M.dual_norm(C.anchor)
         largest = max(largest, forces)
         at_end = certify_point(M, process.times_B(after - mu * z), C, z, FLOOR * largest)
-        phases = int(np.diff(np.searchsorted(exact.starts, times[i : i + 2]))[0])
+        phases = int(np.diff(np.searchsorted(exact.starts, [t, end]))[0])
         velocity = at_end._replace(
             z=(after - u) / mu, solver="closed form", iterations=phases, attempts=1
         )
