@@ -257,7 +257,7 @@ def saving(save: Any, times: np.ndarray, dim: int, memory: float) -> Saving:
     n, path = len(times) - 1, None
     kept: Any = []
     if save is None:
-        kept = range(n)
+        kept = np.arange(n)
     elif isinstance(save, (str, PathLike)):
         if save != "last" and Path(save).suffix != ".nc":
             raise InputError(f"save is {shown(str(save))}; a file must end with .nc, or say 'last'")
@@ -274,16 +274,15 @@ def saving(save: Any, times: np.ndarray, dim: int, memory: float) -> Saving:
             f"an .nc file; got {shown(save)}"
         )
     steps = np.union1d(np.array(kept, dtype=int), n - 1)  # the last one always
-    chosen = Saving(steps, save if callable(save) else None, path)
-    size = 8.0 * dim * (2 * chosen.steps.size + 1)
+    size = 8.0 * dim * (2 * steps.size + 1)
     if size > memory:
         raise InputError(
-            f"steps: keeping {chosen.steps.size} states and velocities of {dim} unknowns takes "
+            f"steps: keeping {steps.size} states and velocities of {dim} unknowns takes "
             f"{size / 1e9:.3g} GB, more than memory = {memory / 1e9:.3g} GB; pass save='last', "
             "save=k for every k-th step, save=[times], save=f(t, u, z) or save='run.nc', or a "
             "larger memory"
         )
-    return chosen
+    return Saving(steps, save if callable(save) else None, path)
 
 
 def _steps_ending_at(saved: np.ndarray, times: np.ndarray) -> np.ndarray:
@@ -296,4 +295,4 @@ def _steps_ending_at(saved: np.ndarray, times: np.ndarray) -> np.ndarray:
             f"save asks for t = {saved[away][0]:g}, which is not on the time grid; choose steps "
             "so that it is, or keep all steps and interpolate"
         )
-    return np.unique(nearest[nearest > 0] - 1)
+    return nearest[nearest > 0] - 1
