@@ -108,12 +108,9 @@ def _digest(path: Path) -> str:
 
 def _named(data: Any) -> Iterator[str]:
     """The values of the keys mesh and csv, wherever they are."""
+    if isinstance(data, dict):
+        yield from (data[key] for key in ("mesh", "csv") if isinstance(data.get(key), str))
+        data = list(data.values())
     if isinstance(data, list):
         for entry in data:
             yield from _named(entry)
-    elif isinstance(data, dict):
-        for key, value in data.items():
-            if key in ("mesh", "csv") and isinstance(value, str):
-                yield value
-            else:
-                yield from _named(value)
