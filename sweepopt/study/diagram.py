@@ -72,13 +72,13 @@ def work_precision(table: DataFrame, *, x: str = "wall", y: str = "error", ax: A
             f"ax is one panel but table has the problems {', '.join(problems)}; leave ax out or "
             f"pass one problem, table[table.problem == {problems[0]!r}]"
         )
-    panels, legend = [ax], {}
+    panels, legend = {problems[0]: ax}, ax
     if ax is None:
         columns, lines = min(len(problems), COLUMNS), -(-len(problems) // COLUMNS)
-        figure = new_figure((4.4 * columns + 1.8, 4.0 * lines))
-        panels = [figure.add_subplot(lines, columns, k + 1) for k in range(len(problems))]
-        legend = {"loc": "outside right upper"}
-    for panel, problem in zip(panels, problems, strict=True):
+        legend = new_figure((4.4 * columns + 1.8, 4.0 * lines))
+        places = enumerate(problems, start=1)
+        panels = {problem: legend.add_subplot(lines, columns, k) for k, problem in places}
+    for problem, panel in panels.items():
         panel.set(title=problem, xlabel=COSTS[x], ylabel=f"{ACCURACIES[y]}, $|\\cdot|_A$")
         panel.set(xscale="log", yscale="log")
         panel.grid(alpha=0.3)
@@ -87,16 +87,17 @@ def work_precision(table: DataFrame, *, x: str = "wall", y: str = "error", ax: A
         label = f"{scheme} · {solver}" + (f" · tol {tol:g}" if table.tol.nunique() > 1 else "")
         marker = MARKERS[solvers.index(solver) % len(MARKERS)]
         style = {"known": f"{marker}-", BOUND: "--", "failed": "x"}.get(kind, "o")
-        panels[problems.index(problem)].plot(
+        panels[problem].plot(
             *rows.sort_values("steps")[["x", "y"]].to_numpy().T,
             style,
             color=COLOURS[schemes.index(scheme) % len(COLOURS)],
             markerfacecolor=None if kind == "known" else "none",
             label=label if kind == "known" else kind,
         )
-    named = {line.get_label(): line for panel in panels for line in panel.lines}
-    (ax or panels[0].figure).legend(named.values(), named.keys(), fontsize="small", **legend)
-    return panels[0]
+    named = {line.get_label(): line for panel in panels.values() for line in panel.lines}
+    place = {} if ax is legend else {"loc": "outside right upper"}
+    legend.legend(named.values(), named.keys(), fontsize="small", **place)
+    return panels[problems[0]]
 
 
 def points(table: Any, x: str, y: str) -> DataFrame:

@@ -37,7 +37,7 @@ TOOLTIP = {
     **{"bound": ":.2e", "wall": ":.3g", "solver_calls": ":.0f", "status": True},
 }
 """Columns of a cell's tooltip and their formats."""
-BAND = "guaranteed band"
+BAND = "rgba(0, 114, 178, 0.25)"
 LEAST = 1e-18
 """Hard cases: errors of 0, of bodies at rest, are drawn here."""
 PAGE = Template("""\
@@ -109,7 +109,10 @@ def write_report(
         parts += _study_section(table)
         machines = table.machine.unique()
     if solutions:
-        parts += ["<h2>Trajectories</h2>", _page_of(_trajectories(solutions))]
+        parts += [
+            "<h2>Trajectories in their guaranteed bands</h2>",
+            _page_of(_trajectories(solutions)),
+        ]
     if hard:
         parts += _hard_section(hard)
     date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
@@ -180,14 +183,11 @@ def _trajectories(solutions: Mapping[str, Solution]) -> Any:
     curves = []
     for name, solution in solutions.items():
         k = int(np.argmax(np.ptp(solution.u, axis=0)))
-        u, band = solution.u[:, k], _band(solution, k)
-        curve = {"t": solution.t, "lower": u - band, BAND: u + band, "computed": u}
+        curve = {"t": solution.t, "u": solution.u[:, k], "band": _band(solution, k)}
         curves.append(pd.DataFrame(curve).assign(run=f"{name}, u[{k}]"))
-    lines, panels = ["lower", BAND, "computed"], _panels("run", len(curves))
-    figure = px.line(pd.concat(curves), x="t", y=lines, labels={"value": "u"}, **panels)
-    figure.update_traces(line_color=COLOURS[0])
-    figure.update_traces(line_width=0, showlegend=False, selector={"name": "lower"})
-    return figure.update_traces(line_width=0, fill="tonexty", selector={"name": BAND})
+    panels = _panels("run", len(curves))
+    figure = px.line(pd.concat(curves), x="t", y="u", error_y="band", **panels)
+    return figure.update_traces(error_y={"color": BAND, "thickness": 4, "width": 0})
 
 
 def _band(solution: Solution, k: int) -> Any:
