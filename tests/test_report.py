@@ -22,6 +22,7 @@ import sweepopt as so
 from sweepopt.cli import main
 from sweepopt.study import write_report
 from sweepopt.study.hard.suite import HardRow
+from sweepopt.study.ledger import read_rows
 from sweepopt.study.problems import problem
 
 TITLE = "What <accuracy> & certainty cost"
@@ -216,7 +217,9 @@ def test_what_cannot_be_shown_is_refused(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_study_file_with_hard_cases_writes_one_report(tmp_path: Path) -> None:
+def test_a_study_file_with_hard_cases_writes_one_report_and_an_interrupt_loses_no_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "both.toml"
     path.write_text(
         'title = "Both"\nproblems = ["S01"]\nschemes = ["midpoint"]\nsolvers = ["auto"]\n'
@@ -230,3 +233,12 @@ def test_a_study_file_with_hard_cases_writes_one_report(tmp_path: Path) -> None:
     assert "1 runs, 0 wrong" in page
     for name in ("hard.csv", "table.csv"):
         assert len(pd.read_csv(tmp_path / "out" / name)) == 1
+
+    def interrupted(*_: Any, **__: Any) -> Iterator[HardRow]:
+        yield from HARD
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sweepopt.study.commands.rows", interrupted)
+    assert main(["study", str(path), "--out", str(tmp_path / "out")]) != 0
+    kept = read_rows(tmp_path / "out" / "hard.jsonl", HardRow)
+    assert list(map(repr, kept)) == list(map(repr, HARD))

@@ -172,19 +172,15 @@ class Recorder(Clarabel):
 
     programs: list[Program] = field(default_factory=list)
 
-    def refined(self) -> Clarabel:
-        """Clarabel alone: a program is noted once."""
-        return Clarabel()
-
     def compile(self, program: VelocityProgram) -> Solve:
         """Clarabel's, with a note of each call."""
         answer = super().compile(program)
 
-        def solve_(q: np.ndarray, C: ConvexSet) -> Any:
+        def noted(q: np.ndarray, C: ConvexSet) -> Any:
             self.programs.append(Program(program, q.copy(), C))
             return answer(q, C)
 
-        return solve_
+        return noted
 
 
 def record(source: Source, steps: int) -> list[Program]:
