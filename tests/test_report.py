@@ -17,6 +17,7 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.wait import WebDriverWait
 from study_table import NASTY, study_table
+from test_cli import make_scene
 
 import sweepopt as so
 from sweepopt.cli import main
@@ -217,28 +218,33 @@ def test_what_cannot_be_shown_is_refused(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_study_file_with_hard_cases_writes_one_report_and_an_interrupt_loses_no_row(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_study_with_hard_cases_writes_its_files_goes_on_and_keeps_rows_of_an_interrupt(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = tmp_path / "both.toml"
+    make_scene(tmp_path)
+    path, out = tmp_path / "both.toml", tmp_path / "out"
     path.write_text(
-        'title = "Both"\nproblems = ["S01"]\nschemes = ["midpoint"]\nsolvers = ["auto"]\n'
-        'steps = [20]\nrepeats = 1\n[hard]\nfamilies = ["threshold"]\nsolvers = ["auto"]\n'
-        'paths = ["full"]\ncombinations = 0\n'
+        'title = "Both"\nproblems = ["S01", "ring.toml"]\nschemes = ["midpoint"]\n'
+        'solvers = ["auto"]\nsteps = [20]\nrepeats = 1\n[hard]\nfamilies = ["threshold"]\n'
+        'solvers = ["auto"]\npaths = ["full"]\ncombinations = 0\n'
     )
-    assert main(["study", str(path), "--out", str(tmp_path / "out")]) == 0
-    page = (tmp_path / "out" / "report.html").read_text("utf-8")
-    assert "<title>Both</title>" in page
-    assert "1 cells, 0 failed" in page
-    assert "1 runs, 0 wrong" in page
-    for name in ("hard.csv", "table.csv"):
-        assert len(pd.read_csv(tmp_path / "out" / name)) == 1
+    assert main(["study", str(path), "--out", str(out)]) == 0
+    shown = capsys.readouterr()
+    assert "2 cells, 0 of them finished before" in shown.err
+    assert "the fastest way to each relative error" in shown.out
+    assert shown.out.endswith(f"{out}: table.csv, diagram.png, hard.csv, report.html\n")
+    page = (out / "report.html").read_text("utf-8")
+    for words in ("<title>Both</title>", "2 cells, 0 failed", "1 runs, 0 wrong"):
+        assert words in page
+    assert list(pd.read_csv(out / "table.csv").problem) == ["S01", "ring"]
+    assert len(pd.read_csv(out / "hard.csv")) == 1
 
     def interrupted(*_: Any, **__: Any) -> Iterator[HardRow]:
         yield from HARD
         raise KeyboardInterrupt
 
     monkeypatch.setattr("sweepopt.study.commands.rows", interrupted)
-    assert main(["study", str(path), "--out", str(tmp_path / "out")]) != 0
-    kept = read_rows(tmp_path / "out" / "hard.jsonl", HardRow)
+    assert main(["study", str(path), "--out", str(out)]) != 0
+    assert "2 cells, 2 of them finished before" in capsys.readouterr().err
+    kept = read_rows(out / "hard.jsonl", HardRow)
     assert list(map(repr, kept)) == list(map(repr, HARD))

@@ -42,8 +42,8 @@ def study_command(chosen: argparse.Namespace) -> None:
     folder = chosen.out or Path("results") / path.stem
     data = read_toml(path)
     hard = hard_study(data["hard"], f"{path}: ") if "hard" in data else None
-    title, table, solutions, files = data.get("title"), None, {}, []
     judged: list[HardRow] = []
+    table, solutions, files = None, {}, []
     if hard is None or data.keys() - {"hard", "title"}:
         study = read_study(path)
         with _executor(chosen) as executor:
@@ -63,7 +63,7 @@ def study_command(chosen: argparse.Namespace) -> None:
         pd.DataFrame(judged).to_csv(folder / HARD, index=False)
         print(hard_summary(judged))
         files.append(HARD)
-    title = str(title or ("Hard cases" if table is None else "What accuracy costs"))
+    title = str(data.get("title", path.stem))
     write_report(table, folder / REPORT, solutions=solutions, hard=judged, title=title)
     print(f"written: {folder}: {', '.join([*files, REPORT])}")
 
