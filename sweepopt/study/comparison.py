@@ -62,14 +62,6 @@ LIMITS: dict[str, dict[str, Any]] = {
 """Iterations, for methods of first order."""
 SHIFT = 1e-3
 """Seconds: means are of log(time + SHIFT), so that what takes no time does not decide them."""
-FORMATS = {
-    "accuracy": "{:g}",
-    "solved": "{:.0%}",
-    "ms": "{:.3g}",
-    "x best": "{:.2f}",
-    "median": "{:.0e}",
-    "worst": "{:.0e}",
-}
 LEGEND = """\
 solved   share of programs with a relative certificate within the accuracy
 ms       shifted geometric mean; unsolved programs count with the longest time of all
@@ -232,10 +224,6 @@ def shifted_mean(seconds: Any) -> float:
 def comparison_text(table: DataFrame) -> str:
     """The comparison as text."""
     names = {"time": "ms", "ratio": "x best", "certificate": "median", "message": ""}
-    text = (
-        table.assign(time=1e3 * table.time, message=table.message.str[:60])
-        .drop(columns="programs")
-        .rename(columns=names)
-        .to_string(index=False, formatters={name: form.format for name, form in FORMATS.items()})
-    )
-    return f"{text}\n{LEGEND}"
+    shown = table.assign(time=1e3 * table.time, message=table.message.str[:60])
+    shown = shown.drop(columns="programs").rename(columns=names)
+    return f"{shown.to_string(index=False, float_format='{:.3g}'.format)}\n{LEGEND}"
