@@ -66,12 +66,12 @@ def save_reference(path: Path, reference: Reference) -> None:
 
 
 def load_reference(path: Path) -> Reference | None:
-    """Read it; None if it is not there or not whole."""
+    """Read it; None if it is not there, not whole or of another version."""
     try:
         record, arrays = read_npz(path)
-    except (OSError, DamagedFileError):
+        return Reference(arrays["u"], *record["record"])
+    except (OSError, DamagedFileError, KeyError):
         return None
-    return Reference(arrays["u"], *record["record"])
 
 
 def distance(source: Source, u: np.ndarray, v: np.ndarray) -> float:
