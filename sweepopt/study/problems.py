@@ -87,20 +87,19 @@ class Problem:
     set: dict[str, Any]
     load: list[dict[str, Any]]
 
-    def C(self) -> Any:
-        """The moving set."""
+    def process(self) -> SweepingProcess:
+        """The process, built anew."""
         terms = []
         for term in self.load:
             (history, arguments), (_, direction) = term.items()
             terms.append((HISTORIES[history](*arguments), direction))
         ((kind, arguments),) = self.set.items()
-        if kind == "polyhedron":
-            return Polyhedron(arguments[0], Separable(terms))
-        return Moving(SHAPES[kind](*arguments), Separable(terms))
-
-    def process(self) -> SweepingProcess:
-        """The process, built anew."""
-        return SweepingProcess(self.A, self.B, self.C(), self.u0)
+        C: Any = (
+            Polyhedron(arguments[0], Separable(terms))
+            if kind == "polyhedron"
+            else Moving(SHAPES[kind](*arguments), Separable(terms))
+        )
+        return SweepingProcess(self.A, self.B, C, self.u0)
 
 
 PROBLEMS = {name: Problem(name, **data) for name, data in read_toml(FILE).items()}
