@@ -41,7 +41,7 @@ g = 0.6
 f0 = { along = "x", at = [-2.0, 2.0], values = [0.5, 1.5] }
 history = { waveform = "sine", amplitude = 4.0, period = 4.0 }
 """
-OPTIONAL = ["matplotlib", "xarray", "h5netcdf", "h5py", "pydantic", "skfem", "meshio", "tqdm"]
+OPTIONAL = ["matplotlib", "xarray", "h5netcdf", "h5py", "skfem", "meshio", "tqdm"]
 
 
 def make_scene(folder: Path, text: str = SCENE) -> Path:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from sweepopt.errors import InputError
 from sweepopt.fem.fields import FRICTION, Datum, evaluate
-from sweepopt.fem.mesh import Indices, on_the_left
+from sweepopt.fem.mesh import Indices, sides
 from sweepopt.fem.spaces import Discretisation, refuse_overflow
 from sweepopt.loads import Separable
 from sweepopt.sets import Box, ConvexSet, image
@@ -54,8 +54,8 @@ class Contact:
     points : ndarray, shape (m, 2)
     boundary : ndarray of str, shape (m,)
         Name of the boundary it is on.
-    arc, position : ndarray, shape (m,)
-        Arc length from the start of that boundary, and of all, one after the other.
+    arc : ndarray, shape (m,)
+        Arc length along the boundaries, one after the other.
     weight, bound : ndarray, shape (m,)
         w_k (a length) and g_k of ``J_h(v) = sum_k w_k g_k |v_k|``.
     """
@@ -64,7 +64,6 @@ class Contact:
     points: Array
     boundary: NDArray[np.str_]
     arc: Array
-    position: Array
     weight: Array
     bound: Array
 
@@ -98,7 +97,8 @@ def contact_on(body: Discretisation, on: Sequence[str], g: Datum) -> Contact:
         If all of it is clamped.
     """
     facets, groups = body.edges("on", on)
-    basis = body.edge_basis(facets, quadrature=EDGE_RULE[body.element])
+    rule = EDGE_RULE[body.element]
+    basis = skfem.FacetBasis(body.mesh, body.basis.elem, facets=facets, quadrature=rule)
     weights, bounds = basis.dx, evaluate("g", g, basis.global_coordinates(), groups, FRICTION)
     nodes = body.edge_nodes(facets).T
 
@@ -110,59 +110,54 @@ def contact_on(body: Discretisation, on: Sequence[str], g: Datum) -> Contact:
         threshold = at_nodes(weights * bounds)
     refuse_overflow("g", threshold[at_nodes(np.isinf(bounds)) == 0])
 
-    walks, arcs = [], []
-    for mine in groups.values():
-        order, forward = _walk(body.mesh, facets[mine])
-        along = nodes[mine[order]]
-        walks.append(np.where(forward[:, None], along, along[:, ::-1]).ravel())
-        length = weights[mine[order]].sum(axis=1)
-        ends = np.cumsum(length)
-        arcs.append(np.linspace(ends - length, ends, along.shape[1], axis=1).ravel())
-    walk, arc = np.concatenate(walks), np.concatenate(arcs)
-    before = np.cumsum([0.0, *(part.max() for part in arcs[:-1])])
-    piece = np.repeat(np.arange(len(arcs)), [part.size for part in arcs])
+    start, end = body.mesh.facets[:, facets].astype(np.int64)
+    forward = np.isin(start * body.mesh.nvertices + end, sides(body.mesh))
+    along = np.where(forward[:, None], nodes, nodes[:, ::-1])
+    length, before = weights.sum(axis=1), 0.0
+    arc, boundary = np.full(body.basis.N, np.inf), np.full(body.basis.N, "", dtype=object)
+    for name, mine in groups.items():
+        distance = before + _arc_lengths(body.points, along[mine], length[mine])
+        new = distance < arc
+        arc[new], boundary[new] = distance[new], name
+        before += length[mine].sum()
 
-    _, first = np.unique(walk, return_index=True)
-    free = np.sort(first[np.isin(walk[first], body.free)])
-    if not free.size:
+    if np.isinf(arc[body.free]).all():
         raise InputError(f"on: all of {', '.join(on)} is clamped; nothing can slip there")
-    keep = free[threshold[walk[free]] > 0.0]
-    k = walk[keep]
+    k = body.free[threshold[body.free] > 0.0]
+    k = k[np.argsort(arc[k])]
     return Contact(
         unknown=np.searchsorted(body.free, k),
         points=body.points[k],
-        boundary=np.array(on)[piece[keep]],
-        arc=arc[keep],
-        position=(arc + before[piece])[keep],
+        boundary=boundary[k].astype(str),
+        arc=arc[k],
         weight=weight[k],
         bound=threshold[k] / weight[k],
     )
 
 
-def _walk(mesh: skfem.MeshTri, facets: Indices) -> tuple[Indices, NDArray[np.bool_]]:
-    """Order in which to walk boundary edges with the body on the left.
+def _arc_lengths(points: Array, along: Indices, length: Array) -> Array:
+    """Arc length of each point from the start of a boundary; infinite off it.
 
-    Returns
-    -------
-    order : ndarray, shape (m,)
-        Positions in `facets`: open pieces first, then closed ones from their largest x.
-    forward : ndarray of bool, shape (m,)
-        Whether the edge is walked from its first to its second node.
+    Parameters
+    ----------
+    points : ndarray, shape (N, 2)
+    along : ndarray, shape (m, 2 or 3)
+        The points of each edge, in the order in which it is walked.
+    length : ndarray, shape (m,)
+
+    Notes
+    -----
+    Pieces follow one another; a closed one starts at its largest x.
     """
-    forward = on_the_left(mesh, facets, 0)
-    tail, head = np.where(forward, mesh.facets[:, facets], mesh.facets[::-1, facets])
-    leaving: dict[int, list[int]] = {}
-    for k, node in enumerate(tail):
-        leaving.setdefault(node, []).append(k)
-    order: list[int] = []
-    x, y = mesh.p[:, tail]
-    for k in np.lexsort((np.abs(y), -x, np.isin(tail, head))):
-        node = tail[k]
-        while leaving.get(node):
-            order.append(leaving[node].pop(0))
-            node = head[order[-1]]
-    walked = np.array(order)
-    return walked, forward[walked]
+    parts, tail = along.shape[1] - 1, along[:, 0]
+    links = along[:, :-1].ravel(), along[:, 1:].ravel()
+    graph = sp.csr_array((np.repeat(length / parts, parts), links), shape=2 * (len(points),))
+    _, piece = sp.csgraph.connected_components(graph, directed=False)
+    tails = tail[np.lexsort((-points[tail, 0], np.isin(tail, along[:, -1])))]
+    _, first = np.unique(piece[tails], return_index=True)
+    distance = sp.csgraph.dijkstra(graph, indices=tails[first], min_only=True)
+    lengths = np.bincount(piece[tail], length, piece.max() + 1)
+    return np.asarray(distance + (np.cumsum(lengths) - lengths)[piece])
 
 
 class SlipStatistics(NamedTuple):
@@ -263,13 +258,12 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
         return None
     if not solution.complete:
         raise InputError("slip adds up all steps, but not all were kept; leave save= out")
-    problem, scheme = scene.problem, solution.plan.scheme
-    rows = contact.unknown
+    problem, scheme, rows = scene.problem, solution.plan.scheme, contact.unknown
     mu = np.diff(solution.t)
-    implicit, c = (scheme.a[0][0], scheme.c[0]) if len(scheme.b) == 1 else (0.5, 0.5)
-    stage_t = solution.t[:-1] + c * mu
+    stage_t = solution.t[:-1] + np.dot(scheme.b, scheme.c) * mu
     force = solution.velocity @ problem.A[rows].T
     if problem.B is not None:
+        implicit = np.dot(scheme.b, [sum(row) for row in scheme.a])
         stage_u = solution.u[:-1] + implicit * mu[:, None] * solution.velocity
         force += stage_u @ problem.B[rows].T
     if isinstance(problem.load, Separable):  # what a scene's load is, if it has one

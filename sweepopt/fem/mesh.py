@@ -61,15 +61,14 @@ def read_mesh(path: str | Path) -> skfem.MeshTri:
     ['core', 'sleeve']
     """
     path = as_path("path", path)
-    content = read_bytes(path)
     try:
-        return _mesh_of(_parsed(path, content))
+        return _mesh_of(_parsed(path))
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(f"mesh {path.name:.100}: {error}") from error
 
 
 def check_mesh(mesh: skfem.MeshTri) -> None:
-    """Refuse NaN nodes, triangles without area, folds and inside-out curved triangles.
+    """Refuse NaN nodes, triangles without area, overlaps and inside-out curved triangles.
 
     Raises
     ------
@@ -77,18 +76,12 @@ def check_mesh(mesh: skfem.MeshTri) -> None:
         Naming the triangle (its number in the mesh) and where it is.
     """
     check_nodes(mesh.doflocs)
-    corners = mesh.p[:, mesh.t]
-    edges = corners[:, 1:] - corners[:, :1]
+    edges = _edges_of_triangles(mesh)
     longest = np.max(np.sum(edges**2, axis=0), axis=0)
     _refuse_triangles(mesh, np.abs(np.linalg.det(edges.T)) <= FLAT * longest, "has no area")
-
-    shared = np.bincount(mesh.t2f.ravel(), minlength=mesh.nfacets)
-    _refuse_triangles(mesh, np.any(shared[mesh.t2f] > 2, axis=0), "shares an edge with two others")
-    inner = np.flatnonzero(mesh.f2t[1] >= 0)
-    folded = inner[on_the_left(mesh, inner, 0) == on_the_left(mesh, inner, 1)]
-    overlaps = np.isin(np.arange(mesh.nelements), mesh.f2t[1, folded])
-    _refuse_triangles(mesh, overlaps, "is inverted: it overlaps a neighbour")
-
+    _, number, count = np.unique(sides(mesh), return_inverse=True, return_counts=True)
+    most = count[number].reshape(mesh.t.shape).max(axis=0)
+    _refuse_triangles(mesh, most > 1, "overlaps a neighbour")
     if isinstance(mesh, skfem.MeshTri2):
         # not by its `detDF`, which raises an error of its own where one is 0
         J, nodes = mesh.mapping().J, skfem.ElementTriP2.doflocs.T
@@ -104,17 +97,25 @@ def check_nodes(points: NDArray[np.float64]) -> None:
         raise InputError(f"node {bad[0]} has coordinates {points[:, bad[0]]}; mesh again")
 
 
-def on_the_left(mesh: skfem.MeshTri, facets: Indices, side: int) -> NDArray[np.bool_]:
-    """Whether triangle `side` (0 or 1) of each facet is to the left of it, from node to node."""
-    corners = mesh.t[:, mesh.f2t[side, facets]]
-    start, end = mesh.facets[:, facets]
-    apex = corners.sum(axis=0) - start - end
-    along, across = mesh.p[:, end] - mesh.p[:, start], mesh.p[:, apex] - mesh.p[:, start]
-    return np.asarray(along[0] * across[1] > along[1] * across[0])
+def sides(mesh: skfem.MeshTri) -> Indices:
+    """Sides of all triangles as start * nvertices + end, the triangle on the left; shape (3, m).
+
+    No side is there twice: two triangles on the same side of an edge overlap.
+    """
+    turned = np.linalg.det(_edges_of_triangles(mesh).T) < 0
+    start = np.where(turned, mesh.t[::-1], mesh.t).astype(np.int64)
+    return start * mesh.nvertices + np.roll(start, -1, axis=0)
 
 
-def _parsed(path: Path, content: bytes) -> meshio.Mesh:
+def _edges_of_triangles(mesh: skfem.MeshTri) -> NDArray[np.float64]:
+    """From the first corner of each triangle to the two others, shape (2, 2, m)."""
+    corners = mesh.p[:, mesh.t]
+    return np.asarray(corners[:, 1:] - corners[:, :1])
+
+
+def _parsed(path: Path) -> meshio.Mesh:
     """What meshio reads, which neither prints nor ends the program here."""
+    content = read_bytes(path)
     gmsh = content.startswith(b"$MeshFormat")
     if gmsh and b"$EndElements" not in content:  # meshio takes the elements up to there
         raise InputError("is cut short ($EndElements is missing); save it again")
@@ -137,13 +138,13 @@ def _parsed(path: Path, content: bytes) -> meshio.Mesh:
 
 
 def _mesh_of(raw: meshio.Mesh) -> skfem.MeshTri:
-    points = np.asarray(raw.points, dtype=float)
+    """The triangles of a file with its groups."""
     for kind, nodes in ((block.type, np.asarray(block.data)) for block in raw.cells):
         if kind not in NODES:
             raise InputError(f"only triangles are supported, not {kind}")
         if nodes.shape[1:] != (NODES[kind],):
             raise InputError("is damaged: a section has fewer numbers than it announces")
-        if nodes.min(initial=0) < 0 or nodes.max(initial=0) >= len(points):
+        if nodes.min(initial=0) < 0 or nodes.max(initial=0) >= len(raw.points):
             raise InputError("is damaged: an element names a node that is not in the file")
     cells = {kind: nodes for kind, nodes in raw.cells_dict.items() if len(nodes)}
     surface, line = ("triangle6", "line3") if "triangle6" in cells else ("triangle", "line")
@@ -151,34 +152,37 @@ def _mesh_of(raw: meshio.Mesh) -> skfem.MeshTri:
         raise InputError("has no triangles; save the meshed surface in a physical group")
     if set(cells) - {surface, line, "vertex"}:
         raise InputError("mixes elements of first and second order; use one order")
-    triangles, lines = cells[surface], cells.get(line, np.empty((0, 2), int))[:, :2]
-    used, corners = np.unique(triangles), np.unique(triangles[:, :3])
-    check_nodes(points[used].T)
-    thickness = np.ptp(points[used, 2:], axis=0).max(initial=0.0)  # of a file with two or three
-    if thickness > 1e-9 * np.ptp(points[used, :2]):
+    used = np.unique(cells[surface])
+    mesh = _section(np.asarray(raw.points[used], float), np.searchsorted(used, cells[surface]))
+    check_mesh(mesh)
+
+    corners, lines = np.unique(cells[surface][:, :3]), cells.get(line, np.empty((0, 2), int))
+    edges, wanted = (
+        np.sort(pairs, axis=1).astype(np.int64) @ [len(raw.points), 1]
+        for pairs in (corners[mesh.facets.T], lines[:, :2])
+    )
+    boundaries = _groups(raw, 1, line)
+    for name, members in boundaries.items():
+        if not np.isin(wanted[members], edges).all():
+            raise InputError(f"physical curve {name!r} has a line that is no edge of a triangle")
+        boundaries[name] = np.unique(np.searchsorted(edges, wanted[members]))
+    return mesh.with_boundaries(boundaries).with_subdomains(_groups(raw, 2, surface))
+
+
+def _section(points: NDArray[np.float64], triangles: Indices) -> skfem.MeshTri:
+    """A mesh on points of a plane z = constant, of triangles with three or six nodes."""
+    check_nodes(points.T)
+    if np.any(np.ptp(points[:, 2:], axis=0) > 1e-9 * np.ptp(points[:, :2])):
         raise InputError("is not flat: z varies; the section must lie in a plane z = constant")
-    kind = skfem.MeshTri2 if surface == "triangle6" else skfem.MeshTri
-    nodes, t = points[used, :2].T, np.searchsorted(used, triangles).T
-    try:  # it numbers the corners first, in the order of `corners`, and keeps one middle of an edge
-        mesh = kind(np.ascontiguousarray(nodes), np.ascontiguousarray(t))
-        whole = bool(np.all(mesh.doflocs[:, mesh.dofs.element_dofs[3:]] == nodes[:, t[3:]]))
+    nodes, t = np.ascontiguousarray(points[:, :2].T), np.ascontiguousarray(triangles.T)
+    try:  # scikit-fem numbers the corners first, and keeps one middle of an edge
+        mesh = (skfem.MeshTri2 if len(t) == 6 else skfem.MeshTri)(nodes, t)
+        whole = np.array_equal(mesh.doflocs[:, mesh.dofs.element_dofs[3:]], nodes[:, t[3:]])
     except IndexError:  # or has fewer of them than edges
         whole = False
     if not whole:
         raise InputError("is damaged: the edges of its triangles have not one middle node each")
-    check_mesh(mesh)
-
-    edges, wanted = (
-        np.sort(pairs, axis=0).astype(np.int64).T @ [len(points), 1]
-        for pairs in (corners[mesh.facets], lines.T)
-    )
-    facets, known = np.searchsorted(edges, wanted), np.isin(wanted, edges)
-    boundaries = _groups(raw, 1, line)
-    for name, members in boundaries.items():
-        if not known[members].all():
-            raise InputError(f"physical curve {name!r} has a line that is no edge of a triangle")
-        boundaries[name] = np.unique(facets[members])
-    return mesh.with_boundaries(boundaries).with_subdomains(_groups(raw, 2, surface))
+    return mesh
 
 
 def _groups(raw: meshio.Mesh, dimension: int, kind: str) -> dict[str, Indices]:
@@ -193,13 +197,11 @@ def _groups(raw: meshio.Mesh, dimension: int, kind: str) -> dict[str, Indices]:
         if kind in sets and not name.startswith("gmsh:")
     }
     names = {tuple(np.ravel(value)): name for name, value in raw.field_data.items()}
-    for numbers in (
-        raw.cell_data_dict[key].get(kind, []) for key in GROUPS if key in raw.cell_data
-    ):
-        for number in np.setdiff1d(np.abs(numbers), 0).tolist():
+    for key in GROUPS:
+        numbers = np.abs(raw.cell_data_dict.get(key, {}).get(kind, []))
+        for number in np.setdiff1d(numbers, 0).tolist():
             name = names.get((number, dimension), str(number))
-            members = np.flatnonzero(np.abs(numbers) == number)
-            groups[name] = np.union1d(groups.get(name, members), members)
+            groups.setdefault(name, np.flatnonzero(numbers == number))
     return groups
 
 
