@@ -426,7 +426,10 @@ def flip(mesh):
         (corrupt(("0 1 2\n", "0.9 0.1 2\n")), "triangle . near .* overlaps a neighbour"),
         (corrupt(("3 1 2 5", "3 1 2 8")), "is damaged: an element names a node that is not"),
         (corrupt(("1 2 1 1\n2 5 7", "1 2 1 1\n2 2 7")), "physical curve '12' has"),
-        (corrupt(("4 4 1 4", "3 3 1 3"), (TWO, QUAD)), "only triangles are supported, not quad"),
+        (
+            corrupt(("4 4 1 4", "3 3 1 3"), (TWO, QUAD)),
+            "only triangles of one order are supported, not quad",
+        ),
         (corrupt(("4 4 1 4", "2 2 1 2"), (TWO, "")), "has no triangles"),
         (write_mesh(flip(square(2))), "triangle .* overlaps a neighbour"),
         # pulled through the body; at a quarter, where a corner has no area left
@@ -491,7 +494,7 @@ BAD = [  # what a scene file cannot say; the rest is in test_scene.py
     (lambda: antiplane_square(mesh=skfem.MeshQuad()), "mesh must be a path or a mesh of triangles"),
     (lambda: antiplane_square(mesh=flip(square(2))), "triangle .* overlaps a neighbour"),
     (lambda: antiplane_square(mesh=pieces(), clamped="left"), r"nothing holds .* \(2, 0\)"),
-    (lambda: antiplane_square(clamped=["top", "top"]), "clamped names a boundary twice"),
+    (lambda: antiplane_square(clamped=["top", "top"]), "clamped must be a name or distinct names"),
     (lambda: antiplane_square(element="P3"), "element must be one of P1, P2; got 'P3'"),
     (lambda: antiplane_square(units="cgs"), "units must be one of"),
     (lambda: antiplane_square(scheme="leapfrog"), "scheme 'leapfrog' is not known"),

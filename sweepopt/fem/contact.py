@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 
 from sweepopt.errors import InputError
 from sweepopt.fem.fields import FRICTION, Datum, evaluate
-from sweepopt.fem.mesh import Indices, sides
+from sweepopt.fem.mesh import Indices
 from sweepopt.fem.spaces import Discretisation, refuse_overflow
-from sweepopt.loads import Separable
 from sweepopt.sets import Box, ConvexSet, image
 
 if TYPE_CHECKING:
@@ -105,13 +104,15 @@ def contact_on(body: Discretisation, on: Sequence[str], g: Datum) -> Contact:
     def at_nodes(values: Array) -> Array:
         return np.asarray(np.bincount(nodes.ravel(), values.ravel(), body.basis.N), dtype=float)
 
-    weight = at_nodes(weights)
     with np.errstate(over="ignore"):
-        threshold = at_nodes(weights * bounds)
-    refuse_overflow("g", threshold[at_nodes(np.isinf(bounds)) == 0])
+        forces = weights * bounds
+    refuse_overflow("g", forces[np.isfinite(bounds)])
+    weight, threshold = at_nodes(weights), at_nodes(forces)
 
-    start, end = body.mesh.facets[:, facets].astype(np.int64)
-    forward = np.isin(start * body.mesh.nvertices + end, sides(body.mesh))
+    # walked with the body on the left, where the outward normal is on the right
+    x, y = (body.points[nodes[:, -1]] - body.points[nodes[:, 0]]).T
+    normal_x, normal_y = basis.normals.mean(axis=2)
+    forward = x * normal_y < y * normal_x
     along = np.where(forward[:, None], nodes, nodes[:, ::-1])
     length, before = weights.sum(axis=1), 0.0
     arc, boundary = np.full(body.basis.N, np.inf), np.full(body.basis.N, "", dtype=object)
@@ -258,16 +259,18 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
         return None
     if not solution.complete:
         raise InputError("slip adds up all steps, but not all were kept; leave save= out")
-    problem, scheme, rows = scene.problem, solution.plan.scheme, contact.unknown
+    process, scheme, rows = solution.process, solution.plan.scheme, contact.unknown
     mu = np.diff(solution.t)
     stage_t = solution.t[:-1] + np.dot(scheme.b, scheme.c) * mu
-    force = solution.velocity @ problem.A[rows].T
-    if problem.B is not None:
-        implicit = np.dot(scheme.b, [sum(row) for row in scheme.a])
-        stage_u = solution.u[:-1] + implicit * mu[:, None] * solution.velocity
-        force += stage_u @ problem.B[rows].T
-    if isinstance(problem.load, Separable):  # what a scene's load is, if it has one
-        force -= problem.load.values(stage_t) @ problem.load.shapes[rows].T
+    implicit = np.dot(scheme.b, [sum(row) for row in scheme.a])
+    force = np.array(
+        [
+            (process.A @ z + process.times_B(u + implicit * h * z) - process.C.at(t).anchor)[rows]
+            for t, h, u, z in zip(
+                stage_t.tolist(), mu, solution.u[:-1], solution.velocity, strict=True
+            )
+        ]
+    )
     return Slip(
         contact=contact,
         t=solution.t,

@@ -27,8 +27,8 @@ FLAT = 1e-10
 """An area below this share of the square of the longest edge is rounding, no triangle."""
 LARGEST = 1e100
 """Coordinates beyond this overflow when they are squared and multiplied by a coefficient."""
-NODES = {"vertex": 1, "line": 2, "line3": 3, "triangle": 3, "triangle6": 6}
-"""Elements that a mesh of a section may have, and their numbers of nodes."""
+MESHES = {"triangle": skfem.MeshTri, "triangle6": skfem.MeshTri2}
+"""Meshes by what meshio calls their triangles."""
 GROUPS = ("gmsh:physical", "medit:ref")
 """What meshio calls the number of an element's group; 0 is none."""
 OUTPUT = threading.Lock()
@@ -61,10 +61,24 @@ def read_mesh(path: str | Path) -> skfem.MeshTri:
     ['core', 'sleeve']
     """
     path = as_path("path", path)
+    printed = io.StringIO()
     try:
-        return _mesh_of(_parsed(path))
+        gmsh = (content := read_bytes(path)).startswith(b"$MeshFormat")
+        if gmsh and b"$EndElements" not in content:  # meshio takes the elements up to there
+            raise InputError("is cut short ($EndElements is missing); save it again")
+        with OUTPUT, redirect_stdout(printed), redirect_stderr(printed), warnings.catch_warnings():
+            # numpy only warns of words among numbers and of numbers out of range
+            warnings.simplefilter("ignore")
+            warnings.filterwarnings("error", "string or file could not be read")
+            warnings.filterwarnings("error", category=RuntimeWarning)
+            raw = meshio.read(path, file_format="gmsh" if gmsh else None)
+        return _mesh_of(raw)
     except InputError as error:
         raise InputError(f"mesh {path.name:.100}: {error}") from error
+    except (Exception, SystemExit) as error:  # meshio has no list of what it raises
+        fault = " ".join(printed.getvalue().split()) or f"{type(error).__name__}: {error}"
+        what = f"mesh {path.name:.100}: is damaged or no mesh that meshio can read"
+        raise InputError(f"{what} ({fault:.200})") from error
 
 
 def check_mesh(mesh: skfem.MeshTri) -> None:
@@ -76,11 +90,15 @@ def check_mesh(mesh: skfem.MeshTri) -> None:
         Naming the triangle (its number in the mesh) and where it is.
     """
     check_nodes(mesh.doflocs)
-    edges = _edges_of_triangles(mesh)
-    longest = np.max(np.sum(edges**2, axis=0), axis=0)
-    _refuse_triangles(mesh, np.abs(np.linalg.det(edges.T)) <= FLAT * longest, "has no area")
-    _, number, count = np.unique(sides(mesh), return_inverse=True, return_counts=True)
-    most = count[number].reshape(mesh.t.shape).max(axis=0)
+    corners = mesh.p[:, mesh.t]
+    edges = corners[:, 1:] - corners[:, :1]
+    area, longest = np.linalg.det(edges.T), np.max(np.sum(edges**2, axis=0), axis=0)
+    _refuse_triangles(mesh, np.abs(area) <= FLAT * longest, "has no area")
+    # triangles to the left of their sides: two on the same side of an edge overlap
+    start = np.where(area < 0, mesh.t[::-1], mesh.t).astype(np.int64)
+    sides = start * mesh.nvertices + np.roll(start, -1, axis=0)
+    _, number, count = np.unique(sides, return_inverse=True, return_counts=True)
+    most = count[number].reshape(sides.shape).max(axis=0)
     _refuse_triangles(mesh, most > 1, "overlaps a neighbour")
     if isinstance(mesh, skfem.MeshTri2):
         # not by its `detDF`, which raises an error of its own where one is 0
@@ -97,63 +115,26 @@ def check_nodes(points: NDArray[np.float64]) -> None:
         raise InputError(f"node {bad[0]} has coordinates {points[:, bad[0]]}; mesh again")
 
 
-def sides(mesh: skfem.MeshTri) -> Indices:
-    """Sides of all triangles as start * nvertices + end, the triangle on the left; shape (3, m).
-
-    No side is there twice: two triangles on the same side of an edge overlap.
-    """
-    turned = np.linalg.det(_edges_of_triangles(mesh).T) < 0
-    start = np.where(turned, mesh.t[::-1], mesh.t).astype(np.int64)
-    return start * mesh.nvertices + np.roll(start, -1, axis=0)
-
-
-def _edges_of_triangles(mesh: skfem.MeshTri) -> NDArray[np.float64]:
-    """From the first corner of each triangle to the two others, shape (2, 2, m)."""
-    corners = mesh.p[:, mesh.t]
-    return np.asarray(corners[:, 1:] - corners[:, :1])
-
-
-def _parsed(path: Path) -> meshio.Mesh:
-    """What meshio reads, which neither prints nor ends the program here."""
-    content = read_bytes(path)
-    gmsh = content.startswith(b"$MeshFormat")
-    if gmsh and b"$EndElements" not in content:  # meshio takes the elements up to there
-        raise InputError("is cut short ($EndElements is missing); save it again")
-    printed = io.StringIO()
-    try:
-        with (
-            OUTPUT,
-            redirect_stdout(printed),
-            redirect_stderr(printed),
-            warnings.catch_warnings(),
-        ):
-            # numpy only warns of words among numbers and of numbers out of range
-            warnings.simplefilter("ignore")
-            warnings.filterwarnings("error", "string or file could not be read")
-            warnings.filterwarnings("error", category=RuntimeWarning)
-            return meshio.read(path, file_format="gmsh" if gmsh else None)
-    except (Exception, SystemExit) as error:
-        fault = " ".join(printed.getvalue().split()) or f"{type(error).__name__}: {error}"
-        raise InputError(f"is damaged or no mesh that meshio can read ({fault:.200})") from error
-
-
 def _mesh_of(raw: meshio.Mesh) -> skfem.MeshTri:
     """The triangles of a file with its groups."""
-    for kind, nodes in ((block.type, np.asarray(block.data)) for block in raw.cells):
-        if kind not in NODES:
-            raise InputError(f"only triangles are supported, not {kind}")
-        if nodes.shape[1:] != (NODES[kind],):
-            raise InputError("is damaged: a section has fewer numbers than it announces")
-        if nodes.min(initial=0) < 0 or nodes.max(initial=0) >= len(raw.points):
-            raise InputError("is damaged: an element names a node that is not in the file")
     cells = {kind: nodes for kind, nodes in raw.cells_dict.items() if len(nodes)}
     surface, line = ("triangle6", "line3") if "triangle6" in cells else ("triangle", "line")
+    if others := set(cells) - {surface, line, "vertex"}:
+        raise InputError(f"only triangles of one order are supported, not {', '.join(others)}")
     if surface not in cells:
         raise InputError("has no triangles; save the meshed surface in a physical group")
-    if set(cells) - {surface, line, "vertex"}:
-        raise InputError("mixes elements of first and second order; use one order")
     used = np.unique(cells[surface])
-    mesh = _section(np.asarray(raw.points[used], float), np.searchsorted(used, cells[surface]))
+    if used[0] < 0 or used[-1] >= len(raw.points):
+        raise InputError("is damaged: an element names a node that is not in the file")
+    points, t = np.asarray(raw.points[used], float), np.searchsorted(used, cells[surface])
+    check_nodes(points.T)
+    if np.any(np.ptp(points[:, 2:], axis=0) > 1e-9 * np.ptp(points[:, :2])):
+        raise InputError("is not flat: z varies; the section must lie in a plane z = constant")
+    nodes = np.ascontiguousarray(points[:, :2].T)
+    mesh = MESHES[surface](nodes, np.ascontiguousarray(t.T))
+    # scikit-fem keeps one middle of an edge
+    if not np.array_equal(mesh.doflocs[:, mesh.dofs.element_dofs[3:]], nodes[:, t.T[3:]]):
+        raise InputError("is damaged: the edges of its triangles have not one middle node each")
     check_mesh(mesh)
 
     corners, lines = np.unique(cells[surface][:, :3]), cells.get(line, np.empty((0, 2), int))
@@ -167,22 +148,6 @@ def _mesh_of(raw: meshio.Mesh) -> skfem.MeshTri:
             raise InputError(f"physical curve {name!r} has a line that is no edge of a triangle")
         boundaries[name] = np.unique(np.searchsorted(edges, wanted[members]))
     return mesh.with_boundaries(boundaries).with_subdomains(_groups(raw, 2, surface))
-
-
-def _section(points: NDArray[np.float64], triangles: Indices) -> skfem.MeshTri:
-    """A mesh on points of a plane z = constant, of triangles with three or six nodes."""
-    check_nodes(points.T)
-    if np.any(np.ptp(points[:, 2:], axis=0) > 1e-9 * np.ptp(points[:, :2])):
-        raise InputError("is not flat: z varies; the section must lie in a plane z = constant")
-    nodes, t = np.ascontiguousarray(points[:, :2].T), np.ascontiguousarray(triangles.T)
-    try:  # scikit-fem numbers the corners first, and keeps one middle of an edge
-        mesh = (skfem.MeshTri2 if len(t) == 6 else skfem.MeshTri)(nodes, t)
-        whole = np.array_equal(mesh.doflocs[:, mesh.dofs.element_dofs[3:]], nodes[:, t[3:]])
-    except IndexError:  # or has fewer of them than edges
-        whole = False
-    if not whole:
-        raise InputError("is damaged: the edges of its triangles have not one middle node each")
-    return mesh
 
 
 def _groups(raw: meshio.Mesh, dimension: int, kind: str) -> dict[str, Indices]:
@@ -207,7 +172,6 @@ def _groups(raw: meshio.Mesh, dimension: int, kind: str) -> dict[str, Indices]:
 
 def _refuse_triangles(mesh: skfem.MeshTri, bad: NDArray[np.bool_], fault: str) -> None:
     if np.any(bad):
-        k = int(np.flatnonzero(bad)[0])
+        k = int(np.argmax(bad))
         x, y = mesh.p[:, mesh.t[:, k]].mean(axis=1)
-        more = f" (and {bad.sum() - 1} more)" if bad.sum() > 1 else ""
-        raise InputError(f"triangle {k} near ({x:g}, {y:g}) {fault}{more}; repair the mesh")
+        raise InputError(f"triangle {k} near ({x:g}, {y:g}) {fault}; repair the mesh")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,26 +16,18 @@ MOST_POINTS = 4
 """Contact points whose histories can still be told apart."""
 
 
-def displacement_figure(report: Report, times: Sequence[float] | None = None) -> Any:
+def displacement_figure(report: Report) -> Any:
     """The displacement at a few times, with the slip zone on the contact boundary.
 
-    Parameters
-    ----------
-    report : Report
-    times : sequence of float, optional
-        The nearest grid times are drawn. Otherwise up to six: when slip starts, when most of the
-        contact slips forward or backward, the largest and the least displacement, and the end.
+    Up to six: when slip starts, when most of the contact slips forward or backward, the largest and
+    the least displacement, and the end.
 
     Returns
     -------
     matplotlib Figure
     """
     solution, slip, body = report.solution, report.slip, report.scene.discretisation
-    if times is None:
-        indices = _informative(solution, slip)
-    else:
-        solution(times)  # refuses those outside of the run
-        indices = [int(np.abs(solution.t - t).argmin()) for t in times]
+    indices = _informative(solution, slip)
     fields = body.expand(solution.u[indices])
     limit = float(np.abs(fields).max()) or 1.0
     colours = {"cmap": "PRGn", "vmin": -limit, "vmax": limit, "shading": "gouraud"}

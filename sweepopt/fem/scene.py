@@ -69,9 +69,8 @@ class Scene:
         from sweepopt.solve import solve
 
         names = ("t_end", "steps", "scheme", "solver", "tol")
-        settings = {name: getattr(self, name) for name in names}
-        given = {name: value for name, value in settings.items() if value is not None}
-        return solve(self.problem, **(given | changes))
+        settings = {name: one for name in names if (one := getattr(self, name)) is not None}
+        return solve(self.problem, **(settings | changes))
 
 
 def antiplane(

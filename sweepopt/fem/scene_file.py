@@ -7,7 +7,6 @@ as ``effects.friction.g``.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from inspect import signature
 from pathlib import Path
@@ -122,14 +121,9 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
 def _load(source: str | Path | Mapping[str, Any], folder: Path) -> tuple[Mapping[str, Any], Path]:
     if isinstance(source, Mapping):
         return source, folder
-    if not isinstance(source, (str, os.PathLike)):
-        raise InputError(
-            "source must be a path, the name of a problem, TOML text or a mapping, "
-            f"got {shown(source)}"
-        )
     if isinstance(source, str) and "\n" in source:
         return parse_toml("the scene", source), folder
-    path = find_scene(source) if isinstance(source, str) else Path(source)
+    path = find_scene(source) if isinstance(source, str) else as_path("source", source)
     return read_toml(path), path.parent
 
 

@@ -18,7 +18,7 @@ import skfem
 from numpy.typing import ArrayLike, NDArray
 from skfem.helpers import dot, grad
 
-from sweepopt.checks import choice, floats
+from sweepopt.checks import choice, floats, listed
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import ANY, Datum, Range, check_datum, evaluate
 from sweepopt.fem.mesh import Indices, check_mesh, read_mesh
@@ -207,17 +207,11 @@ def assemble(
 
 
 def boundary_names(argument: str, value: object) -> tuple[str, ...]:
-    """One name or several as a tuple of distinct, non-empty strings."""
-    listed = (value,) if isinstance(value, str) else value
-    if (
-        not isinstance(listed, Sequence)
-        or not listed
-        or not all(isinstance(name, str) and name for name in listed)
-    ):
-        raise InputError(f"{argument} must be a name or a list of names, got {shown(value)}")
-    if len(set(listed)) < len(listed):
-        raise InputError(f"{argument} names a boundary twice: {', '.join(listed)}")
-    return tuple(listed)
+    """One name or several as a tuple of distinct strings."""
+    names = (value,) if isinstance(value, str) else listed(argument, value)
+    if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+        raise InputError(f"{argument} must be a name or distinct names, got {shown(value)}")
+    return names
 
 
 def refuse_overflow(name: str, integrals: ArrayLike) -> None:
