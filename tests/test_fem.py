@@ -231,19 +231,6 @@ def test_annulus_with_curved_elements_converges_in_u_and_velocity(element, rings
     assert np.all(measured[-1][:2] < ceilings), measured
 
 
-def test_annulus_converges_to_the_solution_in_time():
-    scene = annulus_scene(8, "P2")
-    fine_alpha, _ = midpoint_amplitudes(40_000)
-    t = np.linspace(0, END, 401)
-    beta = (
-        KAPPA * np.sin(OMEGA * t) - ETA * OMEGA * (np.cos(OMEGA * t) - np.exp(-KAPPA * t / ETA))
-    ) / (KAPPA**2 + ETA**2 * OMEGA**2)
-    sol = scene.solve(t_end=END, steps=400)
-    for i in range(50, 401, 50):
-        exact = annulus_field(fine_alpha[::100][i], beta[i])
-        assert errors(scene.discretisation, sol.u[i], *exact)[0] < 6e-5
-
-
 ZONE = {  # u(x, 0, t) at x = 0, 0.25, 0.5, 0.75, to about 3e-8
     1: (0.158170147, 0.124574482, 0.051006888, 0.002067357),
     2: (0.567444781, 0.476273638, 0.259868299, 0.056872947),
@@ -491,24 +478,15 @@ RING = annulus(2)
 
 BAD = [  # what a scene file cannot say; the rest is in test_scene.py
     (lambda: antiplane_square(mesh=3), "mesh must be a path or a mesh of triangles"),
-    (lambda: antiplane_square(mesh=skfem.MeshQuad()), "mesh must be a path or a mesh of triangles"),
     (lambda: antiplane_square(mesh=flip(square(2))), "triangle .* overlaps a neighbour"),
     (lambda: antiplane_square(mesh=pieces(), clamped="left"), r"nothing holds .* \(2, 0\)"),
     (lambda: antiplane_square(clamped=["top", "top"]), "clamped must be a name or distinct names"),
-    (lambda: antiplane_square(element="P3"), "element must be one of P1, P2; got 'P3'"),
-    (lambda: antiplane_square(units="cgs"), "units must be one of"),
-    (lambda: antiplane_square(scheme="leapfrog"), "scheme 'leapfrog' is not known"),
-    (lambda: antiplane_square(t_end="a"), "t_end must be one number, got 'a'"),
     (lambda: antiplane_square(t_end=-1.0), "t_end must be > 0"),
     (lambda: antiplane_square(u0=[1.0]), "u0 must have 6 entries, got 1"),
-    (lambda: antiplane_square(effects=None), "effects must be a list with one entry .*, got None"),
     (lambda: antiplane_square(effects=VISCOUS[0]), r"must be a list .*, got Viscosity\(eta=1.0\)"),
     (lambda: antiplane_square(effects=[Viscosity]), r"^effects\[0\] is no effect such as .*class"),
-    (lambda: with_effect(3), r"^effects\[1\] is no effect such as .*: 3"),
-    (lambda: with_effect(Elasticity(1e308)), r"effects\[1\].kappa is too large: its integrals"),
     (lambda: with_effect(Friction("left", 1e308), mesh=scaled(1e3)), r"\[1\].g is too large"),
     (lambda: with_effect(BodyForce(abs, 1e308), mesh=scaled(1e3)), r"\[1\].f0 is too large"),
-    (lambda: with_effect(Traction("left", abs, 1e308), mesh=scaled(1e3)), "f2 is too large"),
     (lambda: with_effect(Friction("left", lambda x: -x[0] - 1)), r"effects\[1\].g must be >= 0"),
     (lambda: with_effect(Viscosity(lambda x: [1, 2])), r"effects\[1\].eta must turn points"),
     (lambda: with_effect(Viscosity(lambda x: x[0] + np.inf)), "eta must be > 0 and finite, got"),
@@ -519,9 +497,7 @@ BAD = [  # what a scene file cannot say; the rest is in test_scene.py
     (lambda: Friction("outer", -np.inf), "g must be >= 0, got -inf"),
     (lambda: Traction("outer", 5.0), "history must be a function of time"),
     (lambda: Profile("x", [0, 0], [1, 1]), "at must increase strictly, but entry 1"),
-    (lambda: Profile("x", [0, 1], [1]), "values has 1 entries for 2"),
     (lambda: read_mesh(None), "path must be a path, got None"),
-    (lambda: interpolated(lambda x: np.ones(3)), "function must turn points"),
     (lambda: interpolated(lambda x: "a"), "function must turn points"),
     (lambda: interpolated(lambda x: x[0] * np.nan), "function must be finite"),
 ]  # fmt: skip

@@ -109,19 +109,11 @@ def contact_on(body: Discretisation, on: Sequence[str], g: Datum) -> Contact:
     refuse_overflow("g", forces[np.isfinite(bounds)])
     weight, threshold = at_nodes(weights), at_nodes(forces)
 
-    # walked with the body on the left, where the outward normal is on the right
-    x, y = (body.points[nodes[:, -1]] - body.points[nodes[:, 0]]).T
-    normal_x, normal_y = basis.normals.mean(axis=2)
-    forward = x * normal_y < y * normal_x
-    along = np.where(forward[:, None], nodes, nodes[:, ::-1])
-    length, before = weights.sum(axis=1), 0.0
-    arc, boundary = np.full(body.basis.N, np.inf), np.full(body.basis.N, "", dtype=object)
-    for name, mine in groups.items():
-        distance = before + _arc_lengths(body.points, along[mine], length[mine])
-        new = distance < arc
-        arc[new], boundary[new] = distance[new], name
-        before += length[mine].sum()
-
+    owner = np.zeros(len(facets), dtype=int)
+    for number, mine in enumerate(groups.values()):
+        owner[mine] = number
+    arcs = _arc_lengths(body, basis, nodes, owner)
+    arc, boundary = arcs.min(axis=0), np.array(on)[arcs.argmin(axis=0)]
     if np.isinf(arc[body.free]).all():
         raise InputError(f"on: all of {', '.join(on)} is clamped; nothing can slip there")
     k = body.free[threshold[body.free] > 0.0]
@@ -129,36 +121,46 @@ def contact_on(body: Discretisation, on: Sequence[str], g: Datum) -> Contact:
     return Contact(
         unknown=np.searchsorted(body.free, k),
         points=body.points[k],
-        boundary=boundary[k].astype(str),
+        boundary=boundary[k],
         arc=arc[k],
         weight=weight[k],
         bound=threshold[k] / weight[k],
     )
 
 
-def _arc_lengths(points: Array, along: Indices, length: Array) -> Array:
-    """Arc length of each point from the start of a boundary; infinite off it.
+def _arc_lengths(
+    body: Discretisation, basis: skfem.FacetBasis, nodes: Indices, owner: Indices
+) -> Array:
+    """Arc length of all points along each boundary, shape (boundaries, N); infinite off it.
+
+    The boundaries and their pieces follow one another; a closed one starts at its largest x.
 
     Parameters
     ----------
-    points : ndarray, shape (N, 2)
-    along : ndarray, shape (m, 2 or 3)
-        The points of each edge, in the order in which it is walked.
-    length : ndarray, shape (m,)
-
-    Notes
-    -----
-    Pieces follow one another; a closed one starts at its largest x.
+    basis : skfem.FacetBasis
+        On the m edges.
+    nodes : ndarray, shape (m, 2 or 3)
+        The points of each edge from end to end.
+    owner : ndarray, shape (m,)
+        The number of the boundary of each edge.
     """
-    parts, tail = along.shape[1] - 1, along[:, 0]
+    size, parts = body.basis.N * (owner.max() + 1), nodes.shape[1] - 1
+    # walked with the body on the left, where the outward normal is on the right
+    x, y = (body.points[nodes[:, -1]] - body.points[nodes[:, 0]]).T
+    normal_x, normal_y = basis.normals.mean(axis=2)
+    forward = (x * normal_y < y * normal_x)[:, None]
+    along = np.where(forward, nodes, nodes[:, ::-1]) + body.basis.N * owner[:, None]
+    length, tail = basis.dx.sum(axis=1), along[:, 0]
     links = along[:, :-1].ravel(), along[:, 1:].ravel()
-    graph = sp.csr_array((np.repeat(length / parts, parts), links), shape=2 * (len(points),))
+    graph = sp.csr_array((np.repeat(length / parts, parts), links), shape=(size, size))
     _, piece = sp.csgraph.connected_components(graph, directed=False)
-    tails = tail[np.lexsort((-points[tail, 0], np.isin(tail, along[:, -1])))]
+    from_right = -body.points[tail % body.basis.N, 0]
+    tails = tail[np.lexsort((from_right, np.isin(tail, along[:, -1])))]
     _, first = np.unique(piece[tails], return_index=True)
     distance = sp.csgraph.dijkstra(graph, indices=tails[first], min_only=True)
     lengths = np.bincount(piece[tail], length, piece.max() + 1)
-    return np.asarray(distance + (np.cumsum(lengths) - lengths)[piece])
+    before = np.cumsum(lengths) - lengths
+    return np.asarray(distance + before[piece]).reshape(-1, body.basis.N)
 
 
 class SlipStatistics(NamedTuple):

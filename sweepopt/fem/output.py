@@ -98,11 +98,7 @@ class Report:
 def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:
     """The numbers of a run as plain JSON types; null where there is no finite number.
 
-    Parameters
-    ----------
-    report : Report
-    files : sequence of str
-        What the run wrote, relative to its folder.
+    `files` are what the run wrote, relative to its folder.
     """
     scene, solution, slip, energy = report.scene, report.solution, report.slip, report.energy
     plan, stats = solution.plan, solution.stats
