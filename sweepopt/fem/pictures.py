@@ -49,7 +49,7 @@ def displacement_figure(report: Report) -> Any:
         panel.set(xlabel="x", ylabel="y")
         panel.label_outer()
     bar = figure.colorbar(image, ax=panels, label="displacement", shrink=0.8)
-    _show_units(report, panels[0, 0].xaxis, panels[0, 0].yaxis, bar.ax.yaxis)
+    _show_units(report, "length", panels[0, 0].xaxis, panels[0, 0].yaxis, bar.ax.yaxis)
     if slip is not None:
         _state_legend(figure)
     return figure
@@ -88,10 +88,11 @@ def contact_figure(report: Report) -> Any:
     moved.set_ylabel("displacement")
     moved.legend(fontsize="small", ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     traction.set(ylabel="friction traction / bound", ylim=(-1.15, 1.15))
-    traction.set(xlabel=f"time{report.suffix('time')}", xlim=(slip.t[0], slip.t[-1]))
+    traction.set(xlabel="time", xlim=(slip.t[0], slip.t[-1]))
     for panel in (moved, traction):
         panel.grid(alpha=0.3)
-    _show_units(report, zone.yaxis, moved.yaxis)
+    _show_units(report, "length", zone.yaxis, moved.yaxis)
+    _show_units(report, "time", traction.xaxis)
     _state_legend(figure)
     return figure
 
@@ -111,7 +112,7 @@ def _page(size: np.ndarray, count: int) -> tuple[Any, np.ndarray]:
     """A figure of equal panels, three in a row, for a body of a width and a height."""
     shape, columns, rows = size[1] / size[0], min(count, 3), -(-count // 3)
     width = min(3.0, 4.0 / shape)
-    figure = new_figure((width * columns + 2.6, (width * shape + 0.35) * rows + 1.0))
+    figure = new_figure((width * columns + 3.0, (width * shape + 0.3) * rows + 0.8))
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     panels[0, 0].locator_params(nbins=4)
     for panel in panels.flat[count:]:
@@ -132,13 +133,13 @@ def _draw_zone(panel: Any, slip: Slip) -> None:
     panel.set_ylabel(f"arc length of {', '.join(dict.fromkeys(slip.contact.boundary))}")
 
 
-def _show_units(report: Report, *axes: Any) -> None:
-    """Ticks of lengths in m, mm, µm; plain numbers in a dimensionless scene."""
+def _show_units(report: Report, quantity: str, *axes: Any) -> None:
+    """Ticks with units, such as 20 mm; plain numbers in a dimensionless scene."""
     from matplotlib.ticker import EngFormatter
 
-    if report.suffix("length"):
+    if report.suffix(quantity):
         for axis in axes:
-            axis.set_major_formatter(EngFormatter("m"))
+            axis.set_major_formatter(EngFormatter(report.units[quantity]))
 
 
 def _state_legend(figure: Any) -> None:
