@@ -100,67 +100,56 @@ def contact_on(body: Discretisation, on: Sequence[str], g: Datum) -> Contact:
     basis = skfem.FacetBasis(body.mesh, body.basis.elem, facets=facets, quadrature=rule)
     weights, bounds = basis.dx, evaluate("g", g, basis.global_coordinates(), groups, FRICTION)
     nodes = body.edge_nodes(facets).T
-
-    def at_nodes(values: Array) -> Array:
-        return np.asarray(np.bincount(nodes.ravel(), values.ravel(), body.basis.N), dtype=float)
-
     with np.errstate(over="ignore"):
         forces = weights * bounds
     refuse_overflow("g", forces[np.isfinite(bounds)])
-    weight, threshold = at_nodes(weights), at_nodes(forces)
+    weight, threshold = (
+        np.bincount(nodes.ravel(), shares.ravel(), body.basis.N) for shares in (weights, forces)
+    )
 
-    owner = np.zeros(len(facets), dtype=int)
-    for number, mine in enumerate(groups.values()):
-        owner[mine] = number
-    arcs = _arc_lengths(body, basis, nodes, owner)
-    arc, boundary = arcs.min(axis=0), np.array(on)[arcs.argmin(axis=0)]
-    if np.isinf(arc[body.free]).all():
+    # walked with the body on the left, where the outward normal is on the right
+    x, y = (body.points[nodes[:, -1]] - body.points[nodes[:, 0]]).T
+    normal_x, normal_y = basis.normals.mean(axis=2)
+    along = np.where((x * normal_y < y * normal_x)[:, None], nodes, nodes[:, ::-1])
+    order = np.concatenate([mine[_walk(body.points, along[mine])] for mine in groups.values()])
+    length = weights[order].sum(axis=1)
+    ends = np.cumsum(length)
+    arc = np.linspace(ends - length, ends, nodes.shape[1], axis=1).ravel()
+    boundary = np.repeat(on, [nodes.shape[1] * len(mine) for mine in groups.values()])
+
+    node, first = np.unique(along[order], return_index=True)
+    free = np.isin(node, body.free)
+    if not free.any():
         raise InputError(f"on: all of {', '.join(on)} is clamped; nothing can slip there")
-    k = body.free[threshold[body.free] > 0.0]
-    k = k[np.argsort(arc[k])]
+    keep = np.sort(first[free & (threshold[node] > 0.0)])
+    k = along[order].ravel()[keep]
     return Contact(
         unknown=np.searchsorted(body.free, k),
         points=body.points[k],
-        boundary=boundary[k],
-        arc=arc[k],
+        boundary=boundary[keep],
+        arc=arc[keep],
         weight=weight[k],
         bound=threshold[k] / weight[k],
     )
 
 
-def _arc_lengths(
-    body: Discretisation, basis: skfem.FacetBasis, nodes: Indices, owner: Indices
-) -> Array:
-    """Arc length of all points along each boundary, shape (boundaries, N); infinite off it.
-
-    The boundaries and their pieces follow one another; a closed one starts at its largest x.
+def _walk(points: Array, along: Indices) -> list[int]:
+    """The order in which edges follow one another: open pieces, then closed from their largest x.
 
     Parameters
     ----------
-    basis : skfem.FacetBasis
-        On the m edges.
-    nodes : ndarray, shape (m, 2 or 3)
-        The points of each edge from end to end.
-    owner : ndarray, shape (m,)
-        The number of the boundary of each edge.
+    points : ndarray, shape (N, 2)
+    along : ndarray, shape (m, 2 or 3)
+        The nodes of each edge, first the one where a walk enters it.
     """
-    size, parts = body.basis.N * (owner.max() + 1), nodes.shape[1] - 1
-    # walked with the body on the left, where the outward normal is on the right
-    x, y = (body.points[nodes[:, -1]] - body.points[nodes[:, 0]]).T
-    normal_x, normal_y = basis.normals.mean(axis=2)
-    forward = (x * normal_y < y * normal_x)[:, None]
-    along = np.where(forward, nodes, nodes[:, ::-1]) + body.basis.N * owner[:, None]
-    length, tail = basis.dx.sum(axis=1), along[:, 0]
-    links = along[:, :-1].ravel(), along[:, 1:].ravel()
-    graph = sp.csr_array((np.repeat(length / parts, parts), links), shape=(size, size))
-    _, piece = sp.csgraph.connected_components(graph, directed=False)
-    from_right = -body.points[tail % body.basis.N, 0]
-    tails = tail[np.lexsort((from_right, np.isin(tail, along[:, -1])))]
-    _, first = np.unique(piece[tails], return_index=True)
-    distance = sp.csgraph.dijkstra(graph, indices=tails[first], min_only=True)
-    lengths = np.bincount(piece[tail], length, piece.max() + 1)
-    before = np.cumsum(lengths) - lengths
-    return np.asarray(distance + before[piece]).reshape(-1, body.basis.N)
+    tail, head = along[:, 0], along[:, -1]
+    leaving = {node: k for k, node in enumerate(tail.tolist())}
+    walked: dict[int, None] = {}
+    for k in np.lexsort((-points[tail, 0], np.isin(tail, head))).tolist():
+        while k is not None and k not in walked:
+            walked[k] = None
+            k = leaving.get(head[k])
+    return list(walked)
 
 
 class SlipStatistics(NamedTuple):
