@@ -191,8 +191,7 @@ def _write(report: Report, folder: Path) -> list[str]:
 def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:
     """Print how the run went and where its files are."""
     solution, energy = report.solution, report.energy
-    units = {name: f" {unit}" if unit != "1" else "" for name, unit in report.units.items()}
-    second, meter, joule = units["time"], units["length"], units["energy"]
+    second, meter, joule = map(report.suffix, ("time", "length", "energy"))
     lines = {
         "status": solution.message,
         "reached": f"t = {solution.t[-1]:g}{second} in {len(solution.steps)} steps, "
