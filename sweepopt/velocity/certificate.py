@@ -142,13 +142,8 @@ class Inclusion:
         """The velocity of a normal pair with its certificate, as sharp as `tol` needs it."""
         M, z, size = self.M, pair.z, pair.size
         force = euclidean(of.force / M.root)
-        if M.is_diagonal:  # all norms are those in its units
-            product = M.diagonal * z
-            size_z = length = math.sqrt(z.dot(product))
-            size = force
-        else:
-            product = M.M.dot(z)
-            size_z, length = math.sqrt(max(z.dot(product), 0.0)), euclidean(M.root * z)
+        product = M.M.dot(z)
+        size_z, length = math.sqrt(max(z.dot(product), 0.0)), euclidean(M.root * z)
         allowed, metric = SHARE * tol * size_z, 1.0
         of_products = 2 * M.rounding(length, force)
         of_data = self._rounding_of_data(size_z, of.u)
@@ -169,7 +164,7 @@ class Inclusion:
             residual = min(residual, M.margin * M.dual_norm(rho))
         certificate = math.sqrt(2 * pair.gap + (residual + rounding) ** 2) + pair.perturbation
         certificate /= metric
-        if size is None and not certificate <= tol * size_z:
+        if size is None and (M.is_diagonal or not certificate <= tol * size_z):
             size = M.dual_norm(of.force)
         return rated(z, certificate, max(size_z, size or 0.0) * metric, pair.solver)
 
@@ -226,18 +221,9 @@ class Inclusion:
 
     # ---- rest ----------------------------------------------------------------------------------
 
-    def rests(self, of: Instance, tol: float, outside: np.ndarray | None = None) -> bool:
-        """Whether q is in C, and B u as well where q may be rounded to more than a share of tol.
-
-        Parameters
-        ----------
-        outside : ndarray, shape (dim,), optional
-            How far q is outside of C = c + S, if that is known.
-        """
-        if outside is None:
-            if not rests(of, of.q, self.M.diagonal):
-                return False
-        elif not is_rounding(outside, of.q, of.c, of.whole.anchor):
+    def rests(self, of: Instance, tol: float) -> bool:
+        """Whether q is in C, and B u as well where q may be rounded to more than a share of tol."""
+        if not rests(of, of.q, self.M.diagonal):
             return False
         if self._B is None or of.u is None:
             return True
@@ -312,16 +298,13 @@ def rests(of: Instance, q: np.ndarray, diagonal: np.ndarray) -> bool:
 
     Where S acts on few unknowns, the force beside them settles most steps.
     """
-    few, outside, anchor = of.unknowns, q - of.c, of.S.anchor
-    acting = outside[few]
-    if of.S is not of.whole:
-        outside[few] = 0.0
-        if not is_near(outside, q, of.c, anchor):
-            return False
-    outside[few] = acting - of.S.nearest(acting, diagonal[few])
-    shift = np.abs(of.c)
-    shift[few] += np.abs(anchor)
-    return is_rounding(outside, q, shift)
+    few, outside = of.unknowns, q - of.c
+    acting = outside[few].copy()
+    outside[few] = 0.0
+    if not is_rounding(outside, q, of.c):
+        return False
+    gap = acting - of.S.nearest(acting, diagonal[few])
+    return is_rounding(gap, q[few], of.c[few], of.S.anchor)
 
 
 def is_rounding(outside: np.ndarray, q: np.ndarray, *shifts: np.ndarray) -> bool:
@@ -329,18 +312,8 @@ def is_rounding(outside: np.ndarray, q: np.ndarray, *shifts: np.ndarray) -> bool
 
     It holds entry by entry.
     """
-    if not is_near(outside, q, *shifts):
-        return False
     scale = sum(map(np.abs, shifts), start=np.abs(q))
     return bool((np.abs(outside) <= ROUNDING * scale).all())
-
-
-def is_near(outside: np.ndarray, q: np.ndarray, *shifts: np.ndarray) -> bool:
-    """What the rule of rest implies in the Euclidean norm, which costs less to look at."""
-    squares = q.dot(q)
-    for shift in shifts:
-        squares += shift.dot(shift)
-    return bool(outside.dot(outside) <= (2 + len(shifts)) * ROUNDING**2 * squares)
 
 
 def at_rest(q: np.ndarray, solver: str = "at rest") -> Velocity:

@@ -102,21 +102,19 @@ class StateVelocity:
     def of_force(self, q: np.ndarray, C: ConvexSet, u: np.ndarray | None = None) -> Velocity:
         """The z with -z in N_C(M z + q); u has q = B u, without it M and q are taken as exact."""
         if C.singleton:
-            inclusion, of = self._on_all, Instance(q - C.anchor, q, C.anchor, C, C, u)
+            of, inclusion = Instance(q - C.anchor, q, C.anchor, C, C, u), self._on_all
             velocity = refined(inclusion, by_solve(inclusion.M), of, self._tol)
             return velocity._replace(solver="linear", attempts=1)
         c, whole = untranslated(C)
-        selection = whole.selection
-        if selection is not None and same_array(selection.unknowns, self._contact):
-            few, S, shift = selection
-            inclusion, cone = self._on_few, untranslated(S).S
-            c = c if shift is None else c + shift
-            of = Instance(q - c, q, c, S, whole, u, few)
-        elif selection is not None and selection.shift is None:
-            inclusion, cone = self._on_all, whole
-            of = Instance(q - c, q, c, selection.part, whole, u, selection.unknowns)
-        else:
-            inclusion, cone, of = self._on_all, whole, Instance(q - c, q, c, whole, whole, u)
+        inclusion, cone, few, S = self._on_all, whole, slice(None), whole
+        if whole.selection is not None:
+            few, S, shift = whole.selection
+            if same_array(few, self._contact):
+                inclusion, cone = self._on_few, untranslated(S).S
+                c = c if shift is None else c + shift
+            elif shift is not None:
+                few, S = slice(None), whole
+        of = Instance(q - c, q, c, S, whole, u, few)
         cascade = self._cascade
         if cascade is None or inclusion is not cascade.inclusion or not cascade.serves(cone):
             cascade = self._cascade = Cascade(inclusion, self._solver, cone, self._tol)

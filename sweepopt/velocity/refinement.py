@@ -33,7 +33,7 @@ REFINEMENTS = 20  # each leaves a share |M^-1 (A + gamma B - M)| of the error; m
 SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
 NO_UNKNOWNS = np.zeros(0, dtype=int)
 UNSOLVED = Velocity(np.zeros(0), math.inf, math.inf)
-AnswerOf = Callable[[np.ndarray, ConvexSet], Answer | Proposal]
+AnswerOf = Callable[[np.ndarray, ConvexSet], Answer]
 Propose = Callable[[np.ndarray, np.ndarray | None], Proposal | Velocity]
 """From the residual of a z, None for 0, to a better pair; a velocity where that has no proof."""
 
@@ -70,18 +70,15 @@ def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
     def propose(residual: np.ndarray, z: np.ndarray | None) -> Proposal | Velocity:
         forward, force = M.reduce(-residual)
         linear = -force if z is None else M.small.precisely(-z[few], -force)
-        answer, iterations = solve(linear, S), 0
-        if isinstance(answer, Answer):
-            _, _, iterations, status = answer
-            if not is_finite(answer.z):
-                return Velocity(np.zeros_like(residual), math.inf, math.inf, iterations=iterations)
-            pair = pair_near(M.small, linear, S, answer.z, tol)
-            if pair is None:
-                unproven = math.nan if status in SOLVED else math.inf
-                z = M.recover(forward, answer.z)
-                return Velocity(z, unproven, unproven, iterations=iterations)
-        else:
-            pair = answer
+        answer = solve(linear, S)
+        iterations = answer.iterations
+        if not is_finite(answer.z):
+            return Velocity(np.zeros_like(residual), math.inf, math.inf, iterations=iterations)
+        pair = pair_near(M.small, linear, S, answer.z, tol)
+        if pair is None:
+            unproven = math.nan if answer.status in SOLVED else math.inf
+            z = M.recover(forward, answer.z)
+            return Velocity(z, unproven, unproven, iterations=iterations)
         if z is not None:
             pair = with_forces_at_rest(M.small, linear, S, pair)
         zeta = pair.z
