@@ -18,7 +18,7 @@ from sweepopt.linalg import Elimination, Factor
 from sweepopt.sets import ConvexSet
 from sweepopt.velocity.certificate import CLOSED_FORM, Inclusion, Instance, Velocity, at_rest
 from sweepopt.velocity.program import VelocityProgram, untranslated
-from sweepopt.velocity.refinement import UNSOLVED, by_program, refined
+from sweepopt.velocity.refinement import UNSOLVED, by_formula, by_program, refined
 from sweepopt.velocity.solvers import NEWTON, Answer, Solve, Solver, choose
 
 WRONG = 1e-2  # a larger relative certificate is that of a failure, not of a loose solver
@@ -72,9 +72,6 @@ def attempts(solver: Any, M: Factor, S: ConvexSet, tol: float) -> Iterator[Attem
     A program of all unknowns whose set acts on few of them has that of the few behind it, which is
     better conditioned.
     """
-    if solver == "auto" and ClosedForm.applies(M.small, S):
-        yield Attempt(ClosedForm(), M, S)
-        return
     solvers, selection = choose(solver, S, tol), S.selection
     if M.small is not M or selection is None or selection.shift is not None:
         yield from _chain(solvers, M, S)
@@ -99,30 +96,8 @@ def _chain(solvers: tuple[Solver, ...], M: Factor, cone: ConvexSet) -> Iterator[
         solvers = tuple(solver for solver in tighter if solver is not None)
 
 
-class ClosedForm:
-    """z = M^-1 (P_S(q) - q) where the projection in M's metric is the set's own: box, ball."""
-
-    name = CLOSED_FORM
-
-    @staticmethod
-    def applies(M: Factor, S: ConvexSet) -> bool:
-        """Whether M is diagonal and S has a projection in its metric."""
-        weights = S.weights(M.diagonal)
-        return S.exact and M.is_diagonal and np.array_equal(weights, M.diagonal)
-
-    def treats(self, C: ConvexSet) -> bool:
-        return C.exact
-
-    def compile(self, program: VelocityProgram) -> Solve:
-        diagonal = program.M.diagonal
-        return lambda q, S: Answer(0.0 - S.normal(q) / diagonal, q[:0], 0, "solved")
-
-    def refined(self) -> None:
-        return None
-
-
 class Cascade:
-    """Instance -> its velocity: at rest, or by the first solver that meets `tol`.
+    """Instance -> its velocity: at rest, by a formula, or by the first solver that meets `tol`.
 
     Where no solver does it is the best. A solver is compiled when it is asked first.
 
@@ -138,6 +113,7 @@ class Cascade:
 
     def __init__(self, inclusion: Inclusion, solver: Any, cone: ConvexSet, tol: float) -> None:
         self.inclusion, self._cone, self._tol = inclusion, cone, tol
+        self._auto = solver == "auto"
         self._attempts: list[Attempt] = []
         self._others = attempts(solver, inclusion.M, cone, tol)
 
@@ -146,6 +122,8 @@ class Cascade:
         return self._cone is C or self._cone.same_cone(C)
 
     def __call__(self, of: Instance) -> Velocity:
+        if self._auto and self._has_formula(of.S, of.unknowns):
+            return self._by_formula(of)
         if self.inclusion.rests(of, self._tol):
             return at_rest(of.q)
         best, solver, iterations, count = UNSOLVED, "none", 0, 0
@@ -170,3 +148,22 @@ class Cascade:
         for attempt in self._others:
             self._attempts.append(attempt)
             yield attempt
+
+    def _has_formula(self, S: ConvexSet, few: Any) -> bool:
+        """Whether M is diagonal and the projection in its metric is the set's own: box, ball."""
+        M = self.inclusion.M
+        if not (M.is_diagonal and S.exact):
+            return False
+        weights = M.diagonal[few]
+        return np.array_equal(S.weights(weights), weights)
+
+    def _by_formula(self, of: Instance) -> Velocity:
+        inclusion, tol = self.inclusion, self._tol
+        propose = by_formula(inclusion.M, of)
+        pair = propose(of.force, None)
+        if inclusion.rests(of, tol, -inclusion.M.diagonal * pair.z):
+            return at_rest(of.q, CLOSED_FORM)
+        velocity = inclusion.certify(of, pair, tol)
+        if velocity.relative <= tol:
+            return velocity
+        return refined(inclusion, propose, of, tol)

@@ -142,8 +142,12 @@ class Inclusion:
         """The velocity of a normal pair with its certificate, as sharp as `tol` needs it."""
         M, z, size = self.M, pair.z, pair.size
         force = euclidean(of.force / M.root)
-        product = M.M.dot(z)
-        size_z, length = math.sqrt(max(z.dot(product), 0.0)), euclidean(M.root * z)
+        if M.is_diagonal:  # all norms are those in its units
+            product, size = M.diagonal * z, force
+            size_z = length = math.sqrt(z.dot(product))
+        else:
+            product = M.M.dot(z)
+            size_z, length = math.sqrt(max(z.dot(product), 0.0)), euclidean(M.root * z)
         allowed, metric = SHARE * tol * size_z, 1.0
         of_products = 2 * M.rounding(length, force)
         of_data = self._rounding_of_data(size_z, of.u)
@@ -164,7 +168,7 @@ class Inclusion:
             residual = min(residual, M.margin * M.dual_norm(rho))
         certificate = math.sqrt(2 * pair.gap + (residual + rounding) ** 2) + pair.perturbation
         certificate /= metric
-        if size is None and (M.is_diagonal or not certificate <= tol * size_z):
+        if size is None and not certificate <= tol * size_z:
             size = M.dual_norm(of.force)
         return rated(z, certificate, max(size_z, size or 0.0) * metric, pair.solver)
 
@@ -221,9 +225,9 @@ class Inclusion:
 
     # ---- rest ----------------------------------------------------------------------------------
 
-    def rests(self, of: Instance, tol: float) -> bool:
+    def rests(self, of: Instance, tol: float, outside: np.ndarray | None = None) -> bool:
         """Whether q is in C, and B u as well where q may be rounded to more than a share of tol."""
-        if not rests(of, of.q, self.M.diagonal):
+        if not rests(of, of.q, self.M.diagonal, outside):
             return False
         if self._B is None or of.u is None:
             return True
@@ -293,26 +297,35 @@ def pair_near(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray, tol: float)
 # ---- rest --------------------------------------------------------------------------------------
 
 
-def rests(of: Instance, q: np.ndarray, diagonal: np.ndarray) -> bool:
+def rests(
+    of: Instance, q: np.ndarray, diagonal: np.ndarray, outside: np.ndarray | None = None
+) -> bool:
     """Whether z = 0 for a linear term q: it is in C = c + E^T S but for rounding.
 
     Where S acts on few unknowns, the force beside them settles most steps.
+
+    Parameters
+    ----------
+    outside : ndarray, shape (dim,), optional
+        How far q is outside of C, if that is known.
     """
-    few, outside = of.unknowns, q - of.c
-    acting = outside[few].copy()
-    outside[few] = 0.0
-    if not is_rounding(outside, q, of.c):
-        return False
-    gap = acting - of.S.nearest(acting, diagonal[few])
-    return is_rounding(gap, q[few], of.c[few], of.S.anchor)
+    few, scale = of.unknowns, np.abs(q) + np.abs(of.c)
+    if outside is None:
+        outside = q - of.c
+        acting = outside[few].copy()
+        outside[few] = 0.0
+        if not is_rounding(outside, scale):
+            return False
+        outside[few] = acting - of.S.nearest(acting, diagonal[few])
+    scale[few] += np.abs(of.S.anchor)
+    return is_rounding(outside, scale)
 
 
-def is_rounding(outside: np.ndarray, q: np.ndarray, *shifts: np.ndarray) -> bool:
+def is_rounding(outside: np.ndarray, scale: np.ndarray) -> bool:
     """The rule of rest: q is out of C by at most 8 rounding units of q and of C's translations.
 
     It holds entry by entry.
     """
-    scale = sum(map(np.abs, shifts), start=np.abs(q))
     return bool((np.abs(outside) <= ROUNDING * scale).all())
 
 

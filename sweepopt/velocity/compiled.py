@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from sweepopt.velocity.program import untranslated
 from sweepopt.velocity.refinement import by_solve, refined
 
 VelocityOf = Callable[[np.ndarray, ConvexSet], Velocity]
+EVERY: Any = slice(None)
 DEFAULT_TOL = 1e-6  # what is aimed at where every answer is welcome (tol = inf)
 
 
@@ -106,14 +108,14 @@ class StateVelocity:
             velocity = refined(inclusion, by_solve(inclusion.M), of, self._tol)
             return velocity._replace(solver="linear", attempts=1)
         c, whole = untranslated(C)
-        inclusion, cone, few, S = self._on_all, whole, slice(None), whole
+        inclusion, cone, S, few = self._on_all, whole, whole, EVERY
         if whole.selection is not None:
             few, S, shift = whole.selection
             if same_array(few, self._contact):
                 inclusion, cone = self._on_few, untranslated(S).S
                 c = c if shift is None else c + shift
             elif shift is not None:
-                few, S = slice(None), whole
+                few, S = EVERY, whole
         of = Instance(q - c, q, c, S, whole, u, few)
         cascade = self._cascade
         if cascade is None or inclusion is not cascade.inclusion or not cascade.serves(cone):

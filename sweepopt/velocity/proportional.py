@@ -177,7 +177,7 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     first = body.influence(beside)[0]
     left = beside.copy()
     left[few] = 0.0
-    if is_rounding(left, q, f):
+    if is_rounding(left, np.abs(q) + np.abs(f)):
         first = 0 * first
     shapes = [f for _, f in terms]
     errors = [

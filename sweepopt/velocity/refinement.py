@@ -26,7 +26,14 @@ import scipy.sparse as sp
 from sweepopt.checks import is_finite
 from sweepopt.linalg import Factor
 from sweepopt.sets import ConvexSet
-from sweepopt.velocity.certificate import Inclusion, Instance, Proposal, Velocity, pair_near
+from sweepopt.velocity.certificate import (
+    CLOSED_FORM,
+    Inclusion,
+    Instance,
+    Proposal,
+    Velocity,
+    pair_near,
+)
 from sweepopt.velocity.solvers import Answer
 
 REFINEMENTS = 20  # each leaves a share |M^-1 (A + gamma B - M)| of the error; most need one
@@ -115,5 +122,18 @@ def by_solve(M: Factor) -> Propose:
         change = -M.solve(residual)
         z = change if z is None else z + change
         return Proposal(z, z[NO_UNKNOWNS], NO_UNKNOWNS, size=0.0)  # no larger than |z|_M
+
+    return propose
+
+
+def by_formula(M: Factor, of: Instance) -> Propose:
+    """z = M^-1 (w - q + c), w the projection on S in the metric of a diagonal M."""
+    few, diagonal = of.unknowns, M.diagonal
+
+    def propose(residual: np.ndarray, z: np.ndarray | None) -> Proposal:
+        outside = residual.copy() if z is None else M.precisely(-z, residual)
+        w = of.S.nearest(outside[few], diagonal[few])
+        outside[few] -= w
+        return Proposal(0.0 - outside / diagonal, w, few, solver=CLOSED_FORM)
 
     return propose
