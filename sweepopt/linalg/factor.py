@@ -118,6 +118,12 @@ class Factor:
         """M^-1 of each row, shape (k, dim)."""
         return self.solve(np.asfortranarray(rows.T)).T
 
+    @cached_property
+    def inverse(self) -> np.ndarray:
+        """M^-1, of a matrix of few unknowns."""
+        inverse = self.solve_many(np.eye(self.dim))
+        return 0.5 * (inverse + inverse.T)
+
     def dual_norm_bound(self, w: np.ndarray) -> float:
         """A bound of |w|_{M^-1} that costs no solve: |D^-1/2 w| / sqrt(lambda_min), D = diag(M).
 

@@ -126,7 +126,7 @@ def by_solve(M: Factor) -> Propose:
     return propose
 
 
-def by_formula(M: Factor, of: Instance) -> Propose:
+def by_formula(M: Factor, of: Instance) -> Callable[[np.ndarray, np.ndarray | None], Proposal]:
     """z = M^-1 (w - q + c), w the projection on S in the metric of a diagonal M."""
     few, diagonal = of.unknowns, M.diagonal
 

@@ -14,12 +14,15 @@ from sweepopt.velocity.program import VelocityProgram
 
 
 class Answer(NamedTuple):
-    """What a solver says; nothing of it is believed before the program has certified it."""
+    """What a solver says; nothing of it is believed before the program has certified it.
+
+    The multipliers y are of no use here; solvers of others may give them.
+    """
 
     z: np.ndarray
-    y: np.ndarray
-    iterations: int
-    status: str
+    y: np.ndarray = np.zeros(0)
+    iterations: int = 0
+    status: str = ""
 
 
 Solve = Callable[..., Answer]
