@@ -51,6 +51,10 @@ class CanonicalSolver(ABC):
     def meeting(cls, tol: float) -> Self:
         """The solver with settings for which a certificate of `tol` is to be expected."""
 
+    def scaled(self, data: dict[str, Any]) -> np.ndarray:
+        """Puts the program in units of its own, and returns those of the variables."""
+        return np.ones(data["P"].shape[0])
+
     @abstractmethod
     def engine(self, cone: ConvexSet, data: dict[str, Any], linear: np.ndarray) -> Any:
         """The program in `data` with a linear term, set up; it has `update(q=linear)`."""
@@ -62,6 +66,7 @@ class CanonicalSolver(ABC):
     def compile(self, program: VelocityProgram) -> Solve:
         """Canonicalise and set up once; a call updates the linear term."""
         data, linear_map = _canonical(program, self.name.upper())
+        linear_map = sp.diags_array(self.scaled(data)) @ linear_map
         n = program.M.dim
         to_z = sp.csr_array(linear_map[:, :n].T)
         engine: Any = None
