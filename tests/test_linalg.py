@@ -130,7 +130,7 @@ def test_an_order_has_little_fill_and_serves_an_elimination(engine: str) -> None
 
 
 @pytest.mark.usefixtures("engine")
-@pytest.mark.parametrize("power", [7, -30])
+@pytest.mark.parametrize("power", [40, -40])
 def test_units_that_are_powers_of_two_change_no_bit(power: int) -> None:
     M, w, few, unit = plate(12), np.sin(np.arange(144.0)), np.arange(12), 2.0**power
     for one, other in (

@@ -290,7 +290,10 @@ def pair_near(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray, tol: float)
     pair = C.normal_pair(-z, force, M.diagonal)
     if pair is None:
         return None
-    perturbation = 0.0 if pair.perturbation is None else M.moved(*pair.perturbation)
+    perturbation = 0.0
+    if pair.perturbation is not None:
+        w, p = pair.perturbation
+        perturbation = M.dual_norm_bound(w) + 2 * M.stretch * euclidean(M.root * p)
     return Proposal(0.0 - pair.p, pair.w, gap=pair.gap, perturbation=perturbation)
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from sweepopt.checks import Matrix
-from sweepopt.linalg import Elimination, Precise, product_error
+from sweepopt.linalg import UNIT, Elimination, Precise, euclidean, product_error
 
 
 class Body:
@@ -54,7 +54,8 @@ class Body:
         r = A.precisely(-v, f)
         r[self.contact] -= force
         rounding = sum(A.dual_norm(D @ v) for D in self._differences)
-        return A.dual_norm(r) + A.resolution(v) + 2 * rounding
+        rounding += UNIT * A.stretch * euclidean(A.root * v)
+        return A.dual_norm(r) + 2 * rounding
 
     def extension_error(self) -> float:
         """The residual of extensions v in units of |v|_A.
