@@ -52,13 +52,10 @@ class ConjugateGradients:
         self._root = np.sqrt(self.pivots)
         weights = sp.diags_array(1 / self._root)
         self._A = sp.csr_array(weights @ M @ weights)
-        # constants, in the scaled unknowns or in the given ones: whatever costs less energy
-        candidates = np.ones(len(self._root)), self._root / self._root.max()
-        smoothest = min(candidates, key=lambda x: (x @ (self._A @ x)) / (x @ x))
         hierarchy = pyamg.smoothed_aggregation_solver(
-            self._A, B=smoothest[:, None], smooth=SMOOTHING, improve_candidates=None
+            self._A, smooth=SMOOTHING, improve_candidates=None
         )
-        self._cycle = hierarchy.aspreconditioner("V")
+        self._cycle = hierarchy.aspreconditioner()
         self._operator = spla.LinearOperator(M.shape, matvec=self._image, dtype=float)
         # all eigenvectors are in a random right-hand side: a negative curvature shows
         self.solve(self._root * lanczos_start(len(self._root)))

@@ -1,8 +1,7 @@
 """The solver cascade of one cone: the first solver whose velocity meets the tolerance.
 
-A solver fails on the one step in a thousand that another takes with ease: its tighter settings,
-Newton steps from its answer and the other solvers stand behind it. The certificate judges them all
-alike.
+A solver fails on the one step in a thousand that another takes with ease: Newton steps from its
+answer and the other solvers stand behind it. The certificate judges them all alike.
 """
 
 from __future__ import annotations
@@ -67,7 +66,7 @@ class Attempt:
 
 
 def attempts(solver: Any, M: Factor, S: ConvexSet, tol: float) -> Iterator[Attempt]:
-    """The solvers of a program, each with its refinements, in the order in which they are asked.
+    """The solvers of a program, in the order in which they are asked.
 
     A program of all unknowns whose set acts on few of them has that of the few behind it, which is
     better conditioned.
@@ -82,18 +81,12 @@ def attempts(solver: Any, M: Factor, S: ConvexSet, tol: float) -> Iterator[Attem
 
 
 def _chain(solvers: tuple[Solver, ...], M: Factor, cone: ConvexSet) -> Iterator[Attempt]:
-    """Each solver, then each with tighter settings, and Newton steps from the answers of those.
-
-    They find the active set, and are exact but for rounding.
-    """
+    """Each solver, and Newton steps from its answer: they find the active set to rounding."""
     cone = untranslated(cone).S
-    while solvers:
-        for solver in solvers:
-            yield Attempt(solver, M, cone)
-            if solver.name != NEWTON.name and NEWTON.treats(cone):
-                yield Attempt(NEWTON, M, cone, from_best=True)
-        tighter = [solver.refined() for solver in solvers]
-        solvers = tuple(solver for solver in tighter if solver is not None)
+    for solver in solvers:
+        yield Attempt(solver, M, cone)
+        if solver.name != NEWTON.name and NEWTON.treats(cone):
+            yield Attempt(NEWTON, M, cone, from_best=True)
 
 
 class Cascade:

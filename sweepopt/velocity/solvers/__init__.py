@@ -16,7 +16,7 @@ from sweepopt.velocity.solvers.osqp import OSQP
 from sweepopt.velocity.solvers.reference import Cvxpy
 
 NEWTON, FASTEST, LAST = Newton(), DAQP(), ActiveSet()
-CONTRACT = ("name", "treats", "compile", "refined")
+CONTRACT = ("name", "treats", "compile")
 REGISTRY: dict[str, Callable[[], Solver]] = {
     "clarabel": Clarabel,
     "osqp": OSQP,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,8 +28,8 @@ class Clarabel(CanonicalSolver):
 
     Examples
     --------
-    >>> Clarabel(tol=1e-9).refined().tol <= 1.1e-11
-    True
+    >>> Clarabel(tol=1e-9).tol
+    1e-09
     """
 
     tol: float = 1e-9
@@ -48,10 +48,6 @@ class Clarabel(CanonicalSolver):
         """
         return cls(tol=min(max(0.1 * tol**2, 1e-11), 1e-4))
 
-    def refined(self) -> Clarabel | None:
-        """Two digits tighter, as far as double precision goes."""
-        return replace(self, tol=self.tol / 100) if self.tol > 1e-13 else None
-
     def scaled(self, data: dict[str, Any]) -> np.ndarray:
         """Puts the rows in units of their cones."""
         rows, columns = _units(data["P"], data["A"], data["dims"])
@@ -62,6 +58,7 @@ class Clarabel(CanonicalSolver):
     def engine(self, cone: ConvexSet, data: dict[str, Any], linear: np.ndarray) -> Any:
         """Clarabel with the program."""
         import clarabel
+        from cvxpy.reductions.solvers.conic_solvers.clarabel_conif import dims_to_solver_cones
 
         settings = clarabel.DefaultSettings()
         settings.verbose = False
@@ -71,7 +68,7 @@ class Clarabel(CanonicalSolver):
         if not cone.certifiable:  # an answer stands if Clarabel calls it solved
             for name, value in CAREFUL.items():
                 setattr(settings, name, value)
-        A, b, cones = sp.csc_matrix(data["A"]), data["b"], _cones(clarabel, data["dims"])
+        A, b, cones = sp.csc_matrix(data["A"]), data["b"], dims_to_solver_cones(data["dims"])
         return clarabel.DefaultSolver(data["P"], linear, A, b, cones, settings)
 
     def run(self, engine: Any) -> tuple[Any, int, str]:
@@ -95,15 +92,3 @@ def _units(P: Any, A: Any, dims: Any) -> tuple[np.ndarray, np.ndarray]:
     rows = np.repeat(1 / np.where(of_cones > 0, of_cones, 1.0), sizes)
     free = (sp.diags_array(rows) @ A).max(axis=0).toarray().ravel()
     return rows, np.where(tied | (free == 0), 1.0, 1 / np.where(free > 0, free, 1.0))
-
-
-def _cones(clarabel: Any, dims: Any) -> list[Any]:
-    """cvxpy's cone dimensions in Clarabel's words."""
-    cones = [clarabel.ZeroConeT(dims.zero)] if dims.zero else []
-    cones += [clarabel.NonnegativeConeT(dims.nonneg)] if dims.nonneg else []
-    cones += [clarabel.SecondOrderConeT(size) for size in dims.soc]
-    cones += [clarabel.PSDTriangleConeT(size) for size in dims.psd]
-    cones += [clarabel.ExponentialConeT()] * dims.exp
-    cones += [clarabel.PowerConeT(exponent) for exponent in dims.p3d]
-    cones += [clarabel.GenPowerConeT(exponents, 1) for exponents in getattr(dims, "pnd", [])]
-    return cones

@@ -50,10 +50,6 @@ class Solver(Protocol):
         """
         ...
 
-    def refined(self) -> Solver | None:
-        """The same solver with tighter settings, for a step that missed its tolerance."""
-        ...
-
 
 @dataclass(frozen=True)
 class Small:
@@ -74,7 +70,3 @@ class Small:
 
     def __post_init__(self) -> None:
         count("max_dim", self.max_dim)
-
-    def refined(self) -> Solver | None:
-        """None: there is nothing to tighten."""
-        return None

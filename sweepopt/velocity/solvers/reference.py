@@ -11,7 +11,7 @@ import numpy as np
 from sweepopt.errors import InputError, SolverRefusedError, shown
 from sweepopt.sets import ConvexSet, in_turn
 from sweepopt.velocity.program import VelocityProgram
-from sweepopt.velocity.solvers.contract import Answer, Solve, Solver
+from sweepopt.velocity.solvers.contract import Answer, Solve
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -62,10 +62,6 @@ class Cvxpy:
     def treats(self, C: ConvexSet) -> bool:
         """Polyhedra, and every set if the solver is not one for quadratic programs."""
         return C.polyhedral or self.solver.upper() not in QUADRATIC_ONLY
-
-    def refined(self) -> Solver | None:
-        """None: the settings are the user's."""
-        return None
 
     def compile(self, program: VelocityProgram) -> Solve:
         """State the program once; a call sets its parameters and solves."""
