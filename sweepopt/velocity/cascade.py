@@ -107,6 +107,7 @@ class Cascade:
     def __init__(self, inclusion: Inclusion, solver: Any, cone: ConvexSet, tol: float) -> None:
         self.inclusion, self._cone, self._tol = inclusion, cone, tol
         self._auto = solver == "auto"
+        self._formula: bool | None = None
         self._attempts: list[Attempt] = []
         self._others = attempts(solver, inclusion.M, cone, tol)
 
@@ -115,7 +116,9 @@ class Cascade:
         return self._cone is C or self._cone.same_cone(C)
 
     def __call__(self, of: Instance) -> Velocity:
-        if self._auto and self._has_formula(of.S, of.unknowns):
+        if self._formula is None:
+            self._formula = self._auto and self._has_formula(of.S, of.unknowns)
+        if self._formula:
             return self._by_formula(of)
         if self.inclusion.rests(of, self._tol):
             return at_rest(of.q)

@@ -304,10 +304,11 @@ def rests(
     few, scale = of.unknowns, np.abs(q) + np.abs(of.c)
     if outside is None:
         outside = q - of.c
-        acting = outside[few].copy()
-        outside[few] = 0.0
-        if not is_rounding(outside, scale):
-            return False
+        acting = outside[few]
+        if of.S is not of.whole:
+            outside[few] = 0.0
+            if not is_rounding(outside, scale):
+                return False
         outside[few] = acting - of.S.nearest(acting, diagonal[few])
     scale[few] += np.abs(of.S.anchor)
     return is_rounding(outside, scale)

@@ -26,7 +26,7 @@ class Body:
     """
 
     def __init__(self, A: Elimination, B: Matrix | None, rho: float) -> None:
-        self.A, self.contact = A, A.unknowns
+        self.A, self.contact, self.rho = A, A.unknowns, rho
         # B is a multiple of A up to rounding, and M = A + gamma B is rounded as another multiple
         other = 4 / 3
         self._differences = [product_error(other, A.M) / other]

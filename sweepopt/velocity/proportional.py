@@ -29,14 +29,13 @@ import numpy as np
 from sweepopt.linalg import UNIT, Elimination, Precise
 from sweepopt.loads import Constant, Separable
 from sweepopt.problem import Motion, SweepingProcess, Terms, motion, proportion
-from sweepopt.sets import Moving, Selection
+from sweepopt.sets import ConvexSet, Moving, Selection
 from sweepopt.velocity.certificate import is_rounding
 from sweepopt.velocity.influence import Body
 
 if TYPE_CHECKING:
     from sweepopt.integrate import Scheme
 
-ACCURATE = 1e-10  # |A F - f|_{A^-1} / |f|_{A^-1} up to which A^-1 is applied beforehand
 LEAST_SPEED = 1e-3  # of the velocity that the load alone would cause: less counts as this
 
 
@@ -101,6 +100,12 @@ class Reduction:
         rounding = UNIT * self.rho * span / (1 + gamma * self.rho)
         return scheme.exact or rounding <= LEAST_SPEED * tol
 
+    def is_accurate(self, enough: float) -> bool:
+        """Whether A^-1 was applied to this accuracy."""
+        return bool((self._errors <= enough * self._sizes).all()) and (
+            self._extension_error <= enough
+        )
+
     def residuals(self, alphas: np.ndarray, rates: np.ndarray, gammas: np.ndarray) -> ResidualOf:
         """What the inclusion of all unknowns has of residual beyond that of the few.
 
@@ -161,46 +166,45 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
         return selected
     selection, terms = selected
     few = selection.unknowns
+    terms = terms or ((Constant(0.0), np.zeros(process.dim)),)
     A = Elimination(process.A, few, process.metric.order)
-    body, zeta0 = Body(A, process.B, rho), process.u0[few]
-    influences = [body.influence(f) for _, f in terms]
-    forces = [(phi, force) for (phi, _), (_, force) in zip(terms, influences, strict=True)]
-    C = Moving(selection.part, Separable(forces) if forces else None, scale)
+    reduction = _reduction(process, Body(A, process.B, rho), selection.part, terms, scale, t)
+    if not reduction.is_accurate(LEAST_SPEED * tol):
+        return "A is too badly conditioned to apply its inverse beforehand"
+    return reduction
+
+
+def _reduction(
+    process: SweepingProcess, body: Body, S: ConvexSet, terms: Terms, scale: Any, t: float
+) -> Reduction:
+    """The reduction to S on the contact and a load of these terms."""
+    A, u0, rho = body.A, process.u0, body.rho
+    load, histories = Separable(terms), [phi for phi, _ in terms]
+    shapes, zeta0 = list(load.shapes.T), u0[body.contact]
+    functions, forces = map(list, zip(*map(body.influence, shapes), strict=True))
+    C = Moving(S, Separable(zip(histories, forces, strict=True)), scale)
     small = SweepingProcess(A.N, rho * A.N if rho else None, C, zeta0)
 
     # what is left at the start: f(t_0) - B u0, and its force on the contact
-    start = Separable(terms).coefficients(t) if terms else np.zeros(0)
-    f = sum((c * f for c, (_, f) in zip(start, terms, strict=True)), np.zeros(A.dim))
-    force = sum((c * force for c, (_, force) in zip(start, forces, strict=True)), 0.0 * zeta0)
-    force = _less_B(small, zeta0, force)
-    q, beside = process.times_B(process.u0), _less_B(process, process.u0, f)
-    first = body.influence(beside)[0]
-    left = beside.copy()
-    left[few] = 0.0
-    if is_rounding(left, np.abs(q) + np.abs(f)):
-        first = 0 * first
-    shapes = [f for _, f in terms]
-    errors = [
-        *(body.residual(F, f, own) for f, (F, own) in zip(shapes, influences, strict=True)),
-        body.residual(first, beside, force),
-    ]
-    sizes = [*map(A.dual_norm, shapes), A.dual_norm(f) + A.dual_norm(q)]
-    share = body.extension_error()
-    enough = min(ACCURATE, LEAST_SPEED * tol)
-    if (np.array(errors) > enough * np.array(sizes)).any() or share > enough:
-        return "A is too badly conditioned to apply its inverse beforehand"
-    units = np.eye(len(errors))
-    load = [(phi, unit) for (phi, _), unit in zip(terms, units, strict=False)]
+    start = load.coefficients(t)
+    f, q = load.shapes @ start, process.times_B(u0)
+    shapes.append(_less_B(process, u0, f))
+    forces.append(_less_B(small, zeta0, np.column_stack(forces) @ start))
+    first, _ = body.influence(shapes[-1])
+    beside = shapes[-1].copy()
+    beside[body.contact] = 0.0
+    functions.append(0 * first if is_rounding(beside, np.abs(q) + np.abs(f)) else first)
+    units = [*np.eye(len(shapes))[:-1], np.append(-start, 1.0)]
     return Reduction(
         rho,
         small,
-        Separable([*load, (Constant(1.0), np.append(-start, 1.0))]),
+        Separable(zip([*histories, Constant(1.0)], units, strict=True)),
         body,
-        process.u0,
-        np.column_stack([*(F for F, _ in influences), first]),
-        np.array(errors),
-        np.array(sizes),
-        share,
+        u0,
+        np.column_stack(functions),
+        np.array(list(map(body.residual, functions, shapes, forces))),
+        np.array([*map(A.dual_norm, shapes[:-1]), A.dual_norm(f) + A.dual_norm(q)]),
+        body.extension_error(),
     )
 
 
