@@ -143,13 +143,6 @@ def test_units_that_are_powers_of_two_change_no_bit(power: int) -> None:
 
 
 @pytest.mark.usefixtures("engine")
-@pytest.mark.parametrize("order", [None, np.arange(4)])
-def test_unknowns_of_two_parts_stay_last(order: np.ndarray | None) -> None:
-    M = sp.csc_array(sp.block_diag([[[2.0, -1.0], [-1.0, 2.0]], [[3.0, -1.0], [-1.0, 3.0]]]))
-    assert pytest.approx(np.diag([1.5, 8 / 3])) == Elimination(M, np.array([0, 2]), order).N
-
-
-@pytest.mark.usefixtures("engine")
 def test_pivots_are_those_of_their_unknowns() -> None:
     # one unknown whose pivot is rounding, beside others in units far above and below its own
     units = 10.0 ** np.array([30.0, 0.0, 0.0, -30.0, 20.0, -20.0])
