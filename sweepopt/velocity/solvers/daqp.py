@@ -82,7 +82,7 @@ class _Workspace:
             far = np.full(q.size, BEYOND)
             self._box, self._bounds = C, np.array([C.project(far), C.project(-far)]) / self._root
         with np.errstate(over="ignore"):  # a unit of next to nothing: as far as INFINITE
-            above, below = np.maximum(np.minimum(self._bounds / force, INFINITE), -INFINITE)
+            above, below = np.clip(self._bounds / force, -INFINITE, INFINITE)
         if self._engine is None:
             import daqp
 
