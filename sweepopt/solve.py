@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from os import PathLike
 from typing import Any, Literal
 
@@ -277,9 +278,8 @@ def _run(
     run, interrupted, sink, succeeded = None, False, None, False
     try:
         if segments:
-            run = adapt(
-                steps, segments, process, grid.plan, options.save, options.memory, bar.update
-            )
+            saved = partial(saving, options.save, dim=grid.plan.entering, memory=options.memory)
+            run = adapt(steps, segments, process, grid, saved, bar.update)
             grid, interrupted = run.grid, run.status is Status.INTERRUPTED
         reconstruction = Reconstruction(grid)
         watchers: list[Callable[[StepInfo], Any]] = []
