@@ -358,12 +358,12 @@ def _solution(
     recorded: list[Any],
 ) -> Solution:
     """The states of all unknowns where they are, and what is known of the run."""
-    grid, times = run.grid, run.grid.times[: run.done + 1]
+    grid = run.grid
     states = sink.states() if sink else reconstruction.states(run.states())
     return Solution(
         process=process,
         plan=grid.plan,
-        t=times if len(states.steps) == run.done else times[np.append(0, states.steps + 1)],
+        t=grid.times[np.append(0, states.steps + 1)],
         states=states,
         statistics=run.statistics(reconstruction.seconds),
         status=run.status,
