@@ -5,7 +5,8 @@ generalised derivative of P_C the Newton step solves  (M - D (M - T)) dz = P_C(v
 is the primal-dual active-set method: stuck entries get z = 0 at once, slipping ones solve a linear
 system (Hintermueller, Ito, Kunisch, SIAM J. Optim. 13(3), 2002). There an entry does not reverse
 within one step: it stops first, or a warm start would have whole contact zones flip to and fro. The
-method may still cycle far from the solution: then it stops early and another solver takes over.
+method may still cycle far from the solution: then each step is halved until the residual of the
+equation falls. Where that ends, another solver takes over.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from sweepopt.velocity.solvers.contract import Answer, Small, Solve
 
 FEW_SLIPPING = 40  # up to so many slipping entries an inverse is not worth it
 PATIENCE = 5  # steps that may fail to improve on the best one: more are a cycle
+SHORTEST = 1e-5  # share of a step; discs across cells of stiffness 1 and 1e8 need 4e-7 to 1
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,7 @@ class Newton(Small):
     max_dim : int
         Larger programs are left to the other solvers; a step solves a dense system.
     max_iter : int
+        Of whole steps, and again of halved ones.
 
     Raises
     ------
@@ -90,17 +93,25 @@ class _Iteration:
         self._block, self._inverted = self.M, False
 
     def __call__(self, q: np.ndarray, C: ConvexSet, start: np.ndarray | None = None) -> Answer:
-        self._z, iterations = self._iterated(q, C, self._z if start is None else start)
+        self._z, iterations = self._z if start is None else start, 0
+        for damped in (False, True):
+            self._z, converged, count = self._iterated(q, C, self._z, damped)
+            iterations += count
+            if converged:
+                break
         return Answer(self._z, np.zeros(C.offsets.size), iterations, "iterated")
 
-    def _iterated(self, q: np.ndarray, C: ConvexSet, z: np.ndarray) -> tuple[np.ndarray, int]:
-        """Newton steps from z until nothing changes; returns the last z and their number."""
+    def _iterated(
+        self, q: np.ndarray, C: ConvexSet, z: np.ndarray, damped: bool
+    ) -> tuple[np.ndarray, bool, int]:
+        """Newton steps from z: the last z, whether it is exact to rounding, and their number."""
         T = C.weights(self._diagonal)
         if T is not self._T:
             self._take(T)
         scale = self._scale
-        smallest, stalled = math.inf, 0
-        for iteration in range(self._max_iter):
+        smallest, stalled, iteration = math.inf, 0, 0
+        start, change, share = z, np.zeros_like(z), 1.0
+        while iteration < self._max_iter:
             pulled = T * z
             if self._factor.is_sharp:
                 w, size_z = self.M @ z + q, euclidean(pulled * scale)
@@ -113,23 +124,30 @@ class _Iteration:
             rounding = EPS * (euclidean(w * scale) + size_z)
             # at rounding the equation cannot get better: stop when it does not, or when it cycles
             stalled += size >= smallest
-            if size <= rounding or (size <= 1e3 * rounding and stalled) or stalled == PATIENCE:
-                return z, iteration
+            if size <= rounding or (size <= 1e3 * rounding and stalled):
+                return z, True, iteration
+            if damped and size >= smallest and share > SHORTEST:
+                share /= 2
+                z = start + share * change
+                continue
+            if stalled == PATIENCE and not damped:
+                break
             smallest = min(smallest, size)
             D = C.derivative(v)
             if D is None:
-                return z, iteration
+                break
             try:
                 if D.ndim == 1:
                     following = self._separable(D == 1, z, residual)
                 else:
                     following = z + self._coupled(T, D, z, residual)
             except np.linalg.LinAlgError:
-                return z, iteration
+                break
             if not math.isfinite(following @ following):
-                return z, iteration
-            z = following
-        return z, self._max_iter
+                break
+            start, change, share = z, following - z, 1.0
+            z, iteration = following, iteration + 1
+        return z, False, iteration
 
     def _take(self, T: np.ndarray) -> None:
         """Roots of T in its own units: the same numbers whatever power of two the units are."""
