@@ -152,8 +152,9 @@ SCENES = st.sampled_from(["tube.toml", "full.toml"])
 STUDIES = st.sampled_from(["accuracy.toml", "hard.toml"])
 
 
-def ask_scene(folder: Path, name: str, damages: list[Damage], changes: list[Change]) -> None:
+def ask_scene(folder: Path, name: str, file: tuple[list[Damage], list[Change]]) -> None:
     """A scene that is read is simulated, for three steps."""
+    damages, changes = file
     if changes:
         data = copy.deepcopy(read_toml(folder / name))
         for one in changes:
@@ -164,8 +165,9 @@ def ask_scene(folder: Path, name: str, damages: list[Damage], changes: list[Chan
     check_run(scene.solve(steps=3))
 
 
-def ask_study(folder: Path, name: str, damages: list[Damage], changes: list[Change]) -> None:
+def ask_study(folder: Path, name: str, file: tuple[list[Damage], list[Change]]) -> None:
     """A study that is read has cells; its problems are found."""
+    damages, changes = file
     path = damaged(folder, name, damages)
     data = read_toml(path)
     if name == "hard.toml":

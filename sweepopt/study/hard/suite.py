@@ -155,7 +155,7 @@ def rows(
         progress(f"{name}, seed {seed}")
         history, process = chosen(HISTORIES, names), make(names, random)
         judge = Judge(process, history.t_end / history.steps)
-        refused = next((REFUSED[name] for name in names if name in REFUSED), None)
+        refused = chosen(REFUSED, names)
         answer = f"refuse: {refused.__name__}" if refused else ""
         for path, solver in product(study.paths, study.solvers):
             row = HardRow(name, seed, path, solver, ", ".join(names), answer)
