@@ -8,16 +8,14 @@ a = int eta grad u . grad v, b = int kappa grad u . grad v, J(v) = int_{Gamma_3}
 <f, v> = int f0 v + int_{Gamma_2} f2 v.
 """
 
-from importlib.util import find_spec
+from sweepopt.errors import brought_by
 
-from sweepopt.errors import MissingExtraError
+with brought_by("fem"):
+    import meshio  # noqa: F401
+    import skfem  # noqa: F401
 
-for _module, _package in (("skfem", "scikit-fem"), ("meshio", "meshio")):
-    if find_spec(_module) is None:
-        raise MissingExtraError(_package, "fem")
-
-from sweepopt.fem.contact import Contact  # noqa: E402
-from sweepopt.fem.effects import (  # noqa: E402
+from sweepopt.fem.contact import Contact
+from sweepopt.fem.effects import (
     BodyForce,
     Contribution,
     Effect,
@@ -26,11 +24,11 @@ from sweepopt.fem.effects import (  # noqa: E402
     Traction,
     Viscosity,
 )
-from sweepopt.fem.fields import Profile  # noqa: E402
-from sweepopt.fem.mesh import read_mesh  # noqa: E402
-from sweepopt.fem.scene import Scene, antiplane  # noqa: E402
-from sweepopt.fem.scene_file import EFFECTS, read_scene  # noqa: E402
-from sweepopt.fem.spaces import Discretisation  # noqa: E402
+from sweepopt.fem.fields import Profile
+from sweepopt.fem.mesh import read_mesh
+from sweepopt.fem.scene import Scene, antiplane
+from sweepopt.fem.scene_file import EFFECTS, read_scene
+from sweepopt.fem.spaces import Discretisation
 
 __all__ = [
     "EFFECTS",

@@ -243,13 +243,11 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     ----------
     scene : Scene
     solution : Solution
-        Of the scene's problem, with one step or more.
+        Of the scene's problem, with one step or more, all of them kept.
     """
     contact = scene.contact
     if contact is None:
         return None
-    if not solution.complete:
-        raise InputError("slip adds up all steps, but not all were kept; leave save= out")
     process, scheme, rows = solution.process, solution.plan.scheme, contact.unknown
     mu = np.diff(solution.t)
     stage_t = solution.t[:-1] + np.dot(scheme.b, scheme.c) * mu

@@ -12,7 +12,7 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sweepopt.checks import count, number
+from sweepopt.checks import choice, count, number
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.effects import (
     BodyForce,
@@ -181,11 +181,9 @@ def _history(table: Any, path: str, folder: Path) -> Any:
     match table:
         case {"csv": _}:
             return _called(_column, table, path, folder)
-        case {"waveform": str(name), **keys} if name in WAVEFORMS:
-            return _called(WAVEFORMS[name], keys, path, folder)
-        case {"waveform": name}:
-            known = ", ".join(WAVEFORMS)
-            raise InputError(f"{path}.waveform: {shown(name)} is not among {known}")
+        case {"waveform": name, **keys}:
+            kind = WAVEFORMS[choice(f"{path}.waveform", name, WAVEFORMS)]
+            return _called(kind, keys, path, folder)
         case {"table": points, **others} if not others:
             return _called(_points, points, f"{path}.table", folder)
     given = ", ".join(map(str, table)) if isinstance(table, Mapping) else shown(table)

@@ -20,7 +20,7 @@ from skfem.helpers import dot, grad
 
 from sweepopt.checks import choice, floats, listed
 from sweepopt.errors import InputError, shown
-from sweepopt.fem.fields import ANY, Datum, Range, check_datum, evaluate
+from sweepopt.fem.fields import ANY, Datum, Range, evaluate
 from sweepopt.fem.mesh import Indices, check_mesh, read_mesh
 
 Array = NDArray[np.float64]
@@ -146,7 +146,7 @@ class Discretisation:
                 )
             if np.any(self.mesh.f2t[1, boundaries[name]] >= 0):
                 raise InputError(f"{what}: {name!r} lies inside the body; name a boundary of it")
-        edges = np.unique(np.concatenate([[], *(boundaries[name] for name in names)])).astype(int)
+        edges = np.unique(np.concatenate([np.asarray(boundaries[name]) for name in names]))
         return edges, {name: np.searchsorted(edges, boundaries[name]) for name in names}
 
     def expand(self, u: ArrayLike) -> Array:
@@ -169,7 +169,6 @@ class Discretisation:
 
     def interpolate(self, function: Datum) -> Array:
         """Nodal values of a function of x (shape (2, N)) at the unknowns, shape (dim,)."""
-        check_datum("function", function)
         return evaluate("function", function, self.points.T, {})[self.free]
 
 
