@@ -8,7 +8,10 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -238,57 +241,48 @@ def test_an_edited_scene_is_another_cell_and_a_moved_one_is_not(tmp_path: Path) 
 # ---- executors ------------------------------------------------------------------------------
 
 
-@pytest.mark.filterwarnings("ignore::ResourceWarning")  # sockets of the worker that is killed
-def test_a_dask_cluster_with_one_worker_killed_gives_the_same_rows(
-    small: Path, tmp_path: Path
-) -> None:
+@contextmanager
+def cluster(threads: int = 1) -> Iterator[Any]:
+    """A dask cluster of two processes, or of two threads in this one."""
     distributed = pytest.importorskip("distributed")
-    written: list[bytes] = []
+    workers = {"n_workers": 2 // threads, "threads_per_worker": threads, "processes": threads == 1}
+    with distributed.LocalCluster(**workers, dashboard_address=None) as started:
+        yield started.scheduler_address
+
+
+@contextmanager
+def dask() -> Iterator[Executor]:
+    with cluster() as address, dask_executor(address) as executor:
+        yield executor
+
+
+@pytest.mark.parametrize("workers", [dask, partial(Processes, 2)], ids=["dask", "processes"])
+@pytest.mark.filterwarnings("ignore::ResourceWarning")  # sockets of the worker that is killed
+def test_workers_give_the_same_rows_though_one_is_killed(
+    workers: Any, small: Path, tmp_path: Path
+) -> None:
+    killed: list[int] = []
 
     def kill_one(words: str) -> None:
         if words.startswith("4 of 8"):
-            written.extend(finished(tmp_path))
-            worker = next(iter(client.run(os.getpid).values()))
-            os.kill(worker, signal.SIGKILL)
+            children = psutil.Process().children()
+            killed.extend(each.pid for each in children if "spawn_main" in str(each.cmdline()))
+            os.kill(killed[0], signal.SIGKILL)
 
-    cluster = distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-    )
-    address = cluster.scheduler_address
-    with cluster, distributed.Client(cluster) as client, dask_executor(address) as executor:
-        found = run(SMALL, tmp_path, executor=executor, progress=kill_one)
-    same(found, read_table(SMALL, small))
-    assert len(written) == 4
-    assert finished(tmp_path)[:4] == written
+    with workers() as executor:
+        table = run(SMALL, tmp_path, executor=executor, progress=kill_one)
+    assert len(killed) == 2
+    same(table, read_table(SMALL, small))
 
 
 def test_a_cluster_that_is_not_there_or_shares_time_is_refused() -> None:
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
-    ) as cluster:
+    with cluster(threads=2) as there:
         for address, words in (
-            (cluster.scheduler_address, "has 2 threads, .* --nthreads 1"),
+            (there, "has 2 threads, .* --nthreads 1"),
             ("nowhere", "scheduler 'nowhere' does not answer"),
         ):
             with pytest.raises(so.InputError, match=words), dask_executor(address):
                 pass
-
-
-def test_processes_give_the_same_rows_though_one_is_killed(small: Path, tmp_path: Path) -> None:
-    killed: list[int] = []
-
-    def kill_one(words: str) -> None:
-        if words.startswith("reference 2 of 4"):
-            children = psutil.Process().children()
-            workers = [each.pid for each in children if "spawn_main" in str(each.cmdline())]
-            killed.append(workers[0])
-            os.kill(workers[0], signal.SIGKILL)
-
-    with Processes(2) as executor:
-        found = run(SMALL, tmp_path, executor=executor, progress=kill_one)
-    assert killed
-    same(found, read_table(SMALL, small))
 
 
 def test_a_cell_that_its_workers_die_of_is_a_row_and_other_breakdowns_end_the_study(
