@@ -117,17 +117,20 @@ class Velocities:
 
 
 def _mean(weights: Sequence[float], velocities: Stages, work: Stages | None = None) -> Velocity:
-    """The weighted velocity, the worst certificate and all the work; the solver is the last one."""
+    """The weighted velocity and the worst certificate; the solver is the last one.
+
+    Its attempts are the most of a stage, or all of those that were work.
+    """
     if len(velocities) == 1 and work is None:
         return velocities[0]
-    work = work or velocities
+    attempts = [one.attempts for one in work or velocities]
     return Velocity(
         combination(weights, velocities),
         _worst(one.certificate for one in velocities),
         _worst(one.relative for one in velocities),
         velocities[-1].solver,
-        sum(one.iterations for one in work),
-        max(one.attempts for one in work),
+        sum(one.iterations for one in work or velocities),
+        sum(attempts) if work else max(attempts),
     )
 
 
