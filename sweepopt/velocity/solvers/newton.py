@@ -5,7 +5,8 @@ generalised derivative of P_C the Newton step solves  (M - D (M - T)) dz = P_C(v
 is the primal-dual active-set method: stuck entries get z = 0 at once, slipping ones solve a linear
 system (Hintermueller, Ito, Kunisch, SIAM J. Optim. 13(3), 2002). There an entry does not reverse
 within one step: it stops first, or a warm start would have whole contact zones flip to and fro. The
-method may still cycle far from the solution: then it stops early and another solver takes over.
+method may still cycle far from the solution: then each step is halved until the residual of the
+equation falls. Where that ends, another solver takes over.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.contract import Answer, Small, Solve
 
 PATIENCE = 5  # steps that may fail to improve on the best one: more are a cycle
+SHORTEST = 1e-5  # share of a step; discs across cells of stiffness 1 and 1e8 need 4e-7 to 1
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,7 @@ class Newton(Small):
     max_dim : int
         Larger programs are left to the other solvers; a step solves a dense system.
     max_iter : int
+        Of whole steps, and again of halved ones.
 
     Raises
     ------
@@ -87,12 +90,23 @@ class _Iteration:
         self._block: Any = None
 
     def __call__(self, q: np.ndarray, C: ConvexSet, start: np.ndarray | None = None) -> Answer:
-        """Newton steps until nothing changes."""
+        self._z, iterations = self._z if start is None else start, 0
+        for damped in (False, True):
+            self._z, converged, steps = self._iterated(q, C, self._z, damped)
+            iterations += steps
+            if converged:
+                break
+        return Answer(self._z, iterations=iterations, status="iterated")
+
+    def _iterated(
+        self, q: np.ndarray, C: ConvexSet, z: np.ndarray, damped: bool
+    ) -> tuple[np.ndarray, bool, int]:
+        """Newton steps from z: the last z, whether it is exact to rounding, and their number."""
         T = C.weights(self._factor.diagonal)
-        z, scale = self._z if start is None else start, 1 / np.sqrt(T)
-        smallest, stalled = math.inf, 0
-        for iteration in range(self._max_iter):
-            self._z, iterations = z, iteration
+        scale = 1 / np.sqrt(T)
+        smallest, stalled, iteration = math.inf, 0, 0
+        start, change, share = z, np.zeros_like(z), 1.0
+        while iteration < self._max_iter:
             w, size_z = self._factor.apply(z, q, NEGLIGIBLE)
             v = w - T * z
             residual = C.project(v) - w
@@ -100,7 +114,13 @@ class _Iteration:
             rounding = EPS * (euclidean(w * scale) + size_z)
             # at rounding the equation cannot get better: stop when it does not, or when it cycles
             stalled += size >= smallest
-            if size <= rounding or (size <= 1e3 * rounding and stalled) or stalled == PATIENCE:
+            if size <= rounding or (size <= 1e3 * rounding and stalled):
+                return z, True, iteration
+            if damped and size >= smallest and share > SHORTEST:
+                share /= 2
+                z = start + share * change
+                continue
+            if stalled == PATIENCE and not damped:
                 break
             smallest = min(smallest, size)
             D = C.derivative(v)
@@ -108,16 +128,16 @@ class _Iteration:
                 break
             try:
                 if D.ndim == 1:
-                    z = self._separable(D == 1, z, residual)
+                    following = self._separable(D == 1, z, residual)
                 else:
-                    z = z + self._coupled(T, D, z, residual)
+                    following = z + self._coupled(T, D, z, residual)
             except np.linalg.LinAlgError:
                 break
-            if not math.isfinite(z @ z):
+            if not math.isfinite(following @ following):
                 break
-        else:
-            self._z, iterations = z, self._max_iter
-        return Answer(self._z, iterations=iterations, status="iterated")
+            start, change, share = z, following - z, 1.0
+            z, iteration = following, iteration + 1
+        return z, False, iteration
 
     def _separable(self, stuck: np.ndarray, z: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """Stuck entries get 0, slipping ones solve M dz = residual; nothing reverses."""
