@@ -24,22 +24,10 @@ SMOOTHING = ("jacobi", {"omega": 4 / 3, "weighting": "local"})
 
 
 class ConjugateGradients:
-    """A sparse M = M^T > 0 that is not factorised.
+    """A sparse M = M^T > 0 that is not factorised; `kept` are the unknowns not to be eliminated.
 
-    Parameters
-    ----------
-    M : sparse, shape (dim, dim)
-    kept : ndarray of int, optional
-        The unknowns that are not eliminated.
-
-    Raises
-    ------
-    IndefiniteError
-        If a solve meets a direction of negative curvature.
-    SolverRefusedError
-        If a solve does not converge.
-    MissingExtraError
-        If pyamg is not installed.
+    It raises IndefiniteError where a solve meets a direction of negative curvature,
+    SolverRefusedError where one does not converge, MissingExtraError without pyamg.
     """
 
     method = "conjugate gradients"

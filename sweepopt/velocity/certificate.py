@@ -137,7 +137,7 @@ class Inclusion:
     def __init__(
         self, M: Factor, A: Matrix | None = None, B: Matrix | None = None, gamma: float = 0.0
     ) -> None:
-        self.M, self._A, self.B, self._gamma = M, A, B, gamma
+        self.M, self._A, self.B, self.gamma = M, A, B, gamma
 
     def certify(self, of: Instance, pair: Proposal, tol: float) -> Velocity:
         """The velocity of a normal pair with its certificate, as sharp as `tol` needs it."""
@@ -151,9 +151,8 @@ class Inclusion:
             size_z, length = math.sqrt(max(z.dot(product), 0.0)), euclidean(M.root * z)
         allowed, of_z = SHARE * tol * size_z, 0.0
         rounding = 2 * M.rounding(length, force)
-        if of.u is not None:
-            # (A + gamma B - M) z + (B u - q)
-            rounding += self.share_of_z * size_z + self.share_of_u * euclidean(M.root * of.u)
+        if of.u is not None:  # B u - q, and gamma B z in M z
+            rounding += self.share_of_u * (euclidean(M.root * of.u) + self.gamma * length)
         if rounding <= allowed:
             rho = product + of.force
             rho[pair.unknowns] -= pair.w
@@ -162,7 +161,7 @@ class Inclusion:
             w[pair.unknowns] = pair.w
             rho = self.exact_residual(of, z, -w)
             rounding *= max(one.share for one in self._exact)
-            of_z = self.share_of_z
+            of_z = M.margin - 1 if self.gamma else 0.0
             if of_z >= 1:  # M says nothing of A + gamma B
                 return Velocity(z, math.inf, math.inf)
         residual = M.dual_norm_bound(rho)
@@ -181,7 +180,7 @@ class Inclusion:
         """A z + B (u + gamma z) - c + the others, rounded once."""
         if of.u is None:
             return self.M.precisely(z, of.q, -of.c, *more)
-        (A, B), gamma = self._exact, self._gamma
+        (A, B), gamma = self._exact, self.gamma
         terms = [*A.terms(z), *B.terms(of.u), -of.c, *more]
         if gamma:
             terms += [*B.terms(gamma * z), self.B @ product_error(gamma, z)]
@@ -202,15 +201,6 @@ class Inclusion:
         entries = np.diff(self.B.indptr).max() if sp.issparse(self.B) else len(self.B)
         M = self.M
         return UNIT * M.bound_factor * (3 + math.sqrt(entries)) * row_sum(self.B, M.root)
-
-    @cached_property
-    def share_of_z(self) -> float:
-        """|(A + gamma B - M) z|_{M^-1} as a share of |z|_M."""
-        if self.B is None or not self._gamma:
-            return 0.0
-        M = self.M
-        sums = M.stretch**2 + self._gamma * row_sum(self.B, M.root)
-        return UNIT * M.bound_factor**2 * sums
 
     # ---- rest ----------------------------------------------------------------------------------
 
@@ -340,7 +330,7 @@ def one_unknown(
     """
     M, B = float(inclusion.M.diagonal[0]), inclusion.B
     stiffness, root = 0.0 if B is None else float(dense(B)[0, 0]), math.sqrt(M)
-    of_z, of_u = root * inclusion.share_of_z, root * inclusion.share_of_u
+    of_u, gamma = root * inclusion.share_of_u, inclusion.gamma
     lower, upper, allowed = float(S.lower[0]), float(S.upper[0]), SHARE * tol
 
     def velocity(u: float, c: float) -> Velocity | None:
@@ -353,7 +343,7 @@ def one_unknown(
             return at_rest(np.zeros(1), CLOSED_FORM) if hidden <= allowed * forces else None
         z = 0.0 - outside / M
         size = max(abs(outside), abs(v)) / root
-        certificate = EPS * (size + forces) + of_z * abs(z) + hidden
+        certificate = EPS * (size + forces) + of_u * gamma * abs(z) + hidden
         if not certificate <= allowed * size:
             return None
         return rated(np.array([z]), certificate, size, CLOSED_FORM)

@@ -103,14 +103,16 @@ class StateVelocity:
             velocity = refined(inclusion, by_solve(inclusion.M), of, self._tol)
             return velocity._replace(solver="linear", attempts=1)
         c, whole = untranslated(C)
-        inclusion, cone, S, few = self._on_all, whole, whole, EVERY
+        cone, S, few, eliminated = whole, whole, EVERY, False
         if whole.selection is not None:
             few, S, shift = whole.selection
-            if same_array(few, self._contact):
-                inclusion, cone = self._on_few, untranslated(S).S
+            eliminated = same_array(few, self._contact)
+            if eliminated:
+                cone = untranslated(S).S
                 c = c if shift is None else c + shift
             elif shift is not None:
                 few, S = EVERY, whole
+        inclusion = self._on_few if eliminated else self._on_all
         of = Instance(q - c, q, c, S, whole, u, few)
         cascade = self._cascade
         if cascade is None or inclusion is not cascade.inclusion or not cascade.serves(cone):

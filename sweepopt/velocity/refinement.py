@@ -41,8 +41,8 @@ SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
 NO_UNKNOWNS = np.zeros(0, dtype=int)
 UNSOLVED = Velocity(np.zeros(0), math.inf, math.inf)
 AnswerOf = Callable[[np.ndarray, ConvexSet], Answer]
-Propose = Callable[[np.ndarray, np.ndarray | None], Proposal | Velocity]
-"""From the residual of a z, None for 0, to a better pair; a velocity where that has no proof."""
+Propose = Callable[[np.ndarray, np.ndarray | None], Proposal]
+"""From the residual of a z, None for 0, to a better pair; its gap is nan where it has no proof."""
 
 
 def refined(inclusion: Inclusion, propose: Propose, of: Instance, tol: float) -> Velocity:
@@ -50,9 +50,6 @@ def refined(inclusion: Inclusion, propose: Propose, of: Instance, tol: float) ->
     best, residual, z, size, iterations = UNSOLVED, of.force, None, None, 0
     for _ in range(1 + REFINEMENTS):
         pair = propose(residual, z)
-        if isinstance(pair, Velocity):
-            best = pair if z is None else best
-            break
         iterations += pair.iterations
         if z is None:
             size = pair.size
@@ -60,7 +57,7 @@ def refined(inclusion: Inclusion, propose: Propose, of: Instance, tol: float) ->
             pair = pair._replace(size=size)
         velocity = inclusion.certify(of, pair, tol)
         falls = velocity.certificate <= 0.5 * best.certificate
-        if velocity.relative < best.relative:
+        if not velocity.relative >= best.relative:
             best = velocity
         if best.relative <= tol or not falls:
             break
@@ -74,25 +71,24 @@ def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
     """The program of the unknowns that M keeps, as a solver answers it."""
     few = M.unknowns
 
-    def propose(residual: np.ndarray, z: np.ndarray | None) -> Proposal | Velocity:
+    def propose(residual: np.ndarray, z: np.ndarray | None) -> Proposal:
         forward, force = M.reduce(-residual)
         linear = -force if z is None else M.small.precisely(-z[few], -force)
         answer = solve(linear, S)
-        iterations = answer.iterations
-        if not is_finite(answer.z):
-            return Velocity(np.zeros_like(residual), math.inf, math.inf, iterations=iterations)
-        pair = pair_near(M.small, linear, S, answer.z, tol)
-        if pair is None:
-            unproven = math.nan if answer.status in SOLVED else math.inf
-            z = M.recover(forward, answer.z)
-            return Velocity(z, unproven, unproven, iterations=iterations)
+        nothing = np.zeros_like(linear)
+        if is_finite(answer.z):
+            gap = math.nan if answer.status in SOLVED else math.inf  # of a set without proof
+            near = pair_near(M.small, linear, S, answer.z, tol)
+            pair = near or Proposal(answer.z, nothing, gap=gap)
+        else:
+            pair = Proposal(nothing, nothing, gap=math.inf)
         if z is not None:
             pair = with_forces_at_rest(M.small, linear, S, pair)
         zeta = pair.z
         z = M.recover(forward, zeta) if z is None else z + M.recover(forward, zeta - z[few])
         z[few] = zeta  # to the last bit: stuck is 0.0
         perturbation, size = M.margin * pair.perturbation, M.size(forward)
-        return Proposal(z, pair.w, few, pair.gap, perturbation, size, iterations=iterations)
+        return Proposal(z, pair.w, few, pair.gap, perturbation, size, iterations=answer.iterations)
 
     return propose
 
