@@ -47,6 +47,8 @@ class ErrorEstimator:
         The largest error so far.
     length : float
         Arc length of u.
+    ends : dict
+        The steps at which segments start or end, and the share 0 or 1 of the step where they do.
     leading : ndarray, shape (n,)
         |d| / h^(r+1) of each step.
     """
@@ -71,7 +73,10 @@ class ErrorEstimator:
         segment = np.searchsorted(breakpoints[1:-1], times[:-1], side="right")
         first, after = (np.searchsorted(segment, segment, side) for side in ("left", "right"))
         window = np.clip(np.arange(len(segment)) - 1, first, after - 1 - r)
-        self._window, self._first, self._last = np.maximum(window, 0), first, after - 1
+        self._window = np.maximum(window, 0)
+        self.ends: dict[int, list[float]] = {i: [0.0] for i in first.tolist()}
+        for i in np.unique(after - 1).tolist():
+            self.ends.setdefault(i, []).append(1.0)
         self._z: list[np.ndarray] = []
         self._done, self._error, self._variance = 0, *np.zeros((2, process.dim))
         self.error = self.length = 0.0
@@ -80,11 +85,6 @@ class ErrorEstimator:
     def norms(self, rows: np.ndarray) -> np.ndarray:
         """|u|_A of each row, |u|_B where A = 0."""
         return np.sqrt(np.maximum(squares(self._process.metric.M, rows), 0.0))
-
-    def ends_of_segments(self, i: int) -> list[float]:
-        """The share 0 or 1 of step i at which a segment starts or ends."""
-        ends = (0.0, self._first[i]), (1.0, self._last[i])
-        return [share for share, step in ends if step == i]
 
     def add_step(self, i: int, z: np.ndarray) -> None:
         """Take the velocity of step i."""
