@@ -1,11 +1,9 @@
-"""All unknowns of a proportional material from those that enter its steps (`Reduction`).
-
-u = A^-1 E^T N zeta + sum_k alpha_k F_k + alpha_0 F_0,   alpha_k' + rho alpha_k = phi_k
-"""
+"""All unknowns of a proportional material from those that enter its steps (`Reduction`)."""
 
 from __future__ import annotations
 
 import time as clock
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +15,8 @@ from sweepopt.integrate.step import compensated_sum
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Moving, Point
 from sweepopt.velocity import Reduction, Velocity
+
+Reconstruct = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 class Reconstruction:
@@ -47,22 +47,27 @@ class Reconstruction:
         gammas = grid.mus * scheme.a[-1][-1]
         self._residual = self._reduction.residuals(self._nodes[:-1], self._velocities, gammas)
 
-    def _all(self, few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-        """All unknowns, of one vector or of some in rows."""
-        if self._reduction is None:
-            return few
+    def _states(self, few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+        """One state, or some in rows."""
+        return few if self._reduction is None else self._rows(self._reduction.state, few, alpha)
+
+    def _velocities_of(self, few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+        """One velocity, or some in rows."""
+        return few if self._reduction is None else self._rows(self._reduction.velocity, few, alpha)
+
+    def _rows(self, one: Reconstruct, few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
         if few.ndim == 1:
-            return self._reduction.reconstruct(few, alpha)
-        rows = [self._all(*each) for each in zip(few, alpha, strict=True)]
+            return one(few, alpha)
+        rows = [one(*each) for each in zip(few, alpha, strict=True)]
         return np.array(rows).reshape(len(few), self._dim)
 
     def state(self, node: int, u: np.ndarray) -> np.ndarray:
         """The state at a node of the grid."""
-        return self._all(u, self._nodes[node])
+        return self._states(u, self._nodes[node])
 
     def velocity(self, i: int, z: np.ndarray) -> np.ndarray:
         """The velocity of a step."""
-        return self._all(z, self._velocities[i])
+        return self._velocities_of(z, self._velocities[i])
 
     def full_certificate(self, i: int, zeta: np.ndarray, velocity: Velocity) -> Velocity:
         """The certificate of all unknowns from that of those that entered the step.
@@ -83,7 +88,7 @@ class Reconstruction:
             return few
 
         def all_unknowns(t: np.ndarray, values: np.ndarray, of_phase: Evaluate) -> np.ndarray:
-            return self._all(values, exact.evaluate(t, of_phase))
+            return self._states(values, exact.evaluate(t, of_phase))
 
         return replace(few, reconstruct=all_unknowns)
 
@@ -93,8 +98,8 @@ class Reconstruction:
         nodes = np.append(0, steps + 1)
         return States(
             steps,
-            lambda i: self._all(entering.u(i), self._nodes[nodes[i]]),
-            lambda i: self._all(entering.velocity(i), self._velocities[steps[i]]),
+            lambda i: self._states(entering.u(i), self._nodes[nodes[i]]),
+            lambda i: self._velocities_of(entering.velocity(i), self._velocities[steps[i]]),
         )
 
 
@@ -103,22 +108,20 @@ def _coefficients(
 ) -> tuple[np.ndarray, np.ndarray]:
     """alpha at every node and its velocity in every step of a scheme of one stage.
 
-    alpha' = (phi - rho alpha) / (1 + gamma rho), phi at the stage, alpha at the start of the step.
+    alpha' = (psi - rho alpha) / (1 + gamma rho), psi the load's value at the stage, alpha at the
+    start of the step.
     """
     ((weight,),), (c,) = scheme.a, scheme.c
     ratios = (1 + weight * mus * reduction.rho)[:, None]
-    phi = reduction.load.values(times[:-1] + c * mus)
-    constant, slope = phi / ratios, np.broadcast_to(-reduction.rho / ratios, phi.shape).copy()
-    rest = reduction.steps_at_rest(phi)
-    constant[:rest, reduction.acts_beside] = 0.0
-    slope[:rest, -1] = 0.0
-    nodes = np.zeros((len(mus) + 1, phi.shape[1]))
-    velocities = np.zeros(phi.shape)
-    nodes[0, -1] = 1.0  # alpha_0
+    load = reduction.load
+    psi = load.values(times[:-1] + c * mus) @ load.shapes.T
+    constant, slopes = psi / ratios, (-reduction.rho / ratios[:, 0]).tolist()
+    nodes = np.zeros((len(mus) + 1, psi.shape[1]))
+    velocities = np.zeros(psi.shape)
     sizes = mus.tolist()
-    for k in range(phi.shape[1]):  # in plain numbers
-        alpha, compensation = float(nodes[0, k]), 0.0
-        each = zip(constant[:, k].tolist(), slope[:, k].tolist(), sizes, strict=True)
+    for k in range(psi.shape[1]):  # in plain numbers
+        alpha, compensation = 0.0, 0.0
+        each = zip(constant[:, k].tolist(), slopes, sizes, strict=True)
         for i, (a, b, mu) in enumerate(each):
             velocities[i, k] = velocity = a + b * alpha
             alpha, compensation = compensated_sum(alpha, mu * velocity, compensation)
@@ -128,7 +131,9 @@ def _coefficients(
 
 def _exact_coefficients(reduction: Reduction, times: np.ndarray) -> Trajectory:
     """alpha' + rho alpha = phi as a process of its own, which is linear."""
-    unit = np.eye(len(reduction.load.terms))
+    unit = np.eye(reduction.load.dim)
     C = Moving(Point(0 * unit[-1]), reduction.load)
-    process = SweepingProcess(unit, reduction.rho * unit if reduction.rho else None, C, unit[-1])
+    process = SweepingProcess(
+        unit, reduction.rho * unit if reduction.rho else None, C, 0 * unit[-1]
+    )
     return exact_trajectory(rows_of(process), process.u0, float(times[0]), float(times[-1]))

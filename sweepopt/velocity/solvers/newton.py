@@ -13,18 +13,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Any
 
 import numpy as np
-from scipy.linalg import lapack  # the plain calls: no checks in the loop
+import scipy.linalg
 
 from sweepopt.checks import count
 from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, dense, euclidean
-from sweepopt.sets import ConvexSet, binary
+from sweepopt.sets import ConvexSet
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.contract import Answer, Small, Solve
 
-FEW_SLIPPING = 40  # up to so many slipping entries an inverse is not worth it
 PATIENCE = 5  # steps that may fail to improve on the best one: more are a cycle
 SHORTEST = 1e-5  # share of a step; discs across cells of stiffness 1 and 1e8 need 4e-7 to 1
 
@@ -85,40 +84,31 @@ class _Iteration:
     """
 
     def __init__(self, M: Factor, max_iter: int) -> None:
-        self._factor, self.M, self._diagonal = M, dense(M.M), M.diagonal
-        self._max_iter, self._z = max_iter, np.zeros(M.dim)
-        self._take(self._diagonal)
+        self._factor, self.M, self._max_iter = M, dense(M.M), max_iter
+        self._z = np.zeros(M.dim)
         self._stuck = b""
-        self._kept = np.zeros(0, dtype=int)
-        self._block, self._inverted = self.M, False
+        self._block: Any = None
 
     def __call__(self, q: np.ndarray, C: ConvexSet, start: np.ndarray | None = None) -> Answer:
         self._z, iterations = self._z if start is None else start, 0
         for damped in (False, True):
-            self._z, converged, count = self._iterated(q, C, self._z, damped)
-            iterations += count
+            self._z, converged, steps = self._iterated(q, C, self._z, damped)
+            iterations += steps
             if converged:
                 break
-        return Answer(self._z, np.zeros(C.offsets.size), iterations, "iterated")
+        return Answer(self._z, iterations=iterations, status="iterated")
 
     def _iterated(
         self, q: np.ndarray, C: ConvexSet, z: np.ndarray, damped: bool
     ) -> tuple[np.ndarray, bool, int]:
         """Newton steps from z: the last z, whether it is exact to rounding, and their number."""
-        T = C.weights(self._diagonal)
-        if T is not self._T:
-            self._take(T)
-        scale = self._scale
+        T = C.weights(self._factor.diagonal)
+        scale = 1 / np.sqrt(T)
         smallest, stalled, iteration = math.inf, 0, 0
         start, change, share = z, np.zeros_like(z), 1.0
         while iteration < self._max_iter:
-            pulled = T * z
-            if self._factor.is_sharp:
-                w, size_z = self.M @ z + q, euclidean(pulled * scale)
-            else:
-                w, size_z = self._factor.apply(z, q, NEGLIGIBLE)
-                size_z *= self._unit
-            v = w - pulled
+            w, size_z = self._factor.apply(z, q, NEGLIGIBLE)
+            v = w - T * z
             residual = C.project(v) - w
             size = euclidean(residual * scale)
             rounding = EPS * (euclidean(w * scale) + size_z)
@@ -149,46 +139,27 @@ class _Iteration:
             z, iteration = following, iteration + 1
         return z, False, iteration
 
-    def _take(self, T: np.ndarray) -> None:
-        """Roots of T in its own units: the same numbers whatever power of two the units are."""
-        unit = binary(T.max())
-        self._T, self._roots, self._unit = T, np.sqrt(T / unit), math.sqrt(unit)
-        self._scale = 1 / self._roots
-
     def _separable(self, stuck: np.ndarray, z: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """Stuck entries get 0, slipping ones solve M dz = residual; nothing reverses."""
+        inverted = 2 * stuck.sum() < stuck.size
+        kept = np.flatnonzero(stuck if inverted else ~stuck)
         if stuck.tobytes() != self._stuck:
-            self._stuck = b""
-            free = np.flatnonzero(~stuck)
-            self._inverted = free.size > max(stuck.size // 2, FEW_SLIPPING)
-            self._kept = np.flatnonzero(stuck) if self._inverted else free
-            matrix = self._inverse if self._inverted else self.M
-            block = matrix[self._kept][:, self._kept]
-            self._block, info = lapack.dpotrf(block, lower=True)
-            if info:
-                raise np.linalg.LinAlgError("the block is not positive definite to rounding")
+            matrix = self._factor.inverse if inverted else self.M
+            self._block = kept.size and scipy.linalg.cho_factor(matrix[np.ix_(kept, kept)])
             self._stuck = stuck.tobytes()
-        following = np.where(stuck, 0.0, z)
-        change, kept = following - z, self._kept
-        if self._inverted:
+        change = np.where(stuck, -z, 0.0)
+        if inverted:
             # the few stuck entries: the forces on them that hold them, in the inverse
             force = np.where(stuck, 0.0, residual)
             if kept.size:
-                inner = change[kept] - self._inverse[kept] @ force
-                force[kept] = lapack.dpotrs(self._block, inner, lower=True)[0]
-            following = np.where(stuck, 0.0, z + self._inverse @ force)
+                inner = change[kept] - self._factor.inverse[kept] @ force
+                force[kept] = scipy.linalg.cho_solve(self._block, inner)
+            change = self._factor.inverse @ force
         elif kept.size:
-            right = residual - self.M @ change if change.any() else residual
-            following[kept] += lapack.dpotrs(self._block, right[kept], lower=True)[0]
+            right = residual - self.M @ change
+            change[kept] = scipy.linalg.cho_solve(self._block, right[kept])
+        following = np.where(stuck, 0.0, z + change)
         return np.where(following * z < 0, 0.0, following)
-
-    @cached_property
-    def _inverse(self) -> np.ndarray:
-        factor, info = lapack.dpotrf(self.M, lower=True)
-        if info:
-            raise np.linalg.LinAlgError("M is not positive definite to rounding")
-        lower = lapack.dpotri(factor, lower=True)[0]
-        return np.tril(lower) + np.tril(lower, -1).T
 
     def _coupled(
         self, T: np.ndarray, D: np.ndarray, z: np.ndarray, residual: np.ndarray
@@ -203,6 +174,6 @@ class _Iteration:
         rows = rows - D[free] @ self.M + D[free] * T
         right = residual[free] - rows[:, stuck] @ dz[stuck]
         # in units of T: pivots are chosen by size
-        units = self._roots[free]
+        units = np.sqrt(T[free])
         dz[free] = np.linalg.solve(rows[:, free] / np.outer(units, units), right / units) / units
         return dz
