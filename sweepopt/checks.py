@@ -115,6 +115,15 @@ def times(name: str, value: Any) -> np.ndarray:
     return bounded(name, floats(name, value, "a time or an array of times"), "finite times")
 
 
+def times_inside(value: Any, start: float, end: float) -> np.ndarray:
+    """Times within a run, or outside of it by rounding."""
+    array, slack = times("t", value), TIME_SLACK * max(abs(start), abs(end))
+    outside = ~((array >= start - slack) & (array <= end + slack))
+    if outside.any():
+        raise InputError(f"t = {array[outside].flat[0]:g} is outside of [{start:g}, {end:g}]")
+    return array
+
+
 def is_finite(array: np.ndarray) -> bool:
     """Whether all entries of a vector are finite."""
     # the plain call: scaled, so that it neither overflows nor warns, and quick

@@ -138,14 +138,15 @@ def test_nine_of_ten_random_processes_meet_the_tolerance_and_none_is_far_from_it
 
 
 @pytest.mark.parametrize("data", [True, False])
-@pytest.mark.parametrize("periods", [4, 16, 33, 64])
-def test_a_sine_that_is_sampled_at_its_zeros_is_seen(periods: int, data: bool) -> None:
+@pytest.mark.parametrize(("periods", "B"), [(4, 1.0), (16, 0.01), (33, 1.0), (64, 0.01)])
+def test_a_sine_that_is_sampled_at_its_zeros_is_seen(periods: int, B: float, data: bool) -> None:
     wave = so.Sine(2.0, 8.0 / periods)
     load = so.Separable([(wave, [1.0])])
-    process = so.SweepingProcess([[1.0]], [[1.0]], so.Moving(so.Box([-1], [1]), load), [0.0])
-    unknown = so.SweepingProcess(
-        [[1.0]], [[1.0]], so.Moving(so.Box([-1], [1]), lambda t: [wave(t)]), [0.0]
+    process, unknown = (
+        so.SweepingProcess([[1.0]], [[B]], so.Moving(so.Box([-1], [1]), center), [0.0])
+        for center in (load, lambda t: [wave(t)])
     )
+    # where little is damped the errors of all switches add up
     tol = 0.01 / periods
     sol = so.solve(process if data else unknown, t_end=8.0, steps=so.Adaptive(tol))
     assert sol.success
@@ -362,6 +363,7 @@ def test_a_jump_of_the_load_that_needs_too_short_steps_is_told_with_its_time() -
     sol = so.solve(jumping(), t_end=4.0, steps=steps, on_failure="stop")
     assert sol.status is so.Status.INEXACT
     assert "minimum" in sol.message
+    assert np.diff(sol.t).min() >= 1e-3
     assert sol.t[-1] == pytest.approx(1.2345, abs=0.1)
     # without a minimum that forbids it the jump is resolved
     assert so.solve(jumping(), t_end=4.0, steps=so.Adaptive(1e-4)).success
@@ -440,10 +442,3 @@ def test_states_that_are_too_large_to_be_kept_are_looked_at_a_few_at_a_time() ->
     sol = so.solve(process, t_end=8.0, steps=so.Adaptive(tol), save="last")
     assert sol.passes[-1].error == pytest.approx(one.passes[-1].error, rel=1e-6)
     assert sol.passes[-1].steps == one.passes[-1].steps
-
-
-def test_no_step_is_shorter_than_the_minimum() -> None:
-    process, t_end = random_process(101)
-    steps = so.Adaptive(0.1, first=10.0, minimum=1.0)
-    sol = so.solve(process, t_end=t_end, steps=steps, on_failure="stop")
-    assert np.diff(sol.t).min() >= 1.0 or not sol.success

@@ -360,19 +360,3 @@ def test_the_bound_holds_for_random_processes_on_coarse_grids(
 ) -> None:
     for seed in seeds:
         check_bound(seed, rate_independent)
-
-
-def test_errors_grow_no_faster_than_the_theory_says() -> None:
-    """|u - v|_A (t) <= K(t) |u - v|_A (0) with K(t) = min(exp(nu t), 1 + sqrt(Lam t / 2), ...)."""
-    random = np.random.default_rng(3)
-    for _ in range(8):
-        A, B = random_matrix(random, 4), random_matrix(random, 4)
-        C = so.Box(-random.uniform(0, 1, 4), random.uniform(0, 1, 4))
-        one, two = (so.SweepingProcess(A, B, C, random.normal(size=4)) for _ in range(2))
-        runs = [so.solve(p, t_end=3.0, steps=300, scheme="implicit-euler") for p in (one, two)]
-        rates = np.linalg.eigvals(np.linalg.solve(A, B)).real
-        lam, Lam, t = rates.min(), rates.max(), runs[0].t
-        K = np.minimum(np.exp((Lam - lam) ** 2 / (8 * (Lam + lam)) * t), np.sqrt(Lam / lam))
-        K = np.minimum(K, 1 + np.sqrt(Lam * t / 2))
-        apart = sizes(one, runs[0].u - runs[1].u)
-        assert (apart <= K * apart[0] * (1 + 1e-3)).all()

@@ -147,6 +147,9 @@ def stick_slip(dim: int) -> so.Solution:
 def test_plot_of_a_solution_draws_components_and_stick_phases(dim: int, tmp_path: Path) -> None:
     solution = stick_slip(dim)
     ax = solution.plot()
+    given = Figure().add_subplot()
+    assert solution.plot(given) is given
+    assert len(given.lines) == len(ax.lines)
     save(ax.figure, tmp_path / "solution.png")
     curves = [line for line in ax.lines if line.get_label().startswith("$u_")]
     assert len(curves) == min(dim, plot.MOST_COMPONENTS)
@@ -159,12 +162,6 @@ def test_plot_of_a_solution_draws_components_and_stick_phases(dim: int, tmp_path
         wide = [other for other in mine if other.get_linewidth() > 5]
         assert not stuck or 3 * stuck in [len(other.get_xdata()) for other in wide]
     assert ("of 20 components" in ax.get_legend().get_title().get_text()) == (dim == 20)
-
-
-def test_plot_of_a_solution_draws_into_given_axes() -> None:
-    ax = Figure().add_subplot()
-    assert stick_slip(2).plot(ax) is ax
-    assert ax.lines
 
 
 def test_missing_matplotlib_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:

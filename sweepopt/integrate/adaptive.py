@@ -220,10 +220,9 @@ class _AdaptiveDriver:
         def observe(i: int, u: np.ndarray, z: np.ndarray, _: float) -> None:
             self._tick()
             estimator.add_step(i, z)
-            rest, h = z == 0, float(times[i + 1] - times[i])
-            shares = [*estimator.ends_of_segments(i), *[i * GOLDEN % 1.0] * resting]
-            for share in shares if rest.any() else ():
-                probes.append(Probe(i, times[i] + share * h, u - (1 - share) * h * z, rest))
+            for share in estimator.ends.get(i, []) + [i * GOLDEN % 1.0] * resting:
+                since, left = share * mus[i], (1 - share) * mus[i]
+                probes.append(Probe(i, times[i] + since, u - left * z, z == 0))
 
         def add_pass(error: float) -> None:
             this = Pass(run.done, error, clock.perf_counter() - began)
@@ -244,6 +243,8 @@ class _AdaptiveDriver:
         """Errors of switches that no step shows, from the velocities at the probes."""
         hidden = 0.0
         for i, t, u, rest in probes:
+            if not rest.any():
+                continue
             mu = float(mus[i])
             jump = HIDDEN * self._process.metric.norm(np.where(rest, self._velocity(t, u, mu), 0.0))
             estimator.leading[i] = max(estimator.leading[i], jump / mu**estimator.order)

@@ -40,15 +40,10 @@ class Interpolant:
 
     def inside(self, t: Any) -> np.ndarray:
         """The times as floats; one that misses a kept node by rounding is that node."""
-        times = checks.times("t", t)
         if len(self.t) < 2:
             raise InputError("the run has no complete step to interpolate")
+        times = checks.times_inside(t, float(self.t[0]), float(self.t[-1]))
         slack = checks.TIME_SLACK * max(abs(self.t[0]), abs(self.t[-1]))
-        outside = ~((times >= self.t[0] - slack) & (times <= self.t[-1] + slack))
-        if outside.any():
-            raise InputError(
-                f"t = {times[outside].flat[0]:g} is outside of [{self.t[0]:g}, {self.t[-1]:g}]"
-            )
         nearest = self.t[np.clip(np.searchsorted(self.t, times - slack), 0, len(self.t) - 1)]
         return np.where(np.abs(nearest - times) <= slack, nearest, times)
 

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from sweepopt import checks
-from sweepopt.errors import InputError
 from sweepopt.integrate.exact.exponential_sum import ExponentialSum, decay
 from sweepopt.integrate.exact.face import Face, face_after
 from sweepopt.integrate.exact.first_root import first_root
@@ -93,12 +92,8 @@ class Trajectory:
 
     def evaluate(self, t: Any, of_phase: Evaluate) -> np.ndarray:
         """What `of_phase` computes of the phases at the times."""
-        times = checks.times("t", t)
         start = self.phases[0].start
-        slack = checks.TIME_SLACK * max(abs(start), abs(self.end))
-        bad = ~((times >= start - slack) & (times <= self.end + slack))
-        if bad.any():
-            raise InputError(f"t = {times[bad].flat[0]:g} is outside of [{start:g}, {self.end:g}]")
+        times = checks.times_inside(t, start, self.end)
         flat = np.clip(times.ravel(), start, self.end)
         phase_of = np.maximum(np.searchsorted(self.starts, flat, side="left") - 1, 0)
         values = np.zeros((flat.size, len(self.phases[0].u.weights)))
