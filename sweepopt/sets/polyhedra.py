@@ -17,6 +17,7 @@ from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
     Features,
+    Halfspaces,
     NormalPair,
     binary,
     same_array,
@@ -229,8 +230,8 @@ class Polyhedron(ConvexSet):
     def same_cone(self, other: ConvexSet) -> bool:
         return isinstance(other, Polyhedron) and same_array(self.G, other.G)
 
-    def rows(self) -> tuple[Any, np.ndarray] | None:
-        return self.G, self.h
+    def halfspaces(self) -> Halfspaces:
+        return Halfspaces.below(self.G, self.h)
 
     def require_nonempty(self, where: str = "C") -> None:
         try:

@@ -91,13 +91,13 @@ def normal_by_program(C: ConvexSet, w: np.ndarray) -> Normal:
 
 
 @in_turn
-def separation_by_program(S: ConvexSet, F: Any, g: np.ndarray, unit: float) -> float:
-    """min |F s - g| over S, in a unit: max of <g, lam> - sigma(S, F^T lam) over |lam| <= 1."""
+def separation_by_program(S: ConvexSet, F: Any, unit: float) -> float:
+    """min |F s| over S, in a unit: max of -sigma(S, F^T lam) over |lam| <= 1."""
     import cvxpy as cp
 
-    multipliers = cp.Variable(g.size)
+    multipliers = cp.Variable(F.shape[0])
     sigma, constraints = S.epigraph(F.T @ multipliers)
-    objective = cp.Maximize((g @ multipliers - sigma) / unit)
+    objective = cp.Maximize(-sigma / unit)
     problem = cp.Problem(objective, [*constraints, cp.norm(multipliers) <= 1])
     solve_tightly(problem)
     return float("inf") if problem.value is None else float(problem.value)

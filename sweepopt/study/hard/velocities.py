@@ -12,7 +12,7 @@ import numpy as np
 
 from sweepopt.errors import InputError, SweepoptError
 from sweepopt.linalg import dense
-from sweepopt.sets import Ball, Balls, Box, ConvexSet, Point
+from sweepopt.sets import Ball, Balls, Box, ConvexSet, Point, Polyhedron, shape_of
 from sweepopt.study.hard import digits
 
 CHANGES = 2000  # of the active set: it is finite, and this ends what is not
@@ -36,10 +36,10 @@ def velocity(C: ConvexSet, N: np.ndarray, q: np.ndarray) -> np.ndarray:
     if isinstance(C, Point):
         point = C.project(np.zeros(C.dim))
         C = Box(point, point)
-    rows = C.rows()
-    if rows is None:
+    if not isinstance(shape_of(C), (Box, Polyhedron)):
         raise InputError(f"no exact velocity is known for a {type(C).__name__}")
-    return in_polyhedron(N, q, dense(rows[0]), rows[1])
+    rows = C.halfspaces()
+    return in_polyhedron(N, q, dense(rows.N), rows.d)
 
 
 def in_polyhedron(N: np.ndarray, q: np.ndarray, G: np.ndarray, h: np.ndarray) -> np.ndarray:
