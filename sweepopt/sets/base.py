@@ -63,13 +63,6 @@ class NormalPair(NamedTuple):
     gap: float
     perturbation: Perturbation | None = None
 
-    def over(self, step: float) -> NormalPair:
-        """The pair of p / step."""
-        perturbation = self.perturbation and self.perturbation._replace(
-            p=self.perturbation.p / step
-        )
-        return NormalPair(self.p / step, self.w, self.gap / step, perturbation)
-
 
 class Selection(NamedTuple):
     """C = shift + { w : w[unknowns] in part, all other entries 0 }; shift None is 0."""
@@ -241,10 +234,6 @@ class ConvexSet(ABC):
         keeps its own units.
         """
         return np.full(self.dim, float(np.mean(tau)))
-
-    def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """The point of C nearest to w in the metric of 1 / tau, or in one that is like it."""
-        return self.project(w)
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         """A generalised derivative of `project` at v; None where none is known.

@@ -34,7 +34,7 @@ from sweepopt.sets.base import (
 from sweepopt.sets.generated import GeneratedCone
 from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.programs import normal_by_program, separation_by_program, support_by_program
-from sweepopt.sets.projection import Projection, Projector, Splitting, fixed_point, places
+from sweepopt.sets.projection import Projection, Projector, places
 from sweepopt.sets.shapes import Box, Point
 
 if TYPE_CHECKING:
@@ -66,29 +66,23 @@ class Product(ConvexSet):
     def support(self, z: np.ndarray) -> float:
         return sum(part.support(x) for part, x in self._split(vector("z", z, self.dim)))
 
+    def _joined(self, method: str, *vectors: np.ndarray) -> np.ndarray:
+        return np.concatenate([getattr(part, method)(*x) for part, *x in self._split(*vectors)])
+
     def project(self, w: np.ndarray) -> np.ndarray:
-        each = self._split(vector("w", w, self.dim))
-        return np.concatenate([part.project(x) for part, x in each])
+        return self._joined("project", vector("w", w, self.dim))
 
     def normal(self, v: np.ndarray) -> np.ndarray:
-        return np.concatenate([part.normal(x) for part, x in self._split(v)])
+        return self._joined("normal", v)
 
     def weights(self, tau: np.ndarray) -> np.ndarray:
-        return np.concatenate([part.weights(x) for part, x in self._split(tau)])
-
-    def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        return np.concatenate([part.nearest(x, t) for part, x, t in self._split(w, tau)])
+        return self._joined("weights", tau)
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
-        known = []
-        for part, x in self._split(v):
-            D = part.derivative(x)
-            if D is None:
-                return None
-            known.append(D)
-        if all(D.ndim == 1 for D in known):
-            return np.concatenate(known)
-        return scipy.linalg.block_diag(*(D if D.ndim == 2 else np.diag(D) for D in known))
+        each = [part.derivative(x) for part, x in self._split(v)]
+        if any(D is None for D in each):
+            return None
+        return scipy.linalg.block_diag(*(D if D.ndim == 2 else np.diag(D) for D in each))
 
     def features(self, p: cp.Expression) -> Features:
         y: list[Any] = []
@@ -118,9 +112,6 @@ class Product(ConvexSet):
             sum(pair.gap for pair in known),
             moved,
         )
-
-    def gap(self, p: np.ndarray, w: np.ndarray) -> float:
-        return sum(part.gap(*blocks) for part, *blocks in self._split(p, w))
 
     def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
         return total_gap(
@@ -277,48 +268,52 @@ class Lifted(ConvexSet):
         return near.splitting.derivative(near) if near is not None and near.exact else None
 
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
-        if not self.certifiable:
-            return None
         step = float(np.mean(tau))
         v = w + step * p
         pair = self._pair(v)
-        rounding = Perturbation(*np.full((2, self.dim), 10 * ROUNDING * np.abs(v).max()))
-        if pair is not None and pair.perturbation is None:
+        if pair is None:
+            pair = self._pair_nearby(v)
+        elif pair.perturbation is None:
             near = self.near(v)
-            moved = near.splitting.perturbation(near, pair.p) or rounding
+            moved = near.splitting.perturbation(near, pair.p) or _rounded(v)
             pair = pair._replace(perturbation=moved)
-        elif pair is None and not self.lifted.F.shape[0]:
-            # not to rounding: a point of C nearby, and the normal that is the nearer one of two
-            point = self.near(v).w
-            normals = (v - point, normal_by_program(self, v).p)
-            pairs = [NormalPair(n, point, self.gap(n, point), rounding) for n in normals]
-            pair = min(pairs, key=lambda pair: pair.gap)
-        return pair and pair.over(step)
+        if pair is None or pair.perturbation is None:
+            return None
+        moved = pair.perturbation._replace(p=pair.perturbation.p / step)
+        return NormalPair(pair.p / step, pair.w, pair.gap / step, moved)
+
+    def _pair_nearby(self, v: np.ndarray) -> NormalPair | None:
+        """A point of C, and the better one of two normals, where no projection is exact."""
+        if self.lifted.F.shape[0] or not self.certifiable:
+            return None
+        w = self.near(v).w
+        pairs = [
+            NormalPair(p, w, self.gap(p, w), _rounded(v))
+            for p in (v - w, normal_by_program(self, v).p)
+        ]
+        return min(pairs, key=lambda pair: pair.gap)
 
     def require_nonempty(self, where: str = "C") -> None:
         self.part.require_nonempty(where)
-        if self.lifted.F.shape[0] and not self._has_point():
+        if not self.lifted.F.shape[0]:
+            return
+        project, zero = self._projector, np.zeros(self.dim)
+        if self.certifiable and project(zero, project.start(zero)).exact:
+            return
+        size = binary(float(np.abs(self.part.offsets).max(initial=0.0)))
+        distance = separation_by_program(self.part, self.lifted.F, size)
+        if distance > (1e-10 if self.certifiable else 1e-6):
             raise EmptySetError(f"{where} is empty: the two sets of C & D do not meet")
-
-    def _has_point(self) -> bool:
-        """Whether F s = 0 for some s of S: alternating projections find one, or a program does."""
-        form, size = self.lifted, float(np.abs(self.part.offsets).max(initial=0.0))
-        if self.certifiable:
-            ties = Splitting(form._replace(E=0 * form.E), np.ones(form.E.shape[1])).K
-            start = np.zeros(form.E.shape[1])
-            s, fixed = fixed_point(lambda s: self.part.project(ties(s)), start, size)
-            size = max(size, float(np.abs(s).max()))
-            distance = np.abs(s - ties(s)).max()
-            if fixed or distance <= 10 * ROUNDING * size:
-                # nearest points of S and { F s = 0 }: what is between them separates the two
-                return bool(distance <= 10 * ROUNDING * size)
-        distance = separation_by_program(self.part, form.F, binary(size))
-        return distance <= (1e-10 if self.certifiable else 1e-6)
 
     def polar(self) -> ConvexSet:
         for part in self.lifted.parts:
             part.polar()  # says so if this is no cone at all
         raise self._polar_unknown()
+
+
+def _rounded(v: np.ndarray) -> Perturbation:
+    """A pair's perturbation where nothing is known but v, of which w and p are parts."""
+    return Perturbation(*np.full((2, v.size), 10 * ROUNDING * np.abs(v).max()))
 
 
 class Sum(Lifted):
@@ -352,8 +347,7 @@ class Intersection(Lifted):
             if part.exact and self.certifiable:
                 w = part.project(v)
                 if not other.normal(w).any():
-                    size = np.full((2, self.dim), 10 * ROUNDING * np.abs(v).max())
-                    return NormalPair(part.normal(v), w, 0.0, Perturbation(*size))
+                    return NormalPair(part.normal(v), w, 0.0, _rounded(v))
         return super()._pair(v)
 
     def magnitude(self) -> float:

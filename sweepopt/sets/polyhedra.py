@@ -212,10 +212,6 @@ class Polyhedron(ConvexSet):
     def _rounding(self, w: np.ndarray) -> np.ndarray:
         return ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(w))
 
-    def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        normal = self._exact_normal(w, tau)
-        return self.project(w) if normal is None else w - tau * normal.u
-
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
 

@@ -81,9 +81,6 @@ class Similar(ConvexSet):
         p = self.part.normal(self._back(v))
         return p if self.factor == 1 else self.factor * p
 
-    def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        return self._to(self.part.nearest(self._back(w), tau))
-
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         return self.part.derivative(self._back(v))
 

@@ -235,7 +235,7 @@ class Inclusion:
             How far q is outside of C = c + S, if that is known.
         """
         if outside is None:
-            if not rests(of, of.q, self.M.diagonal):
+            if not rests(of, of.q):
                 return False
         elif not is_rounding(outside, of.q, of.c, of.whole.anchor):
             return False
@@ -249,7 +249,7 @@ class Inclusion:
 
     def rests_exactly(self, of: Instance) -> bool:
         """Whether B u, rounded once, is in C."""
-        return of.u is not None and rests(of, self._exact_B(of.u), self.M.diagonal)
+        return of.u is not None and rests(of, self._exact_B(of.u))
 
 
 def rated(z: np.ndarray, certificate: float, size: float, solver: str = "") -> Velocity:
@@ -307,7 +307,7 @@ def pair_near(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray, tol: float)
 # ---- rest --------------------------------------------------------------------------------------
 
 
-def rests(of: Instance, q: np.ndarray, diagonal: np.ndarray) -> bool:
+def rests(of: Instance, q: np.ndarray) -> bool:
     """Whether z = 0 for a linear term q: it is in C = c + E^T S but for rounding.
 
     Where S acts on few unknowns, the force beside them settles most steps.
@@ -318,7 +318,7 @@ def rests(of: Instance, q: np.ndarray, diagonal: np.ndarray) -> bool:
         outside[few] = 0.0
         if not is_near(outside, q, of.c, anchor):
             return False
-    outside[few] = acting - of.S.nearest(acting, diagonal[few])
+    outside[few] = acting - of.S.project(acting)
     shift = np.abs(of.c)
     shift[few] += np.abs(anchor)
     return is_rounding(outside, q, shift)
