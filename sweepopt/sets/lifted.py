@@ -33,8 +33,8 @@ from sweepopt.sets.base import (
 )
 from sweepopt.sets.generated import GeneratedCone
 from sweepopt.sets.polytope import Polytope
-from sweepopt.sets.programs import normal_by_program, separation_by_program, support_by_program
-from sweepopt.sets.projection import Projection, Projector, places
+from sweepopt.sets.programs import normal_by_program, support_by_program
+from sweepopt.sets.projection import Projection, Projector, Splitting, fixed_point, places
 from sweepopt.sets.shapes import Box, Point
 
 if TYPE_CHECKING:
@@ -297,13 +297,29 @@ class Lifted(ConvexSet):
         self.part.require_nonempty(where)
         if not self.lifted.F.shape[0]:
             return
-        project, zero = self._projector, np.zeros(self.dim)
-        if self.certifiable and project(zero, project.start(zero)).exact:
-            return
-        size = binary(float(np.abs(self.part.offsets).max(initial=0.0)))
-        distance = separation_by_program(self.part, self.lifted.F, size)
-        if distance > (1e-10 if self.certifiable else 1e-6):
+        try:
+            if not self.certifiable:
+                self.project(np.zeros(self.dim))
+            empty = self.certifiable and self._separated()
+        except EmptySetError:
+            empty = True
+        if empty:
             raise EmptySetError(f"{where} is empty: the two sets of C & D do not meet")
+
+    def _separated(self) -> bool:
+        """Whether the way between the nearest points of S and { F s = 0 } separates the two."""
+        form, project, zero = self.lifted, self._projector, np.zeros(self.dim)
+        if project(zero, project.start(zero)).exact:
+            return False
+        size, zero = float(np.abs(self.part.offsets).max(initial=0.0)), np.zeros(form.E.shape[1])
+        ties = Splitting(form._replace(E=0 * form.E), 1 + zero).K
+        s, fixed = fixed_point(lambda s: self.part.project(ties(s)), zero, size)
+        n = self.part.normal(ties(s))
+        size = max(size, float(np.abs(s).max()))
+        rounding = 10 * ROUNDING * np.linalg.norm(n) + np.linalg.norm(ties(n))
+        if fixed:
+            return bool(np.abs(n).max() > 10 * ROUNDING * size)
+        return self.part.support(n) < -size * float(rounding)
 
     def polar(self) -> ConvexSet:
         for part in self.lifted.parts:
