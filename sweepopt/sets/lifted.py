@@ -41,6 +41,11 @@ if TYPE_CHECKING:
     import cvxpy as cp
 
 
+# Alternating projections crawl where sets nearly touch: 3,000 settle an ellipsoid and a polytope
+# that are 5e-5 apart, 500 do not.
+SWEEPS_BETWEEN = 3000
+
+
 class Product(ConvexSet):
     """C_1 x C_2 x ...: the parts one after the other in the vector.
 
@@ -313,7 +318,7 @@ class Lifted(ConvexSet):
             return False
         size, zero = float(np.abs(self.part.offsets).max(initial=0.0)), np.zeros(form.E.shape[1])
         ties = Splitting(form._replace(E=0 * form.E), 1 + zero).K
-        s, fixed = fixed_point(lambda s: self.part.project(ties(s)), zero, size)
+        s, fixed = fixed_point(lambda s: self.part.project(ties(s)), zero, size, SWEEPS_BETWEEN)
         n = self.part.normal(ties(s))
         size = max(size, float(np.abs(s).max()))
         rounding = 10 * ROUNDING * np.linalg.norm(n) + np.linalg.norm(ties(n))
