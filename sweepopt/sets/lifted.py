@@ -101,22 +101,15 @@ class Product(ConvexSet):
         return Features(y, constraints)
 
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
-        known = []
-        for part, *blocks in self._split(p, w, tau):
-            pair = part.normal_pair(*blocks)
-            if pair is None:
-                return None
-            known.append(pair)
+        pairs: list[Any] = [part.normal_pair(*x) for part, *x in self._split(p, w, tau)]
+        if any(pair is None for pair in pairs):
+            return None
         moved = None
-        if any(pair.perturbation for pair in known):
-            each = [pair.perturbation or Perturbation(0 * pair.w, 0 * pair.p) for pair in known]
+        if any(pair.perturbation for pair in pairs):
+            each = [pair.perturbation or Perturbation(0 * pair.w, 0 * pair.p) for pair in pairs]
             moved = Perturbation(*map(np.concatenate, zip(*each, strict=True)))
-        return NormalPair(
-            np.concatenate([pair.p for pair in known]),
-            np.concatenate([pair.w for pair in known]),
-            sum(pair.gap for pair in known),
-            moved,
-        )
+        p, w = (np.concatenate(xs) for xs in zip(*((q.p, q.w) for q in pairs), strict=True))
+        return NormalPair(p, w, sum(pair.gap for pair in pairs), moved)
 
     def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
         return total_gap(
@@ -403,8 +396,6 @@ def image_of(M: Matrix, C: ConvexSet) -> ConvexSet:
     if isinstance(C, Box) and not C.offsets.any():
         # <p, M s> <= 0 for all s of the cone
         return GeneratedCone(C.polar().halfspaces().N @ M.T)
-    if isinstance(C, GeneratedCone):
-        return GeneratedCone(C.G @ M.T)
     return Lifted(C.form().image(M))
 
 

@@ -137,6 +137,9 @@ class Splitting:
         return scale
 
     def _derivative(self, x: np.ndarray) -> np.ndarray | None:
+        """Of the projection on the parts; None for large sets, and where a part has none."""
+        if not self.small:
+            return None
         D = np.zeros((x.size, x.size))
         for part, at, unit in self.parts:
             own = part.derivative(x[at] / unit)
@@ -216,7 +219,7 @@ class Splitting:
         dx, dlam and the small dw, dp that make  n = E^T p - F^T lam,  F s = 0  and  w = E s  true
         are linear in what these miss, which is known but for rounding.
         """
-        D = self._derivative(near.image) if self.small else None
+        D = self._derivative(near.image)
         if D is None:
             return None
         s, n, E, F = near.s, near.image - near.s, self.E, self.F
@@ -245,7 +248,7 @@ class Splitting:
 
     def derivative(self, near: Projection) -> np.ndarray | None:
         """dw/dv."""
-        D = self._derivative(near.image) if self.small else None
+        D = self._derivative(near.image)
         if D is None:
             return None
         one, pull = np.eye(len(D)), self._K @ self.E.T

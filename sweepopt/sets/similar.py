@@ -99,8 +99,6 @@ class Similar(ConvexSet):
         return NormalPair(sign * pair.p, self._to(pair.w), r * pair.gap, moved)
 
     def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
-        if self.v is not None:
-            return super().gap_along_curve(p, w, ratio)
         r = abs(self.factor)
         gap, distance = self.part.gap_along_curve(self._sign * p, self._back(w), r * ratio)
         return CurveGap(r * gap, r * distance)
