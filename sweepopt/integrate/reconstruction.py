@@ -1,81 +1,73 @@
-"""All unknowns of a proportional material from those that enter its steps (`Reduction`).
-
-u = A^-1 E^T N zeta + sum_k alpha_k F_k + alpha_0 F_0,   alpha_k' + rho alpha_k = phi_k
-"""
+"""All unknowns of a proportional material from those that enter its steps (`Reduction`)."""
 
 from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from sweepopt.integrate.exact import Evaluate, Trajectory, exact_trajectory, rows_of
-from sweepopt.integrate.record import Grid, Index, States
+from sweepopt.integrate.record import Grid, States
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.integrate.step import compensated_sum
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Moving, Point
 from sweepopt.velocity import Reduction, Velocity
 
-
-class _Coefficients(NamedTuple):
-    """alpha at all nodes, alpha' in all steps, the seconds that each took, the exact trajectory."""
-
-    nodes: np.ndarray
-    velocities: np.ndarray
-    seconds: float
-    exact: Trajectory | None
+Reconstruct = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 class Reconstruction:
-    """All unknowns from those that enter the steps; without a reduction these are all."""
+    """All unknowns from those that enter the steps; without a reduction these are all.
+
+    Attributes
+    ----------
+    seconds : float
+        What alpha took of each step, beside the loop.
+    """
 
     def __init__(self, grid: Grid) -> None:
-        self._plan, self._times, self._mus = grid.plan, grid.times, grid.mus
-
-    @cached_property
-    def _coefficients(self) -> _Coefficients:
-        """Those of the whole run, which come first."""
-        reduction, scheme = self._plan.reduction, self._plan.scheme
-        assert reduction is not None
-        begun = clock.perf_counter()
-        exact = None
+        self._reduction, self._dim, n = grid.plan.reduction, grid.plan.unknowns, len(grid.mus)
+        # alpha at all nodes, alpha' in all steps
+        self._nodes, self._velocities = np.zeros((n + 1, 0)), np.zeros((n, 0))
+        self.seconds, self._exact = 0.0, None
+        if self._reduction is None:
+            return
+        begun, scheme = clock.perf_counter(), grid.plan.scheme
         if scheme.exact:
-            exact = _exact_coefficients(reduction, self._times)
-            nodes = exact(self._times)
-            velocities = np.diff(nodes, axis=0) / self._mus[:, None]
+            self._exact = _exact_coefficients(self._reduction, grid.times)
+            self._nodes = self._exact(grid.times)
+            self._velocities = np.diff(self._nodes, axis=0) / grid.mus[:, None]
         else:
-            nodes, velocities = _coefficients(reduction, scheme, self._times, self._mus)
-        seconds = (clock.perf_counter() - begun) / len(self._mus)
-        return _Coefficients(nodes, velocities, seconds, exact)
+            every = _coefficients(self._reduction, scheme, grid.times, grid.mus)
+            self._nodes, self._velocities = every
+        self.seconds = (clock.perf_counter() - begun) / n
+        gammas = grid.mus * scheme.a[-1][-1]
+        self._residual = self._reduction.residuals(self._nodes[:-1], self._velocities, gammas)
 
-    @cached_property
-    def _residual(self) -> Callable[[int, np.ndarray, np.ndarray], tuple[float, float]]:
-        assert self._plan.reduction is not None
-        gammas = self._mus * self._plan.scheme.a[-1][-1]
-        alpha = self._coefficients
-        return self._plan.reduction.residuals(alpha.nodes[:-1], alpha.velocities, gammas)
+    def _states(self, few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+        """One state, or some in rows."""
+        return few if self._reduction is None else self._rows(self._reduction.state, few, alpha)
 
-    @property
-    def seconds(self) -> float:
-        """The cost of each step beside the loop."""
-        return self._coefficients.seconds if self._plan.reduction else 0.0
+    def _velocities_of(self, few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+        """One velocity, or some in rows."""
+        return few if self._reduction is None else self._rows(self._reduction.velocity, few, alpha)
+
+    def _rows(self, one: Reconstruct, few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+        if few.ndim == 1:
+            return one(few, alpha)
+        rows = [one(*each) for each in zip(few, alpha, strict=True)]
+        return np.array(rows).reshape(len(few), self._dim)
 
     def state(self, node: int, u: np.ndarray) -> np.ndarray:
         """The state at a node of the grid."""
-        reduction = self._plan.reduction
-        return u if reduction is None else reduction.reconstruct(u, self._coefficients.nodes[node])
+        return self._states(u, self._nodes[node])
 
     def velocity(self, i: int, z: np.ndarray) -> np.ndarray:
         """The velocity of a step."""
-        reduction = self._plan.reduction
-        if reduction is None:
-            return z
-        return reduction.reconstruct(z, self._coefficients.velocities[i])
+        return self._velocities_of(z, self._velocities[i])
 
     def full_certificate(self, i: int, zeta: np.ndarray, velocity: Velocity) -> Velocity:
         """The certificate of all unknowns from that of those that entered the step.
@@ -91,39 +83,24 @@ class Reconstruction:
 
     def trajectory(self, few: Trajectory | None) -> Trajectory | None:
         """The exact trajectory of all unknowns from that of those that entered."""
-        reduction = self._plan.reduction
-        if few is None or reduction is None:
+        exact = self._exact
+        if few is None or exact is None:
             return few
-        exact = self._coefficients.exact
-        assert exact is not None  # the same scheme moves the coefficients
 
         def all_unknowns(t: np.ndarray, values: np.ndarray, of_phase: Evaluate) -> np.ndarray:
-            pairs = zip(values, exact.evaluate(t, of_phase), strict=True)
-            return np.array([reduction.reconstruct(*pair) for pair in pairs])
+            return self._states(values, exact.evaluate(t, of_phase))
 
         return replace(few, reconstruct=all_unknowns)
 
     def states(self, entering: States) -> States:
         """The states of all unknowns from those that entered, made when they are asked for."""
-        reduction, dim = self._plan.reduction, self._plan.unknowns
-        if reduction is None:
-            return entering
-        steps, reconstruct = entering.steps, reduction.reconstruct
+        steps = entering.steps
         nodes = np.append(0, steps + 1)
-
-        def all_unknowns(few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-            every = np.zeros((*few.shape[:-1], dim))
-            for index in np.ndindex(few.shape[:-1]):
-                every[index] = reconstruct(few[index], alpha[index])
-            return every
-
-        def u(i: Index) -> np.ndarray:
-            return all_unknowns(entering.u(i), self._coefficients.nodes[nodes[i]])
-
-        def velocity(i: Index) -> np.ndarray:
-            return all_unknowns(entering.velocity(i), self._coefficients.velocities[steps[i]])
-
-        return States(steps, u, velocity)
+        return States(
+            steps,
+            lambda i: self._states(entering.u(i), self._nodes[nodes[i]]),
+            lambda i: self._velocities_of(entering.velocity(i), self._velocities[steps[i]]),
+        )
 
 
 def _coefficients(
@@ -131,22 +108,20 @@ def _coefficients(
 ) -> tuple[np.ndarray, np.ndarray]:
     """alpha at every node and its velocity in every step of a scheme of one stage.
 
-    alpha' = (phi - rho alpha) / (1 + gamma rho), phi at the stage, alpha at the start of the step.
+    alpha' = (psi - rho alpha) / (1 + gamma rho), psi the load's value at the stage, alpha at the
+    start of the step.
     """
     ((weight,),), (c,) = scheme.a, scheme.c
     ratios = (1 + weight * mus * reduction.rho)[:, None]
-    phi = reduction.load.values(times[:-1] + c * mus)
-    constant, slope = phi / ratios, np.broadcast_to(-reduction.rho / ratios, phi.shape).copy()
-    rest = reduction.steps_at_rest(phi)
-    constant[:rest, reduction.acts_beside] = 0.0
-    slope[:rest, -1] = 0.0
-    nodes = np.zeros((len(mus) + 1, phi.shape[1]))
-    velocities = np.zeros(phi.shape)
-    nodes[0, -1] = 1.0  # alpha_0
+    load = reduction.load
+    psi = load.values(times[:-1] + c * mus) @ load.shapes.T
+    constant, slopes = psi / ratios, (-reduction.rho / ratios[:, 0]).tolist()
+    nodes = np.zeros((len(mus) + 1, psi.shape[1]))
+    velocities = np.zeros(psi.shape)
     sizes = mus.tolist()
-    for k in range(phi.shape[1]):  # in plain numbers
-        alpha, compensation = float(nodes[0, k]), 0.0
-        each = zip(constant[:, k].tolist(), slope[:, k].tolist(), sizes, strict=True)
+    for k in range(psi.shape[1]):  # in plain numbers
+        alpha, compensation = 0.0, 0.0
+        each = zip(constant[:, k].tolist(), slopes, sizes, strict=True)
         for i, (a, b, mu) in enumerate(each):
             velocities[i, k] = velocity = a + b * alpha
             alpha, compensation = compensated_sum(alpha, mu * velocity, compensation)
@@ -156,7 +131,9 @@ def _coefficients(
 
 def _exact_coefficients(reduction: Reduction, times: np.ndarray) -> Trajectory:
     """alpha' + rho alpha = phi as a process of its own, which is linear."""
-    unit = np.eye(len(reduction.load.terms))
+    unit = np.eye(reduction.load.dim)
     C = Moving(Point(0 * unit[-1]), reduction.load)
-    process = SweepingProcess(unit, reduction.rho * unit if reduction.rho else None, C, unit[-1])
+    process = SweepingProcess(
+        unit, reduction.rho * unit if reduction.rho else None, C, 0 * unit[-1]
+    )
     return exact_trajectory(rows_of(process), process.u0, float(times[0]), float(times[-1]))
