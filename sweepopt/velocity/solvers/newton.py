@@ -20,7 +20,7 @@ import scipy.linalg
 
 from sweepopt.checks import count
 from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, dense, euclidean
-from sweepopt.sets import ConvexSet
+from sweepopt.sets import ConvexSet, Polyhedron, shape_of
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.contract import Answer, Small, Solve
 
