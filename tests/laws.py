@@ -16,6 +16,8 @@ import pytest
 import scipy.sparse as sp
 
 import sweepopt as so
+from sweepopt.linalg import dense
+from sweepopt.sets import NoHalfspacesError, shape_of
 from sweepopt.sets.curves import basis
 
 Rng = np.random.Generator
@@ -788,10 +790,13 @@ def derivative_is_the_slope_of_the_projection(entry: Entry, s: Sample, rng: Rng)
 
 
 def rows_are_the_set(entry: Entry, s: Sample, rng: Rng) -> None:
-    rows = s.C.rows()
-    if rows is None:
+    try:
+        N, d, E, e = s.C.halfspaces()
+    except NoHalfspacesError:
         return
-    G, h = rows
+    if isinstance(shape_of(s.C), so.Polytope):  # its facets are rounded
+        return
+    G, h = np.vstack([dense(N), E, -E]), np.concatenate([d, e, -e])
     for v in (far_and_near(rng, s.C.dim), s.C.project(far_and_near(rng, s.C.dim))):
         w = s.C.project(v)
         slack, rounding = h - G @ v, entry.tol * size(v, h) * (1 + abs(G).sum(axis=1))

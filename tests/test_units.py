@@ -20,6 +20,7 @@ from sweepopt.study.hard.bodies import rod
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 POWERS = (-40, -13, 0, 17, 40)
 ENOUGH = 1e-12
+SOLVER = 1e-6  # what Clarabel is accurate to
 
 
 def spd(random: np.random.Generator, dim: int) -> np.ndarray:
@@ -150,4 +151,19 @@ def test_constraints_may_be_stated_in_any_units(name: str, path: str) -> None:
     plain = found[0][0]
     assert np.abs(plain.velocity).max() > 1e-3
     for other, L in found[1:]:
-        assert_same(plain, other, L)
+        for one, two in ((plain.u, other.u / L), (plain.velocity, other.velocity / L)):
+            np.testing.assert_allclose(two, one, rtol=0, atol=SOLVER * np.abs(one).max())
+
+
+def logarithm(w: cp.Variable, F: float) -> list[cp.Constraint]:
+    return [cp.log(w[0] + F) >= np.log(0.5 * F), cp.norm(w) <= F]
+
+
+@pytest.mark.parametrize("build", [*STATED.values(), logarithm], ids=[*STATED, "logarithm"])
+def test_supports_and_projections_of_constraints_scale(build: Any) -> None:
+    z, w = np.array([0.3, 0.8, -0.5]), np.array([1.7, -0.4, -0.9])
+    C = so.Constraints(3, lambda w: build(w, 1.0))
+    for F in (2.0**-40, 2.0**40):
+        D, size = so.Constraints(3, lambda w, F=F: build(w, F)), F * np.abs(w).max()
+        assert D.support(z) == pytest.approx(F * C.support(z), rel=SOLVER)
+        np.testing.assert_allclose(D.project(F * w), F * C.project(w), rtol=0, atol=SOLVER * size)

@@ -24,7 +24,6 @@ from sweepopt.sets import (
     Moving,
     MovingOffsets,
     NoHalfspacesError,
-    halfspaces,
 )
 
 Terms = tuple[tuple[Callable[[Any], Any], np.ndarray], ...]
@@ -128,10 +127,9 @@ class Motion:
         """C(t) as center(t) + scale(t) S, also where moving rows form a box; None if it is not."""
         if self.offsets is None:
             return None if self.shape is None else self
-        rows = None if self.shape is None else self.shape.rows()
-        if self.offsets.function is not None or rows is None:
+        if self.offsets.function is not None or self.shape is None:
             return None
-        return _moving_box(dense(rows[0]), self.offsets)
+        return _moving_box(dense(self.shape.halfspaces().N), self.offsets)
 
     def rows(self) -> MovingRows:
         """C(t) as half-spaces with offsets in closed form.
@@ -154,13 +152,13 @@ class Motion:
         terms = _closed_forms(self.center if self.offsets is None else self.offsets, self.name)
         scale = float(self.scale.at(np.zeros(1))[0, 0])
         try:
-            polyhedron = halfspaces(self.shape if scale == 1 else scale * self.shape)
+            polyhedron = (self.shape if scale == 1 else scale * self.shape).halfspaces()
         except NoHalfspacesError as error:
             raise InputError(
                 "the process has a set that is not a polyhedron with known rows: "
                 f"{error}; use midpoint"
             ) from error
-        N = np.vstack([polyhedron.N, polyhedron.E])
+        N = np.vstack([dense(polyhedron.N), polyhedron.E])
         if self.offsets is None:
             terms = tuple((phi, N @ f) for phi, f in terms)
         fixed = (Constant(1.0), np.concatenate([polyhedron.d, polyhedron.e]))

@@ -14,7 +14,6 @@ from sweepopt.sets.base import (
     NoHalfspacesError,
     Selection,
     binary,
-    halfspaces,
     same_array,
 )
 from sweepopt.sets.constraints import (
@@ -62,6 +61,7 @@ from sweepopt.sets.shapes import (
 )
 from sweepopt.sets.similar import (
     Similar,
+    shape_of,
 )
 
 __all__ = [
@@ -90,12 +90,12 @@ __all__ = [
     "WholeSpace",
     "basis",
     "binary",
-    "halfspaces",
     "image",
     "in_turn",
     "least_distance",
     "product",
     "products",
     "same_array",
+    "shape_of",
     "to_bernstein",
 ]

@@ -46,9 +46,6 @@ class Ball(ConvexSet):
         z = vector("z", z, self.dim)
         return float(self.center @ z + self.radius * np.linalg.norm(z))
 
-    def rounding_scale(self, x: np.ndarray) -> float:
-        return max(super().rounding_scale(x), float(np.abs(self.center).max()))
-
     def derivative(self, v: np.ndarray) -> np.ndarray:
         return _ball_derivative(v - self.center, self.radius)
 
@@ -149,9 +146,6 @@ class Balls(ConvexSet):
     def derivative(self, v: np.ndarray) -> np.ndarray:
         arms = v.reshape(-1, self.block)
         return scipy.linalg.block_diag(*map(_ball_derivative, arms, self.radii))
-
-    def factors(self) -> list[ConvexSet]:
-        return [Ball(np.zeros(self.block), radius) for radius in self.radii]
 
     def same_cone(self, other: ConvexSet) -> bool:
         return isinstance(other, Balls) and (self.block, self.dim) == (other.block, other.dim)

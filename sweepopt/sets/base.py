@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
+import scipy.linalg
 import scipy.sparse as sp
 
 from sweepopt.checks import number, vector
@@ -62,13 +63,6 @@ class NormalPair(NamedTuple):
     gap: float
     perturbation: Perturbation | None = None
 
-    def over(self, step: float) -> NormalPair:
-        """The pair of p / step."""
-        perturbation = self.perturbation and self.perturbation._replace(
-            p=self.perturbation.p / step
-        )
-        return NormalPair(self.p / step, self.w, self.gap / step, perturbation)
-
 
 class Selection(NamedTuple):
     """C = shift + { w : w[unknowns] in part, all other entries 0 }; shift None is 0."""
@@ -100,21 +94,17 @@ def total_gap(factors: Iterable[CurveGap]) -> CurveGap:
 
 
 class Halfspaces(NamedTuple):
-    """C = { w : N w <= d, E w = e }."""
+    """C = { w : N w <= d, E w = e }, matrices dense or sparse."""
 
-    N: np.ndarray
+    N: Any
     d: np.ndarray
     E: np.ndarray
     e: np.ndarray
 
     @classmethod
-    def below(cls, N: np.ndarray, d: np.ndarray) -> Halfspaces:
+    def below(cls, N: Any, d: np.ndarray) -> Halfspaces:
         """N w <= d alone."""
         return cls(N, d, np.zeros((0, N.shape[1])), np.zeros(0))
-
-    def translated(self, v: np.ndarray) -> Halfspaces:
-        """Those of C + v."""
-        return self._replace(d=self.d + self.N @ v, e=self.e + self.E @ v)
 
 
 class NoHalfspacesError(Exception):
@@ -122,68 +112,50 @@ class NoHalfspacesError(Exception):
 
 
 class Form(NamedTuple):
-    """C = { c + E s : s in parts[0] x parts[1] x ..., F s = g }, c None is 0.
+    """C = { E s : s in parts[0] x parts[1] x ..., F s = 0 }, E and F sparse.
 
     Sums, intersections, images and products of sets, translated and scaled, all have this form,
-    with parts whose projections are known. E and F are sparse.
+    with parts whose projections are known. A translation is the sum with a point.
     """
 
-    c: np.ndarray | None
     E: sp.csr_array
     F: sp.csr_array
-    g: np.ndarray
     parts: tuple[ConvexSet, ...]
 
     @classmethod
     def alone(cls, part: ConvexSet) -> Form:
         """A set as its own part."""
         n = part.dim
-        return cls(None, sp.eye_array(n, format="csr"), sp.csr_array((0, n)), np.zeros(0), (part,))
+        return cls(sp.eye_array(n, format="csr"), sp.csr_array((0, n)), (part,))
 
     @classmethod
-    def beside(cls, forms: list[Form]) -> Form:
-        """C x D: everything is stacked."""
-        c = None
-        if any(form.c is not None for form in forms):
-            c = np.concatenate([form.image_of_zero() for form in forms])
+    def beside(cls, *sets: ConvexSet) -> Form:
+        """C x D x ...: everything is stacked."""
+        forms = [C.form() for C in sets]
         E, F = (
             sp.csr_array(sp.block_diag(Ms, format="csr"))
             for Ms in ([form.E for form in forms], [form.F for form in forms])
         )
-        parts = tuple(part for form in forms for part in form.parts)
-        return cls(c, E, F, np.concatenate([form.g for form in forms]), parts)
+        return cls(E, F, tuple(part for form in forms for part in form.parts))
+
+    @classmethod
+    def added(cls, C: ConvexSet, D: ConvexSet) -> Form:
+        """C + D."""
+        one = sp.eye_array(C.dim)
+        return cls.beside(C, D).image(sp.hstack([one, one]))
 
     @property
     def small(self) -> bool:
         """Whether dense matrices of its size are cheap."""
         return max(*self.E.shape, *self.F.shape) <= DENSE
 
-    def image_of_zero(self) -> np.ndarray:
-        """c as a vector."""
-        return np.zeros(self.E.shape[0]) if self.c is None else self.c
-
-    def translated(self, v: np.ndarray) -> Form:
-        """C + v."""
-        return self._replace(c=self.image_of_zero() + v)
-
-    def scaled(self, factor: float) -> Form:
-        """r C for r != 0: of the parts |r| S, so that only offsets know |r|."""
-        size, sign = abs(factor), 1.0 if factor > 0 else -1.0
-        c, parts = self.c, tuple(size * part for part in self.parts)
-        return self._replace(
-            c=None if c is None else factor * c, E=sign * self.E, g=size * self.g, parts=parts
-        )
-
     def image(self, M: Any) -> Form:
         """M C."""
-        M = sp.csr_array(M)
-        return self._replace(c=None if self.c is None else M @ self.c, E=sp.csr_array(M @ self.E))
+        return self._replace(E=sp.csr_array(sp.csr_array(M) @ self.E))
 
     def cut(self, D: Any) -> Form:
         """The w of C with D w = 0."""
-        D = sp.csr_array(D)
-        g = np.concatenate([self.g, -D @ self.image_of_zero()])
-        return self._replace(F=sp.csr_array(sp.vstack([self.F, D @ self.E])), g=g)
+        return self._replace(F=sp.csr_array(sp.vstack([self.F, sp.csr_array(D) @ self.E])))
 
 
 class Algebra(NamedTuple):
@@ -263,10 +235,6 @@ class ConvexSet(ABC):
         """
         return np.full(self.dim, float(np.mean(tau)))
 
-    def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """The point of C nearest to w in the metric of 1 / tau, or in one that is like it."""
-        return self.project(w)
-
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         """A generalised derivative of `project` at v; None where none is known.
 
@@ -276,10 +244,6 @@ class ConvexSet(ABC):
             A diagonal as a vector.
         """
         return None
-
-    def rounding_scale(self, x: np.ndarray) -> float:
-        """The size of the numbers whose rounding is in P_C(x)."""
-        return float(np.abs(x).max())
 
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         """A proven normal pair near the approximate one (p, w); None if the set has no proof.
@@ -388,19 +352,11 @@ class ConvexSet(ABC):
     @property
     def nonsmooth_dim(self) -> int:
         """How many unknowns C really acts on (fewer than dim for the image of a small set)."""
-        return self.dim
+        return min(self.dim, sum(part.dim for part in self.form().parts if not part.singleton))
 
     @property
     def selection(self) -> Selection | None:
         """The few unknowns C acts on, if it is the image of a set under a selection of them."""
-        return None
-
-    def factors(self) -> list[ConvexSet]:
-        """The smallest sets whose product C is known to be."""
-        return [self]
-
-    def rows(self) -> tuple[Any, np.ndarray] | None:
-        """G and h with C = { w : G w <= h }, if C is written so."""
         return None
 
     def halfspaces(self) -> Halfspaces:
@@ -410,12 +366,18 @@ class ConvexSet(ABC):
         ------
         NoHalfspacesError
         """
-        if self.singleton:
-            return Halfspaces(np.zeros((0, self.dim)), np.zeros(0), np.eye(self.dim), self.anchor)
-        found = self.rows()
-        if found is None:
+        form = self.form()
+        E = dense(form.E)
+        row, unknown = np.nonzero(E)
+        picks = row.size == E.shape[1] == np.unique(row).size == np.unique(unknown).size
+        if form.parts == (self,) or form.F.shape[0] or not picks:
             raise NoHalfspacesError(type(self).__name__)
-        return Halfspaces.below(dense(found[0]), found[1])
+        # s = back w, and w is 0 where no s goes
+        back, rest = (E / (E * E).sum(axis=0)).T, np.delete(np.eye(self.dim), row, axis=0)
+        N, d, F, e = zip(*(part.halfspaces() for part in form.parts), strict=True)
+        inner, equal = (scipy.linalg.block_diag(*map(dense, Ms)) @ back for Ms in (N, F))
+        sides = np.concatenate([*e, np.zeros(len(rest))])
+        return Halfspaces(inner, np.concatenate(d), np.vstack([equal, rest]), sides)
 
     def form(self) -> Form:
         """C in lifted form; a set that is projected on exactly is its own part."""
@@ -427,9 +389,9 @@ class ConvexSet(ABC):
 
     def _polar_unknown(self) -> InputError:
         return InputError(
-            f"the polar of this {type(self).__name__} is not known here; known are those of "
-            "orthants, second-order cones, their products, images of orthants, polyhedral cones, "
-            "and of sums and intersections of these"
+            "the polar of this set is not known here; known are those of orthants, second-order "
+            "cones, their products, images of orthants, polyhedral cones, and of sums and "
+            "intersections of these"
         )
 
     def at(self, t: float) -> ConvexSet:
@@ -465,11 +427,6 @@ class ConvexSet(ABC):
 
     __radd__ = __add__
     __mul__ = __rmul__
-
-
-def halfspaces(C: ConvexSet) -> Halfspaces:
-    """The rows of a set; see `ConvexSet.halfspaces`."""
-    return C.halfspaces()
 
 
 def is_vector(value: Any) -> bool:

@@ -9,10 +9,8 @@ Its support function is the dual program,
 What units of w and v do to h, G and H is a diagonal scaling: D h, D G and D H E state the same set
 for every automorphism D of K and every diagonal E > 0. Curtis and Reid (J. Inst. Math. Appl. 10,
 1972) choose D and E so that the logarithms of all entries are as near to 0 as can be in least
-squares; here h is measured in one more unknown, the size of C. Other units shift these equations,
-and their solution with them. So in powers of two, which round nothing, the same G and H come out
-whatever forces are measured in, and the same h times the unit of force. As h counts little beside G
-and H, these mostly stay as they are while h moves.
+squares; here h is measured in one more unknown, the size of C. So a solver sees numbers near 1 in
+any units. As h counts little beside G and H, these mostly stay as they are while h moves.
 """
 
 from __future__ import annotations
@@ -23,13 +21,10 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import lsmr
 
-from sweepopt.sets.base import ROUNDING
-
 if TYPE_CHECKING:
     import cvxpy as cp
 
 WEIGHT = 2.0**-8  # of an entry of h beside one of G and H
-TIE = 0.0137  # exponents are rounded beside the simple fractions that simple numbers give
 
 
 class Block(NamedTuple):
@@ -85,12 +80,11 @@ def conic(w: cp.Variable, constraints: list[cp.Constraint]) -> Conic:
 
 
 def in_own_units(C: Conic) -> Conic:
-    """The same set, from numbers that do not depend on the units of w and v."""
+    """The same set, from numbers near 1 whatever the units of w and v."""
     n, K = C.G.shape[1], C.K
-    A = sp.csr_array(sp.hstack([C.G, C.H, C.h[:, None]]))
-    turn = _turn(K, C.h.size)
-    turned = turn @ A
-    turned = turned.multiply(abs(turned) > ROUNDING * (abs(turn) @ abs(A))).tocsr()
+    A, turn = sp.hstack([C.G, C.H, C.h[:, None]]), _turn(K, C.h.size)
+    turned = sp.csr_array(turn @ A)
+    turned.eliminate_zeros()
     D, E = _exponents(turned, _symmetries(K), n)
     scaled = sp.diags_array(np.exp2(D)) @ turned @ sp.diags_array(np.exp2(E))
     back = sp.diags_array(1 / (turn @ turn).diagonal()) @ turn
@@ -148,25 +142,16 @@ def _exponents(A: sp.csr_array, symmetries: sp.csr_array, n: int) -> tuple[np.nd
     """D = S x and E with 2^D_i |A_ij| 2^E_j near 1, x and E whole numbers.
 
     The first n columns count as one, by their largest entries, and keep their unit: E_j is 0. So it
-    is for the last one, but only after its own unit, the size of C, is found with all others. What
-    is small beside both its row and its column is rounding, and not counted.
+    is for the last one, but only after its own unit, the size of C, is found with all others.
     """
     A = abs(A)
-    H = A[:, n:-1].tocoo()
-    row, column = np.zeros(H.shape[0]), np.zeros(H.shape[1])
-    np.maximum.at(row, H.row, H.data)
-    np.maximum.at(column, H.col, H.data)
-    H.data[ROUNDING * np.minimum(row[H.row], column[H.col]) >= H.data] = 0.0
-    H.eliminate_zeros()
-    w = A[:, :n].max(axis=1).toarray().reshape(-1, 1)
-    entries = sp.coo_array(sp.hstack([w, H, A[:, -1:]]))
+    entries = sp.coo_array(sp.hstack([A[:, :n].max(axis=1).reshape(-1, 1), A[:, n:]]))
     units = sp.eye_array(entries.shape[1], format="csr")[:, 1:]
     equations = sp.hstack([symmetries[entries.row], units[entries.col]])
-    exact = {"atol": 0.0, "btol": 1e-13, "conlim": 0.0, "maxiter": 10 * sum(equations.shape)}
     weight = np.where(entries.col < entries.shape[1] - 1, 1.0, WEIGHT)
     goal = -weight * np.log2(entries.data)
-    whole = np.floor(lsmr(sp.diags_array(weight) @ equations, goal, **exact)[0] + 0.5 + TIE)
-    x, E = np.split(whole, [symmetries.shape[1]])
+    solution = lsmr(sp.diags_array(weight) @ equations, goal, maxiter=10 * sum(equations.shape))
+    x, E = np.split(np.round(solution[0]), [symmetries.shape[1]])
     return symmetries @ x, np.concatenate([np.zeros(n), E[:-1], [0.0]])
 
 

@@ -65,9 +65,6 @@ class Ellipsoid(ConvexSet):
         lam = self._multiplier(d)
         return w if lam is None else self.center + self._axes @ (e * d / (e + lam))
 
-    def rounding_scale(self, x: np.ndarray) -> float:
-        return max(super().rounding_scale(x), float(np.abs(self.center).max()))
-
     def derivative(self, v: np.ndarray) -> np.ndarray:
         d, e = self._axes.T @ (v - self.center), self._squares
         lam = self._multiplier(d)

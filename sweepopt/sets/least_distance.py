@@ -119,6 +119,4 @@ def _on(G: Any, slack: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.nda
 
 def projector(rows: np.ndarray) -> np.ndarray:
     """The orthogonal projection on the span of the rows."""
-    U, sizes, _ = np.linalg.svd(rows.T, full_matrices=False)
-    basis = U[:, sizes > RANK * sizes.max(initial=0.0)]
-    return basis @ basis.T
+    return np.linalg.pinv(rows, RANK) @ rows

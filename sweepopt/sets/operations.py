@@ -14,15 +14,14 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import HUGE, Matrix, matrix, number, vector
+from sweepopt.checks import HUGE, Matrix, divisor, matrix, number, vector
 from sweepopt.errors import InputError
-from sweepopt.linalg import dense
 from sweepopt.sets.base import Algebra, ConvexSet, binary, is_vector, require_same_dim
-from sweepopt.sets.lifted import Columns, Intersection, Product, Sum, column_sizes, image_of
+from sweepopt.sets.lifted import Embedding, Intersection, Product, Sum, image_of
 from sweepopt.sets.moving import MovingSet
 from sweepopt.sets.polyhedra import ACTIVE_DIM, Polyhedron
 from sweepopt.sets.shapes import Box, Point
-from sweepopt.sets.similar import Similar
+from sweepopt.sets.similar import Similar, shape_of
 
 
 def add(C: ConvexSet, other: Any) -> Any:
@@ -63,10 +62,9 @@ def intersect(C: ConvexSet, D: Any) -> Any:
     if not _is_set("C & D", D):
         return NotImplemented
     require_same_dim("C & D", C, D)
-    above, below = C.rows(), D.rows()
-    if above is None or below is None or C.dim > ACTIVE_DIM:
+    if C.dim > ACTIVE_DIM or not all(isinstance(shape_of(S), (Box, Polyhedron)) for S in (C, D)):
         return Intersection(C, D)
-    (G, h), (F, k) = above, below
+    (G, h, *_), (F, k, *_) = C.halfspaces(), D.halfspaces()
     stack = sp.vstack if sp.issparse(G) or sp.issparse(F) else np.vstack
     return Polyhedron(stack([G, F]), np.concatenate([h, k]))
 
@@ -121,48 +119,38 @@ def image(M: Any, C: Any) -> Any:
     >>> image([[1.0], [1.0]], Box([-1], [1])).support([2.0, 3.0])
     5.0
     """
-    if isinstance(C, MovingSet):
-        # all that depends on M alone is computed once; a set of the right dim is looked at now
-        columns = Columns.of(M)
-        dim = image_of(columns, Point(np.zeros(C.dim))).dim
-        return MovingSet(lambda t: image_of(columns, C.at(t)), dim)
-    if not isinstance(C, ConvexSet):
+    moving = isinstance(C, MovingSet)
+    if not moving and not isinstance(C, ConvexSet):
         raise InputError(f"image(M, C): C must be a set, got {type(C).__name__}")
     M = matrix("M", M)
-    if isinstance(C, Box) and M.shape[0] and C.dim == M.shape[1]:
-        M, C = _with_own_columns(M, C)
-        M, C = _gathered(M, C) or (M, C)
-    return image_of(Columns.of(M), C)
+    if not M.shape[0]:
+        raise InputError("M must have at least one row")
+    largest = abs(M).max(axis=0)
+    sizes = (largest.toarray() if sp.issparse(M) else largest).tolist()
+    for j, size in enumerate(sizes):
+        if size:
+            divisor(f"the largest entry of column {j} of M", size)
+    if moving:
+        image_of(M, Point(np.zeros(C.dim)))  # refuses another width now
+        return MovingSet(lambda t: image_of(M, C.at(t)), M.shape[0])
+    if isinstance(C, Box) and C.dim == M.shape[1]:
+        # columns of numbers near 1: their units, powers of two, go to the box
+        units = np.array([binary(size) for size in sizes])
+        M, C = M @ sp.diags_array(1 / units), Box(units * C.lower, units * C.upper)
+        return _gathered(M, C) or image_of(M, C)
+    return image_of(M, C)
 
 
-def _with_own_columns(M: Matrix, box: Box) -> tuple[Matrix, Box]:
-    """The same set with columns of numbers near 1: their units, powers of two, go to the box."""
-    units = np.array([binary(size) for size in column_sizes(M)])
-    if (units == 1).all():
-        return M, box
-    columns = M @ sp.diags_array(1 / units, format="csc") if sp.issparse(M) else M / units
-    return columns, Box(units * box.lower, units * box.upper)
-
-
-def _gathered(M: Matrix, box: Box) -> tuple[Matrix, Box] | None:
-    """M and a box with intervals on one unknown added up, those on none left out.
-
-    For an M whose columns are unit vectors or zero; None if there is nothing to gather. A contact
-    node that is named twice is one with the sum of its bounds.
-    """
-    entries = sp.coo_array(M)
-    entries.eliminate_zeros()
-    if np.unique(entries.col).size < entries.nnz or not (entries.data == 1).all():
+def _gathered(M: Matrix, box: Box) -> ConvexSet | None:
+    """A contact node that is named several times has the sum of its bounds; None if none is."""
+    columns = sp.csc_array(M)
+    columns.eliminate_zeros()
+    unknowns, place = np.unique(columns.indices, return_inverse=True)
+    single = (columns.data == 1).all() and (np.diff(columns.indptr) <= 1).all()
+    if not (single and 0 < unknowns.size < place.size):
         return None
-    rows, place = np.unique(entries.row, return_inverse=True)
-    if not rows.size or rows.size == M.shape[1]:
-        return None
-    lower, upper = np.zeros((2, rows.size))
-    np.add.at(lower, place, box.lower[entries.col])
-    np.add.at(upper, place, box.upper[entries.col])
-    unit = (np.ones(rows.size), (rows, np.arange(rows.size)))
-    E = sp.csc_array(unit, shape=(M.shape[0], rows.size))
-    return (E if sp.issparse(M) else dense(E)), Box(lower, upper)
+    ends = [(columns @ side)[unknowns] for side in (box.lower, box.upper)]
+    return Embedding(Box(*ends), unknowns, M.shape[0])
 
 
 def _is_set(what: str, D: Any) -> bool:

@@ -17,6 +17,7 @@ from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
     Features,
+    Halfspaces,
     NormalPair,
     binary,
     same_array,
@@ -211,10 +212,6 @@ class Polyhedron(ConvexSet):
     def _rounding(self, w: np.ndarray) -> np.ndarray:
         return ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(w))
 
-    def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        normal = self._exact_normal(w, tau)
-        return self.project(w) if normal is None else w - tau * normal.u
-
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
 
@@ -229,8 +226,8 @@ class Polyhedron(ConvexSet):
     def same_cone(self, other: ConvexSet) -> bool:
         return isinstance(other, Polyhedron) and same_array(self.G, other.G)
 
-    def rows(self) -> tuple[Any, np.ndarray] | None:
-        return self.G, self.h
+    def halfspaces(self) -> Halfspaces:
+        return Halfspaces.below(self.G, self.h)
 
     def require_nonempty(self, where: str = "C") -> None:
         try:

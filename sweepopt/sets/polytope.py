@@ -121,9 +121,6 @@ class Polytope(ConvexSet):
                 return _Face(V[active], point)
         return None
 
-    def rounding_scale(self, x: np.ndarray) -> float:
-        return max(super().rounding_scale(x), float(np.abs(self.vertices).max()))
-
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         face = self._nearest_face(v)
         if face is None:

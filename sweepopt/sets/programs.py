@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -88,19 +88,6 @@ def normal_by_program(C: ConvexSet, w: np.ndarray) -> Normal:
         with contextlib.suppress(SweepoptError):
             solution = solve(binary(max(distance, 1e-6 * size)))
     return solution
-
-
-@in_turn
-def separation_by_program(S: ConvexSet, F: Any, g: np.ndarray, unit: float) -> float:
-    """min |F s - g| over S, in a unit: max of <g, lam> - sigma(S, F^T lam) over |lam| <= 1."""
-    import cvxpy as cp
-
-    multipliers = cp.Variable(g.size)
-    sigma, constraints = S.epigraph(F.T @ multipliers)
-    objective = cp.Maximize((g @ multipliers - sigma) / unit)
-    problem = cp.Problem(objective, [*constraints, cp.norm(multipliers) <= 1])
-    solve_tightly(problem)
-    return float("inf") if problem.value is None else float(problem.value)
 
 
 def solve_tightly(problem: cp.Problem) -> None:

@@ -1,6 +1,6 @@
 """The projection on a lifted set: a splitting method that Newton's method finishes.
 
-The point of { c + E s : s in S, F s = g } nearest to v minimises 1/2 |c + E s - v|^2. Douglas and
+The point of { E s : s in S, F s = 0 } nearest to v minimises 1/2 |E s - v|^2. Douglas and
 Rachford's splitting (P. Lions, B. Mercier, SIAM J. Numer. Anal. 16, 1979) needs two maps only: the
 projections on the parts of S, which are exact, and a linear map that is factorised once. Its fixed
 point x has s = P_S(x) and the normal x - s of S; an answer is exact only if it is one to rounding.
@@ -9,6 +9,7 @@ Sparse data stay sparse: beyond DENSE unknowns there is no Newton's method.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from functools import lru_cache
 from itertools import pairwise
@@ -21,15 +22,14 @@ from scipy.sparse.linalg import splu
 
 from sweepopt.linalg import dense
 from sweepopt.sets.base import RANK, ROUNDING, Form, Perturbation, binary
+from sweepopt.sets.programs import Normal
+from sweepopt.sets.shapes import Box
 
 # For small sets plain sweeps, then Newton's method, and a few sweeps that confirm its answer: of
 # 603 projections on random composed sets 597 end so; with 3 sweeps first they need fewest.
 SWEEPS = (3, 40, 160)
 CONFIRMING = 5
 NEWTON_STEPS = 30
-SHARES = 0.5 ** np.arange(6)  # of a step: 25 discs in the image of a gradient need half of them
-# Units of s: a smaller one pulls harder on E s = v, which 4 % need, where parts are tangent.
-UNITS = (1.0, 0.125)
 ACCELERATED = 500  # sweeps of large sets: 900 discs on a gradient (1,800 unknowns) take as many
 LOOK_BACK = 10  # steps that Anderson's acceleration looks back, as in Walker and Ni's tests
 LIGHT = 1e-4  # weight of what should move little (w, p) beside what may (s, n)
@@ -38,7 +38,7 @@ Map = Callable[[np.ndarray], np.ndarray]
 
 
 class Projection(NamedTuple):
-    """The point w = c + E s of C nearest to v; s = P(image), both in units of the splitting.
+    """The point w = E s of C nearest to v; s = P(image), both in units of the splitting.
 
     `exact` says whether it is that to rounding of the data.
     """
@@ -49,18 +49,6 @@ class Projection(NamedTuple):
     image: np.ndarray
     exact: bool
     splitting: Splitting
-
-    @property
-    def parts(self) -> np.ndarray:
-        """s in the units of the parts."""
-        return self.s / self.splitting.units
-
-    @property
-    def normals(self) -> np.ndarray:
-        """The normals of the parts, computed by the parts, in their units."""
-        split, x = self.splitting, self.image
-        each = (unit * part.normal(x[at] / unit) for part, at, unit in split.parts)
-        return split.units * np.concatenate(list(each))
 
 
 class Start(NamedTuple):
@@ -86,84 +74,72 @@ class Projector:
         self.splitting = lru_cache(16)(lambda unit: Splitting(form, unit * units))
 
     def start(self, v: np.ndarray) -> Start:
-        """From where v pulls a point of F s = g."""
+        """From where v pulls 0."""
         plain = self.splitting(1.0)
-        s = plain.projected(plain.start + plain.pull(v, plain.start))
-        return Start(s, plain.pull(v, s))
+        s = plain.projected(plain.E.T @ v)
+        return Start(s, plain.E.T @ (v - plain.E @ s))
 
-    def start_beside(self, v: np.ndarray, p: np.ndarray, multipliers: np.ndarray) -> Start:
-        """From an approximate normal p of C and multipliers of F s = g."""
-        plain = self.splitting(1.0)
-        both = np.vstack([plain.E, plain.F])
-        s = _shortest(both, np.append(v - p - plain.c, plain.form.g))
-        return Start(s, plain.E.T @ p - plain.F.T @ multipliers)
+    def start_beside(self, v: np.ndarray, normal: Normal) -> Start:
+        """From the normal of C that a program gives, with multipliers of F s = 0 before others."""
+        plain, p = self.splitting(1.0), normal.p
+        rows = len(plain.F)
+        s = _shortest(np.vstack([plain.E, plain.F]), np.append(v - p, np.zeros(rows)))
+        return Start(s, plain.E.T @ p - plain.F.T @ normal.y[:rows])
 
     def __call__(self, v: np.ndarray, start: Start) -> Projection:
         """The projection of v, as exactly as it is found."""
         plain, (s, n) = self.splitting(1.0), start
-        size_s = float(max(np.abs(x).max() for x in (s, plain.start, plain.rounding_scale(s))))
-        size_n = max(float(np.abs(n).max()), plain.size(v))
-        far = binary(float(np.sqrt(size_n / size_s))) if 0 < size_s < size_n else 1.0
-        for unit in (far * size for size in UNITS):
-            size = max(unit * size_s, size_n / unit)
-            projection = self.splitting(unit).nearest(v, unit * s - n / unit, size)
-            if projection.exact:
-                break
-        return projection
+        size_s = float(max(np.abs(s).max(), plain.rounding_scale(s).max()))
+        size_n = max(float(np.abs(n).max()), float(abs(plain.E).max() * np.abs(v).max()))
+        unit = binary(float(np.sqrt(size_n / size_s))) if 0 < size_s < size_n else 1.0
+        size = max(unit * size_s, size_n / unit)
+        return self.splitting(unit).nearest(v, unit * s - n / unit, size)
 
 
 class Splitting:
     """The two maps of a lifted set, in units of s: one a part, which keeps its own metric."""
 
     def __init__(self, form: Form, units: np.ndarray) -> None:
-        self.form, self.units, self.small = form, units, form.small
+        self.small = form.small
         self.parts = [
             (part, at, units[at]) for part, at in zip(form.parts, places(form), strict=True)
         ]
         scale = sp.diags_array(1 / units)
         kept: Callable[[Any], Any] = dense if self.small else sp.csr_array
-        self.c = form.image_of_zero()
         self.E, self.F = kept(form.E @ scale), kept(form.F @ scale)
-        n, m = self.E.shape[1], self.F.shape[0]
+        m, n = self.F.shape
         if self.small:
-            self.start, Z = solutions(self.F, form.g)
+            Z = scipy.linalg.null_space(self.F, RANK) if m else np.eye(n)
             image = self.E @ Z
             self._K = Z @ np.linalg.solve(np.eye(Z.shape[1]) + image.T @ image, Z.T)
         else:
             inner = sp.eye_array(n) + self.E.T @ self.E
             system = [[inner, self.F.T], [self.F, None]] if m else [[inner]]
             self._factor = splu(sp.csc_array(sp.block_array(system)))
-            self.start = self._factor.solve(np.append(np.zeros(n), form.g))[:n]
 
-    def near(self, v: np.ndarray) -> Map:
-        """x -> argmin of 1/2 |c + E s - v|^2 + 1/2 |s - x|^2 under F s = g."""
+    def K(self, x: np.ndarray) -> np.ndarray:
+        """argmin of 1/2 |E s|^2 + 1/2 |s|^2 - <x, s> under F s = 0."""
         if self.small:
-            center = self.start + self._K @ (self.pull(v, self.start) - self.start)
-            return lambda x: np.asarray(center + self._K @ x)
-        pulled = self.E.T @ (v - self.c)
-        return lambda x: self._factor.solve(np.append(pulled + x, self.form.g))[: x.size]
+            return np.asarray(self._K @ x)
+        return self._factor.solve(np.append(x, np.zeros(self.F.shape[0])))[: x.size]
 
     def projected(self, x: np.ndarray) -> np.ndarray:
         """P_S(x)."""
         each = [unit * part.project(x[at] / unit) for part, at, unit in self.parts]
         return np.concatenate(each)
 
-    def pull(self, v: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """E^T (v - w)."""
-        return np.asarray(self.E.T @ (v - self.c - self.E @ s))
-
     def rounding_scale(self, x: np.ndarray) -> np.ndarray:
-        """The size of what projections round, entry by entry."""
+        """The size of what projections round, entry by entry: a box rounds nothing."""
         scale = np.zeros(x.size)
         for part, at, unit in self.parts:
-            scale[at] = unit * part.rounding_scale(x[at] / unit)
+            if not isinstance(part, Box):
+                scale[at] = unit * np.abs(np.append(x[at] / unit, part.offsets)).max()
         return scale
 
-    def size(self, v: np.ndarray) -> float:
-        """Of E^T v and E^T c, whatever cancels."""
-        return float(abs(self.E).max() * max(np.abs(v).max(), np.abs(self.c).max()))
-
     def _derivative(self, x: np.ndarray) -> np.ndarray | None:
+        """Of the projection on the parts; None for large sets, and where a part has none."""
+        if not self.small:
+            return None
         D = np.zeros((x.size, x.size))
         for part, at, unit in self.parts:
             own = part.derivative(x[at] / unit)
@@ -174,7 +150,7 @@ class Splitting:
 
     def nearest(self, v: np.ndarray, x: np.ndarray, size: float) -> Projection:
         """From x = s - n, n the normal; `size` is that of what is rounded in s and n."""
-        near = self.near(v)
+        near = self._near(v)
 
         def step(x: np.ndarray) -> np.ndarray:
             s = near(x)
@@ -187,11 +163,15 @@ class Splitting:
         s, image = near(x), 2 * near(x) - x
         on_parts = self.projected(image)
         # a far start may have left nothing but its rounding: judged by the data, and without it
-        limits = np.abs(self.form.g) + size * abs(self.F).sum(axis=1)
-        off = np.abs(self.form.g - self.F @ on_parts)
+        off, limits = np.abs(self.F @ on_parts), size * abs(self.F).sum(axis=1)
         exact = fixed and np.abs(on_parts - s).max() <= 10 * ROUNDING * size
         exact = exact and bool((off <= 10 * ROUNDING * limits).all())
-        return Projection(v, self.point(v, on_parts), on_parts, image, exact, self)
+        return Projection(v, self._point(v, on_parts), on_parts, image, exact, self)
+
+    def _near(self, v: np.ndarray) -> Map:
+        """x -> argmin of 1/2 |E s - v|^2 + 1/2 |s - x|^2 under F s = 0."""
+        center = self.K(self.E.T @ v)
+        return lambda x: center + self.K(x)
 
     def _finished(self, step: Map, near: Map, x: np.ndarray, size: float) -> FixedPoint:
         """Plain sweeps, which never leave the faces that they come to, then Newton's method."""
@@ -203,34 +183,23 @@ class Splitting:
         return FixedPoint(x, False)
 
     def _newton(self, step: Map, near: Map, x: np.ndarray) -> np.ndarray:
-        """Semismooth Newton steps on x - step(x) = 0, the shortest ones where many x solve it.
-
-        One that makes the residual larger is halved; at a kink no part of it need be better.
-        """
+        """Semismooth Newton steps on x - step(x) = 0, the shortest ones where many x solve it."""
         residual, size = step(x) - x, np.abs(x).max()
         for _ in range(NEWTON_STEPS):
             D = self._derivative(2 * near(x) - x)
             if D is None or np.abs(residual).max() <= ROUNDING * size:
                 break
-            change = _shortest(self._jacobian(D), residual)
-            trials = []
-            for share in SHARES:
-                ahead = x + share * change
-                trials.append((ahead, step(ahead) - ahead))
-                if np.linalg.norm(trials[-1][1]) < np.linalg.norm(residual):
-                    trials = trials[-1:]
-                    break
-            x, residual = trials[0]
+            x = x + _shortest(self._jacobian(D), residual)
+            residual = step(x) - x
         return x
 
     def _jacobian(self, D: np.ndarray) -> np.ndarray:
         """Of x - step(x)."""
         return self._K - D @ (2 * self._K - np.eye(len(D)))
 
-    def point(self, v: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """c + E s, or v itself where that is the same to rounding: v is in C."""
-        w = self.c + self.E @ s
-        rounding = ROUNDING * (np.abs(self.c) + abs(self.E) @ np.abs(s))
+    def _point(self, v: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """E s, or v itself where that is the same to rounding: v is in C."""
+        w, rounding = self.E @ s, ROUNDING * (abs(self.E) @ np.abs(s))
         return v.copy() if (np.abs(v - w) <= rounding).all() else w
 
     def normal(self, near: Projection) -> np.ndarray:
@@ -238,7 +207,8 @@ class Splitting:
         p = near.v - near.w
         if not self.small:
             return p
-        n, F, E = near.normals / self.units, self.F.T, self.E.T
+        each = [unit * part.normal(near.image[at] / unit) for part, at, unit in self.parts]
+        n, E, F = np.concatenate(each), self.E.T, self.F.T
         multipliers = _shortest(F, E @ p - n)
         return p + _shortest(np.hstack([E, -F]), n - E @ p + F @ multipliers)[: p.size]
 
@@ -246,10 +216,10 @@ class Splitting:
         """How far w and p are from a pair, to first order; None where parts have no derivative.
 
         A part's point s and its normal n move along its normals by  ds = D dx, dn = (I - D) dx. The
-        dx, dlam and the small dw, dp that make  n = E^T p - F^T lam,  F s = g  and  w = c + E s
-        true are linear in what these miss, which is known but for rounding.
+        dx, dlam and the small dw, dp that make  n = E^T p - F^T lam,  F s = 0  and  w = E s  true
+        are linear in what these miss, which is known but for rounding.
         """
-        D = self._derivative(near.image) if self.small else None
+        D = self._derivative(near.image)
         if D is None:
             return None
         s, n, E, F = near.s, near.image - near.s, self.E, self.F
@@ -260,10 +230,8 @@ class Splitting:
         scale = self.rounding_scale(near.image)
         sizes = np.abs(s) + scale
         forces = np.abs(E.T) @ np.abs(p) + np.abs(F.T) @ np.abs(multipliers) + p.any() * scale
-        ties = np.abs(F) @ sizes + np.abs(self.form.g)
-        points = np.abs(E) @ sizes + np.abs(self.c)
-        off = [E.T @ p - F.T @ multipliers - n, self.form.g - F @ s, np.zeros(p.size)]
-        rounding = ROUNDING / 4 * np.concatenate([forces, ties, points])
+        off = [E.T @ p - F.T @ multipliers - n, -F @ s, np.zeros(p.size)]
+        rounding = np.concatenate([forces, np.abs(F) @ sizes, np.abs(E) @ sizes])
         m, k = F.shape[0], p.size
         system = np.block(
             [
@@ -272,7 +240,7 @@ class Splitting:
                 [E @ D, np.zeros((k, m)), -LIGHT * np.eye(k), np.zeros((k, k))],
             ]
         )
-        right = np.column_stack([np.concatenate(off), np.diag(rounding)])
+        right = np.column_stack([np.concatenate(off), ROUNDING / 4 * np.diag(rounding)])
         back = LIGHT * _shortest(system, right)[-2 * k :]
         # what is known adds up, what is rounding adds up as the root of squares
         shifts = np.abs(back[:, 0]) + np.linalg.norm(back[:, 1:], axis=1)
@@ -280,7 +248,7 @@ class Splitting:
 
     def derivative(self, near: Projection) -> np.ndarray | None:
         """dw/dv."""
-        D = self._derivative(near.image) if self.small else None
+        D = self._derivative(near.image)
         if D is None:
             return None
         one, pull = np.eye(len(D)), self._K @ self.E.T
@@ -292,20 +260,6 @@ def places(form: Form) -> list[slice]:
     """Where in s each part is."""
     ends = np.cumsum([0, *(part.dim for part in form.parts)]).tolist()
     return [slice(*pair) for pair in pairwise(ends)]
-
-
-class Solutions(NamedTuple):
-    """{ s : F s = g } = { one + Z y }, the columns of Z orthonormal; the least squares if none."""
-
-    one: np.ndarray
-    Z: np.ndarray
-
-
-def solutions(F: np.ndarray, g: np.ndarray) -> Solutions:
-    """All solutions of a small linear system."""
-    U, sizes, Vt = np.linalg.svd(F)
-    rank = int((sizes > RANK * sizes.max(initial=0.0)).sum())
-    return Solutions(Vt[:rank].T @ ((U.T @ g)[:rank] / sizes[:rank]), Vt[rank:].T)
 
 
 def _squares(M: Any) -> np.ndarray:
@@ -335,8 +289,8 @@ def fixed_point(
     Anderson's acceleration (Walker and Ni, SIAM J. Numer. Anal. 49, 2011), with the plain
     iteration, whose residual never grows, as the safeguard of Zhang, O'Donoghue and Boyd (2020).
     """
-    images: list[np.ndarray] = []
-    residuals: list[np.ndarray] = []
+    images: deque[np.ndarray] = deque(maxlen=memory + 1)
+    residuals: deque[np.ndarray] = deque(maxlen=memory + 1)
     size = max(size, float(np.abs(x).max()))
     for _ in range(sweeps):
         image = step(x)
@@ -344,10 +298,12 @@ def fixed_point(
         if np.abs(residual).max() <= ROUNDING * max(size, np.abs(image).max()):
             return FixedPoint(image, True)
         if residuals and np.linalg.norm(residual) > np.linalg.norm(residuals[-1]):
-            x, images, residuals = images[-1], [], []
+            x = images[-1]
+            images.clear()
+            residuals.clear()
             continue
-        old = max(len(images) - memory, 0)
-        images, residuals = [*images[old:], image], [*residuals[old:], residual]
+        images.append(image)
+        residuals.append(residual)
         x = image
         if len(images) > 1:
             mix = np.linalg.lstsq(np.diff(residuals, axis=0).T, residual, rcond=1e-12)[0]

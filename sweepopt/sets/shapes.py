@@ -9,7 +9,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import dimension, entries, vector
 from sweepopt.errors import EmptySetError
-from sweepopt.sets.base import ConvexSet, Features, difference, same_array
+from sweepopt.sets.base import ConvexSet, Features, Halfspaces, difference, same_array
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -64,9 +64,8 @@ class Point(ConvexSet):
     def anchor(self) -> np.ndarray:
         return self.offsets
 
-    @property
-    def nonsmooth_dim(self) -> int:
-        return 0
+    def halfspaces(self) -> Halfspaces:
+        return Halfspaces(np.zeros((0, self.dim)), np.zeros(0), np.eye(self.dim), self.offsets)
 
     def polar(self) -> ConvexSet:
         if self.offsets.any():
@@ -162,13 +161,6 @@ class Box(ConvexSet):
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return tau
 
-    def rounding_scale(self, x: np.ndarray) -> float:
-        return 0.0
-
-    def factors(self) -> list[ConvexSet]:
-        bounds = zip(self.lower[:, None], self.upper[:, None], strict=True)
-        return [Box(*each) for each in bounds]
-
     def derivative(self, v: np.ndarray) -> np.ndarray:
         return ((v >= self.lower) & (v <= self.upper)).astype(float)
 
@@ -191,12 +183,12 @@ class Box(ConvexSet):
             float(np.linalg.norm(np.maximum(0.0, np.maximum(-below, -above)))),
         )
 
-    def rows(self) -> tuple[Any, np.ndarray] | None:
+    def halfspaces(self) -> Halfspaces:
         above, below = np.isfinite(self.upper), np.isfinite(self.lower)
         identity = sp.eye_array(self.dim, format="csr") if self.dim > 100 else np.eye(self.dim)
         stack = sp.vstack if self.dim > 100 else np.vstack
         G = stack([identity[above], -identity[below]])
-        return G, np.concatenate([self.upper[above], -self.lower[below]])
+        return Halfspaces.below(G, np.concatenate([self.upper[above], -self.lower[below]]))
 
     def polar(self) -> ConvexSet:
         ends = np.concatenate([self.lower, self.upper])

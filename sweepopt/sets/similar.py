@@ -8,7 +8,7 @@ The set itself stays as it is, with all that was computed for it: a step changes
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,6 +27,11 @@ from sweepopt.sets.shapes import Point
 
 if TYPE_CHECKING:
     import cvxpy as cp
+
+
+def shape_of(C: ConvexSet) -> ConvexSet:
+    """C without its translation and scale."""
+    return shape_of(C.part) if isinstance(C, Similar) else C
 
 
 class Similar(ConvexSet):
@@ -76,19 +81,11 @@ class Similar(ConvexSet):
         p = self.part.normal(self._back(v))
         return p if self.factor == 1 else self.factor * p
 
-    def nearest(self, w: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        return self._to(self.part.nearest(self._back(w), tau))
-
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         return self.part.derivative(self._back(v))
 
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return self.part.weights(tau)
-
-    def rounding_scale(self, x: np.ndarray) -> float:
-        scale = abs(self.factor) * self.part.rounding_scale(self._back(x))
-        v = 0.0 if self.v is None else max(super().rounding_scale(x), float(np.abs(self.v).max()))
-        return max(scale, v)
 
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         if self.factor == 1:
@@ -102,8 +99,6 @@ class Similar(ConvexSet):
         return NormalPair(sign * pair.p, self._to(pair.w), r * pair.gap, moved)
 
     def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
-        if self.v is not None:
-            return super().gap_along_curve(p, w, ratio)
         r = abs(self.factor)
         gap, distance = self.part.gap_along_curve(self._sign * p, self._back(w), r * ratio)
         return CurveGap(r * gap, r * distance)
@@ -119,27 +114,20 @@ class Similar(ConvexSet):
         inner = self.part.form()
         if inner.parts == (self.part,):
             return Form.alone(self)
-        form = inner if self.factor == 1 else inner.scaled(self.factor)
-        return form if self.v is None else form.translated(self.v)
-
-    def factors(self) -> list[ConvexSet]:
-        each = self.part.factors()
-        ends = np.cumsum([C.dim for C in each])[:-1]
-        shifts = len(each) * [None] if self.v is None else np.split(self.v, ends)
-        return [Similar(C, v, self.factor) for C, v in zip(each, shifts, strict=True)]
-
-    def rows(self) -> tuple[Any, np.ndarray] | None:
-        rows = self.part.rows()
-        if rows is None:
-            return None
-        G, h = self._sign * rows[0], abs(self.factor) * rows[1]
-        return G, h if self.v is None else h + G @ self.v
+        if self.v is not None:
+            return Form.added(self.centred, Point(self.v))
+        r = abs(self.factor)  # of the parts, so that only offsets know it
+        return inner._replace(E=self._sign * inner.E, parts=tuple(r * C for C in inner.parts))
 
     def halfspaces(self) -> Halfspaces:
         N, d, E, e = self.part.halfspaces()
         r, sign = abs(self.factor), self._sign
-        centred = Halfspaces(sign * N, r * d, sign * E, r * e)
-        return centred if self.v is None else centred.translated(self.v)
+        N, d, E, e = sign * N, r * d, sign * E, r * e
+        return (
+            Halfspaces(N, d, E, e)
+            if self.v is None
+            else Halfspaces(N, d + N @ self.v, E, e + E @ self.v)
+        )
 
     def require_nonempty(self, where: str = "C") -> None:
         self.part.require_nonempty(where)
@@ -165,10 +153,6 @@ class Similar(ConvexSet):
     @property
     def anchor(self) -> np.ndarray:
         return self._to(self.part.anchor)
-
-    @property
-    def nonsmooth_dim(self) -> int:
-        return self.part.nonsmooth_dim
 
     @cached_property  # a step asks for that of the shape that it moves
     def selection(self) -> Selection | None:

@@ -206,7 +206,7 @@ class Inclusion:
 
     def rests(self, of: Instance, tol: float, outside: np.ndarray | None = None) -> bool:
         """Whether q is in C, and B u as well where q may be rounded to more than a share of tol."""
-        if not rests(of, of.q, self.M.diagonal, outside):
+        if not rests(of, of.q, outside):
             return False
         if of.u is None:
             return True
@@ -218,7 +218,7 @@ class Inclusion:
 
     def rests_exactly(self, of: Instance) -> bool:
         """Whether B u, rounded once, is in C."""
-        return of.u is not None and rests(of, self._exact[-1](of.u), self.M.diagonal)
+        return of.u is not None and rests(of, self._exact[-1](of.u))
 
 
 def rated(z: np.ndarray, certificate: float, size: float, solver: str = "") -> Velocity:
@@ -279,9 +279,7 @@ def pair_near(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray, tol: float)
 # ---- rest --------------------------------------------------------------------------------------
 
 
-def rests(
-    of: Instance, q: np.ndarray, diagonal: np.ndarray, outside: np.ndarray | None = None
-) -> bool:
+def rests(of: Instance, q: np.ndarray, outside: np.ndarray | None = None) -> bool:
     """Whether z = 0 for a linear term q: it is in C = c + E^T S but for rounding.
 
     Where S acts on few unknowns, the force beside them settles most steps.
@@ -299,7 +297,7 @@ def rests(
             outside[few] = 0.0
             if not is_rounding(outside, scale):
                 return False
-        outside[few] = acting - of.S.nearest(acting, diagonal[few])
+        outside[few] = acting - of.S.project(acting)
     scale[few] += np.abs(of.S.anchor)
     return is_rounding(outside, scale)
 

@@ -128,7 +128,7 @@ def by_formula(M: Factor, of: Instance) -> Callable[[np.ndarray, np.ndarray | No
 
     def propose(residual: np.ndarray, z: np.ndarray | None) -> Proposal:
         outside = residual.copy() if z is None else M.precisely(-z, residual)
-        w = of.S.nearest(outside[few], diagonal[few])
+        w = of.S.project(outside[few])
         outside[few] -= w
         return Proposal(0.0 - outside / diagonal, w, few, solver=CLOSED_FORM)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from sweepopt.errors import InputError, SweepoptError
 from sweepopt.linalg import dense
-from sweepopt.sets import Balls, Box, ConvexSet
+from sweepopt.sets import Balls, Box, ConvexSet, Polyhedron, shape_of
 from sweepopt.study.hard import digits
 
 STEPS = 500  # of a method that is finite or converges fast: this ends what is not
@@ -32,11 +32,12 @@ def velocity(C: ConvexSet, N: np.ndarray, q: np.ndarray) -> np.ndarray:
     """
     if isinstance(C, Balls):
         return _in_balls(N, q, digits.exactly(C.radii))
-    rows = (Box(C.anchor, C.anchor) if C.singleton else C).rows()
-    if rows is None:
+    C = Box(C.anchor, C.anchor) if C.singleton else C
+    if not isinstance(shape_of(C), (Box, Polyhedron)):
         raise InputError(f"no exact velocity is known for a {type(C).__name__}")
-    G = digits.exactly(dense(rows[0]))
-    return -_multipliers(N, q, G, digits.exactly(rows[1])) @ G
+    rows = C.halfspaces()
+    G = digits.exactly(dense(rows.N))
+    return -_multipliers(N, q, G, digits.exactly(rows.d)) @ G
 
 
 def _multipliers(P: np.ndarray, q: np.ndarray, G: np.ndarray, h: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from sweepopt.errors import SolverRefusedError, shown
-from sweepopt.sets import ConvexSet, Similar
+from sweepopt.sets import ConvexSet, shape_of
 from sweepopt.velocity.solvers.active_set import ActiveSet
 from sweepopt.velocity.solvers.clarabel import Clarabel
 from sweepopt.velocity.solvers.contract import Answer, Small, Solve, Solver
@@ -81,7 +81,7 @@ def _made(kind: Any, C: ConvexSet, tol: float) -> Solver:
 
 def _curved_parts(C: ConvexSet) -> str:
     """The parts of C that are no polyhedra, by name."""
-    parts = [part.part if isinstance(part, Similar) else part for part in C.form().parts]
+    parts = map(shape_of, C.form().parts)
     curved = dict.fromkeys(type(part).__name__ for part in parts if not part.polyhedral)
     return ", ".join(curved) or type(C).__name__
 

@@ -16,7 +16,7 @@ import scipy.linalg
 
 from sweepopt.errors import EmptySetError
 from sweepopt.linalg import NEGLIGIBLE, dense, euclidean
-from sweepopt.sets import ROUNDING, ConvexSet, NoHalfspacesError, halfspaces, least_distance
+from sweepopt.sets import ROUNDING, ConvexSet, NoHalfspacesError, least_distance
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.contract import Answer, Small, Solve
 
@@ -80,7 +80,7 @@ class ActiveSet(Small):
 def _rows(C: ConvexSet) -> tuple[np.ndarray, np.ndarray] | None:
     """G and h with C = { w : G w <= h }, an equation as two rows."""
     try:
-        N, d, E, e = halfspaces(C)
+        N, d, E, e = C.halfspaces()
     except NoHalfspacesError:
         return None
-    return np.vstack([N, E, -E]), np.concatenate([d, e, -e])
+    return np.vstack([dense(N), E, -E]), np.concatenate([d, e, -e])

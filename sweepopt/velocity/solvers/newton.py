@@ -20,7 +20,7 @@ import scipy.linalg
 
 from sweepopt.checks import count
 from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, dense, euclidean
-from sweepopt.sets import ConvexSet
+from sweepopt.sets import ConvexSet, Polyhedron, shape_of
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.contract import Answer, Small, Solve
 
@@ -67,7 +67,7 @@ class Newton(Small):
         if C.dim > self.max_dim:
             return False
         D = C.derivative(C.anchor)
-        return D is not None and (D.ndim == 1 or C.rows() is None)
+        return D is not None and (D.ndim == 1 or not isinstance(shape_of(C), Polyhedron))
 
     def compile(self, program: VelocityProgram) -> Solve:
         """A function that starts from the velocity it found last, or from one it is given."""
