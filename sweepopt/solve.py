@@ -89,9 +89,9 @@ def solve(
         "auto", "clarabel", "osqp", "daqp", "newton", "cvxpy" or an object: ``OSQP(tol=1e-10)``.
     tol : float
         Each program's certificate is at most tol * max(|z|_M, |M^-1 q|_M); a step that misses it
-        is tried with tighter settings, then with another solver, then in 2 to 16 equal parts (its
-        solver in `stats` is then "osqp/4", its certificate the worst of its parts' programs), then
-        handled as on_failure says.
+        is tried with other solvers, then in 2 to 16 equal parts (its solver in `stats` is then
+        "osqp/4", its certificate the worst of its parts' programs), then handled as on_failure
+        says.
     error : float, optional
         Refine the steps until `Solution.error_bound` is at most this; needs a load as data. The
         callback sees, and save= counts, the steps of the last run only, which is run once more.
