@@ -35,7 +35,7 @@ from sweepopt.sets.base import (
     same_array,
     total_gap,
 )
-from sweepopt.sets.generated import GeneratedCone
+from sweepopt.sets.polyhedra import GeneratedCone
 from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.programs import normal_by_program, separation_by_program, support_by_program
 from sweepopt.sets.projection import Projection, Projector, Splitting, fixed_point, places
@@ -580,7 +580,7 @@ def image_of(columns: Columns, C: ConvexSet) -> ConvexSet:
     if M.shape[1] != C.dim:
         raise InputError(f"image(M, C): M has {M.shape[1]} columns but C has dim {C.dim}")
     if isinstance(C, Point):
-        return Point(M @ C.offsets)
+        return Point(M @ C.anchor)
     weights = C.weights(columns.squares)
     if columns.orthogonal and (abs(weights - columns.squares) <= ROUNDING * weights).all():
         return Embedding(columns, C)

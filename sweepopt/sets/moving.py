@@ -231,7 +231,7 @@ class Moving(MovingSet):
             instant("t", t)
             return scaled
         if isinstance(scaled, Point):
-            return Point(scaled.offsets + self.center_at(t))
+            return Point(scaled.anchor + self.center_at(t))
         return Similar(scaled, self.center_at(t))
 
 

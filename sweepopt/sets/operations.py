@@ -29,13 +29,17 @@ def add(C: ConvexSet, other: Any) -> Any:
     """C + v or C + D; the sum with a point is a translation."""
     if is_vector(other):
         v = vector("v", other, C.dim)
-        return Point(C.offsets + v) if isinstance(C, Point) else Similar(C, v)
+        return Point(C.anchor + v) if isinstance(C, Point) else Similar(C, v)
     if not _is_set("C + D", other):
         return NotImplemented
     require_same_dim("C + D", C, other)
     if isinstance(other, Point):
-        return C + other.offsets
-    return other + C.offsets if isinstance(C, Point) else Sum(C, other)
+        return C + other.anchor
+    if isinstance(C, Point):
+        return other + C.anchor
+    if isinstance(C, Box) and isinstance(other, Box):
+        return Box(C.lower + other.lower, C.upper + other.upper)
+    return Sum(C, other)
 
 
 def scale(factor: Any, C: ConvexSet) -> ConvexSet:
@@ -44,7 +48,7 @@ def scale(factor: Any, C: ConvexSet) -> ConvexSet:
         raise InputError("C * D is not defined; use so.product(C, D) or C & D")
     r = number("scale", factor)
     if isinstance(C, Point):
-        return Point(r * C.offsets)
+        return Point(r * C.anchor)
     if abs(r) < 1 / HUGE:  # what it divides would overflow
         if not np.isfinite(C.magnitude()):
             raise InputError(
@@ -52,7 +56,8 @@ def scale(factor: Any, C: ConvexSet) -> ConvexSet:
             )
         return Point(np.zeros(C.dim))
     if isinstance(C, Box):
-        return C.scaled(r)
+        ends = (C.lower, C.upper) if r > 0 else (C.upper, C.lower)
+        return Box(*(r * end for end in ends))  # nothing is divided by r, however small it gets
     if isinstance(C, Similar) and C.v is None and r * C.factor == 1:
         return C.part
     return Similar(C, None, r)
@@ -63,6 +68,8 @@ def intersect(C: ConvexSet, D: Any) -> Any:
     if not _is_set("C & D", D):
         return NotImplemented
     require_same_dim("C & D", C, D)
+    if isinstance(C, Box) and isinstance(D, Box):
+        return Box(np.maximum(C.lower, D.lower), np.minimum(C.upper, D.upper))
     above, below = C.rows(), D.rows()
     if above is None or below is None or C.dim > ACTIVE_DIM:
         return Intersection(C, D)
@@ -94,10 +101,10 @@ def product(*sets: Any) -> Any:
         raise InputError("product(C, D, ...) takes one or more sets")
     if any(isinstance(C, MovingSet) for C in sets):
         return MovingSet(lambda t: product(*(C.at(t) for C in sets)), sum(C.dim for C in sets))
+    if all(isinstance(C, Point) for C in sets):
+        return Point(np.concatenate([C.anchor for C in sets]))
     if all(isinstance(C, Box) for C in sets):
         return Box(np.concatenate([C.lower for C in sets]), np.concatenate([C.upper for C in sets]))
-    if all(isinstance(C, Point) for C in sets):
-        return Point(np.concatenate([C.offsets for C in sets]))
     return Product(tuple(sets))
 
 
@@ -129,7 +136,7 @@ def image(M: Any, C: Any) -> Any:
     if not isinstance(C, ConvexSet):
         raise InputError(f"image(M, C): C must be a set, got {type(C).__name__}")
     M = matrix("M", M)
-    if isinstance(C, Box) and M.shape[0] and C.dim == M.shape[1]:
+    if isinstance(C, Box) and not C.singleton and M.shape[0] and C.dim == M.shape[1]:
         M, C = _with_own_columns(M, C)
         M, C = _gathered(M, C) or (M, C)
     return image_of(Columns.of(M), C)
