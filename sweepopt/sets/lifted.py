@@ -580,7 +580,7 @@ def image_of(columns: Columns, C: ConvexSet) -> ConvexSet:
     if M.shape[1] != C.dim:
         raise InputError(f"image(M, C): M has {M.shape[1]} columns but C has dim {C.dim}")
     if isinstance(C, Point):
-        return Point(M @ C.anchor)
+        return Point(M @ C.offsets)
     weights = C.weights(columns.squares)
     if columns.orthogonal and (abs(weights - columns.squares) <= ROUNDING * weights).all():
         return Embedding(columns, C)

@@ -72,7 +72,7 @@ class Box(ConvexSet):
         return np.maximum(np.einsum("jkd,jd->jk", slack, p), 0.0)
 
     def features(self, p: cp.Expression) -> Features:
-        return rows_features(self.rows()[0], p)
+        return rows_features(self._matrix(), p)
 
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return tau
@@ -91,6 +91,7 @@ class Box(ConvexSet):
     def same_cone(self, other: ConvexSet) -> bool:
         return (
             isinstance(other, Box)
+            and self.singleton == other.singleton
             and same_array(self._low, other._low)
             and same_array(self._up, other._up)
         )
@@ -107,10 +108,14 @@ class Box(ConvexSet):
             float(np.linalg.norm(np.maximum(0.0, np.maximum(-below, -above)))),
         )
 
-    def rows(self) -> tuple[Any, np.ndarray]:
+    def _matrix(self) -> Any:
+        """G of { w : G w <= offsets }."""
         identity = sp.eye_array(self.dim, format="csr") if self.dim > 100 else np.eye(self.dim)
         stack = sp.vstack if self.dim > 100 else np.vstack
-        return stack([identity[self._up], -identity[self._low]]), self.offsets
+        return stack([identity[self._up], -identity[self._low]])
+
+    def rows(self) -> tuple[Any, np.ndarray] | None:
+        return self._matrix(), self.offsets
 
     def polar(self) -> ConvexSet:
         if self.offsets.any():
@@ -143,10 +148,17 @@ class Point(Box):
     def __init__(self, p: Any) -> None:
         p = entries("p", p)
         super().__init__(p, p)
+        self.offsets = self.lower
+
+    def features(self, p: cp.Expression) -> Features:
+        return Features([p], [])
+
+    def rows(self) -> tuple[Any, np.ndarray] | None:
+        return None
 
     @property
     def anchor(self) -> np.ndarray:
-        return self.lower
+        return self.offsets
 
 
 class Orthant(Box):

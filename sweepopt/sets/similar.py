@@ -154,7 +154,7 @@ class Similar(ConvexSet):
         if isinstance(other, Similar):
             part, v, factor = other.part, other.v, other.factor
         elif isinstance(other, Point):
-            part, v, factor = self.part, other.anchor, 0.0
+            part, v, factor = self.part, other.offsets, 0.0
         distance, change = self.part.distance_bound(part), abs(self.factor - factor)
         moved = change * self.part.magnitude() if change else 0.0
         if distance is None or np.isinf(moved):
