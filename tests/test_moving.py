@@ -185,7 +185,7 @@ MALFORMED: dict[str, tuple[Any, str]] = {
         r"C\(t\) at t = 2: h\[4\] is inf",
     ),
     "sum of two dims": (lambda: FAMILIES["any"] + so.Orthant(3), r"C \+ D: .* 2 and 3"),
-    "intersection of two dims": (lambda: so.Orthant(3) & FAMILIES["any"], "C & D: .* 2 and 3"),
+    "intersection of two dims": (lambda: so.Orthant(3) & FAMILIES["any"], "C & D: .* 3 and 2"),
     "translation of another dim": (lambda: FAMILIES["any"] + [1.0], "v must have 2 entries"),
     "translation by text": (lambda: FAMILIES["any"] - ["x", "y"], "v must be an array"),
     "sum with text": (lambda: FAMILIES["any"] + "far", r"C \+ D: D must be a set, got str"),

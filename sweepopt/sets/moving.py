@@ -7,7 +7,9 @@ serves them all.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
+from functools import wraps
 from typing import Any
 
 import numpy as np
@@ -15,12 +17,13 @@ import numpy as np
 from sweepopt.checks import dimension, instant, number, vector
 from sweepopt.errors import InputError
 from sweepopt.loads import Separable, breakpoints
-from sweepopt.sets.base import ConvexSet, is_vector, require_same_dim
+from sweepopt.sets.balls import Ball
+from sweepopt.sets.base import ConvexSet, Operators, is_vector
 from sweepopt.sets.shapes import Point
 from sweepopt.sets.similar import Similar
 
 
-class MovingSet:
+class MovingSet(Operators):
     """C(t) given by a function of time.
 
     Parameters
@@ -44,8 +47,6 @@ class MovingSet:
     >>> C.at(2.0).support([1.0, 0.0])
     5.0
     """
-
-    __array_ufunc__ = None
 
     def __init__(self, at: Callable[[float], ConvexSet], dim: int | None = None) -> None:
         if not callable(at):
@@ -109,46 +110,26 @@ class MovingSet:
             raise InputError(f"C(t) at t = {t:g} must be a set, got {type(C).__name__}")
         return C
 
-    def _then(self, operation: Callable[[ConvexSet, Any], Any], other: Any = None) -> MovingSet:
-        if isinstance(other, (MovingSet, ConvexSet)):
-            return MovingSet(lambda t: operation(self.at(t), other.at(t)), self.dim)
-        return MovingSet(lambda t: operation(self.at(t), other), self.dim)
 
-    def __add__(self, other: Any) -> MovingSet:
-        if is_vector(other):
-            other = vector("v", other, self.dim)
-        else:
-            self._check("C + D", other)
-        return self._then(lambda C, D: C + D, other)
+def over_time(operation: Callable[..., Any]) -> Callable[..., Any]:
+    """The operation, which for sets that move is done at every time.
 
-    def __sub__(self, other: Any) -> MovingSet:
-        if not is_vector(other):
-            raise InputError("C - D is ambiguous; write C + (-D) for the Minkowski sum")
-        return self + -vector("v", other, self.dim)
+    Points in their place tell at once whether the operands fit, and the dim of the result.
+    """
 
-    def __rsub__(self, other: Any) -> MovingSet:
-        return -self + other
+    @wraps(operation)
+    def on_all(*operands: Any) -> Any:
+        if not any(isinstance(C, MovingSet) for C in operands):
+            return operation(*operands)
+        fixed = [copy.copy(x) if is_vector(x) else x for x in operands]
 
-    def __rmul__(self, factor: float) -> MovingSet:
-        if isinstance(factor, (MovingSet, ConvexSet)):
-            raise InputError("C * D is not defined; use so.product(C, D) or C & D")
-        return self._then(lambda C, r: r * C, number("scale", factor))
+        def done(member: Callable[[MovingSet], ConvexSet]) -> Any:
+            return operation(*(member(x) if isinstance(x, MovingSet) else x for x in fixed))
 
-    def __neg__(self) -> MovingSet:
-        return self._then(lambda C, _: -C)
+        dim = done(lambda C: Ball(np.zeros(C.dim), 0.0)).dim
+        return MovingSet(lambda t: done(lambda C: C.at(t)), dim)
 
-    def __and__(self, other: Any) -> MovingSet:
-        self._check("C & D", other)
-        return self._then(lambda C, D: C & D, other)
-
-    __radd__ = __add__
-    __mul__ = __rmul__
-    __rand__ = __and__
-
-    def _check(self, what: str, other: Any) -> None:
-        if not isinstance(other, (MovingSet, ConvexSet)):
-            raise InputError(f"{what}: D must be a set, got {type(other).__name__}")
-        require_same_dim(what, self, other)
+    return on_all
 
 
 class Moving(MovingSet):

@@ -17,22 +17,28 @@ import scipy.sparse as sp
 from sweepopt.checks import HUGE, Matrix, matrix, number, vector
 from sweepopt.errors import InputError
 from sweepopt.linalg import dense
-from sweepopt.sets.base import Algebra, ConvexSet, binary, is_vector, require_same_dim
+from sweepopt.sets.base import (
+    Algebra,
+    ConvexSet,
+    Operators,
+    binary,
+    is_vector,
+    require_same_dim,
+)
 from sweepopt.sets.lifted import Columns, Intersection, Product, Sum, column_sizes, image_of
-from sweepopt.sets.moving import MovingSet
+from sweepopt.sets.moving import MovingSet, over_time
 from sweepopt.sets.polyhedra import ACTIVE_DIM, Polyhedron
 from sweepopt.sets.shapes import Box, Point
 from sweepopt.sets.similar import Similar
 
 
+@over_time
 def add(C: ConvexSet, other: Any) -> Any:
     """C + v or C + D; the sum with a point is a translation."""
     if is_vector(other):
         v = vector("v", other, C.dim)
         return Point(C.anchor + v) if isinstance(C, Point) else Similar(C, v)
-    if not _is_set("C + D", other):
-        return NotImplemented
-    require_same_dim("C + D", C, other)
+    _require_set("C + D", C, other)
     if isinstance(other, Point):
         return C + other.anchor
     if isinstance(C, Point):
@@ -42,6 +48,7 @@ def add(C: ConvexSet, other: Any) -> Any:
     return Sum(C, other)
 
 
+@over_time
 def scale(factor: Any, C: ConvexSet) -> ConvexSet:
     """r C for any finite r; 0 C is {0} and asks for a bounded C; where |r| < 1e-75 r is 0."""
     if hasattr(factor, "at"):
@@ -63,11 +70,10 @@ def scale(factor: Any, C: ConvexSet) -> ConvexSet:
     return Similar(C, None, r)
 
 
+@over_time
 def intersect(C: ConvexSet, D: Any) -> Any:
     """C & D; rows under rows are again a polyhedron, with its exact projection."""
-    if not _is_set("C & D", D):
-        return NotImplemented
-    require_same_dim("C & D", C, D)
+    _require_set("C & D", C, D)
     if isinstance(C, Box) and isinstance(D, Box):
         return Box(np.maximum(C.lower, D.lower), np.minimum(C.upper, D.upper))
     above, below = C.rows(), D.rows()
@@ -78,6 +84,7 @@ def intersect(C: ConvexSet, D: Any) -> Any:
     return Polyhedron(stack([G, F]), np.concatenate([h, k]))
 
 
+@over_time
 def product(*sets: Any) -> Any:
     """C x D x ..., one after the other in the vector; moving sets too.
 
@@ -97,10 +104,8 @@ def product(*sets: Any) -> Any:
     >>> product(Ball([0.0, 0.0], 1.0), Box([-1], [1])).support([3.0, 4.0, 2.0])
     7.0
     """
-    if not sets or not all(isinstance(C, (ConvexSet, MovingSet)) for C in sets):
+    if not sets or not all(isinstance(C, ConvexSet) for C in sets):
         raise InputError("product(C, D, ...) takes one or more sets")
-    if any(isinstance(C, MovingSet) for C in sets):
-        return MovingSet(lambda t: product(*(C.at(t) for C in sets)), sum(C.dim for C in sets))
     if all(isinstance(C, Point) for C in sets):
         return Point(np.concatenate([C.anchor for C in sets]))
     if all(isinstance(C, Box) for C in sets):
@@ -172,11 +177,10 @@ def _gathered(M: Matrix, box: Box) -> tuple[Matrix, Box] | None:
     return (E if sp.issparse(M) else dense(E)), Box(lower, upper)
 
 
-def _is_set(what: str, D: Any) -> bool:
-    """True for a set, False for a moving set (which then takes over), an error otherwise."""
-    if not isinstance(D, ConvexSet) and not hasattr(D, "at"):
+def _require_set(what: str, C: ConvexSet, D: Any) -> None:
+    if not isinstance(D, ConvexSet):
         raise InputError(f"{what}: D must be a set, got {type(D).__name__}")
-    return isinstance(D, ConvexSet)
+    require_same_dim(what, C, D)
 
 
-ConvexSet.algebra = Algebra(add, scale, intersect, image)
+Operators.algebra = Algebra(add, scale, intersect, image)
