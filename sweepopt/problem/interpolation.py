@@ -107,12 +107,8 @@ def _by_variation(
     times = a + (b - a) * np.arange(SAMPLES + 1) / SAMPLES
     e = np.linalg.norm(f(times) - NODES_TO_PARTS @ values, axis=1)
     slopes = 4 * np.linalg.norm(np.diff(to_bernstein(NODES) @ values, axis=0), axis=1)
-    if isinstance(history, TimeFunction):
-        assert history.variation is not None
-        varies = increments(history.variation, times)
-    else:
-        varies = np.array([history.variation(*ends) for ends in itertools.pairwise(times.tolist())])
-    varies = varies + slopes.max() / SAMPLES
+    varies = np.array([history.variation(*ends) for ends in itertools.pairwise(times.tolist())])
+    varies += slopes.max() / SAMPLES
     return float((0.5 * (e[:-1] + e[1:] + varies)).max()), float(np.sum(varies))
 
 

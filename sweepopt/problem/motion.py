@@ -41,14 +41,14 @@ class TimeFunction:
     dim : int
     function : callable or None
         Instead of terms.
-    variation : callable or None
-        v with |f(t) - f(s)| <= v(t) - v(s) for s <= t, of a function.
+    variation : callable (a, b) -> float, or None
+        At least that of a function between two times.
     """
 
     terms: Terms
     dim: int
     function: Callable[[float], Any] | None = None
-    variation: Callable[[float], float] | None = None
+    variation: Callable[[float, float], float] | None = None
 
     @classmethod
     def of(cls, value: Any, dim: int) -> TimeFunction:
@@ -211,18 +211,18 @@ def _moving_box(G: np.ndarray, h: TimeFunction) -> Motion | None:
     column = np.abs(G).argmax(axis=1)
     entry = G[np.arange(m), column]
     bounds = Separable(h.terms).shapes / entry[:, None]  # of each row, a column for each history
-    upper, lower = np.full((2, dim), -1)  # the row that bounds an entry of w
-    for side, rows in ((upper, entry > 0), (lower, entry < 0)):
-        side[column[rows]] = np.flatnonzero(rows)
-        if (side >= 0).sum() < rows.sum():
-            return None
-    above, below = upper >= 0, lower >= 0
-    center, scale = np.zeros((2, dim, bounds.shape[1]))
-    center[above] = bounds[upper[above]]
-    center[below] = bounds[lower[below]]
-    both = above & below
-    scale[both] = bounds[upper[both]] - center[both]
-    shape = Box(np.where(below, 0.0, -np.inf), np.where(above, np.where(below, 1.0, 0.0), np.inf))
+    side = (entry > 0).astype(int)  # 0 for a row that bounds from below
+    ends = np.zeros((2, dim, bounds.shape[1]))
+    ends[side, column] = bounds
+    known = np.zeros((2, dim), dtype=bool)
+    known[side, column] = True
+    if known.sum() < m:
+        return None
+    below, above = known
+    both = below & above
+    center = np.where(below[:, None], ends[0], ends[1])
+    scale = np.where(both[:, None], ends[1] - ends[0], 0.0)
+    shape = Box(np.where(below, 0.0, -np.inf), np.where(above, 1.0 * below, np.inf))
     fixed = (Constant(1.0), np.where(both, 0.0, 1.0))
     return Motion(
         shape,

@@ -134,7 +134,11 @@ def _with_variation(moving: Motion, variation: Callable[[float], float]) -> Moti
         return None
     center = moving.center
     value = center.function or (lambda t: center.at(np.array([t]))[0])
-    return replace(moving, center=TimeFunction((), center.dim, value, variation))
+
+    def between(a: float, b: float) -> float:
+        return float(increments(variation, np.array([a, b]))[0])
+
+    return replace(moving, center=TimeFunction((), center.dim, value, between))
 
 
 def _bounds(

@@ -166,11 +166,7 @@ class Polyhedron(ConvexSet):
         with contextlib.suppress(SweepoptError):  # of HiGHS
             y = self._multipliers(p, self.h - self.G @ w)
             point = None if y is None else self._on_face(w, np.flatnonzero(y), tau)
-        if point is not None:
-            return NormalPair(self.G.T @ y, point, 0.0)
-        inside = v - tau * normal.u
-        gap = multipliers @ np.abs(rows @ inside - self.h[normal.active])
-        return NormalPair(multipliers @ rows, inside, float(gap))
+        return None if point is None else NormalPair(self.G.T @ y, point, 0.0)
 
     def _on_face(self, start: np.ndarray, active: np.ndarray, tau: np.ndarray) -> np.ndarray | None:
         """The point nearest to start with equality on active rows; None if rounding hides it."""
