@@ -15,7 +15,6 @@ import numpy as np
 
 from sweepopt.checks import vector
 from sweepopt.errors import InputError, shown
-from sweepopt.linalg import dense
 from sweepopt.loads import Constant, Separable
 from sweepopt.sets import (
     AnySet,
@@ -59,9 +58,7 @@ class TimeFunction:
             return cls(value.terms, dim)
         if dim == 1 and hasattr(value, "variation"):
             return cls(((value, np.ones(1)),), 1)
-        if callable(value):
-            return cls((), dim, value)
-        return cls(((Constant(1.0), np.broadcast_to(np.asarray(value, float), (dim,))),), dim)
+        return cls((), dim, value)
 
     @property
     def bounded(self) -> bool:
@@ -94,6 +91,9 @@ class TimeFunction:
         return Separable(self.terms).at_many(times)
 
 
+ONE = TimeFunction.of(Constant(), 1)
+
+
 class MovingRows(NamedTuple):
     """C(t) = { w : N w <= d(t) }, the last `equations` rows with equality."""
 
@@ -120,18 +120,17 @@ class Motion:
 
     shape: ConvexSet | None
     center: TimeFunction
-    scale: TimeFunction
+    scale: TimeFunction = ONE
     offsets: TimeFunction | None = None
     name: str = "center"
 
     def translated(self) -> Motion | None:
         """C(t) as center(t) + scale(t) S, also where moving rows form a box; None if it is not."""
-        if self.offsets is None:
+        if self.shape is None or self.offsets is None:
             return None if self.shape is None else self
-        rows = None if self.shape is None else self.shape.rows()
-        if self.offsets.function is not None or rows is None:
+        if self.offsets.function is not None:
             return None
-        return _moving_box(dense(rows[0]), self.offsets)
+        return _moving_box(halfspaces(self.shape).N, self.offsets)
 
     def rows(self) -> MovingRows:
         """C(t) as half-spaces with offsets in closed form.
@@ -169,17 +168,14 @@ class Motion:
 
 def motion(C: AnySet) -> Motion:
     """Read how C(t) moves."""
-    still, one = TimeFunction.of(None, C.dim), TimeFunction.of(1.0, 1)
-    if isinstance(C, ConvexSet):
-        return Motion(C, still, one)
+    still = TimeFunction((), C.dim)
     if isinstance(C, Moving):
-        scale = one if C.scale is None else TimeFunction.of(C.scale, 1)
-        center = TimeFunction.of(C.center, C.dim)
+        center, scale = TimeFunction.of(C.center, C.dim), TimeFunction.of(C.scale or Constant(), 1)
         return Motion(C.shape, center, scale, name=C.center_name)
     if isinstance(C, MovingOffsets):
         offsets = TimeFunction.of(C.offsets, C.shape.offsets.size)
-        return Motion(C.shape, still, one, offsets=offsets, name="h")
-    return Motion(None, still, one)
+        return Motion(C.shape, still, offsets=offsets, name="h")
+    return Motion(C if isinstance(C, ConvexSet) else None, still)
 
 
 def _closed_forms(load: TimeFunction, name: str) -> Terms:

@@ -123,7 +123,7 @@ def _model(
         return None
     steps = Intervals(np.arange(len(nodes.velocity)), nodes.t[:-1], nodes.t[1:])
     members = [process.C.at(t) for t in (0.5 * (steps.begin + steps.end)).tolist()]
-    still = Motion(None, TimeFunction.of(None, process.dim), TimeFunction.of(1.0, 1))
+    still = Motion(None, TimeFunction((), process.dim))
     return _Model(still, steps, members, increments(variation, nodes.t))
 
 

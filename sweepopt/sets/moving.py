@@ -16,7 +16,7 @@ import numpy as np
 
 from sweepopt.checks import dimension, instant, number, vector
 from sweepopt.errors import InputError
-from sweepopt.loads import Separable, breakpoints
+from sweepopt.loads import Constant, Separable, breakpoints
 from sweepopt.sets.balls import Ball
 from sweepopt.sets.base import ConvexSet, Operators, is_vector
 from sweepopt.sets.shapes import Point
@@ -160,22 +160,20 @@ class Moving(MovingSet):
         if not isinstance(shape, ConvexSet):
             raise InputError(f"Moving needs a set that does not move, got {type(shape).__name__}")
         self.shape, self.dim = shape, shape.dim
-        self.center = center if callable(center) or center is None else vector("center", center)
-        self.scale = scale if callable(scale) or scale is None else number("scale", scale, 0.0)
-        size = self.dim  # of a function of t it is seen when it is called
-        if isinstance(self.center, Separable):
-            size = self.center.dim
-        elif isinstance(self.center, np.ndarray):
-            size = self.center.size
-        if size != self.dim:
-            raise InputError(f"center must have {self.dim} entries, got {size}")
+        if not callable(center) and center is not None:
+            center = Separable([(Constant(), vector("center", center, self.dim))])
+        if not callable(scale) and scale is not None:
+            scale = Constant(number("scale", scale, 0.0))
+        self.center, self.scale = center, scale
+        if isinstance(center, Separable) and center.dim != self.dim:
+            raise InputError(f"center must have {self.dim} entries, got {center.dim}")
 
     def center_at(self, t: float) -> np.ndarray:
         """center(t), shape (dim,)."""
         t = instant("t", t)
         if self.center is None:
             return np.zeros(self.dim)
-        value = self.center(t) if callable(self.center) else self.center
+        value = self.center(t)
         try:
             return vector("center", value, self.dim)
         except InputError:
@@ -186,8 +184,7 @@ class Moving(MovingSet):
         t = instant("t", t)
         if self.scale is None:
             return 1.0
-        value = self.scale(t) if callable(self.scale) else self.scale
-        return number(f"scale(t) at t = {t:g}", value, minimum=0.0)
+        return number(f"scale(t) at t = {t:g}", self.scale(t), minimum=0.0)
 
     def members(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
         if self.scale is not None:
@@ -195,7 +192,7 @@ class Moving(MovingSet):
         # translates of one set: their centres are all there is to look at
         if isinstance(self.center, Separable):
             self.center.values(times)
-        elif callable(self.center):
+        elif self.center is not None:
             for t in map(float, times):
                 self.center_at(t)
         first = float(times[0])
