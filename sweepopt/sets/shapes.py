@@ -59,9 +59,6 @@ class Box(ConvexSet):
     def project(self, w: np.ndarray) -> np.ndarray:
         return np.minimum(np.maximum(vector("w", w, self.dim), self.lower), self.upper)
 
-    def normal(self, v: np.ndarray) -> np.ndarray:
-        return v - np.minimum(np.maximum(v, self.lower), self.upper)
-
     def gap(self, p: np.ndarray, w: np.ndarray) -> float:
         return float(self._gaps(p[None], w[None])[0, 0])
 
