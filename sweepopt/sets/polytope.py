@@ -110,7 +110,7 @@ class Polytope(ConvexSet):
                     break
                 falling = wanted <= 0
                 fall = np.where(falling & (shares > wanted), shares - wanted, 1)
-                limits = np.where(falling, shares, 1) / fall  # 0 where a share is and stays 0
+                limits = np.where(falling, shares, 2) / fall  # 0 where a share is and stays 0
                 last = int(np.argmin(limits))
                 shares = np.delete(shares + limits[last] * (wanted - shares), last)
                 del active[last]
