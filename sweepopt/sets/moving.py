@@ -48,6 +48,8 @@ class MovingSet(Operators):
     5.0
     """
 
+    _histories: tuple[Any, ...] = ()
+
     def __init__(self, at: Callable[[float], ConvexSet], dim: int | None = None) -> None:
         if not callable(at):
             raise InputError("MovingSet needs a function t -> set; got " + type(at).__name__)
@@ -96,7 +98,7 @@ class MovingSet(Operators):
 
     def breakpoints(self, a: float, b: float) -> np.ndarray:
         """Kinks of the motion strictly inside (a, b), increasing, as far as its data tell them."""
-        return np.empty(0)
+        return breakpoints(self._histories, a, b)
 
     def _member(self, t: float) -> ConvexSet:
         try:
@@ -164,7 +166,7 @@ class Moving(MovingSet):
             center = Separable([(Constant(), vector("center", center, self.dim))])
         if not callable(scale) and scale is not None:
             scale = Constant(number("scale", scale, 0.0))
-        self.center, self.scale = center, scale
+        self.center, self.scale = self._histories = center, scale
         if isinstance(center, Separable) and center.dim != self.dim:
             raise InputError(f"center must have {self.dim} entries, got {center.dim}")
 
@@ -200,9 +202,6 @@ class Moving(MovingSet):
         C.require_nonempty(f"C(t) at t = {first:g}")
         return [(first, C)]
 
-    def breakpoints(self, a: float, b: float) -> np.ndarray:
-        return breakpoints((self.center, self.scale), a, b)
-
     def at(self, t: float) -> ConvexSet:
         scaled = self.shape if self.scale is None else self.scale_at(t) * self.shape
         if self.center is None:
@@ -225,11 +224,8 @@ class MovingOffsets(MovingSet):
     """
 
     def __init__(self, shape: Any, offsets: Callable[[float], Any]) -> None:
-        self.shape, self.offsets = shape, offsets
+        self.shape, self.offsets, self._histories = shape, offsets, (offsets,)
         super().__init__(lambda t: shape.with_offsets(offsets(t)), shape.dim)
-
-    def breakpoints(self, a: float, b: float) -> np.ndarray:
-        return breakpoints((self.offsets,), a, b)
 
 
 AnySet = ConvexSet | MovingSet
