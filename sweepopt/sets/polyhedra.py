@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.linalg
 import scipy.optimize
 import scipy.sparse as sp
 
@@ -158,9 +159,13 @@ class Polyhedron(ConvexSet):
         if normal is None:
             return None
         rows = dense(self.G[normal.active])
-        multipliers = np.linalg.lstsq((rows * root).T, root * p, rcond=None)[0]
-        multipliers = np.maximum(multipliers, 0.0)
-        point = self._on_face(w, normal.active, tau)
+        Q, R = np.linalg.qr((rows * root).T)
+        multipliers = scipy.linalg.solve_triangular(R, Q.T @ (root * p))
+        if (multipliers < 0).any():
+            multipliers = scipy.linalg.solve_triangular(R, Q.T @ (root * normal.u))
+            multipliers = np.maximum(multipliers, 0.0)
+        outside = scipy.linalg.solve_triangular(R, rows @ w - self.h[normal.active], trans=1)
+        point = self._on_face(w - root * (Q @ outside), normal.active, tau)
         if point is not None:
             return NormalPair(multipliers @ rows, point, 0.0)
         with contextlib.suppress(SweepoptError):  # of HiGHS
