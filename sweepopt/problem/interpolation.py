@@ -68,8 +68,7 @@ class Interpolated(NamedTuple):
 
 def smooth_intervals(moving: Motion, t: np.ndarray) -> Intervals:
     """The steps between the times t, cut at the breakpoints of all histories."""
-    histories = [*moving.center.histories, *moving.scale.histories]
-    cuts = np.unique(np.concatenate([t, breakpoints(histories, t[0], t[-1])]))
+    cuts = np.unique(np.concatenate([t, breakpoints(moving.histories, t[0], t[-1])]))
     step = np.searchsorted(t, cuts[:-1], side="right") - 1
     return Intervals(step, cuts[:-1], cuts[1:])
 

@@ -74,8 +74,8 @@ class TimeFunction:
 
     @property
     def histories(self) -> list[Any]:
-        """The phi_k."""
-        return [phi for phi, _ in self.terms]
+        """The phi_k, or the function."""
+        return [phi for phi, _ in self.terms] if self.function is None else [self.function]
 
     def at(self, times: np.ndarray) -> np.ndarray:
         """Values, shape (len(times), dim)."""
@@ -123,6 +123,12 @@ class Motion:
     scale: TimeFunction = ONE
     offsets: TimeFunction | None = None
     name: str = "center"
+
+    @property
+    def histories(self) -> list[Any]:
+        """The functions of time that C(t) moves with."""
+        functions = (self.center, self.scale, self.offsets)
+        return [phi for f in functions if f is not None for phi in f.histories]
 
     def translated(self) -> Motion | None:
         """C(t) as center(t) + scale(t) S, also where moving rows form a box; None if it is not."""
@@ -175,7 +181,9 @@ def motion(C: AnySet) -> Motion:
     if isinstance(C, MovingOffsets):
         offsets = TimeFunction.of(C.offsets, C.shape.offsets.size)
         return Motion(C.shape, still, offsets=offsets, name="h")
-    return Motion(C if isinstance(C, ConvexSet) else None, still)
+    if isinstance(C, ConvexSet):
+        return Motion(C, still)
+    return Motion(None, TimeFunction((), C.dim, C.at))
 
 
 def _closed_forms(load: TimeFunction, name: str) -> Terms:

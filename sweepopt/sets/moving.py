@@ -16,7 +16,7 @@ import numpy as np
 
 from sweepopt.checks import dimension, instant, number, vector
 from sweepopt.errors import InputError
-from sweepopt.loads import Constant, Separable, breakpoints
+from sweepopt.loads import Constant, Separable
 from sweepopt.sets.balls import Ball
 from sweepopt.sets.base import ConvexSet, Operators, is_vector
 from sweepopt.sets.shapes import Point
@@ -47,8 +47,6 @@ class MovingSet(Operators):
     >>> C.at(2.0).support([1.0, 0.0])
     5.0
     """
-
-    _histories: tuple[Any, ...] = ()
 
     def __init__(self, at: Callable[[float], ConvexSet], dim: int | None = None) -> None:
         if not callable(at):
@@ -95,10 +93,6 @@ class MovingSet(Operators):
                 kept.append((t, C))
             last = C
         return kept
-
-    def breakpoints(self, a: float, b: float) -> np.ndarray:
-        """Kinks of the motion strictly inside (a, b), increasing, as far as its data tell them."""
-        return breakpoints(self._histories, a, b)
 
     def _member(self, t: float) -> ConvexSet:
         try:
@@ -166,7 +160,7 @@ class Moving(MovingSet):
             center = Separable([(Constant(), vector("center", center, self.dim))])
         if not callable(scale) and scale is not None:
             scale = Constant(number("scale", scale, 0.0))
-        self.center, self.scale = self._histories = center, scale
+        self.center, self.scale = center, scale
         if isinstance(center, Separable) and center.dim != self.dim:
             raise InputError(f"center must have {self.dim} entries, got {center.dim}")
 
@@ -224,7 +218,7 @@ class MovingOffsets(MovingSet):
     """
 
     def __init__(self, shape: Any, offsets: Callable[[float], Any]) -> None:
-        self.shape, self.offsets, self._histories = shape, offsets, (offsets,)
+        self.shape, self.offsets = shape, offsets
         super().__init__(lambda t: shape.with_offsets(offsets(t)), shape.dim)
 
 
