@@ -64,9 +64,10 @@ class Balls(ConvexSet):
         arms = self._arms(w)
         lengths = np.linalg.norm(arms, axis=1)
         outside = lengths > self.radii
+        if not outside.any():
+            return w
         factor = np.divide(self.radii, lengths, out=np.ones_like(lengths), where=outside)
-        nearest = self.center + (factor[:, None] * arms).ravel()
-        return np.where(np.repeat(outside, self.block), nearest, w)
+        return self.center + (factor[:, None] * arms).ravel()
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
