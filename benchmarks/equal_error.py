@@ -9,20 +9,21 @@ and SciPy's solvers on the smoothed friction law
 
 the root z of a z + g tanh(z/eps) = f - b u being an explicit velocity. As eps -> 0 its solution
 tends to that of the sweeping process with C(t) = f(t) - [-g, g], at a distance proportional to eps.
-All report u at the same times. What would take too many steps is extrapolated, and the table says
-so.
+All report u at the same times. Each way tries its settings from cheap to dear until one is accurate
+enough or takes too long.
 """
 
 from __future__ import annotations
 
 import argparse
 import gc
+import itertools
 import math
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from statistics import median
 from typing import Any, NamedTuple
@@ -39,8 +40,8 @@ REPORTS = 100
 """Equal intervals at whose ends u is reported."""
 LOOKS = 10
 """Steps that ODE solvers take at least: at rest all derivatives vanish and slip may be passed."""
-MOST = 20_000_000
-"""Steps of the longest run."""
+PATIENCE = 30.0
+"""Seconds of a run after which a way is given up."""
 SLOW = 2.0
 """Seconds from which on a run is timed once."""
 SHARES = (0.1, 0.3, 0.6, 0.9)
@@ -78,27 +79,20 @@ class Run(NamedTuple):
 
 
 class Way(NamedTuple):
-    """A way to a trajectory.
-
-    Its accuracy is a number of equal steps, a multiple of REPORTS, or one of the `settings` that
-    might do for an error, cheap ones first.
-    """
+    """A way to a trajectory: from an error to the settings that might do, cheap ones first."""
 
     name: str
-    steps: Callable[[int], Run] | None = None
-    settings: Callable[[float], Iterator[Run]] | None = None
+    settings: Callable[[float], Iterable[Run]]
 
 
-@dataclass(frozen=True)
-class Result:
-    """The cheapest run of a way; `factor` multiplies its time where it is extrapolated."""
+class Result(NamedTuple):
+    """The cheapest run of a way, or the most accurate one if none was accurate enough."""
 
     way: str
     run: Run
     error: float
     seconds: float
-    factor: float = 1.0
-    note: str = ""
+    reached: bool
 
 
 # ---- ways -------------------------------------------------------------------------------------
@@ -119,7 +113,7 @@ def scheme(task: Task, name: str) -> Way:
                 on_unstable="ignore",
             ).u
 
-    return Way(name, lambda steps: Run(f"{steps} steps", partial(states, steps)))
+    return Way(name, partial(_more_steps, states))
 
 
 def exact(task: Task) -> Way:
@@ -128,7 +122,7 @@ def exact(task: Task) -> Way:
     def states() -> np.ndarray:
         return so.solve(task.process, t_end=task.t_end, steps=REPORTS, scheme="exact").u
 
-    return Way("exact", settings=lambda wanted: iter([Run("closed forms", states)]))
+    return Way("exact", lambda wanted: [Run("closed forms", states)])
 
 
 def by_hand(task: Task) -> Way:
@@ -149,7 +143,7 @@ def by_hand(task: Task) -> Way:
             reports.append(u)
         return np.array(reports)[:, None]
 
-    return Way("catching-up by hand", lambda steps: Run(f"{steps} steps", partial(states, steps)))
+    return Way("catching-up by hand", partial(_more_steps, states))
 
 
 def field_solver(task: Task, method: str) -> Way:
@@ -162,7 +156,7 @@ def field_solver(task: Task, method: str) -> Way:
         for rtol in _tolerances(wanted):
             yield Run(f"rtol {rtol:.1e}", partial(states, rtol))
 
-    return Way(f"{method} on velocity_field", settings=settings)
+    return Way(f"{method} on velocity_field", settings)
 
 
 def smoothed(task: Task, method: str, share: float) -> Way:
@@ -176,7 +170,7 @@ def smoothed(task: Task, method: str, share: float) -> Way:
             run = partial(integrate, task, law.velocity, method, rtol, law.slope)
             yield Run(f"eps {eps:.1e}, rtol {rtol:.1e}", run)
 
-    return Way(f"{method} on the smoothed law", settings=settings)
+    return Way(f"{method} on the smoothed law", settings)
 
 
 def smoothing(task: Task) -> float:
@@ -196,6 +190,13 @@ def all_ways(task: Task) -> list[Way]:
     first = [scheme(task, "catching-up"), by_hand(task), scheme(task, "implicit-euler")]
     rivals = [smoothed(task, method, share) for method in METHODS for share in SHARES]
     return [*first, *ours(task), field_solver(task, "Radau"), *rivals]
+
+
+def _more_steps(states: Callable[[int], np.ndarray], wanted: float) -> Iterator[Run]:
+    """Multiples of REPORTS, a factor of about 1.4 apart."""
+    for k in itertools.count():
+        steps = REPORTS * int(2.0 ** (k / 2))
+        yield Run(f"{steps} steps", partial(states, steps))
 
 
 def _tolerances(wanted: float) -> Iterator[float]:
@@ -295,54 +296,21 @@ def integrate(
 # ---- the cheapest setting, and its time -------------------------------------------------------
 
 
-def cheapest(task: Task, way: Way, wanted: float, most: int = MOST) -> Result:
+def cheapest(task: Task, way: Way, wanted: float, patience: float = PATIENCE) -> Result:
     """The cheapest setting of a way that reaches an error."""
-    if way.steps is not None:
-        return _fewest_steps(task, way, wanted, most)
-    assert way.settings is not None
-    results: list[Result] = []
+    results = []
     for run in way.settings(wanted):
-        results.append(_run_once(task, way, run))
-        if results[-1].error <= wanted:
-            return results[-1]
-    return replace(min(results, key=lambda result: result.error), note="not reached")
-
-
-def _fewest_steps(task: Task, way: Way, wanted: float, most: int) -> Result:
-    """Twice the steps once, then those that the power law through the last two runs asks for."""
-    assert way.steps is not None
-    longest = REPORTS * (most // REPORTS)
-    order, growth, steps = 1.0, 2.0, REPORTS
-    result = _run_once(task, way, way.steps(steps))
-    while result.error > wanted:
-        if steps >= longest:
-            need = steps * (result.error / wanted) ** (1.0 / order)
-            note = f"extrapolated to {need:.2g} steps, order {order:.2f}: the limit is {most}"
-            return replace(result, factor=need / steps, note=note)
-        fewer, larger = steps, result.error
-        steps = min(REPORTS * math.ceil(growth * steps / REPORTS), longest)
-        result = _run_once(task, way, way.steps(steps))
-        if 0.0 < result.error < math.inf and larger < math.inf:
-            # a switch between stick and slip may hide the order
-            order = math.log(larger / result.error) / math.log(steps / fewer)
-            order = min(max(order, 0.5), 4.0)
-            growth = min(1.02 * (result.error / wanted) ** (1.0 / order), 10.0)
-    return result
-
-
-def _run_once(task: Task, way: Way, run: Run) -> Result:
-    started = time.perf_counter()
-    u = run.states()
-    seconds = time.perf_counter() - started
-    return Result(way.name, run, task.error(u), seconds)
+        started = time.perf_counter()
+        error = task.error(run.states())
+        seconds = time.perf_counter() - started
+        results.append(Result(way.name, run, error, seconds, error <= wanted))
+        if error <= wanted or seconds > patience:
+            break
+    return min(results, key=lambda result: result.error)
 
 
 def equal_error(
-    task: Task,
-    wanted: float,
-    ways: Sequence[Way],
-    rounds: int = 5,
-    most: int = MOST,
+    task: Task, wanted: float, ways: Sequence[Way], rounds: int = 5, patience: float = PATIENCE
 ) -> pd.DataFrame:
     """Time each way at its cheapest setting whose error is at most `wanted`.
 
@@ -351,10 +319,10 @@ def equal_error(
     """
     fastest: dict[str, Result] = {}
     for way in ways:
-        result = cheapest(task, way, wanted, most)
+        result = cheapest(task, way, wanted, patience)
         print(f"{way.name}: {result.run.setting}, error {result.error:.1e}", file=sys.stderr)
         other = fastest.setdefault(way.name, result)
-        if (bool(result.note), result.seconds) < (bool(other.note), other.seconds):
+        if (not result.reached, result.seconds) < (not other.reached, other.seconds):
             fastest[way.name] = result
     return timed(list(fastest.values()), rounds)
 
@@ -374,14 +342,12 @@ def timed(results: Sequence[Result], rounds: int) -> pd.DataFrame:
             "way": [one.way for one in results],
             "setting": [one.run.setting for one in results],
             "error": [one.error for one in results],
-            "ms": [1e3 * one.factor * median(seconds[one.way]) for one in results],
-            "note": [one.note or ("one run" if one.seconds > SLOW else "") for one in results],
+            "ms": [1e3 * median(seconds[one.way]) for one in results],
+            "note": ["" if one.reached else "not reached" for one in results],
         }
     )
-    reached = table[table.note.isin(["", "one run"])]
-    table.insert(4, "x best", table.ms / reached.ms.min())
-    table["last"] = table.note == "not reached"
-    return table.sort_values(["last", "ms"], ignore_index=True).drop(columns="last")
+    table.insert(4, "x best", table.ms / table.ms[table.note == ""].min())
+    return table.sort_values(["note", "ms"], ignore_index=True)
 
 
 def text(table: pd.DataFrame) -> str:
@@ -395,14 +361,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("problem", help="one with a block on a dashpot, as S01, S02, S03 or block")
     parser.add_argument("--error", type=float, nargs="+", default=[1e-6])
     parser.add_argument("--t-end", type=float, help="shorter than the problem")
-    parser.add_argument("--most", type=int, default=MOST, help="steps of the longest run")
+    parser.add_argument("--patience", type=float, default=PATIENCE, help="seconds of a run")
     parser.add_argument("--rounds", type=int, default=5)
     chosen = parser.parse_args(arguments)
     posed = problem(chosen.problem)
     task = Task.of(posed.process(), chosen.t_end or posed.t_end)
     print(f"{machine()}\n{posed.name}: {posed.title}, t_end {task.t_end:g}")
     for wanted in chosen.error:
-        table = equal_error(task, wanted, all_ways(task), chosen.rounds, chosen.most)
+        table = equal_error(task, wanted, all_ways(task), chosen.rounds, chosen.patience)
         print(f"\nerror at most {wanted:g} at {REPORTS} equal times\n{text(table)}", flush=True)
 
 

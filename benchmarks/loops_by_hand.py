@@ -9,8 +9,7 @@ between the steps and returns q -> z, the minimiser of
 
     1/2 <M z, z> + <q, z> + sum of threshold_k |z[contact_k]|,   M = A + mu B,
 
-which is a step of implicit Euler. With --memory each path also runs in a process of its own
-(Linux).
+which is a step of implicit Euler.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ import argparse
 import contextlib
 import gc
 import io
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -380,7 +378,6 @@ FORMATS = {
     "+-": "{:.0%}",
     "set-up s": "{:.3f}",
     "u ms": "{:.3g}",
-    "peak MB": "{:,.0f}",
     "tries": "{:.2f}",
     "certificate": "{:.0e}",
     "difference": "{:.0e}",
@@ -392,7 +389,6 @@ LEGEND = """\
 ms/step     the mean over a run without its set-up (blocks: with it), the median over the rounds
 +-          (largest - smallest) / median of the rounds
 u ms        reading all of u after the run, a step
-peak MB     of a process of its own that builds the scene and runs this once
 tries       solver calls a step
 certificate the worst, relative: what tol bounds; loops by hand have none
 difference  of u from the reference's, the largest in |.|_A, relative
@@ -406,22 +402,18 @@ def bench(
     steps: int = 50,
     rounds: int = 3,
     only: Sequence[str] | None = None,
-    memory: bool = False,
 ) -> pd.DataFrame:
     """Time all that take part; a row each, by case."""
-    cases = [(square(size, steps), SQUARE, size) for size in cells]
-    cases += [(blocks(dim, BLOCK_STEPS * steps), TINY, 0) for dim in BLOCKS]
+    cases = [(square(size, steps), SQUARE) for size in cells]
+    cases += [(blocks(dim, BLOCK_STEPS * steps), TINY) for dim in BLOCKS]
     rows: list[dict[str, Any]] = []
-    for case, contestants, size in cases:
+    for case, contestants in cases:
         chosen = [
             one
             for one in contestants
             if case.shape.size <= one.most and (only is None or one.path in only)
         ]
-        found = measured(case, chosen, rounds)
-        if memory and size:
-            found = [row | {"peak MB": peak(size, steps, row["path"])} for row in found]
-        rows += found
+        rows += measured(case, chosen, rounds)
     return pd.DataFrame(rows)
 
 
@@ -478,22 +470,6 @@ def difference(case: Case, u: np.ndarray, reference: np.ndarray) -> float:
     return float(np.sqrt(apart / size))
 
 
-def peak(cells: int, steps: int, path: str) -> float:
-    """Peak memory in MB of a process that builds a square and runs one path; nan if unknown."""
-    command = [sys.executable, __file__, "--steps", str(steps), "--peak", str(cells), path]
-    done = subprocess.run(command, capture_output=True, text=True)
-    return float(done.stdout) if done.returncode == 0 else nan
-
-
-def print_peak(cells: int, steps: int, path: str) -> None:
-    """Do the work of `peak` in this process and print it."""
-    case = square(cells, steps)
-    next(one for one in SQUARE if one.path == path).run(case)
-    status = Path("/proc/self/status").read_text()  # ru_maxrss would count the parent process
-    kilobytes = next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1]
-    print(float(kilobytes) * 1024 / 1e6)
-
-
 def text(table: pd.DataFrame) -> str:
     """The rows as text: a block for each case, the legend below."""
     blocks_ = [f"{machine()}\nscheme {SCHEME}; in each round all paths of a case run in turn"]
@@ -514,14 +490,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--rounds", type=int, default=3, help="each path runs once a round")
     paths = [contestant.path for contestant in (*SQUARE, *TINY)]
     parser.add_argument("--only", nargs="+", metavar="PATH", choices=paths, help=", ".join(paths))
-    parser.add_argument("--memory", action="store_true", help="peak memory too, on Linux")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the rows too")
-    parser.add_argument("--peak", nargs=2, help=argparse.SUPPRESS)
     chosen = parser.parse_args(arguments)
-    if chosen.peak:
-        print_peak(int(chosen.peak[0]), chosen.steps, chosen.peak[1])
-        return
-    table = bench(chosen.cells, chosen.steps, chosen.rounds, chosen.only, chosen.memory)
+    table = bench(chosen.cells, chosen.steps, chosen.rounds, chosen.only)
     print(text(table))
     if chosen.csv is not None:
         table.to_csv(chosen.csv, index=False)

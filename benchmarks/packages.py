@@ -135,9 +135,8 @@ def compare(pythons: dict[str, str], errors: Sequence[float], rounds: int) -> pd
 
 def our_best(task: Task, wanted: float) -> Result:
     """The fastest of our ways at an error."""
-    found = [cheapest(task, way, wanted) for way in ours(task)]
-    fastest = timed(found, rounds=3).way[0]
-    return next(one for one in found if one.way == fastest)
+    results = {way.name: cheapest(task, way, wanted) for way in ours(task)}
+    return results[timed(list(results.values()), rounds=3).way[0]]
 
 
 def compared(peer: Peer, python: str, wanted: float, best: Result, rounds: int) -> dict[str, Any]:

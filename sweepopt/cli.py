@@ -31,7 +31,6 @@ from sweepopt.velocity import solvers
 if TYPE_CHECKING:
     from sweepopt.fem import Scene
     from sweepopt.fem.output import Report
-    from sweepopt.results import Solution
 
 DONE, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
 """Exit codes; INCOMPLETE: a step missed tol, what was certified before it is written."""
@@ -58,15 +57,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return int(chosen.command(chosen))
     except UnstableStepError as error:
         # the rest of its advice is for callers of solve
-        return _refuse(f"{str(error).partition(', or say')[0]}; use --steps or --scheme")
+        _say(f"{str(error).partition(', or say')[0]}; use --steps or --scheme")
     except SweepoptError as error:
-        return _refuse(str(error))
+        _say(str(error))
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        return _refuse(f"{where}{error.strerror or error}")
+        _say(f"{where}{error.strerror or error}")
     except KeyboardInterrupt:
-        print("\nsweepopt: interrupted; nothing more was written", file=sys.stderr)
+        print(file=sys.stderr)
+        _say("interrupted; nothing more was written")
         return INTERRUPTED
+    return REFUSED
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -144,16 +145,15 @@ def _run(chosen: argparse.Namespace) -> int:
     started = clock.perf_counter()
     solution = scene.solve(progress=not chosen.no_progress, on_failure="stop")
     seconds = clock.perf_counter() - started
-    if not len(solution.steps):
-        words = f"no step was completed, nothing is written. {solution.message}"
-        print(f"sweepopt: {words}", file=sys.stderr)
-        return _exit_code(solution)
-
-    text = path.read_text(encoding="utf-8")
-    report = Report(scene, solution, name=path.stem, text=text, seconds=seconds)
-    files = _write(report, folder)
-    _conclude(report, folder, files)
-    return _exit_code(solution)
+    if len(solution.steps):
+        text = path.read_text(encoding="utf-8")
+        report = Report(scene, solution, name=path.stem, text=text, seconds=seconds)
+        _conclude(report, folder, _write(report, folder))
+    else:
+        _say(f"no step was completed, nothing is written. {solution.message}")
+    if solution.status is Status.INTERRUPTED:
+        return INTERRUPTED
+    return DONE if solution.success else INCOMPLETE
 
 
 def _announce(scene: Scene) -> None:
@@ -191,8 +191,7 @@ def _write(report: Report, folder: Path) -> list[str]:
 def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:
     """Print how the run went and where its files are."""
     solution, energy = report.solution, report.energy
-    units = {name: f" {unit}" if unit != "1" else "" for name, unit in report.units.items()}
-    second, meter, joule = units["time"], units["length"], units["energy"]
+    second, meter, joule = map(report.suffix, ("time", "length", "energy"))
     lines = {
         "status": solution.message,
         "reached": f"t = {solution.t[-1]:g}{second} in {len(solution.steps)} steps, "
@@ -218,12 +217,6 @@ def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:
     print("\n".join(f"{name:<18}  {words}" for name, words in lines.items()))
 
 
-def _exit_code(solution: Solution) -> int:
-    if solution.status is Status.INTERRUPTED:
-        return INTERRUPTED
-    return DONE if solution.success else INCOMPLETE
-
-
 def _require(*extras: str) -> None:
     """Refuse before the run, not after it."""
     for extra in extras:
@@ -240,7 +233,7 @@ def _plain_warnings() -> Iterator[None]:
 
         def show(message: Any, category: type[Warning], *place: Any, **line: Any) -> None:
             if issubclass(category, SweepoptWarning):
-                print(f"sweepopt: warning: {message}", file=sys.stderr)
+                _say(f"warning: {message}")
             else:
                 shown(message, category, *place, **line)
 
@@ -248,9 +241,8 @@ def _plain_warnings() -> Iterator[None]:
         yield
 
 
-def _refuse(message: str) -> int:
+def _say(message: str) -> None:
     print(f"sweepopt: {message}", file=sys.stderr)
-    return REFUSED
 
 
 if __name__ == "__main__":

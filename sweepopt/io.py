@@ -287,9 +287,9 @@ def write_npz(
 
     The file that was there before goes to `previous`.
     """
-    text = json.dumps({**record, "arrays": list(arrays)})
+    text = np.frombuffer(json.dumps(record).encode(), np.uint8)
     with replacing(path, previous) as part, part.open("wb") as file:
-        np.savez(file, allow_pickle=False, **{"record": np.array(text), **arrays})
+        np.savez(file, allow_pickle=False, **{"record": text, **arrays})
 
 
 def read_npz(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -309,8 +309,8 @@ def read_npz(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
                     raise ValueError("it is compressed, so nobody knows how large it is")
                 if broken := file.zip.testzip():
                     raise ValueError(f"the checksum of {broken} does not fit")
-                record = json.loads(file["record"].item())
-                return record, {name: file[name] for name in record.pop("arrays")}
+                arrays = dict(file)
+                return json.loads(arrays.pop("record").tobytes()), arrays
         except Exception as error:  # zipfile, json and numpy have no list of what they raise
             raise DamagedFileError(f"{path} is damaged or no file of ours: {error}") from error
 

@@ -36,7 +36,7 @@ from sweepopt.integrate import (
     check_stability,
     checkpoint_writer,
     evaluation_times,
-    mover,
+    integrate,
     newest,
     observer,
     require_same_problem,
@@ -343,10 +343,9 @@ def _integrate(
     if plan.reduction:
         process, full_certificate = plan.reduction.process, reconstruction.full_certificate
     run = Run(grid, process.u0)
-    move = mover(process, plan.of_entering, writer)
     if writer:
         writer.begin(run)
-    move(run, observe, full_certificate)
+    integrate(process, plan.of_entering, run, observe, full_certificate, writer)
     return run
 
 

@@ -94,30 +94,24 @@ def _cartesian(polar: np.ndarray) -> np.ndarray:
     return np.stack([polar[0] * np.cos(polar[1]), polar[0] * np.sin(polar[1])])
 
 
-def write_msh(path: Path, mesh: skfem.MeshTri, *, version: str = "gmsh22") -> Path:
+def write_msh(path: Path, mesh: skfem.MeshTri) -> Path:
     """Write a mesh with its boundaries and subdomains as physical groups."""
     curved = isinstance(mesh, skfem.MeshTri2)
-    triangles = mesh.dofs.element_dofs.T if curved else mesh.t.T
-    cells, tags, names = [], [], {}
-    for dimension, groups in ((1, mesh.boundaries or {}), (2, mesh.subdomains or {})):
-        for name, members in groups.items():
-            if dimension == 1:
-                lines = mesh.facets[:, np.asarray(members)].T
-                if curved:
-                    lines = np.column_stack([lines, mesh.dofs.facet_dofs[0, np.asarray(members)]])
-                cells.append(("line3" if curved else "line", lines))
-            else:
-                cells.append(("triangle6" if curved else "triangle", triangles[members]))
-            names[name] = np.array([len(names) + 1, dimension])
-            tags.append(np.full(len(cells[-1][1]), len(names)))
-    if not mesh.subdomains:
-        cells.append(("triangle6" if curved else "triangle", triangles))
-        tags.append(np.full(len(triangles), len(names) + 1))
+    line, triangle = ("line3", "triangle6") if curved else ("line", "triangle")
+    lines = np.vstack([mesh.facets, mesh.dofs.facet_dofs]) if curved else mesh.facets
+    cells, names = [], {}
+    for name, members in (mesh.boundaries or {}).items():
+        names[name] = np.array([len(names) + 1, 1])
+        cells.append((line, lines[:, np.asarray(members)].T))
+    for name, members in (mesh.subdomains or {"all": slice(None)}).items():
+        names[name] = np.array([len(names) + 1, 2])
+        cells.append((triangle, (mesh.dofs.element_dofs if curved else mesh.t).T[members]))
+    tags = [np.full(len(nodes), number) for number, (_, nodes) in enumerate(cells, start=1)]
     raw = meshio.Mesh(
-        np.column_stack([mesh.doflocs.T, np.zeros(mesh.doflocs.shape[1])]),
+        np.pad(mesh.doflocs.T, ((0, 0), (0, 1))),
         cells,
-        cell_data={"gmsh:physical": tags, "gmsh:geometrical": [tag.copy() for tag in tags]},
+        cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
         field_data=names,
     )
-    meshio.write(path, raw, file_format=version, binary=False)
+    meshio.write(path, raw, file_format="gmsh22", binary=False)
     return path

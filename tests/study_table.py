@@ -13,15 +13,6 @@ STEPS = (50, 100, 200, 400)
 SCHEMES = {"catching-up": 1, "implicit-euler": 1, "midpoint": 2}
 NASTY = "a step missed tol </script><script>window.hacked = true</script> & 'more' \u2028 \"text\""
 WARNED = Status.SUCCESS.value + " StabilityWarning: mu Lam = 1.2"
-PACKAGES = {
-    "sweepopt": "0.1.0",
-    "numpy": "2.4.6",
-    "scipy": "1.17.1",
-    "cvxpy": "1.9.3",
-    "clarabel": "0.11.1",
-    "osqp": "1.1.3",
-    "python": "3.11.7",
-}
 
 
 def study_table() -> pd.DataFrame:
@@ -34,7 +25,7 @@ def study_table() -> pd.DataFrame:
         for steps in STEPS
     ]
     exact = cell("block", "midpoint", "clarabel", 4) | {"scheme": "exact", "error": 0.0}
-    rows = [*cells, exact | {"bound": nan, "guaranteed": False}]
+    rows = [*cells, exact | {"bound": nan}]
     return pd.DataFrame(rows).assign(cell=[f"{k:08x}" for k in range(len(rows))])
 
 
@@ -51,11 +42,9 @@ def cell(problem: str, scheme: str, solver: str, steps: int) -> dict[str, Any]:
         "success": True,
         "message": Status.SUCCESS.value,
         "error": error,
-        "error_is": "exact",
         "reference_error": 0.0,
         "size": 1.0,
-        "bound": 1.7 * error,
-        "guaranteed": problem == "block",
+        "bound": 1.7 * error if problem == "block" else nan,
         "certificate": 3e-11,
         "wall": wall,
         "cpu": 1.1 * wall,
@@ -64,10 +53,9 @@ def cell(problem: str, scheme: str, solver: str, steps: int) -> dict[str, Any]:
         "solver_calls": steps + 2,
         "unknowns": 100,
         "path": "eliminated",
-        "machine": "A processor, 2 cores, Linux",
-        **PACKAGES,
+        "machine": "A processor, 2 cores, Linux; sweepopt 0.1.0, clarabel 0.11.1",
     }
-    nothing = {"success": False, "error": nan, "error_is": "", "bound": nan, "guaranteed": False}
+    nothing = {"success": False, "error": nan, "bound": nan}
     if problem == "block" and solver == "osqp" and steps == 400:
         row |= nothing | {"status": "INEXACT", "message": NASTY, "steps_done": 17}
     if problem == "pipe" and scheme == "catching-up" and steps == 50:
@@ -75,5 +63,5 @@ def cell(problem: str, scheme: str, solver: str, steps: int) -> dict[str, Any]:
         row |= nothing | {"status": "UnstableStepError", "message": text, "steps_done": 0}
         row |= {"solver_calls": nan, "wall": nan, "cpu": nan, "bound": inf}
     if problem == "pipe" and scheme == "midpoint" and steps == 400:
-        row |= {"error": nan, "error_is": "", "message": WARNED}
+        row |= {"error": nan, "message": WARNED}
     return row

@@ -45,22 +45,6 @@ def polygon() -> so.SweepingProcess:
     return so.SweepingProcess(np.zeros((2, 2)), [[2.0, 0.5], [0.5, 1.0]], C, [0.0, 0.0])
 
 
-def section() -> so.EvolutionVI:
-    """A square body whose contact is all that enters a program."""
-    import skfem
-
-    from sweepopt.fem import Elasticity, Friction, Traction, Viscosity, antiplane
-
-    mesh = skfem.MeshTri().refined(3).with_defaults()
-    effects = [
-        Viscosity(1.0),
-        Elasticity(lambda x: 1 + x[0]),
-        Friction("left", g=0.3),
-        Traction("right", so.Sine(2.0, 2.0)),
-    ]
-    return antiplane(mesh, clamped="top", effects=effects).problem
-
-
 def free() -> so.SweepingProcess:
     """Nothing nonsmooth, and no proof: a set of the user's."""
     import cvxpy as cp
@@ -81,7 +65,6 @@ RUNS: dict[str, tuple[Callable[[], Any], dict[str, Any]]] = {
     "newton": (body, {"path": "eliminated", "solver": "newton", "save": "last"}),
     "two stages": (body, {"scheme": "sdirk2", "solver": "clarabel", "save": [1.0, 3.0]}),
     "balls": (balls, {"solver": "clarabel"}),
-    "section": (section, {"path": "eliminated", "solver": "osqp"}),
     "polygon": (polygon, {"solver": "osqp", "t_end": 0.6}),
     "uncertified": (free, {"steps": 24}),
     "times of the user": (
@@ -143,28 +126,25 @@ def test_a_resumed_run_is_the_whole_run(name: str, tmp_path: Path) -> None:
     never = so.Checkpoint(tmp_path / "never", steps=9, seconds=1e6)
     assert name != "full" or same(so.solve(process, checkpoint=never, **settings), whole)
     assert whole.velocity.any()
-    for at in (0, 8, 21):
-        path = tmp_path / f"b{at}.npz"
-        killed(path, name, at)
-        resumed = so.resume(path, arguments(name)[0])
-        assert same(resumed, whole), at
-        assert np.array_equal(resumed.plan.solvers, whole.plan.solvers)
-        assert same(so.resume(path, process), whole)  # the end is in the file too
-
-
-def test_a_run_can_be_killed_again_and_again(tmp_path: Path) -> None:
-    process, _, whole = finished(tmp_path, "eliminated")
     path = tmp_path / "b.npz"
-    killed(path, "eliminated", 12)
-    for at in (20, 41, 79):
+    killed(path, name, 0)
+    for at in (8, 21):  # again and again
         with pytest.raises(Killed):
-            so.resume(path, process, callback=stopping(at))
-    assert same(so.resume(path, process), whole)
+            so.resume(path, arguments(name)[0], callback=stopping(at))
+    resumed = so.resume(path, arguments(name)[0])
+    assert same(resumed, whole)
+    assert np.array_equal(resumed.plan.solvers, whole.plan.solvers)
+    assert same(so.resume(path, process), whole)  # the end is in the file too
 
 
 def test_what_a_function_recorded_comes_back(tmp_path: Path) -> None:
     def record(t: float, u: np.ndarray, z: np.ndarray) -> Any:
-        return {"t": t, "u": u[3], "rows": u[:4].reshape(2, 2), "z": (z[4] > 0, [1, True, None])}
+        return {
+            "t": t,
+            "u": u[3],
+            "rows": u[:4].reshape(2, 2),
+            "z": (z[4] > 0, [1, True, "word", None]),
+        }
 
     process, settings = arguments("proportional")
     whole = so.solve(process, save=record, **settings)
@@ -179,8 +159,8 @@ def test_what_a_function_recorded_comes_back(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "bad",
-    [object(), "word", 2**70, {1: 2.0}, np.array(["a"])],
-    ids=["object", "text", "integer", "dict", "array of text"],
+    [object(), 2**70, {1: 2.0}, np.array(["a"])],
+    ids=["object", "integer", "dict", "array of text"],
 )
 def test_records_that_no_file_can_hold_are_refused_at_the_first_step(
     bad: Any, tmp_path: Path
@@ -239,9 +219,8 @@ MOMENTS = [RANDOM.uniform(0.0, 1.2) for _ in range(25)]
     [
         ("full", [0.1], 200, 5, 1),
         pytest.param("proportional", MOMENTS, 1200, 5, 15, marks=pytest.mark.slow),
-        pytest.param("section", MOMENTS, 300, 6, 15, marks=pytest.mark.slow),
     ],
-    ids=["once", "25 times", "25 times, a section"],
+    ids=["once", "25 times"],
 )
 def test_a_run_that_is_killed_loses_nothing(
     name: str, delays: list[float], steps: int, every: int, alive: int, tmp_path: Path
@@ -296,14 +275,14 @@ def test_a_load_that_differs_late_or_between_the_times_that_are_compared_is_anot
 def content_of(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """A checkpoint is a plain .npz with a record in JSON."""
     arrays = dict(np.load(path))
-    return json.loads(arrays.pop("record").item()), arrays
+    return json.loads(arrays.pop("record").tobytes()), arrays
 
 
 def rewritten(path: Path, change: Callable[[dict[str, Any], dict[str, Any]], None]) -> None:
     record, arrays = content_of(path)
     change(record, arrays)
     with path.open("wb") as file:
-        np.savez(file, **{"record": np.array(json.dumps(record)), **arrays})
+        np.savez(file, **{"record": np.frombuffer(json.dumps(record).encode(), np.uint8), **arrays})
 
 
 def test_another_form_other_versions_and_states_that_do_not_fit_are_noticed(
@@ -386,7 +365,7 @@ def test_two_damaged_files_are_an_error_and_none_is_one(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "record",
-    [np.array([{"schema": 3}], dtype=object), np.array(json.dumps({"arrays": []}))],
+    [np.array([{"schema": 4}], dtype=object), np.frombuffer(b'{"run": 3}', np.uint8)],
     ids=["pickle", "another file"],
 )
 def test_no_pickle_and_no_other_file_is_read(
@@ -411,9 +390,9 @@ def test_a_file_cannot_ask_for_more_memory_than_it_has_bytes(tmp_path: Path) -> 
         header = io.BytesIO()
         about = {"descr": "<f8", "fortran_order": False, "shape": (size,)}
         np.lib.format.write_array_header_1_0(header, about)
-        np.savez(path, **{name: array for name, array in arrays.items() if name != "u"})
+        np.savez(path, **{name: array for name, array in arrays.items() if name != "last"})
         with zipfile.ZipFile(path, "a") as file:
-            file.writestr("u.npy", header.getvalue())
+            file.writestr("last.npy", header.getvalue())
         with pytest.raises(so.CheckpointError, match="damaged"):
             so.resume(path, body())
 
@@ -461,8 +440,9 @@ def test_a_full_disk_leaves_the_old_checkpoint_and_says_so(
         ({"solver": so.Cvxpy("OSQP", {"callback": print})}, "plain"),
         ({"checkpoint": 3}, "checkpoint must be a path"),
         ({"checkpoint": "no/such/folder/run.npz"}, "there is no folder"),
+        ({"checkpoint": "x" * 300 + ".npz"}, "checkpoint is"),
+        ({"checkpoint": "a\0b.npz"}, "checkpoint is"),
     ],
-    ids=str,
 )
 def test_what_cannot_be_continued_is_refused(
     changes: dict[str, Any], words: str, tmp_path: Path
@@ -485,12 +465,6 @@ def test_a_run_that_is_not_finished_is_not_overwritten(tmp_path: Path) -> None:
             so.Checkpoint(path, **wrong)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("name", ["x" * 300 + ".npz", "a\0b.npz"])
-def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(so.InputError, match="checkpoint is"):
-        so.Checkpoint(str(tmp_path / name))
-
-
 @pytest.mark.parametrize("name", ["run.npz", "run.npz.previous"])
 def test_a_file_that_cannot_be_read_is_named(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -498,7 +472,7 @@ def test_a_file_that_cannot_be_read_is_named(
     path, process = tmp_path / "run.npz", body()
     so.solve(process, t_end=1.0, steps=12, checkpoint=so.Checkpoint(path, steps=3))
     if name != path.name:
-        path.write_bytes(b"damaged")
+        path.unlink()
     plain = Path.open
 
     def refusing(file: Path, *how: Any, **more: Any) -> Any:
@@ -510,20 +484,5 @@ def test_a_file_that_cannot_be_read_is_named(
     refused = f"{name} cannot be read .Permission denied"
     with pytest.raises(so.InputError, match=refused):
         so.resume(path, process)
-    if name != path.name:
-        path.unlink()
-        with pytest.raises(so.InputError, match=refused):
-            so.resume(path, process)
     with pytest.raises(so.InputError, match=refused):
         so.solve(process, t_end=1.0, steps=12, checkpoint=path)
-
-
-def test_a_folder_that_refuses_is_an_error_of_ours(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: Any) -> Any:
-        raise PermissionError(errno.EACCES, "Permission denied")
-
-    monkeypatch.setattr(Path, "iterdir", refuse)
-    with pytest.raises(so.CheckpointError, match=r"run.npz cannot be replaced .Permission denied"):
-        so.solve(body(), t_end=1.0, steps=12, checkpoint=tmp_path / "run.npz")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from cases import DATA, GRIDS, case, embedded
 
 import sweepopt as so
 from sweepopt.errors import Status
-from sweepopt.integrate.exact import Trajectory, exact_trajectory, rows_of
+from sweepopt.integrate.exact import Trajectory, exact_trajectory, on_grid, rows_of
 from sweepopt.study.problems import problem
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
@@ -56,16 +56,16 @@ def residual(process: so.SweepingProcess, found: Trajectory, times: np.ndarray) 
 def integral_error(found: Trajectory) -> float:
     """How far u is from u0 + int u', by Gauss's rule on fine intervals in every phase."""
     x, weights = np.polynomial.legendre.leggauss(12)
-    worst, u = 0.0, found.phases[0].u
+    worst, u = 0.0, found(found.starts[0])
     ends = [*found.starts[1:], found.end]
     for phase, end in zip(found.phases, ends, strict=True):
-        worst = max(worst, np.abs(phase.u - u).max())
+        worst = max(worst, np.abs(phase.state(phase.start) - u).max())
         cuts = phase.start + (end - phase.start) * np.append(0.0, np.geomspace(1e-6, 1.0, 40))
         for a, b in pairwise(cuts):
             total = weights @ phase.velocity(0.5 * (a + b) + 0.5 * (b - a) * x) * 0.5 * (b - a)
             change = phase.state(np.array([a, b]))
             worst = max(worst, np.abs(change[1] - change[0] - total).max())
-        u = phase.state(np.array([end]))[0]
+        u = phase.state(end)
     return worst
 
 
@@ -331,25 +331,16 @@ def test_a_start_outside_of_the_set_begins_with_a_velocity() -> None:
     assert residual(block(u0=5.0), found, np.linspace(0.01, 8, 60)) <= 1e-12
 
 
-def test_switches_that_accumulate_end_the_trajectory() -> None:
-    found = exact_trajectory(rows_of(block()), np.zeros(1), 0.0, 8.0, most=5)
-    assert not found.complete
+def test_switches_that_accumulate_end_the_trajectory(monkeypatch: pytest.MonkeyPatch) -> None:
+    few = partial(exact_trajectory, most=5)
+    found = few(rows_of(block()), np.zeros(1), 0.0, 8.0)
     assert found.end < 8.0
     with pytest.raises(so.InputError, match="is outside of"):
         found(8.0)
-
-
-def test_what_is_saved_and_seen_is_as_with_other_schemes(tmp_path: Path) -> None:
-    process, seen = problem("S03").process(), []
-    everything = so.solve(process, t_end=8.0, steps=50, scheme="exact")
-    last = so.solve(process, t_end=8.0, steps=50, scheme="exact", save="last")
-    assert np.array_equal(last.u[-1], everything.u[-1])
-    stored = so.solve(process, t_end=8.0, steps=50, scheme="exact", save=tmp_path / "run.nc")
-    assert np.array_equal(stored.u, everything.u)
-    stopped = so.solve(process, t_end=8.0, steps=50, scheme="exact",
-                       callback=lambda info: seen.append(info.u) or info.step == 9)  # fmt: skip
-    assert stopped.status is Status.STOPPED
-    assert np.array_equal(np.ravel(seen), everything.u[1:11, 0])
+    monkeypatch.setattr(on_grid, "exact_trajectory", few)
+    sol = so.solve(block(), t_end=8.0, steps=100, scheme="exact", on_failure="stop")
+    assert sol.status is Status.SWITCHING
+    assert 0 < found.end - sol.t[-1] < 0.08
 
 
 BOX = so.Box([-1, -1], [1, 1])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
+import cvxpy as cp
 import numpy as np
 import pytest
 from cases import SETS, case, embedded
@@ -79,40 +80,39 @@ def test_scipy_follows_the_reference(name: str) -> None:
     assert np.abs(solution.y.T - this.exact(101)).max() <= 1e-7
 
 
-def test_a_process_without_viscosity_is_refused() -> None:
-    with pytest.raises(so.InputError, match=r"needs A coercive.*implicit-euler"):
-        so.velocity_field(case("M16").process)
+ONE_NORM = so.Constraints(2, lambda w: [cp.norm(w, 1) <= 1])
+REFUSED: list[tuple[Any, dict[str, Any], str]] = [
+    (case("M16").process, {}, r"needs A coercive.*implicit-euler"),
+    (so.SweepingProcess(np.eye(2), None, ONE_NORM, [0.0, 0.0]), {},
+     "needs a set with certificates, which Constraints"),
+    (ONE_NORM, {}, "process must be"),
+    (case("P09").process, {"solver": "no-such-solver"}, "no-such-solver"),
+    (case("S01").process, {"tol": 0.0}, "tol must be > 0"),
+]  # fmt: skip
 
 
-def test_a_set_without_certificates_and_what_is_no_process_are_refused() -> None:
-    import cvxpy as cp
-
-    C = so.Constraints(2, lambda w: [cp.norm(w, 1) <= 1])
-    with pytest.raises(so.InputError, match=r"needs a set with certificates, which Constraints"):
-        so.velocity_field(so.SweepingProcess(np.eye(2), None, C, [0.0, 0.0]))
-    with pytest.raises(so.InputError, match="process must be"):
-        so.velocity_field(C)  # type: ignore[arg-type]
-    with pytest.raises(so.SolverRefusedError, match="no-such-solver"):
-        so.velocity_field(case("P09").process, solver="no-such-solver")
-    with pytest.raises(so.InputError, match="tol must be > 0"):
-        so.velocity_field(case("S01").process, tol=0.0)
+@pytest.mark.parametrize(("process", "settings", "message"), REFUSED)
+def test_what_has_no_field_is_refused(process: Any, settings: dict[str, Any], message: str) -> None:
+    with pytest.raises((so.InputError, so.SolverRefusedError), match=message):
+        so.velocity_field(process, **settings)
 
 
 @pytest.mark.parametrize(
     ("t", "u", "message"),
     [
-        (np.nan, None, "t is nan"),
-        ("now", None, "t must be"),
-        (1.0, [0.0, 0.0], "u must have . entries, got 2"),
-        (1.0, np.nan, r"u\[0\] is nan"),
+        (np.nan, np.zeros(2), "t is nan"),
+        ("now", np.zeros(2), "t must be"),
+        (1.0, [0.0, 0.0, 0.0], "u must have . entries, got 3"),
+        (1.0, [np.nan, 0.0], r"u\[0\] is nan"),
+        (1.0, [np.inf, 0.0], r"u\[0\] is inf"),
     ],
 )
-def test_times_and_states_are_checked(t: Any, u: Any, message: str) -> None:
-    process = case("P09").process
-    if u is None or u is np.nan:
-        u = np.full(process.dim, 0.0 if u is None else u)
+@pytest.mark.parametrize("dim", [1, 2])
+def test_times_and_states_are_checked(t: Any, u: Any, message: str, dim: int) -> None:
+    box = so.Box(-np.ones(dim), np.ones(dim))
+    velocity = so.velocity_field(so.SweepingProcess(np.eye(dim), np.eye(dim), box, np.zeros(dim)))
     with pytest.raises(so.InputError, match=message):
-        so.velocity_field(process)(t, u)
+        velocity(t, u[:dim] if len(u) == 2 else u)
 
 
 @pytest.mark.parametrize("name", ["S03", "P09"])

@@ -115,6 +115,8 @@ def test_combinations_are_met_for_every_seed_and_solver(seed: int) -> None:
         pytest.param(23, 5, id="discs in mixed units, condition 1e12"),
         pytest.param(0, 3, id="a polyhedron in mixed units, B up to 1e10"),
         pytest.param(2, 0, id="B of rank one"),
+        pytest.param(118, 39, id="a polyhedron in mixed units, condition 1e7"),
+        pytest.param(114, 41, id="discs across cells from 1 to 1e-6"),
     ],
 )
 def test_combinations_that_were_wrong_once(seed: int, number: int) -> None:

@@ -27,7 +27,6 @@ HOMES = {
     "pyamg": ("linalg",),
     "skfem": ("fem", "study"),
     "meshio": ("fem",),
-    "pydantic": ("fem",),
     "matplotlib": ("fem", "plot", "study"),
     "xarray": ("results",),
     "h5netcdf": ("results",),

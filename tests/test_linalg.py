@@ -130,7 +130,7 @@ def test_an_order_has_little_fill_and_serves_an_elimination(engine: str) -> None
 
 
 @pytest.mark.usefixtures("engine")
-@pytest.mark.parametrize("power", [7, -30])
+@pytest.mark.parametrize("power", [40, -40])
 def test_units_that_are_powers_of_two_change_no_bit(power: int) -> None:
     M, w, few, unit = plate(12), np.sin(np.arange(144.0)), np.arange(12), 2.0**power
     for one, other in (
@@ -140,13 +140,6 @@ def test_units_that_are_powers_of_two_change_no_bit(power: int) -> None:
         assert np.array_equal(one.solve(w), unit * other.solve(w))
         if isinstance(one, Elimination) and isinstance(other, Elimination):
             assert np.array_equal(unit * one.N, other.N)
-
-
-@pytest.mark.usefixtures("engine")
-@pytest.mark.parametrize("order", [None, np.arange(4)])
-def test_unknowns_of_two_parts_stay_last(order: np.ndarray | None) -> None:
-    M = sp.csc_array(sp.block_diag([[[2.0, -1.0], [-1.0, 2.0]], [[3.0, -1.0], [-1.0, 3.0]]]))
-    assert pytest.approx(np.diag([1.5, 8 / 3])) == Elimination(M, np.array([0, 2]), order).N
 
 
 @pytest.mark.usefixtures("engine")

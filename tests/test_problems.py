@@ -26,7 +26,7 @@ def test_a_problem_is_the_reference_case_of_its_name(name: str) -> None:
 
 
 def test_there_is_a_problem_for_every_reference_case_and_a_burst() -> None:
-    assert list(PROBLEMS) == [*SETS, "H18"]
+    assert list(PROBLEMS) == [*SETS, "H18", "block"]
     with pytest.raises(so.InputError, match="there is no problem 'S99'; there are: S01, S02"):
         problem("S99")
 

@@ -9,6 +9,7 @@ import pytest
 from cases import GRIDS, SETS, Case, case, embedded
 
 import sweepopt as so
+from sweepopt.integrate import SCHEMES, Scheme
 
 RUNS = [(name, scheme) for name in SETS for scheme in case(name).errors]
 SECOND_ORDER = ("midpoint", "trapezoid", "sdirk2")
@@ -22,6 +23,19 @@ def run(
         warnings.simplefilter("ignore", so.InitialStateWarning)
         settings = {"scheme": scheme, "solver": solver, "tol": tol}
         return so.solve(this.process, t_end=this.t_end, steps=steps, **settings)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES.values(), ids=SCHEMES)
+def test_a_scheme_is_a_triangular_tableau_that_does_not_amplify_stiff_errors(
+    scheme: Scheme,
+) -> None:
+    lengths = range(1, len(scheme.b) + 1)
+    assert [len(row) for row in scheme.a] == list(lengths)
+    assert len(scheme.c) == len(scheme.b)
+    assert sum(scheme.b) == pytest.approx(1, abs=1e-12)
+    assert all(0 <= c <= 1 for c in scheme.c)
+    assert all(row[-1] >= 0 for row in scheme.a)
+    assert scheme.explicit or abs(scheme.amplification(-1e12)) <= 1 + 1e-6
 
 
 @pytest.mark.parametrize(("name", "scheme"), RUNS)

@@ -135,10 +135,3 @@ def test_a_velocity_field_looks_closer_where_plain_numbers_round_too_much(C: Any
     moving = so.Moving(C, so.Separable([(so.Constant(1e12), [1.0])]))
     process = so.SweepingProcess([[1.0]], [[1.0]], moving, [0.0])
     np.testing.assert_allclose(so.velocity_field(process)(0.0, [1e12 + 3]), [-2.0], rtol=1e-12)
-
-
-def test_a_velocity_field_of_one_unknown_refuses_a_state_that_is_not_finite() -> None:
-    velocity = so.velocity_field(so.SweepingProcess([[1.0]], [[1.0]], so.Box([-1], [1]), [0.0]))
-    for state in (np.inf, -np.inf, np.nan):
-        with pytest.raises(so.InputError, match=r"u\[0\] is"):
-            velocity(0.0, np.array([state]))

@@ -17,11 +17,13 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.wait import WebDriverWait
 from study_table import NASTY, study_table
+from test_cli import make_scene
 
 import sweepopt as so
 from sweepopt.cli import main
 from sweepopt.study import write_report
 from sweepopt.study.hard.suite import HardRow
+from sweepopt.study.ledger import read_rows
 from sweepopt.study.problems import problem
 
 TITLE = "What <accuracy> & certainty cost"
@@ -41,7 +43,7 @@ HARD = (
     MET._replace(family="condition", solver="clarabel", error=np.nan, solved_by="", verdict=NASTY),
     HardRow("empty", 3, "full", "osqp", answer="refuse: EmptySetError", verdict="refused"),
 )
-STUDY, CURVES, CASES = range(3)  # the diagrams of the page
+STUDY, STEPS, CURVES, CASES = 0, 2, 4, 5  # diagrams of the page
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +53,37 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+class Browser:
+    """Headless Chromium with the report open."""
+
+    def __init__(self, driver: Any) -> None:
+        self.driver = driver
+
+    def traces(self, diagram: int) -> list[dict[str, Any]]:
+        """What a diagram draws, as the browser has it."""
+        script = (
+            "const all = document.querySelectorAll('.plotly-graph-div')[arguments[0]]._fullData;"
+            "return all.map(t => ({name: t.name, x: [...t.x], y: [...t.y], visible: t.visible,"
+            " band: [...((t.error_y || {}).array || [])]}))"
+        )
+        return list(self.driver.execute_script(script, diagram))
+
+    def diagrams(self) -> list[Any]:
+        return list(self.driver.find_elements(By.CSS_SELECTOR, ".plotly-graph-div"))
+
+    def all(self, selector: str, diagram: int) -> list[Any]:
+        return list(self.diagrams()[diagram].find_elements(By.CSS_SELECTOR, selector))
+
+    def wait_for(self, condition: Callable[[], bool]) -> None:
+        WebDriverWait(self.driver, 10).until(lambda _: condition())
+
+    def text(self) -> str:
+        return str(self.driver.find_element(By.TAG_NAME, "body").text)
+
+
 @pytest.fixture(scope="module")
-def driver(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+def browser(page: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """The page, opened once; afterwards: no errors, no requests, no script of a message."""
     chromium, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
     if not chromium or not chromedriver:
         reason = "the apt packages chromium and chromium-driver are not installed"
@@ -67,47 +98,16 @@ def driver(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     for switch in (*switches, f"user-data-dir={tmp_path_factory.mktemp('chromium')}"):
         options.add_argument(f"--{switch}")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    started = webdriver.Chrome(options=options, service=webdriver.ChromeService(chromedriver))
-    started.get("about:blank")  # leaves Chromium's own first page
-    yield started
-    started.quit()
-
-
-class Browser:
-    """Headless Chromium with the report open."""
-
-    def __init__(self, driver: Any) -> None:
-        self.driver = driver
-
-    def traces(self, diagram: int) -> list[dict[str, Any]]:
-        """What a diagram draws, as the browser has it."""
-        script = (
-            "const all = document.querySelectorAll('.plotly-graph-div')[arguments[0]]._fullData;"
-            "return all.map(t => ({name: t.name, x: [...t.x], y: [...t.y], visible: t.visible}))"
-        )
-        return list(self.driver.execute_script(script, diagram))
-
-    def all(self, selector: str, diagram: int) -> list[Any]:
-        place = self.driver.find_elements(By.CSS_SELECTOR, ".plotly-graph-div")[diagram]
-        return list(place.find_elements(By.CSS_SELECTOR, selector))
-
-    def wait_for(self, condition: Callable[[], bool]) -> None:
-        WebDriverWait(self.driver, 10).until(lambda _: condition())
-
-    def text(self) -> str:
-        return str(self.driver.find_element(By.TAG_NAME, "body").text)
-
-
-@pytest.fixture
-def browser(driver: Any, page: Path) -> Iterator[Browser]:
-    """The page, freshly opened; afterwards: no errors, no requests, no script of a message."""
-    for kind in ("browser", "performance"):
-        driver.get_log(kind)  # forget what was before
-    driver.get(page.as_uri())
-    yield Browser(driver)
-    assert driver.execute_script("return window.hacked") is None
-    assert driver.get_log("browser") == []
-    events = [json.loads(entry["message"])["message"] for entry in driver.get_log("performance")]
+    with webdriver.Chrome(options=options, service=webdriver.ChromeService(chromedriver)) as driver:
+        driver.get("about:blank")  # leaves Chromium's own first page
+        driver.get_log("performance")
+        driver.get(page.as_uri())
+        opened = Browser(driver)
+        opened.wait_for(lambda: len(opened.diagrams()) == CASES + 1)
+        yield opened
+        assert driver.execute_script("return window.hacked") is None
+        assert driver.get_log("browser") == []
+        events = [json.loads(each["message"])["message"] for each in driver.get_log("performance")]
     asked = {
         event["params"]["request"]["url"]
         for event in events
@@ -134,18 +134,15 @@ def test_the_diagrams_hold_the_numbers_of_the_table(browser: Browser) -> None:
 
 
 def test_the_band_is_the_guaranteed_one(browser: Browser) -> None:
-    lower, _, upper, _, curve, _ = (np.array(trace["y"]) for trace in browser.traces(CURVES))
-    run = RUNS["block"]
-    assert (curve == run.u[:, 0]).all()
-    np.testing.assert_allclose((upper + lower) / 2, run.u[:, 0], atol=1e-14)
+    run, trace = RUNS["block"], browser.traces(CURVES)[0]
+    assert trace["y"] == run.u[:, 0].tolist()
     exact = so.solve(BLOCK.process(), steps=run.t, scheme="exact").u[:, 0]
-    assert (lower <= exact).all()
-    assert (exact <= upper).all()
+    assert (np.abs(exact - trace["y"]) <= trace["band"]).all()
     bound = float(run.error_bound()) / np.sqrt(0.5)  # |u|_A = sqrt(0.5) |u|
-    assert 0.9 * bound <= (upper - lower).max() / 2 <= bound * (1 + 1e-12)
+    assert max(trace["band"]) == pytest.approx(bound, rel=1e-12)
 
 
-def test_the_legend_filters_and_the_menu_changes_the_cost(browser: Browser) -> None:
+def test_the_legend_filters_and_there_is_a_diagram_for_each_cost(browser: Browser) -> None:
     names = [entry.text for entry in browser.all(".legend .traces", STUDY)]
     toggle = browser.all(".legendtoggle", STUDY)[names.index("midpoint · osqp")]
     ActionChains(browser.driver).scroll_to_element(toggle).move_to_element(toggle).click().perform()
@@ -155,12 +152,8 @@ def test_the_legend_filters_and_the_menu_changes_the_cost(browser: Browser) -> N
             == 2 * ["midpoint · osqp"]  # in both panels
         )
     )
-    browser.all(".updatemenu-header", STUDY)[0].click()
-    browser.wait_for(lambda: len(browser.all(".updatemenu-dropdown-button", STUDY)) == 4)
-    browser.all(".updatemenu-dropdown-button", STUDY)[2].click()
-    browser.wait_for(lambda: browser.all(".xtitle", STUDY)[0].text == "time steps")
-    assert browser.all(".x2title", STUDY)[0].text == "time steps"
-    assert browser.traces(STUDY)[0]["x"] == [50, 100, 200, 400]
+    assert [title.text for title in browser.all(".xtitle, .x2title", STEPS)] == ["time steps"] * 2
+    assert browser.traces(STEPS)[0]["x"] == [50, 100, 200, 400]
 
 
 def test_a_tooltip_tells_a_cell_and_a_message_is_text(browser: Browser) -> None:
@@ -213,8 +206,8 @@ def test_the_table_holds_every_cell_the_failed_ones_first(browser: Browser) -> N
     [
         (lambda path: write_report(study_table()[["problem"]], path), "table lacks the columns"),
         (lambda path: write_report(None, path), "there are no hard cases: nothing to report"),
-        (lambda path: write_report(study_table(), path / "no" / "a.html"), "does not exist"),
-        (lambda path: write_report(study_table(), path.parent), "is a folder; name a file in it"),
+        (lambda path: write_report(study_table(), path / "no" / "a.html"), "there is no folder"),
+        (lambda path: write_report(study_table(), path.parent), "cannot be written there"),
     ],
 )
 def test_what_cannot_be_shown_is_refused(
@@ -225,17 +218,33 @@ def test_what_cannot_be_shown_is_refused(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_study_file_with_hard_cases_writes_one_report(tmp_path: Path) -> None:
-    path = tmp_path / "both.toml"
+def test_a_study_with_hard_cases_writes_its_files_goes_on_and_keeps_rows_of_an_interrupt(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make_scene(tmp_path)
+    path, out = tmp_path / "both.toml", tmp_path / "out"
     path.write_text(
-        'title = "Both"\nproblems = ["S01"]\nschemes = ["midpoint"]\nsolvers = ["auto"]\n'
-        'steps = [20]\nrepeats = 1\n[hard]\nfamilies = ["threshold"]\nsolvers = ["auto"]\n'
-        'paths = ["full"]\ncombinations = 0\n'
+        'title = "Both"\nproblems = ["S01", "ring.toml"]\nschemes = ["midpoint"]\n'
+        'solvers = ["auto"]\nsteps = [20]\nrepeats = 1\n[hard]\nfamilies = ["threshold"]\n'
+        'solvers = ["auto"]\npaths = ["full"]\ncombinations = 0\n'
     )
-    assert main(["study", str(path), "--out", str(tmp_path / "out")]) == 0
-    page = (tmp_path / "out" / "report.html").read_text("utf-8")
-    assert "<title>Both</title>" in page
-    assert "1 cells, 0 failed" in page
-    assert "1 runs, 0 wrong" in page
-    for name in ("hard.csv", "table.csv"):
-        assert len(pd.read_csv(tmp_path / "out" / name)) == 1
+    assert main(["study", str(path), "--out", str(out)]) == 0
+    shown = capsys.readouterr()
+    assert "2 cells, 0 of them finished before" in shown.err
+    assert "the fastest way to each relative error" in shown.out
+    assert shown.out.endswith(f"{out}: table.csv, diagram.png, hard.csv, report.html\n")
+    page = (out / "report.html").read_text("utf-8")
+    for words in ("<title>Both</title>", "2 cells, 0 failed", "1 runs, 0 wrong"):
+        assert words in page
+    assert list(pd.read_csv(out / "table.csv").problem) == ["S01", "ring"]
+    assert len(pd.read_csv(out / "hard.csv")) == 1
+
+    def interrupted(*_: Any, **__: Any) -> Iterator[HardRow]:
+        yield from HARD
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sweepopt.study.commands.rows", interrupted)
+    assert main(["study", str(path), "--out", str(out)]) != 0
+    assert "2 cells, 2 of them finished before" in capsys.readouterr().err
+    kept = read_rows(out / "hard.jsonl", HardRow)
+    assert list(map(repr, kept)) == list(map(repr, HARD))

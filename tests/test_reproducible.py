@@ -197,18 +197,14 @@ linux = pytest.mark.skipif(
 )
 
 
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("newton", "daqp", "clarabel")]
+
+
 @linux
-@pytest.mark.parametrize("name", ["closed form", "osqp"])
+@pytest.mark.parametrize("name", ["closed form", "osqp", *SLOW])
 def test_a_long_run_does_not_grow(name: str) -> None:
     # the C library takes memory in pieces of 132 kB: one of them is 37 bytes a step here
     assert growth(name, 4000) <= 2 * LEAK
-
-
-@pytest.mark.slow
-@linux
-@pytest.mark.parametrize("name", SMALL)
-def test_a_run_of_20_000_steps_grows_by_less_than_1_mb(name: str) -> None:
-    assert growth(name, 20_000) <= LEAK
 
 
 @linux

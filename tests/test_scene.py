@@ -40,7 +40,6 @@ def folder(tmp_path_factory):
     write_msh(path / "coarse.msh", square(1))
     (path / "f.csv").write_text("t,f\n0,0\n1,0.5\n2,0.25\n")
     (path / "loads.csv").write_text("t,f2\n0,0\n1,0.5\n2,0.25\n")
-    (path / "short.csv").write_text("t,f2\n0,0\n0.5,0.5\n")
     (path / "late.csv").write_text("t,f2\n0.25,0\n9,0.5\n")
     (path / "text.csv").write_text("t,f2\n0,0\n1,much\n")
     (path / "broken.msh").write_text("$MeshFormat\n")
@@ -127,91 +126,75 @@ def table(times, values):
     return {"table": {"t": times, "values": values}}
 
 
+def csv(name, column="f2", **more):
+    return {"csv": name, "column": column, **more}
+
+
 BAD = [
     # the file as a whole
-    ("unit", "SI", "unit: unknown key"),
-    ("units", "cgs", "units: must be 'dimensionless' or 'SI'"),
-    ("title", 3, "title: must be a valid string"),
+    ("units", "cgs", "units must be one of dimensionless, SI; got 'cgs'"),
+    ("title", 3, "title must be text, got 3"),
     ("domain", MISSING, "domain: is missing"),
-    ("effects", MISSING, "effects: is missing"),
     ("effects", {}, "effects must hold a viscosity"),
-    ("effects", {"elasticity": {"kappa": 1.0}}, "effects must hold a viscosity"),
-    ("effects.gravity", {}, "effects.gravity: unknown key; there are: viscosity, elasticity"),
     # domain, time, solve
-    ("domain.mesh", MISSING, "domain.mesh: is missing"),
-    ("domain.mesh", 3, "domain.mesh: must be a valid string"),
-    ("domain.mesh", "\0", "domain.mesh: .*cannot be read"),
-    ("domain.mesh", "absent.msh", "domain.mesh: .*absent.msh: cannot be read"),
-    ("domain.mesh", "broken.msh", "domain.mesh: .*broken.msh: is cut short"),
-    ("domain.mesh", "loads.csv", "domain.mesh: .*loads.csv: is damaged or no mesh"),
+    ("domain.mesh", 3, "domain.mesh must be a path, got 3"),
+    ("domain.mesh", "\0", "domain.mesh .*cannot be read"),
+    ("domain.mesh", "absent.msh", "domain.mesh absent.msh: .*absent.msh: cannot be read"),
+    ("domain.mesh", "broken.msh", "domain.mesh broken.msh: is cut short"),
+    ("domain.mesh", "loads.csv", "domain.mesh loads.csv: is damaged or no mesh"),
     ("domain", {"mesh": "square.msh"}, "domain.clamped: 'clamped' is not a boundary of the mesh"),
     ("domain", COARSE, "domain.clamped: holding bottom, top leaves no unknown"),
     ("domain.clamped", "roof", "domain.clamped: 'roof' is not a boundary of the mesh; there are"),
-    ("domain.clamped", 3, "domain.clamped: must be a valid"),
-    ("domain.clamped", [], "domain.clamped must be a name or a list of names"),
-    ("domain.element", "P7", "domain.element: must be 'P1' or 'P2'"),
-    ("time.end", 0.0, "time.end: must be greater than 0"),
-    ("time.end", float("nan"), "time.end: must be a finite number"),
-    ("time.end", "10", "time.end: must be a valid number"),
-    ("time.steps", 0, "time.steps: must be greater than or equal to 1"),
-    ("time.steps", 2.5, "time.steps: must be a valid integer"),
-    ("time.steps", MISSING, "time.steps: is missing"),
+    ("domain.clamped", 3, "domain.clamped must be a list with one entry or more, got 3"),
+    ("domain.element", "P7", "domain.element must be one of P1, P2; got 'P7'"),
+    ("time.end", 0.0, "time.end must be > 0, got 0"),
+    ("time.end", "10", "time.end must be one number, got '10'"),
+    ("time.steps", 2.5, "time.steps must be a positive whole number, got 2.5"),
     ("solve.scheme", "leapfrog", "solve.scheme 'leapfrog' is not known"),
     ("solve.solver", "simplex", "solve.solver 'simplex' is not known"),
-    ("solve.tol", -1.0, "solve.tol: must be greater than 0"),
-    ("solve.steps", 3, "solve.steps: unknown key"),
+    ("solve.tol", -1.0, "solve.tol must be > 0, got -1"),
 ]
 BAD_EFFECTS = [
     ("viscosity", 3, "viscosity: must be a table, got 3"),
-    ("viscosity", {}, "viscosity.eta: is missing"),
-    ("viscosity.eta", 0.0, "viscosity.eta must be > 0, got 0"),
+    ("viscosity.eta", 0.0, "viscosity.eta must be > 0 and finite, got 0"),
     ("viscosity.eta", 1e308, "viscosity.eta is too large: its integrals"),
     ("viscosity.eta", 10**400, "viscosity.eta must be a number, got 1000"),
     ("viscosity.eta", "x[0]", r"viscosity.eta must be a number, got 'x\[0\]'"),
     ("viscosity.eta", True, "viscosity.eta must be a number, got True"),
     ("viscosity.eta", [1.0], r"viscosity.eta must be a number, got \[1.0\]"),
     ("viscosity.eta", {"core": 1.0}, "viscosity.eta.core is not a group here"),
-    ("viscosity.nu", 1.0, "viscosity.nu: unknown key; there are: eta"),
-    ("elasticity", {"kappa": -1}, "elasticity.kappa must be >= 0, got -1"),
+    ("elasticity", {"kappa": -1}, "elasticity.kappa must be >= 0 and finite, got -1"),
     ("elasticity", along("z", [0, 1], [1, 1]), "elasticity.kappa.along must be one of x, y"),
     ("elasticity", along("x", [0, 1]), "elasticity.kappa.values: is missing"),
     ("elasticity", along("x", [0, 0.5], [1, 1]), r"elasticity.kappa.at covers \[0, 0.5\] but x"),
-    ("elasticity", along("x", [0, 2], [1, -1]), "elasticity.kappa.values must be >= 0, got -1"),
+    ("elasticity", along("x", [0, 1], [1, -1]), "elasticity.kappa must be >= 0 and finite, got -"),
     ("friction", {"on": "left", "g": -1.0}, "friction.g must be >= 0, got -1"),
-    ("friction", {"on": "left", "g": float("nan")}, "friction.g must be finite"),
+    ("friction", {"on": "left", "g": float("nan")}, "friction.g must be >= 0, got nan"),
     ("friction", {"on": "wall", "g": 1.0}, "friction.on: 'wall' is not a boundary"),
     ("friction", {"on": "top", "g": 1.0}, "friction.on: all of top is clamped"),
-    ("friction", {"on": 3, "g": 1.0}, "friction.on must be a name"),
-    ("friction", {"g": 1.0}, "friction.on: is missing"),
-    ("friction", {"on": ["left", "right"], "g": {"left": 1}}, "friction.g gives no value for"),
-    ("traction", {"on": "left"}, "traction.history: is missing"),
+    ("friction", {"on": 3, "g": 1.0}, "friction.on must be a list with one entry"),
+    ("friction", {"on": ["left", "right"], "g": {"left": 1}}, "friction.g .* several in right"),
     ("traction", [TRACTION, {}], r"traction\[1\].on: is missing"),
     ("traction", TRACTION | {"f2": "1"}, "traction.f2 must be a number, got '1'"),
 ]
 BAD_HISTORIES = [
-    (3.0, "history: must be a table with csv, waveform or table; got 3.0"),
-    ({}, "history: must have one of csv, waveform or table"),
+    (3.0, "history: must have one of csv, waveform or table; got 3.0"),
     ({"waveform": "square"}, "history.waveform: 'square' is not among constant, sine, triangle"),
     ({"waveform": ["sine"]}, r"history.waveform: \['sine'\] is not among"),
-    ({"waveform": "sine", "amplitude": 1.0}, "history.period: is missing"),
     ({"waveform": "sine", "amplitude": 1.0, "period": -1.0}, "history.period must be > 0"),
-    ({"waveform": "sine", "amplitude": "2", "period": 1.0}, "history.amplitude: must be a valid"),
     ({"waveform": "constant", "value": 1.0, "csv": "loads.csv"}, ".*waveform: unknown key"),
     ({"table": {"t": [0.0, 1.0]}}, "history.table.values: is missing"),
     (table([0, 0], [0, 1]), r"history.table.t must increase strictly, but entry 1 \(0\)"),
     (table("ab", [0, 1]), "history.table.t must be an array of numbers"),
-    (table([0], [0]), "history.table.t must have two entries"),
-    (table([0, 1], [0]), "history.table.values has 1 entries for 2"),
     (table([0, 1], ["a", 1]), "history.table.values must be an array"),
-    (table([0, 0.5], [0, 1]), r"history does not cover the run, \[0, 1\]"),
-    ({"csv": "absent.csv", "column": "f2"}, "history.*absent.csv: cannot be read"),
+    (table([0, 0.5], [0, 1]), r"history.t = 1 lies outside the table, .* \[0, 0.5\]; extend"),
+    (csv("absent.csv"), "history.*absent.csv: cannot be read"),
     ({"csv": "loads.csv"}, "history.column: is missing"),
-    ({"csv": "loads.csv", "column": "f9"}, "history.*loads.csv: column 'f9' is missing; there are"),
-    ({"csv": "text.csv", "column": "f2"}, "history.*text.csv, column 'f2', row 3: 'much' is not"),
-    ({"csv": "short.csv", "column": "f2"}, "history does not cover the run, .*covers .0, 0.5"),
-    ({"csv": "late.csv", "column": "f2"}, "history does not cover the run, .*covers .0.25, 9"),
-    ({"csv": "loads.csv", "column": "f2", "scale": "1"}, "history.scale: must be a valid number"),
-    ({"csv": "loads.csv", "column": "f2", "scale": np.nan}, "history.scale: must be a finite"),
+    (csv("loads.csv", column="f9"), "history.*loads.csv: column 'f9' is missing; there are"),
+    (csv("text.csv"), "history.*text.csv, column 'f2', row 3: 'much' is not"),
+    (csv("late.csv"), r"history.t = 0 lies outside the table, which covers \[0.25, 9\]"),
+    (csv("loads.csv", scale="1"), "history.scale must be one number, got '1'"),
+    (csv("loads.csv", scale=np.nan), "history.scale is nan; give a finite number"),
 ]
 BAD += [(f"effects.{key}", value, f"effects.{message}") for key, value, message in BAD_EFFECTS]
 BAD += [("effects.friction", TWICE, "effects hold friction twice")]
@@ -250,7 +233,7 @@ def test_a_bad_entry_is_refused_with_its_path(folder, path, value, message):
         ("[domain]\nmesh = \n", "the scene: is not TOML: .*line 2"),
         ("[domain]\nmesh = 1\nmesh = 2\n", "the scene: is not TOML"),
         ("\n", "domain: is missing; time: is missing; effects: is missing"),
-        (3, "source must be a path, the name of a problem, TOML text or a mapping, got 3"),
+        (3, "source must be a path, got 3"),
         (None, "source must be .*, got None"),
         (b"", "source must be .*, got b''"),
         # found by fuzzing (test_fuzz.py), shrunken
@@ -273,27 +256,3 @@ def test_folders_are_paths_and_files_are_text(tmp_path):
         read_scene(tmp_path / "scene.toml")
     with pytest.raises(InputError, match="cannot be read"):
         read_scene(tmp_path)
-
-
-# ---- problems that come with the library --------------------------------------------------------
-
-
-def test_the_tube_sticks_slips_and_reverses():
-    scene = read_scene("tube")
-    assert scene.units == "SI"
-    assert scene.steps >= 400
-    assert 4500 < scene.discretisation.points.shape[0] < 5500
-    assert len(scene.contact) > 200
-    sol = scene.solve(steps=96)
-    assert sol.success
-    assert 1e-4 < np.abs(sol.u).max() < 1e-3  # metres
-    velocity = sol.velocity[:, scene.contact.unknown]
-    share = np.sign(velocity) @ scene.contact.weight / scene.contact.weight.sum()
-    # share of the contact that slips, with its direction: it spreads, holds, reverses
-    for t, low, high in [
-        (10.0, 0.0, 0.0), (17.5, 0.3, 0.6), (25.0, 0.8, 0.99), (41.25, 0.0, 0.0),
-        (50.0, -0.5, -0.2), (60.0, -0.99, -0.8), (72.5, 0.0, 0.0), (78.75, 0.3, 0.6),
-        (85.0, 0.0, 0.0), (115.0, 0.0, 0.0),
-    ]:  # fmt: skip
-        assert low <= share[round(t / 1.25) - 1] <= high, (t, share[round(t / 1.25) - 1])
-    assert np.abs(sol.u[-1]).max() > 2e-5  # what friction locks in after the load is gone

@@ -248,6 +248,14 @@ def test_an_empty_intersection_is_refused_however_small_the_gap(gap: float) -> N
             (C & D).require_nonempty()
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_a_polyhedron_around_0_is_not_empty_in_any_units(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    units = 2.0 ** rng.integers(-40, 41, 5)
+    C = so.Polyhedron(rng.normal(size=(10, 5)) / units, np.ones(10))
+    assert np.isfinite(C.project(3 * units * rng.normal(size=5))).all()
+
+
 def test_sets_that_meet_in_one_point_are_not_empty() -> None:
     for C in (UNIT & (UNIT + [2.0, 0.0]), UNIT & so.HalfSpace([-1.0, 0.0], -1.0)):
         C.require_nonempty()

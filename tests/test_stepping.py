@@ -161,9 +161,6 @@ class Spoils:
     def treats(self, C: object) -> bool:
         return True
 
-    def refined(self) -> None:
-        return None
-
     def compile(self, program: Any) -> Any:
         inner, spoiled = so.Newton().compile(program), False
         self.compiled += 1

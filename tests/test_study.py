@@ -32,9 +32,9 @@ from sweepopt.study import (
     run,
     summary,
 )
+from sweepopt.study.cell import Cell, CellRow, run_cell
 from sweepopt.study.problems import problem
-from sweepopt.study.reference_states import SAFETY, Reference, error_of
-from sweepopt.study.study import Cell, CellRow, run_cell
+from sweepopt.study.reference_states import SAFETY, Reference, absent, error_of
 
 TIMES = ["wall", "cpu"]
 TEXT = """
@@ -59,7 +59,7 @@ def same(one: pd.DataFrame, other: pd.DataFrame) -> None:
 def finished(folder: Path) -> list[bytes]:
     """The lines of the finished cells, in the order in which they were written."""
     path = folder / "rows.jsonl"
-    return path.read_bytes().splitlines(keepends=True) if path.exists() else []
+    return path.read_bytes().splitlines()[1:] if path.exists() else []
 
 
 def wait_for(condition: Any, seconds: float = 120.0) -> None:
@@ -103,7 +103,7 @@ def table(file: Path, killed: Path) -> pd.DataFrame:
     before, said = finished(killed), []
     table = run(read_study(file), killed, progress=said.append)
     # none of the finished cells is lost, none is computed again; a line may be cut
-    whole = [line for line in before if line.endswith(b"\n")]
+    whole = [line for line in before if line.endswith(b"}")]
     assert len(table) == 40
     assert finished(killed)[: len(whole)] == whole
     assert len([line for line in said if " of " in line and ":" in line]) == 40 - len(whole)
@@ -119,8 +119,6 @@ def test_a_study_killed_at_half_goes_on_where_it_was(
     assert list(table.columns) == list(CellRow._fields)
     assert table.cell.is_unique
     assert (table.success == (table.status == "SUCCESS")).all()
-    for name, kind in (("steps", "int"), ("success", "bool"), ("error", "float")):
-        assert str(table[name].dtype).startswith(kind)
 
     class Nobody(Executor):
         def submit(self, *_: Any, **__: Any) -> Future[Any]:
@@ -139,7 +137,6 @@ def test_errors_and_certificates_are_those_of_the_library(table: pd.DataFrame) -
         assert row.certificate == sol.stats["relative"].max()
         assert row.size == pytest.approx(np.abs(sol.u).max() * np.sqrt(0.5), rel=1e-14)
         assert row.bound == sol.error_bound()
-        assert row.guaranteed
         assert row.steps_done == row.steps
         assert row.wall > 0.0
 
@@ -148,27 +145,28 @@ def test_errors_are_those_against_exact_solutions_or_fine_runs(tmp_path: Path) -
     rows = run(Study(("S03", "V05"), ("midpoint",), ("auto",), (101,), repeats=1), tmp_path)
     for row in rows.itertuples():
         assert row.error == pytest.approx(case(row.problem).errors["midpoint"]["101"], rel=0.03)
-    assert list(rows.error_is) == ["exact", "certified"]
     assert rows.reference_error[0] == 0.0 < SAFETY * rows.reference_error[1] <= rows.error[1]
 
 
 def test_an_error_that_the_reference_cannot_tell_is_no_number() -> None:
     source, u = find_source("S03"), np.zeros((3, 1))
-    near = Reference(u + 1e-6, 1e-6, "certified")
+    near = Reference(u + 1e-6, 1e-6)
     assert np.isnan(error_of(source, u, near))
     far = near._replace(u=u + 1.5 * SAFETY * 1e-6)
     assert error_of(source, u, far) == pytest.approx(1.5 * SAFETY * 1e-6 * np.sqrt(0.5))
     assert np.isnan(error_of(source, u[:2], far))  # a run that stopped early
     row = run_cell(
         Cell(source, "midpoint", "auto", 8, 1e-6, 1),
-        Reference(u[:0], np.inf, "", "StepError: missed"),
+        absent("StepError: missed"),
     )
-    assert (row.status, row.error_is) == ("SUCCESS", "")
+    assert row.status == "SUCCESS"
     assert np.isnan(row.error)
     assert row.message.endswith("No reference: StepError: missed.")
 
 
-def test_failures_are_rows(table: pd.DataFrame, tmp_path: Path) -> None:
+def test_failures_are_rows(
+    table: pd.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     refused = table[(table.problem == "V05") & (table.solver == "daqp")]
     assert set(refused.status) == {"SolverRefusedError"}
     assert refused.message.str.startswith("daqp cannot treat Ball").all()
@@ -180,17 +178,13 @@ def test_failures_are_rows(table: pd.DataFrame, tmp_path: Path) -> None:
     rows = run(Study(("S03",), ("midpoint",), solvers, (8,), repeats=1), tmp_path)
     assert list(rows.status) == ["SolverRefusedError", "SUCCESS"]
     assert rows.error.isna().tolist() == [True, False]
-    assert rows.machine.str.len().min() > 0
-    assert rows.python.str.startswith("3.").all()
+    assert rows.machine.str.contains("python 3.").all()
 
-
-def test_any_exception_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: Any, **__: Any) -> None:
         raise ZeroDivisionError("a bug")
 
     monkeypatch.setattr("clarabel.DefaultSolver", broken)
-    cell = Cell(find_source("P09"), "midpoint", "clarabel", 8, 1e-6, 1)
-    row = run_cell(cell, Reference(np.empty((0, 0)), np.inf, ""))
+    row = run_cell(Cell(find_source("P09"), "midpoint", "clarabel", 8, 1e-6, 1), absent("none"))
     assert (row.status, row.message, row.success) == ("ZeroDivisionError", "a bug", False)
 
 
@@ -200,16 +194,9 @@ def test_any_exception_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_is_not_whole_is_computed_again(small: Path, tmp_path: Path) -> None:
     shutil.copytree(small, tmp_path, dirs_exist_ok=True)
     whole, lines = read_table(SMALL, tmp_path), finished(tmp_path)
-    assert b'"steps_done": ' in lines[1]
-    damaged = [
-        lines[0][:-20] + b"\n",  # cut
-        lines[1].replace(b'"steps_done": ', b'"steps_done": 1'),  # changed
-        b"{}\n",
-        b"\xff\n",
-        *lines[4:-1],
-        lines[-1][:-9],  # killed while it was written
-    ]
-    (tmp_path / "rows.jsonl").write_bytes(b"".join(damaged))
+    killed = lines[-1][:-9]  # while it was written
+    damaged = [b"", lines[0][:-20], b"{}", b"[]", b"\xff", *lines[4:-1], killed]
+    (tmp_path / "rows.jsonl").write_bytes(b"\n".join(damaged))
     states = sorted((tmp_path / "references").glob("*.npz"))
     states[0].write_bytes(states[0].read_bytes()[:-8])
     flipped = bytearray(states[1].read_bytes())
@@ -219,7 +206,7 @@ def test_what_is_not_whole_is_computed_again(small: Path, tmp_path: Path) -> Non
     again = run(SMALL, tmp_path, progress=said.append)
     assert said[0] == "8 cells, 3 of them finished before"
     same(again, whole)
-    assert finished(tmp_path)[4:-6] == lines[4:-1]
+    assert finished(tmp_path)[4:8] == [*lines[4:-1], killed]
 
 
 def test_an_edited_scene_is_another_cell_and_a_moved_one_is_not(tmp_path: Path) -> None:
@@ -238,7 +225,7 @@ def test_an_edited_scene_is_another_cell_and_a_moved_one_is_not(tmp_path: Path) 
         assert cell(tmp_path / "b").id != here.id
         path.write_bytes(content)
     # a scene that is edited while a study runs is a failed row
-    reference = Reference(np.empty((0, 0)), np.inf, "")
+    reference = absent("none")
     scene = tmp_path / "a" / "ring.toml"
     text = scene.read_text()
     scene.write_text(text.replace("g = 0.6", "g = 0.7"))
@@ -275,28 +262,17 @@ def test_a_dask_cluster_with_one_worker_killed_gives_the_same_rows(
     assert finished(tmp_path)[:4] == written
 
 
-def test_workers_with_several_threads_are_refused() -> None:
+def test_a_cluster_that_is_not_there_or_shares_time_is_refused() -> None:
     distributed = pytest.importorskip("distributed")
-    cluster = distributed.LocalCluster(
+    with distributed.LocalCluster(
         n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
-    )
-    with cluster, distributed.Client(cluster) as client:
-        with pytest.raises(so.InputError, match="has 2 threads"), dask_executor(client):
-            pass
-        with (
-            pytest.raises(so.InputError, match="--nthreads 1"),
-            dask_executor(cluster.scheduler_address),
+    ) as cluster:
+        for address, words in (
+            (cluster.scheduler_address, "has 2 threads, .* --nthreads 1"),
+            ("nowhere", "scheduler 'nowhere' does not answer"),
         ):
-            pass
-
-
-def test_a_scheduler_that_is_not_there_is_refused() -> None:
-    pytest.importorskip("distributed")
-    with (
-        pytest.raises(so.InputError, match="scheduler 'nowhere' does not answer"),
-        dask_executor("nowhere"),
-    ):
-        pass
+            with pytest.raises(so.InputError, match=words), dask_executor(address):
+                pass
 
 
 def test_processes_give_the_same_rows_though_one_is_killed(small: Path, tmp_path: Path) -> None:
@@ -400,8 +376,6 @@ def test_the_studies_of_the_library_can_be_run_and_are_no_problems() -> None:
     for path in folder.glob("*.toml"):
         assert len(read_study(library.find_study(path.stem)).cells()) > 0
         assert path.stem not in library.list_problems()
-    with pytest.raises(so.InputError, match="'nowhere' is neither a study file nor a study"):
-        library.find_study("nowhere")
 
 
 # ---- advice ---------------------------------------------------------------------------------
@@ -410,9 +384,8 @@ def test_the_studies_of_the_library_can_be_run_and_are_no_problems() -> None:
 def test_the_advice_is_the_fastest_cell_that_is_accurate_enough() -> None:
     def row(error: float, wall: float, success: bool = True, scheme: str = "midpoint") -> CellRow:
         status = "SUCCESS" if success else "INEXACT"
-        return CellRow(
-            "P", scheme, "auto", 10, 1e-6, status, success, "", error, size=2.0, wall=wall
-        )
+        asked = ("P", scheme, "auto", 10, 1e-6, 1, "id")
+        return CellRow(*asked, status, success, error=error, size=2.0, wall=wall)
 
     rows = [row(1e-3, 5.0), row(1e-2, 2.0, scheme="best"), row(3e-2, 1.0), row(1e-9, 0.1, False)]
     table = pd.DataFrame([*rows, row(np.nan, 0.1)])

@@ -151,38 +151,3 @@ def test_constraints_may_be_stated_in_any_units(name: str, path: str) -> None:
     assert np.abs(plain.velocity).max() > 1e-3
     for other, L in found[1:]:
         assert_same(plain, other, L)
-
-
-@pytest.mark.parametrize("name", ["sum of sizes", "squares"])
-def test_constraints_have_no_units_for_cvxpy_either(name: str) -> None:
-    plain = run(stated(name, 1.0), 3, solver="cvxpy")
-    F = 2.0**-40
-    assert_same(plain, run(stated(name, F), 3, F, solver="cvxpy"), 1.0)
-
-
-@pytest.mark.parametrize("name", STATED)
-def test_supports_and_projections_of_constraints_scale_to_the_last_bit(name: str) -> None:
-    z, w = np.array([0.3, 0.8, -0.5]), np.array([1.7, -0.4, -0.9])
-    C = stated(name, 1.0)
-    for F in (2.0**-40, 2.0**17, 2.0**40):
-        D = stated(name, F)
-        assert D.support(z) == F * C.support(z)
-        assert D.support(F * z) == F * D.support(z)
-        np.testing.assert_array_equal(D.project(F * w), F * C.project(w))
-
-
-@pytest.mark.parametrize("name", ["norm", "squares", "squares of ratios"])
-def test_a_small_ball_that_is_stated_in_cvxpy_is_a_ball(name: str) -> None:
-    F = 2.0**-40
-    ball, same = (run(C, 3, F) for C in (so.Ball(np.zeros(3), 0.1 * F), stated(name, F)))
-    np.testing.assert_allclose(same.u, ball.u, rtol=0, atol=1e-6 * np.abs(ball.u).max())
-
-
-def test_the_logarithm_of_a_force_needs_no_units() -> None:
-    def bounded(F: float) -> so.Constraints:
-        return so.Constraints(3, lambda w: [cp.log(w[0] + F) >= np.log(0.5 * F), cp.norm(w) <= F])
-
-    plain = run(bounded(1.0), 3)
-    for F in (2.0**-40, 2.0**40):
-        other = run(bounded(F), 3, F)
-        np.testing.assert_allclose(other.u, plain.u, rtol=0, atol=1e-6 * np.abs(plain.u).max())

@@ -12,7 +12,7 @@ from importlib.util import find_spec
 
 from sweepopt.errors import MissingExtraError
 
-for _module, _package in (("skfem", "scikit-fem"), ("meshio", "meshio"), ("pydantic", "pydantic")):
+for _module, _package in (("skfem", "scikit-fem"), ("meshio", "meshio")):
     if find_spec(_module) is None:
         raise MissingExtraError(_package, "fem")
 

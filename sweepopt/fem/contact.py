@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 
 from sweepopt.errors import InputError
 from sweepopt.fem.fields import FRICTION, Datum, evaluate
-from sweepopt.fem.mesh import Indices, on_the_left
+from sweepopt.fem.mesh import Indices
 from sweepopt.fem.spaces import Discretisation, refuse_overflow
-from sweepopt.loads import Separable
 from sweepopt.sets import Box, ConvexSet, image
 
 if TYPE_CHECKING:
@@ -54,8 +53,8 @@ class Contact:
     points : ndarray, shape (m, 2)
     boundary : ndarray of str, shape (m,)
         Name of the boundary it is on.
-    arc, position : ndarray, shape (m,)
-        Arc length from the start of that boundary, and of all, one after the other.
+    arc : ndarray, shape (m,)
+        Arc length along the boundaries, one after the other.
     weight, bound : ndarray, shape (m,)
         w_k (a length) and g_k of ``J_h(v) = sum_k w_k g_k |v_k|``.
     """
@@ -64,7 +63,6 @@ class Contact:
     points: Array
     boundary: NDArray[np.str_]
     arc: Array
-    position: Array
     weight: Array
     bound: Array
 
@@ -98,71 +96,60 @@ def contact_on(body: Discretisation, on: Sequence[str], g: Datum) -> Contact:
         If all of it is clamped.
     """
     facets, groups = body.edges("on", on)
-    basis = body.edge_basis(facets, quadrature=EDGE_RULE[body.element])
+    rule = EDGE_RULE[body.element]
+    basis = skfem.FacetBasis(body.mesh, body.basis.elem, facets=facets, quadrature=rule)
     weights, bounds = basis.dx, evaluate("g", g, basis.global_coordinates(), groups, FRICTION)
     nodes = body.edge_nodes(facets).T
-
-    def at_nodes(values: Array) -> Array:
-        return np.asarray(np.bincount(nodes.ravel(), values.ravel(), body.basis.N), dtype=float)
-
-    weight = at_nodes(weights)
     with np.errstate(over="ignore"):
-        threshold = at_nodes(weights * bounds)
-    refuse_overflow("g", threshold[at_nodes(np.isinf(bounds)) == 0])
+        forces = weights * bounds
+    refuse_overflow("g", forces[np.isfinite(bounds)])
+    weight, threshold = (
+        np.bincount(nodes.ravel(), shares.ravel(), body.basis.N) for shares in (weights, forces)
+    )
 
-    walks, arcs = [], []
-    for mine in groups.values():
-        order, forward = _walk(body.mesh, facets[mine])
-        along = nodes[mine[order]]
-        walks.append(np.where(forward[:, None], along, along[:, ::-1]).ravel())
-        length = weights[mine[order]].sum(axis=1)
-        ends = np.cumsum(length)
-        arcs.append(np.linspace(ends - length, ends, along.shape[1], axis=1).ravel())
-    walk, arc = np.concatenate(walks), np.concatenate(arcs)
-    before = np.cumsum([0.0, *(part.max() for part in arcs[:-1])])
-    piece = np.repeat(np.arange(len(arcs)), [part.size for part in arcs])
+    # walked with the body on the left, where the outward normal is on the right
+    x, y = (body.points[nodes[:, -1]] - body.points[nodes[:, 0]]).T
+    normal_x, normal_y = basis.normals.mean(axis=2)
+    along = np.where((x * normal_y < y * normal_x)[:, None], nodes, nodes[:, ::-1])
+    order = np.concatenate([mine[_walk(body.points, along[mine])] for mine in groups.values()])
+    length = weights[order].sum(axis=1)
+    ends = np.cumsum(length)
+    arc = np.linspace(ends - length, ends, nodes.shape[1], axis=1).ravel()
+    boundary = np.repeat(on, [nodes.shape[1] * len(mine) for mine in groups.values()])
 
-    _, first = np.unique(walk, return_index=True)
-    free = np.sort(first[np.isin(walk[first], body.free)])
-    if not free.size:
+    node, first = np.unique(along[order], return_index=True)
+    free = np.isin(node, body.free)
+    if not free.any():
         raise InputError(f"on: all of {', '.join(on)} is clamped; nothing can slip there")
-    keep = free[threshold[walk[free]] > 0.0]
-    k = walk[keep]
+    keep = np.sort(first[free & (threshold[node] > 0.0)])
+    k = along[order].ravel()[keep]
     return Contact(
         unknown=np.searchsorted(body.free, k),
         points=body.points[k],
-        boundary=np.array(on)[piece[keep]],
+        boundary=boundary[keep],
         arc=arc[keep],
-        position=(arc + before[piece])[keep],
         weight=weight[k],
         bound=threshold[k] / weight[k],
     )
 
 
-def _walk(mesh: skfem.MeshTri, facets: Indices) -> tuple[Indices, NDArray[np.bool_]]:
-    """Order in which to walk boundary edges with the body on the left.
+def _walk(points: Array, along: Indices) -> list[int]:
+    """The order in which edges follow one another: open pieces, then closed from their largest x.
 
-    Returns
-    -------
-    order : ndarray, shape (m,)
-        Positions in `facets`: open pieces first, then closed ones from their largest x.
-    forward : ndarray of bool, shape (m,)
-        Whether the edge is walked from its first to its second node.
+    Parameters
+    ----------
+    points : ndarray, shape (N, 2)
+    along : ndarray, shape (m, 2 or 3)
+        The nodes of each edge, first the one where a walk enters it.
     """
-    forward = on_the_left(mesh, facets, 0)
-    tail, head = np.where(forward, mesh.facets[:, facets], mesh.facets[::-1, facets])
-    leaving: dict[int, list[int]] = {}
-    for k, node in enumerate(tail):
-        leaving.setdefault(node, []).append(k)
-    order: list[int] = []
-    x, y = mesh.p[:, tail]
-    for k in np.lexsort((np.abs(y), -x, np.isin(tail, head))):
-        node = tail[k]
-        while leaving.get(node):
-            order.append(leaving[node].pop(0))
-            node = head[order[-1]]
-    walked = np.array(order)
-    return walked, forward[walked]
+    tail, head = along[:, 0], along[:, -1]
+    leaving = {node: k for k, node in enumerate(tail.tolist())}
+    walked: dict[int, None] = {}
+    for k in np.lexsort((-points[tail, 0], np.isin(tail, head))).tolist():
+        while k is not None and k not in walked:
+            walked[k] = None
+            k = leaving.get(head[k])
+    return list(walked)
 
 
 class SlipStatistics(NamedTuple):
@@ -263,17 +250,18 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
         return None
     if not solution.complete:
         raise InputError("slip adds up all steps, but not all were kept; leave save= out")
-    problem, scheme = scene.problem, solution.plan.scheme
-    rows = contact.unknown
+    process, scheme, rows = solution.process, solution.plan.scheme, contact.unknown
     mu = np.diff(solution.t)
-    implicit, c = (scheme.a[0][0], scheme.c[0]) if len(scheme.b) == 1 else (0.5, 0.5)
-    stage_t = solution.t[:-1] + c * mu
-    force = solution.velocity @ problem.A[rows].T
-    if problem.B is not None:
-        stage_u = solution.u[:-1] + implicit * mu[:, None] * solution.velocity
-        force += stage_u @ problem.B[rows].T
-    if isinstance(problem.load, Separable):  # what a scene's load is, if it has one
-        force -= problem.load.values(stage_t) @ problem.load.shapes[rows].T
+    stage_t = solution.t[:-1] + np.dot(scheme.b, scheme.c) * mu
+    implicit = np.dot(scheme.b, [sum(row) for row in scheme.a])
+    force = np.array(
+        [
+            (process.A @ z + process.times_B(u + implicit * h * z) - process.C.at(t).anchor)[rows]
+            for t, h, u, z in zip(
+                stage_t.tolist(), mu, solution.u[:-1], solution.velocity, strict=True
+            )
+        ]
+    )
     return Slip(
         contact=contact,
         t=solution.t,

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Contact, contact_on
 from sweepopt.fem.fields import FRICTION, NON_NEGATIVE, POSITIVE, Datum, check_datum
-from sweepopt.fem.spaces import LOAD, STIFFNESS, Discretisation, assemble
+from sweepopt.fem.spaces import LOAD, STIFFNESS, Discretisation, assemble, boundary_names
 
 Array = NDArray[np.float64]
 Phi = Callable[[float], ArrayLike]
@@ -221,20 +221,6 @@ class Traction:
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
         return Contribution(load=(self.history, assemble(body, LOAD, "f2", self.f2, self.on)))
-
-
-def boundary_names(argument: str, value: object) -> tuple[str, ...]:
-    """One name or several as a tuple of distinct, non-empty strings."""
-    listed = (value,) if isinstance(value, str) else value
-    if (
-        not isinstance(listed, Sequence)
-        or not listed
-        or not all(isinstance(name, str) and name for name in listed)
-    ):
-        raise InputError(f"{argument} must be a name or a list of names, got {shown(value)}")
-    if len(set(listed)) < len(listed):
-        raise InputError(f"{argument} names a boundary twice: {', '.join(listed)}")
-    return tuple(listed)
 
 
 def check_history(history: object) -> None:

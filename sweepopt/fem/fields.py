@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.checks import choice, floats, vector
+from sweepopt.checks import choice, floats
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.mesh import Indices
+from sweepopt.loads import check_points
 
 Array = NDArray[np.float64]
 
@@ -54,11 +55,9 @@ class Profile:
 
     def __post_init__(self) -> None:
         choice("along", self.along, DIRECTIONS)
-        at = vector("at", self.at)
-        if at.size < 2 or np.any(np.diff(at) <= 0.0):
-            raise InputError("at must have two entries or more and increase strictly")
+        at, values = check_points("at", self.at, self.values)
         object.__setattr__(self, "at", at)
-        object.__setattr__(self, "values", vector("values", self.values, at.size))
+        object.__setattr__(self, "values", values)
 
     def __call__(self, x: Array) -> Array:
         where = DIRECTIONS[self.along](np.asarray(x))
@@ -76,49 +75,41 @@ Datum = float | Mapping[str, float] | Profile | Callable[[Array], ArrayLike]
 """What an effect takes for a coefficient. A function gets x of shape (2, ...) and returns (...)."""
 
 
-@dataclass(frozen=True)
-class Range:
-    """Values a coefficient may take: at least `minimum`, or above it if `strict`."""
+class Range(NamedTuple):
+    """Values that a coefficient may take: from `low` to `high`, in words `wanted`."""
 
-    minimum: float = -np.inf
-    strict: bool = False
-    infinite: bool = False
+    wanted: str
+    low: float
+    high: float
 
     def check(self, name: str, values: ArrayLike) -> None:
-        """Refuse values that are not finite or lie below the minimum."""
+        """Refuse values outside of the range, and nan."""
         array = floats(name, values, "a number")
-        relation, low = (
-            (">", array <= self.minimum) if self.strict else (">=", array < self.minimum)
-        )
-        for bad, wanted in (
-            (np.isnan(array) if self.infinite else ~np.isfinite(array), "finite"),
-            (low, f"{relation} {self.minimum:g}"),
-        ):
-            if np.any(bad):
-                raise InputError(f"{name} must be {wanted}, got {array[bad].flat[0]:g}")
+        bad = ~((array >= self.low) & (array <= self.high))
+        if np.any(bad):
+            raise InputError(f"{name} must be {self.wanted}, got {array[bad].flat[0]:g}")
 
 
-ANY = Range()
-NON_NEGATIVE = Range(0.0)
-POSITIVE = Range(0.0, strict=True)
-FRICTION = Range(0.0, infinite=True)
+LARGEST = float(np.finfo(float).max)
+ANY = Range("finite", -LARGEST, LARGEST)
+NON_NEGATIVE = Range(">= 0 and finite", 0.0, LARGEST)
+POSITIVE = Range("> 0 and finite", float(np.nextafter(0.0, 1.0)), LARGEST)
+FRICTION = Range(">= 0", 0.0, np.inf)
 
 
 def check_datum(name: str, datum: Any, allowed: Range = ANY) -> None:
-    """Check a coefficient as far as no mesh is needed; a function is checked where it is used.
+    """Check the numbers of a coefficient; a function is checked where it is evaluated.
 
     Raises
     ------
     InputError
         Naming the coefficient, the group and the value.
     """
-    numbers = {} if callable(datum) else {name: datum}
+    if callable(datum):
+        return
+    numbers = {name: datum}
     if isinstance(datum, Mapping):
         numbers = {f"{name}.{key}": value for key, value in datum.items()}
-        if not numbers:
-            raise InputError(f"{name} must name a group or more")
-    elif isinstance(datum, Profile):
-        allowed.check(f"{name}.values", datum.values)
     for label, value in numbers.items():
         # no words, True or lists of one, which numpy would turn into a number
         if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.number)):
@@ -149,20 +140,18 @@ def evaluate(
     ndarray, shape (cells, ...)
     """
     x = np.asarray(points)
-    values = np.full(x.shape[1:], np.nan)
+    values = np.empty(x.shape[1:])
     if isinstance(datum, Mapping):
         _fill_groups(name, values, datum, groups)
-    elif not callable(datum):
-        values[:] = datum
-    else:
-        try:
-            values[:] = np.asarray(datum(x), dtype=float)
-        except InputError as error:
-            raise InputError(f"{name}.{error}") from error
-        except (TypeError, ValueError, OverflowError) as error:
-            raise InputError(
-                f"{name} must turn points of shape (2, ...) into numbers of shape (...); {error}"
-            ) from error
+        return values
+    try:
+        values[:] = np.asarray(datum(x) if callable(datum) else datum, dtype=float)
+    except InputError as error:
+        raise InputError(f"{name}.{error}") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(
+            f"{name} must turn points of shape (2, ...) into numbers of shape (...); {error}"
+        ) from error
     allowed.check(name, values)
     return values
 
@@ -170,18 +159,16 @@ def evaluate(
 def _fill_groups(
     name: str, values: Array, datum: Mapping[str, float], groups: Mapping[str, Indices]
 ) -> None:
-    covered = np.zeros(len(values), dtype=int)
+    times = np.zeros(len(values), dtype=int)
     for key, value in datum.items():
         if key not in groups:
             known = ", ".join(sorted(groups)) or "none"
             raise InputError(f"{name}.{key} is not a group here; there are: {known}")
         values[groups[key]] = value
-        covered[groups[key]] += 1
-        if covered.max() > 1:
-            raise InputError(f"{name}.{key} overlaps another group of {name}; name disjoint ones")
-    if not covered.all():
-        open_groups = [key for key in sorted(groups) if not covered[groups[key]].all()]
+        times[groups[key]] += 1
+    if np.any(times != 1):
+        wrong = [key for key in sorted(groups) if np.any(times[groups[key]] != 1)]
         raise InputError(
-            f"{name} gives no value for {', '.join(open_groups) or 'triangles of no group'}; "
-            "cover every group"
+            f"{name} must give one value to each cell, but gives none or several in "
+            f"{', '.join(wrong) or 'triangles of no group'}; cover every group once"
         )

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from sweepopt.results import Energy, Solution
 
 SUMMARY = "summary.json"
-RESULTS = (".nc", ".png", ".vtu", ".series")
-"""Files of a run that the next one in the same folder may remove."""
+RESULTS = ("solution.nc", "displacement.png", "contact.png", "vtu/*.series", "vtu/step_*.vtu")
+"""Files of a run, which the next one in the same folder replaces or removes."""
 MOST_VTU = 50
 """VTU files of a run: enough for a film, few enough for a large mesh."""
 SI = {
@@ -89,76 +89,82 @@ class Report:
         """Units of the scene's quantities."""
         return SI if self.scene.units == "SI" else dict.fromkeys(SI, "1")
 
+    def suffix(self, quantity: str) -> str:
+        """The unit behind a number, such as " m"; nothing in a dimensionless scene."""
+        unit = self.units[quantity]
+        return f" {unit}" if unit != "1" else ""
+
 
 def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:
     """The numbers of a run as plain JSON types; null where there is no finite number.
 
-    Parameters
-    ----------
-    report : Report
-    files : sequence of str
-        What the run wrote, relative to its folder.
+    `files` are what the run wrote, relative to its folder.
     """
     scene, solution, slip, energy = report.scene, report.solution, report.slip, report.energy
-    body, plan, stats = scene.discretisation, solution.plan, solution.stats
+    plan, stats = solution.plan, solution.stats
+    summary = {
+        "scene": report.name,
+        "title": scene.title,
+        "status": solution.status.name.lower(),
+        "success": solution.success,
+        "message": solution.message,
+        "units": {"scene": scene.units, **report.units},
+        "settings": {
+            "t_end": scene.t_end,
+            "t_reached": solution.t[-1],
+            "steps": len(solution.steps),
+            "scheme": plan.scheme.name,
+            "solver": solver_name(solution),
+            "tol": plan.tol,
+        },
+        "plan": {
+            "unknowns": plan.unknowns,
+            "nonsmooth_unknowns": plan.nonsmooth_unknowns,
+            "left_out": scene.left_out,
+        },
+        "max_displacement": _largest(report),
+        "energy": {
+            name: x[-1] for name, x in [*energy._asdict().items(), ("balance", energy.balance)]
+        },
+        "slip": None if slip is None else slip.statistics()._asdict(),
+        "worst": {
+            "certificate": stats["certificate"].max(),
+            "relative": stats["relative"].max(),
+            "viability": solution.viability().max(),
+        },
+        "solvers": Counter(stats["solver"].tolist()),
+        "iterations": stats["iterations"].sum(),
+        "seconds": report.seconds,
+        "materials": {
+            name: k for k, name in enumerate(scene.discretisation.mesh.subdomains or {}, start=1)
+        },
+        "versions": {"python": platform.python_version(), **software(solution)},
+        "files": files,
+    }
+    text = json.dumps(summary, default=lambda array: array.tolist())
+    plain: dict[str, Any] = json.loads(text, parse_constant=lambda _: None)
+    return plain
+
+
+def _largest(report: Report) -> dict[str, Any]:
+    """The largest displacement, with its time and place."""
+    body, solution = report.scene.discretisation, report.solution
     size = np.abs(solution.u)
     when, where = np.unravel_index(int(np.argmax(size)), size.shape)
-    return _plain(
-        {
-            "scene": report.name,
-            "title": scene.title,
-            "status": solution.status.name.lower(),
-            "success": solution.success,
-            "message": solution.message,
-            "units": {"scene": scene.units, **report.units},
-            "settings": {
-                "t_end": scene.t_end,
-                "t_reached": solution.t[-1],
-                "steps": len(solution.steps),
-                "scheme": plan.scheme.name,
-                "solver": solver_name(solution),
-                "tol": plan.tol,
-            },
-            "plan": {
-                "unknowns": plan.unknowns,
-                "nonsmooth_unknowns": plan.nonsmooth_unknowns,
-                "left_out": scene.left_out,
-            },
-            "max_displacement": {
-                "value": size[when, where],
-                "time": solution.t[when],
-                "point": body.points[body.free[where]],
-            },
-            "energy": {
-                **{name: values[-1] for name, values in energy._asdict().items()},
-                "balance": energy.balance[-1],
-            },
-            "slip": None if slip is None else slip.statistics()._asdict(),
-            "worst": {
-                "certificate": stats["certificate"].max(),
-                "relative": stats["relative"].max(),
-                "viability": solution.viability().max(),
-            },
-            "solvers": Counter(stats["solver"].tolist()),
-            "iterations": stats["iterations"].sum(),
-            "seconds": report.seconds,
-            "materials": {name: k for k, name in enumerate(body.mesh.subdomains or {}, start=1)},
-            "versions": {"python": platform.python_version(), **software(solution)},
-            "files": files,
-        }
-    )
+    point = body.points[body.free[where]]
+    return {"value": size[when, where], "time": solution.t[when], "point": point}
 
 
 def write_summary(report: Report, folder: Path, files: Sequence[str]) -> None:
-    """Write `summary_of` a run, and remove what an earlier run listed there and this one has not.
+    """Write `summary_of` a run, and remove files of an earlier run that this one has not written.
 
     A picture or a VTU file of an earlier run would otherwise pass for one of this run.
     """
-    path = folder / SUMMARY
-    earlier = _listed(path)
-    _write_json(path, summary_of(report, files))
-    for name in earlier - set(files):
-        (folder / name).unlink(missing_ok=True)
+    _write_json(folder / SUMMARY, summary_of(report, files))
+    for pattern in RESULTS:
+        for path in folder.glob(pattern):
+            if path.relative_to(folder).as_posix() not in files:
+                path.unlink()
 
 
 VARIABLES = {
@@ -174,7 +180,7 @@ VARIABLES = {
     "energy_work": ("time", "energy", "work of the loads, per length"),
     "contact_node": ("contact", "", "node of the contact"),
     "boundary": ("contact", "", "boundary of the contact node"),
-    "arc_length": ("contact", "length", "arc length from the start of the node's boundary"),
+    "arc_length": ("contact", "length", "arc length along the boundaries of the contact"),
     "contact_weight": ("contact", "length", "length of boundary of the contact node"),
     "friction_bound": ("contact", "force", "friction force at which it slips, w g, per length"),
     "traction": ("step contact", "traction", "friction traction on the body, against the slip"),
@@ -182,15 +188,33 @@ VARIABLES = {
 }
 """Dimensions, quantity (of `SI`) and description of what `dataset_of` adds to a solution's own."""
 
+FIELD = {"mesh": "mesh", "location": "node"}
+ATTRIBUTES: dict[str, dict[str, Any]] = {
+    "displacement": FIELD,
+    "velocity": FIELD,
+    "mesh": {
+        "cf_role": "mesh_topology",
+        "topology_dimension": np.int32(2),
+        "node_coordinates": "x y",
+        "face_node_connectivity": "triangles",
+        "face_dimension": "triangle",
+    },
+    "triangles": {"cf_role": "face_node_connectivity", "start_index": np.int32(0)},
+    "slip_state": {
+        "flag_values": np.array(list(STATES), dtype=np.int8),
+        "flag_meanings": " ".join(STATES.values()),
+    },
+}
+"""What the UGRID conventions (mesh, fields) and the CF conventions (flags) ask for."""
+
 
 def dataset_of(report: Report) -> xr.Dataset:
     """A run as a dataset on its mesh: what `solution.nc` holds.
 
-    Dimensions are time, step, node (clamped ones too), triangle, corner and contact. Mesh and
-    fields follow the UGRID conventions, flags the CF conventions.
+    Dimensions are time, step, node (clamped ones too), triangle, corner and contact.
     """
     scene, solution, slip = report.scene, report.solution, report.slip
-    body = scene.discretisation
+    body, units = scene.discretisation, report.units
     values = {
         "displacement": body.expand(solution.u),
         "velocity": body.expand(solution.velocity),
@@ -212,28 +236,13 @@ def dataset_of(report: Report) -> xr.Dataset:
             "slip_state": slip.state,
         }
     run = solution.to_xarray().drop_dims("unknown")
-    for name, (dims, quantity, words) in VARIABLES.items():
-        if name in values:
-            unit = report.units.get(quantity, "1")
-            run[name] = dims.split(), values[name], {"long_name": words, "units": unit}
+    for name, array in values.items():
+        dims, quantity, words = VARIABLES[name]
+        attributes = {"long_name": words, "units": units.get(quantity, "1")}
+        run[name] = dims.split(), array, attributes | ATTRIBUTES.get(name, {})
     for name in ("time", "certificate", "viability"):
-        run[name].attrs["units"] = report.units[name]
-    run.step_end.attrs["units"] = report.units["time"]
-    for name in ("displacement", "velocity"):
-        run[name].attrs |= {"mesh": "mesh", "location": "node"}
-    run.mesh.attrs |= {
-        "cf_role": "mesh_topology",
-        "topology_dimension": np.int32(2),
-        "node_coordinates": "x y",
-        "face_node_connectivity": "triangles",
-        "face_dimension": "triangle",
-    }
-    run.triangles.attrs |= {"cf_role": "face_node_connectivity", "start_index": np.int32(0)}
-    if slip is not None:
-        run.slip_state.attrs |= {
-            "flag_values": np.array(list(STATES), dtype=np.int8),
-            "flag_meanings": " ".join(STATES.values()),
-        }
+        run[name].attrs["units"] = units[name]
+    run.step_end.attrs["units"] = units["time"]
     coordinates = {"x", "y", "contact_node", "boundary", "arc_length"} & set(run)
     return run.set_coords(coordinates).assign_attrs(
         title=scene.title or report.name or "An antiplane problem",
@@ -248,13 +257,9 @@ def write_netcdf(report: Report, path: Path) -> None:
     netcdf_package()  # says so now if it is missing
     run = dataset_of(report)
     packed = {"zlib": True, "complevel": 1, "shuffle": True}
-    encoding = {
-        name: {**(packed if values.size > 1000 else {}), "_FillValue": None}
-        for name, values in run.variables.items()
-        if values.dtype.kind in "if"
-    }
+    large = [name for name, x in run.variables.items() if x.size > 1000 and x.dtype.kind in "if"]
     with io.replacing(path) as part:
-        run.to_netcdf(part, engine="h5netcdf", encoding=encoding)
+        run.to_netcdf(part, engine="h5netcdf", encoding=dict.fromkeys(large, packed))
 
 
 def write_vtu(report: Report, folder: Path) -> list[Path]:
@@ -269,57 +274,33 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
         The series first.
     """
     solution, body = report.solution, report.scene.discretisation
-    nodes = np.ascontiguousarray(body.basis.element_dofs.T)
-    cells = [({"P1": "triangle", "P2": "triangle6"}[body.element], nodes)]
-    points = np.pad(body.points, ((0, 0), (0, 1)))
-    material = np.zeros(len(nodes), dtype=np.int32)
-    for k, members in enumerate((body.mesh.subdomains or {}).values(), start=1):
-        material[members] = k
+    cells = body.basis.element_dofs.T
+    mesh = meshio.Mesh(
+        np.pad(body.points, ((0, 0), (0, 1))),
+        {"triangle6" if body.element == "P2" else "triangle": cells},
+    )
+    if body.mesh.subdomains:
+        material = np.zeros(len(cells), dtype=np.int32)
+        for k, members in enumerate(body.mesh.subdomains.values(), start=1):
+            material[members] = k
+        mesh.cell_data = {"material": [material]}
     folder = folder / "vtu"
     folder.mkdir(parents=True, exist_ok=True)
-    last = len(solution.steps)
-    written, entries = [], []
+    last, times = len(solution.steps), {}
     for i in [*range(0, last, -(-last // (MOST_VTU - 1))), last]:
-        fields = {
+        mesh.point_data = {
             "displacement": body.expand(solution.u[i]),
             "velocity": body.expand(solution.velocity[max(i - 1, 0)]),
         }
-        mesh = meshio.Mesh(
-            points,
-            cells,
-            point_data=fields,
-            cell_data={"material": [material]} if body.mesh.subdomains else None,
-        )
-        written.append(folder / f"step_{i:06d}.vtu")
-        with io.replacing(written[-1]) as part:
-            meshio.write(part, mesh, file_format="vtu", compression="zlib")
-        entries.append({"name": written[-1].name, "time": float(solution.t[i])})
+        path = folder / f"step_{i:06d}.vtu"
+        with io.replacing(path) as part:
+            mesh.write(part, file_format="vtu", compression="zlib")
+        times[path] = float(solution.t[i])
     series = folder / "solution.vtu.series"
+    entries = [{"name": path.name, "time": t} for path, t in times.items()]
     _write_json(series, {"file-series-version": "1.0", "files": entries})
-    return [series, *written]
+    return [series, *times]
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:
     io.put(path, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
-
-
-def _listed(path: Path) -> set[str]:
-    """Results that a summary says an earlier run wrote; nothing if it is no summary of ours."""
-    try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-        names = summary["files"] if "sweepopt" in summary["versions"] else []
-        paths = [Path(str(name)) for name in names]
-    except (OSError, ValueError, KeyError, TypeError):
-        return set()
-    return {
-        str(name)
-        for name in paths
-        if name.suffix in RESULTS and ".." not in name.parts and not name.is_absolute()
-    }
-
-
-def _plain(value: dict[str, Any]) -> dict[str, Any]:
-    """Plain JSON types; None for a number that is not finite."""
-    text = json.dumps(value, default=lambda array: array.tolist())
-    plain: dict[str, Any] = json.loads(text, parse_constant=lambda _: None)
-    return plain

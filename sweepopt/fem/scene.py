@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.sparse as sp
 import skfem
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import choice, number
+from sweepopt.checks import choice, listed, number
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Contact
-from sweepopt.fem.effects import Contribution, Effect, boundary_names
-from sweepopt.fem.mesh import read_mesh
+from sweepopt.fem.effects import Contribution, Effect
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.integrate import schemes
 from sweepopt.loads import Separable
@@ -71,9 +69,8 @@ class Scene:
         from sweepopt.solve import solve
 
         names = ("t_end", "steps", "scheme", "solver", "tol")
-        settings = {name: getattr(self, name) for name in names}
-        given = {name: value for name, value in settings.items() if value is not None}
-        return solve(self.problem, **(given | changes))
+        settings = {name: one for name in names if (one := getattr(self, name)) is not None}
+        return solve(self.problem, **(settings | changes))
 
 
 def antiplane(
@@ -129,23 +126,19 @@ def antiplane(
     >>> scene.left_out
     ('no elasticity: B is not formed', 'no load: f = 0')
     """
-    try:
-        effects = list(effects)
-    except TypeError:
-        raise InputError(
-            f"effects must be a list of effects such as [Viscosity(1.0)], got {shown(effects)}"
-        ) from None
+    labelled = {f"effects[{k}]": effect for k, effect in enumerate(listed("effects", effects))}
     if t_end is not None:
         t_end = number("t_end", t_end, minimum=0.0, strict=True)
-    choice("units", units, UNITS)
-    if isinstance(mesh, (str, Path)):
-        mesh = read_mesh(mesh)
-    body = Discretisation(mesh, boundary_names("clamped", clamped), element)
-    settings = {"t_end": t_end, "steps": steps, "scheme": scheme, "solver": solver, "tol": tol}
-    labelled = {f"effects[{k}]": effect for k, effect in enumerate(effects)}
-    scene = build(body, labelled, u0, settings | {"units": units, "title": title})
-    check_choices(scene)
-    return scene
+    body = Discretisation(mesh, clamped, element)
+    settings = {"t_end": t_end, "steps": steps, "units": units, "title": title}
+    return build(body, labelled, u0, settings | method(scheme, solver, tol))
+
+
+def method(scheme: str = "auto", solver: str = "auto", tol: float = 1e-6) -> dict[str, Any]:
+    """Arguments of `sweepopt.solve`; a scheme or a solver that is not known is refused."""
+    schemes.choose(scheme, rate_independent=False)
+    solvers.choose(solver, Point([0.0]))
+    return {"scheme": scheme, "solver": solver, "tol": number("tol", tol, 0.0, strict=True)}
 
 
 def build(
@@ -155,48 +148,53 @@ def build(
     settings: Mapping[str, Any],
 ) -> Scene:
     """A scene from effects by the label that errors shall give them."""
-    parts: list[Contribution] = []
-    for label, effect in effects.items():
-        if isinstance(effect, type) or not hasattr(effect, "contribute"):
-            raise InputError(f"{label} is no effect such as Viscosity(1.0): {shown(effect)}")
-        with at_path(label):
-            parts.append(effect.contribute(body))
-            _check_duration(parts[-1], settings["t_end"])
-    A, B = _total(part.A for part in parts), _total(part.B for part in parts)
-    loads = [part.load for part in parts if part.load is not None]
-    contacts = [part.contact for part in parts if part.contact is not None]
-    if A is None:
+    choice("units", settings["units"], UNITS)
+    if not isinstance(settings["title"], str):
+        raise InputError(f"title must be text, got {shown(settings['title'])}")
+    parts = [_contribution(label, effects[label], body, settings["t_end"]) for label in effects]
+    A, B, loads, contacts = (
+        [one for part in parts if (one := getattr(part, name)) is not None]
+        for name in ("A", "B", "load", "contact")
+    )
+    if not A:
         raise InputError("effects must hold a viscosity: without it a is not coercive")
     if len(contacts) > 1:
         raise InputError("effects hold friction twice; name all boundaries in one, g by boundary")
-    contact = contacts[0] if contacts else None
     problem = EvolutionVI(
-        A,
-        B,
+        sum(A),
+        sum(B) if B else None,
         load=Separable(loads) if loads else None,
-        dissipation=contact.dissipation(body.dim) if contact else None,
+        dissipation=contacts[0].dissipation(body.dim) if contacts else None,
         u0=np.zeros(body.dim) if u0 is None else u0,
     )
-    absent = {
-        "no elasticity: B is not formed": B is None,
-        "no friction: no set and no optimiser, a step is one linear solve": contact is None,
-        "no load: f = 0": not loads,
+    terms = {
+        "no elasticity: B is not formed": B,
+        "no friction: no set and no optimiser, a step is one linear solve": contacts,
+        "no load: f = 0": loads,
     }
     return Scene(
         problem=problem,
         discretisation=body,
-        contact=contact,
+        contact=contacts[0] if contacts else None,
         effects=tuple(effects.values()),
-        left_out=tuple(sentence for sentence, missing in absent.items() if missing),
+        left_out=tuple(sentence for sentence, present in terms.items() if not present),
         **settings,
     )
 
 
-def check_choices(scene: Scene) -> None:
-    """Refuse a scheme or a solver that is not known or cannot treat the problem."""
-    problem = scene.problem
-    schemes.choose(scene.scheme, rate_independent=False)
-    solvers.choose(scene.solver, problem.dissipation or Point(np.zeros(problem.dim)))
+def _contribution(
+    label: str, effect: Effect, body: Discretisation, t_end: float | None
+) -> Contribution:
+    """What an effect adds; its history must cover the run."""
+    if isinstance(effect, type) or not hasattr(effect, "contribute"):
+        raise InputError(f"{label} is no effect such as Viscosity(1.0): {shown(effect)}")
+    with at_path(label):
+        part = effect.contribute(body)
+    if part.load is not None and t_end is not None:
+        with at_path(f"{label}.history"):
+            for t in (0.0, t_end):
+                part.load[0](t)
+    return part
 
 
 @contextmanager
@@ -206,19 +204,3 @@ def at_path(path: str) -> Iterator[None]:
         yield
     except InputError as error:
         raise InputError(f"{path}.{error}") from error
-
-
-def _check_duration(part: Contribution, t_end: float | None) -> None:
-    """A table must cover the run; it refuses other times itself."""
-    if part.load is not None and t_end is not None:
-        for t in (0.0, t_end):
-            try:
-                part.load[0](t)
-            except InputError as error:
-                fault = f"history does not cover the run, [0, {t_end:g}]: {error}"
-                raise InputError(fault) from error
-
-
-def _total(matrices: Iterable[sp.csc_array | None]) -> Any:
-    present = [matrix for matrix in matrices if matrix is not None]
-    return sum(present) if present else None

@@ -1,20 +1,18 @@
 """Scene files: TOML whose values are data (numbers, tables, columns, named waveforms), never code.
 
-The keys of each table are checked by pydantic; the tables under ``[effects]`` are read into the
-records of `EFFECTS`, whose fields are their keys and which check their values. Every error starts
-with the path of the key at fault, such as ``effects.friction.g``.
+A table is a call: its keys are the arguments of a function, or the fields of a record such as those
+of `EFFECTS`, which check their values. Every error starts with the path of the key at fault, such
+as ``effects.friction.g``.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping
-from dataclasses import MISSING, fields
+from collections.abc import Callable, Mapping
+from inspect import signature
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Any, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
-
+from sweepopt.checks import count, number
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.effects import (
     BodyForce,
@@ -23,14 +21,12 @@ from sweepopt.fem.effects import (
     Friction,
     Traction,
     Viscosity,
-    boundary_names,
 )
 from sweepopt.fem.fields import Profile
-from sweepopt.fem.mesh import read_mesh
-from sweepopt.fem.scene import Scene, at_path, build, check_choices
+from sweepopt.fem.scene import Scene, at_path, build, method
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.io import as_path, find_scene, parse_toml, read_toml
-from sweepopt.loads import Constant, History, Sine, Table, Triangle, check_points
+from sweepopt.loads import Constant, Sine, Table, Triangle, check_points
 
 EFFECTS: dict[str, type] = {
     "viscosity": Viscosity,
@@ -45,53 +41,15 @@ WAVEFORMS: dict[str, type] = {"constant": Constant, "sine": Sine, "triangle": Tr
 """Histories by the name of their waveform in a scene file."""
 
 
-Model = TypeVar("Model", bound=BaseModel)
+class _File(NamedTuple):
+    """The top level of a scene file."""
 
-
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-
-
-class _Domain(_Part):
-    mesh: str
-    clamped: str | list[str] = "clamped"
-    element: Literal["P1", "P2"] = "P1"
-
-
-class _Time(_Part):
-    end: Annotated[float, Field(gt=0)]
-    steps: Annotated[int, Field(ge=1)]
-
-
-class _Solve(_Part):
-    scheme: str = "auto"
-    solver: str = "auto"
-    tol: Annotated[float, Field(gt=0)] = 1e-6
-
-
-class _File(_Part):
-    domain: _Domain
-    time: _Time
-    effects: dict[str, Any]
-    solve: _Solve = _Solve()
+    domain: Any
+    time: Any
+    effects: Any
+    solve: Any = {}  # noqa: RUF012
     title: str = ""
-    units: Literal["dimensionless", "SI"] = "dimensionless"
-
-
-class _CsvColumn(_Part):
-    """``history = { csv = "loads.csv", column = "f2", time = "t", scale = 1.0 }``."""
-
-    csv: str
-    column: str
-    time: str = "t"
-    scale: float = 1.0
-
-
-class _Rows(_Part):
-    """``history = { table = { t = [...], values = [...] } }``."""
-
-    t: Any
-    values: Any
+    units: str = "dimensionless"
 
 
 def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = ".") -> Scene:
@@ -151,115 +109,96 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
     (120.0, 480, 'SI')
     """
     data, folder = _load(source, as_path("folder", folder))
-    file = _checked(_File, data)
+    file = _called(_File, data, "", folder)
     effects = _effects(file.effects, folder)
-    with at_path("domain"):
-        try:
-            mesh = read_mesh(folder / file.domain.mesh)
-        except InputError as error:
-            raise InputError(f"mesh: {error}") from error
-        clamped = boundary_names("clamped", file.domain.clamped)
-        body = Discretisation(mesh, clamped, file.domain.element)
-    settings = {
-        "t_end": file.time.end,
-        "steps": file.time.steps,
-        "units": file.units,
-        "title": file.title,
-        **file.solve.model_dump(),
-    }
-    scene = build(body, effects, None, settings)
-    with at_path("solve"):
-        check_choices(scene)
-    return scene
+    body = _called(Discretisation, file.domain, "domain", folder)
+    settings = {"title": file.title, "units": file.units}
+    for kind, table, path in ((_time, file.time, "time"), (method, file.solve, "solve")):
+        settings |= _called(kind, table, path, folder)
+    return build(body, effects, None, settings)
 
 
 def _load(source: str | Path | Mapping[str, Any], folder: Path) -> tuple[Mapping[str, Any], Path]:
     if isinstance(source, Mapping):
         return source, folder
-    if not isinstance(source, (str, os.PathLike)):
-        raise InputError(
-            "source must be a path, the name of a problem, TOML text or a mapping, "
-            f"got {shown(source)}"
-        )
     if isinstance(source, str) and "\n" in source:
         return parse_toml("the scene", source), folder
-    path = find_scene(source) if isinstance(source, str) else Path(source)
+    path = find_scene(source) if isinstance(source, str) else as_path("source", source)
     return read_toml(path), path.parent
 
 
-def _checked(model: type[Model], table: Any, path: str = "") -> Model:
-    """The model of a table; one below a path says which keys it has."""
-    try:
-        return model.model_validate(table)
-    except ValidationError as error:
-        known = f"; there are: {', '.join(model.model_fields)}" if path else ""
-        faults = []
-        for fault in error.errors():
-            # a union repeats the key with the name of the branch it tried
-            keys = [str(key) for key in fault["loc"] if key not in ("str", "list[str]")]
-            asked = fault["msg"].replace("Input should be", "must be")
-            message = {
-                "extra_forbidden": f"unknown key{known}",
-                "missing": "is missing",
-                "model_type": f"must be a table, got {shown(fault['input'])}",
-            }.get(fault["type"], f"{asked}, got {shown(fault['input'])}")
-            faults.append(f"{'.'.join(filter(None, [path, *keys]))}: {message}")
-        raise InputError("; ".join(dict.fromkeys(faults))) from error
+def _called(kind: Callable[..., Any], table: Any, path: str, folder: Path) -> Any:
+    """What a function or a record makes of a table whose keys are its arguments."""
+    if not isinstance(table, Mapping):
+        raise InputError(f"{path}: must be a table, got {shown(table)}")
+    keys, where = signature(kind).parameters, f"{path}." if path else ""
+    known = f"; there are: {', '.join(keys)}" if "." in path else ""
+    faults = [f"{where}{key}: unknown key{known}" for key in table if key not in keys]
+    faults += [
+        f"{where}{key}: is missing"
+        for key, argument in keys.items()
+        if argument.default is argument.empty and key not in table
+    ]
+    if faults:
+        raise InputError("; ".join(faults))
+    values = {key: _value(key, value, f"{where}{key}", folder) for key, value in table.items()}
+    with at_path(path):
+        return kind(**values)
 
 
-def _effects(tables: Mapping[str, Any], folder: Path) -> dict[str, Effect]:
+def _value(key: str, value: Any, path: str, folder: Path) -> Any:
+    """A value of a table: files are relative to the folder, tables become records."""
+    if key in ("mesh", "csv"):
+        return folder / as_path(path, value)
+    if key == "history":
+        return _history(value, path, folder)
+    if isinstance(value, Mapping) and "along" in value:
+        return _called(Profile, value, path, folder)
+    return value
+
+
+def _effects(tables: Any, folder: Path) -> dict[str, Effect]:
+    """Effects by the path of their table."""
+    if not isinstance(tables, Mapping):
+        raise InputError(f"effects: must be a table, got {shown(tables)}")
     effects: dict[str, Effect] = {}
     for name, table in tables.items():
         path = f"effects.{name}"
         if name not in EFFECTS:
             raise InputError(f"{path}: unknown key; there are: {', '.join(EFFECTS)}")
-        several = table if isinstance(table, list) else [table]
-        for k, one in enumerate(several):
-            label = f"{path}[{k}]" if several is table else path
-            effects[label] = _record(EFFECTS[name], one, label, folder)
+        several = (
+            {f"{path}[{k}]": one for k, one in enumerate(table)}
+            if isinstance(table, list)
+            else {path: table}
+        )
+        for label, one in several.items():
+            effects[label] = _called(EFFECTS[name], one, label, folder)
     return effects
 
 
-def _record(kind: type, table: Any, path: str, folder: Path) -> Any:
-    """A record from a table whose keys are the record's fields."""
-    keys: dict[str, Any] = {
-        field.name: (
-            float if field.type == "float" else Any,
-            ... if field.default is MISSING else field.default,
-        )
-        for field in fields(kind)
-    }
-    _checked(create_model(kind.__name__, __base__=_Part, **keys), table, path)
-    values = dict(table)
-    for key, value in table.items():
-        if key == "history":
-            values[key] = _history(value, f"{path}.{key}", folder)
-        elif isinstance(value, Mapping) and "along" in value:
-            values[key] = _record(Profile, value, f"{path}.{key}", folder)
-    with at_path(path):
-        return kind(**values)
-
-
-def _history(table: Any, path: str, folder: Path) -> History:
+def _history(table: Any, path: str, folder: Path) -> Any:
+    """The history that a table states."""
     match table:
         case {"csv": _}:
-            source = _checked(_CsvColumn, table, path)
-            with at_path(path):
-                return Table.from_csv(
-                    folder / source.csv, source.column, time=source.time, scale=source.scale
-                )
+            return _called(_column, table, path, folder)
         case {"waveform": str(name), **keys} if name in WAVEFORMS:
-            waveform: History = _record(WAVEFORMS[name], keys, path, folder)
-            return waveform
+            return _called(WAVEFORMS[name], keys, path, folder)
         case {"waveform": name}:
             known = ", ".join(WAVEFORMS)
             raise InputError(f"{path}.waveform: {shown(name)} is not among {known}")
-        case {"table": columns, **others} if not others:
-            rows = _checked(_Rows, columns, f"{path}.table")
-            with at_path(f"{path}.table"):
-                return Table(*check_points("t", rows.t, rows.values))
-        case {**keys}:
-            raise InputError(
-                f"{path}: must have one of csv, waveform or table; got {', '.join(map(str, keys))}"
-            )
-    raise InputError(f"{path}: must be a table with csv, waveform or table; got {shown(table)}")
+        case {"table": points, **others} if not others:
+            return _called(_points, points, f"{path}.table", folder)
+    given = ", ".join(map(str, table)) if isinstance(table, Mapping) else shown(table)
+    raise InputError(f"{path}: must have one of csv, waveform or table; got {given}")
+
+
+def _time(end: float, steps: int) -> dict[str, Any]:
+    return {"t_end": number("end", end, 0.0, strict=True), "steps": count("steps", steps)}
+
+
+def _column(csv: Path, column: str, time: str = "t", scale: float = 1.0) -> Table:
+    return Table.from_csv(csv, column, time=time, scale=scale)
+
+
+def _points(t: Any, values: Any) -> Table:
+    return Table(*check_points("t", t, values))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,10 @@ import skfem
 from numpy.typing import ArrayLike, NDArray
 from skfem.helpers import dot, grad
 
-from sweepopt.checks import choice, floats
+from sweepopt.checks import choice, floats, listed
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import ANY, Datum, Range, check_datum, evaluate
-from sweepopt.fem.mesh import Indices, check_mesh
+from sweepopt.fem.mesh import Indices, check_mesh, read_mesh
 
 Array = NDArray[np.float64]
 
@@ -37,9 +38,9 @@ class Discretisation:
 
     Parameters
     ----------
-    mesh : skfem.MeshTri
-        `MeshTri2` for curved edges.
-    clamped : sequence of str
+    mesh : skfem.MeshTri, str or Path
+        `MeshTri2` for curved edges; a path is read by `read_mesh`.
+    clamped : str or sequence of str
         Names of the boundaries that make up Gamma_1.
     element : {"P1", "P2"}
 
@@ -67,18 +68,30 @@ class Discretisation:
     """
 
     mesh: skfem.MeshTri
-    clamped: Sequence[str]
+    clamped: Sequence[str] = "clamped"
     element: str = "P1"
 
     def __post_init__(self) -> None:
         choice("element", self.element, ELEMENTS)
+        if isinstance(self.mesh, (str, Path)):
+            object.__setattr__(self, "mesh", read_mesh(self.mesh))
         if not isinstance(self.mesh, skfem.MeshTri):
             raise InputError(
                 "mesh must be a path or a mesh of triangles (skfem.MeshTri), "
                 f"got {shown(self.mesh)}"
             )
         check_mesh(self.mesh)
-        self._refuse_loose_pieces()
+        object.__setattr__(self, "clamped", boundary_names("clamped", self.clamped))
+        facets, _ = self.edges("clamped", self.clamped)
+        # a is coercive only if every piece of the body is clamped somewhere
+        _, piece = sp.csgraph.connected_components(self.mesh.p2t.T @ self.mesh.p2t)
+        loose = ~np.isin(piece, piece[self.mesh.facets[:, facets]])
+        if loose.any():
+            x, y = self.mesh.p[:, np.argmax(loose)]
+            raise InputError(
+                f"clamped: nothing holds the piece of the body with the point ({x:g}, {y:g}); "
+                "clamp an edge of every piece (a must be coercive)"
+            )
         if not self.dim:
             raise InputError(
                 f"clamped: holding {', '.join(self.clamped)} leaves no unknown; "
@@ -89,10 +102,6 @@ class Discretisation:
     def basis(self) -> skfem.CellBasis:
         """The scikit-fem basis in the triangles, of all degrees of freedom."""
         return skfem.CellBasis(self.mesh, ELEMENTS[self.element], intorder=QUADRATURE[self.element])
-
-    def edge_basis(self, facets: Indices, **rule: Any) -> skfem.FacetBasis:
-        """The basis on some edges, with scikit-fem's `intorder` or `quadrature` for a rule."""
-        return skfem.FacetBasis(self.mesh, ELEMENTS[self.element], facets=facets, **rule)
 
     def edge_nodes(self, facets: Indices) -> Indices:
         """Degrees of freedom along each edge: start, (middle,) end; shape (2 or 3, m)."""
@@ -163,20 +172,6 @@ class Discretisation:
         check_datum("function", function)
         return evaluate("function", function, self.points.T, {})[self.free]
 
-    def _refuse_loose_pieces(self) -> None:
-        """a is coercive only if every piece of the body is clamped somewhere."""
-        clamped, _ = self.edges("clamped", self.clamped)
-        facets, size = self.mesh.facets, self.mesh.nvertices
-        links = sp.coo_array((np.ones(facets.shape[1]), facets), shape=(size, size))
-        _, piece = sp.csgraph.connected_components(links, directed=False)
-        loose = np.setdiff1d(self.mesh.t, np.flatnonzero(np.isin(piece, piece[facets[:, clamped]])))
-        if loose.size:
-            x, y = self.mesh.p[:, loose[0]]
-            raise InputError(
-                f"clamped: nothing holds the piece of the body with the point ({x:g}, {y:g}); "
-                "clamp an edge of every piece (a must be coercive)"
-            )
-
 
 STIFFNESS = skfem.BilinearForm(lambda u, v, w: w.c * dot(grad(u), grad(v)))
 LOAD = skfem.LinearForm(lambda v, w: w.c * v)
@@ -200,14 +195,23 @@ def assemble(
     basis, groups = body.basis, body.mesh.subdomains or {}
     if on:
         facets, groups = body.edges("on", on)
-        basis = body.edge_basis(facets, intorder=QUADRATURE[body.element])
+        order = QUADRATURE[body.element]
+        basis = skfem.FacetBasis(body.mesh, basis.elem, facets=facets, intorder=order)
     values = evaluate(name, coefficient, basis.global_coordinates(), groups, allowed)
     with np.errstate(over="ignore", invalid="ignore"):
         integrals = form.assemble(basis, c=skfem.DiscreteField(values))[body.free]
     if sp.issparse(integrals):
         integrals = sp.csc_array(integrals[:, body.free])
-    refuse_overflow(name, integrals.data if sp.issparse(integrals) else integrals)
+    refuse_overflow(name, integrals.data)
     return integrals
+
+
+def boundary_names(argument: str, value: object) -> tuple[str, ...]:
+    """One name or several as a tuple of distinct strings."""
+    names = (value,) if isinstance(value, str) else listed(argument, value)
+    if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+        raise InputError(f"{argument} must be a name or distinct names, got {shown(value)}")
+    return names
 
 
 def refuse_overflow(name: str, integrals: ArrayLike) -> None:

@@ -11,7 +11,7 @@ from sweepopt.integrate.checkpoint import (
     newest,
     require_same_problem,
 )
-from sweepopt.integrate.exact import Trajectory, mover
+from sweepopt.integrate.exact import Trajectory
 from sweepopt.integrate.field import velocity_field
 from sweepopt.integrate.grid import (
     check_stability,
@@ -62,7 +62,6 @@ __all__ = [
     "divided",
     "evaluation_times",
     "integrate",
-    "mover",
     "newest",
     "observer",
     "require_same_problem",

@@ -28,13 +28,13 @@ from sweepopt.errors import (
 )
 from sweepopt.integrate.adaptive import Adaptive
 from sweepopt.integrate.fingerprint import fingerprint
-from sweepopt.integrate.json_arrays import pack, unpack
+from sweepopt.integrate.json_arrays import decoded, encoded
 from sweepopt.integrate.options import SolveOptions
 from sweepopt.integrate.record import Grid, Run
 from sweepopt.io import read_npz, remove_parts, versions_of, writable, write_npz
 from sweepopt.problem import SweepingProcess
 
-SCHEMA = 3
+SCHEMA = 4
 PACKAGES = ("numpy", "scipy", "cvxpy", "osqp", "clarabel", "cvxopt", "daqp", "pyamg")
 """Their versions may change the last bits of a result."""
 WRITES = 100  # of a run, at whose ends it may be written down if nobody says how many steps
@@ -82,8 +82,8 @@ class Checkpoint:
     def __post_init__(self) -> None:
         if self.steps is not None:
             object.__setattr__(self, "steps", count("steps", self.steps))
-        if self.seconds is not None:
-            object.__setattr__(self, "seconds", number("seconds", self.seconds, minimum=0.0))
+        pause = self.seconds if self.seconds is not None else 0.0 if self.steps else SECONDS
+        object.__setattr__(self, "seconds", number("seconds", pause, minimum=0.0))
         writable("checkpoint", self.path)
 
     @property
@@ -138,11 +138,8 @@ def newest(checkpoint: Checkpoint) -> StoredRun:
             damage = damage or error
             continue
         if damage:
-            warn(
-                f"{damage}. The run goes on from the checkpoint before it, after step "
-                f"{stored.done}",
-                CheckpointWarning,
-            )
+            goes_on = "The run goes on from the checkpoint before it, after step"
+            warn(f"{damage}. {goes_on} {stored.done}", CheckpointWarning)
         return stored
     raise damage or InputError(f"there is no checkpoint {checkpoint.file}")
 
@@ -150,9 +147,9 @@ def newest(checkpoint: Checkpoint) -> StoredRun:
 def _read(file: Path) -> StoredRun:
     try:
         record, arrays = read_npz(file)
+    except FileNotFoundError:
+        raise
     except OSError as error:
-        if isinstance(error, FileNotFoundError):
-            raise
         raise InputError(f"{file} cannot be read ({error.strerror or error})") from error
     if "schema" not in record:
         raise DamagedFileError(f"{file} is no checkpoint")
@@ -180,10 +177,8 @@ def require_same_problem(stored: StoredRun, process: SweepingProcess, times: np.
         if was.get(name) != here.get(name)
     ]
     if changed:
-        warn(
-            f"the run began with other versions, last bits may differ: {', '.join(changed)}",
-            CheckpointWarning,
-        )
+        differ_in = f"last bits may differ: {', '.join(changed)}"
+        warn(f"the run began with other versions, {differ_in}", CheckpointWarning)
 
 
 def _versions() -> dict[str, str]:
@@ -269,54 +264,52 @@ class CheckpointWriter:
 
     def begin(self, run: Run) -> None:
         """Write down the start of a run, or take it to where the stored one is."""
-        stored, checkpoint = self.stored, self.checkpoint
+        stored = self.stored
         if stored:
             try:
                 run.restore(stored.record["run"], stored.arrays)
-                self.recorded[:] = unpack(stored.record["recorded"], stored.arrays["recorded"])
+                self.recorded[:] = decoded(stored.record["recorded"])
             except (KeyError, ValueError, TypeError, IndexError) as error:
                 raise DamagedFileError(f"{stored.file} does not fit together: {error}") from error
-        try:
-            remove_parts(checkpoint.file)
-            if not stored:
-                checkpoint.previous.unlink(missing_ok=True)  # that of another run
-            elif stored.file == checkpoint.previous:
-                # the whole one must not give way to the damaged one
-                checkpoint.file.unlink(missing_ok=True)
-        except OSError as error:
-            raise CheckpointError(
-                f"{checkpoint.file} cannot be replaced ({error.strerror or error})"
-            ) from error
-        if not stored:
-            self._write(run, None)
+        # in the place of a damaged one too, which must not take that of the whole one before it
+        self._write(run, None)
 
     def __call__(self, run: Run) -> bool:
         """Write the run down if it is time; whether a run can be continued from this step."""
         if run.done == 1:
-            pack(self.recorded)  # says so now if it cannot
-        at, last = self.checkpoint, run.done == run.steps
-        if run.done % (at.steps or -(-run.steps // WRITES)) and not last:
+            self._records()  # says so now if they cannot be stored
+        last = run.done == run.steps
+        if run.done % (self.checkpoint.steps or -(-run.steps // WRITES)) and not last:
             return False
-        seconds = at.seconds
-        if seconds is None:
-            seconds = SECONDS if at.steps is None else 0.0
-        if last or clock.monotonic() - self.written >= seconds:
-            self._write(run, at.previous)
+        if last or clock.monotonic() - self.written >= (self.checkpoint.seconds or 0.0):
+            self._write(run, self.checkpoint.previous)
             self.written = clock.monotonic()
         return True
 
+    def _records(self) -> Any:
+        try:
+            return encoded(self.recorded)
+        except TypeError as error:
+            raise InputError(
+                "save: with a checkpoint= a function returns numbers or arrays, text, or tuples, "
+                f"lists and dicts of them; it returned {shown(self.recorded[-1])}"
+            ) from error
+
     def _write(self, run: Run, previous: Path | None) -> None:
         state, arrays = run.store()
-        records, arrays["recorded"] = pack(self.recorded)
-        file = self.checkpoint.file
+        file, record = self.checkpoint.file, {**self.about, "run": state}
         try:
-            write_npz(file, {**self.about, "run": state, "recorded": records}, arrays, previous)
+            if previous is None:
+                remove_parts(file)
+                if not self.stored:
+                    self.checkpoint.previous.unlink(missing_ok=True)  # that of another run
+            write_npz(file, {**record, "recorded": self._records()}, arrays, previous)
         except OSError as error:
             older = file.exists() or self.checkpoint.previous.exists()
+            before = f"the one before is whole: resume {file}" if older else "there is none before"
             raise CheckpointError(
-                f"the checkpoint after step {run.done} cannot be written "
-                f"({error.strerror or error}); "
-                + (f"the one before is whole: resume {file}" if older else "there is none before")
+                f"the checkpoint {file} cannot be replaced after step {run.done} "
+                f"({error.strerror or error}); {before}"
             ) from error
 
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.loads import History, Separable
-from sweepopt.problem import SweepingProcess
-from sweepopt.sets import ConvexSet, MovingSet
+from sweepopt.loads import History
+from sweepopt.problem import SweepingProcess, motion
+from sweepopt.sets import ConvexSet
 
 SAMPLES = 256  # times at which C(t) is compared
 ENTRIES = 2e7  # that the vectors there may have in all: more take seconds
@@ -23,37 +24,36 @@ def fingerprint(process: SweepingProcess, times: np.ndarray) -> dict[str, str]:
     A function of time is compared by the values it gives there, data and shapes by their numbers.
     """
     count = int(np.clip(ENTRIES / process.dim, 16, SAMPLES))
-    some = np.unique(np.linspace(0, len(times) - 1, count).astype(int))
-    members = [process.C.at(t) for t in times[some].tolist()]
-    parts = {"A": process.A, "B": process.B, "u0": process.u0, "C(t)": [process.C, members]}
-    known: dict[int, str] = {}
-    return {name: _checksum(part, known) for name, part in parts.items()}
+    some = times[np.unique(np.linspace(0, len(times) - 1, count).astype(int))]
+    moving = motion(process.C)
+    loads = [load for load in (moving.center, moving.scale, moving.offsets) if load is not None]
+    C = [moving.shape, *((load.terms, load.at(some)) for load in loads)]
+    if moving.shape is None:
+        C += [process.C.at(t) for t in some.tolist()]
+    parts = {"A": process.A, "B": process.B, "u0": process.u0, "C(t)": C}
+    return {
+        name: hashlib.sha256(b" ".join(_bytes(part))).hexdigest() for name, part in parts.items()
+    }
 
 
-def _checksum(value: Any, known: dict[int, str]) -> str:
-    """sha256 of a nest of sets, loads, arrays and numbers; `known` are sets that many share."""
-    if id(value) in known:
-        return known[id(value)]
-    text: str = type(value).__name__
-    parts: list[Any] = []
-    if isinstance(value, (ConvexSet, MovingSet, Separable, History)):
-        parts = _attributes(value)
-    elif isinstance(value, (list, tuple)):
-        parts = list(value)
+def _bytes(value: Any) -> Iterator[bytes]:
+    """Those of a nest of sets, loads, arrays and numbers; of another object its type alone."""
+    yield type(value).__name__.encode()
+    if isinstance(value, (ConvexSet, History)):
+        value = _attributes(value)
     elif sp.issparse(value):
         matrix = sp.csc_array(value)
         places = (index.astype(np.int64) for index in (matrix.indices, matrix.indptr))
-        parts = [matrix.shape, matrix.data, *places]
-    elif isinstance(value, np.ndarray):
-        content = hashlib.sha256(np.ascontiguousarray(value).data).hexdigest()
-        text = f"{value.dtype.str} {value.shape} {content}"
-    elif value is None or isinstance(value, (str, int, float, np.generic)):
-        text = repr(value.item() if isinstance(value, np.generic) else value)
-    whole = " ".join([text, *(_checksum(part, known) for part in parts)])
-    checksum = hashlib.sha256(whole.encode()).hexdigest()
-    if isinstance(value, ConvexSet):
-        known[id(value)] = checksum
-    return checksum
+        value = [matrix.shape, matrix.data, *places]
+    if isinstance(value, (list, tuple)):
+        yield str(len(value)).encode()
+        for part in value:
+            yield from _bytes(part)
+    elif isinstance(value, (np.ndarray, np.generic)):
+        yield f"{value.dtype.str} {value.shape}".encode()
+        yield value.tobytes()
+    elif value is None or isinstance(value, (str, int, float)):
+        yield repr(value).encode()
 
 
 def _attributes(value: Any) -> list[Any]:

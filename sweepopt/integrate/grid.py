@@ -35,16 +35,12 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
     if end is not None and abs(times[-1] - end) > TIME_SLACK * abs(times[-1]):
         raise InputError(f"steps end at {times[-1]:g}, but t_end is {end:g}; leave t_end out")
     mus = np.diff(times)
-    order = np.argsort(mus, kind="stable")
-    rounding = 4 * EPS * np.abs(times).max()
-    group = np.cumsum(np.diff(mus[order], prepend=mus[order[0]]) > rounding)
-    ordered, counts = mus[order], np.bincount(group)
-    last = np.cumsum(counts) - 1
+    order, rounding = np.argsort(mus), 4 * EPS * np.abs(times).max()
+    group = np.zeros(len(mus), dtype=int)
+    group[order[1:]] = np.cumsum(np.diff(mus[order]) > rounding)
+    mean = (np.bincount(group, weights=mus) / np.bincount(group))[group]
     # neighbours by rounding may drift apart in a long chain: then each keeps its own
-    one_size = ordered[last] - ordered[last - counts + 1] <= 4 * rounding
-    sizes = np.bincount(group, weights=ordered) / counts
-    mus[order] = np.where(one_size[group], sizes[group], ordered)
-    return times, mus
+    return times, np.where(np.abs(mean - mus) <= 2 * rounding, mean, mus)
 
 
 def divided(times: np.ndarray, parts: int) -> np.ndarray:

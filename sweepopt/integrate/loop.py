@@ -9,11 +9,11 @@ import time as clock
 from collections.abc import Callable
 
 import numpy as np
-import scipy.sparse as sp
 from scipy.linalg import blas
 
 from sweepopt.checks import HUGE
 from sweepopt.errors import Status
+from sweepopt.integrate.exact import exact_steps
 from sweepopt.integrate.overshoot import longest_safe, overshot
 from sweepopt.integrate.record import Run
 from sweepopt.integrate.schemes import Scheme
@@ -23,7 +23,6 @@ from sweepopt.integrate.step import (
     Step,
     Velocities,
     compensated_sum,
-    step,
 )
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan, Velocity
@@ -60,21 +59,27 @@ def integrate(
     mus, steps = run.grid.mus, run.steps
     starts, sizes = run.grid.times.data, mus.data  # these give floats of Python
     velocities = velocities or Velocities(process, plan)
+    take = exact_steps(process, plan, run) if plan.scheme.exact else velocities.step
     safe, limit = longest_safe(process, plan, mus), _largest_state(process, plan.scheme)
     u, compensation = run.u, run.compensation
     try:
         for i in range(run.done, steps):
             began = clock.perf_counter()
-            t, mu = starts[i], sizes[i]
-            result = step(process, plan, velocities, t, mu, u)
+            mu = sizes[i]
+            result = take(starts[i], mu, u)
+            if result is None:
+                return
             velocity = result.velocity
             if full_certificate is not None and not velocity.relative > plan.tol:
                 velocity = full_certificate(i, u, velocity)
-            following, compensation = compensated_sum(u, mu * velocity.z, compensation)
+            if result.end is None:
+                following, compensation = compensated_sum(u, mu * velocity.z, compensation)
+            else:
+                following = result.end
             if velocity.relative > plan.tol or not blas.dnrm2(following) <= limit:
                 run.status, run.relative = Status.INEXACT, velocity.relative
-                run.cause = f"step {i} from t = {t:g}: " + _cause(
-                    process, t, velocity, result, plan.tol
+                run.cause = f"step {i} from t = {starts[i]:g}: " + _cause(
+                    process, plan, starts[i], velocity, result
                 )
                 return
             if velocity.relative != velocity.relative:
@@ -96,26 +101,27 @@ def integrate(
 
 def _largest_state(process: SweepingProcess, scheme: Scheme) -> float:
     """The largest |u|: where B enters explicitly, B u beyond what can be squared is a blow-up."""
-    B = process.B
-    if B is None or not scheme.explicit:
+    if process.B is None or not scheme.explicit:
         return HUGE**2
-    entries = B.data if sp.issparse(B) else B.ravel(order="K")
-    return 1e-5 * HUGE / max(blas.dnrm2(entries) if entries.size else 0.0, 1.0)
+    return HUGE / 1e10 / max(float(abs(process.B).max()), 1.0)
 
 
-def _cause(process: SweepingProcess, t: float, velocity: Velocity, result: Step, tol: float) -> str:
+def _cause(process: SweepingProcess, plan: Plan, t: float, velocity: Velocity, result: Step) -> str:
     """Why a step failed, as far as that can be known."""
-    if not velocity.relative > tol:
+    missed = f"{velocity.relative:.2g} of the velocity's size"
+    likely = "The data of this step are scaled too badly for double precision"
+    if plan.scheme.exact:
+        return (
+            f"the closed form misses the inclusion by {missed} at its end, tol is {plan.tol:g}. "
+            f"{likely}; loosen tol or use implicit-euler or sdirk2"
+        )
+    if not velocity.relative > plan.tol:
         return (
             "the state grows beyond all numbers, which only errors do that a scheme amplifies; "
             "take smaller steps or implicit-euler"
         )
-    best = (
-        f"the best certificate of {velocity.attempts} attempts is {velocity.relative:.2g} of the "
-        f"velocity's size, tol is {tol:g}"
-    )
+    best = f"the best certificate of {velocity.attempts} attempts is {missed}, tol is {plan.tol:g}"
     tried = f", and to take it in {PARTS[0]} to {PARTS[-1]} parts does not help"
-    likely = "The data of this step are scaled too badly for double precision"
     if result.parts:
         tried, likely = "", "A is too badly conditioned to recover all unknowns"
     elif result.cause:

@@ -69,19 +69,17 @@ def observer(
         bar.update()
         if not watchers:
             return False
-        t = float(times[i + 1])
         u, z = reconstruction.state(i + 1, u).copy(), reconstruction.velocity(i, z).copy()
-        step = StepInfo(i, t, u, z, certificate)
-        return any(_stops(watcher(step)) for watcher in watchers)
+        step = StepInfo(i, float(times[i + 1]), u, z, certificate)
+        for watcher in watchers:
+            answer = watcher(step)
+            try:
+                if answer:
+                    return True
+            except (TypeError, ValueError) as error:
+                raise InputError(
+                    "callback must return True to stop the run, or nothing; got " + shown(answer)
+                ) from error
+        return False
 
     return observe
-
-
-def _stops(answer: Any) -> bool:
-    """Whether the answer ends the run."""
-    try:
-        return bool(answer)
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"callback must return True to stop the run, or nothing; got {shown(answer)}"
-        ) from error

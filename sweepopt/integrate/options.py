@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from sweepopt.checks import choice, number
-from sweepopt.errors import InputError, PathError, shown
+from sweepopt.errors import InputError, PathError
 from sweepopt.integrate.adaptive import Adaptive
-from sweepopt.integrate.record import MEMORY
+from sweepopt.integrate.json_arrays import decoded, encoded
 from sweepopt.integrate.schemes import Scheme, choose
 from sweepopt.velocity import PATHS, REGISTRY
 
@@ -20,16 +19,16 @@ from sweepopt.velocity import PATHS, REGISTRY
 class SolveOptions:
     """What `solve` was asked for; see there. `steps` and `save` are checked with the process."""
 
-    t_end: Any = None
-    steps: Any = 1000
-    scheme: Any = "auto"
-    solver: Any = "auto"
-    tol: float = 1e-6
-    path: str = "auto"
-    save: Any = None
-    memory: float = MEMORY
-    on_failure: str = "raise"
-    on_unstable: str = "raise"
+    t_end: Any
+    steps: Any
+    scheme: Any
+    solver: Any
+    tol: float
+    path: str
+    save: Any
+    memory: float
+    on_failure: str
+    on_unstable: str
 
     def __post_init__(self) -> None:
         choice("path", self.path, PATHS)
@@ -61,20 +60,21 @@ class SolveOptions:
         """
 
         def plain(value: Any) -> Any:
-            if callable(value) and value is self.save:
+            if callable(value):
                 return {"function": True}
             for name, kind in REGISTRY.items():
                 if type(value) is kind:
-                    return {"solver": name, "settings": asdict(value)}
-            if np.asarray(value).dtype == object:
-                raise InputError(
-                    "with checkpoint= options are written to a file: a solver must be one of the "
-                    "library's own and its settings plain, other options numbers or text, "
-                    f"not {shown(value)}"
-                )
-            return np.asarray(value).tolist()
+                    return {"solver": name, "settings": encoded(asdict(value))}
+            return encoded(value if isinstance(value, str) else np.asarray(value)[()])
 
-        return dict(json.loads(json.dumps(vars(self), default=plain)))
+        try:
+            return {name: plain(value) for name, value in vars(self).items()}
+        except TypeError as error:
+            raise InputError(
+                "with checkpoint= options are written to a file: a solver must be one of the "
+                "library's own and its settings plain, other options numbers or text "
+                f"({error})"
+            ) from error
 
     @classmethod
     def from_json(cls, plain: dict[str, Any]) -> SolveOptions:
@@ -86,7 +86,7 @@ class SolveOptions:
                     return None
                 case {"solver": name, "settings": settings}:
                     kind: Any = REGISTRY[name]
-                    return kind(**settings)
-            return value
+                    return kind(**decoded(settings))
+            return decoded(value)
 
         return cls(**{name: option(value) for name, value in plain.items()})

@@ -1,7 +1,4 @@
-"""All unknowns of a proportional material from those that enter its steps (`Reduction`).
-
-u = A^-1 E^T N zeta + sum_k alpha_k F_k + alpha_0 F_0,   alpha_k' + rho alpha_k = phi_k
-"""
+"""All unknowns of a proportional material from those that enter its steps (`Reduction`)."""
 
 from __future__ import annotations
 
@@ -20,6 +17,8 @@ from sweepopt.integrate.step import compensated_sum
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Moving, Point
 from sweepopt.velocity import Reduction, Velocity
+
+Reconstruct = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 class _Coefficients(NamedTuple):
@@ -68,14 +67,14 @@ class Reconstruction:
     def state(self, node: int, u: np.ndarray) -> np.ndarray:
         """The state at a node of the grid."""
         reduction = self._plan.reduction
-        return u if reduction is None else reduction.reconstruct(u, self._coefficients.nodes[node])
+        return u if reduction is None else reduction.state(u, self._coefficients.nodes[node])
 
     def velocity(self, i: int, z: np.ndarray) -> np.ndarray:
         """The velocity of a step."""
         reduction = self._plan.reduction
         if reduction is None:
             return z
-        return reduction.reconstruct(z, self._coefficients.velocities[i])
+        return reduction.velocity(z, self._coefficients.velocities[i])
 
     def full_certificate(self, i: int, zeta: np.ndarray, velocity: Velocity) -> Velocity:
         """The certificate of all unknowns from that of those that entered the step.
@@ -99,7 +98,7 @@ class Reconstruction:
 
         def all_unknowns(t: np.ndarray, values: np.ndarray, of_phase: Evaluate) -> np.ndarray:
             pairs = zip(values, exact.evaluate(t, of_phase), strict=True)
-            return np.array([reduction.reconstruct(*pair) for pair in pairs])
+            return np.array([reduction.state(*pair) for pair in pairs])
 
         return replace(few, reconstruct=all_unknowns)
 
@@ -108,20 +107,21 @@ class Reconstruction:
         reduction, dim = self._plan.reduction, self._plan.unknowns
         if reduction is None:
             return entering
-        steps, reconstruct = entering.steps, reduction.reconstruct
+        steps = entering.steps
         nodes = np.append(0, steps + 1)
 
-        def all_unknowns(few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+        def each(one: Reconstruct, few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
             every = np.zeros((*few.shape[:-1], dim))
             for index in np.ndindex(few.shape[:-1]):
-                every[index] = reconstruct(few[index], alpha[index])
+                every[index] = one(few[index], alpha[index])
             return every
 
         def u(i: Index) -> np.ndarray:
-            return all_unknowns(entering.u(i), self._coefficients.nodes[nodes[i]])
+            return each(reduction.state, entering.u(i), self._coefficients.nodes[nodes[i]])
 
         def velocity(i: Index) -> np.ndarray:
-            return all_unknowns(entering.velocity(i), self._coefficients.velocities[steps[i]])
+            alpha = self._coefficients.velocities[steps[i]]
+            return each(reduction.velocity, entering.velocity(i), alpha)
 
         return States(steps, u, velocity)
 
@@ -131,22 +131,20 @@ def _coefficients(
 ) -> tuple[np.ndarray, np.ndarray]:
     """alpha at every node and its velocity in every step of a scheme of one stage.
 
-    alpha' = (phi - rho alpha) / (1 + gamma rho), phi at the stage, alpha at the start of the step.
+    alpha' = (psi - rho alpha) / (1 + gamma rho), psi the load's value at the stage, alpha at the
+    start of the step.
     """
     ((weight,),), (c,) = scheme.a, scheme.c
     ratios = (1 + weight * mus * reduction.rho)[:, None]
-    phi = reduction.load.values(times[:-1] + c * mus)
-    constant, slope = phi / ratios, np.broadcast_to(-reduction.rho / ratios, phi.shape).copy()
-    rest = reduction.steps_at_rest(phi)
-    constant[:rest, reduction.acts_beside] = 0.0
-    slope[:rest, -1] = 0.0
-    nodes = np.zeros((len(mus) + 1, phi.shape[1]))
-    velocities = np.zeros(phi.shape)
-    nodes[0, -1] = 1.0  # alpha_0
+    load = reduction.load
+    psi = load.values(times[:-1] + c * mus) @ load.shapes.T
+    constant, slopes = psi / ratios, (-reduction.rho / ratios[:, 0]).tolist()
+    nodes = np.zeros((len(mus) + 1, psi.shape[1]))
+    velocities = np.zeros(psi.shape)
     sizes = mus.tolist()
-    for k in range(phi.shape[1]):  # in plain numbers
-        alpha, compensation = float(nodes[0, k]), 0.0
-        each = zip(constant[:, k].tolist(), slope[:, k].tolist(), sizes, strict=True)
+    for k in range(psi.shape[1]):  # in plain numbers
+        alpha, compensation = 0.0, 0.0
+        each = zip(constant[:, k].tolist(), slopes, sizes, strict=True)
         for i, (a, b, mu) in enumerate(each):
             velocities[i, k] = velocity = a + b * alpha
             alpha, compensation = compensated_sum(alpha, mu * velocity, compensation)
@@ -156,7 +154,9 @@ def _coefficients(
 
 def _exact_coefficients(reduction: Reduction, times: np.ndarray) -> Trajectory:
     """alpha' + rho alpha = phi as a process of its own, which is linear."""
-    unit = np.eye(len(reduction.load.terms))
+    unit = np.eye(reduction.load.dim)
     C = Moving(Point(0 * unit[-1]), reduction.load)
-    process = SweepingProcess(unit, reduction.rho * unit if reduction.rho else None, C, unit[-1])
+    process = SweepingProcess(
+        unit, reduction.rho * unit if reduction.rho else None, C, 0 * unit[-1]
+    )
     return exact_trajectory(rows_of(process), process.u0, float(times[0]), float(times[-1]))

@@ -45,26 +45,23 @@ class States(NamedTuple):
     velocity: Callable[[Index], np.ndarray]
 
 
-NUMBERS = ("seconds", "iterations", "attempts", "certificate", "relative")
-ROW = np.dtype([*zip(NUMBERS, ("f4", "i4", "i4", float, float), strict=True), ("solver", "i2")])
-"""A step's statistics in 30 bytes; the solver is the number of its name."""
+COLUMNS = ["t", "seconds", "iterations", "attempts", "certificate", "relative", "solver"]
+ROW = np.dtype({"names": COLUMNS, "formats": ["f8", "f4", "i4", "i4", "f8", "f8", "i2"]})
+"""A step's statistics in 38 bytes; t is its end, the solver the number of its name."""
 
 
 class Statistics(NamedTuple):
-    """The statistics of n steps: when they end, rows of type ROW, names of solvers."""
+    """The statistics of n steps: rows of type ROW, names of solvers."""
 
-    ends: np.ndarray
     rows: np.ndarray
     solvers: tuple[str, ...]
 
     def table(self) -> np.ndarray:
         """A structured array with full numbers and the names themselves, shape (n,)."""
         names = np.array([*self.solvers, ""])
-        kinds = [(name, int if ROW[name].kind == "i" else float) for name in NUMBERS]
-        table = np.zeros(len(self.ends), [("t", float), *kinds, ("solver", names.dtype)])
-        table["t"], table["solver"] = self.ends, names[self.rows["solver"]]
-        for name in NUMBERS:
-            table[name] = self.rows[name]
+        kinds = [int if ROW[name].kind == "i" else float for name in COLUMNS[:-1]]
+        table = self.rows.astype({"names": COLUMNS, "formats": [*kinds, names.dtype]})
+        table["solver"] = names[self.rows["solver"]]
         return table
 
 
@@ -152,7 +149,7 @@ class Run:
         self.overshot: int | None = None
         self.exact: Trajectory | None = None
         # written to, all of it is in memory from here on: a run grows by nothing later
-        self._rows = np.full(len(grid.mus), 0, ROW)
+        self._rows, self._times = np.full(len(grid.mus), 0, ROW), grid.times.data
         self._solvers: dict[str, int] = {}
         self._nodes = np.zeros((self._kept.size + 1, u0.size))
         self._velocities = np.zeros((self._kept.size, u0.size))
@@ -186,10 +183,10 @@ class Run:
     ) -> None:
         """Take the next step: the state at its end, its mean velocity with what is known of it."""
         i, k, *_ = self._last
-        z, certificate, relative = velocity.z, velocity.certificate, velocity.relative
-        number = self._solvers.setdefault(velocity.solver, len(self._solvers))
-        work = velocity.iterations, velocity.attempts
-        self._rows[i] = seconds, *work, certificate, relative, number
+        z, certificate, relative, solver, iterations, attempts = velocity
+        number = self._solvers.setdefault(solver, len(self._solvers))
+        end = self._times[i + 1]
+        self._rows[i] = end, seconds, iterations, attempts, certificate, relative, number
         if i == self._kept[k]:
             self._nodes[k + 1], self._velocities[k] = u, z
             k += 1
@@ -208,12 +205,12 @@ class Run:
     def statistics(self, beside: float) -> Statistics:
         """Those of the steps that are done; each took so many seconds beside the loop."""
         rows = self._rows[: self.done].copy()
-        rows["seconds"] += np.float32(beside)
-        return Statistics(self.grid.times[1 : self.done + 1], rows, tuple(self._solvers))
+        rows["seconds"] += beside
+        return Statistics(rows, tuple(self._solvers))
 
     def store(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """All that `restore` needs, in terms of JSON and in arrays."""
-        done, k, u, velocity, compensation = self._last
+        done, k, *last = self._last
         plain = {
             "done": done,
             "steps": self.steps,
@@ -221,9 +218,12 @@ class Run:
             "overshot": self.overshot,
             "solvers": list(self._solvers),
         }
-        arrays = {"rows": self._rows[:done], "nodes": self._nodes[: k + 1]}
-        arrays |= {"velocities": self._velocities[:k], "u": u, "velocity": velocity}
-        return plain, {**arrays, "compensation": compensation}
+        return plain, {
+            "rows": self._rows[:done],
+            "nodes": self._nodes[: k + 1],
+            "velocities": self._velocities[:k],
+            "last": np.array(last),
+        }
 
     def restore(self, plain: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
         """Take the first steps from what an earlier run has stored."""
@@ -232,7 +232,8 @@ class Run:
         done, k = plain["done"], len(arrays["velocities"])
         self._rows[:done] = arrays["rows"]
         self._nodes[: k + 1], self._velocities[:k] = arrays["nodes"], arrays["velocities"]
-        self._last = done, k, arrays["u"], arrays["velocity"], arrays["compensation"]
+        u, velocity, compensation = arrays["last"]
+        self._last = done, k, u, velocity, compensation
 
 
 # ---- what is kept -------------------------------------------------------------------------------
@@ -253,38 +254,35 @@ def saving(save: Any, times: np.ndarray, dim: int, memory: float) -> Saving:
     InputError
         If save is none of what it may be, or the states do not fit.
     """
-    n = len(times) - 1
-    last = np.array([n - 1])
+    n, path = len(times) - 1, None
+    kept: Any = []
     if save is None:
-        chosen = Saving(np.arange(n))
-    elif isinstance(save, str) and save == "last":
-        chosen = Saving(last)
+        kept = np.arange(n)
     elif isinstance(save, (str, PathLike)):
-        if Path(save).suffix != ".nc":
+        if save != "last" and Path(save).suffix != ".nc":
             raise InputError(f"save is {shown(str(save))}; a file must end with .nc, or say 'last'")
-        chosen = Saving(last, path=writable("save", save))
-    elif callable(save):
-        chosen = Saving(last, function=save)
+        path = None if save == "last" else writable("save", save)
     elif isinstance(save, (int, np.integer)) and not isinstance(save, bool):
         if save < 1:
             raise InputError(f"save is {save}; a stride must be positive")
-        chosen = Saving(np.union1d(np.arange(min(save, n) - 1, n, min(save, n)), last))
+        kept = range(int(save) - 1, n, int(save))
     elif isinstance(save, Iterable) and axes(save):
-        chosen = Saving(np.union1d(_steps_ending_at(vector("save", save), times), last))
-    else:
+        kept = _steps_ending_at(vector("save", save), times)
+    elif not callable(save):
         raise InputError(
             f"save must be None, 'last', a stride, times, a function of (t, u, z) or the name of "
             f"an .nc file; got {shown(save)}"
         )
-    size = 8.0 * dim * (2 * chosen.steps.size + 1)
+    steps = np.union1d(np.array(kept, dtype=int), n - 1)  # the last one always
+    size = 8.0 * dim * (2 * steps.size + 1)
     if size > memory:
         raise InputError(
-            f"steps: keeping {chosen.steps.size} states and velocities of {dim} unknowns takes "
+            f"steps: keeping {steps.size} states and velocities of {dim} unknowns takes "
             f"{size / 1e9:.3g} GB, more than memory = {memory / 1e9:.3g} GB; pass save='last', "
             "save=k for every k-th step, save=[times], save=f(t, u, z) or save='run.nc', or a "
             "larger memory"
         )
-    return chosen
+    return Saving(steps, save if callable(save) else None, path)
 
 
 def _steps_ending_at(saved: np.ndarray, times: np.ndarray) -> np.ndarray:
@@ -297,4 +295,4 @@ def _steps_ending_at(saved: np.ndarray, times: np.ndarray) -> np.ndarray:
             f"save asks for t = {saved[away][0]:g}, which is not on the time grid; choose steps "
             "so that it is, or keep all steps and interpolate"
         )
-    return np.unique(nearest[nearest > 0] - 1)
+    return nearest[nearest > 0] - 1

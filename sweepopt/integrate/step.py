@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.errors import IndefiniteError
-from sweepopt.integrate.schemes import Scheme
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan, StateVelocity, Velocity, compile_velocity
 
@@ -22,8 +21,30 @@ INDEFINITE = "indefinite"  # who answers where A + gamma B is no matrix of a pro
 Stages = list[Velocity]
 
 
+class Step(NamedTuple):
+    """A step, whole or in equal parts.
+
+    Attributes
+    ----------
+    velocity : Velocity
+        The mean velocity with the worst certificate of the programs and all their work. In parts
+        that is no bound of the error of one whole step, which nobody knows.
+    parts : list of list of Velocity
+        What the stages of each part solved; none where no number of parts meets the tolerance.
+    cause : str
+        Why the step cannot be taken in parts at all.
+    end : ndarray or None
+        The state at its end, where that is not a sum.
+    """
+
+    velocity: Velocity
+    parts: list[Stages]
+    cause: str = ""
+    end: np.ndarray | None = None
+
+
 class Velocities:
-    """Compiled velocity programs, one per matrix A + gamma B."""
+    """The steps of a plan's scheme, and their velocity programs, one per matrix A + gamma B."""
 
     def __init__(self, process: SweepingProcess, plan: Plan) -> None:
         self._process, self._plan = process, plan
@@ -43,110 +64,70 @@ class Velocities:
         for velocity in self._compiled.values():
             velocity.forget()
 
+    def step(self, t: float, mu: float, u: np.ndarray) -> Step:
+        """A step of the plan's scheme that meets its tolerance, if there is one.
 
-class Step(NamedTuple):
-    """A step, whole or in equal parts.
-
-    Attributes
-    ----------
-    velocity : Velocity
-        The mean velocity with the worst certificate of the programs and all their work. In parts
-        that is no bound of the error of one whole step, which nobody knows.
-    parts : list of list of Velocity
-        What the stages of each part solved; none where no number of parts meets the tolerance.
-    cause : str
-        Why the step cannot be taken in parts at all.
-    """
-
-    velocity: Velocity
-    parts: list[Stages]
-    cause: str = ""
-
-
-def step(
-    process: SweepingProcess,
-    plan: Plan,
-    velocities: Velocities,
-    t: float,
-    mu: float,
-    u: np.ndarray,
-) -> Step:
-    """A step of the plan's scheme that meets its tolerance, if there is one.
-
-    One that misses it as a whole is tried in 2, 4, .. equal parts of the same scheme, until all of
-    them meet it: A + gamma mu / k B is nearer to A, and C(t) is asked for at other times. u moves
-    through the parts as through steps, so that the result is that of a finer grid.
-    """
-    scheme = plan.scheme
-    stages = _stages(process, scheme, velocities, t, mu, u)
-    whole = _mean(scheme.b, stages)
-    if not whole.relative > plan.tol:
-        return Step(whole, [stages])
-    work = [whole]
-    cause = ""
-    for count in PARTS:
-        h = mu / count
-        starts = t + h * np.arange(count)
-        try:
-            process.C.members(np.unique(starts[:, None] + h * np.array(scheme.c)))
-        except Exception as error:  # C(t) may have no value between the times of the grid
-            cause = str(error) or type(error).__name__
-            break
-        v, compensation, parts, means = u, np.zeros_like(u), [], []
-        for start in starts.tolist():
-            parts.append(_stages(process, scheme, velocities, start, h, v))
-            means.append(_mean(scheme.b, parts[-1]))
-            work.append(means[-1])
-            if means[-1].relative > plan.tol:
+        One that misses it as a whole is tried in 2, 4, .. equal parts of the same scheme, until
+        all of them meet it: A + gamma mu / k B is nearer to A, and C(t) is asked for at other
+        times. u moves through the parts as through steps, so that the result is that of a finer
+        grid.
+        """
+        scheme, tol = self._plan.scheme, self._plan.tol
+        stages = self._stages(t, mu, u)
+        whole = _mean(scheme.b, stages)
+        if not whole.relative > tol:
+            return Step(whole, [stages])
+        work, cause = [whole], ""
+        for count in PARTS:
+            h = mu / count
+            starts = t + h * np.arange(count)
+            try:
+                self._process.C.members(np.unique(starts[:, None] + h * np.array(scheme.c)))
+            except Exception as error:  # C(t) may have no value between the times of the grid
+                cause = str(error) or type(error).__name__
                 break
-            v, compensation = compensated_sum(v, h * means[-1].z, compensation)
-        else:
-            mean = _mean([1 / count] * count, means)
-            return Step(_with_work(mean._replace(solver=f"{mean.solver}/{count}"), work), parts)
-    return Step(_with_work(whole, work), [], cause)
+            v, compensation, parts, means = u, np.zeros_like(u), [], []
+            for start in starts.tolist():
+                parts.append(self._stages(start, h, v))
+                means.append(_mean(scheme.b, parts[-1]))
+                work.append(means[-1])
+                if means[-1].relative > tol:
+                    break
+                v, compensation = compensated_sum(v, h * means[-1].z, compensation)
+            else:
+                mean = _mean([1 / count] * count, means, work)
+                return Step(mean._replace(solver=f"{mean.solver}/{count}"), parts)
+        return Step(_mean((1.0,), [whole], work), [], cause)
+
+    def _stages(self, t: float, mu: float, u: np.ndarray) -> Stages:
+        """What the stages of the tableau solve, up to one that has no program.
+
+        A matrix A + gamma B that is not positive definite to rounding gives no velocity.
+        """
+        process, scheme = self._process, self._plan.scheme
+        stages: Stages = []
+        for weights, c in zip(scheme.a, scheme.c, strict=True):
+            start = u + mu * combination(weights[:-1], stages) if stages else u
+            gamma = mu * weights[-1] if process.B is not None else 0.0
+            try:
+                stages.append(self(gamma)(start, process.C.at(t + c * mu)))
+            except IndefiniteError:
+                return [Velocity(np.zeros_like(u), math.inf, math.inf, INDEFINITE)]
+        return stages
 
 
-def _stages(
-    process: SweepingProcess,
-    scheme: Scheme,
-    velocities: Velocities,
-    t: float,
-    mu: float,
-    u: np.ndarray,
-) -> Stages:
-    """What the stages of the tableau solve, up to one that has no program.
-
-    A matrix A + gamma B that is not positive definite to rounding gives no velocity.
-    """
-    stages: Stages = []
-    for weights, c in zip(scheme.a, scheme.c, strict=True):
-        start = u + mu * combination(weights[:-1], stages) if stages else u
-        gamma = mu * weights[-1] if process.B is not None else 0.0
-        try:
-            stages.append(velocities(gamma)(start, process.C.at(t + c * mu)))
-        except IndefiniteError:
-            return [Velocity(np.zeros_like(u), math.inf, math.inf, INDEFINITE)]
-    return stages
-
-
-def _mean(weights: Sequence[float], velocities: Stages) -> Velocity:
+def _mean(weights: Sequence[float], velocities: Stages, work: Stages | None = None) -> Velocity:
     """The weighted velocity, the worst certificate and all the work; the solver is the last one."""
-    if len(velocities) == 1:
+    if len(velocities) == 1 and work is None:
         return velocities[0]
+    work = work or velocities
     return Velocity(
         combination(weights, velocities),
         _worst(one.certificate for one in velocities),
         _worst(one.relative for one in velocities),
         velocities[-1].solver,
-        sum(one.iterations for one in velocities),
-        max(one.attempts for one in velocities),
-    )
-
-
-def _with_work(velocity: Velocity, work: Stages) -> Velocity:
-    """The velocity, and what was done until it was known."""
-    return velocity._replace(
-        iterations=sum(one.iterations for one in work), attempts=sum(one.attempts for one in work)
+        sum(one.iterations for one in work),
+        max(one.attempts for one in work),
     )
 
 

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
 from sweepopt.errors import MissingExtraError, SolverRefusedError
-from sweepopt.linalg.cholesky import Cholesky, Dense, cholesky
+from sweepopt.linalg.cholesky import Cholesky, cholesky, lapack_factor
 from sweepopt.linalg.conjugate_gradients import ConjugateGradients
 
 MEMORY_SHARE = 0.6  # of the physical memory, for factors: the rest is for mesh, states and Python
@@ -18,7 +18,7 @@ MEMORY_SHARE = 0.6  # of the physical memory, for factors: the rest is for mesh,
 
 def engine(
     M: Matrix, order: np.ndarray | None = None, kept: np.ndarray | None = None
-) -> Cholesky | Dense | ConjugateGradients:
+) -> Cholesky | ConjugateGradients:
     """What solves with M, and eliminates all unknowns but those that are kept.
 
     Parameters
@@ -36,7 +36,7 @@ def engine(
                 f"machine has {there / 1e9:.3g} GB, and conjugate gradients need a package: {error}"
             ) from error
     if kept is None:
-        return cholesky(M) if sp.issparse(M) else Dense(M)
+        return cholesky(M) if sp.issparse(M) else lapack_factor(M)
     M = sp.csc_array(M)
     order = cholesky(M).order if order is None else order
     return cholesky(M, np.concatenate([order[~np.isin(order, kept)], kept]), kept.size)

@@ -10,17 +10,15 @@ On the unit square with P1 elements, in ms on one core, a solve and the two subs
 
 Both take about a second to factorise 100,172 unknowns, SuperLU 14 to 17 s for 1,001,000.
 
-Both factorise M / unit = P^T L L^T P with P w = w[order], `unit` a power of two, in an order of
-their own if none is given; for a dense M there is LAPACK.
+Both factorise M = P^T L L^T P with P w = w[order], in an order of their own if none is given; for a
+dense M there is LAPACK.
 """
 
 from __future__ import annotations
 
-import math
 import threading
-from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -40,9 +38,58 @@ WHOLE, LOWER, UPPER, DIAGONAL = 0, 4, 5, 6  # CHOLMOD's numbers of M, L, L^T and
 _settings_lock = threading.Lock()
 
 
+@dataclass
+class Cholesky:
+    """M = P^T L L^T P, and the elimination of all but the last m unknowns of the order.
+
+    For M z = r + E^T s, E selecting the m, the last rows and columns T of L give the Schur
+    complement N = (E M^-1 E^T)^-1 = T T^T.
+
+    Attributes
+    ----------
+    pivots : ndarray
+        Those of the unknowns, as M counts them.
+    solve : callable
+        w -> M^-1 w, of one vector or of columns.
+    order : ndarray of int or None
+    forward, backward : callable
+        w -> L^-1 P w and y -> P^T L^-T y, of one vector, for a sparse M.
+    tail : ndarray, shape (m, m)
+        T.
+    """
+
+    pivots: np.ndarray
+    solve: Callable[[np.ndarray], np.ndarray]
+    order: Any = None
+    forward: Any = None
+    backward: Any = None
+    tail: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    method = "factors"
+
+    @property
+    def N(self) -> np.ndarray:
+        """The Schur complement."""
+        return self.tail @ self.tail.T
+
+    def reduce(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Forward substitution of r, and the force N E M^-1 r."""
+        forward = self.forward(r)
+        return forward, self.tail @ forward[-len(self.tail) :]
+
+    def size(self, forward: np.ndarray) -> float:
+        """|r|_{M^-1} from the forward substitution of r."""
+        return euclidean(forward)
+
+    def recover(self, forward: np.ndarray, zeta: np.ndarray) -> np.ndarray:
+        """z from the forward substitution of r and E z = zeta."""
+        y = forward.copy()
+        y[-len(self.tail) :] = self.tail.T @ zeta
+        return self.backward(y)
+
+
 def cholesky(M: Matrix, order: np.ndarray | None = None, m: int = 0) -> Cholesky:
     """A sparse M factorised; the last m unknowns of a given order have their block of L at hand."""
-    return (Cholmod if M.shape[0] <= LIMIT and has_cholmod() else SuperLU)(M, order, m)
+    return (cholmod if M.shape[0] <= LIMIT and has_cholmod() else superlu)(M, order, m)
 
 
 @cache
@@ -55,184 +102,80 @@ def has_cholmod() -> bool:
     return True
 
 
-def unit_of(M: Matrix) -> float:
-    """A power of two in the units of M: the roots of M / unit are the same to the last bit."""
-    return math.ldexp(1.0, math.frexp(float(M.diagonal().max()))[1])
+def lapack_factor(M: np.ndarray) -> Cholesky:
+    """A dense M factorised."""
+    lower = scipy.linalg.cholesky(M, lower=True)
+    return Cholesky(lower.diagonal() ** 2, lambda w: lapack.dpotrs(lower, w, lower=True)[0])
 
 
-class Cholesky(ABC):
-    """M / unit = P^T L L^T P, and the elimination of all but the last m unknowns of the order.
-
-    For M z = r + E^T s, E selecting the m, the last rows and columns T of L give the Schur
-    complement N = (E M^-1 E^T)^-1 = unit T T^T.
-
-    Attributes
-    ----------
-    order : ndarray of int
-    unit : float
-    pivots : ndarray
-        Those of the unknowns, as M counts and measures them.
-    tail : ndarray, shape (m, m)
-        T; only where all pivots are positive.
-    """
-
-    method = "factors"
-    order: np.ndarray
-    unit: float
-    pivots: np.ndarray
-    tail: np.ndarray
-
-    @abstractmethod
-    def solve(self, w: np.ndarray) -> np.ndarray:
-        """M^-1 w, of one vector or of columns."""
-
-    @abstractmethod
-    def forward(self, w: np.ndarray) -> np.ndarray:
-        """L^-1 P w, of one vector."""
-
-    @abstractmethod
-    def backward(self, y: np.ndarray) -> np.ndarray:
-        """P^T L^-T y, of one vector."""
-
-    @property
-    def N(self) -> np.ndarray:
-        """The Schur complement."""
-        return self.unit * (self.tail @ self.tail.T)
-
-    def reduce(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Forward substitution of r, and the force N E M^-1 r."""
-        forward = self.forward(r)
-        return forward, self.tail @ forward[-len(self.tail) :]
-
-    def size(self, forward: np.ndarray) -> float:
-        """|r|_{M^-1} from the forward substitution of r."""
-        return euclidean(forward) / math.sqrt(self.unit)
-
-    def recover(self, forward: np.ndarray, zeta: np.ndarray) -> np.ndarray:
-        """z from the forward substitution of r and E z = zeta."""
-        y = forward / self.unit
-        y[-len(self.tail) :] = self.tail.T @ zeta
-        return self.backward(y)
-
-
-class Dense:
-    """LAPACK's factor of a dense M."""
-
-    method, order = "factors", None
-
-    def __init__(self, M: np.ndarray) -> None:
-        self._lower = scipy.linalg.cholesky(M, lower=True)
-        self.pivots = self._lower.diagonal() ** 2
-
-    def solve(self, w: np.ndarray) -> np.ndarray:
-        """M^-1 w, of one vector or of columns."""
-        return lapack.dpotrs(self._lower, w, lower=True)[0]
-
-
-class Cholmod(Cholesky):
-    """CHOLMOD's L D L^T of M / unit, with ones on the diagonal of its L.
+def cholmod(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
+    """CHOLMOD's L D L^T, with ones on the diagonal of its L.
 
     Where a hard limit of memory (ulimit -v) is met, cvxopt 1.3 may end the process.
     """
+    from cvxopt import amd, cholmod, matrix, spmatrix
 
-    def __init__(self, M: Matrix, order: np.ndarray | None, m: int) -> None:
-        from cvxopt import amd, cholmod, matrix, spmatrix
+    lower = sp.tril(M, format="coo")
+    rows, columns = lower.row.astype(np.int64), lower.col.astype(np.int64)
+    triangle = spmatrix(lower.data, rows, columns, M.shape)
+    order = np.ravel(amd.order(triangle)) if order is None else order
 
-        self._matrix, self._solve = matrix, cholmod.solve
-        self.unit = unit_of(M)
-        lower = sp.tril(M, format="coo")
-        rows, columns = lower.row.astype(np.int64), lower.col.astype(np.int64)
-        triangle = spmatrix(lower.data / self.unit, rows, columns, M.shape)
-        self.order = np.ravel(amd.order(triangle)) if order is None else order
-        self._factor = _factorised(triangle, self.order)
-        D = 1 / self._system(DIAGONAL, np.ones(len(self.order)))
-        self._root = np.sqrt(np.abs(D))
-        self.pivots = np.empty_like(D)
-        self.pivots[self.order] = self.unit * D
-        if m and D.min() > 0:
-            tail = np.array(matrix(cholmod.getfactor(self._factor)[-m:, -m:]))
-            np.fill_diagonal(tail, 1.0)  # where D was
-            self.tail = tail * self._root[-m:]
-            self._factor = _factorised(triangle, self.order)  # getfactor has emptied it
+    def factorised() -> Any:
+        """The factor in this order and no other; the settings are the module's, not ours."""
+        with _settings_lock:
+            before = dict(cholmod.options)
+            cholmod.options.clear()
+            cholmod.options.update(SETTINGS)
+            try:
+                factor = cholmod.symbolic(triangle, matrix(order.astype(np.int64)))
+                cholmod.numeric(triangle, factor)
+            finally:
+                cholmod.options.clear()
+                cholmod.options.update(before)
+        return factor
 
-    def solve(self, w: np.ndarray) -> np.ndarray:
-        z = self._system(WHOLE, w)
-        z /= self.unit
-        return z
-
-    def forward(self, w: np.ndarray) -> np.ndarray:
-        y = self._system(LOWER, w[self.order])
-        y /= self._root
-        return y
-
-    def backward(self, y: np.ndarray) -> np.ndarray:
-        z = np.empty_like(y)
-        z[self.order] = self._system(UPPER, y / self._root)
-        return z
-
-    def _system(self, which: int, w: np.ndarray) -> np.ndarray:
-        x = self._matrix(np.asarray(w, dtype=float))
-        self._solve(self._factor, x, sys=which)
+    def system(which: int, w: np.ndarray) -> np.ndarray:
+        x = matrix(np.asarray(w, dtype=float))
+        cholmod.solve(factor, x, sys=which)
         return np.asarray(x).reshape(w.shape)
 
-
-def _factorised(A: Any, order: np.ndarray) -> Any:
-    """The factor of A in this order and no other."""
-    from cvxopt import cholmod, matrix
-
-    with _own_settings(cholmod.options):
-        factor = cholmod.symbolic(A, matrix(order.astype(np.int64)))
-        cholmod.numeric(A, factor)
-    return factor
-
-
-@contextmanager
-def _own_settings(options: dict[str, Any]) -> Iterator[None]:
-    """Our settings alone; they are the module's, others have theirs back."""
-    with _settings_lock:
-        before = dict(options)
-        options.clear()
-        options.update(SETTINGS)
-        try:
-            yield
-        finally:
-            options.clear()
-            options.update(before)
+    factor = factorised()
+    D, place = 1 / system(DIAGONAL, np.ones(len(order))), np.argsort(order)
+    root = np.sqrt(np.abs(D))
+    tail = np.zeros((0, 0))
+    if m:
+        tail = np.array(matrix(cholmod.getfactor(factor)[-m:, -m:]))
+        np.fill_diagonal(tail, 1.0)  # where D was
+        tail *= root[-m:]
+        factor = factorised()  # getfactor has emptied it
+    return Cholesky(
+        D[place],
+        lambda w: system(WHOLE, w),
+        order,
+        lambda w: system(LOWER, w[order]) / root,
+        lambda y: system(UPPER, y / root)[place],
+        tail,
+    )
 
 
-class SuperLU(Cholesky):
+def superlu(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
     """SuperLU's L U of M, whose U is D L^T: pivots stay on the diagonal.
 
     Their signs are the inertia (Sylvester). For the two substitutions apart L sqrt(D) is
     factorised once more.
     """
-
-    def __init__(self, M: Matrix, order: np.ndarray | None, m: int) -> None:
-        self._whole: Any = None
-        if order is None:
-            lu = spla.splu(sp.csc_matrix(M), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC)
-            self.order, self._whole = np.argsort(lu.perm_c), lu
-            self.pivots = lu.U.diagonal()[lu.perm_c]
-            return
-        self.order, self.unit = order, unit_of(M)
-        lu = spla.splu(sp.csc_matrix(M[order][:, order]), permc_spec="NATURAL", **SYMMETRIC)
-        pivots = lu.U.diagonal()
-        self.pivots = np.empty_like(pivots)
-        self.pivots[order] = pivots
-        if pivots.min() > 0:
-            lower = (lu.L @ sp.diags_array(np.sqrt(pivots / self.unit))).tocsc()
-            self.tail = lower[-m:, -m:].toarray()
-            self._triangle = spla.splu(lower, permc_spec="NATURAL", **SYMMETRIC)
-
-    def solve(self, w: np.ndarray) -> np.ndarray:
-        if self._whole is not None:
-            return self._whole.solve(w)
-        return self.backward(self.forward(w)) / self.unit
-
-    def forward(self, w: np.ndarray) -> np.ndarray:
-        return self._triangle.solve(w[self.order])
-
-    def backward(self, y: np.ndarray) -> np.ndarray:
-        z = np.empty_like(y)
-        z[self.order] = self._triangle.solve(y, "T")
-        return z
+    if order is None:
+        lu = spla.splu(sp.csc_matrix(M), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC)
+        return Cholesky(lu.U.diagonal()[lu.perm_c], lu.solve, np.argsort(lu.perm_c))
+    lu = spla.splu(sp.csc_matrix(M[order][:, order]), permc_spec="NATURAL", **SYMMETRIC)
+    pivots, place = lu.U.diagonal(), np.argsort(order)
+    lower = (lu.L @ sp.diags_array(np.sqrt(np.abs(pivots)))).tocsc()
+    triangle = spla.splu(lower, permc_spec="NATURAL", **SYMMETRIC)
+    return Cholesky(
+        pivots[place],
+        lambda w: lu.solve(w[order])[place],
+        order,
+        lambda w: triangle.solve(w[order]),
+        lambda y: triangle.solve(y, "T")[place],
+        lower[-m:, -m:].toarray(),
+    )

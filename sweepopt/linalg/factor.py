@@ -39,6 +39,10 @@ class Factor:
     ----------
     unknowns : ndarray of int or slice
         Those that a program with M has: all.
+    order : ndarray of int or None
+        An order of the unknowns with little fill, for a sparse M.
+    method : str
+        How its equations are solved, for people.
 
     Raises
     ------
@@ -82,16 +86,7 @@ class Factor:
         # relative to the diagonal: the test does not depend on units
         if not pivots.min() > PIVOT:
             raise IndefiniteError(f"{name} must be positive definite; it has an eigenvalue <= 0")
-
-    @property
-    def order(self) -> np.ndarray | None:
-        """An order of the unknowns with little fill, for a sparse M."""
-        return self._engine.order
-
-    @property
-    def method(self) -> str:
-        """How its equations are solved, for people."""
-        return self._engine.method
+        self.order, self.method = self._engine.order, self._engine.method
 
     def solve(self, w: np.ndarray) -> np.ndarray:
         """M^-1 w."""
@@ -118,6 +113,12 @@ class Factor:
         """M^-1 of each row, shape (k, dim)."""
         return self.solve(np.asfortranarray(rows.T)).T
 
+    @cached_property
+    def inverse(self) -> np.ndarray:
+        """M^-1, of a matrix of few unknowns."""
+        inverse = self.solve_many(np.eye(self.dim))
+        return 0.5 * (inverse + inverse.T)
+
     def dual_norm_bound(self, w: np.ndarray) -> float:
         """A bound of |w|_{M^-1} that costs no solve: |D^-1/2 w| / sqrt(lambda_min), D = diag(M).
 
@@ -129,10 +130,8 @@ class Factor:
         """M z + q, with more digits where rounding may exceed `enough` * |z|_M, and |z|_M."""
         force = self.M.dot(z)
         size = math.sqrt(max(z.dot(force), 0.0))
-        sharp = self.is_sharp or enough * size >= self.rounding(
-            euclidean(self.root * z), euclidean(q / self.root)
-        )
-        return (force + q if sharp else self.precisely(z, q)), size
+        rounding = self.rounding(euclidean(self.root * z), euclidean(q / self.root))
+        return (force + q if rounding <= enough * size else self.precisely(z, q)), size
 
     def rounding(self, z: float, q: float) -> float:
         """A bound in |.|_{M^-1} of what M @ z + q rounds, without a solve.
@@ -148,27 +147,9 @@ class Factor:
         return UNIT * (self._spread * z + q) * self.bound_factor
 
     @cached_property
-    def is_sharp(self) -> bool:
-        """Whether M @ z never rounds more than a negligible share of |z|_M."""
-        return self._mistrust <= NEGLIGIBLE
-
-    @cached_property
-    def _mistrust(self) -> float:
-        """What M @ z may round as a share of |z|_M, and rounded factors of |w|_{M^-1}."""
-        return UNIT * self._spread * self.bound_factor**2
-
-    @cached_property
     def margin(self) -> float:
         """How much larger |w|_{M^-1} may be than rounded factors say."""
-        return 1 + min(self._mistrust, 1.0)
-
-    def resolution(self, z: np.ndarray) -> float:
-        """What entries of z that are rounded twice move it, in |.|_M."""
-        return 2 * UNIT * math.sqrt(self._spread) * euclidean(self.root * z)
-
-    def moved(self, w: np.ndarray, z: np.ndarray) -> float:
-        """A bound of |w|_{M^-1} + 2 |z|_M from bounds of their entries, without a solve."""
-        return self.dual_norm_bound(w) + 2 * self.stretch * euclidean(self.root * z)
+        return 1 + min(UNIT * self._spread * self.bound_factor**2, 1.0)
 
     @cached_property
     def stretch(self) -> float:
@@ -184,9 +165,7 @@ class Factor:
     @cached_property
     def precisely(self) -> Precise:
         """(z, *more) -> M z + the others, rounded once."""
-        brief = Precise(self.M, slices=2)
-        enough = brief.share * self._mistrust <= 0.1 * NEGLIGIBLE
-        return brief if enough else Precise(self.M)
+        return Precise(self.M)
 
     @cached_property
     def bound_factor(self) -> float:

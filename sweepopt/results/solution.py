@@ -95,12 +95,12 @@ class Solution:
     @property
     def complete(self) -> bool:
         """Whether all steps are kept."""
-        return len(self.steps) == len(self.statistics.ends)
+        return len(self.steps) == len(self.statistics.rows)
 
     @cached_property
     def _grid(self) -> np.ndarray:
         """All times of the run, kept or not, shape (n+1,)."""
-        return self.t if self.complete else np.append(self.t[0], self.statistics.ends)
+        return self.t if self.complete else np.append(self.t[0], self.statistics.rows["t"])
 
     @cached_property
     def _interpolant(self) -> Interpolant:

@@ -21,7 +21,7 @@ from sweepopt.errors import EmptySetError
 from sweepopt.linalg import dense, row_lengths
 from sweepopt.sets.base import RANK, ROUNDING
 
-DEPENDENT = 1e-14  # the part of a unit row outside of the span of others that counts as none
+DEPENDENT = 1e-14  # the part of a row outside of the span of others that is rounding
 EMPTY = "Polyhedron has no point: { w : G w <= h } is empty"
 
 
@@ -89,8 +89,13 @@ def _binding(
     system = np.vstack([-columns, s / s.min()])
     positive = scipy.optimize.nnls(system, goal, maxiter=30 * len(rows))[0] > 0
     rows, columns = rows[positive], columns[:, positive]
-    R, order = scipy.linalg.qr(columns, mode="r", pivoting=True)
-    rank = int((np.abs(R.diagonal()) > DEPENDENT).sum())
+    # entries of very different sizes, as in mixed units, each with its own rounding: sorted by size
+    # they keep it in R (A. Cox, N. Higham, Stability of Householder QR factorization, 1998)
+    sizes = np.abs(columns).max(axis=1, initial=0.0)
+    by_size = np.argsort(-sizes)
+    R, order = scipy.linalg.qr(columns[by_size], mode="r", pivoting=True)
+    diagonal = np.abs(R.diagonal())
+    rank = int((diagonal > DEPENDENT * sizes[by_size][: diagonal.size]).sum())
     basis, dependent = rows[order[:rank]], rows[order[rank:]]
     shares = scipy.linalg.solve_triangular(R[:rank, :rank], R[:rank, rank:])
     excess = shares.T @ slack[basis] - slack[dependent]

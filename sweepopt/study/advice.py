@@ -41,15 +41,15 @@ def advice(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
 
 def advice_table(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
     """The advice in words: a row a problem, a column a target, "-" where no cell meets it."""
-    chosen = advice(table, targets)
-    words = [
-        f"{row.scheme} {row.steps} {row.solver}, {1e3 * row.wall:.3g} ms"
-        for row in chosen.itertuples()
-    ]
-    wide = chosen.assign(words=words).pivot(index="problem", columns="target", values="words")
-    wide = wide.reindex(index=table.problem.unique(), columns=list(targets)).astype(object)
-    wide = wide.where(wide.notna(), "-")
-    return wide.rename(columns="{:g}".format).rename_axis(index=None, columns=None)
+    import pandas as pd
+
+    words = {
+        (row.problem, row.target): f"{row.scheme} {row.steps} {row.solver}, {1e3 * row.wall:.3g} ms"
+        for row in advice(table, targets).itertuples()
+    }
+    problems = table.problem.unique()
+    entries = [[words.get((problem, target), "-") for target in targets] for problem in problems]
+    return pd.DataFrame(entries, problems, [f"{target:g}" for target in targets])
 
 
 def summary(table: DataFrame, targets: Sequence[float] = TARGETS) -> str:

@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sweepopt.errors import InputError, SweepoptWarning, shown
+from sweepopt.errors import SweepoptWarning
 from sweepopt.io import find_study, read_toml
 from sweepopt.results import Solution
 from sweepopt.study.advice import advice, summary
@@ -19,6 +19,7 @@ from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
 from sweepopt.study.executors import Processes, dask_executor
 from sweepopt.study.hard.suite import HardRow, hard_study, hard_summary, rows
+from sweepopt.study.ledger import append_row
 from sweepopt.study.report import write_report
 from sweepopt.study.sources import find_source
 from sweepopt.study.study import Study, read_study, run
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 TABLE, DIAGRAM, HARD, REPORT = "table.csv", "diagram.png", "hard.csv", "report.html"
+HARD_ROWS = "hard.jsonl"
+"""Rows of hard cases, each as soon as it is finished."""
 SHOWN = 1e-2
 """Relative error of the runs in the report: their bands can be seen."""
 
@@ -39,12 +42,9 @@ def study_command(chosen: argparse.Namespace) -> None:
     folder = chosen.out or Path("results") / path.stem
     data = read_toml(path)
     hard = hard_study(data["hard"], f"{path}: ") if "hard" in data else None
-    alone, title = hard is not None and set(data) <= {"hard", "title"}, data.get("title", "")
-    table, solutions, files = None, {}, []
     judged: list[HardRow] = []
-    if not isinstance(title, str):
-        raise InputError(f"{path}: title must be a string, got {shown(title)}")
-    if not alone:
+    table, solutions, files = None, {}, []
+    if hard is None or data.keys() - {"hard", "title"}:
         study = read_study(path)
         with _executor(chosen) as executor:
             table = run(study, folder, executor=executor, progress=_say)
@@ -55,12 +55,15 @@ def study_command(chosen: argparse.Namespace) -> None:
         files += [TABLE, DIAGRAM]
     if hard is not None:
         # in this process, from the start: they take a minute a seed
-        judged = list(rows(**vars(hard), progress=_say))
         folder.mkdir(parents=True, exist_ok=True)
+        (folder / HARD_ROWS).unlink(missing_ok=True)
+        for row in rows(**vars(hard), progress=_say):
+            append_row(folder / HARD_ROWS, row)
+            judged.append(row)
         pd.DataFrame(judged).to_csv(folder / HARD, index=False)
         print(hard_summary(judged))
         files.append(HARD)
-    title = title or ("Hard cases" if alone else "What accuracy costs")
+    title = str(data.get("title", path.stem))
     write_report(table, folder / REPORT, solutions=solutions, hard=judged, title=title)
     print(f"written: {folder}: {', '.join([*files, REPORT])}")
 

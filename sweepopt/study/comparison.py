@@ -13,7 +13,7 @@ import io
 import math
 import time as clock
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from math import inf, nan
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -29,7 +29,6 @@ from sweepopt.study.sources import Source
 from sweepopt.velocity import (
     DAQP,
     OSQP,
-    Answer,
     Clarabel,
     Cvxpy,
     Newton,
@@ -63,6 +62,11 @@ LIMITS: dict[str, dict[str, Any]] = {
 """Iterations, for methods of first order."""
 SHIFT = 1e-3
 """Seconds: means are of log(time + SHIFT), so that what takes no time does not decide them."""
+LEGEND = """\
+solved   share of programs with a relative certificate within the accuracy
+ms       shifted geometric mean; unsolved programs count with the longest time of all
+x best   of those that solved all programs at that accuracy
+median, worst   relative certificates of the solver's own answers, unpolished"""
 
 
 class Program(NamedTuple):
@@ -73,47 +77,14 @@ class Program(NamedTuple):
     C: ConvexSet
 
 
-class Contestant(NamedTuple):
-    """A solver with the settings of one accuracy."""
-
-    name: str
-    setting: str
-    accuracy: float
-    solver: Solver
-
-
-class ComparedRow(NamedTuple):
-    """A row of the comparison.
-
-    Attributes
-    ----------
-    solver, setting : str
-        "cvxpy:..." goes through cvxpy's interface, the others are the library's own.
-    accuracy : float
-        Asked of the solver, and what the relative certificate is judged by.
-    programs : int
-    solved : float
-        Share of programs whose certificate is within the accuracy.
-    time : float
-        Seconds a program, shifted geometric mean. A program that was not solved counts with the
-        longest time that any contestant took for one.
-    ratio : float
-        time / the smallest time of that accuracy among those that solved all.
-    certificate, worst : float
-        Median and largest of the relative certificates; inf where there is none.
-    message : str
-        The first failure in words.
-    """
+class Trial(NamedTuple):
+    """A program given to a solver: seconds and relative certificate, or how the solver broke."""
 
     solver: str
     setting: str
     accuracy: float
-    programs: int = 0
-    solved: float = 0.0
-    time: float = nan
-    ratio: float = nan
+    seconds: float = nan
     certificate: float = inf
-    worst: float = inf
     message: str = ""
 
 
@@ -133,7 +104,13 @@ def compare(
     Returns
     -------
     pandas DataFrame
-        A row a solver and accuracy, with the columns of `ComparedRow`.
+        A row a solver ("cvxpy:..." through cvxpy's interface, the others are the library's own) and
+        setting, with the columns ``accuracy`` (asked of the solver, and what the relative
+        certificate is judged by), ``programs``, ``solved`` (share of the programs within the
+        accuracy), ``time`` (seconds a program, shifted geometric mean; one that was not solved
+        counts with the longest time that any solver took), ``ratio`` (of time to the smallest at
+        that accuracy among those that solved all), ``certificate`` and ``worst`` (median and
+        largest of the relative ones; inf where there is none) and ``message`` (a failure in words).
 
     Raises
     ------
@@ -144,57 +121,58 @@ def compare(
 
     programs = record(source, count("steps", steps))
     progress(f"{source.name}: {len(programs)} programs of {programs[0].q.size} unknowns")
-    trials = []
-    for contestant in contestants_for(programs[0].C):
-        progress(f"{contestant.name} {contestant.setting}")
-        trials.append((contestant, try_all(contestant, programs)))
-    longest = max((each.seconds.max(initial=0.0) for _, each in trials), default=nan)
-    rows = [_row(contestant, each, longest) for contestant, each in trials]
-    table = pd.DataFrame(rows, columns=list(ComparedRow._fields)).assign(programs=len(programs))
-    best = table[table.solved == 1.0].groupby("accuracy").time.min()
-    table["ratio"] = table.time / table.accuracy.map(best)
+    rows: list[Trial] = []
+    for setting, solver in solvers_for(programs[0].C):
+        progress(f"{solver.name} {setting}")
+        rows += trials(setting, solver, programs)
+    tried = pd.DataFrame(rows)
+    solved = tried.certificate <= tried.accuracy
+    tried = tried.assign(solved=solved, time=tried.seconds.where(solved, tried.seconds.max()))
+    table = (
+        tried.groupby(["solver", "setting", "accuracy"], sort=False)
+        .agg(
+            programs=("solved", "size"),
+            solved=("solved", "mean"),
+            time=("time", shifted_mean),
+            ratio=("time", shifted_mean),
+            certificate=("certificate", "median"),
+            worst=("certificate", "max"),
+            message=("message", "max"),
+        )
+        .reset_index()
+    )
+    table["ratio"] /= table.accuracy.map(table[table.solved == 1.0].groupby("accuracy").time.min())
     return table.sort_values(
         ["accuracy", "solved", "time"], ascending=[False, False, True], ignore_index=True
     )
 
 
-def contestants_for(C: ConvexSet) -> list[Contestant]:
-    """The library's own solvers and those installed for cvxpy, as far as they treat the set."""
-    exact: list[Solver] = [Newton(), DAQP()]
-    contestants = [Contestant(one.name, "high", ACCURACIES["high"], one) for one in exact]
+def solvers_for(C: ConvexSet) -> Iterator[tuple[str, Solver]]:
+    """The library's own solvers and those installed for cvxpy, with a setting, for a set."""
+    everyone: list[tuple[str, Solver]] = [("high", Newton()), ("high", DAQP())]
     for setting, tol in ACCURACIES.items():
-        solvers: list[Solver] = [Clarabel(tol=tol), OSQP(tol=tol)]
-        for name, keys in TOLERANCES.items():
-            if name in installed():
-                solvers.append(Cvxpy(name, {**dict.fromkeys(keys, tol), **LIMITS.get(name, {})}))
-        contestants += [Contestant(one.name, setting, tol, one) for one in solvers]
-    return [contestant for contestant in contestants if contestant.solver.treats(C)]
+        everyone += [(setting, Clarabel(tol=tol)), (setting, OSQP(tol=tol))]
+        for name in filter(TOLERANCES.get, installed()):
+            settings = {**dict.fromkeys(TOLERANCES[name], tol), **LIMITS.get(name, {})}
+            everyone.append((setting, Cvxpy(name, settings)))
+    return ((setting, solver) for setting, solver in everyone if solver.treats(C))
 
 
 @dataclass(frozen=True)
-class Recorder:
+class Recorder(Clarabel):
     """Clarabel, which notes what it is asked."""
 
     programs: list[Program] = field(default_factory=list)
-    name = "recorder"
-
-    def treats(self, C: ConvexSet) -> bool:
-        """Every set."""
-        return True
-
-    def refined(self) -> Solver | None:
-        """Clarabel alone: a program is noted once."""
-        return Clarabel()
 
     def compile(self, program: VelocityProgram) -> Solve:
         """Clarabel's, with a note of each call."""
-        answer = Clarabel().compile(program)
+        answer = super().compile(program)
 
-        def solve_(q: np.ndarray, C: ConvexSet) -> Answer:
+        def noted(q: np.ndarray, C: ConvexSet) -> Any:
             self.programs.append(Program(program, q.copy(), C))
             return answer(q, C)
 
-        return solve_
+        return noted
 
 
 def record(source: Source, steps: int) -> list[Program]:
@@ -209,57 +187,30 @@ def record(source: Source, steps: int) -> list[Program]:
     return recorder.programs
 
 
-class Trials(NamedTuple):
-    """Seconds and relative certificate of each program; none if the solver broke, and how."""
-
-    seconds: np.ndarray
-    certificates: np.ndarray
-    message: str = ""
-
-
-def try_all(contestant: Contestant, programs: Sequence[Program]) -> Trials:
+def trials(setting: str, solver: Solver, programs: Sequence[Program]) -> list[Trial]:
     """Every program in the order of time, a call that is not timed before the first one."""
     compiled: dict[int, Solve] = {}
-    seconds, certificates = [], []
+    blank, rows = Trial(solver.name, setting, ACCURACIES[setting]), []
     quiet = contextlib.redirect_stdout(io.StringIO())
     with quiet, warnings.catch_warnings(), one_thread():
         warnings.simplefilter("ignore")
-        try:
-            for statement, q, C in programs:
+        for statement, q, C in programs:
+            try:
                 if id(statement) not in compiled:
-                    compiled[id(statement)] = contestant.solver.compile(statement)
+                    compiled[id(statement)] = solver.compile(statement)
                     compiled[id(statement)](q, C)  # warm
                 started = clock.perf_counter()
-                answer = compiled[id(statement)](q, C)
-                seconds.append(clock.perf_counter() - started)
-                certificates.append(_certificate(statement, q, C, answer))
-        except Exception as error:  # a solver that breaks is a row of the table
-            return Trials(np.empty(0), np.empty(0), f"{type(error).__name__}: {error}")
-    return Trials(np.array(seconds), np.array(certificates))
+                z = compiled[id(statement)](q, C).z
+                seconds = clock.perf_counter() - started
+                relative = certify(statement.M, q, C, z).relative if np.isfinite(z).all() else inf
+                certificate = inf if math.isnan(relative) else relative
+                rows.append(blank._replace(seconds=seconds, certificate=certificate))
+            except Exception as error:  # a solver that breaks is a row of the table
+                rows.append(blank._replace(message=f"{type(error).__name__}: {error}"))
+    return rows
 
 
-def _certificate(statement: VelocityProgram, q: np.ndarray, C: ConvexSet, answer: Answer) -> float:
-    """The relative certificate of an answer, inf if there is none."""
-    if not (np.isfinite(answer.z).all() and np.isfinite(answer.y).all()):
-        return inf
-    relative = certify(statement.M, q, C, answer.z).relative
-    return inf if math.isnan(relative) else relative
-
-
-def _row(contestant: Contestant, trials: Trials, longest: float) -> ComparedRow:
-    row = ComparedRow(*contestant[:3], time=longest, message=trials.message)
-    if not trials.seconds.size:
-        return row
-    solved = trials.certificates <= contestant.accuracy
-    return row._replace(
-        solved=float(solved.mean()),
-        time=shifted_mean(np.where(solved, trials.seconds, longest)),
-        certificate=float(np.median(trials.certificates)),
-        worst=float(trials.certificates.max()),
-    )
-
-
-def shifted_mean(seconds: Sequence[float] | np.ndarray) -> float:
+def shifted_mean(seconds: Any) -> float:
     """The shifted geometric mean exp(mean log(x + SHIFT)) - SHIFT.
 
     Examples
@@ -272,25 +223,7 @@ def shifted_mean(seconds: Sequence[float] | np.ndarray) -> float:
 
 def comparison_text(table: DataFrame) -> str:
     """The comparison as text."""
-    shown = table.assign(time=1e3 * table.time, message=table.message.str[:60])
     names = {"time": "ms", "ratio": "x best", "certificate": "median", "message": ""}
-    formats = {
-        "accuracy": "{:g}",
-        "solved": "{:.0%}",
-        "ms": "{:.3g}",
-        "x best": "{:.2f}",
-        "median": "{:.0e}",
-        "worst": "{:.0e}",
-    }
-    text = (
-        shown.drop(columns="programs")
-        .rename(columns=names)
-        .to_string(index=False, formatters={name: form.format for name, form in formats.items()})
-    )
-    legend = (
-        "solved   share of programs with a relative certificate within the accuracy\n"
-        "ms       shifted geometric mean; unsolved programs count with the longest time of all\n"
-        "x best   of those that solved all programs at that accuracy\n"
-        "median, worst   relative certificates of the solver's own answers, unpolished"
-    )
-    return f"{text}\n{legend}"
+    shown = table.assign(time=1e3 * table.time, message=table.message.str[:60])
+    shown = shown.drop(columns="programs").rename(columns=names)
+    return f"{shown.to_string(index=False, float_format='{:.3g}'.format)}\n{LEGEND}"

@@ -31,6 +31,7 @@ COSTS = {
     "solver_calls": "solver calls",
 }
 ACCURACIES = {"error": "largest error over the steps", "bound": "bound of the error"}
+BOUND = "guaranteed bound"
 
 
 def work_precision(table: DataFrame, *, x: str = "wall", y: str = "error", ax: Any = None) -> Any:
@@ -62,78 +63,69 @@ def work_precision(table: DataFrame, *, x: str = "wall", y: str = "error", ax: A
     """
     choice("x", x, COSTS)
     choice("y", y, ACCURACIES)
-    check_table(table)
-    problems = list(table.problem.unique())
+    cells = points(table, x, y)
+    problems, schemes, solvers = (
+        list(table[name].unique()) for name in ("problem", "scheme", "solver")
+    )
     if ax is not None and len(problems) > 1:
         raise InputError(
             f"ax is one panel but table has the problems {', '.join(problems)}; leave ax out or "
             f"pass one problem, table[table.problem == {problems[0]!r}]"
         )
-    panels: list[Any] = [ax]
-    legend: dict[str, Any] = {}
+    panels, legend = {problems[0]: ax}, ax
     if ax is None:
         columns, lines = min(len(problems), COLUMNS), -(-len(problems) // COLUMNS)
-        ax = new_figure((4.4 * columns + 1.8, 4.0 * lines))
-        panels = [ax.add_subplot(lines, columns, k + 1) for k in range(len(problems))]
-        legend = {"loc": "outside right upper"}
-    for panel, problem in zip(panels, problems, strict=True):
+        legend = new_figure((4.4 * columns + 1.8, 4.0 * lines))
+        places = enumerate(problems, start=1)
+        panels = {problem: legend.add_subplot(lines, columns, k) for k, problem in places}
+    for problem, panel in panels.items():
         panel.set(title=problem, xlabel=COSTS[x], ylabel=f"{ACCURACIES[y]}, $|\\cdot|_A$")
         panel.set(xscale="log", yscale="log")
         panel.grid(alpha=0.3)
-        _draw(panel, table, problem, x, y)
-    named: dict[str, Any] = {}
-    for line in (line for panel in panels for line in panel.lines):
-        named.setdefault(line.get_label(), line)
-    ax.legend(named.values(), named.keys(), fontsize="small", **legend)
-    return panels[0]
+    groups = cells.groupby(["problem", "scheme", "solver", "tol", "kind"], sort=False)
+    for (problem, scheme, solver, tol, kind), rows in groups:
+        label = f"{scheme} · {solver}" + (f" · tol {tol:g}" if table.tol.nunique() > 1 else "")
+        marker = MARKERS[solvers.index(solver) % len(MARKERS)]
+        style = {"known": f"{marker}-", BOUND: "--", "failed": "x"}.get(kind, "o")
+        panels[problem].plot(
+            *rows.sort_values("steps")[["x", "y"]].to_numpy().T,
+            style,
+            color=COLOURS[schemes.index(scheme) % len(COLOURS)],
+            markerfacecolor=None if kind == "known" else "none",
+            label=label if kind == "known" else kind,
+        )
+    named = {line.get_label(): line for panel in panels.values() for line in panel.lines}
+    place = {} if ax is legend else {"loc": "outside right upper"}
+    legend.legend(named.values(), named.keys(), fontsize="small", **place)
+    return panels[problems[0]]
 
 
-def check_table(table: Any) -> None:
-    """Refuse what is not the table of a study, with an InputError."""
-    if not hasattr(table, "columns") or not hasattr(table, "iloc"):
-        raise InputError(f"table must be a pandas DataFrame, got {type(table).__name__}")
-    missing = [name for name in CellRow._fields if name not in table.columns]
+def points(table: Any, x: str, y: str) -> DataFrame:
+    """The cells with their places x and y on logarithmic axes.
+
+    `kind` is "known", "failed" or, for example, "error not known"; beside errors the cells with a
+    guaranteed bound are there once more, with it as y.
+    """
+    import pandas as pd
+
+    missing = [name for name in CellRow._fields if name not in getattr(table, "columns", ())]
     if missing:
         raise InputError(f"table lacks the columns {missing}; pass the table of a study as it is")
     if not len(table):
         raise InputError("table has no rows; run the study first")
-    for name in ("tol", *ACCURACIES, *COSTS):
-        if table[name].dtype.kind not in "iuf":
-            raise InputError(f"table[{name!r}] holds entries that are no numbers")
-
-
-def placed(cells: DataFrame, x: str, y: str) -> DataFrame:
-    """The cells of one problem with the columns x, y and kind for their place in the diagram.
-
-    `x` and `y` are finite and positive, as on logarithmic axes: 0 below the others, what is not
-    known above them; `kind` is "known", "failed" or, for example, "error not known".
-    """
-    known = cells.success & np.isfinite(cells[y])
-    kind = np.select([~cells.success, ~known], ["failed", f"{y} not known"], "known")
-    return cells.assign(x=_on_axis(cells[x]), y=_on_axis(cells[y].where(known)), kind=kind)
+    known = table.success & np.isfinite(table[y])
+    kind = np.select([~table.success, ~known], ["failed", f"{y} not known"], "known")
+    columns = {"x": table[x], "y": table[y].where(known)}
+    places = {
+        name: values.groupby(table.problem).transform(_on_axis) for name, values in columns.items()
+    }
+    cells = table.assign(**places, kind=kind)
+    proved = cells[(cells.kind == "known") & np.isfinite(cells.bound) & (y == "error")]
+    return pd.concat([cells, proved.assign(y=proved.bound, kind=BOUND)])
 
 
 def _on_axis(values: Series) -> Series:
+    """Finite and positive numbers: 0 below the others, what is not known above them."""
     positive = values[np.isfinite(values) & (values > 0)]
     low, high = (positive.min(), positive.max()) if len(positive) else (1.0, 1.0)
     return values.where(np.isfinite(values), 3 * high).clip(lower=low / 3)
-
-
-def _draw(ax: Any, table: DataFrame, problem: str, x: str, y: str) -> None:
-    """One problem; colours and markers are those of the whole table."""
-    schemes, solvers = list(table.scheme.unique()), list(table.solver.unique())
-    cells = placed(table[table.problem == problem], x, y)
-    for (scheme, solver, tol), rows in cells.groupby(["scheme", "solver", "tol"], sort=False):
-        rows = rows.sort_values("steps")
-        label = f"{scheme} · {solver}" + (f" · tol {tol:g}" if table.tol.nunique() > 1 else "")
-        colour = COLOURS[schemes.index(scheme) % len(COLOURS)]
-        marker = MARKERS[solvers.index(solver) % len(MARKERS)]
-        known = rows[rows.kind == "known"]
-        proved = known[known.guaranteed & np.isfinite(known.bound)]
-        if len(known):
-            ax.plot(known.x, known.y, marker=marker, color=colour, label=label)
-        if len(proved) and y == "error":
-            ax.plot(proved.x, proved.bound, "--", color=colour, lw=1.0, label="guaranteed bound")
-        for kind, others in rows[rows.kind != "known"].groupby("kind"):
-            sign = "x" if kind == "failed" else "o"
-            ax.plot(others.x, others.y, sign, color=colour, mfc="none", label=kind)

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 from contextlib import AbstractContextManager
 from functools import cache
 from pathlib import Path
 
-from sweepopt import __version__
 from sweepopt.errors import brought_by
 from sweepopt.io import versions_of
 
@@ -19,20 +19,6 @@ PACKAGES = ("numpy", "scipy", "cvxpy", "clarabel", "osqp")
 
 
 @cache
-def processor() -> str:
-    """Name, number of cores and operating system."""
-    cpuinfo = Path("/proc/cpuinfo")
-    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    name = names[0] if names else platform.processor() or platform.machine()
-    return f"{name}, {os.cpu_count()} cores, {platform.system()}"
-
-
-def versions() -> dict[str, str]:
-    """Of the library, of Python and of what computes."""
-    return {"sweepopt": __version__, "python": platform.python_version(), **versions_of(PACKAGES)}
-
-
 def machine() -> str:
     """Processor, threads and versions, in one line.
 
@@ -41,9 +27,14 @@ def machine() -> str:
     >>> "numpy" in machine()
     True
     """
+    cpuinfo = Path("/proc/cpuinfo")
+    model = re.search(r"model name\s*: (.*)", cpuinfo.read_text() if cpuinfo.exists() else "")
+    name = model[1] if model else platform.processor()
     threads = os.environ.get("OMP_NUM_THREADS", "unset")
-    packages = ", ".join(f"{name} {number}" for name, number in versions().items())
-    return f"{processor()}, OMP_NUM_THREADS {threads}; {packages}"
+    versions = {"python": platform.python_version(), **versions_of(PACKAGES)}
+    packages = ", ".join(f"{package} {version}" for package, version in versions.items())
+    system = f"{os.cpu_count()} cores, {platform.system()}, OMP_NUM_THREADS {threads}"
+    return f"{name}, {system}; {packages}"
 
 
 def one_thread() -> AbstractContextManager[object]:

@@ -57,12 +57,11 @@ HISTORIES: dict[str, Callable[..., Any]] = {
     "table": Table,
     "triangle": Triangle,
 }
-SETS: dict[str, Callable[..., Any]] = {
-    "ball": lambda load, *ball: Moving(Ball(*ball), load),
-    "box": lambda load, *ends: Moving(Box(*ends), load),
-    "orthant": lambda load, dim: Moving(Orthant(dim), load),
-    "point": lambda load, point: Moving(Point(point), load),
-    "polyhedron": lambda load, G: Polyhedron(G, load),
+SHAPES: dict[str, Callable[..., Any]] = {
+    "ball": Ball,
+    "box": Box,
+    "orthant": Orthant,
+    "point": Point,
 }
 
 
@@ -76,7 +75,7 @@ class Problem:
     t_end : float
     A, B, u0 : lists of numbers
     set, load : dict, list of dict
-        Names of `SETS` and `HISTORIES` with what these are called with.
+        Names of `SHAPES`, or "polyhedron", and of `HISTORIES` with what these are called with.
     """
 
     name: str
@@ -88,26 +87,27 @@ class Problem:
     set: dict[str, Any]
     load: list[dict[str, Any]]
 
-    def C(self) -> Any:
-        """The moving set."""
+    def process(self) -> SweepingProcess:
+        """The process, built anew."""
         terms = []
         for term in self.load:
             (history, arguments), (_, direction) = term.items()
             terms.append((HISTORIES[history](*arguments), direction))
         ((kind, arguments),) = self.set.items()
-        return SETS[kind](Separable(terms), *arguments)
-
-    def process(self) -> SweepingProcess:
-        """The process, built anew."""
-        return SweepingProcess(self.A, self.B, self.C(), self.u0)
+        C: Any = (
+            Polyhedron(arguments[0], Separable(terms))
+            if kind == "polyhedron"
+            else Moving(SHAPES[kind](*arguments), Separable(terms))
+        )
+        return SweepingProcess(self.A, self.B, C, self.u0)
 
 
 PROBLEMS = {name: Problem(name, **data) for name, data in read_toml(FILE).items()}
-BLOCK = PROBLEMS.pop("block")
+BLOCK = PROBLEMS["block"]
 
 
 def problem(name: str) -> Problem:
-    """The problem of that name, in `PROBLEMS` or `BLOCK`.
+    """The problem of that name.
 
     Raises
     ------
@@ -119,8 +119,6 @@ def problem(name: str) -> Problem:
     >>> problem("S03").process().dim
     1
     """
-    if name == BLOCK.name:
-        return BLOCK
     if name not in PROBLEMS:
-        raise InputError(f"there is no problem {name!r}; there are: {', '.join(PROBLEMS)}, block")
+        raise InputError(f"there is no problem {name!r}; there are: {', '.join(PROBLEMS)}")
     return PROBLEMS[name]

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import warnings
+from math import inf, nan
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from sweepopt.errors import SweepoptError, SweepoptWarning
+from sweepopt.errors import DamagedFileError, SweepoptError, SweepoptWarning
+from sweepopt.io import read_npz, write_npz
 from sweepopt.solve import solve
 from sweepopt.study.machine import one_thread
 from sweepopt.study.sources import Source
 
-REFINED, FINE, SMALL = 16, 4096, 32
-"""A fine run has at least so many times the steps, and so many steps if the problem is small."""
+REFINED = 16
+"""A fine run has so many times the steps: of order 2, its error is far below the one measured."""
 TOL = 1e-8
 SAFETY = 20.0
 """How far below an error the reference's own error must lie for the error to be a number."""
@@ -29,38 +32,46 @@ class Reference(NamedTuple):
     uncertainty : float
         Of u, sup over the nodes in |.|_A: the distance from the run with half the steps, which for
         a run of order p is 2^p - 1 times its own error; 0 if exact, inf if there are none.
-    kind : {"exact", "certified", ""}
     message : str
         Why there are none.
     """
 
     u: np.ndarray
-    uncertainty: float
-    kind: str
+    uncertainty: float = inf
     message: str = ""
 
 
 def make_reference(source: Source, steps: int) -> Reference:
     """The states of a problem on a grid of equal steps, as well as the library knows them.
 
-    A pure function of plain data: it runs in workers.
-
-    Parameters
-    ----------
-    source : Source
-    steps : int
+    A pure function of plain data: it runs in workers. What goes wrong leaves no states.
     """
     with one_thread(), warnings.catch_warnings():
         warnings.simplefilter("ignore", SweepoptWarning)
         try:
             return _exact(source, steps) or _refined(source, steps)
-        except Exception as error:  # what goes wrong here is a row without an error
+        except Exception as error:
             return absent(f"{type(error).__name__}: {error}")
 
 
 def absent(message: str) -> Reference:
     """No states, and why."""
-    return Reference(np.empty((0, 0)), float("inf"), "", message)
+    return Reference(np.empty((0, 0)), message=message)
+
+
+def save_reference(path: Path, reference: Reference) -> None:
+    """Write it; a zip has a checksum for each of its entries."""
+    u, *record = reference
+    write_npz(path, {"record": record}, {"u": u})
+
+
+def load_reference(path: Path) -> Reference | None:
+    """Read it; None if it is not there, not whole or of another version."""
+    try:
+        record, arrays = read_npz(path)
+        return Reference(arrays["u"], *record["record"])
+    except (OSError, DamagedFileError, KeyError):
+        return None
 
 
 def distance(source: Source, u: np.ndarray, v: np.ndarray) -> float:
@@ -70,10 +81,10 @@ def distance(source: Source, u: np.ndarray, v: np.ndarray) -> float:
 
 def error_of(source: Source, u: np.ndarray, reference: Reference) -> float:
     """The error of the states on the nodes; nan if the reference's is not far below."""
-    if not reference.kind or len(u) != len(reference.u):
-        return float("nan")
+    if len(u) != len(reference.u):
+        return nan
     error = distance(source, u, reference.u)
-    return error if error >= SAFETY * reference.uncertainty else float("nan")
+    return error if error >= SAFETY * reference.uncertainty else nan
 
 
 def _exact(source: Source, steps: int) -> Reference | None:
@@ -83,14 +94,12 @@ def _exact(source: Source, steps: int) -> Reference | None:
         sol = solve(process, t_end=t_end, steps=steps, scheme="exact")
     except SweepoptError:
         return None
-    return Reference(sol.u, 0.0, "exact") if sol.success else None
+    return Reference(sol.u, 0.0) if sol.success else None
 
 
 def _refined(source: Source, steps: int) -> Reference:
     process, t_end = source.open()
-    factor = REFINED
-    if process.dim <= SMALL:
-        factor = max(factor, 2 * -(-FINE // (2 * steps)))
+
     fine, coarse = (
         solve(
             process,
@@ -101,6 +110,6 @@ def _refined(source: Source, steps: int) -> Reference:
             save=times,
             on_unstable="ignore",
         ).u
-        for times in (factor, factor // 2)
+        for times in (REFINED, REFINED // 2)
     )
-    return Reference(fine, distance(source, fine, coarse), "certified")
+    return Reference(fine, distance(source, fine, coarse))

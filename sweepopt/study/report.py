@@ -8,40 +8,36 @@ from __future__ import annotations
 
 import html
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Any
 
-from sweepopt.errors import InputError, Status, brought_by
-from sweepopt.io import put
+import numpy as np
+
+from sweepopt.errors import InputError, Status, SweepoptError, brought_by
+from sweepopt.io import put, writable
 from sweepopt.results import Solution
 from sweepopt.study.advice import advice_table
-from sweepopt.study.band import most_moving
-from sweepopt.study.diagram import ACCURACIES, COLOURS, COLUMNS, COSTS, check_table, placed
+from sweepopt.study.diagram import ACCURACIES, BOUND, COLOURS, COLUMNS, COSTS, points
 from sweepopt.study.hard import FAMILIES
 from sweepopt.study.hard.suite import TARGET, HardRow
-from sweepopt.study.machine import processor, versions
+from sweepopt.study.machine import machine
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
 SHOWN = [
-    *("problem", "scheme", "solver", "steps", "tol", "status", "error", "bound", "guaranteed"),
+    *("problem", "scheme", "solver", "steps", "tol", "status", "error", "bound"),
     *("certificate", "wall", "solver_calls", "unknowns", "path", "message"),
 ]
-NUMBERS = {"tol": ":g", "error": ":.2e", "bound": ":.2e", "wall": ":.3g", "solver_calls": ":.0f"}
-TOOLTIP: dict[str, Any] = {"y": False, "kind": False, "steps": True, **NUMBERS, "status": True}
-"""Columns of a cell's tooltip and their formats."""
-STYLES: dict[str, Any] = {
-    "known": {"mode": "lines+markers", "marker_size": 8},
-    "guaranteed bound": {"mode": "lines"},
-    "failed": {"mode": "markers", "marker": {"symbol": "x", "size": 9}},
+TOOLTIP = {
+    **{"x": False, "y": False, "kind": False, "steps": True, "tol": ":g", "error": ":.2e"},
+    **{"bound": ":.2e", "wall": ":.3g", "solver_calls": ":.0f", "status": True},
 }
-UNKNOWN: dict[str, Any] = {"mode": "markers", "marker": {"symbol": "circle-open", "size": 9}}
-"""How a line is drawn, by the kind of its cells."""
-BAND = "guaranteed band"
+"""Columns of a cell's tooltip and their formats."""
+BAND = "rgba(0, 114, 178, 0.25)"
 LEAST = 1e-18
 """Hard cases: errors of 0, of bodies at rest, are drawn here."""
 PAGE = Template("""\
@@ -59,7 +55,6 @@ th, td { border: 0; border-bottom: 1px solid #ddd; padding: 0.2rem 0.6rem; text-
 td { vertical-align: top; white-space: nowrap; }
 td:last-child { white-space: normal; min-width: 20rem; overflow-wrap: anywhere; }
 thead th { position: sticky; top: 0; background: #f2f4f7; }
-.bad { color: #b3261e; font-weight: 600; }
 </style>
 <script>$plotly</script></head>
 <body><h1>$title</h1><p class="about">$about</p>
@@ -105,29 +100,25 @@ def write_report(
     """
     if table is None and not hard:
         raise InputError("table is None and there are no hard cases: nothing to report")
-    target = Path(path)
-    if not target.absolute().parent.is_dir():
-        raise InputError(f"path {str(target)!r} lies in a folder that does not exist; make it")
-    if target.is_dir():
-        raise InputError(f"path {str(target)!r} is a folder; name a file in it")
+    target = writable("path", path)
     with brought_by("study"):
         from plotly.offline import get_plotlyjs
 
-    parts = []
-    here = {"machine": processor(), **versions()}
+    parts, machines = [], [machine()]
     if table is not None:
-        check_table(table)
-        here = {name: " / ".join(map(str, table[name].unique())) for name in here}
         parts += _study_section(table)
+        machines = table.machine.unique()
     if solutions:
-        parts += ["<h2>Trajectories</h2>", _page_of(_trajectories(solutions))]
+        parts += [
+            "<h2>Trajectories in their guaranteed bands</h2>",
+            _page_of(_trajectories(solutions)),
+        ]
     if hard:
         parts += _hard_section(hard)
     date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
-    about = [date, here.pop("machine"), ", ".join(" ".join(pair) for pair in here.items())]
     page = PAGE.substitute(
         title=html.escape(title),
-        about=html.escape("; ".join(about)),
+        about=html.escape("; ".join([date, *machines])),
         plotly=get_plotlyjs(),
         body="\n".join(parts),
     )
@@ -136,6 +127,7 @@ def write_report(
 
 
 def _study_section(table: DataFrame) -> list[str]:
+    figures = [_page_of(_cost_figure(table, cost)) for cost in COSTS]
     usual = Status.SUCCESS.value  # the one message that need not be shown
     shown = table[SHOWN].assign(message=table.message.str.replace(usual, "", regex=False))
     return [
@@ -145,68 +137,42 @@ def _study_section(table: DataFrame) -> list[str]:
         "<p>Down is more accurate, left is cheaper; what failed stands above the others, an error "
         "of 0 below them. A click in the legend hides a line in all panels, a double click hides "
         "all others.</p>",
-        _page_of(_cost_figure(table)),
+        *figures,
         "<h2>All cells</h2>",
-        _count(len(table), "cells", int((~table.success).sum()), "failed"),
-        _table(shown, "status", table.success),
+        _table(shown, "status", table.success, "cells", "failed"),
     ]
 
 
-def _cost_figure(table: DataFrame) -> Any:
-    """Error against cost, a panel a problem; a menu chooses the cost."""
+def _cost_figure(table: DataFrame, cost: str) -> Any:
+    """Error against a cost, a panel a problem."""
     import plotly.express as px
 
     figure = px.line(
-        _points(table),
-        x=COSTS["wall"],
+        points(table, cost, "error").sort_values("steps", kind="stable"),
+        x="x",
         y="y",
         color="scheme",
         symbol="solver",
         line_dash="kind",
-        line_dash_map={"known": "solid", "guaranteed bound": "dash"},
+        line_dash_map={"known": "solid", BOUND: "dash"},
         line_group="tol",
         category_orders={name: list(table[name].unique()) for name in ("scheme", "solver")},
-        custom_data=list(COSTS.values()),
         hover_data=TOOLTIP,
-        **_panels("problem", table.problem),
+        labels={"x": COSTS[cost], "y": f"{ACCURACIES['error']}, |·|<sub>A</sub>"},
+        log_x=True,
+        log_y=True,
+        **_panels("problem", table.problem.nunique()),
     )
     names: set[str] = set()
     for trace in figure.data:
         scheme, kind, solver = trace.name.split(", ")
         name = f"{scheme} · {solver}" if kind == "known" else kind
         trace.update(name=name, legendgroup=name, showlegend=name not in names)
-        trace.update(STYLES.get(kind, UNKNOWN))
+        trace.mode = {"known": "lines+markers", BOUND: "lines"}.get(kind, "markers")
+        if trace.mode == "markers":
+            trace.marker.symbol = "x" if kind == "failed" else "circle-open"
         names.add(name)
-    axis = {"type": "log", "exponentformat": "power", "matches": None, "showticklabels": True}
-    figure.update_xaxes(title_text=COSTS["wall"], **axis)
-    figure.update_yaxes(title_text="", **axis)
-    figure.update_yaxes(title_text=f"{ACCURACIES['error']}, |·|<sub>A</sub>", col=1)
-    return figure.update_layout(updatemenus=[_cost_menu(figure)])
-
-
-def _points(table: DataFrame) -> DataFrame:
-    """The cells of all panels, with a place for each cost, and their guaranteed bounds."""
-    import pandas as pd
-
-    panels = []
-    for _, rows in table.sort_values("steps", kind="stable").groupby("problem", sort=False):
-        for cost, words in COSTS.items():
-            rows = placed(rows, cost, "error").rename(columns={"x": words})
-        panels.append(rows)
-    cells = pd.concat(panels)
-    proved = cells[(cells.kind == "known") & cells.guaranteed]
-    return pd.concat([cells, proved.assign(y=proved.bound, kind="guaranteed bound")])
-
-
-def _cost_menu(figure: Any) -> dict[str, Any]:
-    """A menu that moves all points to another cost."""
-    titles = [f"{name}.title.text" for name in figure.layout if name.startswith("xaxis")]
-    buttons = []
-    for k, words in enumerate(COSTS.values()):
-        costs = [trace.customdata[:, k].tolist() for trace in figure.data]
-        change = [{"x": costs}, dict.fromkeys(titles, words)]
-        buttons.append({"label": words, "method": "update", "args": change})
-    return {"buttons": buttons, "x": 1.02, "xanchor": "left", "y": 1.0, "yanchor": "bottom"}
+    return figure
 
 
 def _trajectories(solutions: Mapping[str, Solution]) -> Any:
@@ -216,16 +182,22 @@ def _trajectories(solutions: Mapping[str, Solution]) -> Any:
 
     curves = []
     for name, solution in solutions.items():
-        t, u, band, k = most_moving(solution)
-        curve = {"t": t, "lower": u - band, BAND: u + band, "computed": u}
+        k = int(np.argmax(np.ptp(solution.u, axis=0)))
+        curve = {"t": solution.t, "u": solution.u[:, k], "band": _band(solution, k)}
         curves.append(pd.DataFrame(curve).assign(run=f"{name}, u[{k}]"))
-    frame = pd.concat(curves)
-    figure = px.line(frame, x="t", y=["lower", BAND, "computed"], **_panels("run", frame.run))
-    figure.update_traces(line_color=COLOURS[0])
-    figure.update_traces(line_width=0, showlegend=False, selector={"name": "lower"})
-    figure.update_traces(line_width=0, fill="tonexty", selector={"name": BAND})
-    figure.update_xaxes(matches=None, showticklabels=True, title_text="t")
-    return figure.update_yaxes(matches=None, showticklabels=True, title_text="")
+    panels = _panels("run", len(curves))
+    figure = px.line(pd.concat(curves), x="t", y="u", error_y="band", **panels)
+    return figure.update_traces(error_y={"color": BAND, "thickness": 4, "width": 0})
+
+
+def _band(solution: Solution, k: int) -> Any:
+    """A bound of |u_k(t_i) - u_n,k(t_i)| <= |e|_A sqrt((A^-1)_kk); nan if there is none."""
+    try:
+        of_t = solution.error_bound().of_t
+    except SweepoptError:
+        return np.nan
+    inverse = solution.process.metric.solve(np.eye(1, solution.process.dim, k)[0])
+    return np.sqrt(inverse[k]) * np.append(of_t[:1], of_t)
 
 
 def _hard_section(hard: Sequence[HardRow]) -> list[str]:
@@ -236,11 +208,10 @@ def _hard_section(hard: Sequence[HardRow]) -> list[str]:
     about = pd.DataFrame({"what is hard about it": [FAMILIES[name].__doc__ for name in families]})
     return [
         "<h2>Hard cases</h2>",
-        _count(len(table), "runs", int((~good).sum()), "wrong"),
         "<p>The worst step of each run, judged by its exact velocity: the true error stays below "
         f"{TARGET:g} and below the certificate. A click in the legend hides a solver.</p>",
         _page_of(_hard_figure(table)),
-        _table(table.drop(columns="excess"), "verdict", good),
+        _table(table.drop(columns="excess"), "verdict", good, "runs", "wrong"),
         "<h3>The families</h3>" + about.set_axis(families).to_html(border=0),
     ]
 
@@ -249,29 +220,28 @@ def _hard_figure(table: DataFrame) -> Any:
     """The true error of each run against its certificate."""
     import plotly.express as px
 
+    sizes = table[["certificate", "error"]].clip(lower=LEAST)
     figure = px.scatter(
-        table.dropna(subset="error").assign(
-            certificate=table.certificate.clip(lower=LEAST), error=table.error.clip(lower=LEAST)
-        ),
+        table.assign(**sizes).dropna(subset="error"),
         x="certificate",
         y="error",
         color="solver",
         symbol="solver",
         color_discrete_sequence=COLOURS,
         hover_data=["family", "seed", "path", "solved_by", "verdict"],
+        labels={"certificate": "certificate, relative", "error": "true error, relative"},
         log_x=True,
         log_y=True,
     )
     diagonal = {"text": "error = certificate&nbsp; ", "textposition": "end", "yanchor": "top"}
     figure.add_shape(type="line", x0=LEAST, y0=LEAST, x1=1, y1=1, label=diagonal)
-    figure.add_hline(TARGET, line_dash="dot", label={"text": "target", "textposition": "end"})
-    figure.update_xaxes(title_text="certificate, relative", exponentformat="power")
-    return figure.update_yaxes(title_text="true error, relative", exponentformat="power")
+    return figure.add_hline(
+        TARGET, line_dash="dot", label={"text": "target", "textposition": "end"}
+    )
 
 
-def _panels(column: str, names: Iterable[str]) -> dict[str, Any]:
+def _panels(column: str, count: int) -> dict[str, Any]:
     """Arguments of Plotly Express for a panel a name, and for colours as in the picture."""
-    count = len(set(names))
     return {
         "facet_col": column,
         "facet_col_wrap": min(count, COLUMNS),
@@ -286,17 +256,16 @@ def _page_of(figure: Any) -> str:
     figure.for_each_annotation(lambda one: one.update(text=one.text.rpartition("=")[2]))
     figure.update_layout(template="plotly_white", legend_title_text="")
     figure.update_layout(margin={"t": 60, "l": 60, "r": 20, "b": 50})
+    for update in (figure.update_xaxes, figure.update_yaxes):
+        update(matches=None, showticklabels=True, exponentformat="power")
     config = {"displaylogo": False, "responsive": True}
     return str(figure.to_html(full_html=False, include_plotlyjs=False, config=config))
 
 
-def _count(total: int, things: str, bad: int, how: str) -> str:
-    return f'<p class="{"bad" if bad else "good"}">{total} {things}, {bad} {how}</p>'
-
-
-def _table(table: DataFrame, column: str, good: Series) -> str:
+def _table(table: DataFrame, column: str, good: Series, things: str, fault: str) -> str:
     """What is not good comes first, marked in a column; text is escaped by pandas."""
     marked = table[column].where(good, "✗ " + table[column])
     table = table.assign(**{column: marked}).loc[good.sort_values(kind="stable").index]
     text = table.to_html(index=False, border=0, na_rep="-", float_format="{:.3g}".format)
-    return f'<div class="scroll">{text}</div>'
+    count = f"<p>{len(table)} {things}, {(~good).sum()} {fault}</p>"
+    return f'{count}<div class="scroll">{text}</div>'

@@ -89,7 +89,7 @@ def _opened(source: Source) -> Posed:
     if _digest(path) != source.digest:
         raise SweepoptError(f"{path} is not as it was when the study started; start it again")
     if path == problems.FILE:
-        small = problems.problem(source.name)
+        small = problems.PROBLEMS[source.name]
         return Posed(small.process(), small.t_end)
     from sweepopt.fem import read_scene
 
@@ -100,20 +100,16 @@ def _opened(source: Source) -> Posed:
 
 def _digest(path: Path) -> str:
     """Of a file, of its mesh and of its tables."""
-    digest = hashlib.sha256()
-    for file in (path, *(path.parent / name for name in _named(read_toml(path)))):
-        digest.update(hashlib.sha256(read_bytes(file)).digest())
-    return digest.hexdigest()
+    files = [path, *(path.parent / name for name in _named(read_toml(path)))]
+    parts = [hashlib.sha256(read_bytes(file)).digest() for file in files]
+    return hashlib.sha256(b"".join(parts)).hexdigest()
 
 
 def _named(data: Any) -> Iterator[str]:
     """The values of the keys mesh and csv, wherever they are."""
+    if isinstance(data, dict):
+        yield from (data[key] for key in ("mesh", "csv") if isinstance(data.get(key), str))
+        data = list(data.values())
     if isinstance(data, list):
         for entry in data:
             yield from _named(entry)
-    elif isinstance(data, dict):
-        for key, value in data.items():
-            if key in ("mesh", "csv") and isinstance(value, str):
-                yield value
-            else:
-                yield from _named(value)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from itertools import islice, product
 from pathlib import Path
@@ -20,10 +20,10 @@ from sweepopt.checks import count, number
 from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, read_toml
-from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, blank, failed, run_cell
-from sweepopt.study.ledger import Ledger
+from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, failed, run_cell
+from sweepopt.study.ledger import append_row, read_rows
 from sweepopt.study.records import each, known, read_record
-from sweepopt.study.reference_states import absent, make_reference
+from sweepopt.study.reference_states import absent, load_reference, make_reference, save_reference
 from sweepopt.study.sources import Source, find_source
 from sweepopt.velocity import solvers
 
@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 IN_FLIGHT = 64
 """Cells handed to an executor at a time: each carries its reference."""
 Jobs = Iterator[tuple[Any, ...]]
-"""Cells, what is called for each, and its arguments."""
+"""Cells and the arguments of a function that is called for each."""
+ROWS = "rows.jsonl"
 WORKER_DIED = ("WorkerDiedError", "KilledWorker")
 """Exceptions, ours and dask's, of a cell whose workers died; others end the study."""
 
@@ -61,7 +62,7 @@ class Study:
     Raises
     ------
     InputError
-        Naming the list and the entry at fault.
+        Naming the list and the entry at fault, a problem that is not there for example.
 
     Examples
     --------
@@ -80,37 +81,33 @@ class Study:
     folder: str = "."
 
     def __post_init__(self) -> None:
-        checks: dict[str, Callable[[str, Any], object]] = {
-            "problems": _text,
-            "schemes": known(("auto", *schemes.SCHEMES)),
-            "solvers": _solver,
-            "steps": count,
-            "tols": partial(number, minimum=0.0, strict=True),
+        lists = {
+            "problems": [source.name for source in self._sources()],
+            "schemes": each("schemes", self.schemes, known(("auto", *schemes.SCHEMES))),
+            "solvers": each("solvers", self.solvers, _solver),
+            "steps": each("steps", self.steps, count),
+            "tols": each("tols", self.tols, partial(number, minimum=0.0, strict=True)),
         }
-        for name, check in checks.items():
-            entries = each(name, getattr(self, name), check)
+        for name, entries in lists.items():
             for k, entry in enumerate(entries):
                 if entry in entries[:k]:
                     raise InputError(f"{name}[{k}]: {shown(entry)} is there twice")
-            object.__setattr__(self, name, entries)
         count("repeats", self.repeats)
         _text("title", self.title)
 
-    def sources(self) -> list[Source]:
-        """The problems, their files read for a digest; InputError if one is not there."""
-        sources: list[Source] = []
-        for k, name in enumerate(self.problems):
+    def _sources(self) -> list[Source]:
+        """The problems, their files read for a digest."""
+        sources = []
+        for k, name in enumerate(each("problems", self.problems, _text)):
             try:
                 sources.append(find_source(name, self.folder))
             except InputError as error:
                 raise InputError(f"problems[{k}]: {error}") from error
-            if sources[-1].name in (other.name for other in sources[:-1]):
-                raise InputError(f"problems[{k}]: another one is called {sources[-1].name!r} too")
         return sources
 
     def cells(self) -> list[Cell]:
-        """All combinations, the problem slowest."""
-        lists = self.sources(), self.schemes, self.solvers, self.steps, self.tols
+        """All combinations, the problem slowest; InputError if a problem's file is gone."""
+        lists = self._sources(), self.schemes, self.solvers, self.steps, self.tols
         return [Cell(*combination, repeats=self.repeats) for combination in product(*lists)]
 
 
@@ -149,12 +146,7 @@ def read_study(path: str | Path) -> Study:
     path = as_path("path", path)
     data = read_toml(path)
     data.pop("hard", None)
-    study = read_record(f"{path}: ", Study, data, folder=str(path.parent))
-    try:
-        study.sources()
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-    return study
+    return read_record(f"{path}: ", Study, data, folder=str(path.parent))
 
 
 def run(
@@ -190,22 +182,21 @@ def run(
     MissingExtraError
         If a package of the extra "study" is missing.
     """
-    cells, ledger = study.cells(), Ledger(Path(folder))
-    ledger.describe(asdict(study))
-    todo = [cell for cell in cells if ledger.row(cell) is None]
-    progress(f"{len(cells)} cells, {len(cells) - len(todo)} of them finished before")
-    grids = {(cell.problem, cell.steps): cell for cell in todo}
-    missing = [cell for cell in grids.values() if ledger.reference(cell) is None]
+    cells, done = study.cells(), set(read_table(study, folder).cell)
+    todo = [cell for cell in cells if cell.id not in done]
+    progress(f"{len(cells)} cells, {len(done)} of them finished before")
+    states = {cell: _states(cell, Path(folder)) for cell in todo}
+    missing = {path: cell for cell, path in states.items() if load_reference(path) is None}
+    Path(folder, "references").mkdir(parents=True, exist_ok=True)
     with nullcontext(executor) if executor else ThreadPoolExecutor(1) as pool:
-        jobs: Jobs = ((cell, make_reference, cell.problem, cell.steps) for cell in missing)
-        for k, (cell, made) in enumerate(_computed(pool, jobs), start=1):
-            died = isinstance(made, Exception)
-            ledger.keep_reference(cell, absent(str(made)) if died else made)
+        jobs: Jobs = ((cell, cell.problem, cell.steps) for cell in missing.values())
+        computed = _computed(pool, make_reference, jobs, lambda cell, error: absent(str(error)))
+        for k, (cell, reference) in enumerate(computed, start=1):
+            save_reference(states[cell], reference)
             progress(f"reference {k} of {len(missing)}: {cell.problem.name} {cell.steps} steps")
-        jobs = ((cell, run_cell, cell, ledger.reference(cell)) for cell in todo)
-        for k, (cell, made) in enumerate(_computed(pool, jobs), start=1):
-            row = failed(blank(cell), made) if isinstance(made, Exception) else made
-            ledger.keep(row)
+        jobs = ((cell, cell, load_reference(path)) for cell, path in states.items())
+        for k, (cell, row) in enumerate(_computed(pool, run_cell, jobs, failed), start=1):
+            append_row(Path(folder, ROWS), row)
             progress(f"{k} of {len(todo)}: {cell}: {row.status}")
     return read_table(study, folder)
 
@@ -215,29 +206,38 @@ def read_table(study: Study, folder: str | Path) -> DataFrame:
     with brought_by("study"):
         import pandas as pd
 
-    ledger = Ledger(Path(folder))
-    rows = [row for cell in study.cells() if (row := ledger.row(cell)) is not None]
-    return pd.DataFrame(rows, columns=list(CellRow._fields))
+    rows = {row.cell: row for row in read_rows(Path(folder, ROWS), CellRow)}
+    finished = [rows[cell.id] for cell in study.cells() if cell.id in rows]
+    return pd.DataFrame(finished, columns=list(CellRow._fields))
 
 
-def _computed(executor: Executor, jobs: Jobs) -> Iterator[tuple[Cell, Any]]:
+def _states(cell: Cell, folder: Path) -> Path:
+    """The file of the states that cells of one problem and number of steps are compared with."""
+    name = f"{cell.problem.name}-{cell.problem.digest[:16]}-{cell.steps}.npz"
+    return folder / "references" / name
+
+
+def _computed(
+    executor: Executor,
+    function: Callable[..., Any],
+    jobs: Jobs,
+    on_death: Callable[[Cell, BaseException], Any],
+) -> Iterator[tuple[Cell, Any]]:
     """Cells and their results as they come, a limited number of jobs under way.
 
-    The death of a job's workers is its result; other exceptions are raised.
+    The death of a job's workers has a result too; other exceptions are raised.
     """
     running: dict[Future[Any], Cell] = {}
     try:
         while True:
-            for cell, function, *arguments in islice(jobs, IN_FLIGHT - len(running)):
+            for cell, *arguments in islice(jobs, IN_FLIGHT - len(running)):
                 running[executor.submit(function, *arguments)] = cell
             if not running:
                 return
-            done = wait(running, return_when=FIRST_COMPLETED).done
-            for future in sorted(done, key=lambda one: one.exception() is not None):
-                error = future.exception()
-                if error is not None and type(error).__name__ not in WORKER_DIED:
-                    raise error
-                yield running.pop(future), error or future.result()
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                cell, error = running.pop(future), future.exception()
+                died = type(error).__name__ in WORKER_DIED
+                yield cell, on_death(cell, error) if error and died else future.result()
     finally:
         for future in running:
             future.cancel()

@@ -15,6 +15,7 @@ tolerance allows, rho is computed once more from A, B and u in twice the precisi
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -136,23 +137,23 @@ class Inclusion:
     def __init__(
         self, M: Factor, A: Matrix | None = None, B: Matrix | None = None, gamma: float = 0.0
     ) -> None:
-        self.M, self._A, self._B, self._gamma = M, A, B, gamma
+        self.M, self._A, self.B, self._gamma = M, A, B, gamma
 
     def certify(self, of: Instance, pair: Proposal, tol: float) -> Velocity:
         """The velocity of a normal pair with its certificate, as sharp as `tol` needs it."""
         M, z, size = self.M, pair.z, pair.size
         force = euclidean(of.force / M.root)
         if M.is_diagonal:  # all norms are those in its units
-            product = M.diagonal * z
+            product, size = M.diagonal * z, force
             size_z = length = math.sqrt(z.dot(product))
-            size = force
         else:
             product = M.M.dot(z)
             size_z, length = math.sqrt(max(z.dot(product), 0.0)), euclidean(M.root * z)
-        allowed, metric = SHARE * tol * size_z, 1.0
-        of_products = 2 * M.rounding(length, force)
-        of_data = self._rounding_of_data(size_z, of.u)
-        rounding = of_products + of_data
+        allowed, of_z = SHARE * tol * size_z, 0.0
+        rounding = 2 * M.rounding(length, force)
+        if of.u is not None:
+            # (A + gamma B - M) z + (B u - q)
+            rounding += self.share_of_z * size_z + self.share_of_u * euclidean(M.root * of.u)
         if rounding <= allowed:
             rho = product + of.force
             rho[pair.unknowns] -= pair.w
@@ -160,14 +161,15 @@ class Inclusion:
             w = np.zeros_like(z)
             w[pair.unknowns] = pair.w
             rho = self.exact_residual(of, z, -w)
-            rounding *= self._share
-            metric = math.sqrt(max(1 - self.share_of_z, 0.0))
-            if not metric:  # M says nothing of A + gamma B
+            rounding *= max(one.share for one in self._exact)
+            of_z = self.share_of_z
+            if of_z >= 1:  # M says nothing of A + gamma B
                 return Velocity(z, math.inf, math.inf)
         residual = M.dual_norm_bound(rho)
         if residual > allowed:
             residual = min(residual, M.margin * M.dual_norm(rho))
         certificate = math.sqrt(2 * pair.gap + (residual + rounding) ** 2) + pair.perturbation
+        metric = math.sqrt(1 - of_z)  # |z|_M^2 may be so much larger than that in A + gamma B
         certificate /= metric
         if size is None and not certificate <= tol * size_z:
             size = M.dual_norm(of.force)
@@ -177,69 +179,46 @@ class Inclusion:
 
     def exact_residual(self, of: Instance, z: np.ndarray, *more: np.ndarray) -> np.ndarray:
         """A z + B (u + gamma z) - c + the others, rounded once."""
-        A, B, gamma = self._exact_A, self._B, self._gamma
-        if B is None or of.u is None:
+        if of.u is None:
             return self.M.precisely(z, of.q, -of.c, *more)
-        terms = [*A.terms(z), *self._exact_B.terms(of.u), -of.c, *more]
+        (A, B), gamma = self._exact, self._gamma
+        terms = [*A.terms(z), *B.terms(of.u), -of.c, *more]
         if gamma:
-            terms += [*self._exact_B.terms(gamma * z), B @ product_error(gamma, z)]
+            terms += [*B.terms(gamma * z), self.B @ product_error(gamma, z)]
         return exact_sum(terms)
 
-    def _rounding_of_data(self, size: float, u: np.ndarray | None) -> float:
-        """A bound of (A + gamma B - M) z + (B u - q) in |.|_{M^-1}, for |z|_M <= size."""
-        if self._B is None or u is None:
-            return 0.0
-        return self.share_of_z * size + self.share_of_u * euclidean(self.M.root * u)
+    @cached_property
+    def _exact(self) -> tuple[Precise, ...]:
+        """A and B, or M where there is no B."""
+        if self.B is None or self._A is None:
+            return (self.M.precisely,)
+        return Precise(self._A), Precise(self.B)
 
     @cached_property
     def share_of_u(self) -> float:
         """|B u - q|_{M^-1} as a share of |u| in units of the diagonal of M."""
-        if self._B is None:
+        if self.B is None:
             return 0.0
-        entries = np.diff(self._B.indptr).max() if sp.issparse(self._B) else len(self._B)
+        entries = np.diff(self.B.indptr).max() if sp.issparse(self.B) else len(self.B)
         M = self.M
-        return UNIT * M.bound_factor * (3 + math.sqrt(entries)) * row_sum(self._B, M.root)
+        return UNIT * M.bound_factor * (3 + math.sqrt(entries)) * row_sum(self.B, M.root)
 
     @cached_property
     def share_of_z(self) -> float:
         """|(A + gamma B - M) z|_{M^-1} as a share of |z|_M."""
-        if self._B is None or not self._gamma:
+        if self.B is None or not self._gamma:
             return 0.0
         M = self.M
-        sums = M.stretch**2 + self._gamma * row_sum(self._B, M.root)
+        sums = M.stretch**2 + self._gamma * row_sum(self.B, M.root)
         return UNIT * M.bound_factor**2 * sums
-
-    @cached_property
-    def _exact_A(self) -> Precise:
-        return self.M.precisely if self._A is None else Precise(self._A)
-
-    @cached_property
-    def _exact_B(self) -> Precise:
-        assert self._B is not None
-        return Precise(self._B)
-
-    @property
-    def _share(self) -> float:
-        """Of the rounding in double precision, what is left of it in `exact_residual`."""
-        share = self._exact_A.share
-        return share if self._B is None else max(share, self._exact_B.share)
 
     # ---- rest ----------------------------------------------------------------------------------
 
     def rests(self, of: Instance, tol: float, outside: np.ndarray | None = None) -> bool:
-        """Whether q is in C, and B u as well where q may be rounded to more than a share of tol.
-
-        Parameters
-        ----------
-        outside : ndarray, shape (dim,), optional
-            How far q is outside of C = c + S, if that is known.
-        """
-        if outside is None:
-            if not rests(of, of.q, self.M.diagonal):
-                return False
-        elif not is_rounding(outside, of.q, of.c, of.whole.anchor):
+        """Whether q is in C, and B u as well where q may be rounded to more than a share of tol."""
+        if not rests(of, of.q, self.M.diagonal, outside):
             return False
-        if self._B is None or of.u is None:
+        if of.u is None:
             return True
         root = self.M.root
         # below |M^-1 q|_M + |M^-1 c|_M, which need a solve
@@ -249,7 +228,7 @@ class Inclusion:
 
     def rests_exactly(self, of: Instance) -> bool:
         """Whether B u, rounded once, is in C."""
-        return of.u is not None and rests(of, self._exact_B(of.u), self.M.diagonal)
+        return of.u is not None and rests(of, self._exact[-1](of.u), self.M.diagonal)
 
 
 def rated(z: np.ndarray, certificate: float, size: float, solver: str = "") -> Velocity:
@@ -300,47 +279,47 @@ def pair_near(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray, tol: float)
     pair = C.normal_pair(-z, force, M.diagonal)
     if pair is None:
         return None
-    perturbation = 0.0 if pair.perturbation is None else M.moved(*pair.perturbation)
+    perturbation = 0.0
+    if pair.perturbation is not None:
+        w, p = pair.perturbation
+        perturbation = M.dual_norm_bound(w) + 2 * M.stretch * euclidean(M.root * p)
     return Proposal(0.0 - pair.p, pair.w, gap=pair.gap, perturbation=perturbation)
 
 
 # ---- rest --------------------------------------------------------------------------------------
 
 
-def rests(of: Instance, q: np.ndarray, diagonal: np.ndarray) -> bool:
+def rests(
+    of: Instance, q: np.ndarray, diagonal: np.ndarray, outside: np.ndarray | None = None
+) -> bool:
     """Whether z = 0 for a linear term q: it is in C = c + E^T S but for rounding.
 
     Where S acts on few unknowns, the force beside them settles most steps.
+
+    Parameters
+    ----------
+    outside : ndarray, shape (dim,), optional
+        How far q is outside of C, if that is known.
     """
-    few, outside, anchor = of.unknowns, q - of.c, of.S.anchor
-    acting = outside[few]
-    if of.S is not of.whole:
-        outside[few] = 0.0
-        if not is_near(outside, q, of.c, anchor):
-            return False
-    outside[few] = acting - of.S.nearest(acting, diagonal[few])
-    shift = np.abs(of.c)
-    shift[few] += np.abs(anchor)
-    return is_rounding(outside, q, shift)
+    few, scale = of.unknowns, np.abs(q) + np.abs(of.c)
+    if outside is None:
+        outside = q - of.c
+        acting = outside[few]
+        if of.S is not of.whole:
+            outside[few] = 0.0
+            if not is_rounding(outside, scale):
+                return False
+        outside[few] = acting - of.S.nearest(acting, diagonal[few])
+    scale[few] += np.abs(of.S.anchor)
+    return is_rounding(outside, scale)
 
 
-def is_rounding(outside: np.ndarray, q: np.ndarray, *shifts: np.ndarray) -> bool:
+def is_rounding(outside: np.ndarray, scale: np.ndarray) -> bool:
     """The rule of rest: q is out of C by at most 8 rounding units of q and of C's translations.
 
     It holds entry by entry.
     """
-    if not is_near(outside, q, *shifts):
-        return False
-    scale = sum(map(np.abs, shifts), start=np.abs(q))
     return bool((np.abs(outside) <= ROUNDING * scale).all())
-
-
-def is_near(outside: np.ndarray, q: np.ndarray, *shifts: np.ndarray) -> bool:
-    """What the rule of rest implies in the Euclidean norm, which costs less to look at."""
-    squares = q.dot(q)
-    for shift in shifts:
-        squares += shift.dot(shift)
-    return bool(outside.dot(outside) <= (2 + len(shifts)) * ROUNDING**2 * squares)
 
 
 def at_rest(q: np.ndarray, solver: str = "at rest") -> Velocity:
@@ -351,30 +330,32 @@ def at_rest(q: np.ndarray, solver: str = "at rest") -> Velocity:
 # ---- one unknown -------------------------------------------------------------------------------
 
 
-class OneUnknown:
-    """The closed form, its certificate and the rule of rest in plain numbers: C = c + [l, u].
+def one_unknown(
+    inclusion: Inclusion, S: Box, tol: float
+) -> Callable[[float, float], Velocity | None]:
+    """(u, c) -> the closed form, its certificate and the rule of rest in plain numbers.
 
-    Arrays of one entry would take most of the time of a step. None where rounding needs a closer
-    look.
+    C = c + [l, u]. Arrays of one entry would take most of the time of a step. None where rounding
+    needs a closer look.
     """
+    M, B = float(inclusion.M.diagonal[0]), inclusion.B
+    stiffness, root = 0.0 if B is None else float(dense(B)[0, 0]), math.sqrt(M)
+    of_z, of_u = root * inclusion.share_of_z, root * inclusion.share_of_u
+    lower, upper, allowed = float(S.lower[0]), float(S.upper[0]), SHARE * tol
 
-    def __init__(self, inclusion: Inclusion, B: Matrix | None, S: Box, tol: float) -> None:
-        self._M, self._allowed = float(inclusion.M.diagonal[0]), SHARE * tol
-        self._B, self._root = 0.0 if B is None else float(dense(B)[0, 0]), math.sqrt(self._M)
-        self._of_z, self._of_u = inclusion.share_of_z, inclusion.share_of_u
-        self._lower, self._upper = float(S.lower[0]), float(S.upper[0])
-
-    def __call__(self, u: float, c: float) -> Velocity | None:
-        q = self._B * u
+    def velocity(u: float, c: float) -> Velocity | None:
+        q = stiffness * u
         v = q - c
-        outside = v - min(max(v, self._lower), self._upper)
-        forces = (abs(q) + abs(c)) / self._root
-        hidden = self._root * self._of_u * abs(u)
+        outside = v - min(max(v, lower), upper)
+        forces = (abs(q) + abs(c)) / root
+        hidden = of_u * abs(u)
         if abs(outside) <= ROUNDING * (abs(q) + abs(c)) < math.inf:
-            return at_rest(np.zeros(1), CLOSED_FORM) if hidden <= self._allowed * forces else None
-        z = 0.0 - outside / self._M
-        size = max(abs(outside), abs(v)) / self._root
-        certificate = EPS * (size + forces) + self._root * self._of_z * abs(z) + hidden
-        if not certificate <= self._allowed * size:
+            return at_rest(np.zeros(1), CLOSED_FORM) if hidden <= allowed * forces else None
+        z = 0.0 - outside / M
+        size = max(abs(outside), abs(v)) / root
+        certificate = EPS * (size + forces) + of_z * abs(z) + hidden
+        if not certificate <= allowed * size:
             return None
         return rated(np.array([z]), certificate, size, CLOSED_FORM)
+
+    return velocity

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -18,12 +19,13 @@ from sweepopt.linalg import Elimination, Factor
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Box, ConvexSet, same_array
 from sweepopt.velocity.cascade import Cascade
-from sweepopt.velocity.certificate import Inclusion, Instance, OneUnknown, Velocity
+from sweepopt.velocity.certificate import Inclusion, Instance, Velocity, one_unknown
 from sweepopt.velocity.plan import Plan
 from sweepopt.velocity.program import untranslated
 from sweepopt.velocity.refinement import by_solve, refined
 
 VelocityOf = Callable[[np.ndarray, ConvexSet], Velocity]
+EVERY: Any = slice(None)
 DEFAULT_TOL = 1e-6  # what is aimed at where every answer is welcome (tol = inf)
 
 
@@ -77,46 +79,39 @@ class StateVelocity:
     def forget(self) -> None:
         """Drop what solvers remember of earlier calls; the factorisations stay."""
         self._cascade: Cascade | None = None
-        self._one: tuple[ConvexSet, OneUnknown | None] | None = None
+        self._one: tuple[ConvexSet | None, Any] = None, None
 
     def __call__(self, u: np.ndarray, C: ConvexSet) -> Velocity:
         if u.size == 1 and self._solver == "auto":
-            velocity = self._of_one(u, C)
+            c, S = untranslated(C)
+            if self._one[0] is not S:
+                self._one = S, None
+                if isinstance(S, Box) and not S.singleton:
+                    self._one = S, one_unknown(self._on_all, S, self._tol)
+            formula = self._one[1]
+            velocity = formula and formula(float(u[0]), float(c[0]))
             if velocity is not None:
                 return velocity
         if self._B is None:
             return self.of_force(np.zeros_like(u), C)
         return self.of_force(self._B.dot(u), C, u)
 
-    def _of_one(self, u: np.ndarray, C: ConvexSet) -> Velocity | None:
-        """One unknown in an interval, in plain numbers."""
-        c, S = untranslated(C)
-        if self._one is None or self._one[0] is not S:
-            formula = None
-            if isinstance(S, Box) and not S.singleton:
-                formula = OneUnknown(self._on_all, self._B, S, self._tol)
-            self._one = S, formula
-        velocity = self._one[1]
-        return None if velocity is None else velocity(float(u[0]), float(c[0]))
-
     def of_force(self, q: np.ndarray, C: ConvexSet, u: np.ndarray | None = None) -> Velocity:
         """The z with -z in N_C(M z + q); u has q = B u, without it M and q are taken as exact."""
         if C.singleton:
-            inclusion, of = self._on_all, Instance(q - C.anchor, q, C.anchor, C, C, u)
+            of, inclusion = Instance(q - C.anchor, q, C.anchor, C, C, u), self._on_all
             velocity = refined(inclusion, by_solve(inclusion.M), of, self._tol)
             return velocity._replace(solver="linear", attempts=1)
         c, whole = untranslated(C)
-        selection = whole.selection
-        if selection is not None and same_array(selection.unknowns, self._contact):
-            few, S, shift = selection
-            inclusion, cone = self._on_few, untranslated(S).S
-            c = c if shift is None else c + shift
-            of = Instance(q - c, q, c, S, whole, u, few)
-        elif selection is not None and selection.shift is None:
-            inclusion, cone = self._on_all, whole
-            of = Instance(q - c, q, c, selection.part, whole, u, selection.unknowns)
-        else:
-            inclusion, cone, of = self._on_all, whole, Instance(q - c, q, c, whole, whole, u)
+        inclusion, cone, S, few = self._on_all, whole, whole, EVERY
+        if whole.selection is not None:
+            few, S, shift = whole.selection
+            if same_array(few, self._contact):
+                inclusion, cone = self._on_few, untranslated(S).S
+                c = c if shift is None else c + shift
+            elif shift is not None:
+                few, S = EVERY, whole
+        of = Instance(q - c, q, c, S, whole, u, few)
         cascade = self._cascade
         if cascade is None or inclusion is not cascade.inclusion or not cascade.serves(cone):
             cascade = self._cascade = Cascade(inclusion, self._solver, cone, self._tol)

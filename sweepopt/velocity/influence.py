@@ -8,68 +8,66 @@ all.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
-
 import numpy as np
 
 from sweepopt.checks import Matrix
-from sweepopt.linalg import Elimination, Precise, product_error
+from sweepopt.linalg import UNIT, Elimination, Precise, euclidean, product_error
 
 
-class Influence(NamedTuple):
-    """The influence function F of a load, its force on the contact, |its residual|_{A^-1}."""
+class Body:
+    """A body of the matrices A and B = rho A, of which all but the contact is eliminated.
 
-    F: np.ndarray
-    force: np.ndarray
-    residual: float
-
-
-def influence(A: Elimination, f: np.ndarray) -> Influence:
-    """The influence function of f; a force on the contact itself is there to the last bit."""
-    contact, beside = A.unknowns, f.copy()
-    beside[contact] = 0.0
-    forward, force = A.reduce(beside)
-    F = A.recover(forward, np.zeros(contact.size))
-    residual = A.precisely(-F, beside)
-    residual[contact] -= force
-    return Influence(F, f[contact] + force, A.dual_norm(residual) + A.resolution(F))
-
-
-def extension(A: Elimination, zeta: np.ndarray) -> np.ndarray:
-    """A^-1 E^T N zeta: the body follows its contact."""
-    u = A.recover(np.zeros(A.dim), zeta)
-    u[A.unknowns] = zeta  # to the last bit: stuck is 0.0
-    return u
-
-
-def proportional_rounding(
-    A: Elimination, B: Matrix | None, rho: float
-) -> Callable[[np.ndarray], float]:
-    """v -> |(M - (1 + gamma rho) A) v|_{A^-1} + |(B - rho A) v|_{A^-1}, relative to A's factors.
-
-    B is a multiple of A up to rounding, and M = A + gamma B is rounded; what that moves grows with
-    the condition of A. The rounding of M is estimated by that of another multiple of A, 4 / 3.
+    Parameters
+    ----------
+    A : Elimination
+        Its `unknowns` are the contact.
+    B : ndarray or sparse, shape (dim, dim), or None
+    rho : float
     """
-    other = 4 / 3
-    differences = [product_error(other, A.M) / other]
-    if B is not None:
-        differences.append(((B - rho * A.M) - product_error(rho, A.M)) / rho)
-    return lambda v: 2 * sum(A.dual_norm(D @ v) for D in differences)
 
+    def __init__(self, A: Elimination, B: Matrix | None, rho: float) -> None:
+        self.A, self.contact, self.rho = A, A.unknowns, rho
+        # B is a multiple of A up to rounding, and M = A + gamma B is rounded as another multiple
+        other = 4 / 3
+        self._differences = [product_error(other, A.M) / other]
+        if B is not None:
+            self._differences.append(((B - rho * A.M) - product_error(rho, A.M)) / rho)
 
-def extension_error(A: Elimination, rounding: Callable[[np.ndarray], float]) -> float:
-    """|A v - E^T N d|_{A^-1} / |v|_A of extensions v of d, with the rounding of B and M.
+    def influence(self, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """F, and the force on the contact: that of f on it is there to the last bit."""
+        beside = f.copy()
+        beside[self.contact] = 0.0
+        forward, force = self.A.reduce(beside)
+        return self.A.recover(forward, np.zeros(self.contact.size)), f[self.contact] + force
 
-    Twice that of the displacements under two forces: they are smooth, and of smooth ones a badly
-    conditioned A leaves fewest digits.
-    """
-    contact, worst, N = A.unknowns, 0.0, Precise(A.N)
-    for force in (np.ones(contact.size), np.cos(np.arange(contact.size) + 1.0)):
-        total = np.zeros(A.dim)
-        total[contact] = force
-        d = A.solve(total)[contact]
-        v, total[contact] = extension(A, d), N(d)
-        residual = A.dual_norm(A.precisely(v, -total)) + A.resolution(v) + rounding(v)
-        worst = max(worst, residual / A.norm(v))
-    return 2 * worst
+    def extension(self, zeta: np.ndarray) -> np.ndarray:
+        """A^-1 E^T N zeta: the body follows its contact."""
+        return self.A.recover(np.zeros(self.A.dim), zeta)
+
+    def residual(self, v: np.ndarray, f: np.ndarray, force: np.ndarray) -> float:
+        """|f - E^T force - A v|_{A^-1}, with what the rounding of v, of B and of M adds.
+
+        The rounding of B and M moves |(M - (1 + gamma rho) A) v|_{A^-1} and |(B - rho A) v|_{A^-1},
+        which grow with the condition of A.
+        """
+        A = self.A
+        r = A.precisely(-v, f)
+        r[self.contact] -= force
+        rounding = sum(A.dual_norm(D @ v) for D in self._differences)
+        rounding += UNIT * A.stretch * euclidean(A.root * v)
+        return A.dual_norm(r) + 2 * rounding
+
+    def extension_error(self) -> float:
+        """The residual of extensions v in units of |v|_A.
+
+        Twice that of the displacements under two forces: they are smooth, and of smooth ones a
+        badly conditioned A leaves fewest digits.
+        """
+        A, worst, N = self.A, 0.0, Precise(self.A.N)
+        for force in (np.ones(self.contact.size), np.cos(np.arange(self.contact.size) + 1.0)):
+            f = np.zeros(A.dim)
+            f[self.contact] = force
+            d = A.solve(f)[self.contact]
+            v = self.extension(d)
+            worst = max(worst, self.residual(v, 0 * v, -N(d)) / A.norm(v))
+        return 2 * worst

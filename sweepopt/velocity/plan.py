@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -94,22 +94,19 @@ class Plan:
         left_out = (*self.left_out, f"proportional path: {reason}")
         return replace(self, reduction=None, left_out=left_out)
 
-    @property
-    def _order(self) -> str:
-        return "" if self.scheme.exact else f" (order {self.scheme.order})"
-
     def __str__(self) -> str:
         solver = self.solvers[0].name if self.solvers else "linear solves, no optimiser"
         if self.solver == "auto" and self.solvers:
             solver += ", a formula where M is diagonal"
         if self.scheme.exact:
             solver = "closed forms between the switches, which are located"
+        order = "" if self.scheme.exact else f" (order {self.scheme.order})"
         lines = [
             f"path                {self.path}: {PATHS.get(self.path, 'a linear solve a step')}",
             f"unknowns            {self.unknowns}",
             f"nonsmooth unknowns  {self.nonsmooth_unknowns}",
             f"eliminated          {self.eliminated}",
-            f"scheme              {self.scheme.name}{self._order}",
+            f"scheme              {self.scheme.name}{order}",
             f"solver              {solver}",
             f"tolerance           {self.tol:g} (relative certificate of each program)",
         ]
@@ -169,16 +166,10 @@ def make_plan(
     )
 
 
-class _Solvers(NamedTuple):
-    """Who solves for the sets, and the few unknowns that all of them act on, if there are such."""
-
-    solvers: tuple[Solver, ...]
-    contact: np.ndarray | None
-
-
 def _solvers(
     dim: int, members: Sequence[tuple[float, ConvexSet]], solver: Any, path: str, tol: float
-) -> _Solvers:
+) -> tuple[tuple[Solver, ...], np.ndarray | None]:
+    """Who solves for the sets, and the few unknowns that all of them act on, if there are such."""
     solvers: tuple[Solver, ...] = ()
     contacts: list[np.ndarray] = []
     for t, C in members:
@@ -189,10 +180,9 @@ def _solvers(
             raise SolverRefusedError(f"{error} (C(t) at t = {t:g})") from error
         if not C.singleton:
             solvers = solvers or chosen
-            contacts.append(np.arange(C.dim) if selection is None else selection.unknowns)
-    few = bool(contacts) and contacts[0].size < dim
+            contacts.append(np.arange(dim) if selection is None else selection.unknowns)
     same = all(np.array_equal(contact, contacts[0]) for contact in contacts)
-    return _Solvers(solvers, contacts[0] if few and same else None)
+    return solvers, contacts[0] if contacts and same and contacts[0].size < dim else None
 
 
 def _left_out(process: SweepingProcess, solvers: tuple[Solver, ...]) -> Iterator[str]:

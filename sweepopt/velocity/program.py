@@ -43,17 +43,15 @@ class Statement(NamedTuple):
 
     Attributes
     ----------
-    z : cvxpy.Expression
-    y : cvxpy.Expression or None
-        The features; None if the set has none.
+    linear : cvxpy.Expression
+        z, then the features y: what (q, offsets) are the coefficients of.
     quadratic : cvxpy.Expression
         1/2 <M z, z> / stiffness: solvers see numbers without units.
     constraints : list of cvxpy.Constraint
         What ties y to z.
     """
 
-    z: cp.Expression
-    y: cp.Expression | None
+    linear: cp.Expression
     quadratic: cp.Expression
     constraints: list[cp.Constraint]
 
@@ -88,15 +86,16 @@ class VelocityProgram:
         weights = sp.diags_array(scale) if sp.issparse(self.M.M) else np.diag(scale)
         scaled = weights @ self.M.M @ weights / self.stiffness
         scaled = 0.5 * (scaled + scaled.T)
-        features, constraints = self.cone.features(-z)
-        y = cp.hstack(features) if features else None
+        y, constraints = self.cone.features(-z)
         tied = {own.id for constraint in constraints for own in constraint.variables()} | {x.id}
-        if y is not None and any(
-            any(own.attributes.values()) or own.id not in tied for own in y.variables()
-        ):
-            # cvxpy replaces variables with attributes (nonneg=True) and drops those that nothing
-            # ties (how a point splits between two points): y gets one that it keeps
-            kept = cp.Variable(y.size)
-            y, constraints = kept, [*constraints, kept == y]
+        for k, feature in enumerate(y):
+            if any(
+                any(own.attributes.values()) or own.id not in tied for own in feature.variables()
+            ):
+                # cvxpy replaces variables with attributes (nonneg=True) and drops those that
+                # nothing ties (how a point splits between two): the feature gets one that it keeps
+                y[k] = cp.Variable(feature.size)
+                constraints = [*constraints, y[k] == feature]
         # M is known to be positive definite: it was factorised
-        return Statement(z, y, 0.5 * cp.quad_form(x, cp.psd_wrap(scaled)), constraints)
+        quadratic = 0.5 * cp.quad_form(x, cp.psd_wrap(scaled))
+        return Statement(cp.hstack([z, *y]), quadratic, constraints)

@@ -9,15 +9,12 @@ and for all. For zeta = E u the whole process becomes
 
 again a sweeping process: the library solves it as any other. The other unknowns follow from
 
-    u = A^-1 E^T N zeta + sum_k alpha_k F_k + alpha_0 F_0,
-    alpha_k' + rho alpha_k = phi_k,   alpha_0' + rho alpha_0 = 0,
+    u = u0 + A^-1 E^T N (zeta - zeta0) + sum_k alpha_k F_k + alpha_0 F_0,
+    alpha_k' + rho alpha_k = phi_k - phi_k(t_0),   alpha_0' + rho alpha_0 = 1,
 
-F_k the influence function of f_k, F_0 what u0 has beyond the extension of its contact. The same
-scheme moves alpha, from alpha_0(t_0) = 1 and all others 0. u is reconstructed when asked for.
-
-Where sum_k phi_k F_k = rho F_0 nothing moves beside the contact, as long as the phi_k stay what
-they are: alpha stays at its start, and u and u' beside a contact that is held are u0 and 0 to the
-last bit.
+F_k the influence function of f_k and F_0 that of f(t_0) - B u0, which is 0 where u0 is at rest
+beside the contact. The same scheme moves alpha from 0. u is reconstructed when asked for: as long
+as the phi_k stay what they are and the contact is held, u and u' are u0 and 0 to the last bit.
 """
 
 from __future__ import annotations
@@ -25,7 +22,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,19 +29,13 @@ import numpy as np
 from sweepopt.linalg import UNIT, Elimination, Precise
 from sweepopt.loads import Constant, Separable
 from sweepopt.problem import Motion, SweepingProcess, Terms, motion, proportion
-from sweepopt.sets import Moving, Selection
+from sweepopt.sets import ConvexSet, Moving, Selection
 from sweepopt.velocity.certificate import is_rounding
-from sweepopt.velocity.influence import (
-    extension,
-    extension_error,
-    influence,
-    proportional_rounding,
-)
+from sweepopt.velocity.influence import Body
 
 if TYPE_CHECKING:
     from sweepopt.integrate import Scheme
 
-ACCURATE = 1e-10  # |A F - f|_{A^-1} / |f|_{A^-1} up to which A^-1 is applied beforehand
 LEAST_SPEED = 1e-3  # of the velocity that the load alone would cause: less counts as this
 
 
@@ -64,21 +54,21 @@ class Reduction:
     process : SweepingProcess
         That of zeta = E u, shape (m,).
     load : Separable
-        Its k + 1 values are the right hand sides of alpha; the last one is that of alpha_0.
+        Its values, shape (k + 1,), are the right hand sides of alpha.
     """
 
     rho: float
     process: SweepingProcess
     load: Separable
-    _A: Elimination
-    _functions: np.ndarray  # F_k as columns, then u0
+    _body: Body
+    _u0: np.ndarray
+    _functions: np.ndarray  # F_k as columns, then F_0
     _errors: np.ndarray  # |residual of each|_{A^-1}
-    _sizes: np.ndarray  # |f_k|_{A^-1}
+    _sizes: np.ndarray  # |f_k|_{A^-1}, then |f(t_0)|_{A^-1} + |B u0|_{A^-1}
     _extension_error: float
-    _balanced: np.ndarray | None  # the load with which u0 is at rest beside the contact
 
-    def reconstruct(self, zeta: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-        """All unknowns, of u or of a velocity, from the few and the coefficients of the load.
+    def velocity(self, zeta: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+        """All unknowns of a velocity from the few and the rates of the coefficients.
 
         Parameters
         ----------
@@ -89,37 +79,32 @@ class Reduction:
         -------
         ndarray, shape (dim,)
         """
-        u = self._functions @ alpha + extension(self._A, zeta - alpha[-1] * self.process.u0)
-        u[self._A.unknowns] = zeta  # to the last bit
+        z = self._functions @ alpha + self._body.extension(zeta)
+        z[self._body.contact] = zeta  # to the last bit: stuck is 0.0
+        return z
+
+    def state(self, zeta: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+        """All unknowns of u from the few and the coefficients; shapes as in `velocity`."""
+        u = self._u0 + self.velocity(zeta - self.process.u0, alpha)
+        u[self._body.contact] = zeta
         return u
-
-    def steps_at_rest(self, values: np.ndarray) -> int:
-        """How many steps at the start leave u0 as it is beside the contact.
-
-        Parameters
-        ----------
-        values : ndarray, shape (n, k + 1)
-            Those of the load that the steps ask for.
-        """
-        if self._balanced is None:
-            return 0
-        moves = (values[:, :-1] != self._balanced)[:, self.acts_beside[:-1]].any(axis=1)
-        return int(moves.argmax()) if moves.any() else len(values)
-
-    @cached_property
-    def acts_beside(self) -> np.ndarray:
-        """Which terms of the load act beside the contact; shape (k + 1,), that of u0 does not."""
-        return np.append(self._functions[:, :-1].any(axis=0), False)
 
     def suits(self, mus: np.ndarray, scheme: Scheme, tol: float) -> bool:
         """Whether steps leave the velocities of alpha a thousand times as accurate as tol.
 
-        alpha' = (phi - rho alpha) / (1 + gamma rho) is the difference of two numbers that, far from
-        the start, are as near to each other as the run is long in units of 1 / rho.
+        alpha' = (psi - rho alpha) / (1 + gamma rho), psi the load's value, is the difference of two
+        numbers that, far from the start, are as near to each other as the run is long in units of
+        1 / rho.
         """
         gamma, span = scheme.a[-1][-1] * float(mus.min()), float(mus.sum())
         rounding = UNIT * self.rho * span / (1 + gamma * self.rho)
         return scheme.exact or rounding <= LEAST_SPEED * tol
+
+    def is_accurate(self, enough: float) -> bool:
+        """Whether A^-1 was applied to this accuracy."""
+        return bool((self._errors <= enough * self._sizes).all()) and (
+            self._extension_error <= enough
+        )
 
     def residuals(self, alphas: np.ndarray, rates: np.ndarray, gammas: np.ndarray) -> ResidualOf:
         """What the inclusion of all unknowns has of residual beyond that of the few.
@@ -135,18 +120,18 @@ class Reduction:
             alpha at the start of each step and alpha' in it.
         gammas : ndarray, shape (n,)
         """
-        N, rho, ratios = self._A.N, self.rho, 1 + gammas * self.rho
+        A, rho, ratios = self._body.A, self.rho, 1 + gammas * self.rho
+        N, zeta0 = A.N, self.process.u0
         weights = np.abs(ratios[:, None] * rates) + np.abs(rho * alphas)
-        functions = self._functions.copy()
-        functions[:, -1] -= extension(self._A, self.process.u0)
-        gram = functions.T @ (self._A.M @ functions)
+        gram = self._functions.T @ (A.M @ self._functions)
         squares = np.einsum("ik,kl,il->i", rates, gram, rates)
         columns = weights @ self._errors, LEAST_SPEED * (weights @ self._sizes), squares, ratios
         load = list(zip(*(column.tolist() for column in columns), strict=True))
 
         def residual(i: int, zeta: np.ndarray, velocity: np.ndarray) -> tuple[float, float]:
             error, floor, square, ratio = load[i]
-            u = math.sqrt(max(zeta.dot(N.dot(zeta)), 0.0))
+            moved = zeta - zeta0
+            u = math.sqrt(max(moved.dot(N.dot(moved)), 0.0))
             z_square = max(velocity.dot(N.dot(velocity)), 0.0)
             error += self._extension_error * (ratio * math.sqrt(z_square) + rho * u)
             # extensions and influence functions are orthogonal in the metric of A
@@ -181,52 +166,51 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
         return selected
     selection, terms = selected
     few = selection.unknowns
+    terms = terms or ((Constant(0.0), np.zeros(process.dim)),)
     A = Elimination(process.A, few, process.metric.order)
-    influences = [influence(A, f) for _, f in terms]
-    forces = [(phi, one.force) for (phi, _), one in zip(terms, influences, strict=True)]
-    C = Moving(selection.part, Separable(forces) if forces else None, scale)
-    small = SweepingProcess(A.N, rho * A.N if rho else None, C, process.u0[few])
-
-    rounding = proportional_rounding(A, process.B, rho)
-    share = extension_error(A, rounding)
-    errors = np.array([one.residual + rounding(one.F) for one in influences])
-    sizes = np.array([A.dual_norm(f) for _, f in terms])
-    enough = min(ACCURATE, LEAST_SPEED * tol)
-    if (errors > enough * sizes).any() or share > enough:
+    reduction = _reduction(process, Body(A, process.B, rho), selection.part, terms, scale, t)
+    if not reduction.is_accurate(LEAST_SPEED * tol):
         return "A is too badly conditioned to apply its inverse beforehand"
+    return reduction
 
-    values = Separable(terms).coefficients(t) if terms else np.zeros(0)
-    f = sum((c * f for c, (_, f) in zip(values, terms, strict=True)), np.zeros(A.dim))
-    rest = _rest_residual(A, process, f) if rho else None
-    start = rounding(process.u0) + share * math.sqrt(small.u0 @ (A.N @ small.u0))
-    size = 0.0
-    if rest is not None:  # alpha_0 = 1 is weighed with rho
-        start, size = start + rest / rho, A.dual_norm(f) / rho
-    histories: Terms = (*terms, (Constant(0.0), process.u0))
-    units = np.eye(len(histories))
+
+def _reduction(
+    process: SweepingProcess, body: Body, S: ConvexSet, terms: Terms, scale: Any, t: float
+) -> Reduction:
+    """The reduction to S on the contact and a load of these terms."""
+    A, u0, rho = body.A, process.u0, body.rho
+    load, histories = Separable(terms), [phi for phi, _ in terms]
+    shapes, zeta0 = list(load.shapes.T), u0[body.contact]
+    functions, forces = map(list, zip(*map(body.influence, shapes), strict=True))
+    C = Moving(S, Separable(zip(histories, forces, strict=True)), scale)
+    small = SweepingProcess(A.N, rho * A.N if rho else None, C, zeta0)
+
+    # what is left at the start: f(t_0) - B u0, and its force on the contact
+    start = load.coefficients(t)
+    f, q = load.shapes @ start, process.times_B(u0)
+    shapes.append(_less_B(process, u0, f))
+    forces.append(_less_B(small, zeta0, np.column_stack(forces) @ start))
+    first, _ = body.influence(shapes[-1])
+    beside = shapes[-1].copy()
+    beside[body.contact] = 0.0
+    functions.append(0 * first if is_rounding(beside, np.abs(q) + np.abs(f)) else first)
+    units = [*np.eye(len(shapes))[:-1], np.append(-start, 1.0)]
     return Reduction(
         rho,
         small,
-        Separable([(phi, unit) for (phi, _), unit in zip(histories, units, strict=True)]),
-        A,
-        np.column_stack([*(one.F for one in influences), process.u0]),
-        np.append(errors, start),
-        np.append(sizes, size),
-        share,
-        None if rest is None else values,
+        Separable(zip([*histories, Constant(1.0)], units, strict=True)),
+        body,
+        u0,
+        np.column_stack(functions),
+        np.array(list(map(body.residual, functions, shapes, forces))),
+        np.array([*map(A.dual_norm, shapes[:-1]), A.dual_norm(f) + A.dual_norm(q)]),
+        body.extension_error(),
     )
 
 
-def _rest_residual(A: Elimination, process: SweepingProcess, f: np.ndarray) -> float | None:
-    """|f - B u0|_{A^-1} beside the contact, if it is nothing but rounding."""
-    q = process.times_B(process.u0)
-    beside = f - q
-    beside[A.unknowns] = 0.0
-    if not is_rounding(beside, q, f):
-        return None
-    residual = Precise(process.B)(process.u0, -f)
-    residual[A.unknowns] = 0.0
-    return A.dual_norm(residual)
+def _less_B(process: SweepingProcess, u: np.ndarray, f: np.ndarray) -> np.ndarray:
+    """f - B u, rounded once."""
+    return f if process.B is None else -Precise(process.B)(u, -f)
 
 
 def _selected(moving: Motion, scale: Any) -> tuple[Selection, Terms] | str:

@@ -26,14 +26,21 @@ import scipy.sparse as sp
 from sweepopt.checks import is_finite
 from sweepopt.linalg import Factor
 from sweepopt.sets import ConvexSet
-from sweepopt.velocity.certificate import Inclusion, Instance, Proposal, Velocity, pair_near
+from sweepopt.velocity.certificate import (
+    CLOSED_FORM,
+    Inclusion,
+    Instance,
+    Proposal,
+    Velocity,
+    pair_near,
+)
 from sweepopt.velocity.solvers import Answer
 
 REFINEMENTS = 20  # each leaves a share |M^-1 (A + gamma B - M)| of the error; most need one
 SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
 NO_UNKNOWNS = np.zeros(0, dtype=int)
 UNSOLVED = Velocity(np.zeros(0), math.inf, math.inf)
-AnswerOf = Callable[[np.ndarray, ConvexSet], Answer | Proposal]
+AnswerOf = Callable[[np.ndarray, ConvexSet], Answer]
 Propose = Callable[[np.ndarray, np.ndarray | None], Proposal | Velocity]
 """From the residual of a z, None for 0, to a better pair; a velocity where that has no proof."""
 
@@ -70,18 +77,15 @@ def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
     def propose(residual: np.ndarray, z: np.ndarray | None) -> Proposal | Velocity:
         forward, force = M.reduce(-residual)
         linear = -force if z is None else M.small.precisely(-z[few], -force)
-        answer, iterations = solve(linear, S), 0
-        if isinstance(answer, Answer):
-            _, _, iterations, status = answer
-            if not is_finite(answer.z):
-                return Velocity(np.zeros_like(residual), math.inf, math.inf, iterations=iterations)
-            pair = pair_near(M.small, linear, S, answer.z, tol)
-            if pair is None:
-                unproven = math.nan if status in SOLVED else math.inf
-                z = M.recover(forward, answer.z)
-                return Velocity(z, unproven, unproven, iterations=iterations)
-        else:
-            pair = answer
+        answer = solve(linear, S)
+        iterations = answer.iterations
+        if not is_finite(answer.z):
+            return Velocity(np.zeros_like(residual), math.inf, math.inf, iterations=iterations)
+        pair = pair_near(M.small, linear, S, answer.z, tol)
+        if pair is None:
+            unproven = math.nan if answer.status in SOLVED else math.inf
+            z = M.recover(forward, answer.z)
+            return Velocity(z, unproven, unproven, iterations=iterations)
         if z is not None:
             pair = with_forces_at_rest(M.small, linear, S, pair)
         zeta = pair.z
@@ -118,5 +122,18 @@ def by_solve(M: Factor) -> Propose:
         change = -M.solve(residual)
         z = change if z is None else z + change
         return Proposal(z, z[NO_UNKNOWNS], NO_UNKNOWNS, size=0.0)  # no larger than |z|_M
+
+    return propose
+
+
+def by_formula(M: Factor, of: Instance) -> Callable[[np.ndarray, np.ndarray | None], Proposal]:
+    """z = M^-1 (w - q + c), w the projection on S in the metric of a diagonal M."""
+    few, diagonal = of.unknowns, M.diagonal
+
+    def propose(residual: np.ndarray, z: np.ndarray | None) -> Proposal:
+        outside = residual.copy() if z is None else M.precisely(-z, residual)
+        w = of.S.nearest(outside[few], diagonal[few])
+        outside[few] -= w
+        return Proposal(0.0 - outside / diagonal, w, few, solver=CLOSED_FORM)
 
     return propose

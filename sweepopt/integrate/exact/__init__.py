@@ -1,7 +1,7 @@
 """Trajectories that are exact to rounding: polyhedral sets, loads as data, switches located."""
 
-from sweepopt.integrate.exact.on_grid import mover
+from sweepopt.integrate.exact.on_grid import exact_steps
 from sweepopt.integrate.exact.rows import rows_of
 from sweepopt.integrate.exact.trajectory import Evaluate, Trajectory, exact_trajectory
 
-__all__ = ["Evaluate", "Trajectory", "exact_trajectory", "mover", "rows_of"]
+__all__ = ["Evaluate", "Trajectory", "exact_steps", "exact_trajectory", "rows_of"]

@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
-import scipy.optimize
 
 from sweepopt.errors import EmptySetError, SweepoptError
 from sweepopt.integrate.exact.rows import Rows, SmoothOffsets
@@ -25,6 +24,7 @@ from sweepopt.sets import least_distance
 
 ZERO = 256 * EPS  # of the terms: a coefficient that is smaller is rounding of their sums
 ORDERS = 8  # a row undecided by them is taken for redundant
+SOON = 1e-6  # after t in units of the process: which of several rows through a corner hold there
 SPANNED = 1e-10  # a unit row is dependent on others if less of it is outside of their span
 
 
@@ -46,13 +46,8 @@ class Face(NamedTuple):
     redundant: np.ndarray
 
 
-def face_after(rows: Rows, d: SmoothOffsets, t: float, u: np.ndarray, events: np.ndarray) -> Face:
+def face_after(rows: Rows, d: SmoothOffsets, t: float, u: np.ndarray) -> Face:
     """The face just after t.
-
-    Parameters
-    ----------
-    events : ndarray of int
-        Rows whose multiplier or slack has just vanished.
 
     Raises
     ------
@@ -61,24 +56,23 @@ def face_after(rows: Rows, d: SmoothOffsets, t: float, u: np.ndarray, events: np
     """
     force, size = d.taylor(t, ORDERS + 2)
     undecided, orders = ~rows.equations, np.zeros(len(rows.N), dtype=int)
-    active, carried, rounding = list(rows.fixed), None, 0.0
-    absolute = np.abs(rows.NB)
+    active, first, rounding = list(rows.fixed), None, 0.0
+    NB = rows.NB
     if rows.rate_independent:
-        slack = force[:, 0] - rows.NB @ u
-        undecided &= slack <= ZERO * (size[:, 0] + absolute @ np.abs(u))
-        undecided[events] = ~rows.equations[events]
+        undecided &= force[:, 0] - NB @ u <= ZERO * (size[:, 0] + np.abs(NB) @ np.abs(u))
+        NB = 0 * NB
         factors = np.arange(1, ORDERS + 2)
         force, size = factors * force[:, 1:], factors * size[:, 1:]
     for k in range(ORDERS + 1):
-        s, noise = force[:, k], ZERO * size[:, k]
-        if not rows.rate_independent:
-            s = s - rows.NB @ u
-            noise = noise + ZERO * (absolute @ np.abs(u)) + rounding
+        s = force[:, k] - NB @ u
+        noise = ZERO * (size[:, k] + np.abs(NB) @ np.abs(u)) + rounding
         basis = _basis(rows, active, undecided, s, noise)
-        if basis is None and carried is not None:  # a redundant row becomes violated
-            undecided[active] = True
-            active = _exchanged(rows, active, undecided, s, carried)
-            undecided[active] = undecided[rows.equations] = False
+        if basis is None and first is not None:  # a redundant row becomes violated
+            undecided[active] = ~rows.equations[active]
+            sizes = np.abs(first).max(), np.abs(s).max()
+            soon = first + SOON * (sizes[0] / sizes[1] if sizes[0] else 1.0) * s
+            active = _basis(rows, rows.fixed, undecided, soon, noise) or active
+            undecided[active] = False
             basis = _basis(rows, active, undecided, s, noise)
         if basis is None:
             raise EmptySetError(f"C(t) at t = {t:g} is empty: its rows contradict")
@@ -92,14 +86,13 @@ def face_after(rows: Rows, d: SmoothOffsets, t: float, u: np.ndarray, events: np
         slacks = decided.copy()
         slacks[basis] = False
         orders[slacks] += rows.rate_independent  # its s is the derivative of the slack
-        if carried is None:
-            carried = rows.R[basis].T @ y
+        if first is None:
+            first = s
         active += [row for row in basis[len(active) :] if decided[row]]
         if not undecided.any():
             break
-        if not rows.rate_independent:
-            u = -(values[active] @ rows.N[active]) / (k + 1)
-            rounding = worst * rows.Lam / (k + 1) if u.any() else 0.0
+        u = -(values[active] @ rows.N[active]) / (k + 1)
+        rounding = worst * rows.Lam / (k + 1) if u.any() else 0.0
     return Face(active, orders, undecided)
 
 
@@ -129,28 +122,3 @@ def _basis(
     if nearest is None:
         raise SweepoptError("rounding hides which rows are active")
     return active + others[nearest.active].tolist()
-
-
-def _exchanged(
-    rows: Rows, active: list[int], tight: np.ndarray, s: np.ndarray, force: np.ndarray
-) -> list[int]:
-    """Independent tight rows that carry the same force where those that did cannot go on.
-
-    Of all multipliers of the force, R^T y = force, those of least <s, y>: a linear program.
-    """
-    program = scipy.optimize.linprog(
-        s[tight] / (np.abs(s[tight]).max() or 1.0),
-        A_eq=rows.R[tight].T,
-        b_eq=force / (np.abs(force).max() or 1.0),
-        bounds=[(None if equation else 0.0, None) for equation in rows.equations[tight]],
-        method="highs-ds",
-    )
-    if program.x is None:
-        raise EmptySetError("C(t) becomes empty: its rows contradict")
-    chosen = list(rows.fixed)
-    for row in [*np.flatnonzero(tight)[program.x > ZERO].tolist(), *active]:
-        span = rows.R[chosen].T
-        rest = rows.R[row] - span @ np.linalg.lstsq(span, rows.R[row], rcond=None)[0]
-        if np.linalg.norm(rest) > SPANNED:
-            chosen.append(row)
-    return chosen

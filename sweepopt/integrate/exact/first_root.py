@@ -7,8 +7,6 @@ Newton's method and never passes it.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from sweepopt.errors import SweepoptError
@@ -20,16 +18,9 @@ ITERATIONS = 100_000  # a simple root takes about ten
 TINY = np.sqrt(np.finfo(float).tiny)  # a product with it does not underflow
 
 
-class Root(NamedTuple):
-    """When, and which functions are zero there."""
-
-    tau: float
-    rows: np.ndarray
-
-
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
-def first_root(f: ExponentialSum, orders: np.ndarray) -> Root:
-    """The first tau in (0, length) at which an entry of f turns negative; no rows if none does.
+def first_root(f: ExponentialSum, orders: np.ndarray) -> float:
+    """The first tau in (0, length) at which an entry of f turns negative; length if none does.
 
     Parameters
     ----------
@@ -57,11 +48,11 @@ def first_root(f: ExponentialSum, orders: np.ndarray) -> Root:
         if falls.any():
             beyond = _beyond_touch(f, np.flatnonzero(falls), tau, noise[falls])
             if beyond is None:
-                return Root(tau, np.flatnonzero(falls))
+                return tau
             h[falls] = beyond
         tau += max(float(h.min(initial=np.inf)), EPS * tau)
         if tau >= length:
-            return Root(length, np.zeros(0, dtype=int))
+            return length
     raise SweepoptError(
         f"no event in {ITERATIONS} steps that are proved free of events; the rates of the "
         "process are too far apart for scheme='exact', use implicit-euler or sdirk2"

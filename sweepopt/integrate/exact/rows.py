@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import scipy.linalg
-from scipy.special import comb
 
 from sweepopt.errors import InputError
 from sweepopt.integrate.exact.exponential_sum import SLOW, TERMS, ExponentialSum
@@ -32,17 +31,17 @@ class SmoothOffsets:
 
     def on(self, s: float, length: float) -> ExponentialSum:
         """d(s + tau) for 0 <= tau <= length."""
-        slow = [[x for x in p.waves if abs(x[1]) * length <= SLOW] for p in self.pieces]
-        degree = TERMS if any(slow) else 0
-        powers = np.arange(max(degree + 1, *(len(p.polynomial) for p in self.pieces)))
         fast = sorted({w for p in self.pieces for _, w, _ in p.waves if abs(w) * length > SLOW})
+        slow = [tuple(wave for wave in p.waves if wave[1] not in fast) for p in self.pieces]
+        terms = TERMS + 1 if any(slow) else 1
+        powers = np.arange(max(terms, *(len(p.polynomial) for p in self.pieces)))
         rows = np.zeros((len(self.pieces), powers.size + len(fast)), dtype=complex)
-        for row, piece, series in zip(rows, self.pieces, slow, strict=True):
-            values, _ = _taylor(piece._replace(waves=tuple(series)), s, powers.size)
-            row[: powers.size] = values * length**powers
+        for row, piece, waves in zip(rows, self.pieces, slow, strict=True):
+            series = _taylor(piece._replace(waves=waves), s, powers.size)
+            row[: powers.size] = series.real * length**powers
             for a, w, p in piece.waves:
                 if w in fast:
-                    row[powers.size + fast.index(w)] += -1j * a * np.exp(1j * (p + w * s))
+                    row[powers.size + fast.index(w)] -= 1j * a * np.exp(1j * (p + w * s))
         return ExponentialSum(self.weights @ rows, 1j * np.array(fast), length)
 
     def taylor(self, s: float, terms: int) -> tuple[np.ndarray, np.ndarray]:
@@ -55,29 +54,20 @@ class SmoothOffsets:
         coefficients, sizes : ndarray, shape (m, terms)
         """
         series = np.array([_taylor(piece, s, terms + 1) for piece in self.pieces])
-        values, sizes = series[:, 0], series[:, 1]
-        shift = abs(s) * np.arange(1, terms + 1) * sizes[:, 1:]
-        return self.weights @ values[:, :-1], np.abs(self.weights) @ (sizes[:, :-1] + shift)
+        sizes = np.abs(series)
+        sizes = sizes[:, :-1] + abs(s) * np.arange(1, terms + 1) * sizes[:, 1:]
+        return self.weights @ series[:, :-1].real, np.abs(self.weights) @ sizes
 
 
 def _taylor(piece: Piece, s: float, terms: int) -> np.ndarray:
-    """Coefficients of phi(s + tau) in tau, and those of the sum of its absolute terms."""
-    series = np.zeros((2, terms))
-    c, shift = np.array(piece.polynomial), s - piece.origin
-    binomials, exponents = _binomials(c.size)
-    for row, (one, by) in zip(series, ((c, shift), (np.abs(c), abs(shift))), strict=True):
-        row[: c.size] = ((binomials * by**exponents) @ one)[:terms]
+    """Coefficients of phi(s + tau) in tau: their real part, and beside it how large waves are."""
+    series, shift = np.zeros(terms, dtype=complex), s - piece.origin
+    for coefficient in reversed(piece.polynomial):  # Horner's rule, in powers of tau
+        series = shift * series + np.append(coefficient, series[:-1])
     for a, w, p in piece.waves:
-        powers = a * np.cumprod(np.append(1.0, 1j * w / np.arange(1, terms)))
-        series += (-1j * np.exp(1j * (p + w * s)) * powers).real, np.abs(powers)
+        powers = np.cumprod(np.append(1.0, 1j * w / np.arange(1, terms)))
+        series -= 1j * a * np.exp(1j * (p + w * s)) * powers
     return series
-
-
-@cache
-def _binomials(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """j over k, and j - k: (shift + tau)^j = sum_k (j over k) shift^(j - k) tau^k."""
-    j = np.arange(count)
-    return comb(j, j[:, None]), np.maximum(j - j[:, None], 0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -24,29 +24,18 @@ STALLED = 50  # phases in a row that are as short as rounding: the same
 
 @dataclass(frozen=True, eq=False)
 class Phase:
-    """u(start + tau) = u_s - paths @ p(tau), the active rows unchanged.
-
-    Attributes
-    ----------
-    start : float
-    u : ndarray, shape (dim,)
-    paths : ndarray, shape (dim, modes)
-    p : ExponentialSum
-        The modes.
-    """
+    """u(start + tau) in closed form, the active rows unchanged."""
 
     start: float
-    u: np.ndarray
-    paths: np.ndarray
-    p: ExponentialSum
+    u: ExponentialSum
 
-    def state(self, t: np.ndarray) -> np.ndarray:
-        """u at the times, shape (k, dim)."""
-        return self.u - self.p(t - self.start) @ self.paths.T
+    def state(self, t: Any) -> np.ndarray:
+        """u at the times, shape (dim,) or (k, dim)."""
+        return self.u(t - self.start)
 
-    def velocity(self, t: np.ndarray) -> np.ndarray:
-        """u' at the times, shape (k, dim); exactly 0.0 in what is stuck."""
-        return 0.0 - self.p.derivative()(t - self.start) @ self.paths.T
+    def velocity(self, t: Any) -> np.ndarray:
+        """u' at the times, shape (dim,) or (k, dim); exactly 0.0 in what is stuck."""
+        return 0.0 + self.u.derivative()(t - self.start)
 
 
 Evaluate = Callable[[Phase, np.ndarray], np.ndarray]
@@ -61,12 +50,10 @@ class Trajectory:
     ----------
     phases : list of Phase
     end : float
-        The time up to which they are known.
+        The time up to which they are known: where switches accumulate, less than was asked for.
     switches : ndarray, shape (k,)
         Times at which the motion changes its closed form: a row begins or ceases to hold, or the
         load has a breakpoint while something moves.
-    complete : bool
-        False if the switches accumulate: then `end` is where they were given up.
     reconstruct : callable or None
         (times, values, evaluate) -> values of all unknowns from those of few ones.
 
@@ -83,7 +70,6 @@ class Trajectory:
     phases: list[Phase]
     end: float
     switches: np.ndarray
-    complete: bool = True
     reconstruct: Callable[[np.ndarray, np.ndarray, Evaluate], np.ndarray] | None = None
 
     def __repr__(self) -> str:
@@ -115,7 +101,7 @@ class Trajectory:
             raise InputError(f"t = {times[bad].flat[0]:g} is outside of [{start:g}, {self.end:g}]")
         flat = np.clip(times.ravel(), start, self.end)
         phase_of = np.maximum(np.searchsorted(self.starts, flat, side="left") - 1, 0)
-        values = np.zeros((flat.size, self.phases[0].u.size))
+        values = np.zeros((flat.size, len(self.phases[0].u.weights)))
         order = np.argsort(phase_of, kind="stable")
         for inside in np.split(order, np.flatnonzero(np.diff(phase_of[order])) + 1):
             if inside.size:
@@ -142,44 +128,33 @@ def exact_trajectory(
     """
     phases: list[Phase] = []
     switches: list[float] = []
-    u, before, stalled = u0, None, 0
+    u, before, stalled = u0, set[int](), 0
     for a, b, d in rows.smooth_offsets(start, end):
-        s, events = a, np.zeros(0, dtype=int)
+        s = a
         most += 1
         while s < b:
-            face = face_after(rows, d, s, u, events)
-            phase, limits = _phase(rows, d, s, b, u, face)
-            moves = bool(phase.paths.size)
-            if before is not None and (
-                set(face.active) != before[0] or (s == a and (moves or before[1]))
-            ):
+            face = face_after(rows, d, s, u)
+            phase, length = _phase(rows, d, s, b, u, face)
+            active = set(face.active)
+            if phases and (active != before or (s == a and active)):
                 switches.append(s)
-            before = set(face.active), moves
-            root = first_root(limits.signs, face.orders[limits.rows])
-            events, following = limits.rows[root.rows], s + root.tau
+            before, following = active, s + length
             if b - following <= 4 * EPS * abs(b):
-                events, following = events[:0], b
+                following = b
             stalled = stalled + 1 if following - s <= 64 * EPS * abs(following) else 0
-            u = phase.state(np.array([following]))[0]
+            u = phase.state(following)
             if following > s or not phases:
                 phases.append(phase)
             s = following
             if len(phases) > most or stalled > STALLED:
-                return Trajectory(phases, s, np.array(switches), complete=False)
+                return Trajectory(phases, s, np.array(switches))
     return Trajectory(phases, end, np.unique(switches))
-
-
-class _Limits(NamedTuple):
-    """The rows that may end a phase, and what must stay positive: multipliers and slacks."""
-
-    rows: np.ndarray
-    signs: ExponentialSum
 
 
 def _phase(
     rows: Rows, d: SmoothOffsets, s: float, b: float, u: np.ndarray, face: Face
-) -> tuple[Phase, _Limits]:
-    """The closed form from s on, at most up to b."""
+) -> tuple[Phase, float]:
+    """The closed form from s on, and after which time another row holds, at most b - s."""
     active, offsets = face.active, d.on(s, b - s)
     square = np.ix_(active, active)
     force = offsets.with_weights(-offsets.weights)
@@ -192,7 +167,8 @@ def _phase(
         force = force.extended(lam)
         p = decay(lam, force.with_weights(V.T @ force.weights[active]))
     dp = p.derivative()
-    phase = Phase(s, u, rows.N[active].T @ V, p)
+    motion = p.with_weights(-rows.N[active].T @ V @ p.weights)
+    motion.weights[:, 0] += u
     # the slacks N (A u' + B u) <= d, and the multipliers of the active rows in their place
     signs = rows.SB[:, active] @ V @ p.weights - force.weights
     if not rows.rate_independent:
@@ -200,4 +176,4 @@ def _phase(
     signs[active] = V @ dp.weights
     changing = ~face.redundant
     changing[active] = ~rows.equations[active]
-    return phase, _Limits(np.flatnonzero(changing), p.with_weights(signs[changing]))
+    return Phase(s, motion), first_root(p.with_weights(signs[changing]), face.orders[changing])

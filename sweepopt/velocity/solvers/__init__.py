@@ -16,7 +16,7 @@ from sweepopt.velocity.solvers.osqp import OSQP
 from sweepopt.velocity.solvers.reference import Cvxpy
 
 NEWTON, FASTEST, LAST = Newton(), DAQP(), ActiveSet()
-CONTRACT = ("name", "treats", "compile", "refined")
+CONTRACT = ("name", "treats", "compile")
 REGISTRY: dict[str, Callable[[], Solver]] = {
     "clarabel": Clarabel,
     "osqp": OSQP,
@@ -48,21 +48,17 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
     SolverRefusedError
         If the name is unknown or the solver cannot treat C.
     """
-    proved = C.certifiable  # else what a solver calls solved at its own tolerance stands
-    iterating = (OSQP.meeting(tol), Clarabel.meeting(tol)) if proved else (OSQP(), Clarabel())
-    general: list[Solver] = [other for other in (*iterating, LAST) if other.treats(C)]
+    general = [one for one in (_made(OSQP, C, tol), _made(Clarabel, C, tol), LAST) if one.treats(C)]
     small: list[Solver] = [NEWTON] if NEWTON.treats(C) else []
     if isinstance(solver, str) and solver == "auto":
-        fastest: list[Solver] = [FASTEST] if has_daqp() and FASTEST.treats(C) else []
+        fastest = [FASTEST] if has_daqp() and FASTEST.treats(C) else []
         D = C.derivative(C.anchor) if small and C.polyhedral else None
-        if (D is not None and D.ndim == 2) or not C.exact:
-            return (*fastest, general[0], *small, *general[1:])
-        return (*fastest, *small, *general)
+        first = 1 if (D is not None and D.ndim == 2) or not C.exact else 0
+        return (*fastest, *general[:first], *small, *general[first:])
     if isinstance(solver, str):
         if solver not in REGISTRY:
             raise SolverRefusedError(f"solver {solver!r} is not known; use auto, {_names()}")
-        kind: Any = REGISTRY[solver]
-        solver = kind.meeting(tol) if proved and hasattr(kind, "meeting") else kind()
+        solver = _made(REGISTRY[solver], C, tol)
     lacks = [name for name in CONTRACT if not hasattr(solver, name)]
     if lacks or isinstance(solver, type):
         missing = f" (it has no {lacks[0]}, see help(sweepopt.velocity.Solver))" if lacks else ""
@@ -76,6 +72,11 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
             'solver="clarabel"'
         )
     return (solver, *(other for other in (*small, *general) if other.name != solver.name))
+
+
+def _made(kind: Any, C: ConvexSet, tol: float) -> Solver:
+    """A solver with settings that meet tol; what it calls solved stands where C has no proof."""
+    return kind.meeting(tol) if C.certifiable and hasattr(kind, "meeting") else kind()
 
 
 def _curved_parts(C: ConvexSet) -> str:

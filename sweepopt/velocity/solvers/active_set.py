@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import scipy.linalg
@@ -51,37 +52,27 @@ class ActiveSet(Small):
 
     def compile(self, program: VelocityProgram) -> Solve:
         """Factorise M once; a call starts from no active rows."""
-        M, L = program.M, np.zeros((0, 0))
-        with contextlib.suppress(scipy.linalg.LinAlgError):  # M may be indefinite to rounding
-            L = scipy.linalg.cholesky(dense(M.M), lower=True)
-
-        def nearest(q: np.ndarray, G: np.ndarray, h: np.ndarray) -> np.ndarray | None:
-            rounding = ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(q))
-            projection = least_distance(G @ L, h - G @ q, rounding)
-            return None if projection is None else projection.u
+        M = program.M
+        lower = cache(lambda: scipy.linalg.cholesky(dense(M.M), lower=True))
 
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:
             rows = _rows(C)
             assert rows is not None
-            G, h = rows
-            z, nothing = np.zeros_like(q), np.zeros(C.offsets.size)
-            corrected = q
-            if not L.size:
-                return Answer(z, nothing, 0, "failed: rounding")
-            for _ in range(1 + REFINEMENTS):
-                try:
-                    x = nearest(corrected, G, h)
-                except EmptySetError:  # C was looked at before: M L^-T is rounding here
-                    x = None
-                if x is None:
-                    return Answer(z, nothing, 0, "failed: rounding")
-                z = scipy.linalg.solve_triangular(L, x, lower=True, trans=1)
-                rounding = M.rounding(euclidean(M.root * z), euclidean(q / M.root))
-                if rounding <= NEGLIGIBLE * euclidean(x):
-                    break
-                # what L L^T misses of M goes to the linear term
-                corrected = M.precisely(z, q, -(L @ (L.T @ z)))
-            return Answer(z, nothing, 1, "solved")
+            (G, h), z, corrected = rows, np.zeros_like(q), q
+            # C has points and M is positive definite: where that is not seen it is rounding
+            with contextlib.suppress(EmptySetError, scipy.linalg.LinAlgError):
+                for _ in range(1 + REFINEMENTS):
+                    L, rounding = lower(), ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(corrected))
+                    nearest = least_distance(G @ L, h - G @ corrected, rounding)
+                    if nearest is None:
+                        break
+                    z = scipy.linalg.solve_triangular(L, nearest.u, lower=True, trans=1)
+                    rounded = M.rounding(euclidean(M.root * z), euclidean(q / M.root))
+                    if rounded <= NEGLIGIBLE * euclidean(nearest.u):
+                        break
+                    # what L L^T misses of M goes to the linear term
+                    corrected = M.precisely(z, q, -(L @ (L.T @ z)))
+            return Answer(z, iterations=1, status="solved")
 
         return solve
 

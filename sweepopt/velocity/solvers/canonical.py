@@ -11,9 +11,8 @@ support function is positively homogeneous, so scaling (q, offsets) scales x.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,35 +21,6 @@ from sweepopt.checks import count, number
 from sweepopt.sets import ConvexSet, in_turn
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.contract import Answer, Solve
-
-if TYPE_CHECKING:
-    import cvxpy as cp
-
-
-class EngineAnswer(NamedTuple):
-    """What an engine answers; is_solved tells whether it may be used again."""
-
-    x: np.ndarray
-    iterations: int
-    status: str
-    is_solved: bool
-
-
-class Workspace(NamedTuple):
-    """A program that is set up but for its linear term.
-
-    Attributes
-    ----------
-    build : callable linear -> engine
-        An engine has `update(q=linear)`.
-    run : callable engine -> EngineAnswer
-    units : ndarray, shape (k,)
-        Of the variables: the engine sees x / units.
-    """
-
-    build: Callable[[np.ndarray], Any]
-    run: Callable[[Any], EngineAnswer]
-    units: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -81,35 +51,37 @@ class CanonicalSolver(ABC):
     def meeting(cls, tol: float) -> Self:
         """The solver with settings for which a certificate of `tol` is to be expected."""
 
+    def scaled(self, data: dict[str, Any]) -> np.ndarray:
+        """Puts the program in units of its own, and returns those of the variables."""
+        return np.ones(data["P"].shape[0])
+
     @abstractmethod
-    def workspace(self, cone: ConvexSet, P: sp.csc_array, data: dict[str, Any]) -> Workspace:
-        """The program in `data`, with P the upper triangle of its matrix."""
+    def engine(self, cone: ConvexSet, data: dict[str, Any], linear: np.ndarray) -> Any:
+        """The program in `data` with a linear term, set up; it has `update(q=linear)`."""
+
+    @abstractmethod
+    def run(self, engine: Any) -> tuple[Any, int, str]:
+        """The engine's answer: x, its iterations and its status."""
 
     def compile(self, program: VelocityProgram) -> Solve:
         """Canonicalise and set up once; a call updates the linear term."""
         data, linear_map = _canonical(program, self.name.upper())
-        build, run, units = self.workspace(program.cone, sp.triu(data["P"], format="csc"), data)
-        n, transposed = program.M.dim, linear_map.T.tocsr()
+        linear_map = sp.diags_array(self.scaled(data)) @ linear_map
+        n = program.M.dim
+        to_z = sp.csr_array(linear_map[:, :n].T)
         engine: Any = None
 
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:
             nonlocal engine
-            offsets = C.offsets
-            linear = units * (linear_map @ np.concatenate([q, offsets]))
-            force = float(np.abs(linear).max())
-            if force == 0:
-                return Answer(np.zeros(n), np.zeros(offsets.size), 0, "solved")
+            linear = linear_map @ np.concatenate([q, C.offsets])
+            force = float(np.abs(linear).max()) or 1.0
             if engine is None:
-                engine = build(linear / force)
+                engine = self.engine(program.cone, data, linear / force)
             else:
                 engine.update(q=linear / force)
-            x, iterations, status, is_solved = run(engine)
-            x = x * (force / program.stiffness)
-            if not is_solved or not np.isfinite(x).all():
-                engine = None  # a workspace that failed once is not used again
-                x = np.where(np.isfinite(x), x, 0.0)
-            answer = transposed @ (units * x)
-            return Answer(answer[:n], answer[n:], iterations, status)
+            x, iterations, status = self.run(engine)
+            z = to_z @ np.array(x, dtype=float) * (force / program.stiffness)
+            return Answer(z, iterations=iterations, status=status)
 
         return solve
 
@@ -123,23 +95,16 @@ def _canonical(program: VelocityProgram, solver: str) -> tuple[dict[str, Any], s
     """
     import cvxpy as cp
 
-    z, y, quadratic, constraints = program.statement()
+    linear, quadratic, constraints = program.statement()
     problem = cp.Problem(cp.Minimize(quadratic), constraints)
     data, _, _ = problem.get_problem_data(solver, enforce_dpp=True)
-    columns, size = data["param_prob"].var_id_to_col, data["P"].shape[0]
-    maps = [
-        _derivative(expression, columns, size) for expression in (z, y) if expression is not None
-    ]
-    return data, sp.csr_array(sp.hstack(maps))
-
-
-def _derivative(expression: cp.Expression, columns: dict[int, int], size: int) -> sp.csc_array:
-    """The derivative of a linear expression in the canonical variables, transposed."""
-    for variable in expression.variables():
+    data["P"] = sp.triu(data["P"], format="csc")
+    for variable in linear.variables():
         variable.value = np.zeros(variable.shape)  # any point: the expression is linear
-    total = sp.csc_array((size, expression.size))
-    for variable, part in expression.grad.items():
-        part = sp.coo_array(np.atleast_2d(part) if np.isscalar(part) else part)
-        placed = (part.data, (part.row + columns[variable.id], part.col))
-        total += sp.csc_array(placed, shape=total.shape)
-    return total
+    total = sp.csr_array((data["P"].shape[0], linear.size))
+    for variable, part in linear.grad.items():
+        part = sp.coo_array(part)
+        column = data["param_prob"].var_id_to_col[variable.id]
+        placed = (part.data, (part.row + column, part.col))
+        total += sp.csr_array(placed, shape=total.shape)
+    return data, total

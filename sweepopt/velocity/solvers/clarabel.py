@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.sets import CAREFUL, ConvexSet
-from sweepopt.velocity.solvers.canonical import CanonicalSolver, EngineAnswer, Workspace
-
-USABLE = {"Solved", "AlmostSolved"}
+from sweepopt.velocity.solvers.canonical import CanonicalSolver
 
 
 @dataclass(frozen=True)
@@ -30,8 +28,8 @@ class Clarabel(CanonicalSolver):
 
     Examples
     --------
-    >>> Clarabel(tol=1e-9).refined().tol <= 1.1e-11
-    True
+    >>> Clarabel(tol=1e-9).tol
+    1e-09
     """
 
     tol: float = 1e-9
@@ -50,18 +48,18 @@ class Clarabel(CanonicalSolver):
         """
         return cls(tol=min(max(0.1 * tol**2, 1e-11), 1e-4))
 
-    def refined(self) -> Clarabel | None:
-        """Two digits tighter, as far as double precision goes."""
-        return replace(self, tol=self.tol / 100) if self.tol > 1e-13 else None
+    def scaled(self, data: dict[str, Any]) -> np.ndarray:
+        """Puts the rows in units of their cones."""
+        rows, columns = _units(data["P"], data["A"], data["dims"])
+        data["A"] = sp.diags_array(rows) @ data["A"] @ sp.diags_array(columns)
+        data["b"] = rows * data["b"]
+        return columns
 
-    def workspace(self, cone: ConvexSet, P: sp.csc_array, data: dict[str, Any]) -> Workspace:
-        """The rows in units of their cones."""
+    def engine(self, cone: ConvexSet, data: dict[str, Any], linear: np.ndarray) -> Any:
+        """Clarabel with the program."""
         import clarabel
+        from cvxpy.reductions.solvers.conic_solvers.clarabel_conif import dims_to_solver_cones
 
-        A, b, dims = data["A"], data["b"], data["dims"]
-        cones = _cones(clarabel, dims)
-        rows, columns = _units(P, sp.csc_array(A), dims)
-        A = sp.csc_matrix(sp.diags_array(rows) @ A @ sp.diags_array(columns))
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.max_iter = self.max_iter
@@ -70,51 +68,27 @@ class Clarabel(CanonicalSolver):
         if not cone.certifiable:  # an answer stands if Clarabel calls it solved
             for name, value in CAREFUL.items():
                 setattr(settings, name, value)
+        A, b, cones = sp.csc_matrix(data["A"]), data["b"], dims_to_solver_cones(data["dims"])
+        return clarabel.DefaultSolver(data["P"], linear, A, b, cones, settings)
 
-        def build(linear: np.ndarray) -> Any:
-            return clarabel.DefaultSolver(P, linear, A, rows * b, cones, settings)
-
-        def run(engine: Any) -> EngineAnswer:
-            solution = engine.solve()
-            status = str(solution.status)
-            return EngineAnswer(np.array(solution.x), solution.iterations, status, status in USABLE)
-
-        return Workspace(build, run, columns)
+    def run(self, engine: Any) -> tuple[Any, int, str]:
+        """The engine's answer."""
+        solution = engine.solve()
+        return solution.x, solution.iterations, str(solution.status)
 
 
-def _units(P: Any, A: sp.csc_array, dims: Any) -> tuple[np.ndarray, np.ndarray]:
+def _units(P: Any, A: Any, dims: Any) -> tuple[np.ndarray, np.ndarray]:
     """Units of the rows and of the variables in which no cone is larger than another.
 
     The variables of the quadratic term have theirs already. A cone that they are in gets their
     unit, and all other variables that of their cones: |p| <= t with p in 1e-10 lets a solver that
     meets both sides to 1e-9 forget p (discs in mixed units at condition 1e12 are not met then).
     """
-    tied = np.zeros(A.shape[1], dtype=bool)
-    tied[sp.coo_array(P).col] = True
-    ends = np.cumsum([0, *[1] * (dims.zero + dims.nonneg), *dims.soc])
-    blocks = np.repeat(np.arange(len(ends) - 1), np.diff(ends))
-    rows, columns = np.ones(A.shape[0]), np.ones(A.shape[1])
-    entries = sp.coo_array(A)
-    known = (entries.row < ends[-1]) & (entries.data != 0)
-    row, column, size = entries.row[known], entries.col[known], np.abs(entries.data[known])
-    sizes = np.zeros(len(ends) - 1)
-    at = tied[column]
-    np.maximum.at(sizes, blocks[row[at]], size[at])
-    rows[: ends[-1]] = np.where(sizes > 0, 1 / np.where(sizes > 0, sizes, 1.0), 1.0)[blocks]
-    largest = np.zeros(A.shape[1])
-    np.maximum.at(largest, column, size * rows[row])
-    free = ~tied & (largest > 0)
-    columns[free] = 1 / largest[free]
-    return rows, columns
-
-
-def _cones(clarabel: Any, dims: Any) -> list[Any]:
-    """cvxpy's cone dimensions in Clarabel's words."""
-    cones = [clarabel.ZeroConeT(dims.zero)] if dims.zero else []
-    cones += [clarabel.NonnegativeConeT(dims.nonneg)] if dims.nonneg else []
-    cones += [clarabel.SecondOrderConeT(size) for size in dims.soc]
-    cones += [clarabel.PSDTriangleConeT(size) for size in dims.psd]
-    cones += [clarabel.ExponentialConeT()] * dims.exp
-    cones += [clarabel.PowerConeT(exponent) for exponent in dims.p3d]
-    cones += [clarabel.GenPowerConeT(exponents, 1) for exponents in getattr(dims, "pnd", [])]
-    return cones
+    sizes = [*[1] * (dims.zero + dims.nonneg), *dims.soc]
+    sizes += [A.shape[0] - sum(sizes)] * (A.shape[0] > sum(sizes))  # cones of other kinds as one
+    tied, A = np.isin(np.arange(A.shape[1]), sp.coo_array(P).col), abs(sp.csr_array(A))
+    largest = (A @ sp.diags_array(1.0 * tied)).max(axis=1).toarray().ravel()
+    of_cones = np.maximum.reduceat(largest, np.cumsum([0, *sizes[:-1]]))
+    rows = np.repeat(1 / np.where(of_cones > 0, of_cones, 1.0), sizes)
+    free = (sp.diags_array(rows) @ A).max(axis=0).toarray().ravel()
+    return rows, np.where(tied | (free == 0), 1.0, 1 / np.where(free > 0, free, 1.0))

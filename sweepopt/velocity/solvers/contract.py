@@ -14,12 +14,15 @@ from sweepopt.velocity.program import VelocityProgram
 
 
 class Answer(NamedTuple):
-    """What a solver says; nothing of it is believed before the program has certified it."""
+    """What a solver says; nothing of it is believed before the program has certified it.
+
+    The multipliers y are of no use here; solvers of others may give them.
+    """
 
     z: np.ndarray
-    y: np.ndarray
-    iterations: int
-    status: str
+    y: np.ndarray = np.zeros(0)
+    iterations: int = 0
+    status: str = ""
 
 
 Solve = Callable[..., Answer]
@@ -47,10 +50,6 @@ class Solver(Protocol):
         """
         ...
 
-    def refined(self) -> Solver | None:
-        """The same solver with tighter settings, for a step that missed its tolerance."""
-        ...
-
 
 @dataclass(frozen=True)
 class Small:
@@ -71,7 +70,3 @@ class Small:
 
     def __post_init__(self) -> None:
         count("max_dim", self.max_dim)
-
-    def refined(self) -> Solver | None:
-        """None: there is nothing to tighten."""
-        return None

@@ -16,10 +16,9 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
-from scipy.linalg import lapack
 
 from sweepopt.errors import MissingExtraError
-from sweepopt.linalg import Factor, dense
+from sweepopt.linalg import Factor
 from sweepopt.sets import ConvexSet, binary
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.contract import Answer, Small, Solve
@@ -69,24 +68,21 @@ class _Workspace:
     """The inverse of M in units of its diagonal, and an engine that starts from its last answer."""
 
     def __init__(self, M: Factor) -> None:
-        root = M.root
         # in units of the diagonal: the method's tolerances are absolute
-        factor, _ = lapack.dpotrf(dense(M.M) / np.outer(root, root), lower=True)
-        lower = np.tril(lapack.dpotri(factor, lower=True)[0])
-        self._root, self._inverse = root, np.ascontiguousarray(lower + np.tril(lower, -1).T)
+        self._root, self._inverse = M.root, M.inverse * np.outer(M.root, M.root)
         self._engine: Any = None
         self._box: ConvexSet | None = None
         self._bounds = np.zeros((2, M.dim))
 
     def __call__(self, q: np.ndarray, C: ConvexSet) -> Answer:
-        q, no_features = q / self._root, np.zeros(C.offsets.size)
+        q = q / self._root
         force = binary(np.abs(q).max())
         linear = self._inverse.dot(q) / -force
         if C is not self._box:
             far = np.full(q.size, BEYOND)
             self._box, self._bounds = C, np.array([C.project(far), C.project(-far)]) / self._root
         with np.errstate(over="ignore"):  # a unit of next to nothing: as far as INFINITE
-            above, below = np.maximum(np.minimum(self._bounds / force, INFINITE), -INFINITE)
+            above, below = np.clip(self._bounds / force, -INFINITE, INFINITE)
         if self._engine is None:
             import daqp
 
@@ -96,11 +92,9 @@ class _Workspace:
         else:
             self._engine.update(f=linear, bupper=above, blower=below)
         w, _, flag, info = self._engine.solve()
-        if flag != 1:
-            self._engine = None  # a workspace that failed once is not used again
-            return Answer(np.zeros_like(q), no_features, 0, f"failed: flag {flag}")
         z = self._inverse.dot(w * force - q) / self._root
-        return Answer(z, no_features, int(info["iterations"]), "solved")
+        status = "solved" if flag == 1 else f"failed: flag {flag}"
+        return Answer(z, iterations=int(info["iterations"]), status=status)
 
 
 @cache

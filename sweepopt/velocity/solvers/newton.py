@@ -5,26 +5,27 @@ generalised derivative of P_C the Newton step solves  (M - D (M - T)) dz = P_C(v
 is the primal-dual active-set method: stuck entries get z = 0 at once, slipping ones solve a linear
 system (Hintermueller, Ito, Kunisch, SIAM J. Optim. 13(3), 2002). There an entry does not reverse
 within one step: it stops first, or a warm start would have whole contact zones flip to and fro. The
-method may still cycle far from the solution: then it stops early and another solver takes over.
+method may still cycle far from the solution: then each step is halved until the residual of the
+equation falls. Where that ends, another solver takes over.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Any
 
 import numpy as np
-from scipy.linalg import lapack  # the plain calls: no checks in the loop
+import scipy.linalg
 
 from sweepopt.checks import count
 from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, dense, euclidean
-from sweepopt.sets import ConvexSet, binary
+from sweepopt.sets import ConvexSet
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.contract import Answer, Small, Solve
 
-FEW_SLIPPING = 40  # up to so many slipping entries an inverse is not worth it
 PATIENCE = 5  # steps that may fail to improve on the best one: more are a cycle
+SHORTEST = 1e-5  # share of a step; discs across cells of stiffness 1 and 1e8 need 4e-7 to 1
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,7 @@ class Newton(Small):
     max_dim : int
         Larger programs are left to the other solvers; a step solves a dense system.
     max_iter : int
+        Of whole steps, and again of halved ones.
 
     Raises
     ------
@@ -82,95 +84,82 @@ class _Iteration:
     """
 
     def __init__(self, M: Factor, max_iter: int) -> None:
-        self._factor, self.M, self._diagonal = M, dense(M.M), M.diagonal
-        self._max_iter, self._z = max_iter, np.zeros(M.dim)
-        self._take(self._diagonal)
+        self._factor, self.M, self._max_iter = M, dense(M.M), max_iter
+        self._z = np.zeros(M.dim)
         self._stuck = b""
-        self._kept = np.zeros(0, dtype=int)
-        self._block, self._inverted = self.M, False
+        self._block: Any = None
 
     def __call__(self, q: np.ndarray, C: ConvexSet, start: np.ndarray | None = None) -> Answer:
-        self._z, iterations = self._iterated(q, C, self._z if start is None else start)
-        return Answer(self._z, np.zeros(C.offsets.size), iterations, "iterated")
+        self._z, iterations = self._z if start is None else start, 0
+        for damped in (False, True):
+            self._z, converged, steps = self._iterated(q, C, self._z, damped)
+            iterations += steps
+            if converged:
+                break
+        return Answer(self._z, iterations=iterations, status="iterated")
 
-    def _iterated(self, q: np.ndarray, C: ConvexSet, z: np.ndarray) -> tuple[np.ndarray, int]:
-        """Newton steps from z until nothing changes; returns the last z and their number."""
-        T = C.weights(self._diagonal)
-        if T is not self._T:
-            self._take(T)
-        scale = self._scale
-        smallest, stalled = math.inf, 0
-        for iteration in range(self._max_iter):
-            pulled = T * z
-            if self._factor.is_sharp:
-                w, size_z = self.M @ z + q, euclidean(pulled * scale)
-            else:
-                w, size_z = self._factor.apply(z, q, NEGLIGIBLE)
-                size_z *= self._unit
-            v = w - pulled
+    def _iterated(
+        self, q: np.ndarray, C: ConvexSet, z: np.ndarray, damped: bool
+    ) -> tuple[np.ndarray, bool, int]:
+        """Newton steps from z: the last z, whether it is exact to rounding, and their number."""
+        T = C.weights(self._factor.diagonal)
+        scale = 1 / np.sqrt(T)
+        smallest, stalled, iteration = math.inf, 0, 0
+        start, change, share = z, np.zeros_like(z), 1.0
+        while iteration < self._max_iter:
+            w, size_z = self._factor.apply(z, q, NEGLIGIBLE)
+            v = w - T * z
             residual = C.project(v) - w
             size = euclidean(residual * scale)
             rounding = EPS * (euclidean(w * scale) + size_z)
             # at rounding the equation cannot get better: stop when it does not, or when it cycles
             stalled += size >= smallest
-            if size <= rounding or (size <= 1e3 * rounding and stalled) or stalled == PATIENCE:
-                return z, iteration
+            if size <= rounding or (size <= 1e3 * rounding and stalled):
+                return z, True, iteration
+            if damped and size >= smallest and share > SHORTEST:
+                share /= 2
+                z = start + share * change
+                continue
+            if stalled == PATIENCE and not damped:
+                break
             smallest = min(smallest, size)
             D = C.derivative(v)
             if D is None:
-                return z, iteration
+                break
             try:
                 if D.ndim == 1:
                     following = self._separable(D == 1, z, residual)
                 else:
                     following = z + self._coupled(T, D, z, residual)
             except np.linalg.LinAlgError:
-                return z, iteration
+                break
             if not math.isfinite(following @ following):
-                return z, iteration
-            z = following
-        return z, self._max_iter
-
-    def _take(self, T: np.ndarray) -> None:
-        """Roots of T in its own units: the same numbers whatever power of two the units are."""
-        unit = binary(T.max())
-        self._T, self._roots, self._unit = T, np.sqrt(T / unit), math.sqrt(unit)
-        self._scale = 1 / self._roots
+                break
+            start, change, share = z, following - z, 1.0
+            z, iteration = following, iteration + 1
+        return z, False, iteration
 
     def _separable(self, stuck: np.ndarray, z: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """Stuck entries get 0, slipping ones solve M dz = residual; nothing reverses."""
+        inverted = 2 * stuck.sum() < stuck.size
+        kept = np.flatnonzero(stuck if inverted else ~stuck)
         if stuck.tobytes() != self._stuck:
-            self._stuck = b""
-            free = np.flatnonzero(~stuck)
-            self._inverted = free.size > max(stuck.size // 2, FEW_SLIPPING)
-            self._kept = np.flatnonzero(stuck) if self._inverted else free
-            matrix = self._inverse if self._inverted else self.M
-            block = matrix[self._kept][:, self._kept]
-            self._block, info = lapack.dpotrf(block, lower=True)
-            if info:
-                raise np.linalg.LinAlgError("the block is not positive definite to rounding")
+            matrix = self._factor.inverse if inverted else self.M
+            self._block = kept.size and scipy.linalg.cho_factor(matrix[np.ix_(kept, kept)])
             self._stuck = stuck.tobytes()
-        following = np.where(stuck, 0.0, z)
-        change, kept = following - z, self._kept
-        if self._inverted:
+        change = np.where(stuck, -z, 0.0)
+        if inverted:
             # the few stuck entries: the forces on them that hold them, in the inverse
             force = np.where(stuck, 0.0, residual)
             if kept.size:
-                inner = change[kept] - self._inverse[kept] @ force
-                force[kept] = lapack.dpotrs(self._block, inner, lower=True)[0]
-            following = np.where(stuck, 0.0, z + self._inverse @ force)
+                inner = change[kept] - self._factor.inverse[kept] @ force
+                force[kept] = scipy.linalg.cho_solve(self._block, inner)
+            change = self._factor.inverse @ force
         elif kept.size:
-            right = residual - self.M @ change if change.any() else residual
-            following[kept] += lapack.dpotrs(self._block, right[kept], lower=True)[0]
+            right = residual - self.M @ change
+            change[kept] = scipy.linalg.cho_solve(self._block, right[kept])
+        following = np.where(stuck, 0.0, z + change)
         return np.where(following * z < 0, 0.0, following)
-
-    @cached_property
-    def _inverse(self) -> np.ndarray:
-        factor, info = lapack.dpotrf(self.M, lower=True)
-        if info:
-            raise np.linalg.LinAlgError("M is not positive definite to rounding")
-        lower = lapack.dpotri(factor, lower=True)[0]
-        return np.tril(lower) + np.tril(lower, -1).T
 
     def _coupled(
         self, T: np.ndarray, D: np.ndarray, z: np.ndarray, residual: np.ndarray
@@ -185,6 +174,6 @@ class _Iteration:
         rows = rows - D[free] @ self.M + D[free] * T
         right = residual[free] - rows[:, stuck] @ dz[stuck]
         # in units of T: pivots are chosen by size
-        units = self._roots[free]
+        units = np.sqrt(T[free])
         dz[free] = np.linalg.solve(rows[:, free] / np.outer(units, units), right / units) / units
         return dz

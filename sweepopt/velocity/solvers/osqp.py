@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.sets import ConvexSet
-from sweepopt.velocity.solvers.canonical import CanonicalSolver, EngineAnswer, Workspace
+from sweepopt.velocity.solvers.canonical import CanonicalSolver
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class OSQP(CanonicalSolver):
 
     Examples
     --------
-    >>> OSQP(tol=1e-9).refined().tol <= 1.1e-11
-    True
+    >>> OSQP(tol=1e-9).tol
+    1e-09
     """
 
     tol: float = 1e-8
@@ -47,40 +47,27 @@ class OSQP(CanonicalSolver):
         """A hundredth of tol, between 1e-9 and 1e-3: residuals count more where M is soft."""
         return cls(tol=min(max(0.01 * tol, 1e-9), 1e-3))
 
-    def refined(self) -> OSQP | None:
-        """Two digits tighter, with more iterations."""
-        if self.tol <= 1e-11:
-            return None
-        return replace(self, tol=self.tol / 100, max_iter=4 * self.max_iter)
-
-    def workspace(self, cone: ConvexSet, P: sp.csc_array, data: dict[str, Any]) -> Workspace:
+    def engine(self, cone: ConvexSet, data: dict[str, Any], linear: np.ndarray) -> Any:
         """Equations and inequalities as rows between bounds."""
         import osqp
 
-        equations, inequalities = data["A"], data["F"]
-        rows = sp.csc_matrix(sp.vstack([equations, inequalities]))
-        equal, below = equations.shape[0], inequalities.shape[0]
-        lower = np.concatenate([np.zeros(equal), np.full(below, -np.inf)])
-        upper = np.zeros(equal + below)
+        equal, below = data["A"].shape[0], data["F"].shape[0]
+        engine = osqp.OSQP()
+        engine.setup(
+            sp.csc_matrix(data["P"]),
+            linear,
+            sp.csc_matrix(sp.vstack([data["A"], data["F"]])),
+            np.repeat([0.0, -np.inf], [equal, below]),
+            np.zeros(equal + below),
+            verbose=False,
+            polishing=False,
+            eps_abs=self.tol,
+            eps_rel=self.tol,
+            max_iter=self.max_iter,
+        )
+        return engine
 
-        def build(linear: np.ndarray) -> Any:
-            fresh = osqp.OSQP()
-            tolerances = {"eps_abs": self.tol, "eps_rel": self.tol, "max_iter": self.max_iter}
-            fresh.setup(
-                sp.csc_matrix(P),
-                linear,
-                rows,
-                lower,
-                upper,
-                verbose=False,
-                polishing=False,
-                **tolerances,
-            )
-            return fresh
-
-        def run(engine: Any) -> EngineAnswer:
-            result = engine.solve(raise_error=False)
-            x, info = np.array(result.x, dtype=float), result.info
-            return EngineAnswer(x, info.iter, info.status, info.status_val in (1, 2))
-
-        return Workspace(build, run, np.ones(P.shape[0]))
+    def run(self, engine: Any) -> tuple[Any, int, str]:
+        """The engine's answer."""
+        result = engine.solve(raise_error=False)
+        return result.x, result.info.iter, result.info.status

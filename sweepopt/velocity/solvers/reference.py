@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sweepopt.errors import InputError, SolverRefusedError, shown
 from sweepopt.sets import ConvexSet, in_turn
 from sweepopt.velocity.program import VelocityProgram
-from sweepopt.velocity.solvers.contract import Answer, Solve, Solver
+from sweepopt.velocity.solvers.contract import Answer, Solve
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -63,10 +63,6 @@ class Cvxpy:
         """Polyhedra, and every set if the solver is not one for quadratic programs."""
         return C.polyhedral or self.solver.upper() not in QUADRATIC_ONLY
 
-    def refined(self) -> Solver | None:
-        """None: the settings are the user's."""
-        return None
-
     def compile(self, program: VelocityProgram) -> Solve:
         """State the program once; a call sets its parameters and solves."""
         import cvxpy as cp
@@ -77,58 +73,44 @@ class Cvxpy:
                 f"cvxpy has no solver {name!r} here; it has {', '.join(installed())}"
             )
         settings = self.settings or TIGHT.get(name, {})
-        n, size = program.M.dim, program.cone.offsets.size
-        problem, z, y, linear, weights = _with_parameters(program)
+        n = program.M.dim
+        problem, linear, parameter = _with_parameter(program)
 
         @in_turn
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:
-            offsets = C.offsets
+            given = np.concatenate([q, C.offsets])
             # forces in units of the largest one: solvers' absolute tolerances need it
-            force = max(np.abs(q).max(), np.abs(offsets).max(initial=0.0)) or 1.0
-            linear.value = q / force
-            if weights is not None:
-                weights.value = offsets / force
+            force = np.abs(given).max() or 1.0
+            parameter.value = given / force
             with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", message="Solution may be inaccurate")
                 try:
                     problem.solve(solver=name, enforce_dpp=True, **settings)
                 except cp.SolverError as error:
-                    return Answer(np.zeros(n), np.zeros(size), 0, f"failed: {error}")
+                    return Answer(np.zeros(n), status=f"failed: {error}")
                 except (TypeError, ValueError) as error:
                     raise SolverRefusedError(
                         f"cvxpy's {name} does not take the settings {settings}: {error}"
                     ) from error
-            if z.value is None:
-                return Answer(np.zeros(n), np.zeros(size), 0, str(problem.status))
+            status = str(problem.status)
+            if linear.value is None:
+                return Answer(np.zeros(n), status=status)
             iterations = problem.solver_stats.num_iters or 0
-            scale = force / program.stiffness
-            features = np.zeros(0) if y is None else y.value * scale
-            return Answer(z.value * scale, features, iterations, str(problem.status))
+            z = linear.value[:n] * (force / program.stiffness)
+            return Answer(z, iterations=iterations, status=status)
 
         return solve
 
 
-class Parametric(NamedTuple):
-    """The program with parameters in the linear part of its objective alone (DPP)."""
-
-    problem: cp.Problem
-    z: cp.Expression
-    y: cp.Expression | None
-    q: cp.Parameter
-    offsets: cp.Parameter | None
-
-
 @in_turn
-def _with_parameters(program: VelocityProgram) -> Parametric:
+def _with_parameter(program: VelocityProgram) -> tuple[cp.Problem, cp.Expression, cp.Parameter]:
+    """The program with a parameter in the linear part of its objective alone (DPP)."""
     import cvxpy as cp
 
-    z, y, objective, constraints = program.statement()
-    q, offsets = cp.Parameter(program.M.dim), None
-    objective += q @ z
-    if y is not None:
-        offsets = cp.Parameter(y.size)
-        objective += offsets @ y
-    return Parametric(cp.Problem(cp.Minimize(objective), constraints), z, y, q, offsets)
+    linear, quadratic, constraints = program.statement()
+    parameter = cp.Parameter(linear.size)
+    problem = cp.Problem(cp.Minimize(quadratic + parameter @ linear), constraints)
+    return problem, linear, parameter
 
 
 def installed() -> list[str]:
