@@ -160,10 +160,7 @@ class Polyhedron(ConvexSet):
             return None
         rows = dense(self.G[normal.active])
         Q, R = np.linalg.qr((rows * root).T)
-        multipliers = scipy.linalg.solve_triangular(R, Q.T @ (root * p))
-        if (multipliers < 0).any():
-            multipliers = scipy.linalg.solve_triangular(R, Q.T @ (root * normal.u))
-            multipliers = np.maximum(multipliers, 0.0)
+        multipliers = np.maximum(scipy.linalg.solve_triangular(R, Q.T @ (root * p)), 0.0)
         outside = scipy.linalg.solve_triangular(R, rows @ w - self.h[normal.active], trans=1)
         point = self._on_face(w - root * (Q @ outside), normal.active, tau)
         if point is not None:
