@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from os import PathLike
 from typing import Any, Literal
 
@@ -277,9 +278,8 @@ def _run(
     run, interrupted, sink, succeeded = None, False, None, False
     try:
         if segments:
-            run = adapt(
-                steps, segments, process, grid.plan, options.save, options.memory, bar.update
-            )
+            saved = partial(saving, options.save, dim=grid.plan.entering, memory=options.memory)
+            run = adapt(steps, segments, process, grid, saved, bar.update)
             grid, interrupted = run.grid, run.status is Status.INTERRUPTED
         reconstruction = Reconstruction(grid)
         watchers: list[Callable[[StepInfo], Any]] = []
@@ -357,12 +357,12 @@ def _solution(
     recorded: list[Any],
 ) -> Solution:
     """The states of all unknowns where they are, and what is known of the run."""
-    grid, times = run.grid, run.grid.times[: run.done + 1]
+    grid = run.grid
     states = sink.states() if sink else reconstruction.states(run.states())
     return Solution(
         process=process,
         plan=grid.plan,
-        t=times if len(states.steps) == run.done else times[np.append(0, states.steps + 1)],
+        t=grid.times[np.append(0, states.steps + 1)],
         states=states,
         statistics=run.statistics(reconstruction.seconds),
         status=run.status,

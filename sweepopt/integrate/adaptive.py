@@ -17,22 +17,21 @@ import time as clock
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from numbers import Real
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sweepopt.checks import TIME_SLACK, axes, number, vector
-from sweepopt.errors import IndefiniteError, InputError, Status
-from sweepopt.integrate.error_estimator import ErrorEstimator, ErrorModel, Probe
+from sweepopt.errors import InputError, Status
+from sweepopt.integrate.error_estimator import ErrorEstimator
 from sweepopt.integrate.grid import evaluation_times, time_grid
 from sweepopt.integrate.loop import integrate
-from sweepopt.integrate.record import Grid, Pass, Run, saving
+from sweepopt.integrate.record import Grid, Pass, Run, Saving
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.integrate.step import Velocities
 from sweepopt.linalg import EPS
 from sweepopt.loads import breakpoints
 from sweepopt.problem import SweepingProcess, motion
-from sweepopt.velocity import Plan
 
 STEPS = 1_000_000  # of the finest pass: hours
 FIRST = 16  # steps of the first pass
@@ -43,7 +42,7 @@ AIM = 0.75  # estimate that the next pass should have, in units of tol: it scatt
 FARTHEST = 6.0  # times the steps of a pass to which its differences say where they are needed
 GROWTH = 1.1  # times the steps of a pass that the next one has
 HIDDEN = 1 / 12  # of jump times step: mean error of a switch anywhere in the half step beside it
-GRADED = 0.4  # no step is longer than 1 / 0.4 of the mean one: events there may be unresolved
+GOLDEN = 0.5 * (math.sqrt(5) - 1)  # its multiples modulo 1 fall into step with no period
 PROGRAM_SHARE = 0.05  # of tol that inexact programs may take
 EXACT = 1e-9  # no certificate below it is asked for: programs reach it on every scene
 ADVICE = (
@@ -138,7 +137,7 @@ class Segments:
         longest = min(limits[remedy], end / 4)
         inner = breakpoints(histories, 0.0, end)
         segments = cuts = _apart(np.concatenate([[0.0], inner, [end]]))
-        if is_times(save):
+        if not isinstance(save, str) and not callable(save) and axes(save) == 1:
             times = vector("save", save)  # `saving` refuses those that are not between 0 and end
             cuts = _apart(np.append(segments, times[(times > 0.0) & (times < end)]))
         if end / longest > STEPS:
@@ -149,66 +148,38 @@ class Segments:
         piece = np.searchsorted(segments, 0.5 * (cuts[1:] + cuts[:-1])) - 1
         return cls(cuts, segments, np.minimum(longest, np.diff(segments)[piece] / PER_PIECE))
 
-    def equal(self, longest: float = math.inf) -> np.ndarray:
+    def equal(self) -> np.ndarray:
         """Each segment in equal steps that are not too long."""
-        counts = np.ceil(np.diff(self.cuts) / np.minimum(self.longest, longest) * (1 - 1e-9))
-        pieces = zip(self.cuts, self.cuts[1:], counts.astype(int).tolist(), strict=False)
+        counts = np.ceil(np.diff(self.cuts) / self.longest * (1 - 1e-9)).astype(int)
+        pieces = zip(self.cuts, self.cuts[1:], counts.tolist(), strict=False)
         inner = [np.linspace(a, b, k, endpoint=False) for a, b, k in pieces]
         return np.append(np.concatenate(inner), self.cuts[-1])
 
-    def refined(self, density: Density, goal: float, least: float) -> np.ndarray:
-        """A grid of at least so many steps whose local errors are `goal` in sum.
+    def refined(self, estimator: ErrorEstimator, total: float, least: float) -> np.ndarray:
+        """A grid of at least so many steps whose local errors are `total` in sum.
 
-        The coarsest of those that halve steps of the first pass until no local error is too large,
-        or of equal steps, which can be fewer where nearly all are halved.
+        The first grid, its steps halved until no local error is above the largest allowed one.
         """
-        r = density.order
-        equal = self.equal((goal / density.integral(r + 1)) ** (1 / r))
-        largest = 4 * goal / max(density.steps(goal), least)
+        times, largest = self.equal(), total
         while True:
-            times = density.halved(self.equal(), largest)
-            if len(times) > least and not density.local_errors(times).sum() > goal:
-                return min(times, equal, key=len) if len(equal) > least else times
-            largest *= 0.8
-
-
-@dataclass(frozen=True, eq=False)
-class Density:
-    """Steps that a unit of time needs between `edges`: h has a local error of (h rho)^(r+1)."""
-
-    edges: np.ndarray
-    rho: np.ndarray
-    order: int
-
-    @classmethod
-    def of(cls, estimator: ErrorEstimator) -> Density:
-        """From the local errors of each step."""
-        r, h = estimator.model.order, np.diff(estimator.times)
-        rho = estimator.leading ** (1 / (r + 1))
-        mean = float(rho @ h) / float(h.sum())
-        return cls(estimator.times, np.maximum(rho, GRADED * mean) if mean > 0 else 0 * h + 1, r)
-
-    def integral(self, power: int) -> float:
-        """Of rho^power."""
-        return float(self.rho**power @ np.diff(self.edges))
-
-    def steps(self, goal: float) -> float:
-        """How many there are about in a grid whose local errors are `goal` in sum."""
-        return self.integral(1) * (self.integral(1) / goal) ** (1 / self.order)
-
-    def local_errors(self, times: np.ndarray) -> np.ndarray:
-        """Of each step of a grid."""
-        parts = np.append(0.0, np.cumsum(self.rho ** (self.order + 1) * np.diff(self.edges)))
-        return np.diff(np.interp(times, self.edges, parts)) * np.diff(times) ** self.order
-
-    def halved(self, times: np.ndarray, largest: float) -> np.ndarray:
-        """The grid, its steps halved until no local error is above the largest allowed one."""
-        while True:
-            middle = 0.5 * (times[1:] + times[:-1])
-            coarse = (self.local_errors(times) > largest) & (middle > times[:-1])
-            if not coarse.any():
+            errors = estimator.local_errors(times)
+            coarse = errors > largest
+            if coarse.any():
+                middle = 0.5 * (times[1:] + times[:-1])
+                times = np.sort(np.append(times, middle[coarse]))
+            elif len(times) > least and errors.sum() <= total:
                 return times
-            times = np.sort(np.append(times, middle[coarse & (middle < times[1:])]))
+            else:
+                largest *= 0.8  # small enough that hardly a grid is passed over
+
+
+class Probe(NamedTuple):
+    """A time at which no step has evaluated C, u and the unknowns that rest there."""
+
+    step: int
+    t: float
+    u: np.ndarray
+    rest: np.ndarray
 
 
 class _AdaptiveDriver:
@@ -218,74 +189,72 @@ class _AdaptiveDriver:
         self,
         segments: Segments,
         process: SweepingProcess,
-        plan: Plan,
-        save: Any,
-        memory: float,
+        grid: Grid,
+        saved: Callable[[np.ndarray], Saving],
         tick: Callable[[], Any],
     ) -> None:
-        self._segments, self._process, self._plan = segments, process, plan
-        self._save, self._memory, self._tick = save, memory, tick
-        self._programs, self._model = Velocities(process, plan), ErrorModel(process, plan.scheme)
-        self.run = self._start(segments.equal())
+        self._segments, self._process, self._plan = segments, process, grid.plan
+        self._saved, self._tick = saved, tick
+        self._programs = Velocities(process, grid.plan)
+        self.run = Run(grid, process.u0)
 
-    def _start(self, times: np.ndarray, passes: tuple[Pass, ...] = ()) -> Run:
-        """A run over this grid with no step yet."""
-        times, mus = time_grid(None, times)
-        saved = saving(self._save, times, self._plan.entering, self._memory)
-        return Run(Grid(times, mus, self._plan, saved, passes), self._process.u0)
+    def run_pass(self, times: np.ndarray, resting: bool) -> ErrorEstimator:
+        """One pass, the same as a run with steps=times to the last bit.
 
-    def run_pass(self, times: np.ndarray, probing: bool) -> ErrorEstimator:
-        """One pass, the same as a run with steps=times to the last bit."""
-        began, passes = clock.perf_counter(), self.run.grid.passes
-        process, plan = self._process, self._plan
-        run = self._start(times, passes)
-        grid = run.grid
-        process.check(evaluation_times(grid.times, grid.mus, plan.scheme))
-        estimator = ErrorEstimator(self._model, grid.times, self._segments.breakpoints, probing)
+        Where unknowns rest their velocity is asked for at times at which no step has evaluated C:
+        at the ends of segments, and if all of them rested in the pass before within each step.
+        """
+        began, process, plan = clock.perf_counter(), self._process, self._plan
+        _, mus = time_grid(None, times)
+        process.check(evaluation_times(times, mus, plan.scheme))
+        grid = Grid(times, mus, plan, self._saved(times), self.run.grid.passes)
+        run = Run(grid, process.u0)
+        estimator = ErrorEstimator(process, plan.scheme, times, self._segments.breakpoints)
+        probes: list[Probe] = []
 
         def observe(i: int, u: np.ndarray, z: np.ndarray, _: float) -> None:
             self._tick()
-            estimator.add_step(i, u, z)
+            estimator.add_step(i, z)
+            rest, h = z == 0, float(times[i + 1] - times[i])
+            shares = [*estimator.ends_of_segments(i), *[i * GOLDEN % 1.0] * resting]
+            for share in shares if rest.any() else ():
+                probes.append(Probe(i, times[i] + share * h, u - (1 - share) * h * z, rest))
+
+        def add_pass(error: float) -> None:
+            this = Pass(run.done, error, clock.perf_counter() - began)
+            run.grid = grid._replace(passes=(*grid.passes, this))
 
         self._programs.forget()
         integrate(process, plan, run, observe, velocities=self._programs)
-        # without an error until all of it is estimated
-        this = Pass(run.done, math.nan, clock.perf_counter() - began)
-        run.grid = grid._replace(passes=(*passes, this))
+        add_pass(math.nan)  # until all of it is estimated
         self.run = run
         if run.status in COMPLETE:
-            self._add_hidden_switches(estimator, grid.mus)
-            this = Pass(run.done, estimator.error, clock.perf_counter() - began)
-            run.grid = grid._replace(passes=(*passes, this))
+            self._add_hidden_switches(estimator, mus, probes)
+            add_pass(estimator.error)
         return estimator
 
-    def _add_hidden_switches(self, estimator: ErrorEstimator, mus: np.ndarray) -> None:
+    def _add_hidden_switches(
+        self, estimator: ErrorEstimator, mus: np.ndarray, probes: list[Probe]
+    ) -> None:
         """Errors of switches that no step shows, from the velocities at the probes."""
-        for probe in estimator.probes:
-            z = self._velocity(probe, float(mus[probe.step]))
-            if z is not None:
-                jump = self._model.norms(np.where(probe.rest, z, 0.0)[None])[0]
-                estimator.jumps[probe.step] = max(estimator.jumps[probe.step], jump)
-        before, after = HIDDEN * estimator.jumps * mus, HIDDEN * estimator.jumps[:-1] * mus[1:]
-        estimator.error += float((before + np.append(after, 0.0)).max())
-        beside = np.maximum(before, np.append(0.0, after))
-        leading = beside / mus ** (self._model.order + 1)
-        estimator.leading = np.maximum(estimator.leading, leading)
+        hidden = 0.0
+        for i, t, u, rest in probes:
+            mu = float(mus[i])
+            jump = HIDDEN * self._process.metric.norm(np.where(rest, self._velocity(t, u, mu), 0.0))
+            estimator.leading[i] = max(estimator.leading[i], jump / mu**estimator.order)
+            hidden = max(hidden, mu * jump)
+        estimator.error += hidden
 
-    def _velocity(self, probe: Probe, mu: float) -> np.ndarray | None:
-        """The velocity at a probe; None where C(t) has no value or the certificate misses tol."""
+    def _velocity(self, t: float, u: np.ndarray, mu: float) -> np.ndarray | float:
+        """The velocity at any time; 0 where it is not known."""
         process, plan = self._process, self._plan
-        try:
-            process.C.members(np.array([probe.t]))
-        except Exception:  # C(t) may have no value between the times of the grid
-            return None
         gamma = mu * plan.scheme.a[-1][-1] if process.B is not None else 0.0
         try:
-            velocity = self._programs(gamma)(probe.u, process.C.at(probe.t))
-        except IndefiniteError:
-            return None
+            velocity = self._programs(gamma)(u, process.C.at(t))
+        except Exception:  # C(t) may have no value between the times of the grid
+            return 0.0
         # sets without a proof have certificate nan
-        return None if velocity.relative > plan.tol else velocity.z
+        return 0.0 if velocity.relative > plan.tol else velocity.z
 
     def certify(self, tol: float) -> None:
         """Ask programs for certificates of tol, where that is less than what they have."""
@@ -295,13 +264,11 @@ class _AdaptiveDriver:
 
     def until(self, end: float, cause: str) -> Run:
         """A run with no step yet over the grid of the last pass until about that time."""
-        last, save = self.run.grid, self._save
-        reached = max(int(np.searchsorted(last.times, end, side="right")) - 1, 1)
-        times = last.times[: reached + 1]
-        if is_times(save):
-            save = np.append([t for t in np.ravel(save) if t <= times[-1]], times[-1])
-        saved = saving(save, times, self._plan.entering, self._memory)
-        grid = Grid(times, last.mus[:reached], self._plan, saved, last.passes, cause)
+        last = self.run.grid
+        n = max(int(np.searchsorted(last.times, end, side="right")) - 1, 1)
+        kept = last.saving.steps
+        saved = last.saving._replace(steps=np.append(kept[kept < n - 1], n - 1))
+        grid = last._replace(times=last.times[: n + 1], mus=last.mus[:n], saving=saved, cause=cause)
         return Run(grid, self._process.u0)
 
 
@@ -309,17 +276,25 @@ def adapt(
     steps: Adaptive,
     segments: Segments,
     process: SweepingProcess,
-    plan: Plan,
-    save: Any,
-    memory: float,
+    grid: Grid,
+    saved: Callable[[np.ndarray], Saving],
     tick: Callable[[], Any],
 ) -> Run:
     """The run over the last of better and better grids, the first with a small estimated error.
 
     It has no step yet where that grid ends before t_end, as steps became too short there.
     Ctrl-C during a pass returns its steps, Ctrl-C between two passes the one before.
+
+    Parameters
+    ----------
+    grid : Grid
+        The first one.
+    saved : callable
+        Times -> what is kept of a run over them.
+    tick : callable
+        Called after each step.
     """
-    driver = _AdaptiveDriver(segments, process, plan, save, memory, tick)
+    driver = _AdaptiveDriver(segments, process, grid, saved, tick)
     try:
         return _refine(steps, segments, driver)
     except KeyboardInterrupt:  # `integrate` takes those that arrive during its steps
@@ -340,7 +315,7 @@ def _refine(steps: Adaptive, segments: Segments, driver: _AdaptiveDriver) -> Run
     resting = True
     while True:
         n = len(times) - 1
-        estimator = driver.run_pass(times, probing=resting)
+        estimator = driver.run_pass(times, resting)
         run, resting = driver.run, estimator.length == 0
         passes = run.grid.passes
         error = passes[-1].error
@@ -349,29 +324,22 @@ def _refine(steps: Adaptive, segments: Segments, driver: _AdaptiveDriver) -> Run
         if len(passes) == 1 and not resting:
             # residuals of programs add up along the trajectory
             driver.certify(PROGRAM_SHARE * tol / estimator.length)
-        density = Density.of(estimator)
-        total = float(density.local_errors(times).sum())
+        total = float(estimator.local_errors(times).sum())
         ratios.append(error / total)
         ratio = math.sqrt(ratios[-1] * ratios[-2]) if len(ratios) > 2 else ratios[-1]
         goal = min(AIM * tol / ratio if error else math.inf, total)
-        wanted = density.steps(goal)
-        rounding = EPS * estimator.size
-        cause = _failure(tol, rounding, passes, wanted, run.overshot is not None)
+        wanted = estimator.steps(goal)
+        cause = _failure(tol, EPS * estimator.length, passes, wanted, run.overshot is not None)
         if cause:
             run.grid = run.grid._replace(cause=cause)
             return run
         if wanted > FARTHEST * n:  # one pass between
-            goal *= (wanted / n) ** (density.order / 2)
-        times = segments.refined(density, goal, GROWTH * n)
+            goal *= (wanted / n) ** (estimator.order / 2)
+        times = segments.refined(estimator, goal, GROWTH * n)
         h = np.diff(times)
         if h.min() < shortest:
             cause = f"a step shorter than minimum = {shortest:g} is needed; {ADVICE}"
             return driver.until(float(np.median(times[1:][h < 2 * h.min()])), cause)
-
-
-def is_times(save: Any) -> bool:
-    """Whether `save` is an array of times."""
-    return not isinstance(save, str) and not callable(save) and axes(save) == 1
 
 
 def _period(history: Any) -> float:
@@ -385,10 +353,9 @@ def _period(history: Any) -> float:
 def _apart(cuts: np.ndarray) -> np.ndarray:
     """Increasing; breakpoints that differ by rounding are one."""
     cuts = np.unique(cuts)
-    far = np.append(True, np.diff(cuts) > TIME_SLACK * cuts[-1])
-    far[-1] = True
-    kept = cuts[far]
-    return kept if kept[-1] - kept[-2] > TIME_SLACK * cuts[-1] else np.delete(kept, -2)
+    kept = cuts[np.append(True, np.diff(cuts) > TIME_SLACK * cuts[-1])]
+    kept[-1] = cuts[-1]
+    return kept
 
 
 def _failure(
@@ -398,7 +365,7 @@ def _failure(
     if tol < rounding:
         return f"tol = {tol:g} is less than the rounding of u, {rounding:.2g}; loosen it"
     n, error, _ = passes[-1]
-    back = 4 if overshot else 6  # errors rise now and then, but not over so many passes
+    back = 2 if overshot else 6  # errors rise now and then, but not over so many passes
     rises = error > passes[-1 - back :][0].error
     if rises and overshot and (len(passes) > back or wanted > STEPS):
         return (
@@ -408,9 +375,9 @@ def _failure(
     if rises and len(passes) > back:
         return f"the estimated error, {error:.2g}, does not fall any more with {n} steps; {ADVICE}"
     if wanted > STEPS:
-        estimate = "" if math.isnan(error) else f" and an estimated error of {error:.2g}"
         return (
             f"tol = {tol:g} would take about {wanted:.2g} steps, more than {STEPS:g}; the run has "
-            f"{n}{estimate}. Loosen the tolerance or take a scheme of higher order"
+            f"{n} and an estimated error of {error:.2g}. Loosen the tolerance or take a scheme of "
+            "higher order"
         )
     return ""

@@ -84,7 +84,7 @@ def integrate(
                 return
             if velocity.relative != velocity.relative:
                 run.status = Status.UNCERTIFIED
-            too_long = mu > safe * len(result.parts) and run.overshot is None
+            too_long = mu > safe and run.overshot is None
             if too_long and overshot(process, plan, starts, i, u, result):
                 run.overshot = i
             u = following

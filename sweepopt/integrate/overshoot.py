@@ -39,28 +39,24 @@ def longest_safe(process: SweepingProcess, plan: Plan, mus: np.ndarray) -> float
 
 
 def overshot(
+    process: SweepingProcess, plan: Plan, times: Sequence[float], i: int, u: np.ndarray, step: Step
+) -> bool:
+    """Whether step i of the grid from u may have overshot; of one in parts that is not known."""
+    if len(step.parts) > 1:
+        return False
+    try:
+        return _went_too_far(process, plan, times, i, u, step.parts[0])
+    except Exception:  # C(t) may have no value between the times of the grid
+        return False
+
+
+def _went_too_far(
     process: SweepingProcess,
     plan: Plan,
     times: Sequence[float],
     i: int,
     u: np.ndarray,
-    step: Step,
-) -> bool:
-    """Whether step i of the grid from u, in its parts, may have overshot."""
-    inner = np.linspace(times[i], times[i + 1], len(step.parts) + 1).tolist()
-    nodes = [*times[max(i - 2, 0) : i], *inner, *times[i + 2 : i + 3]]
-    for k, stages in enumerate(step.parts, start=min(i, 2)):
-        try:
-            if _part_overshot(process, plan, nodes, k, u, stages):
-                return True
-        except Exception:  # C(t) may have no value between the times of the grid
-            return False
-        u = u + (nodes[k + 1] - nodes[k]) * combination(plan.scheme.b, stages)
-    return False
-
-
-def _part_overshot(
-    process: SweepingProcess, plan: Plan, nodes: list[float], k: int, u: np.ndarray, stages: Stages
+    stages: Stages,
 ) -> bool:
     """Whether a step from u may have gone past the rest that it should come to.
 
@@ -69,13 +65,8 @@ def _part_overshot(
     gone too far if B u is inside at its end, unless C(t) took it there: a load that grows and then
     stops or turns leaves B u behind by less than twice the way that the edge goes around the step.
     A jump of the load just before it is looked at is not in that way.
-
-    Parameters
-    ----------
-    nodes : list of float
-        Times, of which the step goes from number k to k + 1.
     """
-    scheme, (start, end) = plan.scheme, nodes[k : k + 2]
+    scheme, (start, end) = plan.scheme, times[i : i + 2]
     z, mu = stages[0].z, end - start
     along = process.times_B(z)
     outside = float(z @ (process.A @ z)) + scheme.a[0][0] * mu * float(z @ along)
@@ -92,10 +83,10 @@ def _part_overshot(
     rounding = UNIT * np.abs(z) @ (abs(B) @ (np.abs(u) + mu * np.abs(z)))
     if not rounding < RESOLVED * outside:
         return False
-    after = [end, *(min(end + scheme.c[-1] * (t - end), t) for t in nodes[k + 2 : k + 3])]
-    earlier = nodes[max(k - 2, 0) : k]
+    after = [end, *(min(end + scheme.c[-1] * (t - end), t) for t in times[i + 2 : i + 3])]
+    earlier = [*times[max(i - 2, 0) : i]]
     earlier += [t + scheme.c[0] * (start - t) for t in earlier[-1:]]
-    ways = (abs(edge(s) - edge(t)) for times in (after, earlier) for s, t in pairwise(times))
+    ways = (abs(edge(s) - edge(t)) for side in (after, earlier) for s, t in pairwise(side))
     return outside > FAR * (abs(at_end - at_stage) + sum(ways))
 
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from sweepopt.integrate.exact import Evaluate, Trajectory, exact_trajectory, rows_of
-from sweepopt.integrate.record import Grid, Index, States
+from sweepopt.integrate.record import Grid, States
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.integrate.step import compensated_sum
 from sweepopt.problem import SweepingProcess
@@ -21,60 +19,55 @@ from sweepopt.velocity import Reduction, Velocity
 Reconstruct = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-class _Coefficients(NamedTuple):
-    """alpha at all nodes, alpha' in all steps, the seconds that each took, the exact trajectory."""
-
-    nodes: np.ndarray
-    velocities: np.ndarray
-    seconds: float
-    exact: Trajectory | None
-
-
 class Reconstruction:
-    """All unknowns from those that enter the steps; without a reduction these are all."""
+    """All unknowns from those that enter the steps; without a reduction these are all.
+
+    Attributes
+    ----------
+    seconds : float
+        What alpha took of each step, beside the loop.
+    """
 
     def __init__(self, grid: Grid) -> None:
-        self._plan, self._times, self._mus = grid.plan, grid.times, grid.mus
-
-    @cached_property
-    def _coefficients(self) -> _Coefficients:
-        """Those of the whole run, which come first."""
-        reduction, scheme = self._plan.reduction, self._plan.scheme
-        assert reduction is not None
-        begun = clock.perf_counter()
-        exact = None
+        self._reduction, self._dim, n = grid.plan.reduction, grid.plan.unknowns, len(grid.mus)
+        # alpha at all nodes, alpha' in all steps
+        self._nodes, self._velocities = np.zeros((n + 1, 0)), np.zeros((n, 0))
+        self.seconds, self._exact = 0.0, None
+        if self._reduction is None:
+            return
+        begun, scheme = clock.perf_counter(), grid.plan.scheme
         if scheme.exact:
-            exact = _exact_coefficients(reduction, self._times)
-            nodes = exact(self._times)
-            velocities = np.diff(nodes, axis=0) / self._mus[:, None]
+            self._exact = _exact_coefficients(self._reduction, grid.times)
+            self._nodes = self._exact(grid.times)
+            self._velocities = np.diff(self._nodes, axis=0) / grid.mus[:, None]
         else:
-            nodes, velocities = _coefficients(reduction, scheme, self._times, self._mus)
-        seconds = (clock.perf_counter() - begun) / len(self._mus)
-        return _Coefficients(nodes, velocities, seconds, exact)
+            every = _coefficients(self._reduction, scheme, grid.times, grid.mus)
+            self._nodes, self._velocities = every
+        self.seconds = (clock.perf_counter() - begun) / n
+        gammas = grid.mus * scheme.a[-1][-1]
+        self._residual = self._reduction.residuals(self._nodes[:-1], self._velocities, gammas)
 
-    @cached_property
-    def _residual(self) -> Callable[[int, np.ndarray, np.ndarray], tuple[float, float]]:
-        assert self._plan.reduction is not None
-        gammas = self._mus * self._plan.scheme.a[-1][-1]
-        alpha = self._coefficients
-        return self._plan.reduction.residuals(alpha.nodes[:-1], alpha.velocities, gammas)
+    def _states(self, few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+        """One state, or some in rows."""
+        return few if self._reduction is None else self._rows(self._reduction.state, few, alpha)
 
-    @property
-    def seconds(self) -> float:
-        """The cost of each step beside the loop."""
-        return self._coefficients.seconds if self._plan.reduction else 0.0
+    def _velocities_of(self, few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+        """One velocity, or some in rows."""
+        return few if self._reduction is None else self._rows(self._reduction.velocity, few, alpha)
+
+    def _rows(self, one: Reconstruct, few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+        if few.ndim == 1:
+            return one(few, alpha)
+        rows = [one(*each) for each in zip(few, alpha, strict=True)]
+        return np.array(rows).reshape(len(few), self._dim)
 
     def state(self, node: int, u: np.ndarray) -> np.ndarray:
         """The state at a node of the grid."""
-        reduction = self._plan.reduction
-        return u if reduction is None else reduction.state(u, self._coefficients.nodes[node])
+        return self._states(u, self._nodes[node])
 
     def velocity(self, i: int, z: np.ndarray) -> np.ndarray:
         """The velocity of a step."""
-        reduction = self._plan.reduction
-        if reduction is None:
-            return z
-        return reduction.velocity(z, self._coefficients.velocities[i])
+        return self._velocities_of(z, self._velocities[i])
 
     def full_certificate(self, i: int, zeta: np.ndarray, velocity: Velocity) -> Velocity:
         """The certificate of all unknowns from that of those that entered the step.
@@ -90,40 +83,24 @@ class Reconstruction:
 
     def trajectory(self, few: Trajectory | None) -> Trajectory | None:
         """The exact trajectory of all unknowns from that of those that entered."""
-        reduction = self._plan.reduction
-        if few is None or reduction is None:
+        exact = self._exact
+        if few is None or exact is None:
             return few
-        exact = self._coefficients.exact
-        assert exact is not None  # the same scheme moves the coefficients
 
         def all_unknowns(t: np.ndarray, values: np.ndarray, of_phase: Evaluate) -> np.ndarray:
-            pairs = zip(values, exact.evaluate(t, of_phase), strict=True)
-            return np.array([reduction.state(*pair) for pair in pairs])
+            return self._states(values, exact.evaluate(t, of_phase))
 
         return replace(few, reconstruct=all_unknowns)
 
     def states(self, entering: States) -> States:
         """The states of all unknowns from those that entered, made when they are asked for."""
-        reduction, dim = self._plan.reduction, self._plan.unknowns
-        if reduction is None:
-            return entering
         steps = entering.steps
         nodes = np.append(0, steps + 1)
-
-        def each(one: Reconstruct, few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-            every = np.zeros((*few.shape[:-1], dim))
-            for index in np.ndindex(few.shape[:-1]):
-                every[index] = one(few[index], alpha[index])
-            return every
-
-        def u(i: Index) -> np.ndarray:
-            return each(reduction.state, entering.u(i), self._coefficients.nodes[nodes[i]])
-
-        def velocity(i: Index) -> np.ndarray:
-            alpha = self._coefficients.velocities[steps[i]]
-            return each(reduction.velocity, entering.velocity(i), alpha)
-
-        return States(steps, u, velocity)
+        return States(
+            steps,
+            lambda i: self._states(entering.u(i), self._nodes[nodes[i]]),
+            lambda i: self._velocities_of(entering.velocity(i), self._velocities[steps[i]]),
+        )
 
 
 def _coefficients(

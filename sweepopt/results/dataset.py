@@ -37,13 +37,12 @@ class NetCDFSink:
     """
 
     def __init__(self, path: Path, t: float, u0: np.ndarray) -> None:
-        self._path, self._part, self._dim = path, part_of(path), u0.size
+        self._path, self._part = path, part_of(path)
         self._file = netcdf_package().File(self._part, "w")
         self._run = self._file.attrs["run"] = uuid.uuid4().hex  # another run has another one
         self._file.dimensions = {"time": None, "step": None, "unknown": u0.size}
-        # a copy: a callback may change the state that it sees
-        self._block = np.zeros((max(int(BLOCK // (16 * u0.size)), 1), 1 + 2 * u0.size))
-        rows = min(len(self._block), 64), u0.size
+        self._most = max(int(BLOCK // (16 * u0.size)), 1)
+        rows = min(self._most, 64), u0.size
         for name, dims, chunks, words in (
             ("time", ("time",), (1024,), "time"),
             ("u", ("time", "unknown"), rows, "u_n at the grid times"),
@@ -53,13 +52,13 @@ class NetCDFSink:
             created.attrs.update({"long_name": words, "units": "1"})
         self._file.resize_dimension("time", 1)
         self._file.variables["time"][0], self._file.variables["u"][0] = t, u0
-        self._steps = self._waiting = 0
+        self._steps, self._waiting = 0, list[np.ndarray]()
 
     def put(self, step: StepInfo) -> None:
         """Take the state at the end of the next step and the velocity of the step."""
-        self._block[self._waiting] = np.concatenate([[step.t], step.u, step.velocity])
-        self._waiting += 1
-        if self._waiting == len(self._block):
+        # a copy: a callback may change the state that it sees
+        self._waiting.append(np.concatenate([[step.t], step.u, step.velocity]))
+        if len(self._waiting) == self._most:
             self._write()
 
     def close(self, finished: bool) -> None:
@@ -71,16 +70,17 @@ class NetCDFSink:
 
     def _write(self) -> None:
         start, variables = self._steps, self._file.variables
-        end = start + self._waiting
+        end = start + len(self._waiting)
         if end > start:
-            t, u, velocity = np.hsplit(self._block[: self._waiting], [1, 1 + self._dim])
+            rows = np.array(self._waiting)
+            u, velocity = np.hsplit(rows[:, 1:], 2)
             self._file.resize_dimension("time", end + 1)
             self._file.resize_dimension("step", end)
-            variables["time"][start + 1 :] = t.ravel()
+            variables["time"][start + 1 :] = rows[:, 0]
             variables["u"][start + 1 :] = u
             variables["velocity"][start:] = velocity
         # one assignment at the end: what Ctrl-C cuts short is written again by `close`
-        self._steps, self._waiting = end, 0
+        self._steps, self._waiting = end, []
 
     def states(self) -> States:
         """The states in the file, read when they are asked for."""

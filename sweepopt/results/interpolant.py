@@ -32,12 +32,10 @@ class Interpolant:
     def __call__(self, t: Any) -> np.ndarray:
         times = self.inside(t)
         later = times > self.t[0]  # the start is kept, its step may not be
-        start = self.states.u(0)
-        values = np.tile(start, (*times.shape, 1))
-        # many times in few steps: every step is looked up once
-        i, where = np.unique(self.step_of(times[later]), return_inverse=True)
-        before = (self.t[i + 1][where] - times[later])[:, None]
-        values[later] = self.states.u(i + 1)[where] - before * self.states.velocity(i)[where]
+        values = np.tile(self.states.u(0), (*times.shape, 1))
+        i = self.step_of(times[later])
+        before = (self.t[i + 1] - times[later])[:, None]
+        values[later] = self.states.u(i + 1) - before * self.states.velocity(i)
         return values
 
     def inside(self, t: Any) -> np.ndarray:
