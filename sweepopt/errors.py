@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def shown(value: object) -> str:
     """What a user passed, as a message can show it."""
     try:
-        return f"{value!r:.80}"
+        return " ".join(f"{value!r:.80}".split())
     except (ValueError, RecursionError):  # thousands of digits, lists in lists without end
         return f"{type(value).__name__} too long to print"
 

@@ -30,8 +30,8 @@ from sweepopt.integrate.record import Grid, Pass, Run, Saving
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.integrate.step import Velocities
 from sweepopt.linalg import EPS
+from sweepopt.loads import breakpoints
 from sweepopt.problem import SweepingProcess, motion
-from sweepopt.sets import MovingSet
 
 STEPS = 1_000_000  # of the finest pass: hours
 FIRST = 16  # steps of the first pass
@@ -119,11 +119,8 @@ class Segments:
         if t_end is None:
             raise InputError("t_end is missing; Adaptive steps need it")
         end = number("t_end", t_end, minimum=0.0, strict=True)
-        moving = motion(process.C)
-        loads = [load for load in (moving.center, moving.scale, moving.offsets) if load]
-        histories = [history for load in loads for history in load.histories]
-        known = moving.shape is not None and not any(load.function for load in loads)
-        known = known and all(hasattr(history, "breakpoints") for history in histories)
+        histories = motion(process.C).histories
+        known = all(hasattr(history, "breakpoints") for history in histories)
         first = end / (FIRST if known else FIRST_UNKNOWN) if steps.first is None else steps.first
         period = min(map(_period, histories), default=math.inf)
         stable = math.inf
@@ -138,20 +135,18 @@ class Segments:
         }
         remedy = min(limits, key=limits.__getitem__)
         longest = min(limits[remedy], end / 4)
-        breakpoints = np.array([0.0, end])
-        if isinstance(process.C, MovingSet):
-            breakpoints = _apart(np.append(breakpoints, process.C.breakpoints(0.0, end)))
-        cuts = breakpoints
+        inner = breakpoints(histories, 0.0, end)
+        segments = cuts = _apart(np.concatenate([[0.0], inner, [end]]))
         if not isinstance(save, str) and not callable(save) and axes(save) == 1:
             times = vector("save", save)  # `saving` refuses those that are not between 0 and end
-            cuts = _apart(np.append(breakpoints, times[(times > 0.0) & (times < end)]))
+            cuts = _apart(np.append(segments, times[(times > 0.0) & (times < end)]))
         if end / longest > STEPS:
             raise InputError(
                 f"Adaptive: steps of at most {longest:.3g} up to t_end = {end:g} are more "
                 f"than {STEPS:g}; {remedy}"
             )
-        piece = np.searchsorted(breakpoints, 0.5 * (cuts[1:] + cuts[:-1])) - 1
-        return cls(cuts, breakpoints, np.minimum(longest, np.diff(breakpoints)[piece] / PER_PIECE))
+        piece = np.searchsorted(segments, 0.5 * (cuts[1:] + cuts[:-1])) - 1
+        return cls(cuts, segments, np.minimum(longest, np.diff(segments)[piece] / PER_PIECE))
 
     def equal(self) -> np.ndarray:
         """Each segment in equal steps that are not too long."""

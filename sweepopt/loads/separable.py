@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable
-from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import unmasked
+from sweepopt.checks import instant
 from sweepopt.errors import InputError, shown
 from sweepopt.loads.history import Array, History, breakpoints, read_only
 
@@ -88,16 +86,12 @@ class Separable:
     def value(self, k: int, t: float) -> float:
         """phi_k(t)."""
         value = self.terms[k][0](t)
-        if type(value) is float and math.isfinite(value):
-            return value
-        if type(value) is not float:
-            entries = np.asarray(unmasked(value), dtype=object)
-            value = entries.item() if entries.size == 1 else entries.tolist()
-        if not isinstance(value, Real) or not math.isfinite(value):
+        try:
+            return instant("phi", value)
+        except InputError as error:
             raise InputError(
                 f"terms[{k}][0] is {shown(value)} at t = {t:g}; it must be one finite number"
-            )
-        return float(value)
+            ) from error
 
     def at_many(self, times: Array) -> Array:
         """The load at many times, shape (len(times), dim)."""

@@ -82,19 +82,15 @@ class Table(History):
     def __call__(self, t: ArrayLike) -> Any:
         at = as_times(t)
         first, last = self.times[0], self.times[-1]
-        value = np.interp(at, self.times, self.values)
-        if type(at) is float:
-            value = float(value)
-            if first <= at <= last:
-                return value
         slack = TIME_SLACK * max(abs(first), abs(last))
-        outside = ~((at >= first - slack) & (at <= last + slack))
+        outside = (at < first - slack) | (at > last + slack)
         if np.any(outside):
             raise InputError(
                 f"t = {np.asarray(at)[outside].flat[0]:g} lies outside the table, which covers "
                 f"[{first:g}, {last:g}]; extend the table or shorten the run"
             )
-        return value
+        value = np.interp(at, self.times, self.values)
+        return float(value) if type(at) is float else value
 
     def breakpoints(self, a: float, b: float) -> Array:
         """The table's times strictly inside (a, b)."""

@@ -88,7 +88,7 @@ class Polynomial(History):
             value = 0.0 * at
             for coefficient in reversed(self.coefficients.tolist()):
                 value = coefficient + value * at
-        if not (math.isfinite(value) if type(value) is float else np.isfinite(value).all()):
+        if not np.isfinite(value).all():
             raise InputError(f"{self!r:.80} overflows at t = {shown(t)}; choose other units")
         return value
 
@@ -97,12 +97,9 @@ class Polynomial(History):
         self(np.array([a, b]))  # refuses what overflows
         # in units of the larger time; a leading term that is nothing beside the others has no root
         unit = max(abs(a), abs(b)) or 1.0
-        slope = np.polynomial.polynomial.polyder(self.coefficients)
-        slope = slope * unit ** np.arange(slope.size)
-        slope[np.abs(slope) < 1e-30 * np.abs(slope).max()] = 0.0
-        slope = np.trim_zeros(slope, "b")
-        roots = unit * np.polynomial.polynomial.polyroots(slope) if slope.size else slope
-        roots = np.sort(roots.real)
+        scaled = self.coefficients * unit ** np.arange(self.coefficients.size)
+        slope = np.polynomial.Polynomial(scaled).deriv()
+        roots = unit * np.sort(slope.trim(1e-30 * np.abs(slope.coef).max()).roots().real)
         return np.asarray(roots[(roots > a) & (roots < b)])
 
     def piece(self, a: float, b: float) -> Piece:
@@ -221,12 +218,8 @@ class Triangle(Periodic):
         check_fields(self, "amplitude", "period")
 
     def __call__(self, t: ArrayLike) -> Any:
-        quarters = (4.0 * (as_times(t) / self.period)) % 4.0
-        if type(quarters) is float:
-            rising = min(quarters, 2.0 - quarters) if quarters <= 3.0 else quarters - 4.0
-        else:
-            rising = np.where(quarters <= 3.0, np.minimum(quarters, 2.0 - quarters), quarters - 4.0)
-        return self.amplitude * rising
+        quarters = (4.0 * (as_times(t) / self.period) - 1.0) % 4.0  # after the crest
+        return self.amplitude * (abs(quarters - 2.0) - 1.0)
 
     def breakpoints(self, a: float, b: float) -> Array:
         """Crests and troughs strictly inside (a, b)."""

@@ -68,8 +68,7 @@ class Interpolated(NamedTuple):
 
 def smooth_intervals(moving: Motion, t: np.ndarray) -> Intervals:
     """The steps between the times t, cut at the breakpoints of all histories."""
-    histories = [*moving.center.histories, *moving.scale.histories]
-    cuts = np.unique(np.concatenate([t, breakpoints(histories, t[0], t[-1])]))
+    cuts = np.unique(np.concatenate([t, breakpoints(moving.histories, t[0], t[-1])]))
     step = np.searchsorted(t, cuts[:-1], side="right") - 1
     return Intervals(step, cuts[:-1], cuts[1:])
 
@@ -107,12 +106,8 @@ def _by_variation(
     times = a + (b - a) * np.arange(SAMPLES + 1) / SAMPLES
     e = np.linalg.norm(f(times) - NODES_TO_PARTS @ values, axis=1)
     slopes = 4 * np.linalg.norm(np.diff(to_bernstein(NODES) @ values, axis=0), axis=1)
-    if isinstance(history, TimeFunction):
-        assert history.variation is not None
-        varies = increments(history.variation, times)
-    else:
-        varies = np.array([history.variation(*ends) for ends in itertools.pairwise(times.tolist())])
-    varies = varies + slopes.max() / SAMPLES
+    varies = np.array([history.variation(*ends) for ends in itertools.pairwise(times.tolist())])
+    varies += slopes.max() / SAMPLES
     return float((0.5 * (e[:-1] + e[1:] + varies)).max()), float(np.sum(varies))
 
 

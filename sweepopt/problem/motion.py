@@ -40,14 +40,14 @@ class TimeFunction:
     dim : int
     function : callable or None
         Instead of terms.
-    variation : callable or None
-        v with |f(t) - f(s)| <= v(t) - v(s) for s <= t, of a function.
+    variation : callable (a, b) -> float, or None
+        At least that of a function between two times.
     """
 
     terms: Terms
     dim: int
     function: Callable[[float], Any] | None = None
-    variation: Callable[[float], float] | None = None
+    variation: Callable[[float, float], float] | None = None
 
     @classmethod
     def of(cls, value: Any, dim: int) -> TimeFunction:
@@ -58,9 +58,7 @@ class TimeFunction:
             return cls(value.terms, dim)
         if dim == 1 and hasattr(value, "variation"):
             return cls(((value, np.ones(1)),), 1)
-        if callable(value):
-            return cls((), dim, value)
-        return cls(((Constant(1.0), np.broadcast_to(np.asarray(value, float), (dim,))),), dim)
+        return cls((), dim, value)
 
     @property
     def bounded(self) -> bool:
@@ -76,8 +74,8 @@ class TimeFunction:
 
     @property
     def histories(self) -> list[Any]:
-        """The phi_k."""
-        return [phi for phi, _ in self.terms]
+        """The phi_k, or the function."""
+        return [phi for phi, _ in self.terms] if self.function is None else [self.function]
 
     def at(self, times: np.ndarray) -> np.ndarray:
         """Values, shape (len(times), dim)."""
@@ -91,6 +89,9 @@ class TimeFunction:
         if not self.terms:
             return np.zeros((len(times), self.dim))
         return Separable(self.terms).at_many(times)
+
+
+ONE = TimeFunction.of(Constant(), 1)
 
 
 class MovingRows(NamedTuple):
@@ -119,15 +120,21 @@ class Motion:
 
     shape: ConvexSet | None
     center: TimeFunction
-    scale: TimeFunction
+    scale: TimeFunction = ONE
     offsets: TimeFunction | None = None
     name: str = "center"
 
+    @property
+    def histories(self) -> list[Any]:
+        """The functions of time that C(t) moves with."""
+        functions = (self.center, self.scale, self.offsets)
+        return [phi for f in functions if f is not None for phi in f.histories]
+
     def translated(self) -> Motion | None:
         """C(t) as center(t) + scale(t) S, also where moving rows form a box; None if it is not."""
-        if self.offsets is None:
+        if self.shape is None or self.offsets is None:
             return None if self.shape is None else self
-        if self.offsets.function is not None or self.shape is None:
+        if self.offsets.function is not None:
             return None
         return _moving_box(dense(self.shape.halfspaces().N), self.offsets)
 
@@ -167,17 +174,16 @@ class Motion:
 
 def motion(C: AnySet) -> Motion:
     """Read how C(t) moves."""
-    still, one = TimeFunction.of(None, C.dim), TimeFunction.of(1.0, 1)
-    if isinstance(C, ConvexSet):
-        return Motion(C, still, one)
+    still = TimeFunction((), C.dim)
     if isinstance(C, Moving):
-        scale = one if C.scale is None else TimeFunction.of(C.scale, 1)
-        center = TimeFunction.of(C.center, C.dim)
+        center, scale = TimeFunction.of(C.center, C.dim), TimeFunction.of(C.scale or Constant(), 1)
         return Motion(C.shape, center, scale, name=C.center_name)
     if isinstance(C, MovingOffsets):
         offsets = TimeFunction.of(C.offsets, C.shape.offsets.size)
-        return Motion(C.shape, still, one, offsets=offsets, name="h")
-    return Motion(None, still, one)
+        return Motion(C.shape, still, offsets=offsets, name="h")
+    if isinstance(C, ConvexSet):
+        return Motion(C, still)
+    return Motion(None, TimeFunction((), C.dim, C.at))
 
 
 def _closed_forms(load: TimeFunction, name: str) -> Terms:
@@ -209,18 +215,18 @@ def _moving_box(G: np.ndarray, h: TimeFunction) -> Motion | None:
     column = np.abs(G).argmax(axis=1)
     entry = G[np.arange(m), column]
     bounds = Separable(h.terms).shapes / entry[:, None]  # of each row, a column for each history
-    upper, lower = np.full((2, dim), -1)  # the row that bounds an entry of w
-    for side, rows in ((upper, entry > 0), (lower, entry < 0)):
-        side[column[rows]] = np.flatnonzero(rows)
-        if (side >= 0).sum() < rows.sum():
-            return None
-    above, below = upper >= 0, lower >= 0
-    center, scale = np.zeros((2, dim, bounds.shape[1]))
-    center[above] = bounds[upper[above]]
-    center[below] = bounds[lower[below]]
-    both = above & below
-    scale[both] = bounds[upper[both]] - center[both]
-    shape = Box(np.where(below, 0.0, -np.inf), np.where(above, np.where(below, 1.0, 0.0), np.inf))
+    side = (entry > 0).astype(int)  # 0 for a row that bounds from below
+    ends = np.zeros((2, dim, bounds.shape[1]))
+    ends[side, column] = bounds
+    known = np.zeros((2, dim), dtype=bool)
+    known[side, column] = True
+    if known.sum() < m:
+        return None
+    below, above = known
+    both = below & above
+    center = np.where(below[:, None], ends[0], ends[1])
+    scale = np.where(both[:, None], ends[1] - ends[0], 0.0)
+    shape = Box(np.where(below, 0.0, -np.inf), np.where(above, 1.0 * below, np.inf))
     fixed = (Constant(1.0), np.where(both, 0.0, 1.0))
     return Motion(
         shape,

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 
 from sweepopt.errors import InputError
-from sweepopt.linalg import SMALL, Factor, dense, largest_ratio
+from sweepopt.linalg import Factor, largest_ratio
 from sweepopt.problem.process import SweepingProcess, proportion
 
 
@@ -66,14 +65,10 @@ def _rates(process: SweepingProcess) -> tuple[float, float]:
     """lam and Lam: below and above all eigenvalues of A^-1 B."""
     if process.B is None or process.rate_independent:
         return 0.0, 0.0
-    if process.dim < SMALL:
-        values = scipy.linalg.eigh(dense(process.B), dense(process.A), eigvals_only=True)
-        return max(float(values[0]) * (1 - 1e-9), 0.0), float(values[-1]) * (1 + 1e-9)
     rho = proportion(process.A, process.B)
     if rho is not None:
         return rho, rho
     try:
-        lam = 1 / largest_ratio(Factor(process.B, "B"), process.A)
+        return 1 / largest_ratio(Factor(process.B, "B"), process.A), process.Lam
     except InputError:  # B is singular
-        lam = 0.0
-    return 0.99 * lam, 1.01 * process.Lam
+        return 0.0, process.Lam

@@ -79,11 +79,8 @@ class SweepingProcess:
         if self.rate_independent and self.B is None:
             raise InputError("A and B are both zero: nothing determines the velocity")
         # MATH.md: A = 0 lets B take A's place in every norm
-        self.metric = Factor(self._metric_matrix, "B" if self.rate_independent else "A")
-
-    @property
-    def _metric_matrix(self) -> Matrix:
-        return self.B if self.rate_independent and self.B is not None else self.A
+        metric = (self.B, "B") if self.rate_independent else (self.A, "A")
+        self.metric = Factor(*metric)
 
     def as_sweeping(self) -> SweepingProcess:
         """Itself: so that solvers take either form of the problem."""
@@ -276,33 +273,29 @@ class EvolutionVI:
         cone: ConvexSet | None = None,
         u0: Any,
     ) -> None:
-        self.A = symmetric("A", A)
-        dim = self.A.shape[0]
-        self.B: Matrix | None = None if B is None else symmetric("B", B, dim)
-        for name, C in (("dissipation", dissipation), ("cone", cone)):
-            if C is not None and not isinstance(C, ConvexSet):
-                raise InputError(f"{name} must be a set that does not move, got {type(C).__name__}")
-            if C is not None and C.dim != dim:
-                raise InputError(f"{name} has dim {C.dim} but A has shape {self.A.shape}")
+        A = symmetric("A", A)
+        dim = A.shape[0]
+        for name, given in (("dissipation", dissipation), ("cone", cone)):
+            if given is not None and not isinstance(given, ConvexSet):
+                kind = type(given).__name__
+                raise InputError(f"{name} must be a set that does not move, got {kind}")
+            if given is not None and given.dim != dim:
+                raise InputError(f"{name} has dim {given.dim} but A has shape {A.shape}")
         self.load = load if callable(load) or load is None else vector("load", load, dim)
         self.dissipation, self.cone = dissipation, cone
-        self.u0 = vector("u0", u0, dim)
-        self.dim = dim
-        if self.dissipation is not None:
-            _check_support(self.dissipation)
-        if self.cone is not None:
-            self.cone.polar()  # refuses a set that is not a cone
+        D: ConvexSet = Point(np.zeros(dim)) if dissipation is None else dissipation
+        if cone is not None:
+            D = D + cone.polar()
+        C: AnySet = -D
+        if self.load is not None:
+            C = moved = Moving(-D, center=self.load)
+            moved.center_name = "load"
+        self._process = SweepingProcess(A, B, C, u0)
+        self.A, self.B, self.u0, self.dim = A, self._process.B, self._process.u0, dim
 
     def as_sweeping(self) -> SweepingProcess:
         """The sweeping process with C(t) = f(t) - (D + polar(K))."""
-        D: ConvexSet = Point(np.zeros(self.dim)) if self.dissipation is None else self.dissipation
-        if self.cone is not None:
-            D = D + self.cone.polar()
-        if self.load is None:
-            return SweepingProcess(self.A, self.B, -D, self.u0)
-        C = Moving(-D, center=self.load)
-        C.center_name = "load"
-        return SweepingProcess(self.A, self.B, C, self.u0)
+        return self._process
 
 
 def sweeping(process: Any) -> SweepingProcess:

@@ -123,7 +123,7 @@ def _model(
         return None
     steps = Intervals(np.arange(len(nodes.velocity)), nodes.t[:-1], nodes.t[1:])
     members = [process.C.at(t) for t in (0.5 * (steps.begin + steps.end)).tolist()]
-    still = Motion(None, TimeFunction.of(None, process.dim), TimeFunction.of(1.0, 1))
+    still = Motion(None, TimeFunction((), process.dim))
     return _Model(still, steps, members, increments(variation, nodes.t))
 
 
@@ -134,7 +134,11 @@ def _with_variation(moving: Motion, variation: Callable[[float], float]) -> Moti
         return None
     center = moving.center
     value = center.function or (lambda t: center.at(np.array([t]))[0])
-    return replace(moving, center=TimeFunction((), center.dim, value, variation))
+
+    def between(a: float, b: float) -> float:
+        return float(increments(variation, np.array([a, b]))[0])
+
+    return replace(moving, center=TimeFunction((), center.dim, value, between))
 
 
 def _bounds(

@@ -11,74 +11,10 @@ from sweepopt.checks import dimension, entries, number, vector
 from sweepopt.errors import InputError
 from sweepopt.sets.base import ROUNDING, ConvexSet, CurveGap, Features, Halfspaces, total_gap
 from sweepopt.sets.curves import ball_arc
+from sweepopt.sets.shapes import Box
 
 if TYPE_CHECKING:
     import cvxpy as cp
-
-
-class Ball(ConvexSet):
-    """{ w : |w - center| <= radius }:  sigma(z) = <center, z> + radius |z|.
-
-    Parameters
-    ----------
-    center : array_like, shape (dim,)
-    radius : float, >= 0
-
-    Raises
-    ------
-    InputError
-        If the center is empty, radius < 0, or a number is not finite.
-
-    Examples
-    --------
-    >>> Ball([0.0, 0.0], 2.0).support([3.0, 4.0])
-    10.0
-    """
-
-    def __init__(self, center: Any, radius: float) -> None:
-        self.center = entries("center", center)
-        self.radius = number("radius", radius, minimum=0.0)
-        self.dim = self.center.size
-        self.offsets = np.append(self.center, self.radius)
-        self.polyhedral = self.dim == 1
-
-    def support(self, z: np.ndarray) -> float:
-        z = vector("z", z, self.dim)
-        return float(self.center @ z + self.radius * np.linalg.norm(z))
-
-    def derivative(self, v: np.ndarray) -> np.ndarray:
-        return _ball_derivative(v - self.center, self.radius)
-
-    def project(self, w: np.ndarray) -> np.ndarray:
-        w = vector("w", w, self.dim)
-        arm = w - self.center
-        length = float(np.linalg.norm(arm))
-        return w if length <= self.radius else self.center + self.radius / length * arm
-
-    def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
-        given = super().gap_along_curve(p, w, ratio)
-        distance = ball_arc(p, w - self.center, self.radius)
-        return CurveGap(0.0, distance) if ratio * distance**2 < 2 * given.gap else given
-
-    def halfspaces(self) -> Halfspaces:
-        if self.dim > 1:
-            return super().halfspaces()
-        c, r = float(self.center[0]), self.radius
-        return Halfspaces.below(np.array([[1.0], [-1.0]]), np.array([c + r, r - c]))
-
-    def features(self, p: cp.Expression) -> Features:
-        import cvxpy as cp
-
-        size = cp.Variable(1)
-        return Features([p, size], norms_below(p, size, self.dim))
-
-    def magnitude(self) -> float:
-        return float(np.linalg.norm(self.center) + self.radius)
-
-    def _distance(self, other: ConvexSet) -> float | None:
-        if not isinstance(other, Ball):
-            return None
-        return float(np.linalg.norm(self.center - other.center) + abs(self.radius - other.radius))
 
 
 class Balls(ConvexSet):
@@ -103,6 +39,8 @@ class Balls(ConvexSet):
     7.0
     """
 
+    center: np.ndarray | float = 0.0
+
     def __init__(self, radii: Any, dim: int) -> None:
         self.radii = self.offsets = entries("radii", radii)
         if (self.radii < 0).any():
@@ -112,16 +50,24 @@ class Balls(ConvexSet):
         self.dim = self.block * self.radii.size
         self.polyhedral = self.block == 1
 
+    def _arms(self, w: np.ndarray) -> np.ndarray:
+        """From the centres, one row for each ball."""
+        return (w - self.center).reshape(-1, self.block)
+
     def support(self, z: np.ndarray) -> float:
-        return float(self.radii @ np.linalg.norm(self._blocks("z", z), axis=1))
+        z = vector("z", z, self.dim)
+        lengths = np.linalg.norm(z.reshape(-1, self.block), axis=1)
+        return float(np.sum(self.center * z) + self.radii @ lengths)
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        blocks = self._blocks("w", w)
-        lengths = np.linalg.norm(blocks, axis=1)
+        w = vector("w", w, self.dim)
+        arms = self._arms(w)
+        lengths = np.linalg.norm(arms, axis=1)
         outside = lengths > self.radii
-        factor = np.ones_like(lengths)
-        factor[outside] = self.radii[outside] / lengths[outside]
-        return (factor[:, None] * blocks).ravel()
+        if not outside.any():
+            return w
+        factor = np.divide(self.radii, lengths, out=np.ones_like(lengths), where=outside)
+        return self.center + (factor[:, None] * arms).ravel()
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -130,37 +76,67 @@ class Balls(ConvexSet):
         return Features([sizes], norms_below(p, sizes, self.block))
 
     def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
+        directions, points = (x.reshape(len(x), -1, self.block).swapaxes(0, 1) for x in (p, w))
         return total_gap(
-            Ball(np.zeros(self.block), radius).gap_along_curve(directions, points, ratio)
-            for radius, directions, points in zip(
-                self.radii,
-                p.reshape(3, -1, self.block).swapaxes(0, 1),
-                w.reshape(len(w), -1, self.block).swapaxes(0, 1),
-                strict=True,
-            )
+            Ball(np.zeros(self.block), radius).gap_along_curve(one, curve, ratio)
+            for radius, one, curve in zip(self.radii, directions, points, strict=True)
         )
 
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
-        arms = v.reshape(-1, self.block)
-        return scipy.linalg.block_diag(*map(_ball_derivative, arms, self.radii))
-
-    def same_cone(self, other: ConvexSet) -> bool:
-        return isinstance(other, Balls) and (self.block, self.dim) == (other.block, other.dim)
+        return scipy.linalg.block_diag(*map(_ball_derivative, self._arms(v), self.radii))
 
     def magnitude(self) -> float:
-        return float(np.linalg.norm(self.radii))
+        return float(np.linalg.norm(self.center) + np.linalg.norm(self.radii))
 
     def _distance(self, other: ConvexSet) -> float | None:
-        if not self.same_cone(other):
+        if not (isinstance(other, Balls) and self.same_cone(other)):
             return None
-        more = self.offsets - other.offsets
-        return float(max(np.linalg.norm(np.maximum(x, 0.0)) for x in (more, -more)))
+        more = self.radii - other.radii
+        grown = max(np.linalg.norm(np.maximum(x, 0.0)) for x in (more, -more))
+        return float(np.linalg.norm(self.center - other.center) + grown)
 
-    def _blocks(self, name: str, z: Any) -> np.ndarray:
-        return vector(name, z, self.dim).reshape(-1, self.block)
+
+class Ball(Balls):
+    """{ w : |w - center| <= radius }:  sigma(z) = <center, z> + radius |z|.
+
+    Parameters
+    ----------
+    center : array_like, shape (dim,)
+    radius : float, >= 0
+
+    Raises
+    ------
+    InputError
+        If the center is empty, radius < 0, or a number is not finite.
+
+    Examples
+    --------
+    >>> Ball([0.0, 0.0], 2.0).support([3.0, 4.0])
+    10.0
+    """
+
+    def __init__(self, center: Any, radius: float) -> None:
+        center = entries("center", center)
+        self.radius = number("radius", radius, minimum=0.0)
+        super().__init__([self.radius], center.size)
+        self.center, self.offsets = center, np.append(center, self.radius)
+
+    def features(self, p: cp.Expression) -> Features:
+        sizes, constraints = super().features(p)
+        return Features([p, *sizes], constraints)
+
+    def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
+        given = ConvexSet.gap_along_curve(self, p, w, ratio)
+        distance = ball_arc(p, w - self.center, self.radius)
+        return CurveGap(0.0, distance) if ratio * distance**2 < 2 * given.gap else given
+
+    def halfspaces(self) -> Halfspaces:
+        if self.dim > 1:
+            return super().halfspaces()
+        return Box(self.center - self.radius, self.center + self.radius).halfspaces()
 
 
 class SecondOrderCone(ConvexSet):

@@ -161,13 +161,45 @@ class Form(NamedTuple):
 class Algebra(NamedTuple):
     """The operations on sets, which operations.py states: what operators and polars call."""
 
-    add: Callable[[ConvexSet, Any], Any]
-    scale: Callable[[Any, ConvexSet], ConvexSet]
-    intersect: Callable[[ConvexSet, Any], Any]
+    add: Callable[[Any, Any], Any]
+    scale: Callable[[Any, Any], Any]
+    intersect: Callable[[Any, Any], Any]
     image: Callable[[Any, Any], Any]
 
 
-class ConvexSet(ABC):
+class Operators:
+    """The operators on sets, moving ones too; the laws are stated in operations.py."""
+
+    dim: int
+    algebra: ClassVar[Algebra]
+    # numpy must leave v + C, r * C and v - C to the operators below
+    __array_ufunc__ = None
+
+    def __add__(self, other: Any) -> Any:
+        return self.algebra.add(self, other)
+
+    def __sub__(self, other: Any) -> Any:
+        if not is_vector(other):
+            raise InputError("C - D is ambiguous; write C + (-D) for the Minkowski sum")
+        return self + -vector("v", other, self.dim)
+
+    def __rsub__(self, other: Any) -> Any:
+        return -self + other
+
+    def __rmul__(self, factor: float) -> Any:
+        return self.algebra.scale(factor, self)
+
+    def __neg__(self) -> Any:
+        return self.algebra.scale(-1.0, self)
+
+    def __and__(self, other: Any) -> Any:
+        return self.algebra.intersect(self, other)
+
+    __radd__ = __add__
+    __mul__ = __rmul__
+
+
+class ConvexSet(Operators, ABC):
     """A non-empty closed convex set C in R^dim.
 
     A new shape gives `support`, `project`, `offsets` and `features`, also `same_cone` if matrices
@@ -195,9 +227,6 @@ class ConvexSet(ABC):
     polyhedral: bool = False
     certifiable: bool = True
     exact: bool = True
-    algebra: ClassVar[Algebra]
-    # numpy must leave v + C, r * C and v - C to the operators below
-    __array_ufunc__ = None
 
     # ---- the contract -------------------------------------------------------------------------
 
@@ -336,7 +365,7 @@ class ConvexSet(ABC):
         """A bound that the family knows; asked in both orders, the smaller one counts."""
         return None
 
-    def require_nonempty(self, where: str = "C") -> None:  # noqa: B027 (most shapes have a point)
+    def require_nonempty(self, where: str = "C") -> None:
         """Raise EmptySetError if C has no point."""
 
     @property
@@ -402,31 +431,6 @@ class ConvexSet(ABC):
         """As `MovingSet.members`: one member, itself."""
         self.require_nonempty(f"C(t) at t = {times[0]:g}")
         return [(float(times[0]), self)]
-
-    # ---- the algebra (the laws are stated in operations.py) --------------------------------
-
-    def __add__(self, other: Any) -> Any:
-        return self.algebra.add(self, other)
-
-    def __sub__(self, other: Any) -> Any:
-        if not is_vector(other):
-            raise InputError("C - D is ambiguous; write C + (-D) for the Minkowski sum")
-        return self + -vector("v", other, self.dim)
-
-    def __rsub__(self, other: Any) -> Any:
-        return -self + other
-
-    def __rmul__(self, factor: float) -> Any:
-        return self.algebra.scale(factor, self)
-
-    def __neg__(self) -> Any:
-        return self.algebra.scale(-1.0, self)
-
-    def __and__(self, other: Any) -> Any:
-        return self.algebra.intersect(self, other)
-
-    __radd__ = __add__
-    __mul__ = __rmul__
 
 
 def is_vector(value: Any) -> bool:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sweepopt.checks import HUGE, entries, symmetric, vector
 from sweepopt.errors import InputError
-from sweepopt.linalg import Precise, dense
+from sweepopt.linalg import dense
 from sweepopt.sets.balls import norms_below
 from sweepopt.sets.base import ConvexSet, Features, NormalPair, binary, same_array
 
@@ -86,12 +85,8 @@ class Ellipsoid(ConvexSet):
             return found
         # the point with this normal by the shape itself: its axes are rounded, the short ones most
         p = found.p / binary(np.abs(found.p).max())
-        arm = self._precisely(p)
+        arm = self.shape @ p
         return found._replace(w=self.center + arm / np.sqrt(p @ arm))
-
-    @cached_property
-    def _precisely(self) -> Precise:
-        return Precise(self.shape)
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp

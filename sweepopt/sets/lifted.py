@@ -31,7 +31,7 @@ from sweepopt.sets.base import (
     same_array,
     total_gap,
 )
-from sweepopt.sets.generated import GeneratedCone
+from sweepopt.sets.polyhedra import GeneratedCone
 from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.programs import normal_by_program, support_by_program
 from sweepopt.sets.projection import Projection, Projector, Splitting, fixed_point, places

@@ -7,20 +7,23 @@ serves them all.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
+from functools import wraps
 from typing import Any
 
 import numpy as np
 
 from sweepopt.checks import dimension, instant, number, vector
 from sweepopt.errors import InputError
-from sweepopt.loads import Separable, breakpoints
-from sweepopt.sets.base import ConvexSet, is_vector, require_same_dim
+from sweepopt.loads import Constant, Separable
+from sweepopt.sets.balls import Ball
+from sweepopt.sets.base import ConvexSet, Operators, is_vector
 from sweepopt.sets.shapes import Point
 from sweepopt.sets.similar import Similar
 
 
-class MovingSet:
+class MovingSet(Operators):
     """C(t) given by a function of time.
 
     Parameters
@@ -44,8 +47,6 @@ class MovingSet:
     >>> C.at(2.0).support([1.0, 0.0])
     5.0
     """
-
-    __array_ufunc__ = None
 
     def __init__(self, at: Callable[[float], ConvexSet], dim: int | None = None) -> None:
         if not callable(at):
@@ -93,10 +94,6 @@ class MovingSet:
             last = C
         return kept
 
-    def breakpoints(self, a: float, b: float) -> np.ndarray:
-        """Kinks of the motion strictly inside (a, b), increasing, as far as its data tell them."""
-        return np.empty(0)
-
     def _member(self, t: float) -> ConvexSet:
         try:
             C = self._at(t)
@@ -109,46 +106,26 @@ class MovingSet:
             raise InputError(f"C(t) at t = {t:g} must be a set, got {type(C).__name__}")
         return C
 
-    def _then(self, operation: Callable[[ConvexSet, Any], Any], other: Any = None) -> MovingSet:
-        if isinstance(other, (MovingSet, ConvexSet)):
-            return MovingSet(lambda t: operation(self.at(t), other.at(t)), self.dim)
-        return MovingSet(lambda t: operation(self.at(t), other), self.dim)
 
-    def __add__(self, other: Any) -> MovingSet:
-        if is_vector(other):
-            other = vector("v", other, self.dim)
-        else:
-            self._check("C + D", other)
-        return self._then(lambda C, D: C + D, other)
+def over_time(operation: Callable[..., Any]) -> Callable[..., Any]:
+    """The operation, which for sets that move is done at every time.
 
-    def __sub__(self, other: Any) -> MovingSet:
-        if not is_vector(other):
-            raise InputError("C - D is ambiguous; write C + (-D) for the Minkowski sum")
-        return self + -vector("v", other, self.dim)
+    Points in their place tell at once whether the operands fit, and the dim of the result.
+    """
 
-    def __rsub__(self, other: Any) -> MovingSet:
-        return -self + other
+    @wraps(operation)
+    def on_all(*operands: Any) -> Any:
+        if not any(isinstance(C, MovingSet) for C in operands):
+            return operation(*operands)
+        fixed = [copy.copy(x) if is_vector(x) else x for x in operands]
 
-    def __rmul__(self, factor: float) -> MovingSet:
-        if isinstance(factor, (MovingSet, ConvexSet)):
-            raise InputError("C * D is not defined; use so.product(C, D) or C & D")
-        return self._then(lambda C, r: r * C, number("scale", factor))
+        def done(member: Callable[[MovingSet], ConvexSet]) -> Any:
+            return operation(*(member(x) if isinstance(x, MovingSet) else x for x in fixed))
 
-    def __neg__(self) -> MovingSet:
-        return self._then(lambda C, _: -C)
+        dim = done(lambda C: Ball(np.zeros(C.dim), 0.0)).dim
+        return MovingSet(lambda t: done(lambda C: C.at(t)), dim)
 
-    def __and__(self, other: Any) -> MovingSet:
-        self._check("C & D", other)
-        return self._then(lambda C, D: C & D, other)
-
-    __radd__ = __add__
-    __mul__ = __rmul__
-    __rand__ = __and__
-
-    def _check(self, what: str, other: Any) -> None:
-        if not isinstance(other, (MovingSet, ConvexSet)):
-            raise InputError(f"{what}: D must be a set, got {type(other).__name__}")
-        require_same_dim(what, self, other)
+    return on_all
 
 
 class Moving(MovingSet):
@@ -179,22 +156,20 @@ class Moving(MovingSet):
         if not isinstance(shape, ConvexSet):
             raise InputError(f"Moving needs a set that does not move, got {type(shape).__name__}")
         self.shape, self.dim = shape, shape.dim
-        self.center = center if callable(center) or center is None else vector("center", center)
-        self.scale = scale if callable(scale) or scale is None else number("scale", scale, 0.0)
-        size = self.dim  # of a function of t it is seen when it is called
-        if isinstance(self.center, Separable):
-            size = self.center.dim
-        elif isinstance(self.center, np.ndarray):
-            size = self.center.size
-        if size != self.dim:
-            raise InputError(f"center must have {self.dim} entries, got {size}")
+        if not callable(center) and center is not None:
+            center = Separable([(Constant(), vector("center", center, self.dim))])
+        if not callable(scale) and scale is not None:
+            scale = Constant(number("scale", scale, 0.0))
+        self.center, self.scale = center, scale
+        if isinstance(center, Separable) and center.dim != self.dim:
+            raise InputError(f"center must have {self.dim} entries, got {center.dim}")
 
     def center_at(self, t: float) -> np.ndarray:
         """center(t), shape (dim,)."""
         t = instant("t", t)
         if self.center is None:
             return np.zeros(self.dim)
-        value = self.center(t) if callable(self.center) else self.center
+        value = self.center(t)
         try:
             return vector("center", value, self.dim)
         except InputError:
@@ -205,8 +180,7 @@ class Moving(MovingSet):
         t = instant("t", t)
         if self.scale is None:
             return 1.0
-        value = self.scale(t) if callable(self.scale) else self.scale
-        return number(f"scale(t) at t = {t:g}", value, minimum=0.0)
+        return number(f"scale(t) at t = {t:g}", self.scale(t), minimum=0.0)
 
     def members(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
         if self.scale is not None:
@@ -214,7 +188,7 @@ class Moving(MovingSet):
         # translates of one set: their centres are all there is to look at
         if isinstance(self.center, Separable):
             self.center.values(times)
-        elif callable(self.center):
+        elif self.center is not None:
             for t in map(float, times):
                 self.center_at(t)
         first = float(times[0])
@@ -222,16 +196,13 @@ class Moving(MovingSet):
         C.require_nonempty(f"C(t) at t = {first:g}")
         return [(first, C)]
 
-    def breakpoints(self, a: float, b: float) -> np.ndarray:
-        return breakpoints((self.center, self.scale), a, b)
-
     def at(self, t: float) -> ConvexSet:
         scaled = self.shape if self.scale is None else self.scale_at(t) * self.shape
         if self.center is None:
             instant("t", t)
             return scaled
         if isinstance(scaled, Point):
-            return Point(scaled.offsets + self.center_at(t))
+            return Point(scaled.anchor + self.center_at(t))
         return Similar(scaled, self.center_at(t))
 
 
@@ -249,9 +220,6 @@ class MovingOffsets(MovingSet):
     def __init__(self, shape: Any, offsets: Callable[[float], Any]) -> None:
         self.shape, self.offsets = shape, offsets
         super().__init__(lambda t: shape.with_offsets(offsets(t)), shape.dim)
-
-    def breakpoints(self, a: float, b: float) -> np.ndarray:
-        return breakpoints((self.offsets,), a, b)
 
 
 AnySet = ConvexSet | MovingSet

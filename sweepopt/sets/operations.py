@@ -16,34 +16,45 @@ import scipy.sparse as sp
 
 from sweepopt.checks import HUGE, Matrix, divisor, matrix, number, vector
 from sweepopt.errors import InputError
-from sweepopt.sets.base import Algebra, ConvexSet, binary, is_vector, require_same_dim
+from sweepopt.sets.base import (
+    Algebra,
+    ConvexSet,
+    Operators,
+    binary,
+    is_vector,
+    require_same_dim,
+)
 from sweepopt.sets.lifted import Embedding, Intersection, Product, Sum, image_of
-from sweepopt.sets.moving import MovingSet
+from sweepopt.sets.moving import MovingSet, over_time
 from sweepopt.sets.polyhedra import ACTIVE_DIM, Polyhedron
 from sweepopt.sets.shapes import Box, Point
 from sweepopt.sets.similar import Similar, shape_of
 
 
+@over_time
 def add(C: ConvexSet, other: Any) -> Any:
     """C + v or C + D; the sum with a point is a translation."""
     if is_vector(other):
         v = vector("v", other, C.dim)
-        return Point(C.offsets + v) if isinstance(C, Point) else Similar(C, v)
-    if not _is_set("C + D", other):
-        return NotImplemented
-    require_same_dim("C + D", C, other)
+        return Point(C.anchor + v) if isinstance(C, Point) else Similar(C, v)
+    _require_set("C + D", C, other)
     if isinstance(other, Point):
-        return C + other.offsets
-    return other + C.offsets if isinstance(C, Point) else Sum(C, other)
+        return C + other.anchor
+    if isinstance(C, Point):
+        return other + C.anchor
+    if isinstance(C, Box) and isinstance(other, Box):
+        return Box(C.lower + other.lower, C.upper + other.upper)
+    return Sum(C, other)
 
 
+@over_time
 def scale(factor: Any, C: ConvexSet) -> ConvexSet:
     """r C for any finite r; 0 C is {0} and asks for a bounded C; where |r| < 1e-75 r is 0."""
     if hasattr(factor, "at"):
         raise InputError("C * D is not defined; use so.product(C, D) or C & D")
     r = number("scale", factor)
     if isinstance(C, Point):
-        return Point(r * C.offsets)
+        return Point(r * C.anchor)
     if abs(r) < 1 / HUGE:  # what it divides would overflow
         if not np.isfinite(C.magnitude()):
             raise InputError(
@@ -51,24 +62,29 @@ def scale(factor: Any, C: ConvexSet) -> ConvexSet:
             )
         return Point(np.zeros(C.dim))
     if isinstance(C, Box):
-        return C.scaled(r)
+        ends = (C.lower, C.upper) if r > 0 else (C.upper, C.lower)
+        return Box(*(r * end for end in ends))  # nothing is divided by r, however small it gets
     if isinstance(C, Similar) and C.v is None and r * C.factor == 1:
         return C.part
     return Similar(C, None, r)
 
 
+@over_time
 def intersect(C: ConvexSet, D: Any) -> Any:
     """C & D; rows under rows are again a polyhedron, with its exact projection."""
-    if not _is_set("C & D", D):
-        return NotImplemented
-    require_same_dim("C & D", C, D)
-    if C.dim > ACTIVE_DIM or not all(isinstance(shape_of(S), (Box, Polyhedron)) for S in (C, D)):
+    _require_set("C & D", C, D)
+    if isinstance(C, Box) and isinstance(D, Box):
+        return Box(np.maximum(C.lower, D.lower), np.minimum(C.upper, D.upper))
+    shapes = shape_of(C), shape_of(D)
+    rows_known = all(isinstance(S, (Box, Polyhedron)) and not S.singleton for S in shapes)
+    if C.dim > ACTIVE_DIM or not rows_known:
         return Intersection(C, D)
     (G, h, *_), (F, k, *_) = C.halfspaces(), D.halfspaces()
     stack = sp.vstack if sp.issparse(G) or sp.issparse(F) else np.vstack
     return Polyhedron(stack([G, F]), np.concatenate([h, k]))
 
 
+@over_time
 def product(*sets: Any) -> Any:
     """C x D x ..., one after the other in the vector; moving sets too.
 
@@ -88,14 +104,12 @@ def product(*sets: Any) -> Any:
     >>> product(Ball([0.0, 0.0], 1.0), Box([-1], [1])).support([3.0, 4.0, 2.0])
     7.0
     """
-    if not sets or not all(isinstance(C, (ConvexSet, MovingSet)) for C in sets):
+    if not sets or not all(isinstance(C, ConvexSet) for C in sets):
         raise InputError("product(C, D, ...) takes one or more sets")
-    if any(isinstance(C, MovingSet) for C in sets):
-        return MovingSet(lambda t: product(*(C.at(t) for C in sets)), sum(C.dim for C in sets))
+    if all(isinstance(C, Point) for C in sets):
+        return Point(np.concatenate([C.anchor for C in sets]))
     if all(isinstance(C, Box) for C in sets):
         return Box(np.concatenate([C.lower for C in sets]), np.concatenate([C.upper for C in sets]))
-    if all(isinstance(C, Point) for C in sets):
-        return Point(np.concatenate([C.offsets for C in sets]))
     return Product(tuple(sets))
 
 
@@ -153,11 +167,10 @@ def _gathered(M: Matrix, box: Box) -> ConvexSet | None:
     return Embedding(Box(*ends), unknowns, M.shape[0])
 
 
-def _is_set(what: str, D: Any) -> bool:
-    """True for a set, False for a moving set (which then takes over), an error otherwise."""
-    if not isinstance(D, ConvexSet) and not hasattr(D, "at"):
+def _require_set(what: str, C: ConvexSet, D: Any) -> None:
+    if not isinstance(D, ConvexSet):
         raise InputError(f"{what}: D must be a set, got {type(D).__name__}")
-    return isinstance(D, ConvexSet)
+    require_same_dim(what, C, D)
 
 
-ConvexSet.algebra = Algebra(add, scale, intersect, image)
+Operators.algebra = Algebra(add, scale, intersect, image)

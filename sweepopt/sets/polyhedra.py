@@ -1,8 +1,10 @@
-"""Polyhedra: { w : G w <= h } and half-spaces, projected by active sets."""
+"""Polyhedra { w : G w <= h }, half-spaces and generated cones, projected by active sets."""
 
 from __future__ import annotations
 
 import contextlib
+import copy
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,13 +27,13 @@ from sweepopt.sets.base import (
 from sweepopt.sets.least_distance import Nearest, least_distance, projector
 from sweepopt.sets.moving import MovingOffsets
 from sweepopt.sets.programs import normal_by_program
-from sweepopt.sets.shapes import Orthant
+from sweepopt.sets.shapes import rows_features
 
 if TYPE_CHECKING:
     import cvxpy as cp
 
 REFINEMENTS = 3  # of a point on a face: a long way there rounds
-ACTIVE_DIM = 1000  # up to here the active-set projection is used, beyond a sparse QP
+ACTIVE_DIM = 1000  # rows or unknowns up to which active sets are used, beyond a sparse QP
 
 
 class Polyhedron(ConvexSet):
@@ -60,7 +62,7 @@ class Polyhedron(ConvexSet):
     polyhedral = True
 
     def __new__(cls, G: Any, h: Any) -> Any:
-        if callable(h):
+        if cls is Polyhedron and callable(h):
             G = matrix("G", G)
             return MovingOffsets(cls(G, np.zeros(G.shape[0])), h)
         return super().__new__(cls)
@@ -70,12 +72,10 @@ class Polyhedron(ConvexSet):
         self.dim = self.G.shape[1]
         if not self.dim:
             raise InputError("G must have at least one column")
-        self.exact = self.certifiable = self.dim <= ACTIVE_DIM
+        self.exact = self.certifiable = min(self.G.shape) <= ACTIVE_DIM
         largest = abs(self.G).max(axis=1)
         largest = (largest.toarray() if sp.issparse(self.G) else largest).ravel()
-        rows = np.flatnonzero(largest)
-        if rows.size:
-            i = int(rows[np.argmin(largest[rows])])
+        for i in np.flatnonzero(largest):
             divisor(f"the largest entry of row {i} of G", largest[i])
         # programs see rows of numbers near 1
         self._units = np.array([binary(row) for row in largest])
@@ -93,10 +93,7 @@ class Polyhedron(ConvexSet):
 
     def with_offsets(self, h: Any) -> Polyhedron:
         """{ w : G w <= h } with the same matrix object, so that `same_cone` is free."""
-        other = object.__new__(Polyhedron)
-        other.G, other.dim = self.G, self.dim
-        other.exact, other.certifiable = self.exact, self.certifiable
-        other._units = self._units
+        other = copy.copy(self)
         other._set_offsets(h)
         return other
 
@@ -137,14 +134,15 @@ class Polyhedron(ConvexSet):
     def _exact_normal(self, v: np.ndarray, tau: np.ndarray) -> Nearest | None:
         """u = (v - w) / tau from the active rows, w the nearest point in the metric of 1 / tau.
 
-        None in large dimensions and where no active rows prove it.
+        None where there are too many rows and unknowns, and where no active rows prove it.
         """
         slack, root = self.h - self.G @ v, np.sqrt(tau)
         if (slack >= 0).all():
             return Nearest(np.zeros(self.dim), np.zeros(0, dtype=int))
-        if self.dim > ACTIVE_DIM:
+        if not self.exact:
             return None
-        normal = least_distance(_columns(self.G, root), slack, self._rounding(v))
+        rounding = ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(v))
+        normal = least_distance(self.G @ sp.diags_array(root), slack, rounding)
         return None if normal is None else Nearest(0.0 - normal.u / root, normal.active)
 
     def project(self, w: np.ndarray) -> np.ndarray:
@@ -170,58 +168,38 @@ class Polyhedron(ConvexSet):
             return None
         rows = dense(self.G[normal.active])
         Q, R = np.linalg.qr((rows * root).T)
-        multipliers = scipy.linalg.solve_triangular(R, Q.T @ (root * p))
-        if (multipliers < 0).any():
-            multipliers = scipy.linalg.solve_triangular(R, Q.T @ (root * normal.u))
-            multipliers = np.maximum(multipliers, 0.0)
+        multipliers = np.maximum(scipy.linalg.solve_triangular(R, Q.T @ (root * p)), 0.0)
         outside = scipy.linalg.solve_triangular(R, rows @ w - self.h[normal.active], trans=1)
-        point = self._on_face(w - root * (Q @ outside), normal.active, root)
+        point = self._on_face(w - root * (Q @ outside), normal.active, tau)
         if point is not None:
             return NormalPair(multipliers @ rows, point, 0.0)
         with contextlib.suppress(SweepoptError):  # of HiGHS
             y = self._multipliers(p, self.h - self.G @ w)
-            point = None if y is None else self._on_face(w, np.flatnonzero(y), root)
-        if point is not None:
-            return NormalPair(self.G.T @ y, point, 0.0)
-        inside = v - tau * normal.u
-        gap = multipliers @ np.abs(rows @ inside - self.h[normal.active])
-        return NormalPair(multipliers @ rows, inside, float(gap))
+            point = None if y is None else self._on_face(w, np.flatnonzero(y), tau)
+        return None if point is None else NormalPair(self.G.T @ y, point, 0.0)
 
-    def _on_face(self, start: np.ndarray, active: np.ndarray, root: np.ndarray) -> Any:
+    def _on_face(self, start: np.ndarray, active: np.ndarray, tau: np.ndarray) -> np.ndarray | None:
         """The point nearest to start with equality on active rows; None if rounding hides it."""
-        w, stack = start, sp.vstack if sp.issparse(self.G) else np.vstack
-        for _ in range(1 + REFINEMENTS):
-            slack = self.h - self.G @ w
-            rounding = self._rounding(np.abs(w) + EPS * np.abs(start))
-            slack, rounding = (
-                np.append(slack, -slack[active]),
-                np.append(rounding, rounding[active]),
-            )
-            if (slack >= -rounding).all():
-                return w
-            try:
-                sides = stack([self.G, -self.G[active]])
-                way = least_distance(_columns(sides, root), slack, rounding)
-            except EmptySetError:
-                return None
-            if way is None:
-                return None
-            w = w + root * way.u
+        stack = sp.vstack if sp.issparse(self.G) else np.vstack
+        rows, bounds = stack([self.G, -self.G[active]]), np.append(self.h, -self.h[active])
+        w, root = start, np.sqrt(tau)
+        with contextlib.suppress(EmptySetError):
+            for _ in range(1 + REFINEMENTS):
+                sizes = np.abs(w) + EPS * np.abs(start)
+                rounding = ROUNDING * (np.abs(bounds) + abs(rows) @ sizes)
+                way = least_distance(rows @ sp.diags_array(root), bounds - rows @ w, rounding)
+                if way is None or not way.u.any():
+                    return None if way is None else w
+                w = w + root * way.u
         return None
 
-    def _rounding(self, w: np.ndarray) -> np.ndarray:
-        return ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(w))
+    @cached_property
+    def scaled_rows(self) -> Any:
+        """G with rows of numbers near 1, whose right hand sides are the offsets."""
+        return sp.diags_array(1 / self._units) @ self.G
 
     def features(self, p: cp.Expression) -> Features:
-        import cvxpy as cp
-
-        y = cp.Variable(self.h.size)
-        rows = (
-            self.G.T @ sp.diags_array(1 / self._units)
-            if sp.issparse(self.G)
-            else (self.G.T / self._units)
-        )
-        return Features([y], [rows @ y == p, y >= 0])
+        return rows_features(self.scaled_rows, p)
 
     def same_cone(self, other: ConvexSet) -> bool:
         return isinstance(other, Polyhedron) and same_array(self.G, other.G)
@@ -236,9 +214,7 @@ class Polyhedron(ConvexSet):
             raise EmptySetError(f"{where} is empty: no w satisfies G w <= h") from error
 
     def polar(self) -> ConvexSet:
-        if self.h.any():
-            return super().polar()
-        return self.algebra.image(self.G.T, Orthant(self.h.size))
+        return super().polar() if self.h.any() else GeneratedCone(self.G)
 
 
 class HalfSpace(Polyhedron):
@@ -260,16 +236,16 @@ class HalfSpace(Polyhedron):
     array([0.6, 0.8])
     """
 
-    def __new__(cls, normal: Any, offset: Any) -> Any:
-        return object.__new__(cls)  # the offset is a number: this set does not move
-
     def __init__(self, normal: Any, offset: float) -> None:
         row = vector("normal", normal)
-        self.offset = number("offset", offset)
         if not row.any():
             raise InputError("normal must not be zero")
-        super().__init__(row[None, :], [self.offset])
-        self.exact = self.certifiable = True
+        super().__init__(row[None, :], [number("offset", offset)])
+
+    @property
+    def offset(self) -> float:
+        """The h of its row."""
+        return float(self.h[0])
 
     def support(self, z: np.ndarray) -> float:
         z = vector("z", z, self.dim)
@@ -292,6 +268,42 @@ class HalfSpace(Polyhedron):
         return abs(self.offset - other.offset) / float(np.linalg.norm(self.G))
 
 
-def _columns(G: Any, units: np.ndarray) -> Any:
-    """G with its columns in these units."""
-    return G @ sp.diags_array(units) if sp.issparse(G) else G * units
+class GeneratedCone(ConvexSet):
+    """{ G^T y : y >= 0 }, the polar cone of { p : G p <= 0 }: by Moreau, v - P(v) is P_polar(v)."""
+
+    polyhedral = True
+    offsets = np.zeros(0)
+
+    def __init__(self, G: Any) -> None:
+        self.G, self.dim = G, G.shape[1]
+        self._polar = Polyhedron(G, np.zeros(G.shape[0]))
+        self.exact = self._polar.exact
+
+    def support(self, z: np.ndarray) -> float:
+        z = vector("z", z, self.dim)
+        rounding = 2 * ROUNDING * (abs(self.G) @ np.abs(z))
+        return 0.0 if (self.G @ z <= rounding).all() else float("inf")
+
+    def project(self, w: np.ndarray) -> np.ndarray:
+        w = vector("w", w, self.dim)
+        return w - self._polar.project(w)
+
+    def normal(self, v: np.ndarray) -> np.ndarray:
+        p = self._polar.project(v)
+        if np.abs(p).max() <= ROUNDING * np.abs(v).max():
+            return np.zeros(self.dim)
+        # p holds rounding of v; a second look leaves that of p, as the domain of sigma needs it
+        return self._polar.project(p)
+
+    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        normal = self._polar.derivative(v)
+        return None if normal is None else np.eye(self.dim) - normal
+
+    def features(self, p: cp.Expression) -> Features:
+        return Features([], [self._polar.scaled_rows @ p <= 0])
+
+    def same_cone(self, other: ConvexSet) -> bool:
+        return isinstance(other, GeneratedCone) and same_array(self.G, other.G)
+
+    def polar(self) -> ConvexSet:
+        return self._polar

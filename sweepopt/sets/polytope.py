@@ -20,7 +20,6 @@ from sweepopt.sets.base import (
     same_array,
 )
 from sweepopt.sets.least_distance import projector
-from sweepopt.sets.programs import normal_by_program
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -73,17 +72,15 @@ class Polytope(ConvexSet):
 
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
-        face = self._nearest_face(w)
-        if face is None:
-            return w - normal_by_program(self, w).p
-        return w if self._at(w, face.point) else face.point
+        point = self._nearest_face(w).point
+        return w if self._at(w, point) else point
 
     def _at(self, w: np.ndarray, point: np.ndarray) -> bool:
         """Whether w is a point of the hull, to rounding."""
         size = max(np.abs(w).max(), np.abs(self.vertices).max())
         return bool(np.abs(w - point).max() <= 10 * ROUNDING * size)
 
-    def _nearest_face(self, w: np.ndarray) -> _Face | None:
+    def _nearest_face(self, w: np.ndarray) -> _Face:
         """The vertices whose hull is the face nearest to w, and the nearest point.
 
         Wolfe, Finding the nearest point in a polytope, Math. Programming 11 (1976): a vertex ahead
@@ -102,7 +99,7 @@ class Polytope(ConvexSet):
             ahead[active] = 0.0
             new = int(np.argmax(ahead))
             if self._at(w, point) or not ahead[new] > 0:
-                return _Face(V[active], point)
+                break
             before, active, shares = active, [*active, new], np.append(shares, 0.0)
             while True:
                 edges = (V[active[1:]] - V[active[0]]).T
@@ -113,18 +110,16 @@ class Polytope(ConvexSet):
                     break
                 falling = wanted <= 0
                 fall = np.where(falling & (shares > wanted), shares - wanted, 1)
-                limits = np.where(falling, shares, 1) / fall  # 0 where a share is and stays 0
+                limits = np.where(falling, shares, 2) / fall  # 0 where a share is and stays 0
                 last = int(np.argmin(limits))
                 shares = np.delete(shares + limits[last] * (wanted - shares), last)
                 del active[last]
             if active == before:  # the new one left at once: only rounding says that it is ahead
-                return _Face(V[active], point)
-        return None
+                break
+        return _Face(V[active], point)
 
-    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+    def derivative(self, v: np.ndarray) -> np.ndarray:
         face = self._nearest_face(v)
-        if face is None:
-            return None
         if self._at(v, face.point):
             return np.eye(self.dim)
         return projector(face.vertices[1:] - face.vertices[0])

@@ -15,67 +15,6 @@ if TYPE_CHECKING:
     import cvxpy as cp
 
 
-class Point(ConvexSet):
-    """The single point {p}:  sigma(z) = <p, z>.  Its process is linear.
-
-    Parameters
-    ----------
-    p : array_like, shape (dim,)
-
-    Raises
-    ------
-    InputError
-        If p is empty or not finite.
-
-    Examples
-    --------
-    >>> Point([1.0, 2.0]).support([3.0, 4.0])
-    11.0
-    """
-
-    polyhedral = True
-    singleton = True
-
-    def __init__(self, p: Any) -> None:
-        self.offsets = entries("p", p)
-        self.dim = self.offsets.size
-
-    def support(self, z: np.ndarray) -> float:
-        return float(self.offsets @ vector("z", z, self.dim))
-
-    def project(self, w: np.ndarray) -> np.ndarray:
-        vector("w", w, self.dim)
-        return self.offsets.copy()
-
-    def derivative(self, v: np.ndarray) -> np.ndarray:
-        return np.zeros(self.dim)
-
-    def features(self, p: cp.Expression) -> Features:
-        return Features([p], [])
-
-    def magnitude(self) -> float:
-        return float(np.linalg.norm(self.offsets))
-
-    def _distance(self, other: ConvexSet) -> float | None:
-        known = isinstance(other, Point)
-        return float(np.linalg.norm(self.offsets - other.offsets)) if known else None
-
-    @property
-    def anchor(self) -> np.ndarray:
-        return self.offsets
-
-    def halfspaces(self) -> Halfspaces:
-        return Halfspaces(np.zeros((0, self.dim)), np.zeros(0), np.eye(self.dim), self.offsets)
-
-    def polar(self) -> ConvexSet:
-        if self.offsets.any():
-            return super().polar()
-        return WholeSpace(self.dim)
-
-    def __neg__(self) -> Point:
-        return Point(-self.offsets)
-
-
 class Box(ConvexSet):
     """{ w : lower <= w <= upper }, entries may be infinite:  sigma(z) = sum max(lower z, upper z).
 
@@ -109,11 +48,7 @@ class Box(ConvexSet):
                 f"Box is empty: lower[{i}] = {self.lower[i]:g}, upper[{i}] = {self.upper[i]:g}"
             )
         self._low, self._up = np.isfinite(self.lower), np.isfinite(self.upper)
-        both = self._low & self._up
-        center = 0.5 * self.lower[both] + 0.5 * self.upper[both]
-        halfwidth = 0.5 * self.upper[both] - 0.5 * self.lower[both]
-        above, below = self.upper[self._up & ~both], self.lower[self._low & ~both]
-        self.offsets = np.concatenate([center, halfwidth, above, below])
+        self.offsets = np.concatenate([self.upper[self._up], -self.lower[self._low]])
 
     def support(self, z: np.ndarray) -> float:
         z = vector("z", z, self.dim)
@@ -123,9 +58,6 @@ class Box(ConvexSet):
 
     def project(self, w: np.ndarray) -> np.ndarray:
         return np.minimum(np.maximum(vector("w", w, self.dim), self.lower), self.upper)
-
-    def normal(self, v: np.ndarray) -> np.ndarray:
-        return v - np.minimum(np.maximum(v, self.lower), self.upper)
 
     def gap(self, p: np.ndarray, w: np.ndarray) -> float:
         return float(self._gaps(p[None], w[None])[0, 0])
@@ -137,36 +69,19 @@ class Box(ConvexSet):
         return np.maximum(np.einsum("jkd,jd->jk", slack, p), 0.0)
 
     def features(self, p: cp.Expression) -> Features:
-        # bounded entries: centre * p + halfwidth * |p|; a one-sided entry allows one sign of p
-        import cvxpy as cp
-
-        both = self._low & self._up
-        above, below, free = self._up & ~both, self._low & ~both, ~(self._low | self._up)
-        y: list[Any] = []
-        constraints: list[Any] = []
-        if both.any():
-            size = cp.Variable(int(both.sum()))
-            y += [p[both], size]
-            constraints += [p[both] <= size, -p[both] <= size]
-        if above.any():
-            y.append(p[above])
-            constraints.append(p[above] >= 0)
-        if below.any():
-            y.append(p[below])
-            constraints.append(p[below] <= 0)
-        if free.any():
-            constraints.append(p[free] == 0)
-        return Features(y, constraints)
+        return rows_features(self._matrix(), p)
 
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return tau
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
-        return ((v >= self.lower) & (v <= self.upper)).astype(float)
+        free = (v >= self.lower) & (v <= self.upper) & (self.lower < self.upper)
+        return free.astype(float)
 
     def same_cone(self, other: ConvexSet) -> bool:
         return (
             isinstance(other, Box)
+            and self.singleton == other.singleton
             and same_array(self._low, other._low)
             and same_array(self._up, other._up)
         )
@@ -183,39 +98,57 @@ class Box(ConvexSet):
             float(np.linalg.norm(np.maximum(0.0, np.maximum(-below, -above)))),
         )
 
-    def halfspaces(self) -> Halfspaces:
-        above, below = np.isfinite(self.upper), np.isfinite(self.lower)
+    def _matrix(self) -> Any:
+        """G of { w : G w <= offsets }."""
         identity = sp.eye_array(self.dim, format="csr") if self.dim > 100 else np.eye(self.dim)
         stack = sp.vstack if self.dim > 100 else np.vstack
-        G = stack([identity[above], -identity[below]])
-        return Halfspaces.below(G, np.concatenate([self.upper[above], -self.lower[below]]))
+        return stack([identity[self._up], -identity[self._low]])
+
+    def halfspaces(self) -> Halfspaces:
+        return Halfspaces.below(self._matrix(), self.offsets)
 
     def polar(self) -> ConvexSet:
-        ends = np.concatenate([self.lower, self.upper])
-        if not np.all((ends == 0) | np.isinf(ends)):
+        if self.offsets.any():
             return super().polar()
         # componentwise: {0} <-> R, [0, inf) <-> (-inf, 0]
         return Box(np.where(self._low, -np.inf, 0.0), np.where(self._up, np.inf, 0.0))
 
-    def __neg__(self) -> Box:
-        return Box(-self.upper, -self.lower)
 
-    def __add__(self, other: Any) -> Any:
-        if isinstance(other, Box) and other.dim == self.dim:
-            return Box(self.lower + other.lower, self.upper + other.upper)
-        return super().__add__(other)
+class Point(Box):
+    """The single point {p}:  sigma(z) = <p, z>.  Its process is linear.
 
-    __radd__ = __add__
+    Parameters
+    ----------
+    p : array_like, shape (dim,)
 
-    def scaled(self, factor: float) -> Box:
-        """factor * C for factor != 0: nothing is divided by it, however small it gets."""
-        ends = factor * self.lower, factor * self.upper
-        return Box(*(ends if factor > 0 else ends[::-1]))
+    Raises
+    ------
+    InputError
+        If p is empty or not finite.
 
-    def __and__(self, other: Any) -> Any:
-        if isinstance(other, Box) and other.dim == self.dim:
-            return Box(np.maximum(self.lower, other.lower), np.minimum(self.upper, other.upper))
-        return super().__and__(other)
+    Examples
+    --------
+    >>> Point([1.0, 2.0]).support([3.0, 4.0])
+    11.0
+    """
+
+    singleton = True
+    nonsmooth_dim = 0
+
+    def __init__(self, p: Any) -> None:
+        p = entries("p", p)
+        super().__init__(p, p)
+        self.offsets = self.lower
+
+    def features(self, p: cp.Expression) -> Features:
+        return Features([p], [])
+
+    def halfspaces(self) -> Halfspaces:
+        return Halfspaces(np.zeros((0, self.dim)), np.zeros(0), np.eye(self.dim), self.offsets)
+
+    @property
+    def anchor(self) -> np.ndarray:
+        return self.offsets
 
 
 class Orthant(Box):
@@ -262,3 +195,11 @@ class WholeSpace(Box):
     def __init__(self, dim: int) -> None:
         dim = dimension(dim)
         super().__init__(np.full(dim, -np.inf), np.full(dim, np.inf))
+
+
+def rows_features(G: Any, p: cp.Expression) -> Features:
+    """Those of { w : G w <= h } with offsets h:  sigma(p) = min { <h, y> : G^T y = p, y >= 0 }."""
+    import cvxpy as cp
+
+    y = cp.Variable(G.shape[0])
+    return Features([y], [G.T @ y == p, y >= 0])
