@@ -76,11 +76,10 @@ class Balls(ConvexSet):
         return Features([sizes], norms_below(p, sizes, self.block))
 
     def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
-        directions, points = (x.reshape(len(x), -1, self.block).swapaxes(0, 1) for x in (p, w))
-        return total_gap(
-            Ball(np.zeros(self.block), radius).gap_along_curve(one, curve, ratio)
-            for radius, one, curve in zip(self.radii, directions, points, strict=True)
-        )
+        blocks = (x.reshape(len(x), -1, self.block).swapaxes(0, 1) for x in (p, w))
+        balls = (Ball(np.zeros(self.block), radius) for radius in self.radii)
+        each = zip(balls, *blocks, strict=True)
+        return total_gap(ball.gap_along_curve(*curves, ratio) for ball, *curves in each)
 
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)

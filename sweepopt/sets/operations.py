@@ -75,9 +75,8 @@ def intersect(C: ConvexSet, D: Any) -> Any:
     _require_set("C & D", C, D)
     if isinstance(C, Box) and isinstance(D, Box):
         return Box(np.maximum(C.lower, D.lower), np.minimum(C.upper, D.upper))
-    shapes = shape_of(C), shape_of(D)
-    rows_known = all(isinstance(S, (Box, Polyhedron)) and not S.singleton for S in shapes)
-    if C.dim > ACTIVE_DIM or not rows_known:
+    have_rows = (isinstance(shape_of(S), (Box, Polyhedron)) and not S.singleton for S in (C, D))
+    if C.dim > ACTIVE_DIM or not all(have_rows):
         return Intersection(C, D)
     (G, h, *_), (F, k, *_) = C.halfspaces(), D.halfspaces()
     stack = sp.vstack if sp.issparse(G) or sp.issparse(F) else np.vstack
@@ -147,7 +146,7 @@ def image(M: Any, C: Any) -> Any:
     if moving:
         image_of(M, Point(np.zeros(C.dim)))  # refuses another width now
         return MovingSet(lambda t: image_of(M, C.at(t)), M.shape[0])
-    if isinstance(C, Box) and C.dim == M.shape[1]:
+    if isinstance(C, Box) and not C.singleton and C.dim == M.shape[1]:
         # columns of numbers near 1: their units, powers of two, go to the box
         units = np.array([binary(size) for size in sizes])
         M, C = M @ sp.diags_array(1 / units), Box(units * C.lower, units * C.upper)
