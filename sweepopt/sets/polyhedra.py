@@ -21,6 +21,7 @@ from sweepopt.sets.base import (
     Features,
     Halfspaces,
     NormalPair,
+    Perturbation,
     binary,
     same_array,
 )
@@ -172,11 +173,27 @@ class Polyhedron(ConvexSet):
         outside = scipy.linalg.solve_triangular(R, rows @ w - self.h[normal.active], trans=1)
         point = self._on_face(w - root * (Q @ outside), normal.active, tau)
         if point is not None:
-            return NormalPair(multipliers @ rows, point, 0.0)
+            return self._rounded_pair(multipliers, normal.active, point, root)
         with contextlib.suppress(SweepoptError):  # of HiGHS
             y = self._multipliers(p, self.h - self.G @ w)
-            point = None if y is None else self._on_face(w, np.flatnonzero(y), tau)
-        return None if point is None else NormalPair(self.G.T @ y, point, 0.0)
+            active = np.flatnonzero(y)
+            point = None if y is None else self._on_face(w, active, tau)
+        return None if point is None else self._rounded_pair(y[active], active, point, root)
+
+    def _rounded_pair(
+        self, multipliers: np.ndarray, active: np.ndarray, w: np.ndarray, root: np.ndarray
+    ) -> NormalPair:
+        """The pair of a face, and how far rounding keeps w from it and p from its normals."""
+        slack = self.h - self.G @ w
+        of_p = dense(self.G[active])
+        close = np.union1d(active, np.flatnonzero(slack < 0))
+        rows = dense(self.G[close])
+        residual = np.abs(slack[close]) + EPS * (np.abs(self.h[close]) + abs(rows) @ np.abs(w))
+        moves = Perturbation(
+            w=root * (abs(np.linalg.pinv(rows * root)) @ residual),
+            p=EPS * (multipliers @ abs(of_p)),
+        )
+        return NormalPair(multipliers @ of_p, w, 0.0, moves if close.size else None)
 
     def _on_face(self, start: np.ndarray, active: np.ndarray, tau: np.ndarray) -> np.ndarray | None:
         """The point nearest to start with equality on active rows; None if rounding hides it."""
