@@ -176,9 +176,10 @@ class Polyhedron(ConvexSet):
             return self._rounded_pair(multipliers, normal.active, point, root)
         with contextlib.suppress(SweepoptError):  # of HiGHS
             y = self._multipliers(p, self.h - self.G @ w)
-            active = np.flatnonzero(y)
-            point = None if y is None else self._on_face(w, active, tau)
-        return None if point is None else self._rounded_pair(y[active], active, point, root)
+            if y is not None:
+                active = np.flatnonzero(y)
+                multipliers, point = y[active], self._on_face(w, active, tau)
+        return None if point is None else self._rounded_pair(multipliers, active, point, root)
 
     def _rounded_pair(
         self, multipliers: np.ndarray, active: np.ndarray, w: np.ndarray, root: np.ndarray
