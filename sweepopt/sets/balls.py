@@ -87,6 +87,9 @@ class Balls(ConvexSet):
     def derivative(self, v: np.ndarray) -> np.ndarray:
         return scipy.linalg.block_diag(*map(_ball_derivative, self._arms(v), self.radii))
 
+    def factors(self) -> list[ConvexSet]:
+        return [Ball(np.zeros(self.block), radius) for radius in self.radii]
+
     def magnitude(self) -> float:
         return float(np.linalg.norm(self.center) + np.linalg.norm(self.radii))
 
@@ -131,6 +134,9 @@ class Ball(Balls):
         given = ConvexSet.gap_along_curve(self, p, w, ratio)
         distance = ball_arc(p, w - self.center, self.radius)
         return CurveGap(0.0, distance) if ratio * distance**2 < 2 * given.gap else given
+
+    def factors(self) -> list[ConvexSet]:
+        return [self]
 
     def halfspaces(self) -> Halfspaces:
         if self.dim > 1:

@@ -408,6 +408,10 @@ class ConvexSet(Operators, ABC):
         sides = np.concatenate([*e, np.zeros(len(rest))])
         return Halfspaces(inner, np.concatenate(d), np.vstack([equal, rest]), sides)
 
+    def factors(self) -> list[ConvexSet]:
+        """The sets whose product C is, one after the other in the vector."""
+        return [self]
+
     def form(self) -> Form:
         """C in lifted form; a set that is projected on exactly is its own part."""
         return Form.alone(self)

@@ -10,11 +10,12 @@ features, projection and normal pairs read this form and nothing else.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeGuard
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeGuard
 
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 
 from sweepopt.checks import Matrix, vector
 from sweepopt.errors import EmptySetError, InputError
@@ -119,6 +120,9 @@ class Product(ConvexSet):
     def form(self) -> Form:
         return Form.beside(*self.parts)
 
+    def factors(self) -> list[ConvexSet]:
+        return [C for part in self.parts for C in part.factors()]
+
     def same_cone(self, other: ConvexSet) -> bool:
         return (
             isinstance(other, Product)
@@ -176,7 +180,7 @@ class Lifted(ConvexSet):
 
     @cached_property
     def offsets(self) -> np.ndarray:  # type: ignore[override]
-        return self._unit * self.part.offsets
+        return np.append(np.zeros(self.lifted.F.shape[0]), self._unit * self.part.offsets)
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -185,7 +189,8 @@ class Lifted(ConvexSet):
         if not F.shape[0]:
             return self.part.features(inner)
         multipliers = cp.Variable(F.shape[0])
-        return self.part.features(inner - F.T @ multipliers)
+        y, constraints = self.part.features(inner - F.T @ multipliers)
+        return Features([multipliers, *y], constraints)
 
     def support(self, z: np.ndarray) -> float:
         z, E = vector("z", z, self.dim), self.lifted.E
@@ -225,6 +230,18 @@ class Lifted(ConvexSet):
     # ---- projection -----------------------------------------------------------------------------
 
     @cached_property
+    def _blocks(self) -> Embedding | None:
+        """The same set as a product of independent ones, each in its own units; None if it is one.
+
+        80 discs cut with a box are 80 small sets: as one set most of their steps had no proof.
+        """
+        blocks = independent(self.lifted)
+        if len(blocks) < 2:
+            return None
+        unknowns = np.concatenate([block.unknowns for block in blocks])
+        return Embedding(product_of(tuple(Lifted(b.form) for b in blocks)), unknowns, self.dim)
+
+    @cached_property
     def _projector(self) -> Projector:
         return Projector(self.lifted)
 
@@ -236,8 +253,9 @@ class Lifted(ConvexSet):
             near = project(v, project.start(v))
             if not near.exact and self.lifted.small:
                 # an interior point method comes to the right faces where sweeps crawl
-                normal = normal_by_program(self, v)
-                again = project(v, project.start_beside(v, normal))
+                p, y = normal_by_program(self, v)
+                multipliers = self._unit * y[: self.lifted.F.shape[0]]
+                again = project(v, project.start_beside(v, p, multipliers))
                 near = again if again.exact else near
             self._last = near
         return self._last
@@ -254,18 +272,29 @@ class Lifted(ConvexSet):
 
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
+        if self._blocks is not None:
+            return self._blocks.project(w)
         pair = self._pair(w)
         return w - normal_by_program(self, w).p if pair is None else pair.w
 
     def normal(self, v: np.ndarray) -> np.ndarray:
+        if self._blocks is not None:
+            return self._blocks.normal(v)
         pair = self._pair(v)
         return v - self.project(v) if pair is None else pair.p
 
+    def weights(self, tau: np.ndarray) -> np.ndarray:
+        return super().weights(tau) if self._blocks is None else self._blocks.weights(tau)
+
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        if self._blocks is not None:
+            return self._blocks.derivative(v)
         near = self.near(v) if self.certifiable else None
         return near.splitting.derivative(near) if near is not None and near.exact else None
 
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
+        if self._blocks is not None:
+            return self._blocks.normal_pair(p, w, tau)
         step = float(np.mean(tau))
         v = w + step * p
         pair = self._pair(v)
@@ -296,8 +325,7 @@ class Lifted(ConvexSet):
         if not self.lifted.F.shape[0]:
             return
         try:
-            if not self.certifiable:
-                self.project(np.zeros(self.dim))
+            self.project(np.zeros(self.dim))
             empty = self.certifiable and self._separated()
         except EmptySetError:
             empty = True
@@ -373,6 +401,32 @@ class Intersection(Lifted):
         return closure
 
 
+class Block(NamedTuple):
+    """What a form says of some unknowns, whatever the others are."""
+
+    unknowns: np.ndarray
+    form: Form
+
+
+def independent(form: Form) -> list[Block]:
+    """The blocks that a form consists of: parts that no row of E or F ties to each other."""
+    parts = [C for part in form.parts for C in part.factors()]
+    owner = np.repeat(np.arange(len(parts)), [C.dim for C in parts])
+    member = sp.csr_array((np.ones(owner.size), (owner, np.arange(owner.size))))
+    table = sp.vstack([abs(form.E), abs(form.F), member])
+    count, label = connected_components(sp.block_array([[None, table], [table.T, None]]), False)
+    sizes = [form.E.shape[0], form.F.shape[0], len(parts)]
+    of_w, of_F, of_part, of_s = np.split(label, np.cumsum(sizes))
+    blocks = []
+    for group in np.unique(of_s) if count > 1 else ():
+        unknowns, rows, at = (np.flatnonzero(x == group) for x in (of_w, of_F, of_s))
+        own = tuple(parts[i] for i in np.flatnonzero(of_part == group))
+        if unknowns.size:
+            E, F = form.E[unknowns][:, at], form.F[rows][:, at]
+            blocks.append(Block(unknowns, Form(E, F, own)))
+    return blocks
+
+
 # ---- images -------------------------------------------------------------------------------------
 
 
@@ -428,6 +482,19 @@ class Embedding(ConvexSet):
 
     def normal(self, v: np.ndarray) -> np.ndarray:
         return self._within(self.part.normal(v[self.unknowns]), v)
+
+    def weights(self, tau: np.ndarray) -> np.ndarray:
+        if self.unknowns.size < self.dim:
+            return super().weights(tau)
+        return self._within(self.part.weights(tau[self.unknowns]))
+
+    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        """None for few of the unknowns: their set has one."""
+        own = self.part.derivative(v[self.unknowns]) if self.unknowns.size == self.dim else None
+        if own is None or own.ndim == 1:
+            return own if own is None else self._within(own)
+        back = np.argsort(self.unknowns)
+        return own[np.ix_(back, back)]
 
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         pair = self.part.normal_pair(*(x[self.unknowns] for x in (p, w, tau)))

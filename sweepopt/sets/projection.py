@@ -22,7 +22,6 @@ from scipy.sparse.linalg import splu
 
 from sweepopt.linalg import dense
 from sweepopt.sets.base import RANK, ROUNDING, Form, Perturbation, binary
-from sweepopt.sets.programs import Normal
 from sweepopt.sets.shapes import Box
 
 # For small sets plain sweeps, then Newton's method, and a few sweeps that confirm its answer: of
@@ -30,6 +29,7 @@ from sweepopt.sets.shapes import Box
 SWEEPS = (3, 40, 160)
 CONFIRMING = 5
 NEWTON_STEPS = 30
+SHARES = 0.5 ** np.arange(6)  # of a step: a polytope + the image of a half-space needs half of it
 ACCELERATED = 500  # sweeps of large sets: 900 discs on a gradient (1,800 unknowns) take as many
 LOOK_BACK = 10  # steps that Anderson's acceleration looks back, as in Walker and Ni's tests
 LIGHT = 1e-4  # weight of what should move little (w, p) beside what may (s, n)
@@ -79,12 +79,11 @@ class Projector:
         s = plain.projected(plain.E.T @ v)
         return Start(s, plain.E.T @ (v - plain.E @ s))
 
-    def start_beside(self, v: np.ndarray, normal: Normal) -> Start:
-        """From the normal of C that a program gives, with multipliers of F s = 0 before others."""
-        plain, p = self.splitting(1.0), normal.p
-        rows = len(plain.F)
-        s = _shortest(np.vstack([plain.E, plain.F]), np.append(v - p, np.zeros(rows)))
-        return Start(s, plain.E.T @ p - plain.F.T @ normal.y[:rows])
+    def start_beside(self, v: np.ndarray, p: np.ndarray, multipliers: np.ndarray) -> Start:
+        """From an approximate normal p of C and multipliers of F s = 0."""
+        plain = self.splitting(1.0)
+        s = _shortest(np.vstack([plain.E, plain.F]), np.append(v - p, 0 * multipliers))
+        return Start(s, plain.E.T @ p - plain.F.T @ multipliers)
 
     def __call__(self, v: np.ndarray, start: Start) -> Projection:
         """The projection of v, as exactly as it is found."""
@@ -183,14 +182,24 @@ class Splitting:
         return FixedPoint(x, False)
 
     def _newton(self, step: Map, near: Map, x: np.ndarray) -> np.ndarray:
-        """Semismooth Newton steps on x - step(x) = 0, the shortest ones where many x solve it."""
+        """Semismooth Newton steps on x - step(x) = 0, the shortest ones where many x solve it.
+
+        One that makes the residual larger is halved; at a kink no part of it need be better.
+        """
         residual, size = step(x) - x, np.abs(x).max()
         for _ in range(NEWTON_STEPS):
             D = self._derivative(2 * near(x) - x)
             if D is None or np.abs(residual).max() <= ROUNDING * size:
                 break
-            x = x + _shortest(self._jacobian(D), residual)
-            residual = step(x) - x
+            change = _shortest(self._jacobian(D), residual)
+            trials = []
+            for share in SHARES:
+                ahead = x + share * change
+                trials.append((ahead, step(ahead) - ahead))
+                if np.linalg.norm(trials[-1][1]) < np.linalg.norm(residual):
+                    trials = trials[-1:]
+                    break
+            x, residual = trials[0]
         return x
 
     def _jacobian(self, D: np.ndarray) -> np.ndarray:

@@ -86,6 +86,10 @@ class Box(ConvexSet):
             and same_array(self._up, other._up)
         )
 
+    def factors(self) -> list[ConvexSet]:
+        bounds = zip(self.lower[:, None], self.upper[:, None], strict=True)
+        return [Box(*each) for each in bounds]
+
     def magnitude(self) -> float:
         return float(np.linalg.norm(np.maximum(abs(self.lower), abs(self.upper))))
 
