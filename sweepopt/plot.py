@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 STICK = "#8C8C8C"
 LINE_COLOURS = ("#000000", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#F0E442")
 LINE_STYLES = ("-", "--", "-.", (0, (1, 1)))
-DPI = 150
 MOST_COMPONENTS = 8
 """Lines that a reader can still follow in one picture."""
 
@@ -63,7 +62,7 @@ def new_figure(size: tuple[float, float]) -> Any:
     """A figure of so many inches, without pyplot and its global state."""
     with brought_by("plot"):
         from matplotlib.figure import Figure
-    return Figure(figsize=size, dpi=DPI, layout="constrained")
+    return Figure(figsize=size, dpi=150, layout="constrained")
 
 
 def draw_stick(ax: Any, stuck: np.ndarray, t: np.ndarray, u: np.ndarray, colour: str) -> None:

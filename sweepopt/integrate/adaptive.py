@@ -354,9 +354,9 @@ def _period(history: Any) -> float:
 def _apart(cuts: np.ndarray) -> np.ndarray:
     """Increasing; breakpoints that differ by rounding are one."""
     cuts = np.unique(cuts)
-    kept = cuts[np.append(True, np.diff(cuts) > TIME_SLACK * cuts[-1])]
-    kept[-1] = cuts[-1]
-    return kept
+    distinct = cuts[np.append(True, np.diff(cuts) > TIME_SLACK * cuts[-1])]
+    distinct[-1] = cuts[-1]
+    return distinct
 
 
 def _failure(

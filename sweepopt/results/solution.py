@@ -175,7 +175,7 @@ class Solution:
         return self._at_times(t, lambda z, force, C: C.support(-z) + float(z @ force))
 
     @cached_property
-    def _nearest(self) -> VelocityOf:
+    def _projection(self) -> VelocityOf:
         return compile_projection(self.plan, self.process.metric)
 
     def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
@@ -248,13 +248,13 @@ class Solution:
 
     def _distance(self, _: np.ndarray, force: np.ndarray, C: Any) -> float:
         # the velocity program with M = A, q = w is the projection of w on C in the A^-1 metric
-        nearest = self._nearest(force, C)
-        if nearest.relative > self.plan.tol:
+        projection = self._projection(force, C)
+        if projection.relative > self.plan.tol:
             raise SweepoptError(
-                f"the distance to C(t) is known to {nearest.relative:.2g} only, tol is "
+                f"the distance to C(t) is known to {projection.relative:.2g} only, tol is "
                 f"{self.plan.tol:g}; solve with a looser tol to see it all the same"
             )
-        return self.process.metric.norm(nearest.z)
+        return self.process.metric.norm(projection.z)
 
     def _at_times(self, t: Any, measure: Any) -> np.ndarray:
         times, values = self._interpolant.inside(t), list[float]()

@@ -131,9 +131,9 @@ class Ball(Balls):
         return Features([p, *sizes], constraints)
 
     def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
-        given = ConvexSet.gap_along_curve(self, p, w, ratio)
+        of_w = ConvexSet.gap_along_curve(self, p, w, ratio)
         distance = ball_arc(p, w - self.center, self.radius)
-        return CurveGap(0.0, distance) if ratio * distance**2 < 2 * given.gap else given
+        return CurveGap(0.0, distance) if ratio * distance**2 < 2 * of_w.gap else of_w
 
     def factors(self) -> list[ConvexSet]:
         return [self]

@@ -24,7 +24,7 @@ from scipy.sparse.linalg import lsmr
 if TYPE_CHECKING:
     import cvxpy as cp
 
-WEIGHT = 2.0**-8  # of an entry of h beside one of G and H
+WEIGHT = 2.0**-8  # of an entry of h beside one of G and H: small, as h moves and they do not
 
 
 class Block(NamedTuple):
@@ -106,8 +106,8 @@ def _shear(K: list[Block], D: np.ndarray) -> sp.csr_array:
     """s0 + s1 log r in exponential cones whose s2 is multiplied by r times as much as s1."""
     i = np.array([rows.start for kind, rows, _ in K if kind == "exp"], dtype=int)
     change = np.log(2.0) * (D[i + 2] - D[i + 1])
-    moved = sp.csr_array((change, (i, i + 1)), shape=(D.size, D.size))
-    return sp.csr_array(sp.eye_array(D.size) + moved)
+    shear = sp.csr_array((change, (i, i + 1)), shape=(D.size, D.size))
+    return sp.csr_array(sp.eye_array(D.size) + shear)
 
 
 def _symmetries(K: list[Block]) -> sp.csr_array:

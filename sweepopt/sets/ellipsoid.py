@@ -80,13 +80,13 @@ class Ellipsoid(ConvexSet):
         return None if a @ a <= 1 else secular(a, 1 / e, 1.0)
 
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
-        found = super().normal_pair(p, w, tau)
-        if found is None or not found.p.any():
-            return found
+        pair = super().normal_pair(p, w, tau)
+        if pair is None or not pair.p.any():
+            return pair
         # the point with this normal by the shape itself: its axes are rounded, the short ones most
-        p = found.p / binary(np.abs(found.p).max())
+        p = pair.p / binary(np.abs(pair.p).max())
         arm = self.shape @ p
-        return found._replace(w=self.center + arm / np.sqrt(p @ arm))
+        return pair._replace(w=self.center + arm / np.sqrt(p @ arm))
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp

@@ -25,14 +25,14 @@ DEPENDENT = 1e-14  # the part of a row outside of the span of others that is rou
 EMPTY = "Polyhedron has no point: { w : G w <= h } is empty"
 
 
-class Nearest(NamedTuple):
+class Shortest(NamedTuple):
     """The shortest u, and independent rows with equality whose multipliers are >= 0."""
 
     u: np.ndarray
     active: np.ndarray
 
 
-def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> Nearest | None:
+def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> Shortest | None:
     """The shortest u with G u <= slack, exact to rounding on its active rows.
 
     Parameters
@@ -43,7 +43,7 @@ def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> Nearest |
 
     Returns
     -------
-    Nearest or None
+    Shortest or None
         None if rounding keeps the method from an answer.
 
     Raises
@@ -66,11 +66,11 @@ def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> Nearest |
         excess[active] = excess[implied] = -np.inf
         violated = np.flatnonzero(excess > rounding + ROUNDING * np.linalg.norm(u))
         if not violated.size:
-            return Nearest(u, rows[active])
+            return Shortest(u, rows[active])
         state = (*np.sort(active), -1, *np.sort(implied))
         if state in visited:  # rounding turns in circles
             small = excess.max() <= 1e-12 * np.abs(slack).max()
-            return Nearest(u, rows[active]) if small else None
+            return Shortest(u, rows[active]) if small else None
         visited.add(state)
         basis, dependent = _binding(G, slack, rounding, np.union1d(active, violated))
         u, active = _on(G, slack, basis)

@@ -105,12 +105,12 @@ class Product(ConvexSet):
         pairs: list[Any] = [part.normal_pair(*x) for part, *x in self._split(p, w, tau)]
         if any(pair is None for pair in pairs):
             return None
-        moved = None
+        perturbation = None
         if any(pair.perturbation for pair in pairs):
             each = [pair.perturbation or Perturbation(0 * pair.w, 0 * pair.p) for pair in pairs]
-            moved = Perturbation(*map(np.concatenate, zip(*each, strict=True)))
+            perturbation = Perturbation(*map(np.concatenate, zip(*each, strict=True)))
         p, w = (np.concatenate(xs) for xs in zip(*((q.p, q.w) for q in pairs), strict=True))
-        return NormalPair(p, w, sum(pair.gap for pair in pairs), moved)
+        return NormalPair(p, w, sum(pair.gap for pair in pairs), perturbation)
 
     def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
         return total_gap(
@@ -140,9 +140,8 @@ class Product(ConvexSet):
     def _distance(self, other: ConvexSet) -> float | None:
         if not isinstance(other, Product) or not np.array_equal(self._cuts, other._cuts):
             return None
-        found = [a.distance_bound(b) for a, b in zip(self.parts, other.parts, strict=True)]
-        known = [distance for distance in found if distance is not None]
-        return float(np.linalg.norm(known)) if len(known) == len(found) else None
+        distances = [a.distance_bound(b) for a, b in zip(self.parts, other.parts, strict=True)]
+        return None if None in distances else float(np.linalg.norm(distances))  # type: ignore[arg-type]
 
     @property
     def anchor(self) -> np.ndarray:
@@ -302,12 +301,12 @@ class Lifted(ConvexSet):
             pair = self._pair_nearby(v)
         elif pair.perturbation is None:
             near = self.near(v)
-            moved = near.splitting.perturbation(near, pair.p) or _rounded(v)
-            pair = pair._replace(perturbation=moved)
+            perturbation = near.splitting.perturbation(near, pair.p) or _rounded(v)
+            pair = pair._replace(perturbation=perturbation)
         if pair is None or pair.perturbation is None:
             return None
-        moved = pair.perturbation._replace(p=pair.perturbation.p / step)
-        return NormalPair(pair.p / step, pair.w, pair.gap / step, moved)
+        perturbation = pair.perturbation._replace(p=pair.perturbation.p / step)
+        return NormalPair(pair.p / step, pair.w, pair.gap / step, perturbation)
 
     def _pair_nearby(self, v: np.ndarray) -> NormalPair | None:
         """A point of C, and the better one of two normals, where no projection is exact."""
@@ -333,7 +332,7 @@ class Lifted(ConvexSet):
             raise EmptySetError(f"{where} is empty: the two sets of C & D do not meet")
 
     def _separated(self) -> bool:
-        """Whether the way between the nearest points of S and { F s = 0 } separates the two."""
+        """Whether the shortest vector from S to { F s = 0 } separates the two."""
         form, project, zero = self.lifted, self._projector, np.zeros(self.dim)
         if project(zero, project.start(zero)).exact:
             return False
@@ -500,8 +499,8 @@ class Embedding(ConvexSet):
         pair = self.part.normal_pair(*(x[self.unknowns] for x in (p, w, tau)))
         if pair is None:
             return None
-        moved = pair.perturbation and Perturbation(*map(self._within, pair.perturbation))
-        return NormalPair(self._within(pair.p, p), self._within(pair.w), pair.gap, moved)
+        off = pair.perturbation and Perturbation(*map(self._within, pair.perturbation))
+        return NormalPair(self._within(pair.p, p), self._within(pair.w), pair.gap, off)
 
     def form(self) -> Form:
         unit = sp.eye_array(self.dim, format="csc")

@@ -25,7 +25,7 @@ from sweepopt.sets.base import (
     binary,
     same_array,
 )
-from sweepopt.sets.least_distance import Nearest, least_distance, projector
+from sweepopt.sets.least_distance import Shortest, least_distance, projector
 from sweepopt.sets.moving import MovingOffsets
 from sweepopt.sets.programs import normal_by_program
 from sweepopt.sets.shapes import rows_features
@@ -132,19 +132,19 @@ class Polyhedron(ConvexSet):
         exact = self._exact_normal(v, np.ones(self.dim))
         return normal_by_program(self, v).p if exact is None else exact.u
 
-    def _exact_normal(self, v: np.ndarray, tau: np.ndarray) -> Nearest | None:
+    def _exact_normal(self, v: np.ndarray, tau: np.ndarray) -> Shortest | None:
         """u = (v - w) / tau from the active rows, w the nearest point in the metric of 1 / tau.
 
         None where there are too many rows and unknowns, and where no active rows prove it.
         """
         slack, root = self.h - self.G @ v, np.sqrt(tau)
         if (slack >= 0).all():
-            return Nearest(np.zeros(self.dim), np.zeros(0, dtype=int))
+            return Shortest(np.zeros(self.dim), np.zeros(0, dtype=int))
         if not self.exact:
             return None
         rounding = ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(v))
         normal = least_distance(self.G @ sp.diags_array(root), slack, rounding)
-        return None if normal is None else Nearest(0.0 - normal.u / root, normal.active)
+        return None if normal is None else Shortest(0.0 - normal.u / root, normal.active)
 
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
@@ -205,10 +205,10 @@ class Polyhedron(ConvexSet):
             for _ in range(1 + REFINEMENTS):
                 sizes = np.abs(w) + EPS * np.abs(start)
                 rounding = ROUNDING * (np.abs(bounds) + abs(rows) @ sizes)
-                way = least_distance(rows @ sp.diags_array(root), bounds - rows @ w, rounding)
-                if way is None or not way.u.any():
-                    return None if way is None else w
-                w = w + root * way.u
+                shortest = least_distance(rows @ sp.diags_array(root), bounds - rows @ w, rounding)
+                if shortest is None or not shortest.u.any():
+                    return None if shortest is None else w
+                w = w + root * shortest.u
         return None
 
     @cached_property
@@ -274,11 +274,11 @@ class HalfSpace(Polyhedron):
             return float("inf")
         return factor * self.offset
 
-    def _exact_normal(self, v: np.ndarray, tau: np.ndarray) -> Nearest:
+    def _exact_normal(self, v: np.ndarray, tau: np.ndarray) -> Shortest:
         row = self.G[0]
         length = float(np.linalg.norm(row * np.sqrt(tau)))
         excess = float(row @ v) - self.offset
-        return Nearest(max(excess, 0.0) / length * (row / length), np.flatnonzero([excess > 0]))
+        return Shortest(max(excess, 0.0) / length * (row / length), np.flatnonzero([excess > 0]))
 
     def _distance(self, other: ConvexSet) -> float | None:
         if not (isinstance(other, HalfSpace) and same_array(self.G, other.G)):

@@ -92,7 +92,7 @@ class Projector:
         size_n = max(float(np.abs(n).max()), float(abs(plain.E).max() * np.abs(v).max()))
         unit = binary(float(np.sqrt(size_n / size_s))) if 0 < size_s < size_n else 1.0
         size = max(unit * size_s, size_n / unit)
-        return self.splitting(unit).nearest(v, unit * s - n / unit, size)
+        return self.splitting(unit).projection(v, unit * s - n / unit, size)
 
 
 class Splitting:
@@ -147,7 +147,7 @@ class Splitting:
             D[at, at] = np.diag(own) if own.ndim == 1 else own
         return D
 
-    def nearest(self, v: np.ndarray, x: np.ndarray, size: float) -> Projection:
+    def projection(self, v: np.ndarray, x: np.ndarray, size: float) -> Projection:
         """From x = s - n, n the normal; `size` is that of what is rounded in s and n."""
         near = self._near(v)
 
@@ -279,8 +279,9 @@ def _shortest(M: np.ndarray, right: np.ndarray) -> np.ndarray:
     """The shortest least-squares solution."""
     if not M.size:
         return np.zeros((M.shape[1], *right.shape[1:]))
-    known = scipy.linalg.lstsq(M, right, RANK, lapack_driver="gelsy", check_finite=False)
-    return np.asarray(known[0])
+    return np.asarray(
+        scipy.linalg.lstsq(M, right, RANK, lapack_driver="gelsy", check_finite=False)[0]
+    )
 
 
 class FixedPoint(NamedTuple):

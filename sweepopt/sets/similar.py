@@ -95,8 +95,8 @@ class Similar(ConvexSet):
         pair = self.part.normal_pair(sign * p, self._back(w), tau / r)
         if pair is None:
             return None
-        moved = pair.perturbation and Perturbation(r * pair.perturbation.w, pair.perturbation.p)
-        return NormalPair(sign * pair.p, self._to(pair.w), r * pair.gap, moved)
+        off = pair.perturbation and Perturbation(r * pair.perturbation.w, pair.perturbation.p)
+        return NormalPair(sign * pair.p, self._to(pair.w), r * pair.gap, off)
 
     def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
         r = abs(self.factor)
@@ -144,11 +144,11 @@ class Similar(ConvexSet):
         elif isinstance(other, Point):
             part, v, factor = self.part, other.offsets, 0.0
         distance, change = self.part.distance_bound(part), abs(self.factor - factor)
-        moved = change * self.part.magnitude() if change else 0.0
-        if distance is None or np.isinf(moved):
+        of_scale = change * self.part.magnitude() if change else 0.0
+        if distance is None or np.isinf(of_scale):
             return None
         apart = np.linalg.norm((0 if self.v is None else self.v) - (0 if v is None else v))
-        return moved + abs(factor) * distance + float(apart)
+        return of_scale + abs(factor) * distance + float(apart)
 
     @property
     def anchor(self) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Solvers compared on the velocity programs that a run really has, each program alone.
 
 The programs of a run are recorded, and each solver is given all of them in turn, at a low, a middle
-and a high accuracy. Nothing repairs or polishes its answers. A program counts as solved if the
+and a high accuracy. Nothing repairs or refines its answers. A program counts as solved if the
 certificate of the answer, computed from the data, is within the accuracy asked for; what the solver
 says of itself does not count.
 """
@@ -66,7 +66,7 @@ LEGEND = """\
 solved   share of programs with a relative certificate within the accuracy
 ms       shifted geometric mean; unsolved programs count with the longest time of all
 x best   of those that solved all programs at that accuracy
-median, worst   relative certificates of the solver's own answers, unpolished"""
+median, worst   relative certificates of the solver's own answers, not refined"""
 
 
 class Program(NamedTuple):

@@ -24,7 +24,7 @@ def append_row(path: Path, row: Any) -> None:
 
 
 def read_rows(path: Path, kind: type[Row]) -> list[Row]:
-    """The rows of a named tuple's class; lines that are cut short or have other columns are not."""
+    """The rows of a named tuple's class; lines that are cut short or have more columns are not."""
     rows = []
     for line in path.read_bytes().splitlines() if path.exists() else ():
         with contextlib.suppress(ValueError, TypeError):

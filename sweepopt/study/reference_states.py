@@ -17,7 +17,7 @@ from sweepopt.study.sources import Source
 
 REFINED = 16
 """A fine run has so many times the steps: of order 2, its error is far below the one measured."""
-TOL = 1e-8
+TOL = 1e-8  # of the fine run's programs: a hundredth of the default of a study
 SAFETY = 20.0
 """How far below an error the reference's own error must lie for the error to be a number."""
 

@@ -231,23 +231,16 @@ def rated(z: np.ndarray, certificate: float, size: float, solver: str = "") -> V
     return Velocity(z, certificate, float(relative) if certificate else 0.0, solver)
 
 
-def certify(
-    M: Factor,
-    q: np.ndarray,
-    C: ConvexSet,
-    z: np.ndarray,
-    *,
-    tol: float = NEGLIGIBLE,
-) -> Velocity:
+def certify(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray) -> Velocity:
     """The velocity that C's normal pair near z makes of an approximate answer, with its proof.
 
     The program is that of M, q and C: -z in N_C(M z + q).
     """
-    pair = pair_near(M, q, C, z, tol)
+    pair = pair_near(M, q, C, z, NEGLIGIBLE)
     if pair is None:
         return Velocity(z, math.nan, math.nan)
     pair = pair._replace(size=M.dual_norm(q - C.anchor))
-    return Inclusion(M).certify(Instance(q, q, np.zeros_like(q), C, C), pair, tol)
+    return Inclusion(M).certify(Instance(q, q, np.zeros_like(q), C, C), pair, NEGLIGIBLE)
 
 
 def certify_point(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray, floor: float) -> Velocity:

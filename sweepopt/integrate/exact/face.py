@@ -116,9 +116,9 @@ def _basis(
     if (slack >= 0).all():
         return active
     try:
-        nearest = least_distance(G, slack, noise_of)
+        shortest = least_distance(G, slack, noise_of)
     except EmptySetError:
         return None
-    if nearest is None:
+    if shortest is None:
         raise SweepoptError("rounding hides which rows are active")
-    return active + others[nearest.active].tolist()
+    return active + others[shortest.active].tolist()

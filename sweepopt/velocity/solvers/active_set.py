@@ -63,12 +63,12 @@ class ActiveSet(Small):
             with contextlib.suppress(EmptySetError, scipy.linalg.LinAlgError):
                 for _ in range(1 + REFINEMENTS):
                     L, rounding = lower(), ROUNDING * (np.abs(h) + np.abs(G) @ np.abs(corrected))
-                    nearest = least_distance(G @ L, h - G @ corrected, rounding)
-                    if nearest is None:
+                    shortest = least_distance(G @ L, h - G @ corrected, rounding)
+                    if shortest is None:
                         break
-                    z = scipy.linalg.solve_triangular(L, nearest.u, lower=True, trans=1)
+                    z = scipy.linalg.solve_triangular(L, shortest.u, lower=True, trans=1)
                     rounded = M.rounding(euclidean(M.root * z), euclidean(q / M.root))
-                    if rounded <= NEGLIGIBLE * euclidean(nearest.u):
+                    if rounded <= NEGLIGIBLE * euclidean(shortest.u):
                         break
                     # what L L^T misses of M goes to the linear term
                     corrected = M.precisely(z, q, -(L @ (L.T @ z)))

@@ -44,7 +44,7 @@ class Clarabel(CanonicalSolver):
     def meeting(cls, tol: float) -> Clarabel:
         """Half the square of a certificate is a gap: a tenth of tol^2, between 1e-11 and 1e-4.
 
-        A smaller gap is at the mercy of rounding: what misses a tighter tol is polished.
+        A smaller gap is at the mercy of rounding: Newton steps or refinement meet a tighter tol.
         """
         return cls(tol=min(max(0.1 * tol**2, 1e-11), 1e-4))
 

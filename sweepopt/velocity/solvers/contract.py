@@ -16,7 +16,7 @@ from sweepopt.velocity.program import VelocityProgram
 class Answer(NamedTuple):
     """What a solver says; nothing of it is believed before the program has certified it.
 
-    The multipliers y are of no use here; solvers of others may give them.
+    The multipliers y are not used; a solver of yours may give them.
     """
 
     z: np.ndarray
@@ -46,7 +46,7 @@ class Solver(Protocol):
     def compile(self, program: VelocityProgram) -> Solve:
         """A function (q, C) -> Answer for C with this cone; not to be shared by threads.
 
-        A solver that polishes velocities of others, like Newton, takes one as a third argument.
+        A solver that can start from a velocity, like Newton, takes one as a third argument.
         """
         ...
 
