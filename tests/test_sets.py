@@ -869,6 +869,33 @@ def test_large_cuts_that_are_no_products_have_pairs(many: Discs, other: so.Conve
     np.testing.assert_allclose(pair.w + pair.p, v, rtol=0, atol=1e-13)
 
 
+@pytest.mark.parametrize("count", [10, 30, 80])
+@pytest.mark.parametrize("full", [False, True])
+def test_discs_cut_with_a_box_are_proved_to_a_tight_tolerance(count: int, full: bool) -> None:
+    rng, n = np.random.default_rng(2 * count), 2 * count
+    discs = so.Balls(rng.uniform(0.5, 1.5, count), 2)
+    box = so.Box(-rng.uniform(0.2, 1, n), rng.uniform(0.2, 1, n))
+    root = rng.normal(size=(n, n))
+    A = root @ root.T / n + np.eye(n) if full else np.diag(np.linspace(1.0, 2.0, n))
+    C = so.Moving(discs & box, center=lambda t: 5 * t * np.cos(np.arange(n)))
+    found = so.solve(so.SweepingProcess(A, None, C, np.zeros(n)), t_end=1.0, steps=2, tol=1e-9)
+    assert found.stats["relative"].max() <= 1e-9
+
+
+def test_the_cone_of_one_unknown_is_taken_by_every_solver() -> None:
+    C = so.Moving(so.image([[1.5]], so.Orthant(1)), center=lambda t: np.array([2 * t]))
+    for solver in ("auto", "osqp", "clarabel"):
+        process = so.SweepingProcess([[2.0]], None, C, [0.0])
+        assert so.solve(process, t_end=1.0, steps=1, solver=solver).status == so.Status.SUCCESS
+
+
+def test_images_of_generated_cones_know_their_polar() -> None:
+    M = np.array([[1.0, 2.0, 0.5], [0.0, 1.0, 1.0]])
+    cone = so.image([[1.0, 1.0]], so.image(M, so.Orthant(3)))
+    assert cone.polar().contains([-1.0])
+    assert not cone.polar().contains([1.0])
+
+
 def test_large_sets_can_be_copied_with_their_factorisations() -> None:
     M = np.random.default_rng(0).normal(size=(3, 320)) / 20
     C, v = so.image(M, so.Balls(np.ones(160), 2)), 3 * np.ones(3)

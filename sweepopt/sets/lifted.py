@@ -224,7 +224,8 @@ class Lifted(ConvexSet):
     def _norms(self) -> list[float]:
         """Bounds of |E_i| for each part."""
         blocks = [abs(self.lifted.E[:, at]) for at in places(self.lifted)]
-        return [float(np.sqrt(E.sum(axis=0).max() * E.sum(axis=1).max())) for E in blocks]
+        sums = [(E.sum(axis=0).max(), E.sum(axis=1).max(), (E * E).sum()) for E in blocks]
+        return [float(np.sqrt(min(columns * rows, square))) for columns, rows, square in sums]
 
     # ---- projection -----------------------------------------------------------------------------
 
@@ -446,6 +447,8 @@ def image_of(M: Matrix, C: ConvexSet) -> ConvexSet:
         return Embedding(C, unknowns, M.shape[0])
     if isinstance(C, Polytope):
         return Polytope((M @ C.vertices.T).T)
+    if isinstance(C, GeneratedCone):
+        return GeneratedCone(C.G @ M.T)
     if isinstance(C, Box) and not C.offsets.any():
         # <p, M s> <= 0 for all s of the cone
         return GeneratedCone(C.polar().halfspaces().N @ M.T)
