@@ -143,7 +143,7 @@ class Polyhedron(ConvexSet):
         if not self.exact:
             return None
         rounding = ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(v))
-        normal = least_distance(self.G @ sp.diags_array(root), slack, rounding)
+        normal = least_distance(_columns(self.G, root), slack, rounding)
         return None if normal is None else Shortest(0.0 - normal.u / root, normal.active)
 
     def project(self, w: np.ndarray) -> np.ndarray:
@@ -205,7 +205,7 @@ class Polyhedron(ConvexSet):
             for _ in range(1 + REFINEMENTS):
                 sizes = np.abs(w) + EPS * np.abs(start)
                 rounding = ROUNDING * (np.abs(bounds) + abs(rows) @ sizes)
-                shortest = least_distance(rows @ sp.diags_array(root), bounds - rows @ w, rounding)
+                shortest = least_distance(_columns(rows, root), bounds - rows @ w, rounding)
                 if shortest is None or not shortest.u.any():
                     return None if shortest is None else w
                 w = w + root * shortest.u
@@ -233,6 +233,11 @@ class Polyhedron(ConvexSet):
 
     def polar(self) -> ConvexSet:
         return super().polar() if self.h.any() else GeneratedCone(self.G)
+
+
+def _columns(G: Any, units: np.ndarray) -> Any:
+    """G with its columns in these units; dense rows stay out of sparse products."""
+    return G @ sp.diags_array(units) if sp.issparse(G) else G * units
 
 
 class HalfSpace(Polyhedron):

@@ -157,7 +157,7 @@ class Cascade:
         inclusion, tol = self.inclusion, self._tol
         propose = by_formula(inclusion.M, of)
         pair = propose(of.force, None)
-        if inclusion.rests(of, tol, -inclusion.M.diagonal * pair.z):
+        if inclusion.rests(of, tol, inclusion.M.diagonal * pair.z):
             return at_rest(of.q, CLOSED_FORM)
         velocity = inclusion.certify(of, pair, tol)
         if velocity.relative <= tol:

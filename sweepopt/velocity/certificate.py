@@ -280,7 +280,7 @@ def rests(of: Instance, q: np.ndarray, outside: np.ndarray | None = None) -> boo
     Parameters
     ----------
     outside : ndarray, shape (dim,), optional
-        How far q is outside of C, if that is known.
+        How far q is outside of C, up to signs, if that is known.
     """
     few, scale = of.unknowns, np.abs(q) + np.abs(of.c)
     if outside is None:
