@@ -186,15 +186,15 @@ class Polyhedron(ConvexSet):
     ) -> NormalPair:
         """The pair of a face, and how far rounding keeps w from it and p from its normals."""
         slack = self.h - self.G @ w
-        of_p = dense(self.G[active])
+        normals = dense(self.G[active])
         close = np.union1d(active, np.flatnonzero(slack < 0))
         rows = dense(self.G[close])
         residual = np.abs(slack[close]) + EPS * (np.abs(self.h[close]) + abs(rows) @ np.abs(w))
-        moves = Perturbation(
+        perturbation = Perturbation(
             w=root * (abs(np.linalg.pinv(rows * root)) @ residual),
-            p=EPS * (multipliers @ abs(of_p)),
+            p=EPS * (multipliers @ abs(normals)),
         )
-        return NormalPair(multipliers @ of_p, w, 0.0, moves if close.size else None)
+        return NormalPair(multipliers @ normals, w, 0.0, perturbation if close.size else None)
 
     def _on_face(self, start: np.ndarray, active: np.ndarray, tau: np.ndarray) -> np.ndarray | None:
         """The point nearest to start with equality on active rows; None if rounding hides it."""

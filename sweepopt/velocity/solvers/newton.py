@@ -25,7 +25,7 @@ from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.contract import Answer, Small, Solve
 
 PATIENCE = 5  # steps that may fail to improve on the best one: more are a cycle
-SHORTEST = 1e-5  # share of a step; discs across cells of stiffness 1 and 1e8 need 4e-7 to 1
+SHORTEST = 1e-5  # share of a step: discs across cells of stiffness 1 and 1e8 miss tol at 1e-3
 
 
 @dataclass(frozen=True)
