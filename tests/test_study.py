@@ -39,7 +39,8 @@ from sweepopt.study.cell import Cell, CellRow, run_cell
 from sweepopt.study.problems import problem
 from sweepopt.study.reference_states import SAFETY, Reference, absent, error_of
 
-TIMES = ["wall", "cpu"]
+# of a run: its times, and the threads that its process was given
+OF_A_RUN = ["wall", "cpu", "machine"]
 TEXT = """
 title = "forty small cells"
 problems = ["S03", "V05"]
@@ -55,7 +56,7 @@ SMALL = Study(("S03", "M16"), ("midpoint", "catching-up"), ("auto",), (8, 16), r
 def same(one: pd.DataFrame, other: pd.DataFrame) -> None:
     """Equal bit for bit, times apart."""
     pd.testing.assert_frame_equal(
-        one.drop(columns=TIMES), other.drop(columns=TIMES), check_exact=True
+        one.drop(columns=OF_A_RUN), other.drop(columns=OF_A_RUN), check_exact=True
     )
 
 
