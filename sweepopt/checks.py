@@ -22,12 +22,19 @@ MOST_UNKNOWNS = 10**9
 """A vector of more of them takes 8 GB, and a step needs a few."""
 
 
-def number(name: str, value: Any, minimum: float | None = None, strict: bool = False) -> float:
-    """A finite float, at least (or above) `minimum`."""
+def number(
+    name: str,
+    value: Any,
+    minimum: float | None = None,
+    strict: bool = False,
+    finite: bool = True,
+) -> float:
+    """A finite float, at least (or above) `minimum`; no True or False, and no list of one."""
     array = floats(name, value, "one number")
-    if array.size != 1:
-        raise InputError(f"{name} must be one number, got {array.size} of them")
-    result = float(bounded(name, array.reshape(()), "a finite number"))
+    if array.ndim or np.asarray(value).dtype == bool:
+        given = f"{array.size} of them in a list" if array.ndim else shown(value)
+        raise InputError(f"{name} must be one number, got {given}; give the number itself")
+    result = float(bounded(name, array, "a finite number" if finite else "a number", finite))
     if minimum is not None and (result < minimum or (strict and result == minimum)):
         raise InputError(f"{name} must be {'>' if strict else '>='} {minimum:g}, got {result:g}")
     if strict and minimum == 0:
@@ -36,8 +43,11 @@ def number(name: str, value: Any, minimum: float | None = None, strict: bool = F
 
 
 def instant(name: str, value: Any) -> float:
-    """A finite time; one that is a float already costs nothing."""
-    return value if type(value) is float and value - value == 0 else number(name, value)
+    """A finite time or value of a function: one number in any wrapping, a float at no cost."""
+    if type(value) is float and value - value == 0:
+        return value
+    array = floats(name, value, "one number")
+    return number(name, array.reshape(()) if array.size == 1 else array)
 
 
 def axes(value: Any) -> int:
@@ -171,7 +181,9 @@ def floats(name: str, value: Any, what: str, ndmin: int = 0) -> np.ndarray:
     if type(value) is np.ndarray and value.dtype == float and value.ndim >= ndmin:
         return value.copy("K")  # as in every step
     try:
-        array = np.array(unmasked(value), ndmin=ndmin)
+        if isinstance(value, np.ma.MaskedArray):  # under a mask there is any number
+            value = np.ma.filled(value.astype(float), np.nan)
+        array = np.array(value, ndmin=ndmin)
         if array.dtype.kind not in "biufO":
             raise TypeError(f"entries are {array.dtype}")
         return array.astype(float, copy=False)
@@ -179,28 +191,18 @@ def floats(name: str, value: Any, what: str, ndmin: int = 0) -> np.ndarray:
         raise InputError(f"{name} must be {what}, got {shown(value)} ({error})") from error
 
 
-def unmasked(value: Any) -> Any:
-    """What is masked as nan: under a mask there is any number, a measurement that is missing."""
-    if not isinstance(value, np.ma.MaskedArray):
-        return value
-    return np.ma.filled(value.astype(float), np.nan)
-
-
 def bounded(name: str, value: Matrix, wanted: str, finite: bool = True) -> Matrix:
     """The array, unless an entry is nan, infinite, or so large that products overflow."""
     entries = value.data if sp.issparse(value) else value
-    allowed = np.abs(entries) <= HUGE
+    bad = ~(np.abs(entries) <= HUGE)
     if not finite:
-        allowed |= np.isinf(entries)
-    if np.all(allowed):
+        bad &= ~np.isinf(entries)
+    if not bad.any():
         return value
-    k = int(np.argmin(allowed))
-    place = np.unravel_index(k, np.shape(value))
+    entry, place = entries[bad][0], np.argwhere(bad)[0]
     if sp.issparse(value):
-        stored = sp.coo_array(value)
-        place = stored.row[k], stored.col[k]
-    label = f"{name}[{', '.join(map(str, place))}]" if place else name
-    entry = entries.flat[k]
+        place = np.transpose(sp.coo_array(value).coords)[place[0]]
+    label = f"{name}[{', '.join(map(str, place))}]" if len(place) else name
     if not math.isfinite(entry):
         raise InputError(f"{label} is {entry}; give {wanted}")
     raise InputError(

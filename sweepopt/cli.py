@@ -13,16 +13,16 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from importlib.util import find_spec
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sweepopt.errors import (
-    MissingExtraError,
     Status,
     SweepoptError,
     SweepoptWarning,
     UnstableStepError,
+    brought_by,
 )
 from sweepopt.integrate import schemes
 from sweepopt.io import find_scene, list_problems, replacing
@@ -98,7 +98,7 @@ def _parser() -> argparse.ArgumentParser:
     where.add_argument("--scheduler", metavar="ADDRESS", help="of a running dask scheduler")
 
     compare = commands.add_parser("compare", help="all solvers on the programs of a scene")
-    compare.set_defaults(command=_compare)
+    compare.set_defaults(command=_study)
     compare.add_argument("scene", metavar="SCENE", help="a TOML file, a name, or as P09 in studies")
     compare.add_argument("--steps", type=int, default=50, help="of the run that has the programs")
     compare.add_argument("--csv", type=Path, metavar="FILE", help="write the rows too")
@@ -115,17 +115,9 @@ def _list(_: argparse.Namespace) -> int:
 
 def _study(chosen: argparse.Namespace) -> int:
     _require("study")
-    from sweepopt.study.commands import study_command
+    from sweepopt.study import commands
 
-    study_command(chosen)
-    return DONE
-
-
-def _compare(chosen: argparse.Namespace) -> int:
-    _require("study")
-    from sweepopt.study.commands import compare_command
-
-    compare_command(chosen)
+    (commands.study_command if "study" in chosen else commands.compare_command)(chosen)
     return DONE
 
 
@@ -220,9 +212,9 @@ def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:
 def _require(*extras: str) -> None:
     """Refuse before the run, not after it."""
     for extra in extras:
-        for module in EXTRAS[extra]:
-            if find_spec(module) is None:
-                raise MissingExtraError({"skfem": "scikit-fem"}.get(module, module), extra)
+        with brought_by(extra):
+            for package in EXTRAS[extra]:
+                import_module(package)
 
 
 @contextmanager
@@ -231,13 +223,13 @@ def _plain_warnings() -> Iterator[None]:
     with warnings.catch_warnings():
         shown = warnings.showwarning
 
-        def show(message: Any, category: type[Warning], *place: Any, **line: Any) -> None:
+        def show(message: Any, category: type[Warning], *place: Any) -> None:
             if issubclass(category, SweepoptWarning):
                 _say(f"warning: {message}")
             else:
-                shown(message, category, *place, **line)
+                shown(message, category, *place)
 
-        warnings.showwarning = show
+        warnings.showwarning = show  # type: ignore[assignment]
         yield
 
 

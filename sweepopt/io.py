@@ -119,33 +119,32 @@ def read_columns(path: str | Path, *names: str) -> tuple[Array, list[int]]:
     InputError
         Naming the file, the column and the row at fault.
     """
-    rows, table = [], []
+    table = {}
     for row, line in enumerate(read_text(as_path("path", path)).splitlines(), start=1):
         if line.strip() and not line.lstrip().startswith("#"):
             try:
-                table.append(next(csv.reader([line])))
+                table[row] = [cell.strip() for cell in next(csv.reader([line]))]
             except csv.Error as error:  # a cell beyond the reader's limit
                 raise InputError(f"{path}, row {row}: {error}; is it a table?") from error
-            rows.append(row)
-    header = [name.strip() for name in table[0]] if table else []
+    header = table.pop(next(iter(table), 0), [])
     for name in names:
         if header.count(name) != 1:
             fault = "is there twice" if name in header else "is missing"
             raise InputError(
                 f"{path}: column {name!r} {fault}; there are: {', '.join(header) or 'none'}"
             )
-    columns = np.empty((len(names), max(len(table) - 1, 0)))
-    for k, (row, cells) in enumerate(zip(rows[1:], table[1:], strict=True)):
+    columns = np.empty((len(names), len(table)))
+    for k, (row, cells) in enumerate(table.items()):
         if len(cells) > len(header):
             raise InputError(
                 f"{path}, row {row}: {len(cells)} cells under {len(header)} column names; "
                 "write decimals with a point (1.5, not 1,5)"
             )
         by_name = dict(zip(header, cells, strict=False))
-        for name, column in zip(names, columns, strict=True):
-            where = f"{path}, column {name!r}, row {row}"
-            column[k] = _number(where, by_name.get(name, "").strip())
-    return columns, rows[1:]
+        columns[:, k] = [
+            _number(f"{path}, column {name!r}, row {row}", by_name.get(name, "")) for name in names
+        ]
+    return columns, list(table)
 
 
 def _number(where: str, cell: str) -> float:

@@ -6,6 +6,7 @@ touched. Colours are told apart with every common colour vision (Okabe and Ito).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,10 +17,13 @@ if TYPE_CHECKING:
     from sweepopt.results import Solution
 
 STICK = "#8C8C8C"
-LINE_COLOURS = ("#000000", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#F0E442")
-LINE_STYLES = ("-", "--", "-.", (0, (1, 1)))
-MOST_COMPONENTS = 8
-"""Lines that a reader can still follow in one picture."""
+COLOURS = ("#000000", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#F0E442")
+STYLES = ("-", "--", "-.", (0, (1, 1)))
+LOOKS = [
+    {"color": colour, "linestyle": style}
+    for colour, style in zip(2 * COLOURS, 2 * STYLES, strict=False)
+]
+"""Eight lines that differ in colour or style, the first four in both."""
 
 
 def plot_solution(solution: Solution, ax: Any = None) -> Any:
@@ -40,21 +44,12 @@ def plot_solution(solution: Solution, ax: Any = None) -> Any:
     if ax is None:
         ax = new_figure((7.0, 4.0)).add_subplot()
     dim = solution.u.shape[1]
-    order = np.argsort(np.ptp(solution.u, axis=0), kind="stable")
-    ranks = np.linspace(0, dim - 1, min(MOST_COMPONENTS, dim)).round().astype(int)
-    drawn = sorted(order[ranks].tolist())
-    stuck = solution.velocity == 0.0
-    looks = ((colour, style) for style in LINE_STYLES for colour in LINE_COLOURS)
-    for i, (colour, style) in zip(drawn, looks, strict=False):
-        label = f"$u_{{{i}}}$"
-        ax.plot(solution.t, solution.u[:, i], color=colour, linestyle=style, lw=1.5, label=label)
-        draw_stick(ax, stuck[:, i], solution.t, solution.u[:, i], colour)
-    if stuck[:, drawn].any():
-        ax.plot([], [], color=STICK, lw=6.0, alpha=0.25, label="stuck: velocity exactly 0")
+    drawn = spread(np.ptp(solution.u, axis=0), len(LOOKS))
+    stuck = solution.velocity[:, drawn] == 0.0
+    draw_histories(ax, solution.t, solution.u[:, drawn], stuck, [f"$u_{{{i}}}$" for i in drawn])
     title = f"{len(drawn)} of {dim} components" if dim > len(drawn) else None
     ax.legend(title=title, fontsize="small", ncols=1 + len(drawn) // 5)
     ax.set(xlabel="t", ylabel="$u_n$", xlim=(solution.t[0], solution.t[-1]))
-    ax.grid(alpha=0.3)
     return ax
 
 
@@ -65,11 +60,32 @@ def new_figure(size: tuple[float, float]) -> Any:
     return Figure(figsize=size, dpi=150, layout="constrained")
 
 
-def draw_stick(ax: Any, stuck: np.ndarray, t: np.ndarray, u: np.ndarray, colour: str) -> None:
-    """A wide pale line through both ends of each stuck step, with gaps between them."""
-    start = np.flatnonzero(stuck)
-    if start.size:
-        gap = np.full(start.size, np.nan)
-        times = np.column_stack([t[start], t[start + 1], gap]).ravel()
-        values = np.column_stack([u[start], u[start + 1], gap]).ravel()
-        ax.plot(times, values, color=colour, lw=6.0, alpha=0.25, solid_capstyle="butt")
+def spread(sizes: np.ndarray, most: int) -> np.ndarray:
+    """Indices of at most `most` entries, evenly spread by the rank of their sizes."""
+    ranks = np.linspace(0, len(sizes) - 1, most).round().astype(int)
+    return np.unique(np.argsort(sizes, kind="stable")[ranks])
+
+
+def draw_histories(
+    ax: Any, t: np.ndarray, u: np.ndarray, stuck: np.ndarray, labels: Sequence[str]
+) -> None:
+    """Lines for the columns of u, each with a wide pale line over the steps in which it is stuck.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n+1,)
+    u : ndarray, shape (n+1, k)
+        At most eight columns.
+    stuck : ndarray of bool, shape (n, k)
+    labels : sequence of k str
+    """
+    wide = {"lw": 6.0, "alpha": 0.25, "solid_capstyle": "butt"}
+    for values, steps, label, look in zip(u.T, stuck.T, labels, LOOKS, strict=False):
+        ax.plot(t, values, lw=1.5, label=label, **look)
+        ends = np.flatnonzero(steps)[:, None] + [0, 1]
+        gaps = ((0, 0), (0, 1))  # a nan behind each pair of ends
+        band = (np.pad(x[ends], gaps, constant_values=np.nan).ravel() for x in (t, values))
+        ax.plot(*band, color=look["color"], **wide)
+    if stuck.any():
+        ax.plot([], [], color=STICK, label="sticks", **wide)
+    ax.grid(alpha=0.3)

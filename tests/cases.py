@@ -1,4 +1,4 @@
-"""The reference cases as processes: exact solutions that every path of the library must meet."""
+"""The reference cases, whose exact solutions every path must meet, and random processes."""
 
 from __future__ import annotations
 
@@ -11,9 +11,12 @@ from typing import Any
 import numpy as np
 
 import sweepopt as so
+from sweepopt.study.problems import Spiral, problem
 
 DATA = Path(__file__).parent / "data"
 GRIDS = (101, 211, 503, 1009, 2003)
+REFERENCE = json.loads((DATA / "reference_cases.json").read_text())["cases"]
+SETS = tuple(REFERENCE)
 
 
 @dataclass(frozen=True)
@@ -68,60 +71,13 @@ def embedded(this: Case, others: int = 9) -> so.SweepingProcess:
     return so.SweepingProcess(A, grown(B, ratio), C, mix[:, others:] @ alone.u0)
 
 
-def wave(points: list[tuple[float, Any]]) -> Any:
-    """The piecewise linear function through (t, value) pairs."""
-    times = np.array([t for t, _ in points])
-    values = np.array([np.atleast_1d(value) for _, value in points], dtype=float)
-    return lambda t: np.array([np.interp(t, times, column) for column in values.T])
-
-
-def interval(g: float) -> so.Box:
-    return so.Box([-g], [g])
-
-
-SETS: dict[str, Any] = {
-    "S01": lambda: so.Moving(interval(1), lambda t: [1.5 * t]),
-    "S02": lambda: so.Moving(
-        interval(0.5), wave([(0, 0.0)] + [(k, 2.0 * (-1) ** (k // 2)) for k in range(1, 14, 2)])
-    ),
-    "S03": lambda: so.Moving(interval(1), lambda t: [3 * np.sin(2 * t)]),
-    "S04": lambda: so.Polyhedron(
-        [[1.0], [-1.0]],
-        lambda t: [
-            1 + 0.6 * np.sin(2 * t) + 0.5 * np.sin(t),
-            1 - np.sin(t) + 0.3 * np.cos(3 * t),
-        ],
-    ),
-    "V05": lambda: so.Moving(
-        so.Ball([0, 0], 1), lambda t: 2.5 * np.array([np.cos(2 * t), np.sin(2 * t)])
-    ),
-    "P09": lambda: so.Moving(
-        so.Box([-1, -0.6, -0.4], [1, 0.6, 0.4]),
-        lambda t: [3 * np.sin(t), np.sin(t) + np.sin(2 * t), 2 * np.sin(2 * t)],
-    ),
-    "P10": lambda: so.Moving(so.Orthant(1), lambda t: [2 * np.sin(t) + t / 4]),
-    "L13": lambda: so.MovingSet(
-        lambda t: so.Point([1 + np.sin(3 * t), t / 2, np.cos(3 * t)])
-    ),
-    "B14": lambda: so.Moving(
-        so.Ball([0, 0], 1), lambda t: 0.8 * t * np.array([np.cos(2 * t), np.sin(2 * t)])
-    ),
-    "B15": lambda: so.Moving(
-        so.Box([-1, -0.5], [1, 0.5]),
-        wave([(0, [0, 0]), (3, [3, 1]), (6, [-3, 2.5]), (9, [0, -2])]),
-    ),
-    "M16": lambda: so.Moving(
-        interval(1), lambda t: [3 * np.sin(2 * t) + 1.5 * np.sin(5 * t)]
-    ),
-    "M17": lambda: so.Moving(so.Ball([0, 0], 1), lambda t: [t, 0.0]),
-    "E20": lambda: so.Moving(
-        so.Box([-1, -1.1, -0.8, -0.9], [1, 1.1, 0.8, 0.9]),
-        wave(
-            [(t, level * np.array([2 / 3, 2 / 3, 3 / 4, 3 / 4]))
-             for t, level in ((0, 0), (2, 6), (6, -6), (10, 6))]
-        ),
-    ),
-}  # fmt: skip
+def as_function(C: Any) -> Any:
+    """C(t) with its load as a function of which nothing else is known."""
+    if isinstance(C, so.Moving):
+        return (
+            so.MovingSet(C.at) if isinstance(C.shape, so.Point) else so.Moving(C.shape, C.center_at)
+        )
+    return so.Polyhedron([[1.0], [-1.0]], lambda t: C.offsets(t))
 
 
 @cache
@@ -133,8 +89,7 @@ def _grids() -> dict[str, np.ndarray]:
 @cache
 def case(name: str) -> Case:
     """The reference case of that name."""
-    data = json.loads((DATA / "reference_cases.json").read_text())["cases"][name]
-    C = SETS[name]()
+    data, C = REFERENCE[name], as_function(problem(name).process().C)
     return Case(
         name=name,
         process=so.SweepingProcess(data["A"], data["B"], C, data["u0"]),
@@ -142,3 +97,105 @@ def case(name: str) -> Case:
         errors=data["errors"],
         polyhedral=C.at(0.0).polyhedral,
     )
+
+
+# ---- random processes -------------------------------------------------------------------------
+
+
+def random_matrix(random: np.random.Generator, n: int, rank: int | None = None) -> np.ndarray:
+    turn = np.linalg.qr(random.normal(size=(n, n)))[0]
+    values = 10 ** random.uniform(-1, 1, n)
+    values[rank:] = values[rank:] * (rank is None)
+    M = turn * values @ turn.T
+    return 0.5 * (M + M.T)
+
+
+def random_history(random: np.random.Generator, a: float, b: float, whole: bool) -> Any:
+    """A load on [a, b]; in whole numbers, which meet thresholds exactly, from 0 at 0 on."""
+    if whole:
+        kinds: list[Any] = [
+            so.Triangle(float(random.integers(1, 4)), float(random.choice([4, 6, 8]))),
+            so.Table(np.arange(13.0), np.append(0.0, np.cumsum(random.integers(-1, 2, 12)))),
+            so.Sine(float(random.integers(1, 4)), float(random.choice([4, 6, 12]))),
+            so.Polynomial([0.0, 1.0, -1 / 12]),
+        ]
+    else:
+        period, inner = random.uniform(0.3, 3) * (b - a), np.sort(random.uniform(a, b, 3))
+        kinds = [
+            so.Sine(random.uniform(0.5, 3), period, random.uniform(0, 6)),
+            so.Triangle(random.uniform(0.5, 3), period),
+            so.Table([a - 1, *inner, b + 1], 2 * random.normal(size=5)),
+            so.Polynomial(random.normal(size=7) / 6.0 ** np.arange(7)),
+        ]
+    return kinds[random.integers(len(kinds))]
+
+
+def random_set(random: np.random.Generator, n: int, polyhedral: bool, whole: bool) -> so.ConvexSet:
+    low, up = random.integers(0, 2, (2, n)) if whole else random.uniform(0.1, 2, size=(2, n))
+    first, ones = np.eye(n)[:, :1], np.ones(n)
+    G, h = random.normal(size=(n + 2, n)), random.uniform(0.2, 1.5, n + 2)
+    if whole:
+        G, h = np.vstack([first.T, random.integers(-1, 2, (2 * n, n))]), 1.0
+        G = G[np.abs(G).sum(axis=1) > 0]
+        G, h = np.vstack([G, 2.5 * G]), np.repeat([1, 2.5], len(G))
+    kinds: list[Any] = [
+        lambda: so.Box(-low, up),
+        lambda: so.Box(-low, np.where(random.random(n) < 0.5, np.inf, up)),
+        lambda: so.Orthant(n) - (0 if whole else 1) * ones,
+        lambda: so.Polyhedron(G, h),
+        lambda: so.Polytope(np.vstack([np.eye(n), -np.eye(n)]) if whole else G),
+    ]
+    if not polyhedral:
+        kinds += [
+            lambda: so.Ball(0.3 * random.normal(size=n), low[0]),
+            lambda: so.Balls(low, 1),
+            lambda: so.Ellipsoid(0.3 * random.normal(size=n), random_matrix(random, n)),
+            lambda: so.Box(-low, up) + so.Ball(np.zeros(n), 0.3),
+            lambda: -so.Ball(ones, 1.5),
+            lambda: so.image(first, so.Box([-1], [1])) + random.normal(size=n),
+            lambda: so.image(first, so.Ball([0.0], 1.0)) + random.normal(size=n),
+            lambda: so.product(*(so.Ball([0.0], r) for r in low)),
+        ]
+    return kinds[random.integers(len(kinds))]()
+
+
+def random_process(
+    seed: int, rate_independent: bool | None = None, polyhedral: bool = False, whole: bool = False
+) -> tuple[so.SweepingProcess, np.ndarray]:
+    """A process and a coarse, uneven grid; polyhedral sets under loads in closed form, or any."""
+    random = np.random.default_rng(seed)
+    n, a = int(random.integers(1, 6)), 0.0 if whole else float(random.choice([0.0, -1.3, 2.7]))
+    b = a + (12.0 if whole else float(random.uniform(0.5, 6)))
+    if rate_independent is None:
+        rate_independent = random.random() < 0.4
+    if whole:
+        chain = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+        A, B = (random.integers(0, 2) * chain + np.eye(n), random.integers(0, 3) * chain)
+    else:
+        A = random_matrix(random, n)
+        singular = random.random() >= 0.6
+        B = random_matrix(random, n, int(random.integers(0, n + 1)) if singular else None)
+    if rate_independent:
+        A, B = 0 * A, A
+
+    def vector(size: int) -> np.ndarray:
+        return random.integers(-1, 2, size) * 1.0 if whole else random.normal(size=size)
+
+    load = [(random_history(random, a, b, whole), vector(n)) for _ in range(2)]
+    scale = None
+    if not polyhedral and random.random() < 0.2:
+        scale = so.Sine(0.5, b - a, 0.0, 1.2)
+    if not polyhedral and random.random() < 0.2:
+        load[0] = Spiral(0.4, 6 / (b - a), random.uniform(0, 6)), load[0][1]
+    C: Any = so.Moving(random_set(random, n, polyhedral, whole), so.Separable(load), scale)
+    if polyhedral and random.random() < 0.2:
+        m = int(random.integers(1, 3 * n + 2))
+        h = [(so.Constant(2.0), np.ones(m)), (so.Triangle(1.0, 4.0), np.sign(vector(m)))]
+        C = so.Polyhedron(vector(m * n).reshape(m, n), so.Separable(h))
+    u0 = 0.0 * vector(n) if whole else vector(n)
+    if rate_independent:
+        u0 = np.linalg.solve(B, C.at(a).project(B @ u0))
+    steps = int(random.integers(3, 21))
+    inner = np.arange(1, steps) + 0.8 * (random.random(steps - 1) - 0.5)
+    times = np.concatenate([[a], a + (b - a) * inner / steps, [b]])
+    return so.SweepingProcess(A, B, C, u0), times

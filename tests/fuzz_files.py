@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 from pathlib import Path
 from typing import Any
 
@@ -64,38 +65,35 @@ TOKENS += [b"-9223372036854775808", b"", b" ", b"\n", b"\r", b"\t"]
 TOKENS += [b"9" * 5000, b"9" * 30, b"[" * 3000, b"a" * 5000]
 
 
-Damage = tuple[str, float, float, bytes]
-"""What is done to the bytes of a file, two shares of its length, and what comes in."""
+Damage = tuple[bytes, str, float, float, bytes]
+"""The parts a file is made of, what is done to one, two shares of their number, what comes in."""
+PARTS = [rb"[^\n]*\n?", rb"[^\s,=]+|[\s,=]", rb"."]  # lines, words, bytes
+HOW = ["cut", "flip", "insert", "drop", "twice", "swap", "replace", "replace"]
 SHARE = st.floats(0, 1, width=32)
-KINDS = ["cut", "flip", "insert", "drop", "twice", "swap", "word", "word"]
 DAMAGES = st.lists(
-    st.tuples(st.sampled_from(KINDS), SHARE, SHARE, st.sampled_from(TOKENS)), max_size=2
+    st.tuples(*map(st.sampled_from, (PARTS, HOW)), SHARE, SHARE, st.sampled_from(TOKENS)),
+    max_size=2,
 )
 
 
-def damage(content: bytes, kind: str, share: float, more: float, token: bytes) -> bytes:
-    at, lines = int(share * len(content)), content.split(b"\n")
-    k, other = (int(x * (len(lines) - 1)) for x in (share, more))
-    match kind:
+def damage(
+    content: bytes, pattern: bytes, how: str, share: float, more: float, new: bytes
+) -> bytes:
+    parts = re.findall(pattern, content, re.DOTALL) or [b""]
+    k, other = (int(x * (len(parts) - 1)) for x in (share, more))
+    part = parts[k]
+    match how:
         case "cut":
-            return content[:at]
+            del parts[k:]
         case "flip":
-            flipped = bytes(byte ^ (1 << int(7 * more)) for byte in content[at : at + 1])
-            return content[:at] + flipped + content[at + 1 :]
-        case "insert":
-            return content[:at] + token + content[at:]
-        case "drop":
-            del lines[k]
-        case "twice":
-            lines.insert(k, lines[k])
+            parts[k] = bytes(byte ^ (1 << int(7 * more)) for byte in part)
+        case "insert" | "twice":
+            parts.insert(k, new if how == "insert" else part)
+        case "drop" | "replace":
+            parts[k] = new if how == "replace" else b""
         case "swap":
-            lines[k], lines[other] = lines[other], lines[k]
-        case "word":
-            mark = next((mark for mark in (b" = ", b",", b" ") if mark in lines[k]), b"\n")
-            words = lines[k].split(mark)
-            words[int(10 * more) % len(words)] = token
-            lines[k] = mark.join(words)
-    return b"\n".join(lines)
+            parts[k], parts[other] = parts[other], part
+    return b"".join(parts)
 
 
 def damaged(folder: Path, name: str, damages: list[Damage]) -> Path:
@@ -122,8 +120,8 @@ VALUES += [{"table": {"t": [0, 120], "values": [10**400, 1]}}, *MESHES, "exact"]
 
 
 Change = tuple[int, str, Any]
-HOW = st.sampled_from(["set", "set", "set", "set", "drop", "rename", "wrap"])
-CHANGES = st.lists(st.tuples(st.integers(0, 60), HOW, st.sampled_from(VALUES)), max_size=2)
+WHAT = st.sampled_from(["set", "set", "set", "set", "drop", "rename", "wrap"])
+CHANGES = st.lists(st.tuples(st.integers(0, 60), WHAT, st.sampled_from(VALUES)), max_size=2)
 
 
 def change(data: dict[str, Any], at: int, how: str, value: Any) -> None:
@@ -208,9 +206,5 @@ def ask_checkpoint(folder: Path, damages: list[Damage]) -> None:
     assert found.u.tobytes() == whole.u.tobytes()
 
 
-def table_arguments() -> tuple[Any, Any]:
-    """Column and scale."""
-    return (
-        rarely(st.just("f2"), st.sampled_from(["f9", "", 3, None, "t", "command"]), 8),
-        rarely(st.just(1.0), st.sampled_from([NAN, 1e300, "1", None, 10**400, -2]), 8),
-    )
+COLUMNS = rarely(st.just("f2"), st.sampled_from(["f9", "", 3, None, "t", "command"]), 8)
+SCALES = rarely(st.just(1.0), st.sampled_from([NAN, 1e300, "1", None, 10**400, -2]), 8)

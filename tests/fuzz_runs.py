@@ -125,14 +125,14 @@ def right_run(draw: Any) -> tuple[Call, dict[str, Any]]:
         call("Moving", C, center),
         vector(dim, False),
     )
-    options = {
-        "t_end": draw(st.sampled_from([0.5, 1.0, 3.0])),
-        "steps": draw(st.integers(1, 6)),
-        "scheme": draw(st.sampled_from(["auto", "implicit-euler", "midpoint", "sdirk2"])),
-        "path": draw(st.sampled_from(["auto", "full"])),
-        "solver": draw(st.sampled_from(["auto", "clarabel"])),
+    choices = {
+        "t_end": [0.5, 1.0, 3.0],
+        "steps": range(1, 7),
+        "scheme": ["auto", "implicit-euler", "midpoint", "sdirk2"],
+        "path": ["auto", "full"],
+        "solver": ["auto", "clarabel"],
     }
-    return draw(process), options
+    return draw(process), {name: draw(st.sampled_from(some)) for name, some in choices.items()}
 
 
 SOLVERS = ["auto", "clarabel", "osqp", "newton", "daqp", "active-set", "cvxpy"]

@@ -67,6 +67,12 @@ RUNS: dict[str, tuple[Callable[[], Any], dict[str, Any]]] = {
     "balls": (balls, {"solver": "clarabel"}),
     "polygon": (polygon, {"solver": "osqp", "t_end": 0.6}),
     "uncertified": (free, {"steps": 24}),
+    "set that is a function": (
+        lambda: so.SweepingProcess(
+            [[0.5]], [[2.0]], so.MovingSet(lambda t: so.Box([t], [3.0])), [0]
+        ),
+        {"t_end": 2.0},
+    ),
     "times of the user": (
         lambda: slider(lambda t: [3 * np.sin(4 * t)]),
         {"steps": np.linspace(0.0, 2.0, 61) ** 2},

@@ -68,9 +68,9 @@ def test_elimination_agrees_with_that_of_factors(name: str, request: pytest.Fixt
     results = []
     for _ in range(2):
         M = Elimination(A, few)
-        forward, force = M.reduce(r)
+        forward, force, size = M.reduce(r)
         zeta = np.linalg.solve(M.N, force) + 0.1 / M.root[few]
-        results.append((M.N, force, M.size(forward), M.recover(forward, zeta) * M.root))
+        results.append((M.N, force, size, M.recover(forward, zeta) * M.root))
         request.getfixturevalue("little_memory")
     for one, other in zip(*results, strict=True):
         np.testing.assert_allclose(other, one, rtol=1e-7, atol=1e-9 * np.abs(one).max())

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sweepopt.sets.curves import ball_arc, basis, chebyshev, products, to_bernstein
+from sweepopt.sets.curves import ball_arc, basis, products, to_bernstein
 
 
 @given(st.integers(0, 10_000), st.integers(2, 4), st.floats(1e-4, 1.0))
@@ -49,9 +49,3 @@ def test_integrals_of_products_are_those_of_quadrature() -> None:
     theta = 0.5 * (x + 1)
     sampled = (basis(2, theta) * weights[:, None]).T @ basis(5, theta) / 2
     assert np.allclose(products(2, 5), sampled, rtol=1e-13)
-
-
-def test_bernstein_coefficients_come_back_from_values() -> None:
-    coefficients = np.random.default_rng(1).normal(size=(7, 2))
-    theta = chebyshev(7)
-    assert np.allclose(to_bernstein(theta) @ (basis(6, theta) @ coefficients), coefficients)

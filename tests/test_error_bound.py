@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cases import SETS, case
+from cases import SETS, case, random_process
 
 import sweepopt as so
-from sweepopt.study.problems import PROBLEMS, Spiral
+from sweepopt.study.problems import PROBLEMS
 
 CURVED = ("V05", "B14", "M17")
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
@@ -70,19 +70,6 @@ def test_the_bound_is_never_below_the_error_and_the_lower_one_never_above(
         assert bound.lower <= 1.1 * error  # the worst time may be between those looked at
         assert bound == bound.of_t.max()
         assert len(bound.of_t) == len(bound.B) == steps
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "scheme"), RUNS)
-@pytest.mark.parametrize("tol", [1e-9, 1e-6, 1e-3])
-def test_the_bound_holds_on_all_grids_and_with_inexact_solvers(
-    name: str, scheme: str, tol: float
-) -> None:
-    for steps in (11, 101, 211, 503, 1009, 2003)[name in CURVED :]:
-        sol = run(name, steps, scheme, solver=so.Clarabel(tol=tol), tol=max(tol, 1e-6))
-        bound = sol.error_bound()
-        assert bound.guaranteed
-        assert bound >= largest_error(name, sol)
 
 
 class Inexact(so.Clarabel):
@@ -208,14 +195,13 @@ def test_units_do_not_change_the_bound() -> None:
     assert bound(2.0**40, 2.0**-20) == pytest.approx(bound(1.0, 1.0), rel=1e-9)
 
 
-def test_steps_are_refined_until_the_bound_holds() -> None:
-    problem = PROBLEMS["S03"]
-    times, u = np.linspace(0.0, problem.t_end, 2004), case("S03").exact(2003)
-    for scheme, error in (("midpoint", 1e-3), ("catching-up", 2e-2)):
-        sol = run("S03", 50, scheme, error=error)
-        assert sol.error_bound() <= error
-        assert np.abs(sol(times) - u).max() * np.sqrt(0.5) <= error
-        assert (len(sol.t) - 1) % 50 == 0
+@pytest.mark.parametrize(("scheme", "error"), [("midpoint", 1e-3), ("catching-up", 2e-2)])
+def test_steps_are_refined_in_silence_until_the_bound_holds(scheme: str, error: float) -> None:
+    seen: list[float] = []
+    sol = run("S03", 50, scheme, error=error, callback=lambda info: seen.append(info.t))
+    assert largest_error("S03", sol) <= sol.error_bound() <= error
+    assert (len(sol.t) - 1) % 50 == 0
+    assert seen == sol.stats["t"].tolist()
 
 
 def test_an_error_that_cannot_be_guaranteed_or_reached_is_refused() -> None:
@@ -228,15 +214,6 @@ def test_an_error_that_cannot_be_guaranteed_or_reached_is_refused() -> None:
     with pytest.raises(so.AccuracyError, match="finer grids do not help or take more") as caught:
         run("S01", 20, "midpoint", t_end=1.0, error=1e-18)
     assert caught.value.solution.success
-
-
-def test_refining_is_silent_until_its_last_run() -> None:
-    seen: list[float] = []
-    sol = run("S03", 10, "midpoint", t_end=2.0, error=1e-2, save="last",
-              callback=lambda info: seen.append(info.t))  # fmt: skip
-    assert seen == sol.stats["t"].tolist()
-    assert len(sol.t) == 2
-    assert sol.error_bound() <= 1e-2
 
 
 @pytest.mark.parametrize("part", [so.Ball([0.0], 1.0), so.Box([-1.0], [1.0])])
@@ -260,75 +237,9 @@ def test_a_bound_that_overflows_is_infinite_and_not_nan() -> None:
     assert bound.lower == 0.0
 
 
-# ---- random processes -------------------------------------------------------------------------
-
-
-def random_matrix(random: np.random.Generator, n: int, rank: int | None = None) -> np.ndarray:
-    turn = np.linalg.qr(random.normal(size=(n, n)))[0]
-    values = 10 ** random.uniform(-1, 1, n)
-    values[rank:] = values[rank:] * (rank is None)
-    M = turn * values @ turn.T
-    return 0.5 * (M + M.T)
-
-
-def random_history(random: np.random.Generator, a: float, b: float) -> Any:
-    period = float(random.uniform(0.3, 3) * (b - a))
-    inner = np.sort(random.uniform(a, b, 3))
-    return random.choice(
-        [
-            so.Sine(float(random.uniform(0.5, 3)), period, float(random.uniform(0, 6))),
-            so.Triangle(float(random.uniform(0.5, 3)), period),
-            so.Table([a - 1, *inner, b + 1], 2 * random.normal(size=5)),
-            so.Polynomial(random.normal(size=7) / 6.0 ** np.arange(7)),
-            Spiral(0.4, 6 / (b - a), float(random.uniform(0, 6))),
-        ]
-    )
-
-
-def random_set(random: np.random.Generator, n: int) -> so.ConvexSet:
-    low, up = random.uniform(0.1, 2, size=(2, n))
-    first = np.eye(n)[:, :1]
-    kinds: list[Any] = [
-        lambda: so.Box(-low, up),
-        lambda: so.Box(-low, np.where(random.random(n) < 0.5, np.inf, up)),
-        lambda: so.Ball(0.3 * random.normal(size=n), low[0]),
-        lambda: so.Balls(low, 1),
-        lambda: so.Orthant(n) - np.ones(n),
-        lambda: so.Polyhedron(random.normal(size=(n + 2, n)), random.uniform(0.2, 1.5, n + 2)),
-        lambda: so.Polytope(random.normal(size=(n + 3, n))),
-        lambda: so.Ellipsoid(0.3 * random.normal(size=n), random_matrix(random, n)),
-        lambda: so.Box(-low, up) + so.Ball(np.zeros(n), 0.3),
-        lambda: -so.Ball(np.ones(n), 1.5),
-        lambda: so.image(first, so.Box([-1], [1])) + random.normal(size=n),
-        lambda: so.image(first, so.Ball([0.0], 1.0)) + random.normal(size=n),
-        lambda: so.product(*(so.Ball([0.0], r) for r in low)),
-    ]
-    return kinds[random.integers(len(kinds))]()
-
-
-def random_process(seed: int, rate_independent: bool) -> tuple[so.SweepingProcess, np.ndarray, str]:
-    """A process, a coarse grid that need not be even, and a scheme."""
-    random = np.random.default_rng(seed)
-    n, a = int(random.integers(1, 5)), float(random.choice([0.0, -1.3, 2.7]))
-    b = a + float(random.uniform(0.5, 6))
-    A = np.zeros((n, n)) if rate_independent else random_matrix(random, n)
-    singular = not rate_independent and random.random() >= 0.6
-    B = random_matrix(random, n, int(random.integers(0, n + 1)) if singular else None)
-    terms = [(random_history(random, a, b), random.normal(size=n)) for _ in range(2)]
-    scale = so.Sine(0.5, b - a, 0.0, 1.2) if random.random() < 0.2 else None
-    C = so.Moving(random_set(random, n), so.Separable(terms), scale)
-    steps = int(random.integers(3, 21))
-    inner = np.arange(1, steps) + 0.8 * (random.random(steps - 1) - 0.5)
-    times = np.concatenate([[a], a + (b - a) * inner / steps, [b]])
-    u0 = random.normal(size=n)
-    if rate_independent:
-        u0 = np.linalg.solve(B, C.at(a).project(B @ u0))
-    scheme = str(random.choice(FOR_A_ZERO if rate_independent else STEPPING))
-    return so.SweepingProcess(A, B, C, u0), times, scheme
-
-
 def check_bound(seed: int, rate_independent: bool) -> None:
-    process, times, scheme = random_process(seed, rate_independent)
+    process, times = random_process(seed, rate_independent)
+    scheme = (FOR_A_ZERO if rate_independent else STEPPING)[seed % (2 if rate_independent else 5)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", so.SweepoptWarning)
         sol = so.solve(process, steps=times, scheme=scheme, on_unstable="ignore")

@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import json
-from functools import partial
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
-from cases import DATA, GRIDS, case, embedded
+from cases import GRIDS, REFERENCE, case, embedded, random_process
 
 import sweepopt as so
 from sweepopt.errors import Status
-from sweepopt.integrate.exact import Trajectory, exact_trajectory, on_grid, rows_of
+from sweepopt.integrate.exact import Trajectory
 from sweepopt.study.problems import problem
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 POLYHEDRAL = ("S01", "S02", "S03", "S04", "P09", "P10", "B15", "M16", "E20")
-SWITCHES = {
-    name: data["switch_times"]
-    for name, data in json.loads((DATA / "reference_cases.json").read_text())["cases"].items()
-}
-END = 250 * np.pi
+SWITCHES = {name: data["switch_times"] for name, data in REFERENCE.items()}
 SLIDING = so.Separable([(so.Sine(3.0, np.pi), [1.0])])
 
 
@@ -30,7 +24,7 @@ def block(A: float = 0.5, B: float = 2.0, load: Any = SLIDING, u0: float = 0.0):
     return so.SweepingProcess([[A]], [[B]], so.Moving(so.Box([-1], [1]), load), [u0])
 
 
-def exact(process: so.SweepingProcess, t_end: float, steps: Any = 100) -> Trajectory:
+def exact(process: so.SweepingProcess, t_end: float | None, steps: Any = 100) -> Trajectory:
     sol = so.solve(process, t_end=t_end, steps=steps, scheme="exact")
     assert sol.success
     assert sol.exact is not None
@@ -129,73 +123,14 @@ def test_a_node_that_misses_tol_stops_the_run() -> None:
     assert sol.t[-1] == pytest.approx(2.96)
 
 
-# ---- random processes ---------------------------------------------------------------------------
-
-
-def random_history(random: np.random.Generator, T: float, degenerate: bool) -> Any:
-    """A load from 0 on, in whole numbers that meet thresholds exactly, or in any."""
-    if degenerate:
-        steps = np.cumsum(random.integers(-1, 2, 12))
-        return [
-            so.Triangle(float(random.integers(1, 4)), float(random.choice([4, 6, 8]))),
-            so.Table(np.arange(13.0), np.append(0.0, steps)),
-            so.Sine(float(random.integers(1, 4)), float(random.choice([4, 6, 12]))),
-            so.Polynomial([0.0, 1.0, -1 / 12]),
-        ][random.integers(4)]
-    times, values = np.sort(random.uniform(0, T, 5)), np.cumsum(random.normal(size=6) * 1.5)
-    return [
-        so.Sine(2 * random.normal(), random.uniform(0.3, 1.5) * T),
-        so.Triangle(3 * random.normal(), random.uniform(0.3, 1.5) * T),
-        so.Polynomial(random.normal(size=3) * [0, 3 / T, 3 / T**2]),
-        so.Table([0.0, *times, T], np.append(0.0, values)),
-    ][random.integers(4)]
-
-
-def random_process(seed: int, degenerate: bool) -> tuple[so.SweepingProcess, float]:
-    random = np.random.default_rng(seed)
-    n, T = int(random.integers(1, 6)), 12.0
-
-    def entries(size: Any) -> np.ndarray:
-        return random.integers(-1, 2, size) * 1.0 if degenerate else random.normal(size=size)
-
-    if degenerate:
-        chain = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
-        A = random.choice([0.0, 1.0]) * chain + np.eye(n)
-        B = random.choice([0.0, 1.0, 2.0]) * chain
-    else:
-        root, singular = entries((n, n)), entries((n, int(random.integers(0, n + 1))))
-        A = root @ root.T / n + 0.3 * np.eye(n)
-        B = singular @ singular.T * random.choice([0.1, 1, 10])
-    if random.random() < 0.4:
-        A, B = 0 * A, A
-    load = so.Separable([(random_history(random, T, degenerate), entries(n)) for _ in range(2)])
-    m = int(random.integers(1, 3 * n + 2))
-    G = entries((m, n))
-    rows = G[np.abs(G).sum(axis=1) > 0]
-    lower, upper = -random.integers(0, 2, n) * 1.0, random.integers(0, 2, n) * 1.0
-    lower[random.random(n) < 0.2], upper[random.random(n) < 0.2] = -np.inf, np.inf
-    moving = [(so.Constant(2.0), np.ones(m)), (so.Triangle(1.0, 4.0), np.sign(entries(m)))]
-    C = [
-        lambda: so.Moving(so.Box(-np.ones(n), np.ones(n)), load),
-        lambda: so.Moving(so.Box(lower, upper), load),
-        lambda: so.Moving(so.Orthant(n), load),
-        lambda: so.Moving(so.Polytope(np.vstack([np.eye(n), -np.eye(n)])), load),
-        lambda: so.Moving(
-            so.Polyhedron(np.vstack([rows, 2.5 * rows]), np.repeat([1, 2.5], len(rows))), load
-        ),
-        lambda: so.Polyhedron(G, so.Separable(moving)),
-    ][random.integers(6)]()
-    return so.SweepingProcess(A, B, C, np.zeros(n)), T
-
-
-@pytest.mark.parametrize("degenerate", [False, True], ids=["generic", "degenerate"])
+@pytest.mark.parametrize("whole", [False, True], ids=["generic", "degenerate"])
 def test_the_inclusion_holds_at_any_time_and_u_is_the_integral_of_its_derivative(
-    degenerate: bool,
+    whole: bool,
 ) -> None:
-    for seed in (*range(15), 3050):  # the last one has a slack that is constant and rounding
-        process, T = random_process(seed, degenerate)
-        found = exact(process, T, steps=20)
-        times = np.random.default_rng(seed).uniform(0.0, T, 20)
+    for seed in range(16):
+        process, grid = random_process(seed, polyhedral=True, whole=whole)
+        found = exact(process, None, steps=grid)
+        times = np.random.default_rng(seed).uniform(grid[0], grid[-1], 20)
         assert residual(process, found, times) <= 1e-10
         assert integral_error(found) <= 1e-11 * max(1.0, np.abs(found(times)).max())
 
@@ -249,37 +184,15 @@ def test_equal_blocks_switch_together_and_a_held_one_stays() -> None:
     assert np.abs(found(times)[:, 2] - linear).max() <= 1e-15
 
 
-def test_1001_switches_and_the_trajectory_are_those_of_formulas_in_40_digits() -> None:
-    """Stuck at u, `block()` slips to a side from side (3 sin 2t - 2 u) = 1 on, with
-    u = (12 sin 2t - 6 cos 2t - 5 side) / 10 + c exp(-4 (t - start)), up to the first u' = 0.
-    """
-    mp = pytest.importorskip("mpmath").mp.clone()
-    mp.dps = 40
-    found = exact(block(), END, steps=2)
-    u, end, expected, rests = mp.mpf(0), mp.mpf(0), [], []
-
-    def forced(t: Any, side: int) -> Any:
-        return (12 * mp.sin(2 * t) - 6 * mp.cos(2 * t) - 5 * side) / 10
-
-    for side in (1, -1) * 251:
-        first = mp.asin((2 * u + side) / 3) / 2  # there the load rises, pi / 2 - first falls
-        start = first if side > 0 else mp.pi / 2 - first
-        start += mp.ceil((end - start) / mp.pi) * mp.pi
-        c = u - forced(start, side)
-
-        def rate(s: Any, start: Any = start, c: Any = c) -> Any:
-            return (12 * mp.cos(2 * s) + 6 * mp.sin(2 * s) - 20 * c * mp.exp(4 * (start - s))) / 5
-
-        # where it would stop if nothing decayed: one side later, tan 2 t = -2
-        stop = (mp.pi - mp.atan(2)) / 2 + (0 if side > 0 else mp.pi / 2)
-        end = mp.findroot(rate, stop + mp.ceil((start - stop) / mp.pi) * mp.pi)
-        u = forced(end, side) + c * mp.exp(4 * (start - end))
-        expected += [float(start), float(end)]
-        rests.append(float(u))
-    switches = np.array(expected)[np.array(expected) < END]
-    assert len(found.switches) == len(switches) == 1001
-    assert np.abs(found.switches - switches).max() <= 1e-11  # 785 is known to 1e-13
-    assert np.abs(found(switches[1::2])[:, 0] - rests[: len(switches) // 2]).max() <= 1e-10
+def test_1001_switches_have_the_period_of_the_load_to_rounding() -> None:
+    # the first ones are those of S03, the same block
+    found = exact(block(), 250 * np.pi, steps=2)
+    assert found.switches[: len(SWITCHES["S03"])] == pytest.approx(SWITCHES["S03"], abs=1e-10)
+    assert len(found.switches) == 1001
+    later = found.switches[20:-1].reshape(-1, 4)  # what the start leaves falls by 100 a period
+    periods = np.pi * np.arange(len(later))[:, None]
+    assert np.abs(later - later[0] - periods).max() <= 1e-12
+    assert np.ptp(found(later), axis=0).max() <= 1e-14
 
 
 @pytest.mark.parametrize("A", [1e-2, 1e-6, 1e-10])
@@ -332,15 +245,12 @@ def test_a_start_outside_of_the_set_begins_with_a_velocity() -> None:
 
 
 def test_switches_that_accumulate_end_the_trajectory(monkeypatch: pytest.MonkeyPatch) -> None:
-    few = partial(exact_trajectory, most=5)
-    found = few(rows_of(block()), np.zeros(1), 0.0, 8.0)
-    assert found.end < 8.0
-    with pytest.raises(so.InputError, match="is outside of"):
-        found(8.0)
-    monkeypatch.setattr(on_grid, "exact_trajectory", few)
+    monkeypatch.setattr("sweepopt.integrate.exact.trajectory.PHASES", 5)
     sol = so.solve(block(), t_end=8.0, steps=100, scheme="exact", on_failure="stop")
     assert sol.status is Status.SWITCHING
-    assert 0 < found.end - sol.t[-1] < 0.08
+    assert 0 < sol.exact.end - sol.t[-1] < 0.08
+    with pytest.raises(so.InputError, match="is outside of"):
+        sol.exact(8.0)
 
 
 BOX = so.Box([-1, -1], [1, 1])

@@ -46,11 +46,11 @@ TARGETS: dict[str, tuple[int, Any, Callable[..., None]]] = {
     "runs": (80, RUN, runs.ask_run),
     "solutions": (30, LATER, runs.ask_run),
     "adaptive": (10, ADAPTIVE, runs.ask_run),
-    "bodies": (20, bodies.bodies(), bodies.ask_body),
+    "bodies": (20, st.tuples(bodies.MESH, bodies.BODY, bodies.PATH), bodies.ask_body),
     "fields": (20, runs.fields(), runs.ask_field),
     "scenes": (40, st.tuples(files.SCENES, FILE), files.ask_scene),
     "studies": (20, st.tuples(files.STUDIES, FILE), files.ask_study),
-    "tables": (35, st.tuples(files.DAMAGES, *files.table_arguments()), files.ask_table),
+    "tables": (35, st.tuples(files.DAMAGES, files.COLUMNS, files.SCALES), files.ask_table),
     "meshes": (40, st.tuples(st.sampled_from(files.MESHES), files.DAMAGES), files.ask_mesh),
     "checkpoints": (20, st.tuples(files.DAMAGES), files.ask_checkpoint),
 }

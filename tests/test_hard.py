@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 from itertools import chain as joined
-from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -77,12 +76,6 @@ def test_combinations_drawn_by_chance_are_met(seed: int) -> None:
     assert wrong(found) == []
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(100, 106))
-def test_combinations_are_met_for_every_seed_and_solver(seed: int) -> None:
-    assert wrong(judged("unbounded", seeds=[seed], combinations=10)) == []
-
-
 @pytest.mark.parametrize(
     ("seed", "number"),
     [
@@ -119,16 +112,28 @@ def test_a_path_that_does_not_apply_leaves_no_row() -> None:
 # ---- the judge --------------------------------------------------------------------------------
 
 
-def test_the_exact_velocity_is_that_of_a_closed_form() -> None:
-    # M = diag, a box: z = (P(q) - q) / M; a ball in the plane, M = 2 I: the same
-    q = np.array([3.0, -0.5, -4.0])
-    z = Program(np.diag([2.0, 1.0, 4.0])).solve(q, so.Box([-1] * 3, [1] * 3)).z
-    assert [float(x) for x in z] == [-1.0, 0.0, 0.75]
-    ball = Program(2 * np.eye(2)).solve(np.array([3.0, 4.0]), so.Balls([1.0], 2)).z
-    assert [float(x) for x in ball] == pytest.approx([-1.2, -1.6], abs=1e-15)
-    half = so.Polyhedron([[1.0, 1.0]], [1.0])
-    rows_ = Program(np.eye(2)).solve(np.array([1.0, 2.0]), half).z
-    assert [float(x) for x in rows_] == [-1.0, -1.0]
+@pytest.mark.parametrize(
+    ("M", "q", "C", "z"),
+    [  # z = P(q) - q in the metric of M
+        ([2.0, 1.0, 4.0], [3.0, -0.5, -4.0], so.Box([-1] * 3, [1] * 3), [-1.0, 0.0, 0.75]),
+        ([2.0, 2.0], [3.0, 4.0], so.Balls([1.0], 2), [-1.2, -1.6]),
+        ([1.0, 1.0], [1.0, 2.0], so.Polyhedron([[1.0, 1.0]], [1.0]), [-1.0, -1.0]),
+    ],
+)
+def test_the_exact_velocity_is_that_of_a_closed_form(
+    M: list[float], q: list[float], C: so.ConvexSet, z: list[float]
+) -> None:
+    found = Program(np.diag(M)).solve(np.array(q), C).z
+    assert [float(x) for x in found] == pytest.approx(z, abs=1e-15)
+
+
+def test_a_set_without_rows_or_a_point_has_no_exact_velocity() -> None:
+    for C, words in (
+        (so.Ellipsoid([0.0], [[2.0]]), "no exact velocity is known for a Ellipsoid"),
+        (so.Polyhedron([[1.0], [-1.0]], [-1.0, -1.0]), "C has no point"),
+    ):
+        with pytest.raises(so.SweepoptError, match=words):
+            Program(np.eye(1)).solve(np.ones(1), C)
 
 
 @pytest.mark.parametrize(
@@ -158,11 +163,11 @@ def test_the_judge_does_not_round_the_sum_and_the_product_of_the_data() -> None:
     assert float(moved[0]) == pytest.approx(3e-9 * 2.0**-30, rel=1e-12)
 
 
-@pytest.mark.parametrize("family", ["condition", "lengths_down", "forces_up", "stiff"])
+@pytest.mark.parametrize("family", ["condition", "lengths_down", "stiff"])
 def test_the_judge_sees_wrong_answers_and_certificates(
     monkeypatch: pytest.MonkeyPatch, family: str
 ) -> None:
-    def run(factor: float, stated: float = 1.0) -> HardRow:
+    def judged_as(factor: float, stated: float = 1.0) -> HardRow:
         """The row of a run whose velocities and certificates are not those of the library."""
 
         def lying(*process: so.SweepingProcess, **settings: Any) -> Any:
@@ -174,77 +179,23 @@ def test_the_judge_sees_wrong_answers_and_certificates(
         monkeypatch.setattr(suite, "solve", lying)
         return judged(family, seeds=[2], solvers=["auto"], paths=["full"])[0]
 
-    right = run(1.0)
-    assert right.verdict == "met"
-    row = run(1 + 1e-6)
-    assert row.verdict == "error above 1e-08"
-    assert 1e-7 < row.error < 1.01e-6  # in units of the load where that is more
-    row = run(1 + 1e-9, stated=0.0)
-    assert row.verdict == "certificate below the error"
-    assert 1e-10 < row.error < 1.01e-9 + right.error
-    assert not row.good
+    right, far, near = judged_as(1.0), judged_as(1 + 1e-6), judged_as(1 + 1e-9, stated=0.0)
+    assert (right.verdict, far.verdict) == ("met", "error above 1e-08")
+    assert 1e-7 < far.error < 1.01e-6  # in units of the load where that is more
+    assert (near.verdict, near.good) == ("certificate below the error", False)
+    assert 1e-10 < near.error < 1.01e-9 + right.error
 
 
 def test_an_error_of_the_library_is_a_wrong_row_whatever_its_words(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def failing(*_: Any, **settings: Any) -> so.Solution:
-        raise so.InputError(f"path={settings['path']!r} is in the text")
-
-    monkeypatch.setattr(suite, "solve", failing)
+    monkeypatch.setattr(suite, "solve", Mock(side_effect=so.InputError("path= is in the text")))
     found = judged("small_beta", solvers=["auto"])
     assert [row.path for row in found] == list(PATHS)
     assert all(row.verdict.startswith("InputError: path=") and not row.good for row in found)
 
 
 # ---- laws of the process ----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("solver", ["auto", "osqp", "clarabel"])
-@pytest.mark.parametrize("path", PATHS)
-def test_units_change_nothing(solver: str, path: str) -> None:
-    def velocity(units: str) -> np.ndarray:
-        process = make((units,), np.random.default_rng(3))
-        return solve_once(process, solver=solver, path=path).velocity[0]
-
-    plain = velocity("plain")
-    for units, length in (
-        ("forces x 2^40", 1.0),
-        ("forces x 2^-40", 1.0),
-        ("lengths x 2^40", 2.0**40),
-        ("lengths x 2^-40", 2.0**-40),
-    ):
-        scaled = velocity(units) / length
-        assert np.abs(scaled - plain).max() <= 1e-12 * np.abs(plain).max()
-        assert ((scaled == 0) == (plain == 0)).all()
-
-
-@pytest.mark.parametrize("share", [0.5, 0.999, 1.0])
-@pytest.mark.parametrize("steps", [1000, pytest.param(100_000, marks=pytest.mark.slow)])
-def test_a_body_at_rest_does_not_drift(share: float, steps: int) -> None:
-    rng = np.random.default_rng(5)
-    M, g, u0 = chain(rng, 6), rng.uniform(0.5, 2.0, 6), rng.normal(size=6)
-    load = M @ u0 + share * g * rng.choice([-1.0, 1.0], 6)
-    C = so.Moving(so.Box(-g, g), load)
-    sol = so.solve(so.SweepingProcess(M, M, C, u0), t_end=100.0, steps=steps)
-    assert not sol.velocity.any()
-    assert (sol.u == u0).all()
-
-
-def test_small_viscosity_tends_to_the_rate_independent_process() -> None:
-    rng = np.random.default_rng(6)
-    A, B, g = chain(rng, 8), chain(rng, 8), rng.uniform(0.2, 1.0, 8)
-    shape = 3 * rng.normal(size=8)
-    C = so.Moving(so.Box(-g, g), lambda t: np.sin(t) * shape)
-
-    def run(nu: float) -> np.ndarray:
-        process = so.SweepingProcess(nu * A, B, C, np.zeros(8))
-        return so.solve(process, t_end=6.0, steps=120, scheme="implicit-euler").u
-
-    limit, size = run(0.0), np.abs(run(0.0)).max()
-    errors = [np.abs(run(10.0**-k) - limit).max() / size for k in range(13)]
-    assert all(later < 0.2 * earlier for earlier, later in pairwise(errors[2:9]))
-    assert max(errors[9:]) < 1e-8
 
 
 @pytest.mark.parametrize("solver", ["auto", "newton", "daqp", "osqp", "clarabel", "cvxpy"])
@@ -271,33 +222,13 @@ def test_a_contact_that_is_named_twice_has_the_sum_of_its_bounds() -> None:
 # ---- the command -------------------------------------------------------------------------------
 
 
-def test_the_command_writes_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "few.toml"
-    path.write_text(
-        '[hard]\nseeds = [3]\nfamilies = ["threshold", "empty"]\nsolvers = ["osqp"]\n'
-        "combinations = 0\n"
-    )
-    assert main(["study", str(path), "--out", str(tmp_path / "out")]) == 0
-    assert "4 runs, 0 wrong" in capsys.readouterr().out
-    with (tmp_path / "out" / "hard.csv").open(newline="") as file:
-        table = list(csv.DictReader(file))
-    assert [row["verdict"] for row in table] == ["met", "refused", "refused", "refused"]
-    assert float(table[0]["error"]) <= 1e-8
-    assert "36 move" in table[0]["answer"]
-    assert {row["answer"] for row in table[1:]} == {"refuse: EmptySetError"}
-    assert "each load is its friction bound" in (tmp_path / "out" / "report.html").read_text()
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         ("hard = 3", "hard must be a table"),
         ("[hard]\nseed = [1]", "hard.seed: unknown key; there are: seeds"),
-        ("[hard]\nseeds = []", "hard.seeds must be a list with one entry or more"),
         ("[hard]\nseeds = [-1]", "hard.seeds[0] must be a whole number >= 0, got -1"),
-        ("[hard]\ntol = 0.0", "hard.tol must be > 0"),
         ('[hard]\nfamilies = ["soft"]', "hard.families[0]: 'soft' is not known; there are: thr"),
-        ('[hard]\nsolvers = ["magic"]', "hard.solvers[0]: 'magic' is not known; there are: auto"),
     ],
 )
 def test_a_bad_table_is_refused(

@@ -91,6 +91,9 @@ CASES: list[tuple[str, Callable[[], Any], str]] = [
     ("solver a class", lambda: run(solver=so.Clarabel), r"solver must be a name"),
     ("cvxpy solver unknown", lambda: run(
         vi(load=[3.0, 0], dissipation=BOX), solver=so.Cvxpy("NOPE")), r"no solver 'NOPE'"),
+    ("tol true", lambda: run(tol=True), r"tol must be one number, got True; give the number itself"),
+    ("tol in a list", lambda: run(tol=[1e-6]), r"tol must be one number, got 1 of them in a list"),
+    ("true in an array", lambda: so.Sine(np.array(True), 1), r"amplitude must be one number, got ar"),
     ("tol zero", lambda: run(tol=0), r"tol must be > 0"),
     ("on_failure", lambda: run(on_failure="ignore"), r"on_failure must be one of"),
     ("on_unstable", lambda: run(on_unstable="maybe"), r"on_unstable must be one of"),
@@ -125,6 +128,7 @@ CASES: list[tuple[str, Callable[[], Any], str]] = [
     ("adaptive below rounding", lambda: run(
         process(u0=[1e20, 0]), steps=so.Adaptive(0.5)), r"tol = 0.5 is less than the rounding of u"),
     ("variation a number", lambda: run().error_bound(variation=np.nan), r"variation must be a func"),
+    ("scale(t) of two", lambda: so.Moving(BOX, scale=lambda t: [1, 2]).at(0.0), r"t = 0 must be one"),
     ("center wrong between nodes", lambda: run(process(C=so.Moving(
         BOX, lambda t: [0, 0] if t in (0, 1, 0.5) else 10**30)), steps=[0, 1]).error_bound(),
         r"the function of C\(t\) at t = .* must have 2 entries"),
@@ -147,6 +151,11 @@ CASES: list[tuple[str, Callable[[], Any], str]] = [
 def test_bad_input_is_refused_by_name(call: Callable[[], Any], message: str) -> None:
     with pytest.raises(so.SweepoptError, match=message):
         call()
+
+
+def test_an_asymmetry_of_rounding_is_taken_out() -> None:
+    A = process(A=[[1, 0.5], [np.nextafter(0.5, 1), 1]]).A
+    assert A[0, 1] == A[1, 0] == pytest.approx(0.5)
 
 
 def test_what_a_callback_returns_is_a_yes_or_a_no() -> None:

@@ -65,10 +65,8 @@ FAR = 2.0**80  # beyond 64-bit integers
 )
 def test_variations_are_known_in_closed_form(phi, a, b, variation):
     assert phi.variation(a, b) == pytest.approx(variation, rel=1e-15)
-
-
-def test_waves_far_from_the_start_keep_their_kinks():
-    assert Triangle(1.0, 2.0**70).breakpoints(FAR, FAR + 2.0**70).size == 2
+    if a == FAR:
+        assert phi.breakpoints(a, b).size == 2
 
 
 def test_a_table_and_its_load_cannot_be_changed_afterwards():
@@ -99,14 +97,6 @@ def test_a_separable_load_is_its_sum_and_bounds_its_variation():
 @pytest.mark.parametrize("value", [2, 2.0, np.float32(2), np.int64(2), np.array([2.0]), [[2]]])
 def test_one_number_in_any_wrapping_is_a_value_of_a_history(value):
     assert Separable([(lambda t: value, [1.0, 3.0])])(0.0).tolist() == [2.0, 6.0]
-
-
-def test_a_black_box_history_may_be_evaluated_but_not_measured():
-    f = Separable([(lambda t: t**2, [1.0])])
-    assert f(3.0) == [9.0]
-    assert f.breakpoints(0.0, 1.0).size == 0
-    with pytest.raises(InputError, match=r"terms\[0\].* does not tell its variation"):
-        f.variation(0.0, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -192,6 +182,11 @@ def test_histories_of_any_kind_are_checked_and_used_one_time_at_a_time() -> None
         def breakpoints(self, a: float, b: float) -> np.ndarray:
             return np.array([1.0])
 
+    black_box = Separable([(lambda t: t**2, [1.0])])
+    assert black_box(3.0) == [9.0]
+    assert black_box.breakpoints(0.0, 1.0).size == 0
+    with pytest.raises(InputError, match=r"terms\[0\].* does not tell its variation"):
+        black_box.variation(0.0, 1.0)
     load = so.Separable([(Step(), [1.0]), (so.Sine(1.0, 4.0), [0.0])])
     times = np.array([0.5, 1.5])
     assert load.values(times).tolist() == [load.coefficients(t).tolist() for t in times]

@@ -137,55 +137,48 @@ def boom(t: float) -> so.ConvexSet:
     return so.Box([0.0], [1.0 - t])
 
 
-MALFORMED: dict[str, tuple[Any, str]] = {
-    "no function": (lambda: so.MovingSet(BALL), "MovingSet needs a function.*Ball"),
-    "function that returns a number": (lambda: so.MovingSet(lambda t: t), "must be a set.*float"),
-    "function that returns a moving set": (
-        lambda: so.MovingSet(lambda t: FAMILIES["any"]),
-        "must be a set, got MovingSet",
-    ),
-    "dim that changes": (
+MALFORMED: list[tuple[Any, str]] = [
+    (lambda: so.MovingSet(BALL), "MovingSet needs a function.*Ball"),
+    (lambda: so.MovingSet(lambda t: t), "must be a set.*float"),
+    (lambda: so.MovingSet(lambda t: FAMILIES["any"]), "must be a set, got MovingSet"),
+    (
         lambda: so.MovingSet(lambda t: so.Orthant(1 + int(t))).at(2.0),
         r"C\(t\) at t = 2 has dim 3, not 1",
     ),
-    "shape that moves": (lambda: so.Moving(FAMILIES["any"]), "does not move, got MovingSet"),
-    "center of another dim": (lambda: so.Moving(BALL, [1.0]), "center must have 2 entries"),
-    "center(t) of another dim": (
+    (lambda: so.Moving(FAMILIES["any"]), "does not move, got MovingSet"),
+    (lambda: so.Moving(BALL, [1.0]), "center must have 2 entries"),
+    (
         lambda: so.Moving(BALL, lambda t: [t]).at(1.0),
         r"center\(t\) at t = 1 must have 2 entries, got 1",
     ),
-    "center(t) with nan": (
-        lambda: so.Moving(BALL, lambda t: [0, np.nan]).at(1.0),
-        r"center\(t\) at t = 1\[1\] is nan",
-    ),
-    "scale below 0": (lambda: so.Moving(BALL, scale=-1.0), "scale must be >= 0, got -1"),
-    "scale(t) below 0": (
+    (lambda: so.Moving(BALL, lambda t: [0, np.nan]).at(1.0), r"center\(t\) at t = 1\[1\] is nan"),
+    (lambda: so.Moving(BALL, scale=-1.0), "scale must be >= 0, got -1"),
+    (
         lambda: so.Moving(BALL, scale=lambda t: 1 - t).at(3.0),
         r"scale\(t\) at t = 3 must be >= 0, got -2",
     ),
-    "C at a word": (lambda: so.Moving(BALL, lambda t: [t, t]).at("x"), "t must be one number"),
-    "a scale at inf": (lambda: so.Moving(BALL, scale=lambda t: t).scale_at(np.inf), "t is inf"),
-    "h(t) of another length": (
+    (lambda: so.Moving(BALL, lambda t: [t, t]).at("x"), "t must be one number"),
+    (lambda: so.Moving(BALL, scale=lambda t: t).scale_at(np.inf), "t is inf"),
+    (
         lambda: so.Polyhedron(G, lambda t: [1.0] * (5 if t < 1 else 4)).at(2.0),
         r"C\(t\) at t = 2: h must have 5 entries, got 4",
     ),
-    "h(t) with inf": (
+    (
         lambda: so.Polyhedron(G, lambda t: [t, 1, 1, 1, np.inf if t else 1]).at(2.0),
         r"C\(t\) at t = 2: h\[4\] is inf",
     ),
-    "intersection of two dims": (lambda: so.Orthant(3) & FAMILIES["any"], "C & D: .* 3 and 2"),
-    "translation of another dim": (lambda: FAMILIES["any"] + [1.0], "v must have 2 entries"),
-    "sum with text": (lambda: FAMILIES["any"] + "far", r"C \+ D: D must be a set, got str"),
-    "difference of sets": (lambda: FAMILIES["any"] - BALL, "C - D is ambiguous"),
-    "product by *": (lambda: FAMILIES["any"] * BALL, r"C \* D is not defined"),
-    "scaled by nan": (lambda: np.nan * FAMILIES["any"], r"scale is nan"),
-    "image of another width": (lambda: so.image(np.eye(3), FAMILIES["any"]), "C has dim 2"),
-}
+    (lambda: so.Orthant(3) & FAMILIES["any"], "C & D: .* 3 and 2"),
+    (lambda: FAMILIES["any"] + [1.0], "v must have 2 entries"),
+    (lambda: FAMILIES["any"] + "far", r"C \+ D: D must be a set, got str"),
+    (lambda: FAMILIES["any"] - BALL, "C - D is ambiguous"),
+    (lambda: FAMILIES["any"] * BALL, r"C \* D is not defined"),
+    (lambda: np.nan * FAMILIES["any"], r"scale is nan"),
+    (lambda: so.image(np.eye(3), FAMILIES["any"]), "C has dim 2"),
+]
 
 
-@pytest.mark.parametrize("case", MALFORMED)
-def test_malformed_motion_is_refused_by_name_and_time(case: str) -> None:
-    make, message = MALFORMED[case]
+@pytest.mark.parametrize(("make", "message"), MALFORMED)
+def test_malformed_motion_is_refused_by_name_and_time(make: Any, message: str) -> None:
     with pytest.raises(so.InputError, match=message):
         make()
 

@@ -152,7 +152,7 @@ def test_plot_of_a_solution_draws_components_and_stick_phases(dim: int, tmp_path
     assert len(given.lines) == len(ax.lines)
     save(ax.figure, tmp_path / "solution.png")
     curves = [line for line in ax.lines if line.get_label().startswith("$u_")]
-    assert len(curves) == min(dim, plot.MOST_COMPONENTS)
+    assert len(curves) == min(dim, len(plot.LOOKS))
     for line in curves:
         i = int(line.get_label().strip("$u_{}"))
         np.testing.assert_array_equal(line.get_ydata(), solution.u[:, i])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import warnings
 from itertools import product
 from types import SimpleNamespace
@@ -106,16 +107,29 @@ def test_one_compiled_program_serves_all_translates_scales_and_offsets() -> None
         assert len(compiled) == 1
 
 
-@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
-def test_a_point_that_is_given_twice_is_that_point() -> None:
-    # how p splits between the two is left open: nothing else in the program ties it
-    p = np.array([0.0, -2.75])
-    twice, once = (
-        so.solve(so.SweepingProcess(np.eye(2), np.eye(2), C, -p), t_end=1.0, steps=4)
-        for C in (3 * (so.Point(p) & so.Point(p)), so.Point(3 * p))
-    )
-    assert twice.success
-    np.testing.assert_allclose(twice.u, once.u, rtol=1e-9)
+class Disc(so.ConvexSet):
+    """As a user may write it: cvxpy replaces a variable with a sign, and drops one without ties."""
+
+    dim, offsets = 2, np.ones(1)
+
+    def support(self, z: np.ndarray) -> float:
+        return float(np.linalg.norm(z))
+
+    def project(self, w: np.ndarray) -> np.ndarray:
+        return w / max(1.0, float(np.linalg.norm(w)))
+
+    def features(self, p: Any) -> Any:
+        import cvxpy as cp
+
+        y = cp.Variable(1, nonneg=True)
+        return [y + 0 * cp.Variable(1)], [cp.norm(p) <= y]
+
+
+@pytest.mark.parametrize("solver", ["clarabel", "cvxpy"])
+def test_features_may_have_any_variables(solver: str) -> None:
+    M, q = np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([3.0, -1.0])
+    own, ball = (velocity(M, q, C, solver=solver) for C in (Disc(), so.Ball([0, 0], 1)))
+    assert Factor(M).norm(own.z - ball.z) <= own.certificate + ball.certificate
 
 
 def velocity(M: np.ndarray, q: np.ndarray, C: so.ConvexSet, **settings: Any) -> SimpleNamespace:
@@ -233,7 +247,7 @@ def test_what_daqp_cannot_treat_or_find_is_said(monkeypatch: pytest.MonkeyPatch)
     assert not so.DAQP().treats(so.Polytope([[0.0, 1], [1, 0], [0, 0]]))
     assert not so.DAQP(max_dim=2).treats(so.Box([-1, -1, -1], [1, 1, 1]))
     C = so.Box([-1.0], [1.0])
-    monkeypatch.setattr("sweepopt.velocity.solvers.daqp.has_daqp", lambda: False)
+    monkeypatch.setitem(sys.modules, "daqp", None)
     with pytest.raises(so.MissingExtraError, match="speed"):
         so.DAQP().compile(VelocityProgram(Factor(np.eye(1)), C))
 

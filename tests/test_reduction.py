@@ -11,22 +11,22 @@ import scipy.sparse as sp
 import sweepopt as so
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
-RHO = 1.7
-CONTACT = [3, 17, 30, 39]
+RHO, CONTACT = 1.7, [3, 17, 30, 39]
+SELECT = np.eye(40)[:, CONTACT]
+SETS: dict[str, so.ConvexSet] = {
+    "intervals": so.Box([-1, -0.5, -0.2, -1], [1, 0.5, 0.2, 0.4]),
+    "balls": so.Balls([0.7, 0.4], 2),
+    "half-lines": so.Orthant(4),
+}
+INTERVALS = so.image(SELECT, SETS["intervals"])
 
 
-def chain(dim: int = 40) -> sp.csc_array:
-    """Springs in a row between two walls, and one from each point to the ground."""
-    return springs_in_a_row(np.ones(dim + 1)) + 0.01 * sp.eye_array(dim, format="csc")
-
-
-def springs_in_a_row(k: np.ndarray) -> sp.csc_array:
-    """Springs of these stiffnesses between two walls."""
+def springs(k: np.ndarray) -> sp.csc_array:
+    """Springs of these stiffnesses in a row between two walls."""
     return sp.csc_array(sp.diags_array([k[:-1] + k[1:], -k[1:-1], -k[1:-1]], offsets=[0, -1, 1]))
 
 
-def select(unknowns: list[int], dim: int = 40) -> np.ndarray:
-    return np.eye(dim)[:, unknowns]
+CHAIN = springs(np.ones(41)) + 0.01 * sp.eye_array(40, format="csc")
 
 
 def load(terms: int = 2) -> so.Separable:
@@ -35,36 +35,23 @@ def load(terms: int = 2) -> so.Separable:
     return so.Separable(list(zip(histories, shapes, strict=False)))
 
 
-SETS: dict[str, so.ConvexSet] = {
-    "intervals": so.Box([-1, -0.5, -0.2, -1], [1, 0.5, 0.2, 0.4]),
-    "balls": so.Balls([0.7, 0.4], 2),
-    "half-lines": so.Orthant(4),
-}
+def pressed(center: Any, part: so.ConvexSet = SETS["intervals"]) -> so.Moving:
+    """Minus the set on the contact, moved by a load or by its terms."""
+    center = center if isinstance(center, so.Separable) else so.Separable(center)
+    return so.Moving(-so.image(SELECT, part), center)
 
 
 def process(**changes: Any) -> so.SweepingProcess:
     C = pressed(load(), changes.pop("part", SETS["intervals"]))
-    data = {"A": chain(), "B": RHO * chain(), "C": C, "u0": 0.1 * np.cos(np.arange(40))}
+    data = {"A": CHAIN, "B": RHO * CHAIN, "C": C, "u0": 0.1 * np.cos(np.arange(40))}
     return so.SweepingProcess(**(data | changes))
-
-
-def pressed(histories: Any, part: so.ConvexSet = SETS["intervals"]) -> so.Moving:
-    """Minus the set on the contact, moved by these histories and the shapes of their loads."""
-    center = histories if isinstance(histories, so.Separable) else so.Separable(histories)
-    return so.Moving(-so.image(select(CONTACT), part), center)
-
-
-def force_on_contact(values: Any = 1.0) -> np.ndarray:
-    f = np.zeros(40)
-    f[CONTACT] = values
-    return f
 
 
 def runs(this: so.SweepingProcess, **options: Any) -> tuple[so.Solution, so.Solution]:
     """By the proportional path, and with all unknowns in each step; to rounding."""
     few = so.solve(this, path="proportional", **{"tol": 1e-9, **options})
-    general = so.solve(this, path="eliminated", **{"tol": 1e-11, **options})
-    return few, general
+    assert few.stats["relative"].max() <= 1e-9
+    return few, so.solve(this, path="eliminated", **{"tol": 1e-11, **options})
 
 
 def difference(this: so.SweepingProcess, a: np.ndarray, b: np.ndarray) -> float:
@@ -73,13 +60,12 @@ def difference(this: so.SweepingProcess, a: np.ndarray, b: np.ndarray) -> float:
     return max(map(norm, a - b)) / max(map(norm, b))
 
 
-@pytest.mark.parametrize("rho", [1e-4, 1e-14, 1e-60])
+@pytest.mark.parametrize("rho", [1e-4, 1e-60])
 def test_a_body_that_hardly_remembers_loses_no_digits(rho: float) -> None:
     # a load of 1 beside rho: an equilibrium that is 1 / rho away must enter nothing
-    this = process(B=rho * chain(), C=pressed(load(3)))
-    few = so.solve(this, t_end=3.0, steps=30, path="proportional", tol=1e-9)
-    every = so.solve(this, t_end=3.0, steps=30, path="full", tol=1e-11)
-    assert difference(this, few.u, every.u) <= 1e-11
+    this = process(B=rho * CHAIN, C=pressed(load(3)))
+    few, general = runs(this, t_end=3.0, steps=30)
+    assert difference(this, few.u, general.u) <= 1e-11
     exact = so.solve(this, t_end=3.0, steps=1, scheme="exact").exact
     assert exact is not None
     assert few.error_bound() >= max(map(this.metric.norm, few.u - exact(few.t)))
@@ -91,23 +77,20 @@ def test_the_contact_alone_gives_the_trajectory_of_all_unknowns(part: str, schem
     this = process(part=SETS[part])
     grid = 4 * np.linspace(0, 1, 60) ** 2
     few, general = runs(this, steps=grid, scheme=scheme, on_unstable="ignore")
-    assert few.plan.path == "proportional"
-    assert few.plan.entering == 4
+    assert (few.plan.path, few.plan.entering) == ("proportional", 4)
     assert difference(this, few.u, general.u) <= 1e-10
     assert difference(this, few.velocity, general.velocity) <= 1e-9
-    assert few.stats["relative"].max() <= 1e-9
 
 
 @pytest.mark.parametrize(
     "changes",
     [
         {"B": None, "u0": np.zeros(40)},
-        {"A": chain().toarray(), "B": RHO * chain().toarray()},
-        {"C": so.Moving(-so.image(select(CONTACT), SETS["intervals"]), load(3),
-                        scale=lambda t: 1 + 0.5 * np.sin(t))},
-        {"C": so.Moving(so.image(select(CONTACT), SETS["intervals"]) + np.ones(40), load(1))},
-        {"C": so.image(select(CONTACT), SETS["intervals"]) + np.sin(np.arange(40))},
-        {"C": -so.image(select(CONTACT), SETS["balls"])},
+        {"A": CHAIN.toarray(), "B": RHO * CHAIN.toarray()},
+        {"C": so.Moving(-INTERVALS, load(3), scale=lambda t: 1 + 0.5 * np.sin(t))},
+        {"C": so.Moving(INTERVALS + np.ones(40), load(1))},
+        {"C": INTERVALS + np.sin(np.arange(40))},
+        {"C": -so.image(SELECT, SETS["balls"])},
     ],
     ids=["without elasticity", "dense", "scaled", "a part of the load stands still", "no motion",
          "no load"],
@@ -119,16 +102,21 @@ def test_every_kind_of_proportional_process_is_found_and_agrees(changes: dict[st
     assert difference(this, few.u, general.u) <= 1e-10
 
 
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [
-        ({"B": RHO * chain() + sp.diags_array(np.linspace(0, 1e-9, 40))}, "not a multiple"),
-        ({"C": so.Moving(so.image(select(CONTACT), SETS["intervals"]), lambda t: np.full(40, t))},
-         "not a Separable"),
-        ({"A": 0 * chain(), "u0": np.zeros(40)}, "A is zero"),
-        ({"C": so.Moving(so.Box(-np.ones(40), np.ones(40)), load())}, "few unknowns"),
-    ],
-)  # fmt: skip
+WEAK = springs(np.r_[1e-9, np.ones(39), 1e-9])  # it hardly hangs on the walls
+REFUSED: list[tuple[dict[str, Any], str]] = [
+    ({"B": RHO * CHAIN + sp.diags_array(np.linspace(0, 1e-9, 40))}, "not a multiple"),
+    ({"C": so.Moving(INTERVALS, lambda t: np.full(40, t))}, "not a Separable"),
+    (
+        {"C": so.Moving(INTERVALS + np.ones(40), load(), scale=lambda t: 1 + t)},
+        "is scaled is not centred",
+    ),
+    ({"A": 0 * CHAIN, "u0": np.zeros(40)}, "A is zero"),
+    ({"C": so.Moving(so.Box(-np.ones(40), np.ones(40)), load())}, "few unknowns"),
+    ({"A": WEAK, "B": RHO * WEAK, "u0": np.zeros(40)}, "too badly conditioned"),
+]
+
+
+@pytest.mark.parametrize(("changes", "reason"), REFUSED, ids=[reason for _, reason in REFUSED])
 def test_what_is_not_proportional_takes_another_path_and_says_why_it_cannot_be_forced(
     changes: dict[str, Any], reason: str
 ) -> None:
@@ -139,18 +127,15 @@ def test_what_is_not_proportional_takes_another_path_and_says_why_it_cannot_be_f
 
 
 def test_a_path_can_be_chosen_and_prints_itself() -> None:
-    this = process(u0=np.zeros(40))
     for path in ("proportional", "eliminated", "full"):
-        plan = so.solve(this, t_end=1.0, steps=4, path=path).plan
-        assert plan.path == path
+        plan = so.solve(process(), t_end=1.0, steps=4, path=path).plan
         assert f"path                {path}: " in str(plan)
     with pytest.raises(so.InputError, match="path must be one of auto, proportional"):
-        so.solve(this, t_end=1.0, steps=4, path="fastest")
+        so.solve(process(), t_end=1.0, steps=4, path="fastest")
 
 
 def test_callbacks_and_failures_see_all_unknowns() -> None:
-    this = process(u0=np.zeros(40))
-    seen: list[so.StepInfo] = []
+    this, seen = process(u0=np.zeros(40)), list[so.StepInfo]()
     sol = so.solve(this, t_end=4.0, steps=30, callback=seen.append)
     assert np.array_equal([info.u for info in seen], sol.u[1:])
     assert np.array_equal([info.velocity for info in seen], sol.velocity)
@@ -159,52 +144,37 @@ def test_callbacks_and_failures_see_all_unknowns() -> None:
     assert caught.value.u.shape == (40,)
 
 
-def test_a_body_that_is_not_inverted_well_enough_beforehand_keeps_all_its_unknowns() -> None:
-    springs = np.ones(41)
-    springs[[0, -1]] = 1e-9  # it hardly hangs on the walls
-    A = springs_in_a_row(springs)
-    this = process(A=A, B=RHO * A, u0=np.zeros(40))
-    assert so.solve(this, t_end=1.0, steps=4).plan.path == "eliminated"
-    with pytest.raises(so.InputError, match="too badly conditioned"):
-        so.solve(this, t_end=1.0, steps=4, path="proportional")
-
-
 @pytest.mark.parametrize("contrast", [1.0, 1e2, 1e3])
 def test_the_certificate_bounds_the_error_of_all_unknowns_of_each_step(contrast: float) -> None:
-    soft = np.where(np.arange(41) < 3, 1 / contrast, 1.0)
-    A = springs_in_a_row(soft)
+    A = springs(np.where(np.arange(41) < 3, 1 / contrast, 1.0))
     this = process(A=A, B=RHO * A, u0=np.zeros(40))
     options = {"scheme": "implicit-euler", "tol": 1e-9}
     sol = so.solve(this, t_end=4.0, steps=60, path="proportional", **options)
     M = A + 4.0 / 60 * RHO * A
-    worst = 0.0
     for i in range(0, 60, 3):
         # the same step with all unknowns in it
         step = so.SweepingProcess(A, RHO * A, this.C, sol.u[i])
         one = so.solve(step, steps=sol.t[i : i + 2], path="eliminated", **options)
-        error = sol.velocity[i] - one.velocity[0]
-        apart = np.sqrt(error @ (M @ error))
+        z, error = one.velocity[0], sol.velocity[i] - one.velocity[0]
         stated = sol.stats["certificate"][i] + one.stats["certificate"][0]
-        assert apart <= stated + 1e-14 * np.sqrt(one.velocity[0] @ (M @ one.velocity[0]))
-        worst = max(worst, apart)
-    assert 0 < worst <= 1e-9
+        apart, size = np.sqrt(error @ (M @ error)), np.sqrt(z @ (M @ z))
+        assert apart <= min(stated + 1e-14 * size, 1e-9)
 
 
 def test_short_steps_long_after_the_start_of_a_stiff_body_are_not_rounding() -> None:
     # the load's response is at rest but for 1e-11 of it, and then looked at closely
     grid = np.append(0.0, np.cumsum([400.0, 3000.0, 5e-6, 0.2, 1e-5, 6e-7]))
-    this = process(B=1e8 * chain(), C=pressed(load(), so.Orthant(4)))
+    this = process(B=1e8 * CHAIN, C=pressed(load(), so.Orthant(4)))
     sol = so.solve(this, steps=grid, scheme="implicit-euler", tol=1e-9)
     assert sol.plan.path == "eliminated"
     assert "short ones would be rounding" in str(sol.plan)
     assert sol.stats["relative"].max() <= 1e-9
     forced = so.solve(this, steps=grid, scheme="implicit-euler", path="proportional")
-    norm = this.metric.norm
-    ratios = 1 + 1e8 * np.diff(grid)  # |z|_M^2 = ratio |z|_A^2
-    apart = [norm(z) for z in forced.velocity - sol.velocity] * np.sqrt(ratios)
-    assert max(map(norm, forced.u - sol.u)) <= 1e-12 * max(map(norm, sol.u))
+    assert difference(this, forced.u, sol.u) <= 1e-12
+    norm, roots = this.metric.norm, np.sqrt(1 + 1e8 * np.diff(grid))  # |z|_M = root |z|_A
+    apart = [norm(z) for z in forced.velocity - sol.velocity] * roots
     assert (apart <= forced.stats["certificate"] + sol.stats["certificate"]).all()
-    assert apart[-1] > 1e-6 * norm(sol.velocity[-1]) * np.sqrt(ratios[-1])
+    assert apart[-1] > 1e-6 * norm(sol.velocity[-1]) * roots[-1]
     equal = so.solve(this, t_end=grid[-1], steps=1000, scheme="implicit-euler")
     assert equal.plan.path == "proportional"
 
@@ -216,39 +186,31 @@ def test_a_body_held_for_a_while_is_u0_to_the_last_bit_and_then_moves_as_it_shou
     u0 = 1e3 * np.cos(np.arange(40))
     table = so.Table([0.0, 1.0, 2.0, 4.0], [-0.1, 0.1, 3.0, -3.0])
     late = so.Table([0.0, 2.0, 3.0, 4.0], [0.0, 0.0, 1.0, 0.0])
-    terms = [
-        (so.Constant(1.0), RHO * chain() @ u0),
-        (
-            table,
-            force_on_contact(),
-        ),  # from t = 1: the contact slips, nothing else feels it but through it
-        (late, np.sin(np.arange(40))),
-    ]
-    few, general = runs(process(u0=u0, C=pressed(terms)), t_end=4.0, steps=80, scheme=scheme)
+    # from t = 1: the contact slips, nothing else feels it but through it
+    terms = [(so.Constant(1.0), RHO * CHAIN @ u0), (table, SELECT.sum(axis=1))]
+    C = pressed([*terms, (late, np.sin(np.arange(40)))])
+    this = process(u0=u0, C=C)
+    few, general = runs(this, t_end=4.0, steps=80, scheme=scheme)
     held = few.t <= 1.0
     assert (few.u[held] == u0).all()
     assert (few.velocity[held[1:]] == 0.0).all()
-    norm = process().metric.norm
-    moved = max(map(norm, general.u - u0))
-    assert moved > 0.1
-    assert max(map(norm, few.u - general.u)) <= 1e-12 * max(map(norm, general.u))
-    assert few.stats["relative"].max() <= 1e-6
+    assert max(map(this.metric.norm, general.u - u0)) > 0.1
+    assert difference(this, few.u, general.u) <= 1e-12
 
 
 def test_a_body_that_sticks_under_no_load_is_certified() -> None:
-    C = pressed([(so.Table([0.0, 1.0, 2.0, 4.0], [0.0, 6.0, 0.0, 0.0]), force_on_contact())])
-    few, general = runs(process(u0=np.zeros(40), B=0.01 * chain(), C=C), t_end=4.0, steps=80)
+    press = so.Table([0.0, 1.0, 2.0, 4.0], [0.0, 6.0, 0.0, 0.0])
+    this = process(u0=np.zeros(40), B=0.01 * CHAIN, C=pressed([(press, SELECT.sum(axis=1))]))
+    few, general = runs(this, t_end=4.0, steps=80)
     assert (few.velocity[-5:] == 0.0).all()
     assert few.u[-1, CONTACT].any()
-    assert few.stats["relative"].max() <= 1e-9
-    assert np.abs(few.u - general.u).max() <= 1e-12 * np.abs(general.u).max()
+    assert difference(this, few.u, general.u) <= 1e-12
 
 
-@pytest.mark.parametrize("B", [None, RHO * chain()], ids=["without B", "with B"])
+@pytest.mark.parametrize("B", [None, RHO * CHAIN], ids=["without B", "with B"])
 def test_a_contact_at_its_threshold_stays_where_it_is(B: Any) -> None:
     g = np.array([0.1, 0.7, 1.3, 0.3])
-    f = force_on_contact([0.1, -0.7, 1.3, -0.3])
-    C = pressed([(so.Constant(1.0), f)], so.Box(-g, g))
+    C = pressed([(so.Constant(1.0), SELECT @ [0.1, -0.7, 1.3, -0.3])], so.Box(-g, g))
     sol = so.solve(process(B=B, C=C, u0=np.zeros(40)), t_end=10.0, steps=50)
     assert sol.plan.path == "proportional"
     assert not sol.u.any()

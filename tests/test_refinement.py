@@ -12,6 +12,8 @@ import scipy.sparse as sp
 import sweepopt as so
 from sweepopt.study.hard import Program
 from sweepopt.study.hard.bodies import chain, spectral
+from sweepopt.study.hard.families import combination, make
+from sweepopt.study.hard.judge import Judge
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 N = 12
@@ -135,3 +137,15 @@ def test_a_velocity_field_looks_closer_where_plain_numbers_round_too_much(C: Any
     moving = so.Moving(C, so.Separable([(so.Constant(1e12), [1.0])]))
     process = so.SweepingProcess([[1.0]], [[1.0]], moving, [0.0])
     np.testing.assert_allclose(so.velocity_field(process)(0.0, [1e12 + 3]), [-2.0], rtol=1e-12)
+
+
+def test_a_refined_answer_is_compared_to_the_forces_and_not_to_a_residual() -> None:
+    # bounds from 0 to inf at condition 1e7: OSQP's first answer is 1e9 times too large
+    random = np.random.default_rng([412, 43])
+    process = make(combination(random), random)
+    sol = so.solve(
+        process, t_end=1.0, steps=1, scheme="implicit-euler", solver="osqp", path="eliminated"
+    )
+    size = sol.stats["certificate"][0] / sol.stats["relative"][0]
+    exact = Judge(process, 1.0).exact(sol.u[0], 0.0)
+    assert size <= 1.001 * exact.size

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 import scipy.sparse as sp
 import xarray as xr
-from test_reduction import CONTACT, SETS, chain, process
+from test_reduction import CONTACT, SETS, process, springs
 
 import sweepopt as so
 
@@ -94,7 +94,8 @@ def large(dim: int) -> so.SweepingProcess:
     """A chain whose contact is four of its points."""
     D = so.image(sp.eye_array(dim, format="csc")[:, CONTACT], SETS["intervals"])
     load = so.Separable([(so.Sine(2.0, 3.0), np.sin(np.arange(dim)))])
-    return so.SweepingProcess(chain(dim), 1.7 * chain(dim), so.Moving(-D, load), np.zeros(dim))
+    A = springs(np.ones(dim + 1))
+    return so.SweepingProcess(A, 1.7 * A, so.Moving(-D, load), np.zeros(dim))
 
 
 def slider() -> so.SweepingProcess:

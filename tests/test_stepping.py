@@ -28,15 +28,17 @@ def one() -> so.SweepingProcess:
     return so.SweepingProcess([[1.0]], None, C, [0.0])
 
 
-def thin(gap: Callable[[float], float]) -> so.SweepingProcess:
-    """Two discs that meet in a lens of the width 2 gap(t)."""
+def thin(
+    gap: Callable[[float], float], speed: float = 3.0, height: float = 0.0
+) -> so.SweepingProcess:
+    """Two discs that meet in a lens of the width 2 gap(t); u starts at that height."""
 
     def lens(t: float) -> so.ConvexSet:
         d = 1 - gap(t)
-        return (so.Ball([-d, 0.0], 1.0) & so.Ball([d, 0.0], 1.0)) + np.array([3 * t, 1.0])
+        return (so.Ball([-d, 0.0], 1.0) & so.Ball([d, 0.0], 1.0)) + np.array([speed * t, 1.0])
 
     A = np.array([[2.0, 0.5], [0.5, 1.0]])
-    return so.SweepingProcess(A, np.eye(2), so.MovingSet(lens), [0.0, 0.0])
+    return so.SweepingProcess(A, np.eye(2), so.MovingSet(lens), [0.0, height])
 
 
 def parts(sol: so.Solution) -> list[int]:
@@ -78,6 +80,16 @@ def test_a_step_where_the_set_is_thin_is_taken_in_parts() -> None:
     halves = so.solve(process, t_end=1.0, steps=2, scheme="midpoint")
     assert sol.u[-1] == pytest.approx(halves.u[-1], abs=1e-12)
     assert sol.stats["relative"][0] == pytest.approx(halves.stats["relative"].max())
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+def test_a_step_in_parts_that_overshoots_is_warned_of() -> None:
+    process = thin(lambda t: 1e-12 + abs(t - 5.0) / 500, speed=0.0, height=-2.0)
+    with pytest.warns(so.StabilityWarning, match="may have overshot"):
+        sol = so.solve(process, t_end=10.0, steps=1, scheme="midpoint")
+    assert parts(sol) == [2]
+    right = so.solve(process, t_end=10.0, steps=99, scheme="implicit-euler")
+    assert np.abs(sol.u[-1] - right.u[-1]).max() > 0.2
 
 
 def test_a_step_that_no_parts_help_ends_the_run_and_says_where_and_why() -> None:

@@ -17,11 +17,12 @@ import numpy as np
 import scipy.sparse as sp
 import skfem
 from numpy.typing import NDArray
+from scipy.integrate import newton_cotes
 
 from sweepopt.errors import InputError
-from sweepopt.fem.fields import FRICTION, Datum, evaluate
+from sweepopt.fem.fields import Coefficient, Datum
 from sweepopt.fem.mesh import Indices
-from sweepopt.fem.spaces import Discretisation, refuse_overflow
+from sweepopt.fem.spaces import Discretisation
 from sweepopt.sets import Box, ConvexSet, image
 
 if TYPE_CHECKING:
@@ -30,12 +31,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-EDGE_RULE = {
-    "P1": (np.array([[0.0, 1.0]]), np.array([1 / 2, 1 / 2])),
-    "P2": (np.array([[0.0, 0.5, 1.0]]), np.array([1 / 6, 4 / 6, 1 / 6])),
-}
-"""Nodal quadrature on an edge: trapezoid for P1, Simpson for P2."""
-
+BOUND = Coefficient("g", 0.0, finite=False)
 STATES = {-1: "slips_backward", 0: "sticks", 1: "slips_forward"}
 
 
@@ -96,15 +92,14 @@ def contact_on(body: Discretisation, on: Sequence[str], g: Datum) -> Contact:
         If all of it is clamped.
     """
     facets, groups = body.edges("on", on)
-    rule = EDGE_RULE[body.element]
+    degree = body.basis.elem.maxdeg
+    rule = np.linspace([0.0], [1.0], degree + 1, axis=1), newton_cotes(degree)[0] / degree
     basis = skfem.FacetBasis(body.mesh, body.basis.elem, facets=facets, quadrature=rule)
-    weights, bounds = basis.dx, evaluate("g", g, basis.global_coordinates(), groups, FRICTION)
+    weights, bounds = basis.dx, BOUND.values(g, basis.global_coordinates(), groups)
     nodes = body.edge_nodes(facets).T
-    with np.errstate(over="ignore"):
-        forces = weights * bounds
-    refuse_overflow("g", forces[np.isfinite(bounds)])
     weight, threshold = (
-        np.bincount(nodes.ravel(), shares.ravel(), body.basis.N) for shares in (weights, forces)
+        np.bincount(nodes.ravel(), shares.ravel(), body.basis.N)
+        for shares in (weights, weights * bounds)
     )
 
     # walked with the body on the left, where the outward normal is on the right

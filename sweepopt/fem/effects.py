@@ -16,12 +16,15 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.errors import InputError, shown
-from sweepopt.fem.contact import Contact, contact_on
-from sweepopt.fem.fields import FRICTION, NON_NEGATIVE, POSITIVE, Datum, check_datum
+from sweepopt.fem.contact import BOUND, Contact, contact_on
+from sweepopt.fem.fields import Coefficient, Datum
 from sweepopt.fem.spaces import LOAD, STIFFNESS, Discretisation, assemble, boundary_names
 
 Array = NDArray[np.float64]
 Phi = Callable[[float], ArrayLike]
+
+ETA, KAPPA = Coefficient("eta", 0.0, strict=True), Coefficient("kappa", 0.0)
+F0, F2 = Coefficient("f0"), Coefficient("f2")
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,11 +78,11 @@ class Viscosity:
     eta: Datum
 
     def __post_init__(self) -> None:
-        check_datum("eta", self.eta, POSITIVE)
+        ETA.check(self.eta)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix A."""
-        return Contribution(A=assemble(body, STIFFNESS, "eta", self.eta, allowed=POSITIVE))
+        return Contribution(A=assemble(body, STIFFNESS, ETA, self.eta))
 
 
 @dataclass(frozen=True)
@@ -105,11 +108,11 @@ class Elasticity:
     kappa: Datum
 
     def __post_init__(self) -> None:
-        check_datum("kappa", self.kappa, NON_NEGATIVE)
+        KAPPA.check(self.kappa)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix B; none if kappa is zero everywhere."""
-        B = assemble(body, STIFFNESS, "kappa", self.kappa, allowed=NON_NEGATIVE)
+        B = assemble(body, STIFFNESS, KAPPA, self.kappa)
         return Contribution(B=B if B.count_nonzero() else None)
 
 
@@ -141,7 +144,7 @@ class Friction:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "on", boundary_names("on", self.on))
-        check_datum("g", self.g, FRICTION)
+        BOUND.check(self.g)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The contact; none if g is zero everywhere."""
@@ -177,11 +180,11 @@ class BodyForce:
 
     def __post_init__(self) -> None:
         check_history(self.history)
-        check_datum("f0", self.f0)
+        F0.check(self.f0)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
-        return Contribution(load=(self.history, assemble(body, LOAD, "f0", self.f0)))
+        return Contribution(load=(self.history, assemble(body, LOAD, F0, self.f0)))
 
 
 @dataclass(frozen=True)
@@ -216,11 +219,11 @@ class Traction:
     def __post_init__(self) -> None:
         object.__setattr__(self, "on", boundary_names("on", self.on))
         check_history(self.history)
-        check_datum("f2", self.f2)
+        F2.check(self.f2)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
-        return Contribution(load=(self.history, assemble(body, LOAD, "f2", self.f2, self.on)))
+        return Contribution(load=(self.history, assemble(body, LOAD, F2, self.f2, self.on)))
 
 
 def check_history(history: object) -> None:

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.checks import choice, floats
-from sweepopt.errors import InputError, shown
+from sweepopt.checks import choice, number
+from sweepopt.errors import InputError
 from sweepopt.fem.mesh import Indices
 from sweepopt.loads import check_points
 
@@ -75,100 +75,85 @@ Datum = float | Mapping[str, float] | Profile | Callable[[Array], ArrayLike]
 """What an effect takes for a coefficient. A function gets x of shape (2, ...) and returns (...)."""
 
 
-class Range(NamedTuple):
-    """Values that a coefficient may take: from `low` to `high`, in words `wanted`."""
+class Coefficient(NamedTuple):
+    """What errors call a coefficient, and which numbers it may be.
 
-    wanted: str
-    low: float
-    high: float
-
-    def check(self, name: str, values: ArrayLike) -> None:
-        """Refuse values outside of the range, and nan."""
-        array = floats(name, values, "a number")
-        bad = ~((array >= self.low) & (array <= self.high))
-        if np.any(bad):
-            raise InputError(f"{name} must be {self.wanted}, got {array[bad].flat[0]:g}")
-
-
-LARGEST = float(np.finfo(float).max)
-ANY = Range("finite", -LARGEST, LARGEST)
-NON_NEGATIVE = Range(">= 0 and finite", 0.0, LARGEST)
-POSITIVE = Range("> 0 and finite", float(np.nextafter(0.0, 1.0)), LARGEST)
-FRICTION = Range(">= 0", 0.0, np.inf)
-
-
-def check_datum(name: str, datum: Any, allowed: Range = ANY) -> None:
-    """Check the numbers of a coefficient; a function is checked where it is evaluated.
-
-    Raises
-    ------
-    InputError
-        Naming the coefficient, the group and the value.
-    """
-    if callable(datum):
-        return
-    numbers = {name: datum}
-    if isinstance(datum, Mapping):
-        numbers = {f"{name}.{key}": value for key, value in datum.items()}
-    for label, value in numbers.items():
-        # no words, True or lists of one, which numpy would turn into a number
-        if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.number)):
-            raise InputError(f"{label} must be a number, got {shown(value)}")
-        allowed.check(label, value)
-
-
-def evaluate(
-    name: str,
-    datum: Datum,
-    points: ArrayLike,
-    groups: Mapping[str, Indices],
-    allowed: Range = ANY,
-) -> Array:
-    """Values of a coefficient at points of cells.
-
-    Parameters
+    Attributes
     ----------
     name : str
-        What to call it in an error.
-    datum : number, mapping, Profile or callable
-    points : array_like, shape (2, cells, ...)
-    groups : mapping of str to indices of cells
-        What a mapping may name; every cell must be covered by exactly one named group.
-
-    Returns
-    -------
-    ndarray, shape (cells, ...)
+    minimum : float or None
+        None for any finite number.
+    strict : bool
+        Whether the minimum itself is refused.
+    finite : bool
+        Whether inf is refused.
     """
-    x = np.asarray(points)
-    values = np.empty(x.shape[1:])
-    if isinstance(datum, Mapping):
-        _fill_groups(name, values, datum, groups)
+
+    name: str
+    minimum: float | None = None
+    strict: bool = False
+    finite: bool = True
+
+    def check(self, datum: Any) -> None:
+        """Check the numbers of a datum; a function is checked where it is evaluated.
+
+        Raises
+        ------
+        InputError
+            Naming the coefficient, the group and the value.
+        """
+        limits = self[1:]
+        if isinstance(datum, Mapping):
+            for key, value in datum.items():
+                number(f"{self.name}.{key}", value, *limits)
+        elif not callable(datum):
+            number(self.name, datum, *limits)
+
+    def values(self, datum: Datum, points: ArrayLike, groups: Mapping[str, Indices]) -> Array:
+        """Values at points of cells.
+
+        Parameters
+        ----------
+        datum : number, mapping, Profile or callable
+        points : array_like, shape (2, cells, ...)
+        groups : mapping of str to indices of cells
+            What a mapping may name; every cell must be covered by exactly one named group.
+
+        Returns
+        -------
+        ndarray, shape (cells, ...)
+        """
+        x = np.asarray(points)
+        values = np.empty(x.shape[1:])
+        if isinstance(datum, Mapping):
+            self._fill(values, datum, groups)
+            return values
+        try:
+            values[:] = np.asarray(datum(x) if callable(datum) else datum, dtype=float)
+        except InputError as error:
+            raise InputError(f"{self.name}.{error}") from error
+        except (TypeError, ValueError, OverflowError) as error:
+            raise InputError(
+                f"{self.name} must turn points of shape (2, ...) into numbers of shape (...); "
+                f"{error}"
+            ) from error
+        for extreme in (values.min(), values.max()):
+            self.check(extreme)
         return values
-    try:
-        values[:] = np.asarray(datum(x) if callable(datum) else datum, dtype=float)
-    except InputError as error:
-        raise InputError(f"{name}.{error}") from error
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(
-            f"{name} must turn points of shape (2, ...) into numbers of shape (...); {error}"
-        ) from error
-    allowed.check(name, values)
-    return values
 
-
-def _fill_groups(
-    name: str, values: Array, datum: Mapping[str, float], groups: Mapping[str, Indices]
-) -> None:
-    times = np.zeros(len(values), dtype=int)
-    for key, value in datum.items():
-        if key not in groups:
-            known = ", ".join(sorted(groups)) or "none"
-            raise InputError(f"{name}.{key} is not a group here; there are: {known}")
-        values[groups[key]] = value
-        times[groups[key]] += 1
-    if np.any(times != 1):
-        wrong = [key for key in sorted(groups) if np.any(times[groups[key]] != 1)]
-        raise InputError(
-            f"{name} must give one value to each cell, but gives none or several in "
-            f"{', '.join(wrong) or 'triangles of no group'}; cover every group once"
-        )
+    def _fill(
+        self, values: Array, datum: Mapping[str, float], groups: Mapping[str, Indices]
+    ) -> None:
+        times = np.zeros(len(values), dtype=int)
+        for key, value in datum.items():
+            if key not in groups:
+                known = ", ".join(sorted(groups)) or "none"
+                raise InputError(f"{self.name}.{key} is not a group here; there are: {known}")
+            values[groups[key]] = value
+            times[groups[key]] += 1
+        if np.any(times != 1):
+            wrong = [key for key in sorted(groups) if np.any(times[groups[key]] != 1)]
+            raise InputError(
+                f"{self.name} must give one value to each cell, but gives none or several in "
+                f"{', '.join(wrong) or 'triangles of no group'}; cover every group once"
+            )

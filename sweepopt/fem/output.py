@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from sweepopt.results import Energy, Solution
 
 SUMMARY = "summary.json"
-RESULTS = ("solution.nc", "displacement.png", "contact.png", "vtu/*.series", "vtu/step_*.vtu")
-"""Files of a run, which the next one in the same folder replaces or removes."""
+RESULTS = ("*.nc", "*.png", "vtu/*.series", "vtu/*.vtu")
+"""Files of a run; those that the summary lists are removed by the next run in the same folder."""
 MOST_VTU = 50
 """VTU files of a run: enough for a film, few enough for a large mesh."""
 SI = {
@@ -156,37 +156,21 @@ def _largest(report: Report) -> dict[str, Any]:
 
 
 def write_summary(report: Report, folder: Path, files: Sequence[str]) -> None:
-    """Write `summary_of` a run, and remove files of an earlier run that this one has not written.
+    """Write `summary_of` a run, and remove files of the run before that this one has not written.
 
-    A picture or a VTU file of an earlier run would otherwise pass for one of this run.
+    A picture or a VTU file of that run would otherwise pass for one of this run. Only files that
+    the summary of that run lists are removed; what else is in the folder is somebody's own.
     """
+    try:
+        listed = json.loads((folder / SUMMARY).read_bytes())["files"]
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):  # none, or none of ours
+        listed = []
+    earlier = {file for file in listed if isinstance(file, str)} if type(listed) is list else set()
     _write_json(folder / SUMMARY, summary_of(report, files))
-    for pattern in RESULTS:
-        for path in folder.glob(pattern):
-            if path.relative_to(folder).as_posix() not in files:
-                path.unlink()
+    for path in [path for pattern in RESULTS for path in folder.glob(pattern)]:
+        if path.is_file() and path.relative_to(folder).as_posix() in earlier.difference(files):
+            path.unlink()
 
-
-VARIABLES = {
-    "displacement": ("time node", "length", "displacement out of the plane"),
-    "velocity": ("step node", "velocity", "velocity out of the plane in each step"),
-    "mesh": ("", "", "mesh of triangles; a quadratic element counts as four"),
-    "triangles": ("triangle corner", "", "nodes of each triangle"),
-    "x": ("node", "length", "x coordinate of the node"),
-    "y": ("node", "length", "y coordinate of the node"),
-    "energy_stored": ("time", "energy", "change of the elastic energy 1/2 <B u, u>, per length"),
-    "energy_viscous": ("time", "energy", "energy dissipated by viscosity, per length"),
-    "energy_friction": ("time", "energy", "energy dissipated by friction, per length"),
-    "energy_work": ("time", "energy", "work of the loads, per length"),
-    "contact_node": ("contact", "", "node of the contact"),
-    "boundary": ("contact", "", "boundary of the contact node"),
-    "arc_length": ("contact", "length", "arc length along the boundaries of the contact"),
-    "contact_weight": ("contact", "length", "length of boundary of the contact node"),
-    "friction_bound": ("contact", "force", "friction force at which it slips, w g, per length"),
-    "traction": ("step contact", "traction", "friction traction on the body, against the slip"),
-    "slip_state": ("step contact", "", "direction of slip; 0 where the velocity is exactly 0.0"),
-}
-"""Dimensions, quantity (of `SI`) and description of what `dataset_of` adds to a solution's own."""
 
 FIELD = {"mesh": "mesh", "location": "node"}
 ATTRIBUTES: dict[str, dict[str, Any]] = {
@@ -213,33 +197,42 @@ def dataset_of(report: Report) -> xr.Dataset:
 
     Dimensions are time, step, node (clamped ones too), triangle, corner and contact.
     """
-    scene, solution, slip = report.scene, report.solution, report.slip
+    scene, solution, slip, energy = report.scene, report.solution, report.slip, report.energy
     body, units = scene.discretisation, report.units
-    values = {
-        "displacement": body.expand(solution.u),
-        "velocity": body.expand(solution.velocity),
-        "mesh": np.int32(0),
-        "triangles": body.triangles.astype(np.int32),
-        "x": body.points[:, 0],
-        "y": body.points[:, 1],
-        **{f"energy_{name}": values for name, values in report.energy._asdict().items()},
+    # dimensions, quantity, values and description of what is added to the solution's own
+    u, velocity = body.expand(solution.u), body.expand(solution.velocity)
+    rows: dict[str, tuple[str, str, Any, str]] = {
+        "displacement": ("time node", "length", u, "displacement out of the plane"),
+        "velocity": ("step node", "velocity", velocity, "velocity out of the plane in each step"),
+        "mesh": ("", "", np.int32(0), "mesh of triangles; a quadratic element counts as four"),
+        "triangles": ("triangle corner", "", np.int32(body.triangles), "nodes of each triangle"),
+        "x": ("node", "length", body.points[:, 0], "x coordinate of the node"),
+        "y": ("node", "length", body.points[:, 1], "y coordinate of the node"),
+        "energy_stored": ("time", "energy", energy.stored, "change of elastic energy, per length"),
+        "energy_viscous": ("time", "energy", energy.viscous, "lost to viscosity, per length"),
+        "energy_friction": ("time", "energy", energy.friction, "lost to friction, per length"),
+        "energy_work": ("time", "energy", energy.work, "work of the loads, per length"),
     }
     if slip is not None:
-        contact = slip.contact
-        values |= {
-            "contact_node": body.free[contact.unknown],
-            "boundary": contact.boundary.astype(object),
-            "arc_length": contact.arc,
-            "contact_weight": contact.weight,
-            "friction_bound": contact.threshold,
-            "traction": slip.traction,
-            "slip_state": slip.state,
+        contact, names = slip.contact, slip.contact.boundary.astype(object)
+        rows |= {
+            "contact_node": ("contact", "", body.free[contact.unknown], "node of the contact"),
+            "boundary": ("contact", "", names, "boundary of the contact node"),
+            "arc_length": ("contact", "length", contact.arc, "arc length along the boundaries"),
+            "contact_weight": ("contact", "length", contact.weight, "length of its boundary"),
+            "friction_bound": (
+                "contact",
+                "force",
+                contact.threshold,
+                "force at which it slips, w g",
+            ),
+            "traction": ("step contact", "traction", slip.traction, "friction, against the slip"),
+            "slip_state": ("step contact", "", slip.state, "direction of slip, 0 where it sticks"),
         }
     run = solution.to_xarray().drop_dims("unknown")
-    for name, array in values.items():
-        dims, quantity, words = VARIABLES[name]
+    for name, (dims, quantity, values, words) in rows.items():
         attributes = {"long_name": words, "units": units.get(quantity, "1")}
-        run[name] = dims.split(), array, attributes | ATTRIBUTES.get(name, {})
+        run[name] = dims.split(), values, attributes | ATTRIBUTES.get(name, {})
     for name in ("time", "certificate", "viability"):
         run[name].attrs["units"] = units[name]
     run.step_end.attrs["units"] = units["time"]
@@ -257,9 +250,9 @@ def write_netcdf(report: Report, path: Path) -> None:
     netcdf_package()  # says so now if it is missing
     run = dataset_of(report)
     packed = {"zlib": True, "complevel": 1, "shuffle": True}
-    large = [name for name, x in run.variables.items() if x.size > 1000 and x.dtype.kind in "if"]
+    arrays = [name for name, x in run.variables.items() if x.ndim and x.dtype.kind in "if"]
     with io.replacing(path) as part:
-        run.to_netcdf(part, engine="h5netcdf", encoding=dict.fromkeys(large, packed))
+        run.to_netcdf(part, engine="h5netcdf", encoding=dict.fromkeys(arrays, packed))
 
 
 def write_vtu(report: Report, folder: Path) -> list[Path]:

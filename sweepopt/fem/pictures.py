@@ -8,12 +8,10 @@ import numpy as np
 
 from sweepopt.fem.contact import STATES, Slip
 from sweepopt.fem.output import Report
-from sweepopt.plot import LINE_COLOURS, LINE_STYLES, STICK, draw_stick, new_figure
+from sweepopt.plot import LOOKS, STICK, STYLES, draw_histories, new_figure, spread
 from sweepopt.results import Solution
 
 STATE_COLOURS = {-1: "#0072B2", 0: STICK, 1: "#D55E00"}
-MOST_POINTS = 4
-"""Contact points whose histories can still be told apart."""
 
 
 def displacement_figure(report: Report) -> Any:
@@ -45,8 +43,7 @@ def displacement_figure(report: Report) -> Any:
             panel.scatter(*slip.contact.points.T, s=16, c=states)
             title += f", {100 * slip.share[step]:.0f} % slips"
         panel.set_title(title, fontsize="medium")
-        panel.set_aspect("equal")
-        panel.set(xlabel="x", ylabel="y")
+        panel.set(aspect="equal", xlabel="x", ylabel="y")
         panel.label_outer()
     bar = figure.colorbar(image, ax=panels, label="displacement", shrink=0.8)
     _show_units(report, "length", panels[0, 0].xaxis, panels[0, 0].yaxis, bar.ax.yaxis)
@@ -74,23 +71,21 @@ def contact_figure(report: Report) -> Any:
     zone, moved, traction = figure.subplots(3, 1, sharex=True, height_ratios=[1.3, 1.0, 1.0])
     _draw_zone(zone, slip)
     # points that slip from little to far
-    order = np.argsort(slip.total, kind="stable")
-    nodes = np.unique(order[np.linspace(0, len(order) - 1, MOST_POINTS).round().astype(int)])
-    for node, colour, style in zip(nodes, LINE_COLOURS, LINE_STYLES, strict=False):
-        look: dict[str, Any] = {"color": colour, "linestyle": style}
+    nodes = spread(slip.total, len(STYLES))
+    for node, look in zip(nodes, LOOKS, strict=False):
         zone.axhline(contact.arc[node], lw=2.6, color="white")
         zone.axhline(contact.arc[node], lw=1.4, **look)
-        u, place = slip.displacement[:, node], f"{contact.arc[node]:.3g}{report.suffix('length')}"
-        moved.plot(slip.t, u, lw=1.5, label=f"{contact.boundary[node]}, {place}", **look)
-        draw_stick(moved, slip.state[:, node] == 0, slip.t, u, colour)
         traction.plot(slip.stage_t, slip.traction[:, node] / contact.bound[node], lw=1.5, **look)
-    moved.plot([], [], color=STICK, lw=6.0, alpha=0.25, label="sticks")
+    places = [
+        f"{contact.boundary[node]}, {contact.arc[node]:.3g}{report.suffix('length')}"
+        for node in nodes
+    ]
+    draw_histories(moved, slip.t, slip.displacement[:, nodes], slip.state[:, nodes] == 0, places)
     moved.set_ylabel("displacement")
     moved.legend(fontsize="small", ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    traction.set(ylabel="friction traction / bound", ylim=(-1.15, 1.15))
-    traction.set(xlabel="time", xlim=(slip.t[0], slip.t[-1]))
-    for panel in (moved, traction):
-        panel.grid(alpha=0.3)
+    traction.set(xlabel="time", ylabel="friction traction / bound")
+    traction.set(xlim=(slip.t[0], slip.t[-1]), ylim=(-1.15, 1.15))
+    traction.grid(alpha=0.3)
     _show_units(report, "length", zone.yaxis, moved.yaxis)
     _show_units(report, "time", traction.xaxis)
     _state_legend(figure)

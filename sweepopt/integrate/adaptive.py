@@ -1,7 +1,7 @@
 """Adaptive steps: passes over the whole run, each on a better grid, until the error is small.
 
-The flow forgets and forgives (MATH.md section 3): what a step's error does to u later, nobody knows
-at the step. So the grid is chosen for the run as a whole. A pass moves u along a grid of times; the
+The flow damps errors and stops them (MATH.md section 3): at a step the effect of its local error on
+later u is not known. So the grid is chosen for the run as a whole. A pass moves u along a grid; the
 differences of its velocities say where the steps must be short and, carried along the flow, how
 large its error is (`ErrorEstimator`). The next grid is the coarsest one whose local errors add up
 to a share of those of the last one. To the loop over time an adaptive grid is a grid as any other.
@@ -36,14 +36,12 @@ from sweepopt.problem import SweepingProcess, motion
 STEPS = 1_000_000  # of the finest pass: hours
 FIRST = 16  # steps of the first pass
 FIRST_UNKNOWN = 40  # the same where the load is a function: nothing but its values is known
-PER_PERIOD = 5  # steps in each period of the data, at least
-PER_PIECE = 3  # steps between breakpoints, at least: for a second difference
+PER_PIECE = 3  # steps between breakpoints and in half a period, at least: for second differences
 AIM = 0.75  # estimate that the next pass should have, in units of tol: it scatters by a third
 FARTHEST = 6.0  # times the steps of a pass to which its differences say where they are needed
-GROWTH = 1.1  # times the steps of a pass that the next one has
 HIDDEN = 1 / 12  # of jump times step: mean error of a switch anywhere in the half step beside it
 GOLDEN = 0.5 * (math.sqrt(5) - 1)  # its multiples modulo 1 fall into step with no period
-PROGRAM_SHARE = 0.05  # of tol that inexact programs may take
+PROGRAM_SHARE = 0.05  # of tol that residuals of programs, which no estimate sees, may take
 EXACT = 1e-9  # no certificate below it is asked for: programs reach it on every scene
 ADVICE = (
     "does the load jump there? Give it as data (a Table has no jumps, and its breakpoints are "
@@ -128,8 +126,8 @@ class Segments:
             stable = 1 / process.Lam
         limits = {
             "make first longer": first,
-            f"the data have a period of {period:.3g} and need {PER_PERIOD} steps in each: take a "
-            "shorter t_end or leave out the term of that period": period / PER_PERIOD,
+            f"the data have a period of {period:.3g} and need {2 * PER_PIECE} steps in each: take "
+            "a shorter t_end or leave out the term of that period": period / (2 * PER_PIECE),
             f"{scheme.name} is stable up to about 1 / Lam = {stable:.3g}: take an implicit scheme "
             "or a shorter t_end": stable,
         }
@@ -155,7 +153,7 @@ class Segments:
         inner = [np.linspace(a, b, k, endpoint=False) for a, b, k in pieces]
         return np.append(np.concatenate(inner), self.cuts[-1])
 
-    def refined(self, estimator: ErrorEstimator, total: float, least: float) -> np.ndarray:
+    def refined(self, estimator: ErrorEstimator, total: float, least: int) -> np.ndarray:
         """A grid of at least so many steps whose local errors are `total` in sum.
 
         The first grid, its steps halved until no local error is above the largest allowed one.
@@ -174,12 +172,12 @@ class Segments:
 
 
 class Probe(NamedTuple):
-    """A time at which no step has evaluated C, u and the unknowns that rest there."""
+    """A time in a step at which no stage has evaluated C, u there and the step's velocity."""
 
     step: int
     t: float
     u: np.ndarray
-    rest: np.ndarray
+    z: np.ndarray
 
 
 class _AdaptiveDriver:
@@ -201,8 +199,8 @@ class _AdaptiveDriver:
     def run_pass(self, times: np.ndarray, resting: bool) -> ErrorEstimator:
         """One pass, the same as a run with steps=times to the last bit.
 
-        Where unknowns rest their velocity is asked for at times at which no step has evaluated C:
-        at the ends of segments, and if all of them rested in the pass before within each step.
+        The velocity is asked for at times at which no step has evaluated C too: at the ends of
+        segments, and if all unknowns rested in the pass before within each step.
         """
         began, process, plan = clock.perf_counter(), self._process, self._plan
         _, mus = time_grid(None, times)
@@ -217,7 +215,7 @@ class _AdaptiveDriver:
             estimator.add_step(i, z)
             for share in estimator.ends.get(i, []) + [i * GOLDEN % 1.0] * resting:
                 since, left = share * mus[i], (1 - share) * mus[i]
-                probes.append(Probe(i, times[i] + since, u - left * z, z == 0))
+                probes.append(Probe(i, times[i] + since, u - left * z, z))
 
         def add_pass(error: float) -> None:
             this = Pass(run.done, error, clock.perf_counter() - began)
@@ -237,11 +235,11 @@ class _AdaptiveDriver:
     ) -> None:
         """Errors of switches that no step shows, from the velocities at the probes."""
         hidden = 0.0
-        for i, t, u, rest in probes:
-            if not rest.any():
-                continue
+        for i, t, u, z in probes:
             mu = float(mus[i])
-            jump = HIDDEN * self._process.metric.norm(np.where(rest, self._velocity(t, u, mu), 0.0))
+            # a velocity that falls to 0 within the step without a switch is twice its mean
+            excess = np.maximum(np.abs(self._velocity(t, u, mu)) - 2 * np.abs(z), 0.0)
+            jump = HIDDEN * self._process.metric.norm(excess)
             estimator.leading[i] = max(estimator.leading[i], jump / mu**estimator.order)
             hidden = max(hidden, mu * jump)
         estimator.error += hidden
@@ -304,16 +302,14 @@ def adapt(
 
 
 def _refine(steps: Adaptive, segments: Segments, driver: _AdaptiveDriver) -> Run:
-    """The passes; the first one has no other to be better than, so that there are two at least.
+    """The passes, two at least: the first estimate has none to be compared with.
 
-    Their errors are about in proportion to the sums of their local errors, but for the places that
-    switches happen to have in steps: the next grid is chosen by the geometric mean of two ratios.
+    Their errors are about in proportion to the sums of their local errors.
     """
     cuts, tol = segments.cuts, steps.tol
     minimum = 2.0**-40 * cuts[-1] if steps.minimum is None else steps.minimum
     shortest = min(minimum, float(np.diff(cuts).min()))  # breakpoints are met anyway
-    times, ratios = segments.equal(), []
-    resting = True
+    times, resting = segments.equal(), True
     while True:
         n = len(times) - 1
         estimator = driver.run_pass(times, resting)
@@ -325,10 +321,9 @@ def _refine(steps: Adaptive, segments: Segments, driver: _AdaptiveDriver) -> Run
         if len(passes) == 1 and not resting:
             # residuals of programs add up along the trajectory
             driver.certify(PROGRAM_SHARE * tol / estimator.length)
-        total = float(estimator.local_errors(times).sum())
-        ratios.append(error / total)
-        ratio = math.sqrt(ratios[-1] * ratios[-2]) if len(ratios) > 2 else ratios[-1]
-        goal = min(AIM * tol / ratio if error else math.inf, total)
+        goal = float(estimator.local_errors(times).sum())
+        if error > AIM * tol:
+            goal *= AIM * tol / error
         wanted = estimator.steps(goal)
         cause = _failure(tol, EPS * estimator.length, passes, wanted, run.overshot is not None)
         if cause:
@@ -336,7 +331,7 @@ def _refine(steps: Adaptive, segments: Segments, driver: _AdaptiveDriver) -> Run
             return run
         if wanted > FARTHEST * n:  # one pass between
             goal *= (wanted / n) ** (estimator.order / 2)
-        times = segments.refined(estimator, goal, GROWTH * n)
+        times = segments.refined(estimator, goal, n + 1)
         h = np.diff(times)
         if h.min() < shortest:
             cause = f"a step shorter than minimum = {shortest:g} is needed; {ADVICE}"
@@ -367,14 +362,9 @@ def _failure(
         return f"tol = {tol:g} is less than the rounding of u, {rounding:.2g}; loosen it"
     n, error, _ = passes[-1]
     back = 2 if overshot else 6  # errors rise now and then, but not over so many passes
-    rises = error > passes[-1 - back :][0].error
-    if rises and overshot and (len(passes) > back or wanted > STEPS):
-        return (
-            f"the estimated error, {error:.2g} with {n} steps, rises with shorter steps: they "
-            "overshoot; take implicit-euler, which never does"
-        )
-    if rises and len(passes) > back:
-        return f"the estimated error, {error:.2g}, does not fall any more with {n} steps; {ADVICE}"
+    if len(passes) > back and error > passes[-1 - back].error:
+        why = "they overshoot; take implicit-euler, which never does" if overshot else ADVICE
+        return f"the estimated error, {error:.2g} with {n} steps, rises with shorter steps: {why}"
     if wanted > STEPS:
         return (
             f"tol = {tol:g} would take about {wanted:.2g} steps, more than {STEPS:g}; the run has "

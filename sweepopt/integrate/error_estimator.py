@@ -5,9 +5,11 @@ A step h of a scheme of order r has the local error
     d = h^(r+1) (p u^(r+1) + q J u^(r)),        J the derivative of Phi by u,
 
 with p and q from the tableau: p is the mean of the Peano kernel of its quadrature, and as a switch
-of the velocity may be anywhere within a step, its standard deviation is that of d. Derivatives are
-difference quotients of the mean velocities z of the steps. Along z, J is about -<Bz, z> / <Az, z>,
-and 0 for unknowns that rest. The mean error e and its variance v are propagated,
+of the velocity may be anywhere within a step, its standard deviation is that of d. At A = 0 stops
+leave errors too, whose size follows from the tableau as well.
+Derivatives are difference quotients of the mean velocities z of the steps. Along z, J is about
+-<Bz, z> / <Az, z>, and 0 for unknowns that rest. The mean error e and its variance v are
+propagated,
 
     e_{i+1} = R e_i + d_i,    v_{i+1} = R^2 v_i + var(d_i),      R(h J) the stability function,
 
@@ -24,10 +26,6 @@ from sweepopt.integrate.schemes import Scheme
 from sweepopt.problem import SweepingProcess, squares
 
 BLOCK = 1 << 17  # numbers of the velocities that are processed together: a megabyte
-JUMPS = 2.5  # times the spread where A = 0: not slopes but velocities jump there; without it one of
-# five tuning runs missed its tolerance, by up to 4.8 times
-STAGES = 1.2  # an error counts for more where z is a mean of stages, not the velocity half way;
-# without it one of nine tuning runs of trapezoid missed its tolerance
 STIFF = 1e6  # h |J| that is as good as infinite: R has its limit to six digits
 
 
@@ -63,13 +61,19 @@ class ErrorEstimator:
         stiffly_accurate = scheme.a[-1] == scheme.b
         r = int(scheme.order) if stiffly_accurate or not jumps else 1
         if jumps and stiffly_accurate and process.C.at(0.0).polyhedral:
-            r = 2  # what moves is where it should be after each step, on faces that are flat
+            r = 2  # on flat faces unknowns that move are exact after each step
         self.order = r
-        s = (np.arange(1000)[:, None] + 0.5) / 1000
-        kernel = np.where(c > s, (c - s) ** (r - 1), 0.0) @ b - (1 - s[:, 0]) ** r / r
-        self._mean = float(kernel.mean())
-        self._safety = STAGES if len(b) > 1 else 1.0
-        self._spread = (JUMPS if jumps else 1.0) * float(kernel.std())
+        s = ((np.arange(1000) + 0.5) / 1000)[:, None]  # where in a step a switch is
+        kernel = _after(c - s, r) @ b - (1 - s[:, 0]) ** r / r
+        if jumps and r == 2:
+            rms = float(np.sqrt((_stops(scheme, s) ** 2).mean()))
+            self._mean, self._spread = 0.0, math.hypot(float(kernel.std()), rms)
+        else:
+            # what each difference of velocities sees of a switch
+            samples = _after(np.arange(-r, r + 1)[:, None, None] + c - s, r) @ b
+            shares = np.diff(samples, r, axis=0)
+            self._mean = float(kernel.mean())
+            self._spread = float(kernel.std() / np.sqrt((shares**2).sum(0).mean()))
         delays = [sum(a * x ** (r - 1) for a, x in zip(row, c, strict=False)) for row in scheme.a]
         self._q = 0.0 if jumps else float(b @ delays) - 1 / (r * (r + 1)) - self._mean
         # the first of the r + 1 steps whose velocities tell of each step's derivatives
@@ -116,7 +120,7 @@ class ErrorEstimator:
         for k, damping in enumerate(dampings):
             self._error = errors[k] = damping * self._error + errors[k]
             self._variance = variances[k] = damping**2 * self._variance + variances[k]
-        sizes = self._safety * (self.norms(errors) + self.norms(np.sqrt(variances)))
+        sizes = self.norms(errors) + self.norms(np.sqrt(variances))
         self.error = max(self.error, float(sizes.max()))
         self.length += float(h @ self.norms(z))
         p = math.hypot(self._mean, self._spread)
@@ -145,3 +149,18 @@ class ErrorEstimator:
         r = self.order
         density = float(self.leading ** (1 / (r + 1)) @ np.diff(self.times))
         return density * (density / total) ** (1 / r)
+
+
+def _after(t: np.ndarray, r: int) -> np.ndarray:
+    """t^(r - 1) after a switch at t = 0, and 0 before it."""
+    return np.where(t > 0, np.abs(t) ** (r - 1), 0.0)
+
+
+def _stops(scheme: Scheme, s: np.ndarray) -> np.ndarray:
+    """The error of a unit step in which the load turns back at s, where A = 0."""
+    start = -0.5 * s**2
+    velocities: list[np.ndarray] = []
+    for weights, c in zip(scheme.a, scheme.c, strict=True):
+        u = start + sum(a * z for a, z in zip(weights, velocities, strict=False))
+        velocities.append(np.maximum(-0.5 * (c - s) ** 2 - u, 0.0) / weights[-1])
+    return start + sum(b * z for b, z in zip(scheme.b, velocities, strict=True))

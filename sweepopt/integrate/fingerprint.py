@@ -27,9 +27,10 @@ def fingerprint(process: SweepingProcess, times: np.ndarray) -> dict[str, str]:
     some = times[np.unique(np.linspace(0, len(times) - 1, count).astype(int))]
     moving = motion(process.C)
     loads = [load for load in (moving.center, moving.scale, moving.offsets) if load is not None]
-    C = [moving.shape, *((load.terms, load.at(some)) for load in loads)]
     if moving.shape is None:
-        C += [process.C.at(t) for t in some.tolist()]
+        C: list[Any] = [process.C.at(t) for t in some.tolist()]
+    else:
+        C = [moving.shape, *((load.terms, load.at(some)) for load in loads)]
     parts = {"A": process.A, "B": process.B, "u0": process.u0, "C(t)": C}
     return {
         name: hashlib.sha256(b" ".join(_bytes(part))).hexdigest() for name, part in parts.items()

@@ -41,13 +41,18 @@ def longest_safe(process: SweepingProcess, plan: Plan, mus: np.ndarray) -> float
 def overshot(
     process: SweepingProcess, plan: Plan, times: Sequence[float], i: int, u: np.ndarray, step: Step
 ) -> bool:
-    """Whether step i of the grid from u may have overshot; of one in parts that is not known."""
-    if len(step.parts) > 1:
-        return False
+    """Whether step i of the grid from u, or one of its parts, may have overshot."""
+    before, parts = times[max(i - 2, 0) : i], step.parts
+    inside = np.linspace(times[i], times[i + 1], len(parts) + 1).tolist()
+    nodes = [*before, *inside, *times[i + 2 : i + 3]]
     try:
-        return _went_too_far(process, plan, times, i, u, step.parts[0])
+        for k, stages in enumerate(parts, len(before)):
+            if _went_too_far(process, plan, nodes, k, u, stages):
+                return True
+            u = u + (nodes[k + 1] - nodes[k]) * combination(plan.scheme.b, stages)
     except Exception:  # C(t) may have no value between the times of the grid
-        return False
+        pass
+    return False
 
 
 def _went_too_far(

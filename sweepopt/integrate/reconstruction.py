@@ -29,45 +29,35 @@ class Reconstruction:
     """
 
     def __init__(self, grid: Grid) -> None:
-        self._reduction, self._dim, n = grid.plan.reduction, grid.plan.unknowns, len(grid.mus)
+        reduction, n = grid.plan.reduction, len(grid.mus)
         # alpha at all nodes, alpha' in all steps
         self._nodes, self._velocities = np.zeros((n + 1, 0)), np.zeros((n, 0))
         self.seconds, self._exact = 0.0, None
-        if self._reduction is None:
+        self._state: Reconstruct = lambda few, alpha: few
+        self._velocity: Reconstruct = self._state
+        if reduction is None:
             return
+        self._state = _by_rows(reduction.state, grid.plan.unknowns)
+        self._velocity = _by_rows(reduction.velocity, grid.plan.unknowns)
         begun, scheme = clock.perf_counter(), grid.plan.scheme
         if scheme.exact:
-            self._exact = _exact_coefficients(self._reduction, grid.times)
+            self._exact = _exact_coefficients(reduction, grid.times)
             self._nodes = self._exact(grid.times)
             self._velocities = np.diff(self._nodes, axis=0) / grid.mus[:, None]
         else:
-            every = _coefficients(self._reduction, scheme, grid.times, grid.mus)
+            every = _coefficients(reduction, scheme, grid.times, grid.mus)
             self._nodes, self._velocities = every
         self.seconds = (clock.perf_counter() - begun) / n
         gammas = grid.mus * scheme.a[-1][-1]
-        self._residual = self._reduction.residuals(self._nodes[:-1], self._velocities, gammas)
-
-    def _states(self, few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-        """One state, or some in rows."""
-        return few if self._reduction is None else self._rows(self._reduction.state, few, alpha)
-
-    def _velocities_of(self, few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-        """One velocity, or some in rows."""
-        return few if self._reduction is None else self._rows(self._reduction.velocity, few, alpha)
-
-    def _rows(self, one: Reconstruct, few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-        if few.ndim == 1:
-            return one(few, alpha)
-        rows = [one(*each) for each in zip(few, alpha, strict=True)]
-        return np.array(rows).reshape(len(few), self._dim)
+        self._residual = reduction.residuals(self._nodes[:-1], self._velocities, gammas)
 
     def state(self, node: int, u: np.ndarray) -> np.ndarray:
         """The state at a node of the grid."""
-        return self._states(u, self._nodes[node])
+        return self._state(u, self._nodes[node])
 
     def velocity(self, i: int, z: np.ndarray) -> np.ndarray:
         """The velocity of a step."""
-        return self._velocities_of(z, self._velocities[i])
+        return self._velocity(z, self._velocities[i])
 
     def full_certificate(self, i: int, zeta: np.ndarray, velocity: Velocity) -> Velocity:
         """The certificate of all unknowns from that of those that entered the step.
@@ -88,7 +78,7 @@ class Reconstruction:
             return few
 
         def all_unknowns(t: np.ndarray, values: np.ndarray, of_phase: Evaluate) -> np.ndarray:
-            return self._states(values, exact.evaluate(t, of_phase))
+            return self._state(values, exact.evaluate(t, of_phase))
 
         return replace(few, reconstruct=all_unknowns)
 
@@ -98,9 +88,21 @@ class Reconstruction:
         nodes = np.append(0, steps + 1)
         return States(
             steps,
-            lambda i: self._states(entering.u(i), self._nodes[nodes[i]]),
-            lambda i: self._velocities_of(entering.velocity(i), self._velocities[steps[i]]),
+            lambda i: self._state(entering.u(i), self._nodes[nodes[i]]),
+            lambda i: self._velocity(entering.velocity(i), self._velocities[steps[i]]),
         )
+
+
+def _by_rows(one: Reconstruct, dim: int) -> Reconstruct:
+    """The same for one state or velocity and for some in rows."""
+
+    def all_unknowns(few: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+        if few.ndim == 1:
+            return one(few, alpha)
+        rows = [one(*each) for each in zip(few, alpha, strict=True)]
+        return np.array(rows).reshape(len(few), dim)
+
+    return all_unknowns
 
 
 def _coefficients(

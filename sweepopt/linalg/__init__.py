@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from sweepopt.linalg.choice import factor_bytes
 from sweepopt.linalg.eigenvalues import exceeds_none, is_semidefinite, largest_ratio
-from sweepopt.linalg.factor import NEGLIGIBLE, Elimination, Factor
+from sweepopt.linalg.factor import NEGLIGIBLE, Elimination, Factor, factor_bytes
 from sweepopt.linalg.matrices import (
     EPS,
     SMALL,
@@ -12,8 +11,8 @@ from sweepopt.linalg.matrices import (
     dense,
     euclidean,
     largest_eigenvalue,
+    rounding_weights,
     row_lengths,
-    row_sum,
 )
 from sweepopt.linalg.twice_precision import Precise, exact_sum, product_error
 
@@ -34,6 +33,6 @@ __all__ = [
     "largest_eigenvalue",
     "largest_ratio",
     "product_error",
+    "rounding_weights",
     "row_lengths",
-    "row_sum",
 ]

@@ -29,7 +29,7 @@ import scipy.sparse.linalg as spla
 from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
 from sweepopt.checks import Matrix
-from sweepopt.linalg.matrices import euclidean
+from sweepopt.linalg.matrices import Reduced, euclidean
 
 SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 LIMIT = 200_000  # unknowns that CHOLMOD is faster for
@@ -71,14 +71,10 @@ class Cholesky:
         """The Schur complement."""
         return self.tail @ self.tail.T
 
-    def reduce(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Forward substitution of r, and the force N E M^-1 r."""
+    def reduce(self, r: np.ndarray) -> Reduced:
+        """Forward substitution of r, whose length is |r|_{M^-1}, and the force N E M^-1 r."""
         forward = self.forward(r)
-        return forward, self.tail @ forward[-len(self.tail) :]
-
-    def size(self, forward: np.ndarray) -> float:
-        """|r|_{M^-1} from the forward substitution of r."""
-        return euclidean(forward)
+        return Reduced(forward, self.tail @ forward[-len(self.tail) :], euclidean(forward))
 
     def recover(self, forward: np.ndarray, zeta: np.ndarray) -> np.ndarray:
         """z from the forward substitution of r and E z = zeta."""
@@ -139,22 +135,20 @@ def cholmod(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
         cholmod.solve(factor, x, sys=which)
         return np.asarray(x).reshape(w.shape)
 
+    tail = np.zeros((0, 0))
+    if m:  # of a factor of its own: getfactor empties it
+        tail = np.array(matrix(cholmod.getfactor(factorised())[-m:, -m:]))
+        np.fill_diagonal(tail, 1.0)  # where D was
     factor = factorised()
     D, place = 1 / system(DIAGONAL, np.ones(len(order))), np.argsort(order)
     root = np.sqrt(np.abs(D))
-    tail = np.zeros((0, 0))
-    if m:
-        tail = np.array(matrix(cholmod.getfactor(factor)[-m:, -m:]))
-        np.fill_diagonal(tail, 1.0)  # where D was
-        tail *= root[-m:]
-        factor = factorised()  # getfactor has emptied it
     return Cholesky(
         D[place],
         lambda w: system(WHOLE, w),
         order,
         lambda w: system(LOWER, w[order]) / root,
         lambda y: system(UPPER, y / root)[place],
-        tail,
+        tail * root[len(order) - m :],
     )
 
 

@@ -15,7 +15,7 @@ import scipy.sparse.linalg as spla
 
 from sweepopt.checks import Matrix
 from sweepopt.errors import IndefiniteError, SolverRefusedError, brought_by
-from sweepopt.linalg.matrices import euclidean, lanczos_start
+from sweepopt.linalg.matrices import Reduced, euclidean, lanczos_start
 
 RESIDUAL = 1e-13  # of a solve, relative: a few digits above rounding
 MAX_STEPS = 1000  # of one solve: a cycle that fits needs 17 to 28, measured on P1 and P2 Laplacians
@@ -82,18 +82,13 @@ class ConjugateGradients:
             size = euclidean(residual)
         return x / self._root
 
-    def reduce(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The rows r and M^-1 r, and the force N E M^-1 r on zeta = E z."""
+    def reduce(self, r: np.ndarray) -> Reduced:
+        """M^-1 r, and the force N E M^-1 r on zeta = E z."""
         solved = self.solve(r)
-        return np.stack([r, solved]), self.N @ solved[self._kept]
+        return Reduced(solved, self.N @ solved[self._kept], math.sqrt(max(r @ solved, 0.0)))
 
-    def size(self, forward: np.ndarray) -> float:
-        """|r|_{M^-1} from what `reduce` gave for r."""
-        r, solved = forward
-        return math.sqrt(max(float(r @ solved), 0.0))
-
-    def recover(self, forward: np.ndarray, zeta: np.ndarray) -> np.ndarray:
-        """z with M z = r + E^T s and E z = zeta, from `reduce` of r."""
-        solved, pressure = forward[1], np.zeros(len(self._root))
+    def recover(self, solved: np.ndarray, zeta: np.ndarray) -> np.ndarray:
+        """z with M z = r + E^T s and E z = zeta, from M^-1 r."""
+        pressure = np.zeros(len(self._root))
         pressure[self._kept] = self.N @ (zeta - solved[self._kept])
         return np.asarray(solved + self.solve(pressure))

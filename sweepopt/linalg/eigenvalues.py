@@ -15,7 +15,7 @@ from sweepopt.errors import IndefiniteError, InputError
 from sweepopt.linalg.factor import Factor
 from sweepopt.linalg.matrices import SMALL, UNIT, dense, is_diagonal, is_dominant, lanczos_start
 
-MARGINS = (1e-9, 1e-6, 1e-3, *(10.0**k for k in range(-2, 16)))  # of a bound of an eigenvalue
+MARGINS = 1e-9 * 1e3 ** np.arange(9)  # of a bound of an eigenvalue, from next to rounding upwards
 
 
 def largest_ratio(A: Factor, B: Matrix) -> float:
@@ -42,14 +42,10 @@ def exceeds_none(A: Factor, B: Matrix, s: float) -> bool:
 
     That is if the pivots of s A - B are positive (Sylvester's law of inertia).
     """
-    difference = s * A.M - B
-    if is_dominant(difference, slack=32 * UNIT):
-        return True
     try:
-        Factor(difference)
-    except InputError:
+        return _is_definite(s * A.M - B, slack=32 * UNIT)
+    except InputError:  # its diagonal is too small to be divided by
         return False
-    return True
 
 
 def _estimate(A: Factor, B: Matrix, least: float) -> float:
@@ -74,12 +70,15 @@ def is_semidefinite(M: Matrix) -> bool:
     empty = diagonal == 0
     if abs(M[empty]).sum() > 0:
         return False
-    if is_dominant(M, slack=1e-10):
-        return True
     shift = np.where(empty, 1.0, 1e-10 * diagonal)
-    shifted = M + (sp.diags_array(shift, format="csc") if sp.issparse(M) else np.diag(shift))
+    return _is_definite(M + (sp.diags_array(shift) if sp.issparse(M) else np.diag(shift)))
+
+
+def _is_definite(M: Matrix, slack: float = 0.0) -> bool:
+    if is_dominant(M, slack):
+        return True
     try:
-        Factor(shifted)
+        Factor(M)
     except IndefiniteError:
         return False
     return True

@@ -1,8 +1,12 @@
-"""A symmetric positive definite matrix factorised once: solves and the two norms it defines."""
+"""A symmetric positive definite matrix factorised once: solves and the two norms it defines.
+
+Where factors do not fit in memory conjugate gradients take their place.
+"""
 
 from __future__ import annotations
 
 import math
+import os
 from functools import cached_property
 from typing import Any
 
@@ -11,18 +15,21 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix, divisor
-from sweepopt.errors import IndefiniteError, SolverRefusedError
-from sweepopt.linalg.choice import engine
+from sweepopt.errors import IndefiniteError, MissingExtraError, SolverRefusedError
+from sweepopt.linalg.cholesky import Cholesky, cholesky, lapack_factor
+from sweepopt.linalg.conjugate_gradients import ConjugateGradients
 from sweepopt.linalg.matrices import (
     PIVOT,
     UNIT,
+    Reduced,
     euclidean,
     is_diagonal,
     largest_eigenvalue,
-    row_sum,
+    rounding_weights,
 )
 from sweepopt.linalg.twice_precision import Precise
 
+MEMORY_SHARE = 0.6  # of the physical memory, for factors: the rest is for mesh, states and Python
 NEGLIGIBLE = 1e-12  # of |z|_M: more rounding of M z than this is avoided
 
 
@@ -74,7 +81,7 @@ class Factor:
         try:
             # pivots of inf or nan are refused below
             with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-                self._engine: Any = engine(M, order, unknowns)
+                self._engine: Any = _engine(M, order, unknowns)
                 pivots = self._engine.pivots / self.diagonal
         except (scipy.linalg.LinAlgError, RuntimeError, ArithmeticError):
             pivots = np.zeros(1)
@@ -97,13 +104,9 @@ class Factor:
         """The matrix of the program for the `unknowns` alone: of all unknowns M itself."""
         return self
 
-    def reduce(self, r: np.ndarray) -> tuple[Any, np.ndarray]:
-        """What `recover` needs of a force r, and the force on the `unknowns`."""
-        return r, r
-
-    def size(self, forward: Any) -> float | None:
-        """|r|_{M^-1} from what `reduce` gave for r; None where that takes a solve."""
-        return None
+    def reduce(self, r: np.ndarray) -> Reduced:
+        """A force r seen from the `unknowns`."""
+        return Reduced(None, r)
 
     def recover(self, forward: Any, zeta: np.ndarray) -> np.ndarray:
         """The z that is zeta on the `unknowns` and balances r beside them."""
@@ -130,37 +133,34 @@ class Factor:
         """M z + q, with more digits where rounding may exceed `enough` * |z|_M, and |z|_M."""
         force = self.M.dot(z)
         size = math.sqrt(max(z.dot(force), 0.0))
-        rounding = self.rounding(euclidean(self.root * z), euclidean(q / self.root))
+        rounding = self.rounding(z, euclidean(q / self.root))
         return (force + q if rounding <= enough * size else self.precisely(z, q)), size
 
-    def rounding(self, z: float, q: float) -> float:
+    def rounding(self, z: np.ndarray, q: float) -> float:
         """A bound in |.|_{M^-1} of what M @ z + q rounds, without a solve.
-
-        Each entry rounds about sqrt(k) times for k entries a row (Higham and Mary, SIAM J. Sci.
-        Comput. 41, 2019), and | |M| |z| |_{M^-1} is bounded as D^-1/2 M D^-1/2 is.
 
         Parameters
         ----------
-        z, q : float
-            |D^1/2 z| and |D^-1/2 q|, D = diag(M).
+        z : ndarray, shape (dim,)
+        q : float
+            |D^-1/2 q|, D = diag(M).
         """
-        return UNIT * (self._spread * z + q) * self.bound_factor
+        return UNIT * (euclidean(self._weights * z) + q) * self.bound_factor
+
+    @cached_property
+    def _weights(self) -> np.ndarray:
+        return rounding_weights(self.M, self.root)
 
     @cached_property
     def margin(self) -> float:
         """How much larger |w|_{M^-1} may be than rounded factors say."""
-        return 1 + min(UNIT * self._spread * self.bound_factor**2, 1.0)
+        roundings = float((self._weights / self.root).max())
+        return 1 + min(UNIT * roundings * self.bound_factor**2, 1.0)
 
     @cached_property
     def stretch(self) -> float:
         """|z|_M <= this times |z| in units of the diagonal of M."""
-        return math.sqrt(row_sum(self.M, self.root))
-
-    @cached_property
-    def _spread(self) -> float:
-        """Rounding units a row, times the largest row sum of | D^-1/2 M D^-1/2 |."""
-        entries = np.diff(self.M.indptr).max() if sp.issparse(self.M) else self.dim
-        return (2 + math.sqrt(entries)) * self.stretch**2
+        return math.sqrt((abs(self.M) @ (1 / self.root) / self.root).max())
 
     @cached_property
     def precisely(self) -> Precise:
@@ -216,14 +216,54 @@ class Elimination(Factor):
         """N with its own factors."""
         return Factor(self.N)
 
-    def reduce(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What `recover` needs of a force r, and the force N E M^-1 r on zeta."""
+    def reduce(self, r: np.ndarray) -> Reduced:
+        """The force N E M^-1 r on zeta, |r|_{M^-1}, and what `recover` needs of r."""
         return self._engine.reduce(r)
-
-    def size(self, forward: np.ndarray) -> float:
-        """|r|_{M^-1} from what `reduce` gave for r."""
-        return self._engine.size(forward)
 
     def recover(self, forward: np.ndarray, zeta: np.ndarray) -> np.ndarray:
         """z with M z = r + E^T s and E z = zeta."""
         return self._engine.recover(forward, zeta)
+
+
+def _engine(
+    M: Matrix, order: np.ndarray | None = None, kept: np.ndarray | None = None
+) -> Cholesky | ConjugateGradients:
+    """What solves with M, and eliminates all unknowns but those that are kept.
+
+    Parameters
+    ----------
+    order : ndarray of int, optional
+        An order of the unknowns with little fill; the kept ones go to its end.
+    """
+    need, there = factor_bytes(M), _physical_memory()
+    if need > MEMORY_SHARE * there:
+        try:
+            return ConjugateGradients(M, kept)
+        except MissingExtraError as error:
+            raise SolverRefusedError(
+                f"factors of {M.shape[0]} unknowns would need about {need / 1e9:.3g} GB, this "
+                f"machine has {there / 1e9:.3g} GB, and conjugate gradients need a package: {error}"
+            ) from error
+    if kept is None:
+        return cholesky(M) if sp.issparse(M) else lapack_factor(M)
+    M = sp.csc_array(M)
+    order = cholesky(M).order if order is None else order
+    return cholesky(M, np.concatenate([order[~np.isin(order, kept)], kept]), kept.size)
+
+
+def factor_bytes(M: Matrix) -> float:
+    """The memory that factors of M need, about.
+
+    A factor of P1 elements in the plane has about 2 n log2 n entries (measured from 1e4 to 1e6
+    unknowns), and a run holds about 120 bytes for each. A diagonal matrix is its own factor; a
+    dense one is in memory already.
+    """
+    n = M.shape[0]
+    return 240.0 * n * math.log2(n + 1) if sp.issparse(M) and M.nnz > n else 0.0
+
+
+def _physical_memory() -> float:
+    try:
+        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    except (AttributeError, ValueError, OSError):  # not on every system
+        return 8e9

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,9 +18,36 @@ PIVOT = 16 * EPS  # in units of the diagonal: a smaller pivot of a matrix is non
 SMALL = 50  # below this dense eigenvalues are cheaper than Lanczos
 
 
-def row_sum(M: Matrix, root: np.ndarray) -> float:
-    """The largest row sum of |D^-1/2 M D^-1/2|, `root` the diagonal of D^1/2."""
-    return float((np.asarray(abs(M) @ (1 / root)).ravel() / root).max())
+class Reduced(NamedTuple):
+    """What is left of a force r on all unknowns where few of them are kept.
+
+    Attributes
+    ----------
+    forward : object
+        What `recover` needs of r.
+    force : ndarray
+        On the unknowns that are kept.
+    size : float or None
+        |r|_{M^-1}; None where that takes a solve.
+    """
+
+    forward: Any
+    force: np.ndarray
+    size: float | None = None
+
+
+def rounding_weights(M: Matrix, root: np.ndarray) -> np.ndarray:
+    """Weights with |D^-1/2 (fl(M x) - M x)| <= UNIT |weights * x|, `root` the diagonal of D^1/2.
+
+    An entry of k products rounds about sqrt(k) times its |M| |x| (Higham and Mary, SIAM J. Sci.
+    Comput. 41, 2019), three more are for M, the factor of M and what the entry is added to. For
+    K >= 0 |K y|^2 <= <K^T K 1, y^2> (Schur's test).
+    """
+    size = abs(M)
+    entries = np.diff(M.indptr) if sp.issparse(M) else len(M)
+    roundings = (3 + np.sqrt(entries)) / root
+    sums = roundings * (size @ (1 / root))
+    return np.sqrt(root * (size @ (roundings * sums)))
 
 
 def row_lengths(G: Matrix) -> np.ndarray:
@@ -27,7 +55,7 @@ def row_lengths(G: Matrix) -> np.ndarray:
     return np.sqrt(np.asarray((G * G).sum(axis=1), dtype=float)).ravel()
 
 
-def is_dominant(M: Matrix, slack: float = 0.0) -> bool:
+def is_dominant(M: Matrix, slack: float) -> bool:
     """Whether no diagonal entry is less than the others of its row: semidefinite (Gershgorin)."""
     diagonal = np.asarray(M.diagonal(), dtype=float)
     rest = np.asarray(abs(M).sum(axis=1)).ravel() - np.abs(diagonal)

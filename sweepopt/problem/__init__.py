@@ -21,6 +21,7 @@ from sweepopt.problem.motion import (
 )
 from sweepopt.problem.norms import (
     Norms,
+    applied,
     squares,
 )
 from sweepopt.problem.process import (
@@ -43,6 +44,7 @@ __all__ = [
     "SweepingProcess",
     "Terms",
     "TimeFunction",
+    "applied",
     "increments",
     "interpolate",
     "motion",

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import number
+from sweepopt.checks import instant
 from sweepopt.errors import InputError
 from sweepopt.loads import Piece, Separable, breakpoints
 from sweepopt.problem.motion import Motion, TimeFunction
@@ -113,7 +113,7 @@ def _by_variation(
 
 def increments(variation: Callable[[float], float], times: np.ndarray) -> np.ndarray:
     """v(t_{i+1}) - v(t_i) of a variation, which never falls."""
-    grown = np.diff([number(f"variation({t:g})", variation(t)) for t in times.tolist()])
+    grown = np.diff([instant(f"variation({t:g})", variation(t)) for t in times.tolist()])
     if (grown < 0).any():
         i = int(np.argmin(grown))
         raise InputError(

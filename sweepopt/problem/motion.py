@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from sweepopt.checks import vector
-from sweepopt.errors import InputError, shown
 from sweepopt.linalg import dense
 from sweepopt.loads import Constant, Separable
 from sweepopt.sets import (
@@ -23,7 +22,6 @@ from sweepopt.sets import (
     ConvexSet,
     Moving,
     MovingOffsets,
-    NoHalfspacesError,
 )
 
 Terms = tuple[tuple[Callable[[Any], Any], np.ndarray], ...]
@@ -94,14 +92,6 @@ class TimeFunction:
 ONE = TimeFunction.of(Constant(), 1)
 
 
-class MovingRows(NamedTuple):
-    """C(t) = { w : N w <= d(t) }, the last `equations` rows with equality."""
-
-    N: np.ndarray
-    d: Terms
-    equations: int
-
-
 @dataclass(frozen=True, eq=False)
 class Motion:
     """C(t) = center(t) + scale(t) S, or { w : G w <= h(t) }, or neither.
@@ -138,39 +128,6 @@ class Motion:
             return None
         return _moving_box(dense(self.shape.halfspaces().N), self.offsets)
 
-    def rows(self) -> MovingRows:
-        """C(t) as half-spaces with offsets in closed form.
-
-        Raises
-        ------
-        InputError
-            If S is no polyhedron with known rows, or a history has no closed form.
-        """
-        if self.shape is None:
-            raise InputError(
-                "the process has a set that is a function of time; write it as so.Moving(shape, "
-                "center=so.Separable(...)) or so.Polyhedron(G, so.Separable(...))"
-            )
-        if not self.scale.constant:
-            raise InputError(
-                "the process has a set whose scale moves; state the moving bounds as offsets, "
-                "so.Polyhedron(G, so.Separable(...))"
-            )
-        terms = _closed_forms(self.center if self.offsets is None else self.offsets, self.name)
-        scale = float(self.scale.at(np.zeros(1))[0, 0])
-        try:
-            polyhedron = (self.shape if scale == 1 else scale * self.shape).halfspaces()
-        except NoHalfspacesError as error:
-            raise InputError(
-                "the process has a set that is not a polyhedron with known rows: "
-                f"{error}; use midpoint"
-            ) from error
-        N = np.vstack([dense(polyhedron.N), polyhedron.E])
-        if self.offsets is None:
-            terms = tuple((phi, N @ f) for phi, f in terms)
-        fixed = (Constant(1.0), np.concatenate([polyhedron.d, polyhedron.e]))
-        return MovingRows(N, (fixed, *terms), len(polyhedron.e))
-
 
 def motion(C: AnySet) -> Motion:
     """Read how C(t) moves."""
@@ -186,24 +143,6 @@ def motion(C: AnySet) -> Motion:
     return Motion(None, TimeFunction((), C.dim, C.at))
 
 
-def _closed_forms(load: TimeFunction, name: str) -> Terms:
-    """The terms of a load whose histories are all known in closed form."""
-    if load.function is not None:
-        raise InputError(
-            f"the process has a black-box {name}: the breakpoints of a function are not known; "
-            "write it as so.Separable([(history, vector), ...]) of Polynomial, Sine, Triangle or "
-            "Table"
-        )
-    for k, history in enumerate(load.histories):
-        if not hasattr(history, "piece") or not hasattr(history, "breakpoints"):
-            raise InputError(
-                f"the process has {name} whose terms[{k}][0], {shown(history)}, has no closed "
-                "form; use Constant, Polynomial, Sine, Triangle or Table, or give it piece(a, b) "
-                "and breakpoints(a, b)"
-            )
-    return load.terms
-
-
 def _moving_box(G: np.ndarray, h: TimeFunction) -> Motion | None:
     """{ w : G w <= h(t) } with at most one bound a side of each entry of w, as a moving box.
 
@@ -215,19 +154,15 @@ def _moving_box(G: np.ndarray, h: TimeFunction) -> Motion | None:
     column = np.abs(G).argmax(axis=1)
     entry = G[np.arange(m), column]
     bounds = Separable(h.terms).shapes / entry[:, None]  # of each row, a column for each history
-    side = (entry > 0).astype(int)  # 0 for a row that bounds from below
-    ends = np.zeros((2, dim, bounds.shape[1]))
-    ends[side, column] = bounds
-    known = np.zeros((2, dim), dtype=bool)
-    known[side, column] = True
+    ends = np.full((2, dim, bounds.shape[1]), np.nan)
+    ends[(entry > 0).astype(int), column] = bounds
+    below, above = known = ~np.isnan(ends[..., 0])
     if known.sum() < m:
         return None
-    below, above = known
-    both = below & above
-    center = np.where(below[:, None], ends[0], ends[1])
-    scale = np.where(both[:, None], ends[1] - ends[0], 0.0)
+    center = np.nan_to_num(np.where(below[:, None], *ends))
+    scale = np.nan_to_num(ends[1] - ends[0])
     shape = Box(np.where(below, 0.0, -np.inf), np.where(above, 1.0 * below, np.inf))
-    fixed = (Constant(1.0), np.where(both, 0.0, 1.0))
+    fixed = (Constant(1.0), 1.0 - (below & above))
     return Motion(
         shape,
         TimeFunction(tuple(zip(h.histories, center.T, strict=True)), dim),

@@ -55,10 +55,14 @@ class Norms:
             return np.minimum(np.exp(nu * tau), 1 + np.sqrt(0.5 * self.Lam * tau))
 
 
+def applied(M: Any, x: np.ndarray) -> np.ndarray:
+    """M x over the last axis."""
+    return (M @ x.reshape(-1, x.shape[-1]).T).T.reshape(x.shape)
+
+
 def squares(M: Any, x: np.ndarray) -> np.ndarray:
     """<Mx, x> over the last axis."""
-    rows = x.reshape(-1, x.shape[-1])
-    return ((M @ rows.T).T * rows).sum(axis=1).reshape(x.shape[:-1])
+    return (applied(M, x) * x).sum(axis=-1)
 
 
 def _rates(process: SweepingProcess) -> tuple[float, float]:

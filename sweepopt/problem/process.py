@@ -11,6 +11,7 @@ any solver runs.
 from __future__ import annotations
 
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,8 +30,6 @@ class VelocityBound(NamedTuple):
 
     value: float
     variation: float
-    initial_distance: float
-    beta: float
     norm_B: float
 
 
@@ -83,7 +82,7 @@ class SweepingProcess:
         self.metric = Factor(*metric)
 
     def as_sweeping(self) -> SweepingProcess:
-        """Itself: so that solvers take either form of the problem."""
+        """The process itself; for an `EvolutionVI` C(t) = f(t) - (D + the polar cone of K)."""
         return self
 
     def as_vi(self) -> EvolutionVI:
@@ -134,11 +133,16 @@ class SweepingProcess:
             If C(t) jumps by an infinite distance, as far as that can be seen.
         """
         members = self.C.members(times)
-        last = None
-        for t, C in members:
+        for _, C in members:
             _check_support(C)
-            _check_jump(last, C, t)
-            last = C
+        for (_, before), (t, C) in pairwise(members):
+            # a change of offsets is a finite one
+            if before.distance_bound(C) == np.inf:
+                warn(
+                    f"C(t) jumps by an infinite distance at t = {t:g}: it is not of bounded "
+                    "variation, as the theory asks; the steps are solved all the same",
+                    VariationWarning,
+                )
         return members
 
     def check_start(self, t: float) -> None:
@@ -191,16 +195,15 @@ class SweepingProcess:
         times = vector("times", times)
         if times.size < 2 or not (np.diff(times) > 0).all():
             raise InputError("times must hold at least two strictly increasing times")
-        total, last = 0.0, self.C.at(float(times[0]))
-        for t in times[1:]:
-            C = self.C.at(float(t))
-            distance = last.distance_bound(C)
+        total = 0.0
+        for t, (before, C) in zip(times[1:], pairwise(map(self.C.at, times.tolist())), strict=True):
+            distance = before.distance_bound(C)
             if distance is None:
                 raise InputError(
                     f"the distance of C({t:g}) to the set before it is not known for this kind of "
                     "set; write C as a Moving set, a box or a ball to have its variation"
                 )
-            total, last = total + distance, C
+            total += distance
         return total
 
     def velocity_bound(self, times: np.ndarray, paper: bool = False) -> VelocityBound:
@@ -231,11 +234,13 @@ class SweepingProcess:
         with np.errstate(over="ignore"):
             growth = float(np.exp(norm_B * (times[-1] - times[0]) / self.beta))
         value = start / self.beta * growth if start else 0.0
-        return VelocityBound(value, v, distance, self.beta, norm_B)
+        return VelocityBound(value, v, norm_B)
 
 
-class EvolutionVI:
+class EvolutionVI(SweepingProcess):
     """Find u'(t) in K: <A u' + B u - f(t), v - u'> + J(v) - J(u') >= 0 for all v in K.
+
+    It is the sweeping process with C(t) = f(t) - (D + polar(K)).
 
     Parameters
     ----------
@@ -259,7 +264,7 @@ class EvolutionVI:
     >>> from sweepopt.sets import Box
     >>> D = Box([-1], [1])
     >>> vi = EvolutionVI([[0.5]], [[2.0]], load=lambda t: [1.5 * t], dissipation=D, u0=[0])
-    >>> vi.as_sweeping().C.at(0.0).support([1.0])
+    >>> vi.C.at(0.0).support([1.0])
     1.0
     """
 
@@ -290,29 +295,14 @@ class EvolutionVI:
         if self.load is not None:
             C = moved = Moving(-D, center=self.load)
             moved.center_name = "load"
-        self._process = SweepingProcess(A, B, C, u0)
-        self.A, self.B, self.u0, self.dim = A, self._process.B, self._process.u0, dim
-
-    def as_sweeping(self) -> SweepingProcess:
-        """The sweeping process with C(t) = f(t) - (D + polar(K))."""
-        return self._process
+        super().__init__(A, B, C, u0)
 
 
 def sweeping(process: Any) -> SweepingProcess:
-    """Either form of the problem as a sweeping process, for solvers that take both."""
-    if not isinstance(process, (SweepingProcess, EvolutionVI)):
+    """The process, if it is one."""
+    if not isinstance(process, SweepingProcess):
         raise InputError(f"process must be a SweepingProcess or an EvolutionVI: {shown(process)}")
-    return process.as_sweeping()
-
-
-def _check_jump(before: ConvexSet | None, C: ConvexSet, t: float) -> None:
-    """Warn of a motion that is not of bounded variation; a change of offsets is a finite one."""
-    if before is not None and before.distance_bound(C) == np.inf:
-        warn(
-            f"C(t) jumps by an infinite distance at t = {t:g}: it is not of bounded variation, as "
-            "the theory asks; the steps are solved all the same",
-            VariationWarning,
-        )
+    return process
 
 
 def _check_support(C: ConvexSet) -> None:

@@ -92,7 +92,7 @@ def error_bound(
     phi = compile_projection(plan, process.metric)
     integrals = residuals(process, phi, norms, nodes, variation)
     error_A, error_B = _growth(norms, nodes.t, integrals)
-    states = run.at(nodes.t)
+    states = np.column_stack([np.interp(nodes.t, run.t, u) for u in run.u.T])
     difference = _difference(nodes, integrals.slopes, states)
     rounding = SUMMED * math.sqrt(len(nodes.t)) * norms.A(nodes.u).max()
     parts = (len(nodes.t) - 1) // (len(run.t) - 1)

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from sweepopt.problem import SweepingProcess
+from sweepopt.problem import SweepingProcess, applied
 from sweepopt.sets import basis
 from sweepopt.velocity import VelocityOf
 
 
 class Nodes(NamedTuple):
-    """Nodes of a trajectory, shape (n+1, dim), and the mean velocities between them."""
+    """Nodes of a trajectory, shape (n+1, dim), and the mean velocities between them.
+
+    Their differences would do, but rounding takes them out of cones, where sigma is infinite.
+    """
 
     t: np.ndarray
     u: np.ndarray
     velocity: np.ndarray
-
-    def at(self, times: np.ndarray) -> np.ndarray:
-        """The interpolant at increasing times; at its own nodes these themselves."""
-        if len(times) == len(self.t):
-            return self.u
-        i = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.velocity) - 1)
-        return self.u[i] + (times - self.t[i])[:, None] * self.velocity[i]
 
 
 def slopes_of_curves(process: SweepingProcess, phi: VelocityOf, nodes: Nodes) -> list[np.ndarray]:
@@ -55,10 +51,10 @@ def force_along(
 ) -> np.ndarray:
     """A v' + B v at the shares theta, shape (m, k), of the steps i; slopes of all steps."""
     velocity = basis(2, theta) @ slopes[i]
-    force = _apply(process.A, velocity)
+    force = applied(process.A, velocity)
     if process.B is not None:
         h = (nodes.t[i + 1] - nodes.t[i])[:, None, None]
-        force += _apply(
+        force += applied(
             process.B, basis(3, theta) @ cubic(nodes.u[i], nodes.u[i + 1], h * slopes[i])
         )
     return force
@@ -68,7 +64,3 @@ def cubic(begin: np.ndarray, end: np.ndarray, increments: np.ndarray) -> np.ndar
     """Bernstein coefficients of curves, shape (m, 4, dim), from their ends and h times v'."""
     first, last = begin + increments[:, 0] / 3, end - increments[:, 2] / 3
     return np.stack([begin, first, last, end], axis=1)
-
-
-def _apply(M: Any, x: np.ndarray) -> np.ndarray:
-    return (M @ x.reshape(-1, x.shape[-1]).T).T.reshape(x.shape)

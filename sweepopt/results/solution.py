@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sweepopt import checks
 from sweepopt.errors import InputError, Status, SweepoptError, shown
 from sweepopt.integrate import Pass, States, Statistics
 from sweepopt.problem import SweepingProcess
 from sweepopt.results.dataset import to_xarray
 from sweepopt.results.energy import Energy, energy_of
 from sweepopt.results.error_bound import ErrorBound, error_bound, nodes_of
-from sweepopt.results.interpolant import Interpolant
 from sweepopt.results.nodes import Nodes
 from sweepopt.velocity import Plan, VelocityOf, compile_projection
 
@@ -102,10 +102,6 @@ class Solution:
         """All times of the run, kept or not, shape (n+1,)."""
         return self.t if self.complete else np.append(self.t[0], self.statistics.rows["t"])
 
-    @cached_property
-    def _interpolant(self) -> Interpolant:
-        return Interpolant(self.t, self._grid[self.steps], self.states)
-
     @property
     def success(self) -> bool:
         """Whether the run reached t_end with no step known to be wrong."""
@@ -117,7 +113,7 @@ class Solution:
         return f"{self.status.value} {self.cause}".rstrip()
 
     def __call__(self, t: Any) -> np.ndarray:
-        """u_n(t) = u_i + (t - t_i) / mu (u_{i+1} - u_i).
+        """u_n(t) = u_{i+1} - (t_{i+1} - t) u_n', u_n' the velocity of step i.
 
         Parameters
         ----------
@@ -132,7 +128,33 @@ class Solution:
         InputError
             If a time is outside of [t[0], t[-1]] or in a step that was not kept.
         """
-        return self._interpolant(t)
+        times = self._inside(t)
+        later = times > self.t[0]  # the start is kept, its step may not be
+        values = np.tile(self.states.u(0), (*times.shape, 1))
+        i = self._step_of(times[later])
+        before = (self.t[i + 1] - times[later])[:, None]
+        values[later] = self.states.u(i + 1) - before * self.states.velocity(i)
+        return values
+
+    def _inside(self, t: Any) -> np.ndarray:
+        """The times as floats; one that misses a kept node by rounding is that node."""
+        if len(self.t) < 2:
+            raise InputError("the run has no complete step to interpolate")
+        times = checks.times_inside(t, float(self.t[0]), float(self.t[-1]))
+        slack = checks.TIME_SLACK * max(abs(self.t[0]), abs(self.t[-1]))
+        nearest = self.t[np.clip(np.searchsorted(self.t, times - slack), 0, len(self.t) - 1)]
+        return np.where(np.abs(nearest - times) <= slack, nearest, times)
+
+    def _step_of(self, times: np.ndarray) -> np.ndarray:
+        """i with t in (t_i, t_{i+1}]; refused if that step was not kept."""
+        i = np.maximum(np.searchsorted(self.t, times, side="left") - 1, 0)
+        between = times < self._grid[self.steps[i]]
+        if between.any():
+            raise InputError(
+                f"t = {times[between].flat[0]:g} is in a step that was not kept; solve with "
+                "another save="
+            )
+        return i
 
     def viability(self, t: Any = None) -> np.ndarray:
         """How far the viability condition A u' + B u in C(t) is missed, in the A^-1 metric.
@@ -257,12 +279,11 @@ class Solution:
         return self.process.metric.norm(projection.z)
 
     def _at_times(self, t: Any, measure: Any) -> np.ndarray:
-        times, values = self._interpolant.inside(t), list[float]()
-        steps = self._interpolant.step_of(times)
-        for time, i in zip(times.ravel().tolist(), steps.ravel().tolist(), strict=True):
+        times, values = self._inside(t), list[float]()
+        for time, i in zip(times.ravel(), self._step_of(times).ravel().tolist(), strict=True):
             z = self.states.velocity(i)
             force = self.process.A @ z + self.process.times_B(self(time))
-            values.append(measure(z, force, self.process.C.at(time)))
+            values.append(measure(z, force, self.process.C.at(float(time))))
         return np.array(values).reshape(times.shape)
 
     def to_xarray(self) -> Dataset:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from sweepopt.sets.balls import (
-    Ball,
-    Balls,
-    SecondOrderCone,
-)
+from sweepopt.sets.aligned import Similar, shape_of
+from sweepopt.sets.balls import Ball, Balls, SecondOrderCone
 from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
@@ -16,53 +13,17 @@ from sweepopt.sets.base import (
     binary,
     same_array,
 )
-from sweepopt.sets.constraints import (
-    Constraints,
-)
-from sweepopt.sets.curves import (
-    basis,
-    products,
-    to_bernstein,
-)
-from sweepopt.sets.cvxpy_lock import (
-    in_turn,
-)
-from sweepopt.sets.ellipsoid import (
-    Ellipsoid,
-)
-from sweepopt.sets.least_distance import (
-    least_distance,
-)
-from sweepopt.sets.moving import (
-    AnySet,
-    Moving,
-    MovingOffsets,
-    MovingSet,
-)
-from sweepopt.sets.operations import (
-    image,
-    product,
-)
-from sweepopt.sets.polyhedra import (
-    HalfSpace,
-    Polyhedron,
-)
-from sweepopt.sets.polytope import (
-    Polytope,
-)
-from sweepopt.sets.programs import (
-    CAREFUL,
-)
-from sweepopt.sets.shapes import (
-    Box,
-    Orthant,
-    Point,
-    WholeSpace,
-)
-from sweepopt.sets.similar import (
-    Similar,
-    shape_of,
-)
+from sweepopt.sets.constraints import Constraints
+from sweepopt.sets.curves import basis, products, to_bernstein
+from sweepopt.sets.cvxpy_lock import in_turn
+from sweepopt.sets.ellipsoid import Ellipsoid
+from sweepopt.sets.least_distance import least_distance
+from sweepopt.sets.moving import AnySet, Moving, MovingOffsets, MovingSet
+from sweepopt.sets.operations import image, product
+from sweepopt.sets.polyhedra import HalfSpace, Polyhedron
+from sweepopt.sets.polytope import Polytope
+from sweepopt.sets.programs import CAREFUL
+from sweepopt.sets.shapes import Box, Orthant, Point, WholeSpace
 
 __all__ = [
     "CAREFUL",

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.linalg
 
 from sweepopt.checks import dimension, entries, number, vector
 from sweepopt.errors import InputError
@@ -76,19 +75,30 @@ class Balls(ConvexSet):
         return Features([sizes], norms_below(p, sizes, self.block))
 
     def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
-        blocks = (x.reshape(len(x), -1, self.block).swapaxes(0, 1) for x in (p, w))
-        balls = (Ball(np.zeros(self.block), radius) for radius in self.radii)
-        each = zip(balls, *blocks, strict=True)
+        blocks = (np.split(x, self.radii.size, axis=1) for x in (p, w))
+        each = zip(self.factors(), *blocks, strict=True)
         return total_gap(ball.gap_along_curve(*curves, ratio) for ball, *curves in each)
 
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
-        return scipy.linalg.block_diag(*map(_ball_derivative, self._arms(v), self.radii))
+        """I in a ball, r/|a| (I - n n^T) outside of it, n = a/|a|."""
+        D = np.eye(self.dim)
+        for k, (arm, radius) in enumerate(zip(self._arms(v), self.radii, strict=True)):
+            length = np.linalg.norm(arm)
+            if length > radius:
+                at, n = slice(k * self.block, (k + 1) * self.block), arm / length
+                D[at, at] = radius / length * (D[at, at] - np.outer(n, n))
+        return D
 
     def factors(self) -> list[ConvexSet]:
         return [Ball(np.zeros(self.block), radius) for radius in self.radii]
+
+    def halfspaces(self) -> Halfspaces:
+        if self.block > 1:
+            return super().halfspaces()
+        return Box(self.center - self.radii, self.center + self.radii).halfspaces()
 
     def magnitude(self) -> float:
         return float(np.linalg.norm(self.center) + np.linalg.norm(self.radii))
@@ -138,11 +148,6 @@ class Ball(Balls):
     def factors(self) -> list[ConvexSet]:
         return [self]
 
-    def halfspaces(self) -> Halfspaces:
-        if self.dim > 1:
-            return super().halfspaces()
-        return Box(self.center - self.radius, self.center + self.radius).halfspaces()
-
 
 class SecondOrderCone(ConvexSet):
     """{ w : |w[1:]| <= w[0] }, its own dual:  sigma is the indicator of the polar cone -C.
@@ -180,19 +185,15 @@ class SecondOrderCone(ConvexSet):
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
         height, length = w[0], float(np.linalg.norm(w[1:]))
-        if length <= height:
-            return w
-        if length <= -height:
-            return np.zeros(self.dim)
+        if length <= abs(height):
+            return w if height >= 0 else np.zeros(self.dim)
         top = 0.5 * (height + length)
         return np.concatenate([[top], top / length * w[1:]])
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
         height, length = v[0], float(np.linalg.norm(v[1:]))
-        if length <= height:
-            return np.eye(self.dim)
-        if length <= -height:
-            return np.zeros((self.dim, self.dim))
+        if length <= abs(height):
+            return np.eye(self.dim) * (height >= 0)
         n, slope = v[1:] / length, height / length
         D = np.diag(np.full(self.dim, 0.5 * (1 + slope)))
         D[1:, 1:] -= 0.5 * slope * np.outer(n, n)
@@ -206,15 +207,6 @@ class SecondOrderCone(ConvexSet):
 
     def polar(self) -> ConvexSet:
         return -self
-
-
-def _ball_derivative(arm: np.ndarray, radius: float) -> np.ndarray:
-    """Derivative of the projection on a ball around 0: I inside, r/|a| (I - n n^T) outside."""
-    length = float(np.linalg.norm(arm))
-    if length <= radius:
-        return np.eye(arm.size)
-    n = arm / length
-    return radius / length * (np.eye(arm.size) - np.outer(n, n))
 
 
 def norms_below(p: cp.Expression, sizes: cp.Expression, block: int) -> list[cp.Constraint]:

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -129,9 +130,8 @@ class Form(NamedTuple):
         return cls(sp.eye_array(n, format="csr"), sp.csr_array((0, n)), (part,))
 
     @classmethod
-    def beside(cls, *sets: ConvexSet) -> Form:
+    def beside(cls, *forms: Form) -> Form:
         """C x D x ...: everything is stacked."""
-        forms = [C.form() for C in sets]
         E, F = (
             sp.csr_array(sp.block_diag(Ms, format="csr"))
             for Ms in ([form.E for form in forms], [form.F for form in forms])
@@ -139,9 +139,9 @@ class Form(NamedTuple):
         return cls(E, F, tuple(part for form in forms for part in form.parts))
 
     @classmethod
-    def added(cls, C: ConvexSet, D: ConvexSet) -> Form:
+    def added(cls, C: Form, D: Form) -> Form:
         """C + D."""
-        one = sp.eye_array(C.dim)
+        one = sp.eye_array(C.E.shape[0])
         return cls.beside(C, D).image(sp.hstack([one, one]))
 
     @property
@@ -164,7 +164,6 @@ class Algebra(NamedTuple):
     add: Callable[[Any, Any], Any]
     scale: Callable[[Any, Any], Any]
     intersect: Callable[[Any, Any], Any]
-    image: Callable[[Any, Any], Any]
 
 
 class Operators:
@@ -348,8 +347,6 @@ class ConvexSet(Operators, ABC):
             0 if the sets are equal, exact in one dimension; None if no bound is known.
         """
         require_same_dim("distance_bound", self, other)
-        if self is other:
-            return 0.0
         # one cone and one vector of offsets: one support function
         if self.same_cone(other) and np.array_equal(self.offsets, other.offsets):
             return 0.0
@@ -397,12 +394,11 @@ class ConvexSet(Operators, ABC):
         """
         form = self.form()
         E = dense(form.E)
-        row, unknown = np.nonzero(E)
-        picks = row.size == E.shape[1] == np.unique(row).size == np.unique(unknown).size
+        picks = (np.count_nonzero(E, 0) == 1).all() and (np.count_nonzero(E, 1) <= 1).all()
         if form.parts == (self,) or form.F.shape[0] or not picks:
             raise NoHalfspacesError(type(self).__name__)
         # s = back w, and w is 0 where no s goes
-        back, rest = (E / (E * E).sum(axis=0)).T, np.delete(np.eye(self.dim), row, axis=0)
+        back, rest = (E / (E * E).sum(axis=0)).T, np.eye(self.dim)[~E.any(axis=1)]
         N, d, F, e = zip(*(part.halfspaces() for part in form.parts), strict=True)
         inner, equal = (scipy.linalg.block_diag(*map(dense, Ms)) @ back for Ms in (N, F))
         sides = np.concatenate([*e, np.zeros(len(rest))])
@@ -435,6 +431,12 @@ class ConvexSet(Operators, ABC):
         """As `MovingSet.members`: one member, itself."""
         self.require_nonempty(f"C(t) at t = {times[0]:g}")
         return [(float(times[0]), self)]
+
+
+def places(parts: Iterable[ConvexSet]) -> list[slice]:
+    """Where each part is in the vector of all, one after the other."""
+    ends = np.cumsum([0, *(part.dim for part in parts)]).tolist()
+    return [slice(*pair) for pair in pairwise(ends)]
 
 
 def is_vector(value: Any) -> bool:

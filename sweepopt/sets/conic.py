@@ -95,19 +95,22 @@ def in_own_units(C: Conic) -> Conic:
 
 def _turn(K: list[Block], size: int) -> sp.csr_array:
     """s0 + s1 and s0 - s1 for the first rows of second-order cones; its square is diagonal."""
-    cones = [rows for kind, rows, _ in K if kind == "soc"]
-    i = np.array([rows.start for rows in cones if rows.stop - rows.start > 1], dtype=int)
-    change = np.repeat([1.0, 1.0, -2.0], i.size)
-    places = (np.concatenate([i, i + 1, i + 1]), np.concatenate([i + 1, i, i + 1]))
-    return sp.csr_array(sp.eye_array(size) + sp.csr_array((change, places), shape=(size, size)))
+    turn = sp.eye_array(size, format="lil")
+    for kind, rows, _ in K:
+        if kind == "soc" and rows.stop - rows.start > 1:
+            first = slice(rows.start, rows.start + 2)
+            turn[first, first] = [[1, 1], [1, -1]]
+    return sp.csr_array(turn)
 
 
 def _shear(K: list[Block], D: np.ndarray) -> sp.csr_array:
     """s0 + s1 log r in exponential cones whose s2 is multiplied by r times as much as s1."""
-    i = np.array([rows.start for kind, rows, _ in K if kind == "exp"], dtype=int)
-    change = np.log(2.0) * (D[i + 2] - D[i + 1])
-    shear = sp.csr_array((change, (i, i + 1)), shape=(D.size, D.size))
-    return sp.csr_array(sp.eye_array(D.size) + shear)
+    shear = sp.eye_array(D.size, format="lil")
+    for kind, rows, _ in K:
+        if kind == "exp":
+            i = rows.start
+            shear[i, i + 1] = np.log(2.0) * (D[i + 2] - D[i + 1])
+    return sp.csr_array(shear)
 
 
 def _symmetries(K: list[Block]) -> sp.csr_array:
@@ -178,7 +181,7 @@ def in_dual(y: cp.Expression, K: list[Block]) -> list[cp.Constraint]:
 
 def _matrix(n: int) -> sp.csr_array:
     """From the rows of a positive semidefinite block to the n^2 entries of its matrix."""
-    j, i = np.tril_indices(n)
-    weight, rows = np.where(i == j, 0.5, np.sqrt(0.5)), np.arange(i.size)
-    places = (np.concatenate([i + n * j, j + n * i]), np.concatenate([rows, rows]))
-    return sp.csr_array((np.concatenate([weight, weight]), places), shape=(n * n, i.size))
+    places = sp.lil_array((n * n, n * (n + 1) // 2))
+    for row, (j, i) in enumerate(zip(*np.tril_indices(n), strict=True)):
+        places[[i + n * j, j + n * i], row] = 1.0 if i == j else np.sqrt(0.5)
+    return sp.csr_array(places)

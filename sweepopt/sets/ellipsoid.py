@@ -74,10 +74,25 @@ class Ellipsoid(ConvexSet):
         return self._axes @ inner @ self._axes.T
 
     def _multiplier(self, d: np.ndarray) -> float | None:
-        """The root lam >= 0 of sum e_i d_i^2 / (e_i + lam)^2 = 1; None inside."""
-        e = self._squares
+        """The root lam > 0 of |x(lam)| = 1,  x_i = sqrt(e_i) d_i / (e_i + lam);  None inside.
+
+        1 / |x(lam)| is concave and grows, so that Newton's method from lam = 0 rises to the root
+        and never passes it, whatever the e_i (J. More, D. Sorensen, Computing a trust region step,
+        SIAM J. Sci. Stat. Comput. 4(3), 1983).
+        """
+        e, lam = self._squares, 0.0
         a = d / np.sqrt(e)
-        return None if a @ a <= 1 else secular(a, 1 / e, 1.0)
+        if a @ a <= 1:
+            return None
+        for _ in range(STEPS):
+            falling = 1 + lam / e
+            x = a / falling
+            square = float(x @ x)
+            step = (np.sqrt(square) - 1) * square / float(x @ (x / e / falling))
+            lam += max(float(step), 0.0)  # a step back is rounding
+            if step <= 1e-15 * lam:
+                break
+        return lam
 
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         pair = super().normal_pair(p, w, tau)
@@ -108,33 +123,3 @@ class Ellipsoid(ConvexSet):
         R, S = ((E._axes * np.sqrt(E._squares)) @ E._axes.T for E in (self, other))
         apart = 0.0 if self.same_cone(other) else np.linalg.norm(R - S, 2)
         return float(np.linalg.norm(self.center - other.center) + apart)
-
-
-def secular(a: np.ndarray, k: np.ndarray, radius: float) -> float:
-    """The root nu > 0 of  |x(nu)| = radius,  x_i(nu) = a_i / (1 + nu k_i),  for radius < |a|.
-
-    1 / |x(nu)| is concave and grows, so that Newton's method from nu = 0 rises to the root and
-    never passes it, whatever the k_i (J. More, D. Sorensen, Computing a trust region step, SIAM J.
-    Sci. Stat. Comput. 4(3), 1983).
-
-    Parameters
-    ----------
-    a : ndarray, shape (n,)
-    k : ndarray, shape (n,), > 0
-    radius : float, > 0
-
-    Examples
-    --------
-    >>> secular(np.array([3.0, 4.0]), np.array([1.0, 1.0]), 2.5)
-    1.0
-    """
-    nu = 0.0
-    for _ in range(STEPS):
-        falling = 1 + nu * k
-        x = a / falling
-        square = float(x @ x)
-        step = (np.sqrt(square) / radius - 1) * square / float(x @ (x * k / falling))
-        nu += max(step, 0.0)  # a step back is rounding
-        if step <= 1e-15 * nu:
-            break
-    return float(nu)

@@ -16,6 +16,7 @@ import numpy as np
 import scipy.linalg
 import scipy.optimize
 import scipy.sparse as sp
+from scipy.linalg.lapack import dtrtrs
 
 from sweepopt.errors import EmptySetError
 from sweepopt.linalg import dense, row_lengths
@@ -54,10 +55,9 @@ def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> Shortest 
     lengths = row_lengths(G)
     if (slack < -rounding)[lengths == 0].any():
         raise EmptySetError(EMPTY + ", a zero row of G has a negative h")
-    rows = np.flatnonzero(lengths > 0)
-    unit = sp.diags_array(1 / lengths[rows])
-    G, slack, rounding = unit @ G[rows], unit @ slack[rows], unit @ rounding[rows]
-    G = sp.csr_array(G) if sp.issparse(G) else G
+    lengths = np.where(lengths > 0, lengths, np.inf)  # no point violates a zero row then
+    G = sp.diags_array(1 / lengths) @ sp.csr_array(G) if sp.issparse(G) else G / lengths[:, None]
+    slack, rounding = slack / lengths, rounding / lengths
     u, active = np.zeros(G.shape[1]), np.zeros(0, dtype=int)
     implied = active  # rows that follow from active ones up to rounding
     visited: set[tuple[int, ...]] = set()
@@ -66,11 +66,11 @@ def least_distance(G: Any, slack: np.ndarray, rounding: np.ndarray) -> Shortest 
         excess[active] = excess[implied] = -np.inf
         violated = np.flatnonzero(excess > rounding + ROUNDING * np.linalg.norm(u))
         if not violated.size:
-            return Shortest(u, rows[active])
+            return Shortest(u, active)
         state = (*np.sort(active), -1, *np.sort(implied))
         if state in visited:  # rounding turns in circles
             small = excess.max() <= 1e-12 * np.abs(slack).max()
-            return Shortest(u, rows[active]) if small else None
+            return Shortest(u, active) if small else None
         visited.add(state)
         basis, dependent = _binding(G, slack, rounding, np.union1d(active, violated))
         u, active = _on(G, slack, basis)
@@ -97,11 +97,12 @@ def _binding(
     diagonal = np.abs(R.diagonal())
     rank = int((diagonal > DEPENDENT * sizes[by_size][: diagonal.size]).sum())
     basis, dependent = rows[order[:rank]], rows[order[rank:]]
-    shares = scipy.linalg.solve_triangular(R[:rank, :rank], R[:rank, rank:])
-    excess = shares.T @ slack[basis] - slack[dependent]
-    limits = 100 * (rounding[dependent] + np.abs(shares.T) @ rounding[basis])
-    if ((shares <= ROUNDING).all(axis=0) & (excess > limits)).any():
-        raise EmptySetError(EMPTY)
+    if dependent.size:
+        shares = scipy.linalg.solve_triangular(R[:rank, :rank], R[:rank, rank:])
+        excess = shares.T @ slack[basis] - slack[dependent]
+        limits = 100 * (rounding[dependent] + np.abs(shares.T) @ rounding[basis])
+        if ((shares <= ROUNDING).all(axis=0) & (excess > limits)).any():
+            raise EmptySetError(EMPTY)
     return basis, dependent
 
 
@@ -109,8 +110,8 @@ def _on(G: Any, slack: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.nda
     """The shortest u with equality on rows, without those whose multiplier is negative."""
     while rows.size:
         Q, R = np.linalg.qr(dense(G[rows]).T)
-        heights = scipy.linalg.solve_triangular(R, slack[rows], trans=1)
-        multipliers = -scipy.linalg.solve_triangular(R, heights)
+        heights = dtrtrs(R, slack[rows], trans=1)[0]
+        multipliers = -dtrtrs(R, heights)[0]
         if multipliers.min() >= 0:
             return Q @ heights, rows
         rows = np.delete(rows, np.argmin(multipliers))

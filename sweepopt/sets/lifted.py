@@ -10,33 +10,29 @@ features, projection and normal pairs read this form and nothing else.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeGuard
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import norm
 
-from sweepopt.checks import Matrix, vector
-from sweepopt.errors import EmptySetError, InputError
+from sweepopt.checks import vector
+from sweepopt.errors import EmptySetError
+from sweepopt.sets.aligned import Aligned, product_of
 from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
-    CurveGap,
     Features,
     Form,
     NormalPair,
     Perturbation,
-    Selection,
     binary,
+    places,
     same_array,
-    total_gap,
 )
-from sweepopt.sets.polyhedra import GeneratedCone
-from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.programs import normal_by_program, support_by_program
-from sweepopt.sets.projection import Projection, Projector, Splitting, fixed_point, places
-from sweepopt.sets.shapes import Box, Point
+from sweepopt.sets.projection import Projection, Projector, Splitting, fixed_point
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -45,114 +41,6 @@ if TYPE_CHECKING:
 # Alternating projections crawl where sets nearly touch: 3,000 settle an ellipsoid and a polytope
 # that are 5e-5 apart, 500 do not.
 SWEEPS_BETWEEN = 3000
-
-
-class Product(ConvexSet):
-    """C_1 x C_2 x ...: the parts one after the other in the vector.
-
-    sigma(C x D, (y, z)) = sigma(C, y) + sigma(D, z), and so it is with all else.
-    """
-
-    def __init__(self, parts: tuple[ConvexSet, ...]) -> None:
-        self.parts = parts
-        self.dim = sum(part.dim for part in parts)
-        self.polyhedral = all(part.polyhedral for part in parts)
-        self.certifiable = all(part.certifiable for part in parts)
-        self.exact = all(part.exact for part in parts)
-        self._cuts = np.cumsum([part.dim for part in parts])[:-1]
-
-    @cached_property
-    def offsets(self) -> np.ndarray:  # type: ignore[override]
-        return np.concatenate([part.offsets for part in self.parts])
-
-    def _split(self, *vectors: np.ndarray) -> Any:
-        """The parts, each with its blocks of the vectors."""
-        return zip(self.parts, *(np.split(v, self._cuts) for v in vectors), strict=True)
-
-    def support(self, z: np.ndarray) -> float:
-        return sum(part.support(x) for part, x in self._split(vector("z", z, self.dim)))
-
-    def _joined(self, method: str, *vectors: np.ndarray) -> np.ndarray:
-        return np.concatenate([getattr(part, method)(*x) for part, *x in self._split(*vectors)])
-
-    def project(self, w: np.ndarray) -> np.ndarray:
-        return self._joined("project", vector("w", w, self.dim))
-
-    def normal(self, v: np.ndarray) -> np.ndarray:
-        return self._joined("normal", v)
-
-    def weights(self, tau: np.ndarray) -> np.ndarray:
-        return self._joined("weights", tau)
-
-    def derivative(self, v: np.ndarray) -> np.ndarray | None:
-        each = [part.derivative(x) for part, x in self._split(v)]
-        if any(D is None for D in each):
-            return None
-        return scipy.linalg.block_diag(*(D if D.ndim == 2 else np.diag(D) for D in each))
-
-    def features(self, p: cp.Expression) -> Features:
-        y: list[Any] = []
-        constraints: list[Any] = []
-        start = 0
-        for part in self.parts:
-            more, others = part.features(p[start : start + part.dim])
-            y += more
-            constraints += others
-            start += part.dim
-        return Features(y, constraints)
-
-    def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
-        pairs: list[Any] = [part.normal_pair(*x) for part, *x in self._split(p, w, tau)]
-        if any(pair is None for pair in pairs):
-            return None
-        perturbation = None
-        if any(pair.perturbation for pair in pairs):
-            each = [pair.perturbation or Perturbation(0 * pair.w, 0 * pair.p) for pair in pairs]
-            perturbation = Perturbation(*map(np.concatenate, zip(*each, strict=True)))
-        p, w = (np.concatenate(xs) for xs in zip(*((q.p, q.w) for q in pairs), strict=True))
-        return NormalPair(p, w, sum(pair.gap for pair in pairs), perturbation)
-
-    def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
-        return total_gap(
-            part.gap_along_curve(a.T, b.T, ratio) for part, a, b in self._split(p.T, w.T)
-        )
-
-    def form(self) -> Form:
-        return Form.beside(*self.parts)
-
-    def factors(self) -> list[ConvexSet]:
-        return [C for part in self.parts for C in part.factors()]
-
-    def same_cone(self, other: ConvexSet) -> bool:
-        return (
-            isinstance(other, Product)
-            and len(self.parts) == len(other.parts)
-            and all(a.same_cone(b) for a, b in zip(self.parts, other.parts, strict=True))
-        )
-
-    def require_nonempty(self, where: str = "C") -> None:
-        for part in self.parts:
-            part.require_nonempty(where)
-
-    def magnitude(self) -> float:
-        return float(np.linalg.norm([part.magnitude() for part in self.parts]))
-
-    def _distance(self, other: ConvexSet) -> float | None:
-        if not isinstance(other, Product) or not np.array_equal(self._cuts, other._cuts):
-            return None
-        distances = [a.distance_bound(b) for a, b in zip(self.parts, other.parts, strict=True)]
-        return None if None in distances else float(np.linalg.norm(distances))  # type: ignore[arg-type]
-
-    @property
-    def anchor(self) -> np.ndarray:
-        return np.concatenate([part.anchor for part in self.parts])
-
-    def polar(self) -> ConvexSet:
-        return Product(tuple(part.polar() for part in self.parts))
-
-
-def product_of(parts: tuple[ConvexSet, ...]) -> ConvexSet:
-    return parts[0] if len(parts) == 1 else Product(parts)
 
 
 class Lifted(ConvexSet):
@@ -210,36 +98,48 @@ class Lifted(ConvexSet):
         if self.lifted.F.shape[0]:
             return super().magnitude()
         each = zip(self._norms, self.lifted.parts, strict=True)
-        return sum(norm * part.magnitude() for norm, part in each if norm)
+        return sum(size * part.magnitude() for size, part in each if size)
 
     def _distance(self, other: ConvexSet) -> float | None:
         if self.lifted.F.shape[0] or not (isinstance(other, Lifted) and self.same_cone(other)):
             return None
-        each = zip(self.lifted.parts, other.lifted.parts, strict=True)
-        distances = [C.distance_bound(D) for C, D in each]
-        known = [norm * d for norm, d in zip(self._norms, distances, strict=True) if d is not None]
-        return sum(known) if len(known) == len(distances) else None
+        each = zip(self._norms, self.lifted.parts, other.lifted.parts, strict=True)
+        bounds = [(size, C.distance_bound(D)) for size, C, D in each]
+        known = [size * distance for size, distance in bounds if distance is not None]
+        return sum(known) if len(known) == len(bounds) else None
 
     @property
     def _norms(self) -> list[float]:
         """Bounds of |E_i| for each part."""
-        blocks = [abs(self.lifted.E[:, at]) for at in places(self.lifted)]
-        sums = [(E.sum(axis=0).max(), E.sum(axis=1).max(), (E * E).sum()) for E in blocks]
-        return [float(np.sqrt(min(columns * rows, square))) for columns, rows, square in sums]
+        blocks = (self.lifted.E[:, at] for at in places(self.lifted.parts))
+        return [float(min(np.sqrt(norm(E, 1) * norm(E, np.inf)), norm(E))) for E in blocks]
 
     # ---- projection -----------------------------------------------------------------------------
 
     @cached_property
-    def _blocks(self) -> Embedding | None:
+    def _blocks(self) -> Aligned | None:
         """The same set as a product of independent ones, each in its own units; None if it is one.
 
         80 discs cut with a box are 80 small sets; as one set, their steps miss tol = 1e-9.
         """
-        blocks = independent(self.lifted)
-        if len(blocks) < 2:
+        E, F, stacked = self.lifted
+        parts = [C for part in stacked for C in part.factors()]
+        owner = np.repeat(np.arange(len(parts)), [C.dim for C in parts])
+        member = sp.csr_array((np.ones(owner.size), (owner, np.arange(owner.size))))
+        table = sp.vstack([abs(E), abs(F), member])
+        _, label = connected_components(sp.block_array([[None, table], [table.T, None]]), False)
+        cuts = np.cumsum([E.shape[0], F.shape[0], len(parts)])
+        of_w, of_F, of_part, of_s = np.split(label, cuts)
+        groups = np.intersect1d(of_w, of_s)
+        if groups.size < 2:
             return None
-        unknowns = np.concatenate([block.unknowns for block in blocks])
-        return Embedding(product_of(tuple(Lifted(b.form) for b in blocks)), unknowns, self.dim)
+        blocks, unknowns = [], []
+        for group in groups:
+            some, rows, own, at = (np.flatnonzero(x == group) for x in (of_w, of_F, of_part, of_s))
+            form = Form(E[some][:, at], F[rows][:, at], tuple(parts[i] for i in own))
+            blocks.append(Lifted(form))
+            unknowns.append(some)
+        return Aligned(*blocks, unknowns=np.concatenate(unknowns), dim=self.dim)
 
     @cached_property
     def _projector(self) -> Projector:
@@ -270,18 +170,21 @@ class Lifted(ConvexSet):
         noise = np.abs(p) <= ROUNDING * (size if size > ROUNDING * np.abs(v).max() else np.inf)
         return NormalPair(np.where(noise, 0.0, p), near.w.copy(), 0.0)
 
-    def project(self, w: np.ndarray) -> np.ndarray:
-        w = vector("w", w, self.dim)
+    def _nearest(self, v: np.ndarray) -> NormalPair:
+        """The projection of v and its normal, as exact as they are found."""
         if self._blocks is not None:
-            return self._blocks.project(w)
-        pair = self._pair(w)
-        return w - normal_by_program(self, w).p if pair is None else pair.w
+            return NormalPair(self._blocks.normal(v), self._blocks.project(v), 0.0)
+        pair = self._pair(v)
+        if pair is None:
+            p = normal_by_program(self, v).p
+            pair = NormalPair(p, v - p, 0.0)
+        return pair
+
+    def project(self, w: np.ndarray) -> np.ndarray:
+        return self._nearest(vector("w", w, self.dim)).w
 
     def normal(self, v: np.ndarray) -> np.ndarray:
-        if self._blocks is not None:
-            return self._blocks.normal(v)
-        pair = self._pair(v)
-        return v - self.project(v) if pair is None else pair.p
+        return self._nearest(v).p
 
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return super().weights(tau) if self._blocks is None else self._blocks.weights(tau)
@@ -297,17 +200,14 @@ class Lifted(ConvexSet):
             return self._blocks.normal_pair(p, w, tau)
         step = float(np.mean(tau))
         v = w + step * p
-        pair = self._pair(v)
+        pair = self._pair(v) or self._pair_nearby(v)
         if pair is None:
-            pair = self._pair_nearby(v)
-        elif pair.perturbation is None:
-            near = self.near(v)
-            perturbation = near.splitting.perturbation(near, pair.p) or _rounded(v)
-            pair = pair._replace(perturbation=perturbation)
-        if pair is None or pair.perturbation is None:
             return None
-        perturbation = pair.perturbation._replace(p=pair.perturbation.p / step)
-        return NormalPair(pair.p / step, pair.w, pair.gap / step, perturbation)
+        off = pair.perturbation
+        if off is None:
+            near = self.near(v)
+            off = near.splitting.perturbation(near, pair.p) or _rounded(v)
+        return NormalPair(pair.p / step, pair.w, pair.gap / step, off._replace(p=off.p / step))
 
     def _pair_nearby(self, v: np.ndarray) -> NormalPair | None:
         """A point of C, and the better one of two normals, where no projection is exact."""
@@ -334,11 +234,10 @@ class Lifted(ConvexSet):
 
     def _separated(self) -> bool:
         """Whether the shortest vector from S to { F s = 0 } separates the two."""
-        form, project, zero = self.lifted, self._projector, np.zeros(self.dim)
-        if project(zero, project.start(zero)).exact:
+        if self.near(np.zeros(self.dim)).exact:
             return False
-        size, zero = float(np.abs(self.part.offsets).max(initial=0.0)), np.zeros(form.E.shape[1])
-        ties = Splitting(form._replace(E=0 * form.E), 1 + zero).K
+        size, zero = float(np.abs(self.part.offsets).max(initial=0.0)), np.zeros(self.part.dim)
+        ties = Splitting(self.lifted._replace(E=0 * self.lifted.E), 1 + zero).K
         s, fixed = fixed_point(lambda s: self.part.project(ties(s)), zero, size, SWEEPS_BETWEEN)
         n = self.part.normal(ties(s))
         size = max(size, float(np.abs(s).max()))
@@ -348,8 +247,7 @@ class Lifted(ConvexSet):
         return self.part.support(n) < -size * float(rounding)
 
     def polar(self) -> ConvexSet:
-        for part in self.lifted.parts:
-            part.polar()  # says so if this is no cone at all
+        self.part.polar()  # says so if this is no cone at all
         raise self._polar_unknown()
 
 
@@ -363,7 +261,7 @@ class Sum(Lifted):
 
     def __init__(self, first: ConvexSet, second: ConvexSet) -> None:
         self.operands = first, second
-        super().__init__(Form.added(first, second))
+        super().__init__(Form.added(first.form(), second.form()))
 
     @property
     def anchor(self) -> np.ndarray:
@@ -380,7 +278,7 @@ class Intersection(Lifted):
     def __init__(self, first: ConvexSet, second: ConvexSet) -> None:
         self.operands = first, second
         one = sp.eye_array(first.dim)  # E_1 s_1, and rows E_1 s_1 - E_2 s_2 = 0
-        both = Form.beside(first, second)
+        both = Form.beside(first.form(), second.form())
         super().__init__(both.cut(sp.hstack([one, -one])).image(sp.hstack([one, 0 * one])))
 
     def _pair(self, v: np.ndarray) -> NormalPair | None:
@@ -399,152 +297,3 @@ class Intersection(Lifted):
         """(C & D)° = closure of C° + D°; projections on a sum are those on its closure."""
         closure: ConvexSet = self.operands[0].polar() + self.operands[1].polar()
         return closure
-
-
-class Block(NamedTuple):
-    """What a form says of some unknowns, whatever the others are."""
-
-    unknowns: np.ndarray
-    form: Form
-
-
-def independent(form: Form) -> list[Block]:
-    """The blocks that a form consists of: parts that no row of E or F ties to each other."""
-    parts = [C for part in form.parts for C in part.factors()]
-    owner = np.repeat(np.arange(len(parts)), [C.dim for C in parts])
-    member = sp.csr_array((np.ones(owner.size), (owner, np.arange(owner.size))))
-    table = sp.vstack([abs(form.E), abs(form.F), member])
-    count, label = connected_components(sp.block_array([[None, table], [table.T, None]]), False)
-    sizes = [form.E.shape[0], form.F.shape[0], len(parts)]
-    of_w, of_F, of_part, of_s = np.split(label, np.cumsum(sizes))
-    blocks = []
-    for group in np.unique(of_s) if count > 1 else ():
-        unknowns, rows, at = (np.flatnonzero(x == group) for x in (of_w, of_F, of_s))
-        own = tuple(parts[i] for i in np.flatnonzero(of_part == group))
-        if unknowns.size:
-            E, F = form.E[unknowns][:, at], form.F[rows][:, at]
-            blocks.append(Block(unknowns, Form(E, F, own)))
-    return blocks
-
-
-# ---- images -------------------------------------------------------------------------------------
-
-
-def image_of(M: Matrix, C: ConvexSet) -> ConvexSet:
-    """{ M s : s in C } as what it is: a point, a polytope, a cone, a set of few unknowns, or more.
-
-    Raises
-    ------
-    InputError
-        If C has another dim than M has columns.
-    """
-    if M.shape[1] != C.dim:
-        raise InputError(f"image(M, C): M has {M.shape[1]} columns but C has dim {C.dim}")
-    if isinstance(C, Point):
-        return Point(M @ C.offsets)
-    unknowns = _selected(M)
-    if unknowns is not None:
-        return Embedding(C, unknowns, M.shape[0])
-    if isinstance(C, Polytope):
-        return Polytope((M @ C.vertices.T).T)
-    if isinstance(C, GeneratedCone):
-        return GeneratedCone(C.G @ M.T)
-    if isinstance(C, Box) and not C.offsets.any():
-        # <p, M s> <= 0 for all s of the cone
-        return GeneratedCone(C.polar().halfspaces().N @ M.T)
-    return Lifted(C.form().image(M))
-
-
-class Embedding(ConvexSet):
-    """{ w : w[unknowns] in part, all other entries 0 }.
-
-    This is how contact enters a large body: the set acts on a few unknowns only, and a plan can
-    eliminate the others.
-    """
-
-    def __init__(self, part: ConvexSet, unknowns: np.ndarray, dim: int) -> None:
-        self.part, self.unknowns, self.dim = part, unknowns, dim
-        self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
-        self.exact, self.offsets = part.exact, part.offsets
-
-    def _within(self, s: np.ndarray, rest: np.ndarray | None = None) -> np.ndarray:
-        """s on the few unknowns, 0 or the rest beside them."""
-        w = np.zeros(self.dim) if rest is None else rest.copy()
-        w[self.unknowns] = s
-        return w
-
-    def support(self, z: np.ndarray) -> float:
-        return self.part.support(vector("z", z, self.dim)[self.unknowns])
-
-    def features(self, p: cp.Expression) -> Features:
-        return self.part.features(p[self.unknowns])
-
-    def project(self, w: np.ndarray) -> np.ndarray:
-        return self._within(self.part.project(vector("w", w, self.dim)[self.unknowns]))
-
-    def normal(self, v: np.ndarray) -> np.ndarray:
-        return self._within(self.part.normal(v[self.unknowns]), v)
-
-    def weights(self, tau: np.ndarray) -> np.ndarray:
-        if self.unknowns.size < self.dim:
-            return super().weights(tau)
-        return self._within(self.part.weights(tau[self.unknowns]))
-
-    def derivative(self, v: np.ndarray) -> np.ndarray | None:
-        """None for few of the unknowns: their set has one."""
-        own = self.part.derivative(v[self.unknowns]) if self.unknowns.size == self.dim else None
-        if own is None or own.ndim == 1:
-            return own if own is None else self._within(own)
-        back = np.argsort(self.unknowns)
-        return own[np.ix_(back, back)]
-
-    def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
-        pair = self.part.normal_pair(*(x[self.unknowns] for x in (p, w, tau)))
-        if pair is None:
-            return None
-        off = pair.perturbation and Perturbation(*map(self._within, pair.perturbation))
-        return NormalPair(self._within(pair.p, p), self._within(pair.w), pair.gap, off)
-
-    def form(self) -> Form:
-        unit = sp.eye_array(self.dim, format="csc")
-        return self.part.form().image(unit[:, self.unknowns])
-
-    def same_cone(self, other: ConvexSet) -> bool:
-        return self._acts_like(other) and self.part.same_cone(other.part)
-
-    def _acts_like(self, other: ConvexSet) -> TypeGuard[Embedding]:
-        return (
-            isinstance(other, Embedding)
-            and self.dim == other.dim
-            and np.array_equal(self.unknowns, other.unknowns)
-        )
-
-    def require_nonempty(self, where: str = "C") -> None:
-        self.part.require_nonempty(where)
-
-    def magnitude(self) -> float:
-        return self.part.magnitude()
-
-    def _distance(self, other: ConvexSet) -> float | None:
-        return self.part.distance_bound(other.part) if self._acts_like(other) else None
-
-    @property
-    def selection(self) -> Selection:
-        return Selection(self.unknowns, self.part, None)
-
-    def polar(self) -> ConvexSet:
-        polar, ends = self.part.polar(), np.full((self.dim, 2), [-np.inf, np.inf])
-        if not isinstance(polar, Box):
-            raise self._polar_unknown()
-        ends[self.unknowns] = np.column_stack([polar.lower, polar.upper])
-        return Box(*ends.T)
-
-
-def _selected(M: Matrix) -> np.ndarray | None:
-    """The rows that M picks, if its columns are distinct unit vectors."""
-    entries = sp.coo_array(M)
-    entries.eliminate_zeros()
-    order = np.argsort(entries.col)
-    columns, rows = entries.col[order], entries.row[order]
-    picks = np.array_equal(columns, np.arange(M.shape[1])) and (entries.data == 1).all()
-    return rows if picks and np.unique(rows).size == rows.size else None

@@ -17,10 +17,10 @@ import numpy as np
 from sweepopt.checks import dimension, instant, number, vector
 from sweepopt.errors import InputError
 from sweepopt.loads import Constant, Separable
+from sweepopt.sets.aligned import Similar
 from sweepopt.sets.balls import Ball
 from sweepopt.sets.base import ConvexSet, Operators, is_vector
 from sweepopt.sets.shapes import Point
-from sweepopt.sets.similar import Similar
 
 
 class MovingSet(Operators):
@@ -180,7 +180,8 @@ class Moving(MovingSet):
         t = instant("t", t)
         if self.scale is None:
             return 1.0
-        return number(f"scale(t) at t = {t:g}", self.scale(t), minimum=0.0)
+        name = f"scale(t) at t = {t:g}"
+        return number(name, instant(name, self.scale(t)), minimum=0.0)
 
     def members(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
         if self.scale is not None:
@@ -191,10 +192,7 @@ class Moving(MovingSet):
         elif self.center is not None:
             for t in map(float, times):
                 self.center_at(t)
-        first = float(times[0])
-        C = self.at(first)
-        C.require_nonempty(f"C(t) at t = {first:g}")
-        return [(first, C)]
+        return self.at(float(times[0])).members(times)
 
     def at(self, t: float) -> ConvexSet:
         scaled = self.shape if self.scale is None else self.scale_at(t) * self.shape

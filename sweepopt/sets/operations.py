@@ -3,8 +3,8 @@
     C + v, C + D, r C, -C, C & D, so.product(C, D, ...), so.image(M, C)
 
 What stays a point, a box, a polyhedron or a polytope is one; every other composed set is a lifted
-form (lifted.py), or a translate or multiple (similar.py) of what it was. Operators of `ConvexSet`
-call these functions.
+form (lifted.py), or a product, translate or multiple (aligned.py) of others. Operators of
+`ConvexSet` call these functions.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import HUGE, Matrix, divisor, matrix, number, vector
 from sweepopt.errors import InputError
+from sweepopt.sets.aligned import Aligned, Similar, shape_of
 from sweepopt.sets.base import (
     Algebra,
     ConvexSet,
@@ -24,11 +25,11 @@ from sweepopt.sets.base import (
     is_vector,
     require_same_dim,
 )
-from sweepopt.sets.lifted import Embedding, Intersection, Product, Sum, image_of
+from sweepopt.sets.lifted import Intersection, Lifted, Sum
 from sweepopt.sets.moving import MovingSet, over_time
-from sweepopt.sets.polyhedra import ACTIVE_DIM, Polyhedron
+from sweepopt.sets.polyhedra import ACTIVE_DIM, GeneratedCone, Polyhedron
+from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.shapes import Box, Point
-from sweepopt.sets.similar import Similar, shape_of
 
 
 @over_time
@@ -65,7 +66,7 @@ def scale(factor: Any, C: ConvexSet) -> ConvexSet:
         ends = (C.lower, C.upper) if r > 0 else (C.upper, C.lower)
         return Box(*(r * end for end in ends))  # nothing is divided by r, however small it gets
     if isinstance(C, Similar) and C.v is None and r * C.factor == 1:
-        return C.part
+        return C.parts[0]
     return Similar(C, None, r)
 
 
@@ -109,7 +110,7 @@ def product(*sets: Any) -> Any:
         return Point(np.concatenate([C.anchor for C in sets]))
     if all(isinstance(C, Box) for C in sets):
         return Box(np.concatenate([C.lower for C in sets]), np.concatenate([C.upper for C in sets]))
-    return Product(tuple(sets))
+    return Aligned(*sets)
 
 
 def image(M: Any, C: Any) -> Any:
@@ -138,32 +139,51 @@ def image(M: Any, C: Any) -> Any:
     M = matrix("M", M)
     if not M.shape[0]:
         raise InputError("M must have at least one row")
-    largest = abs(M).max(axis=0)
-    sizes = (largest.toarray() if sp.issparse(M) else largest).tolist()
-    for j, size in enumerate(sizes):
+    for j, size in enumerate(_sizes(M)):
         if size:
             divisor(f"the largest entry of column {j} of M", size)
-    if moving:
-        image_of(M, Point(np.zeros(C.dim)))  # refuses another width now
-        return MovingSet(lambda t: image_of(M, C.at(t)), M.shape[0])
-    if isinstance(C, Box) and not C.singleton and C.dim == M.shape[1]:
-        # columns of numbers near 1: their units, powers of two, go to the box
-        units = np.array([binary(size) for size in sizes])
-        M, C = M @ sp.diags_array(1 / units), Box(units * C.lower, units * C.upper)
-        return _gathered(M, C) or image_of(M, C)
-    return image_of(M, C)
+    if not moving:
+        return _image(M, C)
+    _image(M, Point(np.zeros(C.dim)))  # refuses another width now
+    return MovingSet(lambda t: _image(M, C.at(t)), M.shape[0])
 
 
-def _gathered(M: Matrix, box: Box) -> ConvexSet | None:
-    """A contact node that is named several times has the sum of its bounds; None if none is."""
+def _sizes(M: Matrix) -> list[float]:
+    """The largest entry of each column."""
+    largest = abs(M).max(axis=0)
+    return (largest.toarray() if sp.issparse(M) else largest).tolist()
+
+
+def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
+    """The image as what it is: a point, a polytope, a cone, a set of few unknowns, or more."""
+    if M.shape[1] != C.dim:
+        raise InputError(f"image(M, C): M has {M.shape[1]} columns but C has dim {C.dim}")
+    if isinstance(C, Point):
+        return Point(M @ C.offsets)
     columns = sp.csc_array(M)
     columns.eliminate_zeros()
-    unknowns, place = np.unique(columns.indices, return_inverse=True)
-    single = (columns.data == 1).all() and (np.diff(columns.indptr) <= 1).all()
-    if not (single and 0 < unknowns.size < place.size):
-        return None
-    ends = [(columns @ side)[unknowns] for side in (box.lower, box.upper)]
-    return Embedding(Box(*ends), unknowns, M.shape[0])
+    unknowns, factors = columns.indices, columns.data
+    distinct = np.unique(unknowns).size == unknowns.size
+    if unknowns.size and (np.diff(columns.indptr) == 1).all():
+        if isinstance(C, Box):
+            # a contact node that is named several times has the sum of its bounds
+            ends = np.zeros((M.shape[0], 2))
+            np.add.at(ends, unknowns, np.sort(factors * [C.lower, C.upper], axis=0).T)
+            unknowns = unknowns if distinct else np.unique(unknowns)
+            return Aligned(Box(*ends[unknowns].T), unknowns=unknowns, dim=M.shape[0])
+        if distinct and (factors == 1).all():
+            return Aligned(C, unknowns=unknowns, dim=M.shape[0])
+    if isinstance(C, Polytope):
+        return Polytope((M @ C.vertices.T).T)
+    if isinstance(C, GeneratedCone):
+        return GeneratedCone(C.G @ M.T)
+    if isinstance(C, Box):
+        # columns of numbers near 1: their units, powers of two, go to the box
+        units = np.array([binary(size) for size in _sizes(M)])
+        M, C = M @ sp.diags_array(1 / units), Box(units * C.lower, units * C.upper)
+        if not C.offsets.any():  # <p, M s> <= 0 for all s of the cone
+            return GeneratedCone(C.polar().halfspaces().N @ M.T)
+    return Lifted(C.form().image(M))
 
 
 def _require_set(what: str, C: ConvexSet, D: Any) -> None:
@@ -172,4 +192,4 @@ def _require_set(what: str, C: ConvexSet, D: Any) -> None:
     require_same_dim(what, C, D)
 
 
-Operators.algebra = Algebra(add, scale, intersect, image)
+Operators.algebra = Algebra(add, scale, intersect)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import copy
+from collections.abc import Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.linalg
 import scipy.optimize
 import scipy.sparse as sp
 
@@ -113,7 +113,7 @@ class Polyhedron(ConvexSet):
         # rows of length 1 and units of the data: HiGHS looks at absolute numbers
         lengths = row_lengths(self.G)
         weights = 1 / np.where(lengths > 0, lengths, 1.0)
-        size, costs = float(np.abs(p).max()), weights * slack
+        size, costs = float(np.abs(p).max()) or 1.0, weights * slack
         result = scipy.optimize.linprog(
             costs / (float(np.abs(costs).max()) or 1.0),
             A_eq=self.G.T * weights,
@@ -160,41 +160,43 @@ class Polyhedron(ConvexSet):
         """On the face that v = w + tau p is nearest to.
 
         v is rounded where tau p is large beside w. So only the active rows come from it; their
-        multipliers come from p, and the point is the one of their face nearest to w. Where rounding
-        hides which rows these are, the linear program of the support function at p tells.
+        multipliers come from p, and the point is the one of their face nearest to w.
         """
-        v, root = w + tau * p, np.sqrt(tau)
-        normal = self._exact_normal(v, tau)
-        if normal is None:
-            return None
-        rows = dense(self.G[normal.active])
-        Q, R = np.linalg.qr((rows * root).T)
-        multipliers = np.maximum(scipy.linalg.solve_triangular(R, Q.T @ (root * p)), 0.0)
-        outside = scipy.linalg.solve_triangular(R, rows @ w - self.h[normal.active], trans=1)
-        point = self._on_face(w - root * (Q @ outside), normal.active, tau)
-        if point is not None:
-            return self._rounded_pair(multipliers, normal.active, point, root)
-        with contextlib.suppress(SweepoptError):  # of HiGHS
-            y = self._multipliers(p, self.h - self.G @ w)
-            if y is not None:
-                active = np.flatnonzero(y)
-                multipliers, point = y[active], self._on_face(w, active, tau)
-        return None if point is None else self._rounded_pair(multipliers, active, point, root)
+        root = np.sqrt(tau)
+        for active in self._faces(p, w, tau):
+            normals = dense(self.G[active])
+            inverse = np.linalg.pinv(normals * root)
+            start = w - root * (inverse @ (normals @ w - self.h[active]))
+            point = self._on_face(start, active, tau)
+            if point is not None:
+                multipliers = np.maximum((root * p) @ inverse, 0.0)
+                perturbation = Perturbation(
+                    w=self._distance_to_face(point, active, root),
+                    p=EPS * (multipliers @ abs(normals)),
+                )
+                return NormalPair(multipliers @ normals, point, 0.0, perturbation)
+        return None
 
-    def _rounded_pair(
-        self, multipliers: np.ndarray, active: np.ndarray, w: np.ndarray, root: np.ndarray
-    ) -> NormalPair:
-        """The pair of a face, and how far rounding keeps w from it and p from its normals."""
+    def _faces(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> Iterator[np.ndarray]:
+        """The active rows at the point nearest to w + tau p.
+
+        Where rounding hides them, the linear program of the support function at p tells.
+        """
+        normal = self._exact_normal(w + tau * p, tau)
+        if normal is not None:
+            yield normal.active
+            with contextlib.suppress(SweepoptError):  # of HiGHS
+                y = self._multipliers(p, self.h - self.G @ w)
+                if y is not None:
+                    yield np.flatnonzero(y)
+
+    def _distance_to_face(self, w: np.ndarray, active: np.ndarray, root: np.ndarray) -> np.ndarray:
+        """How far rounding keeps w from a point of the set with these active rows, per entry."""
         slack = self.h - self.G @ w
-        normals = dense(self.G[active])
         close = np.union1d(active, np.flatnonzero(slack < 0))
         rows = dense(self.G[close])
         residual = np.abs(slack[close]) + EPS * (np.abs(self.h[close]) + abs(rows) @ np.abs(w))
-        perturbation = Perturbation(
-            w=root * (abs(np.linalg.pinv(rows * root)) @ residual),
-            p=EPS * (multipliers @ abs(normals)),
-        )
-        return NormalPair(multipliers @ normals, w, 0.0, perturbation if close.size else None)
+        return root * (abs(np.linalg.pinv(rows * root)) @ residual)
 
     def _on_face(self, start: np.ndarray, active: np.ndarray, tau: np.ndarray) -> np.ndarray | None:
         """The point nearest to start with equality on active rows; None if rounding hides it."""
@@ -308,8 +310,7 @@ class GeneratedCone(ConvexSet):
         return 0.0 if (self.G @ z <= rounding).all() else float("inf")
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        w = vector("w", w, self.dim)
-        return w - self._polar.project(w)
+        return self._polar.normal(w)
 
     def normal(self, v: np.ndarray) -> np.ndarray:
         p = self._polar.project(v)

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     import cvxpy as cp
 
 
-FLAT = 1e-12  # extent, relative to the largest one, below which a polytope is flat
 HULL = 8  # dimensions up to which a hull is computed
 TURNS = 20  # changes of the face, for each vertex
 
@@ -72,16 +71,11 @@ class Polytope(ConvexSet):
 
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
-        point = self._nearest_face(w).point
-        return w if self._at(w, point) else point
+        face = self._nearest_face(w)
+        return w if face is None else face.point
 
-    def _at(self, w: np.ndarray, point: np.ndarray) -> bool:
-        """Whether w is a point of the hull, to rounding."""
-        size = max(np.abs(w).max(), np.abs(self.vertices).max())
-        return bool(np.abs(w - point).max() <= 10 * ROUNDING * size)
-
-    def _nearest_face(self, w: np.ndarray) -> _Face:
-        """The vertices whose hull is the face nearest to w, and the nearest point.
+    def _nearest_face(self, w: np.ndarray) -> _Face | None:
+        """The vertices whose hull is the face nearest to w, and the nearest point; None inside.
 
         Wolfe, Finding the nearest point in a polytope, Math. Programming 11 (1976): a vertex ahead
         of the point enters, those whose share would be negative leave. All is measured from the
@@ -89,16 +83,19 @@ class Polytope(ConvexSet):
         """
         V = self.vertices
         active, shares = [int(np.argmax((V - V.mean(axis=0)) @ w))], np.ones(1)
+        size = max(np.abs(w).max(), np.abs(V).max())
         for _ in range(TURNS * len(V)):
             order = np.argsort(-shares, kind="stable")
             active, shares = [active[k] for k in order], shares[order]
             arms = V - V[active[0]]
             point = V[active[0]] + shares[1:] @ arms[active[1:]]
             p = w - point
+            if np.abs(p).max() <= 10 * ROUNDING * size:
+                return None
             ahead = arms @ p - ROUNDING * (np.abs(arms) @ (np.abs(w) + np.abs(point)))
             ahead[active] = 0.0
             new = int(np.argmax(ahead))
-            if self._at(w, point) or not ahead[new] > 0:
+            if not ahead[new] > 0:
                 break
             before, active, shares = active, [*active, new], np.append(shares, 0.0)
             while True:
@@ -108,9 +105,9 @@ class Polytope(ConvexSet):
                 if (wanted > 0).all():
                     shares = wanted
                     break
-                falling = wanted <= 0
-                fall = np.where(falling & (shares > wanted), shares - wanted, 1)
-                limits = np.where(falling, shares, 2) / fall  # 0 where a share is and stays 0
+                limits = np.where(wanted <= 0, 0.0, 2.0)  # 0 where a share is and stays 0
+                falling = (wanted <= 0) & (shares > wanted)
+                np.divide(shares, shares - wanted, out=limits, where=falling)
                 last = int(np.argmin(limits))
                 shares = np.delete(shares + limits[last] * (wanted - shares), last)
                 del active[last]
@@ -120,7 +117,7 @@ class Polytope(ConvexSet):
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
         face = self._nearest_face(v)
-        if self._at(v, face.point):
+        if face is None:
             return np.eye(self.dim)
         return projector(face.vertices[1:] - face.vertices[0])
 
@@ -128,11 +125,9 @@ class Polytope(ConvexSet):
         """The facets of the hull, in its affine span where it is flat."""
         vertices, centre = self.vertices, self.vertices.mean(axis=0)
         _, extents, axes = np.linalg.svd(vertices - centre)
-        flat = int((extents > FLAT * extents.max(initial=0.0)).sum())
+        flat = int((extents > 10 * ROUNDING * np.abs(vertices).max()).sum())
         span, E = axes[:flat], axes[flat:]
         e = E @ centre
-        if flat == 0:
-            return Halfspaces(np.zeros((0, self.dim)), np.zeros(0), E, e)
         N, d = _hull((vertices - centre) @ span.T)
         return Halfspaces(N @ span, d + N @ span @ centre, E, e)
 
@@ -161,11 +156,11 @@ def _hull(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         raise NoHalfspacesError(
             f"a Polytope in {dim} dimensions, whose facets are not computed beyond {HULL}"
         )
-    if dim == 1:
-        return np.array([[1.0], [-1.0]]), np.array([points.max(), -points.min()])
-    try:
-        planes = ConvexHull(points / np.abs(points).max()).equations
-    except QhullError as error:
-        raise NoHalfspacesError("a Polytope whose facets are not found") from error
-    N = planes[np.unique(planes.round(12), axis=0, return_index=True)[1], :-1]
+    N = np.vstack([np.eye(dim), -np.eye(dim)])  # in no or one dimension
+    if dim > 1:
+        try:
+            planes = ConvexHull(points / np.abs(points).max()).equations
+        except QhullError as error:
+            raise NoHalfspacesError("a Polytope whose facets are not found") from error
+        N = planes[np.unique(planes.round(12), axis=0, return_index=True)[1], :-1]
     return N, (N @ points.T).max(axis=1)  # through the vertices to rounding

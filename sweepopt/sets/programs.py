@@ -36,10 +36,9 @@ def support_by_program(C: ConvexSet, z: np.ndarray) -> float:
     length = float(np.abs(z).max())
     if not length:
         return 0.0
-    y, constraints = C.features(cp.Constant(z / length))
+    value, constraints = C.epigraph(cp.Constant(z / length))
     unit = binary(np.abs(C.offsets).max(initial=0.0))
-    value = (C.offsets / unit) @ cp.hstack(y) if y else cp.Constant(0.0)
-    problem = cp.Problem(cp.Minimize(value), constraints)
+    problem = cp.Problem(cp.Minimize(value / unit), constraints)
     solve_tightly(problem)
     if problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE):
         return float("inf")

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import dimension, entries, vector
 from sweepopt.errors import EmptySetError
-from sweepopt.sets.base import ConvexSet, Features, Halfspaces, difference, same_array
+from sweepopt.sets.base import DENSE, ConvexSet, Features, Halfspaces, difference, same_array
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -97,16 +97,14 @@ class Box(ConvexSet):
         if not isinstance(other, Box):
             return None
         below, above = difference(other.lower, self.lower), difference(self.upper, other.upper)
-        return max(  # each the largest distance of a point of one box to the other box
-            float(np.linalg.norm(np.maximum(0.0, np.maximum(below, above)))),
-            float(np.linalg.norm(np.maximum(0.0, np.maximum(-below, -above)))),
-        )
+        ways = ((below, above), (-below, -above))  # from one box to the other and back
+        return max(float(np.linalg.norm(np.maximum(0.0, np.maximum(*way)))) for way in ways)
 
     def _matrix(self) -> Any:
         """G of { w : G w <= offsets }."""
-        identity = sp.eye_array(self.dim, format="csr") if self.dim > 100 else np.eye(self.dim)
-        stack = sp.vstack if self.dim > 100 else np.vstack
-        return stack([identity[self._up], -identity[self._low]])
+        identity = sp.eye_array(self.dim, format="csr")
+        G = sp.vstack([identity[self._up], -identity[self._low]], format="csr")
+        return G if self.dim > DENSE else G.toarray()
 
     def halfspaces(self) -> Halfspaces:
         return Halfspaces.below(self._matrix(), self.offsets)
@@ -140,9 +138,9 @@ class Point(Box):
     nonsmooth_dim = 0
 
     def __init__(self, p: Any) -> None:
-        p = entries("p", p)
-        super().__init__(p, p)
-        self.offsets = self.lower
+        self.lower = self.upper = self.offsets = entries("p", p)
+        self.dim = self.offsets.size
+        self._low = self._up = np.ones(self.dim, bool)
 
     def features(self, p: cp.Expression) -> Features:
         return Features([p], [])

@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.errors import SweepoptError, SweepoptWarning
-from sweepopt.results import Solution
+from sweepopt.results import ErrorBound, Solution
 from sweepopt.solve import solve
 from sweepopt.study.machine import machine, one_thread
-from sweepopt.study.reference_states import Reference, distance, error_of
-from sweepopt.study.sources import Source
+from sweepopt.study.reference_states import Reference, largest_norm
+from sweepopt.study.sources import Source, open_source
 from sweepopt.velocity import Cvxpy
 
 THROUGH_CVXPY = "cvxpy:"  # such as cvxpy:piqp
@@ -51,6 +51,14 @@ class Cell(NamedTuple):
     def id(self) -> str:
         """What defines the cell: the settings and a digest of the problem's data, not its place."""
         return f"{self} repeats {self.repeats} {self.problem.digest}"
+
+    def row(self, **results: Any) -> CellRow:
+        """The cell's row with these results."""
+        return CellRow(self.problem.name, *self[1:], self.id, **results)
+
+    def failed(self, error: BaseException) -> CellRow:
+        """The row of a cell that ended with an exception."""
+        return self.row(status=type(error).__name__, message=str(error))
 
 
 class CellRow(NamedTuple):
@@ -129,33 +137,30 @@ def run_cell(cell: Cell, reference: Reference) -> CellRow:
             with one_thread():
                 row = _timed(cell, reference)
         except Exception as error:  # whatever it is, the table has it
-            return failed(cell, error)._replace(machine=machine())
+            return cell.failed(error)._replace(machine=machine())
     ours = [f"{one.message}." for one in caught if issubclass(one.category, SweepoptWarning)]
     missing = [f"No reference: {reference.message}."] if reference.message else []
     return row._replace(message=" ".join([row.message, *dict.fromkeys(ours), *missing]))
 
 
-def failed(cell: Cell, error: BaseException) -> CellRow:
-    """The row of a cell that ended with an exception."""
-    asked = (cell.problem.name, *cell[1:], cell.id)
-    return CellRow(*asked, status=type(error).__name__, message=str(error))
-
-
 def solution_of(cell: Cell) -> Solution:
     """The cell's trajectory, solved anew."""
-    process, t_end = cell.problem.open()
-    solver: Any = cell.solver
-    if cell.solver.startswith(THROUGH_CVXPY):
-        solver = Cvxpy(cell.solver.removeprefix(THROUGH_CVXPY).upper())
+    process, t_end = open_source(cell.problem)
     return solve(
         process,
         t_end=t_end,
         steps=cell.steps,
         scheme=cell.scheme,
-        solver=solver,
+        solver=named_solver(cell.solver),
         tol=cell.tol,
         on_failure="stop",
     )
+
+
+def named_solver(name: str) -> Any:
+    """What `sweepopt.solve` is given for the name of a solver."""
+    through_cvxpy = name.startswith(THROUGH_CVXPY)
+    return Cvxpy(name.removeprefix(THROUGH_CVXPY).upper()) if through_cvxpy else name
 
 
 def _timed(cell: Cell, reference: Reference) -> CellRow:
@@ -167,17 +172,16 @@ def _timed(cell: Cell, reference: Reference) -> CellRow:
         solution = solution_of(cell)
         times.append((clock.perf_counter() - wall, clock.process_time() - cpu))
     wall, cpu = np.median(times, axis=0).tolist()
-    stats = solution.stats
-    row = CellRow(
-        cell.problem.name,
-        *cell[1:],
-        cell.id,
+    process, stats = solution.process, solution.stats
+    bound = guaranteed_bound(solution)
+    return cell.row(
         status=solution.status.name,
         success=solution.success,
         message=solution.message,
-        error=error_of(cell.problem, solution.u, reference),
+        error=reference.error(process, solution.u),
         reference_error=reference.uncertainty,
-        size=distance(cell.problem, solution.u, np.zeros_like(solution.u)),
+        size=largest_norm(process, solution.u),
+        bound=nan if bound is None else float(bound),
         certificate=stats["relative"].max() if len(stats) else nan,
         wall=wall,
         cpu=cpu,
@@ -187,7 +191,11 @@ def _timed(cell: Cell, reference: Reference) -> CellRow:
         path=solution.plan.path,
         machine=machine(),
     )
+
+
+def guaranteed_bound(solution: Solution) -> ErrorBound | None:
+    """The bound of the error; None if there is none, or only samples of C(t) are known."""
     with contextlib.suppress(SweepoptError):
         bound = solution.error_bound()
-        row = row._replace(bound=float(bound) if bound.guaranteed else nan)
-    return row
+        return bound if bound.guaranteed else None
+    return None

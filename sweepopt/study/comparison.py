@@ -10,11 +10,9 @@ from __future__ import annotations
 
 import contextlib
 import io
-import math
 import time as clock
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
 from math import inf, nan
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -25,7 +23,7 @@ from sweepopt.errors import InputError
 from sweepopt.sets import ConvexSet
 from sweepopt.solve import solve
 from sweepopt.study.machine import one_thread
-from sweepopt.study.sources import Source
+from sweepopt.study.sources import Source, open_source
 from sweepopt.velocity import (
     DAQP,
     OSQP,
@@ -77,17 +75,6 @@ class Program(NamedTuple):
     C: ConvexSet
 
 
-class Trial(NamedTuple):
-    """A program given to a solver: seconds and relative certificate, or how the solver broke."""
-
-    solver: str
-    setting: str
-    accuracy: float
-    seconds: float = nan
-    certificate: float = inf
-    message: str = ""
-
-
 def compare(
     source: Source, *, steps: int = 50, progress: Callable[[str], object] = lambda words: None
 ) -> DataFrame:
@@ -121,11 +108,13 @@ def compare(
 
     programs = record(source, count("steps", steps))
     progress(f"{source.name}: {len(programs)} programs of {programs[0].q.size} unknowns")
-    rows: list[Trial] = []
+    rows = []
     for setting, solver in solvers_for(programs[0].C):
         progress(f"{solver.name} {setting}")
-        rows += trials(setting, solver, programs)
-    tried = pd.DataFrame(rows)
+        blank = {"solver": solver.name, "setting": setting, "accuracy": ACCURACIES[setting]}
+        blank |= {"seconds": nan, "certificate": inf, "message": ""}
+        rows += [blank | result for result in trials(solver, programs)]
+    tried = pd.DataFrame(rows).fillna({"certificate": inf})
     solved = tried.certificate <= tried.accuracy
     tried = tried.assign(solved=solved, time=tried.seconds.where(solved, tried.seconds.max()))
     table = (
@@ -158,39 +147,36 @@ def solvers_for(C: ConvexSet) -> Iterator[tuple[str, Solver]]:
     return ((setting, solver) for setting, solver in everyone if solver.treats(C))
 
 
-@dataclass(frozen=True)
-class Recorder(Clarabel):
-    """Clarabel, which notes what it is asked."""
-
-    programs: list[Program] = field(default_factory=list)
-
-    def compile(self, program: VelocityProgram) -> Solve:
-        """Clarabel's, with a note of each call."""
-        answer = super().compile(program)
-
-        def noted(q: np.ndarray, C: ConvexSet) -> Any:
-            self.programs.append(Program(program, q.copy(), C))
-            return answer(q, C)
-
-        return noted
-
-
 def record(source: Source, steps: int) -> list[Program]:
-    """The programs of a run of a problem, those of steps at rest apart."""
-    process, t_end = source.open()
-    recorder = Recorder()
+    """The programs of a run of a problem, without those of steps at rest."""
+    programs: list[Program] = []
+
+    class Recorder(Clarabel):
+        def compile(self, program: VelocityProgram) -> Solve:
+            answer = super().compile(program)
+
+            def noted(q: np.ndarray, C: ConvexSet) -> Any:
+                programs.append(Program(program, q.copy(), C))
+                return answer(q, C)
+
+            return noted
+
+    process, t_end = open_source(source)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        solve(process, t_end=t_end, steps=steps, solver=recorder, on_failure="stop")
-    if not recorder.programs:
+        solve(process, t_end=t_end, steps=steps, solver=Recorder(), on_failure="stop")
+    if not programs:
         raise InputError(f"{source.name} has no program to compare solvers on: no step needs one")
-    return recorder.programs
+    return programs
 
 
-def trials(setting: str, solver: Solver, programs: Sequence[Program]) -> list[Trial]:
-    """Every program in the order of time, a call that is not timed before the first one."""
+def trials(solver: Solver, programs: Sequence[Program]) -> list[dict[str, Any]]:
+    """Every program in the order of time, a call that is not timed before the first one.
+
+    Each has seconds and a relative certificate, or a message how the solver broke.
+    """
     compiled: dict[int, Solve] = {}
-    blank, rows = Trial(solver.name, setting, ACCURACIES[setting]), []
+    results: list[dict[str, Any]] = []
     quiet = contextlib.redirect_stdout(io.StringIO())
     with quiet, warnings.catch_warnings(), one_thread():
         warnings.simplefilter("ignore")
@@ -203,11 +189,10 @@ def trials(setting: str, solver: Solver, programs: Sequence[Program]) -> list[Tr
                 z = compiled[id(statement)](q, C).z
                 seconds = clock.perf_counter() - started
                 relative = certify(statement.M, q, C, z).relative if np.isfinite(z).all() else inf
-                certificate = inf if math.isnan(relative) else relative
-                rows.append(blank._replace(seconds=seconds, certificate=certificate))
+                results.append({"seconds": seconds, "certificate": relative})
             except Exception as error:  # a solver that breaks is a row of the table
-                rows.append(blank._replace(message=f"{type(error).__name__}: {error}"))
-    return rows
+                results.append({"message": f"{type(error).__name__}: {error}"})
+    return results
 
 
 def shifted_mean(seconds: Any) -> float:

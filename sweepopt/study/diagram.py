@@ -82,6 +82,8 @@ def work_precision(table: DataFrame, *, x: str = "wall", y: str = "error", ax: A
         panel.set(title=problem, xlabel=COSTS[x], ylabel=f"{ACCURACIES[y]}, $|\\cdot|_A$")
         panel.set(xscale="log", yscale="log")
         panel.grid(alpha=0.3)
+        # labels at 2 and 4 between powers of ten have room in a panel
+        panel.xaxis.get_minor_locator().set_params(subs=(2, 4))
     groups = cells.groupby(["problem", "scheme", "solver", "tol", "kind"], sort=False)
     for (problem, scheme, solver, tol, kind), rows in groups:
         label = f"{scheme} · {solver}" + (f" · tol {tol:g}" if table.tol.nunique() > 1 else "")

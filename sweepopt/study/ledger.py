@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import zlib
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,7 +16,7 @@ Row = TypeVar("Row")
 
 def append_row(path: Path, row: Any) -> None:
     """Add a named tuple of numbers and words; it is on the disk when this returns."""
-    line = json.dumps(row._asdict(), default=np.generic.item)
+    line = json.dumps({**row._asdict(), "crc32": _checksum(row)}, default=np.generic.item)
     with path.open("ab") as file:
         # a new line first: one that a kill cut short must not spoil this one
         file.write(f"\n{line}".encode())
@@ -24,9 +25,16 @@ def append_row(path: Path, row: Any) -> None:
 
 
 def read_rows(path: Path, kind: type[Row]) -> list[Row]:
-    """The rows of a named tuple's class; lines that are cut short or have more columns are not."""
+    """The rows of a named tuple's class; lines that are damaged or have other columns are not."""
     rows = []
     for line in path.read_bytes().splitlines() if path.exists() else ():
-        with contextlib.suppress(ValueError, TypeError):
-            rows.append(kind(**json.loads(line)))
+        with contextlib.suppress(ValueError, TypeError, KeyError, AttributeError):
+            data = json.loads(line)
+            checksum, row = data.pop("crc32"), kind(**data)
+            if checksum == _checksum(row):
+                rows.append(row)
     return rows
+
+
+def _checksum(row: Any) -> int:
+    return zlib.crc32(json.dumps(row, default=np.generic.item).encode())

@@ -7,18 +7,16 @@ Letters of the names: S scalar, V and B on a disc or with B = 0, P polyhedral, L
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from sweepopt import loads, sets
 from sweepopt.errors import InputError
 from sweepopt.io import read_toml
-from sweepopt.loads import Polynomial, Separable, Sine, Table, Triangle
 from sweepopt.problem import SweepingProcess
-from sweepopt.sets import Ball, Box, Moving, Orthant, Point, Polyhedron
 
 FILE = Path(__file__).with_suffix(".toml")
 
@@ -45,26 +43,6 @@ class Spiral:
         return np.empty(0)
 
 
-def sine(amplitude: float, rate: float, phase: float = 0.0) -> Sine:
-    """amplitude sin(rate t + phase)."""
-    return Sine(amplitude, 2.0 * math.pi / rate, phase)
-
-
-HISTORIES: dict[str, Callable[..., Any]] = {
-    "polynomial": Polynomial,
-    "sine": sine,
-    "spiral": Spiral,
-    "table": Table,
-    "triangle": Triangle,
-}
-SHAPES: dict[str, Callable[..., Any]] = {
-    "ball": Ball,
-    "box": Box,
-    "orthant": Orthant,
-    "point": Point,
-}
-
-
 @dataclass(frozen=True)
 class Problem:
     """A process and how long it runs, as they stand in the file.
@@ -75,7 +53,7 @@ class Problem:
     t_end : float
     A, B, u0 : lists of numbers
     set, load : dict, list of dict
-        Names of `SHAPES`, or "polyhedron", and of `HISTORIES` with what these are called with.
+        Names of `sweepopt.sets` and of `sweepopt.loads`, with what these are called with.
     """
 
     name: str
@@ -92,12 +70,14 @@ class Problem:
         terms = []
         for term in self.load:
             (history, arguments), (_, direction) = term.items()
-            terms.append((HISTORIES[history](*arguments), direction))
+            make = Spiral if history == "Spiral" else getattr(loads, history)
+            terms.append((make(*arguments), direction))
         ((kind, arguments),) = self.set.items()
-        C: Any = (
-            Polyhedron(arguments[0], Separable(terms))
-            if kind == "polyhedron"
-            else Moving(SHAPES[kind](*arguments), Separable(terms))
+        shape, load = getattr(sets, kind), loads.Separable(terms)
+        C = (
+            shape(*arguments, load)
+            if kind == "Polyhedron"
+            else sets.Moving(shape(*arguments), load)
         )
         return SweepingProcess(self.A, self.B, C, self.u0)
 

@@ -27,19 +27,14 @@ def read_record(where: str, kind: type[Record], data: dict[str, Any], **given: A
         raise InputError(f"{where}{error}") from error
 
 
-def each(name: str, values: Any, check: Callable[[str, Any], object]) -> tuple[Any, ...]:
+def each(name: str, values: Any, check: Callable[..., Any], *limits: Any) -> tuple[Any, ...]:
     """A list with one entry or more, each of them checked under its own name."""
-    entries = listed(name, values)
-    for k, entry in enumerate(entries):
-        check(f"{name}[{k}]", entry)
-    return entries
+    entries = enumerate(listed(name, values))
+    return tuple(check(f"{name}[{k}]", entry, *limits) for k, entry in entries)
 
 
-def known(names: Iterable[str], advice: str = "use") -> Callable[[str, Any], None]:
-    """A check that a value is one of some names, which a refusal lists after the advice."""
-
-    def check(name: str, value: Any) -> None:
-        if value not in tuple(names):
-            raise InputError(f"{name}: {shown(value)} is not known; {advice} {', '.join(names)}")
-
-    return check
+def known(name: str, value: Any, names: Iterable[str], advice: str = "use") -> Any:
+    """One of some names, which a refusal lists after the advice."""
+    if value not in tuple(names):
+        raise InputError(f"{name}: {shown(value)} is not known; {advice} {', '.join(names)}")
+    return value

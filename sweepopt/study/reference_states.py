@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import warnings
+from contextlib import suppress
 from math import inf, nan
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sweepopt.errors import DamagedFileError, SweepoptError, SweepoptWarning
 from sweepopt.io import read_npz, write_npz
+from sweepopt.problem import SweepingProcess
+from sweepopt.results import Solution
 from sweepopt.solve import solve
 from sweepopt.study.machine import one_thread
-from sweepopt.study.sources import Source
+from sweepopt.study.sources import Source, open_source
 
 REFINED = 16
 """A fine run has so many times the steps: of order 2, its error is far below the one measured."""
@@ -36,9 +39,16 @@ class Reference(NamedTuple):
         Why there are none.
     """
 
-    u: np.ndarray
+    u: np.ndarray = np.empty(0)
     uncertainty: float = inf
     message: str = ""
+
+    def error(self, process: SweepingProcess, u: np.ndarray) -> float:
+        """The error of states on the nodes; nan if the reference's own is not far below."""
+        if len(u) != len(self.u):
+            return nan
+        error = largest_norm(process, u - self.u)
+        return error if error >= SAFETY * self.uncertainty else nan
 
 
 def make_reference(source: Source, steps: int) -> Reference:
@@ -46,17 +56,30 @@ def make_reference(source: Source, steps: int) -> Reference:
 
     A pure function of plain data: it runs in workers. What goes wrong leaves no states.
     """
+
+    def run(times: int, scheme: str, **settings: Any) -> Solution:
+        return solve(process, t_end=t_end, steps=steps * times, scheme=scheme, **settings)
+
     with one_thread(), warnings.catch_warnings():
         warnings.simplefilter("ignore", SweepoptWarning)
         try:
-            return _exact(source, steps) or _refined(source, steps)
+            process, t_end = open_source(source)
+            with suppress(SweepoptError):  # the event-exact integrator does not apply
+                exact = run(1, "exact")
+                if exact.success:
+                    return Reference(exact.u, 0.0)
+            fine, coarse = (
+                run(times, "sdirk2", tol=TOL, save=times, on_unstable="ignore").u
+                for times in (REFINED, REFINED // 2)
+            )
+            return Reference(fine, largest_norm(process, fine - coarse))
         except Exception as error:
-            return absent(f"{type(error).__name__}: {error}")
+            return Reference(message=f"{type(error).__name__}: {error}")
 
 
-def absent(message: str) -> Reference:
-    """No states, and why."""
-    return Reference(np.empty((0, 0)), message=message)
+def largest_norm(process: SweepingProcess, u: np.ndarray) -> float:
+    """sup over the nodes of |u_i|_A, of |.|_B where A = 0."""
+    return max(map(process.metric.norm, u))
 
 
 def save_reference(path: Path, reference: Reference) -> None:
@@ -72,44 +95,3 @@ def load_reference(path: Path) -> Reference | None:
         return Reference(arrays["u"], *record["record"])
     except (OSError, DamagedFileError, KeyError):
         return None
-
-
-def distance(source: Source, u: np.ndarray, v: np.ndarray) -> float:
-    """sup over the nodes of |u_i - v_i|_A, of |.|_B where A = 0."""
-    return max(map(source.open().process.metric.norm, u - v))
-
-
-def error_of(source: Source, u: np.ndarray, reference: Reference) -> float:
-    """The error of the states on the nodes; nan if the reference's is not far below."""
-    if len(u) != len(reference.u):
-        return nan
-    error = distance(source, u, reference.u)
-    return error if error >= SAFETY * reference.uncertainty else nan
-
-
-def _exact(source: Source, steps: int) -> Reference | None:
-    """The event-exact integrator's states, None where it does not apply."""
-    process, t_end = source.open()
-    try:
-        sol = solve(process, t_end=t_end, steps=steps, scheme="exact")
-    except SweepoptError:
-        return None
-    return Reference(sol.u, 0.0) if sol.success else None
-
-
-def _refined(source: Source, steps: int) -> Reference:
-    process, t_end = source.open()
-
-    fine, coarse = (
-        solve(
-            process,
-            t_end=t_end,
-            steps=steps * times,
-            scheme="sdirk2",
-            tol=TOL,
-            save=times,
-            on_unstable="ignore",
-        ).u
-        for times in (REFINED, REFINED // 2)
-    )
-    return Reference(fine, distance(source, fine, coarse))

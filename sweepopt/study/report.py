@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweepopt.errors import InputError, Status, SweepoptError, brought_by
+from sweepopt.errors import InputError, Status, brought_by
 from sweepopt.io import put, writable
 from sweepopt.results import Solution
 from sweepopt.study.advice import advice_table
+from sweepopt.study.cell import guaranteed_bound
 from sweepopt.study.diagram import ACCURACIES, BOUND, COLOURS, COLUMNS, COSTS, points
-from sweepopt.study.hard import FAMILIES
 from sweepopt.study.hard.suite import TARGET, HardRow
 from sweepopt.study.machine import machine
 
@@ -192,29 +192,23 @@ def _trajectories(solutions: Mapping[str, Solution]) -> Any:
 
 def _band(solution: Solution, k: int) -> Any:
     """A bound of |u_k(t_i) - u_n,k(t_i)| <= |e|_A sqrt((A^-1)_kk); nan if there is none."""
-    try:
-        of_t = solution.error_bound().of_t
-    except SweepoptError:
+    bound = guaranteed_bound(solution)
+    if bound is None:
         return np.nan
     inverse = solution.process.metric.solve(np.eye(1, solution.process.dim, k)[0])
-    return np.sqrt(inverse[k]) * np.append(of_t[:1], of_t)
+    return np.sqrt(inverse[k]) * np.append(bound.of_t[:1], bound.of_t)
 
 
 def _hard_section(hard: Sequence[HardRow]) -> list[str]:
     import pandas as pd
 
     table, good = pd.DataFrame(hard), pd.Series([row.good for row in hard])
-    families = [name for name in table.family.unique() if name in FAMILIES]
-    about = pd.DataFrame(
-        {"what is hard about it": [", ".join(FAMILIES[name]) for name in families]}
-    )
     return [
         "<h2>Hard cases</h2>",
         "<p>The worst step of each run, judged by its exact velocity: the true error stays below "
         f"{TARGET:g} and below the certificate. A click in the legend hides a solver.</p>",
         _page_of(_hard_figure(table)),
         _table(table.drop(columns="excess"), "verdict", good, "runs", "wrong"),
-        "<h3>The families</h3>" + about.set_axis(families).to_html(border=0),
     ]
 
 
@@ -247,6 +241,7 @@ def _panels(column: str, count: int) -> dict[str, Any]:
     return {
         "facet_col": column,
         "facet_col_wrap": min(count, COLUMNS),
+        "facet_col_spacing": 0.06,  # for numbers at each axis
         "height": 120 + 320 * -(-count // COLUMNS),
         "color_discrete_sequence": COLOURS,
     }

@@ -14,13 +14,6 @@ from sweepopt.problem import SweepingProcess
 from sweepopt.study import problems
 
 
-class Posed(NamedTuple):
-    """A process and how long it runs."""
-
-    process: SweepingProcess
-    t_end: float
-
-
 class Source(NamedTuple):
     """A problem by name, as plain data that a worker opens.
 
@@ -37,16 +30,6 @@ class Source(NamedTuple):
     name: str
     path: str
     digest: str
-
-    def open(self) -> Posed:
-        """The process, built once in each worker.
-
-        Raises
-        ------
-        SweepoptError
-            If the files are not those the digest was taken of.
-        """
-        return _opened(self)
 
 
 def find_source(name: str, folder: str | Path = ".") -> Source:
@@ -84,18 +67,25 @@ def find_source(name: str, folder: str | Path = ".") -> Source:
 
 
 @lru_cache(maxsize=8)
-def _opened(source: Source) -> Posed:
+def open_source(source: Source) -> tuple[SweepingProcess, float]:
+    """The process and how long it runs; both are built once in each worker.
+
+    Raises
+    ------
+    SweepoptError
+        If the files are not those the digest was taken of.
+    """
     path = Path(source.path)
     if _digest(path) != source.digest:
         raise SweepoptError(f"{path} is not as it was when the study started; start it again")
     if path == problems.FILE:
         small = problems.PROBLEMS[source.name]
-        return Posed(small.process(), small.t_end)
+        return small.process(), small.t_end
     from sweepopt.fem import read_scene
 
     scene = read_scene(path)
     assert scene.t_end is not None  # a file has it
-    return Posed(scene.problem.as_sweeping(), scene.t_end)
+    return scene.problem.as_sweeping(), scene.t_end
 
 
 def _digest(path: Path) -> str:

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import nullcontext
 from dataclasses import dataclass
-from functools import partial
 from itertools import islice, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,10 +19,15 @@ from sweepopt.checks import count, number
 from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, read_toml
-from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, failed, run_cell
+from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, run_cell
 from sweepopt.study.ledger import append_row, read_rows
 from sweepopt.study.records import each, known, read_record
-from sweepopt.study.reference_states import absent, load_reference, make_reference, save_reference
+from sweepopt.study.reference_states import (
+    Reference,
+    load_reference,
+    make_reference,
+    save_reference,
+)
 from sweepopt.study.sources import Source, find_source
 from sweepopt.velocity import solvers
 
@@ -81,34 +85,32 @@ class Study:
     folder: str = "."
 
     def __post_init__(self) -> None:
-        lists = {
-            "problems": [source.name for source in self._sources()],
-            "schemes": each("schemes", self.schemes, known(("auto", *schemes.SCHEMES))),
-            "solvers": each("solvers", self.solvers, _solver),
-            "steps": each("steps", self.steps, count),
-            "tols": each("tols", self.tols, partial(number, minimum=0.0, strict=True)),
-        }
-        for name, entries in lists.items():
-            for k, entry in enumerate(entries):
-                if entry in entries[:k]:
-                    raise InputError(f"{name}[{k}]: {shown(entry)} is there twice")
-        count("repeats", self.repeats)
+        self.cells()
         _text("title", self.title)
-
-    def _sources(self) -> list[Source]:
-        """The problems, their files read for a digest."""
-        sources = []
-        for k, name in enumerate(each("problems", self.problems, _text)):
-            try:
-                sources.append(find_source(name, self.folder))
-            except InputError as error:
-                raise InputError(f"problems[{k}]: {error}") from error
-        return sources
 
     def cells(self) -> list[Cell]:
         """All combinations, the problem slowest; InputError if a problem's file is gone."""
-        lists = self._sources(), self.schemes, self.solvers, self.steps, self.tols
-        return [Cell(*combination, repeats=self.repeats) for combination in product(*lists)]
+        lists = {
+            "problems": each("problems", self.problems, self._source),
+            "schemes": each("schemes", self.schemes, known, ("auto", *schemes.SCHEMES)),
+            "solvers": each("solvers", self.solvers, _solver),
+            "steps": each("steps", self.steps, count),
+            "tols": each("tols", self.tols, number, 0.0, True),
+            "repeats": (count("repeats", self.repeats),),
+        }
+        for name, entries in lists.items():
+            names = [entry.name if isinstance(entry, Source) else entry for entry in entries]
+            for k, entry in enumerate(names):
+                if entry in names[:k]:
+                    raise InputError(f"{name}[{k}]: {shown(entry)} is there twice")
+        return [Cell(*combination) for combination in product(*lists.values())]
+
+    def _source(self, name: str, value: Any) -> Source:
+        text = _text(name, value)
+        try:
+            return find_source(text, self.folder)
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from error
 
 
 def read_study(path: str | Path) -> Study:
@@ -185,18 +187,23 @@ def run(
     cells, done = study.cells(), set(read_table(study, folder).cell)
     todo = [cell for cell in cells if cell.id not in done]
     progress(f"{len(cells)} cells, {len(done)} of them finished before")
-    states = {cell: _states(cell, Path(folder)) for cell in todo}
+    references, rows = Path(folder, "references"), Path(folder, ROWS)
+    references.mkdir(parents=True, exist_ok=True)
+    # cells of one problem and number of steps are compared with the same states
+    names = (
+        (cell, f"{cell.problem.name}-{cell.problem.digest[:16]}-{cell.steps}") for cell in todo
+    )
+    states = {cell: references / f"{name}.npz" for cell, name in names}
     missing = {path: cell for cell, path in states.items() if load_reference(path) is None}
-    Path(folder, "references").mkdir(parents=True, exist_ok=True)
     with nullcontext(executor) if executor else ThreadPoolExecutor(1) as pool:
         jobs: Jobs = ((cell, cell.problem, cell.steps) for cell in missing.values())
-        computed = _computed(pool, make_reference, jobs, lambda cell, error: absent(str(error)))
-        for k, (cell, reference) in enumerate(computed, start=1):
+        made = _computed(pool, make_reference, jobs, lambda _, error: Reference(message=str(error)))
+        for k, (cell, reference) in enumerate(made, start=1):
             save_reference(states[cell], reference)
             progress(f"reference {k} of {len(missing)}: {cell.problem.name} {cell.steps} steps")
         jobs = ((cell, cell, load_reference(path)) for cell, path in states.items())
-        for k, (cell, row) in enumerate(_computed(pool, run_cell, jobs, failed), start=1):
-            append_row(Path(folder, ROWS), row)
+        for k, (cell, row) in enumerate(_computed(pool, run_cell, jobs, Cell.failed), start=1):
+            append_row(rows, row)
             progress(f"{k} of {len(todo)}: {cell}: {row.status}")
     return read_table(study, folder)
 
@@ -209,12 +216,6 @@ def read_table(study: Study, folder: str | Path) -> DataFrame:
     rows = {row.cell: row for row in read_rows(Path(folder, ROWS), CellRow)}
     finished = [rows[cell.id] for cell in study.cells() if cell.id in rows]
     return pd.DataFrame(finished, columns=list(CellRow._fields))
-
-
-def _states(cell: Cell, folder: Path) -> Path:
-    """The file of the states that cells of one problem and number of steps are compared with."""
-    name = f"{cell.problem.name}-{cell.problem.digest[:16]}-{cell.steps}.npz"
-    return folder / "references" / name
 
 
 def _computed(
@@ -243,11 +244,13 @@ def _computed(
             future.cancel()
 
 
-def _text(name: str, value: Any) -> None:
+def _text(name: str, value: Any) -> str:
     if not isinstance(value, str):
         raise InputError(f"{name} must be text, got {shown(value)}")
+    return value
 
 
-def _solver(name: str, value: Any) -> None:
-    if not (isinstance(value, str) and value.startswith(THROUGH_CVXPY)):
-        known(("auto", *solvers.REGISTRY, f"{THROUGH_CVXPY}NAME"))(name, value)
+def _solver(name: str, value: Any) -> Any:
+    through_cvxpy = str(value).startswith(THROUGH_CVXPY)
+    names = "auto", *solvers.REGISTRY, value if through_cvxpy else f"{THROUGH_CVXPY}NAME"
+    return known(name, value, names)

@@ -7,17 +7,25 @@ answer and the other solvers stand behind it. The certificate judges them all al
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from sweepopt.linalg import Elimination, Factor
 from sweepopt.sets import ConvexSet
-from sweepopt.velocity.certificate import CLOSED_FORM, Inclusion, Instance, Velocity, at_rest
-from sweepopt.velocity.program import VelocityProgram, untranslated
-from sweepopt.velocity.refinement import UNSOLVED, by_formula, by_program, refined
+from sweepopt.velocity.certificate import (
+    CLOSED_FORM,
+    Inclusion,
+    Instance,
+    Velocity,
+    at_rest,
+    unsolved,
+)
+from sweepopt.velocity.program import VelocityProgram
+from sweepopt.velocity.refinement import by_formula, by_program, refined
 from sweepopt.velocity.solvers import NEWTON, Answer, Solve, Solver, choose
 
 WRONG = 1e-2  # a larger relative certificate is that of a failure, not of a loose solver
@@ -30,63 +38,61 @@ class Attempt:
     Attributes
     ----------
     solver : Solver
-    M : Factor
+    body : callable () -> Factor
         Its `unknowns` are those of the program.
-    cone : ConvexSet
-        A set on these unknowns.
     from_best : bool
         Whether it starts from the best velocity that is known.
     """
 
     solver: Solver
-    M: Factor
-    cone: ConvexSet
+    body: Callable[[], Factor]
     from_best: bool = False
     compiled: Solve | None = None
 
     def __call__(
-        self, inclusion: Inclusion, of: Instance, start: np.ndarray, tol: float
+        self, inclusion: Inclusion, of: Instance, best: np.ndarray, tol: float
     ) -> Velocity:
         """The velocity that the solver finds, refined."""
-        M, starts = self.M, [start] if self.from_best and start.any() else []
-        if self.compiled is None:
-            self.compiled = self.solver.compile(VelocityProgram(M.small, self.cone))
-        compiled = self.compiled
+        M, S, selection = self.body(), of.S, of.S.selection
+        if M is not inclusion.M and selection is not None:
+            S = selection.part
+        compiled = self.compiled or self.solver.compile(VelocityProgram(M.small, S))
+        start = [best[M.unknowns]] if self.from_best and best.any() else []
 
-        def solve(linear: np.ndarray, C: ConvexSet) -> Answer:
-            c, S = untranslated(C)
-            given = [starts.pop()[M.unknowns]] if starts else []
-            return compiled(linear if S is C else linear - c, S, *given)
+        def solve(q: np.ndarray, C: ConvexSet) -> Answer:
+            return compiled(q, C, start.pop()) if start else compiled(q, C)
 
-        S = of.whole if isinstance(M.unknowns, slice) else of.S
-        velocity = refined(inclusion, by_program(M, solve, S, tol), of, tol)
-        if not velocity.relative <= WRONG:
-            self.compiled = None  # a workspace that failed is not used again
+        propose = by_program(M, solve, S, tol)
+        velocity = refined(inclusion, propose, of, tol)
+        # a workspace that failed is not used again
+        self.compiled = compiled if velocity.relative <= WRONG else None
         return velocity
 
 
-def attempts(solver: Any, M: Factor, S: ConvexSet, tol: float) -> Iterator[Attempt]:
+def attempts(solver: Any, M: Factor, S: ConvexSet, tol: float) -> list[Attempt]:
     """The solvers of a program, in the order in which they are asked.
 
     A program of all unknowns whose set acts on few of them has that of the few behind it, which is
-    better conditioned.
+    better conditioned: without it 9 hard families miss 1e-9.
     """
-    solvers, selection = choose(solver, S, tol), S.selection
-    if M.small is not M or selection is None or selection.shift is not None:
-        yield from _chain(solvers, M, S)
-        return
-    yield from _chain(solvers[:1], M, S)
-    few = Elimination(M.M, selection.unknowns, M.order)
-    yield from _chain(choose("auto", selection.part, tol), few, selection.part)
+    solvers, selection, behind = choose(solver, S, tol), S.selection, []
+    if M.small is M and selection is not None and selection.shift is None:
+        few, part = selection.unknowns, selection.part
+        solvers = solvers[:1]
+        behind = _chain(
+            choose("auto", part, tol), cache(lambda: Elimination(M.M, few, M.order)), part
+        )
+    return _chain(solvers, lambda: M, S) + behind
 
 
-def _chain(solvers: tuple[Solver, ...], M: Factor, cone: ConvexSet) -> Iterator[Attempt]:
+def _chain(solvers: tuple[Solver, ...], body: Callable[[], Factor], S: ConvexSet) -> list[Attempt]:
     """Each solver, and Newton steps from its answer: they find the active set to rounding."""
-    cone = untranslated(cone).S
+    chain = []
     for solver in solvers:
-        yield Attempt(solver, M, cone)
-        if solver.name != NEWTON.name and NEWTON.treats(cone):
-            yield Attempt(NEWTON, M, cone, from_best=True)
+        chain.append(Attempt(solver, body))
+        if solver.name != NEWTON.name and NEWTON.treats(S):
+            chain.append(Attempt(NEWTON, body, from_best=True))
+    return chain
 
 
 class Cascade:
@@ -99,67 +105,49 @@ class Cascade:
     inclusion : Inclusion
     solver : str or Solver
         The user's choice.
-    cone : ConvexSet
-        Any member of the family on the unknowns of the inclusion's program.
+    of : Instance
+        Any one of the family.
     tol : float
     """
 
-    def __init__(self, inclusion: Inclusion, solver: Any, cone: ConvexSet, tol: float) -> None:
-        self.inclusion, self._cone, self._tol = inclusion, cone, tol
-        self._auto = solver == "auto"
-        self._formula: bool | None = None
-        self._attempts: list[Attempt] = []
-        self._others = attempts(solver, inclusion.M, cone, tol)
+    def __init__(self, inclusion: Inclusion, solver: Any, of: Instance, tol: float) -> None:
+        self._inclusion, self._cone, self._tol = inclusion, of.S, tol
+        M, weights = inclusion.M, inclusion.M.diagonal[of.unknowns]
+        # M is diagonal and the projection in its metric is the set's own: box, ball
+        self._has_formula = (
+            solver == "auto"
+            and M.is_diagonal
+            and of.S.exact
+            and np.array_equal(of.S.weights(weights), weights)
+        )
+        self._attempts = attempts(solver, M, of.S, tol)
 
-    def serves(self, C: ConvexSet) -> bool:
-        """Whether C has the cone of the program."""
-        return self._cone is C or self._cone.same_cone(C)
+    def serves(self, inclusion: Inclusion, S: ConvexSet) -> bool:
+        """Whether its programs are those of this inclusion and this set."""
+        return inclusion is self._inclusion and (self._cone is S or self._cone.same_cone(S))
 
     def __call__(self, of: Instance) -> Velocity:
-        if self._formula is None:
-            self._formula = self._auto and self._has_formula(of.S, of.unknowns)
-        if self._formula:
-            return self._by_formula(of)
-        if self.inclusion.rests(of, self._tol):
+        inclusion, tol = self._inclusion, self._tol
+        if self._has_formula:
+            velocity = inclusion.closed_form(of, tol)
+            if velocity is not None:
+                return velocity
+        if inclusion.rests(of, tol):
             return at_rest(of.q)
-        best, solver, iterations, count = UNSOLVED, "none", 0, 0
-        for attempt in self._each():
-            velocity = attempt(self.inclusion, of, best.z, self._tol)
+        if self._has_formula:
+            velocity = refined(inclusion, by_formula(inclusion.M, of), of, tol)
+            return velocity._replace(solver=CLOSED_FORM)
+        best, solver, iterations, count = unsolved(of), "none", 0, 0
+        for attempt in self._attempts:
+            velocity = attempt(inclusion, of, best.z, tol)
             iterations += velocity.iterations
             count += 1
             if velocity.relative < best.relative or math.isnan(velocity.relative):
                 if not (attempt.from_best and best.relative <= WRONG):  # else it is improved
                     solver = attempt.solver.name
                 best = velocity
-            if not best.relative > self._tol:
+            if not best.relative > tol:
                 break
-            if count == 1 and self.inclusion.rests_exactly(of):
+            if count == 1 and inclusion.rests_exactly(of):
                 return at_rest(of.q)
-        z = np.zeros_like(of.force) if best is UNSOLVED else best.z
-        return Velocity(z, best.certificate, best.relative, solver, iterations, count)
-
-    def _each(self) -> Iterator[Attempt]:
-        """The attempts; the matrix of the few unknowns is factorised when it is needed."""
-        yield from self._attempts
-        for attempt in self._others:
-            self._attempts.append(attempt)
-            yield attempt
-
-    def _has_formula(self, S: ConvexSet, few: Any) -> bool:
-        """Whether M is diagonal and the projection in its metric is the set's own: box, ball."""
-        M = self.inclusion.M
-        if not (M.is_diagonal and S.exact):
-            return False
-        weights = M.diagonal[few]
-        return np.array_equal(S.weights(weights), weights)
-
-    def _by_formula(self, of: Instance) -> Velocity:
-        inclusion, tol = self.inclusion, self._tol
-        propose = by_formula(inclusion.M, of)
-        pair = propose(of.force, None)
-        if inclusion.rests(of, tol, inclusion.M.diagonal * pair.z):
-            return at_rest(of.q, CLOSED_FORM)
-        velocity = inclusion.certify(of, pair, tol)
-        if velocity.relative <= tol:
-            return velocity
-        return refined(inclusion, propose, of, tol)
+        return Velocity(best.z, best.certificate, best.relative, solver, iterations, count)

@@ -20,7 +20,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
 from sweepopt.linalg import (
@@ -33,7 +32,7 @@ from sweepopt.linalg import (
     euclidean,
     exact_sum,
     product_error,
-    row_sum,
+    rounding_weights,
 )
 from sweepopt.sets import ROUNDING, Box, ConvexSet
 
@@ -75,8 +74,6 @@ class Instance(NamedTuple):
         q - c, rounded.
     q, c : ndarray, shape (dim,)
     S : ConvexSet
-    whole : ConvexSet
-        E^T S.
     u : ndarray or None
         None where q is given.
     unknowns : ndarray of int or slice
@@ -87,39 +84,62 @@ class Instance(NamedTuple):
     q: np.ndarray
     c: np.ndarray
     S: ConvexSet
-    whole: ConvexSet
     u: np.ndarray | None = None
     unknowns: Any = slice(None)
 
+    def projection(self, force: np.ndarray) -> np.ndarray:
+        """The point of E^T S nearest to a force."""
+        w = np.zeros(force.size)
+        w[self.unknowns] = self.S.project(force[self.unknowns])
+        return w
+
+    def rests(self) -> bool:
+        """Whether z = 0: q is in C but for rounding."""
+        if self.S.dim < self.force.size:  # the force beside the few unknowns settles most steps
+            beside = self.force.copy()
+            beside[self.unknowns] = 0.0
+            if not self.is_rounding(beside):
+                return False
+        return self.is_rounding(self.force - self.projection(self.force))
+
+    def is_rounding(self, outside: np.ndarray) -> bool:
+        """The rule of rest: q is out of C by at most 8 rounding units of q and of C's translations.
+
+        It holds entry by entry; `outside` is how far q is out of C, up to signs.
+        """
+        q, c, anchor = self.q, self.c, self.S.anchor
+        # what the rule implies in the Euclidean norm is seen at once
+        squares = q.dot(q) + c.dot(c) + anchor.dot(anchor)
+        if outside.dot(outside) > 6 * ROUNDING**2 * squares:
+            return False
+        scale = np.abs(q) + np.abs(c)
+        scale[self.unknowns] += np.abs(anchor)
+        return is_rounding(outside, scale)
+
 
 class Proposal(NamedTuple):
-    """A normal pair of C = c + E^T S: -E z in N_S(w), but for a gap and for rounding.
+    """A normal pair of C - c: -z in N_{C - c}(w), but for a gap and for rounding.
 
     Attributes
     ----------
     z : ndarray, shape (dim,)
-    w : ndarray, shape (m,)
-        A point of S.
-    unknowns : ndarray of int or slice
-        What E selects.
+    w : ndarray, shape (dim,)
+        A point of C - c.
     gap : float
-        By how much the pair may fail to be normal: sigma(S, -E z) - <-E z, w> <= gap.
+        By how much the pair may fail to be normal: sigma(C - c, -z) - <-z, w> <= gap.
     perturbation : float
         Bound of what the rounding of the pair moves z and w, in |.|_M and |.|_{M^-1}.
     size : float, optional
         |M^-1 (q - c)|_M if it is known; it costs a solve.
-    solver : str
     iterations : int
         Of the solver.
     """
 
     z: np.ndarray
     w: np.ndarray
-    unknowns: Any = slice(None)
     gap: float = 0.0
     perturbation: float = 0.0
     size: float | None = None
-    solver: str = ""
     iterations: int = 0
 
 
@@ -142,39 +162,53 @@ class Inclusion:
     def certify(self, of: Instance, pair: Proposal, tol: float) -> Velocity:
         """The velocity of a normal pair with its certificate, as sharp as `tol` needs it."""
         M, z, size = self.M, pair.z, pair.size
-        force = euclidean(of.force / M.root)
-        if M.is_diagonal:  # all norms are those in its units
-            product, size = M.diagonal * z, force
-            size_z = length = math.sqrt(z.dot(product))
-        else:
-            product = M.M.dot(z)
-            size_z, length = math.sqrt(max(z.dot(product), 0.0)), euclidean(M.root * z)
+        product = M.M.dot(z)
+        size_z = math.sqrt(max(z.dot(product), 0.0))
         allowed, of_z = SHARE * tol * size_z, 0.0
-        rounding = 2 * M.rounding(length, force)
-        if of.u is not None:  # B u - q, and gamma B z in M z
-            rounding += self.share_of_u * (euclidean(M.root * of.u) + self.gamma * length)
+        rounding = self.rounding(of, z, euclidean(of.force / M.root))
         if rounding <= allowed:
-            rho = product + of.force
-            rho[pair.unknowns] -= pair.w
+            rho = product + of.force - pair.w
         else:
-            w = np.zeros_like(z)
-            w[pair.unknowns] = pair.w
-            rho = self.exact_residual(of, z, -w)
+            rho = self.exact_residual(of, z, -pair.w)
             rounding *= max(one.share for one in self._exact)
             of_z = M.margin - 1 if self.gamma else 0.0
-            if of_z >= 1:  # M says nothing of A + gamma B
-                return Velocity(z, math.inf, math.inf)
         residual = M.dual_norm_bound(rho)
         if residual > allowed:
             residual = min(residual, M.margin * M.dual_norm(rho))
         certificate = math.sqrt(2 * pair.gap + (residual + rounding) ** 2) + pair.perturbation
         metric = math.sqrt(1 - of_z)  # |z|_M^2 may be so much larger than that in A + gamma B
-        certificate /= metric
+        certificate = certificate / metric if metric else math.inf
         if size is None and not certificate <= tol * size_z:
             size = M.dual_norm(of.force)
-        return rated(z, certificate, max(size_z, size or 0.0) * metric, pair.solver)
+        return rated(z, certificate, max(size_z, size or 0.0) * metric)
+
+    def closed_form(self, of: Instance, tol: float) -> Velocity | None:
+        """z = M^-1 (w - q + c) for a diagonal M, w the projection of q - c, or rest.
+
+        Rounding is all that the certificate is made of; None where it needs a closer look.
+        """
+        M, outside = self.M, of.force - of.projection(of.force)
+        if of.is_rounding(outside):
+            return at_rest(of.q, CLOSED_FORM) if self.knows_rest(of, tol) else None
+        z = 0.0 - outside / M.diagonal
+        force = euclidean(of.force / M.root)
+        size, rounding = max(math.sqrt(-z.dot(outside)), force), self.rounding(of, z, force)
+        return rated(z, rounding, size, CLOSED_FORM) if rounding <= SHARE * tol * size else None
 
     # ---- rounding ------------------------------------------------------------------------------
+
+    def rounding(self, of: Instance, z: np.ndarray, force: float) -> float:
+        """A bound in |.|_{M^-1} of what rounds in M z + q - c, and of M and q themselves.
+
+        Parameters
+        ----------
+        force : float
+            |q - c| in units of the diagonal of M.
+        """
+        rounding = 2 * self.M.rounding(z, force)
+        if of.u is not None:  # B u - q, and gamma B z in M z
+            rounding += self.rounding_of_B(of.u) + self.gamma * self.rounding_of_B(z)
+        return rounding
 
     def exact_residual(self, of: Instance, z: np.ndarray, *more: np.ndarray) -> np.ndarray:
         """A z + B (u + gamma z) - c + the others, rounded once."""
@@ -193,32 +227,35 @@ class Inclusion:
             return (self.M.precisely,)
         return Precise(self._A), Precise(self.B)
 
+    def rounding_of_B(self, u: np.ndarray) -> float:
+        """A bound of |B u - q|_{M^-1}, without a solve."""
+        return UNIT * self.M.bound_factor * euclidean(self._weights_of_B * u)
+
     @cached_property
-    def share_of_u(self) -> float:
-        """|B u - q|_{M^-1} as a share of |u| in units of the diagonal of M."""
-        if self.B is None:
-            return 0.0
-        entries = np.diff(self.B.indptr).max() if sp.issparse(self.B) else len(self.B)
-        M = self.M
-        return UNIT * M.bound_factor * (3 + math.sqrt(entries)) * row_sum(self.B, M.root)
+    def _weights_of_B(self) -> Any:
+        return 0.0 if self.B is None else rounding_weights(self.B, self.M.root)
 
     # ---- rest ----------------------------------------------------------------------------------
 
-    def rests(self, of: Instance, tol: float, outside: np.ndarray | None = None) -> bool:
+    def rests(self, of: Instance, tol: float) -> bool:
         """Whether q is in C, and B u as well where q may be rounded to more than a share of tol."""
-        if not rests(of, of.q, outside):
-            return False
+        return of.rests() and (self.knows_rest(of, tol) or self.rests_exactly(of))
+
+    def knows_rest(self, of: Instance, tol: float) -> bool:
+        """Whether the rounding of q = B u is less than a share of tol."""
         if of.u is None:
             return True
         root = self.M.root
         # below |M^-1 q|_M + |M^-1 c|_M, which need a solve
         forces = (euclidean(of.q / root) + euclidean(of.c / root)) / self.M.stretch
-        rounding = self.share_of_u * euclidean(root * of.u)
-        return rounding <= SHARE * tol * forces or self.rests_exactly(of)
+        return self.rounding_of_B(of.u) <= SHARE * tol * forces
 
     def rests_exactly(self, of: Instance) -> bool:
         """Whether B u, rounded once, is in C."""
-        return of.u is not None and rests(of, self._exact[-1](of.u))
+        if of.u is None:
+            return False
+        q = self._exact[-1](of.u)
+        return of._replace(q=q, force=q - of.c).rests()
 
 
 def rated(z: np.ndarray, certificate: float, size: float, solver: str = "") -> Velocity:
@@ -240,7 +277,7 @@ def certify(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray) -> Velocity:
     if pair is None:
         return Velocity(z, math.nan, math.nan)
     pair = pair._replace(size=M.dual_norm(q - C.anchor))
-    return Inclusion(M).certify(Instance(q, q, np.zeros_like(q), C, C), pair, NEGLIGIBLE)
+    return Inclusion(M).certify(Instance(q, q, np.zeros_like(q), C), pair, NEGLIGIBLE)
 
 
 def certify_point(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray, floor: float) -> Velocity:
@@ -272,40 +309,19 @@ def pair_near(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray, tol: float)
 # ---- rest --------------------------------------------------------------------------------------
 
 
-def rests(of: Instance, q: np.ndarray, outside: np.ndarray | None = None) -> bool:
-    """Whether z = 0 for a linear term q: it is in C = c + E^T S but for rounding.
-
-    Where S acts on few unknowns, the force beside them settles most steps.
-
-    Parameters
-    ----------
-    outside : ndarray, shape (dim,), optional
-        How far q is outside of C, up to signs, if that is known.
-    """
-    few, scale = of.unknowns, np.abs(q) + np.abs(of.c)
-    if outside is None:
-        outside = q - of.c
-        acting = outside[few]
-        if of.S is not of.whole:
-            outside[few] = 0.0
-            if not is_rounding(outside, scale):
-                return False
-        outside[few] = acting - of.S.project(acting)
-    scale[few] += np.abs(of.S.anchor)
-    return is_rounding(outside, scale)
-
-
 def is_rounding(outside: np.ndarray, scale: np.ndarray) -> bool:
-    """The rule of rest: q is out of C by at most 8 rounding units of q and of C's translations.
-
-    It holds entry by entry.
-    """
+    """Whether each entry is at most 8 rounding units of its scale."""
     return bool((np.abs(outside) <= ROUNDING * scale).all())
 
 
 def at_rest(q: np.ndarray, solver: str = "at rest") -> Velocity:
     """Nothing moves."""
     return Velocity(np.zeros_like(q), 0.0, 0.0, solver)
+
+
+def unsolved(of: Instance) -> Velocity:
+    """What every answer is better than."""
+    return Velocity(np.zeros(of.force.size), math.inf, math.inf)
 
 
 # ---- one unknown -------------------------------------------------------------------------------
@@ -321,7 +337,7 @@ def one_unknown(
     """
     M, B = float(inclusion.M.diagonal[0]), inclusion.B
     stiffness, root = 0.0 if B is None else float(dense(B)[0, 0]), math.sqrt(M)
-    of_u, gamma = root * inclusion.share_of_u, inclusion.gamma
+    of_u, gamma = inclusion.rounding_of_B(np.ones(1)), inclusion.gamma
     lower, upper, allowed = float(S.lower[0]), float(S.upper[0]), SHARE * tol
 
     def velocity(u: float, c: float) -> Velocity | None:

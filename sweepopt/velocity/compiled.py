@@ -99,25 +99,22 @@ class StateVelocity:
     def of_force(self, q: np.ndarray, C: ConvexSet, u: np.ndarray | None = None) -> Velocity:
         """The z with -z in N_C(M z + q); u has q = B u, without it M and q are taken as exact."""
         if C.singleton:
-            of, inclusion = Instance(q - C.anchor, q, C.anchor, C, C, u), self._on_all
+            of, inclusion = Instance(q - C.anchor, q, C.anchor, C, u), self._on_all
             velocity = refined(inclusion, by_solve(inclusion.M), of, self._tol)
             return velocity._replace(solver="linear", attempts=1)
-        c, whole = untranslated(C)
-        cone, S, few, eliminated = whole, whole, EVERY, False
-        if whole.selection is not None:
-            few, S, shift = whole.selection
-            eliminated = same_array(few, self._contact)
-            if eliminated:
-                cone = untranslated(S).S
-                c = c if shift is None else c + shift
-            elif shift is not None:
-                few, S = EVERY, whole
-        inclusion = self._on_few if eliminated else self._on_all
-        of = Instance(q - c, q, c, S, whole, u, few)
-        cascade = self._cascade
-        if cascade is None or inclusion is not cascade.inclusion or not cascade.serves(cone):
-            cascade = self._cascade = Cascade(inclusion, self._solver, cone, self._tol)
-        return cascade(of)
+        c, S = untranslated(C)
+        selection = S.selection
+        if selection is not None and same_array(selection.unknowns, self._contact):
+            few, inclusion = self._contact, self._on_few
+            of_part, S = untranslated(selection.part)
+            c = c.copy() if selection.shift is None else c + selection.shift
+            c[few] += of_part
+        else:
+            few, inclusion = EVERY, self._on_all
+        of = Instance(q - c, q, c, S, u, few)
+        if self._cascade is None or not self._cascade.serves(inclusion, S):
+            self._cascade = Cascade(inclusion, self._solver, of, self._tol)
+        return self._cascade(of)
 
     @cached_property
     def _on_all(self) -> Inclusion:

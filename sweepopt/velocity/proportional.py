@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -43,9 +42,21 @@ ResidualOf = Callable[[int, np.ndarray, np.ndarray], tuple[float, float]]
 """(step, zeta, zeta') -> a residual in |.|_{M^-1}, and the size of velocity it is compared to."""
 
 
-@dataclass(frozen=True, eq=False)
 class Reduction:
     """A process of few unknowns, and the way back to all of them.
+
+    It is that to S on the contact of the body and a load of these terms.
+
+    Parameters
+    ----------
+    process : SweepingProcess
+    body : Body
+    S : ConvexSet
+    terms : sequence of (phi_k, f_k)
+    scale : callable, optional
+        Of C(t).
+    t : float
+        When the first step asks for the load.
 
     Attributes
     ----------
@@ -57,15 +68,34 @@ class Reduction:
         Its values, shape (k + 1,), are the right hand sides of alpha.
     """
 
-    rho: float
-    process: SweepingProcess
-    load: Separable
-    _body: Body
-    _u0: np.ndarray
-    _functions: np.ndarray  # F_k as columns, then F_0
-    _errors: np.ndarray  # |residual of each|_{A^-1}
-    _sizes: np.ndarray  # |f_k|_{A^-1}, then |f(t_0)|_{A^-1} + |B u0|_{A^-1}
-    _extension_error: float
+    def __init__(
+        self, process: SweepingProcess, body: Body, S: ConvexSet, terms: Terms, scale: Any, t: float
+    ) -> None:
+        A, u0, rho = body.A, process.u0, body.rho
+        zeta0, load, histories = u0[A.unknowns], Separable(terms), [phi for phi, _ in terms]
+        shapes = list(load.shapes.T)
+        functions, forces = map(list, zip(*map(body.influence, shapes), strict=True))
+        C = Moving(S, Separable(zip(histories, forces, strict=True)), scale)
+        small = SweepingProcess(A.N, rho * A.N if rho else None, C, zeta0)
+        self.rho, self.process, self._body, self._u0 = rho, small, body, u0
+
+        # what is left at the start: f(t_0) - B u0, and its force on the contact
+        start = load.coefficients(t)
+        f, q = load.shapes @ start, process.times_B(u0)
+        shapes.append(_less_B(process, u0, f))
+        forces.append(_less_B(small, zeta0, np.column_stack(forces) @ start))
+        first, _ = body.influence(shapes[-1])
+        beside = shapes[-1].copy()
+        beside[A.unknowns] = 0.0
+        functions.append(0 * first if is_rounding(beside, np.abs(q) + np.abs(f)) else first)
+        units = [*np.eye(len(shapes))[:-1], np.append(-start, 1.0)]
+        self.load = Separable(zip([*histories, Constant(1.0)], units, strict=True))
+
+        self._functions = np.column_stack(functions)  # F_k, then F_0
+        # |residual of each|_{A^-1}, and what it is compared to
+        self._errors = np.array(list(map(body.residual, functions, shapes, forces)))
+        self._sizes = np.array([*map(A.dual_norm, shapes[:-1]), A.dual_norm(f) + A.dual_norm(q)])
+        self._extension_error = body.extension_error()
 
     def velocity(self, zeta: np.ndarray, alpha: np.ndarray) -> np.ndarray:
         """All unknowns of a velocity from the few and the rates of the coefficients.
@@ -80,13 +110,13 @@ class Reduction:
         ndarray, shape (dim,)
         """
         z = self._functions @ alpha + self._body.extension(zeta)
-        z[self._body.contact] = zeta  # to the last bit: stuck is 0.0
+        z[self._body.A.unknowns] = zeta  # to the last bit: stuck is 0.0
         return z
 
     def state(self, zeta: np.ndarray, alpha: np.ndarray) -> np.ndarray:
         """All unknowns of u from the few and the coefficients; shapes as in `velocity`."""
         u = self._u0 + self.velocity(zeta - self.process.u0, alpha)
-        u[self._body.contact] = zeta
+        u[self._body.A.unknowns] = zeta
         return u
 
     def suits(self, mus: np.ndarray, scheme: Scheme, tol: float) -> bool:
@@ -102,9 +132,8 @@ class Reduction:
 
     def is_accurate(self, enough: float) -> bool:
         """Whether A^-1 was applied to this accuracy."""
-        return bool((self._errors <= enough * self._sizes).all()) and (
-            self._extension_error <= enough
-        )
+        known = (self._errors <= enough * self._sizes).all()
+        return bool(known and self._extension_error <= enough)
 
     def residuals(self, alphas: np.ndarray, rates: np.ndarray, gammas: np.ndarray) -> ResidualOf:
         """What the inclusion of all unknowns has of residual beyond that of the few.
@@ -126,7 +155,7 @@ class Reduction:
         gram = self._functions.T @ (A.M @ self._functions)
         squares = np.einsum("ik,kl,il->i", rates, gram, rates)
         columns = weights @ self._errors, LEAST_SPEED * (weights @ self._sizes), squares, ratios
-        load = list(zip(*(column.tolist() for column in columns), strict=True))
+        load = np.column_stack(columns).tolist()
 
         def residual(i: int, zeta: np.ndarray, velocity: np.ndarray) -> tuple[float, float]:
             error, floor, square, ratio = load[i]
@@ -167,45 +196,11 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     selection, terms = selected
     few = selection.unknowns
     terms = terms or ((Constant(0.0), np.zeros(process.dim)),)
-    A = Elimination(process.A, few, process.metric.order)
-    reduction = _reduction(process, Body(A, process.B, rho), selection.part, terms, scale, t)
+    body = Body(Elimination(process.A, few, process.metric.order), process.B, rho)
+    reduction = Reduction(process, body, selection.part, terms, scale, t)
     if not reduction.is_accurate(LEAST_SPEED * tol):
         return "A is too badly conditioned to apply its inverse beforehand"
     return reduction
-
-
-def _reduction(
-    process: SweepingProcess, body: Body, S: ConvexSet, terms: Terms, scale: Any, t: float
-) -> Reduction:
-    """The reduction to S on the contact and a load of these terms."""
-    A, u0, rho = body.A, process.u0, body.rho
-    load, histories = Separable(terms), [phi for phi, _ in terms]
-    shapes, zeta0 = list(load.shapes.T), u0[body.contact]
-    functions, forces = map(list, zip(*map(body.influence, shapes), strict=True))
-    C = Moving(S, Separable(zip(histories, forces, strict=True)), scale)
-    small = SweepingProcess(A.N, rho * A.N if rho else None, C, zeta0)
-
-    # what is left at the start: f(t_0) - B u0, and its force on the contact
-    start = load.coefficients(t)
-    f, q = load.shapes @ start, process.times_B(u0)
-    shapes.append(_less_B(process, u0, f))
-    forces.append(_less_B(small, zeta0, np.column_stack(forces) @ start))
-    first, _ = body.influence(shapes[-1])
-    beside = shapes[-1].copy()
-    beside[body.contact] = 0.0
-    functions.append(0 * first if is_rounding(beside, np.abs(q) + np.abs(f)) else first)
-    units = [*np.eye(len(shapes))[:-1], np.append(-start, 1.0)]
-    return Reduction(
-        rho,
-        small,
-        Separable(zip([*histories, Constant(1.0)], units, strict=True)),
-        body,
-        u0,
-        np.column_stack(functions),
-        np.array(list(map(body.residual, functions, shapes, forces))),
-        np.array([*map(A.dual_norm, shapes[:-1]), A.dual_norm(f) + A.dual_norm(q)]),
-        body.extension_error(),
-    )
 
 
 def _less_B(process: SweepingProcess, u: np.ndarray, f: np.ndarray) -> np.ndarray:

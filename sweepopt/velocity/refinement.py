@@ -27,19 +27,17 @@ from sweepopt.checks import is_finite
 from sweepopt.linalg import Factor
 from sweepopt.sets import ConvexSet
 from sweepopt.velocity.certificate import (
-    CLOSED_FORM,
     Inclusion,
     Instance,
     Proposal,
     Velocity,
     pair_near,
+    unsolved,
 )
 from sweepopt.velocity.solvers import Answer
 
 REFINEMENTS = 20  # each leaves a share |M^-1 (A + gamma B - M)| of the error; most need one
 SOLVED = {"Solved", "solved", "optimal"}  # how Clarabel, OSQP and cvxpy call it
-NO_UNKNOWNS = np.zeros(0, dtype=int)
-UNSOLVED = Velocity(np.zeros(0), math.inf, math.inf)
 AnswerOf = Callable[[np.ndarray, ConvexSet], Answer]
 Propose = Callable[[np.ndarray, np.ndarray | None], Proposal]
 """From the residual of a z, None for 0, to a better pair; its gap is nan where it has no proof."""
@@ -47,14 +45,10 @@ Propose = Callable[[np.ndarray, np.ndarray | None], Proposal]
 
 def refined(inclusion: Inclusion, propose: Propose, of: Instance, tol: float) -> Velocity:
     """The velocity of a solver, refined as long as its certificate is above `tol` and falls."""
-    best, residual, z, size, iterations = UNSOLVED, of.force, None, None, 0
+    best, residual, z, iterations = unsolved(of), of.force, None, 0
     for _ in range(1 + REFINEMENTS):
         pair = propose(residual, z)
         iterations += pair.iterations
-        if z is None:
-            size = pair.size
-        elif size is not None:
-            pair = pair._replace(size=size)
         velocity = inclusion.certify(of, pair, tol)
         falls = velocity.certificate <= 0.5 * best.certificate
         if not velocity.relative >= best.relative:
@@ -63,32 +57,32 @@ def refined(inclusion: Inclusion, propose: Propose, of: Instance, tol: float) ->
             break
         z = pair.z
         residual = inclusion.exact_residual(of, z)
-    z = np.zeros_like(of.force) if best is UNSOLVED else best.z
-    return best._replace(z=z, iterations=iterations)
+    return best._replace(iterations=iterations)
 
 
 def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
     """The program of the unknowns that M keeps, as a solver answers it."""
-    few = M.unknowns
+    few, N = M.unknowns, M.small
 
     def propose(residual: np.ndarray, z: np.ndarray | None) -> Proposal:
-        forward, force = M.reduce(-residual)
-        linear = -force if z is None else M.small.precisely(-z[few], -force)
+        forward, force, size = M.reduce(-residual)
+        linear = -force if z is None else N.precisely(-z[few], -force)
         answer = solve(linear, S)
-        nothing = np.zeros_like(linear)
-        if is_finite(answer.z):
-            gap = math.nan if answer.status in SOLVED else math.inf  # of a set without proof
-            near = pair_near(M.small, linear, S, answer.z, tol)
-            pair = near or Proposal(answer.z, nothing, gap=gap)
+        usable = is_finite(answer.z)
+        pair = pair_near(N, linear, S, answer.z, tol) if usable else None
+        if pair is None:
+            nothing, believed = np.zeros_like(linear), usable and answer.status in SOLVED
+            gap = math.nan if believed else math.inf  # of a set without proof
+            pair = Proposal(answer.z if usable else nothing, nothing, gap)
+        if z is None:
+            z = M.recover(forward, pair.z)
         else:
-            pair = Proposal(nothing, nothing, gap=math.inf)
-        if z is not None:
-            pair = with_forces_at_rest(M.small, linear, S, pair)
-        zeta = pair.z
-        z = M.recover(forward, zeta) if z is None else z + M.recover(forward, zeta - z[few])
-        z[few] = zeta  # to the last bit: stuck is 0.0
-        perturbation, size = M.margin * pair.perturbation, M.size(forward)
-        return Proposal(z, pair.w, few, pair.gap, perturbation, size, iterations=answer.iterations)
+            size = None  # of the residual, not of q - c
+            pair = with_forces_at_rest(N, linear, S, pair)
+            z = z + M.recover(forward, pair.z - z[few])
+        w = np.zeros(z.size)
+        z[few], w[few] = pair.z, pair.w  # to the last bit: stuck is 0.0
+        return Proposal(z, w, pair.gap, M.margin * pair.perturbation, size, answer.iterations)
 
     return propose
 
@@ -117,19 +111,17 @@ def by_solve(M: Factor) -> Propose:
     def propose(residual: np.ndarray, z: np.ndarray | None) -> Proposal:
         change = -M.solve(residual)
         z = change if z is None else z + change
-        return Proposal(z, z[NO_UNKNOWNS], NO_UNKNOWNS, size=0.0)  # no larger than |z|_M
+        return Proposal(z, np.zeros(z.size), size=0.0)  # no larger than |z|_M
 
     return propose
 
 
-def by_formula(M: Factor, of: Instance) -> Callable[[np.ndarray, np.ndarray | None], Proposal]:
-    """z = M^-1 (w - q + c), w the projection on S in the metric of a diagonal M."""
-    few, diagonal = of.unknowns, M.diagonal
+def by_formula(M: Factor, of: Instance) -> Propose:
+    """z = M^-1 (w - q + c), w the projection on C - c in the metric of a diagonal M."""
 
     def propose(residual: np.ndarray, z: np.ndarray | None) -> Proposal:
-        outside = residual.copy() if z is None else M.precisely(-z, residual)
-        w = of.S.project(outside[few])
-        outside[few] -= w
-        return Proposal(0.0 - outside / diagonal, w, few, solver=CLOSED_FORM)
+        force = residual if z is None else M.precisely(-z, residual)
+        w = of.projection(force)
+        return Proposal(0.0 - (force - w) / M.diagonal, w)
 
     return propose

@@ -12,13 +12,16 @@ At A = 0 only rows without slack can be active, S = N B N^T and s_k = (k + 1) d_
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
 
 from sweepopt.errors import EmptySetError, SweepoptError
-from sweepopt.integrate.exact.rows import Rows, SmoothOffsets
+from sweepopt.integrate.exact.exponential_sum import ExponentialSum
+from sweepopt.integrate.exact.rows import Rows
 from sweepopt.linalg import EPS
 from sweepopt.sets import least_distance
 
@@ -46,26 +49,29 @@ class Face(NamedTuple):
     redundant: np.ndarray
 
 
-def face_after(rows: Rows, d: SmoothOffsets, t: float, u: np.ndarray) -> Face:
+def face_after(rows: Rows, phi: ExponentialSum, t: float, u: np.ndarray) -> Face:
     """The face just after t.
+
+    Parameters
+    ----------
+    phi : ExponentialSum
+        The histories of the rows from t on.
 
     Raises
     ------
     EmptySetError
         If C is empty there.
     """
-    force, size = d.taylor(t, ORDERS + 2)
     undecided, orders = ~rows.equations, np.zeros(len(rows.N), dtype=int)
     active, first, rounding = list(rows.fixed), None, 0.0
     NB = rows.NB
     if rows.rate_independent:
-        undecided &= force[:, 0] - NB @ u <= ZERO * (size[:, 0] + np.abs(NB) @ np.abs(u))
-        NB = 0 * NB
-        factors = np.arange(1, ORDERS + 2)
-        force, size = factors * force[:, 1:], factors * size[:, 1:]
-    for k in range(ORDERS + 1):
-        s = force[:, k] - NB @ u
-        noise = ZERO * (size[:, k] + np.abs(NB) @ np.abs(u)) + rounding
+        d, size = next(_taylor(rows, phi, t))
+        undecided &= d - NB @ u <= ZERO * (size + np.abs(NB) @ np.abs(u))
+        NB, phi = 0 * NB, phi.derivative()
+    for k, (d, size) in zip(range(ORDERS + 1), _taylor(rows, phi, t), strict=False):
+        s = d - NB @ u
+        noise = ZERO * (size + np.abs(NB) @ np.abs(u)) + rounding
         basis = _basis(rows, active, undecided, s, noise)
         if basis is None and first is not None:  # a redundant row becomes violated
             undecided[active] = ~rows.equations[active]
@@ -94,6 +100,12 @@ def face_after(rows: Rows, d: SmoothOffsets, t: float, u: np.ndarray) -> Face:
         u = -(values[active] @ rows.N[active]) / (k + 1)
         rounding = worst * rows.Lam / (k + 1) if u.any() else 0.0
     return Face(active, orders, undecided)
+
+
+def _taylor(rows: Rows, phi: ExponentialSum, t: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """d_0, d_1, ... and the size of the terms that each is a sum of, with the rounding of t."""
+    for k, ((value, size), (_, next_size)) in enumerate(pairwise(phi.taylor()), start=1):
+        yield rows.weights @ value, np.abs(rows.weights) @ (size + abs(t) * k * next_size)
 
 
 def _basis(

@@ -43,8 +43,9 @@ def first_root(f: ExponentialSum, orders: np.ndarray) -> float:
         h = np.where(slope < 0, 2 * height / (root - slope), (slope + root) / M)
         h = np.where(zero, np.maximum(h, np.sqrt(noise / M)), h)
         if tau == 0.0:
-            rises = orders > 0
-            falls, h = falls & ~rises, np.where(rises, _positive_until(f, orders), h)
+            until = _positive_until(f, orders)
+            # until = 0: rounding hides the leading derivative, and the values decide
+            falls, h = falls & (orders == 0), np.where((orders > 0) & (until > 0), until, h)
         if falls.any():
             beyond = _beyond_touch(f, np.flatnonzero(falls), tau, noise[falls])
             if beyond is None:

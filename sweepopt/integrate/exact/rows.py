@@ -1,4 +1,4 @@
-"""The process in the rows of C(t) = { w : N w <= d(t) }, d in closed form piece by piece."""
+"""The process in the rows of C(t) = { w : N w <= d(t) }, d in closed form between breakpoints."""
 
 from __future__ import annotations
 
@@ -11,63 +11,15 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
-from sweepopt.errors import InputError
-from sweepopt.integrate.exact.exponential_sum import SLOW, TERMS, ExponentialSum
+from sweepopt.errors import InputError, shown
 from sweepopt.linalg import dense
-from sweepopt.loads import Piece, breakpoints
-from sweepopt.problem import SweepingProcess, motion
+from sweepopt.loads import Constant, Piece, breakpoints
+from sweepopt.problem import Motion, SweepingProcess, Terms, TimeFunction, motion
+from sweepopt.sets import NoHalfspacesError
 
 NONSMOOTH = 50  # unknowns in a set's inequalities
 UNKNOWNS = 300  # all of them: a phase has a dense eigenproblem of what moves
 SAME = 1e-14  # entries of unit rows, and offsets, that differ by less are equal: a few roundings
-
-
-@dataclass(frozen=True, eq=False)
-class SmoothOffsets:
-    """d between two breakpoints; `pieces` are its histories in closed form."""
-
-    weights: np.ndarray
-    pieces: list[Piece]
-
-    def on(self, s: float, length: float) -> ExponentialSum:
-        """d(s + tau) for 0 <= tau <= length."""
-        fast = sorted({w for p in self.pieces for _, w, _ in p.waves if abs(w) * length > SLOW})
-        slow = [tuple(wave for wave in p.waves if wave[1] not in fast) for p in self.pieces]
-        terms = TERMS + 1 if any(slow) else 1
-        powers = np.arange(max(terms, *(len(p.polynomial) for p in self.pieces)))
-        rows = np.zeros((len(self.pieces), powers.size + len(fast)), dtype=complex)
-        for row, piece, waves in zip(rows, self.pieces, slow, strict=True):
-            series = _taylor(piece._replace(waves=waves), s, powers.size)
-            row[: powers.size] = series.real * length**powers
-            for a, w, p in piece.waves:
-                if w in fast:
-                    row[powers.size + fast.index(w)] -= 1j * a * np.exp(1j * (p + w * s))
-        return ExponentialSum(self.weights @ rows, 1j * np.array(fast), length)
-
-    def taylor(self, s: float, terms: int) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients of d(s + tau) in tau, and the size of the terms that they are sums of.
-
-        The size has the effect of the rounding of s in it.
-
-        Returns
-        -------
-        coefficients, sizes : ndarray, shape (m, terms)
-        """
-        series = np.array([_taylor(piece, s, terms + 1) for piece in self.pieces])
-        sizes = np.abs(series)
-        sizes = sizes[:, :-1] + abs(s) * np.arange(1, terms + 1) * sizes[:, 1:]
-        return self.weights @ series[:, :-1].real, np.abs(self.weights) @ sizes
-
-
-def _taylor(piece: Piece, s: float, terms: int) -> np.ndarray:
-    """Coefficients of phi(s + tau) in tau: their real part, and beside it how large waves are."""
-    series, shift = np.zeros(terms, dtype=complex), s - piece.origin
-    for coefficient in reversed(piece.polynomial):  # Horner's rule, in powers of tau
-        series = shift * series + np.append(coefficient, series[:-1])
-    for a, w, p in piece.waves:
-        powers = np.cumprod(np.append(1.0, 1j * w / np.arange(1, terms)))
-        series -= 1j * a * np.exp(1j * (p + w * s)) * powers
-    return series
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,13 +58,11 @@ class Rows:
         """The rows that always hold with equality."""
         return np.flatnonzero(self.equations).tolist()
 
-    def smooth_offsets(
-        self, start: float, end: float
-    ) -> Iterator[tuple[float, float, SmoothOffsets]]:
-        """Neighbouring breakpoints a and b between the two times, and d between a and b."""
+    def pieces(self, start: float, end: float) -> Iterator[tuple[float, float, list[Piece]]]:
+        """Neighbouring breakpoints a and b between the two times, and the phi_k between them."""
         ends = [start, *breakpoints(self.histories, start, end).tolist(), end]
         for a, b in pairwise(ends):
-            yield a, b, SmoothOffsets(self.weights, [phi.piece(a, b) for phi in self.histories])
+            yield a, b, [phi.piece(a, b) for phi in self.histories]
 
 
 def rows_of(process: SweepingProcess) -> Rows:
@@ -136,16 +86,16 @@ def _rows_of(process: SweepingProcess) -> Rows:
             "whose B is a multiple of A and whose set acts on few unknowns needs these alone; for "
             "others use midpoint or sdirk2"
         )
-    halfspaces = motion(process.C).rows()
+    N, terms, count = _halfspaces(motion(process.C))
     metric = dense(process.metric.M)
     B = np.zeros_like(metric) if process.B is None else dense(process.B)
-    R = halfspaces.N @ scipy.linalg.cholesky(metric, lower=True)
+    R = N @ scipy.linalg.cholesky(metric, lower=True)
     lengths = np.linalg.norm(R, axis=1)
     rows = np.flatnonzero(lengths > 0)
     units = 1 / lengths[rows, None]
-    N, R = units * halfspaces.N[rows], units * R[rows]
-    weights = units * np.column_stack([D for _, D in halfspaces.d])[rows]
-    rows, equations = _distinct(R, weights, rows >= len(lengths) - halfspaces.equations)
+    N, R = units * N[rows], units * R[rows]
+    weights = units * np.column_stack([D for _, D in terms])[rows]
+    rows, equations = _distinct(R, weights, rows >= len(lengths) - count)
     N, R, weights = N[rows], R[rows], weights[rows]
     nonsmooth = process.dim - int(equations.sum())
     if nonsmooth > NONSMOOTH:
@@ -153,9 +103,55 @@ def _rows_of(process: SweepingProcess) -> Rows:
             f"the process has {nonsmooth} nonsmooth unknowns, more than {NONSMOOTH}; use midpoint "
             "or sdirk2"
         )
-    histories, still = [phi for phi, _ in halfspaces.d], process.rate_independent
+    histories, still = [phi for phi, _ in terms], process.rate_independent
     lam, NB = 0.0 if still else process.Lam, N @ B
     return Rows(N, equations, R, NB, R @ R.T, NB @ N.T, histories, weights, lam, still)
+
+
+def _halfspaces(moving: Motion) -> tuple[np.ndarray, Terms, int]:
+    """N and d of C(t) = { w : N w <= d(t) }, and how many of the last rows are equations."""
+    if moving.shape is None:
+        raise InputError(
+            "the process has a set that is a function of time; write it as so.Moving(shape, "
+            "center=so.Separable(...)) or so.Polyhedron(G, so.Separable(...))"
+        )
+    if not moving.scale.constant:
+        raise InputError(
+            "the process has a set whose scale moves; state the moving bounds as offsets, "
+            "so.Polyhedron(G, so.Separable(...))"
+        )
+    load = moving.center if moving.offsets is None else moving.offsets
+    terms = _closed_forms(load, moving.name)
+    scale = float(moving.scale.at(np.zeros(1))[0, 0])
+    try:
+        polyhedron = (moving.shape if scale == 1 else scale * moving.shape).halfspaces()
+    except NoHalfspacesError as error:
+        raise InputError(
+            f"the process has a set that is not a polyhedron with known rows: {error}; use midpoint"
+        ) from error
+    N = np.vstack([dense(polyhedron.N), polyhedron.E])
+    if moving.offsets is None:
+        terms = tuple((phi, N @ f) for phi, f in terms)
+    fixed = (Constant(1.0), np.concatenate([polyhedron.d, polyhedron.e]))
+    return N, (fixed, *terms), len(polyhedron.e)
+
+
+def _closed_forms(load: TimeFunction, name: str) -> Terms:
+    """The terms of a load whose histories are all known in closed form."""
+    if load.function is not None:
+        raise InputError(
+            f"the process has a black-box {name}: the breakpoints of a function are not known; "
+            "write it as so.Separable([(history, vector), ...]) of Polynomial, Sine, Triangle or "
+            "Table"
+        )
+    for k, history in enumerate(load.histories):
+        if not hasattr(history, "piece") or not hasattr(history, "breakpoints"):
+            raise InputError(
+                f"the process has {name} whose terms[{k}][0], {shown(history)}, has no closed "
+                "form; use Constant, Polynomial, Sine, Triangle or Table, or give it piece(a, b) "
+                "and breakpoints(a, b)"
+            )
+    return load.terms
 
 
 def _distinct(

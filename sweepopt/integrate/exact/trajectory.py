@@ -5,20 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby
 from typing import Any
 
 import numpy as np
 
 from sweepopt import checks
-from sweepopt.integrate.exact.exponential_sum import ExponentialSum, decay
+from sweepopt.integrate.exact.exponential_sum import ExponentialSum, decay, histories
 from sweepopt.integrate.exact.face import Face, face_after
 from sweepopt.integrate.exact.first_root import first_root
 from sweepopt.integrate.exact.modes import modes
-from sweepopt.integrate.exact.rows import Rows, SmoothOffsets
+from sweepopt.integrate.exact.rows import Rows
 from sweepopt.linalg import EPS
 
-PHASES = 100_000  # 4000 take a second
-STALLED = 50  # phases in a row that are as short as rounding: the same
+# Most phases besides one for each breakpoint: beyond it switching times are taken to accumulate.
+PHASES = 100_000  # 25 s
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,24 +98,16 @@ class Trajectory:
         flat = np.clip(times.ravel(), start, self.end)
         phase_of = np.maximum(np.searchsorted(self.starts, flat, side="left") - 1, 0)
         values = np.zeros((flat.size, len(self.phases[0].u.weights)))
-        order = np.argsort(phase_of, kind="stable")
-        for inside in np.split(order, np.flatnonzero(np.diff(phase_of[order])) + 1):
-            if inside.size:
-                values[inside] = of_phase(self.phases[phase_of[inside[0]]], flat[inside])
+        for k, group in groupby(np.argsort(phase_of).tolist(), phase_of.__getitem__):
+            inside = list(group)
+            values[inside] = of_phase(self.phases[k], flat[inside])
         if self.reconstruct is not None:
             values = self.reconstruct(flat, values, of_phase)
         return values.reshape(*times.shape, values.shape[-1])
 
 
-def exact_trajectory(
-    rows: Rows, u0: np.ndarray, start: float, end: float, most: int = PHASES
-) -> Trajectory:
+def exact_trajectory(rows: Rows, u0: np.ndarray, start: float, end: float) -> Trajectory:
     """Move the process from u0 at `start`, phase by phase.
-
-    Parameters
-    ----------
-    most : int
-        Phases beside one for each breakpoint; more are taken for an accumulation of switches.
 
     Raises
     ------
@@ -123,36 +116,38 @@ def exact_trajectory(
     """
     phases: list[Phase] = []
     switches: list[float] = []
-    u, before, stalled = u0, set[int](), 0
-    for a, b, d in rows.smooth_offsets(start, end):
+    u, before, left = u0, set[int](), PHASES
+    for a, b, pieces in rows.pieces(start, end):
         s = a
-        most += 1
+        left += 1
         while s < b:
-            face = face_after(rows, d, s, u)
-            phase, length = _phase(rows, d, s, b, u, face)
+            phi = histories(pieces, s, b - s)
+            face = face_after(rows, phi, s, u)
+            phase, length = _phase(rows, phi, s, u, face)
             active = set(face.active)
             if phases and (active != before or (s == a and active)):
                 switches.append(s)
             before, following = active, s + length
             if b - following <= 4 * EPS * abs(b):
                 following = b
-            stalled = stalled + 1 if following - s <= 64 * EPS * abs(following) else 0
             u = phase.state(following)
             if following > s or not phases:
                 phases.append(phase)
             s = following
-            if len(phases) > most or stalled > STALLED:
+            left -= 1
+            if left < 0:
                 return Trajectory(phases, s, np.array(switches))
     return Trajectory(phases, end, np.unique(switches))
 
 
 def _phase(
-    rows: Rows, d: SmoothOffsets, s: float, b: float, u: np.ndarray, face: Face
+    rows: Rows, phi: ExponentialSum, s: float, u: np.ndarray, face: Face
 ) -> tuple[Phase, float]:
-    """The closed form from s on, and after which time another row holds, at most b - s."""
-    active, offsets = face.active, d.on(s, b - s)
+    """The closed form from s on, and after which time another row holds, at most phi's length."""
+    active = face.active
     square = np.ix_(active, active)
-    force = offsets.with_weights(-offsets.weights)
+    force = phi.with_weights(-rows.weights @ phi.weights)
+    force.weights.imag[:, : phi.degree + 1] = 0.0
     force.weights[:, 0] += rows.NB @ u  # N B u_s - d
     if rows.rate_independent:
         V = np.eye(len(active))

@@ -30,6 +30,11 @@ def sqrt(x: Any) -> Any:
     return np.frompyfunc(Decimal.sqrt, 1, 1)(x)
 
 
+def norm(M: np.ndarray, z: np.ndarray) -> float:
+    """sqrt(<z, M z>)."""
+    return float((z @ M @ z).sqrt())
+
+
 def eliminate(S: np.ndarray, row: Any, column: int) -> None:
     """Make a column of S that of the unit matrix, with its 1 in a row."""
     others = np.arange(len(S)) != row

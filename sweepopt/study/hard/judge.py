@@ -14,7 +14,7 @@ from sweepopt.checks import Matrix
 from sweepopt.linalg import dense
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import ConvexSet
-from sweepopt.study.hard import digits
+from sweepopt.study.hard.digits import exactly, inverse, norm, precise
 from sweepopt.study.hard.velocities import velocity
 from sweepopt.velocity import untranslated
 
@@ -49,19 +49,19 @@ class Program:
     gamma : float
     """
 
-    @digits.precise()
+    @precise()
     def __init__(self, A: Matrix, B: Matrix | None = None, gamma: float = 0.0) -> None:
-        A = digits.exactly(dense(A))
-        self._B = 0 * A if B is None else digits.exactly(dense(B))
-        self.M = A + digits.exactly(gamma) * self._B
-        self._inverse = digits.inverse(self.M)
+        A = exactly(dense(A))
+        self._B = 0 * A if B is None else exactly(dense(B))
+        self.M = A + exactly(gamma) * self._B
+        self._inverse = inverse(self.M)
 
-    @digits.precise()
+    @precise()
     def term(self, u: np.ndarray) -> np.ndarray:
         """The linear term B u, as decimal numbers."""
-        return self._B @ digits.exactly(u)
+        return self._B @ exactly(u)
 
-    @digits.precise()
+    @precise()
     def solve(self, q: np.ndarray, C: ConvexSet) -> Exact:
         """The velocity for a linear term of doubles or decimal numbers and a set.
 
@@ -75,29 +75,25 @@ class Program:
             few, part, shift = C.selection
         else:
             (shift, part), few = untranslated(C), np.arange(C.dim)
-        q = digits.exactly(q)
-        force = q if shift is None else q - digits.exactly(shift)
+        q = exactly(q)
+        force = q if shift is None else q - exactly(shift)
         W, free = self._inverse, self._inverse @ force
-        at = np.ix_(few, few)
-        N = self.M[at] if len(few) == len(W) else digits.inverse(W[at])
+        N = inverse(W[np.ix_(few, few)])
         moves = velocity(part, N, N @ free[few])
         z = W[:, few] @ (N @ (moves + free[few])) - free
         z[few] = moves
+        forces = norm(W, q) + norm(W, q - force)
+        return Exact(z, max(self.norm(z), norm(W, force)), forces)
 
-        def dual(f: np.ndarray) -> float:
-            return float(digits.sqrt(f @ (W @ f)))
-
-        return Exact(z, max(self.norm(z), dual(force)), dual(q) + dual(q - force))
-
-    @digits.precise()
+    @precise()
     def norm(self, z: np.ndarray) -> float:
         """|z|_M."""
-        return float(digits.sqrt(z @ (self.M @ z)))
+        return norm(self.M, z)
 
-    @digits.precise()
+    @precise()
     def error(self, z: np.ndarray, exact: Exact) -> float:
         """|z - z*|_M."""
-        return self.norm(digits.exactly(z) - exact.z)
+        return self.norm(exactly(z) - exact.z)
 
 
 class Judge:

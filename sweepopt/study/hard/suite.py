@@ -6,7 +6,6 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import product
 from math import nan
 from typing import Any, NamedTuple
@@ -23,25 +22,17 @@ from sweepopt.errors import (
     shown,
 )
 from sweepopt.solve import solve
+from sweepopt.study.cell import named_solver
 from sweepopt.study.hard.bodies import Random
 from sweepopt.study.hard.families import FAMILIES, Names, chosen, combination, make
 from sweepopt.study.hard.ingredients import HISTORIES, REFUSED, History
 from sweepopt.study.hard.judge import Judge
 from sweepopt.study.records import each, known, read_record
-from sweepopt.velocity import Cvxpy
 
 TARGET = 1e-8
 """True error, relative to max(|z*|_M, |M^-1 q|_M), that every step has to meet."""
 PATHS = ("full", "eliminated", "proportional")
-SOLVERS: dict[str, Any] = {
-    "auto": "auto",
-    "newton": "newton",
-    "daqp": "daqp",
-    "osqp": "osqp",
-    "clarabel": "clarabel",
-    "cvxpy:osqp": Cvxpy("OSQP"),
-    "cvxpy:clarabel": Cvxpy("CLARABEL"),
-}
+SOLVERS = ("auto", "newton", "daqp", "osqp", "clarabel", "cvxpy:osqp", "cvxpy:clarabel")
 
 
 @dataclass(frozen=True)
@@ -71,17 +62,17 @@ class HardStudy:
 
     seeds: Sequence[int] = (0,)
     families: Sequence[str] = tuple(FAMILIES)
-    solvers: Sequence[str] = tuple(SOLVERS)
+    solvers: Sequence[str] = SOLVERS
     paths: Sequence[str] = PATHS
     combinations: int = 8
     tol: float = 1e-9
 
     def __post_init__(self) -> None:
-        each("seeds", self.seeds, partial(count, least=0))
+        each("seeds", self.seeds, count, 0)
         count("combinations", self.combinations, least=0)
         number("tol", self.tol, minimum=0.0, strict=True)
         for key, names in (("families", FAMILIES), ("solvers", SOLVERS), ("paths", PATHS)):
-            each(key, getattr(self, key), known(names, "there are:"))
+            each(key, getattr(self, key), known, names, "there are:")
 
 
 def hard_study(data: Any, where: str = "") -> HardStudy:
@@ -164,10 +155,9 @@ def rows(
             except (SolverRefusedError, PathError):
                 continue
             except SweepoptError as error:
-                verdict = (
-                    "refused" if type(error) is refused else f"{type(error).__name__}: {error}"
-                )
-                yield row._replace(verdict=verdict)
+                right = type(error) is refused
+                words = "refused" if right else f"{type(error).__name__}: {error}"
+                yield row._replace(verdict=words)
 
 
 def _cases(study: HardStudy) -> Iterator[tuple[str, int, Names, Random]]:
@@ -188,36 +178,35 @@ def _run(judge: Judge, row: HardRow, tol: float, history: History) -> HardRow:
             t_end=history.t_end,
             steps=history.steps,
             scheme="implicit-euler",
-            solver=SOLVERS[row.solver],
+            solver=named_solver(row.solver),
             tol=tol,
             path=row.path,
         )
     seconds, stats = time.perf_counter() - started, solution.stats
-    steps = zip(solution.u, solution.t, solution.velocity, stats["certificate"], strict=False)
+    starts, answers = (solution.u, solution.t), (solution.velocity, stats["certificate"])
     # of a step that is taken in parts the velocity is the mean of theirs, of no one program
     judged = [
         judge.step(u, float(t), z, certificate)
-        for (u, t, z, certificate), solver in zip(steps, stats["solver"], strict=True)
+        for u, t, z, certificate, solver in zip(*starts, *answers, stats["solver"], strict=False)
         if "/" not in str(solver)
     ]
     error, certificate, excess = map(float, np.max(judged or [(nan, nan, nan)], axis=0))
     exact = judge.exact(solution.u[-2], float(solution.t[-2]))
     length, moving = judge.program.norm(exact.z), np.count_nonzero(exact.z)
-    verdicts = {
+    faults = {
         "no certificate": np.isnan(certificate),
         f"error above {TARGET:g}": error > TARGET,
         "certificate below the error": excess > 0,
-        "met": True,
     }
     return row._replace(
         answer=f"|z| = {length:.3g}, {moving} of {len(exact.z)} move",
         error=error,
         certificate=certificate,
         excess=excess,
-        solved_by=str(stats["solver"][-1]),
-        attempts=int(stats["attempts"].max()),
+        solved_by=stats["solver"][-1],
+        attempts=stats["attempts"].max(),
         seconds=seconds,
-        verdict=next(words for words, so in verdicts.items() if so),
+        verdict=next((words for words, fault in faults.items() if fault), "met"),
     )
 
 

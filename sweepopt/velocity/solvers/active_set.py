@@ -67,7 +67,7 @@ class ActiveSet(Small):
                     if shortest is None:
                         break
                     z = scipy.linalg.solve_triangular(L, shortest.u, lower=True, trans=1)
-                    rounded = M.rounding(euclidean(M.root * z), euclidean(q / M.root))
+                    rounded = M.rounding(z, euclidean(q / M.root))
                     if rounded <= NEGLIGIBLE * euclidean(shortest.u):
                         break
                     # what L L^T misses of M goes to the linear term

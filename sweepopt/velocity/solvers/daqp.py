@@ -13,12 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
-from typing import Any
 
 import numpy as np
 
-from sweepopt.errors import MissingExtraError
-from sweepopt.linalg import Factor
+from sweepopt.errors import brought_by
 from sweepopt.sets import ConvexSet, binary
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.contract import Answer, Small, Solve
@@ -59,42 +57,35 @@ class DAQP(Small):
 
     def compile(self, program: VelocityProgram) -> Solve:
         """Invert M once; a call updates the linear term and the bounds."""
-        if not has_daqp():
-            raise MissingExtraError("daqp", "speed")
-        return _Workspace(program.M)
-
-
-class _Workspace:
-    """The inverse of M in units of its diagonal, and an engine that starts from its last answer."""
-
-    def __init__(self, M: Factor) -> None:
-        # in units of the diagonal: the method's tolerances are absolute
-        self._root, self._inverse = M.root, M.inverse * np.outer(M.root, M.root)
-        self._engine: Any = None
-        self._box: ConvexSet | None = None
-        self._bounds = np.zeros((2, M.dim))
-
-    def __call__(self, q: np.ndarray, C: ConvexSet) -> Answer:
-        q = q / self._root
-        force = binary(np.abs(q).max())
-        linear = self._inverse.dot(q) / -force
-        if C is not self._box:
-            far = np.full(q.size, BEYOND)
-            self._box, self._bounds = C, np.array([C.project(far), C.project(-far)]) / self._root
-        with np.errstate(over="ignore"):  # a unit of next to nothing: as far as INFINITE
-            above, below = np.clip(self._bounds / force, -INFINITE, INFINITE)
-        if self._engine is None:
+        with brought_by("speed"):
             import daqp
+        M = program.M
+        # in units of the diagonal: the method's tolerances are absolute
+        root, inverse = M.root, M.inverse * np.outer(M.root, M.root)
+        free, engine = np.full(M.dim, INFINITE), daqp.Model()
+        no_rows, sense = np.zeros((0, M.dim)), np.zeros(M.dim, dtype=np.int32)
+        engine.setup(inverse, 0 * free, no_rows, free, -free, sense)
+        box: ConvexSet | None = None
+        unit = 0.0
 
-            self._engine = daqp.Model()
-            no_rows, sense = np.zeros((0, q.size)), np.zeros(q.size, dtype=np.int32)
-            self._engine.setup(self._inverse, linear, no_rows, above, below, sense)
-        else:
-            self._engine.update(f=linear, bupper=above, blower=below)
-        w, _, flag, info = self._engine.solve()
-        z = self._inverse.dot(w * force - q) / self._root
-        status = "solved" if flag == 1 else f"failed: flag {flag}"
-        return Answer(z, iterations=int(info["iterations"]), status=status)
+        def solve(q: np.ndarray, C: ConvexSet) -> Answer:
+            nonlocal box, unit
+            q = q / root
+            force = binary(np.abs(q).max())
+            bounds: dict[str, np.ndarray] = {}
+            if C is not box or force != unit:
+                box, unit, far = C, force, np.full(M.dim, BEYOND)
+                ends = np.array([C.project(far), C.project(-far)]) / root
+                with np.errstate(over="ignore"):  # a unit of next to nothing: as far as INFINITE
+                    above, below = np.clip(ends / force, -INFINITE, INFINITE)
+                bounds = {"bupper": above, "blower": below}
+            engine.update(f=inverse.dot(q) / -force, **bounds)
+            w, _, flag, info = engine.solve()
+            z = inverse.dot(w * force - q) / root
+            status = "solved" if flag == 1 else f"failed: flag {flag}"
+            return Answer(z, iterations=int(info["iterations"]), status=status)
+
+        return solve
 
 
 @cache

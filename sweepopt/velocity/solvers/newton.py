@@ -104,14 +104,17 @@ class _Iteration:
         """Newton steps from z: the last z, whether it is exact to rounding, and their number."""
         T = C.weights(self._factor.diagonal)
         scale = 1 / np.sqrt(T)
-        smallest, stalled, iteration = math.inf, 0, 0
+        smallest, stalled, iteration, enough = math.inf, 0, 0, 1e3 * NEGLIGIBLE
         start, change, share = z, np.zeros_like(z), 1.0
         while iteration < self._max_iter:
-            w, size_z = self._factor.apply(z, q, NEGLIGIBLE)
+            w, size_z = self._factor.apply(z, q, enough)
             v = w - T * z
             residual = C.project(v) - w
-            size = euclidean(residual * scale)
-            rounding = EPS * (euclidean(w * scale) + size_z)
+            size, forces = euclidean(residual * scale), euclidean(w * scale) + size_z
+            if enough > NEGLIGIBLE and not size > 1e3 * enough * forces:
+                enough = NEGLIGIBLE  # what the residual is far above needs no such digits
+                continue
+            rounding = EPS * forces
             # at rounding the equation cannot get better: stop when it does not, or when it cycles
             stalled += size >= smallest
             if size <= rounding or (size <= 1e3 * rounding and stalled):
@@ -145,7 +148,8 @@ class _Iteration:
         kept = np.flatnonzero(stuck if inverted else ~stuck)
         if stuck.tobytes() != self._stuck:
             matrix = self._factor.inverse if inverted else self.M
-            self._block = kept.size and scipy.linalg.cho_factor(matrix[np.ix_(kept, kept)])
+            block = matrix[np.ix_(kept, kept)]
+            self._block = kept.size and scipy.linalg.cho_factor(block, check_finite=False)
             self._stuck = stuck.tobytes()
         change = np.where(stuck, -z, 0.0)
         if inverted:
@@ -153,11 +157,11 @@ class _Iteration:
             force = np.where(stuck, 0.0, residual)
             if kept.size:
                 inner = change[kept] - self._factor.inverse[kept] @ force
-                force[kept] = scipy.linalg.cho_solve(self._block, inner)
+                force[kept] = scipy.linalg.cho_solve(self._block, inner, check_finite=False)
             change = self._factor.inverse @ force
         elif kept.size:
-            right = residual - self.M @ change
-            change[kept] = scipy.linalg.cho_solve(self._block, right[kept])
+            right = (residual - self.M @ change if change.any() else residual)[kept]
+            change[kept] = scipy.linalg.cho_solve(self._block, right, check_finite=False)
         following = np.where(stuck, 0.0, z + change)
         return np.where(following * z < 0, 0.0, following)
 
