@@ -185,7 +185,7 @@ class VariationWarning(SweepoptWarning):
 
 
 class StabilityWarning(SweepoptWarning):
-    """The step size lets a scheme overshoot into a wrong stuck state."""
+    """The step size lets a scheme ring, or overshoot into a wrong stuck state."""
 
 
 class CheckpointWarning(SweepoptWarning):

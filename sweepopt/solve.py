@@ -43,7 +43,6 @@ from sweepopt.integrate import (
     require_same_problem,
     saving,
     time_grid,
-    warn_of_overshoot,
 )
 from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
 from sweepopt.results import NetCDFSink, Solution, refine
@@ -267,7 +266,7 @@ def _run(
     """Check what remains to be checked, move u along the grid, and make a solution of the run."""
     if callback is not None and not callable(callback):
         raise InputError(f"callback must be a function of a StepInfo, got {shown(callback)}")
-    scheme, steps = options.tableau(process.rate_independent), options.steps
+    scheme, steps = options.tableau(process), options.steps
     segments = None
     if isinstance(steps, Adaptive):
         segments = Segments.of(steps, process, options.t_end, scheme, options.save)
@@ -303,8 +302,6 @@ def _run(
         bar.close()
         if sink is not None:
             sink.close(succeeded)
-    if run.overshot is not None:
-        warn_of_overshoot(scheme, float(grid.times[run.overshot]))
     if not succeeded:
         u = reconstruction.state(run.done, run.u)
         raise StepError(run.cause, float(grid.times[run.done]), run.done, u, run.relative)
@@ -326,8 +323,9 @@ def _first_grid(
     elif reduction and not reduction.suits(mus, scheme, options.tol):
         plan = plan.of_all_unknowns("the steps differ so much that short ones would be rounding")
     saved = saving(options.save, times, plan.entering, options.memory)
-    process.check_start(float(times[0]))
-    check_stability(process, scheme, float(mus.max()), options.on_unstable)
+    outside = process.check_start(float(times[0]))
+    if segments is None or scheme.explicit:
+        check_stability(process, plan, float(mus.max()), outside, options.on_unstable)
     return Grid(times, mus, plan, saved)
 
 

@@ -91,8 +91,8 @@ def test_a_body_that_is_held_does_not_move_at_all(
     assert (sol.u == u0).all()
 
 
-@pytest.mark.parametrize("scheme", ["midpoint", "trapezoid", "sdirk2"])
-def test_a_stiff_body_that_slides_steadily_is_not_said_to_overshoot(scheme: str) -> None:
+@pytest.mark.parametrize("scheme", ["auto", "implicit-euler", "sdirk2"])
+def test_a_stiff_body_that_slides_steadily_is_not_said_to_ring(scheme: str) -> None:
     # mu Lam = 50; warnings are errors here
     C = so.Moving(so.Box([-1.0], [1.0]), center=lambda t: [2.0 + 50 * t])
     process = so.SweepingProcess([[1.0]], [[50.0]], C, u0=[0.02])

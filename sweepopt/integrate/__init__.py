@@ -28,7 +28,6 @@ from sweepopt.integrate.observers import (
     observer,
 )
 from sweepopt.integrate.options import SolveOptions
-from sweepopt.integrate.overshoot import warn_of_overshoot
 from sweepopt.integrate.reconstruction import Reconstruction
 from sweepopt.integrate.record import MEMORY, Grid, Index, Pass, Run, States, Statistics, saving
 from sweepopt.integrate.schemes import SCHEMES, Scheme
@@ -68,5 +67,4 @@ __all__ = [
     "saving",
     "time_grid",
     "velocity_field",
-    "warn_of_overshoot",
 ]

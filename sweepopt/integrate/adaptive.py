@@ -27,7 +27,7 @@ from sweepopt.integrate.error_estimator import ErrorEstimator
 from sweepopt.integrate.grid import evaluation_times, time_grid
 from sweepopt.integrate.loop import integrate
 from sweepopt.integrate.record import Grid, Pass, Run, Saving
-from sweepopt.integrate.schemes import Scheme
+from sweepopt.integrate.schemes import Scheme, rings
 from sweepopt.integrate.step import Velocities
 from sweepopt.linalg import EPS
 from sweepopt.loads import breakpoints
@@ -255,6 +255,10 @@ class _AdaptiveDriver:
         # sets without a proof have certificate nan
         return 0.0 if velocity.relative > plan.tol else velocity.z
 
+    def rings(self) -> bool:
+        """Whether even the shortest step of the last pass is too long for the scheme."""
+        return rings(self._process, self._plan.scheme, float(self.run.grid.mus.min()))
+
     def certify(self, tol: float) -> None:
         """Ask programs for certificates of tol, where that is less than what they have."""
         if tol < self._plan.tol:
@@ -325,7 +329,7 @@ def _refine(steps: Adaptive, segments: Segments, driver: _AdaptiveDriver) -> Run
         if error > AIM * tol:
             goal *= AIM * tol / error
         wanted = estimator.steps(goal)
-        cause = _failure(tol, EPS * estimator.length, passes, wanted, run.overshot is not None)
+        cause = _failure(tol, EPS * estimator.length, passes, wanted, driver.rings)
         if cause:
             run.grid = run.grid._replace(cause=cause)
             return run
@@ -355,14 +359,15 @@ def _apart(cuts: np.ndarray) -> np.ndarray:
 
 
 def _failure(
-    tol: float, rounding: float, passes: Sequence[Pass], wanted: float, overshot: bool
+    tol: float, rounding: float, passes: Sequence[Pass], wanted: float, rings: Callable[[], bool]
 ) -> str:
     """Why it makes no sense to go on to so many steps, or nothing."""
     if tol < rounding:
         return f"tol = {tol:g} is less than the rounding of u, {rounding:.2g}; loosen it"
     n, error, _ = passes[-1]
-    back = 2 if overshot else 6  # errors rise now and then, but not over so many passes
-    if len(passes) > back and error > passes[-1 - back].error:
+    # errors rise now and then, but not over so many passes
+    overshot = len(passes) > 2 and error > passes[-3].error and rings()
+    if overshot or (len(passes) > 6 and error > passes[-7].error):
         why = "they overshoot; take implicit-euler, which never does" if overshot else ADVICE
         return f"the estimated error, {error:.2g} with {n} steps, rises with shorter steps: {why}"
     if wanted > STEPS:

@@ -8,12 +8,16 @@ import numpy as np
 
 from sweepopt.checks import TIME_SLACK, axes, count, number, vector
 from sweepopt.errors import InputError, StabilityWarning, UnstableStepError, shown, warn
-from sweepopt.integrate.schemes import Scheme
+from sweepopt.integrate.schemes import RESOLVED, Scheme, rings
 from sweepopt.linalg import EPS
-from sweepopt.problem import SweepingProcess
+from sweepopt.loads import Constant
+from sweepopt.problem import SweepingProcess, motion
+from sweepopt.velocity import Plan
 
 MOST = 10**8
 """Steps of one run: their times and statistics alone are gigabytes."""
+FADES = 0.25
+"""A larger share of an error that comes back lasts for steps: sdirk2's is 0.21 at most."""
 
 
 def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -55,10 +59,37 @@ def evaluation_times(times: np.ndarray, mus: np.ndarray, scheme: Scheme) -> np.n
     return np.unique(np.append(times, np.minimum(stages, times[1:, None])))
 
 
-def check_stability(process: SweepingProcess, scheme: Scheme, mu: float, on_unstable: str) -> None:
-    """Explicit in u means mu Lam <= 2, and no overshoot only for mu Lam <= 1."""
-    if not scheme.explicit or on_unstable == "ignore" or process.B is None:
+def check_stability(
+    process: SweepingProcess, plan: Plan, mu: float, outside: bool, on_unstable: str
+) -> None:
+    """What the longest step does to errors, from the stability function R at -mu Lam.
+
+    A scheme that is explicit in u amplifies them where R < -1, and overshoots where R < 0. An
+    implicit one overshoots where R < 0 if B u starts outside of C(t), and rings while C(t) moves
+    where R < -FADES; nothing of it stays where nothing sticks, or where Euler steps step in.
+    """
+    scheme = plan.scheme
+    if on_unstable == "ignore" or process.B is None:
         return
+    if scheme.explicit:
+        _check_explicit(process, scheme, mu, on_unstable)
+        return
+    moves = any(not isinstance(phi, Constant) for phi in motion(process.C).histories)
+    if scheme.euler_steps or not plan.solvers or not (outside or moves):
+        return
+    if rings(process, scheme, mu, 0.0 if outside else FADES):
+        rate = "A is zero" if process.rate_independent else f"mu Lam = {mu * process.Lam:.3g}"
+        effect = "can overshoot into a wrong stuck state" if outside else "rings"
+        warn(
+            f"scheme {scheme.name!r} {effect}: {rate}, and from {RESOLVED:g} on its errors change "
+            "their sign in each step, so that bodies stick that should slip; take scheme='auto' "
+            "or implicit-euler, or shorter steps",
+            StabilityWarning,
+        )
+
+
+def _check_explicit(process: SweepingProcess, scheme: Scheme, mu: float, on_unstable: str) -> None:
+    """Explicit in u means mu Lam <= 2, and no overshoot only for mu Lam <= 1."""
     number_ = mu * process.Lam
     if number_ <= 1:
         return

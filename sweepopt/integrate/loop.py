@@ -14,7 +14,6 @@ from scipy.linalg import blas
 from sweepopt.checks import HUGE
 from sweepopt.errors import Status
 from sweepopt.integrate.exact import exact_steps
-from sweepopt.integrate.overshoot import longest_safe, overshot
 from sweepopt.integrate.record import Run
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.integrate.step import (
@@ -60,7 +59,7 @@ def integrate(
     starts, sizes = run.grid.times.data, mus.data  # these give floats of Python
     velocities = velocities or Velocities(process, plan)
     take = exact_steps(process, plan, run) if plan.scheme.exact else velocities.step
-    safe, limit = longest_safe(process, plan, mus), _largest_state(process, plan.scheme)
+    limit = _largest_state(process, plan.scheme)
     u, compensation = run.u, run.compensation
     try:
         for i in range(run.done, steps):
@@ -84,9 +83,6 @@ def integrate(
                 return
             if velocity.relative != velocity.relative:
                 run.status = Status.UNCERTIFIED
-            too_long = mu > safe and run.overshot is None
-            if too_long and overshot(process, plan, starts, i, u, result):
-                run.overshot = i
             u = following
             run.add(u, velocity, clock.perf_counter() - began, compensation)
             stop = observer is not None and observer(i, u, velocity.z, velocity.certificate)
@@ -122,7 +118,7 @@ def _cause(process: SweepingProcess, plan: Plan, t: float, velocity: Velocity, r
         )
     best = f"the best certificate of {velocity.attempts} attempts is {missed}, tol is {plan.tol:g}"
     tried = f", and to take it in {PARTS[0]} to {PARTS[-1]} parts does not help"
-    if result.parts:
+    if result.complete:
         tried, likely = "", "A is too badly conditioned to recover all unknowns"
     elif result.cause:
         tried, likely = "", f"It cannot be taken in parts: {result.cause}"

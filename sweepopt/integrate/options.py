@@ -10,8 +10,10 @@ import numpy as np
 from sweepopt.checks import choice, number
 from sweepopt.errors import InputError, PathError
 from sweepopt.integrate.adaptive import Adaptive
+from sweepopt.integrate.grid import time_grid
 from sweepopt.integrate.json_arrays import decoded, encoded
-from sweepopt.integrate.schemes import Scheme, choose
+from sweepopt.integrate.schemes import Scheme, automatic, choose
+from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import PATHS, REGISTRY
 
 
@@ -40,15 +42,19 @@ class SolveOptions:
         if isinstance(self.steps, Adaptive) and self.path == "proportional":
             raise PathError("path='proportional' needs all steps beforehand; Adaptive cannot tell")
 
-    def tableau(self, rate_independent: bool) -> Scheme:
-        """The scheme, without a look at overshooting where no warning of it is wanted."""
+    def tableau(self, process: SweepingProcess) -> Scheme:
+        """The scheme; "auto" chooses by the longest step, or for steps that adapt."""
         name, adaptive = self.scheme, isinstance(self.steps, Adaptive)
-        if adaptive and rate_independent and isinstance(name, str) and name == "auto":
-            name = "sdirk2"
-        scheme = choose(name, rate_independent)
+        if isinstance(name, str) and name == "auto" and not adaptive:
+            mu = float(time_grid(self.t_end, self.steps)[1].max())
+            # a reduction is moved by a scheme of one stage
+            return automatic(
+                process, mu, "implicit-euler" if self.path == "proportional" else "sdirk32"
+            )
+        scheme = choose(name, process.rate_independent)
         if adaptive and scheme.exact:
             raise InputError("scheme 'exact' has no error in time that steps could be adapted to")
-        return scheme.without_overshoot_warning if self.on_unstable == "ignore" else scheme
+        return scheme
 
     def to_json(self) -> dict[str, Any]:
         """The options in terms of JSON.

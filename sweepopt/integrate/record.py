@@ -137,8 +137,6 @@ class Run:
         Which step failed and why.
     relative : float
         The certificate of the step that failed.
-    overshot : int or None
-        The first step that may have overshot.
     exact : Trajectory or None
         The dense trajectory of the scheme "exact".
     """
@@ -146,7 +144,6 @@ class Run:
     def __init__(self, grid: Grid, u0: np.ndarray) -> None:
         self.grid, self._kept = grid, grid.saving.steps
         self.status, self.cause, self.relative = Status.SUCCESS, "", 0.0
-        self.overshot: int | None = None
         self.exact: Trajectory | None = None
         # written to, all of it is in memory from here on: a run grows by nothing later
         self._rows, self._times = np.full(len(grid.mus), 0, ROW), grid.times.data
@@ -215,7 +212,6 @@ class Run:
             "done": done,
             "steps": self.steps,
             "status": self.status.name,
-            "overshot": self.overshot,
             "solvers": list(self._solvers),
         }
         return plain, {
@@ -227,7 +223,7 @@ class Run:
 
     def restore(self, plain: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
         """Take the first steps from what an earlier run has stored."""
-        self.status, self.overshot = Status[plain["status"]], plain["overshot"]
+        self.status = Status[plain["status"]]
         self._solvers = {name: number for number, name in enumerate(plain["solvers"])}
         done, k = plain["done"], len(arrays["velocities"])
         self._rows[:done] = arrays["rows"]

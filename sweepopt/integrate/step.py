@@ -1,6 +1,7 @@
 """One step of a scheme: whole, or in equal parts where the whole misses its tolerance.
 
-u_{i+1} = u_i + mu sum_k b_k z_k, where z_k solves the program of stage k (see `schemes`).
+u_{i+1} = u_i + mu sum_k b_k z_k, where z_k solves the program of stage k (see `schemes`); or some
+steps of implicit Euler, where an unknown comes to rest.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.errors import IndefiniteError
+from sweepopt.integrate.schemes import Scheme, implicit_euler
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan, StateVelocity, Velocity, compile_velocity
 
@@ -29,8 +31,8 @@ class Step(NamedTuple):
     velocity : Velocity
         The mean velocity with the worst certificate of the programs and all their work. In parts
         that is no bound of the error of one whole step, which nobody knows.
-    parts : list of list of Velocity
-        What the stages of each part solved; none where no number of parts meets the tolerance.
+    complete : bool
+        Whether it meets its tolerance, whole or in parts.
     cause : str
         Why the step cannot be taken in parts at all.
     end : ndarray or None
@@ -38,7 +40,7 @@ class Step(NamedTuple):
     """
 
     velocity: Velocity
-    parts: list[Stages]
+    complete: bool
     cause: str = ""
     end: np.ndarray | None = None
 
@@ -73,10 +75,9 @@ class Velocities:
         grid.
         """
         scheme, tol = self._plan.scheme, self._plan.tol
-        stages = self._stages(t, mu, u)
-        whole = _mean(scheme.b, stages)
+        whole = self._mean(t, mu, u)
         if not whole.relative > tol:
-            return Step(whole, [stages])
+            return Step(whole, True)
         work, cause = [whole], ""
         for count in PARTS:
             h = mu / count
@@ -86,27 +87,42 @@ class Velocities:
             except Exception as error:  # C(t) may have no value between the times of the grid
                 cause = str(error) or type(error).__name__
                 break
-            v, compensation, parts, means = u, np.zeros_like(u), [], []
+            v, compensation, means = u, np.zeros_like(u), []
             for start in starts.tolist():
-                parts.append(self._stages(start, h, v))
-                means.append(_mean(scheme.b, parts[-1]))
+                means.append(self._mean(start, h, v))
                 work.append(means[-1])
                 if means[-1].relative > tol:
                     break
                 v, compensation = compensated_sum(v, h * means[-1].z, compensation)
             else:
                 mean = _mean([1 / count] * count, means, work)
-                return Step(mean._replace(solver=f"{mean.solver}/{count}"), parts)
-        return Step(_mean((1.0,), [whole], work), [], cause)
+                return Step(mean._replace(solver=f"{mean.solver}/{count}"), True)
+        return Step(_mean((1.0,), [whole], work), False, cause)
 
-    def _stages(self, t: float, mu: float, u: np.ndarray) -> Stages:
-        """What the stages of the tableau solve, up to one that has no program.
+    def _mean(self, t: float, mu: float, u: np.ndarray) -> Velocity:
+        """The mean velocity of a step of the scheme, or of its steps of implicit Euler.
+
+        These are taken where an unknown moves in an earlier stage and rests in the last one.
+        """
+        scheme = self._plan.scheme
+        stages = self._stages(scheme, t, mu, u, [])
+        if not scheme.euler_steps or len(stages) < len(scheme.b):
+            return _mean(scheme.b, stages)
+        moved = np.any([stage.z != 0 for stage in stages[:-1]], axis=0)
+        if not (moved & (stages[-1].z == 0)).any():
+            return _mean(scheme.b, stages)
+        euler = implicit_euler(scheme.euler_steps)
+        mean = _mean(euler.b, self._stages(euler, t, mu, u, stages[:1]))
+        left = sum(stage.iterations for stage in stages[1:])
+        return mean._replace(iterations=mean.iterations + left)
+
+    def _stages(self, scheme: Scheme, t: float, mu: float, u: np.ndarray, stages: Stages) -> Stages:
+        """What the stages of a tableau solve after the first ones, up to one that has no program.
 
         A matrix A + gamma B that is not positive definite to rounding gives no velocity.
         """
-        process, scheme = self._process, self._plan.scheme
-        stages: Stages = []
-        for weights, c in zip(scheme.a, scheme.c, strict=True):
+        process, stages = self._process, [*stages]
+        for weights, c in list(zip(scheme.a, scheme.c, strict=True))[len(stages) :]:
             start = u + mu * combination(weights[:-1], stages) if stages else u
             gamma = mu * weights[-1] if process.B is not None else 0.0
             try:

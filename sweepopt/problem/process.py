@@ -145,8 +145,8 @@ class SweepingProcess:
                 )
         return members
 
-    def check_start(self, t: float) -> None:
-        """Check B u0 in C(t) for the time t at which u0 holds.
+    def check_start(self, t: float) -> bool:
+        """Check B u0 in C(t) for the time t at which u0 holds; whether it is outside.
 
         Raises
         ------
@@ -164,16 +164,17 @@ class SweepingProcess:
         distance = float(np.linalg.norm(force - nearest))
         size = max(np.abs(x).max() for x in (force, nearest, C.anchor))
         if distance <= 1e-9 * size:
-            return
+            return False
         # a set around 0 gives its own size; an unbounded one has none
         extent = C.magnitude()
         if np.isfinite(extent) and distance <= 1e-12 * extent:
-            return
+            return False
         where = f"B u0 is not in C({t:g}); its distance is {distance:g}"
         if self.rate_independent:
             raise InputError(f"{where}. With A = 0 no solution starts there: change u0")
         message = f"{where}. A is coercive, so the solution exists and starts with a velocity"
         warn(message, InitialStateWarning)
+        return True
 
     def variation(self, times: np.ndarray) -> float:
         """The variation v(T) of C over a grid: sum of Hausdorff distances of neighbours.

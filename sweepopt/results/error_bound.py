@@ -115,7 +115,7 @@ def _second_run(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
     """Midpoint on the same grid; where A = 0 implicit Euler on a finer one."""
     if process.rate_independent:
         return nodes_of(process, replace(plan, scheme=SCHEMES["implicit-euler"]), divided(t, FINER))
-    return nodes_of(process, replace(plan, scheme=SCHEMES["midpoint"].without_overshoot_warning), t)
+    return nodes_of(process, replace(plan, scheme=SCHEMES["midpoint"]), t)
 
 
 def nodes_of(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:

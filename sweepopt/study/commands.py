@@ -22,27 +22,31 @@ from sweepopt.study.hard.suite import HardRow, hard_study, hard_summary, rows
 from sweepopt.study.ledger import append_row
 from sweepopt.study.report import write_report
 from sweepopt.study.sources import find_source
+from sweepopt.study.stiff import rows as stiff_rows
+from sweepopt.study.stiff import stiff_study, stiff_summary
 from sweepopt.study.study import Study, read_study, run
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 TABLE, DIAGRAM, HARD, REPORT = "table.csv", "diagram.png", "hard.csv", "report.html"
+STIFF = "stiff.csv"
 HARD_ROWS = "hard.jsonl"
 """Rows of hard cases, each as soon as it is finished."""
 
 
 def study_command(chosen: argparse.Namespace) -> None:
-    """Run a study, or go on with it, then its hard cases, and write what they say."""
+    """Run a study, or go on with it, then its hard and stiff cases, and write what they say."""
     import pandas as pd
 
     path = find_study(chosen.study)
     folder = chosen.out or Path("results") / path.stem
     data = read_toml(path)
     hard = hard_study(data["hard"], f"{path}: ") if "hard" in data else None
+    stiff = stiff_study(data["stiff"], f"{path}: ") if "stiff" in data else None
     judged: list[HardRow] = []
     table, solutions, files = None, {}, []
-    if hard is None or data.keys() - {"hard", "title"}:
+    if not (hard or stiff) or data.keys() - {"hard", "stiff", "title"}:
         study = read_study(path)
         with _executor(chosen) as executor:
             table = run(study, folder, executor=executor, progress=_say)
@@ -61,9 +65,17 @@ def study_command(chosen: argparse.Namespace) -> None:
         pd.DataFrame(judged).to_csv(folder / HARD, index=False)
         print(hard_summary(judged))
         files.append(HARD)
-    title = str(data.get("title", path.stem))
-    write_report(table, folder / REPORT, solutions=solutions, hard=judged, title=title)
-    print(f"written: {folder}: {', '.join([*files, REPORT])}")
+    if stiff is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        runs = list(stiff_rows(stiff, _say))
+        pd.DataFrame(runs).to_csv(folder / STIFF, index=False)
+        print(stiff_summary(runs))
+        files.append(STIFF)
+    if table is not None or judged:
+        title = str(data.get("title", path.stem))
+        write_report(table, folder / REPORT, solutions=solutions, hard=judged, title=title)
+        files.append(REPORT)
+    print(f"written: {folder}: {', '.join(files)}")
 
 
 def _executor(chosen: argparse.Namespace) -> AbstractContextManager[Executor]:

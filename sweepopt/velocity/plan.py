@@ -101,12 +101,13 @@ class Plan:
         if self.scheme.exact:
             solver = "closed forms between the switches, which are located"
         order = "" if self.scheme.exact else f" (order {self.scheme.order})"
+        reason = f": {self.scheme.reason}" if self.scheme.reason else ""
         lines = [
             f"path                {self.path}: {PATHS.get(self.path, 'a linear solve a step')}",
             f"unknowns            {self.unknowns}",
             f"nonsmooth unknowns  {self.nonsmooth_unknowns}",
             f"eliminated          {self.eliminated}",
-            f"scheme              {self.scheme.name}{order}",
+            f"scheme              {self.scheme.name}{order}{reason}",
             f"solver              {solver}",
             f"tolerance           {self.tol:g} (relative certificate of each program)",
         ]

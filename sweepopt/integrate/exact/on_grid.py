@@ -69,6 +69,6 @@ def exact_steps(
         velocity = at_end._replace(
             z=(after - u) / mu, solver="closed form", iterations=phases, attempts=1
         )
-        return Step(velocity, [], end=after)
+        return Step(velocity, True, end=after)
 
     return take

@@ -1,0 +1,235 @@
+"""Stiff bodies: what scheme "auto" makes of them, beside the best of three schemes; one table.
+
+A body, a load and a seed make a process; its A is scaled such that mu Lam is that of the row.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sweepopt.checks import count, number
+from sweepopt.errors import InputError, SweepoptWarning, shown
+from sweepopt.loads import Separable, Sine, Table
+from sweepopt.problem import SweepingProcess
+from sweepopt.results import Solution
+from sweepopt.sets import Balls, Box, ConvexSet, Moving
+from sweepopt.solve import solve
+from sweepopt.study.hard.bodies import Random, chain, spectral
+from sweepopt.study.records import each, known, read_record
+
+BEST_OF = ("implicit-euler", "midpoint", "sdirk2")
+FINER = 16  # steps of the reference in one of the run: its error is less by 16 at least
+SLIPS = 0.05  # of an unknown's largest velocity: a slower one may be rounding
+
+
+class Body(NamedTuple):
+    """A and B, the set C(t) less the load, and two shapes of loads in columns."""
+
+    A: Any
+    B: Any
+    C: ConvexSet
+    shapes: np.ndarray
+
+
+def _loaded(random: Random, A: np.ndarray, B: np.ndarray, C: ConvexSet) -> Body:
+    shapes = random.normal(size=(len(A), 2))
+    return Body(A, B, C, 2.5 * math.sqrt(len(A)) * shapes / np.linalg.norm(shapes, axis=0))
+
+
+def _box(random: Random, A: np.ndarray, B: np.ndarray) -> Body:
+    g = random.uniform(0.3, 1.2, len(A))
+    return _loaded(random, A, B, Box(-g, g))
+
+
+def _discs(random: Random) -> Body:
+    C = Balls(random.uniform(0.5, 1.2, 2), 2)
+    return _loaded(random, chain(random, 4), chain(random, 4), C)
+
+
+def _square(random: Random) -> Body:
+    """Finite elements with friction on one side, pulled and twisted."""
+    import skfem
+
+    from sweepopt.fem import BodyForce, Elasticity, Friction, Traction, Viscosity, antiplane
+
+    effects: list[Any] = [
+        Viscosity(1e-3),
+        Elasticity(1.0),
+        Friction("bottom", g=float(random.uniform(0.3, 0.8))),
+        Traction("right", f2=float(random.uniform(2, 4)), history=np.sin),  # or another one
+        BodyForce(f0=float(random.uniform(2, 4)), history=np.sin),
+    ]
+    mesh = skfem.MeshTri().refined(2).with_defaults()
+    problem: Any = antiplane(mesh, clamped="top", effects=effects).problem
+    return Body(problem.A, problem.B, -problem.dissipation, problem.load.shapes)
+
+
+BODIES: dict[str, Callable[[Random], Body]] = {
+    "one mass": lambda random: _box(random, np.eye(1), np.eye(1)),
+    "chain": lambda random: _box(random, chain(random, 7), chain(random, 7)),
+    "mixed": lambda random: _box(random, spectral(random, np.logspace(-6, 0, 7)), chain(random, 7)),
+    "discs": _discs,
+    "square": _square,
+}
+
+
+def _table(random: Random) -> Table:
+    times = np.concatenate([[0.0], np.sort(random.uniform(0, 1, 6)), [1.0]])
+    return Table(times, random.uniform(0.5, 1.5, 8) * (-1.0) ** np.arange(8) * (times > 0))
+
+
+LOADS: dict[str, Callable[[Random], Any]] = {
+    "sines": lambda random: Sine(1.0, 1 / random.uniform(1, 4)),
+    "tables": _table,
+}
+
+
+@dataclass(frozen=True)
+class StiffStudy:
+    """What `sweepopt study stiff` runs: all bodies and loads by default.
+
+    Parameters
+    ----------
+    seeds, steps : sequence of int
+    bodies, loads : sequence of str
+    stiffness : sequence of float
+        mu Lam; infinite for A = 0.
+    bounds : bool
+        Whether each run's error bound is computed.
+
+    Raises
+    ------
+    InputError
+        Naming the key and the entry.
+    """
+
+    seeds: Sequence[int] = (0,)
+    bodies: Sequence[str] = tuple(BODIES)
+    loads: Sequence[str] = tuple(LOADS)
+    stiffness: Sequence[float] = (1e-2, 1.0, 4.0, 1e2, 1e8, math.inf)
+    steps: Sequence[int] = (60,)
+    bounds: bool = True
+
+    def __post_init__(self) -> None:
+        each("seeds", self.seeds, count, 0)
+        each("steps", self.steps, count)
+        for key, names in (("bodies", BODIES), ("loads", LOADS)):
+            each(key, getattr(self, key), known, names, "there are:")
+        for k, x in enumerate(self.stiffness):
+            if x != math.inf:
+                number(f"stiffness[{k}]", x, 0.0, strict=True)
+
+
+def stiff_study(data: Any, where: str = "") -> StiffStudy:
+    """The table [stiff] of a study file; InputError names the key at fault."""
+    if not isinstance(data, dict):
+        raise InputError(f"{where}stiff must be a table, got {shown(data)}")
+    return read_record(f"{where}stiff.", StiffStudy, data)
+
+
+class StiffRow(NamedTuple):
+    """A run with scheme "auto".
+
+    Attributes
+    ----------
+    error : float
+        The largest of all nodes, in the norm of A, of B where A = 0.
+    over_best, bound_over_error : float
+        The error over the smallest one of BEST_OF; the error bound over the error.
+    ringing : float
+        Total variation of the velocities over that of the reference's means in the same steps.
+    false_sticks : int
+        Steps in which an unknown's velocity is 0.0 that slips all the time.
+    """
+
+    body: str
+    load: str
+    seed: int
+    mu_Lam: float
+    steps: int
+    scheme: str
+    error: float
+    over_best: float
+    bound_over_error: float
+    ringing: float
+    false_sticks: int
+
+
+def make(body: str, load: str, seed: int, mu_Lam: float, steps: int) -> SweepingProcess:
+    """The process of a row, on [0, 1]."""
+    random = np.random.default_rng(seed)
+    A, B, C, shapes = BODIES[body](random)
+    terms = [(LOADS[load](random), shape) for shape in shapes.T]
+    u0 = np.zeros(len(shapes))
+    factor = 0.0 if mu_Lam == math.inf else SweepingProcess(A, B, C, u0).Lam / steps / mu_Lam
+    return SweepingProcess(factor * A, B, Moving(C, Separable(terms)), u0)
+
+
+def rows(
+    study: StiffStudy, progress: Callable[[str], object] = lambda words: None
+) -> Iterator[StiffRow]:
+    """Run the processes of a study; `progress` is called with each body and load.
+
+    Yields
+    ------
+    StiffRow
+
+    Examples
+    --------
+    >>> study = StiffStudy(bodies=["one mass"], loads=["sines"], stiffness=[1e6], bounds=False)
+    >>> row = next(rows(study))
+    >>> row.scheme, row.over_best < 2, row.false_sticks
+    ('sdirk32', True, 0)
+    """
+    for body, load, seed in product(study.bodies, study.loads, study.seeds):
+        progress(f"{body}, {load}, seed {seed}")
+        for mu_Lam, steps in product(study.stiffness, study.steps):
+            process = make(body, load, seed, mu_Lam, steps)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", SweepoptWarning)
+                measures = judge(process, 1.0, steps, study.bounds)
+            yield StiffRow(body, load, seed, mu_Lam, steps, *measures)
+
+
+def judge(process: SweepingProcess, t_end: float, steps: int, bounds: bool = True) -> tuple:
+    """The entries of a row from `scheme` on, of a run of a process."""
+
+    def run(scheme: str, finer: int = 1) -> Solution:
+        return solve(process, t_end=t_end, steps=finer * steps, scheme=scheme, tol=1e-8)
+
+    reference = run("sdirk32", FINER)
+    slips = reference.velocity.reshape(steps, FINER, -1)
+
+    def error(sol: Solution) -> float:
+        return max(map(process.metric.norm, sol.u - reference.u[::FINER]))
+
+    def variation(velocities: np.ndarray) -> float:
+        return float(np.abs(np.diff(velocities, axis=0)).sum())
+
+    sol = run("auto")
+    least = SLIPS * np.abs(slips).max(axis=(0, 1))
+    always = (slips > least).all(axis=1) | (slips < -least).all(axis=1)
+    return (
+        sol.plan.scheme.name,
+        error(sol),
+        error(sol) / min(error(run(scheme)) for scheme in BEST_OF),
+        float(sol.error_bound()) / error(sol) if bounds else math.nan,
+        variation(sol.velocity) / variation(slips.mean(axis=1)),
+        int((always & (sol.velocity == 0)).any(axis=1).sum()),
+    )
+
+
+def stiff_summary(rows: Sequence[StiffRow]) -> str:
+    """The worst of each body, load and mu Lam."""
+    import pandas as pd
+
+    by = ["body", "load", "mu_Lam", "scheme"]
+    table = pd.DataFrame(rows).drop(columns=["seed", "steps"]).groupby(by, sort=False).max()
+    return str(table.to_string(float_format="{:.2g}".format))
