@@ -80,10 +80,12 @@ def solve(
         Number of equal steps, or the increasing times themselves (the first one is where u0 holds),
         or ``Adaptive(tol)``: steps that are chosen for an error of tol.
     scheme : str
-        "auto" (midpoint; when A = 0 implicit-euler, or sdirk2 with Adaptive), "catching-up",
-        "implicit-euler", "midpoint", "trapezoid" (A coercive only), "sdirk2"; "exact" for polyhedra
-        and loads as data (`Separable`): closed forms between switches that are located, in
-        `Solution.exact` also between the nodes.
+        "auto" (midpoint where mu Lam <= 2 for the longest step, else sdirk32; with
+        path="proportional" implicit-euler; with Adaptive midpoint, or sdirk2 when A = 0; the plan
+        says which one and why), "catching-up", "implicit-euler", "midpoint", "trapezoid" (A
+        coercive only), "sdirk2", "sdirk32" (3 programs a step, 7 where much comes to rest); "exact"
+        for polyhedra and loads as data (`Separable`): closed forms between switches that are
+        located, in `Solution.exact` also between the nodes.
     solver : str or Solver
         "auto", "clarabel", "osqp", "daqp", "newton", "cvxpy" or an object: ``OSQP(tol=1e-10)``.
     tol : float
@@ -119,9 +121,10 @@ def solve(
     on_failure : {"raise", "stop"}
         Raise StepError, or return the steps that are certified with status INEXACT.
     on_unstable : {"raise", "warn", "ignore"}
-        What catching-up does when mu Lam > 2; between 1 and 2 it warns unless "ignore". midpoint,
-        trapezoid (mu Lam > 2) and sdirk2 (mu Lam > 1 + sqrt 2) warn of the first step that starts
-        with B u far outside of C(t) and may have gone past the true rest, unless "ignore".
+        What catching-up does when mu Lam > 2; between 1 and 2 it warns unless "ignore". So do
+        schemes by name, but with Adaptive: midpoint and trapezoid that ring (mu Lam > 10/3 or
+        A = 0, while C(t) moves) and, where B u0 is outside of C(0), midpoint, trapezoid
+        (mu Lam > 2) and sdirk2 (mu Lam > 1 + sqrt 2) that can pass the true rest.
 
     Returns
     -------
