@@ -83,7 +83,7 @@ def solve(
         "auto" (midpoint where mu Lam <= 2 for the longest step, else sdirk32; with
         path="proportional" implicit-euler; with Adaptive midpoint, or sdirk2 when A = 0; the plan
         says which one and why), "catching-up", "implicit-euler", "midpoint", "trapezoid" (A
-        coercive only), "sdirk2", "sdirk32" (3 programs a step, 7 where much comes to rest); "exact"
+        coercive only), "sdirk2", "sdirk32" (3 programs a step, 7 where much stops); "exact"
         for polyhedra and loads as data (`Separable`): closed forms between switches that are
         located, in `Solution.exact` also between the nodes.
     solver : str or Solver
