@@ -190,12 +190,11 @@ class SweepingProcess:
         VariationWarning
             Naming the times and sizes of the first ones.
         """
-        found = jumps(self.C, self.metric, start, end)
+        found = [sentence for _, sentence in jumps(self.C, self.metric, start, end)]
         if found:
-            rest = len(found) - SHOWN
-            more = f", and {rest} more" if rest > 0 else ""
+            more = f", and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
             warn(
-                f"C(t) jumps {', '.join(map(str, found[:SHOWN]))}{more}, in the norm of A^-1. The "
+                f"C(t) jumps {', '.join(found[:SHOWN])}{more}, in the norm of A^-1. The "
                 "theory asks for a C(t) that moves absolutely continuously; the steps are solved "
                 "all the same, and are most accurate if they end at the jumps",
                 VariationWarning,

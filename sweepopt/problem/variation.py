@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,7 +18,7 @@ from sweepopt.sets import AnySet, Box, ConvexSet
 BLOCK = 256  # columns of A^-1 at a time: those of all unknowns would not fit in memory
 SAMPLES = 500  # times, beside the breakpoints of data, between which jumps are looked for
 JUMP = 1e-9  # of the run: what changes in no more is a jump to every step
-MOST_JUMPS = 100  # that are located: a load with more is known by then
+STEEPEST = 30  # of the intervals between them: whoever has more jumps knows by then
 CONTINUOUS = (Constant, Polynomial, Sine, Triangle)
 
 
@@ -41,199 +41,143 @@ class Variation(float):
         return variation
 
 
-class Jump(NamedTuple):
-    """C(t) before and after t: their distance in |.|_{A^-1} (inf if unknown) and its cause."""
-
-    t: float
-    distance: float
-    name: str
-    change: float
-
-    def __str__(self) -> str:
-        by = f"by {self.distance:g}" if self.distance < np.inf else "by an unknown distance"
-        return f"at t = {self.t:g} {by} ({self.name} changes by {self.change:g})"
-
-
-class _Move(NamedTuple):
-    """A function that C(t) moves with; `distance` bounds that of its changes, shape (k, dim)."""
-
-    name: str
-    function: TimeFunction
-    distance: Callable[[np.ndarray], np.ndarray]
+Move = tuple[str, TimeFunction, Callable[[np.ndarray], float]]
+"""A function that C(t) moves with, and the distance, at most, for a change of it."""
 
 
 def variation(C: AnySet, metric: Factor, times: np.ndarray) -> Variation:
     """The sum of the variations of all that C(t) moves with, or of the distances of members."""
     moves = _moves(C, metric)
-    if moves is None:
-        members = pairwise(map(C.at, times.tolist()))
-        each = [C.distance_bound(D) for C, D in members]
-        known = [np.inf if d is None else d for d in each]
-        total = _require_known(float(np.sum(known)) / _root_beta(metric))
-        return Variation.make(total, False)
-    total, guaranteed = 0.0, metric.method == "factors"
-    for move in moves:
-        f = move.function
+    total, guaranteed = 0.0, moves is not None and metric.method == "factors"
+    for _, f, distance in moves or ():
         if f.function is None and f.bounded:
             ends = float(times[0]), float(times[-1])
             vectors = [vector for _, vector in f.terms]
-            sizes = [phi.variation(*ends) for phi in f.histories]
-            changes = np.reshape(sizes, (-1, 1)) * np.reshape(vectors, (-1, f.dim))
+            changes = [
+                phi.variation(*ends) * v for phi, v in zip(f.histories, vectors, strict=True)
+            ]
         else:
-            changes, guaranteed = np.diff(f.at(times), axis=0), False
-        total += _distances(move, changes).sum()
-    return Variation.make(_require_known(float(total)), guaranteed)
-
-
-def jumps(C: AnySet, metric: Factor, start: float, end: float) -> list[Jump]:
-    """Where center(t), scale(t) or h(t) changes by a finite amount in no time, in order of t."""
-    found = []
-    for move in _moves(C, metric) or ():
-        f = move.function
-        scalars = [Separable([(phi, [1.0])]) for phi, _ in f.terms if type(phi) not in CONTINUOUS]
-        each = scalars if f.function is None else [lambda t, f=f: f.at(np.array([t]))[0]]
-        for function in each:
-            for lo, hi in _discontinuities(function, f.histories, start, end):
-                change = np.diff(f.at(np.array([lo, hi])), axis=0)
-                size = float(np.linalg.norm(change))
-                found.append(Jump(hi, float(_distances(move, change)[0]), move.name, size))
-    return sorted(found)
-
-
-def _discontinuities(
-    f: Callable[[float], np.ndarray], histories: list[object], start: float, end: float
-) -> list[tuple[float, float]]:
-    """Short intervals in which f changes by more than a share of what it does around them.
-
-    A change that is continuous halves again and again with its interval. The steepest are looked at
-    first, until a few in a row are continuous.
-    """
-    # irregular times: no period is in step with them
-    shares = np.sort(np.arange(1, SAMPLES) * (np.sqrt(1.25) - 0.5) % 1)
-    times = start + (end - start) * np.concatenate([[0.0], shares, [1.0]])
-    times = np.union1d(times, breakpoints(histories, start, end))
-    before, sizes, changes = f(float(times[0])), [0.0], []
-    for t in times[1:].tolist():
-        value = f(t)
-        changes.append(float(np.linalg.norm(value - before)))
-        sizes.append(float(np.linalg.norm(value)))
-        before = value
-    found: list[tuple[float, float]] = []
-    continuous = 0
-    for i in np.argsort(np.array(changes) / -np.diff(times)).tolist():
-        if changes[i] <= JUMP * max(sizes) or continuous == 8 or len(found) == MOST_JUMPS:
-            break
-        interval = _halved(f, float(times[i]), float(times[i + 1]), JUMP * (end - start))
-        if interval is None:
-            continuous += 1
-        else:
-            found.append(interval)
-            continuous = 0
-    return found
-
-
-def _halved(
-    f: Callable[[float], np.ndarray], lo: float, hi: float, width: float
-) -> tuple[float, float] | None:
-    """An interval no longer than `width` with most of the change of f; None if it has little."""
-    low, high = f(lo), f(hi)
-    least = float(np.linalg.norm(high - low)) / 8
-    while hi - lo > width:
-        middle = 0.5 * (lo + hi)
-        value = f(middle)
-        first, second = (float(np.linalg.norm(d)) for d in (value - low, high - value))
-        if max(first, second) < least:
-            return None
-        if first > second:
-            hi, high = middle, value
-        else:
-            lo, low = middle, value
-    return lo, hi
-
-
-def _distances(move: _Move, changes: np.ndarray) -> np.ndarray:
-    """The distances of changes; none is asked for where nothing changes."""
-    result = np.zeros(len(changes))
-    some = changes.any(axis=1)
-    if some.any():
-        result[some] = move.distance(changes[some])
-    return result
-
-
-def _require_known(total: float) -> float:
+            changes, guaranteed = list(np.diff(f.at(times), axis=0)), False
+        total += sum(map(distance, changes))
+    if moves is None:
+        each = [C.distance_bound(D) for C, D in pairwise(map(C.at, times.tolist()))]
+        total = sum(np.inf if d is None else d for d in each) / _root_beta(metric)
     if total == np.inf:
         raise InputError(
             "the distance of C(t) to C(s) is not known for this kind of set; write C as a Moving "
             "set with a bounded shape, a box or a ball to have its variation"
         )
-    return total
+    return Variation.make(total, guaranteed)
 
 
-def _moves(C: AnySet, metric: Factor) -> list[_Move] | None:
+def jumps(C: AnySet, metric: Factor, start: float, end: float) -> list[tuple[float, str]]:
+    """Where center(t), scale(t) or h(t) changes by a finite amount in no time, and by how much."""
+    found = []
+    for name, f, distance in _moves(C, metric) or ():
+        if all(type(phi) in CONTINUOUS for phi in f.histories):
+            continue
+        value: Any = Separable(f.terms).coefficients if f.terms else f.function
+        for lo, hi in _discontinuities(value, breakpoints(f.histories, start, end), start, end):
+            before, after = f.at(np.array([lo, hi]))
+            size = distance(after - before)
+            by = f"by {size:g}" if size < np.inf else "by an unknown distance"
+            change = np.linalg.norm(after - before)
+            found.append((hi, f"at t = {hi:g} {by} ({name} changes by {change:g})"))
+    return sorted(found)
+
+
+def _discontinuities(
+    f: Callable[[float], Any], known: np.ndarray, start: float, end: float
+) -> list[tuple[float, float]]:
+    """Short intervals on which f changes by a share of what it does around them, steepest first."""
+    # irregular times: no period is in step with them
+    shares = np.arange(1, SAMPLES) * (np.sqrt(1.25) - 0.5) % 1
+    times = np.unique([start, *(start + (end - start) * shares), *known, end])
+    before, changes = np.asarray(f(start)), []
+    for t in times[1:].tolist():
+        after = np.asarray(f(t))
+        changes.append(_size(after - before))
+        before = after
+    steepest = np.argsort(-np.array(changes) / np.diff(times))[:STEEPEST].tolist()
+    ends = [(times[i].item(), times[i + 1].item()) for i in steepest]
+    each = [_halved(f, lo, hi, JUMP * (end - start)) for lo, hi in ends]
+    return [interval for interval in each if interval is not None]
+
+
+def _halved(
+    f: Callable[[float], Any], lo: float, hi: float, width: float
+) -> tuple[float, float] | None:
+    """The interval, halved to `width`, where f changes most; None if its change halves with it."""
+    low, high = np.asarray(f(lo)), np.asarray(f(hi))
+    least = max(_size(high - low) / 8, JUMP * _size(high))
+    while _size(high - low) > least:
+        if hi - lo <= width:
+            return lo, hi
+        middle = 0.5 * (lo + hi)
+        value = np.asarray(f(middle))
+        if _size(value - low) > _size(high - value):
+            hi, high = middle, value
+        else:
+            lo, low = middle, value
+    return None
+
+
+def _size(v: Any) -> float:
+    return float(np.linalg.norm(v))
+
+
+def _moves(C: AnySet, metric: Factor) -> list[Move] | None:
     """All that C(t) moves with, as data; None if C(t) moves in another way."""
     moving = motion(C)
     if moving.shape is None:
         return None
     if moving.offsets is not None:
-        return [_Move("h", moving.offsets, _of_offsets(moving.shape.halfspaces().N, metric))]
-    shape = moving.shape
+        return [("h", moving.offsets, _of_offsets(moving.shape.halfspaces().N, metric))]
+    # sup |sigma(S, z)| / |z|_A = sup |w|_{A^-1} over S, as |sigma(S, z)| <= sigma(S, +-z)
+    extent = 0.0 if moving.scale.constant else _magnitude(moving.shape, metric)
     return [
-        _Move(moving.name, moving.center, lambda v: np.array([metric.dual_norm(one) for one in v])),
-        # sup |sigma(S, z)| / |z|_A = sup |w|_{A^-1} over S, as |sigma(S, z)| <= sigma(S, +-z)
-        _Move("scale", moving.scale, lambda r: np.abs(r[:, 0]) * _magnitude(shape, metric)),
+        (moving.name, moving.center, metric.dual_norm),
+        ("scale", moving.scale, lambda r: _size(r) * extent if r.any() else 0.0),
     ]
 
 
-def _of_offsets(G: object, metric: Factor) -> Callable[[np.ndarray], np.ndarray]:
-    """Bounds of the distance of { w : G w <= h } to that with h + dh, for rows dh."""
+def _of_offsets(G: Any, metric: Factor) -> Callable[[np.ndarray], float]:
+    """A bound of the distance of { w : G w <= h } to that with h + dh, of dh."""
     rows = sp.csr_array(G)
     rows.eliminate_zeros()
     count = np.diff(rows.indptr)
     if (count <= 1).all():  # intervals of single unknowns: their ends move
 
-        def of_ends(dh: np.ndarray) -> np.ndarray:
-            m = np.zeros((metric.dim, len(dh)))
-            ends = np.abs(dh[:, count > 0] / rows.data)
-            np.maximum.at(m, rows.indices, ends.T)
-            return np.array([_box(one, metric) for one in m.T])
+        def of_ends(dh: np.ndarray) -> float:
+            m = np.zeros(metric.dim)
+            np.maximum.at(m, rows.indices, np.abs(dh[count > 0] / rows.data))
+            return _box(m, metric)
 
         return of_ends
     if np.linalg.matrix_rank(dense(rows)) < len(count):
-        return lambda dh: np.full(len(dh), np.inf)
+        return lambda dh: np.inf if dh.any() else 0.0
     # independent rows: a translation by the least x with G x = dh
-    gram = dense(rows @ metric.M @ rows.T)
-    return lambda dh: np.sqrt((dh * np.linalg.solve(gram, dh.T).T).sum(axis=1))
+    return Factor(dense(rows @ metric.M @ rows.T)).dual_norm
 
 
 def _box(m: np.ndarray, metric: Factor) -> float:
     """At least |w|_{A^-1} for all |w_i| <= m_i: exact where no entry of A^-1 is negative."""
     unknowns, total = np.flatnonzero(m), 0.0
-    for at in range(0, unknowns.size, BLOCK):
-        block = unknowns[at : at + BLOCK]
+    for block in np.array_split(unknowns, unknowns.size // BLOCK + 1):
         columns = np.zeros((block.size, metric.dim))
         columns[np.arange(block.size), block] = m[block]
-        total += float((np.abs(metric.solve_many(columns)) @ m).sum())
+        total += float((np.abs(metric.solve_many(columns)) @ m).sum()) if block.size else 0.0
     return float(np.sqrt(total))
 
 
 def _magnitude(S: ConvexSet, metric: Factor) -> float:
     """At least |w|_{A^-1} for all w of S; of a box its infinite ends, which do not move, aside."""
-    selection = S.selection
-    part = S if selection is None else selection.part
-    if isinstance(part, Box):
-        ends = np.abs([part.lower, part.upper])
-        m = np.where(ends < np.inf, ends, 0.0).max(axis=0)
-    elif not np.isfinite(S.magnitude()):
-        return float("inf")
-    else:
-        m = np.array([max(part.support(e), part.support(-e)) for e in np.eye(part.dim)])
-    away = 0.0
-    if selection is not None:
-        inner, m = m, np.zeros(S.dim)
-        m[selection.unknowns] = inner
-        away = 0.0 if selection.shift is None else metric.dual_norm(selection.shift)
-    entrywise = away + _box(m, metric)
-    return min(entrywise, S.magnitude() / _root_beta(metric)) if part is S else entrywise
+    unknowns, part, shift = S.selection or (np.arange(S.dim), S, None)
+    if not isinstance(part, Box):
+        return S.magnitude() / _root_beta(metric)
+    ends, m = np.abs([part.lower, part.upper]), np.zeros(S.dim)
+    m[unknowns] = np.where(ends < np.inf, ends, 0.0).max(axis=0)
+    return _box(m, metric) + (0.0 if shift is None else metric.dual_norm(shift))
 
 
 def _root_beta(metric: Factor) -> float:
