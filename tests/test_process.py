@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from decimal import Decimal
 from typing import Any
 
 import numpy as np
@@ -377,3 +378,114 @@ def test_steep_noisy_and_fast_loads_are_no_jumps() -> None:
     ):
         C = so.Moving(so.Box([-1], [1]), f)
         so.SweepingProcess([[1.0]], None, C, [0.0]).check_jumps(0.0, 2.0)  # warnings are errors
+
+
+class Disc(so.ConvexSet):
+    """A user's disc, whose three parts can be of different radii and centres."""
+
+    dim, offsets = 2, np.ones(1)
+
+    def __init__(
+        self, support: float = 1, project: float = 1, center: Any = (0, 0), steps: float = 1
+    ) -> None:
+        self.radii, self.center, self.steps = (support, project), np.array(center), steps
+
+    def support(self, z: Any) -> float:
+        return float(self.center @ z + self.radii[0] * np.linalg.norm(z))
+
+    def project(self, w: Any) -> np.ndarray:
+        away = np.asarray(w) - self.center
+        far = max(np.linalg.norm(away) / self.radii[1], 1.0)
+        return np.asarray(self.center + away * (1 + self.steps * (1 / far - 1)))
+
+    def features(self, p: Any) -> Any:
+        raise NotImplementedError
+
+
+CONTRADICTIONS = [
+    (Disc(support=2), r"Disc\.project contradicts Disc\.support: for w = project\(v\)"),
+    (Disc(project=1.001), r"contradicts Disc\.support"),
+    (Disc(steps=0.5), r"Disc\.project contradicts itself: it moves a point"),
+    (Disc(support=1e6 + 10, project=1e6), r"contradicts Disc\.support"),
+    (Disc(2) + [1.0, 5.0], r"contradicts Disc\.support"),
+    (so.product(so.Ball([0, 0], 1), Disc(2)), r"contradicts Disc\.support"),
+    (so.Moving(Disc(2), lambda t: [t, t]), r"contradicts Disc\.support"),
+]
+
+
+@pytest.mark.parametrize(("C", "message"), CONTRADICTIONS)
+def test_a_users_projection_that_contradicts_its_support_is_refused(C: Any, message: str) -> None:
+    process = so.SweepingProcess(np.eye(C.dim), None, C, np.zeros(C.dim))
+    with pytest.raises(so.InputError, match=message):
+        process.check(np.array([0.0, 0.5, 1.0]))
+
+
+@pytest.mark.parametrize(
+    ("radius", "center"), [(1e-9, [0, 0]), (1e9, [3e9, 0]), (0.0, [1, 2]), (3, [7, 0])]
+)
+def test_a_users_set_that_agrees_with_itself_is_taken(radius: float, center: list[float]) -> None:
+    D = Disc(radius, radius or 1e-300, center)
+    for C in (
+        D,
+        -2.0 * D + [1.0, 2.0],
+        so.product(D, so.Orthant(1)),
+        so.Moving(D, scale=lambda t: 1 + t),
+    ):
+        so.SweepingProcess(np.eye(C.dim), None, C, np.zeros(C.dim)).check(np.array([0.0, 1.0]))
+
+
+def test_many_operations_on_sets_work_or_say_what_to_do() -> None:
+    v, disc, box = np.array([1e-3, 2e-3]), so.Ball([0, 0], 1), so.Box([-1, -1], [1, 1])
+    for C in (disc, box, so.Polyhedron([[1, 1.0]], [1])):
+        moved = C
+        for _ in range(2000):
+            moved = 1.0 * (moved + v)
+        assert moved.support([1.0, 1.0]) == pytest.approx(C.support([1.0, 1.0]) + 6, rel=1e-12)
+        assert moved.contains(C.project([9.0, 9.0]) + 2000 * v)
+    many = so.Ball([0], 1)
+    for _ in range(300):
+        many = so.product(many, so.Ball([0], 1))
+    assert many.support(np.ones(301)) == 301
+    swap, moving = [[0.0, 1], [1, 0]], so.Moving(disc, lambda t: [t, 0])
+    for start, operation in (
+        (moving, lambda C: C + v),
+        (moving, lambda C: so.image(swap, C)),
+        (disc, lambda C: so.image(swap, C)),
+        (disc, lambda C: so.image(swap, C) if C.depth % 2 else C + v),
+    ):
+        C = start
+        while C.depth < 50:
+            C = operation(C)
+        with pytest.raises(so.InputError, match="more than 50 operations on sets are nested"):
+            operation(operation(C))
+        process = so.SweepingProcess(np.eye(2), None, C, [0, 0])
+        assert so.solve(process, t_end=1.0, steps=2).success  # as deep as is allowed
+
+
+def test_a_series_is_the_array_it_is() -> None:
+    s = pytest.importorskip("pandas").Series([1.0, 2.0], index=[7, 3])
+    ball, moving = so.Ball([0, 0], 1), so.Moving(so.Ball([0, 0], 1), lambda t: [t, t])
+    for C in (ball, moving):
+        for D in (C + s, s + C):
+            assert D.at(0.0).support([1.0, 0.0]) == 2
+        assert (C - s).at(0.0).support([1.0, 0.0]) == 0
+        assert (s - C).at(0.0).support([1.0, 0.0]) == 2
+    assert so.Box(-s, s).support(s) == 5
+    with pytest.raises(so.InputError, match="scale must be one number"):
+        s * ball
+
+
+def test_numbers_beyond_the_largest_float_are_refused_by_name() -> None:
+    huge = np.longdouble("1e400") if np.finfo(np.longdouble).maxexp > 1024 else Decimal("1e400")
+    process = so.SweepingProcess([[1.0]], None, so.Box([-1], [1]), [0])
+    for make, name in (
+        (lambda: so.Box([-huge], [1]), "lower"),
+        (lambda: so.Ball([0], huge), "radius"),
+        (lambda: so.SweepingProcess(np.array([[huge]]), None, so.Box([-1], [1]), [0]), "A"),
+        (lambda: so.Sine(huge, period=1.0), "amplitude"),
+        (lambda: so.solve(process, t_end=huge, steps=2), "t_end"),
+        (lambda: so.Ball([0], 1) + np.array([huge]), "v"),
+    ):
+        with pytest.raises(so.InputError, match=rf"^{name} must be .*beyond the largest float"):
+            make()
+    assert so.Box(np.array([-np.inf], dtype=np.longdouble), [1]).lower == -np.inf

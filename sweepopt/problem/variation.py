@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from sweepopt.errors import InputError
 from sweepopt.linalg import Factor, dense
-from sweepopt.loads import Constant, Polynomial, Separable, Sine, Triangle, breakpoints
+from sweepopt.loads import Constant, Polynomial, Separable, Sine, Table, Triangle, breakpoints
 from sweepopt.problem.motion import TimeFunction, motion
 from sweepopt.sets import AnySet, Box, ConvexSet
 
@@ -74,7 +74,7 @@ def jumps(C: AnySet, metric: Factor, start: float, end: float) -> list[tuple[flo
     """Where center(t), scale(t) or h(t) changes by a finite amount in no time, and by how much."""
     found = []
     for name, f, distance in _moves(C, metric) or ():
-        if all(type(phi) in CONTINUOUS for phi in f.histories):
+        if all(_is_continuous(phi, JUMP * (end - start)) for phi in f.histories):
             continue
         value: Any = Separable(f.terms).coefficients if f.terms else f.function
         for lo, hi in _discontinuities(value, breakpoints(f.histories, start, end), start, end):
@@ -84,6 +84,13 @@ def jumps(C: AnySet, metric: Factor, start: float, end: float) -> list[tuple[flo
             change = np.linalg.norm(after - before)
             found.append((hi, f"at t = {hi:g} {by} ({name} changes by {change:g})"))
     return sorted(found)
+
+
+def _is_continuous(phi: Any, width: float) -> bool:
+    """Whether phi is data that needs more than this time for any change."""
+    if isinstance(phi, Table):
+        return bool(np.diff(phi.times).min() > width)
+    return isinstance(phi, CONTINUOUS)
 
 
 def _discontinuities(
