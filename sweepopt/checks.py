@@ -186,7 +186,11 @@ def floats(name: str, value: Any, what: str, ndmin: int = 0) -> np.ndarray:
         array = np.array(value, ndmin=ndmin)
         if array.dtype.kind not in "biufO":
             raise TypeError(f"entries are {array.dtype}")
-        return array.astype(float, copy=False)
+        with np.errstate(over="ignore"):
+            result = array.astype(float, copy=False)
+        if np.isinf(result).any() and (array != result).any():
+            raise OverflowError("an entry is beyond the largest float; choose other units")
+        return result
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} must be {what}, got {shown(value)} ({error})") from error
 

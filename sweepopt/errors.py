@@ -181,7 +181,7 @@ class InitialStateWarning(SweepoptWarning):
 
 
 class VariationWarning(SweepoptWarning):
-    """C(t) moves infinitely far in no time: it is not of bounded variation."""
+    """C(t) jumps, so that it is not absolutely continuous; infinitely far, or by what is named."""
 
 
 class StabilityWarning(SweepoptWarning):

@@ -327,6 +327,7 @@ def _first_grid(
         plan = plan.of_all_unknowns("the steps differ so much that short ones would be rounding")
     saved = saving(options.save, times, plan.entering, options.memory)
     outside = process.check_start(float(times[0]))
+    process.check_jumps(float(times[0]), float(times[-1]))
     if segments is None or scheme.explicit:
         check_stability(process, plan, float(mus.max()), outside, options.on_unstable)
     return Grid(times, mus, plan, saved)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from decimal import Decimal
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
 from cases import case
+from meshes import square
 
 import sweepopt as so
+from sweepopt.fem import BodyForce, Elasticity, Friction, Viscosity, antiplane
 
 
 @pytest.mark.parametrize("convert", [np.asarray, sp.csr_array])
@@ -19,12 +22,11 @@ def test_beta_and_lam_are_extreme_eigenvalues_dense_and_sparse(convert: Any) -> 
     B = Q @ np.diag(np.linspace(0, 12, 80)) @ Q.T
     chain = 2 * np.eye(80) - np.eye(80, k=1) - np.eye(80, k=-1)
     chain[0, 0] = chain[-1, -1] = 1  # has the constants in its kernel
-    known = [((A + A.T) / 2, (B + B.T) / 2, 0.5, 3.0, 12.0)]
-    known.append((np.eye(80), chain, 1.0, *2 * [2 + 2 * np.cos(np.pi / 80)]))
+    known = [((A + A.T) / 2, (B + B.T) / 2, 0.5, 3.0)]
+    known.append((np.eye(80), chain, 1.0, 2 + 2 * np.cos(np.pi / 80)))
     for a, b, *expected in known:
         process = so.SweepingProcess(convert(a), convert(b), so.Ball(np.zeros(80), 1), np.zeros(80))
-        norm_B = process.velocity_bound([0.0, 1.0]).norm_B
-        assert [process.beta, process.Lam, norm_B] == pytest.approx(expected, rel=1e-8)
+        assert [process.beta, process.Lam] == pytest.approx(expected, rel=1e-8)
 
 
 def test_a_cone_enters_as_a_minkowski_sum_with_its_polar() -> None:
@@ -69,17 +71,190 @@ def test_only_translates_are_variational_inequalities() -> None:
 
 
 def test_the_a_priori_bound_is_near_the_largest_velocity() -> None:
-    # |B| T / beta moderate, one of them with B u0 outside of C(0)
-    times = np.linspace(0, 1, 400)
+    # one of them with B u0 outside of C(0)
     C = so.Moving(so.Box([-1], [1]), lambda t: [3 * np.sin(2 * t)])
-    inside, outside = (so.SweepingProcess([[1.0]], [[0.5]], C, [u0]) for u0 in (0.0, 8.0))
+    inside, outside = (so.SweepingProcess([[4.0]], [[2.0]], C, [u0]) for u0 in (0.0, 8.0))
     with pytest.warns(so.InitialStateWarning, match="starts with a velocity"):
         runs = [so.solve(process, t_end=1.0, steps=400) for process in (inside, outside)]
     for sol in runs:
-        bound = sol.process.velocity_bound(times)
-        assert np.abs(sol.velocity).max() <= bound.value <= 20 * np.abs(sol.velocity).max()
-    paper = inside.velocity_bound(times, paper=True)
-    assert paper.value == pytest.approx(8 * bound.variation * np.exp(0.5))
+        bound = sol.process.velocity_bound(np.linspace(0, 1, 400))
+        largest = 2 * np.abs(sol.velocity).max()  # in the norm of A
+        assert largest <= bound.value <= 5 * largest
+        assert bound.value == pytest.approx(bound.variation + bound.distance)
+    assert bound.distance == pytest.approx(15 / 2)  # in that of A^-1
+
+
+def test_the_bound_of_the_paper_asks_for_its_assumption() -> None:
+    """The constant of Adly and Haddad's theorem, 8 v(T) exp(Lam T), with B u0 in C(0)."""
+    C = so.Moving(so.Box([-1], [1]), so.Separable([(so.Sine(3.0, period=4.0), [1.0])]))
+    inside, outside = (so.SweepingProcess([[4.0]], [[2.0]], C, [u0]) for u0 in (0.5, 8.0))
+    assert inside.velocity_bound([0, 4], paper=True).value == pytest.approx(8 * 6 * np.exp(2))
+    assert inside.velocity_bound([0, 4]).value == pytest.approx(6, rel=1e-14)
+    with pytest.raises(so.InputError, match=r"asks for B u0 in C\(0\), whose distance is 7\.5"):
+        outside.velocity_bound([0, 4], paper=True)
+    still = so.SweepingProcess([[0.0]], [[2.0]], C, [0.0])
+    with pytest.raises(so.InputError, match="A coercive"):
+        still.velocity_bound([0, 4])
+    assert still.variation([0, 4]) == pytest.approx(12 / np.sqrt(2), rel=1e-14)  # B is A's place
+
+
+def _random_motion(rng: np.random.Generator, dim: int) -> so.MovingSet:
+    def wave() -> so.loads.History:
+        sine = so.Sine(rng.normal(), period=rng.uniform(0.3, 2), phase=rng.normal())
+        points = np.sort(rng.uniform(-1, 4, 6)) + np.arange(6) * 1e-3
+        return (
+            sine
+            if rng.random() < 0.5
+            else so.Table(points + [-9, 0, 0, 0, 0, 9], rng.normal(size=6))
+        )
+
+    def load(size: int) -> so.Separable:
+        return so.Separable([(wave(), rng.normal(size=size)) for _ in range(rng.integers(1, 3))])
+
+    shapes = [so.Ball(rng.normal(size=dim), 1), so.Box(-rng.random(dim), rng.random(dim))]
+    shapes.append(so.image(rng.normal(size=(dim, 2)), so.Box([-1, -1], [1, 1])))
+    G = np.vstack([np.eye(dim), -np.eye(dim)]), rng.normal(size=(dim, dim))
+    h = so.Separable([(so.Constant(), np.full(2 * dim, 9)), *load(2 * dim).terms])
+    breathing = so.Sine(rng.uniform(0, 0.9), period=rng.uniform(0.5, 2), offset=1)
+    C = shapes[rng.integers(3)]
+    candidates = [so.Moving(C, load(dim)), so.Moving(C, load(dim), breathing)]
+    candidates += [so.Polyhedron(G[0], h), so.Polyhedron(G[1], load(dim))]
+    return candidates[rng.integers(4)]
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+def test_the_a_priori_bound_is_above_the_velocity_of_random_processes() -> None:
+    """|u'(t)|_A <= d(B u0, C(0)) + v(t) at every time; exact velocities at the nodes of a run."""
+    rng, ratios = np.random.default_rng(3), []
+    for _ in range(40):
+        dim = int(rng.integers(1, 4))
+        half, other = rng.normal(size=(2, dim, dim))
+        A, B = half @ half.T + 0.1 * np.eye(dim), rng.choice([0.01, 1, 10]) * other @ other.T
+        process = so.SweepingProcess(A, B, _random_motion(rng, dim), 0.3 * rng.normal(size=dim))
+        sol = so.solve(process, t_end=2.0, steps=60, scheme="implicit-euler")
+        velocity = so.velocity_field(process)
+        for t, u in zip(sol.t[1::3], sol.u[1::3], strict=True):
+            bound = process.velocity_bound([0, t])
+            assert bound.guaranteed
+            z = velocity(t, u)
+            assert np.sqrt(z @ A @ z) <= bound.value * (1 + 1e-6) + 1e-9
+            ratios.append(np.sqrt(z @ A @ z) / bound.value)
+    assert max(ratios) > 0.5
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_the_a_priori_bound_does_not_depend_on_the_mesh(element: str) -> None:
+    values = []
+    for n in (4, 8, 16, 32):
+        effects = [Viscosity(1.0), Elasticity(2.0), Friction("bottom", g=0.2)]
+        effects += [BodyForce(so.Sine(1.0, period=2.0), f0=3.0)]
+        vi = antiplane(square(n), clamped="top", element=element, effects=effects).problem
+        assert vi.dissipation is not None
+        breathing = so.Moving(-vi.dissipation, vi.load, so.Sine(0.5, period=3.0, offset=1))
+        both = [vi, so.SweepingProcess(vi.A, vi.B, breathing, vi.u0)]
+        bounds = [process.velocity_bound([0, 2]) for process in both]
+        assert all(bound.guaranteed for bound in bounds)
+        values.append([*(b.value for b in bounds), vi.velocity_bound([0, 2], paper=True).value])
+        if n == 8:
+            for process, bound in zip(both, bounds, strict=True):
+                z = so.solve(process, t_end=2.0, steps=100, scheme="implicit-euler").velocity
+                largest = max(process.metric.norm(one) for one in z)
+                assert largest <= bound.value <= 6 * largest
+    first, *_, before, last = np.array(values)
+    assert last == pytest.approx(before, rel=1e-3)
+    assert last == pytest.approx(first, rel=2e-2)
+
+
+def _sphere(rng: np.random.Generator, dim: int) -> np.ndarray:
+    v = rng.normal(size=dim)
+    return np.asarray(v / np.linalg.norm(v))
+
+
+def test_truncated_sets_move_at_most_eight_times_as_far() -> None:
+    """Lemma 2.3 of Adly and Haddad: sets cut with a large ball have 8 times the variation.
+
+    For closed convex C and D that meet the ball of radius rho, and r > rho,
+    d_H(C & rB, D & rB) <= 2 r / (r - rho) d_H(C, D), which is 8 at r = 4 rho / 3: a w of C & rB is
+    d_H near a y of D; on the way from y to a point of D & rho B it comes into the ball of radius r.
+    """
+    rng, worst = np.random.default_rng(0), 0.0
+    for _ in range(60):
+        dim, d = int(rng.integers(2, 4)), 10 ** rng.uniform(-3, 0)
+        rho = 1.0
+        G = rng.normal(size=(int(rng.integers(1, 4)), dim))
+        near = rho * rng.uniform(0.5, 1) * _sphere(rng, dim)
+        shapes: list[so.ConvexSet] = [so.HalfSpace(-near, -near @ near), so.Ball(3 * near, 2)]
+        shapes += [so.Polyhedron(G, G @ near), so.Box(near, np.full(dim, np.inf))]
+        C = shapes[rng.integers(4)]
+        D = C + d * _sphere(rng, dim) if rng.random() < 0.5 else C + so.Ball(np.zeros(dim), d)
+        zero = np.zeros(dim)
+        rho = max(float(np.linalg.norm(S.project(zero))) for S in (C, D))
+        if rho == 0:
+            continue
+        r = rho * rng.choice([4 / 3, 1.5, 2, 10])
+        factor = 2 * r / (r - rho)
+        assert factor <= 8 * (1 + 1e-12)
+        ball = so.Ball(zero, r)
+        for S, T in ((C, D), (D, C)):
+            cut = T & ball
+            for _ in range(4):
+                w = (S & ball).project(2 * r * _sphere(rng, dim))
+                distance = np.linalg.norm(w - cut.project(w))
+                worst = max(worst, distance / d)
+                assert distance <= factor * d + 1e-6 * r
+    assert worst > 1.1  # truncation does enlarge the distance
+
+
+def test_the_variation_of_data_is_exact_whatever_times_are_given() -> None:
+    times, A = [0.0, 0.5, 1.0], np.diag([4.0, 1.0])
+    moves = so.Separable([(so.Sine(0.225, period=0.25), [2.0, 0.0])])
+    ball, zero = so.Ball([0, 0], 2), np.zeros(2)
+
+    def process(C: so.MovingSet) -> so.SweepingProcess:
+        return so.SweepingProcess(A, None, C, zero)
+
+    record = so.Table([0, 0.3, 0.31, 2], [1, 6, 6, 5.0])
+    fall = 5 + 0.69 / 1.69
+    known = [
+        (so.Moving(ball, moves), 4 * 0.9),  # four periods of 4 * 0.225 * |(2, 0)|_{A^-1}
+        (so.Moving(ball, so.Separable([(record, [0.0, 2.0])])), 2 * fall),
+        (so.Moving(ball, scale=record), 2 * fall),  # the ball's farthest point is at (0, 2)
+        (so.Moving(so.Box([-1, 0], [2, np.inf]), scale=record), fall),
+        (so.Polyhedron([[0.5, 0], [-1, 0], [0, 1]], so.Separable([(record, [1, 1.5, 0])])), fall),
+        (so.Polyhedron([[3, 4.0]], so.Separable([(record, [1.0])])), fall / np.sqrt(9 * 4 + 16)),
+        (so.Moving(so.Point([4.0, 0]), scale=so.Sine(1, 0.5, offset=1)), 2 * 8),
+    ]
+    for C, expected in known:
+        v = process(C).variation(times)
+        assert v == pytest.approx(expected, rel=1e-6)
+        assert v >= expected * (1 - 1e-12)
+        assert v.guaranteed
+        assert process(C).velocity_bound(times).guaranteed
+    # a function that is not known is what the times show of it
+    sampled = process(so.Moving(ball, lambda t: moves(t)))
+    assert sampled.variation(times) < 1e-14
+    fine = sampled.variation(np.linspace(0, 1, 2001))
+    assert fine == pytest.approx(4 * 0.9, rel=1e-4)
+    assert not fine.guaranteed
+    assert process(so.Box([0, 0], [1, np.inf])).variation(times).guaranteed
+
+
+def test_several_terms_vary_at_most_as_much_as_their_sum() -> None:
+    terms = [(so.Sine(1.0, period=1.0, phase=p), s) for p, s in ((0, [1.0, 0]), (1.3, [0, 2.0]))]
+    ball, times = so.Ball([0, 0], 1), np.linspace(0, 1, 4001)
+    data, function = (
+        so.Moving(ball, f) for f in (so.Separable(terms), so.Separable(terms).__call__)
+    )
+    bound, sampled = (
+        so.SweepingProcess(np.eye(2), None, C, [0, 0]).variation(times) for C in (data, function)
+    )
+    assert sampled <= bound == pytest.approx(12)
+    assert bound.guaranteed
+    assert not sampled.guaranteed
+    mixed = so.Moving(ball, so.Separable([(lambda t: t, [0, 3.0]), (so.Constant(), [1.0, 1.0])]))
+    v = so.SweepingProcess(np.eye(2), None, mixed, [0, 0]).variation(times)
+    assert v == pytest.approx(3)
+    assert not v.guaranteed
 
 
 def test_the_variation_of_a_translated_and_scaled_set_is_that_of_its_motion() -> None:
@@ -90,11 +265,14 @@ def test_the_variation_of_a_translated_and_scaled_set_is_that_of_its_motion() ->
     assert so.SweepingProcess(A, None, moved, u0).variation(times) == pytest.approx(2 * np.pi, 1e-5)
     assert so.SweepingProcess(A, None, grown, u0).variation(times) == pytest.approx(8, 1e-5)
     # [l(t), r(t)] as a polyhedron: the larger of the two ends' changes, step by step
-    ends = case("S04").process
+    data = case("S04").process
+    ends = so.Polyhedron(data.C.shape.G, lambda t: data.C.offsets(t))
     grid = np.linspace(0, 10, 101)
     left = np.abs(np.diff(-1 + np.sin(grid) - 0.3 * np.cos(3 * grid)))
     right = np.abs(np.diff(1 + 0.6 * np.sin(2 * grid) + 0.5 * np.sin(grid)))
-    assert ends.variation(grid) == pytest.approx(np.maximum(left, right).sum())
+    sampled = so.SweepingProcess([[1]], None, ends, [0]).variation(grid)
+    assert sampled == pytest.approx(np.maximum(left, right).sum())
+    assert so.SweepingProcess([[1]], None, data.C, [0]).variation(grid) >= sampled
 
 
 class NeverRuns(so.Clarabel):
@@ -153,3 +331,161 @@ def test_a_jump_to_an_unbounded_set_is_not_of_bounded_variation() -> None:
     C = so.MovingSet(lambda t: so.Box([-1], [1 if t < 0.5 else np.inf]))
     with pytest.warns(so.VariationWarning, match=r"t = 0\.5"):
         assert so.solve(so.SweepingProcess([[1]], None, C, [0]), t_end=1.0, steps=10).success
+
+
+STEP = so.Table([0, 0.7, 0.7 + 1e-12, 9], [0, 1, 3, 3])
+JUMPS = [
+    (so.Moving(so.Box([-1], [1]), so.Separable([(STEP, [2])])),
+     r"C\(t\) jumps at t = 0\.7 by 2 \(center changes by 4\), in"),
+    (so.Moving(so.Box([-1], [3]), scale=lambda t: 1.0 if t < 0.6 else 2.0),
+     r"at t = 0\.6 by 1\.5 \(scale changes by 1\), in"),
+    (so.Polyhedron([[1.0], [-1]], lambda t: [1 + t + (t >= 1.25), 2 + np.sin(t)]),
+     r"at t = 1\.25 by 0\.5 \(h changes by 1\), in"),
+    (so.Moving(so.Ball([0], 9), lambda t: [np.sign(np.sin(2 * np.pi * t + 1e-9))]),
+     r"at t = 0\.5 by 1 \(center changes by 2\), at t = 1 by 1 .*, at t = 1\.5 by 1 \(center"),
+    (so.Moving(so.Ball([0], 9), lambda t: [float(round(10 * t) % 2)]),
+     r"at t = 0\.05 by 0\.5 .*at t = 0\.45 .*changes by 1\), and 15 more, in the norm"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("C", "message"), JUMPS, ids=["table", "scale", "h", "square", "many"])
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+def test_finite_jumps_are_named_once_with_their_times_and_sizes(C: Any, message: str) -> None:
+    process = so.SweepingProcess([[4.0]], [[1.0]], C, [0.0])
+    for steps in (7, 100, so.Adaptive(1e-2)):
+        with pytest.warns(so.VariationWarning, match=message) as caught:
+            assert so.solve(process, t_end=2.0, steps=steps).success
+        assert sum(w.category is so.VariationWarning for w in caught) == 1
+
+
+def test_the_distance_of_a_jump_that_is_not_known_is_not_made_up() -> None:
+    C = so.Polyhedron([[1.0, 0], [0, 1], [-1, -1]], lambda t: [1 + (t > 0.5), 1, 1])
+    with pytest.warns(so.VariationWarning, match=r"0\.5 by an unknown distance \(h changes by 1\)"):
+        so.SweepingProcess(np.eye(2), None, C, [0, 0]).check_jumps(0.0, 1.0)
+
+
+def test_steep_noisy_and_fast_loads_are_no_jumps() -> None:
+    rng = np.random.default_rng(0)
+    noise = so.Table(np.linspace(0, 2, 2001), rng.normal(size=2001))
+    for f in (
+        lambda t: [np.tanh(1e5 * (t - 0.3))],
+        lambda t: [np.sin(1e5 * t)],
+        lambda t: [abs((1e3 * t) % 2 - 1)],
+        lambda t: [0.1 + 1e-13 * np.sign(t - 1)],
+        lambda t: [np.sqrt(abs(t - 0.3))],
+        so.Separable([(noise, [1.0]), (so.Triangle(2.0, period=1e-3), [1.0])]),
+        so.Separable([(so.Table([0, 0.5, 0.5001, 2], [0, 0, 9, 9]), [1.0])]),
+    ):
+        C = so.Moving(so.Box([-1], [1]), f)
+        so.SweepingProcess([[1.0]], None, C, [0.0]).check_jumps(0.0, 2.0)  # warnings are errors
+
+
+class Disc(so.ConvexSet):
+    """A user's disc, whose three parts can be of different radii and centres."""
+
+    dim, offsets = 2, np.ones(1)
+
+    def __init__(
+        self, support: float = 1, project: float = 1, center: Any = (0, 0), steps: float = 1
+    ) -> None:
+        self.radii, self.center, self.steps = (support, project), np.array(center), steps
+
+    def support(self, z: Any) -> float:
+        return float(self.center @ z + self.radii[0] * np.linalg.norm(z))
+
+    def project(self, w: Any) -> np.ndarray:
+        away = np.asarray(w) - self.center
+        far = max(np.linalg.norm(away) / self.radii[1], 1.0)
+        return np.asarray(self.center + away * (1 + self.steps * (1 / far - 1)))
+
+    def features(self, p: Any) -> Any:
+        raise NotImplementedError
+
+
+CONTRADICTIONS = [
+    (Disc(support=2), r"Disc\.project contradicts Disc\.support: for w = project\(v\)"),
+    (Disc(project=1.001), r"contradicts Disc\.support"),
+    (Disc(steps=0.5), r"Disc\.project contradicts itself: it moves a point"),
+    (Disc(support=1e6 + 10, project=1e6), r"contradicts Disc\.support"),
+    (Disc(2) + [1.0, 5.0], r"contradicts Disc\.support"),
+    (so.product(so.Ball([0, 0], 1), Disc(2)), r"contradicts Disc\.support"),
+    (so.Moving(Disc(2), lambda t: [t, t]), r"contradicts Disc\.support"),
+]
+
+
+@pytest.mark.parametrize(("C", "message"), CONTRADICTIONS)
+def test_a_users_projection_that_contradicts_its_support_is_refused(C: Any, message: str) -> None:
+    process = so.SweepingProcess(np.eye(C.dim), None, C, np.zeros(C.dim))
+    with pytest.raises(so.InputError, match=message):
+        process.check(np.array([0.0, 0.5, 1.0]))
+
+
+@pytest.mark.parametrize(
+    ("radius", "center"), [(1e-9, [0, 0]), (1e9, [3e9, 0]), (0.0, [1, 2]), (3, [7, 0])]
+)
+def test_a_users_set_that_agrees_with_itself_is_taken(radius: float, center: list[float]) -> None:
+    D = Disc(radius, radius or 1e-300, center)
+    for C in (
+        D,
+        -2.0 * D + [1.0, 2.0],
+        so.product(D, so.Orthant(1)),
+        so.Moving(D, scale=lambda t: 1 + t),
+    ):
+        so.SweepingProcess(np.eye(C.dim), None, C, np.zeros(C.dim)).check(np.array([0.0, 1.0]))
+
+
+def test_many_operations_on_sets_work_or_say_what_to_do() -> None:
+    v, disc, box = np.array([1e-3, 2e-3]), so.Ball([0, 0], 1), so.Box([-1, -1], [1, 1])
+    for C in (disc, box, so.Polyhedron([[1, 1.0]], [1])):
+        moved = C
+        for _ in range(2000):
+            moved = 1.0 * (moved + v)
+        assert moved.support([1.0, 1.0]) == pytest.approx(C.support([1.0, 1.0]) + 6, rel=1e-12)
+        assert moved.contains(C.project([9.0, 9.0]) + 2000 * v)
+    many = so.Ball([0], 1)
+    for _ in range(300):
+        many = so.product(many, so.Ball([0], 1))
+    assert many.support(np.ones(301)) == 301
+    swap, moving = [[0.0, 1], [1, 0]], so.Moving(disc, lambda t: [t, 0])
+    for start, operation in (
+        (moving, lambda C: C + v),
+        (moving, lambda C: so.image(swap, C)),
+        (disc, lambda C: so.image(swap, C)),
+        (disc, lambda C: so.image(swap, C) if C.depth % 2 else C + v),
+    ):
+        C = start
+        while C.depth < 50:
+            C = operation(C)
+        with pytest.raises(so.InputError, match="more than 50 operations on sets are nested"):
+            operation(operation(C))
+        process = so.SweepingProcess(np.eye(2), None, C, [0, 0])
+        assert so.solve(process, t_end=1.0, steps=2).success  # as deep as is allowed
+
+
+def test_a_series_is_the_array_it_is() -> None:
+    s = pytest.importorskip("pandas").Series([1.0, 2.0], index=[7, 3])
+    ball, moving = so.Ball([0, 0], 1), so.Moving(so.Ball([0, 0], 1), lambda t: [t, t])
+    for C in (ball, moving):
+        for D in (C + s, s + C):
+            assert D.at(0.0).support([1.0, 0.0]) == 2
+        assert (C - s).at(0.0).support([1.0, 0.0]) == 0
+        assert (s - C).at(0.0).support([1.0, 0.0]) == 2
+    assert so.Box(-s, s).support(s) == 5
+    with pytest.raises(so.InputError, match="scale must be one number"):
+        s * ball
+
+
+def test_numbers_beyond_the_largest_float_are_refused_by_name() -> None:
+    huge = np.longdouble("1e400") if np.finfo(np.longdouble).maxexp > 1024 else Decimal("1e400")
+    process = so.SweepingProcess([[1.0]], None, so.Box([-1], [1]), [0])
+    for make, name in (
+        (lambda: so.Box([-huge], [1]), "lower"),
+        (lambda: so.Ball([0], huge), "radius"),
+        (lambda: so.SweepingProcess(np.array([[huge]]), None, so.Box([-1], [1]), [0]), "A"),
+        (lambda: so.Sine(huge, period=1.0), "amplitude"),
+        (lambda: so.solve(process, t_end=huge, steps=2), "t_end"),
+        (lambda: so.Ball([0], 1) + np.array([huge]), "v"),
+    ):
+        with pytest.raises(so.InputError, match=rf"^{name} must be .*beyond the largest float"):
+            make()
+    assert so.Box(np.array([-np.inf], dtype=np.longdouble), [1]).lower == -np.inf

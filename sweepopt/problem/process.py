@@ -19,18 +19,32 @@ import scipy.sparse as sp
 
 from sweepopt.checks import Matrix, symmetric, vector
 from sweepopt.errors import InitialStateWarning, InputError, VariationWarning, shown, warn
-from sweepopt.linalg import EPS, Factor, is_semidefinite, largest_eigenvalue, largest_ratio
+from sweepopt.linalg import EPS, Factor, is_semidefinite, largest_ratio
+from sweepopt.problem.variation import Variation, jumps, variation
 from sweepopt.sets import AnySet, ConvexSet, Moving, MovingSet, Point
 
 PROPORTIONAL = 8 * EPS  # entries of B and rho A may differ by this share
+SHOWN = 5  # jumps that a warning names
 
 
 class VelocityBound(NamedTuple):
-    """An a priori bound of |u'(t)| on [0, T] and what it is made of (Euclidean norms)."""
+    """An a priori bound of |u'(t)|_A on [0, T] and what it is made of.
+
+    Attributes
+    ----------
+    value : float
+    variation : float
+        v(T) of C, in |.|_{A^-1}.
+    distance : float
+        At least that of B u0 to C(0), in |.|_{A^-1}.
+    guaranteed : bool
+        Whether v(T) is, as `Variation` says.
+    """
 
     value: float
     variation: float
-    norm_B: float
+    distance: float
+    guaranteed: bool
 
 
 class SweepingProcess:
@@ -158,17 +172,10 @@ class SweepingProcess:
         InitialStateWarning
             If B u0 is not in C(t): the solution exists as A is coercive, but it starts moving.
         """
-        C = self.C.at(t)
-        force = self.times_B(self.u0)
-        nearest = C.project(force)
-        distance = float(np.linalg.norm(force - nearest))
-        size = max(np.abs(x).max() for x in (force, nearest, C.anchor))
-        if distance <= 1e-9 * size:
+        excess = self._excess(t)
+        if not excess.any():
             return False
-        # a set around 0 gives its own size; an unbounded one has none
-        extent = C.magnitude()
-        if np.isfinite(extent) and distance <= 1e-12 * extent:
-            return False
+        distance = float(np.linalg.norm(excess))
         where = f"B u0 is not in C({t:g}); its distance is {distance:g}"
         if self.rate_independent:
             raise InputError(f"{where}. With A = 0 no solution starts there: change u0")
@@ -176,66 +183,102 @@ class SweepingProcess:
         warn(message, InitialStateWarning)
         return True
 
-    def variation(self, times: np.ndarray) -> float:
-        """The variation v(T) of C over a grid: sum of Hausdorff distances of neighbours.
+    def check_jumps(self, start: float, end: float) -> None:
+        """Look for finite jumps of center(t), scale(t) and h(t) between two times.
 
-        d_H(C(t), C(s)) <= v(t) - v(s), in Euclidean norms. Each distance is bounded from above by
-        the sets themselves (`distance_bound`); the sum of a finer grid comes closer to v(T).
+        Warns
+        -----
+        VariationWarning
+            Naming the times and sizes of the first ones.
+        """
+        found = [sentence for _, sentence in jumps(self.C, self.metric, start, end)]
+        if found:
+            more = f", and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
+            warn(
+                f"C(t) jumps {', '.join(found[:SHOWN])}{more}, in the norm of A^-1. The "
+                "theory asks for a C(t) that moves absolutely continuously; the steps are solved "
+                "all the same, and are most accurate if they end at the jumps",
+                VariationWarning,
+            )
+
+    def _excess(self, t: float) -> np.ndarray:
+        """B u0 - the nearest point of C(t); 0 where that is rounding."""
+        C = self.C.at(t)
+        force = self.times_B(self.u0)
+        nearest = C.project(force)
+        distance = float(np.linalg.norm(force - nearest))
+        size = max(np.abs(x).max() for x in (force, nearest, C.anchor))
+        # a set around 0 gives its own size; an unbounded one has none
+        if distance > 1e-9 * size:
+            extent = C.magnitude()
+            if not (np.isfinite(extent) and distance <= 1e-12 * extent):
+                return force - nearest
+        return np.zeros(self.dim)
+
+    def variation(self, times: np.ndarray) -> Variation:
+        """The total variation v(T) of C between the first and the last time, in |.|_{A^-1}.
+
+        d_H(C(t), C(s)) <= v(t) - v(s). Of data, center(t), scale(t) and h(t) with histories that
+        know their variation, it is the sum of those of all terms, whatever times lie between: exact
+        for one term that moves a translate or an interval, an upper bound for several. Else it is
+        the sum of the distances of C at neighbouring times, which a finer grid brings closer to it.
 
         Parameters
         ----------
         times : array_like, shape (k,)
             Increasing.
 
+        Returns
+        -------
+        Variation
+            A float, with `guaranteed`.
+
         Raises
         ------
         InputError
-            If the distance of two members is not known: a polyhedron in more than one dimension
-            whose offsets move, sets of different kinds.
+            If the distance of two members is not known: a polyhedron of dependent rows in more than
+            one dimension whose offsets move, sets of different kinds.
         """
         times = vector("times", times)
         if times.size < 2 or not (np.diff(times) > 0).all():
             raise InputError("times must hold at least two strictly increasing times")
-        total = 0.0
-        for t, (before, C) in zip(times[1:], pairwise(map(self.C.at, times.tolist())), strict=True):
-            distance = before.distance_bound(C)
-            if distance is None:
-                raise InputError(
-                    f"the distance of C({t:g}) to the set before it is not known for this kind of "
-                    "set; write C as a Moving set, a box or a ball to have its variation"
-                )
-            total += distance
-        return total
+        return variation(self.C, self.metric, times)
 
     def velocity_bound(self, times: np.ndarray, paper: bool = False) -> VelocityBound:
         """An a priori bound of the velocity, MATH.md section 3:
 
-        |u'(t)| <= ((v(T) + d(B u0, C(0))) / beta) exp(|B| T / beta).
+        |u'(t)|_A <= d(B u0, C(0)) + v(T), distances and v in |.|_{A^-1}.
 
         Parameters
         ----------
         times : ndarray
-            Grid from 0 to T on which the variation v(T) is taken.
+            Grid from 0 to T; what is between its ends matters only where C(t) is no data.
         paper : bool
-            The constant M that the paper prints: 8 v(T) because it truncates C, and B u0 in C(0).
+            The constant that the paper prints, 8 v(T) exp(Lam T) in these norms: 8 v(T) because it
+            truncates C, and B u0 in C(0).
 
         Raises
         ------
         InputError
-            If A = 0: the velocity then has no bound from these data; if v(T) is not known.
+            If A = 0: the velocity then has no bound from these data; if v(T) is not known; if
+            B u0 is not in C(0), with `paper`.
         """
         if self.rate_independent:
-            raise InputError("the a priori bound divides by beta; it needs A coercive, not A = 0")
+            raise InputError("the a priori bound is one of |u'|_A; it needs A coercive, not A = 0")
         v = self.variation(times)
         times = vector("times", times)
-        force = self.times_B(self.u0)
-        distance = float(np.linalg.norm(force - self.C.at(float(times[0])).project(force)))
-        norm_B = 0.0 if self.B is None else largest_eigenvalue(self.B.dot, self.dim)
-        start = 8 * v if paper else v + distance
-        with np.errstate(over="ignore"):
-            growth = float(np.exp(norm_B * (times[-1] - times[0]) / self.beta))
-        value = start / self.beta * growth if start else 0.0
-        return VelocityBound(value, v, norm_B)
+        start = float(times[0])
+        distance = self.metric.dual_norm(self._excess(start))
+        value = distance + v
+        if paper:
+            if distance:
+                raise InputError(
+                    f"the paper's bound asks for B u0 in C({start:g}), whose distance is "
+                    f"{distance:g}; leave paper out, or change u0"
+                )
+            with np.errstate(over="ignore"):
+                value = 8 * v * float(np.exp(self.Lam * (times[-1] - start))) if v else 0.0
+        return VelocityBound(float(value), float(v), distance, v.guaranteed)
 
 
 class EvolutionVI(SweepingProcess):
@@ -316,6 +359,37 @@ def _check_support(C: ConvexSet) -> None:
                 f"{type(C).__name__}.support is not positively homogeneous: "
                 f"sigma(z) = {once:g} but sigma(2z) = {twice:g}"
             )
+    for factor in C.factors():
+        for part in getattr(factor, "parts", [factor]):
+            if not type(part).__module__.startswith(f"{__package__.partition('.')[0]}."):
+                _check_projection(part)
+
+
+def _check_projection(C: ConvexSet) -> None:
+    """Spot-check that v - P(v) is normal to C at P(v) in C, by the support function."""
+    name, direction = type(C).__name__, np.cos(np.arange(C.dim) + 1.0)
+    inside = C.project(C.anchor)
+    widths = [abs(C.support(d)) for d in (direction, -direction)]
+    reach = 2 * sum(w for w in widths if np.isfinite(w)) / (direction @ direction) or 1.0
+    for d in (direction, -direction):
+        v = inside + reach * d
+        w = vector(f"{name}.project(v)", C.project(v), C.dim)
+        tol = 1e-6 * (np.linalg.norm(v) + np.linalg.norm(w))
+        moved, p = float(np.linalg.norm(C.project(w) - w)), C.normal(v)
+        if moved > tol:
+            raise InputError(
+                f"{name}.project contradicts itself: it moves a point that it returned by "
+                f"{moved:g}; it must return the nearest point of C, where it is already one"
+            )
+        for z in (p, d):
+            sigma, reached = C.support(z), float(z @ w)
+            excess = sigma - reached if z is p and np.isfinite(sigma) else 0.0
+            if max(excess, reached - sigma) > tol * np.linalg.norm(z):
+                raise InputError(
+                    f"{name}.project contradicts {name}.support: for w = project(v) and "
+                    f"z = {'v - w' if z is p else 'a direction'} it is <z, w> = {reached:g}, but "
+                    f"support(z) = {sigma:g}, which is the supremum of <z, w> over C"
+                )
 
 
 def proportion(A: Matrix, B: Matrix | None) -> float | None:

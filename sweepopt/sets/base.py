@@ -33,6 +33,7 @@ from sweepopt.sets.curves import products
 if TYPE_CHECKING:
     import cvxpy as cp
 
+DEEPEST = 50  # each takes up to ten of Python's thousand frames
 DENSE = 300  # unknowns up to which matrices of the square of their number are cheap
 ROUNDING = 8 * float(np.finfo(float).eps)  # of a sum of a few products: less is nothing
 RANK = 1e-13  # singular values that are no more than this share of the largest are rounding
@@ -171,8 +172,10 @@ class Operators:
 
     dim: int
     algebra: ClassVar[Algebra]
-    # numpy must leave v + C, r * C and v - C to the operators below
+    # numpy and pandas must leave v + C, r * C and v - C to the operators below
     __array_ufunc__ = None
+    __pandas_priority__ = 10000
+    depth = 0  # of operations that each ask the set before
 
     def __add__(self, other: Any) -> Any:
         return self.algebra.add(self, other)
@@ -440,8 +443,19 @@ def places(parts: Iterable[ConvexSet]) -> list[slice]:
 
 
 def is_vector(value: Any) -> bool:
-    """Whether value can be a translation."""
-    return isinstance(value, (np.ndarray, list, tuple, int, float, np.number))
+    """Whether value can be a translation: numbers, or what numpy reads, such as a pandas Series."""
+    return isinstance(value, (list, tuple, int, float)) or hasattr(value, "__array__")
+
+
+def nested(C: Any, *operands: Any) -> Any:
+    """C, made by an operation that asks its operands; refused if it is too deep for Python."""
+    C.depth = 1 + max(S.depth for S in operands)
+    if C.depth > DEEPEST:
+        raise InputError(
+            f"more than {DEEPEST} operations on sets are nested; add up the vectors, and multiply "
+            "the matrices, before they meet a set"
+        )
+    return C
 
 
 def binary(size: float) -> float:

@@ -19,7 +19,7 @@ from sweepopt.errors import InputError
 from sweepopt.loads import Constant, Separable
 from sweepopt.sets.aligned import Similar
 from sweepopt.sets.balls import Ball
-from sweepopt.sets.base import ConvexSet, Operators, is_vector
+from sweepopt.sets.base import ConvexSet, Operators, is_vector, nested
 from sweepopt.sets.shapes import Point
 
 
@@ -123,7 +123,8 @@ def over_time(operation: Callable[..., Any]) -> Callable[..., Any]:
             return operation(*(member(x) if isinstance(x, MovingSet) else x for x in fixed))
 
         dim = done(lambda C: Ball(np.zeros(C.dim), 0.0)).dim
-        return MovingSet(lambda t: done(lambda C: C.at(t)), dim)
+        moved = MovingSet(lambda t: done(lambda C: C.at(t)), dim)
+        return nested(moved, *(C for C in operands if isinstance(C, Operators)))
 
     return on_all
 

@@ -23,6 +23,7 @@ from sweepopt.sets.base import (
     Operators,
     binary,
     is_vector,
+    nested,
     require_same_dim,
 )
 from sweepopt.sets.lifted import Intersection, Lifted, Sum
@@ -37,7 +38,11 @@ def add(C: ConvexSet, other: Any) -> Any:
     """C + v or C + D; the sum with a point is a translation."""
     if is_vector(other):
         v = vector("v", other, C.dim)
-        return Point(C.anchor + v) if isinstance(C, Point) else Similar(C, v)
+        if isinstance(C, Point):
+            return Point(C.anchor + v)
+        if isinstance(C, Similar):
+            return Similar(C.parts[0], v if C.v is None else C.v + v, C.factor)
+        return nested(Similar(C, v), C)
     _require_set("C + D", C, other)
     if isinstance(other, Point):
         return C + other.anchor
@@ -51,7 +56,7 @@ def add(C: ConvexSet, other: Any) -> Any:
 @over_time
 def scale(factor: Any, C: ConvexSet) -> ConvexSet:
     """r C for any finite r; 0 C is {0} and asks for a bounded C; where |r| < 1e-75 r is 0."""
-    if hasattr(factor, "at"):
+    if isinstance(factor, Operators):
         raise InputError("C * D is not defined; use so.product(C, D) or C & D")
     r = number("scale", factor)
     if isinstance(C, Point):
@@ -65,9 +70,11 @@ def scale(factor: Any, C: ConvexSet) -> ConvexSet:
     if isinstance(C, Box):
         ends = (C.lower, C.upper) if r > 0 else (C.upper, C.lower)
         return Box(*(r * end for end in ends))  # nothing is divided by r, however small it gets
-    if isinstance(C, Similar) and C.v is None and r * C.factor == 1:
-        return C.parts[0]
-    return Similar(C, None, r)
+    if isinstance(C, Similar) and 1 / HUGE <= abs(r * C.factor) <= HUGE:
+        if C.v is None and r * C.factor == 1:
+            return C.parts[0]
+        return Similar(C.parts[0], None if C.v is None else r * C.v, r * C.factor)
+    return nested(Similar(C, None, r), C)
 
 
 @over_time
@@ -110,7 +117,11 @@ def product(*sets: Any) -> Any:
         return Point(np.concatenate([C.anchor for C in sets]))
     if all(isinstance(C, Box) for C in sets):
         return Box(np.concatenate([C.lower for C in sets]), np.concatenate([C.upper for C in sets]))
-    return Aligned(*sets)
+    # the factors of a product, as they are
+    flat = [
+        S for C in sets for S in (C.parts if type(C) is Aligned and C.unknowns is None else [C])
+    ]
+    return nested(Aligned(*flat), *flat)
 
 
 def image(M: Any, C: Any) -> Any:
@@ -145,7 +156,7 @@ def image(M: Any, C: Any) -> Any:
     if not moving:
         return _image(M, C)
     _image(M, Point(np.zeros(C.dim)))  # refuses another width now
-    return MovingSet(lambda t: _image(M, C.at(t)), M.shape[0])
+    return nested(MovingSet(lambda t: _image(M, C.at(t)), M.shape[0]), C)
 
 
 def _sizes(M: Matrix) -> list[float]:
@@ -172,7 +183,7 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
             unknowns = unknowns if distinct else np.unique(unknowns)
             return Aligned(Box(*ends[unknowns].T), unknowns=unknowns, dim=M.shape[0])
         if distinct and (factors == 1).all():
-            return Aligned(C, unknowns=unknowns, dim=M.shape[0])
+            return nested(Aligned(C, unknowns=unknowns, dim=M.shape[0]), C)
     if isinstance(C, Polytope):
         return Polytope((M @ C.vertices.T).T)
     if isinstance(C, GeneratedCone):

@@ -1,0 +1,192 @@
+"""How far C(t) moves: its total variation in |.|_{A^-1} (MATH 1), and where it jumps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from sweepopt.errors import InputError
+from sweepopt.linalg import Factor, dense
+from sweepopt.loads import Constant, Polynomial, Separable, Sine, Table, Triangle, breakpoints
+from sweepopt.problem.motion import TimeFunction, motion
+from sweepopt.sets import AnySet, Box, ConvexSet
+
+BLOCK = 256  # columns of A^-1 at a time: those of all unknowns would not fit in memory
+SAMPLES = 500  # times, beside the breakpoints of data, between which jumps are looked for
+JUMP = 1e-9  # of the run: what changes in no more is a jump to every step
+STEEPEST = 30  # of the intervals between them: whoever has more jumps knows by then
+CONTINUOUS = (Constant, Polynomial, Sine, Triangle)
+
+
+class Variation(float):
+    """The total variation of C(t), int |dC|, in |.|_{A^-1}.
+
+    Attributes
+    ----------
+    guaranteed : bool
+        Whether it is no less than the variation: where C(t) moves by data (`Separable`, `Table`
+        and other histories). Otherwise it is what the times that were given show of it.
+    """
+
+    guaranteed: bool
+
+    @classmethod
+    def make(cls, value: float, guaranteed: bool) -> Variation:
+        variation = cls(value)
+        variation.guaranteed = guaranteed
+        return variation
+
+
+Move = tuple[str, TimeFunction, Callable[[np.ndarray], float]]
+"""A function that C(t) moves with, and the distance, at most, for a change of it."""
+
+
+def variation(C: AnySet, metric: Factor, times: np.ndarray) -> Variation:
+    """The sum of the variations of all that C(t) moves with, or of the distances of members."""
+    moves = _moves(C, metric)
+    total, guaranteed = 0.0, moves is not None and metric.method == "factors"
+    for _, f, distance in moves or ():
+        if f.function is None and f.bounded:
+            ends = float(times[0]), float(times[-1])
+            vectors = [vector for _, vector in f.terms]
+            changes = [
+                phi.variation(*ends) * v for phi, v in zip(f.histories, vectors, strict=True)
+            ]
+        else:
+            changes, guaranteed = list(np.diff(f.at(times), axis=0)), False
+        total += sum(map(distance, changes))
+    if moves is None:
+        each = [C.distance_bound(D) for C, D in pairwise(map(C.at, times.tolist()))]
+        total = sum(np.inf if d is None else d for d in each) / _root_beta(metric)
+    if total == np.inf:
+        raise InputError(
+            "the distance of C(t) to C(s) is not known for this kind of set; write C as a Moving "
+            "set with a bounded shape, a box or a ball to have its variation"
+        )
+    return Variation.make(total, guaranteed)
+
+
+def jumps(C: AnySet, metric: Factor, start: float, end: float) -> list[tuple[float, str]]:
+    """Where center(t), scale(t) or h(t) changes by a finite amount in no time, and by how much."""
+    found = []
+    for name, f, distance in _moves(C, metric) or ():
+        if all(_is_continuous(phi, JUMP * (end - start)) for phi in f.histories):
+            continue
+        value: Any = Separable(f.terms).coefficients if f.terms else f.function
+        for lo, hi in _discontinuities(value, breakpoints(f.histories, start, end), start, end):
+            before, after = f.at(np.array([lo, hi]))
+            size = distance(after - before)
+            by = f"by {size:g}" if size < np.inf else "by an unknown distance"
+            change = np.linalg.norm(after - before)
+            found.append((hi, f"at t = {hi:g} {by} ({name} changes by {change:g})"))
+    return sorted(found)
+
+
+def _is_continuous(phi: Any, width: float) -> bool:
+    """Whether phi is data that needs more than this time for any change."""
+    if isinstance(phi, Table):
+        return bool(np.diff(phi.times).min() > width)
+    return isinstance(phi, CONTINUOUS)
+
+
+def _discontinuities(
+    f: Callable[[float], Any], known: np.ndarray, start: float, end: float
+) -> list[tuple[float, float]]:
+    """Short intervals on which f changes by a share of what it does around them, steepest first."""
+    # irregular times: no period is in step with them
+    shares = np.arange(1, SAMPLES) * (np.sqrt(1.25) - 0.5) % 1
+    times = np.unique([start, *(start + (end - start) * shares), *known, end])
+    before, changes = np.asarray(f(start)), []
+    for t in times[1:].tolist():
+        after = np.asarray(f(t))
+        changes.append(_size(after - before))
+        before = after
+    steepest = np.argsort(-np.array(changes) / np.diff(times))[:STEEPEST].tolist()
+    ends = [(times[i].item(), times[i + 1].item()) for i in steepest]
+    each = [_halved(f, lo, hi, JUMP * (end - start)) for lo, hi in ends]
+    return [interval for interval in each if interval is not None]
+
+
+def _halved(
+    f: Callable[[float], Any], lo: float, hi: float, width: float
+) -> tuple[float, float] | None:
+    """The interval, halved to `width`, where f changes most; None if its change halves with it."""
+    low, high = np.asarray(f(lo)), np.asarray(f(hi))
+    least = max(_size(high - low) / 8, JUMP * _size(high))
+    while _size(high - low) > least:
+        if hi - lo <= width:
+            return lo, hi
+        middle = 0.5 * (lo + hi)
+        value = np.asarray(f(middle))
+        if _size(value - low) > _size(high - value):
+            hi, high = middle, value
+        else:
+            lo, low = middle, value
+    return None
+
+
+def _size(v: Any) -> float:
+    return float(np.linalg.norm(v))
+
+
+def _moves(C: AnySet, metric: Factor) -> list[Move] | None:
+    """All that C(t) moves with, as data; None if C(t) moves in another way."""
+    moving = motion(C)
+    if moving.shape is None:
+        return None
+    if moving.offsets is not None:
+        return [("h", moving.offsets, _of_offsets(moving.shape.halfspaces().N, metric))]
+    # sup |sigma(S, z)| / |z|_A = sup |w|_{A^-1} over S, as |sigma(S, z)| <= sigma(S, +-z)
+    extent = 0.0 if moving.scale.constant else _magnitude(moving.shape, metric)
+    return [
+        (moving.name, moving.center, metric.dual_norm),
+        ("scale", moving.scale, lambda r: _size(r) * extent if r.any() else 0.0),
+    ]
+
+
+def _of_offsets(G: Any, metric: Factor) -> Callable[[np.ndarray], float]:
+    """A bound of the distance of { w : G w <= h } to that with h + dh, of dh."""
+    rows = sp.csr_array(G)
+    rows.eliminate_zeros()
+    count = np.diff(rows.indptr)
+    if (count <= 1).all():  # intervals of single unknowns: their ends move
+
+        def of_ends(dh: np.ndarray) -> float:
+            m = np.zeros(metric.dim)
+            np.maximum.at(m, rows.indices, np.abs(dh[count > 0] / rows.data))
+            return _box(m, metric)
+
+        return of_ends
+    if np.linalg.matrix_rank(dense(rows)) < len(count):
+        return lambda dh: np.inf if dh.any() else 0.0
+    # independent rows: a translation by the least x with G x = dh
+    return Factor(dense(rows @ metric.M @ rows.T)).dual_norm
+
+
+def _box(m: np.ndarray, metric: Factor) -> float:
+    """At least |w|_{A^-1} for all |w_i| <= m_i: exact where no entry of A^-1 is negative."""
+    unknowns, total = np.flatnonzero(m), 0.0
+    for block in np.array_split(unknowns, unknowns.size // BLOCK + 1):
+        columns = np.zeros((block.size, metric.dim))
+        columns[np.arange(block.size), block] = m[block]
+        total += float((np.abs(metric.solve_many(columns)) @ m).sum()) if block.size else 0.0
+    return float(np.sqrt(total))
+
+
+def _magnitude(S: ConvexSet, metric: Factor) -> float:
+    """At least |w|_{A^-1} for all w of S; of a box its infinite ends, which do not move, aside."""
+    unknowns, part, shift = S.selection or (np.arange(S.dim), S, None)
+    if not isinstance(part, Box):
+        return S.magnitude() / _root_beta(metric)
+    ends, m = np.abs([part.lower, part.upper]), np.zeros(S.dim)
+    m[unknowns] = np.where(ends < np.inf, ends, 0.0).max(axis=0)
+    return _box(m, metric) + (0.0 if shift is None else metric.dual_norm(shift))
+
+
+def _root_beta(metric: Factor) -> float:
+    """|w|_{A^-1} <= |w| / this."""
+    return float(np.sqrt(metric.smallest_eigenvalue() * (1 - 1e-6)))
