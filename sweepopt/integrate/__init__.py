@@ -32,6 +32,7 @@ from sweepopt.integrate.overshoot import warn_of_overshoot
 from sweepopt.integrate.reconstruction import Reconstruction
 from sweepopt.integrate.record import MEMORY, Grid, Index, Pass, Run, States, Statistics, saving
 from sweepopt.integrate.schemes import SCHEMES, Scheme
+from sweepopt.integrate.step_program import step_program
 
 __all__ = [
     "MEMORY",
@@ -66,6 +67,7 @@ __all__ = [
     "observer",
     "require_same_problem",
     "saving",
+    "step_program",
     "time_grid",
     "velocity_field",
     "warn_of_overshoot",

@@ -73,7 +73,7 @@ class Velocities:
         grid.
         """
         scheme, tol = self._plan.scheme, self._plan.tol
-        stages = self._stages(t, mu, u)
+        stages = self.stages(t, mu, u)
         whole = _mean(scheme.b, stages)
         if not whole.relative > tol:
             return Step(whole, [stages])
@@ -88,7 +88,7 @@ class Velocities:
                 break
             v, compensation, parts, means = u, np.zeros_like(u), [], []
             for start in starts.tolist():
-                parts.append(self._stages(start, h, v))
+                parts.append(self.stages(start, h, v))
                 means.append(_mean(scheme.b, parts[-1]))
                 work.append(means[-1])
                 if means[-1].relative > tol:
@@ -99,14 +99,14 @@ class Velocities:
                 return Step(mean._replace(solver=f"{mean.solver}/{count}"), parts)
         return Step(_mean((1.0,), [whole], work), [], cause)
 
-    def _stages(self, t: float, mu: float, u: np.ndarray) -> Stages:
-        """What the stages of the tableau solve, up to one that has no program.
+    def stages(self, t: float, mu: float, u: np.ndarray, count: int | None = None) -> Stages:
+        """What the first stages of the tableau solve, or all, up to one that has no program.
 
         A matrix A + gamma B that is not positive definite to rounding gives no velocity.
         """
         process, scheme = self._process, self._plan.scheme
         stages: Stages = []
-        for weights, c in zip(scheme.a, scheme.c, strict=True):
+        for weights, c in zip(scheme.a[:count], scheme.c[:count], strict=True):
             start = u + mu * combination(weights[:-1], stages) if stages else u
             gamma = mu * weights[-1] if process.B is not None else 0.0
             try:

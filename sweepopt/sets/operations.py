@@ -25,6 +25,7 @@ from sweepopt.sets.base import (
     is_vector,
     require_same_dim,
 )
+from sweepopt.sets.epigraph import epigraph
 from sweepopt.sets.lifted import Intersection, Lifted, Sum
 from sweepopt.sets.moving import MovingSet, over_time
 from sweepopt.sets.polyhedra import ACTIVE_DIM, GeneratedCone, Polyhedron
@@ -192,4 +193,4 @@ def _require_set(what: str, C: ConvexSet, D: Any) -> None:
     require_same_dim(what, C, D)
 
 
-Operators.algebra = Algebra(add, scale, intersect)
+Operators.algebra = Algebra(add, scale, intersect, epigraph)
