@@ -76,8 +76,8 @@ class StepProgram:
         Returns
         -------
         Velocity
-            z, its `certificate` >= |z - z*|_M, nan where the set has no proof, and `relative`, which
-            `tol` bounds in a run.
+            z, its `certificate` >= |z - z*|_M (nan where the set has no proof) and `relative`,
+            which `tol` bounds in a run.
 
         Raises
         ------
