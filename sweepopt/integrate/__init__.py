@@ -32,7 +32,7 @@ from sweepopt.integrate.overshoot import warn_of_overshoot
 from sweepopt.integrate.reconstruction import Reconstruction
 from sweepopt.integrate.record import MEMORY, Grid, Index, Pass, Run, States, Statistics, saving
 from sweepopt.integrate.schemes import SCHEMES, Scheme
-from sweepopt.integrate.step_program import step_program
+from sweepopt.integrate.stage_program import step_program
 
 __all__ = [
     "MEMORY",

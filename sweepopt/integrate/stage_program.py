@@ -71,10 +71,11 @@ def step_program(
             f"scheme {scheme!r} has no program of stage {shown(stage)}: exact solves none, other "
             "schemes count their stages from 0"
         )
-    members = process.check(t + mu * np.unique(tableau.c))
-    plan = make_plan(process, members, tableau, "auto", TOL)
-    before = Velocities(process, plan).stages(t, mu, u, stage)
     *weights, implicit = tableau.a[stage]
-    start = u + mu * combination(weights, before) if before else u
+    if stage:
+        members = process.check(t + mu * np.unique(tableau.c[:stage]))
+        plan = make_plan(process, members, tableau, "auto", TOL)
+        before = Velocities(process, plan).stages(t, mu, u, stage)
+        u = u + mu * combination(weights, before)
     C = process.C.at(t + tableau.c[stage] * mu)
-    return StepProgram.of(matrix(process, mu * implicit), process.times_B(start), C)
+    return StepProgram.of(matrix(process, mu * implicit), process.times_B(u), C)
