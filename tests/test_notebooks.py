@@ -6,6 +6,7 @@ after it restrict it to these.
 Text is compared word by word, numbers to 5 per cent; below 1e-6 they are what solvers leave and
 rounding. Of a cell with the tag "timings" the words are compared, in any order, and no numbers; of
 one with the tag "fastest", whose words depend on the speed of the machine, the number of lines.
+Versions of cvxpy print programs in their own ways: with another than was stored nothing is compared.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from __future__ import annotations
 import re
 import sys
 from collections import Counter
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ nbclient = pytest.importorskip("nbclient")
 NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?(?![\w])", re.IGNORECASE)
 CLOSE = {"rel": 0.05, "abs": 1e-6}
+CVXPY = ".".join(version("cvxpy").split(".")[:2])
 
 
 def run(path: Path) -> tuple[Any, Any]:
@@ -31,6 +34,7 @@ def run(path: Path) -> tuple[Any, Any]:
     stored, fresh = (nbformat.read(path, as_version=4) for _ in range(2))
     client = nbclient.NotebookClient(fresh, timeout=300, kernel_name="python3", record_timing=False)
     client.execute()
+    fresh.metadata["cvxpy"] = CVXPY
     return stored, fresh
 
 
@@ -68,6 +72,8 @@ def same_text(old: str, new: str, tags: list[str]) -> None:
 def test_a_notebook_shows_what_the_code_prints(path: Path) -> None:
     stored, fresh = run(path)
     assert any(text(cell) or pictures(cell) for cell in stored.cells)
+    if stored.metadata["cvxpy"] != CVXPY:
+        pytest.skip(f"it runs; what it shows was stored with cvxpy {stored.metadata['cvxpy']}")
     for old, new in zip(stored.cells, fresh.cells, strict=True):
         assert pictures(old) == pictures(new)
         same_text(text(old), text(new), old.metadata.get("tags", []))

@@ -21,7 +21,7 @@ def test_the_example_runs_and_prints_what_it_says(capsys: pytest.CaptureFixture[
     assert float(certificate) <= 1e-6
     assert 0 < float(bound) <= 1e-3
     assert "[" in viability
-    assert program.startswith("minimize 0.5 * QuadForm(z, psd_wrap(M)) + Bu @ z + g @ abs(z)")
+    assert "QuadForm(z, psd_wrap(M)) + Bu @ z + g @ abs(z)" in program
     assert float(program.split()[-1]) <= 1e-2
 
 

@@ -58,7 +58,7 @@ def step_program(
     >>> process = so.SweepingProcess(A=[[0.5]], B=[[2.0]], C=C, u0=[0.0])
     >>> program = so.step_program(process, t=0.9, u=[0.0], mu=0.1)
     >>> print(program)
-    minimize 0.5 * QuadForm(z, psd_wrap(M)) + Bu @ z + g @ abs(z) + -(f @ z)
+    minimize 0.5 ... QuadForm(z, psd_wrap(M)) + Bu @ z + g @ abs(z) + -...f @ z...
     >>> value = program.problem.solve(solver="CLARABEL")
     >>> program.z.value.round(6), program.certify(program.z.value).certificate < 1e-6
     (array([1.]), True)
