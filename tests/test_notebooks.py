@@ -6,7 +6,7 @@ after it restrict it to these.
 Text is compared word by word, numbers to 5 per cent; below 1e-6 they are what solvers leave and
 rounding. Of a cell with the tag "timings" the words are compared, in any order, and no numbers; of
 one with the tag "fastest", whose words depend on the speed of the machine, the number of lines.
-Versions of cvxpy print programs in their own ways: with another than was stored nothing is compared.
+Versions of cvxpy print programs in their own ways: nothing is compared with what another stored.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from sweepopt.sets.aligned import Aligned
 from sweepopt.sets.balls import Ball, Balls
 from sweepopt.sets.base import ConvexSet, places, same_array
 from sweepopt.sets.ellipsoid import Ellipsoid
-from sweepopt.sets.polyhedra import Polyhedron
+from sweepopt.sets.polyhedra import GeneratedCone, Polyhedron
 from sweepopt.sets.polytope import Polytope
 from sweepopt.sets.shapes import Box, Point
 
@@ -75,6 +75,9 @@ class Statement:
                 y = cp.Variable(C.h.size, self.name("y"), nonneg=True)
                 self.constraints.append(self.data("G", C.G).T @ y == p)
                 return self.data("h", C.h) @ y
+            case GeneratedCone():
+                self.constraints.append(self.data("G", C.G) @ p <= 0)
+                return 0
             case Aligned() if C.whole:
                 (S,), r = C.parts, abs(C.factor)
                 even = isinstance(S, Balls) and not np.any(S.center)
