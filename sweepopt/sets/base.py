@@ -164,7 +164,7 @@ class Algebra(NamedTuple):
     add: Callable[[Any, Any], Any]
     scale: Callable[[Any, Any], Any]
     intersect: Callable[[Any, Any], Any]
-    epigraph: Callable[[Any, Any], Any]
+    epigraph: Callable[[Any, Any], tuple[Any, list[Any]]]
 
 
 class Operators:
@@ -323,8 +323,7 @@ class ConvexSet(Operators, ABC):
             Upper bound of sigma(C, p) under the constraints, equal to it at the minimum.
         constraints : list of cvxpy.Constraint
         """
-        stated: tuple[cp.Expression, list[cp.Constraint]] = self.algebra.epigraph(self, p)
-        return stated
+        return self.algebra.epigraph(self, p)
 
     def contains(self, w: np.ndarray, tol: float = 1e-9) -> bool:
         """Whether the Euclidean distance of w to C is at most tol."""

@@ -70,8 +70,8 @@ class StepProgram:
         Parameters
         ----------
         z : array_like, shape (dim,)
-            ``program.z.value`` after `problem.solve`, for example. The data are those of the step,
-            whatever the parameters are set to.
+            ``program.z.value`` after `problem.solve`, for example. The data are M, Bu and C as they
+            stand here, whatever the parameters are set to later.
 
         Returns
         -------
