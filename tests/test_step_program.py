@@ -66,7 +66,7 @@ def same_as_the_run(sol: so.Solution, i: int) -> None:
         (so.image(np.eye(n)[:, :2], so.Box([-1, -1], [1, 1])), "g @ abs(E.T @ z)"),
         (so.product(so.Box([-1], [1]), so.Ball([0, 0], 2.0)), "g @ abs(E.T @ z) + 2.0 * P"),
         (so.Polytope(np.eye(n)) + so.Ball(np.zeros(n), 1.5), "max(V @ z"),
-        (so.Ball(np.zeros(n), 1.5) & so.Box([-1] * n, [1, 2, 3]), "(z + -lam, 2)"),
+        (so.Ball(np.zeros(n), 1.5) & so.Box([-1] * n, [1, 2, 3]), "(z + lam, 2)"),
     ],
 )
 def test_it_prints_the_form_of_the_card_with_the_atoms_of_the_set(D: Any, J: str) -> None:

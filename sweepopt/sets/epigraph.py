@@ -4,7 +4,7 @@
 numbers near 1. Here nothing is scaled, data and variables have names. A set that is made of others,
 { sum_k E_k s_k : s_k in S_k, sum_k F_k s_k = 0 }, has the support function
 
-    sigma(C, p) = min over lam of  sum_k sigma(S_k, E_k^T p - F_k^T lam).
+    sigma(C, p) = min over lam of  sum_k sigma(S_k, E_k^T p + F_k^T lam).
 """
 
 from __future__ import annotations
@@ -91,12 +91,12 @@ class Statement:
             return self.data("h", C.offsets) @ cp.hstack(y) if y else 0
         value, lam = 0, cp.Variable(F.shape[0], self.name("lam")) if F.shape[0] else None
         for S, at in zip(parts, places(parts), strict=True):
-            x = self.transposed("E", E[:, at], p)
-            value += self.sigma(S, x if lam is None else x - self.transposed("F", F[:, at], lam))
+            x = self.transposed("E", E[:, at], p) + self.transposed("F", F[:, at], lam)
+            value += self.sigma(S, x)
         return value
 
     def transposed(self, letter: str, M: sp.csr_array, p: cp.Expression) -> Any:
-        """M^T p; for a unit matrix p itself."""
+        """M^T p; p itself for a unit matrix, 0 for one without entries."""
         if not M.nnz:
             return 0
         unit = same_array(M, sp.eye_array(p.size, format="csr"))
