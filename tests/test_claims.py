@@ -7,6 +7,7 @@ a point of a list or row of a table that nothing shows make a test fail here.
 
 from __future__ import annotations
 
+import ast
 import re
 import tomllib
 from collections.abc import Iterator
@@ -53,8 +54,25 @@ def test_what_shows_a_claim_is_there() -> None:
     assert not [name for name in shown - known if not (ROOT / name).is_file()]
 
 
-def test_the_numbers_of_the_paper_are_named_by_what_shows_them() -> None:
-    """Lemma 2.1: support functions of two sets differ by at most |z| times their distance."""
-    laws = (Path(__file__).parent / "laws.py").read_text()
-    body = laws.split("def support_is_lipschitz_in_hausdorff_distance")[1].split("\ndef ")[0]
-    assert "Lemma 2.1" in body
+@pytest.mark.parametrize(
+    ("file", "test", "place"),
+    [
+        ("laws.py", "support_is_lipschitz_in_hausdorff_distance", "Lemma 2.1"),
+        (
+            "test_evolve.py",
+            "test_the_truncation_of_the_papers_lemma_is_one_expression_for_moving_sets",
+            "Lemma 2.3",
+        ),
+        (
+            "test_reference.py",
+            "test_a_process_made_from_its_variational_inequality_gives_the_same_numbers",
+            "Proposition of section 4",
+        ),
+    ],
+)
+def test_what_shows_a_result_of_the_paper_names_it(file: str, test: str, place: str) -> None:
+    functions = ast.walk(ast.parse((Path(__file__).parent / file).read_text()))
+    (found,) = (f for f in functions if isinstance(f, ast.FunctionDef) and f.name == test)
+    assert f"Adly and Haddad, {place}" in (ast.get_docstring(found) or "").replace(
+        "the Prop", "Prop"
+    )
