@@ -23,7 +23,7 @@ from sweepopt.errors import (
     VariationWarning,
     VelocityError,
 )
-from sweepopt.integrate import Adaptive, Checkpoint, StepInfo, velocity_field
+from sweepopt.integrate import Adaptive, Checkpoint, StepInfo, step_program, velocity_field
 from sweepopt.loads import Constant, Polynomial, Separable, Sine, Table, Triangle
 from sweepopt.problem import EvolutionVI, SweepingProcess
 from sweepopt.results import Energy, ErrorBound, Pass, Solution
@@ -47,7 +47,7 @@ from sweepopt.sets import (
     product,
 )
 from sweepopt.solve import resume, solve
-from sweepopt.velocity import DAQP, OSQP, ActiveSet, Clarabel, Cvxpy, Newton, Plan
+from sweepopt.velocity import DAQP, OSQP, ActiveSet, Clarabel, Cvxpy, Newton, Plan, StepProgram
 
 __version__ = "0.1.0"
 
@@ -96,6 +96,7 @@ __all__ = [
     "Status",
     "StepError",
     "StepInfo",
+    "StepProgram",
     "SweepingProcess",
     "SweepoptError",
     "SweepoptWarning",
@@ -109,5 +110,6 @@ __all__ = [
     "product",
     "resume",
     "solve",
+    "step_program",
     "velocity_field",
 ]

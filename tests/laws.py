@@ -6,6 +6,7 @@ constraints on w, which share no code with the library: that is what the laws co
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -856,6 +857,37 @@ def gap_along_a_curve_bounds_the_gap_between_samples_too(entry: Entry, s: Sample
         assert np.mean(missed - moved) <= found.gap + slack + 2e-3 * np.abs(missed).max()
 
 
+def a_step_is_the_program_that_a_user_of_cvxpy_sees(entry: Entry, s: Sample, rng: Rng) -> None:
+    """Its optimal z is the velocity of the run, to the certificates of both."""
+    n, v, w = s.C.dim, *rng.normal(size=(2, s.C.dim))
+    moves = [
+        so.Moving(s.C, center=lambda t: v + t * w),
+        so.Moving(s.C, center=v, scale=lambda t: 1 + t),
+        so.MovingSet(lambda t: s.C + t * w, dim=n),
+    ]
+    A, B = (root @ root.T + np.eye(n) for root in rng.normal(size=(2, n, n)))
+    process = so.SweepingProcess(A, B, moves[rng.integers(3)], 2 * rng.normal(size=n))
+    scheme = str(rng.choice(["catching-up", "implicit-euler", "midpoint"]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", so.SweepoptWarning)
+        sol = so.solve(process, t_end=0.2, steps=2, scheme=scheme, on_unstable="ignore")
+    program = sol.step_program(1)
+    solvers = {cp.CLARABEL: {}, cp.SCS: {"eps": 1e-8, "max_iters": 100_000}}
+    if s.C.polyhedral:
+        solvers[cp.OSQP] = {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 100_000}
+    if s.C.singleton:
+        del solvers[cp.SCS]  # it refuses programs without constraints
+    for solver, settings in solvers.items():
+        program.problem.solve(solver=solver, **settings)
+        answer = program.certify(program.z.value)
+        error = np.sqrt((d := answer.z - sol.velocity[1]) @ program.M @ d)
+        if s.C.certifiable:
+            assert error <= (answer.certificate + sol.stats["certificate"][1]) * (1 + 1e-9)
+            assert answer.relative <= 1e-4
+        else:
+            close(answer.z, sol.velocity[1], 1e-5, size(answer.z))
+
+
 LAWS: dict[Callable[[Entry, Sample, Rng], None], int] = {
     # each with the number of random examples per entry
     support_is_sublinear: 3,
@@ -880,4 +912,5 @@ LAWS: dict[Callable[[Entry, Sample, Rng], None], int] = {
     normal_pair_error_is_as_small_as_the_perturbation: 3,
     gap_is_what_a_pair_misses: 4,
     gap_along_a_curve_bounds_the_gap_between_samples_too: 3,
+    a_step_is_the_program_that_a_user_of_cvxpy_sees: 2,
 }

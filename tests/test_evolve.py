@@ -145,6 +145,7 @@ def test_a_cone_set_given_to_osqp_is_refused_by_name() -> None:
 
 
 def test_the_truncation_of_the_papers_lemma_is_one_expression_for_moving_sets() -> None:
+    """Adly and Haddad, Lemma 2.3: cut with a ball that is large enough C(t) moves u as before."""
     process = case("P10").process  # C(t) is a half-line
     truncated = so.SweepingProcess([[0.5]], [[1.0]], process.C & so.Ball(np.zeros(1), 50), [0])
     plain, sol = (so.solve(each, t_end=16.0, steps=101) for each in (process, truncated))

@@ -54,11 +54,12 @@ MEMBERS = {
     "SweepingProcess": "as_sweeping as_vi Lam beta",
     "EvolutionVI": "as_sweeping",
     "Solution": "process plan t steps status recorded exact passes u velocity stats success "
-    "message complete __call__ viability residual error_bound energy plot to_xarray",
+    "message complete __call__ viability residual error_bound energy plot to_xarray step_program",
     "Plan": "unknowns nonsmooth_unknowns solver scheme tol left_out path",
     "Energy": "stored viscous friction work balance",
     "Pass": "steps error seconds",
     "StepInfo": "step t u velocity certificate",
+    "StepProgram": "problem z M Bu C certify",
     "Scene": "problem discretisation contact effects left_out t_end steps scheme solver tol units "
     "title solve",
     **dict.fromkeys(("Constant", "Polynomial", "Separable", "Sine", "Triangle"), HISTORY),
@@ -66,7 +67,7 @@ MEMBERS = {
 }
 """What users may call or read of a class; other members are between the rooms of the library."""
 NOT_CALLED = (
-    *("Solution", "Plan", "ErrorBound", "Energy", "StepInfo", "Pass", "Scene"),
+    *("Solution", "Plan", "ErrorBound", "Energy", "StepInfo", "Pass", "Scene", "StepProgram"),
     *("Contact", "Contribution", "Discretisation", "Effect"),
 )
 """Classes of which users are handed instances."""

@@ -1,8 +1,22 @@
-"""The notebooks run from top to bottom and are committed with their pictures."""
+"""The notebooks run from top to bottom, and show what the code that is here prints.
+
+`python tests/test_notebooks.py --write` runs them and stores their outputs; names of notebooks
+after it restrict it to these.
+
+Text is compared word by word, numbers to 5 per cent; below 1e-6 they are what solvers leave and
+rounding. Of a cell with the tag "timings" the words are compared, in any order, and no numbers; of
+one with the tag "fastest", whose words depend on the speed of the machine, the number of lines.
+Versions of cvxpy print programs in their own ways: nothing is compared with what another stored.
+"""
 
 from __future__ import annotations
 
+import re
+import sys
+from collections import Counter
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -10,17 +24,80 @@ nbformat = pytest.importorskip("nbformat")
 nbclient = pytest.importorskip("nbclient")
 
 NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
+NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?(?![\w])", re.IGNORECASE)
+CLOSE = {"rel": 0.05, "abs": 1e-6}
+CVXPY = ".".join(version("cvxpy").split(".")[:2])
+
+
+def run(path: Path) -> tuple[Any, Any]:
+    """The notebook as it is stored, and as it comes out now."""
+    stored, fresh = (nbformat.read(path, as_version=4) for _ in range(2))
+    client = nbclient.NotebookClient(fresh, timeout=300, kernel_name="python3", record_timing=False)
+    client.execute()
+    fresh.metadata["cvxpy"] = CVXPY
+    return stored, fresh
+
+
+def text(cell: Any) -> str:
+    """What a cell printed, and the value it shows if that is no picture."""
+    shown = []
+    for output in cell.get("outputs", []):
+        data = output.get("data", {})
+        if output.get("name") == "stdout":
+            shown.append(output["text"])
+        elif "text/plain" in data and "image/png" not in data:
+            shown.append(data["text/plain"] + "\n")
+    return re.sub(r"0x[0-9a-f]+", "", "".join(shown))
+
+
+def pictures(cell: Any) -> int:
+    return sum("image/png" in output.get("data", {}) for output in cell.get("outputs", []))
+
+
+def same_text(old: str, new: str, tags: list[str]) -> None:
+    if "fastest" in tags:
+        assert len(old.splitlines()) == len(new.splitlines())
+        return
+    words = [NUMBER.sub("#", shown).split() for shown in (old, new)]
+    if "timings" in tags:
+        assert Counter(words[0]) == Counter(words[1])
+        return
+    assert words[0] == words[1]
+    numbers = [[float(x) for x in NUMBER.findall(shown)] for shown in (old, new)]
+    assert numbers[1] == pytest.approx(numbers[0], **CLOSE)
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
-def test_the_notebook_runs_and_shows_pictures(path: Path) -> None:
-    notebook = nbformat.read(path, as_version=4)
-    committed = [
-        output
-        for cell in notebook.cells
-        for output in cell.get("outputs", [])
-        if "image/png" in output.get("data", {})
-    ]
-    assert committed
-    nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3").execute()
+def test_a_notebook_shows_what_the_code_prints(path: Path) -> None:
+    stored, fresh = run(path)
+    assert any(text(cell) or pictures(cell) for cell in stored.cells)
+    if stored.metadata["cvxpy"] != CVXPY:
+        pytest.skip(f"it runs; what it shows was stored with cvxpy {stored.metadata['cvxpy']}")
+    for old, new in zip(stored.cells, fresh.cells, strict=True):
+        assert pictures(old) == pictures(new)
+        same_text(text(old), text(new), old.metadata.get("tags", []))
+
+
+def test_texts_that_differ_are_told_apart() -> None:
+    same_text("error 2.00e-04, 3 steps", "error 2.01e-04, 3 steps", [])
+    same_text("certificate 3.1e-15", "certificate 4.0e-09", [])
+    same_text("scs 2.1 ms\nosqp 1 ms", "osqp 7 ms\nscs 3 ms", ["timings"])
+    for old, new, tags in (
+        ("error 2.00e-04", "error 2.40e-04", []),
+        ("order 2", "order 1", []),
+        ("scheme midpoint", "scheme sdirk2", []),
+        ("scs 2.1 ms", "scs 2.1 ms failed", ["timings"]),
+        ("a\nb", "a", ["fastest"]),
+    ):
+        with pytest.raises(AssertionError):
+            same_text(old, new, tags)
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] != ["--write"]:
+        sys.exit(__doc__)
+    for notebook in NOTEBOOKS:
+        if notebook.stem in (sys.argv[2:] or notebook.stem):
+            nbformat.write(run(notebook)[1], notebook)
+            print("stored", notebook.name)

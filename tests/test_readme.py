@@ -14,12 +14,15 @@ README = (ROOT / "README.md").read_text()
 def test_the_example_runs_and_prints_what_it_says(capsys: pytest.CaptureFixture[str]) -> None:
     (example,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     exec(compile(example, "README.md", "exec"), {})
-    message, state, certificate, bound, viability = capsys.readouterr().out.splitlines()
+    lines = capsys.readouterr().out.splitlines()
+    message, state, certificate, bound, viability, program = lines
     assert "every step is certified" in message
     assert state.startswith("[")
     assert float(certificate) <= 1e-6
     assert 0 < float(bound) <= 1e-3
     assert "[" in viability
+    assert "QuadForm(z, psd_wrap(M)) + Bu @ z + g @ abs(z)" in program
+    assert float(program.split()[-1]) <= 1e-2
 
 
 def test_the_scene_shown_is_the_tube_with_fewer_effects() -> None:

@@ -112,6 +112,7 @@ def test_clarabel_osqp_and_plain_cvxpy_agree_at_the_tolerance_they_carry(
 
 @pytest.mark.parametrize("name", [name for name in SETS if name not in ("S04", "L13")])
 def test_a_process_made_from_its_variational_inequality_gives_the_same_numbers(name: str) -> None:
+    """Adly and Haddad, the Proposition of section 4: the two problems are one."""
     this = case(name)
     again = this.process.as_vi().as_sweeping()
     one = run(this, 101, "auto")

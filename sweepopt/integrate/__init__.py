@@ -31,6 +31,7 @@ from sweepopt.integrate.options import SolveOptions
 from sweepopt.integrate.reconstruction import Reconstruction
 from sweepopt.integrate.record import MEMORY, Grid, Index, Pass, Run, States, Statistics, saving
 from sweepopt.integrate.schemes import SCHEMES, Scheme
+from sweepopt.integrate.stage_program import step_program
 
 __all__ = [
     "MEMORY",
@@ -65,6 +66,7 @@ __all__ = [
     "observer",
     "require_same_problem",
     "saving",
+    "step_program",
     "time_grid",
     "velocity_field",
 ]

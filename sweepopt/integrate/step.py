@@ -109,7 +109,7 @@ class Velocities:
         motion in the earlier ones: the squares of velocities, weighted by the diagonal of M.
         """
         scheme, process = self._plan.scheme, self._process
-        stages = self._stages(scheme, t, mu, u, [])
+        stages = self.stages(scheme, t, mu, u)
         if not scheme.euler_steps or len(stages) < len(scheme.b):
             return _mean(scheme.b, stages)
         weights = process.A.diagonal()
@@ -120,16 +120,18 @@ class Velocities:
         if not motion[stops].sum() > STOPS * motion.sum():
             return _mean(scheme.b, stages)
         euler = implicit_euler(scheme.euler_steps)
-        mean = _mean(euler.b, self._stages(euler, t, mu, u, stages[:1]))
+        mean = _mean(euler.b, self.stages(euler, t, mu, u, stages[:1]))
         left = sum(stage.iterations for stage in stages[1:])
         return mean._replace(iterations=mean.iterations + left)
 
-    def _stages(self, scheme: Scheme, t: float, mu: float, u: np.ndarray, stages: Stages) -> Stages:
+    def stages(
+        self, scheme: Scheme, t: float, mu: float, u: np.ndarray, first: Sequence[Velocity] = ()
+    ) -> Stages:
         """What the stages of a tableau solve after the first ones, up to one that has no program.
 
         A matrix A + gamma B that is not positive definite to rounding gives no velocity.
         """
-        process, stages = self._process, [*stages]
+        process, stages = self._process, [*first]
         for weights, c in list(zip(scheme.a, scheme.c, strict=True))[len(stages) :]:
             start = u + mu * combination(weights[:-1], stages) if stages else u
             gamma = mu * weights[-1] if process.B is not None else 0.0

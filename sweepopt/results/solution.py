@@ -10,13 +10,13 @@ import numpy as np
 
 from sweepopt import checks
 from sweepopt.errors import InputError, Status, SweepoptError, shown
-from sweepopt.integrate import Pass, States, Statistics
+from sweepopt.integrate import Pass, States, Statistics, step_program
 from sweepopt.problem import SweepingProcess
 from sweepopt.results.dataset import to_xarray
 from sweepopt.results.energy import Energy, energy_of
 from sweepopt.results.error_bound import ErrorBound, error_bound, nodes_of
 from sweepopt.results.nodes import Nodes
-from sweepopt.velocity import Plan, VelocityOf, compile_projection
+from sweepopt.velocity import Plan, StepProgram, VelocityOf, compile_projection
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -155,6 +155,57 @@ class Solution:
                 "another save="
             )
         return i
+
+    def step_program(self, i: int, stage: int = 0) -> StepProgram:
+        """The program of step i in cvxpy: min 1/2 <M z, z> + <B u_i, z> + J(z) - <f, z>.
+
+        It has all unknowns, also those that the run eliminated or recovers when asked, and its
+        answer is ``velocity[i]`` to the certificates of both; with several stages z_k the velocity
+        is sum_k b_k z_k. It is that of the whole step, also where the run took it in parts
+        ("clarabel/4" in `stats`), because its own solvers missed tol on this program.
+
+        Parameters
+        ----------
+        i : int
+            A kept step, as in ``velocity[i]``.
+        stage : int
+            Of a scheme with several, such as sdirk2, counted from 0.
+
+        Returns
+        -------
+        StepProgram
+            Its `problem` and `z` are cvxpy's, `certify` is the library's proof of any answer.
+
+        Raises
+        ------
+        InputError
+            If there is no such step or stage, or the scheme is "exact", which has no programs.
+
+        Examples
+        --------
+        >>> import sweepopt as so
+        >>> C = so.Moving(so.Box([-1], [1]), center=lambda t: [1.5 * t])
+        >>> process = so.SweepingProcess(A=[[0.5]], B=[[2.0]], C=C, u0=[0.0])
+        >>> sol = so.solve(process, t_end=5.0, steps=200, scheme="catching-up")
+        >>> program = sol.step_program(120)
+        >>> value = program.problem.solve(solver="OSQP", eps_abs=1e-8, eps_rel=1e-8)
+        >>> answer = program.certify(program.z.value)
+        >>> bool(abs(answer.z - sol.velocity[120]) < 1e-6), answer.certificate < 1e-6
+        (True, True)
+        """
+        try:
+            i = range(len(self.steps))[i]
+        except (IndexError, TypeError):
+            kept = len(self.steps)
+            raise InputError(f"step i = {shown(i)} is none of the {kept} that were kept") from None
+        step = self.steps[i]
+        t, end = self._grid[step : step + 2].tolist()
+        if step == (self.steps[i - 1] + 1 if i else 0):
+            u = self.states.u(i)
+        else:  # the state before it was not kept
+            u = self.states.u(i + 1) - (end - t) * self.states.velocity(i)
+        scheme = self.plan.scheme.name
+        return step_program(self.process, t, u, end - t, scheme=scheme, stage=stage)
 
     def viability(self, t: Any = None) -> np.ndarray:
         """How far the viability condition A u' + B u in C(t) is missed, in the A^-1 metric.

@@ -160,11 +160,12 @@ class Form(NamedTuple):
 
 
 class Algebra(NamedTuple):
-    """The operations on sets, which operations.py states: what operators and polars call."""
+    """What is stated of all kinds of sets in one place: their operations, and `epigraph`."""
 
     add: Callable[[Any, Any], Any]
     scale: Callable[[Any, Any], Any]
     intersect: Callable[[Any, Any], Any]
+    epigraph: Callable[[Any, Any], tuple[Any, list[Any]]]
 
 
 class Operators:
@@ -315,7 +316,9 @@ class ConvexSet(Operators, ABC):
         return np.array([[self.gap(direction, point) for point in w] for direction in p])
 
     def epigraph(self, p: cp.Expression) -> tuple[cp.Expression, list[cp.Constraint]]:
-        """The support function as a cvxpy epigraph: minimising `value` gives sigma(C, p).
+        """The support function in cvxpy, to be read: minimising `value` gives sigma(C, p).
+
+        Nothing is scaled, data and new variables have names (sweepopt/sets/epigraph.py).
 
         Returns
         -------
@@ -323,10 +326,7 @@ class ConvexSet(Operators, ABC):
             Upper bound of sigma(C, p) under the constraints, equal to it at the minimum.
         constraints : list of cvxpy.Constraint
         """
-        import cvxpy as cp
-
-        y, constraints = self.features(p)
-        return (self.offsets @ cp.hstack(y) if y else cp.Constant(0.0)), constraints
+        return self.algebra.epigraph(self, p)
 
     def contains(self, w: np.ndarray, tol: float = 1e-9) -> bool:
         """Whether the Euclidean distance of w to C is at most tol."""

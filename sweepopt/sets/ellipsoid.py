@@ -47,6 +47,7 @@ class Ellipsoid(ConvexSet):
             raise InputError(
                 f"shape must be positive definite, its smallest eigenvalue is {self._squares[0]:g}"
             )
+        self.root = np.sqrt(self._squares)[:, None] * self._axes.T  # shape = root^T root
         self._unit = binary(np.sqrt(self._squares[-1]))
         self.offsets = np.append(self.center, self._unit)
 
@@ -107,8 +108,7 @@ class Ellipsoid(ConvexSet):
         import cvxpy as cp
 
         size = cp.Variable(1)
-        root = np.sqrt(self._squares)[:, None] / self._unit * self._axes.T
-        return Features([p, size], norms_below(root @ p, size, self.dim))
+        return Features([p, size], norms_below(self.root / self._unit @ p, size, self.dim))
 
     def same_cone(self, other: ConvexSet) -> bool:
         return isinstance(other, Ellipsoid) and same_array(self.shape, other.shape)

@@ -26,6 +26,7 @@ from sweepopt.sets.base import (
     nested,
     require_same_dim,
 )
+from sweepopt.sets.epigraph import epigraph
 from sweepopt.sets.lifted import Intersection, Lifted, Sum
 from sweepopt.sets.moving import MovingSet, over_time
 from sweepopt.sets.polyhedra import ACTIVE_DIM, GeneratedCone, Polyhedron
@@ -203,4 +204,4 @@ def _require_set(what: str, C: ConvexSet, D: Any) -> None:
     require_same_dim(what, C, D)
 
 
-Operators.algebra = Algebra(add, scale, intersect)
+Operators.algebra = Algebra(add, scale, intersect, epigraph)

@@ -30,15 +30,16 @@ TIGHT = {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12, **CAREFU
 
 @in_turn
 def support_by_program(C: ConvexSet, z: np.ndarray) -> float:
-    """sigma(C, z) from its epigraph, for sets without a closed form; infeasible means +inf."""
+    """sigma(C, z) from its features, for sets without a closed form; infeasible means +inf."""
     import cvxpy as cp
 
     length = float(np.abs(z).max())
     if not length:
         return 0.0
-    value, constraints = C.epigraph(cp.Constant(z / length))
+    y, constraints = C.features(cp.Constant(z / length))
     unit = binary(np.abs(C.offsets).max(initial=0.0))
-    problem = cp.Problem(cp.Minimize(value / unit), constraints)
+    value = C.offsets @ cp.hstack(y) / unit if y else cp.Constant(0.0)
+    problem = cp.Problem(cp.Minimize(value), constraints)
     solve_tightly(problem)
     if problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE):
         return float("inf")

@@ -26,6 +26,7 @@ from sweepopt.velocity.solvers import (
     Solver,
 )
 from sweepopt.velocity.solvers.reference import installed
+from sweepopt.velocity.step_program import StepProgram
 
 __all__ = [
     "DAQP",
@@ -42,6 +43,7 @@ __all__ = [
     "Solve",
     "Solver",
     "StateVelocity",
+    "StepProgram",
     "Velocity",
     "VelocityOf",
     "VelocityProgram",

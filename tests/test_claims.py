@@ -1,0 +1,76 @@
+"""What README.md and MATH.md say, and the test or the study that shows it.
+
+claims.toml has words of each claim as they stand in the document, and what shows it: names of tests
+(of laws in laws.py) or a file that prints it. A claim that is reworded, a test that is renamed and
+a point of a list or row of a table that nothing shows make a test fail here.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+CLAIMS = tomllib.loads((Path(__file__).parent / "claims.toml").read_text())
+
+
+def points(document: str) -> Iterator[str]:
+    """The points of lists and the rows of tables, but for their headings, a line each."""
+    text = re.sub(r"```.*?```", "", (ROOT / document).read_text(), flags=re.DOTALL)
+    text = re.sub(r"^\|.*\n\|[-|]+\|$", "", text, flags=re.MULTILINE)
+    for block in re.split(r"\n\s*\n|\n(?=[*|] ?)", text):
+        if block.strip()[:1] in ("*", "|"):
+            yield " ".join(block.split())
+
+
+def plain(document: str) -> str:
+    return " ".join((ROOT / document).read_text().replace("**", "").split())
+
+
+@pytest.mark.parametrize("document", CLAIMS)
+def test_every_point_of_a_list_and_row_of_a_table_has_a_claim_that_is_shown(document: str) -> None:
+    bare = [point for point in points(document) if not any(x in point for x in CLAIMS[document])]
+    assert not bare
+    assert len(list(points(document))) > 15
+
+
+@pytest.mark.parametrize("document", CLAIMS)
+def test_the_claims_are_what_the_document_says(document: str) -> None:
+    assert not [claim for claim in CLAIMS[document] if claim not in plain(document)]
+
+
+def test_what_shows_a_claim_is_there() -> None:
+    tests = "\n".join(path.read_text() for path in Path(__file__).parent.glob("*.py"))
+    known = set(re.findall(r"^def (\w+)\(", tests, re.MULTILINE))
+    shown = {
+        name for claims in CLAIMS.values() for names in claims.values() for name in names.split()
+    }
+    assert not [name for name in shown - known if not (ROOT / name).is_file()]
+
+
+@pytest.mark.parametrize(
+    ("file", "test", "place"),
+    [
+        ("laws.py", "support_is_lipschitz_in_hausdorff_distance", "Lemma 2.1"),
+        (
+            "test_evolve.py",
+            "test_the_truncation_of_the_papers_lemma_is_one_expression_for_moving_sets",
+            "Lemma 2.3",
+        ),
+        (
+            "test_reference.py",
+            "test_a_process_made_from_its_variational_inequality_gives_the_same_numbers",
+            "the Proposition of section 4",
+        ),
+    ],
+)
+def test_what_shows_a_result_of_the_paper_names_it(file: str, test: str, place: str) -> None:
+    functions = ast.walk(ast.parse((Path(__file__).parent / file).read_text()))
+    (found,) = (f for f in functions if isinstance(f, ast.FunctionDef) and f.name == test)
+    assert f"Adly and Haddad, {place}" in (ast.get_docstring(found) or "")

@@ -1,0 +1,205 @@
+"""The program of a step in cvxpy: what it says, and that its answer is the step of the run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import sweepopt as so
+from sweepopt.linalg import Factor
+from tests.test_program import exact_friction, random_program
+from tests.test_stepping import thin
+
+n = 3
+A, B = 2.0 * np.eye(n), np.diag([1.0, 2.0, 3.0])
+U0 = np.array([0.1, -0.2, 0.3])
+
+
+def load(t: float) -> np.ndarray:
+    return np.array([3 * t, 1.0, -2 * t])
+
+
+def program_of(C: Any, **settings: Any) -> Any:
+    return so.step_program(so.SweepingProcess(A, B, C, U0), 1.0, U0, 0.5, **settings)
+
+
+def chain(**settings: Any) -> so.Solution:
+    """Nine blocks in a chain, three of them with friction; B = rho A."""
+    stiff = sp.csc_array(2.05 * np.eye(9) - np.eye(9, k=1) - np.eye(9, k=-1))
+    C = so.Moving(
+        so.image(np.eye(9)[:, ::4], so.Box([-0.3] * 3, [0.3] * 3)),
+        so.Separable([(so.Sine(1.0, 4.0), np.ones(9))]),
+    )
+    process = so.SweepingProcess(stiff, 0.5 * stiff, C, np.zeros(9))
+    return so.solve(process, t_end=2.0, steps=20, **settings)
+
+
+def optimum(program: Any, solver: str = "CLARABEL") -> np.ndarray:
+    settings = {"CLARABEL": {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12}}.get(solver, {})
+    program.problem.solve(solver=solver, **settings)
+    return np.array(program.z.value)
+
+
+def same_as_the_run(sol: so.Solution, i: int) -> None:
+    program = sol.step_program(i)
+    answer = program.certify(optimum(program))
+    certificates = answer.certificate + sol.stats["certificate"][sol.steps[i]]
+    assert Factor(program.M).norm(answer.z - sol.velocity[i]) <= certificates <= 1e-4
+
+
+# ---- what it says ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("D", "J"),
+    [
+        (so.Box([-1, -2, 0], [1, 2, 0]), "g @ abs(z)"),
+        (so.Box([-1, -2, 0], [1, 3, 0]), "lower"),
+        (so.Ball(np.zeros(n), 1.5), "1.5 * P"),
+        (so.Balls([1.0, 2.0, 3.0], 1), "g @ norm1(reshape(z"),
+        (so.Polytope(np.eye(n)), "max(V @ z"),
+        (so.Polyhedron(np.eye(n), np.ones(n)), "h @ y"),
+        (so.Ellipsoid(np.zeros(n), np.eye(n)), "R @ z"),
+        (so.image(np.eye(n)[:, :2], so.Box([-1, -1], [1, 1])), "g @ abs(E.T @ z)"),
+        (so.product(so.Box([-1], [1]), so.Ball([0, 0], 2.0)), "g @ abs(E.T @ z) + 2.0 * P"),
+        (so.Polytope(np.eye(n)) + so.Ball(np.zeros(n), 1.5), "max(V @ z"),
+        (so.Ball(np.zeros(n), 1.5) & so.Box([-1] * n, [1, 2, 3]), "(z + lam, 2)"),
+    ],
+)
+def test_it_prints_the_form_of_the_card_with_the_atoms_of_the_set(D: Any, J: str) -> None:
+    process = so.EvolutionVI(A, B, load=load, dissipation=D, u0=U0)
+    # versions of cvxpy print a number's product and a minus in two ways
+    shown = str(so.step_program(process, 1.0, U0, 0.5)).replace(" @ ", " * ")
+    assert shown.startswith("minimize 0.5 * QuadForm(z, psd_wrap(M)) + Bu * z + ")
+    assert J.replace(" @ ", " * ") in shown
+    assert "+ -(f * z)" in shown or "+ -f * z" in shown
+    assert " 1.0 *" not in shown
+    assert " 0.0" not in shown.splitlines()[0]
+
+
+def test_a_cone_is_a_constraint_and_data_that_come_twice_are_numbered() -> None:
+    K = so.Orthant(n)
+    process = so.EvolutionVI(A, B, load=load, cone=K, u0=U0)
+    assert str(so.step_program(process, 1.0, U0, 0.5)).endswith("subject to 0.0 <= z")
+    K = so.image(np.array([[1.0, 0.3], [0.2, 1.0], [1.0, 1.0]]), so.Orthant(2)).polar()
+    process = so.EvolutionVI(A, B, load=load, cone=K, u0=U0)
+    assert str(so.step_program(process, 1.0, U0, 0.5)).endswith("subject to G @ z <= 0.0")
+    rows = so.Polyhedron(np.vstack([np.eye(n), -np.eye(n)]), np.ones(2 * n))
+    twice = program_of(rows + so.Polyhedron(2 * np.eye(n), np.ones(n)))
+    assert set(twice.problem.var_dict) == {"z", "y", "y_2"}
+    assert {"M", "G", "G_2", "h", "h_2"} <= {one.name() for one in twice.problem.constants()}
+
+
+def test_its_data_are_those_of_the_user_without_a_scale() -> None:
+    g = np.array([1e-7, 1.0, 1e9])
+    program = program_of(so.Moving(so.Box(-g, g), load))
+    named = {one.name(): one.value for one in program.problem.constants() if one.shape}
+    assert (named["M"] == A).all()
+    assert (named["g"] == g).all()
+    values = {name: one.value for name, one in program.problem.param_dict.items()}
+    assert (values["Bu"] == B @ U0).all()
+    assert (values["f"] == load(1.5)).all()
+    assert program.problem.var_dict["z"] is program.z
+    assert program.problem.is_dcp(dpp=True)
+
+
+@pytest.mark.parametrize("solver", ["CLARABEL", "SCS", "OSQP", "CVXOPT"])
+def test_any_solver_of_cvxpy_solves_it_and_is_certified(solver: str) -> None:
+    for seed in range(3):
+        M, q, g = random_program(seed)
+        process = so.SweepingProcess(M, None, so.Moving(so.Box(-g, g), -q), np.zeros(len(q)))
+        program = so.step_program(process, 0.0, process.u0, 1.0)
+        answer = program.certify(optimum(program, solver))
+        error = Factor(M).norm(answer.z - exact_friction(M, q, g))
+        assert (answer.z == program.z.value).all()
+        assert error <= answer.certificate <= 1e-2
+
+
+# ---- which step ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", ["proportional", "eliminated", "full"])
+@pytest.mark.parametrize("save", [None, 3, "last"])
+def test_every_plan_has_the_program_of_all_unknowns_of_the_steps_it_kept(
+    path: str, save: Any
+) -> None:
+    sol = chain(path=path, save=save, scheme="midpoint")
+    assert sol.plan.path == path
+    assert sol.step_program(0).z.shape == (9,)
+    for i in {0, len(sol.steps) // 2, -1}:
+        same_as_the_run(sol, i)
+
+
+@pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "midpoint"])
+def test_the_matrix_and_the_time_are_those_of_the_scheme(scheme: str) -> None:
+    gamma, c = {"catching-up": (0.0, 1.0), "implicit-euler": (0.5, 1.0), "midpoint": (0.25, 0.5)}[
+        scheme
+    ]
+    program = program_of(so.Moving(so.Ball(np.zeros(n), 1.0), load), scheme=scheme)
+    assert (A + gamma * B == program.M).all()
+    assert (program.problem.param_dict["f"].value == load(1.0 + 0.5 * c)).all()
+
+
+@pytest.mark.parametrize("scheme", ["trapezoid", "sdirk2"])
+def test_the_velocity_of_a_scheme_with_stages_is_their_weighted_sum(scheme: str) -> None:
+    sol = chain(scheme=scheme, tol=1e-9)
+    programs = [sol.step_program(7, stage=k) for k in range(2)]
+    answers = [program.certify(optimum(program)) for program in programs]
+    mean = np.add(*(b * answer.z for b, answer in zip(sol.plan.scheme.b, answers, strict=True)))
+    assert max(answer.relative for answer in answers) <= 1e-5
+    assert mean == pytest.approx(sol.velocity[7], abs=1e-5)
+    assert not np.allclose(answers[0].z, answers[1].z, atol=1e-4)
+
+
+def test_a_set_of_which_nothing_is_known_enters_by_its_support_function() -> None:
+    C = so.MovingSet(lambda t: so.Ball([t, 0, 0], 1 + t))
+    program = program_of(C)
+    assert not program.problem.param_dict["f"].value.any()
+    z = optimum(program)
+    expected = 0.5 * z @ A @ z + B @ U0 @ z + C.at(1.5).support(-z)
+    assert program.problem.value == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_process_without_rate_has_a_program_too() -> None:
+    C = so.Moving(so.Box([-1], [1]), lambda t: [3 * t])
+    sol = so.solve(so.SweepingProcess([[0.0]], [[2.0]], C, [0.0]), t_end=2.0, steps=10)
+    same_as_the_run(sol, 7)
+
+
+def test_what_has_no_program_is_refused_by_name() -> None:
+    C = so.Moving(so.Box([-1] * n, [1] * n), so.Separable([(so.Sine(3.0, 2.0), np.ones(n))]))
+    process = so.SweepingProcess(A, B, C, np.zeros(n))
+    sol = so.solve(process, t_end=1.0, steps=4, scheme="implicit-euler")
+    for wrong in (4, -5, 0.5, None):
+        with pytest.raises(so.InputError, match="4 that were kept"):
+            sol.step_program(wrong)  # type: ignore[arg-type]
+    with pytest.raises(so.InputError, match="stage"):
+        sol.step_program(0, stage=1)
+    with pytest.raises(so.InputError, match="exact"):
+        so.solve(process, t_end=1.0, steps=4, scheme="exact").step_program(0)
+    program = sol.step_program(0)
+    with pytest.raises(so.InputError, match="solve the problem first"):
+        program.certify(program.z.value)
+    with pytest.raises(so.InputError, match="z must have 3 entries"):
+        program.certify([1.0])
+    for settings, message in (
+        ({"mu": 0.0}, "mu must be > 0"),
+        ({"t": np.nan}, "t is nan"),
+        ({"u": [1.0]}, "u must have 3"),
+    ):
+        with pytest.raises(so.InputError, match=message):
+            so.step_program(process, **{"t": 0.0, "u": U0, "mu": 1.0, **settings})  # type: ignore[arg-type]
+
+
+@pytest.mark.filterwarnings("ignore:Solution may be inaccurate", "ignore::sweepopt.SweepoptWarning")
+def test_a_step_that_was_taken_in_parts_has_the_program_of_the_whole_step() -> None:
+    process = thin(lambda t: 1e-12 + abs(t - 0.5))
+    sol = so.solve(process, t_end=1.0, steps=1, scheme="midpoint")
+    assert sol.stats["solver"][0].endswith("/2")
+    program = sol.step_program(0)
+    assert (program.M == process.A + 0.5 * process.B).all()
+    assert program.problem.param_dict["f"].value == pytest.approx([1.5, 1.0])
+    assert not program.certify(optimum(program)).relative <= sol.plan.tol
