@@ -13,7 +13,7 @@ import sweepopt as so
 from sweepopt.study.hard import Program
 from sweepopt.study.hard.bodies import chain, spectral
 from sweepopt.study.hard.families import combination, make
-from sweepopt.study.hard.judge import Judge
+from sweepopt.study.hard.judge import ROUNDING, Judge
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 N = 12
@@ -149,3 +149,47 @@ def test_a_refined_answer_is_compared_to_the_forces_and_not_to_a_residual() -> N
     size = sol.stats["certificate"][0] / sol.stats["relative"][0]
     exact = Judge(process, 1.0).exact(sol.u[0], 0.0)
     assert size <= 1.001 * exact.size
+
+
+def needle(seed: int) -> so.SweepingProcess:
+    """A polyhedron with opposite faces 1e-13 to 1e-6 from parallel, and a load across it."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 6))
+    rows = rng.normal(size=(int(rng.integers(1, n + 1)), n))
+    eps = 10.0 ** rng.uniform(-13, -6)
+    G = np.vstack([rows, -rows + eps * rng.normal(size=rows.shape)])
+    slack = np.where(rng.random(len(G)) < 0.5, eps, 1.0) * rng.random(len(G))
+    A, B = (root @ root.T + 1e-3 * np.eye(n) for root in rng.normal(size=(2, n, n)))
+    if seed % 5 == 0:  # the projection itself is the answer
+        A, B = A[0, 0] * np.eye(n), B[0, 0] * np.eye(n)
+    u0 = rng.normal(size=n) * 10.0 ** rng.uniform(-2, 6)
+    return so.SweepingProcess(A, B, so.Polyhedron(G, G @ rng.normal(size=n) + slack), u0)
+
+
+def test_certificates_on_needles_are_no_less_than_the_error() -> None:
+    """Where slack is rounded 2 of these are below, by up to 2e12, and 4 have no support."""
+    certified, mu = 0, 0.1
+    for seed in range(40):
+        process = needle(seed)
+        try:
+            run = so.solve(process, t_end=mu, steps=1, scheme="implicit-euler")
+        except so.StepError:
+            continue  # no proof is no wrong one
+        if "/" in str(run.stats["solver"][0]):
+            continue  # a step in parts has no certificate of the whole
+        judge = Program(process.A, process.B, mu)
+        exact = judge.solve(judge.term(process.u0), process.C)
+        error = judge.error(run.velocity[0], exact)
+        at_rest = 0.0 if run.velocity[0].any() else ROUNDING * exact.forces
+        assert error <= run.stats["certificate"][0] + at_rest, seed
+        certified += 1
+    assert certified >= 34
+
+
+def test_the_support_function_of_a_needle_is_that_of_its_apex() -> None:
+    for eps in (1e-6, 1e-9, 1e-12):
+        C = so.Polyhedron([[0.0, 1.0], [eps, -1.0], [-1.0, 0.0]], [1.0, 1.0, 0.0])
+        apex = np.array([2.0 / eps, 1.0])
+        for z in ([1.0, 0.0], [0.3, 0.5], [1e-3, 1e3], [1.0, -1.0]):
+            assert np.isclose(C.support(z), max(apex @ z, -z[1], z[1]), rtol=1e-15 / eps)
+        assert C.support([-1.0, 0.0]) == 0.0

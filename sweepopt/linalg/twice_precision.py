@@ -84,14 +84,14 @@ def exact_sum(terms: list[np.ndarray]) -> np.ndarray:
     return total + remainder
 
 
-def product_error(factor: float, x: Any) -> Any:
+def product_error(factor: Any, x: Any) -> Any:
     """What rounding keeps out of `factor * x`, entry by entry and exactly (Dekker's product)."""
     if sp.issparse(x):
         error = x.copy()
         error.data = product_error(factor, x.data)
         return error
     high, low = _halves(x)
-    factor_high, factor_low = _halves(np.float64(factor))
+    factor_high, factor_low = _halves(np.asarray(factor, dtype=float))
     error = factor_high * high - factor * x
     return ((error + factor_high * low) + factor_low * high) + factor_low * low
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import math
 from collections.abc import Iterator
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy.optimize
@@ -14,7 +16,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import divisor, matrix, number, vector
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
-from sweepopt.linalg import EPS, dense, row_lengths
+from sweepopt.linalg import EPS, UNIT, dense, product_error, row_lengths
 from sweepopt.sets.base import (
     ROUNDING,
     ConvexSet,
@@ -33,8 +35,19 @@ from sweepopt.sets.shapes import rows_features
 if TYPE_CHECKING:
     import cvxpy as cp
 
-REFINEMENTS = 3  # of a point on a face: a long way there rounds
+REFINEMENTS = 5  # of a point on a face: a long way there rounds, and the margins cost one
+OUTSIDE = 1e-10  # of |z|: a z that is no further from the domain of the support function is in it
+FAR = 2.0 ** np.arange(0, 65, 8)  # in units of what is seen of the set: to the end of needles
+NEAR = 1e-6  # of the size of a row: a point moves by much less to what is nearer
 ACTIVE_DIM = 1000  # rows or unknowns up to which active sets are used, beyond a sparse QP
+
+
+class _Point(NamedTuple):
+    """A point of C at most `off` from w, entry by entry, and bounds of its slack."""
+
+    w: np.ndarray
+    off: np.ndarray
+    slack: np.ndarray
 
 
 class Polyhedron(ConvexSet):
@@ -104,28 +117,61 @@ class Polyhedron(ConvexSet):
             return float("inf") if z.any() else 0.0
         # seen from a point of the set: h - G x >= 0 is as large as the set, wherever that is
         inside = self.project(np.zeros(self.dim))
+        y = self._multipliers(z, inside)
         slack = np.maximum(self.h - self.G @ inside, 0.0)
-        y = self._multipliers(z, slack)
         return float("inf") if y is None else float(inside @ z + slack @ y)
 
-    def _multipliers(self, p: np.ndarray, slack: np.ndarray) -> np.ndarray | None:
-        """The y >= 0 with G^T y = p that minimises <slack, y>; None if there is none."""
-        # rows of length 1 and units of the data: HiGHS looks at absolute numbers
+    def _multipliers(self, p: np.ndarray, x: np.ndarray) -> np.ndarray | None:
+        """The y >= 0 with G^T y = p that minimises <h - G x, y>, x in C; None if there is none.
+
+        The rows that hold x + t p back are those of the support function once t is large enough;
+        beyond active sets, or where none proves it, HiGHS is asked.
+        """
+        # rows of length 1 and units of the data: what follows looks at absolute numbers
         lengths = row_lengths(self.G)
-        weights = 1 / np.where(lengths > 0, lengths, 1.0)
-        size, costs = float(np.abs(p).max()) or 1.0, weights * slack
+        weights, size = 1 / np.where(lengths > 0, lengths, 1.0), float(np.abs(p).max()) or 1.0
+        costs, goal = weights * np.maximum(self.h - self.G @ x, 0.0), p / size
+        columns = _columns(self.G.T, weights)
+        if self.exact:
+            nearest = scipy.optimize.nnls(dense(columns), goal, maxiter=30 * costs.size)[1]
+            if nearest > math.sqrt(OUTSIDE):  # NNLS looks at gradients, that are its square
+                return None
+            extent = float(np.abs(np.append(x, costs)).max()) or 1.0
+            for far in FAR:
+                normal = self._exact_normal(x + far * extent * goal, np.ones(self.dim))
+                if normal is None:
+                    break
+                some, y = dense(columns[:, normal.active]), np.zeros(costs.size)
+                y[normal.active] = np.maximum(np.linalg.pinv(some) @ goal, 0.0)
+                rounding = 10 * ROUNDING * (1 + float(y.sum()))
+                if np.linalg.norm(columns @ y - goal) <= min(2 * nearest, OUTSIDE) + rounding:
+                    return size * weights * y
         result = scipy.optimize.linprog(
-            costs / (float(np.abs(costs).max()) or 1.0),
-            A_eq=self.G.T * weights,
-            b_eq=p / size,
+            costs / (float(costs.max()) or 1.0),
+            A_eq=columns,
+            b_eq=goal,
             method="highs",
-            options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+            options={
+                "primal_feasibility_tolerance": OUTSIDE,
+                "dual_feasibility_tolerance": OUTSIDE,
+            },
         )
         if result.status == 2:
             return None
-        if result.x is None:
-            raise SweepoptError(f"HiGHS failed on the support function: {result.message}")
+        if result.x is None or not result.success:
+            raise SweepoptError(self._needle(result.message))
         return size * weights * result.x
+
+    def _needle(self, message: str) -> str:
+        """Which rows keep the support function from being computed, and what helps."""
+        rows = dense(self.scaled_rows)
+        rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+        i, j = np.unravel_index(int(np.argmin(rows @ rows.T)), (len(rows), len(rows)))
+        return (
+            f"the support function of a Polyhedron is lost in rounding: rows {i} and {j} of G are "
+            f"opposite but for {np.linalg.norm(rows[i] + rows[j]):.1e}; leave out one of them, or "
+            f"make row {j} a multiple of row {i} ({message})"
+        )
 
     def normal(self, v: np.ndarray) -> np.ndarray:
         v = vector("v", v, self.dim)
@@ -160,22 +206,41 @@ class Polyhedron(ConvexSet):
         """On the face that v = w + tau p is nearest to.
 
         v is rounded where tau p is large beside w. So only the active rows come from it; their
-        multipliers come from p, and the point is the one of their face nearest to w.
+        multipliers come from p, and the point is the one of their face nearest to w. Where rounding
+        hides all faces it is a point of C near the first one.
         """
-        root = np.sqrt(tau)
+        root, first = np.sqrt(tau), None
         for active in self._faces(p, w, tau):
-            normals = dense(self.G[active])
-            inverse = np.linalg.pinv(normals * root)
-            start = w - root * (inverse @ (normals @ w - self.h[active]))
-            point = self._on_face(start, active, tau)
-            if point is not None:
-                multipliers = np.maximum((root * p) @ inverse, 0.0)
-                perturbation = Perturbation(
-                    w=self._distance_to_face(point, active, root),
-                    p=EPS * (multipliers @ abs(normals)),
-                )
-                return NormalPair(multipliers @ normals, point, 0.0, perturbation)
-        return None
+            first = active if first is None else first
+            pair = self._pair_on(active, p, w, root)
+            if pair is not None:
+                return pair
+        try:
+            return None if first is None else self._pair_on(first, p, w, root, touches=False)
+        except EmptySetError:  # by no more than the rounding of its rows
+            wider = self.h + ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(w))
+            return self.with_offsets(wider).normal_pair(p, w, tau)
+
+    def _pair_on(
+        self,
+        active: np.ndarray,
+        p: np.ndarray,
+        w: np.ndarray,
+        root: np.ndarray,
+        touches: bool = True,
+    ) -> NormalPair | None:
+        """With multipliers of these rows, at a point that is on them, or close to them."""
+        normals = dense(self.G[active])
+        inverse = np.linalg.pinv(normals * root)
+        start = w - root * (inverse @ (normals @ w - self.h[active]))
+        point = self._point(start, active if touches else active[:0], root)
+        if point is None:
+            return None
+        multipliers = np.maximum((root * p) @ inverse, 0.0)
+        rounding = UNIT * (1 + len(active)) * (multipliers @ abs(normals))
+        gap = float(multipliers @ point.slack[active])
+        perturbation = Perturbation(point.off, rounding)
+        return NormalPair(multipliers @ normals, point.w, gap, perturbation)
 
     def _faces(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> Iterator[np.ndarray]:
         """The active rows at the point nearest to w + tau p.
@@ -186,32 +251,86 @@ class Polyhedron(ConvexSet):
         if normal is not None:
             yield normal.active
             with contextlib.suppress(SweepoptError):  # of HiGHS
-                y = self._multipliers(p, self.h - self.G @ w)
+                y = self._multipliers(p, self.project(w))
                 if y is not None:
                     yield np.flatnonzero(y)
 
-    def _distance_to_face(self, w: np.ndarray, active: np.ndarray, root: np.ndarray) -> np.ndarray:
-        """How far rounding keeps w from a point of the set with these active rows, per entry."""
-        slack = self.h - self.G @ w
-        close = np.union1d(active, np.flatnonzero(slack < 0))
-        rows = dense(self.G[close])
-        residual = np.abs(slack[close]) + EPS * (np.abs(self.h[close]) + abs(rows) @ np.abs(w))
-        return root * (abs(np.linalg.pinv(rows * root)) @ residual)
+    def _point(self, start: np.ndarray, on: np.ndarray, root: np.ndarray) -> _Point | None:
+        """A point of C near start, next to the rows `on`; None if rounding hides it.
 
-    def _on_face(self, start: np.ndarray, active: np.ndarray, tau: np.ndarray) -> np.ndarray | None:
-        """The point nearest to start with equality on active rows; None if rounding hides it."""
+        It is w and the shortest shift to C, which the exact slack of w gives in twice the
+        precision. All rows keep a margin for what that rounds, but for pairs that are an equation:
+        these have a point as near as their residual, for C is not empty.
+        """
         stack = sp.vstack if sp.issparse(self.G) else np.vstack
-        rows, bounds = stack([self.G, -self.G[active]]), np.append(self.h, -self.h[active])
-        w, root = start, np.sqrt(tau)
-        with contextlib.suppress(EmptySetError):
-            for _ in range(1 + REFINEMENTS):
-                sizes = np.abs(w) + EPS * np.abs(start)
-                rounding = ROUNDING * (np.abs(bounds) + abs(rows) @ sizes)
-                shortest = least_distance(_columns(rows, root), bounds - rows @ w, rounding)
-                if shortest is None or not shortest.u.any():
-                    return None if shortest is None else w
-                w = w + root * shortest.u
-        return None
+        flat, on = self._flat(), np.setdiff1d(on, self._flat())
+        G = _columns(stack([self.G, -self.G[on]]), root)
+        lengths, w = row_lengths(G)[: self.h.size], start
+        margin = np.zeros(self.h.size)
+        point = None
+        for _ in range(1 + REFINEMENTS):
+            slack = self._slack(w)
+            wanted = np.append(slack - margin, (margin - slack)[on])
+            try:
+                shortest = least_distance(G, wanted, EPS * np.abs(wanted))
+            except EmptySetError:
+                if on.size or margin.any():
+                    break
+                raise
+            if shortest is None:
+                break
+            shift, left = root * shortest.u, slack - (G @ shortest.u)[: self.h.size]
+            sizes = np.abs(slack) + lengths * np.linalg.norm(shortest.u)
+            rounded = (3 * ROUNDING + self.dim * EPS) * sizes
+            off = self._distance_to(flat, np.abs(left[flat]) + rounded[flat], root)
+            enough = rounded + abs(self.G) @ off
+            enough[flat] = left[flat] = 0.0
+            near = bool((np.abs(shift) <= ROUNDING * np.abs(w).max()).all())
+            if (left >= enough).all():
+                point = _Point(w, np.abs(shift) + off, left + enough)
+                if near:
+                    break
+            margin, w = (2 * enough, w) if near else (0 * margin, w + shift)
+        return point
+
+    def _distance_to(self, rows: np.ndarray, residual: np.ndarray, root: np.ndarray) -> np.ndarray:
+        """How far the point next to a point is that meets some equations, entry by entry."""
+        if not residual.any():
+            return 0 * root
+        return root * (abs(np.linalg.pinv(dense(self.G[rows]) * root)) @ residual)
+
+    def _slack(self, w: np.ndarray) -> np.ndarray:
+        """h - G w, rounded once for rows that are near w."""
+        products = abs(self.G) @ np.abs(w)
+        slack = self.h - self.G @ w
+        near = np.flatnonzero(slack <= NEAR * (np.abs(self.h) + products))
+        G = dense(self.G[near])
+        terms = np.hstack([self.h[near, None], -G * w, -product_error(G, w)])
+        slack[near] = [math.fsum(row) for row in terms.tolist()]
+        return slack
+
+    @cached_property
+    def _directions(self) -> tuple[np.ndarray, np.ndarray]:
+        """The same number for rows that are multiples of each other by a power of 2, and a sign."""
+        numbers: dict[bytes, int] = {}
+        rows = sp.csr_array(self.scaled_rows)
+        rows.eliminate_zeros()
+        signs, labels = np.ones(self.h.size), np.zeros(self.h.size, dtype=int)
+        for i, (start, end) in enumerate(pairwise(rows.indptr.tolist())):
+            row = rows.data[start:end]
+            signs[i] = -1.0 if row.size and row[0] < 0 else 1.0
+            key = rows.indices[start:end].tobytes() + (signs[i] * row).tobytes()
+            labels[i] = numbers.setdefault(key, len(numbers))
+        return labels, signs
+
+    def _flat(self) -> np.ndarray:
+        """The rows that an opposite one turns into an equation."""
+        labels, signs = self._directions
+        above, below = np.full((2, self.h.size), np.inf)
+        np.minimum.at(above, labels[signs > 0], self.offsets[signs > 0])
+        np.minimum.at(below, labels[signs < 0], self.offsets[signs < 0])
+        tight = np.where(signs > 0, above[labels], below[labels]) == self.offsets
+        return np.flatnonzero(tight & (above == -below)[labels])
 
     @cached_property
     def scaled_rows(self) -> Any:

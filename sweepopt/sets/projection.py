@@ -218,6 +218,15 @@ class Splitting:
         multipliers = _shortest(F, E @ p - n)
         return p + _shortest(np.hstack([E, -F]), n - E @ p + F @ multipliers)[: p.size]
 
+    def tension(self, near: Projection) -> float:
+        """How much larger the multipliers of F s = 0 are than v - w, both as forces on the parts.
+
+        They have no bound where the parts meet in no interior point.
+        """
+        pull = self.E.T @ (near.v - near.w)
+        held = self.F.T @ _shortest(self.F.T, pull - (near.image - near.s))
+        return float(np.linalg.norm(held) / np.linalg.norm(np.append(pull, np.finfo(float).tiny)))
+
     def perturbation(self, near: Projection, p: np.ndarray) -> Perturbation | None:
         """How far w and p are from a pair, to first order; None where parts have no derivative.
 

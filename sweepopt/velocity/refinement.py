@@ -116,12 +116,7 @@ def by_solve(M: Factor) -> Propose:
     return propose
 
 
-def by_formula(M: Factor, of: Instance) -> Propose:
+def by_formula(M: Factor, S: ConvexSet, tol: float) -> Propose:
     """z = M^-1 (w - q + c), w the projection on C - c in the metric of a diagonal M."""
-
-    def propose(residual: np.ndarray, z: np.ndarray | None) -> Proposal:
-        force = residual if z is None else M.precisely(-z, residual)
-        w = of.projection(force)
-        return Proposal(0.0 - (force - w) / M.diagonal, w)
-
-    return propose
+    diagonal = M.small.diagonal
+    return by_program(M, lambda q, S: Answer((S.project(q) - q) / diagonal), S, tol)
