@@ -253,6 +253,33 @@ def test_switches_that_accumulate_end_the_trajectory(monkeypatch: pytest.MonkeyP
         sol.exact(8.0)
 
 
+class Interrupted(Contradictory):
+    """A history at whose breakpoint the user presses Ctrl-C."""
+
+    def piece(self, a: float, b: float) -> Any:
+        if a >= 3:
+            raise KeyboardInterrupt
+        return so.Sine.piece(self, a, b)
+
+
+def test_phases_are_computed_as_the_steps_come_to_them() -> None:
+    whole, seen = exact(block(), 8.0), list[int]()
+
+    def stop(step: so.StepInfo) -> bool:
+        seen.append(step.step)
+        return step.t >= 2.0
+
+    load = so.Separable([(Interrupted(3.0, np.pi), [1.0])])
+    for callback, last, status in [(stop, 2.0, Status.STOPPED), (None, 2.96, Status.INTERRUPTED)]:
+        process = block(load=load)
+        sol = so.solve(process, t_end=8.0, steps=100, scheme="exact", callback=callback)
+        assert sol.status is status
+        assert sol.t[-1] == pytest.approx(last)
+        assert last <= sol.exact.end <= 3.0
+        assert np.abs(sol.u - whole(sol.t)).max() <= 1e-14
+    assert seen == list(range(25))
+
+
 BOX = so.Box([-1, -1], [1, 1])
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sweepopt.integrate.exact import Evaluate, Trajectory, exact_trajectory, rows_of
+from sweepopt.integrate.exact import Evaluate, Trajectory, phases_of, rows_of
 from sweepopt.integrate.record import Grid, States
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.integrate.step import compensated_sum
@@ -138,4 +138,5 @@ def _exact_coefficients(reduction: Reduction, times: np.ndarray) -> Trajectory:
     process = SweepingProcess(
         unit, reduction.rho * unit if reduction.rho else None, C, 0 * unit[-1]
     )
-    return exact_trajectory(rows_of(process), process.u0, float(times[0]), float(times[-1]))
+    phases = phases_of(rows_of(process), process.u0, float(times[0]), float(times[-1]))
+    return Trajectory(list(phases))

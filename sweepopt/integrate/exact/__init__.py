@@ -2,6 +2,6 @@
 
 from sweepopt.integrate.exact.on_grid import exact_steps
 from sweepopt.integrate.exact.rows import rows_of
-from sweepopt.integrate.exact.trajectory import Evaluate, Trajectory, exact_trajectory
+from sweepopt.integrate.exact.trajectory import Evaluate, Trajectory, phases_of
 
-__all__ = ["Evaluate", "Trajectory", "exact_steps", "exact_trajectory", "rows_of"]
+__all__ = ["Evaluate", "Trajectory", "exact_steps", "phases_of", "rows_of"]

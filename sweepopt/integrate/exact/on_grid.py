@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 
 import numpy as np
 
 from sweepopt.errors import InputError, Status, shown
-from sweepopt.integrate.exact.rows import rows_of
-from sweepopt.integrate.exact.trajectory import Trajectory, exact_trajectory
+from sweepopt.integrate.exact.rows import Rows, rows_of
+from sweepopt.integrate.exact.trajectory import Phase, Trajectory, phases_of
 from sweepopt.integrate.record import Run
 from sweepopt.integrate.step import Step
 from sweepopt.linalg import Factor
@@ -43,32 +43,42 @@ def exact_steps(
     rows, times = rows_of(process), run.grid.times
     factor = lru_cache(maxsize=1)(lambda mu: Factor(matrix(process, mu)))
     largest = 0.0
-
-    @lru_cache(maxsize=1)
-    def block(exact: Trajectory, first: int) -> tuple[np.ndarray, np.ndarray]:
-        nodes = np.minimum(times[first + 1 : first + BLOCK + 1], exact.end)
-        return exact(nodes), exact.velocity(nodes)
+    nodes = _nodes(rows, process.u0, times, run)
 
     def take(t: float, mu: float, u: np.ndarray) -> Step | None:
         nonlocal largest
-        exact, i = run.exact, run.done
-        end, k = float(times[i + 1]), i % BLOCK
-        if exact is None:
-            exact = exact_trajectory(rows, process.u0, float(times[0]), float(times[-1]))
-            run.exact = exact
-        if end > exact.end:
+        node = next(nodes, None)
+        if node is None:
+            assert run.exact is not None
             run.status = Status.SWITCHING
-            run.cause = f"That was at t = {exact.end:g}, after {len(exact.phases)} phases."
+            run.cause = f"That was at t = {run.exact.end:g}, after {len(run.exact.phases)} phases."
             return None
-        after, z = (values[k] for values in block(exact, i - k))
-        C, M = process.C.at(end), factor(mu)
+        after, z, phases = node
+        C, M = process.C.at(float(times[run.done + 1])), factor(mu)
         forces = M.norm(z) + M.dual_norm(process.times_B(after)) + M.dual_norm(C.anchor)
         largest = max(largest, forces)
         at_end = certify_point(M, process.times_B(after - mu * z), C, z, FLOOR * largest)
-        phases = int(np.diff(np.searchsorted(exact.starts, [t, end]))[0])
         velocity = at_end._replace(
             z=(after - u) / mu, solver="closed form", iterations=phases, attempts=1
         )
         return Step(velocity, True, end=after)
 
     return take
+
+
+def _nodes(
+    rows: Rows, u0: np.ndarray, times: np.ndarray, run: Run
+) -> Iterator[tuple[np.ndarray, np.ndarray, int]]:
+    """u, u' and the phases that were new at each node, as far as phases go; `run` gets them."""
+    phases: list[Phase] = []
+    done, before = 1, 0
+    for phase in phases_of(rows, u0, float(times[0]), float(times[-1])):
+        phases.append(phase)
+        run.exact = run.exact or Trajectory(phases)
+        end = int(np.searchsorted(times, phase.end, side="right"))
+        for first in range(done, end, BLOCK):
+            block = times[first : min(first + BLOCK, end)]
+            for u, z in zip(phase.state(block), phase.velocity(block), strict=True):
+                yield u, z, len(phases) - before
+                before = len(phases)
+        done = max(done, end)

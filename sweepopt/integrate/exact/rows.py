@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 import scipy.linalg
 
 from sweepopt.errors import InputError, shown
+from sweepopt.integrate.exact.modes import modes
 from sweepopt.linalg import dense
 from sweepopt.loads import Constant, Piece, breakpoints
 from sweepopt.problem import Motion, SweepingProcess, Terms, TimeFunction, motion
@@ -19,6 +20,7 @@ from sweepopt.sets import NoHalfspacesError
 
 NONSMOOTH = 50  # unknowns in a set's inequalities
 UNKNOWNS = 300  # all of them: a phase has a dense eigenproblem of what moves
+FACES = 1000  # whose modes are kept: 20 MB where 50 rows are active
 SAME = 1e-14  # entries of unit rows, and offsets, that differ by less are equal: a few roundings
 
 
@@ -57,6 +59,17 @@ class Rows:
     def fixed(self) -> list[int]:
         """The rows that always hold with equality."""
         return np.flatnonzero(self.equations).tolist()
+
+    @cached_property
+    def modes(self) -> Callable[[tuple[int, ...]], tuple[np.ndarray, np.ndarray]]:
+        """lam and V of a face (`modes`): a periodic motion comes to the same faces again."""
+
+        @lru_cache(FACES)
+        def of_face(active: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+            square = np.ix_(active, active)
+            return modes(self.S[square], self.SB[square])
+
+        return of_face
 
     def pieces(self, start: float, end: float) -> Iterator[tuple[float, float, list[Piece]]]:
         """Neighbouring breakpoints a and b between the two times, and the phi_k between them."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
@@ -14,7 +14,6 @@ from sweepopt import checks
 from sweepopt.integrate.exact.exponential_sum import ExponentialSum, decay, histories
 from sweepopt.integrate.exact.face import Face, face_after
 from sweepopt.integrate.exact.first_root import first_root
-from sweepopt.integrate.exact.modes import modes
 from sweepopt.integrate.exact.rows import Rows
 from sweepopt.linalg import EPS
 
@@ -24,10 +23,15 @@ PHASES = 100_000  # 25 s
 
 @dataclass(frozen=True, eq=False)
 class Phase:
-    """u(start + tau) in closed form, the active rows unchanged."""
+    """u(start + tau) in closed form up to `end`, the active rows unchanged.
+
+    It begins with a switch where they are not those before, or the load breaks while one moves.
+    """
 
     start: float
+    end: float
     u: ExponentialSum
+    switch: bool
 
     def state(self, t: Any) -> np.ndarray:
         """u at the times, shape (dim,) or (k, dim)."""
@@ -49,11 +53,7 @@ class Trajectory:
     Attributes
     ----------
     phases : list of Phase
-    end : float
-        The time up to which they are known: where switches accumulate, less than was asked for.
-    switches : ndarray, shape (k,)
-        Times at which the motion changes its closed form: a row begins or ceases to hold, or the
-        load has a breakpoint while something moves.
+        One after the other; a run adds to them as it goes.
     reconstruct : callable or None
         (times, values, evaluate) -> values of all unknowns from those of few ones.
 
@@ -68,8 +68,6 @@ class Trajectory:
     """
 
     phases: list[Phase]
-    end: float
-    switches: np.ndarray
     reconstruct: Callable[[np.ndarray, np.ndarray, Evaluate], np.ndarray] | None = None
 
     def __repr__(self) -> str:
@@ -77,6 +75,19 @@ class Trajectory:
             f"Trajectory({len(self.phases)} phases on [{self.phases[0].start:g}, {self.end:g}], "
             f"{self.switches.size} switches)"
         )
+
+    @property
+    def end(self) -> float:
+        """The time up to which u is known: less than was asked for if the run stopped early."""
+        return self.phases[-1].end
+
+    @property
+    def switches(self) -> np.ndarray:
+        """Times at which the motion changes its closed form, shape (k,).
+
+        A row begins or ceases to hold, or the load has a breakpoint while something moves.
+        """
+        return np.array([phase.start for phase in self.phases if phase.switch])
 
     @cached_property
     def starts(self) -> np.ndarray:
@@ -106,54 +117,49 @@ class Trajectory:
         return values.reshape(*times.shape, values.shape[-1])
 
 
-def exact_trajectory(rows: Rows, u0: np.ndarray, start: float, end: float) -> Trajectory:
-    """Move the process from u0 at `start`, phase by phase.
+def phases_of(rows: Rows, u0: np.ndarray, start: float, end: float) -> Iterator[Phase]:
+    """Move the process from u0 at `start`, phase by phase; to `end` if switches do not accumulate.
 
     Raises
     ------
     EmptySetError
         If C(t) becomes empty.
     """
-    phases: list[Phase] = []
-    switches: list[float] = []
-    u, before, left = u0, set[int](), PHASES
+    u, before, switch, left = u0, None, False, PHASES
     for a, b, pieces in rows.pieces(start, end):
         s = a
         left += 1
         while s < b:
             phi = histories(pieces, s, b - s)
             face = face_after(rows, phi, s, u)
-            phase, length = _phase(rows, phi, s, u, face)
+            motion, length = _motion(rows, phi, u, face)
             active = set(face.active)
-            if phases and (active != before or (s == a and active)):
-                switches.append(s)
+            switch |= before is not None and (active != before or (s == a and bool(active)))
             before, following = active, s + length
             if b - following <= 4 * EPS * abs(b):
                 following = b
-            u = phase.state(following)
-            if following > s or not phases:
-                phases.append(phase)
-            s = following
+            u = motion(following - s)
+            if following > s:
+                yield Phase(s, following, motion, switch)
+                s, switch = following, False
             left -= 1
             if left < 0:
-                return Trajectory(phases, s, np.array(switches))
-    return Trajectory(phases, end, np.unique(switches))
+                return
 
 
-def _phase(
-    rows: Rows, phi: ExponentialSum, s: float, u: np.ndarray, face: Face
-) -> tuple[Phase, float]:
-    """The closed form from s on, and after which time another row holds, at most phi's length."""
+def _motion(
+    rows: Rows, phi: ExponentialSum, u: np.ndarray, face: Face
+) -> tuple[ExponentialSum, float]:
+    """u in closed form, and after which time another row holds, at most phi's length."""
     active = face.active
-    square = np.ix_(active, active)
     force = phi.with_weights(-rows.weights @ phi.weights)
     force.weights.imag[:, : phi.degree + 1] = 0.0
     force.weights[:, 0] += rows.NB @ u  # N B u_s - d
     if rows.rate_independent:
-        V = np.eye(len(active))
+        square, V = np.ix_(active, active), np.eye(len(active))
         p = force.with_weights(np.linalg.solve(rows.S[square], force.weights[active]))
     else:
-        lam, V = modes(rows.S[square], rows.SB[square])
+        lam, V = rows.modes(tuple(active))
         force = force.extended(lam)
         p = decay(lam, force.with_weights(V.T @ force.weights[active]))
     dp = p.derivative()
@@ -166,4 +172,4 @@ def _phase(
     signs[active] = V @ dp.weights
     changing = ~face.redundant
     changing[active] = ~rows.equations[active]
-    return Phase(s, motion), first_root(p.with_weights(signs[changing]), face.orders[changing])
+    return motion, first_root(p.with_weights(signs[changing]), face.orders[changing])
