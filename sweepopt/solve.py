@@ -144,8 +144,9 @@ def solve(
     Notes
     -----
     Adaptive steps come from several passes over the run, coarse and cheap ones first: `passes` of
-    the Solution has them all. They hit the breakpoints of loads that are data and the times given
-    as `save`. A callback, a function or a file gets the steps of the last pass, in one more run.
+    the Solution has them all. They hit the breakpoints of loads that are data (of a table with more
+    than 40 those where it turns) and the times given as `save`. A callback, a function or a file
+    gets the steps of the last pass, in one more run.
 
     Examples
     --------

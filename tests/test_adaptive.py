@@ -453,3 +453,54 @@ def test_states_that_are_too_large_to_be_kept_are_looked_at_a_few_at_a_time() ->
     sol = so.solve(process, t_end=8.0, steps=so.Adaptive(tol), save="last")
     assert sol.passes[-1].error == pytest.approx(one.passes[-1].error, rel=1e-6)
     assert sol.passes[-1].steps == one.passes[-1].steps
+
+
+PERIODIC = {
+    "data": lambda load: so.Moving(so.Box([-1], [1]), load),
+    "data in a set made of another": lambda load: -so.Moving(so.Box([-1], [1]), load),
+    "a function": lambda load: so.Moving(so.Box([-1], [1]), lambda t: load(t)),
+}
+
+
+@pytest.mark.parametrize("scheme", ["midpoint", "implicit-euler", "trapezoid", "sdirk2"])
+@pytest.mark.parametrize("kind", PERIODIC)
+def test_whole_numbers_of_periods_are_not_aliased(kind: str, scheme: str) -> None:
+    wave, tol = so.Sine(3.0, period=1.0), 0.03
+    for ramp, periods in [(0.0, 40), (1.5, 80)]:
+        load = so.Separable([(wave, [1.0]), (so.Polynomial([0.0, ramp]), [1.0])])
+        process = so.SweepingProcess([[0.5]], [[2.0]], PERIODIC[kind](load), [0.0])
+        known = so.SweepingProcess([[0.5]], [[2.0]], PERIODIC["data"](load), [0.0])
+        sol = so.solve(process, t_end=float(periods), steps=so.Adaptive(tol), scheme=scheme)
+        assert sol.success
+        sign = -1 if "another" in kind else 1
+        exact = so.solve(known, t_end=sol.t[-1], steps=1, scheme="exact").exact
+        assert exact is not None
+        assert np.sqrt(0.5) * np.abs(sign * sol.u - exact(sol.t)).max() <= FACTOR * tol
+
+
+def test_a_history_of_a_user_that_has_no_period_is_a_function() -> None:
+    class History:
+        wave = so.Sine(3.0, period=1.0)
+        variation, breakpoints = wave.variation, wave.breakpoints
+
+        def __call__(self, t: float) -> float:
+            return self.wave(t)
+
+    C = so.Moving(so.Box([-1], [1]), so.Separable([(History(), [1.0])]))
+    process = so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
+    sol = so.solve(process, t_end=32.0, steps=so.Adaptive(1e-2))
+    assert sol.passes[0].steps == 40
+    assert np.abs(sol.u).max() == pytest.approx(0.56, abs=0.02)
+
+
+@pytest.mark.parametrize("points", [100, 1000])
+def test_a_smooth_dense_table_takes_as_many_steps_as_the_curve_that_it_samples(points: int) -> None:
+    wave, t = so.Sine(3.0, period=2.5), np.linspace(0.0, 10.0, points + 1)
+    work_of = []
+    for history in (wave, so.Table(t, wave(t))):
+        C = so.Moving(so.Box([-1], [1]), so.Separable([(history, [1.0])]))
+        process = so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
+        sol = so.solve(process, t_end=10.0, steps=so.Adaptive(1e-2))
+        assert error_of(sol) <= 1e-2
+        work_of.append(work(sol))
+    assert work_of[1] <= 2 * work_of[0]

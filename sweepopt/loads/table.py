@@ -98,6 +98,12 @@ class Table(History):
         first = np.searchsorted(self.times, a, side="right")
         return self.times[first : np.searchsorted(self.times, b, side="left")]
 
+    def turning_points(self, a: float, b: float) -> Array:
+        """Those of its times where it turns, or begins or ends to rest."""
+        points, slopes = self.breakpoints(a, b), np.sign(np.diff(self.values))
+        turns = self.times[1:-1][slopes[1:] != slopes[:-1]]
+        return points[np.isin(points, turns)]
+
     def __repr__(self) -> str:
         return f"Table({self.times.size} points on [{self.times[0]:g}, {self.times[-1]:g}])"
 

@@ -17,6 +17,7 @@ from sweepopt.problem.motion import (
     Motion,
     Terms,
     TimeFunction,
+    histories_of,
     motion,
 )
 from sweepopt.problem.norms import (
@@ -45,6 +46,7 @@ __all__ = [
     "Terms",
     "TimeFunction",
     "applied",
+    "histories_of",
     "increments",
     "interpolate",
     "motion",

@@ -22,6 +22,7 @@ from sweepopt.sets import (
     ConvexSet,
     Moving,
     MovingOffsets,
+    MovingSet,
 )
 
 Terms = tuple[tuple[Callable[[Any], Any], np.ndarray], ...]
@@ -116,7 +117,7 @@ class Motion:
 
     @property
     def histories(self) -> list[Any]:
-        """The functions of time that C(t) moves with."""
+        """The functions of time in them."""
         functions = (self.center, self.scale, self.offsets)
         return [phi for f in functions if f is not None for phi in f.histories]
 
@@ -141,6 +142,12 @@ def motion(C: AnySet) -> Motion:
     if isinstance(C, ConvexSet):
         return Motion(C, still)
     return Motion(None, TimeFunction((), C.dim, C.at))
+
+
+def histories_of(C: AnySet) -> list[Any]:
+    """The functions of time that C(t) moves with, also where it is made of others that move."""
+    parts = C.operands if isinstance(C, MovingSet) else ()
+    return [phi for part in parts for phi in histories_of(part)] or motion(C).histories
 
 
 def _moving_box(G: np.ndarray, h: TimeFunction) -> Motion | None:

@@ -48,6 +48,8 @@ class MovingSet(Operators):
     5.0
     """
 
+    operands: tuple[MovingSet, ...] = ()  # what an operation made it of
+
     def __init__(self, at: Callable[[float], ConvexSet], dim: int | None = None) -> None:
         if not callable(at):
             raise InputError("MovingSet needs a function t -> set; got " + type(at).__name__)
@@ -123,8 +125,9 @@ def over_time(operation: Callable[..., Any]) -> Callable[..., Any]:
             return operation(*(member(x) if isinstance(x, MovingSet) else x for x in fixed))
 
         dim = done(lambda C: Ball(np.zeros(C.dim), 0.0)).dim
-        moved = MovingSet(lambda t: done(lambda C: C.at(t)), dim)
-        return nested(moved, *(C for C in operands if isinstance(C, Operators)))
+        made = MovingSet(lambda t: done(lambda C: C.at(t)), dim)
+        made.operands = tuple(C for C in fixed if isinstance(C, MovingSet))
+        return nested(made, *(C for C in operands if isinstance(C, Operators)))
 
     return on_all
 
