@@ -34,6 +34,8 @@ def cell(problem: str, scheme: str, solver: str, steps: int) -> dict[str, Any]:
     wall = (3e-4 if solver == "osqp" else 2e-4) * steps
     row = {
         "problem": problem,
+        "refinements": 0,
+        "element": "",
         "scheme": scheme,
         "solver": solver,
         "steps": steps,

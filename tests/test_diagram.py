@@ -68,7 +68,7 @@ def test_an_axis_can_be_chosen_and_a_panel_given() -> None:
 
 def test_tolerances_are_lines_of_their_own_and_all_may_have_failed() -> None:
     both = pd.concat([BLOCK, BLOCK.assign(tol=1e-4, wall=BLOCK.wall / 2)], ignore_index=True)
-    assert drawn(work_precision(both), "midpoint · osqp · tol 0.0001")
+    assert drawn(work_precision(both), "midpoint · tol 0.0001 · osqp")
     failed = work_precision(BLOCK[~BLOCK.success])
     assert drawn(failed, "failed") == list(failed.lines)
     # a run without a solver call is there too

@@ -282,6 +282,46 @@ def test_the_slipping_share_of_the_contact_follows_the_reference():
         assert np.sum(weight[moving]) == pytest.approx(share, abs=0.035), t
 
 
+# ---- refined meshes ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mesh", [square(2), annulus(1, curved=False), annulus(1)])
+@pytest.mark.parametrize(("coarse", "fine"), [("P1", "P1"), ("P1", "P2"), ("P2", "P2")])
+def test_functions_of_a_mesh_are_functions_of_the_refined_ones(mesh, coarse, fine):
+    clamped = sorted(mesh.boundaries)[0]
+    bodies = [
+        antiplane(mesh, clamped=clamped, effects=[Viscosity(1.0)], element=e, refinements=k)
+        for e, k in ((coarse, 1), (fine, 3))
+    ]
+    P = bodies[1].discretisation.from_coarser(bodies[0].discretisation)
+    A, finer = (body.problem.A for body in bodies)
+    # the energy of a function does not depend on the mesh it is written on; curved elements have
+    # quadrature errors
+    difference = abs(P.T @ finer @ P - A).max() / abs(A).max()
+    assert difference < (1e-6 if isinstance(mesh, skfem.MeshTri2) else 1e-13)
+    assert P.shape == (bodies[1].discretisation.dim, bodies[0].discretisation.dim)
+
+
+def test_refined_meshes_keep_their_names_and_their_curved_edges():
+    mesh = annulus(2)
+    effects = [Viscosity({"core": 1.0, "sleeve": 2.0}), Friction("outer", g=1.0)]
+    scenes = [
+        antiplane(mesh, clamped="inner", effects=effects, refinements=k, element="P2")
+        for k in range(4)
+    ]
+    assert scenes[0].discretisation.mesh is mesh
+    triangles = [scene.discretisation.mesh.nelements for scene in scenes]
+    assert triangles == [72 * 4**k for k in range(4)]
+    # parabolas through points of the circle: nothing is straightened, so that all have one length
+    lengths = np.array([scene.contact.weight.sum() for scene in scenes])
+    changes = np.abs(np.diff(lengths))
+    assert changes[0] < 1e-3
+    assert order(changes) == pytest.approx(4.0, abs=0.2)  # Simpson's rule, on one curve
+    assert abs(lengths[-1] - 4 * np.pi) < 2e-3
+    with pytest.raises(InputError, match=r"refinements: 40 of 72 triangles make more than 1e\+07"):
+        antiplane(mesh, clamped="inner", effects=effects, refinements=40)
+
+
 # ---- meshes -------------------------------------------------------------------------------------
 
 

@@ -193,7 +193,7 @@ def test_the_heading_names_machine_and_versions(browser: Browser) -> None:
 def test_the_table_holds_every_cell_the_failed_ones_first(browser: Browser) -> None:
     table = study_table()
     script = (
-        "return [...document.querySelectorAll('table')[1].rows].map("
+        "return [...document.querySelectorAll('table')[2].rows].map("
         "row => [...row.cells].map(cell => cell.textContent))"
     )
     names, *rows = browser.driver.execute_script(script)

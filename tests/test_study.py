@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock, Mock
@@ -31,6 +32,7 @@ from sweepopt.study import (
     advice,
     dask_executor,
     find_source,
+    halving,
     read_study,
     read_table,
     run,
@@ -190,6 +192,40 @@ def test_failures_are_rows(
     assert (row.status, row.message, row.success) == ("ZeroDivisionError", "a bug", False)
 
 
+# ---- meshes ---------------------------------------------------------------------------------
+
+
+def test_errors_of_meshes_are_against_a_finer_one_and_fall_with_their_order(
+    tmp_path: Path,
+) -> None:
+    study = Study(
+        ("square",),
+        ("midpoint",),
+        ("auto",),
+        (64,),
+        refinements=(0, 1, 2),
+        elements=("P1", "P2"),
+        repeats=1,
+    )
+    table = run(study, tmp_path)
+    assert table.success.all()
+    assert list(table.unknowns[table.element == "P1"]) == [72, 272, 1056]
+    of_p1 = table.error[table.element == "P1"].to_numpy()
+    of_p2 = table.error[table.element == "P2"].to_numpy()
+    assert (of_p2 < 0.5 * of_p1).all()
+    # the traction ends in a corner of the square: the orders are those of its singularity
+    assert (np.log2(of_p1[:-1] / of_p1[1:]) > 0.7).all()
+    assert (np.log2(of_p2[:-1] / of_p2[1:]) > 0.9).all()
+
+    finest = study.reference(find_source("square"))
+    assert (finest.refinements, finest.element) == (3, "P2")
+    one_mesh = Study(("square",), ("midpoint",), ("auto",), (64,), refinements=(2,), repeats=1)
+    (row,) = run(one_mesh, tmp_path / "one").itertuples()
+    # on one mesh the error is that in time, which its guaranteed bound holds for
+    assert row.error < 0.1 * of_p1[-1]
+    assert row.error <= row.bound
+
+
 # ---- files ----------------------------------------------------------------------------------
 
 
@@ -340,6 +376,9 @@ def test_workers_end_with_a_study_that_is_killed(file: Path, killed: Path, tmp_p
         ("14, 20", "14, 20.5", "steps[1] must be a positive whole number, got 20.5"),
         ("[14, 20]", "14", "steps must be a list with one entry or more, got 14"),
         ("[1e-6", "[-1e-6", "tols[0] must be > 0, got -1e-06"),
+        ("repeats = 1", "refinements = [-1]", "refinements[0] must be a whole number >= 0, got -1"),
+        ("repeats = 1", 'elements = ["P3"]', "elements[0]: 'P3' is not known; use , P1, P2"),
+        ("repeats = 1", "refinements = [1]", "problems[0]: S03 has no mesh; leave it out, or"),
     ],
 )
 def test_a_bad_study_is_refused_by_file_and_key(
@@ -365,10 +404,39 @@ def test_the_studies_of_the_library_can_be_run_and_are_no_problems() -> None:
 # ---- advice ---------------------------------------------------------------------------------
 
 
+def test_the_next_halving_is_cheapest_along_the_axis_of_the_least_cost() -> None:
+    def row(refinements: int, steps: int, tol: float, element: str = "P1") -> CellRow:
+        """The error in time is of second order, that in space of first; a tol of 1e-1 leaves 0."""
+        solver = 1e-3 if tol == 1e-1 else 0.0
+        error = 16.0 / steps**2 + 0.1 / 2**refinements / (8 if element == "P2" else 1) + solver
+        wall = 1e-3 * steps * 4**refinements * (3 if element == "P2" else 1) - (tol > 1e-2) * 1e-4
+        asked = ("P", refinements, element, "midpoint", "auto", steps, tol, 1, "id")
+        return CellRow(*asked, "SUCCESS", True, error=error, size=1.0, wall=wall)
+
+    axes = product((0, 1, 2), (10, 20, 40, 80), (1e-1, 1e-6), ("P1", "P2"))
+    costs = halving(pd.DataFrame([row(k, n, tol, e) for k, n, tol, e in axes]))
+    assert costs.wall.is_monotonic_increasing
+    assert (costs.error.to_numpy()[1:] < 0.9 * costs.error.to_numpy()[:-1]).all()
+    first, last = costs.iloc[0], costs.iloc[-1]
+    assert (first.steps, first.refinements, first.element) == (10, 0, "P1")
+    assert first.cheapest == "more steps"  # of an error of 0.26, 0.16 is in time
+    fall = np.log((0.16 + 0.101) / (0.04 + 0.101))
+    cost = np.log((20e-3 - 1e-4) / (10e-3 - 1e-4))
+    assert first["more steps"] == pytest.approx(np.exp(cost * np.log(2) / fall))
+    assert set(costs.cheapest) == {"more steps", "a smaller tol", "a finer mesh", ""}
+    assert costs["a higher degree"][costs.element == "P2"].isna().all()
+    assert np.isnan(last[["more steps", "a finer mesh"]].astype(float)).all()
+    # the words of the summary name the run and the way
+    table = pd.DataFrame([row(0, n, 1e-6, e) for n in (10, 80) for e in ("P1", "P2")])
+    shown = summary(table)
+    assert "P P1 midpoint 10 auto tol 1e-06, 10 ms" in shown
+    assert "a higher degree" in shown
+
+
 def test_the_advice_is_the_fastest_cell_that_is_accurate_enough() -> None:
     def row(error: float, wall: float, success: bool = True, scheme: str = "midpoint") -> CellRow:
         status = "SUCCESS" if success else "INEXACT"
-        asked = ("P", scheme, "auto", 10, 1e-6, 1, "id")
+        asked = ("P", 0, "", scheme, "auto", 10, 1e-6, 1, "id")
         return CellRow(*asked, status, success, error=error, size=2.0, wall=wall)
 
     rows = [row(1e-3, 5.0), row(1e-2, 2.0, scheme="best"), row(3e-2, 1.0), row(1e-9, 0.1, False)]
@@ -377,6 +445,6 @@ def test_the_advice_is_the_fastest_cell_that_is_accurate_enough() -> None:
     assert list(chosen.target) == [1e-2, 1e-3]
     assert list(chosen.wall) == [2.0, 5.0]
     shown = summary(table)
-    assert "best 10 auto, 2e+03 ms" in shown
+    assert "best 10 auto tol 1e-06, 2e+03 ms" in shown
     assert "5 cells, 1 failed" in shown
     assert "1  succeeded, but no reference is good enough for an error" in shown

@@ -79,6 +79,7 @@ def antiplane(
     clamped: str | Sequence[str],
     effects: Sequence[Effect],
     element: str = "P1",
+    refinements: int = 0,
     u0: ArrayLike | None = None,
     t_end: float | None = None,
     steps: int | None = None,
@@ -99,6 +100,8 @@ def antiplane(
     effects : sequence of Effect
         A viscosity, and at most one friction; all others are optional.
     element : {"P1", "P2"}
+    refinements : int
+        How often each triangle of the mesh is divided into four.
     u0 : array_like of shape (dim,), optional
         Initial values of the unknowns; zero by default.
     t_end, steps, scheme, solver, tol, units, title
@@ -129,7 +132,7 @@ def antiplane(
     labelled = {f"effects[{k}]": effect for k, effect in enumerate(listed("effects", effects))}
     if t_end is not None:
         t_end = number("t_end", t_end, minimum=0.0, strict=True)
-    body = Discretisation(mesh, clamped, element)
+    body = Discretisation(mesh, clamped, element, refinements)
     settings = {"t_end": t_end, "steps": steps, "units": units, "title": title}
     return build(body, labelled, u0, settings | method(scheme, solver, tol))
 

@@ -81,6 +81,7 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
         mesh = "tube.msh"               # Gmsh, physical groups by name
         clamped = "bonded"              # a name or a list; "clamped" if not given
         element = "P1"                  # or "P2"
+        refinements = 0                 # of the mesh: each divides a triangle into four
         [time]
         end = 10.0
         steps = 400

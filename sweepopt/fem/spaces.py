@@ -17,10 +17,11 @@ import skfem
 from numpy.typing import ArrayLike, NDArray
 from skfem.helpers import dot, grad
 
-from sweepopt.checks import choice, floats, listed
+from sweepopt.checks import choice, count, floats, listed
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import Coefficient, Datum
 from sweepopt.fem.mesh import Indices, check_mesh, read_mesh
+from sweepopt.fem.refined import nested, refined
 from sweepopt.io import as_path
 
 Array = NDArray[np.float64]
@@ -41,6 +42,9 @@ class Discretisation:
     clamped : str or sequence of str
         Names of the boundaries that make up Gamma_1.
     element : {"P1", "P2"}
+    refinements : int
+        How often each triangle is divided into four. Curved edges stay as they are: the functions
+        of a mesh are functions of the finer ones.
 
     Attributes
     ----------
@@ -56,7 +60,8 @@ class Discretisation:
     Raises
     ------
     InputError
-        If the mesh is damaged or a piece of it is not clamped, or a boundary is not known.
+        If the mesh is damaged or a piece of it is not clamped, a boundary is not known, or the
+        refined mesh is too large.
 
     Examples
     --------
@@ -68,13 +73,16 @@ class Discretisation:
     mesh: skfem.MeshTri
     clamped: Sequence[str] = "clamped"
     element: str = "P1"
+    refinements: int = 0
 
     def __post_init__(self) -> None:
         choice("element", self.element, ELEMENTS)
+        count("refinements", self.refinements, 0)
         if not isinstance(self.mesh, skfem.MeshTri):
             path = as_path("a mesh that is no skfem.MeshTri", self.mesh)
             object.__setattr__(self, "mesh", read_mesh(path))
         check_mesh(self.mesh)
+        object.__setattr__(self, "mesh", refined(self.mesh, self.refinements))
         object.__setattr__(self, "clamped", boundary_names("clamped", self.clamped))
         facets, _ = self.edges("clamped", self.clamped)
         # a is coercive only if every piece of the body is clamped somewhere
@@ -163,6 +171,23 @@ class Discretisation:
         full = np.zeros((*values.shape[:-1], self.basis.N))
         full[..., self.free] = values
         return full
+
+    def from_coarser(self, coarse: Discretisation) -> sp.csr_array:
+        """The matrix that turns values of the unknowns on a coarser mesh into values on this one.
+
+        Parameters
+        ----------
+        coarse : Discretisation
+            Of the same mesh, with no more refinements and no higher degree: each of its functions
+            is one of these too.
+
+        Returns
+        -------
+        sparse, shape (dim, coarse.dim)
+        """
+        times = self.refinements - coarse.refinements
+        values = nested(coarse.mesh, ELEMENTS[coarse.element], times, ELEMENTS[self.element])
+        return values[self.free][:, coarse.free]
 
     def interpolate(self, function: Datum) -> Array:
         """Nodal values of a function of x (shape (2, N)) at the unknowns, shape (dim,)."""

@@ -6,7 +6,7 @@ write_report(table, "report.html")                             # its page
 compare(find_source("tube"))                                   # all solvers on a run's programs
 """
 
-from sweepopt.study.advice import advice, summary
+from sweepopt.study.advice import advice, halving, summary
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
 from sweepopt.study.executors import Processes, dask_executor
@@ -23,6 +23,7 @@ __all__ = [
     "comparison_text",
     "dask_executor",
     "find_source",
+    "halving",
     "machine",
     "read_study",
     "read_table",

@@ -16,7 +16,7 @@ from sweepopt.results import ErrorBound, Solution
 from sweepopt.solve import solve
 from sweepopt.study.machine import machine, one_thread
 from sweepopt.study.reference_states import Reference, largest_norm
-from sweepopt.study.sources import Source, open_source
+from sweepopt.study.sources import Source, from_coarser, open_source
 from sweepopt.velocity import Cvxpy
 
 THROUGH_CVXPY = "cvxpy:"  # such as cvxpy:piqp
@@ -45,7 +45,7 @@ class Cell(NamedTuple):
     repeats: int
 
     def __str__(self) -> str:
-        return f"{self.problem.name} {self.scheme} {self.solver} {self.steps} steps tol {self.tol}"
+        return f"{self.problem} {self.scheme} {self.solver} {self.steps} steps tol {self.tol}"
 
     @property
     def id(self) -> str:
@@ -54,7 +54,8 @@ class Cell(NamedTuple):
 
     def row(self, **results: Any) -> CellRow:
         """The cell's row with these results."""
-        return CellRow(self.problem.name, *self[1:], self.id, **results)
+        name, _, _, refinements, element = self.problem
+        return CellRow(name, refinements, element, *self[1:], self.id, **results)
 
     def failed(self, error: BaseException) -> CellRow:
         """The row of a cell that ended with an exception."""
@@ -66,8 +67,8 @@ class CellRow(NamedTuple):
 
     Attributes
     ----------
-    problem, scheme, solver, steps, tol, repeats
-        As asked.
+    problem, refinements, element, scheme, solver, steps, tol, repeats
+        As asked; the element is "" where it is the scene's own.
     cell : str
         The cell's id.
     status : str
@@ -76,14 +77,16 @@ class CellRow(NamedTuple):
     message : str
         The status or the exception in words, and the library's warnings.
     error : float
-        sup over the nodes of |u_i - u(t_i)|_A (|.|_B where A = 0).
+        sup over the nodes of |u_i - u(t_i)|_A (|.|_B where A = 0). u is exact on the cell's own
+        mesh; in a study of several meshes or elements it is the solution on a finer one, and u_i is
+        compared as a function on that (`Study.reference`).
     reference_error : float
-        0 if the error is against exact states; else the estimate of its own error of the fine run,
-        which is 20 times smaller or more.
+        0 if the error is against exact states; else the estimate of its own error in time of the
+        fine run, which is 20 times smaller or more. The error of a finest mesh is not in it.
     size : float
         sup over the nodes of |u_i|_A: what errors are small against.
     bound : float
-        Guaranteed bound of sup_t |u - u_n|_A.
+        Guaranteed bound of sup_t |u - u_n|_A, u exact on the cell's own mesh.
     certificate : float
         The worst one of the run, relative: what tol bounds.
     wall, cpu : float
@@ -96,6 +99,8 @@ class CellRow(NamedTuple):
     """
 
     problem: str
+    refinements: int
+    element: str
     scheme: str
     solver: str
     steps: int
@@ -119,7 +124,7 @@ class CellRow(NamedTuple):
     machine: str = ""
 
 
-def run_cell(cell: Cell, reference: Reference) -> CellRow:
+def run_cell(cell: Cell, reference: Reference, finest: Source | None = None) -> CellRow:
     """Run a cell. What goes wrong is a row as well.
 
     A pure function of plain data, times apart: it runs in workers.
@@ -129,13 +134,15 @@ def run_cell(cell: Cell, reference: Reference) -> CellRow:
     cell : Cell
     reference : Reference
         Of the cell's problem and steps.
+    finest : Source, optional
+        What the reference is of, if it has another mesh than the cell.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             solution_of(cell)  # packages are imported, the problem is assembled, caches are filled
             with one_thread():
-                row = _timed(cell, reference)
+                row = _timed(cell, reference, finest or cell.problem)
         except Exception as error:  # whatever it is, the table has it
             return cell.failed(error)._replace(machine=machine())
     ours = [f"{one.message}." for one in caught if issubclass(one.category, SweepoptWarning)]
@@ -163,7 +170,7 @@ def named_solver(name: str) -> Any:
     return Cvxpy(name.removeprefix(THROUGH_CVXPY).upper()) if through_cvxpy else name
 
 
-def _timed(cell: Cell, reference: Reference) -> CellRow:
+def _timed(cell: Cell, reference: Reference, finest: Source) -> CellRow:
     """The last of several equal runs, the medians of their times, its error and its bound."""
     gc.collect()
     times = []
@@ -178,7 +185,7 @@ def _timed(cell: Cell, reference: Reference) -> CellRow:
         status=solution.status.name,
         success=solution.success,
         message=solution.message,
-        error=reference.error(process, solution.u),
+        error=_error(reference, finest, cell.problem, solution),
         reference_error=reference.uncertainty,
         size=largest_norm(process, solution.u),
         bound=nan if bound is None else float(bound),
@@ -191,6 +198,14 @@ def _timed(cell: Cell, reference: Reference) -> CellRow:
         path=solution.plan.path,
         machine=machine(),
     )
+
+
+def _error(reference: Reference, finest: Source, source: Source, solution: Solution) -> float:
+    """The error of a run, as a function on the mesh of the reference."""
+    if finest == source:
+        return reference.error(solution.process, solution.u)
+    u = solution.u @ from_coarser(finest, source).T
+    return reference.error(open_source(finest)[0], u)
 
 
 def guaranteed_bound(solution: Solution) -> ErrorBound | None:

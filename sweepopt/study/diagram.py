@@ -1,8 +1,9 @@
 """The work-precision diagram as a picture: what accuracy costs, and what failed.
 
-A colour is a scheme, a marker a solver, a dashed line the guaranteed bound of the error. Cells that
-have no place on logarithmic axes are not left out: an error of 0 lies below the others of its
-panel, a cell that failed or whose error is not known above them.
+A panel is a problem with its mesh, a colour a scheme and tolerance, a marker a solver, a dashed
+line the guaranteed bound of the error in time. Cells that have no place on logarithmic axes are not
+left out: an error of 0 lies below the others of its panel, a cell that failed or whose error is not
+known above them.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from sweepopt.checks import choice
 from sweepopt.errors import InputError
 from sweepopt.plot import new_figure
 from sweepopt.study.cell import CellRow
+from sweepopt.study.sources import body_name
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
@@ -46,7 +48,8 @@ def work_precision(table: DataFrame, *, x: str = "wall", y: str = "error", ax: A
     y : {"error", "bound"}
         The accuracy. Beside errors the guaranteed bounds are drawn dashed.
     ax : matplotlib Axes, optional
-        Where to draw one problem. Otherwise a new figure with a panel for each problem.
+        Where to draw one problem. Otherwise a new figure with a panel for each problem and mesh;
+        those of one problem have the same limits.
 
     Returns
     -------
@@ -64,13 +67,11 @@ def work_precision(table: DataFrame, *, x: str = "wall", y: str = "error", ax: A
     choice("x", x, COSTS)
     choice("y", y, ACCURACIES)
     cells = points(table, x, y)
-    problems, schemes, solvers = (
-        list(table[name].unique()) for name in ("problem", "scheme", "solver")
-    )
+    problems, names, solvers = (list(cells[name].unique()) for name in ("panel", "line", "solver"))
     if ax is not None and len(problems) > 1:
         raise InputError(
             f"ax is one panel but table has the problems {', '.join(problems)}; leave ax out or "
-            f"pass one problem, table[table.problem == {problems[0]!r}]"
+            f"pass one problem, table[table.problem == {table.problem.iloc[0]!r}], and one mesh"
         )
     panels, legend = {problems[0]: ax}, ax
     if ax is None:
@@ -84,29 +85,40 @@ def work_precision(table: DataFrame, *, x: str = "wall", y: str = "error", ax: A
         panel.grid(alpha=0.3)
         # labels at 2 and 4 between powers of ten have room in a panel
         panel.xaxis.get_minor_locator().set_params(subs=(2, 4))
-    groups = cells.groupby(["problem", "scheme", "solver", "tol", "kind"], sort=False)
-    for (problem, scheme, solver, tol, kind), rows in groups:
-        label = f"{scheme} · {solver}" + (f" · tol {tol:g}" if table.tol.nunique() > 1 else "")
+    groups = cells.groupby(["panel", "line", "solver", "kind"], sort=False)
+    for (problem, line, solver, kind), rows in groups:
         marker = MARKERS[solvers.index(solver) % len(MARKERS)]
         style = {"known": f"{marker}-", BOUND: "--", "failed": "x"}.get(kind, "o")
         panels[problem].plot(
             *rows.sort_values("steps")[["x", "y"]].to_numpy().T,
             style,
-            color=COLOURS[schemes.index(scheme) % len(COLOURS)],
+            color=COLOURS[names.index(line) % len(COLOURS)],
             markerfacecolor=None if kind == "known" else "none",
-            label=label if kind == "known" else kind,
+            label=f"{line} · {solver}" if kind == "known" else kind,
         )
+    _same_limits(panels, cells)
     named = {line.get_label(): line for panel in panels.values() for line in panel.lines}
     place = {} if ax is legend else {"loc": "outside right upper"}
     legend.legend(named.values(), named.keys(), fontsize="small", **place)
     return panels[problems[0]]
 
 
+def _same_limits(panels: dict[str, Any], cells: DataFrame) -> None:
+    """Of the panels of each problem, so that its meshes can be compared."""
+    for _, rows in cells.groupby("problem"):
+        first, *others = (panels[name] for name in rows.panel.unique())
+        for panel in others:
+            panel.sharex(first)
+            panel.sharey(first)
+        first.autoscale()
+
+
 def points(table: Any, x: str, y: str) -> DataFrame:
-    """The cells with their places x and y on logarithmic axes.
+    """The cells with their places x and y on logarithmic axes, their panel and line.
 
     `kind` is "known", "failed" or, for example, "error not known"; beside errors the cells with a
-    guaranteed bound are there once more, with it as y.
+    guaranteed bound are there once more, with it as y, unless a problem has several meshes: then
+    the error of these is in y and not in the bound.
     """
     import pandas as pd
 
@@ -121,8 +133,13 @@ def points(table: Any, x: str, y: str) -> DataFrame:
     places = {
         name: values.groupby(table.problem).transform(_on_axis) for name, values in columns.items()
     }
-    cells = table.assign(**places, kind=kind)
-    proved = cells[(cells.kind == "known") & np.isfinite(cells.bound) & (y == "error")]
+    bodies = table[["problem", "refinements", "element"]]
+    tols = table.tol.map(" · tol {:g}".format) if table.tol.nunique() > 1 else ""
+    panels = [body_name(*row) for row in bodies.itertuples(index=False)]
+    cells = table.assign(**places, kind=kind, panel=panels, line=table.scheme + tols)
+    one_mesh = len(bodies.drop_duplicates()) == table.problem.nunique()
+    with_bound = (cells.kind == "known") & np.isfinite(cells.bound)
+    proved = cells[with_bound & (y == "error") & one_mesh]
     return pd.concat([cells, proved.assign(y=proved.bound, kind=BOUND)])
 
 

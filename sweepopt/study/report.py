@@ -19,7 +19,7 @@ import numpy as np
 from sweepopt.errors import InputError, Status, brought_by
 from sweepopt.io import put, writable
 from sweepopt.results import Solution
-from sweepopt.study.advice import advice_table
+from sweepopt.study.advice import advice_table, halving_table
 from sweepopt.study.cell import guaranteed_bound
 from sweepopt.study.diagram import ACCURACIES, BOUND, COLOURS, COLUMNS, COSTS, points
 from sweepopt.study.hard.suite import TARGET, HardRow
@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
 SHOWN = [
-    *("problem", "scheme", "solver", "steps", "tol", "status", "error", "bound"),
+    *("problem", "refinements", "element", "scheme", "solver", "steps", "tol", "status"),
+    *("error", "reference_error", "bound"),
     *("certificate", "wall", "solver_calls", "unknowns", "path", "message"),
 ]
 TOOLTIP = {
@@ -133,6 +134,10 @@ def _study_section(table: DataFrame) -> list[str]:
     return [
         "<h2>The fastest way to each relative error</h2>",
         advice_table(table).to_html(border=0),
+        "<h2>Where half the error is cheapest</h2>",
+        "<p>For the runs that are more accurate by a tenth than all faster ones: the factor of the "
+        "time that half the error takes along each axis, by the next cell measured there.</p>",
+        halving_table(table).to_html(border=0),
         "<h2>What accuracy costs</h2>",
         "<p>Down is more accurate, left is cheaper; what failed stands above the others, an error "
         "of 0 below them. A click in the legend hides a line in all panels, a double click hides "
@@ -144,29 +149,29 @@ def _study_section(table: DataFrame) -> list[str]:
 
 
 def _cost_figure(table: DataFrame, cost: str) -> Any:
-    """Error against a cost, a panel a problem."""
+    """Error against a cost, a panel a problem with its mesh."""
     import plotly.express as px
 
+    cells = points(table, cost, "error")
     figure = px.line(
-        points(table, cost, "error").sort_values("steps", kind="stable"),
+        cells.sort_values("steps", kind="stable"),
         x="x",
         y="y",
-        color="scheme",
+        color="line",
         symbol="solver",
         line_dash="kind",
         line_dash_map={"known": "solid", BOUND: "dash"},
-        line_group="tol",
-        category_orders={name: list(table[name].unique()) for name in ("scheme", "solver")},
+        category_orders={name: list(cells[name].unique()) for name in ("line", "solver")},
         hover_data=TOOLTIP,
         labels={"x": COSTS[cost], "y": f"{ACCURACIES['error']}, |·|<sub>A</sub>"},
         log_x=True,
         log_y=True,
-        **_panels("problem", table.problem.nunique()),
+        **_panels("panel", cells.panel.nunique()),
     )
     names: set[str] = set()
     for trace in figure.data:
-        scheme, kind, solver = trace.name.split(", ")
-        name = f"{scheme} · {solver}" if kind == "known" else kind
+        line, kind, solver = trace.name.split(", ")
+        name = f"{line} · {solver}" if kind == "known" else kind
         trace.update(name=name, legendgroup=name, showlegend=name not in names)
         trace.mode = {"known": "lines+markers", BOUND: "lines"}.get(kind, "markers")
         if trace.mode == "markers":

@@ -25,11 +25,25 @@ class Source(NamedTuple):
         The file that states it.
     digest : str
         SHA-256 of all files that state the problem.
+    refinements : int
+        Of the scene's mesh, beyond its own.
+    element : str
+        In place of the scene's own; "" is that one.
     """
 
     name: str
     path: str
     digest: str
+    refinements: int = 0
+    element: str = ""
+
+    def __str__(self) -> str:
+        return body_name(self.name, self.refinements, self.element)
+
+    @property
+    def small(self) -> bool:
+        """Whether it is one of `sweepopt.study.problems`, which have no mesh."""
+        return self.path == str(problems.FILE)
 
 
 def find_source(name: str, folder: str | Path = ".") -> Source:
@@ -66,7 +80,11 @@ def find_source(name: str, folder: str | Path = ".") -> Source:
     return Source(path.stem, str(path), _digest(path))
 
 
-@lru_cache(maxsize=8)
+def body_name(name: str, refinements: int, element: str) -> str:
+    """A problem's name with its mesh, such as "square P2 h/4"."""
+    return " ".join(filter(None, [name, element, f"h/{2**refinements}" if refinements else ""]))
+
+
 def open_source(source: Source) -> tuple[SweepingProcess, float]:
     """The process and how long it runs; both are built once in each worker.
 
@@ -75,17 +93,35 @@ def open_source(source: Source) -> tuple[SweepingProcess, float]:
     SweepoptError
         If the files are not those the digest was taken of.
     """
+    process, t_end, _ = _opened(source)
+    return process, t_end
+
+
+@lru_cache(maxsize=8)
+def from_coarser(source: Source, coarse: Source) -> Any:
+    """The matrix that turns states on a coarser mesh of a scene into states on a finer one."""
+    return _opened(source)[2].from_coarser(_opened(coarse)[2])
+
+
+@lru_cache(maxsize=8)
+def _opened(source: Source) -> tuple[SweepingProcess, float, Any]:
+    """The process, how long it runs, and a scene's discretisation."""
     path = Path(source.path)
     if _digest(path) != source.digest:
         raise SweepoptError(f"{path} is not as it was when the study started; start it again")
-    if path == problems.FILE:
+    if source.small:
         small = problems.PROBLEMS[source.name]
-        return small.process(), small.t_end
+        return small.process(), small.t_end, None
     from sweepopt.fem import read_scene
 
-    scene = read_scene(path)
+    data = read_toml(path)
+    if source.refinements or source.element:
+        domain = data["domain"]
+        domain["refinements"] = domain.get("refinements", 0) + source.refinements
+        domain["element"] = source.element or domain.get("element", "P1")
+    scene = read_scene(data, folder=path.parent)
     assert scene.t_end is not None  # a file has it
-    return scene.problem.as_sweeping(), scene.t_end
+    return scene.problem.as_sweeping(), scene.t_end, scene.discretisation
 
 
 def _digest(path: Path) -> str:

@@ -57,6 +57,10 @@ class Study:
     steps : tuple of int
     tols : tuple of float
         Of the solvers.
+    refinements : tuple of int
+        Of the meshes of scenes: how often each triangle is divided into four.
+    elements : tuple of str
+        Of scenes, in place of their own; "" is their own.
     repeats : int
         Timed runs of each cell, after one that is not.
     title : str
@@ -80,6 +84,8 @@ class Study:
     solvers: tuple[str, ...]
     steps: tuple[int, ...]
     tols: tuple[float, ...] = (1e-6,)
+    refinements: tuple[int, ...] = (0,)
+    elements: tuple[str, ...] = ("",)
     repeats: int = 3
     title: str = ""
     folder: str = "."
@@ -92,6 +98,8 @@ class Study:
         """All combinations, the problem slowest; InputError if a problem's file is gone."""
         lists = {
             "problems": each("problems", self.problems, self._source),
+            "refinements": each("refinements", self.refinements, count, 0),
+            "elements": each("elements", self.elements, known, ("", "P1", "P2")),
             "schemes": each("schemes", self.schemes, known, ("auto", *schemes.SCHEMES)),
             "solvers": each("solvers", self.solvers, _solver),
             "steps": each("steps", self.steps, count),
@@ -103,7 +111,29 @@ class Study:
             for k, entry in enumerate(names):
                 if entry in names[:k]:
                     raise InputError(f"{name}[{k}]: {shown(entry)} is there twice")
-        return [Cell(*combination) for combination in product(*lists.values())]
+        for k, source in enumerate(lists["problems"]):
+            if source.small and (set(self.refinements), set(self.elements)) != ({0}, {""}):
+                raise InputError(
+                    f"problems[{k}]: {source.name} has no mesh; leave it out, or refinements and "
+                    "elements"
+                )
+        return [
+            Cell(source._replace(refinements=refinements, element=element), *others)
+            for source, refinements, element, *others in product(*lists.values())
+        ]
+
+    def reference(self, source: Source) -> Source:
+        """What errors of a problem are against: itself, or what is finer than all of its meshes.
+
+        In a study of one mesh and one element errors are those in time, against the exact solution
+        on that mesh. Otherwise they are against the solution on a mesh that is refined once more
+        than the finest, with the elements of the highest degree. The coarser functions are
+        functions on that mesh too, so that nothing is lost in comparing; its own error in space is
+        in the numbers.
+        """
+        if len(self.refinements) == len(self.elements) == 1:
+            return source
+        return source._replace(refinements=max(self.refinements) + 1, element=max(self.elements))
 
     def _source(self, name: str, value: Any) -> Source:
         text = _text(name, value)
@@ -135,6 +165,8 @@ def read_study(path: str | Path) -> Study:
         solvers = ["auto", "clarabel", "cvxpy:scs"]
         steps = [100, 1000]
         tols = [1e-6]                                   # optional
+        refinements = [0, 1, 2]                         # optional, of the meshes of scenes
+        elements = ["P1", "P2"]                         # optional, of scenes
         repeats = 3                                     # optional
         [hard]                                          # optional: hard cases, run afterwards
         seeds = [0]
@@ -190,18 +222,20 @@ def run(
     references, rows = Path(folder, "references"), Path(folder, ROWS)
     references.mkdir(parents=True, exist_ok=True)
     # cells of one problem and number of steps are compared with the same states
+    finest = {cell: study.reference(cell.problem) for cell in todo}
     names = (
-        (cell, f"{cell.problem.name}-{cell.problem.digest[:16]}-{cell.steps}") for cell in todo
+        (cell, f"{one}-{one.digest[:16]}-{cell.steps}".replace("/", "_"))
+        for cell, one in finest.items()
     )
     states = {cell: references / f"{name}.npz" for cell, name in names}
     missing = {path: cell for cell, path in states.items() if load_reference(path) is None}
     with nullcontext(executor) if executor else ThreadPoolExecutor(1) as pool:
-        jobs: Jobs = ((cell, cell.problem, cell.steps) for cell in missing.values())
+        jobs: Jobs = ((cell, finest[cell], cell.steps) for cell in missing.values())
         made = _computed(pool, make_reference, jobs, lambda _, error: Reference(message=str(error)))
         for k, (cell, reference) in enumerate(made, start=1):
             save_reference(states[cell], reference)
-            progress(f"reference {k} of {len(missing)}: {cell.problem.name} {cell.steps} steps")
-        jobs = ((cell, cell, load_reference(path)) for cell, path in states.items())
+            progress(f"reference {k} of {len(missing)}: {finest[cell]} {cell.steps} steps")
+        jobs = ((cell, cell, load_reference(path), finest[cell]) for cell, path in states.items())
         for k, (cell, row) in enumerate(_computed(pool, run_cell, jobs, Cell.failed), start=1):
             append_row(rows, row)
             progress(f"{k} of {len(todo)}: {cell}: {row.status}")
