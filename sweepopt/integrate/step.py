@@ -105,7 +105,7 @@ class Velocities:
     def _mean(self, t: float, mu: float, u: np.ndarray) -> Velocity:
         """The mean velocity of a step of the scheme, or of its steps of implicit Euler.
 
-        These are taken where unknowns rest or turn back in the last stage that have a part of the
+        These are taken where unknowns rest or turn back in the last stage that have half of the
         motion in the earlier ones: the squares of velocities, weighted by the diagonal of M.
         """
         scheme, process = self._plan.scheme, self._process
