@@ -183,7 +183,7 @@ class SweepingProcess:
         warn(message, InitialStateWarning)
 
     def check_jumps(self, start: float, end: float) -> None:
-        """Look for finite jumps of center(t), scale(t) and h(t) between two times.
+        """Look for finite jumps of center(t), scale(t) and h(t) that are data, between two times.
 
         Warns
         -----
