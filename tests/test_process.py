@@ -333,24 +333,45 @@ def test_a_jump_to_an_unbounded_set_is_not_of_bounded_variation() -> None:
         assert so.solve(so.SweepingProcess([[1]], None, C, [0]), t_end=1.0, steps=10).success
 
 
+class Square:
+    """A user's square wave as data: 1 where t is in the first half of its period, else -1."""
+
+    def __init__(self, period: float, offset: float = 0.0) -> None:
+        self.period, self.offset = period, offset
+
+    def __call__(self, t: float) -> float:
+        return self.offset + (1.0 if t / self.period % 1 < 0.5 else -1.0)
+
+    def breakpoints(self, a: float, b: float) -> np.ndarray:
+        half = self.period / 2
+        points = half * np.arange(np.floor(a / half), np.ceil(b / half) + 1)
+        return points[(points > a) & (points < b)]
+
+    def variation(self, a: float, b: float) -> float:
+        return 2.0 * len(self.breakpoints(a, np.nextafter(b, np.inf)))
+
+
 STEP = so.Table([0, 0.7, 0.7 + 1e-12, 9], [0, 1, 3, 3])
+SMOOTH = so.Sine(1.0, period=0.1)
 JUMPS = [
-    (so.Moving(so.Box([-1], [1]), so.Separable([(STEP, [2])])),
+    (so.Moving(so.Box([-1], [1]), so.Separable([(STEP, [2]), (SMOOTH, [1])])),
      r"C\(t\) jumps at t = 0\.7 by 2 \(center changes by 4\), in"),
-    (so.Moving(so.Box([-1], [3]), scale=lambda t: 1.0 if t < 0.6 else 2.0),
-     r"at t = 0\.6 by 1\.5 \(scale changes by 1\), in"),
-    (so.Polyhedron([[1.0], [-1]], lambda t: [1 + t + (t >= 1.25), 2 + np.sin(t)]),
-     r"at t = 1\.25 by 0\.5 \(h changes by 1\), in"),
-    (so.Moving(so.Ball([0], 9), lambda t: [np.sign(np.sin(2 * np.pi * t + 1e-9))]),
-     r"at t = 0\.5 by 1 \(center changes by 2\), at t = 1 by 1 .*, at t = 1\.5 by 1 \(center"),
-    (so.Moving(so.Ball([0], 9), lambda t: [float(round(10 * t) % 2)]),
-     r"at t = 0\.05 by 0\.5 .*at t = 0\.45 .*changes by 1\), and 15 more, in the norm"),
+    (so.Moving(so.Box([-1], [3]), scale=so.Table([0, 0.6, np.nextafter(0.6, 1), 3], [1, 1, 2, 2])),
+     r"jumps at t = 0\.6 by 1\.5 \(scale changes by 1\), in"),
+    (so.Polyhedron([[1.0], [-1]], so.Separable([(STEP, [1, 0]), (so.Constant(), [1, 2.0])])),
+     r"jumps at t = 0\.7 by 1 \(h changes by 2\), in"),
+    (so.Moving(so.Ball([0], 9), so.Separable([(Square(1.0), [1.0])]), Square(4 / 3, 2.0)),
+     r"at t = 0\.5 by 1 \(center .* 0\.666667 by 9 \(scale .* t = 1 by 1 .* 1\.33333 by 9 "),
+    (so.Moving(so.Ball([0], 9), so.Separable([(Square(0.2), [0.5]), (SMOOTH, [1])])),
+     r"at t = 0\.1 by 0\.5 .*at t = 0\.5 .*changes by 1\), and 14 more, in the norm"),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("C", "message"), JUMPS, ids=["table", "scale", "h", "square", "many"])
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
-def test_finite_jumps_are_named_once_with_their_times_and_sizes(C: Any, message: str) -> None:
+def test_finite_jumps_of_data_are_named_once_with_their_times_and_sizes(
+    C: Any, message: str
+) -> None:
     process = so.SweepingProcess([[4.0]], [[1.0]], C, [0.0])
     for steps in (7, 100, so.Adaptive(1e-2)):
         with pytest.warns(so.VariationWarning, match=message) as caught:
@@ -359,24 +380,23 @@ def test_finite_jumps_are_named_once_with_their_times_and_sizes(C: Any, message:
 
 
 def test_the_distance_of_a_jump_that_is_not_known_is_not_made_up() -> None:
-    C = so.Polyhedron([[1.0, 0], [0, 1], [-1, -1]], lambda t: [1 + (t > 0.5), 1, 1])
-    with pytest.warns(so.VariationWarning, match=r"0\.5 by an unknown distance \(h changes by 1\)"):
+    h = so.Separable([(STEP, [1.0, 0, 0]), (so.Constant(), [1, 1, 1])])
+    C = so.Polyhedron([[1.0, 0], [0, 1], [-1, -1]], h)
+    with pytest.warns(so.VariationWarning, match=r"0\.7 by an unknown distance \(h changes by 2\)"):
         so.SweepingProcess(np.eye(2), None, C, [0, 0]).check_jumps(0.0, 1.0)
 
 
 def test_steep_noisy_and_fast_loads_are_no_jumps() -> None:
-    rng = np.random.default_rng(0)
-    noise = so.Table(np.linspace(0, 2, 2001), rng.normal(size=2001))
-    for f in (
-        lambda t: [np.tanh(1e5 * (t - 0.3))],
-        lambda t: [np.sin(1e5 * t)],
-        lambda t: [abs((1e3 * t) % 2 - 1)],
-        lambda t: [0.1 + 1e-13 * np.sign(t - 1)],
-        lambda t: [np.sqrt(abs(t - 0.3))],
-        so.Separable([(noise, [1.0]), (so.Triangle(2.0, period=1e-3), [1.0])]),
-        so.Separable([(so.Table([0, 0.5, 0.5001, 2], [0, 0, 9, 9]), [1.0])]),
+    noise = so.Table(np.linspace(0, 2, 2001), np.random.default_rng(0).normal(size=2001))
+    for history in (
+        noise,
+        so.Triangle(2.0, period=1e-6),
+        so.Sine(2.0, period=1e-6),
+        so.Table([0, 0.5, 0.5001, 2], [0, 0, 9, 9]),
+        so.Table([0, 0.5, 0.5 + 1e-12, 2], [0, 1, 1, 9]),
+        Square(9.0),
     ):
-        C = so.Moving(so.Box([-1], [1]), f)
+        C = so.Moving(so.Box([-1], [1]), so.Separable([(history, [1.0])]))
         so.SweepingProcess([[1.0]], None, C, [0.0]).check_jumps(0.0, 2.0)  # warnings are errors
 
 

@@ -184,7 +184,7 @@ class SweepingProcess:
         return True
 
     def check_jumps(self, start: float, end: float) -> None:
-        """Look for finite jumps of center(t), scale(t) and h(t) between two times.
+        """Look for finite jumps of center(t), scale(t) and h(t) that are data, between two times.
 
         Warns
         -----

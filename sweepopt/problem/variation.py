@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from typing import Any
 
@@ -11,14 +11,12 @@ import scipy.sparse as sp
 
 from sweepopt.errors import InputError
 from sweepopt.linalg import Factor, dense
-from sweepopt.loads import Constant, Polynomial, Separable, Sine, Table, Triangle, breakpoints
+from sweepopt.loads import Constant, Polynomial, Sine, Table, Triangle, breakpoints
 from sweepopt.problem.motion import TimeFunction, motion
 from sweepopt.sets import AnySet, Box, ConvexSet
 
 BLOCK = 256  # columns of A^-1 at a time: those of all unknowns would not fit in memory
-SAMPLES = 500  # times, beside the breakpoints of data, between which jumps are looked for
 JUMP = 1e-9  # of the run: what changes in no more is a jump to every step
-STEEPEST = 30  # of the intervals between them: whoever has more jumps knows by then
 CONTINUOUS = (Constant, Polynomial, Sine, Triangle)
 
 
@@ -71,19 +69,35 @@ def variation(C: AnySet, metric: Factor, times: np.ndarray) -> Variation:
 
 
 def jumps(C: AnySet, metric: Factor, start: float, end: float) -> list[tuple[float, str]]:
-    """Where center(t), scale(t) or h(t) changes by a finite amount in no time, and by how much."""
-    found = []
+    """Where data of center(t), scale(t) or h(t) change by a finite amount in no time, and by what.
+
+    Functions of which nothing is known are not looked at: they may have values on the grid only.
+    """
+    found, width = [], JUMP * (end - start)
     for name, f, distance in _moves(C, metric) or ():
-        if all(_is_continuous(phi, JUMP * (end - start)) for phi in f.histories):
-            continue
-        value: Any = Separable(f.terms).coefficients if f.terms else f.function
-        for lo, hi in _discontinuities(value, breakpoints(f.histories, start, end), start, end):
-            before, after = f.at(np.array([lo, hi]))
+        for t in _discontinuities(f.histories, start, end, width) if f.bounded else ():
+            before, after = f.at(np.clip([t - width, t + width], start, end))
             size = distance(after - before)
             by = f"by {size:g}" if size < np.inf else "by an unknown distance"
             change = np.linalg.norm(after - before)
-            found.append((hi, f"at t = {hi:g} {by} ({name} changes by {change:g})"))
+            found.append((t, f"at t = {t:g} {by} ({name} changes by {change:g})"))
     return sorted(found)
+
+
+def _discontinuities(
+    histories: list[Any], start: float, end: float, width: float
+) -> Iterator[float]:
+    """Breakpoints whose neighbourhood keeps its variation as it shrinks, one of each cluster."""
+    last = -np.inf
+    known = [phi for phi in histories if not _is_continuous(phi, width)]
+    for t in breakpoints(known, start, end).tolist():
+        near, around = (
+            sum(phi.variation(max(t - w, start), min(t + w, end)) for phi in known)
+            for w in (width, 8 * width)
+        )
+        if near > 0.5 * around and t > last + width:
+            last = t
+            yield t
 
 
 def _is_continuous(phi: Any, width: float) -> bool:
@@ -91,46 +105,6 @@ def _is_continuous(phi: Any, width: float) -> bool:
     if isinstance(phi, Table):
         return bool(np.diff(phi.times).min() > width)
     return isinstance(phi, CONTINUOUS)
-
-
-def _discontinuities(
-    f: Callable[[float], Any], known: np.ndarray, start: float, end: float
-) -> list[tuple[float, float]]:
-    """Short intervals on which f changes by a share of what it does around them, steepest first."""
-    # irregular times: no period is in step with them
-    shares = np.arange(1, SAMPLES) * (np.sqrt(1.25) - 0.5) % 1
-    times = np.unique([start, *(start + (end - start) * shares), *known, end])
-    before, changes = np.asarray(f(start)), []
-    for t in times[1:].tolist():
-        after = np.asarray(f(t))
-        changes.append(_size(after - before))
-        before = after
-    steepest = np.argsort(-np.array(changes) / np.diff(times))[:STEEPEST].tolist()
-    ends = [(times[i].item(), times[i + 1].item()) for i in steepest]
-    each = [_halved(f, lo, hi, JUMP * (end - start)) for lo, hi in ends]
-    return [interval for interval in each if interval is not None]
-
-
-def _halved(
-    f: Callable[[float], Any], lo: float, hi: float, width: float
-) -> tuple[float, float] | None:
-    """The interval, halved to `width`, where f changes most; None if its change halves with it."""
-    low, high = np.asarray(f(lo)), np.asarray(f(hi))
-    least = max(_size(high - low) / 8, JUMP * _size(high))
-    while _size(high - low) > least:
-        if hi - lo <= width:
-            return lo, hi
-        middle = 0.5 * (lo + hi)
-        value = np.asarray(f(middle))
-        if _size(value - low) > _size(high - value):
-            hi, high = middle, value
-        else:
-            lo, low = middle, value
-    return None
-
-
-def _size(v: Any) -> float:
-    return float(np.linalg.norm(v))
 
 
 def _moves(C: AnySet, metric: Factor) -> list[Move] | None:
@@ -144,7 +118,7 @@ def _moves(C: AnySet, metric: Factor) -> list[Move] | None:
     extent = 0.0 if moving.scale.constant else _magnitude(moving.shape, metric)
     return [
         (moving.name, moving.center, metric.dual_norm),
-        ("scale", moving.scale, lambda r: _size(r) * extent if r.any() else 0.0),
+        ("scale", moving.scale, lambda r: float(abs(r[0])) * extent if r.any() else 0.0),
     ]
 
 
