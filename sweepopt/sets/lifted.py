@@ -28,6 +28,7 @@ from sweepopt.sets.base import (
     NormalPair,
     Perturbation,
     binary,
+    identity,
     places,
     same_array,
 )
@@ -53,11 +54,12 @@ class Lifted(ConvexSet):
     _last: Projection | None = None
 
     def __init__(self, form: Form) -> None:
-        if form.F.nnz:  # programs see rows of numbers near 1
-            form = form._replace(F=form.F / binary(float(abs(form.F).max())))
+        unit = binary(float(np.abs(form.F.data).max(initial=0.0)))
+        if unit != 1:  # programs see rows of numbers near 1
+            form = form._replace(F=form.F / unit)
         self.lifted, self.dim, self.part = form, form.E.shape[0], product_of(form.parts)
         self.polyhedral, self.certifiable = self.part.polyhedral, self.part.certifiable
-        self._unit = binary(float(abs(form.E).max())) if form.E.nnz else 1.0
+        self._unit = binary(float(np.abs(form.E.data).max(initial=0.0)))
 
     def form(self) -> Form:
         return self.lifted
@@ -127,6 +129,8 @@ class Lifted(ConvexSet):
         """
         E, F, stacked = self.lifted
         parts = [C for part in stacked for C in part.factors()]
+        if parts[0].dim == self.dim and (E[:, : self.dim] != identity(self.dim)).nnz == 0:
+            return None  # the first part holds all unknowns together
         owner = np.repeat(np.arange(len(parts)), [C.dim for C in parts])
         member = sp.csr_array((np.ones(owner.size), (owner, np.arange(owner.size))))
         table = sp.vstack([abs(E), abs(F), member])
@@ -290,9 +294,7 @@ class Intersection(Lifted):
 
     def __init__(self, first: ConvexSet, second: ConvexSet) -> None:
         self.operands = first, second
-        one = sp.eye_array(first.dim)  # E_1 s_1, and rows E_1 s_1 - E_2 s_2 = 0
-        both = Form.beside(first.form(), second.form())
-        super().__init__(both.cut(sp.hstack([one, -one])).image(sp.hstack([one, 0 * one])))
+        super().__init__(Form.common(first.form(), second.form()))
 
     def _pair(self, v: np.ndarray) -> NormalPair | None:
         # that of one of the two sets, if its point lies in the other: exact from any v
