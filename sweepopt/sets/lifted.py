@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import norm
 
 from sweepopt.checks import vector
-from sweepopt.errors import EmptySetError, InputError
+from sweepopt.errors import EmptySetError, TouchingError
 from sweepopt.sets.aligned import Aligned, product_of
 from sweepopt.sets.base import (
     ROUNDING,
@@ -165,7 +165,7 @@ class Lifted(ConvexSet):
                 again = project(v, project.start_beside(v, p, multipliers))
                 near = again if again.exact else near
                 if not near.exact and again.splitting.tension(again) > TENSION:
-                    raise InputError(
+                    raise TouchingError(
                         "C & D: the two sets only touch, or miss each other, so that rounding "
                         "hides the projection; give what they share as a set of its own, a Point "
                         "for example, or let them overlap by 1e-8 of their size"
@@ -242,7 +242,7 @@ class Lifted(ConvexSet):
             empty = not self.near(np.zeros(self.dim)).exact and self._separated()
         except EmptySetError:
             empty = True
-        except InputError:  # they touch, or do not meet
+        except TouchingError:  # or do not meet
             empty = self._separated()
         if self.certifiable and empty:
             raise EmptySetError(f"{where} is empty: the two sets of C & D do not meet")
@@ -289,7 +289,7 @@ class Intersection(Lifted):
     """C & D, non-empty:  sigma(C & D, z) = min over p of  sigma(C, p) + sigma(D, z - p).
 
     Where a curved set only touches another one the point they share moves by the square root of
-    what rounds in the data, 1e-8 of their size; a projection that is lost so raises InputError.
+    what rounds in the data, 1e-8 of their size; a projection that is lost so raises TouchingError.
     """
 
     def __init__(self, first: ConvexSet, second: ConvexSet) -> None:
