@@ -61,6 +61,10 @@ class EmptySetError(InputError):
     """A constraint set has no point (at some time)."""
 
 
+class TouchingError(InputError):
+    """Two sets touch, so that rounding hides the projection on what they share."""
+
+
 class IndefiniteError(InputError):
     """A matrix is not positive definite, or not to rounding."""
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.errors import IndefiniteError
+from sweepopt.errors import IndefiniteError, TouchingError
 from sweepopt.integrate.schemes import Scheme, implicit_euler
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan, StateVelocity, Velocity, compile_velocity
@@ -137,6 +137,8 @@ class Velocities:
             gamma = mu * weights[-1] if process.B is not None else 0.0
             try:
                 stages.append(self(gamma)(start, process.C.at(t + c * mu)))
+            except TouchingError:
+                return [Velocity(np.zeros_like(u), math.inf, math.inf, "none", attempts=1)]
             except IndefiniteError:
                 return [Velocity(np.zeros_like(u), math.inf, math.inf, INDEFINITE)]
         return stages

@@ -21,12 +21,13 @@ from sweepopt.sets.least_distance import least_distance
 from sweepopt.sets.moving import AnySet, Moving, MovingOffsets, MovingSet
 from sweepopt.sets.operations import image, product
 from sweepopt.sets.polyhedra import HalfSpace, Polyhedron
-from sweepopt.sets.polytope import Polytope
+from sweepopt.sets.polytope import HULL, Polytope
 from sweepopt.sets.programs import CAREFUL
 from sweepopt.sets.shapes import Box, Orthant, Point, WholeSpace
 
 __all__ = [
     "CAREFUL",
+    "HULL",
     "ROUNDING",
     "AnySet",
     "Ball",

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
+from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -113,6 +114,18 @@ class NoHalfspacesError(Exception):
     """A set, named by its part, that is no polyhedron or whose rows are not known."""
 
 
+@lru_cache(64)
+def identity(n: int) -> sp.csr_array:
+    """I, the same object for every set that is its own part."""
+    return sp.eye_array(n, format="csr")
+
+
+@lru_cache(64)
+def side_by_side(n: int, a: float, b: float) -> sp.csr_array:
+    """(s, r) -> a s + b r."""
+    return sp.csr_array(sp.hstack([a * identity(n), b * identity(n)]))
+
+
 class Form(NamedTuple):
     """C = { E s : s in parts[0] x parts[1] x ..., F s = 0 }, E and F sparse.
 
@@ -127,8 +140,7 @@ class Form(NamedTuple):
     @classmethod
     def alone(cls, part: ConvexSet) -> Form:
         """A set as its own part."""
-        n = part.dim
-        return cls(sp.eye_array(n, format="csr"), sp.csr_array((0, n)), (part,))
+        return cls(identity(part.dim), sp.csr_array((0, part.dim)), (part,))
 
     @classmethod
     def beside(cls, *forms: Form) -> Form:
@@ -142,8 +154,21 @@ class Form(NamedTuple):
     @classmethod
     def added(cls, C: Form, D: Form) -> Form:
         """C + D."""
-        one = sp.eye_array(C.E.shape[0])
-        return cls.beside(C, D).image(sp.hstack([one, one]))
+        n = C.E.shape[0]
+        return cls._joined(C, D, side_by_side(n, 1, 1), sp.csr_array((0, 2 * n)))
+
+    @classmethod
+    def common(cls, C: Form, D: Form) -> Form:
+        """C & D: the points of C, with rows that say that those of D are the same."""
+        n = C.E.shape[0]
+        return cls._joined(C, D, side_by_side(n, 1, 0), side_by_side(n, 1, -1))
+
+    @classmethod
+    def _joined(cls, C: Form, D: Form, E: sp.csr_array, F: sp.csr_array) -> Form:
+        """{ E (s, r) : s in C, r in D, F (s, r) = 0 }."""
+        if C.E is D.E is identity(C.E.shape[0]) and C.F.shape[0] + D.F.shape[0] == 0:
+            return cls(E, F, C.parts + D.parts)
+        return cls.beside(C, D).cut(F).image(E)
 
     @property
     def small(self) -> bool:

@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import norm
 
 from sweepopt.checks import vector
-from sweepopt.errors import EmptySetError, InputError
+from sweepopt.errors import EmptySetError, TouchingError
 from sweepopt.sets.aligned import Aligned, product_of
 from sweepopt.sets.base import (
     ROUNDING,
@@ -28,6 +28,7 @@ from sweepopt.sets.base import (
     NormalPair,
     Perturbation,
     binary,
+    identity,
     places,
     same_array,
 )
@@ -53,11 +54,12 @@ class Lifted(ConvexSet):
     _last: Projection | None = None
 
     def __init__(self, form: Form) -> None:
-        if form.F.nnz:  # programs see rows of numbers near 1
-            form = form._replace(F=form.F / binary(float(abs(form.F).max())))
+        unit = binary(float(np.abs(form.F.data).max(initial=0.0)))
+        if unit != 1:  # programs see rows of numbers near 1
+            form = form._replace(F=form.F / unit)
         self.lifted, self.dim, self.part = form, form.E.shape[0], product_of(form.parts)
         self.polyhedral, self.certifiable = self.part.polyhedral, self.part.certifiable
-        self._unit = binary(float(abs(form.E).max())) if form.E.nnz else 1.0
+        self._unit = binary(float(np.abs(form.E.data).max(initial=0.0)))
 
     def form(self) -> Form:
         return self.lifted
@@ -127,6 +129,8 @@ class Lifted(ConvexSet):
         """
         E, F, stacked = self.lifted
         parts = [C for part in stacked for C in part.factors()]
+        if parts[0].dim == self.dim and (E[:, : self.dim] != identity(self.dim)).nnz == 0:
+            return None  # the first part holds all unknowns together
         owner = np.repeat(np.arange(len(parts)), [C.dim for C in parts])
         member = sp.csr_array((np.ones(owner.size), (owner, np.arange(owner.size))))
         table = sp.vstack([abs(E), abs(F), member])
@@ -161,7 +165,7 @@ class Lifted(ConvexSet):
                 again = project(v, project.start_beside(v, p, multipliers))
                 near = again if again.exact else near
                 if not near.exact and again.splitting.tension(again) > TENSION:
-                    raise InputError(
+                    raise TouchingError(
                         "C & D: the two sets only touch, or miss each other, so that rounding "
                         "hides the projection; give what they share as a set of its own, a Point "
                         "for example, or let them overlap by 1e-8 of their size"
@@ -238,7 +242,7 @@ class Lifted(ConvexSet):
             empty = not self.near(np.zeros(self.dim)).exact and self._separated()
         except EmptySetError:
             empty = True
-        except InputError:  # they touch, or do not meet
+        except TouchingError:  # or do not meet
             empty = self._separated()
         if self.certifiable and empty:
             raise EmptySetError(f"{where} is empty: the two sets of C & D do not meet")
@@ -285,14 +289,12 @@ class Intersection(Lifted):
     """C & D, non-empty:  sigma(C & D, z) = min over p of  sigma(C, p) + sigma(D, z - p).
 
     Where a curved set only touches another one the point they share moves by the square root of
-    what rounds in the data, 1e-8 of their size; a projection that is lost so raises InputError.
+    what rounds in the data, 1e-8 of their size; a projection that is lost so raises TouchingError.
     """
 
     def __init__(self, first: ConvexSet, second: ConvexSet) -> None:
         self.operands = first, second
-        one = sp.eye_array(first.dim)  # E_1 s_1, and rows E_1 s_1 - E_2 s_2 = 0
-        both = Form.beside(first.form(), second.form())
-        super().__init__(both.cut(sp.hstack([one, -one])).image(sp.hstack([one, 0 * one])))
+        super().__init__(Form.common(first.form(), second.form()))
 
     def _pair(self, v: np.ndarray) -> NormalPair | None:
         # that of one of the two sets, if its point lies in the other: exact from any v

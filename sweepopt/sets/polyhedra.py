@@ -7,7 +7,6 @@ import copy
 import math
 from collections.abc import Iterator
 from functools import cached_property
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -159,19 +158,13 @@ class Polyhedron(ConvexSet):
         if result.status == 2:
             return None
         if result.x is None or not result.success:
-            raise SweepoptError(self._needle(result.message))
+            rows = dense(self.scaled_rows) / row_lengths(self.scaled_rows)[:, None]
+            i, j = divmod(int(np.argmin(rows @ rows.T)), len(rows))
+            raise SweepoptError(
+                f"the support function of a Polyhedron is lost in rounding: rows {i} and {j} of G "
+                f"are nearly opposite; leave one out, or make it minus the other ({result.message})"
+            )
         return size * weights * result.x
-
-    def _needle(self, message: str) -> str:
-        """Which rows keep the support function from being computed, and what helps."""
-        rows = dense(self.scaled_rows)
-        rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
-        i, j = np.unravel_index(int(np.argmin(rows @ rows.T)), (len(rows), len(rows)))
-        return (
-            f"the support function of a Polyhedron is lost in rounding: rows {i} and {j} of G are "
-            f"opposite but for {np.linalg.norm(rows[i] + rows[j]):.1e}; leave out one of them, or "
-            f"make row {j} a multiple of row {i} ({message})"
-        )
 
     def normal(self, v: np.ndarray) -> np.ndarray:
         v = vector("v", v, self.dim)
@@ -263,7 +256,8 @@ class Polyhedron(ConvexSet):
         these have a point as near as their residual, for C is not empty.
         """
         stack = sp.vstack if sp.issparse(self.G) else np.vstack
-        flat, on = self._flat(), np.setdiff1d(on, self._flat())
+        flat = self._flat()
+        on = np.setdiff1d(on, flat)
         G = _columns(stack([self.G, -self.G[on]]), root)
         lengths, w = row_lengths(G)[: self.h.size], start
         margin = np.zeros(self.h.size)
@@ -309,28 +303,11 @@ class Polyhedron(ConvexSet):
         slack[near] = [math.fsum(row) for row in terms.tolist()]
         return slack
 
-    @cached_property
-    def _directions(self) -> tuple[np.ndarray, np.ndarray]:
-        """The same number for rows that are multiples of each other by a power of 2, and a sign."""
-        numbers: dict[bytes, int] = {}
-        rows = sp.csr_array(self.scaled_rows)
-        rows.eliminate_zeros()
-        signs, labels = np.ones(self.h.size), np.zeros(self.h.size, dtype=int)
-        for i, (start, end) in enumerate(pairwise(rows.indptr.tolist())):
-            row = rows.data[start:end]
-            signs[i] = -1.0 if row.size and row[0] < 0 else 1.0
-            key = rows.indices[start:end].tobytes() + (signs[i] * row).tobytes()
-            labels[i] = numbers.setdefault(key, len(numbers))
-        return labels, signs
-
     def _flat(self) -> np.ndarray:
         """The rows that an opposite one turns into an equation."""
-        labels, signs = self._directions
-        above, below = np.full((2, self.h.size), np.inf)
-        np.minimum.at(above, labels[signs > 0], self.offsets[signs > 0])
-        np.minimum.at(below, labels[signs < 0], self.offsets[signs < 0])
-        tight = np.where(signs > 0, above[labels], below[labels]) == self.offsets
-        return np.flatnonzero(tight & (above == -below)[labels])
+        rows = np.column_stack([dense(self.scaled_rows), self.offsets]) + 0.0  # no -0.0
+        opposite = {(0.0 - row).tobytes() for row in rows}
+        return np.flatnonzero([row.tobytes() in opposite for row in rows])
 
     @cached_property
     def scaled_rows(self) -> Any:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -104,15 +104,14 @@ class Splitting:
         self.parts = [
             (part, at, units[at]) for part, at in zip(form.parts, places(form.parts), strict=True)
         ]
-        scale = sp.diags_array(1 / units)
-        kept: Callable[[Any], Any] = dense if self.small else sp.csr_array
-        self.E, self.F = kept(form.E @ scale), kept(form.F @ scale)
-        m, n = self.F.shape
+        m, n = form.F.shape
         if self.small:
-            Z = scipy.linalg.null_space(self.F, RANK) if m else np.eye(n)
-            image = self.E @ Z
-            self._K = Z @ np.linalg.solve(np.eye(Z.shape[1]) + image.T @ image, Z.T)
+            rows = np.vstack([dense(form.E), dense(form.F)]) / units
+            self.E, self.F = rows[: -m or None], rows[len(rows) - m :]
+            self._K = _inverse(rows.tobytes(), m, n)
         else:
+            scale = sp.diags_array(1 / units)
+            self.E, self.F = sp.csr_array(form.E @ scale), sp.csr_array(form.F @ scale)
             inner = sp.eye_array(n) + self.E.T @ self.E
             system = [[inner, self.F.T], [self.F, None]] if m else [[inner]]
             self._factor = splu(sp.csc_array(sp.block_array(system)))
@@ -267,6 +266,15 @@ class Splitting:
         one, pull = np.eye(len(D)), self._K @ self.E.T
         dx = _shortest(self._jacobian(D), (2 * D - one) @ pull)
         return np.asarray(self.E @ (self._K @ dx + pull))
+
+
+@lru_cache(16)  # sets that are stated anew at every time have the same matrices
+def _inverse(rows: bytes, m: int, n: int) -> np.ndarray:
+    """K of the rows of E and F, F having m of n entries."""
+    E, F = np.split(np.frombuffer(rows).reshape(-1, n), [-m or len(rows)])
+    Z = scipy.linalg.null_space(F, RANK) if m else np.eye(n)
+    image = E @ Z
+    return np.asarray(Z @ np.linalg.solve(np.eye(Z.shape[1]) + image.T @ image, Z.T))
 
 
 def _shortest(M: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -69,13 +69,18 @@ class Attempt:
         return velocity
 
 
-def attempts(solver: Any, M: Factor, S: ConvexSet, tol: float) -> list[Attempt]:
+def attempts(solver: Any, M: Factor, S: ConvexSet, tol: float, anew: bool) -> list[Attempt]:
     """The solvers of a program, in the order in which they are asked.
+
+    Where the cone changes from step to step Newton's method comes first: the others compile it,
+    which takes 20 ms.
 
     A program of all unknowns whose set acts on few of them has that of the few behind it, which is
     better conditioned: without it 9 hard families miss 1e-9.
     """
     solvers, selection, behind = choose(solver, S, tol), S.selection, []
+    if anew and solver == "auto":
+        solvers = tuple(sorted(solvers, key=lambda one: one.name != NEWTON.name))
     if M.small is M and selection is not None and selection.shift is None:
         few, part = selection.unknowns, selection.part
         solvers = solvers[:1]
@@ -108,9 +113,13 @@ class Cascade:
     of : Instance
         Any one of the family.
     tol : float
+    anew : bool
+        Whether the program before had another cone.
     """
 
-    def __init__(self, inclusion: Inclusion, solver: Any, of: Instance, tol: float) -> None:
+    def __init__(
+        self, inclusion: Inclusion, solver: Any, of: Instance, tol: float, anew: bool = False
+    ) -> None:
         self._inclusion, self._cone, self._tol = inclusion, of.S, tol
         M, weights = inclusion.M, inclusion.M.diagonal[of.unknowns]
         # M is diagonal and the projection in its metric is the set's own: box, ball
@@ -125,7 +134,7 @@ class Cascade:
             isinstance(part, (Box, Balls)) or not part.polyhedral
             for part in map(shape_of, of.S.form().parts)
         )
-        self._attempts = attempts(solver, M, of.S, tol)
+        self._attempts = attempts(solver, M, of.S, tol, anew)
 
     def serves(self, inclusion: Inclusion, S: ConvexSet) -> bool:
         """Whether its programs are those of this inclusion and this set."""

@@ -113,7 +113,8 @@ class StateVelocity:
             few, inclusion = EVERY, self._on_all
         of = Instance(q - c, q, c, S, u, few)
         if self._cascade is None or not self._cascade.serves(inclusion, S):
-            self._cascade = Cascade(inclusion, self._solver, of, self._tol)
+            anew = self._cascade is not None
+            self._cascade = Cascade(inclusion, self._solver, of, self._tol, anew)
         return self._cascade(of)
 
     @cached_property

@@ -16,7 +16,15 @@ import scipy.linalg
 
 from sweepopt.errors import EmptySetError
 from sweepopt.linalg import NEGLIGIBLE, dense, euclidean
-from sweepopt.sets import ROUNDING, ConvexSet, NoHalfspacesError, least_distance
+from sweepopt.sets import (
+    HULL,
+    ROUNDING,
+    ConvexSet,
+    NoHalfspacesError,
+    Polytope,
+    least_distance,
+    shape_of,
+)
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.contract import Answer, Small, Solve
 
@@ -47,8 +55,10 @@ class ActiveSet(Small):
     name = "active-set"
 
     def treats(self, C: ConvexSet) -> bool:
-        """Whether C is small and its rows are known."""
-        return C.polyhedral and C.dim <= self.max_dim and _rows(C) is not None
+        """Whether C is small and its rows are known; those of a polytope wait until they count."""
+        if not C.polyhedral or C.dim > self.max_dim:
+            return False
+        return C.dim <= HULL if isinstance(shape_of(C), Polytope) else _rows(C) is not None
 
     def compile(self, program: VelocityProgram) -> Solve:
         """Factorise M once; a call starts from no active rows."""
@@ -56,9 +66,10 @@ class ActiveSet(Small):
         lower = cache(lambda: scipy.linalg.cholesky(dense(M.M), lower=True))
 
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:
-            rows = _rows(C)
-            assert rows is not None
-            (G, h), z, corrected = rows, np.zeros_like(q), q
+            rows, z, corrected = _rows(C), np.zeros_like(q), q
+            if rows is None:  # a polytope that is flat to rounding
+                return Answer(z, status="failed: no rows")
+            G, h = rows
             # C has points and M is positive definite: where that is not seen it is rounding
             with contextlib.suppress(EmptySetError, scipy.linalg.LinAlgError):
                 for _ in range(1 + REFINEMENTS):
