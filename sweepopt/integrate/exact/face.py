@@ -81,7 +81,9 @@ def face_after(rows: Rows, phi: ExponentialSum, t: float, u: np.ndarray) -> Face
             undecided[active] = False
             basis = _basis(rows, active, undecided, s, noise)
         if basis is None:
-            raise EmptySetError(f"C(t) at t = {t:g} is empty: its rows contradict")
+            raise EmptySetError(
+                f"C(t) at t = {t:g} is empty: its rows contradict, or its scale is negative"
+            )
         y = -np.linalg.solve(rows.S[np.ix_(basis, basis)], s[basis])
         values = s + rows.S[:, basis] @ y  # the slack of a row, or its multiplier
         values[basis] = y

@@ -20,6 +20,8 @@ from sweepopt.linalg import EPS
 # Most phases besides one for each breakpoint: beyond it switching times are taken to accumulate.
 PHASES = 100_000  # 25 s
 
+SAME = 32 * EPS  # of a time: an event that is nearer to a breakpoint is there, but for rounding
+
 
 @dataclass(frozen=True, eq=False)
 class Phase:
@@ -136,7 +138,7 @@ def phases_of(rows: Rows, u0: np.ndarray, start: float, end: float) -> Iterator[
             active = set(face.active)
             switch |= before is not None and (active != before or (s == a and bool(active)))
             before, following = active, s + length
-            if b - following <= 4 * EPS * abs(b):
+            if b - following <= SAME * abs(b):
                 following = b
             u = motion(following - s)
             if following > s:
