@@ -127,16 +127,17 @@ def phases_of(rows: Rows, u0: np.ndarray, start: float, end: float) -> Iterator[
     EmptySetError
         If C(t) becomes empty.
     """
-    u, before, switch, left = u0, None, False, PHASES
+    u, before, switch, left, stalled = u0, None, False, PHASES, False
     for a, b, pieces in rows.pieces(start, end):
         s = a
         left += 1
         while s < b:
             phi = histories(pieces, s, b - s)
-            face = face_after(rows, phi, s, u)
+            face = face_after(rows, phi, s, u, stalled)
             motion, length = _motion(rows, phi, u, face)
             active = set(face.active)
             switch |= before is not None and (active != before or (s == a and bool(active)))
+            stalled = s + length == s and active == before
             before, following = active, s + length
             if b - following <= SAME * abs(b):
                 following = b
