@@ -337,6 +337,25 @@ def test_composed_sets_and_moving_scales_are_followed(name: str, scale: Any) -> 
     assert 0.9 <= np.log2(errors[0] / errors[1]) <= 1.1
 
 
+@pytest.mark.parametrize("seed", [43, 56, 59])
+def test_rows_that_are_nearly_dependent_are_followed(seed: int) -> None:
+    # needles: multipliers near 0 are rounding of S^-1, condition 1e5
+    rng, B = (
+        np.random.default_rng(seed),
+        np.array([[5.4, -1.9, -1.6], [-1.9, 2.2, 1.8], [-1.6, 1.8, 2.3]]),
+    )
+    rng.normal(size=(3, 3))
+    V = rng.normal(size=(7, 3)) @ np.diag([1, 0.05, 0.002])
+    V = (V @ np.linalg.qr(rng.normal(size=(3, 3)))[0]).round(3)
+    load = [(so.Sine(2.5, 1.7, 0.3), [1.0, -0.5, 0.2]), (so.Sine(1, 2.3), [0.0, 1.0, 1.0])]
+    C = so.Moving(so.Polytope(V), so.Separable(load))
+    u0 = np.linalg.solve(B, C.at(0.0).project(np.zeros(3)))
+    process = so.SweepingProcess(0 * B, B, C, u0)
+    found = exact(process, 3.0, steps=30)
+    other = so.solve(process, t_end=3.0, steps=300)
+    assert np.abs(found(other.t) - other.u).max() <= 0.02 * np.abs(other.u).max()
+
+
 def test_a_scale_that_is_negative_between_the_nodes_is_refused() -> None:
     scale = so.Table([0, 0.4, 0.5, 0.6, 1], [1, 1, -0.1, 1, 1])
     for shape in (so.Box([-1], [1]), so.Box([-1], [np.inf])):
