@@ -18,7 +18,7 @@ from sweepopt.integrate.exact.rows import Rows
 from sweepopt.linalg import EPS
 
 # Most phases besides one for each breakpoint: beyond it switching times are taken to accumulate.
-PHASES = 100_000  # 25 s
+PHASES = 100_000  # a minute, with one unknown
 
 SAME = 32 * EPS  # of a time: an event that is nearer to a breakpoint is there, but for rounding
 
