@@ -19,7 +19,7 @@ import scipy.sparse as sp
 
 import sweepopt as so
 from sweepopt.linalg import dense
-from sweepopt.sets import NoHalfspacesError, shape_of
+from sweepopt.sets import NoHalfspacesError, facets, shape_of
 from sweepopt.sets.curves import basis
 
 Rng = np.random.Generator
@@ -760,7 +760,7 @@ def derivative_is_the_slope_of_the_projection(entry: Entry, s: Sample, rng: Rng)
 
 def rows_are_the_set(entry: Entry, s: Sample, rng: Rng) -> None:
     try:
-        N, d, E, e = s.C.halfspaces()
+        N, d, E, e = facets(s.C)
     except NoHalfspacesError:
         return
     if isinstance(shape_of(s.C), so.Polytope):  # its facets are rounded

@@ -291,10 +291,12 @@ BOX = so.Box([-1, -1], [1, 1])
             "polyhedron.*Ball",
         ),
         (so.Moving(BOX, lambda t: [t, 0.0]), "black-box center.*so.Separable"),
-        (so.Moving(BOX, scale=lambda t: 1 + t), "scale moves.*Polyhedron"),
+        (so.Moving(BOX, scale=lambda t: 1 + t), "black-box scale.*Table"),
         (so.MovingSet(lambda t: BOX), "function of time.*so.Moving"),
         (so.Moving(BOX, so.Separable([(np.sin, [1, 0])])), r"terms\[0\]\[0\].*no closed form"),
-        (so.Moving(so.Box([-1], [1]) + so.Polytope([[0.0], [1.0]]), None), "Sum"),
+        (so.Polytope([[0.0, 0.0], [1.0, 1.0]]) + so.Ball([0, 0], 1), "polyhedron.*Ball"),
+        (so.image(np.ones((2, 3)), so.Orthant(3)) + BOX, "rows.*GeneratedCone"),
+        (so.Polytope([[0.0, 0.0], [1.0, 1.0]]) + so.Orthant(2), "unbounded set; state its rows"),
     ],
 )
 def test_what_has_no_closed_form_is_refused_by_name_before_anything_runs(
@@ -303,6 +305,63 @@ def test_what_has_no_closed_form_is_refused_by_name_before_anything_runs(
     process = so.SweepingProcess(np.eye(C.dim), None, C, np.zeros(C.dim))
     with pytest.raises(so.InputError, match=f"(?s)scheme 'exact' does not apply.*{message}"):
         so.solve(process, t_end=1.0, steps=10, scheme="exact")
+
+
+HEXAGON = BOX + so.image([[1.0], [1.0]], so.Box([-0.5], [0.5]))
+COMPOSED = {
+    "zonotope": so.image([[1.0, 0.5, -0.3], [0.0, 0.7, 1.0]], so.Box(-np.ones(3), np.ones(3))),
+    "sum": HEXAGON,
+    "image": so.image([[2.0, 0.3], [0.1, 0.4]], HEXAGON & so.Box([-1, -1.3], [1.2, 1])),
+    "part": so.product(HEXAGON, so.Box([-1], [2])) & so.HalfSpace([1.0, 1.0, 1.0], 2.0),
+    "few": so.image([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]], -0.7 * HEXAGON),
+}
+SHRINKING = so.Table([0, 1, 1.5, 2, 3], [1.2, 0.2, 0.0, 0.0, 1])
+
+
+@pytest.mark.parametrize("scale", [None, SHRINKING, so.Polynomial([0.5, 0.4])])
+@pytest.mark.parametrize("name", COMPOSED)
+def test_composed_sets_and_moving_scales_are_followed(name: str, scale: Any) -> None:
+    shape, rng = COMPOSED[name], np.random.default_rng(3)
+    n = shape.dim
+    X, Y = rng.normal(size=(2, n, n))
+    load = so.Separable([(so.Sine(2.0, 2.3), np.ones(n)), (so.Sine(1.0, 1.7), rng.normal(size=n))])
+    C = so.Moving(shape, load, scale)
+    process = so.SweepingProcess(X @ X.T + np.eye(n), Y @ Y.T, C, np.zeros(n))
+    sol = so.solve(process, t_end=3.0, steps=60, scheme="exact")
+    assert sol.stats["relative"].max() <= 1e-11
+    errors = []
+    for steps in (120, 240):
+        other = so.solve(process, t_end=3.0, steps=steps, scheme="implicit-euler")
+        errors.append(max(map(process.metric.norm, other.u - sol.exact(other.t))))
+    assert errors[1] <= 0.1 * np.abs(sol.u).max()
+    assert 0.9 <= np.log2(errors[0] / errors[1]) <= 1.1
+
+
+@pytest.mark.parametrize("seed", [43, 56, 59])
+def test_rows_that_are_nearly_dependent_are_followed(seed: int) -> None:
+    # needles: multipliers near 0 are rounding of S^-1, condition 1e5
+    rng, B = (
+        np.random.default_rng(seed),
+        np.array([[5.4, -1.9, -1.6], [-1.9, 2.2, 1.8], [-1.6, 1.8, 2.3]]),
+    )
+    rng.normal(size=(3, 3))
+    V = rng.normal(size=(7, 3)) @ np.diag([1, 0.05, 0.002])
+    V = (V @ np.linalg.qr(rng.normal(size=(3, 3)))[0]).round(3)
+    load = [(so.Sine(2.5, 1.7, 0.3), [1.0, -0.5, 0.2]), (so.Sine(1, 2.3), [0.0, 1.0, 1.0])]
+    C = so.Moving(so.Polytope(V), so.Separable(load))
+    u0 = np.linalg.solve(B, C.at(0.0).project(np.zeros(3)))
+    process = so.SweepingProcess(0 * B, B, C, u0)
+    found = exact(process, 3.0, steps=30)
+    other = so.solve(process, t_end=3.0, steps=300)
+    assert np.abs(found(other.t) - other.u).max() <= 0.02 * np.abs(other.u).max()
+
+
+def test_a_scale_that_is_negative_between_the_nodes_is_refused() -> None:
+    scale = so.Table([0, 0.4, 0.5, 0.6, 1], [1, 1, -0.1, 1, 1])
+    for shape in (so.Box([-1], [1]), so.Box([-1], [np.inf])):
+        process = so.SweepingProcess([[1.0]], None, so.Moving(shape, scale=scale), [0.0])
+        with pytest.raises(so.EmptySetError, match=r"at t = 0.49.* scale is negative"):
+            so.solve(process, t_end=1.0, steps=1, scheme="exact")
 
 
 def test_too_many_unknowns_and_solvers_are_refused() -> None:

@@ -17,6 +17,7 @@ from sweepopt.sets.constraints import Constraints
 from sweepopt.sets.curves import basis, products, to_bernstein
 from sweepopt.sets.cvxpy_lock import in_turn
 from sweepopt.sets.ellipsoid import Ellipsoid
+from sweepopt.sets.facets import facets
 from sweepopt.sets.least_distance import least_distance
 from sweepopt.sets.moving import AnySet, Moving, MovingOffsets, MovingSet
 from sweepopt.sets.operations import image, product
@@ -52,6 +53,7 @@ __all__ = [
     "WholeSpace",
     "basis",
     "binary",
+    "facets",
     "image",
     "in_turn",
     "least_distance",

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 
 HULL = 8  # dimensions up to which a hull is computed
+COPLANAR = 1e-13  # points of size 1 that are nearer to a facet's plane lie on it: a few roundings
 TURNS = 20  # changes of the face, for each vertex
 
 
@@ -123,13 +124,11 @@ class Polytope(ConvexSet):
 
     def halfspaces(self) -> Halfspaces:
         """The facets of the hull, in its affine span where it is flat."""
-        vertices, centre = self.vertices, self.vertices.mean(axis=0)
-        _, extents, axes = np.linalg.svd(vertices - centre)
-        flat = int((extents > 10 * ROUNDING * np.abs(vertices).max()).sum())
-        span, E = axes[:flat], axes[flat:]
-        e = E @ centre
-        N, d = _hull((vertices - centre) @ span.T)
-        return Halfspaces(N @ span, d + N @ span @ centre, E, e)
+        points, span, centre, E = _in_span(self.vertices)
+        N, d = _facets(points)
+        N, e = N @ span, E @ centre
+        lengths = np.linalg.norm(N, axis=1)
+        return Halfspaces(N / lengths[:, None], d / lengths + N @ centre / lengths, E, e)
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -149,18 +148,56 @@ class Polytope(ConvexSet):
         return float(np.linalg.norm(self.vertices - other.vertices, axis=1).max())
 
 
-def _hull(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """N and d of the hull of points that is not flat."""
+class _InSpan(NamedTuple):
+    """Points of an affine space by `points = span (w - centre)`, E w = E centre; none is far."""
+
+    points: np.ndarray
+    span: np.ndarray
+    centre: np.ndarray
+    E: np.ndarray
+
+
+def _in_span(points: np.ndarray) -> _InSpan:
+    """Points in the units of their extents, so that a thin hull is as well known as a round one."""
+    centre = points.mean(axis=0)
+    _, extents, axes = np.linalg.svd(np.linalg.qr(points - centre, mode="r"))
+    flat = int((extents > 10 * ROUNDING * np.abs(points).max()).sum())
+    if flat > HULL:
+        raise NoHalfspacesError(f"a hull in {flat} dimensions, {HULL} are the most")
+    span = axes[:flat] / extents[:flat, None]
+    return _InSpan((points - centre) @ span.T, span, centre, axes[flat:])
+
+
+def hull_vertices(points: np.ndarray) -> np.ndarray:
+    """The points that their hull needs."""
+    inside = _in_span(points).points
+    if inside.shape[1] < 2:
+        return points[np.unique([inside.argmin(), inside.argmax()])] if inside.size else points[:1]
+    return points[convex_hull(inside).vertices]
+
+
+def convex_hull(points: np.ndarray) -> ConvexHull:
+    """Qhull's, of points that are not flat."""
+    try:
+        return ConvexHull(points)
+    except QhullError as error:
+        raise NoHalfspacesError("a hull whose facets are not found") from error
+
+
+def _facets(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """N and d of the hull of points that is not flat, each facet once, from all of its points."""
     dim = points.shape[1]
-    if dim > HULL:
-        raise NoHalfspacesError(
-            f"a Polytope in {dim} dimensions, whose facets are not computed beyond {HULL}"
-        )
     N = np.vstack([np.eye(dim), -np.eye(dim)])  # in no or one dimension
     if dim > 1:
-        try:
-            planes = ConvexHull(points / np.abs(points).max()).equations
-        except QhullError as error:
-            raise NoHalfspacesError("a Polytope whose facets are not found") from error
-        N = planes[np.unique(planes.round(12), axis=0, return_index=True)[1], :-1]
+        hull, normals = convex_hull(points), []
+        left = np.ones(len(hull.simplices), dtype=bool)
+        while left.any():
+            first = int(left.argmax())
+            n, on = hull.equations[first, :-1], points @ hull.equations[first, :-1]
+            on = on + hull.equations[first, -1] > -COPLANAR
+            left &= ~on[hull.simplices].all(axis=1)
+            left[first] = False
+            better = np.linalg.svd(points[on] - points[on].mean(axis=0), False)[2][-1]
+            normals.append(better if better @ n > 0 else -better)
+        N = np.array(normals)
     return N, (N @ points.T).max(axis=1)  # through the vertices to rounding

@@ -49,13 +49,18 @@ class Face(NamedTuple):
     redundant: np.ndarray
 
 
-def face_after(rows: Rows, phi: ExponentialSum, t: float, u: np.ndarray) -> Face:
+def face_after(
+    rows: Rows, phi: ExponentialSum, t: float, u: np.ndarray, stalled: bool = False
+) -> Face:
     """The face just after t.
 
     Parameters
     ----------
     phi : ExponentialSum
         The histories of the rows from t on.
+    stalled : bool
+        Whether the face that was found held for no time: a multiplier of rows that are nearly
+        dependent was rounding. That of S^-1 counts then.
 
     Raises
     ------
@@ -81,11 +86,16 @@ def face_after(rows: Rows, phi: ExponentialSum, t: float, u: np.ndarray) -> Face
             undecided[active] = False
             basis = _basis(rows, active, undecided, s, noise)
         if basis is None:
-            raise EmptySetError(f"C(t) at t = {t:g} is empty: its rows contradict")
+            raise EmptySetError(
+                f"C(t) at t = {t:g} is empty: its rows contradict, or its scale is negative"
+            )
         y = -np.linalg.solve(rows.S[np.ix_(basis, basis)], s[basis])
         values = s + rows.S[:, basis] @ y  # the slack of a row, or its multiplier
         values[basis] = y
-        worst = float(noise[basis].max(initial=0.0))
+        of_y = noise[basis]
+        if stalled:
+            of_y = np.abs(np.linalg.inv(rows.S[np.ix_(basis, basis)])) @ of_y
+        worst = float(of_y.max(initial=0.0))
         decided = undecided & (values > noise + worst)
         undecided &= ~decided
         orders[decided] = k

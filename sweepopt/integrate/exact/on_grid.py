@@ -14,7 +14,7 @@ from sweepopt.integrate.record import Run
 from sweepopt.integrate.step import Step
 from sweepopt.linalg import Factor
 from sweepopt.problem import SweepingProcess
-from sweepopt.velocity import Plan, certify_point, matrix
+from sweepopt.velocity import Plan, Velocity, certify_point, matrix
 
 FLOOR = 0.01  # share of the largest forces so far that counts as the size of their sum
 BLOCK = 1000  # nodes that are computed at once: one by one they take twice as long
@@ -55,9 +55,12 @@ def exact_steps(
             return None
         after, z, phases = node
         C, M = process.C.at(float(times[run.done + 1])), factor(mu)
-        forces = M.norm(z) + M.dual_norm(process.times_B(after)) + M.dual_norm(C.anchor)
-        largest = max(largest, forces)
-        at_end = certify_point(M, process.times_B(after - mu * z), C, z, FLOOR * largest)
+        force = process.times_B(after)
+        largest = max(largest, M.norm(z) + M.dual_norm(force) + M.dual_norm(C.anchor))
+        at_end = Velocity(z, 0.0, 0.0)  # at rest in C
+        if z.any() or C.normal(force).any():
+            q = process.times_B(after - mu * z)
+            at_end = certify_point(M, q, C, z, FLOOR * largest)
         velocity = at_end._replace(
             z=(after - u) / mu, solver="closed form", iterations=phases, attempts=1
         )

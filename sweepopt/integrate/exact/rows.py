@@ -1,4 +1,10 @@
-"""The process in the rows of C(t) = { w : N w <= d(t) }, d in closed form between breakpoints."""
+"""The process in the rows of C(t) = { w : N w <= d(t) }, d in closed form between breakpoints.
+
+C(t) is a polyhedron S, also a sum, image, product or intersection of them, at rest or moved by
+center(t) + scale(t) S = { w : N w <= scale(t) d + N center(t) }, or { w : G w <= h(t) }, all of
+time as data. Not in the class are operations on sets that move, r(t) (C(t) + D(t)): functions of
+time, and products of histories.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +20,9 @@ import scipy.linalg
 from sweepopt.errors import InputError, shown
 from sweepopt.integrate.exact.modes import modes
 from sweepopt.linalg import dense
-from sweepopt.loads import Constant, Piece, breakpoints
+from sweepopt.loads import Piece, breakpoints
 from sweepopt.problem import Motion, SweepingProcess, Terms, TimeFunction, motion
-from sweepopt.sets import NoHalfspacesError
+from sweepopt.sets import NoHalfspacesError, facets
 
 NONSMOOTH = 50  # unknowns in a set's inequalities
 UNKNOWNS = 300  # all of them: a phase has a dense eigenproblem of what moves
@@ -104,11 +110,9 @@ def _rows_of(process: SweepingProcess) -> Rows:
     B = np.zeros_like(metric) if process.B is None else dense(process.B)
     R = N @ scipy.linalg.cholesky(metric, lower=True)
     lengths = np.linalg.norm(R, axis=1)
-    rows = np.flatnonzero(lengths > 0)
-    units = 1 / lengths[rows, None]
-    N, R = units * N[rows], units * R[rows]
-    weights = units * np.column_stack([D for _, D in terms])[rows]
-    rows, equations = _distinct(R, weights, rows >= len(lengths) - count)
+    units = 1 / np.where(lengths > 0, lengths, 1.0)[:, None]
+    N, R, weights = units * N, units * R, units * np.column_stack([D for _, D in terms])
+    rows, equations = _distinct(R, weights, np.arange(len(N)) >= len(N) - count)
     N, R, weights = N[rows], R[rows], weights[rows]
     nonsmooth = process.dim - int(equations.sum())
     if nonsmooth > NONSMOOTH:
@@ -128,25 +132,22 @@ def _halfspaces(moving: Motion) -> tuple[np.ndarray, Terms, int]:
             "the process has a set that is a function of time; write it as so.Moving(shape, "
             "center=so.Separable(...)) or so.Polyhedron(G, so.Separable(...))"
         )
-    if not moving.scale.constant:
-        raise InputError(
-            "the process has a set whose scale moves; state the moving bounds as offsets, "
-            "so.Polyhedron(G, so.Separable(...))"
-        )
     load = moving.center if moving.offsets is None else moving.offsets
-    terms = _closed_forms(load, moving.name)
-    scale = float(moving.scale.at(np.zeros(1))[0, 0])
+    terms, scale = _closed_forms(load, moving.name), _closed_forms(moving.scale, "scale")
     try:
-        polyhedron = (moving.shape if scale == 1 else scale * moving.shape).halfspaces()
+        N, d, E, e = facets(moving.shape)
     except NoHalfspacesError as error:
         raise InputError(
             f"the process has a set that is not a polyhedron with known rows: {error}; use midpoint"
         ) from error
-    N = np.vstack([dense(polyhedron.N), polyhedron.E])
+    # the first row, 0 <= scale(t), has no solution where the scale is negative
+    N = np.vstack([np.zeros(N.shape[1]), dense(N), E])
+    sides = np.concatenate([[1.0], d, e])
     if moving.offsets is None:
         terms = tuple((phi, N @ f) for phi, f in terms)
-    fixed = (Constant(1.0), np.concatenate([polyhedron.d, polyhedron.e]))
-    return N, (fixed, *terms), len(polyhedron.e)
+    else:
+        terms = tuple((phi, np.append(0.0, f)) for phi, f in terms)
+    return N, (*((phi, r * sides) for phi, r in scale), *terms), len(e)
 
 
 def _closed_forms(load: TimeFunction, name: str) -> Terms:
@@ -154,8 +155,8 @@ def _closed_forms(load: TimeFunction, name: str) -> Terms:
     if load.function is not None:
         raise InputError(
             f"the process has a black-box {name}: the breakpoints of a function are not known; "
-            "write it as so.Separable([(history, vector), ...]) of Polynomial, Sine, Triangle or "
-            "Table"
+            "write it as data, Polynomial, Sine, Triangle or Table: a scale as one of them, others "
+            "as so.Separable([(history, vector), ...])"
         )
     for k, history in enumerate(load.histories):
         if not hasattr(history, "piece") or not hasattr(history, "breakpoints"):

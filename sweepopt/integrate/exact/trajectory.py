@@ -18,7 +18,9 @@ from sweepopt.integrate.exact.rows import Rows
 from sweepopt.linalg import EPS
 
 # Most phases besides one for each breakpoint: beyond it switching times are taken to accumulate.
-PHASES = 100_000  # 25 s
+PHASES = 100_000  # a minute, with one unknown
+
+SAME = 32 * EPS  # of a time: an event that is nearer to a breakpoint is there, but for rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,18 +127,19 @@ def phases_of(rows: Rows, u0: np.ndarray, start: float, end: float) -> Iterator[
     EmptySetError
         If C(t) becomes empty.
     """
-    u, before, switch, left = u0, None, False, PHASES
+    u, before, switch, left, stalled = u0, None, False, PHASES, False
     for a, b, pieces in rows.pieces(start, end):
         s = a
         left += 1
         while s < b:
             phi = histories(pieces, s, b - s)
-            face = face_after(rows, phi, s, u)
+            face = face_after(rows, phi, s, u, stalled)
             motion, length = _motion(rows, phi, u, face)
             active = set(face.active)
             switch |= before is not None and (active != before or (s == a and bool(active)))
+            stalled = s + length == s and active == before
             before, following = active, s + length
-            if b - following <= 4 * EPS * abs(b):
+            if b - following <= SAME * abs(b):
                 following = b
             u = motion(following - s)
             if following > s:
