@@ -153,3 +153,13 @@ def test_a_jump_to_an_unbounded_set_is_not_of_bounded_variation() -> None:
     C = so.MovingSet(lambda t: so.Box([-1], [1 if t < 0.5 else np.inf]))
     with pytest.warns(so.VariationWarning, match=r"t = 0\.5"):
         assert so.solve(so.SweepingProcess([[1]], None, C, [0]), t_end=1.0, steps=10).success
+
+
+def test_a_sparse_matrix_whose_indices_are_not_sorted_stays_as_it_is() -> None:
+    pointers, indices = np.array([0, 2, 4]), np.array([1, 0, 1, 0])
+    A = sp.csc_array((np.array([-1.0, 2.0, 3.0, -1.0]), indices, pointers), shape=(2, 2))
+    before = A.toarray()
+    for _ in range(2):
+        process = so.SweepingProcess(A, None, so.Box([-1, -1], [1, 1]), np.zeros(2))
+        assert np.array_equal(process.A.toarray(), before)
+    assert np.array_equal(A.toarray(), before)
