@@ -143,7 +143,7 @@ def is_finite(array: np.ndarray) -> bool:
 def matrix(name: str, value: Any) -> Matrix:
     """A finite float matrix with two axes: dense as an ndarray, sparse as CSC."""
     if sp.issparse(value):
-        result = sp.csc_array(value)
+        result = sp.csc_array(value, copy=True)  # its indices may be sorted later
         result.data = floats(name, result.data, "a matrix of numbers")
     else:
         result = floats(name, value, "a matrix of numbers")

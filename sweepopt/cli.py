@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 import time as clock
 import warnings
 from collections.abc import Iterator, Sequence
@@ -33,7 +34,8 @@ if TYPE_CHECKING:
     from sweepopt.fem.output import Report
 
 DONE, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
-"""Exit codes; INCOMPLETE: a step missed tol, what was certified before it is written."""
+"""Exit codes; INCOMPLETE: a step missed tol, what was certified before it is written; or the
+results are in a temporary folder, as theirs is full."""
 
 EXTRAS = {
     "fem": ("skfem", "xarray", "h5netcdf", "h5py"),
@@ -134,18 +136,24 @@ def _run(chosen: argparse.Namespace) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     _announce(scene)
 
-    started = clock.perf_counter()
+    text = path.read_text(encoding="utf-8")
+    started, moved = clock.perf_counter(), False
     solution = scene.solve(progress=not chosen.no_progress, on_failure="stop")
     seconds = clock.perf_counter() - started
     if len(solution.steps):
-        text = path.read_text(encoding="utf-8")
         report = Report(scene, solution, name=path.stem, text=text, seconds=seconds)
-        _conclude(report, folder, _write(report, folder))
+        try:
+            files = _write(report, folder)
+        except OSError as error:  # a full disk: the run is not lost if there is another
+            _say(f"{folder}: the results cannot be written there ({error.strerror or error})")
+            folder, moved = Path(tempfile.mkdtemp(prefix=f"sweepopt-{path.stem}-")), True
+            files = _write(report, folder)
+        _conclude(report, folder, files)
     else:
         _say(f"no step was completed, nothing is written. {solution.message}")
     if solution.status is Status.INTERRUPTED:
         return INTERRUPTED
-    return DONE if solution.success else INCOMPLETE
+    return DONE if solution.success and not moved else INCOMPLETE
 
 
 def _announce(scene: Scene) -> None:

@@ -114,6 +114,20 @@ class DamagedFileError(CheckpointError):
     """A file is not as it was written."""
 
 
+class SaveError(SweepoptError):
+    """The file that `save` names could not be written, and the run was stopped.
+
+    Attributes
+    ----------
+    solution : Solution
+        The steps that are done; the last of them, which were not yet in the file, are kept.
+    """
+
+    def __init__(self, message: str, solution: Solution) -> None:
+        super().__init__(message)
+        self.solution = solution
+
+
 class StepError(SweepoptError):
     """A step missed its tolerance with every solver tried, whole and in parts.
 

@@ -7,6 +7,7 @@ file that is written takes its place only when it is complete.
 from __future__ import annotations
 
 import csv
+import errno
 import json
 import math
 import os
@@ -23,6 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweepopt.errors import DamagedFileError, InputError, shown
+
+if os.name == "posix":
+    import fcntl
 
 Array = NDArray[np.float64]
 
@@ -42,7 +46,7 @@ def writable(name: str, value: Any) -> Path:
     path, given = as_path(name, value), shown(str(value))
     try:
         path = path.resolve()
-        taken, folder = path.is_dir(), path.parent.is_dir()
+        taken, folder = path.exists() and not path.is_file(), path.parent.is_dir()
     except (OSError, ValueError, RuntimeError) as error:  # too long, a zero byte, a circle of links
         raise InputError(f"{name} is {given}, which is no path: {error}") from error
     if not folder:
@@ -58,9 +62,11 @@ def read_bytes(path: Path) -> bytes:
     Raises
     ------
     InputError
-        Naming the file and why it cannot be read.
+        Naming the file and why it cannot be read; a device or a pipe has no end.
     """
     try:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise OSError(errno.EINVAL, "no regular file")
         return path.read_bytes()
     except OSError as error:
         raise InputError(f"{str(path)!s:.300}: cannot be read ({error.strerror})") from None
@@ -130,8 +136,9 @@ def read_columns(path: str | Path, *names: str) -> tuple[Array, list[int]]:
     for name in names:
         if header.count(name) != 1:
             fault = "is there twice" if name in header else "is missing"
+            # not what there is: a scene of a stranger may name any file
             raise InputError(
-                f"{path}: column {name!r} {fault}; there are: {', '.join(header) or 'none'}"
+                f"{path}: column {name!r} {fault} among its {len(header)} column names"
             )
     columns = np.empty((len(names), len(table)))
     for k, (row, cells) in enumerate(table.items()):
@@ -246,6 +253,31 @@ def replacing(path: Path, previous: Path | None = None) -> Iterator[Path]:
             _force(path.parent, os.O_RDONLY)
     finally:
         part.unlink(missing_ok=True)
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Keep other runs from writing `path`; the lock of a run that is killed is no longer one.
+
+    Raises
+    ------
+    InputError
+        If another run has it.
+    """
+    file = path.with_name(f".{path.name}.lock")
+    with file.open("wb") as handle:
+        try:
+            if os.name == "posix":
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if not os.fstat(handle.fileno()).st_nlink:  # removed by who had it until now
+                raise BlockingIOError
+        except BlockingIOError:
+            message = "is being written by another run; wait for its end or choose another name"
+            raise InputError(f"checkpoint: {path} {message}") from None
+        try:
+            yield
+        finally:
+            file.unlink(missing_ok=True)
 
 
 def part_of(path: Path) -> Path:

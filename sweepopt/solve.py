@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sweepopt.checks import number
-from sweepopt.errors import InputError, Status, StepError, shown
+from sweepopt.errors import InputError, SaveError, Status, StepError, shown
 from sweepopt.integrate import (
     MEMORY,
     Adaptive,
@@ -140,6 +140,8 @@ def solve(
         If refining does not reach `error`; the finest run is in it.
     CheckpointError
         If a checkpoint cannot be written; the one before it is whole.
+    SaveError
+        If a NetCDF file cannot be written; the last state is in it.
 
     Notes
     -----
@@ -267,7 +269,7 @@ def _run(
     checkpoint: Any = None,
     stored: StoredRun | None = None,
 ) -> Solution:
-    """Check what remains to be checked, move u along the grid, and make a solution of the run."""
+    """Check what remains to be checked, and run."""
     if callback is not None and not callable(callback):
         raise InputError(f"callback must be a function of a StepInfo, got {shown(callback)}")
     scheme, steps = options.tableau(process), options.steps
@@ -275,14 +277,27 @@ def _run(
     if isinstance(steps, Adaptive):
         segments = Segments.of(steps, process, options.t_end, scheme, options.save)
     grid = _first_grid(process, options, scheme, segments)
-    writer = checkpoint_writer(checkpoint, process, grid, options, stored)
+    with checkpoint_writer(checkpoint, process, grid, options, stored) as writer:
+        return _move(process, options, grid, segments, callback, progress, writer)
+
+
+def _move(
+    process: SweepingProcess,
+    options: SolveOptions,
+    grid: Grid,
+    segments: Segments | None,
+    callback: Callback | None,
+    progress: bool,
+    writer: CheckpointWriter | None,
+) -> Solution:
+    """Move u along the grid, or along better and better ones, and make a solution of the run."""
     recorded = writer.recorded if writer else []
     bar = ProgressBar(progress, None if segments else len(grid.mus), writer.done if writer else 0)
     run, interrupted, sink, succeeded = None, False, None, False
     try:
         if segments:
             saved = partial(saving, options.save, dim=grid.plan.entering, memory=options.memory)
-            run = adapt(steps, segments, process, grid, saved, bar.update)
+            run = adapt(options.steps, segments, process, grid, saved, bar.update)
             grid, interrupted = run.grid, run.status is Status.INTERRUPTED
         reconstruction = Reconstruction(grid)
         watchers: list[Callable[[StepInfo], Any]] = []
@@ -309,6 +324,13 @@ def _run(
     if not succeeded:
         u = reconstruction.state(run.done, run.u)
         raise StepError(run.cause, float(grid.times[run.done]), run.done, u, run.relative)
+    if sink is not None and (failure := sink.storage.failure):
+        raise SaveError(
+            f"save: {grid.saving.path} cannot be written ({failure.strerror}), the run "
+            f"was stopped after {run.done} steps; `solution` of this error has the last of them. "
+            "Free the disk, name another file, or keep fewer steps in memory, save=k",
+            _solution(process, run, reconstruction, sink, recorded),
+        )
     return _solution(process, run, reconstruction, sink, recorded)
 
 

@@ -23,6 +23,7 @@ import pytest
 from test_reduction import process as chain
 
 import sweepopt as so
+from sweepopt.fem import read_mesh
 
 HERE = Path(__file__).parent
 
@@ -492,3 +493,44 @@ def test_a_file_that_cannot_be_read_is_named(
         so.resume(path, process)
     with pytest.raises(so.InputError, match=refused):
         so.solve(process, t_end=1.0, steps=12, checkpoint=path)
+
+
+# ---- two runs, and files that are none ------------------------------------------------------
+
+
+def test_a_second_run_on_the_name_is_refused_and_the_first_goes_on(tmp_path: Path) -> None:
+    process, settings = arguments("full")
+    where, messages = so.Checkpoint(tmp_path / "run.npz", steps=9), []
+
+    def second(info: so.StepInfo) -> None:
+        if info.step in (3, 20):
+            for again in (
+                lambda: so.solve(process, checkpoint=where, **settings),
+                lambda: so.resume(where.path, process),
+            ):
+                with pytest.raises(so.InputError, match=r"run.npz is being written by another run"):
+                    again()
+                messages.append(info.step)
+
+    sol = so.solve(process, checkpoint=where, callback=second, **settings)
+    assert messages == [3, 3, 20, 20]
+    assert same(
+        sol,
+        so.solve(process, checkpoint=so.Checkpoint(tmp_path / "alone.npz", steps=9), **settings),
+    )
+    assert not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes")
+def test_devices_and_pipes_are_refused_before_anything_runs(tmp_path: Path) -> None:
+    process, settings = arguments("full")
+    pipe = tmp_path / "pipe.msh"
+    os.mkfifo(pipe)
+    for path in (pipe, Path("/dev/zero")):
+        with pytest.raises(so.InputError, match=f"{path.name}: cannot be read .no regular file"):
+            so.Table.from_csv(path, "f")
+        with pytest.raises(so.InputError, match=f"{path.name}.*no regular file"):
+            read_mesh(path)
+    for path in (pipe, Path("/dev/full")):
+        with pytest.raises(so.InputError, match=r"checkpoint is .* cannot be written there"):
+            so.solve(process, checkpoint=path, **settings)

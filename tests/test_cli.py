@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import signal
 import subprocess
 import sys
+import tempfile
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -162,10 +165,31 @@ def test_ctrl_c_while_writing_keeps_the_files_of_the_run_before(
 ) -> None:
     assert run("--steps", "3") == 0
     before = {path: path.read_bytes() for path in Path("out").glob("*.*")}
-    monkeypatch.setattr(xr.Dataset, "to_netcdf", Mock(side_effect=KeyboardInterrupt))
+    monkeypatch.setattr(xr.Dataset, "dump_to_store", Mock(side_effect=KeyboardInterrupt))
     assert run("--steps", "3") == 130
     assert "interrupted" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in Path("out").glob("*.*")} == before
+
+
+@pytest.mark.usefixtures("scene")
+def test_on_a_full_disk_the_results_go_to_a_temporary_folder(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    force, other = os.fsync, tmp_path / "other"
+    other.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(other))
+
+    def full(handle: int) -> None:
+        if "out" in os.readlink(f"/proc/self/fd/{handle}"):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        force(handle)
+
+    monkeypatch.setattr(os, "fsync", full)
+    assert run("--steps", "3") == 1
+    assert "out: the results cannot be written there (No space" in capsys.readouterr().err
+    (folder,) = other.iterdir()
+    with xr.open_dataset(folder / "solution.nc", engine="h5netcdf") as dataset:
+        assert dataset.sizes["step"] == 3
 
 
 @pytest.mark.usefixtures("scene")

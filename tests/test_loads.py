@@ -145,10 +145,10 @@ def test_a_csv_column_becomes_a_table(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("t,f1\n0,1\n1,2\n", "log.csv: column 'f2' is missing; there are: t, f1"),
-        ("s,f2\n0,1\n1,2\n", "log.csv: column 't' is missing; there are: s, f2"),
+        ("t,f1\n0,1\n1,2\n", "log.csv: column 'f2' is missing among its 2 column names$"),
+        ("s,f2\n0,1\n1,2\n", "log.csv: column 't' is missing among its 2"),
         ("t,f2,f2\n0,1,1\n1,2,2\n", "log.csv: column 'f2' is there twice"),
-        ("", "log.csv: column 't' is missing; there are: none"),
+        ("", "log.csv: column 't' is missing among its 0"),
         ("t,f2\n0,1\n", "log.csv: 1 data rows"),
         ("# units\nt,f2\n0,1\n1,\n", r"log.csv, column 'f2', row 4: '' is not a finite number"),
         ("t,f2\n0,1\n\n1,two\n", "log.csv, column 'f2', row 4: 'two' is not"),
@@ -158,7 +158,7 @@ def test_a_csv_column_becomes_a_table(tmp_path):
         pytest.param(
             f"t,f2\n0,{'1' * 200_000}\n", "log.csv, row 2: field larger than", id="huge cell"
         ),
-        ("t;f2\n0;1\n2;1\n", "log.csv: column 't' is missing; there are: t;f2"),
+        ("t;f2\n0;1\n2;1\n", "log.csv: column 't' is missing among its 1"),
         (None, "log.csv: cannot be read"),
         (b"\xff\xfe\x00t", "log.csv: is not UTF-8 text"),
     ],

@@ -509,3 +509,13 @@ def test_numbers_beyond_the_largest_float_are_refused_by_name() -> None:
         with pytest.raises(so.InputError, match=rf"^{name} must be .*beyond the largest float"):
             make()
     assert so.Box(np.array([-np.inf], dtype=np.longdouble), [1]).lower == -np.inf
+
+
+def test_a_sparse_matrix_whose_indices_are_not_sorted_stays_as_it_is() -> None:
+    pointers, indices = np.array([0, 2, 4]), np.array([1, 0, 1, 0])
+    A = sp.csc_array((np.array([-1.0, 2.0, 3.0, -1.0]), indices, pointers), shape=(2, 2))
+    before = A.toarray()
+    for _ in range(2):
+        process = so.SweepingProcess(A, None, so.Box([-1, -1], [1, 1]), np.zeros(2))
+        assert np.array_equal(process.A.toarray(), before)
+    assert np.array_equal(A.toarray(), before)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import tracemalloc
 from pathlib import Path
@@ -296,3 +297,76 @@ def test_memory_does_not_grow_with_the_steps_that_are_not_kept() -> None:
 def test_a_run_keeps_less_than_fifty_bytes_a_step() -> None:
     _, grown = (traced(steps, slider())[0] for steps in (10, 10_000))
     assert grown < 50 * 10_000
+
+
+# ---- damage, and disks that are full ----
+
+FULL = """
+import resource, sys
+sys.path.insert(0, {tests!r})
+resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+import numpy as np, sweepopt as so, test_save
+process, settings = test_save.{process}, {settings}
+try:
+    so.solve(process, save={file!r}, **settings)
+except so.SaveError as error:
+    whole, sol = so.solve(process, **settings), error.solution
+    assert "run.nc cannot be written (File too large)" in str(error), error
+    assert np.array_equal(sol.u[1:], whole.u[sol.steps + 1])
+    print(len(sol.t), len(sol.stats))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limits of files")
+@pytest.mark.parametrize(
+    ("process", "settings", "kept"),
+    [
+        ("slider()", {"t_end": 40.0, "steps": 5000}, "5001 5000"),
+        ("large(10_000)", {"t_end": 4.0, "steps": 150, "path": "eliminated"}, "2 1"),
+    ],
+)
+def test_a_full_disk_loses_nothing_that_is_in_memory_and_nothing_crashes(
+    process: str, settings: dict[str, Any], kept: str, tmp_path: Path
+) -> None:
+    tests, file = str(Path(__file__).parent), str(tmp_path / "run.nc")
+    code = FULL.format(tests=tests, process=process, settings=settings, file=file)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.strip() == kept
+    assert not list(tmp_path.iterdir())
+
+
+# h5netcdf says so when it closes what it could not open
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_flipped_bits_and_cut_files_are_named(tmp_path: Path) -> None:
+    file, random = tmp_path / "run.nc", np.random.default_rng(0)
+    sol = so.solve(slider(), t_end=4.0, steps=500, save=file)
+    whole, content = so.solve(slider(), t_end=4.0, steps=500), file.read_bytes()
+    damaged = []
+    for _ in range(100):
+        flipped = bytearray(content)
+        flipped[random.integers(len(content))] ^= 1 << int(random.integers(8))
+        damaged += [bytes(flipped), content[: random.integers(len(content))]]
+    found = 0
+    for one in damaged:
+        file.unlink()  # HDF5 remembers a file that it has open
+        file.write_bytes(one)
+        try:
+            assert np.array_equal(sol.states.u(slice(None)), whole.u)
+            assert np.array_equal(sol.states.velocity([0, -1]), whole.velocity[[0, -1]])
+        except so.CheckpointError as error:
+            assert "run.nc is damaged" in str(error)  # noqa: PT017
+            found += 1
+    assert found > 130
+    for _ in range(100):  # as users read it
+        flipped = bytearray(content)
+        flipped[random.integers(len(content))] ^= 1 << int(random.integers(8))
+        file.unlink()
+        file.write_bytes(flipped)
+        try:
+            with xr.open_dataset(file, engine="h5netcdf") as dataset:
+                u, velocity = dataset.u.values, dataset.velocity.values
+        except (OSError, KeyError, RuntimeError):
+            continue
+        assert np.array_equal(u, whole.u)
+        assert np.array_equal(velocity, whole.velocity)

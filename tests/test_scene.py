@@ -134,6 +134,7 @@ BAD = [
     # the file as a whole
     ("units", "cgs", "units must be one of dimensionless, SI; got 'cgs'"),
     ("title", 3, "title must be text, got 3"),
+    ("title", "a\0b", "title must be text, got .* leave out control characters"),
     ("domain", MISSING, "domain: is missing"),
     ("effects", {}, "effects must hold a viscosity"),
     # domain, time, solve
@@ -191,7 +192,7 @@ BAD_HISTORIES = [
     (table([0, 0.5], [0, 1]), r"history.t = 1 lies outside the table, .* \[0, 0.5\]; extend"),
     (csv("absent.csv"), "history.*absent.csv: cannot be read"),
     ({"csv": "loads.csv"}, "history.column: is missing"),
-    (csv("loads.csv", column="f9"), "history.*loads.csv: column 'f9' is missing; there are"),
+    (csv("loads.csv", column="f9"), "history.*loads.csv: column 'f9' is missing among"),
     (csv("text.csv"), "history.*text.csv, column 'f2', row 3: 'much' is not"),
     (csv("late.csv"), r"history.t = 0 lies outside the table, which covers \[0.25, 9\]"),
     (csv("loads.csv", scale="1"), "history.scale must be one number, got '1'"),

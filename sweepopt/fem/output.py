@@ -21,7 +21,7 @@ import numpy as np
 
 from sweepopt import io
 from sweepopt.fem.contact import STATES, Slip, slip_of
-from sweepopt.results import netcdf_package, software, solver_name
+from sweepopt.results import netcdf_bytes, software, solver_name
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -246,13 +246,8 @@ def dataset_of(report: Report) -> xr.Dataset:
 
 
 def write_netcdf(report: Report, path: Path) -> None:
-    """Write `dataset_of` a run, compressed."""
-    netcdf_package()  # says so now if it is missing
-    run = dataset_of(report)
-    packed = {"zlib": True, "complevel": 1, "shuffle": True}
-    arrays = [name for name, x in run.variables.items() if x.ndim and x.dtype.kind in "if"]
-    with io.replacing(path) as part:
-        run.to_netcdf(part, engine="h5netcdf", encoding=dict.fromkeys(arrays, packed))
+    """Write `dataset_of` a run, compressed and with checksums."""
+    io.put(path, netcdf_bytes(dataset_of(report)))
 
 
 def write_vtu(report: Report, folder: Path) -> list[Path]:

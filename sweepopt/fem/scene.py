@@ -152,8 +152,9 @@ def build(
 ) -> Scene:
     """A scene from effects by the label that errors shall give them."""
     choice("units", settings["units"], UNITS)
-    if not isinstance(settings["title"], str):
-        raise InputError(f"title must be text, got {shown(settings['title'])}")
+    title = settings["title"]
+    if not isinstance(title, str) or not title.replace("\n", " ").isprintable():
+        raise InputError(f"title must be text, got {shown(title)}; leave out control characters")
     parts = [_contribution(label, effects[label], body, settings["t_end"]) for label in effects]
     A, B, loads, contacts = (
         [one for part in parts if (one := getattr(part, name)) is not None]

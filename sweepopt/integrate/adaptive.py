@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Any, NamedTuple
@@ -223,8 +223,10 @@ class _AdaptiveDriver:
         run = Run(grid, process.u0)
         estimator = ErrorEstimator(process, plan.scheme, times, self._segments.breakpoints)
         probes, before = list[Probe](), np.zeros(process.dim)
-        inside = self._steps_to_probe(mus, resting)
-        smooth = not (self._segments.known or process.rate_independent)
+        known = self._segments.known
+        count = len(mus) if resting else 0 if known else FIRST_UNKNOWN
+        inside = set(np.argsort(-mus, kind="stable")[:count].tolist())
+        smooth = not (known or process.rate_independent)
 
         def observe(i: int, u: np.ndarray, z: np.ndarray, _: float) -> None:
             nonlocal before
@@ -250,14 +252,6 @@ class _AdaptiveDriver:
             self._add_hidden_switches(estimator, mus, probes)
             add_pass(estimator.error)
         return estimator
-
-    def _steps_to_probe(self, mus: np.ndarray, resting: bool) -> Collection[int]:
-        """Those in which the load may have turned between two stages."""
-        if resting:
-            return range(len(mus))
-        if self._segments.known:
-            return ()
-        return set(np.argsort(-mus, kind="stable")[:FIRST_UNKNOWN].tolist())
 
     def _add_hidden_switches(
         self, estimator: ErrorEstimator, mus: np.ndarray, probes: list[Probe]

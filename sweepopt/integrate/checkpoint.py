@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import platform
 import time as clock
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
@@ -31,7 +33,7 @@ from sweepopt.integrate.fingerprint import fingerprint
 from sweepopt.integrate.json_arrays import decoded, encoded
 from sweepopt.integrate.options import SolveOptions
 from sweepopt.integrate.record import Grid, Run
-from sweepopt.io import read_npz, remove_parts, versions_of, writable, write_npz
+from sweepopt.io import locked, read_npz, remove_parts, versions_of, writable, write_npz
 from sweepopt.problem import SweepingProcess
 
 SCHEMA = 4  # of the file: one more for each change of what it holds
@@ -189,22 +191,25 @@ def _versions() -> dict[str, str]:
 # ---- writing ------------------------------------------------------------------------------------
 
 
+@contextmanager
 def checkpoint_writer(
     asked: Any,
     process: SweepingProcess,
     grid: Grid,
     options: SolveOptions,
     stored: StoredRun | None = None,
-) -> CheckpointWriter | None:
+) -> Iterator[CheckpointWriter | None]:
     """Read the argument `checkpoint` of solve; `stored` is the run that is continued.
 
     Raises
     ------
     InputError
-        If the run cannot be continued from a file, or its file is that of another one.
+        If the run cannot be continued from a file, or its file is that of another one, or another
+        run is writing it.
     """
     if asked is None:
-        return None
+        yield None
+        return
     checkpoint = asked if isinstance(asked, Checkpoint) else Checkpoint(asked)
     whole = "checkpoint= is for steps given beforehand; "
     if isinstance(options.steps, Adaptive):
@@ -216,9 +221,7 @@ def checkpoint_writer(
             "checkpoint= cannot continue a NetCDF file; keep the states in memory, save=k, or in "
             "a file that save=f(t, u, z) writes"
         )
-    if stored is None:
-        _require_free(checkpoint)
-    elif stored.record["plan"] != str(grid.plan):
+    if stored and stored.record["plan"] != str(grid.plan):
         raise InputError(
             f"{stored.file} is of a run that was planned differently:\n{stored.record['plan']}\n"
             f"but now\n{grid.plan}"
@@ -231,7 +234,10 @@ def checkpoint_writer(
         "options": options.to_json(),
         "checkpoint": {"steps": checkpoint.steps, "seconds": checkpoint.seconds},
     }
-    return CheckpointWriter(checkpoint, about, stored)
+    with locked(checkpoint.file):
+        if stored is None:
+            _require_free(checkpoint)
+        yield CheckpointWriter(checkpoint, about, stored)
 
 
 @dataclass

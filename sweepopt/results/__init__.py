@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sweepopt.results.dataset import (
     NetCDFSink,
-    netcdf_package,
+    netcdf_bytes,
     software,
     solver_name,
 )
@@ -19,7 +19,7 @@ __all__ = [
     "NetCDFSink",
     "Pass",
     "Solution",
-    "netcdf_package",
+    "netcdf_bytes",
     "refine",
     "software",
     "solver_name",

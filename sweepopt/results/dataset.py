@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import os
 import uuid
+from collections.abc import Callable
 from functools import partial
+from io import BytesIO, FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweepopt.errors import InputError, brought_by
+from sweepopt.errors import DamagedFileError, InputError, brought_by
 from sweepopt.integrate import Index, States, StepInfo
 from sweepopt.io import part_of, versions_of
 
@@ -25,10 +27,48 @@ if TYPE_CHECKING:
 BLOCK = 8e6  # bytes that wait in memory: large enough that writing them costs little
 
 
+CHECKED = {"libver": ("v110", "v110")}  # of HDF5: its own tables have checksums too
+
+
+class _Storage(FileIO):
+    """A file for HDF5, which crashes at exit if it saw that it could not be written.
+
+    Attributes
+    ----------
+    failure : OSError or None
+        The first one; nothing is written after it.
+    """
+
+    failure: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        rest = memoryview(data).cast("B")
+        size = len(rest)
+        while rest and not self.failure:
+            rest = rest[self._unless_full(super().write, rest) or 0 :]
+        return size
+
+    def truncate(self, size: int | None = None) -> int:
+        return self._unless_full(super().truncate, size) or 0
+
+    def _unless_full(self, action: Callable[[Any], int | None], value: Any) -> int | None:
+        try:
+            return None if self.failure else action(value)
+        except OSError as error:
+            self.failure = error
+            return None
+
+
 class NetCDFSink:
     """Appends times, states and velocities to a file that takes its name when it is closed.
 
-    Dimensions are time (one longer), step and unknown, as in `Solution.to_xarray`.
+    Dimensions are time (one longer), step and unknown, as in `Solution.to_xarray`. Numbers have
+    checksums.
+
+    Attributes
+    ----------
+    storage : _Storage
+        Knows whether the file can be written.
 
     Raises
     ------
@@ -38,7 +78,9 @@ class NetCDFSink:
 
     def __init__(self, path: Path, t: float, u0: np.ndarray) -> None:
         self._path, self._part = path, part_of(path)
-        self._file = netcdf_package().File(self._part, "w")
+        package = netcdf_package()
+        self.storage = _Storage(self._part, "w+")
+        self._file = package.File(self.storage, "w", **CHECKED)
         self._run = self._file.attrs["run"] = uuid.uuid4().hex  # another run has another one
         self._file.dimensions = {"time": None, "step": None, "unknown": u0.size}
         self._most = max(int(BLOCK // (16 * u0.size)), 1)
@@ -48,55 +90,82 @@ class NetCDFSink:
             ("u", ("time", "unknown"), rows, "u_n at the grid times"),
             ("velocity", ("step", "unknown"), rows, "velocity u_n' in each step"),
         ):
-            created = self._file.create_variable(name, dims, float, chunks=chunks)
+            created = self._file.create_variable(name, dims, float, chunks=chunks, fletcher32=True)
             created.attrs.update({"long_name": words, "units": "1"})
         self._file.resize_dimension("time", 1)
         self._file.variables["time"][0], self._file.variables["u"][0] = t, u0
         self._steps, self._waiting = 0, list[np.ndarray]()
+        self._u0 = u0
 
-    def put(self, step: StepInfo) -> None:
-        """Take the state at the end of the next step and the velocity of the step."""
+    def put(self, step: StepInfo) -> bool:
+        """Take the state at the end of the next step and the velocity of the step.
+
+        The answer is whether the file cannot be written.
+        """
         # a copy: a callback may change the state that it sees
         self._waiting.append(np.concatenate([[step.t], step.u, step.velocity]))
         if len(self._waiting) == self._most:
             self._write()
+        return self.storage.failure is not None
 
     def close(self, finished: bool) -> None:
-        """Write what waits and put the file in its place; an unfinished one keeps its part name."""
+        """Write what waits and put the file in its place; an unfinished one keeps its part name.
+
+        One that cannot be written disappears.
+        """
         self._write()
         self._file.close()
-        if finished:
+        self.storage.close()
+        if self.storage.failure:
+            self._part.unlink()
+        elif finished:
             os.replace(self._part, self._path)
 
     def _write(self) -> None:
         start, variables = self._steps, self._file.variables
         end = start + len(self._waiting)
-        if end > start:
-            rows = np.array(self._waiting)
-            u, velocity = np.hsplit(rows[:, 1:], 2)
+        if end > start and not self.storage.failure:
+            t, u, velocity = self._columns()
             self._file.resize_dimension("time", end + 1)
             self._file.resize_dimension("step", end)
-            variables["time"][start + 1 :] = rows[:, 0]
+            variables["time"][start + 1 :] = t
             variables["u"][start + 1 :] = u
             variables["velocity"][start:] = velocity
-        # one assignment at the end: what Ctrl-C cuts short is written again by `close`
-        self._steps, self._waiting = end, []
+            self._file.flush()  # so that a failure is seen before the block is forgotten
+        if not self.storage.failure:
+            # one assignment at the end: what Ctrl-C cuts short is written again by `close`
+            self._steps, self._waiting = end, []
+
+    def _columns(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Times, states and velocities of the steps that wait."""
+        t, u, velocity = np.split(np.array(self._waiting), [1, 1 + self._u0.size], axis=1)
+        return t[:, 0], u, velocity
 
     def states(self) -> States:
-        """The states in the file, read when they are asked for."""
+        """The states in the file, read when they are asked for; those that wait if it failed."""
+        if self.storage.failure:
+            _, u, velocity = self._columns()
+            steps, nodes = self._steps + np.arange(len(u)), np.vstack([self._u0, u])
+            return States(steps, nodes.__getitem__, velocity.__getitem__)
 
         def read(name: str, i: Index) -> np.ndarray:
             if not self._path.is_file():
                 raise InputError(f"{self._path}, which holds the states of this run, is not there")
-            with netcdf_package().File(self._path, "r") as file:
-                if file.attrs.get("run") != self._run:
-                    raise InputError(f"another run has written {self._path}: these states are gone")
-                variable = file.variables[name]
-                if isinstance(i, slice):
-                    return np.asarray(variable[i])
-                # a file has its rows read in order, each once
-                rows, where = np.unique(np.arange(variable.shape[0])[i], return_inverse=True)
-                return np.asarray(variable[rows])[where.reshape(np.shape(i))]
+            package = netcdf_package()
+            try:
+                with package.File(self._path, "r") as file:
+                    run, variable = file.attrs.get("run"), file.variables[name]
+                    if run == self._run and isinstance(i, slice):
+                        return np.asarray(variable[i])
+                    if run == self._run:  # a file has its rows read in order, each once
+                        wanted = np.arange(variable.shape[0])[i]
+                        rows, where = np.unique(wanted, return_inverse=True)
+                        return np.asarray(variable[rows])[where.reshape(wanted.shape)]
+            except Exception as error:  # h5py has no list of what it raises
+                raise DamagedFileError(
+                    f"{self._path} is damaged ({error}); its states are lost, run again"
+                ) from error
+            raise InputError(f"another run has written {self._path}: these states are gone")
 
         return States(np.arange(self._steps), partial(read, "u"), partial(read, "velocity"))
 
@@ -107,6 +176,21 @@ def netcdf_package() -> Any:
         import h5netcdf
         import h5py  # noqa: F401  # h5netcdf alone cannot write
     return h5netcdf
+
+
+def netcdf_bytes(dataset: xr.Dataset) -> bytes:
+    """A file of the dataset, compressed and with checksums.
+
+    It is made in memory: HDF5 crashes at exit where a disk is full.
+    """
+    package, content = netcdf_package(), BytesIO()
+    from xarray.backends import H5NetCDFStore
+
+    packed = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
+    arrays = [name for name, x in dataset.variables.items() if x.ndim and x.dtype.kind in "if"]
+    with package.File(content, "w", **CHECKED) as file:
+        dataset.dump_to_store(H5NetCDFStore(file), encoding=dict.fromkeys(arrays, packed))
+    return content.getvalue()
 
 
 # ---- datasets -----------------------------------------------------------------------------------
