@@ -15,7 +15,7 @@ import sweepopt as so
 from sweepopt.cli import main
 from sweepopt.study.hard import FAMILIES, Program, suite
 from sweepopt.study.hard.bodies import MATRICES, chain
-from sweepopt.study.hard.families import chosen, combination, make
+from sweepopt.study.hard.families import chosen, combination, make, read_families
 from sweepopt.study.hard.ingredients import CONTACTS, HISTORIES, LOADS, STIFFNESS, UNITS
 from sweepopt.study.hard.judge import Judge
 from sweepopt.study.hard.suite import PATHS, HardRow, HardStudy, rows
@@ -53,6 +53,14 @@ def test_families_are_made_of_ingredients_that_there_are() -> None:
     names = [name for table in tables for name in table]
     assert len(names) == len(set(names))
     assert set(joined(*FAMILIES.values())) <= set(names)
+
+
+def test_an_ingredient_that_there_is_not_is_refused_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "families.toml"
+    path.write_text('soft = ["cond 1e7"]\nhard = ["cond 1e12", "a bux"]\n')
+    words = r"families.toml: hard\[1\]: 'a bux' is not known; there are: a chain, cond 1e12"
+    with pytest.raises(so.InputError, match=words):
+        read_families(path)
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -229,6 +237,7 @@ def test_a_contact_that_is_named_twice_has_the_sum_of_its_bounds() -> None:
         ("[hard]\nseed = [1]", "hard.seed: unknown key; there are: seeds"),
         ("[hard]\nseeds = [-1]", "hard.seeds[0] must be a whole number >= 0, got -1"),
         ('[hard]\nfamilies = ["soft"]', "hard.families[0]: 'soft' is not known; there are: thr"),
+        ('[hard]\ntrajectories = ["x"]', "hard.trajectories[0]: 'x' is not known; there are: ord"),
     ],
 )
 def test_a_bad_table_is_refused(
