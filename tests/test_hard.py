@@ -1,4 +1,4 @@
-"""Programs on which solvers alone fail, judged by velocities that are exact to 60 digits."""
+"""Programs on which solvers alone fail, judged by velocities that are exact to 80 digits."""
 
 from __future__ import annotations
 
@@ -106,6 +106,14 @@ def test_combinations_that_were_wrong_once(seed: int, number: int) -> None:
         for k, certificate in enumerate(sol.stats["certificate"]):
             error, stated, _ = judge.step(sol.u[k], sol.t[k], sol.velocity[k], certificate)
             assert error <= min(1e-9, stated)
+
+
+def test_the_judge_has_digits_for_radii_from_1_to_1e24() -> None:
+    found = judged(
+        "unbounded", seeds=[413], solvers=["clarabel"], paths=["eliminated"], combinations=3
+    )
+    assert wrong(found) == []
+    assert found[-1].family == "combination 2"
 
 
 def test_a_path_that_does_not_apply_leaves_no_row() -> None:
