@@ -235,11 +235,14 @@ def reference() -> Any:
     return found
 
 
+HARD = "tol = 1e-9\nsolvers = ['auto']\ntrajectories = []\n"
+
+
 def hard_rows(settings: str) -> list[dict[str, str]]:
     """The table of hard cases that `sweepopt study` writes at tol = 1e-9."""
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        (folder / "hard.toml").write_text(f"[hard]\ntol = 1e-9\nsolvers = ['auto']\n{settings}")
+        (folder / "hard.toml").write_text(f"[hard]\n{HARD}{settings}")
         code, said = called("study", str(folder / "hard.toml"), "--out", place)
         assert code == 0, said
         with (folder / "hard.csv").open(newline="") as file:

@@ -1,4 +1,4 @@
-"""Programs on which solvers alone fail, judged by velocities that are exact to 60 digits."""
+"""Programs on which solvers alone fail, judged by velocities that are exact to 80 digits."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import sweepopt as so
 from sweepopt.cli import main
 from sweepopt.study.hard import FAMILIES, Program, suite
 from sweepopt.study.hard.bodies import MATRICES, chain
-from sweepopt.study.hard.families import chosen, combination, make
+from sweepopt.study.hard.families import chosen, combination, make, read_families
 from sweepopt.study.hard.ingredients import CONTACTS, HISTORIES, LOADS, STIFFNESS, UNITS
 from sweepopt.study.hard.judge import Judge
 from sweepopt.study.hard.suite import PATHS, HardRow, HardStudy, rows
@@ -53,6 +53,14 @@ def test_families_are_made_of_ingredients_that_there_are() -> None:
     names = [name for table in tables for name in table]
     assert len(names) == len(set(names))
     assert set(joined(*FAMILIES.values())) <= set(names)
+
+
+def test_an_ingredient_that_there_is_not_is_refused_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "families.toml"
+    path.write_text('soft = ["cond 1e7"]\nhard = ["cond 1e12", "a bux"]\n')
+    words = r"families.toml: hard\[1\]: 'a bux' is not known; there are: a chain, cond 1e12"
+    with pytest.raises(so.InputError, match=words):
+        read_families(path)
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -98,6 +106,14 @@ def test_combinations_that_were_wrong_once(seed: int, number: int) -> None:
         for k, certificate in enumerate(sol.stats["certificate"]):
             error, stated, _ = judge.step(sol.u[k], sol.t[k], sol.velocity[k], certificate)
             assert error <= min(1e-9, stated)
+
+
+def test_the_judge_has_digits_for_radii_from_1_to_1e24() -> None:
+    found = judged(
+        "unbounded", seeds=[413], solvers=["clarabel"], paths=["eliminated"], combinations=3
+    )
+    assert wrong(found) == []
+    assert found[-1].family == "combination 2"
 
 
 def test_a_path_that_does_not_apply_leaves_no_row() -> None:
@@ -229,6 +245,7 @@ def test_a_contact_that_is_named_twice_has_the_sum_of_its_bounds() -> None:
         ("[hard]\nseed = [1]", "hard.seed: unknown key; there are: seeds"),
         ("[hard]\nseeds = [-1]", "hard.seeds[0] must be a whole number >= 0, got -1"),
         ('[hard]\nfamilies = ["soft"]', "hard.families[0]: 'soft' is not known; there are: thr"),
+        ('[hard]\ntrajectories = ["x"]', "hard.trajectories[0]: 'x' is not known; there are: ord"),
     ],
 )
 def test_a_bad_table_is_refused(

@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 import warnings
+from collections.abc import Iterable
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sweepopt.errors import SweepoptWarning
 from sweepopt.io import find_study, read_toml
@@ -19,6 +20,7 @@ from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
 from sweepopt.study.executors import Processes, dask_executor
 from sweepopt.study.hard.suite import HardRow, hard_study, hard_summary, rows
+from sweepopt.study.hard.trajectories import TrajectoryRow, trajectory_rows, trajectory_summary
 from sweepopt.study.ledger import append_row
 from sweepopt.study.report import write_report
 from sweepopt.study.sources import find_source
@@ -29,22 +31,20 @@ from sweepopt.study.study import Study, read_study, run
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-TABLE, DIAGRAM, HARD, REPORT = "table.csv", "diagram.png", "hard.csv", "report.html"
-STIFF = "stiff.csv"
-HARD_ROWS = "hard.jsonl"
-"""Rows of hard cases, each as soon as it is finished."""
+TABLE, DIAGRAM, REPORT = "table.csv", "diagram.png", "report.html"
+HARD, TRAJECTORY, STIFF = "hard", "trajectories", "stiff"
+"""Files of hard programs, trajectories and stiff bodies: .jsonl has each row as soon as it is finished."""
 
 
 def study_command(chosen: argparse.Namespace) -> None:
     """Run a study, or go on with it, then its hard and stiff cases, and write what they say."""
-    import pandas as pd
-
     path = find_study(chosen.study)
     folder = chosen.out or Path("results") / path.stem
     data = read_toml(path)
     hard = hard_study(data["hard"], f"{path}: ") if "hard" in data else None
     stiff = stiff_study(data["stiff"], f"{path}: ") if "stiff" in data else None
     judged: list[HardRow] = []
+    paths: list[TrajectoryRow] = []
     table, solutions, files = None, {}, []
     if not (hard or stiff) or data.keys() - {"hard", "stiff", "title"}:
         study = read_study(path)
@@ -56,26 +56,47 @@ def study_command(chosen: argparse.Namespace) -> None:
         print(summary(table))
         files += [TABLE, DIAGRAM]
     if hard is not None:
-        # in this process, from the start: they take a minute a seed
+        # in this process, from the start: they take some minutes a seed
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / HARD_ROWS).unlink(missing_ok=True)
-        for row in rows(hard, _say):
-            append_row(folder / HARD_ROWS, row)
-            judged.append(row)
-        pd.DataFrame(judged).to_csv(folder / HARD, index=False)
-        print(hard_summary(judged))
-        files.append(HARD)
+        judged = _kept(rows(hard, _say), folder / HARD)
+        trajectories = trajectory_rows(hard.trajectories, hard.seeds, tol=hard.tol, progress=_say)
+        paths = _kept(trajectories, folder / TRAJECTORY)
+        if judged:
+            print(hard_summary(judged))
+            files.append(f"{HARD}.csv")
+        if paths:
+            print(trajectory_summary(paths))
+            files.append(f"{TRAJECTORY}.csv")
     if stiff is not None:
         folder.mkdir(parents=True, exist_ok=True)
-        runs = list(stiff_rows(stiff, _say))
-        pd.DataFrame(runs).to_csv(folder / STIFF, index=False)
-        print(stiff_summary(runs))
-        files.append(STIFF)
-    if table is not None or judged:
-        title = str(data.get("title", path.stem))
-        write_report(table, folder / REPORT, solutions=solutions, hard=judged, title=title)
+        print(stiff_summary(_kept(stiff_rows(stiff, _say), folder / STIFF)))
+        files.append(f"{STIFF}.csv")
+    if table is not None or judged or paths:
         files.append(REPORT)
+        title = str(data.get("title", path.stem))
+        write_report(
+            table,
+            folder / REPORT,
+            solutions=solutions,
+            hard=judged,
+            trajectories=paths,
+            title=title,
+        )
     print(f"written: {folder}: {', '.join(files)}")
+
+
+def _kept(rows: Iterable[Any], path: Path) -> list[Any]:
+    """All rows, each written down as soon as it is finished."""
+    import pandas as pd
+
+    lines, found = path.with_suffix(".jsonl"), []
+    lines.unlink(missing_ok=True)
+    for row in rows:
+        append_row(lines, row)
+        found.append(row)
+    if found:
+        pd.DataFrame(found).to_csv(path.with_suffix(".csv"), index=False)
+    return found
 
 
 def _executor(chosen: argparse.Namespace) -> AbstractContextManager[Executor]:

@@ -23,6 +23,7 @@ from sweepopt.study.advice import advice_table, halving_table
 from sweepopt.study.cell import guaranteed_bound
 from sweepopt.study.diagram import ACCURACIES, BOUND, COLOURS, COLUMNS, COSTS, points
 from sweepopt.study.hard.suite import TARGET, HardRow
+from sweepopt.study.hard.trajectories import TrajectoryRow
 from sweepopt.study.machine import machine
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ def write_report(
     *,
     solutions: Mapping[str, Solution] | None = None,
     hard: Sequence[HardRow] = (),
+    trajectories: Sequence[TrajectoryRow] = (),
     title: str = "Accuracy and what it costs",
 ) -> Path:
     """Write a study as one HTML file; nothing is fetched when it is opened.
@@ -84,6 +86,8 @@ def write_report(
         Runs to show over time, by name: the component that moves most, in its guaranteed band.
     hard : sequence of HardRow
         Runs of hard cases of this session.
+    trajectories : sequence of TrajectoryRow
+        Runs of hard trajectories of this session.
     title : str
         The report's heading.
 
@@ -99,7 +103,7 @@ def write_report(
     MissingExtraError
         If Plotly is not installed.
     """
-    if table is None and not hard:
+    if table is None and not hard and not trajectories:
         raise InputError("table is None and there are no hard cases: nothing to report")
     target = writable("path", path)
     with brought_by("study"):
@@ -116,6 +120,8 @@ def write_report(
         ]
     if hard:
         parts += _hard_section(hard)
+    if trajectories:
+        parts += _trajectory_section(trajectories)
     date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     page = PAGE.substitute(
         title=html.escape(title),
@@ -214,6 +220,18 @@ def _hard_section(hard: Sequence[HardRow]) -> list[str]:
         f"{TARGET:g} and below the certificate. A click in the legend hides a solver.</p>",
         _page_of(_hard_figure(table)),
         _table(table.drop(columns="excess"), "verdict", good, "runs", "wrong"),
+    ]
+
+
+def _trajectory_section(rows: Sequence[TrajectoryRow]) -> list[str]:
+    import pandas as pd
+
+    good = pd.Series([row.good for row in rows])
+    return [
+        "<h2>Hard trajectories</h2>",
+        "<p>Runs beside exact trajectories: the error may be the sum of the scheme's local errors, "
+        "bounds lie above it, energies balance, and what slips clearly does not rest.</p>",
+        _table(pd.DataFrame(rows), "verdict", good, "runs", "wrong"),
     ]
 
 

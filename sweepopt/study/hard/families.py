@@ -25,6 +25,7 @@ from sweepopt.study.hard.ingredients import (
     Contact,
     constant,
 )
+from sweepopt.study.records import each, known
 
 Names = Sequence[str]
 
@@ -86,5 +87,17 @@ def combination(random: Random) -> Names:
     return (*names, "one step" if names[4] == "no B" else history)
 
 
-FAMILIES: dict[str, Names] = read_toml(Path(__file__).with_suffix(".toml"))
+TABLES = (MATRICES, CONTACTS, LOADS, UNITS, STIFFNESS, HISTORIES)
+
+
+def read_families(path: Path) -> dict[str, Names]:
+    """Families of a file by name; InputError names an ingredient that there is not."""
+    ingredients, families = [name for table in TABLES for name in table], read_toml(path)
+    return {
+        name: each(f"{path.name}: {name}", names, known, ingredients, "there are:")
+        for name, names in families.items()
+    }
+
+
+FAMILIES: dict[str, Names] = read_families(Path(__file__).with_suffix(".toml"))
 """Families by name: of each, every seed makes a case."""

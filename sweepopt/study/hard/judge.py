@@ -1,4 +1,4 @@
-"""The exact velocity of a small program in 60 digits, to judge what double precision answers.
+"""The exact velocity of a small program in 80 digits, to judge what double precision answers.
 
 -z in N_C(M z + q) for C = c + E^T S, S a polyhedron or balls: the unknowns beside E z are
 eliminated, the rest is solved by `velocities`. The solution is unique.
@@ -40,7 +40,7 @@ class Exact(NamedTuple):
 
 
 class Program:
-    """M = A + gamma B in 60 digits, for the exact velocities of many linear terms.
+    """M = A + gamma B in 80 digits, for the exact velocities of many linear terms.
 
     Parameters
     ----------

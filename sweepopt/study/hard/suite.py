@@ -27,6 +27,7 @@ from sweepopt.study.hard.bodies import Random
 from sweepopt.study.hard.families import FAMILIES, Names, chosen, combination, make
 from sweepopt.study.hard.ingredients import HISTORIES, REFUSED, History
 from sweepopt.study.hard.judge import Judge
+from sweepopt.study.hard.trajectories import TRAJECTORIES
 from sweepopt.study.records import each, known, read_record
 
 TARGET = 1e-8
@@ -46,6 +47,8 @@ class HardStudy:
     families, solvers, paths : sequence of str
     combinations : int
         How many cases are drawn by chance for each seed.
+    trajectories : sequence of str
+        Rows of trajectories.toml; each seed draws every one of them anew.
     tol : float
         What `solve` is asked for.
 
@@ -65,14 +68,18 @@ class HardStudy:
     solvers: Sequence[str] = SOLVERS
     paths: Sequence[str] = PATHS
     combinations: int = 8
+    trajectories: Sequence[str] = tuple(TRAJECTORIES)
     tol: float = 1e-9
 
     def __post_init__(self) -> None:
         each("seeds", self.seeds, count, 0)
         count("combinations", self.combinations, least=0)
         number("tol", self.tol, minimum=0.0, strict=True)
-        for key, names in (("families", FAMILIES), ("solvers", SOLVERS), ("paths", PATHS)):
-            each(key, getattr(self, key), known, names, "there are:")
+        lists = (("solvers", SOLVERS), ("paths", PATHS), ("families", FAMILIES))
+        for key, names in (*lists, ("trajectories", TRAJECTORIES)):
+            # without families or trajectories, this part is left out
+            if key in ("solvers", "paths") or getattr(self, key) != []:
+                each(key, getattr(self, key), known, names, "there are:")
 
 
 def hard_study(data: Any, where: str = "") -> HardStudy:

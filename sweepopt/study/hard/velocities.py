@@ -1,4 +1,4 @@
-"""The program  -z in N_C(N z + q)  in 60 digits, by linear complementarity problems.
+"""The program  -z in N_C(N z + q)  in 80 digits, by linear complementarity problems.
 
 It needs no start, so that no solver's answer is favoured.
 """
@@ -15,7 +15,7 @@ from sweepopt.sets import Balls, Box, ConvexSet, Polyhedron, shape_of
 from sweepopt.study.hard import digits
 
 STEPS = 500  # of a method that is finite or converges fast: this ends what is not
-ROUNDING = Decimal("1e-50")  # relative: of 60 digits, the rest is for what elimination adds
+ROUNDING = Decimal("1e-70")  # relative: of 80 digits, the rest is for what elimination adds
 ZERO = Decimal(
     "1e-35"
 )  # relative: pivots of normals that differ by 1e-7 at condition 1e12 are larger

@@ -1,0 +1,160 @@
+"""Hard trajectories: the judge against closed forms and the inclusion, every scheme against it."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sweepopt as so
+from sweepopt.integrate import SCHEMES
+from sweepopt.study.hard import trajectories
+from sweepopt.study.hard.play import Play, least_slope
+from sweepopt.study.hard.trajectories import (
+    TRAJECTORIES,
+    Case,
+    Trajectory,
+    TrajectoryRow,
+    trajectory_rows,
+)
+
+RINGS = {"midpoint", "auto"}
+"""They rest where a stiff body slips, or one without viscosity; `auto` may be midpoint."""
+LONG = {"thousand_cycles"}
+
+
+def wrong(names: list[str], seeds: list[int], schemes: list[str]) -> list[TrajectoryRow]:
+    return [row for row in trajectory_rows(names, seeds, schemes) if not row.good]
+
+
+# ---- the judge --------------------------------------------------------------------------------
+
+
+def test_the_play_is_that_of_closed_forms() -> None:
+    flat = ([0.0, 20.0], [0.0, 0.0])
+    times = np.linspace(0.0, 20.0, 101).tolist()
+    # no friction: 2 u' + 3 u = 5 sin(4 t)
+    free = Play(2.0, 3.0, 0.7, flat, flat, (5.0, 4.0)).states(times)
+    t = np.array(times)
+    steady = 5 * (3 * np.sin(4 * t) - 8 * np.cos(4 * t)) / 73
+    assert free == pytest.approx(steady + (0.7 + 40 / 73) * np.exp(-1.5 * t), abs=1e-14)
+    # no viscosity, a triangle of amplitude 3: 2 u stays 1 behind the load
+    load, one = ([0.0, 3.0, 9.0, 15.0, 20.0], [0.0, 3.0, -3.0, 3.0, -2.0]), ([0.0, 20.0], [1.0] * 2)
+    play = Play(0.0, 2.0, 0.0, load, one).states([0.0, 1.0, 2.0, 3.0, 5.0, 7.0, 9.0, 11.0, 15.0])
+    assert 2 * play == pytest.approx([0, 0, 1, 2, 2, 0, -2, -2, 2], abs=1e-14)
+    # no spring: A u' = f - 1 while the load of slope 1 is above it
+    slide = Play(0.5, 0.0, 0.0, ([0.0, 4.0, 8.0], [0.0, 4.0, 0.0]), one).states(
+        [0.0, 4.0, 7.0, 8.0]
+    )
+    assert slide == pytest.approx([0.0, 9.0, 18.0, 18.0], abs=1e-14)
+
+
+@pytest.mark.parametrize("name", sorted({*TRAJECTORIES} - LONG - {"singular", "short_steps"}))
+def test_the_exact_trajectory_satisfies_the_inclusion(name: str) -> None:
+    case = Case(TRAJECTORIES[name], np.random.default_rng(5))
+    if case.refused:
+        return
+    for body in case.bodies:
+        if body.A == 0:
+            continue
+        mu = case.t[1]
+        # forces at the middle of short steps, which cancel to the order of the steps
+        h = 1e-5 * min(mu, body.A / (body.B or 1.0))
+        for t in np.linspace(case.t[1], case.t[-2], 40).tolist():
+            u = body.states([0.0, t - h, t, t + h])
+            z = (u[3] - u[1]) / (2 * h)
+            force, r = body.f(t) - body.B * u[2], body.r(t)
+            scale = max(abs(body.f(x)) for x in case.t) + r
+            slip = np.sign(force) * max(abs(force) - r, 0.0)
+            rounding = 4e-16 * body.A * abs(u).max() / h
+            assert abs(body.A * z - slip) <= 1e-4 * scale + 8 * rounding
+
+
+def test_steps_move_states_apart_where_the_tables_say_so() -> None:
+    euler, midpoint, sdirk2 = (SCHEMES[name] for name in ("implicit-euler", "midpoint", "sdirk2"))
+    assert least_slope(euler, 3.0) == pytest.approx(1 / 4)
+    assert least_slope(midpoint, 6.0) == pytest.approx(-1 / 2)
+    assert least_slope(midpoint, np.inf) == pytest.approx(-1.0)
+    assert least_slope(SCHEMES["catching-up"], 2.0) == pytest.approx(-1.0)
+    assert least_slope(sdirk2, np.inf) == pytest.approx(-np.sqrt(2))
+    assert least_slope(SCHEMES["trapezoid"], 4.0) == pytest.approx(-1.0)
+    assert all(least_slope(scheme, 0.0) == 1.0 for scheme in (euler, midpoint, sdirk2))
+
+
+# ---- every scheme -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", sorted({*TRAJECTORIES} - LONG))
+def test_every_scheme_has_the_error_that_it_should_have(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trajectories, "BOUNDED", 0)  # bounds take ten times as long as all the rest
+    assert wrong([name], [0], sorted({*SCHEMES} - RINGS)) == []
+    # what is said of midpoint is true where it does not ring
+    rows = list(trajectory_rows([name], [0], ["midpoint"]))
+    assert all(row.good or (row.verdict == "false stick" and row.mu_Lam > 2) for row in rows)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", TRAJECTORIES)
+def test_every_scheme_has_the_error_that_it_should_have_for_every_seed(
+    name: str, seed: int
+) -> None:
+    assert wrong([name], [seed], sorted({*SCHEMES} - RINGS)) == []
+
+
+def test_bounds_are_above_the_error_of_few_steps() -> None:
+    names = ["ordinary", "stiff", "no_viscosity", "closing"]
+    schemes = ["catching-up", "implicit-euler", "sdirk2"]
+    rows = list(trajectory_rows(names, [3], schemes))
+    ratios = [row.bound for row in rows if row.verdict != "refused"]
+    assert len(ratios) >= 10
+    assert min(ratios) >= 1.0
+
+
+def test_the_judge_sees_what_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    def judged(**changes: Any) -> TrajectoryRow:
+        """A run of which something is not that of the library."""
+
+        def lying(*process: Any, **settings: Any) -> Any:
+            sol = so.solve(*process, **settings)
+            said = {name: getattr(sol, name) for name in ("u", "velocity", "energy", "error_bound")}
+            said |= {name: getattr(sol, name) for name in ("plan", "stats", "success", "message")}
+            return SimpleNamespace(**said | {name: f(sol) for name, f in changes.items()})
+
+        monkeypatch.setattr(trajectories, "solve", lying)
+        return next(trajectory_rows(["ordinary"], [0], ["implicit-euler"]))
+
+    def at_rest(sol: so.Solution) -> np.ndarray:
+        return np.where(np.arange(len(sol.velocity))[:, None] % 7, sol.velocity, 0.0)
+
+    def never_at_rest(sol: so.Solution) -> np.ndarray:
+        return np.where(sol.velocity == 0, 1e-3, sol.velocity)
+
+    def low_bound(sol: so.Solution) -> Any:
+        bound = sol.error_bound()
+        return lambda: type(bound).make(True, bound.t, 0.5 * bound.of_t, bound.B, 0.0)
+
+    def unbalanced(sol: so.Solution) -> Any:
+        energy = sol.energy()
+        return lambda: energy._replace(viscous=1.5 * energy.viscous)
+
+    assert judged().verdict == "met"
+    assert judged(u=lambda sol: 1.5 * sol.u).verdict == "error above that of the scheme"
+    assert judged(u=lambda sol: sol.u + 1e-6).verdict == "states are not the scheme's"
+    assert judged(velocity=at_rest).verdict == "false stick"
+    assert judged(velocity=never_at_rest).verdict == "false slip"
+    assert judged(error_bound=low_bound).verdict == "bound below the error"
+    assert judged(energy=unbalanced).verdict == "energy out of balance"
+    assert judged(success=lambda _: False).verdict.startswith("stopped: ")
+
+
+def test_what_must_be_refused_is_missed_if_it_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(TRAJECTORIES, "soft", Trajectory(steps=5, refused="IndefiniteError"))
+    (row,) = trajectory_rows(["soft"], [0], ["midpoint"])
+    assert (row.good, row.verdict) == (False, "not refused with IndefiniteError")
+    (row,) = trajectory_rows(["singular"], [0], ["midpoint"])
+    assert (row.good, row.verdict) == (True, "refused")
