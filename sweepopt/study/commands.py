@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 TABLE, DIAGRAM, REPORT = "table.csv", "diagram.png", "report.html"
 HARD, TRAJECTORY, STIFF = "hard", "trajectories", "stiff"
-"""Files of hard programs, trajectories and stiff bodies: .jsonl has each row as soon as it is finished."""
+"""Files of hard cases: .jsonl has each row as soon as it is finished, .csv all of them."""
 
 
 def study_command(chosen: argparse.Namespace) -> None:
