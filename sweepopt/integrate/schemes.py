@@ -21,6 +21,7 @@ from sweepopt.checks import HUGE
 from sweepopt.errors import InputError, shown
 from sweepopt.linalg import exceeds_none
 from sweepopt.problem import SweepingProcess
+from sweepopt.velocity import contact_and_load
 
 
 @dataclass(frozen=True)
@@ -134,14 +135,24 @@ def rings(process: SweepingProcess, scheme: Scheme, mu: float, least: float = 0.
     return bool(scheme.amplification(-min(mu * process.Lam, HUGE)) < -least)
 
 
-def automatic(process: SweepingProcess, mu: float, stiff: str) -> Scheme:
-    """midpoint for steps of at most mu if mu Lam <= 2, else the stiff one; with the reason."""
+def automatic(process: SweepingProcess, mu: float, path: str) -> Scheme:
+    """The scheme for steps of at most mu, with the reason.
+
+    sdirk2 while mu Lam <= 2 and sdirk32 beyond; a reduction to the contact of a body is moved by a
+    scheme of one stage: midpoint while it does not ring, then implicit-euler where it is asked for.
+    """
+    reducible = path in ("auto", "proportional")
+    reducible = reducible and not isinstance(contact_and_load(process), str)
     if not is_stiff(process, mu):
-        return replace(SCHEMES["midpoint"], reason="mu Lam is at most 2")
+        if reducible:
+            return replace(SCHEMES["midpoint"], reason="B = rho A, mu Lam is at most 2")
+        return replace(SCHEMES["sdirk2"], reason="mu Lam is at most 2")
     reason = "A is zero"
     if not process.rate_independent:
-        reason = f"mu Lam = {mu * process.Lam:.3g} is above 2, where midpoint rings"
-    return replace(SCHEMES[stiff], reason=reason)
+        reason = f"mu Lam = {mu * process.Lam:.3g} is above 2"
+    return replace(
+        SCHEMES["implicit-euler" if path == "proportional" else "sdirk32"], reason=reason
+    )
 
 
 def choose(name: str, rate_independent: bool) -> Scheme:
