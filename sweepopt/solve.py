@@ -80,8 +80,8 @@ def solve(
         Number of equal steps, or the increasing times themselves (the first one is where u0 holds),
         or ``Adaptive(tol)``: steps that are chosen for an error of tol.
     scheme : str
-        "auto" (sdirk2 where mu Lam <= 2 for the longest step, midpoint if path "proportional"
-        applies; else sdirk32, with path="proportional" implicit-euler; with Adaptive midpoint, or
+        "auto" (sdirk2 where mu Lam <= 2 for the longest step, midpoint if path "proportional" may
+        apply; else sdirk32, with path="proportional" implicit-euler; with Adaptive midpoint, or
         sdirk2 when A = 0; the plan says which one and why), "catching-up", "implicit-euler",
         "midpoint", "trapezoid" (A coercive only), "sdirk2", "sdirk32" (3 programs a step, 7 where
         much stops); "exact" for polyhedra and loads as data (`Separable`): closed forms between

@@ -138,14 +138,12 @@ def rings(process: SweepingProcess, scheme: Scheme, mu: float, least: float = 0.
 def automatic(process: SweepingProcess, mu: float, path: str) -> Scheme:
     """The scheme for steps of at most mu, with the reason.
 
-    sdirk2 while mu Lam <= 2 and sdirk32 beyond; a reduction to the contact of a body is moved by a
-    scheme of one stage: midpoint while it does not ring, then implicit-euler where it is asked for.
+    sdirk2 while mu Lam <= 2 and sdirk32 beyond. A reduction to the contact of a body is moved by a
+    scheme of one stage, midpoint while it does not ring: so is the same body on other paths.
     """
-    reducible = path in ("auto", "proportional")
-    reducible = reducible and not isinstance(contact_and_load(process), str)
     if not is_stiff(process, mu):
-        if reducible:
-            return replace(SCHEMES["midpoint"], reason="B = rho A, mu Lam is at most 2")
+        if path == "proportional" or not isinstance(contact_and_load(process), str):
+            return replace(SCHEMES["midpoint"], reason="mu Lam is at most 2, and B = rho A")
         return replace(SCHEMES["sdirk2"], reason="mu Lam is at most 2")
     reason = "A is zero"
     if not process.rate_independent:
