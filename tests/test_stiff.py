@@ -55,6 +55,15 @@ def test_below_two_auto_is_sdirk2_which_neither_rings_nor_is_far_from_the_best(l
         check(row)
 
 
+def test_a_set_is_looked_at_where_steps_of_implicit_euler_would_ask_for_it() -> None:
+    def box(t: float) -> so.Box:
+        return so.Box([1.0], [0.0]) if abs(t - 0.4) < 1e-3 else so.Box([-1.0], [1.0])
+
+    process = so.SweepingProcess([[0.0]], [[1.0]], so.MovingSet(box, dim=1), [0.0])
+    with pytest.raises(so.InputError, match=r"t = 0\.4"):
+        so.solve(process, t_end=1.0, steps=1)
+
+
 def test_a_stiff_body_under_a_sine_follows_it() -> None:
     for viscosity in (1e-3, 1e-4, 1e-6, 0.0):
         load = so.Separable([(so.Sine(2.0, 1.0), [1.0])])  # 2 sin(2 pi t)

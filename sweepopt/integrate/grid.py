@@ -55,7 +55,7 @@ def divided(times: np.ndarray, parts: int) -> np.ndarray:
 
 def evaluation_times(times: np.ndarray, mus: np.ndarray, scheme: Scheme) -> np.ndarray:
     """Where C(t) is asked for or shall be checked: the nodes, and the stages of every step."""
-    stages = times[:-1, None] + mus[:, None] * np.array(scheme.c)
+    stages = times[:-1, None] + mus[:, None] * np.array(scheme.times)
     return np.unique(np.append(times, np.minimum(stages, times[1:, None])))
 
 

@@ -62,6 +62,11 @@ class Scheme:
         return 1 + sum(weight * slope for weight, slope in zip(self.b, slopes, strict=True))
 
     @property
+    def times(self) -> tuple[float, ...]:
+        """When C(t) may be asked for: those of the stages, and of steps of implicit Euler."""
+        return (*self.c, *((k + 1) / self.euler_steps for k in range(self.euler_steps)))
+
+    @property
     def implicit(self) -> bool:
         """Whether every stage is implicit in u, so that A = 0 is allowed."""
         return all(row[-1] > 0 for row in self.a)

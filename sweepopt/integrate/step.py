@@ -84,7 +84,7 @@ class Velocities:
             h = mu / count
             starts = t + h * np.arange(count)
             try:
-                self._process.C.members(np.unique(starts[:, None] + h * np.array(scheme.c)))
+                self._process.C.members(np.unique(starts[:, None] + h * np.array(scheme.times)))
             except Exception as error:  # C(t) may have no value between the times of the grid
                 cause = str(error) or type(error).__name__
                 break
