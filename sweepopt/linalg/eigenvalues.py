@@ -47,9 +47,9 @@ def exceeds_none(A: Factor, B: Matrix, s: float) -> bool:
 
     Without factors it is enough that s is above what an iteration finds.
     """
-    if A.has_factors:
-        return dominates(s * A.M, B)
-    return largest_ratio(A, B) <= s
+    if not A.has_factors or (A.is_diagonal and is_diagonal(B)):
+        return largest_ratio(A, B) <= s
+    return dominates(s * A.M, B)
 
 
 def _estimate(A: Factor, B: Matrix, least: float) -> float:
