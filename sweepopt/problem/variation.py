@@ -59,7 +59,7 @@ def variation(C: AnySet, metric: Factor, times: np.ndarray) -> Variation:
         total += sum(map(distance, changes))
     if moves is None:
         each = [C.distance_bound(D) for C, D in pairwise(map(C.at, times.tolist()))]
-        total = sum(np.inf if d is None else d for d in each) / _root_beta(metric)
+        total = _in_metric(sum(np.inf if d is None else d for d in each), metric)
     if total == np.inf:
         raise InputError(
             "the distance of C(t) to C(s) is not known for this kind of set; write C as a Moving "
@@ -155,12 +155,13 @@ def _magnitude(S: ConvexSet, metric: Factor) -> float:
     """At least |w|_{A^-1} for all w of S; of a box its infinite ends, which do not move, aside."""
     unknowns, part, shift = S.selection or (np.arange(S.dim), S, None)
     if not isinstance(part, Box):
-        return S.magnitude() / _root_beta(metric)
+        return _in_metric(S.magnitude(), metric)
     ends, m = np.abs([part.lower, part.upper]), np.zeros(S.dim)
     m[unknowns] = np.where(ends < np.inf, ends, 0.0).max(axis=0)
     return _box(m, metric) + (0.0 if shift is None else metric.dual_norm(shift))
 
 
-def _root_beta(metric: Factor) -> float:
-    """|w|_{A^-1} <= |w| / this."""
-    return float(np.sqrt(metric.smallest_eigenvalue() * (1 - 1e-6)))
+def _in_metric(length: float, metric: Factor) -> float:
+    """|w|_{A^-1} at most, for |w| = length: inf where no coercivity is proved."""
+    beta = metric.smallest_eigenvalue()
+    return length / float(np.sqrt(beta)) if beta else (np.inf if length else 0.0)

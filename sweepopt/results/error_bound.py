@@ -86,9 +86,12 @@ def error_bound(
 ) -> ErrorBound:
     """The bound of a run, with v through its own nodes or those of a more accurate second run."""
     own = plan.scheme.order >= 2 and not process.rate_independent
+    norms = Norms(process)
+    if norms.beta == 0 or norms.Lam == math.inf:  # A, to rounding, may be singular
+        none = np.full(len(run.t) - 1, math.inf)
+        return ErrorBound.make(False, run.t, none, none, 0.0)
     plan = replace(plan, reduction=None, tol=min(plan.tol, TOL))
     nodes = run if own else _second_run(process, plan, run.t)
-    norms = Norms(process)
     phi = compile_projection(plan, process.metric)
     integrals = residuals(process, phi, norms, nodes, variation)
     error_A, error_B = _growth(norms, nodes.t, integrals)
