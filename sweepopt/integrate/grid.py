@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -93,9 +94,10 @@ def _check_explicit(process: SweepingProcess, scheme: Scheme, mu: float, on_unst
     number_ = mu * process.Lam
     if number_ <= 1:
         return
+    shorter = "take" if math.isinf(number_) else f"take mu <= {1 / process.Lam:.3g}, or"
     remedy = (
-        f"mu Lam = {number_:.3g}; take mu <= {1 / process.Lam:.3g}, or implicit-euler, which needs "
-        "no such step and never overshoots"
+        f"mu Lam = {number_:.3g}; {shorter} implicit-euler, which needs no such step and never "
+        "overshoots"
     )
     if number_ > 2 and on_unstable == "raise":
         raise UnstableStepError(
