@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import math
-from collections.abc import Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -196,37 +194,19 @@ class Polyhedron(ConvexSet):
         return np.eye(self.dim) - projector(dense(self.G[normal.active]))
 
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
-        """On the face that v = w + tau p is nearest to.
+        """On the face that v = w + tau p is nearest to; None where rounding hides it.
 
         v is rounded where tau p is large beside w. So only the active rows come from it; their
-        multipliers come from p, and the point is the one of their face nearest to w. Where rounding
-        hides all faces it is a point of C near the first one.
+        multipliers come from p, and the point is the one of their face nearest to w.
         """
-        root, first = np.sqrt(tau), None
-        for active in self._faces(p, w, tau):
-            first = active if first is None else first
-            pair = self._pair_on(active, p, w, root)
-            if pair is not None:
-                return pair
-        try:
-            return None if first is None else self._pair_on(first, p, w, root, touches=False)
-        except EmptySetError:  # by no more than the rounding of its rows
-            wider = self.h + ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(w))
-            return self.with_offsets(wider).normal_pair(p, w, tau)
-
-    def _pair_on(
-        self,
-        active: np.ndarray,
-        p: np.ndarray,
-        w: np.ndarray,
-        root: np.ndarray,
-        touches: bool = True,
-    ) -> NormalPair | None:
-        """With multipliers of these rows, at a point that is on them, or close to them."""
+        nearest, root = self._exact_normal(w + tau * p, tau), np.sqrt(tau)
+        if nearest is None:
+            return None
+        active = nearest.active
         normals = dense(self.G[active])
         inverse = np.linalg.pinv(normals * root)
         start = w - root * (inverse @ (normals @ w - self.h[active]))
-        point = self._point(start, active if touches else active[:0], root)
+        point = self._point(start, active, root)
         if point is None:
             return None
         multipliers = np.maximum((root * p) @ inverse, 0.0)
@@ -234,19 +214,6 @@ class Polyhedron(ConvexSet):
         gap = float(multipliers @ point.slack[active])
         perturbation = Perturbation(point.off, rounding)
         return NormalPair(multipliers @ normals, point.w, gap, perturbation)
-
-    def _faces(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> Iterator[np.ndarray]:
-        """The active rows at the point nearest to w + tau p.
-
-        Where rounding hides them, the linear program of the support function at p tells.
-        """
-        normal = self._exact_normal(w + tau * p, tau)
-        if normal is not None:
-            yield normal.active
-            with contextlib.suppress(SweepoptError):  # of HiGHS
-                y = self._multipliers(p, self.project(w))
-                if y is not None:
-                    yield np.flatnonzero(y)
 
     def _point(self, start: np.ndarray, on: np.ndarray, root: np.ndarray) -> _Point | None:
         """A point of C near start, next to the rows `on`; None if rounding hides it.
@@ -257,26 +224,24 @@ class Polyhedron(ConvexSet):
         """
         stack = sp.vstack if sp.issparse(self.G) else np.vstack
         flat = self._flat()
+        distances = root[:, None] * abs(np.linalg.pinv(dense(self.G[flat]) * root))
         on = np.setdiff1d(on, flat)
         G = _columns(stack([self.G, -self.G[on]]), root)
         lengths, w = row_lengths(G)[: self.h.size], start
-        margin = np.zeros(self.h.size)
-        point = None
+        margin, point = np.zeros(self.h.size), None
         for _ in range(1 + REFINEMENTS):
             slack = self._slack(w)
             wanted = np.append(slack - margin, (margin - slack)[on])
             try:
                 shortest = least_distance(G, wanted, EPS * np.abs(wanted))
             except EmptySetError:
-                if on.size or margin.any():
-                    break
-                raise
+                break
             if shortest is None:
                 break
             shift, left = root * shortest.u, slack - (G @ shortest.u)[: self.h.size]
             sizes = np.abs(slack) + lengths * np.linalg.norm(shortest.u)
             rounded = (3 * ROUNDING + self.dim * EPS) * sizes
-            off = self._distance_to(flat, np.abs(left[flat]) + rounded[flat], root)
+            off = distances @ (np.abs(left[flat]) + rounded[flat])
             enough = rounded + abs(self.G) @ off
             enough[flat] = left[flat] = 0.0
             near = bool((np.abs(shift) <= ROUNDING * np.abs(w).max()).all())
@@ -286,12 +251,6 @@ class Polyhedron(ConvexSet):
                     break
             margin, w = (2 * enough, w) if near else (0 * margin, w + shift)
         return point
-
-    def _distance_to(self, rows: np.ndarray, residual: np.ndarray, root: np.ndarray) -> np.ndarray:
-        """How far the point next to a point is that meets some equations, entry by entry."""
-        if not residual.any():
-            return 0 * root
-        return root * (abs(np.linalg.pinv(dense(self.G[rows]) * root)) @ residual)
 
     def _slack(self, w: np.ndarray) -> np.ndarray:
         """h - G w, rounded once for rows that are near w."""
