@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import math
+from collections.abc import Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -194,19 +196,37 @@ class Polyhedron(ConvexSet):
         return np.eye(self.dim) - projector(dense(self.G[normal.active]))
 
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
-        """On the face that v = w + tau p is nearest to; None where rounding hides it.
+        """On the face that v = w + tau p is nearest to.
 
         v is rounded where tau p is large beside w. So only the active rows come from it; their
-        multipliers come from p, and the point is the one of their face nearest to w.
+        multipliers come from p, and the point is the one of their face nearest to w. Where rounding
+        hides all faces it is a point of C near the first one.
         """
-        nearest, root = self._exact_normal(w + tau * p, tau), np.sqrt(tau)
-        if nearest is None:
-            return None
-        active = nearest.active
+        root, first = np.sqrt(tau), None
+        for active in self._faces(p, w, tau):
+            first = active if first is None else first
+            pair = self._pair_on(active, p, w, root)
+            if pair is not None:
+                return pair
+        try:
+            return None if first is None else self._pair_on(first, p, w, root, touches=False)
+        except EmptySetError:  # by no more than the rounding of its rows
+            wider = self.h + ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(w))
+            return self.with_offsets(wider).normal_pair(p, w, tau)
+
+    def _pair_on(
+        self,
+        active: np.ndarray,
+        p: np.ndarray,
+        w: np.ndarray,
+        root: np.ndarray,
+        touches: bool = True,
+    ) -> NormalPair | None:
+        """With multipliers of these rows, at a point that is on them, or close to them."""
         normals = dense(self.G[active])
         inverse = np.linalg.pinv(normals * root)
         start = w - root * (inverse @ (normals @ w - self.h[active]))
-        point = self._point(start, active, root)
+        point = self._point(start, active if touches else active[:0], root)
         if point is None:
             return None
         multipliers = np.maximum((root * p) @ inverse, 0.0)
@@ -214,6 +234,19 @@ class Polyhedron(ConvexSet):
         gap = float(multipliers @ point.slack[active])
         perturbation = Perturbation(point.off, rounding)
         return NormalPair(multipliers @ normals, point.w, gap, perturbation)
+
+    def _faces(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> Iterator[np.ndarray]:
+        """The active rows at the point nearest to w + tau p.
+
+        Where rounding hides them, the linear program of the support function at p tells.
+        """
+        normal = self._exact_normal(w + tau * p, tau)
+        if normal is not None:
+            yield normal.active
+            with contextlib.suppress(SweepoptError):  # of HiGHS
+                y = self._multipliers(p, self.project(w))
+                if y is not None:
+                    yield np.flatnonzero(y)
 
     def _point(self, start: np.ndarray, on: np.ndarray, root: np.ndarray) -> _Point | None:
         """A point of C near start, next to the rows `on`; None if rounding hides it.
@@ -235,7 +268,9 @@ class Polyhedron(ConvexSet):
             try:
                 shortest = least_distance(G, wanted, EPS * np.abs(wanted))
             except EmptySetError:
-                break
+                if on.size or margin.any():
+                    break
+                raise
             if shortest is None:
                 break
             shift, left = root * shortest.u, slack - (G @ shortest.u)[: self.h.size]
