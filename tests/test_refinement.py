@@ -169,7 +169,7 @@ def needle(seed: int) -> so.SweepingProcess:
 def test_certificates_on_needles_are_no_less_than_the_error() -> None:
     """Where slack is rounded 2 of these are below, by up to 2e12, and 4 have no support."""
     certified, mu = 0, 0.1
-    for seed in range(40):
+    for seed in [*range(40), 92]:  # 92 is empty by the rounding of its rows
         process = needle(seed)
         try:
             run = so.solve(process, t_end=mu, steps=1, scheme="implicit-euler")

@@ -6,7 +6,8 @@ import contextlib
 import copy
 import math
 from collections.abc import Iterator
-from functools import cached_property
+from functools import cached_property, lru_cache
+from itertools import combinations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 REFINEMENTS = 5  # of a point on a face: a long way there rounds, and the margins cost one
 OUTSIDE = 1e-10  # of |z|: a z that is no further from the domain of the support function is in it
 FAR = 2.0 ** np.arange(0, 65, 8)  # in units of what is seen of the set: to the end of needles
+FEW_SETS = 100_000  # of independent rows: their singular values take half a second
 NEAR = 1e-6  # of the size of a row: a point moves by much less to what is nearer
 ACTIVE_DIM = 1000  # rows or unknowns up to which active sets are used, beyond a sparse QP
 
@@ -203,16 +205,39 @@ class Polyhedron(ConvexSet):
         hides all faces it is a point of C near the first one.
         """
         root, first = np.sqrt(tau), None
-        for active in self._faces(p, w, tau):
-            first = active if first is None else first
-            pair = self._pair_on(active, p, w, root)
-            if pair is not None:
-                return pair
-        try:
-            return None if first is None else self._pair_on(first, p, w, root, touches=False)
-        except EmptySetError:  # by no more than the rounding of its rows
-            wider = self.h + ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(w))
-            return self.with_offsets(wider).normal_pair(p, w, tau)
+        with contextlib.suppress(EmptySetError):  # by no more than the rounding of its rows
+            for active in self._faces(p, w, tau):
+                first = active if first is None else first
+                pair = self._pair_on(active, p, w, root)
+                if pair is not None:
+                    return pair
+            if first is not None:
+                pair = self._pair_on(first, p, w, root, touches=False)
+                if pair is not None:
+                    return pair
+        return self._pair_outside(p, w, tau)
+
+    def _pair_outside(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
+        """The pair at a point that rounding leaves outside of C, and how far C may be from it.
+
+        By Hoffman's bound that is its residual over the least singular value of all sets of
+        independent rows; None where these are too many.
+        """
+        wider = self.with_offsets(self.h + ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(w)))
+        normal, root = wider._exact_normal(w + tau * p, tau), np.sqrt(tau)
+        least = least_singular_value(self.G, root)
+        if normal is None or not least:
+            return None
+        normals, h = dense(self.G[normal.active]), self.h[normal.active]
+        inverse = np.linalg.pinv(normals * root)
+        point = w - root * (inverse @ (normals @ w - h))
+        multipliers = np.maximum((root * p) @ inverse, 0.0)
+        p = multipliers @ normals
+        slack = self._slack(point)
+        off = root * (np.linalg.norm(np.minimum(slack, 0.0)) / least)
+        rounding = UNIT * (1 + len(h)) * (multipliers @ abs(normals))
+        gap = float(multipliers @ np.maximum(slack[normal.active], 0.0) + np.abs(p) @ off)
+        return NormalPair(p, point, gap, Perturbation(off, rounding))
 
     def _pair_on(
         self,
@@ -325,6 +350,24 @@ class Polyhedron(ConvexSet):
 
     def polar(self) -> ConvexSet:
         return super().polar() if self.h.any() else GeneratedCone(self.G)
+
+
+def least_singular_value(G: Any, units: np.ndarray) -> float:
+    """Of all sets of independent rows, columns in these units; 0 where there are too many."""
+    count, dim = G.shape
+    if sum(math.comb(count, k + 1) for k in range(dim)) > FEW_SETS:
+        return 0.0
+    return _least_singular_value(np.ascontiguousarray(dense(G) * units).tobytes(), dim)
+
+
+@lru_cache(maxsize=16)
+def _least_singular_value(rows: bytes, dim: int) -> float:
+    G, least = np.frombuffer(rows).reshape(-1, dim), math.inf
+    for k in range(1, min(G.shape) + 1):
+        values = np.linalg.svd(G[list(combinations(range(len(G)), k))], compute_uv=False)
+        independent = values[:, -1] > 8 * EPS * values[:, 0]
+        least = min(least, float(values[independent, -1].min(initial=math.inf)))
+    return least
 
 
 def _columns(G: Any, units: np.ndarray) -> Any:

@@ -274,8 +274,9 @@ def certify(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray) -> Velocity:
     The program is that of M, q and C: -z in N_C(M z + q).
     """
     pair = pair_near(M, q, C, z, NEGLIGIBLE)
-    if pair is None:
-        return Velocity(z, math.nan, math.nan)
+    if pair is None:  # no proof, or one that rounding hides
+        none = math.inf if C.certifiable else math.nan
+        return Velocity(z, none, none)
     pair = pair._replace(size=M.dual_norm(q - C.anchor))
     return Inclusion(M).certify(Instance(q, q, np.zeros_like(q), C), pair, NEGLIGIBLE)
 
