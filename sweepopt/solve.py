@@ -80,12 +80,12 @@ def solve(
         Number of equal steps, or the increasing times themselves (the first one is where u0 holds),
         or ``Adaptive(tol)``: steps that are chosen for an error of tol.
     scheme : str
-        "auto" (midpoint where mu Lam <= 2 for the longest step, else sdirk32; with
-        path="proportional" implicit-euler; with Adaptive midpoint, or sdirk2 when A = 0; the plan
-        says which one and why), "catching-up", "implicit-euler", "midpoint", "trapezoid" (A
-        coercive only), "sdirk2", "sdirk32" (3 programs a step, 7 where much stops); "exact"
-        for polyhedra and loads as data (`Separable`): closed forms between switches that are
-        located, in `Solution.exact` also between the nodes.
+        "auto" (sdirk2 where mu Lam <= 2 for the longest step, midpoint if path "proportional" may
+        apply; else sdirk32, with path="proportional" implicit-euler; with Adaptive midpoint, or
+        sdirk2 when A = 0; the plan says which one and why), "catching-up", "implicit-euler",
+        "midpoint", "trapezoid" (A coercive only), "sdirk2", "sdirk32" (3 programs a step, 7 where
+        much stops); "exact" for polyhedra and loads as data (`Separable`): closed forms between
+        switches that are located, in `Solution.exact` also between the nodes.
     solver : str or Solver
         "auto", "clarabel", "osqp", "daqp", "newton", "cvxpy" or an object: ``OSQP(tol=1e-10)``.
     tol : float

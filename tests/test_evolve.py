@@ -118,7 +118,7 @@ def test_catching_up_refuses_a_step_that_amplifies_and_warns_of_one_that_oversho
     so.solve(process, t_end=6.0, steps=10, scheme="implicit-euler")
 
 
-def test_auto_is_midpoint_or_sdirk32_by_mu_lam_and_the_plan_says_why() -> None:
+def test_auto_is_sdirk2_or_sdirk32_by_mu_lam_and_the_plan_says_why() -> None:
     data = block(0.5, 2.0, so.Separable([(so.Sine(1.0, 1.0), [1.0])]))  # "exact" would do too
 
     def plan(process: so.SweepingProcess, **how: Any) -> str:
@@ -127,8 +127,8 @@ def test_auto_is_midpoint_or_sdirk32_by_mu_lam_and_the_plan_says_why() -> None:
 
     for process in (slider(), data):  # Lam = 4
         for how in ({"t_end": 1.0, "steps": 5}, {"steps": [0.0, 0.25, 0.75]}):
-            assert plan(process, **how) == "midpoint (order 2): mu Lam is at most 2"
-        why = "sdirk32 (order 2): mu Lam = 2.4 is above 2, where midpoint rings"
+            assert plan(process, **how) == "sdirk2 (order 2): mu Lam is at most 2"
+        why = "sdirk32 (order 2): mu Lam = 2.4 is above 2"
         for how in ({"t_end": 3.0, "steps": 5}, {"steps": [0.0, 0.1, 0.7]}):
             assert plan(process, **how) == why
     assert plan(case("M16").process, t_end=1.0, steps=5) == "sdirk32 (order 2): A is zero"

@@ -240,7 +240,7 @@ def test_a_study_with_hard_cases_writes_its_files_goes_on_and_keeps_rows_of_an_i
         f"{out}: table.csv, diagram.png, hard.csv, trajectories.csv, report.html\n"
     )
     page = (out / "report.html").read_text("utf-8")
-    for words in ("<title>Both</title>", "2 cells, 0 failed", "1 runs, 0 wrong", "7 runs, 0 wrong"):
+    for words in ("<title>Both</title>", "2 cells, 0 failed", "1 runs, 0 wrong", "8 runs, 0 wrong"):
         assert words in page
     assert list(pd.read_csv(out / "table.csv").problem) == ["S01", "ring"]
     assert len(pd.read_csv(out / "hard.csv")) == 1
@@ -250,7 +250,8 @@ def test_a_study_with_hard_cases_writes_its_files_goes_on_and_keeps_rows_of_an_i
         yield from HARD
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sweepopt.study.commands.rows", interrupted)
+    judged = {"hard": ("hard", interrupted, ["family"])}
+    monkeypatch.setattr("sweepopt.study.commands.JUDGED", judged)
     assert main(["study", str(path), "--out", str(out)]) != 0
     assert "2 cells, 2 of them finished before" in capsys.readouterr().err
     kept = read_rows(out / "hard.jsonl", HardRow)

@@ -191,7 +191,7 @@ def test_a_workspace_that_failed_is_not_used_again() -> None:
     M = np.array([[2.0, -1.0], [-1.0, 2.0]])
     process = so.SweepingProcess(M, None, so.Moving(so.Box([-1, -1], [1, 1]), one_load), [0, 0])
     solver = Spoils()
-    sol = so.solve(process, t_end=6.0, steps=60, solver=solver)
+    sol = so.solve(process, t_end=6.0, steps=60, solver=solver, scheme="midpoint")
     names = list(sol.stats["solver"])
     rescued = [i for i, name in enumerate(names) if name == "newton"]
     assert sol.success
@@ -226,7 +226,7 @@ def test_sets_with_curved_faces_meet_a_tight_tolerance_as_a_whole(name: str) -> 
         load = so.Separable([(so.Sine(3.0, 2 * np.pi), direction)])
         C = so.Moving(CURVED[name], load)
         process = so.SweepingProcess(np.eye(2), np.eye(2), C, [0.0, 0.0])
-        sol = so.solve(process, t_end=6.0, steps=20, tol=1e-11)
+        sol = so.solve(process, t_end=6.0, steps=20, tol=1e-11, scheme="midpoint")
         assert sol.stats["relative"].max() <= 1e-11
         assert set(parts(sol)) == {1}
         # the velocity of diagonal matrices is a projection in the Euclidean norm: midpoint's

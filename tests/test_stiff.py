@@ -48,12 +48,20 @@ def test_auto_is_at_most_twice_the_best_of_three_on_many_seeds(body: str) -> Non
 
 
 @pytest.mark.parametrize("load", LOADS)
-def test_below_two_auto_is_midpoint_which_neither_rings_nor_is_far_from_the_best(load: str) -> None:
-    # one program a step instead of sdirk2's two: an error of up to 4 times its
+def test_below_two_auto_is_sdirk2_which_neither_rings_nor_is_far_from_the_best(load: str) -> None:
     study = StiffStudy([0], ["chain"], [load], (0.01, 1.9), [50], bounds=False)
     for row in rows(study):
-        assert row.scheme == "midpoint"
-        check(row, over_best=5.0)
+        assert row.scheme == "sdirk2"
+        check(row)
+
+
+def test_a_set_is_looked_at_where_steps_of_implicit_euler_would_ask_for_it() -> None:
+    def box(t: float) -> so.Box:
+        return so.Box([1.0], [0.0]) if abs(t - 0.4) < 1e-3 else so.Box([-1.0], [1.0])
+
+    process = so.SweepingProcess([[0.0]], [[1.0]], so.MovingSet(box, dim=1), [0.0])
+    with pytest.raises(so.InputError, match=r"t = 0\.4"):
+        so.solve(process, t_end=1.0, steps=1)
 
 
 def test_a_stiff_body_under_a_sine_follows_it() -> None:

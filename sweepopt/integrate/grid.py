@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -55,7 +56,7 @@ def divided(times: np.ndarray, parts: int) -> np.ndarray:
 
 def evaluation_times(times: np.ndarray, mus: np.ndarray, scheme: Scheme) -> np.ndarray:
     """Where C(t) is asked for or shall be checked: the nodes, and the stages of every step."""
-    stages = times[:-1, None] + mus[:, None] * np.array(scheme.c)
+    stages = times[:-1, None] + mus[:, None] * np.array(scheme.times)
     return np.unique(np.append(times, np.minimum(stages, times[1:, None])))
 
 
@@ -93,9 +94,10 @@ def _check_explicit(process: SweepingProcess, scheme: Scheme, mu: float, on_unst
     number_ = mu * process.Lam
     if number_ <= 1:
         return
+    shorter = "take" if math.isinf(number_) else f"take mu <= {1 / process.Lam:.3g}, or"
     remedy = (
-        f"mu Lam = {number_:.3g}; take mu <= {1 / process.Lam:.3g}, or implicit-euler, which needs "
-        "no such step and never overshoots"
+        f"mu Lam = {number_:.3g}; {shorter} implicit-euler, which needs no such step and never "
+        "overshoots"
     )
     if number_ > 2 and on_unstable == "raise":
         raise UnstableStepError(

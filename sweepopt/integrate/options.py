@@ -47,10 +47,7 @@ class SolveOptions:
         name, adaptive = self.scheme, isinstance(self.steps, Adaptive)
         if isinstance(name, str) and name == "auto" and not adaptive:
             mu = float(time_grid(self.t_end, self.steps)[1].max())
-            # a reduction is moved by a scheme of one stage
-            return automatic(
-                process, mu, "implicit-euler" if self.path == "proportional" else "sdirk32"
-            )
+            return automatic(process, mu, self.path)
         scheme = choose(name, process.rate_independent)
         if adaptive and scheme.exact:
             raise InputError("scheme 'exact' has no error in time that steps could be adapted to")

@@ -21,6 +21,7 @@ from sweepopt.checks import HUGE
 from sweepopt.errors import InputError, shown
 from sweepopt.linalg import exceeds_none
 from sweepopt.problem import SweepingProcess
+from sweepopt.velocity import contact_and_load
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,11 @@ class Scheme:
             known = 1 + sum(weight * slope for weight, slope in zip(row, slopes, strict=False))
             slopes.append(z * known / (1 - z * row[-1]))
         return 1 + sum(weight * slope for weight, slope in zip(self.b, slopes, strict=True))
+
+    @property
+    def times(self) -> tuple[float, ...]:
+        """When C(t) may be asked for: those of the stages, and of steps of implicit Euler."""
+        return (*self.c, *((k + 1) / self.euler_steps for k in range(self.euler_steps)))
 
     @property
     def implicit(self) -> bool:
@@ -134,14 +140,22 @@ def rings(process: SweepingProcess, scheme: Scheme, mu: float, least: float = 0.
     return bool(scheme.amplification(-min(mu * process.Lam, HUGE)) < -least)
 
 
-def automatic(process: SweepingProcess, mu: float, stiff: str) -> Scheme:
-    """midpoint for steps of at most mu if mu Lam <= 2, else the stiff one; with the reason."""
+def automatic(process: SweepingProcess, mu: float, path: str) -> Scheme:
+    """The scheme for steps of at most mu, with the reason.
+
+    sdirk2 while mu Lam <= 2 and sdirk32 beyond. A reduction to the contact of a body is moved by a
+    scheme of one stage, midpoint while it does not ring: so is the same body on other paths.
+    """
     if not is_stiff(process, mu):
-        return replace(SCHEMES["midpoint"], reason="mu Lam is at most 2")
+        if path == "proportional" or not isinstance(contact_and_load(process), str):
+            return replace(SCHEMES["midpoint"], reason="mu Lam is at most 2, and B = rho A")
+        return replace(SCHEMES["sdirk2"], reason="mu Lam is at most 2")
     reason = "A is zero"
     if not process.rate_independent:
-        reason = f"mu Lam = {mu * process.Lam:.3g} is above 2, where midpoint rings"
-    return replace(SCHEMES[stiff], reason=reason)
+        reason = f"mu Lam = {mu * process.Lam:.3g} is above 2"
+    return replace(
+        SCHEMES["implicit-euler" if path == "proportional" else "sdirk32"], reason=reason
+    )
 
 
 def choose(name: str, rate_independent: bool) -> Scheme:

@@ -11,47 +11,52 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from sweepopt.checks import Matrix
-from sweepopt.errors import IndefiniteError, InputError
+from sweepopt.errors import IndefiniteError
+from sweepopt.linalg.definiteness import MARGINS, dominates
 from sweepopt.linalg.factor import Factor
-from sweepopt.linalg.matrices import SMALL, UNIT, dense, is_diagonal, is_dominant, lanczos_start
-
-MARGINS = 1e-9 * 1e3 ** np.arange(9)  # of a bound of an eigenvalue, from next to rounding upwards
+from sweepopt.linalg.matrices import SMALL, dense, is_diagonal, is_dominant, lanczos_start
+from sweepopt.linalg.twice_precision import product_error
 
 
 def largest_ratio(A: Factor, B: Matrix) -> float:
     """A number that no eigenvalue of A^-1 B exceeds, for B positive semidefinite.
 
     Iterations find the largest eigenvalue from below, or miss it: what they find, and a little
-    more, is proved by `exceeds_none`, or raised until it is. So it is above the eigenvalue by 1e-9
-    of it where rounding lets that be seen, and not at all where both matrices are diagonal.
+    more, is proved by `dominates`, or raised until it is: inf, if nothing is proved. So it is above
+    the eigenvalue by 1e-9 of it where rounding lets that be seen, and by no more than the rounding
+    of a quotient where both matrices are diagonal. Without factors nothing is proved but what row
+    sums show: then it is what the iteration finds.
     """
     # in a body of few materials the eigenvalue itself
     least = float((np.asarray(B.diagonal(), dtype=float) / A.diagonal).max())
     if A.is_diagonal and is_diagonal(B):
-        return least
+        short = (least * A.diagonal - B.diagonal()) + product_error(least, A.diagonal)
+        return least if (short >= 0).all() else math.nextafter(least, math.inf)
     s = (1 + MARGINS[0]) * least
-    if exceeds_none(A, B, s):
+    if dominates(s * A.M, B, A.has_factors):
         return s
     estimate = _estimate(A, B, least)
+    if not A.has_factors:
+        return (1 + MARGINS[0]) * estimate
     candidates = ((1 + margin) * estimate for margin in MARGINS)
-    return next((s for s in candidates if exceeds_none(A, B, s)), math.inf)
+    return next((s for s in candidates if dominates(s * A.M, B)), math.inf)
 
 
 def exceeds_none(A: Factor, B: Matrix, s: float) -> bool:
-    """Whether s is proved to be no less than all eigenvalues of A^-1 B, up to rounding.
+    """Whether s is proved to be no less than all eigenvalues of A^-1 B.
 
-    That is if the pivots of s A - B are positive (Sylvester's law of inertia).
+    Without factors it is enough that s is above what an iteration finds.
     """
-    try:
-        return _is_definite(s * A.M - B, slack=32 * UNIT)
-    except InputError:  # its diagonal is too small to be divided by
-        return False
+    if not A.has_factors or (A.is_diagonal and is_diagonal(B)):
+        return largest_ratio(A, B) <= s
+    return dominates(s * A.M, B)
 
 
 def _estimate(A: Factor, B: Matrix, least: float) -> float:
     """The largest eigenvalue of A^-1 B, or what of it can be seen."""
     if not sp.issparse(A.M) or A.dim < SMALL:
-        return float(scipy.linalg.eigh(dense(B), dense(A.M), eigvals_only=True)[-1])
+        largest = scipy.linalg.eigh(dense(B), dense(A.M), eigvals_only=True)[-1]
+        return max(float(largest), least)
     inverse = spla.LinearOperator((A.dim, A.dim), matvec=A.solve, dtype=float)
     how: dict[str, Any] = {"M": A.M, "Minv": inverse, "which": "LA", "v0": lanczos_start(A.dim)}
     try:  # the eigenvalue is as exact as the square of tol
@@ -71,11 +76,8 @@ def is_semidefinite(M: Matrix) -> bool:
     if abs(M[empty]).sum() > 0:
         return False
     shift = np.where(empty, 1.0, 1e-10 * diagonal)
-    return _is_definite(M + (sp.diags_array(shift) if sp.issparse(M) else np.diag(shift)))
-
-
-def _is_definite(M: Matrix, slack: float = 0.0) -> bool:
-    if is_dominant(M, slack):
+    M = M + (sp.diags_array(shift) if sp.issparse(M) else np.diag(shift))
+    if is_dominant(M):
         return True
     try:
         Factor(M)

@@ -18,6 +18,7 @@ from sweepopt.checks import Matrix, divisor
 from sweepopt.errors import IndefiniteError, MissingExtraError, SolverRefusedError
 from sweepopt.linalg.cholesky import Cholesky, cholesky, lapack_factor
 from sweepopt.linalg.conjugate_gradients import ConjugateGradients
+from sweepopt.linalg.definiteness import MARGINS, dominates
 from sweepopt.linalg.matrices import (
     PIVOT,
     UNIT,
@@ -185,10 +186,28 @@ class Factor:
         """|w|_{M^-1} = sqrt<M^-1 w, w>."""
         return float(np.sqrt(max(w @ self.solve(w), 0.0))) if w.any() else 0.0
 
+    @property
+    def has_factors(self) -> bool:
+        """Whether its equations are solved by factors, not by conjugate gradients."""
+        return self.method == "factors"
+
     def smallest_eigenvalue(self) -> float:
-        """beta: the largest number with <Mx, x> >= beta |x|^2."""
+        """beta: a number with <Mx, x> >= beta |x|^2, the largest one or a little less.
+
+        It is proved by factors of M - beta I (`dominates`): 0, if nothing is.
+        """
+        return self._beta
+
+    @cached_property
+    def _beta(self) -> float:
+        if self.is_diagonal:
+            return float(self.diagonal.min())
         # from above: that of M itself would be lost beside its largest one
-        return 1 / largest_eigenvalue(self.solve, self.dim)
+        candidates = 1 / largest_eigenvalue(self.solve, self.dim) / (1 + MARGINS)
+        if not self.has_factors:
+            return float(candidates[0])
+        one = sp.eye_array(self.dim) if sp.issparse(self.M) else np.eye(self.dim)
+        return next((float(s) for s in candidates if dominates(self.M, s * one)), 0.0)
 
 
 class Elimination(Factor):

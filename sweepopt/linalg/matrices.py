@@ -55,11 +55,11 @@ def row_lengths(G: Matrix) -> np.ndarray:
     return np.sqrt(np.asarray((G * G).sum(axis=1), dtype=float)).ravel()
 
 
-def is_dominant(M: Matrix, slack: float) -> bool:
+def is_dominant(M: Matrix) -> bool:
     """Whether no diagonal entry is less than the others of its row: semidefinite (Gershgorin)."""
     diagonal = np.asarray(M.diagonal(), dtype=float)
     rest = np.asarray(abs(M).sum(axis=1)).ravel() - np.abs(diagonal)
-    return bool((rest <= (1 + slack) * diagonal).all())
+    return bool((rest <= diagonal).all())
 
 
 def is_diagonal(M: Matrix) -> bool:

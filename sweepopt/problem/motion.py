@@ -25,7 +25,7 @@ from sweepopt.sets import (
     MovingSet,
 )
 
-Terms = tuple[tuple[Callable[[Any], Any], np.ndarray], ...]
+Terms = tuple[tuple[Any, np.ndarray], ...]
 
 
 @dataclass(frozen=True, eq=False)

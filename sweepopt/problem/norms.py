@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from sweepopt.checks import Matrix
 from sweepopt.errors import InputError
 from sweepopt.linalg import Factor, largest_ratio
-from sweepopt.problem.process import SweepingProcess, proportion
+from sweepopt.problem.process import SweepingProcess
 
 
 class Norms:
@@ -21,18 +22,18 @@ class Norms:
     rate_independent : bool
         Whether A = 0, so that B takes its place.
     beta : float
-        |x|_A^2 >= beta |x|^2.
+        |x|_A^2 >= beta |x|^2; 0 where no such number is proved.
     lam, Lam : float
-        Below and above all eigenvalues of A^-1 B; 0 where A = 0.
+        Below and above all eigenvalues of A^-1 B; 0 where A = 0; Lam is inf if nothing is proved.
     """
 
     def __init__(self, process: SweepingProcess) -> None:
         self._metric, self._B = process.metric, process.B
         self.rate_independent = process.rate_independent
-        self.beta = process.metric.smallest_eigenvalue() * (1 - 1e-6)
+        self.beta = process.metric.smallest_eigenvalue()
         self.lam, self.Lam = _rates(process)
         self._weak = process.metric if self.rate_independent else _factor(process.B)
-        self.beta_B = 0.0 if self._weak is None else self._weak.smallest_eigenvalue() * (1 - 1e-6)
+        self.beta_B = 0.0 if self._weak is None else self._weak.smallest_eigenvalue()
 
     def A(self, x: np.ndarray) -> np.ndarray:
         """|x|_A (of B where A = 0), over the last axis."""
@@ -94,10 +95,8 @@ def _rates(process: SweepingProcess) -> tuple[float, float]:
     """lam and Lam: below and above all eigenvalues of A^-1 B."""
     if process.B is None or process.rate_independent:
         return 0.0, 0.0
-    rho = proportion(process.A, process.B)
-    if rho is not None:
-        return rho, rho
     try:
-        return 1 / largest_ratio(Factor(process.B, "B"), process.A), process.Lam
+        largest = largest_ratio(Factor(process.B, "B"), process.A)
     except InputError:  # B is singular
         return 0.0, process.Lam
+    return math.nextafter(1 / largest, 0.0), process.Lam

@@ -368,26 +368,19 @@ def _check_support(C: ConvexSet) -> None:
 def _check_projection(C: ConvexSet) -> None:
     """Spot-check that v - P(v) is normal to C at P(v) in C, by the support function."""
     name, direction = type(C).__name__, np.cos(np.arange(C.dim) + 1.0)
+    widths = np.abs([C.support(direction), C.support(-direction)])
+    reach = 2 * widths[np.isfinite(widths)].sum() / (direction @ direction) or 1.0
     inside = C.project(C.anchor)
-    widths = [abs(C.support(d)) for d in (direction, -direction)]
-    reach = 2 * sum(w for w in widths if np.isfinite(w)) / (direction @ direction) or 1.0
     for d in (direction, -direction):
         v = inside + reach * d
-        w = vector(f"{name}.project(v)", C.project(v), C.dim)
-        tol = 1e-6 * (np.linalg.norm(v) + np.linalg.norm(w))
-        moved, p = float(np.linalg.norm(C.project(w) - w)), C.normal(v)
-        if moved > tol:
-            raise InputError(
-                f"{name}.project contradicts itself: it moves a point that it returned by "
-                f"{moved:g}; it must return the nearest point of C, where it is already one"
-            )
+        w, p = vector(f"{name}.project(v)", C.project(v), C.dim), C.normal(v)
         for z in (p, d):
-            sigma, reached = C.support(z), float(z @ w)
-            excess = sigma - reached if z is p and np.isfinite(sigma) else 0.0
-            if max(excess, reached - sigma) > tol * np.linalg.norm(z):
+            sigma, product = C.support(z), float(z @ w)
+            tol = 1e-6 * (np.linalg.norm(v) + np.linalg.norm(w)) * np.linalg.norm(z)
+            if product > sigma + tol or (z is p and tol < sigma - product < np.inf):
                 raise InputError(
                     f"{name}.project contradicts {name}.support: for w = project(v) and "
-                    f"z = {'v - w' if z is p else 'a direction'} it is <z, w> = {reached:g}, but "
+                    f"z = {'v - w' if z is p else 'a direction'} it is <z, w> = {product:g}, but "
                     f"support(z) = {sigma:g}, which is the supremum of <z, w> over C"
                 )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,6 +18,7 @@ from sweepopt.sets import AnySet, Box, ConvexSet
 BLOCK = 256  # columns of A^-1 at a time: those of all unknowns would not fit in memory
 JUMP = 1e-9  # of the run: what changes in no more is a jump to every step
 CONTINUOUS = (Constant, Polynomial, Sine, Triangle)
+Distance = Callable[[np.ndarray], float]
 
 
 class Variation(float):
@@ -30,7 +31,7 @@ class Variation(float):
         and other histories). Otherwise it is what the times that were given show of it.
     """
 
-    guaranteed: bool
+    guaranteed = False
 
     @classmethod
     def make(cls, value: float, guaranteed: bool) -> Variation:
@@ -39,27 +40,29 @@ class Variation(float):
         return variation
 
 
-Move = tuple[str, TimeFunction, Callable[[np.ndarray], float]]
-"""A function that C(t) moves with, and the distance, at most, for a change of it."""
+class Move(NamedTuple):
+    """A function that C(t) moves with, and the distance, at most, for a change of it."""
+
+    name: str
+    f: TimeFunction
+    distance: Distance
 
 
 def variation(C: AnySet, metric: Factor, times: np.ndarray) -> Variation:
     """The sum of the variations of all that C(t) moves with, or of the distances of members."""
-    moves = _moves(C, metric)
-    total, guaranteed = 0.0, moves is not None and metric.method == "factors"
-    for _, f, distance in moves or ():
-        if f.function is None and f.bounded:
-            ends = float(times[0]), float(times[-1])
-            vectors = [vector for _, vector in f.terms]
-            changes = [
-                phi.variation(*ends) * v for phi, v in zip(f.histories, vectors, strict=True)
-            ]
-        else:
-            changes, guaranteed = list(np.diff(f.at(times), axis=0)), False
-        total += sum(map(distance, changes))
+    moves, guaranteed = _moves(C, metric), metric.method == "factors"
     if moves is None:
         each = [C.distance_bound(D) for C, D in pairwise(map(C.at, times.tolist()))]
-        total = sum(np.inf if d is None else d for d in each) / _root_beta(metric)
+        total = _in_metric(sum(np.inf if d is None else d for d in each), metric)
+        guaranteed = False
+    else:
+        total = 0.0
+        for _, f, distance in moves:
+            known = f.function is None and f.bounded
+            changes: Any = np.diff(f.at(times), axis=0)
+            if known:
+                changes = (phi.variation(times[0], times[-1]) * v for phi, v in f.terms)
+            total, guaranteed = total + sum(map(distance, changes)), guaranteed and known
     if total == np.inf:
         raise InputError(
             "the distance of C(t) to C(s) is not known for this kind of set; write C as a Moving "
@@ -73,15 +76,14 @@ def jumps(C: AnySet, metric: Factor, start: float, end: float) -> list[tuple[flo
 
     Functions of which nothing is known are not looked at: they may have values on the grid only.
     """
-    found, width = [], JUMP * (end - start)
+    sentences, width = [], JUMP * (end - start)
     for name, f, distance in _moves(C, metric) or ():
         for t in _discontinuities(f.histories, start, end, width) if f.bounded else ():
             before, after = f.at(np.clip([t - width, t + width], start, end))
-            size = distance(after - before)
+            size, change = distance(after - before), np.linalg.norm(after - before)
             by = f"by {size:g}" if size < np.inf else "by an unknown distance"
-            change = np.linalg.norm(after - before)
-            found.append((t, f"at t = {t:g} {by} ({name} changes by {change:g})"))
-    return sorted(found)
+            sentences.append((t, f"at t = {t:g} {by} ({name} changes by {change:g})"))
+    return sorted(sentences)
 
 
 def _discontinuities(
@@ -89,22 +91,22 @@ def _discontinuities(
 ) -> Iterator[float]:
     """Breakpoints whose neighbourhood keeps its variation as it shrinks, one of each cluster."""
     last = -np.inf
-    known = [phi for phi in histories if not _is_continuous(phi, width)]
-    for t in breakpoints(known, start, end).tolist():
-        near, around = (
-            sum(phi.variation(max(t - w, start), min(t + w, end)) for phi in known)
-            for w in (width, 8 * width)
-        )
-        if near > 0.5 * around and t > last + width:
+    # others need more than this time for any change
+    may_jump = [
+        phi
+        for phi in histories
+        if not isinstance(phi, CONTINUOUS)
+        and not (isinstance(phi, Table) and np.diff(phi.times).min() > width)
+    ]
+
+    def change(t: float, within: float) -> float:
+        ends = np.clip([t - within, t + within], start, end)
+        return sum(phi.variation(*ends) for phi in may_jump)
+
+    for t in breakpoints(may_jump, start, end).tolist():
+        if t > last + width and change(t, width) > 0.5 * change(t, 8 * width):
             last = t
             yield t
-
-
-def _is_continuous(phi: Any, width: float) -> bool:
-    """Whether phi is data that needs more than this time for any change."""
-    if isinstance(phi, Table):
-        return bool(np.diff(phi.times).min() > width)
-    return isinstance(phi, CONTINUOUS)
 
 
 def _moves(C: AnySet, metric: Factor) -> list[Move] | None:
@@ -113,16 +115,17 @@ def _moves(C: AnySet, metric: Factor) -> list[Move] | None:
     if moving.shape is None:
         return None
     if moving.offsets is not None:
-        return [("h", moving.offsets, _of_offsets(moving.shape.halfspaces().N, metric))]
+        of_offsets = _of_offsets(moving.shape.halfspaces().N, metric)
+        return [Move(moving.name, moving.offsets, of_offsets)]
     # sup |sigma(S, z)| / |z|_A = sup |w|_{A^-1} over S, as |sigma(S, z)| <= sigma(S, +-z)
     extent = 0.0 if moving.scale.constant else _magnitude(moving.shape, metric)
     return [
-        (moving.name, moving.center, metric.dual_norm),
-        ("scale", moving.scale, lambda r: float(abs(r[0])) * extent if r.any() else 0.0),
+        Move(moving.name, moving.center, metric.dual_norm),
+        Move("scale", moving.scale, lambda r: float(abs(r[0])) * extent if r.any() else 0.0),
     ]
 
 
-def _of_offsets(G: Any, metric: Factor) -> Callable[[np.ndarray], float]:
+def _of_offsets(G: Any, metric: Factor) -> Distance:
     """A bound of the distance of { w : G w <= h } to that with h + dh, of dh."""
     rows = sp.csr_array(G)
     rows.eliminate_zeros()
@@ -155,12 +158,13 @@ def _magnitude(S: ConvexSet, metric: Factor) -> float:
     """At least |w|_{A^-1} for all w of S; of a box its infinite ends, which do not move, aside."""
     unknowns, part, shift = S.selection or (np.arange(S.dim), S, None)
     if not isinstance(part, Box):
-        return S.magnitude() / _root_beta(metric)
+        return _in_metric(S.magnitude(), metric)
     ends, m = np.abs([part.lower, part.upper]), np.zeros(S.dim)
     m[unknowns] = np.where(ends < np.inf, ends, 0.0).max(axis=0)
     return _box(m, metric) + (0.0 if shift is None else metric.dual_norm(shift))
 
 
-def _root_beta(metric: Factor) -> float:
-    """|w|_{A^-1} <= |w| / this."""
-    return float(np.sqrt(metric.smallest_eigenvalue() * (1 - 1e-6)))
+def _in_metric(length: float, metric: Factor) -> float:
+    """|w|_{A^-1} at most, for |w| = length: inf where no coercivity is proved."""
+    beta = metric.smallest_eigenvalue()
+    return length / float(np.sqrt(beta)) if beta else (np.inf if length else 0.0)

@@ -227,7 +227,9 @@ class Solution:
             implicit = max(row[-1] for row in self.plan.scheme.a) * np.diff(self._grid)
             ratio = self.process.Lam if not self.process.rate_independent else 1.0
             ratios = float(not self.process.rate_independent) + implicit * ratio
-            return self.stats["certificate"] * np.sqrt(ratios)
+            certificate = self.stats["certificate"]
+            with np.errstate(invalid="ignore"):  # Lam is inf where no bound of it is proved
+                return np.where(certificate == 0, 0.0, certificate * np.sqrt(ratios))
         return self._at_times(t, self._distance)
 
     def residual(self, t: Any) -> np.ndarray:

@@ -109,6 +109,11 @@ class Halfspaces(NamedTuple):
         """N w <= d alone."""
         return cls(N, d, np.zeros((0, N.shape[1])), np.zeros(0))
 
+    def inequalities(self) -> tuple[np.ndarray, np.ndarray]:
+        """G and h with C = { w : G w <= h }, an equation as two rows."""
+        N, d, E, e = self
+        return np.vstack([dense(N), E, -E]), np.concatenate([d, e, -e])
+
 
 class NoHalfspacesError(Exception):
     """A set, named by its part, that is no polyhedron or whose rows are not known."""

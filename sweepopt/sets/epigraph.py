@@ -79,9 +79,8 @@ class Statement:
                 self.constraints.append(self.data("G", C.G) @ p <= 0)
                 return 0
             case Aligned() if C.whole:
-                (S,), r = C.parts, abs(C.factor)
-                even = isinstance(S, Balls) and not np.any(S.center)
-                value = self.sigma(S, p if C.factor > 0 or even else -p)
+                r = abs(C.factor)
+                value = self.sigma(C.parts[0], p if C.factor > 0 else -p)
                 value = value if r == 1 else r * value
                 return value if C.v is None else self.sigma(Point(C.v), p) + value
         E, F, parts = C.form()

@@ -1,13 +1,14 @@
 """The rows of sums, images, products and intersections of polyhedra: polyhedra again.
 
-An intersection has the rows of both sets, a product those of its factors, the image M P under a
-one-to-one M those of P at M^-1 w. Other images, and sums, are the hulls of their vertices, which
-add up: the facets come from Qhull, in few dimensions.
+An intersection has the rows of both sets. C = { E s : s in S, F s = 0 } has those of S where only
+one s belongs to each w. Other images, and sums, are the hulls of their vertices, which add up: the
+facets come from Qhull, in few dimensions.
 """
 
 from __future__ import annotations
 
 import copy
+from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -15,15 +16,28 @@ import scipy.optimize
 
 from sweepopt.linalg import dense, row_lengths
 from sweepopt.sets.aligned import Aligned, product_of
-from sweepopt.sets.base import RANK, ConvexSet, Halfspaces, NoHalfspacesError, places
+from sweepopt.sets.base import RANK, ConvexSet, Form, Halfspaces, NoHalfspacesError, places
 from sweepopt.sets.lifted import Intersection
 from sweepopt.sets.polyhedra import Polyhedron
-from sweepopt.sets.polytope import Polytope, convex_hull, hull_vertices
-from sweepopt.sets.shapes import Box
+from sweepopt.sets.polytope import Polytope, hull_vertices
 
 UNBOUNDED = "a sum or an image of an unbounded set; state its rows as so.Polyhedron(G, h)"
 VERTICES = 2000  # of a sum or an image: as many rows make a phase take seconds
 FLAT = 1e-12  # of a set's offsets: a smaller radius is rounding
+
+
+class Affine(NamedTuple):
+    """{ origin + span r }, the columns of span orthonormal."""
+
+    origin: np.ndarray
+    span: np.ndarray
+
+    @classmethod
+    def solutions(cls, E: np.ndarray, e: np.ndarray) -> Affine:
+        """Those of E w = e."""
+        if not len(E):
+            return cls(np.zeros(E.shape[1]), np.eye(E.shape[1]))
+        return cls(np.linalg.lstsq(E, e, rcond=RANK)[0], scipy.linalg.null_space(E, RANK))
 
 
 def facets(C: ConvexSet) -> Halfspaces:
@@ -45,79 +59,53 @@ def facets(C: ConvexSet) -> Halfspaces:
     try:
         return C.halfspaces()
     except NoHalfspacesError:
-        E, F, parts = C.form()
-        if parts == (C,):
+        form = C.form()
+        if form.parts == (C,):
             raise
     if isinstance(C, Aligned):
         with_rows = copy.copy(C)
-        with_rows.parts = tuple(_polyhedron(facets(S)) for S in C.parts)
+        with_rows.parts = tuple(Polyhedron(*facets(S).inequalities()) for S in C.parts)
         return with_rows.halfspaces()
     if isinstance(C, Intersection):
-        return _stacked(*map(facets, C.operands))
-    E = dense(E)
-    if F.shape[0] or np.linalg.matrix_rank(E, RANK * np.linalg.norm(E, 2)) < E.shape[1]:
-        return Polytope(_vertices(C)).halfspaces()
-    N, d, equations, e = facets(product_of(parts))
-    back, rest = np.linalg.pinv(E), scipy.linalg.null_space(E.T).T
-    zero = np.zeros(len(rest))
-    return Halfspaces(N @ back, d, np.vstack([equations @ back, rest]), np.append(e, zero))
+        G, h = zip(*(facets(S).inequalities() for S in C.operands), strict=True)
+        return Halfspaces.below(np.vstack(G), np.concatenate(h))
+    E, F = dense(form.E), dense(form.F)
+    N, d, equations, e = facets(product_of(form.parts))
+    e = np.append(np.zeros(len(F)), e)
+    rows = Halfspaces(N, d, np.vstack([F, equations]), e)
+    s, span = Affine.solutions(rows.E, e)
+    M, w = E @ span, E @ s
+    if np.linalg.matrix_rank(M, RANK * np.linalg.norm(E, 2)) < M.shape[1]:
+        return Polytope(_corners(rows) @ E.T if len(F) else _sums(form)).halfspaces()
+    N, d = N @ span @ np.linalg.pinv(M), d - N @ s
+    rest = scipy.linalg.null_space(M.T).T
+    return Halfspaces(N, d + N @ w, rest, rest @ w)
 
 
-def _polyhedron(rows: Halfspaces) -> Polyhedron:
-    N, d, E, e = rows
-    return Polyhedron(np.vstack([dense(N), E, -E]), np.concatenate([d, e, -e]))
-
-
-def _stacked(*sets: Halfspaces) -> Halfspaces:
-    N, d, E, e = zip(*sets, strict=True)
-    return Halfspaces(
-        np.vstack([dense(rows) for rows in N]), np.concatenate(d), np.vstack(E), np.concatenate(e)
-    )
-
-
-def _vertices(C: ConvexSet) -> np.ndarray:
-    """Those of a bounded polyhedron: of { s in S, F s = 0 }, or sums of those of the parts."""
-    E, F, parts = C.form()
-    if F.shape[0]:
-        fixed = Halfspaces(np.zeros((0, F.shape[1])), np.zeros(0), dense(F), np.zeros(F.shape[0]))
-        return _corners(_stacked(facets(product_of(parts)), fixed)) @ E.T
-    points = np.zeros((1, C.dim))
-    for part, at in zip(parts, places(parts), strict=True):
-        for ends in _summands(part):
-            each = points[:, None] + ends @ dense(E[:, at]).T
-            points = hull_vertices(each.reshape(-1, C.dim))
-            if len(points) > VERTICES:
-                raise NoHalfspacesError(f"a sum or an image of more than {VERTICES} vertices")
+def _sums(form: Form) -> np.ndarray:
+    """The vertices of E S: sums of those of the factors of S."""
+    points, factors = np.zeros((1, form.E.shape[0])), product_of(form.parts).factors()
+    for S, at in zip(factors, places(factors), strict=True):
+        ends = S.vertices if isinstance(S, Polytope) else _corners(facets(S))
+        each = points[:, None] + ends @ dense(form.E[:, at]).T
+        points = hull_vertices(each.reshape(-1, form.E.shape[0]))
+        if len(points) > VERTICES:
+            raise NoHalfspacesError(f"a sum or an image of more than {VERTICES} vertices")
     return points
-
-
-def _summands(part: ConvexSet) -> list[np.ndarray]:
-    """Vertices of sets whose sum is the part: a box is one of segments."""
-    if isinstance(part, Polytope):
-        return [part.vertices]
-    if not isinstance(part, Box):
-        return [_corners(facets(part))]
-    if not np.isfinite(part.magnitude()):
-        raise NoHalfspacesError(UNBOUNDED)
-    unit = np.eye(part.dim)
-    return [
-        np.outer(np.unique([a, b]), e) for a, b, e in zip(part.lower, part.upper, unit, strict=True)
-    ]
 
 
 def _corners(rows: Halfspaces) -> np.ndarray:
     """The vertices of { w : N w <= d, E w = e }, if it is bounded.
 
-    From an inner point, the centre of the largest ball: where that has no radius, rows with a
-    multiplier in its program are equations.
+    Seen from an inner point, the centre of the largest ball, they are the facets of the polar set.
+    Where that ball has no radius, rows with a multiplier in its program are equations.
     """
     N, d, E, e = rows
-    start = np.linalg.lstsq(E, e, rcond=RANK)[0] if len(E) else np.zeros(N.shape[1])
-    span = scipy.linalg.null_space(E, RANK) if len(E) else np.eye(N.shape[1])
+    start, span = Affine.solutions(E, e)
     if not span.shape[1]:
         return start[None]
     A, b = dense(N) @ span, d - N @ start
-    lengths = np.linalg.norm(A, axis=1)
+    lengths = row_lengths(A)
     real = np.flatnonzero(lengths > RANK * row_lengths(N))
     A, b = A[real] / lengths[real, None], b[real] / lengths[real]
     size = float(np.abs(b).max(initial=0.0)) or 1.0
@@ -125,19 +113,13 @@ def _corners(rows: Halfspaces) -> np.ndarray:
     ball = scipy.optimize.linprog(
         goal, np.column_stack([A, np.ones(len(A))]), b / size, bounds=(None, None)
     )
-    if ball.status == 2 or ball.x is None:
+    if ball.x is None:
         raise NoHalfspacesError(UNBOUNDED)
-    centre, radius = size * ball.x[:-1], ball.x[-1]
-    if radius <= FLAT:
+    centre, radius = size * ball.x[:-1], size * ball.x[-1]
+    if radius <= FLAT * size:
         more = real[ball.ineqlin.marginals < 0]
         return _corners(Halfspaces(N, d, np.vstack([E, dense(N)[more]]), np.append(e, d[more])))
-    # around the centre each facet of the hull of the rows is polar to a vertex
-    polar = A * (radius * size / (b - A @ centre))[:, None]
-    if span.shape[1] == 1:
-        planes = np.array([[1.0, -polar.max()], [-1.0, polar.min()]])
-    else:
-        planes = convex_hull(polar).equations
-    if (planes[:, -1] > -FLAT).any():  # the centre is not inside of that hull
+    normals, distances, equal, _ = Polytope(A * (radius / (b - A @ centre))[:, None]).halfspaces()
+    if len(equal) or (distances <= FLAT).any():  # the centre is not inside of the polar set
         raise NoHalfspacesError(UNBOUNDED)
-    corners = centre - radius * size * planes[:, :-1] / planes[:, -1:]
-    return start + np.unique(corners, axis=0) @ span.T
+    return start + (centre + radius * normals / distances[:, None]) @ span.T

@@ -257,11 +257,11 @@ class Polyhedron(ConvexSet):
         """
         stack = sp.vstack if sp.issparse(self.G) else np.vstack
         flat = self._flat()
+        distances = root[:, None] * abs(np.linalg.pinv(dense(self.G[flat]) * root))
         on = np.setdiff1d(on, flat)
         G = _columns(stack([self.G, -self.G[on]]), root)
         lengths, w = row_lengths(G)[: self.h.size], start
-        margin = np.zeros(self.h.size)
-        point = None
+        margin, point = np.zeros(self.h.size), None
         for _ in range(1 + REFINEMENTS):
             slack = self._slack(w)
             wanted = np.append(slack - margin, (margin - slack)[on])
@@ -276,7 +276,7 @@ class Polyhedron(ConvexSet):
             shift, left = root * shortest.u, slack - (G @ shortest.u)[: self.h.size]
             sizes = np.abs(slack) + lengths * np.linalg.norm(shortest.u)
             rounded = (3 * ROUNDING + self.dim * EPS) * sizes
-            off = self._distance_to(flat, np.abs(left[flat]) + rounded[flat], root)
+            off = distances @ (np.abs(left[flat]) + rounded[flat])
             enough = rounded + abs(self.G) @ off
             enough[flat] = left[flat] = 0.0
             near = bool((np.abs(shift) <= ROUNDING * np.abs(w).max()).all())
@@ -286,12 +286,6 @@ class Polyhedron(ConvexSet):
                     break
             margin, w = (2 * enough, w) if near else (0 * margin, w + shift)
         return point
-
-    def _distance_to(self, rows: np.ndarray, residual: np.ndarray, root: np.ndarray) -> np.ndarray:
-        """How far the point next to a point is that meets some equations, entry by entry."""
-        if not residual.any():
-            return 0 * root
-        return root * (abs(np.linalg.pinv(dense(self.G[rows]) * root)) @ residual)
 
     def _slack(self, w: np.ndarray) -> np.ndarray:
         """h - G w, rounded once for rows that are near w."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -19,13 +19,14 @@ from sweepopt.study.cell import solution_of
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
 from sweepopt.study.executors import Processes, dask_executor
-from sweepopt.study.hard.suite import HardRow, hard_study, hard_summary, rows
-from sweepopt.study.hard.trajectories import TrajectoryRow, trajectory_rows, trajectory_summary
+from sweepopt.study.hard.suite import HardStudy, trajectory_rows
+from sweepopt.study.hard.suite import rows as hard_rows
 from sweepopt.study.ledger import append_row
+from sweepopt.study.records import read_record, worst
 from sweepopt.study.report import write_report
 from sweepopt.study.sources import find_source
+from sweepopt.study.stiff import StiffStudy
 from sweepopt.study.stiff import rows as stiff_rows
-from sweepopt.study.stiff import stiff_study, stiff_summary
 from sweepopt.study.study import Study, read_study, run
 
 if TYPE_CHECKING:
@@ -41,12 +42,15 @@ def study_command(chosen: argparse.Namespace) -> None:
     path = find_study(chosen.study)
     folder = chosen.out or Path("results") / path.stem
     data = read_toml(path)
-    hard = hard_study(data["hard"], f"{path}: ") if "hard" in data else None
-    stiff = stiff_study(data["stiff"], f"{path}: ") if "stiff" in data else None
-    judged: list[HardRow] = []
-    paths: list[TrajectoryRow] = []
+    kinds = {HARD: HardStudy, STIFF: StiffStudy}
+    parts: dict[str, Any] = {
+        name: read_record(f"{path}: {name}.", kind, data[name])
+        for name, kind in kinds.items()
+        if name in data
+    }
     table, solutions, files = None, {}, []
-    if not (hard or stiff) or data.keys() - {"hard", "stiff", "title"}:
+    found: dict[str, list[Any]] = {}
+    if not parts or data.keys() - {*kinds, "title"}:
         study = read_study(path)
         with _executor(chosen) as executor:
             table = run(study, folder, executor=executor, progress=_say)
@@ -55,34 +59,32 @@ def study_command(chosen: argparse.Namespace) -> None:
         solutions = _fastest_runs(study, table)
         print(summary(table))
         files += [TABLE, DIAGRAM]
-    if hard is not None:
-        # in this process, from the start: they take some minutes a seed
-        folder.mkdir(parents=True, exist_ok=True)
-        judged = _kept(rows(hard, _say), folder / HARD)
-        trajectories = trajectory_rows(hard.trajectories, hard.seeds, tol=hard.tol, progress=_say)
-        paths = _kept(trajectories, folder / TRAJECTORY)
-        if judged:
-            print(hard_summary(judged))
-            files.append(f"{HARD}.csv")
-        if paths:
-            print(trajectory_summary(paths))
-            files.append(f"{TRAJECTORY}.csv")
-    if stiff is not None:
-        folder.mkdir(parents=True, exist_ok=True)
-        print(stiff_summary(_kept(stiff_rows(stiff, _say), folder / STIFF)))
-        files.append(f"{STIFF}.csv")
-    if table is not None or judged or paths:
+    # in this process, from the start: hard cases take some minutes a seed
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, (part, rows, by) in JUDGED.items():
+        found[name] = _kept(rows(parts[part], _say), folder / name) if part in parts else []
+        if found[name]:
+            print(worst(found[name], by))
+            files.append(f"{name}.csv")
+    if table is not None or found[HARD] or found[TRAJECTORY]:
         files.append(REPORT)
-        title = str(data.get("title", path.stem))
         write_report(
             table,
             folder / REPORT,
             solutions=solutions,
-            hard=judged,
-            trajectories=paths,
-            title=title,
+            hard=found[HARD],
+            trajectories=found[TRAJECTORY],
+            title=str(data.get("title", path.stem)),
         )
     print(f"written: {folder}: {', '.join(files)}")
+
+
+JUDGED: dict[str, tuple[str, Callable[..., Any], list[str]]] = {
+    HARD: (HARD, hard_rows, ["family"]),
+    TRAJECTORY: (HARD, trajectory_rows, ["trajectory"]),
+    STIFF: (STIFF, stiff_rows, ["body", "load", "mu_Lam", "scheme"]),
+}
+"""Files of rows: the table of a study that they are of, what yields them, and what groups them."""
 
 
 def _kept(rows: Iterable[Any], path: Path) -> list[Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import MISSING, fields
 from typing import Any, TypeVar
 
@@ -12,8 +12,10 @@ from sweepopt.errors import InputError, shown
 Record = TypeVar("Record")
 
 
-def read_record(where: str, kind: type[Record], data: dict[str, Any], **given: Any) -> Record:
+def read_record(where: str, kind: type[Record], data: Any, **given: Any) -> Record:
     """A dataclass whose fields are the keys of a table, those that are given apart."""
+    if not isinstance(data, dict):
+        raise InputError(f"{where.rstrip('.')} must be a table, got {shown(data)}")
     keys = {field.name: field for field in fields(kind) if field.name not in given}  # type: ignore[arg-type]
     for key in data:
         if key not in keys:
@@ -38,3 +40,15 @@ def known(name: str, value: Any, names: Iterable[str], advice: str = "use") -> A
     if value not in tuple(names):
         raise InputError(f"{name}: {shown(value)} is not known; {advice} {', '.join(names)}")
     return value
+
+
+def worst(rows: Sequence[Any], by: list[str]) -> str:
+    """The largest numbers of each group of rows, and a line for each row that is not good."""
+    import pandas as pd
+
+    groups = pd.DataFrame(rows).drop(columns="seed").groupby(by, sort=False)
+    table = groups.max(numeric_only=True).assign(runs=groups.size())
+    wrong = [row for row in rows if not getattr(row, "good", True)]
+    lines = [table.to_string(float_format="{:.2g}".format), "", f"{len(rows)} runs"]
+    lines += [f"{len(wrong)} wrong", *(f"  {row[:4]}: {row.verdict}" for row in wrong)]
+    return "\n".join(lines)

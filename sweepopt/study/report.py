@@ -42,6 +42,14 @@ TOOLTIP = {
 BAND = "rgba(0, 114, 178, 0.25)"
 LEAST = 1e-18
 """Hard cases: errors of 0, of bodies at rest, are drawn here."""
+HARD_TEXT = (
+    "The worst step of each run, judged by its exact velocity: the true error stays below "
+    f"{TARGET:g} and below the certificate. A click in the legend hides a solver."
+)
+TRAJECTORY_TEXT = (
+    "Runs beside exact trajectories: the error is that of the scheme's order, bounds lie above it, "
+    "energies balance, and what slips clearly does not rest."
+)
 PAGE = Template("""\
 <!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>$title</title>
@@ -119,9 +127,9 @@ def write_report(
             _page_of(_trajectories(solutions)),
         ]
     if hard:
-        parts += _hard_section(hard)
+        parts += _judged_section(hard, "Hard cases", HARD_TEXT, _hard_figure)
     if trajectories:
-        parts += _trajectory_section(trajectories)
+        parts += _judged_section(trajectories, "Hard trajectories", TRAJECTORY_TEXT)
     date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     page = PAGE.substitute(
         title=html.escape(title),
@@ -210,28 +218,15 @@ def _band(solution: Solution, k: int) -> Any:
     return np.sqrt(inverse[k]) * np.append(bound.of_t[:1], bound.of_t)
 
 
-def _hard_section(hard: Sequence[HardRow]) -> list[str]:
+def _judged_section(rows: Sequence[Any], title: str, text: str, figure: Any = None) -> list[str]:
     import pandas as pd
 
-    table, good = pd.DataFrame(hard), pd.Series([row.good for row in hard])
+    good, table = pd.Series([row.good for row in rows]), pd.DataFrame(rows)
     return [
-        "<h2>Hard cases</h2>",
-        "<p>The worst step of each run, judged by its exact velocity: the true error stays below "
-        f"{TARGET:g} and below the certificate. A click in the legend hides a solver.</p>",
-        _page_of(_hard_figure(table)),
-        _table(table.drop(columns="excess"), "verdict", good, "runs", "wrong"),
-    ]
-
-
-def _trajectory_section(rows: Sequence[TrajectoryRow]) -> list[str]:
-    import pandas as pd
-
-    good = pd.Series([row.good for row in rows])
-    return [
-        "<h2>Hard trajectories</h2>",
-        "<p>Runs beside exact trajectories: the error may be the sum of the scheme's local errors, "
-        "bounds lie above it, energies balance, and what slips clearly does not rest.</p>",
-        _table(pd.DataFrame(rows), "verdict", good, "runs", "wrong"),
+        f"<h2>{title}</h2>",
+        f"<p>{text}</p>",
+        _page_of(figure(table)) if figure else "",
+        _table(table.drop(columns="excess", errors="ignore"), "verdict", good, "runs", "wrong"),
     ]
 
 

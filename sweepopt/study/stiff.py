@@ -14,42 +14,29 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.checks import count, number
-from sweepopt.errors import InputError, shown
 from sweepopt.loads import Separable, Sine, Table
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
 from sweepopt.sets import Balls, Box, ConvexSet, Moving
 from sweepopt.solve import solve
 from sweepopt.study.hard.bodies import Random, chain, spectral
-from sweepopt.study.records import each, known, read_record
+from sweepopt.study.records import each, known
+from sweepopt.study.reference_states import largest_norm
 
 BEST_OF = ("implicit-euler", "midpoint", "sdirk2")
 FINER = 16  # steps of the reference in one of the run: its error is less by 16 at least
 SLIPS = 0.05  # of an unknown's largest velocity: a slower one may be rounding
 
 
-class Body(NamedTuple):
-    """A and B, the set C(t) less the load, and two shapes of loads in columns."""
-
-    A: Any
-    B: Any
-    C: ConvexSet
-    shapes: np.ndarray
+Body = tuple[Any, Any, ConvexSet, np.ndarray]
+"""A and B, the set C(t) less the load, and two shapes of loads in columns."""
 
 
-def _loaded(random: Random, A: np.ndarray, B: np.ndarray, C: ConvexSet) -> Body:
+def _body(random: Random, A: np.ndarray, B: np.ndarray, discs: bool = False) -> Body:
+    g = random.uniform(0.5, 1.2, 2) if discs else random.uniform(0.3, 1.2, len(A))
     shapes = random.normal(size=(len(A), 2))
-    return Body(A, B, C, 2.5 * math.sqrt(len(A)) * shapes / np.linalg.norm(shapes, axis=0))
-
-
-def _box(random: Random, A: np.ndarray, B: np.ndarray) -> Body:
-    g = random.uniform(0.3, 1.2, len(A))
-    return _loaded(random, A, B, Box(-g, g))
-
-
-def _discs(random: Random) -> Body:
-    C = Balls(random.uniform(0.5, 1.2, 2), 2)
-    return _loaded(random, chain(random, 4), chain(random, 4), C)
+    shapes *= 2.5 * math.sqrt(len(A)) / np.linalg.norm(shapes, axis=0)
+    return A, B, Balls(g, 2) if discs else Box(-g, g), shapes
 
 
 def _square(random: Random) -> Body:
@@ -58,25 +45,24 @@ def _square(random: Random) -> Body:
 
     from sweepopt.fem import BodyForce, Elasticity, Friction, Traction, Viscosity, antiplane
 
-    effects: list[Any] = [
-        Viscosity(1e-3),
-        Elasticity(1.0),
-        Friction("bottom", g=float(random.uniform(0.3, 0.8))),
-        Traction("right", f2=float(random.uniform(2, 4)), history=np.sin),  # or another one
-        BodyForce(f0=float(random.uniform(2, 4)), history=np.sin),
-    ]
+    bound, pull, force = random.uniform([0.3, 2, 2], [0.8, 4, 4]).tolist()
+    loads = [Traction("right", f2=pull, history=np.sin), BodyForce(f0=force, history=np.sin)]
+    effects: Any = [Viscosity(1e-3), Elasticity(1.0), Friction("bottom", g=bound), *loads]
     mesh = skfem.MeshTri().refined(2).with_defaults()
     problem: Any = antiplane(mesh, clamped="top", effects=effects).problem
-    return Body(problem.A, problem.B, -problem.dissipation, problem.load.shapes)
+    return problem.A, problem.B, -problem.dissipation, problem.load.shapes
 
 
 BODIES: dict[str, Callable[[Random], Body]] = {
-    "one mass": lambda random: _box(random, np.eye(1), np.eye(1)),
-    "chain": lambda random: _box(random, chain(random, 7), chain(random, 7)),
-    "mixed": lambda random: _box(random, spectral(random, np.logspace(-6, 0, 7)), chain(random, 7)),
-    "discs": _discs,
+    "one mass": lambda random: _body(random, np.eye(1), np.eye(1)),
+    "chain": lambda random: _body(random, chain(random, 7), chain(random, 7)),
+    "mixed": lambda random: _body(
+        random, spectral(random, np.logspace(-6, 0, 7)), chain(random, 7)
+    ),
+    "discs": lambda random: _body(random, chain(random, 4), chain(random, 4), discs=True),
     "square": _square,
 }
+"""By name; the square's loads have any history."""
 
 
 def _table(random: Random) -> Table:
@@ -119,18 +105,11 @@ class StiffStudy:
     def __post_init__(self) -> None:
         each("seeds", self.seeds, count, 0)
         each("steps", self.steps, count)
-        for key, names in (("bodies", BODIES), ("loads", LOADS)):
-            each(key, getattr(self, key), known, names, "there are:")
+        each("bodies", self.bodies, known, BODIES, "there are:")
+        each("loads", self.loads, known, LOADS, "there are:")
         for k, x in enumerate(self.stiffness):
             if x != math.inf:
                 number(f"stiffness[{k}]", x, 0.0, strict=True)
-
-
-def stiff_study(data: Any, where: str = "") -> StiffStudy:
-    """The table [stiff] of a study file; InputError names the key at fault."""
-    if not isinstance(data, dict):
-        raise InputError(f"{where}stiff must be a table, got {shown(data)}")
-    return read_record(f"{where}stiff.", StiffStudy, data)
 
 
 class StiffRow(NamedTuple):
@@ -202,32 +181,19 @@ def judge(process: SweepingProcess, t_end: float, steps: int, bounds: bool = Tru
         settings: dict[str, Any] = {"scheme": scheme, "tol": 1e-8, "on_unstable": "ignore"}
         return solve(process, t_end=t_end, steps=finer * steps, **settings)
 
-    reference = run("sdirk32", FINER)
+    reference, sol = run("sdirk32", FINER), run("auto")
     slips = reference.velocity.reshape(steps, FINER, -1)
-
-    def error(sol: Solution) -> float:
-        return max(map(process.metric.norm, sol.u - reference.u[::FINER]))
-
-    def variation(velocities: np.ndarray) -> float:
-        return float(np.abs(np.diff(velocities, axis=0)).sum())
-
-    sol = run("auto")
-    least = SLIPS * np.abs(slips).max(axis=(0, 1))
+    error, *others = (
+        largest_norm(process, one.u - reference.u[::FINER]) for one in (sol, *map(run, BEST_OF))
+    )
+    variations = [abs(np.diff(z, axis=0)).sum() for z in (sol.velocity, slips.mean(axis=1))]
+    least = SLIPS * abs(slips).max(axis=(0, 1))
     always = (slips > least).all(axis=1) | (slips < -least).all(axis=1)
     return (
         sol.plan.scheme.name,
-        error(sol),
-        error(sol) / min(error(run(scheme)) for scheme in BEST_OF),
-        float(sol.error_bound()) / error(sol) if bounds else math.nan,
-        variation(sol.velocity) / variation(slips.mean(axis=1)),
+        error,
+        error / min(others),
+        float(sol.error_bound()) / error if bounds else math.nan,
+        float(variations[0] / variations[1]),
         int((always & (sol.velocity == 0)).any(axis=1).sum()),
     )
-
-
-def stiff_summary(rows: Sequence[StiffRow]) -> str:
-    """The worst of each body, load and mu Lam."""
-    import pandas as pd
-
-    by = ["body", "load", "mu_Lam", "scheme"]
-    table = pd.DataFrame(rows).drop(columns=["seed", "steps"]).groupby(by, sort=False).max()
-    return str(table.to_string(float_format="{:.2g}".format))

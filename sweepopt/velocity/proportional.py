@@ -182,6 +182,22 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     t : float
         When the first step asks for the load.
     """
+    parts = contact_and_load(process)
+    if isinstance(parts, str):
+        return parts
+    rho, selection, terms = parts
+    few = selection.unknowns
+    terms = terms or ((Constant(0.0), np.zeros(process.dim)),)
+    body = Body(Elimination(process.A, few, process.metric.order), process.B, rho)
+    scale = getattr(process.C, "scale", None)
+    reduction = Reduction(process, body, selection.part, terms, scale, t)
+    if not reduction.is_accurate(LEAST_SPEED * tol):
+        return "A is too badly conditioned to apply its inverse beforehand"
+    return reduction
+
+
+def contact_and_load(process: SweepingProcess) -> tuple[float, Selection, Terms] | str:
+    """rho, E with S, and f of a process that a reduction may take; or why there is none."""
     if process.rate_independent:
         return "A is zero"
     if process.metric.method != "factors":
@@ -189,18 +205,8 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     rho = proportion(process.A, process.B)
     if rho is None:
         return "B is not a multiple of A"
-    scale = getattr(process.C, "scale", None)
-    selected = _selected(motion(process.C), scale)
-    if isinstance(selected, str):
-        return selected
-    selection, terms = selected
-    few = selection.unknowns
-    terms = terms or ((Constant(0.0), np.zeros(process.dim)),)
-    body = Body(Elimination(process.A, few, process.metric.order), process.B, rho)
-    reduction = Reduction(process, body, selection.part, terms, scale, t)
-    if not reduction.is_accurate(LEAST_SPEED * tol):
-        return "A is too badly conditioned to apply its inverse beforehand"
-    return reduction
+    selected = _selected(motion(process.C), getattr(process.C, "scale", None))
+    return selected if isinstance(selected, str) else (rho, *selected)
 
 
 def _less_B(process: SweepingProcess, u: np.ndarray, f: np.ndarray) -> np.ndarray:

@@ -8,18 +8,16 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import nan
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from sweepopt.checks import count, number
 from sweepopt.errors import (
-    InputError,
     PathError,
     SolverRefusedError,
     SweepoptError,
     SweepoptWarning,
-    shown,
 )
 from sweepopt.solve import solve
 from sweepopt.study.cell import named_solver
@@ -27,8 +25,8 @@ from sweepopt.study.hard.bodies import Random
 from sweepopt.study.hard.families import FAMILIES, Names, chosen, combination, make
 from sweepopt.study.hard.ingredients import HISTORIES, REFUSED, History
 from sweepopt.study.hard.judge import Judge
-from sweepopt.study.hard.trajectories import TRAJECTORIES
-from sweepopt.study.records import each, known, read_record
+from sweepopt.study.hard.trajectories import TRAJECTORIES, TrajectoryRow, judged
+from sweepopt.study.records import each, known
 
 TARGET = 1e-8
 """True error, relative to max(|z*|_M, |M^-1 q|_M), that every step has to meet."""
@@ -80,13 +78,6 @@ class HardStudy:
             # without families or trajectories, this part is left out
             if key in ("solvers", "paths") or getattr(self, key) != []:
                 each(key, getattr(self, key), known, names, "there are:")
-
-
-def hard_study(data: Any, where: str = "") -> HardStudy:
-    """The table [hard] of a study file; InputError names the key at fault."""
-    if not isinstance(data, dict):
-        raise InputError(f"{where}hard must be a table, got {shown(data)}")
-    return read_record(f"{where}hard.", HardStudy, data)
 
 
 class HardRow(NamedTuple):
@@ -217,14 +208,10 @@ def _run(judge: Judge, row: HardRow, tol: float, history: History) -> HardRow:
     )
 
 
-def hard_summary(rows: Sequence[HardRow]) -> str:
-    """A line a family, and each row with a wrong answer."""
-    import pandas as pd
-
-    families = pd.DataFrame(rows).groupby("family", sort=False)
-    worst = families[["error", "certificate"]].max().assign(runs=families.size())
-    wrong = [row for row in rows if not row.good]
-    lines = [worst.to_string(float_format="{:.1e}".format), ""]
-    lines += [f"{len(rows)} runs, {len(wrong)} wrong"]
-    lines += [f"  {row.family} {row.seed} {row.path} {row.solver}: {row.verdict}" for row in wrong]
-    return "\n".join(lines)
+def trajectory_rows(
+    study: HardStudy, progress: Callable[[str], object] = lambda words: None
+) -> Iterator[TrajectoryRow]:
+    """Run the trajectories of a study through every scheme, as `rows` does its cases."""
+    for name, seed in product(study.trajectories, study.seeds):
+        progress(f"trajectory {name}, seed {seed}")
+        yield from judged(name, seed, tol=study.tol)

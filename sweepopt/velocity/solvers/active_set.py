@@ -89,9 +89,7 @@ class ActiveSet(Small):
 
 
 def _rows(C: ConvexSet) -> tuple[np.ndarray, np.ndarray] | None:
-    """G and h with C = { w : G w <= h }, an equation as two rows."""
     try:
-        N, d, E, e = C.halfspaces()
+        return C.halfspaces().inequalities()
     except NoHalfspacesError:
         return None
-    return np.vstack([dense(N), E, -E]), np.concatenate([d, e, -e])

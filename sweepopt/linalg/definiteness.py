@@ -1,0 +1,78 @@
+"""Proofs that a symmetric matrix is positive semidefinite, which count every rounding.
+
+The criterion is that of S. M. Rump (Verification of positive definiteness, BIT 46, 2006): if M less
+a little diagonal matrix has factors L D L^T with D > 0, and the backward error of the factors is
+below that diagonal matrix, then M is positive definite.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
+
+from sweepopt.checks import Matrix
+from sweepopt.linalg.cholesky import SYMMETRIC
+from sweepopt.linalg.matrices import EPS, UNIT
+
+MARGINS = 1e-9 * 1e3 ** np.arange(9)  # of a bound of an eigenvalue, from next to rounding upwards
+SAFE = float(np.finfo(float).tiny) / EPS**2  # beside it what underflows is less than a rounding
+SUMS = 1.001  # more than sums of positive numbers, and 1 / (1 - k u), round
+
+
+def dominates(P: Matrix, Q: Matrix, by_factors: bool = True) -> bool:
+    """Whether P - Q is proved to be positive semidefinite, P itself rounded entry by entry or not.
+
+    An error |E_ij| <= H_ij = H_ji changes <Mx, x> by at most sum_i (H w)_i / w_i x_i^2, for any
+    w > 0 (Schur's test), here 1 / sqrt(diagonal): so much is taken from the diagonal. The backward
+    error is known from the factors; the first ones may show that more is to be taken.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        M = P - Q
+        diagonal, one = np.asarray(M.diagonal(), dtype=float), np.ones(M.shape[0])
+        sums = abs(M) @ one
+        rounding = UNIT * (abs(P) @ one + 3 * sums)
+        if not (diagonal.min() > SAFE and np.isfinite(rounding).all()):
+            return False
+    # no diagonal entry is less than the others of its row (Gershgorin)
+    if ((1 + len(one) * EPS) * sums + SUMS * rounding <= 2 * diagonal).all():
+        return True
+    w = 1 / np.sqrt(diagonal)
+    rounding = UNIT * (abs(P) @ w + 3 * (abs(M) @ w))
+    # what factors of bodies of n unknowns round
+    shift = rounding / w + 64 * math.sqrt(len(w)) * UNIT * diagonal
+    for _ in range(2 * by_factors):
+        taken = sp.diags_array(shift) if sp.issparse(M) else np.diag(shift)
+        needed = SUMS * (rounding + _backward_error(M - taken, w)) / w
+        if (needed <= shift).all():
+            return True
+        if needed.max() == math.inf:
+            return False
+        shift = np.maximum(shift, 1.1 * needed)
+    return False
+
+
+def _backward_error(M: Matrix, w: np.ndarray) -> np.ndarray:
+    """H w for a bound H of |M - L D L^T|; inf if there are no such factors, D > 0.
+
+    |M - L U| <= gamma_k |L| |U|, gamma_k = k u / (1 - k u), with k the most entries of a row of L
+    and a little, in whatever order the products are summed (Higham, Accuracy and Stability of
+    Numerical Algorithms, 2002, Theorem 9.3). SuperLU's U is D L^T up to a remainder.
+    """
+    try:
+        if not sp.issparse(M):
+            L = abs(scipy.linalg.cholesky(M, lower=True))
+            return (len(L) + 4) * UNIT * (L @ (L.T @ w))
+        lu = spla.splu(sp.csc_matrix(M), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC)
+    except (scipy.linalg.LinAlgError, RuntimeError, MemoryError):
+        return np.full(len(w), math.inf)
+    L, U, pivots = lu.L, lu.U, lu.U.diagonal()
+    if not (pivots.min() > 0 and (lu.perm_r == lu.perm_c).all()):
+        return np.full(len(w), math.inf)
+    gamma, y = (np.bincount(L.indices).max() + 4) * UNIT, w[np.argsort(lu.perm_c)]
+    bound = abs(U - (L @ sp.diags_array(pivots)).T) + gamma * abs(U)
+    L = abs(L)
+    return 0.5 * (L @ (bound @ y) + bound.T @ (L.T @ y))[lu.perm_c]
