@@ -61,7 +61,6 @@ def largest_error(name: str, sol: so.Solution, n: int = 2003) -> float:
 def test_the_bound_is_never_below_the_error_and_the_lower_one_never_above(
     name: str, scheme: str
 ) -> None:
-    # where A = 0 the bound takes eight times the steps
     for steps in (101,) if name in CURVED else (11, 53) if name in COERCIVE else (11,):
         sol = run(name, steps, scheme)
         bound, error = sol.error_bound(), largest_error(name, sol)
@@ -97,6 +96,36 @@ def test_the_bound_of_first_order_schemes_is_close_to_their_error() -> None:
         assert max(effectivity) <= worst
 
 
+def stiff(n: int, rate: float) -> so.SweepingProcess:
+    """A chain of n bodies under a sine of period 1, with mu Lam = rate for mu = 0.1."""
+    B = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    B[-1, -1] = 1
+    A = np.eye(n) + (0.3 * B if n > 1 else 0.0)
+    load = so.Separable([(so.Sine(2.0, 1.0), np.eye(n)[-1])])
+    radius = np.full(n, 1.0 if n == 1 else 0.3)
+    C = so.Moving(so.Box(-radius, radius), load)
+    viscosity = so.SweepingProcess(A, B, C, np.zeros(n)).Lam * 0.1 / rate
+    return so.SweepingProcess(viscosity * A, B, C, np.zeros(n))
+
+
+@pytest.mark.parametrize(("n", "most"), [(1, (3, 3, 6)), (6, (3, 12, 30))])
+def test_the_bound_of_stiff_runs_is_as_close_as_the_readme_says(
+    n: int, most: tuple[float, ...]
+) -> None:
+    # without A^-1 out of the residual it is 16 to 260,000 times the error
+    for rate, factor in zip((1e-2, 1e4, 1e8), most, strict=True):
+        process = stiff(n, rate)
+        truth = so.solve(process, t_end=2.0, steps=1, scheme="exact")
+        for scheme in ("implicit-euler", "midpoint", "sdirk32"):
+            sol = so.solve(process, t_end=2.0, steps=20, scheme=scheme, on_unstable="ignore")
+            times = divided(sol.t, 16)
+            error = sizes(process, sol(times) - truth.exact(times)).max()
+            bound = sol.error_bound()
+            assert bound.guaranteed
+            assert bound.lower <= 1.1 * error
+            assert error <= bound <= factor * error
+
+
 @pytest.mark.parametrize("name", ["S03", "P09", "V05"])
 @pytest.mark.parametrize("scheme", ["midpoint", "trapezoid", "sdirk2"])
 def test_the_bound_falls_with_the_order_of_the_scheme(name: str, scheme: str) -> None:
@@ -119,8 +148,8 @@ def test_a_load_that_is_a_function_is_sampled_unless_its_variation_is_given(sche
     sol = so.solve(this.process, t_end=this.t_end, steps=211, scheme=scheme, on_unstable="ignore")
     sampled = sol.error_bound()
     assert not sampled.guaranteed
-    if scheme == "implicit-euler":
-        assert sampled == pytest.approx(run("S03", 211, scheme).error_bound(), rel=0.05)
+    if scheme == "implicit-euler":  # one pass: the grid of a bound from data may be refined
+        assert this.error(sol) <= sampled <= 1.5 * run("S03", 211, scheme).error_bound()
     bound = sol.error_bound(variation=lambda t: wave.variation(0.0, t))
     assert bound.guaranteed
     assert this.error(sol) <= bound <= 0.5

@@ -32,6 +32,7 @@ from sweepopt.integrate.reconstruction import Reconstruction
 from sweepopt.integrate.record import MEMORY, Grid, Index, Pass, Run, States, Statistics, saving
 from sweepopt.integrate.schemes import SCHEMES, Scheme
 from sweepopt.integrate.stage_program import step_program
+from sweepopt.integrate.step import Velocities, combination, compensated_sum
 
 __all__ = [
     "MEMORY",
@@ -56,9 +57,12 @@ __all__ = [
     "StepInfo",
     "StoredRun",
     "Trajectory",
+    "Velocities",
     "adapt",
     "check_stability",
     "checkpoint_writer",
+    "combination",
+    "compensated_sum",
     "divided",
     "evaluation_times",
     "integrate",

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from sweepopt.checks import Matrix
 from sweepopt.errors import InputError
 from sweepopt.linalg import Factor, largest_ratio
 from sweepopt.problem.process import SweepingProcess
@@ -30,6 +32,8 @@ class Norms:
         self.rate_independent = process.rate_independent
         self.beta = process.metric.smallest_eigenvalue()
         self.lam, self.Lam = _rates(process)
+        self._weak = process.metric if self.rate_independent else _factor(process.B)
+        self.beta_B = 0.0 if self._weak is None else self._weak.smallest_eigenvalue()
 
     def A(self, x: np.ndarray) -> np.ndarray:
         """|x|_A (of B where A = 0), over the last axis."""
@@ -46,6 +50,19 @@ class Norms:
         rows = w.reshape(-1, w.shape[-1])
         solved = self._metric.solve_many(rows) if rows.any() else rows
         return np.sqrt(np.maximum((rows * solved).sum(axis=1), 0.0)).reshape(w.shape[:-1])
+
+    def units(self, h: Any, weights: Callable[[np.ndarray], Any]) -> Any:
+        """Weights of the diagonal of A + h B."""
+        units = 0.0 if self.rate_independent else weights(self._metric.diagonal)
+        return units if self._B is None else units + h * weights(self._B.diagonal())
+
+    def dual_B(self, w: np.ndarray) -> np.ndarray:
+        """|w|_{B^-1} over the last axis; infinite where B has no inverse."""
+        rows = w.reshape(-1, w.shape[-1])
+        squared = np.where(rows.any(axis=1), np.inf, 0.0)
+        if self._weak is not None and squared.any():
+            squared = (rows * self._weak.solve_many(rows)).sum(axis=1)
+        return np.sqrt(np.maximum(squared, 0.0)).reshape(w.shape[:-1])
 
     def growth(self, tau: np.ndarray) -> np.ndarray:
         """K(tau) of MATH 3 without sqrt(Lam / lam), which |.|_B / sqrt(lam) does not need."""
@@ -64,6 +81,14 @@ def applied(M: Any, x: np.ndarray) -> np.ndarray:
 def squares(M: Any, x: np.ndarray) -> np.ndarray:
     """<Mx, x> over the last axis."""
     return (applied(M, x) * x).sum(axis=-1)
+
+
+def _factor(B: Matrix | None) -> Factor | None:
+    """B factorised; None where it is singular."""
+    try:
+        return None if B is None else Factor(B, "B")
+    except InputError:
+        return None
 
 
 def _rates(process: SweepingProcess) -> tuple[float, float]:

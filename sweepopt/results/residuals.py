@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,9 +34,8 @@ from sweepopt.problem import (
     motion,
     smooth_intervals,
 )
-from sweepopt.results.nodes import Nodes, force_along, slopes_of_curves
+from sweepopt.results.nodes import Nodes, force_along
 from sweepopt.sets import ConvexSet, basis, to_bernstein
-from sweepopt.velocity import VelocityOf
 
 HALVES = np.array([0.0, 0.5, 1.0])
 HALVES_TO_BERNSTEIN = to_bernstein(HALVES)
@@ -44,68 +43,68 @@ CHUNK = 2_000_000  # numbers that intervals treated at once may hold: 16 MB
 
 
 class Residuals(NamedTuple):
-    """Integrals over each step, shape (n,).
+    """Integrals over each step, shape (n,), of one curve.
 
     Attributes
     ----------
     gaps, squares : ndarray
-        int 2 G and int |r|^2.
-    largest, turning : ndarray
-        sup |r| and int |r'|, where A = 0; else zero.
-    slopes : ndarray, shape (n, 3, dim)
-        Bernstein coefficients of v'.
-    guaranteed : bool
-        Whether the integrals are bounds and not sampled values.
+        int 2 G and int |r|^2; squares are infinite where A = 0.
+    turning : ndarray
+        int |r'|, in the dual norm of B.
+    begin, end : ndarray, shape (n, dim)
+        r at the ends of each step.
+    error : ndarray
+        How far r at the ends may be off, in the dual norm of B.
     """
 
     gaps: np.ndarray
     squares: np.ndarray
-    largest: np.ndarray
     turning: np.ndarray
-    slopes: np.ndarray
-    guaranteed: bool
+    begin: np.ndarray
+    end: np.ndarray
+    error: np.ndarray
 
 
 class _Model(NamedTuple):
-    """C(t) on intervals: within `distance` of center(t) + scale(t) shape, one of each for each."""
+    """C(t) on intervals: within `distance` of center(t) + scale(t) shape.
+
+    One distance for each interval, and one shape for each or for all.
+    """
 
     motion: Motion
     intervals: Intervals
     shapes: list[ConvexSet]
     distance: np.ndarray
 
+    def each(self, function: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.ndarray:
+        """function(shape, rows of the arrays) of every shape; of one shape all rows at once."""
+        if len(self.shapes) == 1:
+            return function(self.shapes[0], *arrays)
+        rows = (function(S, *(x[k : k + 1] for x in arrays)) for k, S in enumerate(self.shapes))
+        return np.concatenate(list(rows))
+
 
 def residuals(
     process: SweepingProcess,
-    phi: VelocityOf,
     norms: Norms,
     nodes: Nodes,
+    curves: list[np.ndarray],
     variation: Callable[[float], float] | None,
-) -> Residuals:
-    """The residuals of the better of two curves through the nodes, step by step.
+) -> tuple[list[Residuals], bool]:
+    """The residuals of curves through the nodes, and whether they are bounds.
 
     Parameters
     ----------
-    phi : callable (q, C) -> Velocity
-        The velocity for M = A (B where A = 0); its answers are not trusted.
+    curves : list of ndarray, shape (n, 3, dim)
+        Bernstein coefficients of v'.
     variation : callable or None
         v with d_H(C(t), C(s)) <= v(t) - v(s) for s <= t.
     """
-    curves = slopes_of_curves(process, phi, nodes)
     model = _model(process, norms, nodes, variation)
     if model is None:
-        totals, guaranteed = np.array([_sampled(process, norms, nodes, v) for v in curves]), False
-    else:
-        totals = _bounds(process, norms, nodes, curves, model)
-        guaranteed = model.motion.center.bounded and model.motion.scale.bounded
-    cost = totals[:, 0] + totals[:, 1]
-    if norms.rate_independent:  # the bound is about sum turning + sqrt(sum gaps)
-        least = float(totals[:, 0].min(axis=0).sum())
-        cost = totals[:, 3] + totals[:, 0] / (math.sqrt(least) or 1.0)
-    best, step = np.argmin(cost, axis=0), np.arange(len(nodes.velocity))
-    gaps, squares, largest, turning = totals[best, :, step].T
-    slopes = np.array(curves)[best, step]
-    return Residuals(gaps, squares, largest, turning, slopes, guaranteed)
+        return [_sampled(process, norms, nodes, v) for v in curves], False
+    guaranteed = model.motion.center.bounded and model.motion.scale.bounded
+    return _bounds(process, norms, nodes, curves, model), guaranteed
 
 
 def _model(
@@ -117,9 +116,8 @@ def _model(
         moving = _with_variation(moving, variation)
     if moving is not None and moving.shape is not None and moving.scale.function is None:
         intervals = smooth_intervals(moving, nodes.t)
-        count = len(intervals.step)
-        return _Model(moving, intervals, [moving.shape] * count, np.zeros(count))
-    if variation is None or norms.rate_independent:  # a curve that jumps has no int |r'|
+        return _Model(moving, intervals, [moving.shape], np.zeros(len(intervals.step)))
+    if variation is None or norms.rate_independent:  # such a curve has no int |r'|
         return None
     steps = Intervals(np.arange(len(nodes.velocity)), nodes.t[:-1], nodes.t[1:])
     members = [process.C.at(t) for t in (0.5 * (steps.begin + steps.end)).tolist()]
@@ -143,26 +141,38 @@ def _with_variation(moving: Motion, variation: Callable[[float], float]) -> Moti
 
 def _bounds(
     process: SweepingProcess, norms: Norms, nodes: Nodes, curves: list[np.ndarray], model: _Model
-) -> np.ndarray:
-    """int 2 G, int |r|^2, sup |r| and int |r'| of each curve on each step: bounds."""
+) -> list[Residuals]:
+    """Those of each curve, from intervals treated at once."""
     n, dim = nodes.velocity.shape
-    totals = np.zeros((len(curves), 4, n))
+    totals = [_no_residuals(n, dim) for _ in curves]
     count = max(CHUNK // (30 * dim), 1)
-    for start in range(0, len(model.shapes), count):
+    for start in range(0, len(model.distance), count):
         part = slice(start, start + count)
         intervals = Intervals(*(x[part] for x in model.intervals))
-        some = model._replace(
-            intervals=intervals, shapes=model.shapes[part], distance=model.distance[part]
-        )
+        shapes = model.shapes if len(model.shapes) == 1 else model.shapes[part]
+        some = model._replace(intervals=intervals, shapes=shapes, distance=model.distance[part])
         center, scale = (
             interpolate(f, intervals.begin, intervals.end)
             for f in (model.motion.center, model.motion.scale)
         )
+        i = intervals.step
+        first, last = intervals.begin == nodes.t[i], intervals.end == nodes.t[i + 1]
         for total, slopes in zip(totals, curves, strict=True):
-            bounds = _on_intervals(process, norms, nodes, slopes, some, center, scale)
-            for k, add in enumerate((np.add, np.add, np.maximum, np.add)):
-                add.at(total[k], intervals.step, bounds[k])
+            each = _on_intervals(process, norms, nodes, slopes, some, center, scale)
+            for sums, add in zip(total[:3], each[:3], strict=True):
+                np.add.at(sums, i, add)
+            np.maximum.at(total.error, i, each.error)
+            total.begin[i[first]], total.end[i[last]] = each.begin[first], each.end[last]
+            # at a cut inside a step
+            jumps = norms.dual_B(each.begin[1:] - each.end[:-1]) + each.error[1:] + each.error[:-1]
+            np.add.at(total.turning, i[1:][~first[1:]], jumps[~first[1:]])
     return totals
+
+
+def _no_residuals(n: int, dim: int) -> Residuals:
+    a, b, c, d = np.zeros((4, n))
+    begin, end = np.zeros((2, n, dim))
+    return Residuals(a, b, c, begin, end, d)
 
 
 def _on_intervals(
@@ -173,99 +183,103 @@ def _on_intervals(
     model: _Model,
     center: Interpolated,
     scale: Interpolated,
-) -> np.ndarray:
-    """The four bounds of one curve on each interval, shape (4, intervals)."""
+) -> Residuals:
+    """Those of one curve on each interval."""
     moving, (i, a, b) = model.motion, model.intervals
-    h, length, root = nodes.t[i + 1] - nodes.t[i], b - a, math.sqrt(norms.beta)
+    h, length = nodes.t[i + 1] - nodes.t[i], b - a
     begin, share = ((a - nodes.t[i]) / h)[:, None], (length / h)[:, None]
     theta = begin + share * GAUSS
     force = force_along(process, nodes, slopes, i, theta) - center.values
-    units = model.shapes[0].weights(process.metric.diagonal)
-    if norms.rate_independent:
-        units = h[:, None, None] * units
-    s = _curve_in_shape(norms, model, force, units * (basis(2, theta) @ slopes[i]), scale.values)
+    # the diagonal of A + h B
+    tau = norms.units(h[:, None, None], model.shapes[0].weights)
+    s = _curve_in_shape(model, force - tau * (basis(2, theta) @ slopes[i]), scale.values)
     r = force - scale.values * (basis(s.shape[1] - 1, GAUSS) @ s)
 
-    sizes = np.array([float(norms.dual(f)) for _, f in moving.center.terms])
-    if moving.center.function is not None:
-        sizes = np.array([1 / root])  # its variation is a Euclidean one
-    error, turning = center.error @ sizes, center.slope_error @ sizes
+    error, error_B, turning = _interpolation_errors(norms, model.motion, s, center, scale)
     most = (TO_BERNSTEIN @ scale.values).max(axis=1)
     if scale.error.any():
-        each = np.array([norms.dual(f * s).max(axis=1) for _, f in moving.scale.terms]).T
-        error = error + (scale.error * each).sum(axis=1)
-        turning = turning + (scale.slope_error * each).sum(axis=1)
         most = most + scale.error @ np.abs([f for _, f in moving.scale.terms])
 
     # G <= sup scale * (sigma(S, -v') + <v', s>), a scale of several entries inside the parentheses
     directions = HALVES_TO_BERNSTEIN @ (basis(2, begin + share * HALVES) @ slopes[i])
     largest = most.max(axis=1)
-    # where A = 0 the curve must be continuous: it is not moved
-    ratios = np.full(len(i), math.inf) if norms.rate_independent else largest**2 / norms.beta
-    along = zip(model.shapes, -directions * most[:, None], s, ratios.tolist(), strict=True)
-    gaps, distance = np.array([_gap(*one) for one in along]).T
+    # a curve that is moved has no bound of int |r'|, which is what counts in stiff steps
+    ratios = np.where(h * norms.Lam > 2, np.inf, largest**2 / norms.beta)
+    if norms.rate_independent:
+        ratios[:] = np.inf
+    gaps, distance = model.each(_gaps, -directions * most[:, None], s, ratios).T
     speed = np.linalg.norm(directions, axis=2).mean(axis=1)
     gaps = gaps + 2 * speed * model.distance
-    error = error + (largest * distance + model.distance) / root
+    moved = largest * distance + model.distance
+    error = error + moved / math.sqrt(norms.beta)
 
     # Minkowski: the interpolation error adds up in the norm
     squares = length * (np.sqrt(norms.dual(r) ** 2 @ WEIGHTS) + error) ** 2
-    highest, slope = np.zeros((2, len(i)))
-    if norms.rate_independent:
-        highest = norms.dual(TO_BERNSTEIN @ r).max(axis=1) + error
-        # at the ends the curve in S jumps by the interpolation error
-        slope = np.sqrt(norms.dual(DERIVATIVE @ r) ** 2 @ WEIGHTS) + turning + 2 * error
-    return np.array([2 * length * gaps, squares, highest, slope])
+    turning = np.sqrt(norms.dual_B(DERIVATIVE @ r) ** 2 @ WEIGHTS) + turning
+    turning[moved > 0] = np.inf
+    first, last = np.moveaxis(TO_BERNSTEIN[[0, -1]] @ r, 1, 0)
+    return Residuals(2 * length * gaps, squares, turning, first, last, error_B)
 
 
-def _curve_in_shape(
-    norms: Norms, model: _Model, force: np.ndarray, push: np.ndarray, scale: np.ndarray
-) -> np.ndarray:
+def _interpolation_errors(
+    norms: Norms, moving: Motion, s: np.ndarray, center: Interpolated, scale: Interpolated
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What interpolated histories add to |r|, in both dual norms, and to int |r'| in that of B."""
+    both = []
+    for norm, root in ((norms.dual, norms.beta), (norms.dual_B, norms.beta_B)):
+        sizes = np.array([float(norm(f)) for _, f in moving.center.terms])
+        if moving.center.function is not None:
+            sizes = np.array(
+                [1 / math.sqrt(root) if root else math.inf]
+            )  # its variation is a Euclidean one
+        error, turning = center.error @ sizes, center.slope_error @ sizes
+        if scale.error.any():
+            each = np.array([norm(f * s).max(axis=1) for _, f in moving.scale.terms]).T
+            error = error + (scale.error * each).sum(axis=1)
+            turning = turning + (scale.slope_error * each).sum(axis=1)
+        both.append((error, turning))
+    (error, _), (error_B, turning) = both
+    return error, error_B, turning
+
+
+def _curve_in_shape(model: _Model, force: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Bernstein coefficients of a curve in S, shape (m, k, dim).
 
     Those of (A v' + B v - center - tau v') / scale, projected on S: S is convex, so the curve stays
     in it. Any tau > 0 will do: where v rests and the force is in C(t) the residual is zero, and
     where v moves s is pushed to where it is normal.
     """
-
-    def over_scale(x: np.ndarray, size: np.ndarray) -> np.ndarray:
-        size = np.broadcast_to(size, x.shape)
-        return np.divide(x, size, out=np.zeros_like(x), where=size > 0)
-
-    aim = TO_BERNSTEIN @ over_scale(force - push, scale)
-    if norms.rate_independent:
-        # at the ends without tau v', which jumps there: r must be continuous
-        ends = TO_BERNSTEIN[[0, -1]]
-        aim[:, [0, -1]] = over_scale(ends @ force, ends @ scale)
+    size = np.broadcast_to(scale, force.shape)
+    aim = TO_BERNSTEIN @ np.divide(force, size, out=np.zeros_like(force), where=size > 0)
     if not model.motion.scale.constant:  # a moving scale times a line has degree 5
         aim = aim[:, [0, -1]]
-    return np.array([[S.project(w) for w in x] for S, x in zip(model.shapes, aim, strict=True)])
+    return model.each(_projections, aim)
 
 
-def _gap(S: ConvexSet, p: np.ndarray, s: np.ndarray, ratio: float) -> Any:
-    """The mean of G along a curve in S, and how far the curve is moved for it."""
+def _projections(S: ConvexSet, curves: np.ndarray) -> np.ndarray:
+    return S.project_rows(curves.reshape(-1, S.dim)).reshape(curves.shape)
+
+
+def _gaps(S: ConvexSet, p: np.ndarray, s: np.ndarray, ratios: np.ndarray) -> np.ndarray:
+    """The mean of G along each curve in S, and how far the curve is moved for it."""
     if S.selection is not None:
         few, S, shift = S.selection
         p, s = p[..., few], s[..., few] - (0.0 if shift is None else shift[few])
-    return S.gap_along_curve(p, s, ratio)
+    return S.gaps_along_curves(p, s, ratios)
 
 
-def _sampled(
-    process: SweepingProcess, norms: Norms, nodes: Nodes, slopes: np.ndarray
-) -> np.ndarray:
-    """The four integrals on each step by Gauss's rule, shape (4, n); no bounds."""
+def _sampled(process: SweepingProcess, norms: Norms, nodes: Nodes, slopes: np.ndarray) -> Residuals:
+    """Those of one curve on each step by Gauss's rule; no bounds."""
     h, n = np.diff(nodes.t), len(nodes.velocity)
     theta = np.broadcast_to(GAUSS, (n, len(GAUSS)))
     velocity = basis(2, theta) @ slopes
     force = force_along(process, nodes, slopes, np.arange(n), theta)
-    push = velocity * (0.0 if norms.rate_independent else process.metric.diagonal.mean())
     gaps, r = np.zeros(theta.shape), np.zeros(force.shape)
+    push = norms.units(h[:, None, None], np.mean) * velocity
     for i, j in np.ndindex(*theta.shape):
         C = process.C.at(float(nodes.t[i] + h[i] * theta[i, j]))
         w = C.project(force[i, j] - push[i, j])
         gaps[i, j], r[i, j] = C.gap(-velocity[i, j], w), force[i, j] - w
     squares = norms.dual(r) ** 2 @ WEIGHTS
-    highest, turning = np.zeros((2, n))
-    if norms.rate_independent:
-        highest, turning = norms.dual(r).max(axis=1), norms.dual(np.diff(r, axis=1)).sum(axis=1)
-    return np.array([2 * h * (gaps @ WEIGHTS), h * squares, highest, turning])
+    turning = norms.dual_B(np.diff(r, axis=1)).sum(axis=1)
+    return Residuals(2 * h * (gaps @ WEIGHTS), h * squares, turning, r[:, 0], r[:, -1], np.zeros(n))

@@ -342,8 +342,17 @@ class ConvexSet(Operators, ABC):
         """
         return CurveGap(float(np.sum(products(2, len(w) - 1) * self._gaps(p, w))), 0.0)
 
+    def gaps_along_curves(self, p: np.ndarray, w: np.ndarray, ratios: np.ndarray) -> np.ndarray:
+        """`gap_along_curve` of many curves: gaps and distances, shape (m, 2)."""
+        return np.array([self.gap_along_curve(*one) for one in zip(p, w, ratios, strict=True)])
+
+    def project_rows(self, rows: np.ndarray) -> np.ndarray:
+        """`project` of each row, shape (m, dim)."""
+        return np.array([self.project(w) for w in rows])
+
     def _gaps(self, p: np.ndarray, w: np.ndarray) -> np.ndarray:
-        return np.array([[self.gap(direction, point) for point in w] for direction in p])
+        sigma = np.array([[self.support(x) if x.any() else 0.0] for x in p])
+        return np.maximum(sigma - p @ w.T, 0.0) + ROUNDING * np.abs(sigma)
 
     def epigraph(self, p: cp.Expression) -> tuple[cp.Expression, list[cp.Constraint]]:
         """The support function in cvxpy, to be read: minimising `value` gives sigma(C, p).

@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from sweepopt.checks import dimension, entries, vector
 from sweepopt.errors import EmptySetError
 from sweepopt.sets.base import DENSE, ConvexSet, Features, Halfspaces, difference, same_array
+from sweepopt.sets.curves import products
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -59,14 +60,22 @@ class Box(ConvexSet):
     def project(self, w: np.ndarray) -> np.ndarray:
         return np.minimum(np.maximum(vector("w", w, self.dim), self.lower), self.upper)
 
+    def project_rows(self, rows: np.ndarray) -> np.ndarray:
+        return np.minimum(np.maximum(rows, self.lower), self.upper)
+
     def gap(self, p: np.ndarray, w: np.ndarray) -> float:
         return float(self._gaps(p[None], w[None])[0, 0])
 
+    def gaps_along_curves(self, p: np.ndarray, w: np.ndarray, ratios: np.ndarray) -> np.ndarray:
+        gaps = (self._gaps(p, w) * products(2, w.shape[1] - 1)).sum(axis=(1, 2))
+        return np.stack([gaps, np.zeros_like(gaps)], axis=1)
+
     def _gaps(self, p: np.ndarray, w: np.ndarray) -> np.ndarray:
         # entry by entry: what cancels cancels to 0.0
-        side = np.where(p == 0, 0.0, np.where(p > 0, self.upper, self.lower))
-        slack = np.where(p[:, None] == 0, 0.0, side[:, None] - w)
-        return np.maximum(np.einsum("jkd,jd->jk", slack, p), 0.0)
+        still = p == 0
+        side = np.where(still, 0.0, np.where(p > 0, self.upper, self.lower))[..., :, None, :]
+        slack = np.where(still[..., :, None, :], 0.0, side - w[..., None, :, :])
+        return np.maximum((slack * p[..., :, None, :]).sum(axis=-1), 0.0)
 
     def features(self, p: cp.Expression) -> Features:
         return rows_features(self._matrix(), p)
