@@ -72,7 +72,8 @@ def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
         pair = pair_near(N, linear, S, answer.z, tol) if usable else None
         if pair is None:
             nothing, believed = np.zeros_like(linear), usable and answer.status in SOLVED
-            gap = math.nan if believed else math.inf  # of a set without proof
+            # of a set without proof; inf is a proof that rounding hides
+            gap = math.nan if believed and not S.certifiable else math.inf
             pair = Proposal(answer.z if usable else nothing, nothing, gap)
         if z is None:
             z = M.recover(forward, pair.z)
