@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sweepopt.errors import DamagedFileError, InputError, shown
+from sweepopt.errors import CheckpointError, DamagedFileError, InputError, shown
 
 if os.name == "posix":
     import fcntl
@@ -263,9 +263,18 @@ def locked(path: Path) -> Iterator[None]:
     ------
     InputError
         If another run has it.
+    CheckpointError
+        If there can be no lock.
     """
     file = path.with_name(f".{path.name}.lock")
-    with file.open("wb") as handle:
+    try:
+        handle = file.open("wb")
+    except OSError as error:
+        raise CheckpointError(
+            f"checkpoint: no file can be made beside {path} ({error.strerror}); choose another "
+            "folder or a shorter name"
+        ) from error
+    with handle:
         try:
             if os.name == "posix":
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -162,7 +162,8 @@ class Solution:
         It has all unknowns, also those that the run eliminated or recovers when asked, and its
         answer is ``velocity[i]`` to the certificates of both; with several stages z_k the velocity
         is sum_k b_k z_k. It is that of the whole step, also where the run took it in parts
-        ("clarabel/4" in `stats`), because its own solvers missed tol on this program.
+        ("clarabel/4" in `stats`), because its own solvers missed tol on this program; and of
+        sdirk32 that of the tableau, also where the run took steps of implicit Euler in its place.
 
         Parameters
         ----------
