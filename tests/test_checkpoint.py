@@ -538,5 +538,5 @@ def test_devices_and_pipes_are_refused_before_anything_runs(tmp_path: Path) -> N
 
 def test_a_checkpoint_that_can_have_no_lock_is_refused_by_name(tmp_path: Path) -> None:
     process = so.SweepingProcess([[1.0]], None, so.Box([-1], [1]), [0])
-    with pytest.raises(so.CheckpointError, match="no file can be made beside .*shorter name"):
+    with pytest.raises(so.CheckpointError, match=r"no file can be made beside .*shorter name"):
         so.solve(process, t_end=1.0, steps=3, checkpoint=tmp_path / ("a" * 248 + ".npz"))
