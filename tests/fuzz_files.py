@@ -18,7 +18,8 @@ from sweepopt.fem import read_mesh, read_scene
 from sweepopt.io import find_scene, find_study, read_toml
 from sweepopt.loads import Table
 from sweepopt.study import read_study
-from sweepopt.study.hard.suite import hard_study
+from sweepopt.study.hard.suite import HardStudy
+from sweepopt.study.records import read_record
 
 DATA = Path(__file__).parent / "data"
 MESHES = ["tube_2.2.msh", "tube_2.2_binary.msh", "tube_4.1.msh", "tube_4.1_binary.msh"]
@@ -171,7 +172,7 @@ def ask_study(folder: Path, name: str, file: tuple[list[Damage], list[Change]]) 
     if name == "hard.toml":
         for one in changes:
             change(data, *one)
-        hard_study(data.get("hard"))
+        read_record("hard.", HardStudy, data.get("hard"))
     else:
         assert read_study(path).cells()
 

@@ -218,10 +218,12 @@ class Polyhedron(ConvexSet):
         return self._pair_outside(p, w, tau)
 
     def _pair_outside(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
-        """The pair at a point that rounding leaves outside of C, and how far C may be from it.
+        """The pair at a point that rounding leaves beside its face, and how far that is from C's.
 
-        By Hoffman's bound that is its residual over the least singular value of all sets of
-        independent rows; None where these are too many.
+        It is one of the polyhedron with h - slack on the active and the violated rows. The
+        projection on { w : G w <= h } is piecewise linear in h, with pseudo-inverses of independent
+        rows: it moves by no more than h over the least singular value of all sets of them. None
+        where these are too many.
         """
         wider = self.with_offsets(self.h + ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(w)))
         normal, root = wider._exact_normal(w + tau * p, tau), np.sqrt(tau)
@@ -232,12 +234,14 @@ class Polyhedron(ConvexSet):
         inverse = np.linalg.pinv(normals * root)
         point = w - root * (inverse @ (normals @ w - h))
         multipliers = np.maximum((root * p) @ inverse, 0.0)
-        p = multipliers @ normals
         slack = self._slack(point)
-        off = root * (np.linalg.norm(np.minimum(slack, 0.0)) / least)
+        change = np.minimum(slack, 0.0)
+        change[normal.active] = slack[normal.active]
+        off = root * (np.linalg.norm(change) / least)
         rounding = UNIT * (1 + len(h)) * (multipliers @ abs(normals))
-        gap = float(multipliers @ np.maximum(slack[normal.active], 0.0) + np.abs(p) @ off)
-        return NormalPair(p, point, gap, Perturbation(off, rounding))
+        return NormalPair(
+            multipliers @ normals, point, 0.0, Perturbation(off, off / tau + rounding)
+        )
 
     def _pair_on(
         self,
