@@ -96,13 +96,16 @@ def solve(
     error : float, optional
         Refine the steps until `Solution.error_bound` is at most this; needs a load as data. The
         callback sees, and save= counts, the steps of the last run only, which is run once more.
-    path : {"auto", "proportional", "eliminated", "full"}
+    path : {"auto", "proportional", "eliminated", "return mapping", "full"}
         Which unknowns enter a step: with "full" all of them; with "eliminated" the few that C(t)
         acts on enter a program and the others two substitutions; with "proportional" (B = rho A
         and a Separable load) the others enter no step at all, and certificates are relative to no
         less than a thousandth of what the load or B u alone would move (near an equilibrium, where
-        the two cancel, "eliminated" sees smaller velocities). "auto" takes proportional, eliminated
-        or full, the first that applies. Where factors would not fit in memory, conjugate gradients
+        the two cancel, "eliminated" sees smaller velocities). With "return mapping" the unknowns
+        that C(t) acts on, plastic strains at many points, follow from the others by a formula; A
+        and B must be diagonal on them. "auto" takes proportional, return mapping (where these
+        unknowns are more than the others, or very many), eliminated or full, the first that
+        applies. Where factors would not fit in memory, conjugate gradients
         take their place on every path.
     save : None, "last", int, array_like, callable, str or Path
         What is kept: all steps, the last one, every k-th, those that end at the given times of the

@@ -163,6 +163,8 @@ def superlu(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
         return Cholesky(lu.U.diagonal()[lu.perm_c], lu.solve, np.argsort(lu.perm_c))
     lu = spla.splu(sp.csc_matrix(M[order][:, order]), permc_spec="NATURAL", **SYMMETRIC)
     pivots, place = lu.U.diagonal(), np.argsort(order)
+    if not m:
+        return Cholesky(pivots[place], lambda w: lu.solve(w[order])[place], order)
     lower = (lu.L @ sp.diags_array(np.sqrt(np.abs(pivots)))).tocsc()
     triangle = spla.splu(lower, permc_spec="NATURAL", **SYMMETRIC)
     return Cholesky(

@@ -264,7 +264,7 @@ def _engine(
                 f"machine has {there / 1e9:.3g} GB, and conjugate gradients need a package: {error}"
             ) from error
     if kept is None:
-        return cholesky(M) if sp.issparse(M) else lapack_factor(M)
+        return cholesky(M, order) if sp.issparse(M) else lapack_factor(M)
     M = sp.csc_array(M)
     order = cholesky(M).order if order is None else order
     return cholesky(M, np.concatenate([order[~np.isin(order, kept)], kept]), kept.size)

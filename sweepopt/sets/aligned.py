@@ -152,6 +152,10 @@ class Aligned(ConvexSet):
         back = slice(None) if self.unknowns is None else np.argsort(self.unknowns)
         return D[back][:, back]
 
+    def blocks(self, v: np.ndarray) -> np.ndarray | None:
+        """Those of one part; of several ones none."""
+        return self.parts[0].blocks(self._back(v)) if self.whole else None
+
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         r, sign = self._scale
         p = sign * p

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.linalg
 
 from sweepopt.checks import dimension, entries, number, vector
 from sweepopt.errors import InputError
@@ -82,15 +83,19 @@ class Balls(ConvexSet):
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)
 
-    def derivative(self, v: np.ndarray) -> np.ndarray:
+    def blocks(self, v: np.ndarray) -> np.ndarray:
         """I in a ball, r/|a| (I - n n^T) outside of it, n = a/|a|."""
-        D = np.eye(self.dim)
-        for k, (arm, radius) in enumerate(zip(self._arms(v), self.radii, strict=True)):
-            length = np.linalg.norm(arm)
-            if length > radius:
-                at, n = slice(k * self.block, (k + 1) * self.block), arm / length
-                D[at, at] = radius / length * (D[at, at] - np.outer(n, n))
+        arms = self._arms(v)
+        D = np.tile(np.eye(self.block), (self.radii.size, 1, 1))
+        lengths = np.linalg.norm(arms, axis=1)
+        out = lengths > self.radii
+        n = arms[out] / lengths[out, None]
+        share = (self.radii[out] / lengths[out])[:, None, None]
+        D[out] = share * (D[out] - n[:, :, None] * n[:, None, :])
         return D
+
+    def derivative(self, v: np.ndarray) -> np.ndarray:
+        return scipy.linalg.block_diag(*self.blocks(v))
 
     def factors(self) -> list[ConvexSet]:
         return [Ball(np.zeros(self.block), radius) for radius in self.radii]

@@ -307,6 +307,13 @@ class ConvexSet(Operators, ABC):
         """
         return None
 
+    def blocks(self, v: np.ndarray) -> np.ndarray | None:
+        """The blocks of a block-diagonal `derivative`, shape (k, n, n); None where none are known.
+
+        They take the memory of k n^2 numbers where the derivative takes (k n)^2.
+        """
+        return None
+
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         """A proven normal pair near the approximate one (p, w); None if the set has no proof.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -19,10 +19,11 @@ from sweepopt.linalg import Elimination, Factor
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Box, ConvexSet, same_array
 from sweepopt.velocity.cascade import Cascade
-from sweepopt.velocity.certificate import Inclusion, Instance, Velocity, one_unknown
+from sweepopt.velocity.certificate import Inclusion, Instance, Velocity, at_rest, one_unknown
 from sweepopt.velocity.plan import Plan
 from sweepopt.velocity.program import untranslated
 from sweepopt.velocity.refinement import by_solve, refined
+from sweepopt.velocity.return_mapping import ReturnMapping
 
 VelocityOf = Callable[[np.ndarray, ConvexSet], Velocity]
 EVERY: Any = slice(None)
@@ -72,13 +73,14 @@ class StateVelocity:
     ) -> None:
         self._M, self._metric, self._B, self._data = M, metric, B, (A, B, gamma)
         contact = np.zeros(0, dtype=int) if plan.contact is None else plan.contact
-        self._contact, self._solver = contact, plan.solver
+        self._contact, self._solver, self._condensed = contact, plan.solver, plan.condensed
         self._tol = plan.tol if math.isfinite(plan.tol) else DEFAULT_TOL
         self.forget()
 
     def forget(self) -> None:
         """Drop what solvers remember of earlier calls; the factorisations stay."""
         self._cascade: Cascade | None = None
+        self._mapping: ReturnMapping | None = None
         self._one: tuple[ConvexSet | None, Any] = None, None
 
     def __call__(self, u: np.ndarray, C: ConvexSet) -> Velocity:
@@ -103,19 +105,33 @@ class StateVelocity:
             velocity = refined(inclusion, by_solve(inclusion.M), of, self._tol)
             return velocity._replace(solver="linear", attempts=1)
         c, S = untranslated(C)
-        selection = S.selection
+        selection, few = S.selection, EVERY
         if selection is not None and same_array(selection.unknowns, self._contact):
-            few, inclusion = self._contact, self._on_few
-            of_part, S = untranslated(selection.part)
-            c = c.copy() if selection.shift is None else c + selection.shift
-            c[few] += of_part
-        else:
-            few, inclusion = EVERY, self._on_all
+            of_part, part = untranslated(selection.part)
+            shifted = c.copy() if selection.shift is None else c + selection.shift
+            shifted[self._contact] += of_part
+            if not self._condensed:
+                few, c, S = self._contact, shifted, part
+            else:
+                velocity = self._mapped(Instance(q - shifted, q, shifted, part, u, self._contact))
+                if velocity.relative <= self._tol:
+                    return velocity
+        inclusion = self._on_all if few is EVERY else self._on_few
         of = Instance(q - c, q, c, S, u, few)
         if self._cascade is None or not self._cascade.serves(inclusion, S):
             anew = self._cascade is not None
             self._cascade = Cascade(inclusion, self._solver, of, self._tol, anew)
         return self._cascade(of)
+
+    def _mapped(self, of: Instance) -> Velocity:
+        """By return mapping, and certified."""
+        inclusion = self._on_all
+        if inclusion.rests(of, self._tol):
+            return at_rest(of.q)
+        if self._mapping is None:
+            self._mapping = ReturnMapping(inclusion.M, self._contact, of.S, self._tol)
+        velocity = refined(inclusion, partial(self._mapping.propose, of.S), of, self._tol)
+        return velocity._replace(solver="return mapping", attempts=1)
 
     @cached_property
     def _on_all(self) -> Inclusion:

@@ -7,13 +7,15 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from sweepopt.errors import PathError, SolverRefusedError
 from sweepopt.linalg import factor_bytes
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import ConvexSet
 from sweepopt.velocity.proportional import Reduction, reduce
-from sweepopt.velocity.solvers import Solver, choose
+from sweepopt.velocity.return_mapping import condensable
+from sweepopt.velocity.solvers import NEWTON, Solver, choose
 
 if TYPE_CHECKING:
     from sweepopt.integrate import Scheme
@@ -22,6 +24,7 @@ PATHS = {
     "auto": "the first that applies",
     "proportional": "the contact alone, the other unknowns are recovered when asked for",
     "eliminated": "a program for the contact, two substitutions for the others",
+    "return mapping": "a formula for the internal variables at each point, Newton for the others",
     "full": "a program for all unknowns",
 }
 
@@ -49,6 +52,8 @@ class Plan:
         The few unknowns the set acts on, if all others are eliminated; None keeps them.
     reduction : Reduction or None
         The process of the contact alone, if the material and the load are proportional.
+    condensed : bool
+        Whether `contact` are internal variables that leave the program, not the ones that it keeps.
     """
 
     unknowns: int
@@ -60,6 +65,7 @@ class Plan:
     left_out: tuple[str, ...]
     contact: np.ndarray | None = None
     reduction: Reduction | None = None
+    condensed: bool = False
 
     @property
     def path(self) -> str:
@@ -68,6 +74,8 @@ class Plan:
             return "proportional"
         if not self.solvers:
             return "linear"
+        if self.condensed:
+            return "return mapping"
         return "full" if self.contact is None else "eliminated"
 
     @property
@@ -85,7 +93,9 @@ class Plan:
     @property
     def eliminated(self) -> int:
         """How many unknowns leave the program before it is solved."""
-        return 0 if self.contact is None else self.unknowns - len(self.contact)
+        if self.contact is None:
+            return 0
+        return len(self.contact) if self.condensed else self.unknowns - len(self.contact)
 
     def of_all_unknowns(self, reason: str) -> Plan:
         """The plan without its reduction, which does not suit the steps."""
@@ -98,6 +108,8 @@ class Plan:
         solver = self.solvers[0].name if self.solvers else "linear solves, no optimiser"
         if self.solver == "auto" and self.solvers:
             solver += ", a formula where M is diagonal"
+        if self.condensed:
+            solver = "return mapping, Newton's method with the consistent tangent"
         if self.scheme.exact:
             solver = "closed forms between the switches, which are located"
         order = "" if self.scheme.exact else f" (order {self.scheme.order})"
@@ -152,8 +164,17 @@ def make_plan(
         reduced = reduce(process, tol, members[0][0])
     if path == "proportional" and isinstance(reduced, str):
         raise PathError(f"path='proportional' does not apply: {reduced}")
+    condensed = False
     if scheme.exact and isinstance(reduced, str):
         contact = None  # the closed form has all unknowns in it
+    elif isinstance(reduced, str) and solver == "auto" and path in ("auto", "return mapping"):
+        condensed = _condenses(process, members, contact, path)
+    if path == "return mapping" and not condensed:
+        raise PathError(
+            "path='return mapping' needs C(t) = f(t) + E^T S with S a box or balls, E selecting "
+            "unknowns on which A and B are diagonal and constant on each ball, and "
+            'solver="auto"'
+        )
     return Plan(
         unknowns=process.dim,
         nonsmooth_unknowns=max(C.nonsmooth_dim for _, C in members),
@@ -164,6 +185,31 @@ def make_plan(
         left_out=tuple(_left_out(process, solvers)),
         contact=contact,
         reduction=None if isinstance(reduced, str) else reduced,
+        condensed=condensed,
+    )
+
+
+def _condenses(
+    process: SweepingProcess,
+    members: Sequence[tuple[float, ConvexSet]],
+    contact: np.ndarray | None,
+    path: str,
+) -> bool:
+    """Whether the unknowns of the sets are condensed point by point.
+
+    Where they are fewer than the others, and few enough for Newton's method, the dense program
+    that eliminates the others is the smaller one.
+    """
+    if contact is None or not sp.issparse(process.metric.M) or not process.metric.has_factors:
+        return False
+    if path == "auto" and contact.size <= min(process.dim - contact.size, NEWTON.max_dim):
+        return False
+    selections = [C.selection for _, C in members]
+    return all(
+        selection is not None and condensable(M, contact, selection.part)
+        for selection in selections
+        for M in (process.A, process.B)
+        if M is not None
     )
 
 

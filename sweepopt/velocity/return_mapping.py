@@ -1,0 +1,150 @@
+"""Return mapping: internal variables at very many points, condensed point by point.
+
+With v the velocity of all other unknowns and p that of those the set acts on, M and q - c are
+
+    M = [[K, -G^T], [-G, W]],    q - c = (f, g),    W a multiple of 1 on each ball of S.
+
+Given v, -p in N_S(W p + r) with r = g - G v has the closed form p = (P_S(r) - r) / W, the return
+mapping, exactly 0 at a point that does not yield. What is left for v is the convex reduced energy
+
+    1/2 <K v, v> + <f, v> - 1/2 |r - P_S(r)|^2_{W^-1},
+
+whose gradient is R = K v - G^T p + f. Newton's method has the consistent tangent
+K - G^T W^-1 (I - DP_S(r)) G, at least the Schur complement S_u = K - G^T W^-1 G > 0, and halves
+steps until the energy falls (Simo and Hughes, Computational Inelasticity, 1998, chapter 3). The
+pair (P_S(r), p) is exactly normal, so that the certificate of (v, p) is |R| in S_u^-1, which is
+that of (R, 0) in M^-1. All matrices are sparse.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from sweepopt.checks import Matrix
+from sweepopt.errors import IndefiniteError
+from sweepopt.linalg import EPS, Factor
+from sweepopt.sets import ROUNDING, ConvexSet
+from sweepopt.velocity.certificate import Proposal
+
+MOST = 50  # Newton steps; a load step of a fully plastic body takes 5 to 10
+SUFFICIENT = 1e-4  # of the decrease that the tangent promises (Armijo)
+SHORTEST = 2.0**-20  # share of a step
+
+
+def condensable(M: Matrix, unknowns: np.ndarray, S: ConvexSet) -> bool:
+    """Whether M on these unknowns is diagonal, and the projection on S in its metric S's own."""
+    block = sp.csr_array(sp.csr_array(M)[unknowns][:, unknowns])
+    diagonal = np.asarray(block.diagonal())
+    return (
+        S.exact
+        and S.blocks(S.anchor) is not None
+        and block.count_nonzero() == np.count_nonzero(diagonal)
+        and bool((np.abs(S.weights(diagonal) - diagonal) <= ROUNDING * diagonal).all())
+    )
+
+
+class State(NamedTuple):
+    """(v, p) = z with p the return mapping of v: r, the gradient R, the energy and its rounding."""
+
+    z: np.ndarray
+    r: np.ndarray
+    R: np.ndarray
+    energy: float
+    rounding: float
+
+
+class ReturnMapping:
+    """(residual, z) -> the pair that Newton's method in v finds; to be used by `refined`.
+
+    Parameters
+    ----------
+    M : Factor
+        Sparse.
+    unknowns : ndarray of int, shape (m,)
+        Those of the set, on which M is diagonal.
+    S : ConvexSet
+        Any one of the family.
+    tol : float
+        Of the certificate.
+    """
+
+    def __init__(self, M: Factor, unknowns: np.ndarray, S: ConvexSet, tol: float) -> None:
+        self._M, self._few, self._tol = M, unknowns, tol
+        self._rest = np.setdiff1d(np.arange(M.dim), unknowns)
+        rows = sp.csr_array(M.M)[self._rest]
+        self._K, self._up = (sp.csr_array(rows[:, to]) for to in (self._rest, unknowns))
+        self._G = sp.csr_array(-self._up.T)
+        self._weights = S.weights(M.diagonal[unknowns])
+        self._order: np.ndarray | None = None
+        self._v = np.zeros(self._rest.size)
+
+    def propose(self, S: ConvexSet, residual: np.ndarray, z: np.ndarray | None) -> Proposal:
+        """The pair for the linear term residual - M z."""
+        q = residual if z is None else self._M.precisely(-z, residual)
+        state, iterations = self._newton(S, q)
+        self._v, w = state.z[self._rest], np.zeros(q.size)
+        w[self._few] = S.project(state.r)
+        return Proposal(state.z, w, iterations=iterations)
+
+    def _state(self, S: ConvexSet, q: np.ndarray, v: np.ndarray) -> State:
+        """The return mapping for v."""
+        f, z = q[self._rest], np.empty(q.size)
+        r, force = q[self._few] - self._G @ v, self._K @ v
+        outside = S.normal(r)
+        p = 0.0 - outside / self._weights
+        z[self._rest], z[self._few] = v, p
+        terms = 0.5 * v.dot(force), f.dot(v), 0.5 * p.dot(outside)
+        # the rounding of sums of n terms
+        rounding = EPS * q.size * sum(map(abs, terms))
+        return State(z, r, force + self._up @ p + f, sum(terms), rounding)
+
+    def _newton(self, S: ConvexSet, q: np.ndarray) -> tuple[State, int]:
+        """From the velocity found last: the state in which R is small, and how many steps it took.
+
+        Where the energy only rounds, the derivative along a step decides (Hager and Zhang, SIAM J.
+        Optim. 16(1), 2005): the steps end where rounding keeps that from falling.
+        """
+        state, rho = self._state(S, q, self._v), np.zeros(q.size)
+        iterations = 0
+        while iterations < MOST:
+            rho[self._rest] = state.R
+            if self._M.dual_norm(rho) <= 0.5 * self._tol * self._M.norm(state.z):
+                break
+            try:
+                change = -self._tangent(S, state.r).solve(state.R)
+            except IndefiniteError:
+                break
+            slope, v, share = float(state.R.dot(change)), state.z[self._rest], 1.0
+            while share > SHORTEST:
+                trial = self._state(S, q, v + share * change)
+                hidden = -share * slope <= trial.rounding
+                if trial.energy <= state.energy + SUFFICIENT * share * slope or (
+                    hidden and abs(trial.R.dot(change)) <= -0.5 * slope
+                ):
+                    break
+                share /= 2
+            else:
+                break
+            state = trial
+            iterations += 1
+        return state, iterations
+
+    def _tangent(self, S: ConvexSet, r: np.ndarray) -> Factor:
+        """K - G^T W^-1 (I - DP_S(r)) G."""
+        D = S.blocks(r)
+        assert D is not None
+        count, size, _ = D.shape
+        D = (np.eye(size) - D) / self._weights.reshape(count, size, 1)
+        yields = D.any(axis=(1, 2))
+        rows = self._G[np.repeat(yields, size)]
+        blocks = sp.bsr_array(
+            (D[yields], np.arange(yields.sum()), np.arange(yields.sum() + 1)),
+            shape=(len(rows.indptr) - 1,) * 2,
+        )
+        tangent = sp.csc_array(self._K - rows.T @ sp.csr_array(blocks @ rows))
+        factor = Factor(tangent, "the tangent", order=self._order)
+        self._order = factor.order
+        return factor
