@@ -164,7 +164,8 @@ class Lifted(ConvexSet):
                 multipliers = self._unit * y[: self.lifted.F.shape[0]]
                 again = project(v, project.start_beside(v, p, multipliers))
                 near = again if again.exact else near
-                if not near.exact and again.splitting.tension(again) > TENSION:
+                held = bool(self.lifted.F.shape[0]) and not near.exact
+                if held and again.splitting.tension(again) > TENSION:
                     raise TouchingError(
                         "C & D: the two sets only touch, or miss each other, so that rounding "
                         "hides the projection; give what they share as a set of its own, a Point "
@@ -172,6 +173,15 @@ class Lifted(ConvexSet):
                     )
             self._last = near
         return self._last
+
+    def is_beyond(self, w: np.ndarray, distance: float) -> bool:
+        """By the half-space of the last projection, which bodies that slide seldom come back to."""
+        if self._last is None or not self._last.exact:
+            return False
+        p, way = self._last.v - self._last.w, w - self._last.w
+        size = float(np.abs([self._last.v, self._last.w, w]).max())
+        rounding = 10 * ROUNDING * size * (np.abs(p).sum() + np.abs(way).sum())
+        return bool(p @ way > distance * np.linalg.norm(p) + rounding)
 
     def _pair(self, v: np.ndarray) -> NormalPair | None:
         """The projection of v and its normal, exact to rounding; None if they are not found."""
