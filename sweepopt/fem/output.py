@@ -149,9 +149,11 @@ def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:
 def _largest(report: Report) -> dict[str, Any]:
     """The largest displacement, with its time and place."""
     body, solution = report.scene.discretisation, report.solution
-    size = np.abs(solution.u)
+    size = np.abs(solution.u[:, : body.dim])
+    if body.components > 1:
+        size = np.linalg.norm(body.expand(solution.u[:, : body.dim]), axis=2)
     when, where = np.unravel_index(int(np.argmax(size)), size.shape)
-    point = body.points[body.free[where]]
+    point = body.points[where if body.components > 1 else body.free[where]]
     return {"value": size[when, where], "time": solution.t[when], "point": point}
 
 
@@ -262,11 +264,11 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
         The series first.
     """
     solution, body = report.solution, report.scene.discretisation
-    cells = body.basis.element_dofs.T
-    mesh = meshio.Mesh(
-        np.pad(body.points, ((0, 0), (0, 1))),
-        {"triangle6" if body.element == "P2" else "triangle": cells},
+    cells, d = body.scalar.element_dofs.T, body.mesh.dim()
+    kind = (
+        ("line3", "triangle6", "tetra10") if body.element == "P2" else ("line", "triangle", "tetra")
     )
+    mesh = meshio.Mesh(np.pad(body.points, ((0, 0), (0, 3 - d))), {kind[d - 1]: cells})
     if body.mesh.subdomains:
         material = np.zeros(len(cells), dtype=np.int32)
         for k, members in enumerate(body.mesh.subdomains.values(), start=1):
@@ -276,10 +278,12 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     last, times = len(solution.steps), {}
     for i in [*range(0, last, -(-last // (MOST_VTU - 1))), last]:
-        mesh.point_data = {
-            "displacement": body.expand(solution.u[i]),
-            "velocity": body.expand(solution.velocity[max(i - 1, 0)]),
-        }
+        states = {"displacement": solution.u[i], "velocity": solution.velocity[max(i - 1, 0)]}
+        mesh.point_data = {name: body.expand(x[: body.dim]) for name, x in states.items()}
+        if 1 < body.components < 3:  # ParaView's vectors have three components
+            mesh.point_data = {
+                name: np.pad(x, ((0, 0), (0, 3 - d))) for name, x in mesh.point_data.items()
+            }
         path = folder / f"step_{i:06d}.vtu"
         with io.replacing(path) as part:
             mesh.write(part, file_format="vtu", compression="zlib")

@@ -29,7 +29,7 @@ def displacement_figure(report: Report) -> Any:
     fields = body.expand(solution.u[indices])
     limit = float(np.abs(fields).max()) or 1.0
     colours = {"cmap": "PRGn", "vmin": -limit, "vmax": limit, "shading": "gouraud"}
-    edges = body.points[body.edge_nodes(body.mesh.boundary_facets()).T]
+    edges = body.points[body.facet_nodes(body.mesh.boundary_facets()).T]
     outline = np.pad(edges, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan).reshape(-1, 2)
     figure, panels = _page(np.ptp(body.points, axis=0), len(indices))
     for panel, i, field in zip(panels.flat, indices, fields, strict=False):
