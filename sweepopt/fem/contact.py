@@ -138,7 +138,8 @@ class Contact:
     unknown : ndarray, shape (m,) or (m, components)
         Index of each among the unknowns of the problem; where several components slip a row for
         each node, with -1 for those that do not.
-    points : ndarray, shape (m, d)
+    node, points : ndarray, shape (m,) and (m, d)
+        Among the nodes of the body, and where.
     boundary : ndarray of str, shape (m,)
         Name of the boundary or subdomain it is on.
     arc : ndarray, shape (m,)
@@ -149,6 +150,7 @@ class Contact:
     """
 
     unknown: Indices
+    node: Indices
     points: Array
     boundary: NDArray[np.str_]
     arc: Array
@@ -162,6 +164,11 @@ class Contact:
     def threshold(self) -> Array:
         """Friction forces ``w_k g_k`` at which the nodes slip, shape (m,)."""
         return self.weight * self.bound
+
+    @property
+    def on_curve(self) -> bool:
+        """Whether all nodes follow one another along curves."""
+        return not bool(np.isnan(self.arc).any())
 
     def of(self, values: ArrayLike) -> Array:
         """Values of the unknowns (last axis) at the nodes, 0 where a component does not slip."""
@@ -187,13 +194,13 @@ def merged(contacts: Sequence[Contact]) -> Contact | None:
         np.bincount(group, np.concatenate([getattr(one, name) for one in contacts]))[order]
         for name in ("weight", "threshold")
     )
-    points, boundary = (
+    node, points, boundary = (
         np.concatenate([getattr(one, name) for one in contacts])[keep]
-        for name in ("points", "boundary")
+        for name in ("node", "points", "boundary")
     )
     unknown = unknown[keep] if width > 1 else unknown[keep, 0]
     bound: Array = np.asarray(threshold / weight)
-    return Contact(unknown, points, boundary, arc[keep], np.asarray(weight, float), bound)
+    return Contact(unknown, node, points, boundary, arc[keep], np.asarray(weight, float), bound)
 
 
 def _length(contact: Contact) -> float:
@@ -274,6 +281,7 @@ def friction_on(
                 None if axes is None else _metric(body, columns.reshape(-1, block), k, axes),
                 contact=Contact(
                     unknown=some if several else columns,
+                    node=k,
                     points=body.points[k],
                     boundary=names[at],
                     arc=arc[at],

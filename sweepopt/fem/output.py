@@ -202,23 +202,35 @@ def dataset_of(report: Report) -> xr.Dataset:
     scene, solution, slip, energy = report.scene, report.solution, report.slip, report.energy
     body, units = scene.discretisation, report.units
     # dimensions, quantity, values and description of what is added to the solution's own
-    u, velocity = body.expand(solution.u), body.expand(solution.velocity)
+    u, velocity = (body.expand(x[:, : body.dim]) for x in (solution.u, solution.velocity))
+    vector = " component" if body.components > 1 else ""
+    of_what = "" if vector else " out of the plane"
     rows: dict[str, tuple[str, str, Any, str]] = {
-        "displacement": ("time node", "length", u, "displacement out of the plane"),
-        "velocity": ("step node", "velocity", velocity, "velocity out of the plane in each step"),
+        "displacement": (f"time node{vector}", "length", u, f"displacement{of_what}"),
+        "velocity": (
+            f"step node{vector}",
+            "velocity",
+            velocity,
+            f"velocity{of_what} in each step",
+        ),
         "mesh": ("", "", np.int32(0), "mesh of triangles; a quadratic element counts as four"),
         "triangles": ("triangle corner", "", np.int32(body.triangles), "nodes of each triangle"),
-        "x": ("node", "length", body.points[:, 0], "x coordinate of the node"),
-        "y": ("node", "length", body.points[:, 1], "y coordinate of the node"),
+        **{
+            axis: ("node", "length", place, f"{axis} coordinate of the node")
+            for axis, place in zip("xyz", body.points.T, strict=False)
+        },
         "energy_stored": ("time", "energy", energy.stored, "change of elastic energy, per length"),
         "energy_viscous": ("time", "energy", energy.viscous, "lost to viscosity, per length"),
         "energy_friction": ("time", "energy", energy.friction, "lost to friction, per length"),
         "energy_work": ("time", "energy", energy.work, "work of the loads, per length"),
     }
+    if not body.triangles.size:  # a bar has no faces
+        del rows["mesh"], rows["triangles"]
     if slip is not None:
         contact, names = slip.contact, slip.contact.boundary.astype(object)
+        along = " component" if contact.unknown.ndim > 1 else ""
         rows |= {
-            "contact_node": ("contact", "", body.free[contact.unknown], "node of the contact"),
+            "contact_node": ("contact", "", contact.node, "node of the contact"),
             "boundary": ("contact", "", names, "boundary of the contact node"),
             "arc_length": ("contact", "length", contact.arc, "arc length along the boundaries"),
             "contact_weight": ("contact", "length", contact.weight, "length of its boundary"),
@@ -228,17 +240,25 @@ def dataset_of(report: Report) -> xr.Dataset:
                 contact.threshold,
                 "force at which it slips, w g",
             ),
-            "traction": ("step contact", "traction", slip.traction, "friction, against the slip"),
+            "traction": (
+                f"step contact{along}",
+                "traction",
+                slip.traction,
+                "friction, against the slip",
+            ),
             "slip_state": ("step contact", "", slip.state, "direction of slip, 0 where it sticks"),
         }
     run = solution.to_xarray().drop_dims("unknown")
     for name, (dims, quantity, values, words) in rows.items():
         attributes = {"long_name": words, "units": units.get(quantity, "1")}
-        run[name] = dims.split(), values, attributes | ATTRIBUTES.get(name, {})
+        more = ATTRIBUTES.get(name, {})
+        if more is FIELD and "mesh" not in rows:
+            more = {}
+        run[name] = dims.split(), values, attributes | more
     for name in ("time", "certificate", "viability"):
         run[name].attrs["units"] = units[name]
     run.step_end.attrs["units"] = units["time"]
-    coordinates = {"x", "y", "contact_node", "boundary", "arc_length"} & set(run)
+    coordinates = {"x", "y", "z", "contact_node", "boundary", "arc_length"} & set(run)
     return run.set_coords(coordinates).assign_attrs(
         title=scene.title or report.name or "An antiplane problem",
         Conventions="CF-1.11 UGRID-1.0",
