@@ -175,8 +175,10 @@ def _write(report: Report, folder: Path) -> list[str]:
     """Write all files of a run; their names relative to the folder, the summary last."""
     from sweepopt.fem import output, pictures
 
-    figures = {"displacement.png": pictures.displacement_figure(report)}
-    if report.slip is not None:
+    figures, slip = {}, report.slip
+    if report.scene.discretisation.mesh.dim() == 2:
+        figures["displacement.png"] = pictures.displacement_figure(report)
+    if slip is not None and slip.velocity.ndim == 2 and slip.contact.on_curve:
         figures["contact.png"] = pictures.contact_figure(report)
     output.write_netcdf(report, folder / "solution.nc")
     for name, figure in figures.items():

@@ -492,7 +492,7 @@ INSIDE = square(2).with_boundaries({"cut": lambda x: x[0] == 0.5}, boundaries_on
 HALF = square(2).with_subdomains({"a": [0, 1]})
 
 BAD = [  # what a scene file cannot say; the rest is in test_scene.py
-    (lambda: antiplane_square(mesh=3), "a mesh that is no skfem.MeshTri must be a path, got 3"),
+    (lambda: antiplane_square(mesh=3), "a mesh that is no skfem.Mesh must be a path, got 3"),
     (lambda: antiplane_square(mesh=flip(square(2))), "triangle .* overlaps a neighbour"),
     (lambda: antiplane_square(mesh=pieces(), clamped="left"), r"nothing holds .* \(2, 0\)"),
     (lambda: antiplane_square(clamped=["top", "top"]), "clamped must be a name or distinct names"),
@@ -500,7 +500,7 @@ BAD = [  # what a scene file cannot say; the rest is in test_scene.py
     (lambda: antiplane_square().discretisation.expand([1.0]), "u must have 6 entries in its last"),
     (lambda: antiplane_square(t_end=-1.0), "t_end must be > 0"),
     (lambda: antiplane_square(u0=[1.0]), "u0 must have 6 entries, got 1"),
-    (lambda: antiplane_square(effects=VISCOUS[0]), r"must be a list .*, got Viscosity\(eta=1.0\)"),
+    (lambda: antiplane_square(effects=VISCOUS[0]), r"must be a list .*, got Viscosity\(eta=1.0"),
     (lambda: antiplane_square(effects=[Viscosity]), r"^effects\[0\] is no effect such as .*class"),
     (lambda: Friction("left", 1e308), r"^g is 1e\+308, beyond 1e\+75: .* other units"),
     (lambda: BodyForce(abs, 1e308), r"^f0 is 1e\+308, beyond 1e\+75"),
@@ -510,7 +510,7 @@ BAD = [  # what a scene file cannot say; the rest is in test_scene.py
     (lambda: with_eta({}), r"^effects\[0\].eta must give one value .* in all, core, sleeve; cover"),
     (lambda: with_eta({"core": 1}), "eta must give one value .* none or several in all, sleeve; "),
     (lambda: with_eta({"core": 1, "all": 1}), "eta must give one value .* several in all, core; "),
-    (lambda: antiplane(HALF, clamped="top", effects=[Viscosity({"a": 1})]), "in triangles of no g"),
+    (lambda: antiplane(HALF, clamped="top", effects=[Viscosity({"a": 1})]), "in cells of no g"),
     (lambda: Viscosity({"core": -1.0}), "eta.core must be > 0"),
     (lambda: Friction("outer", -np.inf), "g must be >= 0, got -inf"),
     (lambda: Traction("outer", 5.0), "history must be a function of time"),

@@ -1,11 +1,13 @@
-"""Antiplane frictional contact on finite elements: a scene declares effects, and only they exist.
+"""Bodies on finite elements: a scene declares effects, and only they exist.
 
-    antiplane(mesh, clamped=..., effects=[...])     a scene from Python
-    read_scene("tube.toml")                         the same from a file of data
+    body(Discretisation(mesh, kind="solid"), effects=[...])     a scene from Python
+    antiplane(mesh, clamped=..., effects=[...])                 in antiplane shear
+    read_scene("tube.toml")                                     the same from a file of data
 
-The model: v in H^1 with v = 0 on Gamma_1,
+The model in antiplane shear: v in H^1 with v = 0 on Gamma_1,
 a = int eta grad u . grad v, b = int kappa grad u . grad v, J(v) = int_{Gamma_3} g |v|,
-<f, v> = int f0 v + int_{Gamma_2} f2 v.
+<f, v> = int f0 v + int_{Gamma_2} f2 v. Of vectors a and b are those of their strains, and J has the
+tangential velocity.
 """
 
 from sweepopt.errors import brought_by
@@ -14,19 +16,22 @@ with brought_by("fem"):
     import meshio  # noqa: F401
     import skfem  # noqa: F401
 
-from sweepopt.fem.contact import Contact
+from sweepopt.fem.contact import Contact, Rows, Yield
 from sweepopt.fem.effects import (
     BodyForce,
     Contribution,
+    Dashpot,
     Effect,
     Elasticity,
+    Foundation,
     Friction,
+    PointForce,
     Traction,
     Viscosity,
 )
 from sweepopt.fem.fields import Profile
-from sweepopt.fem.mesh import read_mesh
-from sweepopt.fem.scene import Scene, antiplane
+from sweepopt.fem.mesh import grid, read_mesh
+from sweepopt.fem.scene import Scene, antiplane, body
 from sweepopt.fem.scene_file import EFFECTS, read_scene
 from sweepopt.fem.spaces import Discretisation
 
@@ -35,15 +40,22 @@ __all__ = [
     "BodyForce",
     "Contact",
     "Contribution",
+    "Dashpot",
     "Discretisation",
     "Effect",
     "Elasticity",
+    "Foundation",
     "Friction",
+    "PointForce",
     "Profile",
+    "Rows",
     "Scene",
     "Traction",
     "Viscosity",
+    "Yield",
     "antiplane",
+    "body",
+    "grid",
     "read_mesh",
     "read_scene",
 ]

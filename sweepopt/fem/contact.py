@@ -1,29 +1,28 @@
-"""The contact boundary: which unknowns rub, how strongly, where, and what they do in a run.
+"""Friction: which unknowns rub, how strongly, where, and what they do in a run.
 
 On Gamma_3 the friction traction q = eta d_nu u' + kappa d_nu u satisfies |q| <= g, and
-q = -g u'/|u'| where u' != 0. Tested with the basis function of node k it reads
+q = -g u'/|u'| where u' != 0; so do the tangential tractions of bodies in the plane and of solids,
+and the forces on the face of a sheet. Tested with the basis function of node k it reads
 
     w_k q_k = (A u' + B u - f)_k,      |q_k| <= g_k.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-import skfem
-from numpy.typing import NDArray
-from scipy.integrate import newton_cotes
+from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.errors import InputError
-from sweepopt.fem.fields import Coefficient, Datum
+from sweepopt.fem.fields import Coefficient, Datum, in_time
 from sweepopt.fem.mesh import Indices
 from sweepopt.fem.spaces import Discretisation
-from sweepopt.sets import Box, ConvexSet, image
+from sweepopt.sets import Balls, Box, ConvexSet, Ellipsoid, image, product
 
 if TYPE_CHECKING:
     from sweepopt.fem.scene import Scene
@@ -32,30 +31,126 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 BOUND = Coefficient("g", 0.0, finite=False)
+PRESSURE = Coefficient("p", 0.0)
 STATES = {-1: "slips_backward", 0: "sticks", 1: "slips_forward"}
 
 
 @dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows E of the velocity that are bounded together in blocks.
+
+    Attributes
+    ----------
+    E : sparse, shape (m * block, dim)
+    block : int
+        Rows of each block.
+    weight : ndarray, shape (m,)
+        Of each block in the integral.
+    where : {"trace", "nodes", "gradient", "internal"}
+        What they are: unknowns on a boundary, unknowns inside, derivatives, internal unknowns.
+    """
+
+    E: sp.csr_array
+    block: int
+    weight: Array
+    where: str
+
+
+@dataclass(frozen=True, eq=False)
+class Yield:
+    """``J(v) = sum_k w_k g_k |E_k v|``: rows with the sets D_k that bound their forces.
+
+    Attributes
+    ----------
+    rows : Rows
+    g : ndarray of shape (m,), or callable t -> (m,)
+    metric : ndarray, shape (m, block, block), or None
+        Of ellipses: |x| is sqrt(<metric x, x>); None is the Euclidean norm.
+    shape : {"ball", "half-line"}
+        A half-line is a row that must not be negative: J is 0 where it is not, else inf.
+    contact : Contact or None
+        Where friction acts, for reports.
+    """
+
+    rows: Rows
+    g: Array | Callable[[float], Array]
+    metric: Array | None = None
+    shape: str = "ball"
+    contact: Contact | None = None
+
+    def at(self, t: float) -> Array:
+        """Radii w_k g_k at a time, shape (m,)."""
+        return self.rows.weight * (self.g(t) if callable(self.g) else self.g)
+
+
+def dissipation(yields: Sequence[Yield], t: float = 0.0) -> ConvexSet:
+    """``D(t) = sum_k E_k^T D_k(t)``, of one product of intervals, discs and ellipses.
+
+    Intervals on the same unknown are added, so that E selects unknowns.
+    """
+    parts: list[ConvexSet] = []
+    blocks: list[sp.csr_array] = []
+    intervals = [one for one in yields if one.rows.block == 1]
+    if intervals:
+        E = sp.vstack([one.rows.E for one in intervals], format="csr")
+        ends = [_ends(one, t) for one in intervals]
+        lower, upper = (np.concatenate([pair[k] for pair in ends]) for k in (0, 1))
+        if all(one.rows.where in ("trace", "nodes", "internal") for one in intervals):
+            _, first, group = np.unique(E.indices, return_index=True, return_inverse=True)
+            if first.size < E.shape[0]:
+                E = E[first]
+                lower, upper = (np.bincount(group, end) for end in (lower, upper))
+        blocks.append(E)
+        parts.append(Box(lower, upper))
+    for one in yields:
+        if one.rows.block == 1:
+            continue
+        blocks.append(one.rows.E)
+        radii = one.at(t)
+        if one.metric is None:
+            parts.append(Balls(radii, one.rows.block))
+        else:
+            centre = np.zeros(one.rows.block)
+            parts += [Ellipsoid(centre, r**2 * G) for r, G in zip(radii, one.metric, strict=True)]
+    part = parts[0] if len(parts) == 1 else product(*parts)
+    return image(sp.csc_array(sp.vstack(blocks).T), part)
+
+
+def _ends(one: Yield, t: float) -> tuple[Array, Array]:
+    """Ends of the intervals of rows one by one."""
+    radii = one.at(t)
+    if one.shape == "half-line":
+        return np.full(radii.size, -np.inf), np.zeros(radii.size)
+    if one.metric is not None:
+        radii = radii * np.sqrt(one.metric[:, 0, 0])
+    return -radii, radii
+
+
+@dataclass(frozen=True, eq=False)
 class Contact:
-    """Unknowns with friction, in the order in which one walks along the boundary.
+    """Nodes with friction; along a curve in the order in which one walks along it.
 
     Walked with the body on the left; pieces of a boundary follow one another. Clamped nodes and
     nodes with g = 0 are left out: there is nothing nonsmooth at them.
 
     Attributes
     ----------
-    unknown : ndarray, shape (m,)
-        Index of each among the unknowns of the problem.
-    points : ndarray, shape (m, 2)
+    unknown : ndarray, shape (m,) or (m, components)
+        Index of each among the unknowns of the problem; where several components slip a row for
+        each node, with -1 for those that do not.
+    node, points : ndarray, shape (m,) and (m, d)
+        Among the nodes of the body, and where.
     boundary : ndarray of str, shape (m,)
-        Name of the boundary it is on.
+        Name of the boundary or subdomain it is on.
     arc : ndarray, shape (m,)
-        Arc length along the boundaries, one after the other.
+        Arc length along the boundaries, one after the other; nan where there is no curve.
     weight, bound : ndarray, shape (m,)
-        w_k (a length) and g_k of ``J_h(v) = sum_k w_k g_k |v_k|``.
+        w_k (a length, an area or a volume) and g_k of ``J_h(v) = sum_k w_k g_k |v_k|``; of a bound
+        that moves that of t = 0.
     """
 
     unknown: Indices
+    node: Indices
     points: Array
     boundary: NDArray[np.str_]
     arc: Array
@@ -63,69 +158,178 @@ class Contact:
     bound: Array
 
     def __len__(self) -> int:
-        return int(self.unknown.size)
+        return int(self.unknown.shape[0])
 
     @property
     def threshold(self) -> Array:
         """Friction forces ``w_k g_k`` at which the nodes slip, shape (m,)."""
         return self.weight * self.bound
 
-    def dissipation(self, dim: int) -> ConvexSet:
-        """D = E^T [-w g, w g], E selecting the contact unknowns: J_h is its support function."""
-        m = len(self)
-        select = sp.csc_array((np.ones(m), (self.unknown, np.arange(m))), shape=(dim, m))
-        return image(select, Box(-self.threshold, self.threshold))
+    @property
+    def on_curve(self) -> bool:
+        """Whether all nodes follow one another along curves."""
+        return not bool(np.isnan(self.arc).any())
+
+    def of(self, values: ArrayLike) -> Array:
+        """Values of the unknowns (last axis) at the nodes, 0 where a component does not slip."""
+        values = np.asarray(values)
+        return np.where(self.unknown >= 0, values[..., self.unknown], 0.0)
 
 
-def contact_on(body: Discretisation, on: Sequence[str], g: Datum) -> Contact:
-    """Contact of the boundaries `on` with friction bound `g`, lumped by nodal quadrature.
+def merged(contacts: Sequence[Contact]) -> Contact | None:
+    """All nodes with friction of a scene; a node that two share counts once, with both weights."""
+    if len(contacts) < 2:
+        return contacts[0] if contacts else None
+    width = max(1 if one.unknown.ndim == 1 else one.unknown.shape[1] for one in contacts)
+    pad = [
+        np.pad(k, ((0, 0), (0, width - k.shape[1])), constant_values=-1)
+        for k in (one.unknown.reshape(len(one), -1) for one in contacts)
+    ]
+    unknown, ends = np.vstack(pad), np.cumsum([0.0] + [_length(one) for one in contacts])
+    arc = np.concatenate([one.arc + end for one, end in zip(contacts, ends, strict=False)])
+    _, first, group = np.unique(unknown, axis=0, return_index=True, return_inverse=True)
+    group, order = group.ravel(), np.argsort(first)
+    keep = first[order]
+    weight, threshold = (
+        np.bincount(group, np.concatenate([getattr(one, name) for one in contacts]))[order]
+        for name in ("weight", "threshold")
+    )
+    node, points, boundary = (
+        np.concatenate([getattr(one, name) for one in contacts])[keep]
+        for name in ("node", "points", "boundary")
+    )
+    unknown = unknown[keep] if width > 1 else unknown[keep, 0]
+    bound: Array = np.asarray(threshold / weight)
+    return Contact(unknown, node, points, boundary, arc[keep], np.asarray(weight, float), bound)
+
+
+def _length(contact: Contact) -> float:
+    return float(contact.weight.sum())
+
+
+def friction_on(
+    body: Discretisation,
+    on: Sequence[str],
+    g: Datum,
+    p: Datum | None = None,
+    history: Callable[[float], Any] | None = None,
+    axes: Sequence[float] | None = None,
+) -> list[Yield]:
+    """Friction with the bound g, or g p, lumped by nodal quadrature.
 
     Trapezoid (P1) or Simpson (P2) on every edge, with the length element of a curved edge taken
-    at its nodes. The nodes of the rule are those of the element, so that
-    ``J_h(v) = sum_k w_k g_k |v_k|`` stays separable: the dissipation is a box on the contact
-    unknowns. Where v does not change sign within an edge the error is O(h^2) for P1 and O(h^4)
-    for P2; on edges where it does, O(h^2) of the edge's own share in both, as |v| has a kink.
+    at its nodes; a third of a triangle at its corners (P1) or at the middles of its edges (P2). The
+    nodes of the rule are those of the element, so that ``J_h(v) = sum_k w_k g_k |v_k|`` stays
+    separable. Where v does not change sign within a cell the error is O(h^2) for P1 and O(h^4)
+    for P2 on edges; on edges where it does, O(h^2) of the edge's own share in both, as |v| has a
+    kink.
+
+    Returns
+    -------
+    list of Yield
+        One for each number of components that slip at a node: fewer where some are held.
 
     Raises
     ------
     InputError
         If all of it is clamped.
     """
-    facets, groups = body.edges("on", on)
-    degree = body.basis.elem.maxdeg
-    rule = np.linspace([0.0], [1.0], degree + 1, axis=1), newton_cotes(degree)[0] / degree
-    basis = skfem.FacetBasis(body.mesh, body.basis.elem, facets=facets, quadrature=rule)
-    weights, bounds = basis.dx, BOUND.values(g, basis.global_coordinates(), groups)
-    nodes = body.edge_nodes(facets).T
-    weight, threshold = (
-        np.bincount(nodes.ravel(), shares.ravel(), body.basis.N)
-        for shares in (weights, weights * bounds)
-    )
+    place = body.place("on", tuple(on), nodal=True)
+    nodes, weights = place.nodes.T, place.basis.dx
+    N = body.scalar.N
 
-    # walked with the body on the left, where the outward normal is on the right
-    x, y = (body.points[nodes[:, -1]] - body.points[nodes[:, 0]]).T
-    normal_x, normal_y = basis.normals.mean(axis=2)
-    along = np.where((x * normal_y < y * normal_x)[:, None], nodes, nodes[:, ::-1])
-    order = np.concatenate([mine[_walk(body.points, along[mine])] for mine in groups.values()])
-    length = weights[order].sum(axis=1)
-    ends = np.cumsum(length)
-    arc = np.linspace(ends - length, ends, nodes.shape[1], axis=1).ravel()
-    boundary = np.repeat(on, [nodes.shape[1] * len(mine) for mine in groups.values()])
+    def thresholds(t: float) -> Any:
+        bounds = place.values(BOUND, g, t)
+        if p is not None:
+            bounds = bounds * place.values(PRESSURE, p, t)
+        if history is not None:
+            bounds = bounds * np.asarray(history(t), dtype=float)
+        return np.bincount(nodes.ravel(), (weights * bounds).ravel(), N)
 
-    node, first = np.unique(along[order], return_index=True)
-    free = np.isin(node, body.free)
+    def moving_bound(k: Indices, t: float) -> Array:
+        return np.asarray(thresholds(t)[k] / weight[k])
+
+    weight, threshold = np.bincount(nodes.ravel(), weights.ravel(), N), thresholds(0.0)
+    moves = history is not None or in_time(g) or in_time(p)
+    boundary = hasattr(place.basis, "normals")
+    along, names, arc = (_curve if boundary and body.mesh.dim() == 2 else _cloud)(body, place)
+    node, first = np.unique(along, return_index=True)
+    unknown = body.unknowns(node, tangential=boundary)
+    free = (unknown >= 0).any(axis=1)
     if not free.any():
         raise InputError(f"on: all of {', '.join(on)} is clamped; nothing can slip there")
-    keep = np.sort(first[free & (threshold[node] > 0.0)])
-    k = along[order].ravel()[keep]
-    return Contact(
-        unknown=np.searchsorted(body.free, k),
-        points=body.points[k],
-        boundary=boundary[keep],
-        arc=arc[keep],
-        weight=weight[k],
-        bound=threshold[k] / weight[k],
+    keep = free & (weight[node] > 0.0) & (moves | (threshold[node] > 0.0))
+    order = np.argsort(first[keep])
+    node, unknown, first = (x[keep][order] for x in (node, unknown, first))
+    several = body.components - boundary > 1
+    yields = []
+    sizes = (unknown >= 0).sum(axis=1)
+    for block in np.unique(sizes).tolist():
+        mine = sizes == block
+        k, at = node[mine], first[mine]
+        some = unknown[mine]
+        columns = some[some >= 0]
+        E = sp.csr_array(
+            (np.ones(columns.size), (np.arange(columns.size), columns)),
+            shape=(columns.size, body.dim),
+        )
+        bound = threshold[k] / weight[k]
+        yields.append(
+            Yield(
+                Rows(E, block, weight[k], "trace" if boundary else "nodes"),
+                partial(moving_bound, k) if moves else bound,
+                None if axes is None else _metric(body, columns.reshape(-1, block), k, axes),
+                contact=Contact(
+                    unknown=some if several else columns,
+                    node=k,
+                    points=body.points[k],
+                    boundary=names[at],
+                    arc=arc[at],
+                    weight=weight[k],
+                    bound=bound,
+                ),
+            )
+        )
+    return yields
+
+
+def _metric(body: Discretisation, columns: Indices, nodes: Indices, axes: Any) -> Array:
+    """|diag(axes) v|^2 for the velocity v = sum of directions of a node times its unknowns."""
+    scale = np.asarray(axes, dtype=float)
+    if scale.shape != (body.components,) or not (scale > 0).all() or not np.isfinite(scale).all():
+        raise InputError(f"axes must be {body.components} numbers > 0, one for each of x, y ...")
+    identity = sp.eye_array(body.basis.N, format="csr")
+    T = identity if body.frame.T is None else body.frame.T
+    some = body.free[columns]  # node, slot
+    R = np.array(
+        [T[dofs][:, k].toarray() for dofs, k in zip(body.nodes.T[nodes], some, strict=True)]
     )
+    scaled = scale[:, None] * R
+    return np.asarray(np.swapaxes(scaled, 1, 2) @ scaled)
+
+
+def _cloud(body: Discretisation, place: Any) -> tuple[Indices, Array, Array]:
+    """Nodes with the names of the groups they are in, in no order."""
+    nodes = place.nodes.T
+    names = np.full(len(nodes), "body", dtype=object)
+    for name, members in place.groups.items():
+        names[members] = name
+    repeated = np.repeat(names.astype(str), nodes.shape[1])
+    return nodes.ravel(), repeated, np.full(nodes.size, np.nan)
+
+
+def _curve(body: Discretisation, place: Any) -> tuple[Indices, Array, Array]:
+    """Nodes of edges, walked with the body on the left: the outward normal is on the right."""
+    nodes, groups = place.nodes.T, place.groups
+    x, y = (body.points[nodes[:, -1]] - body.points[nodes[:, 0]]).T
+    normal_x, normal_y = place.basis.normals.mean(axis=2)
+    along = np.where((x * normal_y < y * normal_x)[:, None], nodes, nodes[:, ::-1])
+    order = np.concatenate([mine[_walk(body.points, along[mine])] for mine in groups.values()])
+    length = place.basis.dx[order].sum(axis=1)
+    ends = np.cumsum(length)
+    arc = np.linspace(ends - length, ends, nodes.shape[1], axis=1).ravel()
+    names = np.repeat(list(groups), [nodes.shape[1] * len(mine) for mine in groups.values()])
+    return along[order].ravel(), names, arc
 
 
 def _walk(points: Array, along: Indices) -> list[int]:
@@ -184,10 +388,10 @@ class Slip:
     stage_t : ndarray, shape (n,)
         Where in each step the traction is taken: at the scheme's stage, so that |q| <= g holds as
         exactly as the step is certified; in the middle for schemes of several stages.
-    displacement : ndarray, shape (n+1, m)
-    velocity : ndarray, shape (n, m)
+    displacement : ndarray, shape (n+1, m) or (n+1, m, components)
+    velocity : ndarray, shape (n, m) or (n, m, components)
         Exactly 0.0 where a node sticks.
-    traction : ndarray, shape (n, m)
+    traction : ndarray, shape (n, m) or (n, m, components)
         q_k, against the velocity.
     """
 
@@ -200,8 +404,15 @@ class Slip:
 
     @cached_property
     def state(self) -> NDArray[np.int8]:
-        """1, 0 or -1: slips forward, sticks, slips backward; shape (n, m)."""
-        return np.sign(self.velocity).astype(np.int8)
+        """1, 0 or -1: slips (forward), sticks, slips backward; shape (n, m)."""
+        speed = self.velocity if self.velocity.ndim == 2 else self.speed
+        return np.sign(speed).astype(np.int8)
+
+    @property
+    def speed(self) -> Array:
+        """|u'| of each node, shape (n, m)."""
+        velocity = self.velocity
+        return np.abs(velocity) if velocity.ndim == 2 else np.linalg.norm(velocity, axis=2)
 
     @cached_property
     def share(self) -> Array:
@@ -212,20 +423,21 @@ class Slip:
     @cached_property
     def total(self) -> Array:
         """int |u'| dt of each node, shape (m,)."""
-        return np.asarray(np.diff(self.t) @ np.abs(self.velocity))
+        return np.asarray(np.diff(self.t) @ self.speed)
 
     def statistics(self) -> SlipStatistics:
         """The slip statistics of the run."""
         weight = self.contact.weight / self.contact.weight.sum()
         slipping = self.state != 0
-        before, after = self.state[:-1], self.state[1:]
+        turns = self.velocity[:-1] * self.velocity[1:]
+        turns = turns if turns.ndim == 2 else turns.sum(axis=2)
         most = int(np.argmax(self.share))
         return SlipStatistics(
             ever=min(float(slipping.any(axis=0) @ weight), 1.0),
             most=float(self.share[most]),
             time_of_most=float(self.t[most + 1]) if slipping.any() else None,
             switches=int(np.count_nonzero(slipping[:-1] != slipping[1:])),
-            reversals=int(np.count_nonzero(before * after == -1)),
+            reversals=int(np.count_nonzero(turns < 0)),
             largest_total=float(self.total.max()),
             mean_total=float(self.total @ weight),
         )
@@ -243,13 +455,13 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     contact = scene.contact
     if contact is None:
         return None
-    process, scheme, rows = solution.process, solution.plan.scheme, contact.unknown
+    process, scheme = solution.process, solution.plan.scheme
     mu = np.diff(solution.t)
     stage_t = solution.t[:-1] + np.dot(scheme.b, scheme.c) * mu
     implicit = np.dot(scheme.b, [sum(row) for row in scheme.a])
     force = np.array(
         [
-            (process.A @ z + process.times_B(u + implicit * h * z) - process.C.at(t).anchor)[rows]
+            contact.of(process.A @ z + process.times_B(u + implicit * h * z) - scene.load(t))
             for t, h, u, z in zip(
                 stage_t.tolist(), mu, solution.u[:-1], solution.velocity, strict=True
             )
@@ -259,7 +471,7 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
         contact=contact,
         t=solution.t,
         stage_t=stage_t,
-        displacement=solution.u[:, rows],
-        velocity=solution.velocity[:, rows],
-        traction=force / contact.weight,
+        displacement=contact.of(solution.u),
+        velocity=contact.of(solution.velocity),
+        traction=force / contact.weight.reshape((-1,) + (1,) * (contact.unknown.ndim - 1)),
     )

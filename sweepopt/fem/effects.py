@@ -1,5 +1,9 @@
 """Effects: each is one record that contributes what it has, and nothing else.
 
+All take one form: matrices, terms of the load, and rows that yield,
+
+    C(t) = f(t) - sum_k E_k^T D_k(t).
+
 A new effect is one frozen dataclass with a method `contribute`, and one line in
 `EFFECTS` of scene_file.py; its fields are its keys in a scene file. Errors start with the name of
 the field at fault.
@@ -9,65 +13,85 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
+from sweepopt.checks import listed, matrix
 from sweepopt.errors import InputError, shown
-from sweepopt.fem.contact import BOUND, Contact, contact_on
-from sweepopt.fem.fields import Coefficient, Datum
-from sweepopt.fem.spaces import LOAD, STIFFNESS, Discretisation, assemble, boundary_names
+from sweepopt.fem.contact import BOUND, PRESSURE, Yield, friction_on
+from sweepopt.fem.fields import Coefficient, Datum, in_time
+from sweepopt.fem.spaces import AXES, BODY, Discretisation, boundary_names
 
 Array = NDArray[np.float64]
 Phi = Callable[[float], ArrayLike]
+Force = tuple[Phi, Array] | Callable[[float], Array]
 
-ETA, KAPPA = Coefficient("eta", 0.0, strict=True), Coefficient("kappa", 0.0)
-F0, F2 = Coefficient("f0"), Coefficient("f2")
+ETA, ZETA = Coefficient("eta", 0.0, strict=True), Coefficient("zeta")
+KAPPA, LAM, MU = Coefficient("kappa", 0.0), Coefficient("lam"), Coefficient("mu", 0.0)
+YOUNG, POISSON = Coefficient("E", 0.0, strict=True), Coefficient("nu", -1.0, strict=True)
+ON_ETA, ON_K = Coefficient("eta", 0.0), Coefficient("k", 0.0)
+F0, F2, FORCE = Coefficient("f0"), Coefficient("f2"), Coefficient("force")
 
 
 @dataclass(frozen=True, eq=False)
 class Contribution:
-    """What an effect adds to the problem; what is None does not exist.
+    """What an effect adds to the problem; what is None or empty does not exist.
 
     Attributes
     ----------
     A, B : sparse, shape (dim, dim), or None
-        Part of the matrix of u' or of u.
-    load : (history, ndarray of shape (dim,)) or None
-        A term ``phi(t) f`` of the load.
-    contact : Contact or None
-        A part of the dissipation.
+        Part of the matrix of u' or of u. With internal unknowns these follow those of the body.
+    loads : sequence of (history, ndarray of shape (dim,)) or callable t -> (dim,)
+        Terms ``phi(t) f`` or ``f(t)`` of the load.
+    yields : sequence of Yield
+        Parts of the dissipation: rows of the velocity and the sets D_k that bound their forces.
+    internal : int
+        How many internal unknowns the effect has.
     """
 
     A: sp.csc_array | None = None
     B: sp.csc_array | None = None
-    load: tuple[Phi, Array] | None = None
-    contact: Contact | None = None
+    loads: Sequence[Force] = ()
+    yields: Sequence[Yield] = ()
+    internal: int = 0
 
 
 class Effect(Protocol):
     """What a scene asks of an effect."""
 
     def contribute(self, body: Discretisation) -> Contribution:
-        """The effect's matrix, load term or contact on a body."""
+        """The effect's matrices, terms of the load or rows that yield, on a body."""
         ...
 
 
 @dataclass(frozen=True)
 class Viscosity:
-    """``a(u', v) = int eta grad u' . grad v``.
+    """``a(u', v) = int eta grad u' . grad v``, or the same of the strain rates of a vector u'.
+
+    The viscous stress is ``2 eta e + zeta tr(e) I`` of the rate e of the strain.
 
     Parameters
     ----------
-    eta : number, mapping of subdomain to number, Profile or callable
-        Viscosity (Pa s), > 0. A mapping covers every subdomain.
+    eta : number, formula, mapping of subdomain to number, Profile or callable
+        Shear viscosity (Pa s), > 0. A mapping covers every subdomain.
+    zeta : as eta
+        Second viscosity (Pa s); not seen in antiplane shear.
+    tensor : array_like, shape (m, m), instead of eta and zeta
+        Viscosities in Voigt's order (xx, yy, zz, yz, xz, xy; in the plane xx, yy, xy; in antiplane
+        shear xz, yz) of the engineering strain rates (Pa s), symmetric.
 
     Raises
     ------
     InputError
         If a value is not a finite number > 0.
+
+    Notes
+    -----
+    In plane stress each of the tensors of viscosity and elasticity is condensed on its own, which
+    is exact where they are proportional.
 
     Examples
     --------
@@ -75,29 +99,45 @@ class Viscosity:
     0.2
     """
 
-    eta: Datum
+    eta: Datum | None = None
+    zeta: Datum = 0.0
+    tensor: ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        ETA.check(self.eta)
+        _one_of(self, ("eta",), ("tensor",))
+        if self.eta is not None:
+            ETA.check(self.eta)
+        ZETA.check(self.zeta)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix A."""
-        return Contribution(A=assemble(body, STIFFNESS, ETA, self.eta))
+        values = body.place("eta", (BODY,)).values
+        eta = None if self.eta is None else values(ETA, self.eta)
+        return Contribution(A=_stiffness(body, values(ZETA, self.zeta), eta, self.tensor))
 
 
 @dataclass(frozen=True)
 class Elasticity:
-    """``b(u, v) = int kappa grad u . grad v``.
+    """``b(u, v) = int kappa grad u . grad v``, or the same of the strains of a vector u.
+
+    The elastic stress is ``2 mu e + lam tr(e) I`` of the strain e.
 
     Parameters
     ----------
-    kappa : number, mapping of subdomain to number, Profile or callable
-        Shear modulus (Pa), >= 0. A mapping covers every subdomain.
+    kappa : number, formula, mapping of subdomain to number, Profile or callable
+        Shear modulus (Pa), >= 0, of antiplane shear. A mapping covers every subdomain.
+    E, nu : as kappa, instead of kappa
+        Young's modulus (Pa), > 0, and Poisson's ratio, in (-1, 0.5).
+    lam, mu : as kappa, instead of kappa
+        Lame's parameters (Pa).
+    tensor : array_like, shape (m, m), instead of kappa
+        Moduli (Pa) in Voigt's order, as in `Viscosity`: of an orthotropic material, say; in plane
+        stress those of the plane.
 
     Raises
     ------
     InputError
-        If a value is not a finite number >= 0.
+        If a value is not a finite number in its range, or the parameters are of no material.
 
     Examples
     --------
@@ -105,28 +145,137 @@ class Elasticity:
     2.0
     """
 
-    kappa: Datum
+    kappa: Datum | None = None
+    E: Datum | None = None
+    nu: Datum | None = None
+    lam: Datum | None = None
+    mu: Datum | None = None
+    tensor: ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        KAPPA.check(self.kappa)
+        _one_of(self, ("kappa",), ("E", "nu"), ("lam", "mu"), ("tensor",))
+        for coefficient in (KAPPA, YOUNG, POISSON, LAM, MU):
+            if (datum := getattr(self, coefficient.name)) is not None:
+                coefficient.check(datum)
 
     def contribute(self, body: Discretisation) -> Contribution:
-        """The matrix B; none if kappa is zero everywhere."""
-        B = assemble(body, STIFFNESS, KAPPA, self.kappa)
+        """The matrix B; none if it is zero everywhere."""
+        values = body.place("kappa", (BODY,)).values
+        lam: Any = 0.0
+        mu: Any = None
+        if self.kappa is not None:
+            if body.components > 1:
+                raise InputError("kappa is for antiplane shear; give E and nu, or lam and mu")
+            mu = values(KAPPA, self.kappa)
+        elif self.E is not None:
+            E, nu = (values(c, getattr(self, c.name)) for c in (YOUNG, POISSON))
+            if nu.max() >= 0.5:
+                raise InputError(f"nu must be < 0.5, got {nu.max():g}; incompressible is no limit")
+            lam, mu = E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
+        elif self.lam is not None:
+            lam, mu = (values(c, getattr(self, c.name)) for c in (LAM, MU))
+            if (3 * lam + 2 * mu).min() < 0:
+                raise InputError("lam must be at least -2/3 mu everywhere")
+        B = _stiffness(body, lam, mu, self.tensor)
         return Contribution(B=B if B.count_nonzero() else None)
 
 
 @dataclass(frozen=True)
-class Friction:
-    """``J(v) = int_{Gamma_3} g |v|``, lumped at the nodes of the boundary (see `contact_on`).
+class Dashpot:
+    """``a(u', v) = int eta u' . v`` on boundaries, subdomains or the whole body.
 
     Parameters
     ----------
     on : str or sequence of str
-        The boundaries that make up Gamma_3.
-    g : number, mapping of boundary to number, Profile or callable
-        Friction bound (Pa), >= 0. Where it is zero there is no friction and nothing to simulate;
-        where it is inf the body is glued: it stays where u0 has it.
+        Boundaries, or subdomains; "body" for all of it (a film under a sheet, a bed along a bar).
+    eta : number, formula, mapping of name to number, Profile or callable
+        Viscosity (Pa s/m on a boundary or under a sheet, Pa s/m^2 in a volume), >= 0.
+    along : str
+        "all", "n" (normal), "t" (tangents), "x", "y" or "z".
+
+    Raises
+    ------
+    InputError
+        If a name is missing or given twice, or eta is negative.
+
+    Examples
+    --------
+    >>> Dashpot("foot", eta=2.0).on
+    ('foot',)
+    """
+
+    on: Sequence[str]
+    eta: Datum
+    along: str = "all"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "on", boundary_names("on", self.on))
+        ON_ETA.check(self.eta)
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """The matrix A."""
+        return Contribution(A=_mass(body, self.on, ON_ETA, self.eta, self.along))
+
+
+@dataclass(frozen=True)
+class Foundation:
+    """``b(u, v) = int k u . v``: Winkler's springs on boundaries, subdomains or the whole body.
+
+    Parameters
+    ----------
+    on : str or sequence of str
+        As for `Dashpot`.
+    k : number, formula, mapping of name to number, Profile or callable
+        Stiffness (Pa/m on a boundary or under a sheet, Pa/m^2 in a volume), >= 0.
+    along : str
+        As for `Dashpot`.
+
+    Raises
+    ------
+    InputError
+        If a name is missing or given twice, or k is negative.
+
+    Examples
+    --------
+    >>> Foundation("body", k=2.0, along="x").k
+    2.0
+    """
+
+    on: Sequence[str]
+    k: Datum
+    along: str = "all"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "on", boundary_names("on", self.on))
+        ON_K.check(self.k)
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """The matrix B."""
+        return Contribution(B=_mass(body, self.on, ON_K, self.k, self.along))
+
+
+@dataclass(frozen=True)
+class Friction:
+    """``J(v) = int g |v|`` of the tangential velocity, lumped at the nodes (see `friction_on`).
+
+    Intervals where one component slips, discs where two do (the contact of a solid, a sheet on its
+    face), balls in a volume.
+
+    Parameters
+    ----------
+    on : str or sequence of str
+        The boundaries that make up Gamma_3; or subdomains, or "body", for a sheet that rubs over
+        its face and a bar in a bed.
+    g : number, formula, mapping of name to number, Profile or callable
+        Friction bound (Pa; Pa/m in a volume), >= 0; a coefficient of friction if `p` is given. A
+        function of x and t moves in time. Where it is zero there is no friction and nothing to
+        simulate; where it is inf the body is glued: it stays where u0 has it.
+    p : as g, optional
+        Pressure (Pa) that is known; the bound is g p.
+    history : callable, optional
+        phi(t) >= 0 that multiplies the bound.
+    axes : sequence of float, optional
+        ``J(v) = int g |(a_x v_x, a_y v_y, ...)|``: ellipses in place of discs.
 
     Raises
     ------
@@ -141,27 +290,36 @@ class Friction:
 
     on: Sequence[str]
     g: Datum
+    p: Datum | None = None
+    history: Phi | None = None
+    axes: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "on", boundary_names("on", self.on))
         BOUND.check(self.g)
+        if self.p is not None:
+            PRESSURE.check(self.p)
+        if self.history is not None:
+            check_history(self.history)
 
     def contribute(self, body: Discretisation) -> Contribution:
-        """The contact; none if g is zero everywhere."""
-        contact = contact_on(body, self.on, self.g)
-        return Contribution(contact=contact if len(contact) else None)
+        """The rows that slip; none if g is zero everywhere."""
+        return Contribution(
+            yields=friction_on(body, self.on, self.g, self.p, self.history, self.axes)
+        )
 
 
 @dataclass(frozen=True)
 class BodyForce:
-    """``<f, v> = phi(t) int_Omega f0 v``.
+    """``<f, v> = phi(t) int_Omega f0 . v``.
 
     Parameters
     ----------
     history : callable
         phi(t): Table, Sine, Triangle, Constant; or any function, whose variation is not known.
-    f0 : number, mapping of subdomain to number, Profile or callable
-        Density at phi = 1 (Pa/m).
+    f0 : number, formula, mapping of subdomain to number, Profile or callable
+        Density at phi = 1 (Pa/m); of vectors a list, one for each of x, y and z. A function of x
+        and t is any load, and has no guaranteed bounds.
 
     Raises
     ------
@@ -176,20 +334,20 @@ class BodyForce:
     """
 
     history: Phi
-    f0: Datum = 1.0
+    f0: Datum | Sequence[Datum] = 1.0
 
     def __post_init__(self) -> None:
         check_history(self.history)
-        F0.check(self.f0)
+        _check_components(F0, self.f0)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
-        return Contribution(load=(self.history, assemble(body, LOAD, F0, self.f0)))
+        return Contribution(loads=[_force(body, F0, self.f0, self.history, (BODY,))])
 
 
 @dataclass(frozen=True)
 class Traction:
-    """``<f, v> = phi(t) int_{Gamma_2} f2 v``.
+    """``<f, v> = phi(t) int_{Gamma_2} f2 . v``.
 
     Parameters
     ----------
@@ -197,8 +355,9 @@ class Traction:
         The boundaries that make up Gamma_2.
     history : callable
         phi(t): Table, Sine, Triangle, Constant; or any function, whose variation is not known.
-    f2 : number, mapping of boundary to number, Profile or callable
-        Traction at phi = 1 (Pa).
+    f2 : number, formula, mapping of boundary to number, Profile or callable
+        Traction at phi = 1 (Pa); of vectors a list, one for each of x, y and z, or one for the
+        direction of the outward normal (a pressure is negative). A function of x and t is any load.
 
     Raises
     ------
@@ -214,16 +373,67 @@ class Traction:
 
     on: Sequence[str]
     history: Phi
-    f2: Datum = 1.0
+    f2: Datum | Sequence[Datum] = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "on", boundary_names("on", self.on))
         check_history(self.history)
-        F2.check(self.f2)
+        _check_components(F2, self.f2)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
-        return Contribution(load=(self.history, assemble(body, LOAD, F2, self.f2, self.on)))
+        body.facets("on", self.on)
+        return Contribution(loads=[_force(body, F2, self.f2, self.history, self.on)])
+
+
+@dataclass(frozen=True)
+class PointForce:
+    """``<f, v> = phi(t) force . v(at)``.
+
+    Parameters
+    ----------
+    at : array_like, shape (d,)
+        A point of the body. The displacement there grows without bound on finer meshes, as that
+        under a point force does.
+    history : callable
+        phi(t).
+    force : number, or a list of one for each of x, y and z
+        At phi = 1 (N; N/m of bodies in the plane).
+
+    Raises
+    ------
+    InputError
+        If the point is not in the body, or a number is not finite.
+
+    Examples
+    --------
+    >>> PointForce([0.0, 1.0], Constant(), force=2.0).force
+    2.0
+    """
+
+    at: ArrayLike
+    history: Phi
+    force: float | Sequence[float] = 1.0
+
+    def __post_init__(self) -> None:
+        check_history(self.history)
+        _check_components(FORCE, self.force)
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """One term of the load."""
+        d, values = body.mesh.dim(), np.atleast_1d(np.asarray(self.force, dtype=float))
+        at = np.asarray(listed("at", self.at), dtype=float)
+        if at.shape != (d,) or values.shape != (body.components,):
+            raise InputError(f"at must have {d} coordinates, force {body.components} components")
+        try:
+            shape = body.scalar.probes(at[:, None]).toarray()[0]
+        except (ValueError, IndexError):
+            shape = np.full(1, np.nan)
+        if not np.isclose(shape.sum(), 1.0):
+            raise InputError(f"at: the point {shown(self.at)} is not in the body")
+        full = np.zeros(body.basis.N)
+        full[body.nodes] = values[:, None] * shape
+        return Contribution(loads=[(self.history, body.restrict(full))])
 
 
 def check_history(history: object) -> None:
@@ -232,3 +442,119 @@ def check_history(history: object) -> None:
         raise InputError(
             f"history must be a function of time such as Table or Sine, got {shown(history)}"
         )
+
+
+def _one_of(effect: Any, *choices: tuple[str, ...]) -> None:
+    """Exactly one of the groups of fields must be given."""
+    given = {name for names in choices for name in names if getattr(effect, name) is not None}
+    if given not in map(set, choices):
+        words = ", or ".join(" and ".join(names) for names in choices)
+        if not given:
+            raise InputError(f"{choices[0][0]}: is missing; give {words}")
+        raise InputError(f"{sorted(given)[0]}: give {words}, not {' and '.join(sorted(given))}")
+
+
+def _check_components(coefficient: Coefficient, data: Any) -> None:
+    for datum in data if isinstance(data, (list, tuple)) else [data]:
+        coefficient.check(datum)
+
+
+def _strain(body: Discretisation) -> Callable[[Any], list[Any]]:
+    """The gradient of a number, or the engineering strains of a vector in Voigt's order."""
+    d = body.mesh.dim()
+    if body.components == 1:
+        return lambda u: list(u.grad)
+    pairs = [(0, 1)] if d == 2 else [(1, 2), (0, 2), (0, 1)]
+
+    def strain(u: Any) -> list[Any]:
+        g = u.grad
+        return [g[i, i] for i in range(d)] + [g[i, j] + g[j, i] for i, j in pairs]
+
+    return strain
+
+
+def _moduli(body: Discretisation, lam: Any, mu: Any, tensor: Any) -> dict[tuple[int, int], Any]:
+    """Entries of Hooke's law that are not zero, at the points of the quadrature."""
+    d = body.mesh.dim()
+    size = d if body.components == 1 else d * (d + 1) // 2
+    if tensor is not None:
+        C = np.asarray(matrix("tensor", tensor))
+        if C.shape != (size, size) or not np.array_equal(C, C.T):
+            raise InputError(f"tensor must be symmetric of shape ({size}, {size})")
+        if np.linalg.eigvalsh(C)[0] < 0:
+            raise InputError("tensor must be positive semidefinite; it has a negative eigenvalue")
+        return {(i, j): C[i, j] for i, j in np.argwhere(C).tolist()}
+    if body.components == 1:
+        return {(i, i): mu for i in range(d)}
+    if body.kind == "plane stress":
+        lam = 2 * lam * mu / (lam + 2 * mu)
+    law = {(i, j): lam + 2 * mu if i == j else lam for i in range(d) for j in range(d)}
+    return law | {(i, i): mu for i in range(d, size)}
+
+
+def _stiffness(body: Discretisation, lam: Any, mu: Any, tensor: Any) -> sp.csc_array:
+    """int C e(u) . e(v) on the unknowns."""
+    strain, law = _strain(body), _moduli(body, lam, mu, tensor)
+
+    def form(u: Any, v: Any, _: Any) -> Any:
+        a, b = strain(u), strain(v)
+        return sum(c * a[j] * b[i] for (i, j), c in law.items())
+
+    restricted: sp.csc_array = body.restrict(body.place("on", (BODY,)).matrix(form))
+    return restricted
+
+
+def _mass(
+    body: Discretisation, on: Sequence[str], coefficient: Coefficient, datum: Datum, along: str
+) -> sp.csc_array:
+    """int c u . v of the components along a direction, on the unknowns."""
+    place = body.place("on", tuple(on))
+    c, facets = place.values(coefficient, datum), hasattr(place.basis, "normals")
+    known = ["all"]
+    if body.components > 1:
+        known += [*(["n", "t"] if facets else []), *AXES[: body.components]]
+    if along not in known:
+        raise InputError(f"along must be one of {', '.join(known)} here, got {shown(along)}")
+
+    def form(u: Any, v: Any, w: Any) -> Any:
+        if body.components == 1:
+            return c * u * v
+        if along in AXES:
+            return c * u[AXES.index(along)] * v[AXES.index(along)]
+        both = sum(a * b for a, b in zip(u, v, strict=True))
+        if along == "all":
+            return c * both
+        normal = sum(a * n for a, n in zip(u, w.n, strict=True)) * sum(
+            b * n for b, n in zip(v, w.n, strict=True)
+        )
+        return c * (normal if along == "n" else both - normal)
+
+    restricted: sp.csc_array = body.restrict(place.matrix(form))
+    return restricted
+
+
+def _force(
+    body: Discretisation, coefficient: Coefficient, data: Any, history: Phi, on: Sequence[str]
+) -> Force:
+    """A term of the load with the density `data`: one number, one along the normal, or a vector."""
+    place = body.place("on", on)
+    several = isinstance(data, (list, tuple))
+    parts = list(data) if several else [data]
+    if len(parts) != (body.components if several or tuple(on) == (BODY,) else 1):
+        name = coefficient.name
+        raise InputError(f"{name} must have {body.components} components, a list of x, y ...")
+
+    def shape(t: float) -> Array:
+        values = [place.values(coefficient, datum, t) for datum in parts]
+
+        def form(v: Any, w: Any) -> Any:
+            if body.components == 1:
+                return values[0] * v
+            directions = v if several else [sum(a * n for a, n in zip(v, w.n, strict=True))]
+            return sum(c * a for c, a in zip(values, directions, strict=True))
+
+        return np.asarray(body.restrict(place.vector(form)))
+
+    if any(map(in_time, parts)):
+        return lambda t: np.asarray(history(t)) * shape(t)
+    return history, shape(0.0)

@@ -1,7 +1,9 @@
-"""Data that vary in space: a number, one per physical group, a profile, or a Python function."""
+"""Data in space and time: a number, one per group, a profile, a formula, or a Python function."""
 
 from __future__ import annotations
 
+import ast
+import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -10,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.checks import choice, number
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, shown
 from sweepopt.fem.mesh import Indices
 from sweepopt.loads import check_points
 
@@ -19,10 +21,23 @@ Array = NDArray[np.float64]
 DIRECTIONS: dict[str, Callable[[Array], Array]] = {
     "x": lambda x: x[0],
     "y": lambda x: x[1],
+    "z": lambda x: x[2],
     "radius": lambda x: np.hypot(x[0], x[1]),
     "angle": lambda x: np.mod(np.degrees(np.arctan2(x[1], x[0])), 360.0),
 }
 """What a profile may run along; the angle in degrees in [0, 360), from the x axis to the y axis."""
+
+
+def coordinate(argument: str, name: str, x: Array) -> Array:
+    """x, y, z, radius or angle of points, shape (d, ...).
+
+    Raises
+    ------
+    InputError
+        If bodies of this dimension have no such coordinate.
+    """
+    known = {1: ("x",), 2: ("x", "y", "radius", "angle")}.get(len(x), tuple(DIRECTIONS))
+    return DIRECTIONS[choice(argument, name, known)](x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +46,7 @@ class Profile:
 
     Parameters
     ----------
-    along : {"x", "y", "radius", "angle"}
+    along : {"x", "y", "z", "radius", "angle"}
         Radius and angle (degrees in [0, 360)) about the origin.
     at, values : array_like, shape (m,)
         `at` increases strictly and must cover the body where the profile is used.
@@ -60,7 +75,7 @@ class Profile:
         object.__setattr__(self, "values", values)
 
     def __call__(self, x: Array) -> Array:
-        where = DIRECTIONS[self.along](np.asarray(x))
+        where = coordinate("along", self.along, np.asarray(x))
         at, values = np.asarray(self.at), np.asarray(self.values)
         slack = 1e-9 * np.abs(at).max()
         if where.min() < at[0] - slack or where.max() > at[-1] + slack:
@@ -71,8 +86,100 @@ class Profile:
         return np.asarray(np.interp(where, at, values))
 
 
-Datum = float | Mapping[str, float] | Profile | Callable[[Array], ArrayLike]
-"""What an effect takes for a coefficient. A function gets x of shape (2, ...) and returns (...)."""
+Datum = float | str | Mapping[str, float] | Profile | Callable[..., ArrayLike]
+"""What an effect takes for a coefficient. A function gets x of shape (d, ...), and the time if it
+takes two arguments, and returns numbers of shape (...)."""
+
+FUNCTIONS: dict[str, Callable[..., Any]] = {
+    name: getattr(np, name)
+    for name in ("sin", "cos", "tan", "exp", "log", "sqrt", "abs", "minimum", "maximum")
+}
+OPERATORS: dict[type, Callable[..., Any]] = {
+    ast.Add: np.add,
+    ast.Sub: np.subtract,
+    ast.Mult: np.multiply,
+    ast.Div: np.divide,
+    ast.Pow: np.power,
+    ast.USub: np.negative,
+    ast.UAdd: np.positive,
+}
+
+
+class Formula:
+    """Arithmetic in x, y, z, radius, angle, t and pi, such as ``"0.3 * (1 + x**2)"``.
+
+    Parameters
+    ----------
+    text : str
+        Numbers, ``+ - * / **``, brackets, and the functions of `FUNCTIONS`; data, never code.
+
+    Raises
+    ------
+    InputError
+        If there is anything else in it; when called, if the body has no such coordinate.
+
+    Examples
+    --------
+    >>> float(Formula("2 * x + t")(np.array([1.0]), 3.0))
+    5.0
+    """
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        try:
+            self.tree = ast.parse(text, mode="eval").body
+        except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+            raise InputError(f"must be a number or a formula, got {shown(text)}") from error
+        self.names = {node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name)}
+        unknown = self.names - {*DIRECTIONS, *FUNCTIONS, "t", "pi"}
+        if unknown:
+            known = ", ".join([*DIRECTIONS, "t", "pi", *FUNCTIONS])
+            raise InputError(
+                f"must be a number or a formula of {known}, got {shown(min(unknown))} "
+                f"in {shown(text)}"
+            )
+        self(np.ones((3, 1)))
+
+    def __call__(self, x: Array, t: float = 0.0) -> Any:
+        try:
+            with np.errstate(all="ignore"):  # what is no finite number is refused by who asks
+                return self._value(self.tree, np.asarray(x, dtype=float), t)
+        except TypeError as error:
+            raise InputError(f"must be a number or a formula, got {shown(self.text)}") from error
+
+    def _value(self, node: Any, x: Array, t: float) -> Any:
+        match node:
+            case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
+                return np.float64(value)
+            case ast.Name(id="t"):
+                return np.float64(t)
+            case ast.Name(id="pi"):
+                return np.float64(np.pi)
+            case ast.Name(id=name) if name in DIRECTIONS:
+                return coordinate(f"of {shown(self.text)}:", name, x)
+            case ast.UnaryOp(op=op, operand=one) if type(op) in OPERATORS:
+                return OPERATORS[type(op)](self._value(one, x, t))
+            case ast.BinOp(left=one, op=op, right=two) if type(op) in OPERATORS:
+                return OPERATORS[type(op)](self._value(one, x, t), self._value(two, x, t))
+            case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
+                return FUNCTIONS[name](*(self._value(one, x, t) for one in args))
+        raise InputError(f"must be a number or a formula, got {shown(self.text)}")
+
+
+def in_time(datum: Any) -> bool:
+    """Whether a datum is a function of x and t."""
+    if isinstance(datum, str):
+        return "t" in Formula(datum).names
+    if not callable(datum) or isinstance(datum, Profile):
+        return False
+    try:
+        arguments = inspect.signature(datum).parameters.values()
+    except (TypeError, ValueError):  # of a built-in function
+        return False
+    return (
+        sum(one.default is one.empty and one.kind <= one.POSITIONAL_OR_KEYWORD for one in arguments)
+        == 2
+    )
 
 
 class Coefficient(NamedTuple):
@@ -106,18 +213,27 @@ class Coefficient(NamedTuple):
         if isinstance(datum, Mapping):
             for key, value in datum.items():
                 number(f"{self.name}.{key}", value, *limits)
+        elif isinstance(datum, str):
+            try:
+                Formula(datum)
+            except InputError as error:
+                raise InputError(f"{self.name} {error}") from error
         elif not callable(datum):
             number(self.name, datum, *limits)
 
-    def values(self, datum: Datum, points: ArrayLike, groups: Mapping[str, Indices]) -> Array:
+    def values(
+        self, datum: Datum, points: ArrayLike, groups: Mapping[str, Indices], t: float = 0.0
+    ) -> Array:
         """Values at points of cells.
 
         Parameters
         ----------
-        datum : number, mapping, Profile or callable
-        points : array_like, shape (2, cells, ...)
+        datum : number, formula, mapping, Profile or callable
+        points : array_like, shape (d, cells, ...)
         groups : mapping of str to indices of cells
             What a mapping may name; every cell must be covered by exactly one named group.
+        t : float
+            The time, of functions of x and t.
 
         Returns
         -------
@@ -128,13 +244,17 @@ class Coefficient(NamedTuple):
         if isinstance(datum, Mapping):
             self._fill(values, datum, groups)
             return values
+        function: Any = Formula(datum) if isinstance(datum, str) else datum
         try:
-            values[:] = np.asarray(datum(x) if callable(datum) else datum, dtype=float)
+            if callable(function):
+                function = function(x, t) if in_time(datum) else function(x)
+            values[:] = np.asarray(function, dtype=float)
         except InputError as error:
-            raise InputError(f"{self.name}.{error}") from error
+            dot = " " if isinstance(datum, str) else "."
+            raise InputError(f"{self.name}{dot}{error}") from error
         except (TypeError, ValueError, OverflowError) as error:
             raise InputError(
-                f"{self.name} must turn points of shape (2, ...) into numbers of shape (...); "
+                f"{self.name} must turn points of shape (d, ...) into numbers of shape (...); "
                 f"{error}"
             ) from error
         for extreme in (values.min(), values.max()):
@@ -155,5 +275,5 @@ class Coefficient(NamedTuple):
             wrong = [key for key in sorted(groups) if np.any(times[groups[key]] != 1)]
             raise InputError(
                 f"{self.name} must give one value to each cell, but gives none or several in "
-                f"{', '.join(wrong) or 'triangles of no group'}; cover every group once"
+                f"{', '.join(wrong) or 'cells of no group'}; cover every group once"
             )

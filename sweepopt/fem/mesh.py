@@ -1,8 +1,8 @@
-"""Triangle meshes with named boundaries and subdomains, checked before anything is assembled.
+"""Meshes with named boundaries and subdomains, checked before anything is assembled.
 
 Files are read by meshio. What it, scikit-fem or a solver would meet as a singular matrix much later
 (an element without area, a fold, crossed curved edges) is refused here, with its place. Triangles
-of second order keep their curved edges (`MeshTri2`, isoparametric).
+of second order keep their curved edges (`MeshTri2`, isoparametric); tetrahedra have straight ones.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import threading
 import warnings
+from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
@@ -18,7 +19,7 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from sweepopt.checks import bounded
+from sweepopt.checks import bounded, count, listed, number
 from sweepopt.errors import InputError
 from sweepopt.io import as_path, read_bytes
 from sweepopt.linalg import EPS
@@ -28,27 +29,83 @@ Indices = NDArray[np.int64]
 FLAT = 1e-10
 """A height below this share of the longest edge is rounding: at 1e-11 a matrix of P2 elements in
 thin strips is wrong by 1e-4."""
-MESHES = {"triangle": skfem.MeshTri, "triangle6": skfem.MeshTri2}
-"""Meshes by what meshio calls their triangles."""
+MESHES = {
+    "tetra": (skfem.MeshTet, "triangle"),
+    "triangle6": (skfem.MeshTri2, "line3"),
+    "triangle": (skfem.MeshTri, "line"),
+    "line": (skfem.MeshLine, "vertex"),
+}
+"""Meshes, and what their facets are, by what meshio calls their cells; the first in a file."""
+SIDES = (("left", "right"), ("bottom", "top"), ("front", "back"))
+"""Names of the ends of a grid along x, y and z."""
 GROUPS = ("gmsh:physical", "medit:ref")
 """What meshio calls the number of an element's group; 0 is none."""
 OUTPUT = threading.Lock()
 """Held while the output of meshio is caught: there is one stdout for all threads."""
 
 
-def read_mesh(path: str | Path) -> skfem.MeshTri:
-    """Read a mesh of triangles of first or second order.
+def grid(
+    sizes: Sequence[float], cells: Sequence[int], origin: Sequence[float] | None = None
+) -> skfem.Mesh:
+    """An interval, a rectangle of triangles or a box of tetrahedra in equal cells.
+
+    Parameters
+    ----------
+    sizes : sequence of float, shape (d,)
+        Lengths along x, y and z.
+    cells : sequence of int, shape (d,)
+        How many along each; a rectangle is cut in two triangles, a box in six tetrahedra.
+    origin : sequence of float, shape (d,), optional
+        The least x, y and z; 0 by default.
+
+    Returns
+    -------
+    skfem.Mesh
+        With the boundaries left and right (along x), bottom and top (y), front and back (z).
+
+    Raises
+    ------
+    InputError
+        If the lengths are not one to three numbers > 0, or the others are not as many.
+
+    Examples
+    --------
+    >>> sorted(grid([2.0, 1.0], [4, 2]).boundaries)
+    ['bottom', 'left', 'right', 'top']
+    """
+    sizes, cells = listed("sizes", sizes), listed("cells", cells)
+    start = (0.0,) * len(sizes) if origin is None else listed("origin", origin)
+    if not len(sizes) == len(cells) == len(start) <= len(SIDES):
+        raise InputError("sizes, cells and origin must have one entry for each of x, y, z")
+    lines = []
+    for k, (a, size, n) in enumerate(zip(start, sizes, cells, strict=True)):
+        a = number(f"origin[{k}]", a)
+        b = a + number(f"sizes[{k}]", size, 0.0, strict=True)
+        lines.append(np.linspace(a, b, count(f"cells[{k}]", n) + 1))
+    mesh = (skfem.MeshLine, skfem.MeshTri, skfem.MeshTet)[len(lines) - 1].init_tensor(*lines)
+    middles, outer = mesh.p[:, mesh.facets].mean(axis=1), mesh.boundary_facets()
+    boundaries = {}
+    for k, line in enumerate(lines):
+        for name, end in zip(SIDES[k], line[[0, -1]], strict=True):
+            boundaries[name] = outer[np.abs(middles[k, outer] - end) < 0.25 * (line[1] - line[0])]
+    return mesh.with_boundaries(boundaries)
+
+
+def read_mesh(path: str | Path) -> skfem.Mesh:
+    """Read a mesh of intervals, triangles of first or second order, or straight tetrahedra.
 
     Parameters
     ----------
     path : str or Path
-        Gmsh (``.msh``, 2.2 or 4.1) or another format that meshio knows by its suffix.
+        Gmsh (``.msh``, 2.2 or 4.1), or another format that meshio knows by its suffix, such as
+        VTU (``.vtu``) and Abaqus (``.inp``).
 
     Returns
     -------
-    skfem.MeshTri
-        `MeshTri2` for six-node triangles. Physical curves and surfaces are its boundaries and
-        subdomains, by name; a group without a name is called by its number.
+    skfem.Mesh
+        `MeshTri2` for six-node triangles. Physical groups, or sets of elements, of facets and cells
+        are its boundaries and subdomains, by name, and sets of nodes are boundaries too; a group
+        without a name is called by its number.
 
     Raises
     ------
@@ -82,67 +139,100 @@ def read_mesh(path: str | Path) -> skfem.MeshTri:
         raise InputError(f"{what} ({fault:.200})") from error
 
 
-def check_mesh(mesh: skfem.MeshTri) -> None:
-    """Refuse NaN nodes, triangles without area, overlaps and inside-out curved triangles.
+def check_mesh(mesh: skfem.Mesh) -> None:
+    """Refuse NaN nodes, cells without area, overlaps of triangles and inside-out curved triangles.
 
     Raises
     ------
     InputError
-        Naming the triangle (its number in the mesh) and where it is.
+        Naming the cell (its number in the mesh) and where it is, or another kind of mesh.
     """
+    if not isinstance(mesh, (skfem.MeshLine, skfem.MeshTri, skfem.MeshTet)):
+        raise InputError(
+            f"mesh must have intervals, triangles or tetrahedra, not be a {type(mesh).__name__}"
+        )
     bounded("nodes", mesh.doflocs.T, "finite coordinates")
     corners = mesh.p[:, mesh.t]
     edges = corners[:, 1:] - corners[:, :1]
-    area, longest = np.linalg.det(edges.T), np.max(np.hypot(*edges), axis=0)
+    area, longest = np.linalg.det(edges.T), np.linalg.norm(edges, axis=0).max(axis=0)
     rounding = 8 * EPS * np.abs(mesh.p).max()  # of a height, whose ends are rounded nodes
-    flat = np.abs(area) <= np.maximum(FLAT * longest, rounding) * longest
-    _refuse_triangles(mesh, flat, "has no area")
+    least = np.maximum(FLAT * longest, rounding) * longest ** (mesh.dim() - 1)
+    _refuse_cells(mesh, np.abs(area) <= least, "has no area")
+    if mesh.dim() != 2:
+        return
     # triangles to the left of their sides: two on the same side of an edge overlap
     start = np.where(area < 0, mesh.t[::-1], mesh.t).astype(np.int64)
     sides = start * mesh.nvertices + np.roll(start, -1, axis=0)
     _, number, count = np.unique(sides, return_inverse=True, return_counts=True)
     most = count[number].reshape(sides.shape).max(axis=0)
-    _refuse_triangles(mesh, most > 1, "overlaps a neighbour")
+    _refuse_cells(mesh, most > 1, "overlaps a neighbour")
     if isinstance(mesh, skfem.MeshTri2):
         # not by its `detDF`, which raises an error of its own where one is 0
         jacobian = np.linalg.det(mesh.mapping().DF(skfem.ElementTriP2.doflocs.T).T)
         turned = jacobian.min(axis=0) * jacobian.max(axis=0) <= 0.0
-        _refuse_triangles(mesh, turned, "is inverted: its curved edges cross")
+        _refuse_cells(mesh, turned, "is inverted: its curved edges cross")
 
 
-def _mesh_of(raw: meshio.Mesh) -> skfem.MeshTri:
-    """The triangles of a file with its groups."""
+def _mesh_of(raw: meshio.Mesh) -> skfem.Mesh:
+    """The cells of a file with its groups."""
     cells = {kind: nodes for kind, nodes in raw.cells_dict.items() if len(nodes)}
-    surface, line = ("triangle6", "line3") if "triangle6" in cells else ("triangle", "line")
-    if others := set(cells) - {surface, line, "vertex"}:
-        raise InputError(f"only triangles of one order are supported, not {', '.join(others)}")
-    if surface not in cells:
+    cell = next((kind for kind in MESHES if kind in cells), "triangle")
+    kind, facet = MESHES[cell]
+    allowed = {cell, facet, "vertex"} | ({"line"} if cell == "tetra" else set())
+    if others := set(cells) - allowed:
+        raise InputError(
+            "only triangles of one order, straight tetrahedra and intervals are supported, not "
+            f"{', '.join(others)}"
+        )
+    if cell not in cells:
         raise InputError("has no triangles; save the meshed surface in a physical group")
-    used = np.unique(cells[surface])
+    used = np.unique(cells[cell])
     if used[0] < 0 or used[-1] >= len(raw.points):
         raise InputError("is damaged: an element names a node that is not in the file")
-    points, t = np.asarray(raw.points[used], float), np.searchsorted(used, cells[surface])
+    points, t = np.asarray(raw.points[used], float), np.searchsorted(used, cells[cell])
     bounded("nodes", points, "finite coordinates")
-    if np.any(np.ptp(points[:, 2:], axis=0) > 1e-9 * np.ptp(points[:, :2])):
-        raise InputError("is not flat: z varies; the section must lie in a plane z = constant")
-    nodes = np.ascontiguousarray(points[:, :2].T)
-    mesh = MESHES[surface](nodes, np.ascontiguousarray(t.T))
+    d = kind.elem.refdom.dim()
+    if np.any(np.ptp(points[:, d:], axis=0) > 1e-9 * np.ptp(points[:, :d])):
+        raise InputError(
+            "is not flat: z varies; the section must lie in a plane z = constant"
+            if d == 2
+            else "has no triangles, and its lines are no bar along x; save the body in a group"
+        )
+    nodes = np.ascontiguousarray(points[:, :d].T)
+    mesh = kind(nodes, np.ascontiguousarray(t.T))
     # scikit-fem keeps one middle of an edge
-    if not np.array_equal(mesh.doflocs[:, mesh.dofs.element_dofs[3:]], nodes[:, t.T[3:]]):
+    if d == 2 and not np.array_equal(
+        mesh.doflocs[:, mesh.dofs.element_dofs[3:]], nodes[:, t.T[3:]]
+    ):
         raise InputError("is damaged: the edges of its triangles have not one middle node each")
     check_mesh(mesh)
 
-    corners, lines = np.unique(cells[surface][:, :3]), cells.get(line, np.empty((0, 2), int))
-    edges, wanted = (
-        np.sort(pairs, axis=1).astype(np.int64) @ [len(raw.points), 1]
-        for pairs in (corners[mesh.facets.T], lines[:, :2])
-    )
-    boundaries = _groups(raw, 1, line)
+    corners = np.unique(cells[cell][:, : d + 1])
+    vertex = np.full(len(raw.points), -1)  # in the mesh, of a point of the file
+    vertex[corners] = np.arange(corners.size)
+    wanted = _keys(vertex[cells.get(facet, np.empty((0, d), int))[:, :d]], mesh)
+    keys = _keys(mesh.facets.T, mesh)
+    order = np.argsort(keys)
+    boundaries = _groups(raw, d - 1, facet)
     for name, members in boundaries.items():
-        if not np.isin(wanted[members], edges).all():
-            raise InputError(f"physical curve {name!r} has a line that is no edge of a triangle")
-        boundaries[name] = np.unique(np.searchsorted(edges, wanted[members]))
-    return mesh.with_boundaries(boundaries).with_subdomains(_groups(raw, 2, surface))
+        at = np.minimum(np.searchsorted(keys, wanted[members], sorter=order), keys.size - 1)
+        if (keys[order[at]] != wanted[members]).any():
+            what = ("point", "curve", "surface")[d - 1]
+            raise InputError(f"physical {what} {name!r} has a line that is no edge of a triangle")
+        boundaries[name] = np.unique(order[at])
+    for name, members in raw.point_sets.items():
+        inside = np.isin(mesh.facets, vertex[np.asarray(members, dtype=int)]).all(axis=0)
+        outer = inside & (mesh.f2t[1] < 0)
+        if name not in boundaries and outer.any():
+            boundaries[name] = np.flatnonzero(outer)
+    return mesh.with_boundaries(boundaries).with_subdomains(_groups(raw, d, cell))
+
+
+def _keys(corners: Indices, mesh: skfem.Mesh) -> Indices:
+    """One number for the corners of each facet, whatever their order."""
+    ordered = np.sort(corners, axis=1).astype(np.int64)
+    powers = np.int64(mesh.nvertices + 1) ** np.arange(ordered.shape[1], dtype=np.int64)
+    return np.asarray((ordered + 1) @ powers)
 
 
 def _groups(raw: meshio.Mesh, dimension: int, kind: str) -> dict[str, Indices]:
@@ -159,14 +249,15 @@ def _groups(raw: meshio.Mesh, dimension: int, kind: str) -> dict[str, Indices]:
     names = {tuple(np.ravel(value)): name for name, value in raw.field_data.items()}
     for key in GROUPS:
         numbers = np.abs(raw.cell_data_dict.get(key, {}).get(kind, []))
-        for number in np.setdiff1d(numbers, 0).tolist():
-            name = names.get((number, dimension), str(number))
-            groups.setdefault(name, np.flatnonzero(numbers == number))
+        for tag in np.setdiff1d(numbers, 0).tolist():
+            name = names.get((tag, dimension), str(tag))
+            groups.setdefault(name, np.flatnonzero(numbers == tag))
     return groups
 
 
-def _refuse_triangles(mesh: skfem.MeshTri, bad: NDArray[np.bool_], fault: str) -> None:
+def _refuse_cells(mesh: skfem.Mesh, bad: NDArray[np.bool_], fault: str) -> None:
     if np.any(bad):
         k = int(np.argmax(bad))
-        x, y = mesh.p[:, mesh.t[:, k]].mean(axis=1)
-        raise InputError(f"triangle {k} near ({x:g}, {y:g}) {fault}; repair the mesh")
+        place = ", ".join(f"{x:g}" for x in mesh.p[:, mesh.t[:, k]].mean(axis=1))
+        what = ("interval", "triangle", "tetrahedron")[mesh.dim() - 1]
+        raise InputError(f"{what} {k} near ({place}) {fault}; repair the mesh")

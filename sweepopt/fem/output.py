@@ -149,9 +149,11 @@ def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:
 def _largest(report: Report) -> dict[str, Any]:
     """The largest displacement, with its time and place."""
     body, solution = report.scene.discretisation, report.solution
-    size = np.abs(solution.u)
+    size = np.abs(solution.u[:, : body.dim])
+    if body.components > 1:
+        size = np.linalg.norm(body.expand(solution.u[:, : body.dim]), axis=2)
     when, where = np.unravel_index(int(np.argmax(size)), size.shape)
-    point = body.points[body.free[where]]
+    point = body.points[where if body.components > 1 else body.free[where]]
     return {"value": size[when, where], "time": solution.t[when], "point": point}
 
 
@@ -200,23 +202,35 @@ def dataset_of(report: Report) -> xr.Dataset:
     scene, solution, slip, energy = report.scene, report.solution, report.slip, report.energy
     body, units = scene.discretisation, report.units
     # dimensions, quantity, values and description of what is added to the solution's own
-    u, velocity = body.expand(solution.u), body.expand(solution.velocity)
+    u, velocity = (body.expand(x[:, : body.dim]) for x in (solution.u, solution.velocity))
+    vector = " component" if body.components > 1 else ""
+    of_what = "" if vector else " out of the plane"
     rows: dict[str, tuple[str, str, Any, str]] = {
-        "displacement": ("time node", "length", u, "displacement out of the plane"),
-        "velocity": ("step node", "velocity", velocity, "velocity out of the plane in each step"),
+        "displacement": (f"time node{vector}", "length", u, f"displacement{of_what}"),
+        "velocity": (
+            f"step node{vector}",
+            "velocity",
+            velocity,
+            f"velocity{of_what} in each step",
+        ),
         "mesh": ("", "", np.int32(0), "mesh of triangles; a quadratic element counts as four"),
         "triangles": ("triangle corner", "", np.int32(body.triangles), "nodes of each triangle"),
-        "x": ("node", "length", body.points[:, 0], "x coordinate of the node"),
-        "y": ("node", "length", body.points[:, 1], "y coordinate of the node"),
+        **{
+            axis: ("node", "length", place, f"{axis} coordinate of the node")
+            for axis, place in zip("xyz", body.points.T, strict=False)
+        },
         "energy_stored": ("time", "energy", energy.stored, "change of elastic energy, per length"),
         "energy_viscous": ("time", "energy", energy.viscous, "lost to viscosity, per length"),
         "energy_friction": ("time", "energy", energy.friction, "lost to friction, per length"),
         "energy_work": ("time", "energy", energy.work, "work of the loads, per length"),
     }
+    if not body.triangles.size:  # a bar has no faces
+        del rows["mesh"], rows["triangles"]
     if slip is not None:
         contact, names = slip.contact, slip.contact.boundary.astype(object)
+        along = " component" if contact.unknown.ndim > 1 else ""
         rows |= {
-            "contact_node": ("contact", "", body.free[contact.unknown], "node of the contact"),
+            "contact_node": ("contact", "", contact.node, "node of the contact"),
             "boundary": ("contact", "", names, "boundary of the contact node"),
             "arc_length": ("contact", "length", contact.arc, "arc length along the boundaries"),
             "contact_weight": ("contact", "length", contact.weight, "length of its boundary"),
@@ -226,17 +240,25 @@ def dataset_of(report: Report) -> xr.Dataset:
                 contact.threshold,
                 "force at which it slips, w g",
             ),
-            "traction": ("step contact", "traction", slip.traction, "friction, against the slip"),
+            "traction": (
+                f"step contact{along}",
+                "traction",
+                slip.traction,
+                "friction, against the slip",
+            ),
             "slip_state": ("step contact", "", slip.state, "direction of slip, 0 where it sticks"),
         }
     run = solution.to_xarray().drop_dims("unknown")
     for name, (dims, quantity, values, words) in rows.items():
         attributes = {"long_name": words, "units": units.get(quantity, "1")}
-        run[name] = dims.split(), values, attributes | ATTRIBUTES.get(name, {})
+        more = ATTRIBUTES.get(name, {})
+        if more is FIELD and "mesh" not in rows:
+            more = {}
+        run[name] = dims.split(), values, attributes | more
     for name in ("time", "certificate", "viability"):
         run[name].attrs["units"] = units[name]
     run.step_end.attrs["units"] = units["time"]
-    coordinates = {"x", "y", "contact_node", "boundary", "arc_length"} & set(run)
+    coordinates = {"x", "y", "z", "contact_node", "boundary", "arc_length"} & set(run)
     return run.set_coords(coordinates).assign_attrs(
         title=scene.title or report.name or "An antiplane problem",
         Conventions="CF-1.11 UGRID-1.0",
@@ -262,11 +284,11 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
         The series first.
     """
     solution, body = report.solution, report.scene.discretisation
-    cells = body.basis.element_dofs.T
-    mesh = meshio.Mesh(
-        np.pad(body.points, ((0, 0), (0, 1))),
-        {"triangle6" if body.element == "P2" else "triangle": cells},
+    cells, d = body.scalar.element_dofs.T, body.mesh.dim()
+    kind = (
+        ("line3", "triangle6", "tetra10") if body.element == "P2" else ("line", "triangle", "tetra")
     )
+    mesh = meshio.Mesh(np.pad(body.points, ((0, 0), (0, 3 - d))), {kind[d - 1]: cells})
     if body.mesh.subdomains:
         material = np.zeros(len(cells), dtype=np.int32)
         for k, members in enumerate(body.mesh.subdomains.values(), start=1):
@@ -276,10 +298,12 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     last, times = len(solution.steps), {}
     for i in [*range(0, last, -(-last // (MOST_VTU - 1))), last]:
-        mesh.point_data = {
-            "displacement": body.expand(solution.u[i]),
-            "velocity": body.expand(solution.velocity[max(i - 1, 0)]),
-        }
+        states = {"displacement": solution.u[i], "velocity": solution.velocity[max(i - 1, 0)]}
+        mesh.point_data = {name: body.expand(x[: body.dim]) for name, x in states.items()}
+        if 1 < body.components < 3:  # ParaView's vectors have three components
+            mesh.point_data = {
+                name: np.pad(x, ((0, 0), (0, 3 - d))) for name, x in mesh.point_data.items()
+            }
         path = folder / f"step_{i:06d}.vtu"
         with io.replacing(path) as part:
             mesh.write(part, file_format="vtu", compression="zlib")

@@ -15,7 +15,7 @@ STATE_COLOURS = {-1: "#0072B2", 0: STICK, 1: "#D55E00"}
 
 
 def displacement_figure(report: Report) -> Any:
-    """The displacement at a few times, with the slip zone on the contact boundary.
+    """The displacement at a few times, with the slip zone, of a body in the plane.
 
     Up to six: when slip starts, when most of the contact slips forward or backward, the largest and
     the least displacement, and the end.
@@ -26,10 +26,15 @@ def displacement_figure(report: Report) -> Any:
     """
     solution, slip, body = report.solution, report.slip, report.scene.discretisation
     indices = _informative(solution, slip)
-    fields = body.expand(solution.u[indices])
+    fields = body.expand(solution.u[indices, : body.dim])
+    name = "displacement"
+    colours: dict[str, Any] = {"cmap": "PRGn", "vmin": -1.0, "shading": "gouraud"}
+    if body.components > 1:
+        fields, name = np.linalg.norm(fields, axis=2), "displacement, its length"
+        colours |= {"cmap": "viridis", "vmin": 0.0}
     limit = float(np.abs(fields).max()) or 1.0
-    colours = {"cmap": "PRGn", "vmin": -limit, "vmax": limit, "shading": "gouraud"}
-    edges = body.points[body.edge_nodes(body.mesh.boundary_facets()).T]
+    colours |= {"vmin": limit * colours["vmin"], "vmax": limit}
+    edges = body.points[body.facet_nodes(body.mesh.boundary_facets()).T]
     outline = np.pad(edges, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan).reshape(-1, 2)
     figure, panels = _page(np.ptp(body.points, axis=0), len(indices))
     for panel, i, field in zip(panels.flat, indices, fields, strict=False):
@@ -45,7 +50,7 @@ def displacement_figure(report: Report) -> Any:
         panel.set_title(title, fontsize="medium")
         panel.set(aspect="equal", xlabel="x", ylabel="y")
         panel.label_outer()
-    bar = figure.colorbar(image, ax=panels, label="displacement", shrink=0.8)
+    bar = figure.colorbar(image, ax=panels, label=name, shrink=0.8)
     _show_units(report, "length", panels[0, 0].xaxis, panels[0, 0].yaxis, bar.ax.yaxis)
     if slip is not None:
         _state_legend(figure)

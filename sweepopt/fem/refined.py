@@ -16,10 +16,11 @@ from sweepopt.errors import InputError
 
 MOST_TRIANGLES = 10_000_000
 """Of a refined mesh: ten times those of the largest runs that were measured."""
+CELLS = {1: "intervals", 2: "triangles", 3: "tetrahedra"}
 
 
-def refined(mesh: skfem.MeshTri, times: int) -> skfem.MeshTri:
-    """The mesh with each of its triangles divided `times` times, with its names.
+def refined(mesh: skfem.Mesh, times: int) -> skfem.Mesh:
+    """The mesh with each of its cells divided `times` times, with its names.
 
     Raises
     ------
@@ -28,10 +29,10 @@ def refined(mesh: skfem.MeshTri, times: int) -> skfem.MeshTri:
     """
     if not times:
         return mesh
-    most = max(int(np.log2(MOST_TRIANGLES / mesh.nelements) / 2), 0)
+    most = max(int(np.log2(MOST_TRIANGLES / mesh.nelements) / mesh.dim()), 0)
     if times > most:
         raise InputError(
-            f"refinements: {times} of {mesh.nelements} triangles make more than "
+            f"refinements: {times} of {mesh.nelements} {CELLS[mesh.dim()]} make more than "
             f"{MOST_TRIANGLES:.0e} of them; take at most {most}"
         )
     if not isinstance(mesh, skfem.MeshTri2):

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.sparse as sp
 import skfem
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.checks import choice, listed, number
 from sweepopt.errors import InputError, shown
-from sweepopt.fem.contact import Contact
-from sweepopt.fem.effects import Contribution, Effect
+from sweepopt.fem.contact import Contact, dissipation, merged
+from sweepopt.fem.effects import Contribution, Effect, Force, Friction
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.integrate import schemes
 from sweepopt.loads import Separable
-from sweepopt.problem import EvolutionVI
-from sweepopt.sets import Point
+from sweepopt.problem import EvolutionVI, SweepingProcess
+from sweepopt.sets import MovingSet, Point
 from sweepopt.velocity import solvers
 
 if TYPE_CHECKING:
@@ -31,15 +32,15 @@ UNITS = ("dimensionless", "SI")
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """An antiplane problem with its mesh and settings, as `antiplane` and `read_scene` build it.
+    """A problem with its mesh and settings, as `body`, `antiplane` and `read_scene` build it.
 
     Attributes
     ----------
-    problem : EvolutionVI
-        A, B, load, dissipation and u0 on the unknowns.
+    problem : EvolutionVI or SweepingProcess
+        A, B, load, dissipation and u0 on the unknowns; where the dissipation moves, a process.
     discretisation : Discretisation
     contact : Contact or None
-        The unknowns with friction; None without friction.
+        The nodes with friction; None without friction.
     effects : tuple of Effect
     left_out : tuple of str
         A sentence for each thing the scene does not name and the problem therefore does not have.
@@ -49,9 +50,11 @@ class Scene:
         Arguments of `sweepopt.solve`.
     units : {"dimensionless", "SI"}
     title : str
+    force : callable or None
+        f(t), shape (dim,); None is no load.
     """
 
-    problem: EvolutionVI
+    problem: EvolutionVI | SweepingProcess
     discretisation: Discretisation
     contact: Contact | None
     effects: tuple[Effect, ...]
@@ -63,6 +66,16 @@ class Scene:
     tol: float = 1e-6
     units: str = "dimensionless"
     title: str = ""
+    force: Callable[[float], Any] | None = None
+
+    @property
+    def process(self) -> SweepingProcess:
+        """The problem as a sweeping process."""
+        return self.problem.as_sweeping()
+
+    def load(self, t: float) -> NDArray[np.float64]:
+        """f(t), shape (dim,)."""
+        return np.zeros(self.problem.dim) if self.force is None else np.asarray(self.force(t))
 
     def solve(self, **changes: Any) -> Solution:
         """`sweepopt.solve` with the scene's settings; keywords replace or add arguments."""
@@ -74,7 +87,7 @@ class Scene:
 
 
 def antiplane(
-    mesh: skfem.MeshTri | str | Path,
+    mesh: skfem.Mesh | str | Path,
     *,
     clamped: str | Sequence[str],
     effects: Sequence[Effect],
@@ -93,12 +106,12 @@ def antiplane(
 
     Parameters
     ----------
-    mesh : skfem.MeshTri, str or Path
+    mesh : skfem.Mesh, str or Path
         With named boundaries; a path is read by `read_mesh`. `skfem.MeshTri2` has curved edges.
     clamped : str or sequence of str
         Names of the boundaries that make up Gamma_1.
     effects : sequence of Effect
-        A viscosity, and at most one friction; all others are optional.
+        A viscosity; all others are optional.
     element : {"P1", "P2"}
     refinements : int
         How often each triangle of the mesh is divided into four.
@@ -129,12 +142,55 @@ def antiplane(
     >>> scene.left_out
     ('no elasticity: B is not formed', 'no load: f = 0')
     """
+    space = Discretisation(mesh, clamped, element, refinements)
+    return body(space, effects, u0, t_end, steps, scheme, solver, tol, units, title)
+
+
+def body(
+    space: Discretisation,
+    effects: Sequence[Effect],
+    u0: ArrayLike | None = None,
+    t_end: float | None = None,
+    steps: int | None = None,
+    scheme: str = "auto",
+    solver: str = "auto",
+    tol: float = 1e-6,
+    units: str = "dimensionless",
+    title: str = "",
+) -> Scene:
+    """A body with effects: antiplane, in plane strain or stress, or solid, as the space says.
+
+    Parameters
+    ----------
+    space : Discretisation
+    effects : sequence of Effect
+        Of each kind as many as there are; A from viscosity or dashpots is asked for.
+    u0, t_end, steps, scheme, solver, tol, units, title
+        As for `antiplane`.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    InputError
+        Naming the argument, or the effect and its field, at fault.
+
+    Examples
+    --------
+    >>> from sweepopt.fem import Dashpot, Discretisation, Foundation, Friction, body, grid
+    >>> sheet = Discretisation(grid([2.0, 1.0], [4, 2]), (), kind="plane stress")
+    >>> effects = [Dashpot("body", 1.0), Foundation("body", 2.0), Friction("body", g=0.5)]
+    >>> scene = body(sheet, effects)
+    >>> scene.discretisation.dim, len(scene.contact)
+    (30, 15)
+    """
     labelled = {f"effects[{k}]": effect for k, effect in enumerate(listed("effects", effects))}
     if t_end is not None:
         t_end = number("t_end", t_end, minimum=0.0, strict=True)
-    body = Discretisation(mesh, clamped, element, refinements)
     settings = {"t_end": t_end, "steps": steps, "units": units, "title": title}
-    return build(body, labelled, u0, settings | method(scheme, solver, tol))
+    return build(space, labelled, u0, settings | method(scheme, solver, tol))
 
 
 def method(scheme: str = "auto", solver: str = "auto", tol: float = 1e-6) -> dict[str, Any]:
@@ -145,7 +201,7 @@ def method(scheme: str = "auto", solver: str = "auto", tol: float = 1e-6) -> dic
 
 
 def build(
-    body: Discretisation,
+    space: Discretisation,
     effects: Mapping[str, Effect],
     u0: ArrayLike | None,
     settings: Mapping[str, Any],
@@ -155,50 +211,124 @@ def build(
     title = settings["title"]
     if not isinstance(title, str) or not title.replace("\n", " ").isprintable():
         raise InputError(f"title must be text, got {shown(title)}; leave out control characters")
-    parts = [_contribution(label, effects[label], body, settings["t_end"]) for label in effects]
-    A, B, loads, contacts = (
-        [one for part in parts if (one := getattr(part, name)) is not None]
-        for name in ("A", "B", "load", "contact")
-    )
-    if not A:
-        raise InputError("effects must hold a viscosity: without it a is not coercive")
-    if len(contacts) > 1:
-        raise InputError("effects hold friction twice; name all boundaries in one, g by boundary")
-    problem = EvolutionVI(
-        sum(A),
-        sum(B) if B else None,
-        load=Separable(loads) if loads else None,
-        dissipation=contacts[0].dissipation(body.dim) if contacts else None,
-        u0=np.zeros(body.dim) if u0 is None else u0,
-    )
+    rubs = [one.on for one in effects.values() if isinstance(one, Friction)]
+    boundaries = space.mesh.boundaries or {}
+    turned = [name for on in rubs for name in on if name in boundaries]
+    if turned and space.components > 1:
+        space = space.with_turned(turned)
+    parts = [_contribution(label, effects[label], space, settings["t_end"]) for label in effects]
+    A, B = (_sum(space.dim, parts, name) for name in "AB")
+    loads = [load for part in parts for load in part.loads]
+    yields = [one for part in parts for one in part.yields]
+    if A is None:
+        raise InputError("effects must hold a viscosity or a dashpot: without it a is not coercive")
+    _check_held(space, A, B)
+    size, force = A.shape[0], _force(loads)
+    start = np.zeros(size) if u0 is None else u0
+    problem: EvolutionVI | SweepingProcess
+    if any(callable(one.g) for one in yields):
+        shapes = MovingSet(lambda t: -dissipation(yields, t), size)
+        C = shapes if force is None else MovingSet(lambda t: shapes.at(t) + force(t), size)
+        problem = SweepingProcess(A, B, C, start)
+    else:
+        D = dissipation(yields) if yields else None
+        problem = EvolutionVI(A, B, load=force, dissipation=D, u0=start)
     terms = {
-        "no elasticity: B is not formed": B,
-        "no friction: no set and no optimiser, a step is one linear solve": contacts,
+        "no elasticity: B is not formed": B is not None,
+        "no friction: no set and no optimiser, a step is one linear solve": yields,
         "no load: f = 0": loads,
     }
     return Scene(
         problem=problem,
-        discretisation=body,
-        contact=contacts[0] if contacts else None,
+        discretisation=space,
+        contact=merged([one.contact for one in yields if one.contact is not None]),
         effects=tuple(effects.values()),
         left_out=tuple(sentence for sentence, present in terms.items() if not present),
+        force=force,
         **settings,
     )
 
 
 def _contribution(
-    label: str, effect: Effect, body: Discretisation, t_end: float | None
+    label: str, effect: Effect, space: Discretisation, t_end: float | None
 ) -> Contribution:
     """What an effect adds; its history must cover the run."""
     if isinstance(effect, type) or not hasattr(effect, "contribute"):
         raise InputError(f"{label} is no effect such as Viscosity(1.0): {shown(effect)}")
     with at_path(label):
-        part = effect.contribute(body)
-    if part.load is not None and t_end is not None:
+        part = effect.contribute(space)
+    if (history := getattr(effect, "history", None)) is not None and t_end is not None:
         with at_path(f"{label}.history"):
             for t in (0.0, t_end):
-                part.load[0](t)
+                history(t)
     return part
+
+
+def _sum(dim: int, parts: Sequence[Contribution], name: str) -> sp.csc_array | None:
+    """The sum of the effects' matrices; internal unknowns follow those of the body in order."""
+    size, first, terms = dim + sum(part.internal for part in parts), dim, []
+    for part in parts:
+        matrix = getattr(part, name)
+        if matrix is not None:
+            if size > dim:
+                own = np.arange(first, first + part.internal)
+                at = np.concatenate([np.arange(dim), own])[: matrix.shape[0]]
+                entries = sp.coo_array(matrix)
+                places = at[entries.row], at[entries.col]
+                matrix = sp.csc_array((entries.data, places), shape=(size, size))
+            terms.append(matrix)
+        first += part.internal
+    return sum(terms[1:], terms[0]) if terms else None
+
+
+def _force(loads: Sequence[Force]) -> Any:
+    """The sum of the terms; data where all of them are."""
+    terms = [one for one in loads if not callable(one)]
+    functions = [one for one in loads if callable(one)]
+    separable = Separable(terms) if terms else None
+    if not functions:
+        return separable
+    return lambda t: sum(one(t) for one in functions) + (separable(t) if separable else 0.0)
+
+
+def _check_held(space: Discretisation, A: Any, B: Any) -> None:
+    """Refuse a piece of the body that can move without any force.
+
+    Of each piece the motions are taken that strain nothing (translations, and rotations of
+    vectors), and A + B on those that are not held.
+    """
+    M = A if B is None else A + B
+    cells, size = space.scalar.element_dofs, space.scalar.N
+    rows = np.repeat(cells[:1], len(cells), axis=0).ravel()
+    graph = sp.coo_array((np.ones(rows.size), (rows, cells.ravel())), shape=(size, size))
+    count, piece = sp.csgraph.connected_components(graph, directed=False)
+    d, points = space.components, space.points
+    for k in range(count):
+        nodes = np.flatnonzero(piece == k)
+        x = points[nodes] - points[nodes].mean(axis=0)
+        x = x / (np.abs(x).max() or 1.0)
+        modes = [np.where(np.arange(d)[:, None] == i, 1.0, np.zeros(len(x))) for i in range(d)]
+        for i in range(d):
+            for j in range(i):
+                turn = np.zeros((d, len(x)))
+                turn[i], turn[j] = x[:, j], -x[:, i]
+                modes.append(turn)
+        full = np.zeros((space.basis.N, len(modes)))
+        for column, mode in zip(full.T, modes, strict=True):
+            column[space.nodes[:, nodes]] = mode
+        T = space.frame.T
+        full = full if T is None else T.T @ full
+        free = full[space.free]
+        held = np.delete(full, space.free, axis=0)
+        scale = np.abs(M[: space.dim, : space.dim]).max() or 1.0
+        gram = held.T @ held + free.T @ (M[: space.dim, : space.dim] @ free) / scale
+        if np.linalg.eigvalsh(gram)[0] <= 1e-12 * len(x):
+            place = ", ".join(f"{value:g}" for value in points[nodes[0]])
+            raise InputError(
+                f"clamped: nothing holds the piece of the body with the point ({place}); clamp "
+                "part of every piece, hold components, or give it a foundation or a dashpot (a "
+                "must be coercive)"
+            )
 
 
 @contextmanager

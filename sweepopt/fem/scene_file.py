@@ -16,13 +16,17 @@ from sweepopt.checks import choice, count, number
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.effects import (
     BodyForce,
+    Dashpot,
     Effect,
     Elasticity,
+    Foundation,
     Friction,
+    PointForce,
     Traction,
     Viscosity,
 )
 from sweepopt.fem.fields import Profile
+from sweepopt.fem.mesh import grid
 from sweepopt.fem.scene import Scene, at_path, build, method
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.io import as_path, find_scene, parse_toml, read_toml
@@ -31,9 +35,12 @@ from sweepopt.loads import Constant, Sine, Table, Triangle, check_points
 EFFECTS: dict[str, type] = {
     "viscosity": Viscosity,
     "elasticity": Elasticity,
+    "dashpot": Dashpot,
+    "foundation": Foundation,
     "friction": Friction,
     "body_force": BodyForce,
     "traction": Traction,
+    "point_force": PointForce,
 }
 """Effects by the name of their table in a scene file."""
 
@@ -78,8 +85,12 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
 
         title = "..."                   # optional; units = "SI" or "dimensionless" (default)
         [domain]
-        mesh = "tube.msh"               # Gmsh, physical groups by name
+        mesh = "tube.msh"               # Gmsh, VTU, Abaqus; groups by name
+        # mesh = { sizes = [2.0, 1.0], cells = [20, 10] }: sides left, right, bottom, top (front,
+        # back); one size is an interval, three are a box
+        kind = "antiplane"              # or "plane strain", "plane stress", "solid"
         clamped = "bonded"              # a name or a list; "clamped" if not given
+        held = { foot = "y" }           # components: letters of x, y, z, n, t, or "all"
         element = "P1"                  # or "P2"
         refinements = 0                 # of the mesh: each divides a triangle into four
         [time]
@@ -93,14 +104,16 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
         [effects.friction]
         on = "contact"
         g = 0.3
-        [[effects.traction]]            # a table, or several
+        [[effects.traction]]            # a table, several, or [effects.traction.NAME]
         on = "outer"
         history = { csv = "loads.csv", column = "f2" }
         [effects.body_force]
         f0 = 2.0
         history = { waveform = "sine", amplitude = 1.0, period = 4.0 }
 
-    Other histories: ``{ waveform = "triangle", amplitude, period }``,
+    Data in space are numbers, tables by group or along a line, or formulas such as
+    ``"0.3 * (1 + x**2)"`` in x, y, z, radius, angle, and t where a load or a bound moves; vectors
+    are lists. Other histories: ``{ waveform = "triangle", amplitude, period }``,
     ``{ waveform = "constant", value }``, ``{ table = { t = [...], values = [...] } }``.
 
     Examples
@@ -149,6 +162,8 @@ def _called(kind: Callable[..., Any], table: Any, path: str, folder: Path) -> An
 
 def _value(key: str, value: Any, path: str, folder: Path) -> Any:
     """A value of a table: files are relative to the folder, tables become records."""
+    if key == "mesh" and isinstance(value, Mapping):
+        return _called(grid, value, path, folder)
     if key in ("mesh", "csv"):
         return folder / as_path(path, value)
     if key == "history":
@@ -167,14 +182,24 @@ def _effects(tables: Any, folder: Path) -> dict[str, Effect]:
         path = f"effects.{name}"
         if name not in EFFECTS:
             raise InputError(f"{path}: unknown key; there are: {', '.join(EFFECTS)}")
-        several = (
-            {f"{path}[{k}]": one for k, one in enumerate(table)}
-            if isinstance(table, list)
-            else {path: table}
-        )
+        several = {path: table}
+        if isinstance(table, list):
+            several = {f"{path}[{k}]": one for k, one in enumerate(table)}
+        elif _are_named(EFFECTS[name], table):
+            several = {f"{path}.{key}": one for key, one in table.items()}
         for label, one in several.items():
             effects[label] = _called(EFFECTS[name], one, label, folder)
     return effects
+
+
+def _are_named(kind: type, table: Any) -> bool:
+    """Whether a table has several effects by name: tables, none of them a key of the effect."""
+    return (
+        isinstance(table, Mapping)
+        and len(table) > 0
+        and all(isinstance(one, Mapping) for one in table.values())
+        and not set(table) & set(signature(kind).parameters)
+    )
 
 
 def _history(table: Any, path: str, folder: Path) -> Any:

@@ -1,141 +1,241 @@
-"""The finite element space V_h = { v in H^1 : v = 0 on Gamma_1 } and the forms on it.
+"""The finite element space, its unknowns, and integrals on it.
 
-a(u, v) = int_Omega c grad u . grad v      (c = eta or kappa)
-<f, v>  = int_Omega f0 v,   int_{Gamma_2} f2 v
+A body is antiplane (u is a number: the displacement out of a section, or along a bar), in plane
+strain, in plane stress, or solid (u is a vector). Components are held to zero on named boundaries;
+on boundaries with friction the components at a node are the normal and the tangents, so that
+contact holds a component and friction acts on unknowns.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from math import factorial
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 import skfem
 from numpy.typing import ArrayLike, NDArray
-from skfem.helpers import dot, grad
+from scipy.integrate import newton_cotes
 
 from sweepopt.checks import choice, count, floats, listed
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import Coefficient, Datum
+from sweepopt.fem.frames import Frame, frame_of
 from sweepopt.fem.mesh import Indices, check_mesh, read_mesh
 from sweepopt.fem.refined import nested, refined
 from sweepopt.io import as_path
 
 Array = NDArray[np.float64]
 
-ELEMENTS = {"P1": skfem.ElementTriP1(), "P2": skfem.ElementTriP2()}
+KINDS = {"antiplane": (1, 2), "plane strain": (2,), "plane stress": (2,), "solid": (3,)}
+"""Dimensions of the mesh of each kind of body."""
+ELEMENTS: dict[str, tuple[skfem.Element, ...]] = {
+    "P1": (skfem.ElementLineP1(), skfem.ElementTriP1(), skfem.ElementTetP1()),
+    "P2": (skfem.ElementLineP2(), skfem.ElementTriP2(), skfem.ElementTetP2()),
+}
+"""Elements on meshes of dimension 1, 2 and 3."""
 SPLIT = {"P1": [[0, 1, 2]], "P2": [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]}
 """Local points of the linear triangles that draw one element."""
+BODY = "body"
+"""What effects call the whole of it, where no boundary or subdomain has that name."""
+AXES = "xyz"
 
 
 @dataclass(frozen=True, eq=False)
 class Discretisation:
-    """Continuous piecewise polynomials on a mesh, zero on the clamped boundary.
+    """Continuous piecewise polynomials on a mesh, with components held to zero on boundaries.
 
     Parameters
     ----------
-    mesh : skfem.MeshTri, str or Path
-        `MeshTri2` for curved edges; a path is read by `read_mesh`.
+    mesh : skfem.Mesh, str or Path
+        Of intervals, triangles or tetrahedra, as the kind needs; `MeshTri2` for curved edges; a
+        path is read by `read_mesh`.
     clamped : str or sequence of str
-        Names of the boundaries that make up Gamma_1.
+        Names of the boundaries that make up Gamma_1, where all components are held; "clamped" by
+        default, none where `held` says what is.
     element : {"P1", "P2"}
     refinements : int
-        How often each triangle is divided into four. Curved edges stay as they are: the functions
-        of a mesh are functions of the finer ones.
+        How often each cell is divided (a triangle into four). Curved edges stay as they are: the
+        functions of a mesh are functions of the finer ones.
+    kind : {"antiplane", "plane strain", "plane stress", "solid"}
+    held : mapping of str to str
+        Components that are zero on a boundary: letters of "xyz", "n" (normal), "t" (all tangents),
+        such as ``{"axis": "n", "foot": "xy"}``, or "all". At a node the normal is the mean of
+        those of the boundary's facets.
+    turned : sequence of str
+        Boundaries where the unknowns of a node are the components along its normal and its
+        tangents; scenes turn those with friction.
 
     Attributes
     ----------
     dim : int
         Number of unknowns.
+    components : int
+        Of the displacement: 1 for "antiplane", else the dimension of the mesh.
     free : ndarray, shape (dim,)
-        Which of the N points carry an unknown, increasing.
-    points : ndarray, shape (N, 2)
-        Where all degrees of freedom sit, clamped ones too.
+        Which degrees of freedom of the frames are unknowns, increasing.
+    points : ndarray, shape (N, d)
+        Where the nodes sit, held ones too.
     triangles : ndarray, shape (m, 3)
-        Linear triangles through `points`, for pictures; a quadratic element counts as four.
+        Linear triangles through `points`, for pictures, of a solid those of its surface; a
+        quadratic element counts as four. None of a mesh of intervals.
 
     Raises
     ------
     InputError
-        If the mesh is damaged or a piece of it is not clamped, a boundary is not known, or the
-        refined mesh is too large.
+        If the mesh is damaged or not one of the kind, a boundary is not known, a component is none
+        of the body, nothing is left free, or the refined mesh is too large.
 
     Examples
     --------
     >>> square = skfem.MeshTri().refined(2).with_defaults()
     >>> Discretisation(square, ["top"]).dim
     20
+    >>> Discretisation(square, kind="plane strain", held={"top": "x", "left": "n"}).dim
+    40
     """
 
-    mesh: skfem.MeshTri
-    clamped: Sequence[str] = "clamped"
+    mesh: skfem.Mesh
+    clamped: Sequence[str] | None = None
     element: str = "P1"
     refinements: int = 0
+    kind: str = "antiplane"
+    held: Mapping[str, str] = field(default_factory=dict)
+    turned: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         choice("element", self.element, ELEMENTS)
+        dimensions = KINDS[choice("kind", self.kind, KINDS)]
         count("refinements", self.refinements, 0)
-        if not isinstance(self.mesh, skfem.MeshTri):
-            path = as_path("a mesh that is no skfem.MeshTri", self.mesh)
+        if not isinstance(self.mesh, skfem.Mesh):
+            path = as_path("a mesh that is no skfem.Mesh", self.mesh)
             object.__setattr__(self, "mesh", read_mesh(path))
         check_mesh(self.mesh)
+        if self.mesh.dim() not in dimensions:
+            needs = " or ".join(("intervals", "triangles", "tetrahedra")[k - 1] for k in dimensions)
+            raise InputError(f"kind: {self.kind!r} needs a mesh of {needs}; change one of the two")
         object.__setattr__(self, "mesh", refined(self.mesh, self.refinements))
-        object.__setattr__(self, "clamped", boundary_names("clamped", self.clamped))
-        facets, _ = self.edges("clamped", self.clamped)
-        # a is coercive only if every piece of the body is clamped somewhere
-        _, piece = sp.csgraph.connected_components(self.mesh.p2t.T @ self.mesh.p2t)
-        loose = ~np.isin(piece, piece[self.mesh.facets[:, facets]])
-        if loose.any():
-            x, y = self.mesh.p[:, np.argmax(loose)]
-            raise InputError(
-                f"clamped: nothing holds the piece of the body with the point ({x:g}, {y:g}); "
-                "clamp an edge of every piece (a must be coercive)"
-            )
+        given = ("clamped" if not self.held else ()) if self.clamped is None else self.clamped
+        empty = not isinstance(given, str) and isinstance(given, Sequence) and not given
+        names = () if empty else boundary_names("clamped", given)
+        object.__setattr__(self, "clamped", names)
+        self.facets("clamped", names)
+        self._check_held()
         if not self.dim:
+            everything = ", ".join([*names, *self.held])
             raise InputError(
-                f"clamped: holding {', '.join(self.clamped)} leaves no unknown; "
-                "clamp less or refine the mesh"
+                f"clamped: holding {everything} leaves no unknown; clamp less or refine the mesh"
             )
 
+    def _check_held(self) -> None:
+        if not isinstance(self.held, Mapping):
+            raise InputError(
+                f"held must say what is held on a boundary, such as {{ foot = 'y' }}, got "
+                f"{shown(self.held)}"
+            )
+        known = AXES[: self.components] + "nt" if self.components > 1 else ""
+        for name, what in self.held.items():
+            self.facets("held", [name])
+            if what != "all" and not (isinstance(what, str) and what and set(what) <= set(known)):
+                letters = f"letters of {known!r} or 'all'" if known else "'all'"
+                raise InputError(f"held.{name} must be {letters}, got {shown(what)}")
+
+    @property
+    def components(self) -> int:
+        """How many the displacement has."""
+        return 1 if self.kind == "antiplane" else int(self.mesh.dim())
+
     @cached_property
-    def basis(self) -> skfem.CellBasis:
-        """The scikit-fem basis in the triangles, of all degrees of freedom.
+    def scalar(self) -> skfem.CellBasis:
+        """The scikit-fem basis of one component, in the cells.
 
         Its quadrature has an order two above what constant coefficients on straight edges need.
         """
-        element = ELEMENTS[self.element]
+        element = ELEMENTS[self.element][self.mesh.dim() - 1]
         return skfem.CellBasis(self.mesh, element, intorder=2 * element.maxdeg + 2)
 
-    def edge_nodes(self, facets: Indices) -> Indices:
-        """Degrees of freedom along each edge: start, (middle,) end; shape (2 or 3, m)."""
-        start, end = self.basis.nodal_dofs[0, self.mesh.facets]
-        return np.vstack([start, *self.basis.facet_dofs, end])[:, facets]
+    @cached_property
+    def basis(self) -> skfem.CellBasis:
+        """The scikit-fem basis of all components."""
+        if self.components == 1:
+            return self.scalar
+        vector, order = skfem.ElementVector(self.scalar.elem), 2 * self.scalar.elem.maxdeg + 2
+        return skfem.CellBasis(self.mesh, vector, intorder=order)
+
+    @cached_property
+    def nodes(self) -> Indices:
+        """Degrees of freedom in `basis` of each component at each node, shape (components, N)."""
+        basis = self.basis
+        dofs = basis.nodal_dofs, basis.edge_dofs, basis.facet_dofs, basis.interior_dofs
+        return np.hstack([part for part in dofs if part.size])
+
+    @cached_property
+    def frame(self) -> Frame:
+        """At each node the directions of its degrees of freedom, those that are held first."""
+        all_held = dict.fromkeys(self.clamped or (), "all")
+        boundaries = [*all_held.items(), *self.held.items()]
+        return frame_of(self, [(self.facets("held", [name])[0], what) for name, what in boundaries])
+
+    def with_turned(self, names: Sequence[str]) -> Discretisation:
+        """The same with the unknowns of more boundaries turned."""
+        other = copy.copy(self)
+        for name in ("frame", "free"):
+            other.__dict__.pop(name, None)
+        object.__setattr__(other, "turned", tuple(dict.fromkeys([*self.turned, *names])))
+        return other
+
+    def facet_nodes(self, facets: Indices) -> Indices:
+        """Nodes of each facet; of an edge start, (middle,) end; shape (nodes of a facet, m)."""
+        scalar, corners = self.scalar, self.scalar.nodal_dofs[0, self.mesh.facets[:, facets]]
+        if self.element == "P1" or self.mesh.dim() == 1:
+            return corners
+        if self.mesh.dim() == 2:
+            return np.vstack([corners[:1], scalar.facet_dofs[:, facets], corners[1:]])
+        return np.vstack([corners, scalar.edge_dofs[0, self.mesh.f2e[:, facets]]])
 
     @cached_property
     def free(self) -> Indices:
-        """Degrees of freedom off the clamped boundary."""
-        return self.basis.complement_dofs(self.basis.get_dofs(self.clamped))
+        """Degrees of freedom, in the frames of the nodes, that are not held."""
+        slot = np.arange(self.components)[:, None]
+        return np.sort(self.nodes[slot >= self.frame.held])
 
     @property
     def dim(self) -> int:
         """Number of unknowns."""
         return int(self.free.size)
 
+    def unknowns(self, nodes: Indices, tangential: bool = False) -> Indices:
+        """Unknowns at nodes, -1 where there is none; without the normal ones if `tangential`.
+
+        Returns
+        -------
+        ndarray of int, shape (k, components)
+        """
+        first = self.frame.held + (self.frame.normal if tangential else 0)
+        exists = np.arange(self.components) >= first[nodes][:, None]
+        return np.where(exists, np.searchsorted(self.free, self.nodes.T[nodes]), -1)
+
     @cached_property
     def points(self) -> Array:
-        """Coordinates of all degrees of freedom, shape (N, 2)."""
-        return np.ascontiguousarray(self.basis.doflocs.T)
+        """Coordinates of the nodes, shape (N, d)."""
+        return np.ascontiguousarray(self.scalar.doflocs.T)
 
     @cached_property
     def triangles(self) -> Indices:
         """Linear triangles through the points, shape (m, 3)."""
-        return np.vstack([self.basis.element_dofs[corners].T for corners in SPLIT[self.element]])
+        nodes = self.scalar.element_dofs
+        if self.mesh.dim() == 3:
+            nodes = self.facet_nodes(self.mesh.boundary_facets())
+        elif self.mesh.dim() == 1:
+            return np.empty((0, 3), dtype=np.int64)
+        return np.vstack([nodes[corners].T for corners in SPLIT[self.element]])
 
-    def edges(self, what: str, names: Sequence[str]) -> tuple[Indices, dict[str, Indices]]:
-        """Boundary edges of the named groups, each once, and which of them are in each group.
+    def facets(self, what: str, names: Sequence[str]) -> tuple[Indices, dict[str, Indices]]:
+        """Boundary facets of the named groups, each once, and which of them are in each group.
 
         Parameters
         ----------
@@ -151,11 +251,12 @@ class Discretisation:
                 )
             if np.any(self.mesh.f2t[1, boundaries[name]] >= 0):
                 raise InputError(f"{what}: {name!r} lies inside the body; name a boundary of it")
-        edges = np.unique(np.concatenate([np.asarray(boundaries[name]) for name in names]))
-        return edges, {name: np.searchsorted(edges, boundaries[name]) for name in names}
+        groups = [np.asarray(boundaries[name], dtype=np.int64) for name in names]
+        facets = np.unique(np.concatenate([np.empty(0, np.int64), *groups]))
+        return facets, {name: np.searchsorted(facets, boundaries[name]) for name in names}
 
     def expand(self, u: ArrayLike) -> Array:
-        """Values at all points, zero on the clamped ones.
+        """Values at all nodes, zero where they are held.
 
         Parameters
         ----------
@@ -163,14 +264,24 @@ class Discretisation:
 
         Returns
         -------
-        ndarray, shape (..., N)
+        ndarray, shape (..., N), or (..., N, components) of vectors
         """
         values = floats("u", u, "numbers")
         if values.shape[-1:] != (self.dim,):
             raise InputError(f"u must have {self.dim} entries in its last axis, got {values.shape}")
         full = np.zeros((*values.shape[:-1], self.basis.N))
         full[..., self.free] = values
-        return full
+        if self.frame.T is not None:
+            full = (self.frame.T @ full.reshape(-1, self.basis.N).T).T.reshape(full.shape)
+        return full[..., self.nodes[0] if self.components == 1 else self.nodes.T]
+
+    def restrict(self, x: Any) -> Any:
+        """A matrix or a vector of all degrees of freedom of `basis`, on the unknowns."""
+        T = self.frame.T
+        if not sp.issparse(x):
+            return np.asarray(x if T is None else T.T @ x)[self.free]
+        x = sp.csr_array(x) if T is None else sp.csr_array(T.T @ x @ T)
+        return sp.csc_array(x[self.free][:, self.free])
 
     def from_coarser(self, coarse: Discretisation) -> sp.csr_array:
         """The matrix that turns values of the unknowns on a coarser mesh into values on this one.
@@ -178,48 +289,120 @@ class Discretisation:
         Parameters
         ----------
         coarse : Discretisation
-            Of the same mesh, with no more refinements and no higher degree: each of its functions
-            is one of these too.
+            Of the same mesh of triangles, with no more refinements and no higher degree: each of
+            its functions is one of these too. Where unknowns are turned, up to the change of the
+            normals.
 
         Returns
         -------
         sparse, shape (dim, coarse.dim)
         """
+        if self.mesh.dim() != 2:
+            raise InputError("values are taken from coarser meshes of triangles only")
         times = self.refinements - coarse.refinements
-        values = nested(coarse.mesh, ELEMENTS[coarse.element], times, ELEMENTS[self.element])
-        return values[self.free][:, coarse.free]
+        values = nested(coarse.mesh, coarse.scalar.elem, times, self.scalar.elem)
+        if self.components > 1:
+            fine, old = (
+                sp.eye_array(one.basis.N, format="csr")[one.nodes.ravel()] for one in (self, coarse)
+            )
+            values = fine.T @ sp.block_diag([values] * self.components) @ old
+            for T, side in ((self.frame.T, 0), (coarse.frame.T, 1)):
+                if T is not None:
+                    values = values @ T if side else T.T @ values
+        return sp.csr_array(values)[self.free][:, coarse.free]
 
-    def interpolate(self, function: Datum) -> Array:
-        """Nodal values of a function of x (shape (2, N)) at the unknowns, shape (dim,)."""
-        return Coefficient("function").values(function, self.points.T, {})[self.free]
+    def interpolate(self, function: Any) -> Array:
+        """Nodal values of a function of x (shape (d, N)) at the unknowns, shape (dim,).
+
+        Of a vector the components, a sequence of data, or a function that returns all of them.
+        """
+        if self.components > 1 and callable(function):
+            function = list(function(self.points.T))
+        data = [function] if self.components == 1 else function
+        full = np.zeros(self.basis.N)
+        for dofs, datum in zip(self.nodes, data, strict=True):
+            if isinstance(datum, np.ndarray):
+                full[dofs] = datum
+            else:
+                full[dofs] = Coefficient("function").values(datum, self.points.T, {})
+        return np.asarray(self.restrict(full))
+
+    def place(self, what: str, on: Sequence[str], *, nodal: bool = False) -> Place:
+        """Where an effect acts: boundaries, subdomains, or all of the body ("body").
+
+        Parameters
+        ----------
+        what : str
+            The argument that names them, for errors.
+        on : sequence of str
+        nodal : bool
+            With the scalar element and a quadrature whose points are the nodes.
+        """
+        basis, inside = self.scalar if nodal else self.basis, self.mesh.subdomains or {}
+        element, cells = basis.elem, None
+        groups: dict[str, Indices] = dict(inside)
+        if all(name in inside for name in on):
+            cells = np.unique(np.concatenate([inside[name] for name in on]))
+            groups = {name: np.searchsorted(cells, inside[name]) for name in on}
+        elif tuple(on) != (BODY,) or BODY in (self.mesh.boundaries or {}):
+            facets, groups = self.facets(what, on)
+            rule = self.rule(self.mesh.dim() - 1) if nodal else None
+            order = 2 * self.scalar.elem.maxdeg + 2
+            basis = skfem.FacetBasis(
+                self.mesh, element, facets=facets, intorder=order, quadrature=rule
+            )
+            return Place(basis, groups, self.facet_nodes(facets))
+        nodes = self.scalar.element_dofs
+        if nodal or cells is not None:
+            rule = self.rule(self.mesh.dim()) if nodal else None
+            order = 2 * self.scalar.elem.maxdeg + 2
+            basis = skfem.CellBasis(
+                self.mesh, element, elements=cells, intorder=order, quadrature=rule
+            )
+        return Place(basis, groups, nodes if cells is None else nodes[:, cells])
+
+    def rule(self, dimension: int) -> tuple[Array, Array]:
+        """A quadrature on cells or facets whose points are the nodes, in their order.
+
+        Trapezoid and its like for P1, exact on linear functions; for P2 Simpson's on edges and the
+        middles of edges on triangles, exact on quadratic functions.
+        """
+        degree = self.scalar.elem.maxdeg
+        if dimension == 1:
+            if self.mesh.dim() == 2:  # an edge: start, middle, end
+                return np.linspace([0.0], [1.0], degree + 1, axis=1), newton_cotes(degree)[
+                    0
+                ] / degree
+            points, weights = self.scalar.elem.doflocs.T, [[0.5, 0.5], [1 / 6, 1 / 6, 2 / 3]]
+            return points, np.array(weights[degree - 1])
+        corners = np.eye(dimension, dimension + 1, 1)
+        if degree == 1 or not dimension:
+            return corners, np.full(dimension + 1, 1 / factorial(dimension + 1))
+        if dimension == 3:
+            raise InputError("on: a volume of P2 elements has no nodal quadrature; use P1")
+        middles = (corners + np.roll(corners, -1, axis=1)) / 2
+        return np.hstack([corners, middles]), np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0]) / 6
 
 
-STIFFNESS = skfem.BilinearForm(lambda u, v, w: w.c * dot(grad(u), grad(v)))
-LOAD = skfem.LinearForm(lambda v, w: w.c * v)
+class Place(NamedTuple):
+    """A part of a body, with its groups (subdomains or boundaries) and the nodes of its cells."""
 
+    basis: Any
+    groups: Mapping[str, Indices]
+    nodes: Indices
 
-def assemble(
-    body: Discretisation,
-    form: skfem.BilinearForm | skfem.LinearForm,
-    coefficient: Coefficient,
-    datum: Datum,
-    on: Sequence[str] = (),
-) -> Any:
-    """Integrals of a form with a coefficient over the body, or over its boundaries `on`.
+    def values(self, coefficient: Coefficient, datum: Datum, t: float = 0.0) -> Array:
+        """Values at the points of the quadrature, shape (cells, points)."""
+        points = self.basis.global_coordinates()
+        return coefficient.values(datum, points, self.groups, t)
 
-    Returns
-    -------
-    sparse, shape (dim, dim), or ndarray, shape (dim,)
-        On the unknowns.
-    """
-    basis, groups = body.basis, body.mesh.subdomains or {}
-    if on:
-        facets, groups = body.edges("on", on)
-        order = 2 * basis.elem.maxdeg + 2
-        basis = skfem.FacetBasis(body.mesh, basis.elem, facets=facets, intorder=order)
-    values = coefficient.values(datum, basis.global_coordinates(), groups)
-    integrals = form.assemble(basis, c=skfem.DiscreteField(values))[body.free]
-    return sp.csc_array(integrals[:, body.free]) if sp.issparse(integrals) else integrals
+    def matrix(self, form: Callable[..., Any]) -> sp.csc_array:
+        """Integrals of form(u, v, w) for all degrees of freedom."""
+        return sp.csc_array(skfem.BilinearForm(form).assemble(self.basis))
+
+    def vector(self, form: Callable[..., Any]) -> Array:
+        """Integrals of form(v, w) for all degrees of freedom."""
+        return np.asarray(skfem.LinearForm(form).assemble(self.basis))
 
 
 def boundary_names(argument: str, value: object) -> tuple[str, ...]:

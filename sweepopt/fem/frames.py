@@ -1,0 +1,112 @@
+"""Directions of the degrees of freedom at each node: those that are held, the normal, the tangents.
+
+At most nodes they are x, y and z. Where components are held, or unknowns are turned, Gram and
+Schmidt's method makes an orthonormal basis of the node from the directions that are held, the
+normal, and the axes, in this order; `T` has these bases as blocks.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+import skfem
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from sweepopt.fem.mesh import Indices
+    from sweepopt.fem.spaces import Discretisation
+
+Array = NDArray[np.float64]
+
+PARALLEL = 1e-6
+"""Sine of the angle below which two directions that are held are one: normals of facets round."""
+APART = 0.5
+"""Some axis is at least sqrt(1/3) away from the span of fewer than d directions."""
+
+
+class Frame(NamedTuple):
+    """What the degrees of freedom of a body are.
+
+    Attributes
+    ----------
+    T : sparse, shape (n, n), or None
+        Orthogonal: the values along x, y, z are T times those along the directions of the nodes.
+        None is the identity.
+    held : ndarray of int, shape (N,)
+        How many directions of each node are held; they come first.
+    normal : ndarray of bool, shape (N,)
+        Whether the next one is the normal, of a node that is turned.
+    """
+
+    T: sp.csr_array | None
+    held: Indices
+    normal: NDArray[np.bool_]
+
+
+def frame_of(body: Discretisation, held: list[tuple[Indices, str]]) -> Frame:
+    """The frame of a body whose facets have components held."""
+    size, d = body.scalar.N, body.components
+    count, normal = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=bool)
+    if d == 1:
+        for facets, _ in held:
+            count[body.facet_nodes(facets)] = 1
+        return Frame(None, count, normal)
+    basis = np.zeros((size, d, d))
+
+    def add(nodes: Indices, directions: Array, least: float) -> None:
+        """Make a direction of each node orthogonal to those before, and append what is left."""
+        old = basis[nodes]
+        for _ in range(2):
+            along = np.einsum("ksi,ki->ks", old, directions)
+            directions = directions - np.einsum("ksi,ks->ki", old, along)
+        length = np.linalg.norm(directions, axis=1)
+        new = (length > least) & (count[nodes] < d)
+        basis[nodes[new], count[nodes[new]]] = directions[new] / length[new, None]
+        count[nodes[new]] += 1
+
+    axes = np.eye(d)
+    for facets, what in held:
+        nodes, normals = normals_at(body, facets)
+        for letter in "xyz"[:d] if what == "all" else what:
+            if letter == "n":
+                add(nodes, normals, PARALLEL)
+                continue
+            for axis in axes if letter == "t" else [axes["xyz".index(letter)]]:
+                direction = np.tile(axis, (len(nodes), 1))
+                if letter == "t":
+                    direction -= (normals @ axis)[:, None] * normals
+                add(nodes, direction, PARALLEL)
+    fixed = count.copy()
+    if body.turned:
+        nodes, normals = normals_at(body, body.facets("turned", body.turned)[0])
+        add(nodes, normals, PARALLEL)
+        normal[nodes] = count[nodes] > fixed[nodes]
+    some = np.flatnonzero(count)
+    for axis in axes:
+        add(some, np.tile(axis, (some.size, 1)), APART)
+    T = sp.eye_array(body.basis.N, format="csr")
+    if some.size and (basis[some] != axes).any():
+        rest = sp.diags_array((~np.isin(np.arange(T.shape[0]), body.nodes[:, some])).astype(float))
+        dofs = body.nodes.T[some]  # node, direction
+        rows = np.broadcast_to(dofs[:, None, :], basis[some].shape)
+        columns = np.broadcast_to(dofs[:, :, None], basis[some].shape)
+        entries = basis[some].ravel(), (rows.ravel(), columns.ravel())
+        turned: Any = sp.csr_array(entries, shape=T.shape)
+        turned.eliminate_zeros()
+        return Frame(sp.csr_array(rest + turned), fixed, normal)
+    return Frame(None, fixed, normal)
+
+
+def normals_at(body: Discretisation, facets: Indices) -> tuple[Indices, Array]:
+    """The nodes of facets, and at each the mean outward normal, weighted by the facets' sizes."""
+    rule = body.rule(body.mesh.dim() - 1)
+    basis = skfem.FacetBasis(body.mesh, body.scalar.elem, facets=facets, quadrature=rule)
+    weighted = basis.normals * basis.dx.sum(axis=1)[None, :, None]
+    along = body.facet_nodes(facets).T
+    sums = np.zeros((body.scalar.N, len(weighted)))
+    np.add.at(sums, along.ravel(), weighted.reshape(len(weighted), -1).T)
+    nodes = np.unique(along)
+    normals = sums[nodes] / np.linalg.norm(sums[nodes], axis=1, keepdims=True)
+    return nodes, np.where(np.abs(normals) < 1e-14, 0.0, normals)  # so that axes are met exactly

@@ -1,0 +1,379 @@
+"""Bodies of every kind with effects that compose: exact solutions and laws, limits, bad input."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+pytest.importorskip("skfem")
+
+import meshio
+from meshes import square
+from test_fem import order
+
+import sweepopt as so
+from sweepopt.fem import (
+    BodyForce,
+    Dashpot,
+    Discretisation,
+    Elasticity,
+    Foundation,
+    Friction,
+    PointForce,
+    Traction,
+    Viscosity,
+    antiplane,
+    body,
+    grid,
+    read_mesh,
+    read_scene,
+)
+
+pytestmark = pytest.mark.filterwarnings("ignore:B u0 is not in C")  # loads that start at once
+
+KINDS = {"plane strain": [2.0, 1.0], "plane stress": [2.0, 1.0], "solid": [2.0, 1.0, 1.5]}
+MATERIAL = Viscosity(1.0), Elasticity(E=3.0, nu=0.3)
+
+
+def space(kind, cells=2, element="P1", **more):
+    """A block that slides on its left, bottom and front sides."""
+    sizes = KINDS[kind]
+    held = {"left": "x", "bottom": "y"} | ({"front": "z"} if kind == "solid" else {})
+    mesh = more.pop("mesh", None) or grid(sizes, [cells] * len(sizes))
+    return Discretisation(mesh, **({"kind": kind, "element": element, "held": held} | more))
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_uniform_traction_strains_a_block_as_hookes_law_says(kind, element):
+    pull = Traction("right", so.Constant(), f2=2.0)  # along the outward normal
+    scene = body(space(kind, element=element), [*MATERIAL, pull])
+    u = scene.discretisation.expand(sp.linalg.spsolve(scene.problem.B, scene.load(0.0)))
+    stretch = 2.0 / 3.0 * (1 - 0.3**2 if kind == "plane strain" else 1.0)
+    narrow = -0.3 * 2.0 / 3.0 * (1 + 0.3 if kind == "plane strain" else 1.0)
+    strain = [stretch] + [narrow] * (len(KINDS[kind]) - 1)
+    np.testing.assert_allclose(u, strain * scene.discretisation.points, atol=1e-13)
+
+
+@pytest.mark.parametrize(("element", "expected"), [("P1", 2), ("P2", 3)])
+@pytest.mark.parametrize("kind", ["plane strain", "solid"])
+def test_a_manufactured_displacement_is_met_with_the_order_of_the_element(kind, element, expected):
+    """u_x = sin(pi x / 2) in a block that may not bulge: -(lam + 2 mu) u_x'' is the force."""
+    d, errors = len(KINDS[kind]), []
+    sides = dict(zip(("left", "right", "bottom", "top", "front", "back"), "xxyyzz", strict=True))
+    held = {name: axis for name, axis in list(sides.items())[: 2 * d] if name != "right"}
+    cells = np.array([4, 6, 8, 10] if kind == "solid" else [8, 12, 16, 24])
+    cells = cells // 2 if element == "P2" else cells
+    for n in cells.tolist():
+        mesh = grid([1.0] * d, [n] * d)
+        force = BodyForce(so.Constant(), f0=["pi**2 * sin(pi / 2 * x)", *[0.0] * (d - 1)])
+        effects = [Viscosity(1.0), Elasticity(lam=2.0, mu=1.0), force]
+        scene = body(space(kind, element=element, held=held, mesh=mesh), effects)
+        u = sp.linalg.spsolve(scene.problem.B, scene.load(0.0))
+        exact = scene.discretisation.interpolate(
+            [lambda x: np.sin(np.pi / 2 * x[0]), *[0.0] * (d - 1)]
+        )
+        errors.append(np.sqrt(np.mean((u - exact) ** 2)))
+    slopes = np.log(np.divide(errors[:-1], errors[1:])) / np.log(cells[1:] / cells[:-1])
+    assert np.all(slopes > expected - 0.2)
+    assert errors[-1] < 1e-2
+
+
+def test_a_tensor_says_what_two_numbers_say_and_reaches_orthotropic_materials():
+    E, nu = 3.0, 0.3
+    law = (
+        E
+        / ((1 + nu) * (1 - 2 * nu))
+        * np.array([[1 - nu, nu, 0], [nu, 1 - nu, 0], [0, 0, 0.5 - nu]])
+    )
+    one, two = (
+        body(space("plane strain"), [Viscosity(1.0), elasticity]).problem.B
+        for elasticity in (Elasticity(E=E, nu=nu), Elasticity(tensor=law))
+    )
+    assert abs(one - two).max() < 1e-14 * abs(one).max()
+    wood = np.diag([10.0, 1.0, 0.5])
+    scene = body(
+        space("plane stress"),
+        [Viscosity(1.0), Elasticity(tensor=wood), Traction("top", so.Constant())],
+    )
+    u = scene.discretisation.expand(sp.linalg.spsolve(scene.problem.B, scene.load(0.0)))
+    np.testing.assert_allclose(u, [0.0, 1.0] * scene.discretisation.points, atol=1e-13)
+
+
+def sheet(element="P1", **more):
+    """A sheet that only slides: springs, a film and friction over its face."""
+    effects = [
+        *MATERIAL,
+        Dashpot("body", 1.5),
+        Foundation("body", 2.0),
+        Friction("body", more.pop("g", 0.5), **more),
+    ]
+    return Discretisation(grid([2.0, 1.0], [3, 2]), (), element, kind="plane stress"), effects
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_a_sheet_on_an_orbiting_table_turns_with_the_exact_radius(element):
+    """F^2 = (k U)^2 + (eta omega U + g)^2 at every node."""
+    omega, U = 3.0, 0.7
+    F = np.hypot(2.0 * U, 1.5 * omega * U + 0.5)
+    plate, effects = sheet(element)
+    turning = BodyForce(so.Constant(), [f"{F} * cos({omega} * t)", f"{F} * sin({omega} * t)"])
+    lag = np.arctan2(1.5 * omega * U + 0.5, 2.0 * U)
+    start = np.array([U * np.cos(lag), -U * np.sin(lag)])
+    errors = []
+    for steps in (8, 16, 32, 64):
+        u0 = plate.interpolate([float(x) for x in start])
+        scene = body(plate, [*effects, turning], u0=u0)
+        assert len(scene.contact) == (12 if element == "P1" else 23)
+        sol = scene.solve(t_end=2 * np.pi / omega, steps=steps, scheme="midpoint")
+        assert sol.stats["relative"].max() < 1e-6
+        errors.append(np.abs(plate.expand(sol.u[-1]) - start).max())
+    assert errors[-1] < 1e-3
+    assert np.all(order(errors) > 1.9)
+
+
+def test_elliptic_friction_meets_its_law_at_every_node():
+    """q = g G v / sqrt(v G v) with G = diag(axes)^2, by the forces of one step."""
+    plate, effects = sheet(axes=[1.0, 3.0])
+    scene = body(plate, [*effects, BodyForce(so.Constant(), [2.0, 4.0])])
+    sol = scene.solve(t_end=0.1, steps=1, scheme="implicit-euler", tol=1e-9)
+    v, q, contact = sol.velocity[0], scene.load(0.1), scene.contact
+    force = contact.of(q - scene.problem.A @ v - scene.problem.B @ sol.u[1])
+    stretched = contact.of(v) * [1.0, 3.0]
+    law = stretched * [1.0, 3.0] / np.linalg.norm(stretched, axis=1)[:, None]
+    np.testing.assert_allclose(force, contact.threshold[:, None] * law, atol=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["plane strain", "solid"])
+def test_a_pushed_block_slides_as_a_rigid_one(kind):
+    """A stiff block on a film: eta v = F - g where F > g, and v = 0.0 exactly where F < g."""
+    side, d = ("bottom", 2) if kind == "plane strain" else ("bottom", 3)
+    effects = [Viscosity(1e6), Dashpot(side, 2.0, along="t"), Friction(side, 0.5)]
+    block = space(kind, held={side: "n"})
+    for push, expected in ((0.4, 0.0), (1.5, 0.5)):
+        force = BodyForce(so.Constant(), [push, *[0.0] * (d - 1)])  # a height of 1
+        scene = body(block, [*effects, force])
+        sol = scene.solve(t_end=1.0, steps=1)
+        v = scene.discretisation.expand(sol.velocity[0])
+        np.testing.assert_allclose(v[:, 0], expected, atol=2e-6)
+        assert scene.contact.of(sol.velocity[0]).any() == (expected > 0.0)
+        assert sol.stats["relative"].max() < 1e-6
+
+
+def test_a_block_slides_down_an_inclined_plane_beyond_the_angle_of_friction():
+    """tan(angle) > mu, with the pressure known; unknowns are turned with the plane."""
+    angle, mesh = np.radians(30.0), grid([2.0, 1.0], [4, 2])
+    c, s = np.cos(angle), np.sin(angle)
+    slope = mesh.translated((0.0, 0.0))
+    slope = type(mesh)(np.array([[c, s], [-s, c]]) @ mesh.p, mesh.t).with_boundaries(
+        mesh.boundaries
+    )
+    down = BodyForce(so.Constant(), [0.0, -1.0])
+    for mu, moves in ((0.5, True), (0.7, False)):
+        effects = [Viscosity(1e4), Dashpot("bottom", 1.0, along="t"), Friction("bottom", mu, p=c)]
+        scene = body(
+            Discretisation(slope, held={"bottom": "n"}, kind="plane strain"), [*effects, down]
+        )
+        sol = scene.solve(t_end=1.0, steps=1)
+        v = scene.discretisation.expand(sol.velocity[0])
+        speed = s - mu * c if moves else 0.0
+        np.testing.assert_allclose(v, speed * np.array([[c, -s]]) + 0 * v, atol=1e-4)
+        assert scene.contact.of(sol.velocity[0]).any() == moves
+
+
+def test_a_bar_is_a_mesh_of_intervals_and_a_bed_rubs_along_it():
+    """Pulled out of a frictional bed: u0 = F^2 / (2 EA g) at the end, slip length F / g."""
+    bar = Discretisation(grid([2.0], [400]), ())
+    effects = [Viscosity(1e-6), Elasticity(5.0), Friction("body", 2.0), Dashpot("body", 1e-6)]
+    pull = Traction("left", so.Table([0.0, 1.0], [0.0, 3.0]))
+    scene = body(bar, [*effects, pull])
+    sol = scene.solve(t_end=1.0, steps=40, scheme="implicit-euler")
+    assert scene.contact.points.shape == (401, 1)
+    u = bar.expand(sol.u[-1])
+    assert u[bar.points[:, 0] == 0.0] == pytest.approx(9.0 / 20.0, rel=1e-3)
+    assert not u[bar.points[:, 0] > 1.51].any()
+
+
+def test_bounds_move_in_time_by_a_history_or_a_formula():
+    plate, _ = sheet()
+    ramp = so.Table([0.0, 1.0], [1.0, 0.5])
+    push = BodyForce(so.Constant(), [0.4, 0.0])
+    velocities = []
+    for friction in (Friction("body", 0.5, history=ramp), Friction("body", "0.5 - 0.25 * t")):
+        scene = body(plate, [*MATERIAL, Dashpot("body", 1.0), friction, push])
+        velocities.append(scene.solve(t_end=1.0, steps=10, scheme="implicit-euler").velocity)
+    np.testing.assert_allclose(*velocities, atol=1e-12)
+    end = plate.expand(velocities[0][[2, 9]])
+    assert not end[0].any()
+    np.testing.assert_allclose(end[1][:, 0], 0.4 - 0.25, atol=1e-9)
+
+
+def test_effects_leave_each_others_matrices_as_they_are_and_limits_agree():
+    mesh, v, e = square(4), Viscosity(1.0), Elasticity(2.0)
+    push = BodyForce(so.Sine(3.0, period=4.0))
+    friction = Friction("bottom", 0.2)
+    alone, both, all_of = (
+        antiplane(mesh, clamped="top", effects=effects).problem
+        for effects in ([v, push], [v, e, push], [friction, e, v, push])
+    )
+    assert alone.B is None
+    assert alone.dissipation is None
+    for matrix in ("data", "indices", "indptr"):
+        np.testing.assert_array_equal(getattr(alone.A, matrix), getattr(all_of.A, matrix))
+        np.testing.assert_array_equal(getattr(both.B, matrix), getattr(all_of.B, matrix))
+    np.testing.assert_array_equal(alone.load.shapes, all_of.load.shapes)
+    ends = [
+        antiplane(mesh, clamped="top", effects=[v, e, push, *more])
+        .solve(t_end=1.0, steps=8, scheme="midpoint")
+        .u[-1]
+        for more in ([], [Friction("bottom", 0.0)], [Friction("bottom", 1e-9)])
+    ]
+    np.testing.assert_array_equal(ends[0], ends[1])
+    np.testing.assert_allclose(ends[0], ends[2], atol=1e-8)
+
+
+def test_frictions_add_and_a_node_that_two_share_counts_once():
+    one, two = (
+        antiplane(square(4), clamped="top", effects=[Viscosity(1.0), *friction])
+        for friction in (
+            [Friction(["left", "bottom"], {"left": 1.0, "bottom": 2.0})],
+            [Friction("left", 1.0), Friction("bottom", 2.0)],
+        )
+    )
+    z = np.cos(np.arange(one.problem.dim))
+    assert one.problem.dissipation.support(z) == pytest.approx(two.problem.dissipation.support(z))
+    assert len(one.contact) == len(two.contact) == two.problem.C.nonsmooth_dim
+    assert one.contact.threshold.sum() == pytest.approx(two.contact.threshold.sum())
+
+
+def test_a_point_force_acts_at_its_point():
+    for element in ("P1", "P2"):
+        scene = body(
+            space("plane strain", element=element),
+            [*MATERIAL, PointForce([1.3, 0.4], so.Constant(), [2.0, -1.0])],
+        )
+        u = scene.discretisation.interpolate([lambda x: 3 * x[0], lambda x: 5 * x[1]])
+        assert scene.load(0.0) @ u == pytest.approx(2.0 * 3.9 - 5 * 0.4)
+
+
+@pytest.mark.parametrize("suffix", ["msh", "vtu", "inp"])
+def test_meshes_of_solids_are_read_from_the_formats_of_meshio(tmp_path, suffix):
+    mesh = grid([1.0, 1.0, 1.0], [2, 2, 2])
+    foot = mesh.facets[:, mesh.boundaries["bottom"]].T
+    numbers = [np.full(mesh.nelements, 1), np.full(len(foot), 2)]
+    raw = meshio.Mesh(mesh.p.T, {"tetra": mesh.t.T, "triangle": foot})
+    if suffix == "inp":
+        raw = meshio.Mesh(mesh.p.T, {"tetra": mesh.t.T}, point_sets={"2": np.unique(foot)})
+    else:
+        raw.cell_data = {"gmsh:physical": numbers, "gmsh:geometrical": numbers}
+    path = tmp_path / f"block.{suffix}"
+    meshio.write(path, raw, **({"file_format": "gmsh22"} if suffix == "msh" else {}))
+    read = read_mesh(path)
+    np.testing.assert_array_equal(read.p[:, read.facets[:, read.boundaries["2"]]][1], 0.0)
+    one, two = (
+        body(Discretisation(m, name, kind="solid"), MATERIAL).problem.A
+        for m, name in ((mesh, "bottom"), (read, "2"))
+    )
+    assert one.shape == two.shape
+    assert one.trace() == pytest.approx(two.trace(), rel=1e-12)
+
+
+# ---- scene files --------------------------------------------------------------------------------
+
+SCENE = {
+    "domain": {
+        "mesh": {"sizes": [2.0, 1.0], "cells": [4, 2]},
+        "kind": "plane strain",
+        "held": {"bottom": "n"},
+    },
+    "time": {"end": 1.0, "steps": 4},
+    "effects": {
+        "viscosity": {"eta": 2.0, "zeta": 1.0},
+        "elasticity": {"E": 3.0, "nu": "0.2 + 0.05 * x"},
+        "dashpot": {"on": "bottom", "eta": 1.0, "along": "t"},
+        "friction": {"left": {"on": "left", "g": 1.0}, "foot": {"on": "bottom", "g": 0.2}},
+        "traction": [
+            {
+                "on": "right",
+                "f2": [1.0, 0.0],
+                "history": {"waveform": "sine", "amplitude": 1.0, "period": 4.0},
+            }
+        ],
+    },
+}
+
+
+def changed(path, value):
+    """The scene with one entry replaced."""
+    *tables, key = path.split(".")
+    scene = {name: dict(table) for name, table in SCENE.items()}
+    table = scene
+    for name in tables:
+        table[name] = dict(table[name])
+        table = table[name]
+    table[key] = value
+    return scene
+
+
+def test_a_scene_file_needs_no_mesh_file_and_may_have_several_effects_of_a_kind_by_name():
+    scene = read_scene(SCENE)
+    assert scene.discretisation.dim == 25
+    assert set(scene.contact.boundary) == {"left", "bottom"}
+    assert scene.solve().success
+
+
+BAD = [
+    (
+        "domain.kind",
+        "shell",
+        "domain.kind must be one of antiplane, plane strain, plane stress, sol",
+    ),
+    ("domain.kind", "solid", "domain.kind: 'solid' needs a mesh of tetrahedra"),
+    ("domain.held", {"bottom": "z"}, "domain.held.bottom must be letters of 'xynt' or 'all'"),
+    ("domain.held", {"floor": "x"}, "domain.held: 'floor' is not a boundary"),
+    ("domain.held", "bottom", "domain.held must say what is held on a boundary"),
+    ("effects.dashpot.along", "n", "clamped: nothing holds the piece"),
+    ("domain.mesh", {"sizes": [1.0], "cells": [2, 2]}, "domain.mesh.sizes, cells and origin must"),
+    ("domain.mesh", {"sizes": [0.0, 1.0], "cells": [2, 2]}, r"domain.mesh.sizes\[0\] must be > 0"),
+    ("domain.mesh", {"sizes": [1.0, 1.0]}, "domain.mesh.cells: is missing"),
+    ("effects.viscosity", {}, "effects.viscosity.eta: is missing; give eta, or tensor"),
+    ("effects.viscosity", {"tensor": [[1.0]]}, r"effects.viscosity.tensor must be .* \(3, 3\)"),
+    ("effects.elasticity", {"kappa": 1.0}, "effects.elasticity.kappa is for antiplane shear; give"),
+    ("effects.elasticity", {"E": 1.0}, "effects.elasticity.E: give kappa, or E and nu, or lam"),
+    ("effects.elasticity", {"E": 1.0, "nu": 0.5}, "effects.elasticity.nu must be < 0.5"),
+    ("effects.elasticity", {"lam": -1.0, "mu": 1.0}, "effects.elasticity.lam must be at least"),
+    ("effects.elasticity", {"E": "1 + z", "nu": 0.2}, "effects.elasticity.E .*z.*must be one of x"),
+    ("effects.dashpot.along", "z", "effects.dashpot.along must be one of all, n, t, x, y here"),
+    ("effects.dashpot.on", "floor", "effects.dashpot.on: 'floor' is not a boundary"),
+    ("effects.dashpot.eta", -1.0, "effects.dashpot.eta must be >= 0"),
+    ("effects.foundation", {"on": "body"}, "effects.foundation.k: is missing"),
+    ("effects.friction.foot", {"on": "bottom"}, "effects.friction.foot.g: is missing"),
+    ("effects.friction.foot", {"on": "bottom", "g": 1, "p": -1}, "effects.friction.foot.p must be"),
+    (
+        "effects.friction.foot",
+        {"on": "bottom", "g": 1, "axes": [1.0]},
+        "effects.friction.foot.axes",
+    ),
+    (
+        "effects.friction.foot",
+        {"on": "bottom", "g": "import os"},
+        "effects.friction.foot.g must be",
+    ),
+    (
+        "effects.body_force",
+        {"history": {"waveform": "constant", "value": 1}},
+        "effects.body_force.f0 must have 2 comp",
+    ),
+    (
+        "effects.point_force",
+        {"at": [9, 9], "force": [1, 0], "history": {"waveform": "constant", "value": 1}},
+        "effects.point_force.at: the point .* is not in",
+    ),
+]
+
+
+@pytest.mark.parametrize(("path", "value", "message"), BAD)
+def test_bad_keys_are_refused_by_their_path(path, value, message):
+    with pytest.raises(so.InputError, match=message):
+        read_scene(changed(path, value))
