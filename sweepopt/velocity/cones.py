@@ -21,17 +21,16 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from sweepopt.linalg import Factor, factors_of_pattern
+from sweepopt.linalg import EPS, Factor, factors_of_pattern
 from sweepopt.sets import ROUNDING, Balls, ConvexSet, shape_of
 from sweepopt.velocity.certificate import Proposal
+from sweepopt.velocity.return_mapping import line_search
 
 STIFFNESS = 1e6
 """sigma at first, in units of M as E sees it: plugs creep 1e-6 of g / M, and in two rounds the
 gap of the 5,000 to 20,000 triangles measured is below 1e-12 of the energy."""
 STIFFER = 100.0  # in each round; 1e10 leaves six digits of the creep
 MOST = 60  # Newton steps of a round; from rest 8 to 31, from the last step of time 1 to 12
-SLOPE = 0.1  # of the derivative along a Newton step, that may be left at its end
-SHORTEST = 2.0**-20  # share of a step
 
 
 class Rows(NamedTuple):
@@ -92,10 +91,12 @@ def blocks(S: ConvexSet) -> Rows | None:
 
 
 class State(NamedTuple):
-    """w with its residual R, v = s0 + sigma E (base + w), |v| and the multipliers s = P_S(v)."""
+    """w with its gradient R, energy, rounding, v = s0 + sigma E (base + w), |v| and s = P_S(v)."""
 
     w: np.ndarray
     R: np.ndarray
+    energy: float
+    rounding: float
     v: np.ndarray
     lengths: np.ndarray
     s: np.ndarray
@@ -151,12 +152,13 @@ class Cones:
         state, iterations = self._newton(g, residual, base, start)
         rate = lengths(self._rates(base) + self._of(state.w))
         rigid = (state.lengths <= g) | (self._sigma * rate <= g)
-        self._z, self._s = self._plugs(rigid, base + state.w), state.s
-        rates, w = self._rates(self._z), self._transposed @ state.s.ravel()
+        self._z, self._s = base + state.w, state.s
+        z = self._plugs(rigid, self._z)
+        rates, w = self._rates(z), self._transposed @ state.s.ravel()
         support = float(g @ lengths(rates))
         gap = max(support - float(np.vdot(state.s, rates)), 0.0) + ROUNDING * support
         rounding = ROUNDING * (self._abs.T @ np.abs(state.s).ravel())
-        return Proposal(self._z, -w, gap, self._M.dual_norm_bound(rounding), self._size, iterations)
+        return Proposal(z, -w, gap, self._M.dual_norm_bound(rounding), self._size, iterations)
 
     def _of(self, w: np.ndarray) -> np.ndarray:
         """E w, a row for each block."""
@@ -172,18 +174,20 @@ class Cones:
     def _newton(
         self, g: np.ndarray, residual: np.ndarray, base: np.ndarray, start: np.ndarray
     ) -> tuple[State, int]:
-        """The w with residual + M w + E^T P_S(s0 + sigma E (base + w)) = 0, but for the tolerance.
-
-        A step is halved until the derivative along it, which ascends, is nearly 0 or below.
-        """
+        """The w with residual + M w + E^T P_S(s0 + sigma E (base + w)) = 0, and how many steps."""
         sigma, s0 = self._sigma[:, None], in_balls(self._s, g)
         of_base, s = s0 + sigma * self._rates(base), s0
 
         def state_of(w: np.ndarray) -> State:
             v = of_base + sigma * self._of(w)
-            size = lengths(v)
-            p = in_balls(v, g)
-            return State(w, residual + self._matrix @ w + self._transposed @ p.ravel(), v, size, p)
+            s, of_w = in_balls(v, g), self._matrix @ w
+            terms = (
+                0.5 * float(w @ of_w),
+                float(residual @ w),
+                0.5 * float(np.sum(s * (2 * v - s) / sigma)),
+            )
+            R = residual + of_w + self._transposed @ s.ravel()
+            return State(w, R, sum(terms), EPS * w.size * sum(map(abs, terms)), v, lengths(v), s)
 
         state, iterations = state_of(start), 0
         while iterations < MOST:
@@ -197,14 +201,11 @@ class Cones:
                 change = -self._factorise(self._entries + more)(state.R)
             except ArithmeticError:  # not positive definite, to rounding
                 break
-            slope, share = float(state.R.dot(change)), 1.0
-            while share > SHORTEST:
-                trial = state_of(state.w + share * change)
-                if trial.R.dot(change) <= -SLOPE * slope:
-                    break
-                share /= 2
-            else:
+            w = state.w
+            found = line_search(state, change, lambda share: state_of(w + share * change))
+            if found is None:
                 break
+            trial, share = found
             steps = np.einsum("kij,kj->ki", D, share * self._of(change))
             s, state = in_balls(state.s + steps, g), trial
             iterations += 1
