@@ -1,16 +1,15 @@
-"""Balls on many linear combinations of the unknowns, as the rows of a gradient: M and E stay sparse.
+"""Balls on many combinations of the unknowns, as the rows of a gradient: all matrices are sparse.
 
-For C = c + E^T S, S balls of radii g_k, z minimises 1/2 <M z, z> + <q - c, z> + sum g_k |E_k z|. A
-block of E is tied, if its kernel are the constants on its unknowns, or held, if E_k z = 0 holds them
-at 0. The method of multipliers (Rockafellar, Math. Oper. Res. 1(2), 1976) puts
-s = P_S(s0 + sigma E z) for the multipliers; each Newton step has the matrix M + sigma E^T D E, D the
-derivative of the projection with the multiplier of the last step for g v/|v| (Hintermueller and
-Stadler, SIAM J. Sci. Comput. 28(1), 2006): without that Newton's method needs ten times as many
-steps, or cycles. Where a block sticks, or creeps less than g/sigma, E_k z = 0 is then put in:
-connected blocks, a plug, have one value, 0 where they are held, and E_k z is exactly 0.0. So
-(z, -E^T s) is a pair, normal but for the angles between s_k and E_k z, which is the next base: with
-z = base + w the creep w of a plug does not round beside its velocity, so that sigma can be 100
-times as large in each round, and s0 the multiplier of the last one.
+For C = c + E^T S, S balls of radii g, z minimises 1/2 <M z, z> + <q - c, z> + sum g_k |E_k z|. The
+method of multipliers (Rockafellar, Math. Oper. Res. 1(2), 1976) puts s = P_S(s0 + sigma E z), s0
+the multipliers of the last round. A round is solved by Newton's method, whose matrices are
+M + sigma E^T D E, D the derivative of P_S in which the last s stands for g v/|v| (Hintermueller
+and Stadler, SIAM J. Sci. Comput. 28(1), 2006): without that it takes ten times the steps, or
+cycles. A block k that sticks, or creeps less than g_k/sigma, is then set to rest: connected blocks,
+a plug, get one value, or 0 where they are held, and E_k z = 0. So (z, -E^T s) is a pair, normal but
+for the angles between E_k z and s_k. It is the base of the next round: of z = base + w only the
+creep w of a plug enters sigma E w, free of the rounding of its velocity, so that sigma can grow a
+hundredfold in each round.
 """
 
 from __future__ import annotations
@@ -26,11 +25,9 @@ from sweepopt.sets import ROUNDING, Balls, ConvexSet, shape_of
 from sweepopt.velocity.certificate import Proposal
 from sweepopt.velocity.return_mapping import line_search
 
-STIFFNESS = 1e6
-"""sigma at first, in units of M as E sees it: plugs creep 1e-6 of g / M, and in two rounds the
-gap of the 5,000 to 20,000 triangles measured is below 1e-12 of the energy."""
-STIFFER = 100.0  # in each round; 1e10 leaves six digits of the creep
-MOST = 60  # Newton steps of a round; from rest 8 to 31, from the last step of time 1 to 12
+STIFFNESS = 1e6  # sigma of the first round, in units of M as E sees it: a plug creeps 1e-6 of g/M
+STIFFER = 100.0  # in each round: the certificate falls tenfold, with 10 it stalls at 2e-6
+MOST = 60  # Newton steps of a round; 2 to 37 were needed
 
 
 class Rows(NamedTuple):
@@ -44,6 +41,7 @@ class Rows(NamedTuple):
     local : ndarray, shape (m, b, n)
         The entries; 0 where an unknown is repeated.
     tied : ndarray of bool, shape (m,)
+        Whether E_k z = 0 for equal values on the unknowns, and no others; else it holds them at 0.
     """
 
     E: sp.csr_array
@@ -120,7 +118,7 @@ class Cones:
         assert rows is not None
         self._M, self._tol, self._rows, self.S = M, tol, rows, S
         self._abs, self._transposed = abs(rows.E), sp.csr_array(rows.E.T)
-        self._matrix, (m, b, n) = sp.csr_array(M.M), rows.local.shape
+        self._matrix, (m, b, _) = sp.csr_array(M.M), rows.local.shape
         compliance = (rows.E * rows.E) @ (1 / M.diagonal)
         self._weights = 1 / compliance.reshape(m, b).mean(axis=1)
         # the lower triangle of the tangent, column by column
@@ -201,8 +199,7 @@ class Cones:
                 change = -self._factorise(self._entries + more)(state.R)
             except ArithmeticError:  # not positive definite, to rounding
                 break
-            w = state.w
-            found = line_search(state, change, lambda share: state_of(w + share * change))
+            found = line_search(state_of, state, state.w, change)
             if found is None:
                 break
             trial, share = found

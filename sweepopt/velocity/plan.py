@@ -31,7 +31,7 @@ PATHS = {
     "full": "a program for all unknowns",
 }
 
-MANY = 300  # unknowns of a set: from 500 on the rounds are 10 times as fast as a dense program
+MANY = 300  # unknowns of a set: at 469 a step takes a tenth of the time that Clarabel takes
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,8 +191,8 @@ def make_plan(
     if path == "cones" and not cones:
         raise PathError(
             "path='cones' needs C(t) = f(t) + E^T S with S balls of one dimension around 0 and E "
-            "sparse, E_k z = 0 only where z is constant, or 0, on the unknowns of block k; sparse A "
-            'and B, a scheme that is not exact and solver="auto"'
+            "sparse, E_k z = 0 only where z is constant, or 0, on the unknowns of block k; sparse "
+            'A and B, a scheme that is not exact and solver="auto"'
         )
     cones = cones and not condensed
     return Plan(

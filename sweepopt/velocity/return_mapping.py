@@ -19,6 +19,7 @@ that of (R, 0) in M^-1. All matrices are sparse.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,16 +59,21 @@ class State(NamedTuple):
 
 
 def line_search(
-    state: Any, change: np.ndarray, at: Callable[[float], Any]
+    at: Callable[[np.ndarray], Any], state: Any, x: np.ndarray, change: np.ndarray
 ) -> tuple[Any, float] | None:
     """The first of the shares 1, 1/2, 1/4, ... of a Newton step after which the energy is less.
 
-    States know the energy, its `rounding` and its gradient R. Where the energy only rounds, the derivative along the step decides (Hager and Zhang, SIAM J. Optim.
-    16(1), 2005). None where rounding hides that too.
+    Where the energy only rounds, the derivative along the step decides (Hager and Zhang, SIAM J.
+    Optim. 16(1), 2005). None where rounding hides that too.
+
+    Parameters
+    ----------
+    at : callable
+        x -> the state there, with its `energy`, its `rounding` and its gradient R.
     """
     slope, share = float(state.R.dot(change)), 1.0
     while share > SHORTEST:
-        trial = at(share)
+        trial = at(x + share * change)
         hidden = -share * slope <= trial.rounding
         if trial.energy <= state.energy + SUFFICIENT * share * slope or (
             hidden and trial.R.dot(change) <= -0.5 * slope
@@ -134,8 +140,7 @@ class ReturnMapping:
                 change = -self._tangent(S, state.r).solve(state.R)
             except IndefiniteError:
                 break
-            v = state.z[self._rest]
-            found = line_search(state, change, lambda share: self._state(S, q, v + share * change))
+            found = line_search(partial(self._state, S, q), state, state.z[self._rest], change)
             if found is None:
                 break
             state = found[0]
