@@ -104,8 +104,10 @@ def solve(
         less than a thousandth of what the load or B u alone would move (near an equilibrium, where
         the two cancel, "eliminated" sees smaller velocities). With "return mapping" the unknowns
         that C(t) acts on, plastic strains at many points, follow from the others by a formula; A
-        and B must be diagonal on them. "auto" takes proportional, return mapping (where these
-        unknowns are more than the others, or very many), eliminated or full, the first that
+        and B must be diagonal on them. With "cones" C(t) = f(t) + E^T S, S balls and E sparse,
+        differences of neighbours or rows of a gradient: connected balls at rest, a plug, have one
+        value. "auto" takes proportional, return mapping (where these unknowns are more than the
+        others, or very many), cones (from 300 unknowns on), eliminated or full, the first that
         applies. Where factors would not fit in memory, conjugate gradients
         take their place on every path.
     save : None, "last", int, array_like, callable, str or Path

@@ -72,7 +72,7 @@ def blocks(S: ConvexSet) -> Rows | None:
     pairs, place = np.unique(block * dim + E.indices, return_inverse=True)
     counts = np.bincount(pairs // dim, minlength=m)
     n = int(counts.max(initial=0))
-    if not counts.all() or n > 3 * b + 3:
+    if not 0 < n <= b + 1:  # more have states at rest that are no constants
         return None
     first = np.cumsum(counts) - counts
     unknowns = (pairs % dim)[
@@ -83,7 +83,7 @@ def blocks(S: ConvexSet) -> Rows | None:
     local[block, row, place - first[block]] = E.data
     sums, sizes = local.sum(axis=2), np.abs(local).sum(axis=2)
     tied = (np.abs(sums) <= ROUNDING * sizes).all(axis=1)
-    if not np.array_equal(np.linalg.matrix_rank(local), counts - tied):
+    if not np.array_equal(np.linalg.matrix_rank(local), np.maximum(counts - tied, 0)):
         return None
     return Rows(E, unknowns, local, tied)
 
@@ -120,7 +120,9 @@ class Cones:
         self._abs, self._transposed = abs(rows.E), sp.csr_array(rows.E.T)
         self._matrix, (m, b, _) = sp.csr_array(M.M), rows.local.shape
         compliance = (rows.E * rows.E) @ (1 / M.diagonal)
-        self._weights = 1 / compliance.reshape(m, b).mean(axis=1)
+        compliance = compliance.reshape(m, b).mean(axis=1)
+        # a block of zeros, all of whose nodes are on the wall, has any
+        self._weights = 1 / np.where(compliance > 0, compliance, compliance.max())
         # the lower triangle of the tangent, column by column
         i, j = np.broadcast_arrays(rows.unknowns[:, :, None], rows.unknowns[:, None])
         lower, self._below = sp.tril(M.M, format="coo"), i >= j
