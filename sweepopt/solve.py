@@ -46,7 +46,8 @@ from sweepopt.integrate import (
 )
 from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
 from sweepopt.results import NetCDFSink, Solution, refine
-from sweepopt.velocity import make_plan
+from sweepopt.sets import ConvexSet
+from sweepopt.velocity import Plan, compile_projection, make_plan
 
 
 def solve(
@@ -96,15 +97,17 @@ def solve(
     error : float, optional
         Refine the steps until `Solution.error_bound` is at most this; needs a load as data. The
         callback sees, and save= counts, the steps of the last run only, which is run once more.
-    path : {"auto", "proportional", "eliminated", "return mapping", "full"}
+    path : {"auto", "proportional", "eliminated", "return mapping", "cones", "full"}
         Which unknowns enter a step: with "full" all of them; with "eliminated" the few that C(t)
         acts on enter a program and the others two substitutions; with "proportional" (B = rho A
         and a Separable load) the others enter no step at all, and certificates are relative to no
         less than a thousandth of what the load or B u alone would move (near an equilibrium, where
         the two cancel, "eliminated" sees smaller velocities). With "return mapping" the unknowns
         that C(t) acts on, plastic strains at many points, follow from the others by a formula; A
-        and B must be diagonal on them. "auto" takes proportional, return mapping (where these
-        unknowns are more than the others, or very many), eliminated or full, the first that
+        and B must be diagonal on them. With "cones" C(t) = f(t) + E^T S, S balls and E sparse,
+        differences of neighbours or rows of a gradient: connected balls at rest, a plug, have one
+        value. "auto" takes proportional, return mapping (where these unknowns are more than the
+        others, or very many), cones (from 300 unknowns on), eliminated or full, the first that
         applies. Where factors would not fit in memory, conjugate gradients
         take their place on every path.
     save : None, "last", int, array_like, callable, str or Path
@@ -352,11 +355,18 @@ def _first_grid(
     elif reduction and not reduction.suits(mus, scheme, options.tol):
         plan = plan.of_all_unknowns("the steps differ so much that short ones would be rounding")
     saved = saving(options.save, times, plan.entering, options.memory)
-    outside = process.check_start(float(times[0]))
+    outside = process.check_start(float(times[0]), _nearest(process, plan) if plan.cones else None)
     process.check_jumps(float(times[0]), float(times[-1]))
     if segments is None or scheme.explicit:
         check_stability(process, plan, float(mus.max()), outside, options.on_unstable)
     return Grid(times, mus, plan, saved)
+
+
+def _nearest(process: SweepingProcess, plan: Plan) -> Callable[[np.ndarray, ConvexSet], np.ndarray]:
+    """The projection in the metric of A^-1 by the plan's solver, where the set has no fast one."""
+    M = process.metric
+    velocity = compile_projection(plan, M)
+    return lambda w, C: w + M.M @ velocity(w, C).z
 
 
 def _integrate(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sweepopt.linalg.cholesky import factors_of_pattern
 from sweepopt.linalg.eigenvalues import exceeds_none, is_semidefinite, largest_ratio
 from sweepopt.linalg.factor import NEGLIGIBLE, Elimination, Factor, factor_bytes
 from sweepopt.linalg.matrices import (
@@ -29,6 +30,7 @@ __all__ = [
     "exact_sum",
     "exceeds_none",
     "factor_bytes",
+    "factors_of_pattern",
     "is_semidefinite",
     "largest_eigenvalue",
     "largest_ratio",

@@ -10,6 +10,7 @@ any solver runs.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -23,6 +24,7 @@ from sweepopt.linalg import EPS, Factor, is_semidefinite, largest_ratio
 from sweepopt.problem.variation import Variation, jumps, variation
 from sweepopt.sets import AnySet, ConvexSet, Moving, MovingSet, Point
 
+Nearest = Callable[[np.ndarray, ConvexSet], np.ndarray]
 PROPORTIONAL = 8 * EPS  # entries of B and rho A may differ by this share
 SHOWN = 5  # jumps that a warning names
 
@@ -159,8 +161,13 @@ class SweepingProcess:
                 )
         return members
 
-    def check_start(self, t: float) -> bool:
+    def check_start(self, t: float, nearest: Nearest | None = None) -> bool:
         """Check B u0 in C(t) for the time t at which u0 holds; whether it is outside.
+
+        Parameters
+        ----------
+        nearest : callable, optional
+            (w, C) -> the point of C nearest to w, in any norm; Euclidean without it.
 
         Raises
         ------
@@ -172,7 +179,7 @@ class SweepingProcess:
         InitialStateWarning
             If B u0 is not in C(t): the solution exists as A is coercive, but it starts moving.
         """
-        excess = self._excess(t)
+        excess = self._excess(t, nearest)
         if not excess.any():
             return False
         distance = float(np.linalg.norm(excess))
@@ -201,18 +208,18 @@ class SweepingProcess:
                 VariationWarning,
             )
 
-    def _excess(self, t: float) -> np.ndarray:
+    def _excess(self, t: float, nearest: Nearest | None = None) -> np.ndarray:
         """B u0 - the nearest point of C(t); 0 where that is rounding."""
         C = self.C.at(t)
         force = self.times_B(self.u0)
-        nearest = C.project(force)
-        distance = float(np.linalg.norm(force - nearest))
-        size = max(np.abs(x).max() for x in (force, nearest, C.anchor))
+        point = nearest(force, C) if nearest else C.project(force)
+        distance = float(np.linalg.norm(force - point))
+        size = max(np.abs(x).max() for x in (force, point, C.anchor))
         # a set around 0 gives its own size; an unbounded one has none
         if distance > 1e-9 * size:
             extent = C.magnitude()
             if not (np.isfinite(extent) and distance <= 1e-12 * extent):
-                return force - nearest
+                return force - point
         return np.zeros(self.dim)
 
     def variation(self, times: np.ndarray) -> Variation:

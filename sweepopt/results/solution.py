@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweepopt import checks
-from sweepopt.errors import InputError, Status, SweepoptError, shown
+from sweepopt.errors import InputError, PathError, Status, SweepoptError, shown
 from sweepopt.integrate import Pass, States, Statistics, step_program
 from sweepopt.problem import SweepingProcess
 from sweepopt.results.dataset import to_xarray
@@ -277,6 +277,8 @@ class Solution:
         ------
         InputError
             If a variation that is given falls, or the states do not fit in memory.
+        PathError
+            If the run's path is "cones".
 
         Notes
         -----
@@ -302,6 +304,12 @@ class Solution:
         >>> bound.guaranteed, 0 < bound < 3e-3
         (True, True)
         """
+        if self.plan.cones:
+            raise PathError(
+                "error_bound needs projections on C(t), which take seconds each for as many balls "
+                "as path='cones' is for: compare with a run of half the steps, or take path='full' "
+                "on a coarser mesh"
+            )
         if variation is None:
             return self._bound
         if not callable(variation):

@@ -20,6 +20,7 @@ from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Box, ConvexSet, same_array
 from sweepopt.velocity.cascade import Cascade
 from sweepopt.velocity.certificate import Inclusion, Instance, Velocity, at_rest, one_unknown
+from sweepopt.velocity.cones import Cones
 from sweepopt.velocity.plan import Plan
 from sweepopt.velocity.program import untranslated
 from sweepopt.velocity.refinement import by_solve, refined
@@ -74,6 +75,7 @@ class StateVelocity:
         self._M, self._metric, self._B, self._data = M, metric, B, (A, B, gamma)
         contact = np.zeros(0, dtype=int) if plan.contact is None else plan.contact
         self._contact, self._solver, self._condensed = contact, plan.solver, plan.condensed
+        self._by_cones = plan.cones
         self._tol = plan.tol if math.isfinite(plan.tol) else DEFAULT_TOL
         self.forget()
 
@@ -81,6 +83,7 @@ class StateVelocity:
         """Drop what solvers remember of earlier calls; the factorisations stay."""
         self._cascade: Cascade | None = None
         self._mapping: ReturnMapping | None = None
+        self._cones: Cones | None = None
         self._one: tuple[ConvexSet | None, Any] = None, None
 
     def __call__(self, u: np.ndarray, C: ConvexSet) -> Velocity:
@@ -118,6 +121,10 @@ class StateVelocity:
                     return velocity
         inclusion = self._on_all if few is EVERY else self._on_few
         of = Instance(q - c, q, c, S, u, few)
+        if self._by_cones:
+            velocity = self._coned(of)
+            if velocity.relative <= self._tol:
+                return velocity
         if self._cascade is None or not self._cascade.serves(inclusion, S):
             anew = self._cascade is not None
             self._cascade = Cascade(inclusion, self._solver, of, self._tol, anew)
@@ -132,6 +139,14 @@ class StateVelocity:
             self._mapping = ReturnMapping(inclusion.M, self._contact, of.S, self._tol)
         velocity = refined(inclusion, partial(self._mapping.propose, of.S), of, self._tol)
         return velocity._replace(solver="return mapping", attempts=1)
+
+    def _coned(self, of: Instance) -> Velocity:
+        """By the method of multipliers, and certified."""
+        inclusion = self._on_all
+        if self._cones is None or not (self._cones.S is of.S or self._cones.S.same_cone(of.S)):
+            self._cones = Cones(inclusion.M, of.S, self._tol)
+        velocity = refined(inclusion, partial(self._cones.propose, of.S), of, self._tol)
+        return velocity._replace(solver="cones", attempts=1)
 
     @cached_property
     def _on_all(self) -> Inclusion:

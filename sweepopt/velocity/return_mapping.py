@@ -18,7 +18,9 @@ that of (R, 0) in M^-1. All matrices are sparse.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -54,6 +56,31 @@ class State(NamedTuple):
     R: np.ndarray
     energy: float
     rounding: float
+
+
+def line_search(
+    at: Callable[[np.ndarray], Any], state: Any, x: np.ndarray, change: np.ndarray
+) -> tuple[Any, float] | None:
+    """The first of the shares 1, 1/2, 1/4, ... of a Newton step after which the energy is less.
+
+    Where the energy only rounds, the derivative along the step decides (Hager and Zhang, SIAM J.
+    Optim. 16(1), 2005). None where rounding hides that too.
+
+    Parameters
+    ----------
+    at : callable
+        x -> the state there, with its `energy`, its `rounding` and its gradient R.
+    """
+    slope, share = float(state.R.dot(change)), 1.0
+    while share > SHORTEST:
+        trial = at(x + share * change)
+        hidden = -share * slope <= trial.rounding
+        if trial.energy <= state.energy + SUFFICIENT * share * slope or (
+            hidden and trial.R.dot(change) <= -0.5 * slope
+        ):
+            return trial, share
+        share /= 2
+    return None
 
 
 class ReturnMapping:
@@ -102,11 +129,7 @@ class ReturnMapping:
         return State(z, r, force + self._up @ p + f, sum(terms), rounding)
 
     def _newton(self, S: ConvexSet, q: np.ndarray) -> tuple[State, int]:
-        """From the velocity found last: the state in which R is small, and how many steps it took.
-
-        Where the energy only rounds, the derivative along a step decides (Hager and Zhang, SIAM J.
-        Optim. 16(1), 2005): the steps end where rounding keeps that from falling.
-        """
+        """From the velocity found last: the state in which R is small, and the number of steps."""
         state, rho = self._state(S, q, self._v), np.zeros(q.size)
         iterations = 0
         while iterations < MOST:
@@ -117,18 +140,10 @@ class ReturnMapping:
                 change = -self._tangent(S, state.r).solve(state.R)
             except IndefiniteError:
                 break
-            slope, v, share = float(state.R.dot(change)), state.z[self._rest], 1.0
-            while share > SHORTEST:
-                trial = self._state(S, q, v + share * change)
-                hidden = -share * slope <= trial.rounding
-                if trial.energy <= state.energy + SUFFICIENT * share * slope or (
-                    hidden and abs(trial.R.dot(change)) <= -0.5 * slope
-                ):
-                    break
-                share /= 2
-            else:
+            found = line_search(partial(self._state, S, q), state, state.z[self._rest], change)
+            if found is None:
                 break
-            state = trial
+            state = found[0]
             iterations += 1
         return state, iterations
 

@@ -1,0 +1,248 @@
+"""Balls on many combinations of the unknowns, as the rows of a gradient: all matrices are sparse.
+
+For C = c + E^T S, S balls of radii g, z minimises 1/2 <M z, z> + <q - c, z> + sum g_k |E_k z|. The
+method of multipliers (Rockafellar, Math. Oper. Res. 1(2), 1976) puts s = P_S(s0 + sigma E z), s0
+the multipliers of the last round. A round is solved by Newton's method, whose matrices are
+M + sigma E^T D E, D the derivative of P_S in which the last s stands for g v/|v| (Hintermueller
+and Stadler, SIAM J. Sci. Comput. 28(1), 2006): without that it takes ten times the steps, or
+cycles. A block k that sticks, or creeps less than g_k/sigma, is then set to rest: connected blocks,
+a plug, get one value, or 0 where they are held, and E_k z = 0. So (z, -E^T s) is a pair, normal but
+for the angles between E_k z and s_k. It is the base of the next round: of z = base + w only the
+creep w of a plug enters sigma E w, free of the rounding of its velocity, so that sigma can grow a
+hundredfold in each round.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+
+from sweepopt.linalg import EPS, Factor, factors_of_pattern
+from sweepopt.sets import ROUNDING, Balls, ConvexSet, shape_of
+from sweepopt.velocity.certificate import Proposal
+from sweepopt.velocity.return_mapping import line_search
+
+STIFFNESS = 1e6  # sigma of the first round, in units of M as E sees it: a plug creeps 1e-6 of g/M
+STIFFER = 100.0  # in each round: the certificate falls tenfold, with 10 it stalls at 2e-6
+MOST = 60  # Newton steps of a round; 2 to 37 were needed
+
+
+class Rows(NamedTuple):
+    """The blocks of E: m of size b, on n unknowns each at most.
+
+    Attributes
+    ----------
+    E : sparse, shape (m b, dim)
+    unknowns : ndarray of int, shape (m, n)
+        Those of a block; what is missing is repeated.
+    local : ndarray, shape (m, b, n)
+        The entries; 0 where an unknown is repeated.
+    tied : ndarray of bool, shape (m,)
+        Whether E_k z = 0 for equal values on the unknowns, and no others; else it holds them at 0.
+    """
+
+    E: sp.csr_array
+    unknowns: np.ndarray
+    local: np.ndarray
+    tied: np.ndarray
+
+
+def radii(S: ConvexSet) -> np.ndarray | None:
+    """The radii of all balls, if S is E^T of nothing but balls around 0."""
+    form = S.form()
+    if form.F.shape[0] or not all(isinstance(shape_of(part), Balls) for part in form.parts):
+        return None
+    g = np.concatenate([part.offsets for part in form.parts])
+    return g if form.E.shape[1] % g.size == 0 else None
+
+
+def blocks(S: ConvexSet) -> Rows | None:
+    """Its rows, if all balls have one dimension and all blocks are tied or held."""
+    g = radii(S)
+    if g is None or len({part.dim // part.offsets.size for part in S.form().parts}) > 1:
+        return None
+    E, m = sp.csr_array(S.form().E.T), g.size
+    b, dim = E.shape[0] // m, E.shape[1]
+    E.eliminate_zeros()
+    E.sort_indices()
+    block = np.repeat(np.arange(m * b) // b, np.diff(E.indptr))
+    pairs, place = np.unique(block * dim + E.indices, return_inverse=True)
+    counts = np.bincount(pairs // dim, minlength=m)
+    n = int(counts.max(initial=0))
+    if not 0 < n <= b + 1:  # more have states at rest that are no constants
+        return None
+    first = np.cumsum(counts) - counts
+    unknowns = (pairs % dim)[
+        np.minimum(first[:, None] + np.arange(n), (first + counts - 1)[:, None])
+    ]
+    local = np.zeros((m, b, n))
+    row = np.repeat(np.arange(m * b) % b, np.diff(E.indptr))
+    local[block, row, place - first[block]] = E.data
+    sums, sizes = local.sum(axis=2), np.abs(local).sum(axis=2)
+    tied = (np.abs(sums) <= ROUNDING * sizes).all(axis=1)
+    if not np.array_equal(np.linalg.matrix_rank(local), np.maximum(counts - tied, 0)):
+        return None
+    return Rows(E, unknowns, local, tied)
+
+
+class State(NamedTuple):
+    """w with its gradient R, energy, rounding, v = s0 + sigma E (base + w), |v| and s = P_S(v)."""
+
+    w: np.ndarray
+    R: np.ndarray
+    energy: float
+    rounding: float
+    v: np.ndarray
+    lengths: np.ndarray
+    s: np.ndarray
+
+
+class Cones:
+    """(residual, z) -> the pair of the next round; to be used by `refined`.
+
+    Parameters
+    ----------
+    M : Factor
+        Sparse.
+    S : ConvexSet
+        Any one of the family.
+    tol : float
+        Of the certificate.
+    """
+
+    def __init__(self, M: Factor, S: ConvexSet, tol: float) -> None:
+        rows = blocks(S)
+        assert rows is not None
+        self._M, self._tol, self._rows, self.S = M, tol, rows, S
+        self._abs, self._transposed = abs(rows.E), sp.csr_array(rows.E.T)
+        self._matrix, (m, b, _) = sp.csr_array(M.M), rows.local.shape
+        compliance = (rows.E * rows.E) @ (1 / M.diagonal)
+        compliance = compliance.reshape(m, b).mean(axis=1)
+        # a block of zeros, all of whose nodes are on the wall, has any
+        self._weights = 1 / np.where(compliance > 0, compliance, compliance.max())
+        # the lower triangle of the tangent, column by column
+        i, j = np.broadcast_arrays(rows.unknowns[:, :, None], rows.unknowns[:, None])
+        lower, self._below = sp.tril(M.M, format="coo"), i >= j
+        of_blocks = (j.astype(np.int64) * M.dim + i)[self._below]
+        keys = np.concatenate([lower.col.astype(np.int64) * M.dim + lower.row, of_blocks])
+        pattern, place = np.unique(keys, return_inverse=True)
+        self._entries = np.bincount(place[: lower.nnz], lower.data, pattern.size)
+        self._place = place[lower.nnz :]
+        at = pattern % M.dim, pattern // M.dim
+        self._factorise = factors_of_pattern(*at, M.dim, M.order)
+        self._z, self._s = np.zeros(M.dim), np.zeros((m, b))
+        self._sigma, self._size = self._weights, 0.0
+
+    def propose(self, S: ConvexSet, residual: np.ndarray, z: np.ndarray | None) -> Proposal:
+        """The pair for the linear term residual - M z, from the base z."""
+        g, dim = radii(S), self._M.dim
+        assert g is not None
+        base, start = np.zeros(dim) if z is None else z, np.zeros(dim)
+        if z is None:
+            self._sigma, self._size, start = (
+                STIFFNESS * self._weights,
+                self._M.dual_norm(residual),
+                self._z,
+            )
+        else:
+            self._sigma = STIFFER * self._sigma
+        state, iterations = self._newton(g, residual, base, start)
+        rate = lengths(self._rates(base) + self._of(state.w))
+        rigid = (state.lengths <= g) | (self._sigma * rate <= g)
+        self._z, self._s = base + state.w, state.s
+        z = self._plugs(rigid, self._z)
+        rates, w = self._rates(z), self._transposed @ state.s.ravel()
+        support = float(g @ lengths(rates))
+        gap = max(support - float(np.vdot(state.s, rates)), 0.0) + ROUNDING * support
+        rounding = ROUNDING * (self._abs.T @ np.abs(state.s).ravel())
+        return Proposal(z, -w, gap, self._M.dual_norm_bound(rounding), self._size, iterations)
+
+    def _of(self, w: np.ndarray) -> np.ndarray:
+        """E w, a row for each block."""
+        rows: np.ndarray = (self._rows.E @ w).reshape(self._s.shape)
+        return rows
+
+    def _rates(self, z: np.ndarray) -> np.ndarray:
+        """E z; what is nothing but rounding is 0."""
+        rates = self._of(z)
+        hidden = 2 * ROUNDING * (self._abs @ np.abs(z)).reshape(rates.shape)
+        return np.where(np.abs(rates) <= hidden, 0.0, rates)
+
+    def _newton(
+        self, g: np.ndarray, residual: np.ndarray, base: np.ndarray, start: np.ndarray
+    ) -> tuple[State, int]:
+        """The w with residual + M w + E^T P_S(s0 + sigma E (base + w)) = 0, and how many steps."""
+        sigma, s0 = self._sigma[:, None], in_balls(self._s, g)
+        of_base, s = s0 + sigma * self._rates(base), s0
+
+        def state_of(w: np.ndarray) -> State:
+            v = of_base + sigma * self._of(w)
+            s, of_w = in_balls(v, g), self._matrix @ w
+            terms = (
+                0.5 * float(w @ of_w),
+                float(residual @ w),
+                0.5 * float(np.sum(s * (2 * v - s) / sigma)),
+            )
+            R = residual + of_w + self._transposed @ s.ravel()
+            return State(w, R, sum(terms), EPS * w.size * sum(map(abs, terms)), v, lengths(v), s)
+
+        state, iterations = state_of(start), 0
+        while iterations < MOST:
+            size = max(self._size, self._M.norm(base + state.w))
+            if self._M.dual_norm(state.R) <= 0.1 * self._tol * size:
+                break
+            D = self._derivative(g, state, s)
+            stiff = self._rows.local.transpose(0, 2, 1) @ (D @ self._rows.local)
+            more = np.bincount(self._place, stiff[self._below], self._entries.size)
+            try:
+                change = -self._factorise(self._entries + more)(state.R)
+            except ArithmeticError:  # not positive definite, to rounding
+                break
+            found = line_search(state_of, state, state.w, change)
+            if found is None:
+                break
+            trial, share = found
+            steps = np.einsum("kij,kj->ki", D, share * self._of(change))
+            s, state = in_balls(state.s + steps, g), trial
+            iterations += 1
+        return state, iterations
+
+    def _derivative(self, g: np.ndarray, state: State, s: np.ndarray) -> np.ndarray:
+        """sigma where a block sticks, else sigma/|v| (g I - (s n^T + n s^T)/2) with n = v/|v|."""
+        D = np.zeros((*s.shape, s.shape[1]))
+        D += np.eye(s.shape[1])
+        flows = state.lengths > g
+        size = state.lengths[flows, None, None]
+        turned = s[flows, :, None] * state.v[flows, None, :] / size
+        D[flows] = (
+            g[flows, None, None] * D[flows] - (turned + turned.transpose(0, 2, 1)) / 2
+        ) / size
+        return self._sigma[:, None, None] * D
+
+    def _plugs(self, rigid: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """z with one value, the mean, on connected rigid blocks; 0 where one of them is held."""
+        unknowns, ground = self._rows.unknowns[rigid], self._M.dim
+        first = unknowns[:, :1]
+        ends = np.where(self._rows.tied[rigid, None], first, ground)
+        others = np.hstack([unknowns[:, 1:], ends])
+        ties = np.broadcast_to(first, others.shape).ravel(), others.ravel()
+        graph = sp.csr_array((np.ones(others.size), ties), shape=(ground + 1, ground + 1))
+        count, label = connected_components(graph, directed=False)
+        held, label = label[-1], label[:-1]
+        values = np.bincount(label, z, count) / np.maximum(np.bincount(label, minlength=count), 1)
+        values[held] = 0.0
+        return values[label]
+
+
+def lengths(rows: np.ndarray) -> np.ndarray:
+    """|x_k| of each row."""
+    return np.sqrt(np.einsum("ki,ki->k", rows, rows))
+
+
+def in_balls(v: np.ndarray, g: np.ndarray) -> np.ndarray:
+    """The projection of each row on its ball."""
+    size = lengths(v)
+    return v * np.divide(g, size, out=np.ones_like(g), where=size > g)[:, None]

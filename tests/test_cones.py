@@ -1,0 +1,203 @@
+"""Yield stresses on a gradient: the method of multipliers with one value for each plug."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+import skfem
+
+import sweepopt as so
+from sweepopt.errors import InitialStateWarning, PathError
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
+from cones import Flow, G, R, disc, flow, flux, square
+
+pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.errors.InitialStateWarning")
+CERTIFICATE = 1e-6
+
+
+def run(case: Flow, steps: int = 1, **options: object) -> so.Solution:
+    settings = {"t_end": 1.0, "scheme": "implicit-euler", "tol": CERTIFICATE, "path": "cones"}
+    sol = so.solve(case.process, steps=steps, **(settings | options))
+    assert sol.stats["relative"].max() <= CERTIFICATE
+    return sol
+
+
+def velocity(mesh: skfem.MeshTri, P: float) -> np.ndarray:
+    return run(flow(mesh, lambda t: P)).velocity[-1]
+
+
+def plug_radius(case: Flow, z: np.ndarray) -> float:
+    """Where the line through sqrt(max z - z), over the radius, is 0."""
+    near = (z < 0.98 * z.max()) & (z > 0.5 * z.max())
+    slope, value = np.polyfit(np.hypot(*case.nodes)[near], np.sqrt(z.max() - z[near]), 1)
+    return -value / slope
+
+
+def test_the_flux_of_a_pipe_converges_to_buckingham_and_reiner() -> None:
+    errors = []
+    for rings in (4, 8, 16, 24):
+        case = flow(disc(rings), lambda t: 1.0)
+        errors.append(abs(case.mean @ run(case).velocity[-1] / flux(1.0) - 1))
+    slopes = -np.diff(np.log(errors)) / np.diff(np.log([4, 8, 16, 24]))
+    assert slopes.min() > 1.7, errors
+    assert errors[-1] < 2e-3
+
+
+@pytest.mark.slow
+def test_5046_triangles_meet_the_flux_and_the_plug_radius() -> None:
+    for P in (0.6, 1.0, 2.0):
+        case = flow(disc(29), lambda t, P=P: P)
+        z = run(case, path="auto").velocity[-1]
+        assert case.mean @ z == pytest.approx(flux(P), rel=2e-3)
+        assert plug_radius(case, z) == pytest.approx(2 * G / P, rel=5e-3)
+
+
+@pytest.mark.parametrize("rings", [6, 12])
+def test_a_pipe_rests_at_0_below_the_limit_and_moves_above_that_of_the_mesh(rings: int) -> None:
+    limit, discrete = 2 * G / R, 2 * G / R * (1 + 0.53 / rings)
+    for P in (0.0, 0.5 * limit, limit, 0.995 * discrete):
+        assert not velocity(disc(rings), P).any(), P
+    assert velocity(disc(rings), 1.005 * discrete).max() > 0
+
+
+def test_a_square_pipe_rests_at_0_below_its_limit() -> None:
+    limit, n = (2 + np.sqrt(np.pi)) * G, 8
+    assert not velocity(square(n), limit).any()
+    assert velocity(square(n), 1.2 * limit * (1 + 1.15 / n)).max() > 0
+
+
+def test_a_plug_has_one_velocity_to_the_last_bit() -> None:
+    case = flow(disc(12), lambda t: 1.0)
+    z = run(case).velocity[-1]
+    inside = np.hypot(*case.nodes) < 0.9 * 2 * G
+    assert np.unique(z[inside]).size == 1
+    assert z[inside][0] == z.max() > 0
+
+
+def test_a_gel_plug_under_a_growing_pressure_agrees_with_its_closed_form() -> None:
+    errors = []
+    for rings, steps in ((4, 14), (8, 28), (12, 42)):
+        case = flow(disc(rings), lambda t: 0.5 * t, kappa=2.0)
+        sol = run(case, steps, t_end=4.0, scheme="midpoint")
+        centre = np.argmin(np.hypot(*case.nodes))
+        assert sol.u[-1, centre] == pytest.approx(0.1306067254, rel=1.2e-2)
+        errors.append(abs(case.mean @ sol.u[-1] / 0.2394236336 - 1))
+    slopes = -np.diff(np.log(errors)) / np.diff(np.log([4, 8, 12]))
+    assert slopes.min() > 1.8, errors
+    assert errors[-1] < 6e-3
+
+
+def test_it_agrees_with_the_program_for_all_unknowns_to_both_certificates() -> None:
+    case = flow(disc(4), lambda t: 0.8 + 0.4 * t, kappa=0.5)
+    cones, full = (run(case, 2, path=path) for path in ("cones", "full"))
+    assert set(cones.stats["solver"]) == {"cones"}
+    M = case.process.A + 0.5 * case.process.B
+    difference = cones.velocity[0] - full.velocity[0]
+    certificates = cones.stats["certificate"][0] + full.stats["certificate"][0]
+    assert np.sqrt(difference @ (M @ difference)) <= certificates * (1 + 1e-9)
+    assert np.abs(cones.u - full.u).max() <= 1e-5 * np.abs(full.u).max()
+
+
+def chain(n: int) -> so.EvolutionVI:
+    """Friction between neighbours, and between the first one and the ground, as intervals."""
+    E = sp.eye_array(n, format="csr") - sp.eye_array(n, k=-1, format="csr")
+    A = sp.csc_array(sp.eye_array(n))
+    f = 1 + np.sin(np.arange(n))
+    D = so.image(E.T, so.Balls(np.full(n, 0.6), 1))
+    return so.EvolutionVI(A, None, load=lambda t: t * f, dissipation=D, u0=np.zeros(n))
+
+
+def sheet(n: int) -> so.EvolutionVI:
+    """n points of two components that rub over a face."""
+    stiff = sp.diags_array([-1.0, 2.5, -1.0], offsets=[-2, 0, 2], shape=(2 * n, 2 * n))
+    f = np.cos(np.arange(2 * n))
+    D = so.Balls(np.linspace(0.2, 0.8, n), 2)
+    return so.EvolutionVI(
+        sp.csc_array(stiff), None, load=lambda t: t * f, dissipation=D, u0=np.zeros(2 * n)
+    )
+
+
+@pytest.mark.parametrize("process", [chain(12), sheet(12)], ids=["chain", "sheet"])
+def test_other_balls_agree_with_the_program_for_all_unknowns(process: so.EvolutionVI) -> None:
+    cones, full = (
+        so.solve(process, t_end=1.0, steps=5, scheme="implicit-euler", tol=1e-6, path=path)
+        for path in ("cones", "full")
+    )
+    assert set(cones.stats["solver"]) <= {"cones", "at rest"}
+    assert np.abs(cones.velocity - full.velocity).max() <= 1e-5 * np.abs(full.velocity).max()
+
+
+def test_answers_do_not_depend_on_units() -> None:
+    case = flow(disc(5), lambda t: 1.0)
+
+    def answer(force: float) -> np.ndarray:
+        process = so.EvolutionVI(
+            force * case.process.A,
+            None,
+            load=lambda t: force * case.mean,
+            dissipation=force * case.process.dissipation,
+            u0=case.process.u0,
+        )
+        return run(case._replace(process=process)).velocity[-1]
+
+    assert np.array_equal(answer(1.0), answer(2.0**40))
+
+
+def test_a_yield_stress_that_grows_in_time_stops_the_flow() -> None:
+    case = flow(disc(6), lambda t: 1.0)
+    C = so.Moving(case.process.dissipation, center=case.mean, scale=lambda t: 1 + 2 * t)
+    sol = so.solve(
+        so.SweepingProcess(case.process.A, None, C, case.process.u0),
+        t_end=1.0,
+        steps=4,
+        scheme="implicit-euler",
+        path="cones",
+    )
+    assert sol.velocity[0].any()
+    assert not sol.velocity[-1].any()
+    assert set(sol.stats["solver"]) == {"cones"}
+
+
+def test_many_discs_choose_the_path_and_rough_meshes_are_certified() -> None:
+    mesh = disc(14)
+    inside = np.setdiff1d(np.arange(mesh.nvertices), mesh.boundary_nodes())
+    points = mesh.p.copy()
+    points[:, inside] += np.random.default_rng(0).uniform(-0.25, 0.25, (2, inside.size)) / 14
+    case = flow(skfem.MeshTri(points, mesh.t), lambda t: 0.5 + t)
+    sol = run(case, 5, path="auto")
+    assert sol.plan.path == "cones"
+    assert set(sol.stats["solver"]) == {"cones"}
+    assert flow(disc(4), lambda t: t).process.dim < 300
+    assert run(flow(disc(4), lambda t: t), path="auto").plan.path == "full"
+
+
+def test_whether_the_start_is_inside_is_found_without_a_slow_projection() -> None:
+    with pytest.warns(InitialStateWarning, match=r"B u0 is not in C\(0\)"):
+        run(flow(disc(12), lambda t: 1.0), path="auto")
+
+
+@pytest.mark.parametrize(
+    "row", [[1.0, -2.0, 0.0], [1.0, -2.0, 1.0]], ids=["still beside constants", "still in a plane"]
+)
+def test_a_set_of_another_kind_is_told_what_the_path_needs(row: list[float]) -> None:
+    C = so.image(np.array([row]).T, so.Balls([1.0], 1))
+    process = so.SweepingProcess(sp.csc_array(sp.eye_array(3)), None, C, np.zeros(3))
+    with pytest.raises(PathError, match="balls of one dimension"):
+        so.solve(process, t_end=1.0, steps=1, path="cones")
+
+
+def test_error_bounds_are_refused_with_the_reason_and_energies_balance() -> None:
+    case = flow(disc(6), lambda t: t, kappa=1.0)
+    sol = run(case, 8, t_end=2.0)
+    with pytest.raises(PathError, match="path='full'"):
+        sol.error_bound()
+    assert sol.viability().max() < 1e-5
+    assert np.isfinite(sol.viability([0.5, 2.0])).all()
+    energy = sol.energy()
+    spent = energy.stored + energy.viscous + energy.friction
+    assert np.abs(spent - energy.work).max() <= 0.05 * np.abs(energy.work).max()
