@@ -175,11 +175,7 @@ def _write(report: Report, folder: Path) -> list[str]:
     """Write all files of a run; their names relative to the folder, the summary last."""
     from sweepopt.fem import output, pictures
 
-    figures, slip = {}, report.slip
-    if report.scene.discretisation.mesh.dim() == 2:
-        figures["displacement.png"] = pictures.displacement_figure(report)
-    if slip is not None and slip.velocity.ndim == 2 and slip.contact.on_curve:
-        figures["contact.png"] = pictures.contact_figure(report)
+    figures = {f"{name}.png": draw(report) for name, draw in pictures.drawn_of(report).items()}
     output.write_netcdf(report, folder / "solution.nc")
     for name, figure in figures.items():
         with replacing(folder / name) as part:

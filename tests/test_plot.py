@@ -16,9 +16,19 @@ from meshes import annulus, report_of, ring, square
 
 import sweepopt as so
 from sweepopt import plot
-from sweepopt.fem import BodyForce, Elasticity, Friction, Scene, Traction, Viscosity, antiplane
+from sweepopt.fem import (
+    BodyForce,
+    Elasticity,
+    Friction,
+    Scene,
+    Traction,
+    Viscosity,
+    antiplane,
+    read_scene,
+)
 from sweepopt.fem.output import Report
-from sweepopt.fem.pictures import STATE_COLOURS, contact_figure, displacement_figure
+from sweepopt.fem.pictures import DRAWN, STATE_COLOURS, contact_figure, displacement_figure
+from sweepopt.fem.scene import PICTURES
 
 
 def half_ring() -> Scene:
@@ -168,3 +178,9 @@ def test_missing_matplotlib_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(so.MissingExtraError, match=r'pip install "sweepopt\[plot\]"'):
         stick_slip(1).plot()
+
+
+def test_every_picture_that_a_scene_can_ask_for_is_drawn() -> None:
+    assert set(DRAWN) == set(PICTURES)
+    with pytest.raises(so.InputError, match=r"pictures must be one of .*contact.*'nonsense'"):
+        read_scene({"pictures": ["nonsense"], "domain": {}, "time": {}, "effects": {}})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,17 @@ from sweepopt.plot import LOOKS, STICK, STYLES, draw_histories, new_figure, spre
 from sweepopt.results import Solution
 
 STATE_COLOURS = {-1: "#0072B2", 0: STICK, 1: "#D55E00"}
+
+
+def drawn_of(report: Report) -> dict[str, Callable[[Report], Any]]:
+    """The functions that draw the scene's pictures, by name; all that fit if it names none."""
+    scene, slip = report.scene, report.slip
+    fits = {
+        "displacement": scene.discretisation.mesh.dim() == 2,
+        "contact": slip is not None and slip.velocity.ndim == 2 and slip.contact.on_curve,
+    }
+    names = scene.pictures or [name for name, fit in fits.items() if fit]
+    return {name: DRAWN[name] for name in names}
 
 
 def displacement_figure(report: Report) -> Any:
@@ -151,3 +163,7 @@ def _state_legend(figure: Any) -> None:
         for state, name in STATES.items()
     ]
     figure.legend(handles=handles, ncols=3, fontsize="small", loc="outside upper center")
+
+
+DRAWN = {"displacement": displacement_figure, "contact": contact_figure}
+"""What draws each of PICTURES."""

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from sweepopt.results import Solution
 
 UNITS = ("dimensionless", "SI")
+PICTURES = ("displacement", "contact")
+"""What a scene can ask for; DRAWN of pictures.py draws it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +52,8 @@ class Scene:
         Arguments of `sweepopt.solve`.
     units : {"dimensionless", "SI"}
     title : str
+    pictures : sequence of str
+        Those of a run, of PICTURES; empty for all that fit.
     force : callable or None
         f(t), shape (dim,); None is no load.
     """
@@ -66,6 +70,7 @@ class Scene:
     tol: float = 1e-6
     units: str = "dimensionless"
     title: str = ""
+    pictures: Sequence[str] = ()
     force: Callable[[float], Any] | None = None
 
     @property

@@ -12,7 +12,7 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sweepopt.checks import choice, count, number
+from sweepopt.checks import choice, count, listed, number
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.effects import (
     BodyForce,
@@ -27,7 +27,7 @@ from sweepopt.fem.effects import (
 )
 from sweepopt.fem.fields import Profile
 from sweepopt.fem.mesh import grid
-from sweepopt.fem.scene import Scene, at_path, build, method
+from sweepopt.fem.scene import PICTURES, Scene, at_path, build, method
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.io import as_path, find_scene, parse_toml, read_toml
 from sweepopt.loads import Constant, Sine, Table, Triangle, check_points
@@ -57,6 +57,7 @@ class _File(NamedTuple):
     solve: Any = {}  # noqa: RUF012
     title: str = ""
     units: str = "dimensionless"
+    pictures: Any = ()
 
 
 def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = ".") -> Scene:
@@ -84,6 +85,7 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
     ::
 
         title = "..."                   # optional; units = "SI" or "dimensionless" (default)
+        pictures = ["contact"]          # of a run; all that fit if not given
         [domain]
         mesh = "tube.msh"               # Gmsh, VTU, Abaqus; groups by name
         # mesh = { sizes = [2.0, 1.0], cells = [20, 10] }: sides left, right, bottom, top (front,
@@ -126,7 +128,10 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
     file = _called(_File, data, "", folder)
     effects = _effects(file.effects, folder)
     body = _called(Discretisation, file.domain, "domain", folder)
-    settings = {"title": file.title, "units": file.units}
+    pictures = listed("pictures", file.pictures) if file.pictures else ()
+    for name in pictures:
+        choice("pictures", name, PICTURES)
+    settings = {"title": file.title, "units": file.units, "pictures": pictures}
     for kind, table, path in ((_time, file.time, "time"), (method, file.solve, "solve")):
         settings |= _called(kind, table, path, folder)
     return build(body, effects, None, settings)
