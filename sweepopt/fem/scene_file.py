@@ -126,11 +126,11 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
     """
     data, folder = _load(source, as_path("folder", folder))
     file = _called(_File, data, "", folder)
-    effects = _effects(file.effects, folder)
-    body = _called(Discretisation, file.domain, "domain", folder)
     pictures = listed("pictures", file.pictures) if file.pictures else ()
     for name in pictures:
         choice("pictures", name, PICTURES)
+    effects = _effects(file.effects, folder)
+    body = _called(Discretisation, file.domain, "domain", folder)
     settings = {"title": file.title, "units": file.units, "pictures": pictures}
     for kind, table, path in ((_time, file.time, "time"), (method, file.solve, "solve")):
         settings |= _called(kind, table, path, folder)
