@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -198,18 +199,11 @@ def test_failures_are_rows(
 def test_errors_of_meshes_are_against_a_finer_one_and_fall_with_their_order(
     tmp_path: Path,
 ) -> None:
-    study = Study(
-        ("square",),
-        ("midpoint",),
-        ("auto",),
-        (64,),
-        refinements=(0, 1, 2),
-        elements=("P1", "P2"),
-        repeats=1,
-    )
+    one = Study(("square",), ("midpoint",), ("auto",), (48,), refinements=(1,), repeats=1)
+    study = replace(one, refinements=(0, 1), elements=("P1", "P2"))
     table = run(study, tmp_path)
     assert table.success.all()
-    assert list(table.unknowns[table.element == "P1"]) == [72, 272, 1056]
+    assert list(table.unknowns[table.element == "P1"]) == [72, 272]
     of_p1 = table.error[table.element == "P1"].to_numpy()
     of_p2 = table.error[table.element == "P2"].to_numpy()
     assert (of_p2 < 0.5 * of_p1).all()
@@ -218,9 +212,8 @@ def test_errors_of_meshes_are_against_a_finer_one_and_fall_with_their_order(
     assert (np.log2(of_p2[:-1] / of_p2[1:]) > 0.9).all()
 
     finest = study.reference(find_source("square"))
-    assert (finest.refinements, finest.element) == (3, "P2")
-    one_mesh = Study(("square",), ("midpoint",), ("auto",), (64,), refinements=(2,), repeats=1)
-    (row,) = run(one_mesh, tmp_path / "one").itertuples()
+    assert (finest.refinements, finest.element) == (2, "P2")
+    (row,) = run(one, tmp_path / "one").itertuples()
     # on one mesh the error is that in time, which its guaranteed bound holds for
     assert row.error < 0.1 * of_p1[-1]
     assert row.error <= row.bound
