@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import sweepopt as so
-from sweepopt.cli import main
 from sweepopt.study.hard import FAMILIES, Program, verdicts
 from sweepopt.study.hard.bodies import MATRICES, chain
 from sweepopt.study.hard.families import chosen, combination, make, read_families
@@ -234,25 +233,3 @@ def test_a_contact_that_is_named_twice_has_the_sum_of_its_bounds() -> None:
         assert named.project(w) == pytest.approx(once.project(w), abs=1e-12)
         z = w * [1, 0, 0, 0] + [0, 0, abs(w[2]), 0]
         assert named.support(z) == pytest.approx(once.support(z), rel=1e-12)
-
-
-# ---- the command -------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("hard = 3", "hard must be a table"),
-        ("[hard]\nseed = [1]", "hard.seed: unknown key; there are: seeds"),
-        ("[hard]\nseeds = [-1]", "hard.seeds[0] must be a whole number >= 0, got -1"),
-        ('[hard]\nfamilies = ["soft"]', "hard.families[0]: 'soft' is not known; there are: thr"),
-        ('[hard]\ntrajectories = ["x"]', "hard.trajectories[0]: 'x' is not known; there are: ord"),
-    ],
-)
-def test_a_bad_table_is_refused(
-    text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "bad.toml"
-    path.write_text(text)
-    assert main(["study", str(path), "--out", str(tmp_path / "out")]) == 2
-    assert words in capsys.readouterr().err

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -384,6 +385,31 @@ def test_a_bad_study_is_refused_by_file_and_key(
         read_study(path)
     assert str(raised.value).startswith(f"{path}: ")
     assert words in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("hard = 3", "hard must be a table"),
+        ("[hard]\nseed = [1]", "hard.seed: unknown key; there are: seeds"),
+        ("[hard]\nseeds = [-1]", "hard.seeds[0] must be a whole number >= 0, got -1"),
+        ('[hard]\nfamilies = ["soft"]', "hard.families[0]: 'soft' is not known; there are: thr"),
+        ('[hard]\ntrajectories = ["x"]', "hard.trajectories[0]: 'x' is not known; there are: ord"),
+        ('[stiff]\nbodies = ["x"]', "stiff.bodies[0]: 'x' is not known; there are: one mass"),
+        ("[stiff]\nstiffness = [0.0]", "stiff.stiffness[0] must be > 0"),
+        ("[stiff]\nseeds = [-1]", "stiff.seeds[0] must be"),
+        ("[stiff]\nnonsense = 1", "stiff.nonsense: unknown key; there are: seeds"),
+    ],
+)
+def test_a_bad_table_of_hard_or_stiff_cases_is_refused_by_file_and_key(
+    table: str, words: str, file: Path, tmp_path: Path
+) -> None:
+    both = tmp_path / "both.toml"
+    both.write_text(f"{TEXT}\n[hard]\nseeds = [1]\n[stiff]\nseeds = [2]\n")
+    assert replace(read_study(both), folder="") == replace(read_study(file), folder="")
+    both.write_text(f"{TEXT}\n{table}")
+    with pytest.raises(so.InputError, match=re.escape(f"{both}: {words}")):
+        read_study(both)
 
 
 def test_the_studies_of_the_library_can_be_run_and_are_no_problems() -> None:
