@@ -73,7 +73,7 @@ body { font: 15px/1.5 system-ui, sans-serif; max-width: 1500px; margin: auto; pa
 .scroll { max-height: 36rem; overflow: auto; }
 table { border-collapse: collapse; font-size: 13px; font-variant-numeric: tabular-nums; }
 th, td { border: 0; border-bottom: 1px solid #ddd; padding: 0.2rem 0.6rem; text-align: left; }
-td { vertical-align: top; max-width: 18rem; overflow-wrap: break-word; }
+td { vertical-align: top; min-width: 4rem; max-width: 18rem; overflow-wrap: break-word; }
 td:last-child { min-width: 20rem; max-width: 40rem; overflow-wrap: anywhere; }
 thead th { position: sticky; top: 0; background: #f2f4f7; }
 </style>
