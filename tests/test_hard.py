@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 import sweepopt as so
-from sweepopt.cli import main
-from sweepopt.study.hard import FAMILIES, Program, suite
+from sweepopt.study.hard import FAMILIES, Program, verdicts
 from sweepopt.study.hard.bodies import MATRICES, chain
 from sweepopt.study.hard.families import chosen, combination, make, read_families
 from sweepopt.study.hard.ingredients import CONTACTS, HISTORIES, LOADS, STIFFNESS, UNITS
 from sweepopt.study.hard.judge import Judge
 from sweepopt.study.hard.suite import PATHS, HardRow, HardStudy, rows
+from sweepopt.study.hard.verdicts import GOOD
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 
@@ -33,7 +33,7 @@ def judged(*families: str, **settings: Any) -> list[HardRow]:
 
 
 def wrong(found: list[HardRow]) -> list[HardRow]:
-    return [row for row in found if not row.good]
+    return [row for row in found if row.verdict not in GOOD]
 
 
 def test_the_active_set_solver_stands_alone() -> None:
@@ -65,7 +65,7 @@ def test_an_ingredient_that_there_is_not_is_refused_by_name(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_hard_families_are_met_within_their_certificates(family: str) -> None:
-    found = judged(family, solvers=["auto", "newton", "daqp", "osqp", "clarabel"], tol=1e-9)
+    found = judged(family, solvers=["auto", "osqp", "clarabel"], tol=1e-9)
     assert found
     assert wrong(found) == []
 
@@ -192,23 +192,23 @@ def test_the_judge_sees_wrong_answers_and_certificates(
             stats["certificate"] = stated * stats["certificate"]
             return SimpleNamespace(t=sol.t, u=sol.u, velocity=factor * sol.velocity, stats=stats)
 
-        monkeypatch.setattr(suite, "solve", lying)
+        monkeypatch.setattr(verdicts, "solve", lying)
         return judged(family, seeds=[2], solvers=["auto"], paths=["full"])[0]
 
     right, far, near = judged_as(1.0), judged_as(1 + 1e-6), judged_as(1 + 1e-9, stated=0.0)
     assert (right.verdict, far.verdict) == ("met", "error above 1e-08")
     assert 1e-7 < far.error < 1.01e-6  # in units of the load where that is more
-    assert (near.verdict, near.good) == ("certificate below the error", False)
+    assert near.verdict == "certificate below the error"
     assert 1e-10 < near.error < 1.01e-9 + right.error
 
 
 def test_an_error_of_the_library_is_a_wrong_row_whatever_its_words(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(suite, "solve", Mock(side_effect=so.InputError("path= is in the text")))
+    monkeypatch.setattr(verdicts, "solve", Mock(side_effect=so.InputError("path= is in the text")))
     found = judged("small_beta", solvers=["auto"])
     assert [row.path for row in found] == list(PATHS)
-    assert all(row.verdict.startswith("InputError: path=") and not row.good for row in found)
+    assert all(row.verdict.startswith("InputError: path=") for row in found)
 
 
 # ---- laws of the process ----------------------------------------------------------------------
@@ -233,25 +233,3 @@ def test_a_contact_that_is_named_twice_has_the_sum_of_its_bounds() -> None:
         assert named.project(w) == pytest.approx(once.project(w), abs=1e-12)
         z = w * [1, 0, 0, 0] + [0, 0, abs(w[2]), 0]
         assert named.support(z) == pytest.approx(once.support(z), rel=1e-12)
-
-
-# ---- the command -------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("hard = 3", "hard must be a table"),
-        ("[hard]\nseed = [1]", "hard.seed: unknown key; there are: seeds"),
-        ("[hard]\nseeds = [-1]", "hard.seeds[0] must be a whole number >= 0, got -1"),
-        ('[hard]\nfamilies = ["soft"]', "hard.families[0]: 'soft' is not known; there are: thr"),
-        ('[hard]\ntrajectories = ["x"]', "hard.trajectories[0]: 'x' is not known; there are: ord"),
-    ],
-)
-def test_a_bad_table_is_refused(
-    text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "bad.toml"
-    path.write_text(text)
-    assert main(["study", str(path), "--out", str(tmp_path / "out")]) == 2
-    assert words in capsys.readouterr().err

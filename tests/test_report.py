@@ -250,7 +250,7 @@ def test_a_study_with_hard_cases_writes_its_files_goes_on_and_keeps_rows_of_an_i
         yield from HARD
         raise KeyboardInterrupt
 
-    judged = {"hard": ("hard", interrupted, ["family"])}
+    judged = {"hard": ("hard", interrupted)}
     monkeypatch.setattr("sweepopt.study.commands.JUDGED", judged)
     assert main(["study", str(path), "--out", str(out)]) != 0
     assert "2 cells, 2 of them finished before" in capsys.readouterr().err

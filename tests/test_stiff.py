@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +20,7 @@ skfem = pytest.importorskip("skfem")
 
 def check(row: StiffRow, over_best: float = 2.0) -> None:
     assert row.over_best <= over_best, row
-    assert row.false_sticks == 0, row
-    assert row.ringing <= 1.1, row
+    assert row.verdict == "met", row  # no false stick, no ringing
 
 
 @pytest.mark.parametrize("body", [body for body in BODIES if body != "discs"])
@@ -89,7 +87,7 @@ def test_a_square_of_small_viscosity_is_as_accurate_as_the_best() -> None:
     ]
     square = skfem.MeshTri().refined(3).with_defaults()
     scene = antiplane(square, clamped="top", effects=effects)
-    row = StiffRow("", "", 0, 100.0, 100, *judge(scene.problem, 2.0, 20, bounds=False))
+    row = judge(StiffRow("", "", 0, 100.0, 20), scene.problem, 2.0, bounds=False)
     check(row, over_best=1.0)
 
 
@@ -125,24 +123,9 @@ def test_the_study_is_a_command_and_a_file(
     table = (tmp_path / "out" / "stiff.csv").read_text().splitlines()
     assert table[0].split(",") == list(StiffRow._fields)
     assert len(table) == 3
+    page = (tmp_path / "out" / "report.html").read_text("utf-8")
+    assert "Stiff bodies" in page
+    assert "2 runs, 0 wrong" in page
     printed = capsys.readouterr().out
     assert "bound_over_error" in printed
     assert "sdirk32" in printed
-
-
-@pytest.mark.parametrize(
-    ("key", "entry", "message"),
-    [
-        ("bodies", '["ball"]', r"stiff.bodies\[0\]: 'ball' is not known; there are: one mass"),
-        ("stiffness", "[0.0]", r"stiff.stiffness\[0\]"),
-        ("seeds", "[-1]", r"stiff.seeds\[0\]"),
-        ("nonsense", "1", "stiff.nonsense: unknown key; there are: seeds"),
-    ],
-)
-def test_a_key_of_the_study_that_is_wrong_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str, entry: str, message: str
-) -> None:
-    file = tmp_path / "study.toml"
-    file.write_text(f"[stiff]\n{key} = {entry}\n")
-    assert main(["study", str(file), "--out", str(tmp_path / "out")]) == 2
-    assert re.search(message, capsys.readouterr().err)

@@ -12,45 +12,35 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sweepopt.errors import SweepoptWarning
-from sweepopt.io import find_study, read_toml
+from sweepopt.io import find_study
 from sweepopt.results import Solution
 from sweepopt.study.advice import TARGETS, advice, summary
 from sweepopt.study.cell import solution_of
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
 from sweepopt.study.executors import Processes, dask_executor
-from sweepopt.study.hard.suite import HardStudy, trajectory_rows
 from sweepopt.study.hard.suite import rows as hard_rows
+from sweepopt.study.hard.suite import trajectory_rows
+from sweepopt.study.hard.verdicts import worst
 from sweepopt.study.ledger import append_row
-from sweepopt.study.records import read_record, worst
 from sweepopt.study.report import write_report
 from sweepopt.study.sources import find_source
-from sweepopt.study.stiff import StiffStudy
 from sweepopt.study.stiff import rows as stiff_rows
-from sweepopt.study.study import Study, read_study, run
+from sweepopt.study.study import Study, read_parts, read_study, run
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 TABLE, DIAGRAM, REPORT = "table.csv", "diagram.png", "report.html"
-HARD, TRAJECTORY, STIFF = "hard", "trajectories", "stiff"
-"""Files of hard cases: .jsonl has each row as soon as it is finished, .csv all of them."""
 
 
 def study_command(chosen: argparse.Namespace) -> None:
     """Run a study, or go on with it, then its hard and stiff cases, and write what they say."""
     path = find_study(chosen.study)
     folder = chosen.out or Path("results") / path.stem
-    data = read_toml(path)
-    kinds = {HARD: HardStudy, STIFF: StiffStudy}
-    parts: dict[str, Any] = {
-        name: read_record(f"{path}: {name}.", kind, data[name])
-        for name, kind in kinds.items()
-        if name in data
-    }
+    data, parts = read_parts(path)
     table, solutions, files = None, {}, []
-    found: dict[str, list[Any]] = {}
-    if not parts or data.keys() - {*kinds, "title"}:
+    if not parts or data.keys() - {"title"}:
         study = read_study(path)
         with _executor(chosen) as executor:
             table = run(study, folder, executor=executor, progress=_say)
@@ -61,40 +51,50 @@ def study_command(chosen: argparse.Namespace) -> None:
         files += [TABLE, DIAGRAM]
     # in this process, from the start: hard cases take some minutes a seed
     folder.mkdir(parents=True, exist_ok=True)
-    for name, (part, rows, by) in JUDGED.items():
-        found[name] = _kept(rows(parts[part], _say), folder / name) if part in parts else []
-        if found[name]:
-            print(worst(found[name], by))
+    found = {
+        name: _kept(rows(parts[part]), folder / name)
+        for name, (part, rows) in JUDGED.items()
+        if part in parts
+    }
+    for name, rows in found.items():
+        if rows:
+            print(worst(rows, GROUPS[name]))
             files.append(f"{name}.csv")
-    if table is not None or found[HARD] or found[TRAJECTORY]:
+    if table is not None or any(found.values()):
         files.append(REPORT)
-        write_report(
-            table,
-            folder / REPORT,
-            solutions=solutions,
-            hard=found[HARD],
-            trajectories=found[TRAJECTORY],
-            title=str(data.get("title", path.stem)),
-        )
+        title = str(data.get("title", path.stem))
+        write_report(table, folder / REPORT, solutions=solutions, title=title, **found)
     print(f"written: {folder}: {', '.join(files)}")
 
 
-JUDGED: dict[str, tuple[str, Callable[..., Any], list[str]]] = {
-    HARD: (HARD, hard_rows, ["family"]),
-    TRAJECTORY: (HARD, trajectory_rows, ["trajectory"]),
-    STIFF: (STIFF, stiff_rows, ["body", "load", "mu_Lam", "scheme"]),
+JUDGED: dict[str, tuple[str, Callable[..., Any]]] = {
+    "hard": ("hard", hard_rows),
+    "trajectories": ("hard", trajectory_rows),
+    "stiff": ("stiff", stiff_rows),
 }
-"""Files of rows: the table of a study that they are of, what yields them, and what groups them."""
+"""Files of rows, the table of a study that they are of, and what yields them.
+
+The .jsonl has each row as soon as it is finished, the .csv all of them.
+"""
+GROUPS = {
+    "hard": ["family"],
+    "trajectories": ["trajectory"],
+    "stiff": ["body", "load", "mu_Lam", "scheme"],
+}
+"""Columns by which rows are grouped where they are printed."""
 
 
 def _kept(rows: Iterable[Any], path: Path) -> list[Any]:
     """All rows, each written down as soon as it is finished."""
     import pandas as pd
 
-    lines, found = path.with_suffix(".jsonl"), []
+    lines = path.with_suffix(".jsonl")
+    found: list[Any] = []
     lines.unlink(missing_ok=True)
     for row in rows:
         append_row(lines, row)
+        if not found or row[:2] != found[-1][:2]:
+            _say(f"{path.name}: {row[0]}, {row[1]}")
         found.append(row)
     if found:
         pd.DataFrame(found).to_csv(path.with_suffix(".csv"), index=False)

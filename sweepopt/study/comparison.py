@@ -116,21 +116,13 @@ def compare(
         rows += [blank | result for result in trials(solver, programs)]
     tried = pd.DataFrame(rows).fillna({"certificate": inf})
     solved = tried.certificate <= tried.accuracy
-    tried = tried.assign(solved=solved, time=tried.seconds.where(solved, tried.seconds.max()))
-    table = (
-        tried.groupby(["solver", "setting", "accuracy"], sort=False)
-        .agg(
-            programs=("solved", "size"),
-            solved=("solved", "mean"),
-            time=("time", shifted_mean),
-            ratio=("time", shifted_mean),
-            certificate=("certificate", "median"),
-            worst=("certificate", "max"),
-            message=("message", "max"),
-        )
-        .reset_index()
-    )
-    table["ratio"] /= table.accuracy.map(table[table.solved == 1.0].groupby("accuracy").time.min())
+    tried["time"] = tried.seconds.where(solved, tried.seconds.max())
+    tried["programs"] = tried["worst"] = tried.certificate
+    how = {"programs": "size", "solved": "mean", "time": shifted_mean, "certificate": "median"}
+    groups = tried.assign(solved=solved).groupby(["solver", "setting", "accuracy"], sort=False)
+    table = groups.agg({**how, "worst": "max", "message": "max"}).reset_index()
+    best = table[table.solved == 1.0].groupby("accuracy").time.min()
+    table.insert(6, "ratio", table.time / table.accuracy.map(best))
     return table.sort_values(
         ["accuracy", "solved", "time"], ascending=[False, False, True], ignore_index=True
     )

@@ -73,18 +73,23 @@ def work_precision(table: DataFrame, *, x: str = "wall", y: str = "error", ax: A
             f"ax is one panel but table has the problems {', '.join(problems)}; leave ax out or "
             f"pass one problem, table[table.problem == {table.problem.iloc[0]!r}], and one mesh"
         )
-    panels, legend = {problems[0]: ax}, ax
+    legend = ax
     if ax is None:
         columns, lines = min(len(problems), COLUMNS), -(-len(problems) // COLUMNS)
         legend = new_figure((4.4 * columns + 1.8, 4.0 * lines))
-        places = enumerate(problems, start=1)
-        panels = {problem: legend.add_subplot(lines, columns, k) for k, problem in places}
-    for problem, panel in panels.items():
-        panel.set(title=problem, xlabel=COSTS[x], ylabel=f"{ACCURACIES[y]}, $|\\cdot|_A$")
-        panel.set(xscale="log", yscale="log")
-        panel.grid(alpha=0.3)
+    panels: dict[str, Any] = {}
+    first: dict[str, Any] = {}
+    for k, (panel, rows) in enumerate(cells.groupby("panel", sort=False), start=1):
+        # meshes of one problem have the same limits, so that they can be compared
+        one = first.get(rows.problem.iloc[0])
+        here = ax or legend.add_subplot(lines, columns, k, sharex=one, sharey=one)
+        panels[panel] = here
+        first.setdefault(rows.problem.iloc[0], here)
+        here.set(title=panel, xlabel=COSTS[x], ylabel=f"{ACCURACIES[y]}, $|\\cdot|_A$")
+        here.set(xscale="log", yscale="log")
+        here.grid(alpha=0.3)
         # labels at 2 and 4 between powers of ten have room in a panel
-        panel.xaxis.get_minor_locator().set_params(subs=(2, 4))
+        here.xaxis.get_minor_locator().set_params(subs=(2, 4))
     groups = cells.groupby(["panel", "line", "solver", "kind"], sort=False)
     for (problem, line, solver, kind), rows in groups:
         marker = MARKERS[solvers.index(solver) % len(MARKERS)]
@@ -96,21 +101,10 @@ def work_precision(table: DataFrame, *, x: str = "wall", y: str = "error", ax: A
             markerfacecolor=None if kind == "known" else "none",
             label=f"{line} · {solver}" if kind == "known" else kind,
         )
-    _same_limits(panels, cells)
     named = {line.get_label(): line for panel in panels.values() for line in panel.lines}
     place = {} if ax is legend else {"loc": "outside right upper"}
     legend.legend(named.values(), named.keys(), fontsize="small", **place)
     return panels[problems[0]]
-
-
-def _same_limits(panels: dict[str, Any], cells: DataFrame) -> None:
-    """Of the panels of each problem, so that its meshes can be compared."""
-    for _, rows in cells.groupby("problem"):
-        first, *others = (panels[name] for name in rows.panel.unique())
-        for panel in others:
-            panel.sharex(first)
-            panel.sharey(first)
-        first.autoscale()
 
 
 def points(table: Any, x: str, y: str) -> DataFrame:

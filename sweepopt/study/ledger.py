@@ -16,10 +16,10 @@ Row = TypeVar("Row")
 
 def append_row(path: Path, row: Any) -> None:
     """Add a named tuple of numbers and words; it is on the disk when this returns."""
-    line = json.dumps({**row._asdict(), "crc32": _checksum(row)}, default=np.generic.item)
+    line = json.dumps(row._asdict(), default=np.generic.item)
     with path.open("ab") as file:
         # a new line first: one that a kill cut short must not spoil this one
-        file.write(f"\n{line}".encode())
+        file.write(f"\n{zlib.crc32(line.encode()):08x} {line}".encode())
         file.flush()
         os.fsync(file.fileno())
 
@@ -28,13 +28,8 @@ def read_rows(path: Path, kind: type[Row]) -> list[Row]:
     """The rows of a named tuple's class; lines that are damaged or have other columns are not."""
     rows = []
     for line in path.read_bytes().splitlines() if path.exists() else ():
-        with contextlib.suppress(ValueError, TypeError, KeyError, AttributeError):
-            data = json.loads(line)
-            checksum, row = data.pop("crc32"), kind(**data)
-            if checksum == _checksum(row):
-                rows.append(row)
+        checksum, _, text = line.partition(b" ")
+        if checksum == b"%08x" % zlib.crc32(text):
+            with contextlib.suppress(TypeError):
+                rows.append(kind(**json.loads(text)))
     return rows
-
-
-def _checksum(row: Any) -> int:
-    return zlib.crc32(json.dumps(row, default=np.generic.item).encode())

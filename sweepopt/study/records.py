@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import MISSING, fields
 from typing import Any, TypeVar
 
@@ -42,13 +42,7 @@ def known(name: str, value: Any, names: Iterable[str], advice: str = "use") -> A
     return value
 
 
-def worst(rows: Sequence[Any], by: list[str]) -> str:
-    """The largest numbers of each group of rows, and a line for each row that is not good."""
-    import pandas as pd
-
-    groups = pd.DataFrame(rows).drop(columns="seed").groupby(by, sort=False)
-    table = groups.max(numeric_only=True).assign(runs=groups.size())
-    wrong = [row for row in rows if not getattr(row, "good", True)]
-    lines = [table.to_string(float_format="{:.2g}".format), "", f"{len(rows)} runs"]
-    lines += [f"{len(wrong)} wrong", *(f"  {row[:4]}: {row.verdict}" for row in wrong)]
-    return "\n".join(lines)
+def check_lists(record: Any, **checks: tuple[Any, ...]) -> None:
+    """Each list of a record by its own check and limits."""
+    for key, (check, *limits) in checks.items():
+        each(key, getattr(record, key), check, *limits)

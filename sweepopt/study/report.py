@@ -16,14 +16,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sweepopt.checks import choice
 from sweepopt.errors import InputError, Status, brought_by
 from sweepopt.io import put, writable
 from sweepopt.results import Solution
 from sweepopt.study.advice import advice_table, halving_table
 from sweepopt.study.cell import guaranteed_bound
 from sweepopt.study.diagram import ACCURACIES, BOUND, COLOURS, COLUMNS, COSTS, points
-from sweepopt.study.hard.suite import TARGET, HardRow
-from sweepopt.study.hard.trajectories import TrajectoryRow
+from sweepopt.study.hard.suite import TARGET
+from sweepopt.study.hard.verdicts import GOOD
 from sweepopt.study.machine import machine
 
 if TYPE_CHECKING:
@@ -42,14 +43,24 @@ TOOLTIP = {
 BAND = "rgba(0, 114, 178, 0.25)"
 LEAST = 1e-18
 """Hard cases: errors of 0, of bodies at rest, are drawn here."""
-HARD_TEXT = (
-    "The worst step of each run, judged by its exact velocity: the true error stays below "
-    f"{TARGET:g} and below the certificate. A click in the legend hides a solver."
-)
-TRAJECTORY_TEXT = (
-    "Runs beside exact trajectories: the error is that of the scheme's order, bounds lie above it, "
-    "energies balance, and what slips clearly does not rest."
-)
+SECTIONS = {
+    "hard": (
+        "Hard cases",
+        "The worst step of each run, judged by its exact velocity: the true error stays below "
+        f"{TARGET:g} and below the certificate. A click in the legend hides a solver.",
+    ),
+    "trajectories": (
+        "Hard trajectories",
+        "Runs beside exact trajectories: the error is that of the scheme's order, bounds lie above "
+        "it, energies balance, and what slips clearly does not rest.",
+    ),
+    "stiff": (
+        "Stiff bodies",
+        "The default scheme beside the best of three: its error is at most twice theirs and below "
+        "its bound, its velocities do not ring, and what slips does not rest.",
+    ),
+}
+"""Heading and text of rows that are judged, by the name of their file."""
 PAGE = Template("""\
 <!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>$title</title>
@@ -62,8 +73,8 @@ body { font: 15px/1.5 system-ui, sans-serif; max-width: 1500px; margin: auto; pa
 .scroll { max-height: 36rem; overflow: auto; }
 table { border-collapse: collapse; font-size: 13px; font-variant-numeric: tabular-nums; }
 th, td { border: 0; border-bottom: 1px solid #ddd; padding: 0.2rem 0.6rem; text-align: left; }
-td { vertical-align: top; white-space: nowrap; }
-td:last-child { white-space: normal; min-width: 20rem; overflow-wrap: anywhere; }
+td { vertical-align: top; min-width: 4rem; max-width: 18rem; overflow-wrap: break-word; }
+td:last-child { min-width: 20rem; max-width: 40rem; overflow-wrap: anywhere; }
 thead th { position: sticky; top: 0; background: #f2f4f7; }
 </style>
 <script>$plotly</script></head>
@@ -78,9 +89,8 @@ def write_report(
     path: str | os.PathLike[str],
     *,
     solutions: Mapping[str, Solution] | None = None,
-    hard: Sequence[HardRow] = (),
-    trajectories: Sequence[TrajectoryRow] = (),
     title: str = "Accuracy and what it costs",
+    **judged: Sequence[Any],
 ) -> Path:
     """Write a study as one HTML file; nothing is fetched when it is opened.
 
@@ -92,12 +102,10 @@ def write_report(
         The file to write; one that is there is replaced.
     solutions : mapping of str to Solution, optional
         Runs to show over time, by name: the component that moves most, in its guaranteed band.
-    hard : sequence of HardRow
-        Runs of hard cases of this session.
-    trajectories : sequence of TrajectoryRow
-        Runs of hard trajectories of this session.
     title : str
         The report's heading.
+    **judged : sequences of named tuples
+        Rows of hard cases, hard=, of trajectories=, and of stiff= bodies.
 
     Returns
     -------
@@ -111,7 +119,9 @@ def write_report(
     MissingExtraError
         If Plotly is not installed.
     """
-    if table is None and not hard and not trajectories:
+    for name in judged:
+        choice("name", name, SECTIONS)
+    if table is None and not any(map(len, judged.values())):
         raise InputError("table is None and there are no hard cases: nothing to report")
     target = writable("path", path)
     with brought_by("study"):
@@ -126,10 +136,8 @@ def write_report(
             "<h2>Trajectories in their guaranteed bands</h2>",
             _page_of(_trajectories(solutions)),
         ]
-    if hard:
-        parts += _judged_section(hard, "Hard cases", HARD_TEXT, _hard_figure)
-    if trajectories:
-        parts += _judged_section(trajectories, "Hard trajectories", TRAJECTORY_TEXT)
+    for name, rows in judged.items():
+        parts += _judged_section(name, rows) if len(rows) else []
     date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     page = PAGE.substitute(
         title=html.escape(title),
@@ -218,15 +226,21 @@ def _band(solution: Solution, k: int) -> Any:
     return np.sqrt(inverse[k]) * np.append(bound.of_t[:1], bound.of_t)
 
 
-def _judged_section(rows: Sequence[Any], title: str, text: str, figure: Any = None) -> list[str]:
+def _judged_section(name: str, rows: Sequence[Any]) -> list[str]:
     import pandas as pd
 
-    good, table = pd.Series([row.good for row in rows]), pd.DataFrame(rows)
+    table, (title, text) = pd.DataFrame(rows), SECTIONS[name]
     return [
         f"<h2>{title}</h2>",
         f"<p>{text}</p>",
-        _page_of(figure(table)) if figure else "",
-        _table(table.drop(columns="excess", errors="ignore"), "verdict", good, "runs", "wrong"),
+        _page_of(_hard_figure(table)) if name == "hard" else "",
+        _table(
+            table.drop(columns="excess", errors="ignore"),
+            "verdict",
+            table.verdict.isin(GOOD),
+            "runs",
+            "wrong",
+        ),
     ]
 
 

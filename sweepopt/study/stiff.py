@@ -20,11 +20,14 @@ from sweepopt.results import Solution
 from sweepopt.sets import Balls, Box, ConvexSet, Moving
 from sweepopt.solve import solve
 from sweepopt.study.hard.bodies import Random, chain, spectral
-from sweepopt.study.records import each, known
+from sweepopt.study.hard.verdicts import first_of
+from sweepopt.study.records import check_lists, known
 from sweepopt.study.reference_states import largest_norm
 
 BEST_OF = ("implicit-euler", "midpoint", "sdirk2")
 FINER = 16  # steps of the reference in one of the run: its error is less by 16 at least
+TWICE, RINGS = 2.0, 1.1
+"""What the default is to keep: its error over the best one, and its `ringing`."""
 SLIPS = 0.05  # of an unknown's largest velocity: a slower one may be rounding
 
 
@@ -103,10 +106,8 @@ class StiffStudy:
     bounds: bool = True
 
     def __post_init__(self) -> None:
-        each("seeds", self.seeds, count, 0)
-        each("steps", self.steps, count)
-        each("bodies", self.bodies, known, BODIES, "there are:")
-        each("loads", self.loads, known, LOADS, "there are:")
+        names = {"bodies": (known, BODIES, "there are:"), "loads": (known, LOADS, "there are:")}
+        check_lists(self, seeds=(count, 0), steps=(count,), **names)
         for k, x in enumerate(self.stiffness):
             if x != math.inf:
                 number(f"stiffness[{k}]", x, 0.0, strict=True)
@@ -125,6 +126,8 @@ class StiffRow(NamedTuple):
         Total variation of the velocities over that of the reference's means in the same steps.
     false_sticks : int
         Steps in which an unknown's velocity is 0.0 that slips all the time.
+    verdict : str
+        "met", or what is wrong.
     """
 
     body: str
@@ -132,12 +135,13 @@ class StiffRow(NamedTuple):
     seed: int
     mu_Lam: float
     steps: int
-    scheme: str
-    error: float
-    over_best: float
-    bound_over_error: float
-    ringing: float
-    false_sticks: int
+    scheme: str = ""
+    error: float = math.nan
+    over_best: float = math.nan
+    bound_over_error: float = math.nan
+    ringing: float = math.nan
+    false_sticks: int = 0
+    verdict: str = ""
 
 
 def make(body: str, load: str, seed: int, mu_Lam: float, steps: int) -> SweepingProcess:
@@ -150,10 +154,8 @@ def make(body: str, load: str, seed: int, mu_Lam: float, steps: int) -> Sweeping
     return SweepingProcess(factor * A, B, Moving(C, Separable(terms)), u0)
 
 
-def rows(
-    study: StiffStudy, progress: Callable[[str], object] = lambda words: None
-) -> Iterator[StiffRow]:
-    """Run the processes of a study; `progress` is called with each body and load.
+def rows(study: StiffStudy) -> Iterator[StiffRow]:
+    """Run the processes of a study.
 
     Yields
     ------
@@ -166,34 +168,38 @@ def rows(
     >>> row.scheme, row.over_best < 2, row.false_sticks
     ('sdirk32', True, 0)
     """
-    for body, load, seed in product(study.bodies, study.loads, study.seeds):
-        progress(f"{body}, {load}, seed {seed}")
-        for mu_Lam, steps in product(study.stiffness, study.steps):
-            process = make(body, load, seed, mu_Lam, steps)
-            measures = judge(process, 1.0, steps, study.bounds)
-            yield StiffRow(body, load, seed, mu_Lam, steps, *measures)
+    lists = study.bodies, study.loads, study.seeds, study.stiffness, study.steps
+    for case in product(*lists):
+        yield judge(StiffRow(*case), make(*case), 1.0, study.bounds)
 
 
-def judge(process: SweepingProcess, t_end: float, steps: int, bounds: bool = True) -> tuple:
-    """The entries of a row from `scheme` on, of a run of a process."""
+def judge(row: StiffRow, process: SweepingProcess, t_end: float, bounds: bool = True) -> StiffRow:
+    """The row with what a run of a process is worth."""
 
     def run(scheme: str, finer: int = 1) -> Solution:
         settings: dict[str, Any] = {"scheme": scheme, "tol": 1e-8, "on_unstable": "ignore"}
-        return solve(process, t_end=t_end, steps=finer * steps, **settings)
+        return solve(process, t_end=t_end, steps=finer * row.steps, **settings)
 
     reference, sol = run("sdirk32", FINER), run("auto")
-    slips = reference.velocity.reshape(steps, FINER, -1)
+    slips = reference.velocity.reshape(row.steps, FINER, -1)
     error, *others = (
         largest_norm(process, one.u - reference.u[::FINER]) for one in (sol, *map(run, BEST_OF))
     )
     variations = [abs(np.diff(z, axis=0)).sum() for z in (sol.velocity, slips.mean(axis=1))]
     least = SLIPS * abs(slips).max(axis=(0, 1))
     always = (slips > least).all(axis=1) | (slips < -least).all(axis=1)
-    return (
-        sol.plan.scheme.name,
-        error,
-        error / min(others),
-        float(sol.error_bound()) / error if bounds else math.nan,
-        float(variations[0] / variations[1]),
-        int((always & (sol.velocity == 0)).any(axis=1).sum()),
+    row = row._replace(
+        scheme=sol.plan.scheme.name,
+        error=error,
+        over_best=error / min(others),
+        bound_over_error=float(sol.error_bound()) / error if bounds else math.nan,
+        ringing=float(variations[0] / variations[1]),
+        false_sticks=int((always & (sol.velocity == 0)).any(axis=1).sum()),
     )
+    faults = {
+        "false stick": row.false_sticks,
+        "bound below the error": row.bound_over_error < 1,
+        f"error above {TWICE:g} times the best": row.over_best > TWICE,
+        "velocities ring": row.ringing > RINGS,
+    }
+    return row._replace(verdict=first_of(faults))

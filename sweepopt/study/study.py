@@ -20,6 +20,7 @@ from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, read_toml
 from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, run_cell
+from sweepopt.study.hard.suite import HardStudy
 from sweepopt.study.ledger import append_row, read_rows
 from sweepopt.study.records import each, known, read_record
 from sweepopt.study.reference_states import (
@@ -29,6 +30,7 @@ from sweepopt.study.reference_states import (
     save_reference,
 )
 from sweepopt.study.sources import Source, find_source
+from sweepopt.study.stiff import StiffStudy
 from sweepopt.velocity import solvers
 
 if TYPE_CHECKING:
@@ -39,6 +41,8 @@ IN_FLIGHT = 64
 Jobs = Iterator[tuple[Any, ...]]
 """Cells and the arguments of a function that is called for each."""
 ROWS = "rows.jsonl"
+KINDS: dict[str, type[Any]] = {"hard": HardStudy, "stiff": StiffStudy}
+"""Tables of a study's file beside its own keys."""
 WORKER_DIED = ("WorkerDiedError", "KilledWorker")
 """Exceptions, ours and dask's, of a cell whose workers died; others end the study."""
 
@@ -170,6 +174,8 @@ def read_study(path: str | Path) -> Study:
         repeats = 3                                     # optional
         [hard]                                          # optional: hard cases, run afterwards
         seeds = [0]
+        [stiff]                                         # optional: stiff bodies, run afterwards
+        seeds = [0]
 
     Examples
     --------
@@ -178,9 +184,17 @@ def read_study(path: str | Path) -> Study:
     True
     """
     path = as_path("path", path)
+    return read_record(f"{path}: ", Study, read_parts(path)[0], folder=str(path.parent))
+
+
+def read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The keys of a study's file, and its tables of other kinds as records by name."""
     data = read_toml(path)
-    data.pop("hard", None)
-    return read_record(f"{path}: ", Study, data, folder=str(path.parent))
+    return data, {
+        name: read_record(f"{path}: {name}.", kind, data.pop(name))
+        for name, kind in KINDS.items()
+        if name in data
+    }
 
 
 def run(

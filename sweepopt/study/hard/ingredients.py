@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.errors import EmptySetError
 from sweepopt.sets import Balls, Box, ConvexSet, HalfSpace, Orthant, Point, Polyhedron, product
 from sweepopt.study.hard.bodies import Random, chain, spectral
 
@@ -124,7 +123,7 @@ CONTACTS: dict[str, Draw] = {
     "a strip 1e-9 wide": _strip(1e-9),
     "a strip that is missing by 1e-9": _strip(-1e-9),
 }
-REFUSED = {"": None, "a strip that is missing by 1e-9": EmptySetError}
+REFUSED = {"": "", "a strip that is missing by 1e-9": "EmptySetError"}
 """Errors that are the right answers."""
 
 # ---- loads ------------------------------------------------------------------------------------

@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-import time
-import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from math import nan
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sweepopt.checks import count, number
-from sweepopt.errors import (
-    PathError,
-    SolverRefusedError,
-    SweepoptError,
-    SweepoptWarning,
-)
-from sweepopt.solve import solve
+from sweepopt.problem import SweepingProcess
+from sweepopt.results import Solution
 from sweepopt.study.cell import named_solver
 from sweepopt.study.hard.bodies import Random
 from sweepopt.study.hard.families import FAMILIES, Names, chosen, combination, make
-from sweepopt.study.hard.ingredients import HISTORIES, REFUSED, History
+from sweepopt.study.hard.ingredients import HISTORIES, REFUSED
 from sweepopt.study.hard.judge import Judge
-from sweepopt.study.hard.trajectories import TRAJECTORIES, TrajectoryRow, judged
-from sweepopt.study.records import each, known
+from sweepopt.study.hard.trajectories import TRAJECTORIES, TrajectoryRow, runs
+from sweepopt.study.hard.verdicts import Faults, judged
+from sweepopt.study.records import check_lists, known
 
 TARGET = 1e-8
 """True error, relative to max(|z*|_M, |M^-1 q|_M), that every step has to meet."""
@@ -70,14 +65,16 @@ class HardStudy:
     tol: float = 1e-9
 
     def __post_init__(self) -> None:
-        each("seeds", self.seeds, count, 0)
         count("combinations", self.combinations, least=0)
         number("tol", self.tol, minimum=0.0, strict=True)
-        lists = (("solvers", SOLVERS), ("paths", PATHS), ("families", FAMILIES))
-        for key, names in (*lists, ("trajectories", TRAJECTORIES)):
-            # without families or trajectories, this part is left out
-            if key in ("solvers", "paths") or getattr(self, key) != []:
-                each(key, getattr(self, key), known, names, "there are:")
+        check_lists(self, seeds=(count, 0), solvers=_among(SOLVERS), paths=_among(PATHS))
+        for key, names in (("families", FAMILIES), ("trajectories", TRAJECTORIES)):
+            if getattr(self, key) != []:  # without any, this part is left out
+                check_lists(self, **{key: _among(names)})
+
+
+def _among(names: Any) -> tuple[Any, ...]:
+    return known, names, "there are:"
 
 
 class HardRow(NamedTuple):
@@ -116,19 +113,11 @@ class HardRow(NamedTuple):
     seconds: float = nan
     verdict: str = ""
 
-    @property
-    def good(self) -> bool:
-        """Whether the right answer was given."""
-        return self.verdict in ("met", "refused")
 
-
-def rows(
-    study: HardStudy, progress: Callable[[str], object] = lambda words: None
-) -> Iterator[HardRow]:
+def rows(study: HardStudy) -> Iterator[HardRow]:
     """Run the cases of a study.
 
-    A solver or a path that cannot treat a case leaves no row; `progress` is called with the name
-    of each case.
+    A solver or a path that cannot treat a case leaves no row.
 
     Yields
     ------
@@ -141,21 +130,25 @@ def rows(
     ('met', True)
     """
     for name, seed, names, random in _cases(study):
-        progress(f"{name}, seed {seed}")
         history, process = chosen(HISTORIES, names), make(names, random)
-        judge = Judge(process, history.t_end / history.steps)
+        exact = Judge(process, history.t_end / history.steps)
         refused = chosen(REFUSED, names)
-        answer = f"refuse: {refused.__name__}" if refused else ""
         for path, solver in product(study.paths, study.solvers):
-            row = HardRow(name, seed, path, solver, ", ".join(names), answer)
-            try:
-                yield _run(judge, row, study.tol, history)
-            except (SolverRefusedError, PathError):
-                continue
-            except SweepoptError as error:
-                right = type(error) is refused
-                words = "refused" if right else f"{type(error).__name__}: {error}"
-                yield row._replace(verdict=words)
+            row = HardRow(name, seed, path, solver, ", ".join(names))
+            row = judged(
+                row._replace(answer=f"refuse: {refused}" if refused else ""),
+                partial(SweepingProcess.as_sweeping, process),
+                partial(_judge, exact),
+                refused,
+                t_end=history.t_end,
+                steps=history.steps,
+                scheme="implicit-euler",
+                solver=named_solver(solver),
+                tol=study.tol,
+                path=path,
+            )
+            if row:
+                yield row
 
 
 def _cases(study: HardStudy) -> Iterator[tuple[str, int, Names, Random]]:
@@ -166,52 +159,35 @@ def _cases(study: HardStudy) -> Iterator[tuple[str, int, Names, Random]]:
         yield f"combination {k}", seed, combination(random), random
 
 
-def _run(judge: Judge, row: HardRow, tol: float, history: History) -> HardRow:
-    """A run as a row: the last answer in words, and the worst of all steps."""
-    started = time.perf_counter()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SweepoptWarning)
-        solution = solve(
-            judge.process,
-            t_end=history.t_end,
-            steps=history.steps,
-            scheme="implicit-euler",
-            solver=named_solver(row.solver),
-            tol=tol,
-            path=row.path,
-        )
-    seconds, stats = time.perf_counter() - started, solution.stats
-    starts, answers = (solution.u, solution.t), (solution.velocity, stats["certificate"])
+def _judge(judge: Judge, solution: Solution, _: bool) -> tuple[dict[str, Any], Faults]:
+    """The last answer in words, the worst of all steps, and what is wrong with it."""
+    stats = solution.stats
     # of a step that is taken in parts the velocity is the mean of theirs, of no one program
-    judged = [
-        judge.step(u, float(t), z, certificate)
-        for u, t, z, certificate, solver in zip(*starts, *answers, stats["solver"], strict=False)
+    proved = stats["certificate"], stats["solver"]
+    starts = solution.u, solution.t.tolist(), solution.velocity
+    steps = [
+        judge.step(*step)
+        for *step, solver in zip(*starts, *proved, strict=False)
         if "/" not in str(solver)
     ]
-    error, certificate, excess = map(float, np.max(judged or [(nan, nan, nan)], axis=0))
-    exact = judge.exact(solution.u[-2], float(solution.t[-2]))
-    length, moving = judge.program.norm(exact.z), np.count_nonzero(exact.z)
-    faults = {
+    error, certificate, excess = map(float, np.max(steps or [(nan, nan, nan)], axis=0))
+    z = judge.exact(solution.u[-2], float(solution.t[-2])).z
+    entries = {
+        "answer": f"|z| = {judge.program.norm(z):.3g}, {np.count_nonzero(z)} of {len(z)} move",
+        "error": error,
+        "certificate": certificate,
+        "excess": excess,
+        "solved_by": stats["solver"][-1],
+        "attempts": stats["attempts"].max(),
+    }
+    return entries, {
         "no certificate": np.isnan(certificate),
         f"error above {TARGET:g}": error > TARGET,
         "certificate below the error": excess > 0,
     }
-    return row._replace(
-        answer=f"|z| = {length:.3g}, {moving} of {len(exact.z)} move",
-        error=error,
-        certificate=certificate,
-        excess=excess,
-        solved_by=stats["solver"][-1],
-        attempts=stats["attempts"].max(),
-        seconds=seconds,
-        verdict=next((words for words, fault in faults.items() if fault), "met"),
-    )
 
 
-def trajectory_rows(
-    study: HardStudy, progress: Callable[[str], object] = lambda words: None
-) -> Iterator[TrajectoryRow]:
+def trajectory_rows(study: HardStudy) -> Iterator[TrajectoryRow]:
     """Run the trajectories of a study through every scheme, as `rows` does its cases."""
     for name, seed in product(study.trajectories, study.seeds):
-        progress(f"trajectory {name}, seed {seed}")
-        yield from judged(name, seed, tol=study.tol)
+        yield from runs(name, seed, tol=study.tol)

@@ -1,0 +1,74 @@
+"""Runs as rows with a verdict: one law for programs and trajectories, and their table in words."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from sweepopt.errors import PathError, SolverRefusedError, StabilityWarning, SweepoptError
+from sweepopt.results import Solution
+from sweepopt.solve import solve
+
+GOOD = ("met", "warned", "refused")
+"""Verdicts of right answers; a run that warns says that its scheme may be wrong."""
+Faults = dict[str, Any]
+
+
+def judged(
+    row: Any,
+    process: Callable[[], Any],
+    judge: Callable[[Solution, bool], tuple[Any, Faults]],
+    refused: str = "",
+    allowed: str = "",
+    **settings: Any,
+) -> Any:
+    """A run's row: what a judge finds in it, or how it ended; None if a solver cannot treat it.
+
+    Parameters
+    ----------
+    row : named tuple with the fields seconds and verdict
+    process : callable
+        Makes the process.
+    judge : callable
+        A solution, and whether its run warned -> the row's other entries, and faults by name.
+    refused, allowed : str
+        Names of errors: the one that is the right answer, and one that is an answer.
+    **settings
+        Of `sweepopt.solve`.
+    """
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            started = time.perf_counter()
+            solution = solve(process(), **settings)
+            row = row._replace(seconds=time.perf_counter() - started)
+            if refused:
+                return row._replace(verdict=f"not refused with {refused}")
+            warned = any(issubclass(one.category, StabilityWarning) for one in caught)
+            entries, faults = judge(solution, warned)
+    except (SolverRefusedError, PathError):
+        return None
+    except SweepoptError as error:
+        name = type(error).__name__
+        right = name == (refused or allowed)
+        return row._replace(verdict="refused" if right else f"{name}: {error}")
+    return row._replace(verdict=first_of(faults, GOOD[warned]), **entries)
+
+
+def first_of(faults: Faults, verdict: str = GOOD[0]) -> str:
+    """The name of the first fault that there is, or a verdict."""
+    return next((words for words, fault in faults.items() if fault), verdict)
+
+
+def worst(rows: Sequence[Any], by: list[str]) -> str:
+    """The largest numbers of each group of rows, and a line for each row that is not good."""
+    import pandas as pd
+
+    groups = pd.DataFrame(rows).drop(columns="seed").groupby(by, sort=False)
+    table = groups.max(numeric_only=True).assign(runs=groups.size())
+    wrong = [row for row in rows if row.verdict not in GOOD]
+    lines = [table.to_string(float_format="{:.2g}".format), "", f"{len(rows)} runs"]
+    lines += [f"{len(wrong)} wrong", *(f"  {row[:4]}: {row.verdict}" for row in wrong)]
+    return "\n".join(lines)
