@@ -25,9 +25,12 @@ from sweepopt.fem.effects import (
     Elasticity,
     Foundation,
     Friction,
+    MaxwellBranch,
+    OneWay,
     PointForce,
     Traction,
     Viscosity,
+    YieldStress,
 )
 from sweepopt.fem.fields import Profile
 from sweepopt.fem.mesh import grid, read_mesh
@@ -46,6 +49,8 @@ __all__ = [
     "Elasticity",
     "Foundation",
     "Friction",
+    "MaxwellBranch",
+    "OneWay",
     "PointForce",
     "Profile",
     "Rows",
@@ -53,6 +58,7 @@ __all__ = [
     "Traction",
     "Viscosity",
     "Yield",
+    "YieldStress",
     "antiplane",
     "body",
     "grid",

@@ -17,13 +17,14 @@ from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
+import skfem
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.checks import listed, matrix
+from sweepopt.checks import listed, matrix, number
 from sweepopt.errors import InputError, shown
-from sweepopt.fem.contact import BOUND, PRESSURE, Yield, friction_on
+from sweepopt.fem.contact import BOUND, PRESSURE, Rows, Yield, friction_on
 from sweepopt.fem.fields import Coefficient, Datum, in_time
-from sweepopt.fem.spaces import AXES, BODY, Discretisation, boundary_names
+from sweepopt.fem.spaces import AXES, BODY, Discretisation, Place, boundary_names
 
 Array = NDArray[np.float64]
 Phi = Callable[[float], ArrayLike]
@@ -32,7 +33,7 @@ Force = tuple[Phi, Array] | Callable[[float], Array]
 ETA, ZETA = Coefficient("eta", 0.0, strict=True), Coefficient("zeta")
 KAPPA, LAM, MU = Coefficient("kappa", 0.0), Coefficient("lam"), Coefficient("mu", 0.0)
 YOUNG, POISSON = Coefficient("E", 0.0, strict=True), Coefficient("nu", -1.0, strict=True)
-ON_ETA, ON_K = Coefficient("eta", 0.0), Coefficient("k", 0.0)
+YIELD, ON_ETA, ON_K = Coefficient("g", 0.0), Coefficient("eta", 0.0), Coefficient("k", 0.0)
 F0, F2, FORCE = Coefficient("f0"), Coefficient("f2"), Coefficient("force")
 
 
@@ -434,6 +435,163 @@ class PointForce:
         full = np.zeros(body.basis.N)
         full[body.nodes] = values[:, None] * shape
         return Contribution(loads=[(self.history, body.restrict(full))])
+
+
+@dataclass(frozen=True)
+class YieldStress:
+    """``J(v) = int g |grad v|``: Bingham's body of antiplane shear, which moves where it yields.
+
+    The gradient is taken at the points of a quadrature that is exact for its square.
+
+    Parameters
+    ----------
+    g : number, formula, mapping of subdomain to number, Profile or callable
+        Yield stress (Pa), >= 0; a function of x and t moves in time.
+
+    Raises
+    ------
+    InputError
+        If g is negative, or the body has vectors: flow at constant volume is not offered.
+
+    Examples
+    --------
+    >>> YieldStress(0.2).g
+    0.2
+    """
+
+    g: Datum
+
+    def __post_init__(self) -> None:
+        YIELD.check(self.g)
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """The gradients that yield; none if g is zero everywhere."""
+        if body.components > 1:
+            raise InputError(
+                "g: yield stress is for antiplane shear; vectors need an incompressible"
+                " element, which is not offered"
+            )
+        element, d = body.scalar.elem, body.mesh.dim()
+        basis = skfem.CellBasis(body.mesh, element, intorder=2 * (element.maxdeg - 1))
+        place, moves = Place(basis, body.mesh.subdomains or {}, basis.element_dofs), in_time(self.g)
+        gradients = np.array(
+            [np.broadcast_to(phi[0].grad, (d, *basis.dx.shape)) for phi in basis.basis]
+        )
+        gradients[0] = -gradients[1:].sum(axis=0)  # a constant has none
+        blocks = basis.dx.size
+        row = np.arange(blocks * d).reshape(*basis.dx.shape, d)
+        rows = np.broadcast_to(np.moveaxis(row, -1, 0), gradients.shape)
+        columns = np.broadcast_to(basis.element_dofs[:, None, :, None], gradients.shape)
+        entries = gradients.ravel(), (rows.ravel(), columns.ravel())
+        E = sp.csr_array(entries, shape=(blocks * d, basis.N))[:, body.free]
+        E.eliminate_zeros()
+        weight, g = basis.dx.ravel(), place.values(YIELD, self.g).ravel()
+        keep = (np.diff(E.indptr).reshape(blocks, d).sum(axis=1) > 0) & (moves | (g > 0))
+        if not keep.any():
+            return Contribution()
+        chosen = Rows(E[np.repeat(keep, d)], d, weight[keep], "gradient")
+
+        def moving(t: float) -> Array:
+            return place.values(YIELD, self.g, t).ravel()[keep]
+
+        return Contribution(yields=[Yield(chosen, moving if moves else g[keep])])
+
+
+@dataclass(frozen=True)
+class OneWay:
+    """The velocity is not negative on boundaries or in the body: a ratchet.
+
+    Parameters
+    ----------
+    on : str or sequence of str
+        As for `Dashpot`.
+    along : str
+        "x", "y" or "z" of vectors; nothing else in antiplane shear.
+
+    Raises
+    ------
+    InputError
+        If a name is missing, a direction is none of the body, or all of it is clamped.
+
+    Examples
+    --------
+    >>> OneWay("foot", along="x").along
+    'x'
+    """
+
+    on: Sequence[str]
+    along: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "on", boundary_names("on", self.on))
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """Rows bounded to one side."""
+        known = [""] if body.components == 1 else list(AXES[: body.components])
+        if self.along not in known:
+            raise InputError(f"along must be one of {', '.join(known) or 'none'} here")
+        nodes = np.unique(body.place("on", self.on).nodes)
+        T = sp.eye_array(body.basis.N, format="csr") if body.frame.T is None else body.frame.T
+        E = sp.csr_array(T[body.nodes[known.index(self.along), nodes]][:, body.free])
+        E = E[np.diff(E.indptr) > 0]
+        if not E.shape[0]:
+            raise InputError(f"on: all of {', '.join(self.on)} is clamped; nothing moves there")
+        one = np.ones(E.shape[0])
+        return Contribution(yields=[Yield(Rows(E, 1, one, "nodes"), one, shape="half-line")])
+
+
+@dataclass(frozen=True)
+class MaxwellBranch:
+    """A spring and a dashpot in a row beside the body's own: memory that fades with time tau.
+
+    With the strain w of the dashpot, an internal unknown at each node,
+    ``b(u - w, v)`` is the energy's and ``tau b(w', v)`` the dissipation's form; a Prony series is
+    several branches.
+
+    Parameters
+    ----------
+    tau : float
+        Relaxation time (s), > 0.
+    kappa, E, nu, lam, mu, tensor
+        Moduli of the spring, as for `Elasticity`.
+
+    Raises
+    ------
+    InputError
+        If tau is not > 0, or as for `Elasticity`.
+
+    Examples
+    --------
+    >>> MaxwellBranch(2.0, kappa=1.0).tau
+    2.0
+    """
+
+    tau: float
+    kappa: Datum | None = None
+    E: Datum | None = None
+    nu: Datum | None = None
+    lam: Datum | None = None
+    mu: Datum | None = None
+    tensor: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        number("tau", self.tau, 0.0, strict=True)
+        self._spring()
+
+    def _spring(self) -> Elasticity:
+        return Elasticity(self.kappa, self.E, self.nu, self.lam, self.mu, self.tensor)
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """Matrices of u and w; none if the moduli are zero everywhere."""
+        S = self._spring().contribute(body).B
+        if S is None:
+            return Contribution()
+        zero = sp.csc_array(S.shape)
+        return Contribution(
+            A=sp.block_diag([zero, self.tau * S], format="csc"),
+            B=sp.block_array([[S, -S], [-S, S]], format="csc"),
+            internal=body.dim,
+        )
 
 
 def check_history(history: object) -> None:

@@ -44,7 +44,8 @@ SI = {
     "certificate": "W^0.5 m^-0.5",
     "viability": "W^0.5 m^-0.5",
 }
-"""Units of antiplane quantities; energies and forces are per length of the body."""
+"""Units of bodies in the plane; energies and forces are per length of the body."""
+OF_SOLIDS = {"force": "N", "energy": "J", "certificate": "W^0.5", "viability": "W^0.5"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +88,9 @@ class Report:
     @property
     def units(self) -> dict[str, str]:
         """Units of the scene's quantities."""
-        return SI if self.scene.units == "SI" else dict.fromkeys(SI, "1")
+        if self.scene.units != "SI":
+            return dict.fromkeys(SI, "1")
+        return SI | (OF_SOLIDS if self.scene.discretisation.mesh.dim() == 3 else {})
 
     def suffix(self, quantity: str) -> str:
         """The unit behind a number, such as " m"; nothing in a dimensionless scene."""

@@ -220,10 +220,14 @@ def build(
     A, B = (_sum(space.dim, parts, name) for name in "AB")
     loads = [load for part in parts for load in part.loads]
     yields = [one for part in parts for one in part.yields]
-    if A is None:
-        raise InputError("effects must hold a viscosity or a dashpot: without it a is not coercive")
+    if A is None and B is None:
+        raise InputError("effects must hold a viscosity or an elasticity: nothing resists a motion")
+    size = space.dim + sum(part.internal for part in parts)
+    A = sp.csc_array((size, size)) if A is None else A
     _check_held(space, A, B)
-    size, force = A.shape[0], _force(loads)
+    force = _force(loads, size)
+    for one in yields:
+        one.rows.E.resize(one.rows.E.shape[0], size)
     start = np.zeros(size) if u0 is None else u0
     problem: EvolutionVI | SweepingProcess
     if any(callable(one.g) for one in yields):
@@ -281,14 +285,18 @@ def _sum(dim: int, parts: Sequence[Contribution], name: str) -> sp.csc_array | N
     return sum(terms[1:], terms[0]) if terms else None
 
 
-def _force(loads: Sequence[Force]) -> Any:
-    """The sum of the terms; data where all of them are."""
-    terms = [one for one in loads if not callable(one)]
+def _force(loads: Sequence[Force], size: int) -> Any:
+    """The sum of the terms; data where all of them are. None acts on internal unknowns."""
+
+    def pad(f: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.pad(f, (0, size - f.size))
+
+    terms = [(one[0], pad(one[1])) for one in loads if not callable(one)]
     functions = [one for one in loads if callable(one)]
     separable = Separable(terms) if terms else None
     if not functions:
         return separable
-    return lambda t: sum(one(t) for one in functions) + (separable(t) if separable else 0.0)
+    return lambda t: sum(pad(one(t)) for one in functions) + (separable(t) if separable else 0.0)
 
 
 def _check_held(space: Discretisation, A: Any, B: Any) -> None:

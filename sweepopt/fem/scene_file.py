@@ -21,9 +21,12 @@ from sweepopt.fem.effects import (
     Elasticity,
     Foundation,
     Friction,
+    MaxwellBranch,
+    OneWay,
     PointForce,
     Traction,
     Viscosity,
+    YieldStress,
 )
 from sweepopt.fem.fields import Profile
 from sweepopt.fem.mesh import grid
@@ -41,6 +44,9 @@ EFFECTS: dict[str, type] = {
     "body_force": BodyForce,
     "traction": Traction,
     "point_force": PointForce,
+    "yield_stress": YieldStress,
+    "one_way": OneWay,
+    "maxwell": MaxwellBranch,
 }
 """Effects by the name of their table in a scene file."""
 
