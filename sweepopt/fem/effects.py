@@ -25,6 +25,7 @@ from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import BOUND, PRESSURE, Rows, Yield, friction_on
 from sweepopt.fem.fields import Coefficient, Datum, in_time
 from sweepopt.fem.spaces import AXES, BODY, Discretisation, Place, boundary_names
+from sweepopt.loads import History
 
 Array = NDArray[np.float64]
 Phi = Callable[[float], ArrayLike]
@@ -34,6 +35,7 @@ ETA, ZETA = Coefficient("eta", 0.0, strict=True), Coefficient("zeta")
 KAPPA, LAM, MU = Coefficient("kappa", 0.0), Coefficient("lam"), Coefficient("mu", 0.0)
 YOUNG, POISSON = Coefficient("E", 0.0, strict=True), Coefficient("nu", -1.0, strict=True)
 YIELD, ON_ETA, ON_K = Coefficient("g", 0.0), Coefficient("eta", 0.0), Coefficient("k", 0.0)
+DISPLACEMENT, STRAIN = Coefficient("d"), Coefficient("strain")
 F0, F2, FORCE = Coefficient("f0"), Coefficient("f2"), Coefficient("force")
 
 
@@ -51,6 +53,8 @@ class Contribution:
         Parts of the dissipation: rows of the velocity and the sets D_k that bound their forces.
     internal : int
         How many internal unknowns the effect has.
+    lift : (history, ndarray) or None
+        ``d(t) x``: values of all degrees of freedom that are held, where they are not zero.
     """
 
     A: sp.csc_array | None = None
@@ -58,6 +62,7 @@ class Contribution:
     loads: Sequence[Force] = ()
     yields: Sequence[Yield] = ()
     internal: int = 0
+    lift: tuple[History, Array] | None = None
 
 
 class Effect(Protocol):
@@ -435,6 +440,118 @@ class PointForce:
         full = np.zeros(body.basis.N)
         full[body.nodes] = values[:, None] * shape
         return Contribution(loads=[(self.history, body.restrict(full))])
+
+
+@dataclass(frozen=True)
+class PrescribedDisplacement:
+    """``u = phi(t) d`` where components are held: the load f - A_fd d' - B_fd d.
+
+    Kinks of the history should be ends of steps. Energies are those of the other unknowns.
+
+    Parameters
+    ----------
+    on : str or sequence of str
+        Boundaries that are clamped, or held in the components that are prescribed.
+    history : History
+        phi(t) as data, whose rate is known: Table, Sine, Triangle, Constant, Polynomial.
+    d : number, formula, mapping of boundary to number, Profile or callable
+        Displacement at phi = 1 (m); of vectors a list, one for each of x, y and z, of which what is
+        held is taken.
+
+    Raises
+    ------
+    InputError
+        If the history is no data, nothing is held there, or a name is missing.
+
+    Examples
+    --------
+    >>> from sweepopt.loads import Table
+    >>> PrescribedDisplacement("far", Table([0.0, 1.0], [0.0, 2.0])).d
+    1.0
+    """
+
+    on: Sequence[str]
+    history: History
+    d: Datum | Sequence[Datum] = 1.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "on", boundary_names("on", self.on))
+        if not isinstance(self.history, History):
+            raise InputError(
+                f"history must be data whose rate is known, such as Table or Sine, got "
+                f"{shown(self.history)}"
+            )
+        _check_components(DISPLACEMENT, self.d)
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """The values that are held."""
+        body.facets("on", self.on)
+        place = body.place("on", self.on, nodal=True)
+        data: list[Any] = list(self.d) if isinstance(self.d, (list, tuple)) else [self.d]
+        if len(data) != body.components:
+            raise InputError(f"d must have {body.components} components, a list of x, y ...")
+        full = np.zeros(body.basis.N)
+        for dofs, datum in zip(body.nodes, data, strict=True):
+            full[dofs[place.nodes.T]] = place.values(DISPLACEMENT, datum)
+        T = body.frame.T
+        along = full if T is None else T.T @ full
+        along[body.free] = 0.0
+        if not along.any():
+            raise InputError(
+                f"on: nothing is held on {', '.join(self.on)} along d; clamp or hold it"
+            )
+        return Contribution(lift=(self.history, along if T is None else np.asarray(T @ along)))
+
+
+@dataclass(frozen=True)
+class Eigenstrain:
+    """``<f, v> = phi(t) int sigma0 tr e(v)``: a strain that no stress makes, such as heat's.
+
+    sigma0 = E strain / (1 - 2 nu) is the pressure that undoes it; in plane stress E strain / (1 -
+    nu). The moduli are to be those of the elasticity.
+
+    Parameters
+    ----------
+    history : callable
+        phi(t).
+    strain : number, formula, mapping of subdomain to number, Profile or callable
+        In all directions at phi = 1: the coefficient of expansion times the temperature.
+    E, nu : as strain
+        Young's modulus (Pa) and Poisson's ratio.
+
+    Raises
+    ------
+    InputError
+        If a value is out of its range, or the body is in antiplane shear.
+
+    Examples
+    --------
+    >>> from sweepopt.loads import Constant
+    >>> Eigenstrain(Constant(), strain=1e-3, E=2e11, nu=0.3).strain
+    0.001
+    """
+
+    history: Phi
+    strain: Datum
+    E: Datum
+    nu: Datum
+
+    def __post_init__(self) -> None:
+        check_history(self.history)
+        for coefficient in (STRAIN, YOUNG, POISSON):
+            coefficient.check(getattr(self, coefficient.name))
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """One term of the load."""
+        if body.components == 1:
+            raise InputError("strain: an isotropic strain does nothing in antiplane shear")
+        place = body.place("strain", (BODY,))
+        strain, E, nu = (place.values(c, getattr(self, c.name)) for c in (STRAIN, YOUNG, POISSON))
+        if nu.max() >= 0.5:
+            raise InputError(f"nu must be < 0.5, got {nu.max():g}")
+        stress = E * strain / (1 - (1 if body.kind == "plane stress" else 2) * nu)
+        f = place.vector(lambda v, _: stress * sum(v.grad[i, i] for i in range(body.components)))
+        return Contribution(loads=[(self.history, body.restrict(f))])
 
 
 @dataclass(frozen=True)
