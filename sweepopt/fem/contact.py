@@ -95,7 +95,7 @@ def dissipation(yields: Sequence[Yield], t: float = 0.0) -> ConvexSet:
         E = sp.vstack([one.rows.E for one in intervals], format="csr")
         ends = [_ends(one, t) for one in intervals]
         lower, upper = (np.concatenate([pair[k] for pair in ends]) for k in (0, 1))
-        if all(one.rows.where in ("trace", "nodes", "internal") for one in intervals):
+        if E.nnz == E.shape[0] and (E.data == 1.0).all():  # it selects unknowns
             _, first, group = np.unique(E.indices, return_index=True, return_inverse=True)
             if first.size < E.shape[0]:
                 E = E[first]

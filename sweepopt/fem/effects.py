@@ -17,13 +17,15 @@ from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
+import skfem
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.checks import listed, matrix
+from sweepopt.checks import listed, matrix, number
 from sweepopt.errors import InputError, shown
-from sweepopt.fem.contact import BOUND, PRESSURE, Yield, friction_on
+from sweepopt.fem.contact import BOUND, PRESSURE, Rows, Yield, friction_on
 from sweepopt.fem.fields import Coefficient, Datum, in_time
-from sweepopt.fem.spaces import AXES, BODY, Discretisation, boundary_names
+from sweepopt.fem.spaces import AXES, BODY, Discretisation, Place, boundary_names
+from sweepopt.loads import History
 
 Array = NDArray[np.float64]
 Phi = Callable[[float], ArrayLike]
@@ -32,7 +34,8 @@ Force = tuple[Phi, Array] | Callable[[float], Array]
 ETA, ZETA = Coefficient("eta", 0.0, strict=True), Coefficient("zeta")
 KAPPA, LAM, MU = Coefficient("kappa", 0.0), Coefficient("lam"), Coefficient("mu", 0.0)
 YOUNG, POISSON = Coefficient("E", 0.0, strict=True), Coefficient("nu", -1.0, strict=True)
-ON_ETA, ON_K = Coefficient("eta", 0.0), Coefficient("k", 0.0)
+YIELD, ON_ETA, ON_K = Coefficient("g", 0.0), Coefficient("eta", 0.0), Coefficient("k", 0.0)
+DISPLACEMENT, STRAIN = Coefficient("d"), Coefficient("strain")
 F0, F2, FORCE = Coefficient("f0"), Coefficient("f2"), Coefficient("force")
 
 
@@ -50,6 +53,8 @@ class Contribution:
         Parts of the dissipation: rows of the velocity and the sets D_k that bound their forces.
     internal : int
         How many internal unknowns the effect has.
+    lift : (history, ndarray) or None
+        ``d(t) x``: values of all degrees of freedom that are held, where they are not zero.
     """
 
     A: sp.csc_array | None = None
@@ -57,6 +62,7 @@ class Contribution:
     loads: Sequence[Force] = ()
     yields: Sequence[Yield] = ()
     internal: int = 0
+    lift: tuple[History, Array] | None = None
 
 
 class Effect(Protocol):
@@ -434,6 +440,275 @@ class PointForce:
         full = np.zeros(body.basis.N)
         full[body.nodes] = values[:, None] * shape
         return Contribution(loads=[(self.history, body.restrict(full))])
+
+
+@dataclass(frozen=True)
+class PrescribedDisplacement:
+    """``u = phi(t) d`` where components are held: the load f - A_fd d' - B_fd d.
+
+    Kinks of the history should be ends of steps. Energies are those of the other unknowns.
+
+    Parameters
+    ----------
+    on : str or sequence of str
+        Boundaries that are clamped, or held in the components that are prescribed.
+    history : History
+        phi(t) as data, whose rate is known: Table, Sine, Triangle, Constant, Polynomial.
+    d : number, formula, mapping of boundary to number, Profile or callable
+        Displacement at phi = 1 (m); of vectors a list, one for each of x, y and z, of which what is
+        held is taken.
+
+    Raises
+    ------
+    InputError
+        If the history is no data, nothing is held there, or a name is missing.
+
+    Examples
+    --------
+    >>> from sweepopt.loads import Table
+    >>> PrescribedDisplacement("far", Table([0.0, 1.0], [0.0, 2.0])).d
+    1.0
+    """
+
+    on: Sequence[str]
+    history: History
+    d: Datum | Sequence[Datum] = 1.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "on", boundary_names("on", self.on))
+        if not isinstance(self.history, History):
+            raise InputError(
+                f"history must be data whose rate is known, such as Table or Sine, got "
+                f"{shown(self.history)}"
+            )
+        _check_components(DISPLACEMENT, self.d)
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """The values that are held."""
+        body.facets("on", self.on)
+        place = body.place("on", self.on, nodal=True)
+        data: list[Any] = list(self.d) if isinstance(self.d, (list, tuple)) else [self.d]
+        if len(data) != body.components:
+            raise InputError(f"d must have {body.components} components, a list of x, y ...")
+        full = np.zeros(body.basis.N)
+        for dofs, datum in zip(body.nodes, data, strict=True):
+            full[dofs[place.nodes.T]] = place.values(DISPLACEMENT, datum)
+        T = body.frame.T
+        along = full if T is None else T.T @ full
+        along[body.free] = 0.0
+        if not along.any():
+            raise InputError(
+                f"on: nothing is held on {', '.join(self.on)} along d; clamp or hold it"
+            )
+        return Contribution(lift=(self.history, along if T is None else np.asarray(T @ along)))
+
+
+@dataclass(frozen=True)
+class Eigenstrain:
+    """``<f, v> = phi(t) int sigma0 tr e(v)``: a strain that no stress makes, such as heat's.
+
+    sigma0 = E strain / (1 - 2 nu) is the pressure that undoes it; in plane stress E strain / (1 -
+    nu). The moduli are to be those of the elasticity.
+
+    Parameters
+    ----------
+    history : callable
+        phi(t).
+    strain : number, formula, mapping of subdomain to number, Profile or callable
+        In all directions at phi = 1: the coefficient of expansion times the temperature.
+    E, nu : as strain
+        Young's modulus (Pa) and Poisson's ratio.
+
+    Raises
+    ------
+    InputError
+        If a value is out of its range, or the body is in antiplane shear.
+
+    Examples
+    --------
+    >>> from sweepopt.loads import Constant
+    >>> Eigenstrain(Constant(), strain=1e-3, E=2e11, nu=0.3).strain
+    0.001
+    """
+
+    history: Phi
+    strain: Datum
+    E: Datum
+    nu: Datum
+
+    def __post_init__(self) -> None:
+        check_history(self.history)
+        for coefficient in (STRAIN, YOUNG, POISSON):
+            coefficient.check(getattr(self, coefficient.name))
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """One term of the load."""
+        if body.components == 1:
+            raise InputError("strain: an isotropic strain does nothing in antiplane shear")
+        place = body.place("strain", (BODY,))
+        strain, E, nu = (place.values(c, getattr(self, c.name)) for c in (STRAIN, YOUNG, POISSON))
+        if nu.max() >= 0.5:
+            raise InputError(f"nu must be < 0.5, got {nu.max():g}")
+        stress = E * strain / (1 - (1 if body.kind == "plane stress" else 2) * nu)
+        f = place.vector(lambda v, _: stress * sum(v.grad[i, i] for i in range(body.components)))
+        return Contribution(loads=[(self.history, body.restrict(f))])
+
+
+@dataclass(frozen=True)
+class YieldStress:
+    """``J(v) = int g |grad v|``: Bingham's body of antiplane shear, which moves where it yields.
+
+    The gradient is taken at the points of a quadrature that is exact for its square.
+
+    Parameters
+    ----------
+    g : number, formula, mapping of subdomain to number, Profile or callable
+        Yield stress (Pa), >= 0; a function of x and t moves in time.
+
+    Raises
+    ------
+    InputError
+        If g is negative, or the body has vectors: flow at constant volume is not offered.
+
+    Examples
+    --------
+    >>> YieldStress(0.2).g
+    0.2
+    """
+
+    g: Datum
+
+    def __post_init__(self) -> None:
+        YIELD.check(self.g)
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """The gradients that yield; none if g is zero everywhere."""
+        if body.components > 1:
+            raise InputError(
+                "g: yield stress is for antiplane shear; vectors need an incompressible"
+                " element, which is not offered"
+            )
+        element, d = body.scalar.elem, body.mesh.dim()
+        basis = skfem.CellBasis(body.mesh, element, intorder=2 * (element.maxdeg - 1))
+        place, moves = Place(basis, body.mesh.subdomains or {}, basis.element_dofs), in_time(self.g)
+        gradients = np.array(
+            [np.broadcast_to(phi[0].grad, (d, *basis.dx.shape)) for phi in basis.basis]
+        )
+        gradients[0] = -gradients[1:].sum(axis=0)  # a constant has none
+        blocks = basis.dx.size
+        row = np.arange(blocks * d).reshape(*basis.dx.shape, d)
+        rows = np.broadcast_to(np.moveaxis(row, -1, 0), gradients.shape)
+        columns = np.broadcast_to(basis.element_dofs[:, None, :, None], gradients.shape)
+        entries = gradients.ravel(), (rows.ravel(), columns.ravel())
+        E = sp.csr_array(entries, shape=(blocks * d, basis.N))[:, body.free]
+        E.eliminate_zeros()
+        weight, g = basis.dx.ravel(), place.values(YIELD, self.g).ravel()
+        keep = (np.diff(E.indptr).reshape(blocks, d).sum(axis=1) > 0) & (moves | (g > 0))
+        if not keep.any():
+            return Contribution()
+        chosen = Rows(E[np.repeat(keep, d)], d, weight[keep], "gradient")
+
+        def moving(t: float) -> Array:
+            return place.values(YIELD, self.g, t).ravel()[keep]
+
+        return Contribution(yields=[Yield(chosen, moving if moves else g[keep])])
+
+
+@dataclass(frozen=True)
+class OneWay:
+    """The velocity is not negative on boundaries or in the body: a ratchet.
+
+    Parameters
+    ----------
+    on : str or sequence of str
+        As for `Dashpot`.
+    along : str
+        "x", "y" or "z" of vectors; nothing else in antiplane shear.
+
+    Raises
+    ------
+    InputError
+        If a name is missing, a direction is none of the body, or all of it is clamped.
+
+    Examples
+    --------
+    >>> OneWay("foot", along="x").along
+    'x'
+    """
+
+    on: Sequence[str]
+    along: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "on", boundary_names("on", self.on))
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """Rows bounded to one side."""
+        known = [""] if body.components == 1 else list(AXES[: body.components])
+        if self.along not in known:
+            raise InputError(f"along must be one of {', '.join(known) or 'none'} here")
+        nodes = np.unique(body.place("on", self.on).nodes)
+        T = sp.eye_array(body.basis.N, format="csr") if body.frame.T is None else body.frame.T
+        E = sp.csr_array(T[body.nodes[known.index(self.along), nodes]][:, body.free])
+        E = E[np.diff(E.indptr) > 0]
+        if not E.shape[0]:
+            raise InputError(f"on: all of {', '.join(self.on)} is clamped; nothing moves there")
+        one = np.ones(E.shape[0])
+        return Contribution(yields=[Yield(Rows(E, 1, one, "nodes"), one, shape="half-line")])
+
+
+@dataclass(frozen=True)
+class MaxwellBranch:
+    """A spring and a dashpot in a row beside the body's own: memory that fades with time tau.
+
+    With the strain w of the dashpot, an internal unknown at each node,
+    ``b(u - w, v)`` is the energy's and ``tau b(w', v)`` the dissipation's form; a Prony series is
+    several branches.
+
+    Parameters
+    ----------
+    tau : float
+        Relaxation time (s), > 0.
+    kappa, E, nu, lam, mu, tensor
+        Moduli of the spring, as for `Elasticity`.
+
+    Raises
+    ------
+    InputError
+        If tau is not > 0, or as for `Elasticity`.
+
+    Examples
+    --------
+    >>> MaxwellBranch(2.0, kappa=1.0).tau
+    2.0
+    """
+
+    tau: float
+    kappa: Datum | None = None
+    E: Datum | None = None
+    nu: Datum | None = None
+    lam: Datum | None = None
+    mu: Datum | None = None
+    tensor: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        number("tau", self.tau, 0.0, strict=True)
+        self._spring()
+
+    def _spring(self) -> Elasticity:
+        return Elasticity(self.kappa, self.E, self.nu, self.lam, self.mu, self.tensor)
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """Matrices of u and w; none if the moduli are zero everywhere."""
+        S = self._spring().contribute(body).B
+        if S is None:
+            return Contribution()
+        zero = sp.csc_array(S.shape)
+        return Contribution(
+            A=sp.block_diag([zero, self.tau * S], format="csc"),
+            B=sp.block_array([[S, -S], [-S, S]], format="csc"),
+            internal=body.dim,
+        )
 
 
 def check_history(history: object) -> None:

@@ -44,7 +44,8 @@ SI = {
     "certificate": "W^0.5 m^-0.5",
     "viability": "W^0.5 m^-0.5",
 }
-"""Units of antiplane quantities; energies and forces are per length of the body."""
+"""Units of bodies in the plane; energies and forces are per length of the body."""
+OF_SOLIDS = {"force": "N", "energy": "J", "certificate": "W^0.5", "viability": "W^0.5"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +88,9 @@ class Report:
     @property
     def units(self) -> dict[str, str]:
         """Units of the scene's quantities."""
-        return SI if self.scene.units == "SI" else dict.fromkeys(SI, "1")
+        if self.scene.units != "SI":
+            return dict.fromkeys(SI, "1")
+        return SI | (OF_SOLIDS if self.scene.discretisation.mesh.dim() == 3 else {})
 
     def suffix(self, quantity: str) -> str:
         """The unit behind a number, such as " m"; nothing in a dimensionless scene."""
@@ -202,7 +205,7 @@ def dataset_of(report: Report) -> xr.Dataset:
     scene, solution, slip, energy = report.scene, report.solution, report.slip, report.energy
     body, units = scene.discretisation, report.units
     # dimensions, quantity, values and description of what is added to the solution's own
-    u, velocity = (body.expand(x[:, : body.dim]) for x in (solution.u, solution.velocity))
+    u, velocity = scene.displacement(solution), scene.velocity(solution)
     vector = " component" if body.components > 1 else ""
     of_what = "" if vector else " out of the plane"
     rows: dict[str, tuple[str, str, Any, str]] = {
@@ -285,6 +288,7 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
     """
     solution, body = report.solution, report.scene.discretisation
     cells, d = body.scalar.element_dofs.T, body.mesh.dim()
+    u, velocity = report.scene.displacement(solution), report.scene.velocity(solution)
     kind = (
         ("line3", "triangle6", "tetra10") if body.element == "P2" else ("line", "triangle", "tetra")
     )
@@ -298,8 +302,7 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     last, times = len(solution.steps), {}
     for i in [*range(0, last, -(-last // (MOST_VTU - 1))), last]:
-        states = {"displacement": solution.u[i], "velocity": solution.velocity[max(i - 1, 0)]}
-        mesh.point_data = {name: body.expand(x[: body.dim]) for name, x in states.items()}
+        mesh.point_data = {"displacement": u[i], "velocity": velocity[max(i - 1, 0)]}
         if 1 < body.components < 3:  # ParaView's vectors have three components
             mesh.point_data = {
                 name: np.pad(x, ((0, 0), (0, 3 - d))) for name, x in mesh.point_data.items()

@@ -38,7 +38,7 @@ def displacement_figure(report: Report) -> Any:
     """
     solution, slip, body = report.solution, report.slip, report.scene.discretisation
     indices = _informative(solution, slip)
-    fields = body.expand(solution.u[indices, : body.dim])
+    fields = report.scene.displacement(solution)[indices]
     name = "displacement"
     colours: dict[str, Any] = {"cmap": "PRGn", "vmin": -1.0, "shading": "gouraud"}
     if body.components > 1:

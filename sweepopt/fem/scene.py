@@ -13,13 +13,13 @@ import scipy.sparse as sp
 import skfem
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.checks import choice, listed, number
+from sweepopt.checks import HUGE, choice, listed, number
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Contact, dissipation, merged
 from sweepopt.fem.effects import Contribution, Effect, Force, Friction
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.integrate import schemes
-from sweepopt.loads import Separable
+from sweepopt.loads import History, Separable
 from sweepopt.problem import EvolutionVI, SweepingProcess
 from sweepopt.sets import MovingSet, Point
 from sweepopt.velocity import solvers
@@ -56,6 +56,8 @@ class Scene:
         Those of a run, of PICTURES; empty for all that fit.
     force : callable or None
         f(t), shape (dim,); None is no load.
+    lifts : tuple of (history, ndarray)
+        Prescribed displacements phi(t) d, of all degrees of freedom.
     """
 
     problem: EvolutionVI | SweepingProcess
@@ -72,6 +74,7 @@ class Scene:
     title: str = ""
     pictures: Sequence[str] = ()
     force: Callable[[float], Any] | None = None
+    lifts: tuple[tuple[History, NDArray[np.float64]], ...] = ()
 
     @property
     def process(self) -> SweepingProcess:
@@ -81,6 +84,23 @@ class Scene:
     def load(self, t: float) -> NDArray[np.float64]:
         """f(t), shape (dim,)."""
         return np.zeros(self.problem.dim) if self.force is None else np.asarray(self.force(t))
+
+    def displacement(self, solution: Solution) -> NDArray[np.float64]:
+        """u at all nodes and times, shape (n+1, N), or (n+1, N, components) of vectors."""
+        return self._full(solution.u, lambda history: history(solution.t))
+
+    def velocity(self, solution: Solution) -> NDArray[np.float64]:
+        """u' at all nodes in each step, shape (n, N), or (n, N, components) of vectors."""
+        mu = np.diff(solution.t)
+        return self._full(solution.velocity, lambda history: np.diff(history(solution.t)) / mu)
+
+    def _full(self, u: Any, values: Callable[[History], Any]) -> NDArray[np.float64]:
+        space = self.discretisation
+        field = space.expand(u[:, : space.dim])
+        nodes = space.nodes[0] if space.components == 1 else space.nodes.T
+        for history, d in self.lifts:
+            field = field + np.multiply.outer(values(history), d[nodes])
+        return field
 
     def solve(self, **changes: Any) -> Solution:
         """`sweepopt.solve` with the scene's settings; keywords replace or add arguments."""
@@ -224,11 +244,24 @@ def build(
     parts = [_contribution(label, effects[label], space, settings["t_end"]) for label in effects]
     A, B = (_sum(space.dim, parts, name) for name in "AB")
     loads = [load for part in parts for load in part.loads]
+    lifts = tuple(part.lift for part in parts if part.lift is not None)
     yields = [one for part in parts for one in part.yields]
-    if A is None:
-        raise InputError("effects must hold a viscosity or a dashpot: without it a is not coercive")
+    if A is None and B is None:
+        raise InputError("effects must hold a viscosity or an elasticity: nothing resists a motion")
+    size = space.dim + sum(part.internal for part in parts)
+    A = sp.csc_array((size, size)) if A is None else A
     _check_held(space, A, B)
-    size, force = A.shape[0], _force(loads)
+    if lifts:
+        bound = any(one.rows.where == "gradient" or one.shape != "ball" for one in yields)
+        if bound or size > space.dim:
+            raise InputError(
+                "effects: with a prescribed displacement there is no yield stress, one-way "
+                "velocity or Maxwell branch, whose rows would see it; drive the body by a traction"
+            )
+        loads += _lifted(space, effects, parts, lifts)
+    force = _force(loads, size)
+    for one in yields:
+        one.rows.E.resize(one.rows.E.shape[0], size)
     start = np.zeros(size) if u0 is None else u0
     problem: EvolutionVI | SweepingProcess
     if any(callable(one.g) for one in yields):
@@ -250,6 +283,7 @@ def build(
         effects=tuple(effects.values()),
         left_out=tuple(sentence for sentence, present in terms.items() if not present),
         force=force,
+        lifts=lifts,
         **settings,
     )
 
@@ -286,14 +320,57 @@ def _sum(dim: int, parts: Sequence[Contribution], name: str) -> sp.csc_array | N
     return sum(terms[1:], terms[0]) if terms else None
 
 
-def _force(loads: Sequence[Force]) -> Any:
-    """The sum of the terms; data where all of them are."""
-    terms = [one for one in loads if not callable(one)]
+def _force(loads: Sequence[Force], size: int) -> Any:
+    """The sum of the terms; data where all of them are. None acts on internal unknowns."""
+
+    def pad(f: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.pad(f, (0, size - f.size))
+
+    terms = [(one[0], pad(one[1])) for one in loads if not callable(one)]
     functions = [one for one in loads if callable(one)]
     separable = Separable(terms) if terms else None
     if not functions:
         return separable
-    return lambda t: sum(one(t) for one in functions) + (separable(t) if separable else 0.0)
+    return lambda t: sum(pad(one(t)) for one in functions) + (separable(t) if separable else 0.0)
+
+
+def _rate(history: History) -> Callable[[float], float]:
+    """phi'(t), from the left where it jumps."""
+
+    def rate(t: float) -> float:
+        before = history.breakpoints(0.0, t) if t > 0 else np.empty(0)
+        start = float(before[-1]) if before.size else 0.0
+        after = history.breakpoints(0.0, HUGE / 2) if t <= 0 else np.empty(0)
+        piece = history.piece(start, t if t > 0 else float(after[0]) if after.size else 1.0)
+        s = t - piece.origin
+        slope = sum(k * c * s ** (k - 1) for k, c in enumerate(piece.polynomial) if k)
+        return slope + sum(a * w * float(np.cos(w * s + p)) for a, w, p in piece.waves)
+
+    return rate
+
+
+def _lifted(
+    space: Discretisation,
+    effects: Mapping[str, Effect],
+    parts: Sequence[Contribution],
+    lifts: Sequence[tuple[History, NDArray[np.float64]]],
+) -> list[Force]:
+    """-A_fd d' and -B_fd d, by the matrices of the body with nothing held."""
+    free = space.released()
+    terms: list[Force] = []
+    both = [
+        one.contribute(free)
+        for one, part in zip(effects.values(), parts, strict=True)
+        if part.A is not None or part.B is not None
+    ]
+    for name in "AB":
+        matrix = _sum(free.dim, both, name)
+        if matrix is None:
+            continue
+        for history, d in lifts:
+            force = -np.asarray(space.restrict((matrix[: d.size, : d.size] @ d)[: d.size]))
+            terms.append((_rate(history) if name == "A" else history, force))
+    return terms
 
 
 def _check_held(space: Discretisation, A: Any, B: Any) -> None:

@@ -18,12 +18,17 @@ from sweepopt.fem.effects import (
     BodyForce,
     Dashpot,
     Effect,
+    Eigenstrain,
     Elasticity,
     Foundation,
     Friction,
+    MaxwellBranch,
+    OneWay,
     PointForce,
+    PrescribedDisplacement,
     Traction,
     Viscosity,
+    YieldStress,
 )
 from sweepopt.fem.fields import Profile
 from sweepopt.fem.mesh import grid
@@ -41,6 +46,11 @@ EFFECTS: dict[str, type] = {
     "body_force": BodyForce,
     "traction": Traction,
     "point_force": PointForce,
+    "prescribed_displacement": PrescribedDisplacement,
+    "eigenstrain": Eigenstrain,
+    "yield_stress": YieldStress,
+    "one_way": OneWay,
+    "maxwell": MaxwellBranch,
 }
 """Effects by the name of their table in a scene file."""
 

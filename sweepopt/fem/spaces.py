@@ -188,6 +188,16 @@ class Discretisation:
         object.__setattr__(other, "turned", tuple(dict.fromkeys([*self.turned, *names])))
         return other
 
+    def released(self) -> Discretisation:
+        """The same with nothing held or turned."""
+        other = copy.copy(self)
+        for name in ("frame", "free"):
+            other.__dict__.pop(name, None)
+        nothing: dict[str, Any] = {"clamped": (), "held": {}, "turned": ()}
+        for name, value in nothing.items():
+            object.__setattr__(other, name, value)
+        return other
+
     def facet_nodes(self, facets: Indices) -> Indices:
         """Nodes of each facet; of an edge start, (middle,) end; shape (nodes of a facet, m)."""
         scalar, corners = self.scalar, self.scalar.nodal_dofs[0, self.mesh.facets[:, facets]]
