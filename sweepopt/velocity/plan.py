@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.errors import PathError, SolverRefusedError
-from sweepopt.linalg import factor_bytes
+from sweepopt.linalg import factor_bytes, is_diagonal
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import ConvexSet
 from sweepopt.velocity.cones import blocks
@@ -216,14 +216,18 @@ def _has_cones(
     contact: np.ndarray | None,
     path: str,
 ) -> bool:
-    """Whether the sets are balls on sparse combinations of the unknowns, too many for a dense
-    program of the unknowns they act on."""
-    few = process.dim if contact is None else contact.size
-    if path not in ("auto", "cones") or not sp.issparse(process.metric.M):
+    """Whether the sets are balls on sparse combinations of unknowns, and too many for other ways.
+
+    Those are a dense program of few unknowns, and the formula for a diagonal M.
+    """
+    metric, sets = process.metric, [untranslated(C).S for _, C in members if not C.singleton]
+    most = MANY if contact is None else NEWTON.max_dim
+    size = process.dim if contact is None else contact.size
+    if path not in ("auto", "cones") or not sp.issparse(metric.M) or not metric.has_factors:
         return False
-    if (path == "auto" and few <= MANY) or not process.metric.has_factors:
+    diagonal = all(is_diagonal(M) for M in (process.A, process.B) if M is not None)
+    if path == "auto" and (size <= most or (diagonal and all(S.exact for S in sets))):
         return False
-    sets = [untranslated(C).S for _, C in members if not C.singleton]
     return bool(sets) and all(blocks(S) is not None for S in sets)
 
 
