@@ -132,7 +132,7 @@ class Cones:
         self._entries = np.bincount(place[: lower.nnz], lower.data, pattern.size)
         self._place = place[lower.nnz :]
         at = pattern % M.dim, pattern // M.dim
-        self._factorise = factors_of_pattern(*at, M.dim, M.order)
+        self._factorise = factors_of_pattern(*at, M.dim)
         self._z, self._s = np.zeros(M.dim), np.zeros((m, b))
         self._sigma, self._size = self._weights, 0.0
 
