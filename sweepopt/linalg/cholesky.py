@@ -153,7 +153,7 @@ def cholmod(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
 
 
 def factors_of_pattern(
-    rows: np.ndarray, columns: np.ndarray, dim: int, order: np.ndarray
+    rows: np.ndarray, columns: np.ndarray, dim: int
 ) -> Callable[[np.ndarray], Callable[[np.ndarray], np.ndarray]]:
     """From the entries of a matrix to the solution of its equations, for one pattern.
 
@@ -164,8 +164,6 @@ def factors_of_pattern(
     ----------
     rows, columns : ndarray of int
         Of the entries of the lower triangle, column by column, rows ascending.
-    order : ndarray of int
-        One of the unknowns with little fill.
 
     Raises
     ------
@@ -176,10 +174,10 @@ def factors_of_pattern(
 
         def by_superlu(data: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
             lower = sp.csc_array((data, (rows, columns)), shape=(dim, dim))
-            return superlu(lower + sp.tril(lower, -1).T, order, 0).solve
+            return superlu(lower + sp.tril(lower, -1).T, None, 0).solve
 
         return by_superlu
-    from cvxopt import cholmod, matrix, spmatrix
+    from cvxopt import amd, cholmod, matrix, spmatrix
 
     places = rows.astype(np.int64), columns.astype(np.int64)
     triangle = spmatrix(1.0, *places, (dim, dim))
@@ -188,7 +186,7 @@ def factors_of_pattern(
         cholmod.options.clear()
         cholmod.options.update({"supernodal": 2, "nmethods": 1, "postorder": True})
         try:
-            factor = cholmod.symbolic(triangle, matrix(order.astype(np.int64)))
+            factor = cholmod.symbolic(triangle, amd.order(triangle))
         finally:
             cholmod.options.clear()
             cholmod.options.update(before)

@@ -132,7 +132,7 @@ class Cones:
         self._entries = np.bincount(place[: lower.nnz], lower.data, pattern.size)
         self._place = place[lower.nnz :]
         at = pattern % M.dim, pattern // M.dim
-        self._factorise = factors_of_pattern(*at, M.dim, M.order)
+        self._factorise = factors_of_pattern(*at, M.dim)
         self._z, self._s = np.zeros(M.dim), np.zeros((m, b))
         self._sigma, self._size = self._weights, 0.0
 
@@ -140,13 +140,10 @@ class Cones:
         """The pair for the linear term residual - M z, from the base z."""
         g, dim = radii(S), self._M.dim
         assert g is not None
-        base, start = np.zeros(dim) if z is None else z, np.zeros(dim)
-        if z is None:
-            self._sigma, self._size, start = (
-                STIFFNESS * self._weights,
-                self._M.dual_norm(residual),
-                self._z,
-            )
+        base, start = z, np.zeros(dim)
+        if base is None:
+            base, start = start, self._z
+            self._sigma, self._size = STIFFNESS * self._weights, self._M.dual_norm(residual)
         else:
             self._sigma = STIFFER * self._sigma
         state, iterations = self._newton(g, residual, base, start)
@@ -212,15 +209,11 @@ class Cones:
 
     def _derivative(self, g: np.ndarray, state: State, s: np.ndarray) -> np.ndarray:
         """sigma where a block sticks, else sigma/|v| (g I - (s n^T + n s^T)/2) with n = v/|v|."""
-        D = np.zeros((*s.shape, s.shape[1]))
-        D += np.eye(s.shape[1])
         flows = state.lengths > g
-        size = state.lengths[flows, None, None]
-        turned = s[flows, :, None] * state.v[flows, None, :] / size
-        D[flows] = (
-            g[flows, None, None] * D[flows] - (turned + turned.transpose(0, 2, 1)) / 2
-        ) / size
-        return self._sigma[:, None, None] * D
+        size = np.where(flows, state.lengths, 1.0)
+        of_one, of_two = np.where(flows, [g / size, 0.5 / size**2], [[1.0], [0.0]]) * self._sigma
+        turned = s[:, :, None] * (of_two[:, None] * state.v)[:, None]
+        return of_one[:, None, None] * np.eye(s.shape[1]) - turned - turned.transpose(0, 2, 1)
 
     def _plugs(self, rigid: np.ndarray, z: np.ndarray) -> np.ndarray:
         """z with one value, the mean, on connected rigid blocks; 0 where one of them is held."""

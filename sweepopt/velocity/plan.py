@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.errors import PathError, SolverRefusedError
-from sweepopt.linalg import factor_bytes
+from sweepopt.linalg import factor_bytes, is_diagonal
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import ConvexSet
 from sweepopt.velocity.cones import blocks
@@ -32,6 +32,7 @@ PATHS = {
 }
 
 MANY = 300  # unknowns of a set: at 469 a step takes a tenth of the time that Clarabel takes
+FINEST = 1e-7  # tolerance of cones: the root of twice what sum g |E_k z| rounds, 6e-8 of its root
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +170,9 @@ def make_plan(
             f"path={path!r} needs a C(t) that acts on the same few unknowns at all times: write it "
             "as so.image(E^T, S) with E selecting them"
         )
-    cones = solver == "auto" and not scheme.exact and _has_cones(process, members, contact, path)
+    cones = (
+        solver == "auto" and not scheme.exact and _has_cones(process, members, contact, path, tol)
+    )
     reduced: Reduction | str = "the unknowns shall be kept"
     if len(scheme.b) > 1:
         reduced = f"scheme {scheme.name!r} has several stages"
@@ -215,15 +218,22 @@ def _has_cones(
     members: Sequence[tuple[float, ConvexSet]],
     contact: np.ndarray | None,
     path: str,
+    tol: float,
 ) -> bool:
-    """Whether the sets are balls on sparse combinations of the unknowns, too many for a dense
-    program of the unknowns they act on."""
-    few = process.dim if contact is None else contact.size
-    if path not in ("auto", "cones") or not sp.issparse(process.metric.M):
+    """Whether the sets are balls on sparse combinations of unknowns, and too many for other ways.
+
+    Those are a dense program of few unknowns, the formula for a diagonal M, and what a tolerance
+    asks for that is below the gap's rounding.
+    """
+    metric, sets = process.metric, [untranslated(C).S for _, C in members if not C.singleton]
+    most = MANY if contact is None else NEWTON.max_dim
+    size = process.dim if contact is None else contact.size
+    if path not in ("auto", "cones") or not sp.issparse(metric.M) or not metric.has_factors:
         return False
-    if (path == "auto" and few <= MANY) or not process.metric.has_factors:
+    diagonal = all(is_diagonal(M) for M in (process.A, process.B) if M is not None)
+    formula = diagonal and all(S.exact for S in sets)
+    if path == "auto" and (size <= most or formula or tol < FINEST):
         return False
-    sets = [untranslated(C).S for _, C in members if not C.singleton]
     return bool(sets) and all(blocks(S) is not None for S in sets)
 
 
