@@ -120,7 +120,8 @@ class StiffRow(NamedTuple):
     error : float
         The largest of all nodes, in the norm of A, of B where A = 0.
     over_best, bound_over_error : float
-        The error over the smallest one of BEST_OF; the error bound over the error.
+        The error over the smallest one of BEST_OF; the error bound over the error at all nodes
+        of the reference, of which FINER are in a step.
     ringing : float
         Total variation of the velocities over that of the reference's means in the same steps.
     false_sticks : int
@@ -186,6 +187,7 @@ def judge(process: SweepingProcess, t_end: float, steps: int, bounds: bool = Tru
     error, *others = (
         largest_norm(process, one.u - reference.u[::FINER]) for one in (sol, *map(run, BEST_OF))
     )
+    between = largest_norm(process, sol(reference.t) - reference.u)
     variations = [abs(np.diff(z, axis=0)).sum() for z in (sol.velocity, slips.mean(axis=1))]
     least = SLIPS * abs(slips).max(axis=(0, 1))
     always = (slips > least).all(axis=1) | (slips < -least).all(axis=1)
@@ -193,7 +195,7 @@ def judge(process: SweepingProcess, t_end: float, steps: int, bounds: bool = Tru
         sol.plan.scheme.name,
         error,
         error / min(others),
-        float(sol.error_bound()) / error if bounds else math.nan,
+        float(sol.error_bound()) / between if bounds else math.nan,
         float(variations[0] / variations[1]),
         int((always & (sol.velocity == 0)).any(axis=1).sum()),
     )
