@@ -851,10 +851,12 @@ def gap_along_a_curve_bounds_the_gap_between_samples_too(entry: Entry, s: Sample
     missed = np.array([C.support(x) - x @ y for x, y in zip(at, along, strict=True)])
     slack = max(entry.tol, entry.support_tol, entry.edge_tol) * size(w, C.offsets) * size(p)
     for ratio in (0.0, 1.0, np.inf):
-        found = C.gap_along_curve(p, w, ratio)
-        moved = found.distance * np.linalg.norm(at, axis=1) if found.distance else 0.0
+        gap, distance = (
+            float(x[0]) for x in C.gaps_along_curves(p[None], w[None], np.array([ratio]))
+        )
+        moved = distance * np.linalg.norm(at, axis=1) if distance else 0.0
         # the midpoint rule on a smooth curve of degree 5
-        assert np.mean(missed - moved) <= found.gap + slack + 2e-3 * np.abs(missed).max()
+        assert np.mean(missed - moved) <= gap + slack + 2e-3 * np.abs(missed).max()
 
 
 def a_step_is_the_program_that_a_user_of_cvxpy_sees(entry: Entry, s: Sample, rng: Rng) -> None:

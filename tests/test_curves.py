@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sweepopt.sets.curves import ball_arc, basis, products, to_bernstein
+from sweepopt.sets.curves import ball_arcs, basis, products, to_bernstein
 
 
 @given(st.integers(0, 10_000), st.integers(2, 4), st.floats(1e-4, 1.0))
@@ -20,7 +20,7 @@ def test_an_arc_is_no_further_from_its_curve_than_it_says(seed: int, dim: int, t
     p = ahead + turn * random.normal(size=(3, dim))
     w = ahead + turn * random.normal(size=(6, dim))
     w *= radius / np.maximum(np.linalg.norm(w, axis=1, keepdims=True), 1e-9)
-    away = ball_arc(p, w, radius)
+    away = float(ball_arcs(p, w, radius))
     theta = np.linspace(0, 1, 201)
     at, along = basis(2, theta) @ p, basis(5, theta) @ w
     arc = radius * at / np.linalg.norm(at, axis=1, keepdims=True)
@@ -33,7 +33,7 @@ def test_an_arc_beside_a_smooth_motion_is_of_second_order() -> None:
         angles = h * np.array([0.0, 0.5, 1.0])
         circle = np.column_stack([np.cos(angles), np.sin(angles)])
         found.append(
-            ball_arc(to_bernstein(np.array([0.0, 0.5, 1.0])) @ circle, circle[[0, 2]], 1.0)
+            ball_arcs(to_bernstein(np.array([0.0, 0.5, 1.0])) @ circle, circle[[0, 2]], 1.0)
         )
     rates = np.log2(np.array(found[:-1]) / found[1:])
     assert np.allclose(rates, 2.0, atol=0.1)
@@ -41,7 +41,7 @@ def test_an_arc_beside_a_smooth_motion_is_of_second_order() -> None:
 
 def test_directions_that_may_vanish_have_no_arc() -> None:
     p = np.array([[1.0, 0.0], [-1.0, 0.0], [1.0, 0.0]])
-    assert ball_arc(p, np.array([[1.0, 0.0], [1.0, 0.0]]), 1.0) == math.inf
+    assert ball_arcs(p, np.array([[1.0, 0.0], [1.0, 0.0]]), 1.0) == math.inf
 
 
 def test_integrals_of_products_are_those_of_quadrature() -> None:

@@ -261,11 +261,11 @@ def _projections(S: ConvexSet, curves: np.ndarray) -> np.ndarray:
 
 
 def _gaps(S: ConvexSet, p: np.ndarray, s: np.ndarray, ratios: np.ndarray) -> np.ndarray:
-    """The mean of G along each curve in S, and how far the curve is moved for it."""
+    """The mean of G along each curve in S, and how far it is moved for it, shape (m, 2)."""
     if S.selection is not None:
         few, S, shift = S.selection
         p, s = p[..., few], s[..., few] - (0.0 if shift is None else shift[few])
-    return S.gaps_along_curves(p, s, ratios)
+    return np.column_stack(S.gaps_along_curves(p, s, ratios))
 
 
 def _sampled(process: SweepingProcess, norms: Norms, nodes: Nodes, slopes: np.ndarray) -> Residuals:

@@ -22,7 +22,7 @@ import scipy.sparse as sp
 from sweepopt.checks import vector
 from sweepopt.sets.base import (
     ConvexSet,
-    CurveGap,
+    CurveGaps,
     Features,
     Form,
     Halfspaces,
@@ -30,7 +30,6 @@ from sweepopt.sets.base import (
     Perturbation,
     Selection,
     places,
-    total_gap,
 )
 from sweepopt.sets.shapes import Box, Point
 
@@ -132,6 +131,12 @@ class Aligned(ConvexSet):
         each = self._split(self._back(vector("w", w, self.dim)))
         return self._to(self._joined([S.project(x) for S, x in each]))
 
+    def project_rows(self, rows: np.ndarray) -> np.ndarray:
+        each = self._split(self._back(rows).T)
+        blocks = [S.project_rows(x.T).T for S, x in each]
+        joined = self._joined(blocks, np.zeros(rows.T.shape))
+        return self._to(joined.T)
+
     def normal(self, v: np.ndarray) -> np.ndarray:
         v = self._back(v)
         p = self._joined([S.normal(x) for S, x in self._split(v)], v)
@@ -172,11 +177,15 @@ class Aligned(ConvexSet):
         w = self._to(self._joined([pair.w for pair in pairs]))
         return NormalPair(p, w, r * sum(pair.gap for pair in pairs), off)
 
-    def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
+    def gaps_along_curves(self, p: np.ndarray, w: np.ndarray, ratios: np.ndarray) -> CurveGaps:
         r, sign = self._scale
-        each = self._split(sign * p.T, self._back(w).T)
-        gap, distance = total_gap(S.gap_along_curve(a.T, b.T, r * ratio) for S, a, b in each)
-        return CurveGap(r * gap, r * distance)
+        parts = self._split(*(np.moveaxis(x, -1, 0) for x in (sign * p, self._back(w))))
+        each = [
+            S.gaps_along_curves(*(np.moveaxis(x, 0, -1) for x in curves), r * ratios)
+            for S, *curves in parts
+        ]
+        gaps, distances = (np.array(x) for x in zip(*each, strict=True))
+        return CurveGaps(r * gaps.sum(axis=0), r * np.linalg.norm(distances, axis=0))
 
     def _alike(self, other: ConvexSet) -> TypeGuard[Aligned]:
         """Whether other has parts on the same unknowns."""

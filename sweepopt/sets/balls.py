@@ -9,8 +9,8 @@ import scipy.linalg
 
 from sweepopt.checks import dimension, entries, number, vector
 from sweepopt.errors import InputError
-from sweepopt.sets.base import ROUNDING, ConvexSet, CurveGap, Features, Halfspaces, total_gap
-from sweepopt.sets.curves import ball_arc
+from sweepopt.sets.base import ROUNDING, ConvexSet, CurveGaps, Features, Halfspaces
+from sweepopt.sets.curves import ball_arcs, products
 from sweepopt.sets.shapes import Box
 
 if TYPE_CHECKING:
@@ -60,14 +60,17 @@ class Balls(ConvexSet):
         return float(np.sum(self.center * z) + self.radii @ lengths)
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        w = vector("w", w, self.dim)
-        arms = self._arms(w)
-        lengths = np.linalg.norm(arms, axis=1)
+        return self.project_rows(vector("w", w, self.dim)[None])[0]
+
+    def project_rows(self, rows: np.ndarray) -> np.ndarray:
+        arms = self._arms(rows).reshape(len(rows), -1, self.block)
+        lengths = np.linalg.norm(arms, axis=2)
         outside = lengths > self.radii
         if not outside.any():
-            return w
+            return rows
         factor = np.divide(self.radii, lengths, out=np.ones_like(lengths), where=outside)
-        return self.center + (factor[:, None] * arms).ravel()
+        moved = self.center + (factor[..., None] * arms).reshape(rows.shape)
+        return np.where(outside.any(axis=1)[:, None], moved, rows)
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -75,10 +78,20 @@ class Balls(ConvexSet):
         sizes = cp.Variable(self.radii.size)
         return Features([sizes], norms_below(p, sizes, self.block))
 
-    def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
-        blocks = (np.split(x, self.radii.size, axis=1) for x in (p, w))
-        each = zip(self.factors(), *blocks, strict=True)
-        return total_gap(ball.gap_along_curve(*curves, ratio) for ball, *curves in each)
+    def gaps_along_curves(self, p: np.ndarray, w: np.ndarray, ratios: np.ndarray) -> CurveGaps:
+        shift = p @ np.broadcast_to(self.center, self.dim)  # of sums, for their rounding
+        p, arms = (
+            np.moveaxis(x.reshape(*x.shape[:2], -1, self.block), 2, 1) for x in (p, w - self.center)
+        )
+        sigma = self.radii[:, None] * np.linalg.norm(p, axis=3)
+        gaps = np.maximum(sigma[..., None] - p @ np.swapaxes(arms, 2, 3), 0.0)
+        gaps += ROUNDING * (sigma + np.abs(shift)[:, None])[..., None]
+        of_w = (products(2, w.shape[1] - 1) * gaps).sum(axis=(2, 3))
+        arcs = ball_arcs(p, arms, self.radii)
+        with np.errstate(invalid="ignore"):  # inf times 0
+            better = ratios[:, None] * arcs**2 < 2 * of_w
+        distances = np.linalg.norm(np.where(better, arcs, 0.0), axis=1)
+        return CurveGaps(np.where(better, 0.0, of_w).sum(axis=1), distances)
 
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)
@@ -145,11 +158,6 @@ class Ball(Balls):
     def features(self, p: cp.Expression) -> Features:
         sizes, constraints = super().features(p)
         return Features([p, *sizes], constraints)
-
-    def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
-        of_w = ConvexSet.gap_along_curve(self, p, w, ratio)
-        distance = ball_arc(p, w - self.center, self.radius)
-        return CurveGap(0.0, distance) if ratio * distance**2 < 2 * of_w.gap else of_w
 
     def factors(self) -> list[ConvexSet]:
         return [self]

@@ -75,25 +75,19 @@ class Selection(NamedTuple):
     shift: np.ndarray | None
 
 
-class CurveGap(NamedTuple):
-    """A curve in C beside a curve p of directions, both on [0, 1].
+class CurveGaps(NamedTuple):
+    """Curves in C beside curves p of directions, all on [0, 1].
 
     Attributes
     ----------
-    gap : float
+    gaps : ndarray, shape (m,)
         At least the mean of sigma(C, p) - <p, curve> >= 0.
-    distance : float
+    distances : ndarray, shape (m,)
         At least the distance of the curve from the one that was given, at any time.
     """
 
-    gap: float
-    distance: float
-
-
-def total_gap(factors: Iterable[CurveGap]) -> CurveGap:
-    """That of a product of sets, from those of its factors."""
-    gaps, distance = np.array(list(factors)).T
-    return CurveGap(float(gaps.sum()), float(np.linalg.norm(distance)))
+    gaps: np.ndarray
+    distances: np.ndarray
 
 
 class Halfspaces(NamedTuple):
@@ -333,25 +327,23 @@ class ConvexSet(Operators, ABC):
         sigma = self.support(p)
         return max(sigma - float(p @ w), 0.0) + ROUNDING * abs(sigma) if p.any() else 0.0
 
-    def gap_along_curve(self, p: np.ndarray, w: np.ndarray, ratio: float) -> CurveGap:
-        """A curve in C near w beside a quadratic curve p of directions, on [0, 1].
+    def gaps_along_curves(self, p: np.ndarray, w: np.ndarray, ratios: np.ndarray) -> CurveGaps:
+        """Curves in C near curves w beside quadratic curves p of directions, on [0, 1].
 
         w itself: sigma is convex, so sum_jk b_j b_k (sigma(C, p_j) - <p_j, w_k>) bounds its gap.
 
         Parameters
         ----------
-        p : ndarray, shape (3, dim)
+        p : ndarray, shape (m, 3, dim)
             Bernstein coefficients of the directions.
-        w : ndarray, shape (k, dim)
-            Bernstein coefficients of the curve w, points of C.
-        ratio : float
+        w : ndarray, shape (m, k, dim)
+            Bernstein coefficients of the curves w, points of C.
+        ratios : ndarray, shape (m,)
             A set with more than one such curve takes that of the smaller 2 gap + ratio distance^2.
         """
-        return CurveGap(float(np.sum(products(2, len(w) - 1) * self._gaps(p, w))), 0.0)
-
-    def gaps_along_curves(self, p: np.ndarray, w: np.ndarray, ratios: np.ndarray) -> np.ndarray:
-        """`gap_along_curve` of many curves: gaps and distances, shape (m, 2)."""
-        return np.array([self.gap_along_curve(*one) for one in zip(p, w, ratios, strict=True)])
+        each = [self._gaps(*one) for one in zip(p, w, strict=True)]
+        gaps = (products(2, w.shape[1] - 1) * np.array(each)).sum(axis=(1, 2))
+        return CurveGaps(gaps, np.zeros_like(gaps))
 
     def project_rows(self, rows: np.ndarray) -> np.ndarray:
         """`project` of each row, shape (m, dim)."""

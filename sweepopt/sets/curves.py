@@ -8,39 +8,41 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from typing import Any
 
 import numpy as np
 
 
-def ball_arc(p: np.ndarray, w: np.ndarray, radius: float) -> float:
-    """How far radius p / |p|, whose gap is zero, is from a curve w in the ball.
+def ball_arcs(p: np.ndarray, w: np.ndarray, radius: Any) -> np.ndarray:
+    """How far radius p / |p|, whose gap is zero, is from curves w in balls.
 
     Parameters
     ----------
-    p : ndarray, shape (3, dim)
-        Bernstein coefficients of a quadratic curve of directions.
-    w : ndarray, shape (k, dim)
+    p : ndarray, shape (..., 3, dim)
+        Bernstein coefficients of quadratic curves of directions.
+    w : ndarray, shape (..., k, dim)
         Bernstein coefficients of w, seen from the centre.
-    radius : float
+    radius : float or ndarray, shape (...)
 
     Returns
     -------
-    float
+    ndarray, shape (...)
         A bound of the distance over the whole interval; inf if p may vanish or turn away.
     """
-    middle = p.sum(axis=0)
-    size = float(np.linalg.norm(middle))
-    least = float((p @ middle).min()) / size if size else 0.0  # |p| >= this
-    if least <= 0 or (p @ w.T).min() <= 0:
-        return math.inf
-    # what of w is across p: (|p|^2 w - <p, w> p) / |p|^2, above the bar a polynomial
-    theta = chebyshev(len(w) + 4)
-    curve, points = basis(2, theta) @ p, basis(len(w) - 1, theta) @ w
-    squares, along = (curve**2).sum(axis=1), (curve * points).sum(axis=1)
-    across = squares[:, None] * points - along[:, None] * curve
-    side = float(np.linalg.norm(to_bernstein(theta) @ across, axis=1).max()) / least**2
-    shortest = float((w @ w.T).min())  # |w|^2 >= this
-    return math.hypot(side, radius - math.sqrt(max(shortest - side**2, 0.0)))
+    middle, transposed = p.sum(axis=-2), np.swapaxes(w, -1, -2)
+    size = np.linalg.norm(middle, axis=-1)
+    with np.errstate(all="ignore"):  # what vanishes or overflows has no arc
+        least = (p @ middle[..., None])[..., 0].min(axis=-1) / size  # |p| >= this
+        # what of w is across p: (|p|^2 w - <p, w> p) / |p|^2, above the bar a polynomial
+        theta = chebyshev(w.shape[-2] + 4)
+        curve, points = basis(2, theta) @ p, basis(w.shape[-2] - 1, theta) @ w
+        squares, along = (curve**2).sum(axis=-1), (curve * points).sum(axis=-1)
+        across = squares[..., None] * points - along[..., None] * curve
+        side = np.linalg.norm(to_bernstein(theta) @ across, axis=-1).max(axis=-1) / least**2
+        shortest = (w @ transposed).min(axis=(-1, -2))  # |w|^2 >= this
+        distance = np.hypot(side, radius - np.sqrt(np.maximum(shortest - side**2, 0.0)))
+    ahead = (least > 0) & ((p @ transposed).min(axis=(-1, -2)) > 0)
+    return np.where(ahead & ~np.isnan(distance), distance, np.inf)
 
 
 def basis(degree: int, theta: np.ndarray) -> np.ndarray:

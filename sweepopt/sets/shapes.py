@@ -9,7 +9,15 @@ import scipy.sparse as sp
 
 from sweepopt.checks import dimension, entries, vector
 from sweepopt.errors import EmptySetError
-from sweepopt.sets.base import DENSE, ConvexSet, Features, Halfspaces, difference, same_array
+from sweepopt.sets.base import (
+    DENSE,
+    ConvexSet,
+    CurveGaps,
+    Features,
+    Halfspaces,
+    difference,
+    same_array,
+)
 from sweepopt.sets.curves import products
 
 if TYPE_CHECKING:
@@ -66,9 +74,9 @@ class Box(ConvexSet):
     def gap(self, p: np.ndarray, w: np.ndarray) -> float:
         return float(self._gaps(p[None], w[None])[0, 0])
 
-    def gaps_along_curves(self, p: np.ndarray, w: np.ndarray, ratios: np.ndarray) -> np.ndarray:
+    def gaps_along_curves(self, p: np.ndarray, w: np.ndarray, ratios: np.ndarray) -> CurveGaps:
         gaps = (self._gaps(p, w) * products(2, w.shape[1] - 1)).sum(axis=(1, 2))
-        return np.stack([gaps, np.zeros_like(gaps)], axis=1)
+        return CurveGaps(gaps, np.zeros_like(gaps))
 
     def _gaps(self, p: np.ndarray, w: np.ndarray) -> np.ndarray:
         # entry by entry: what cancels cancels to 0.0

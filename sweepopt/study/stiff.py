@@ -121,7 +121,8 @@ class StiffRow(NamedTuple):
     error : float
         The largest of all nodes, in the norm of A, of B where A = 0.
     over_best, bound_over_error : float
-        The error over the smallest one of BEST_OF; the error bound over the error.
+        The error over the smallest one of BEST_OF; the error bound over the error at all nodes
+        of the reference, of which FINER are in a step.
     ringing : float
         Total variation of the velocities over that of the reference's means in the same steps.
     false_sticks : int
@@ -185,6 +186,7 @@ def judge(row: StiffRow, process: SweepingProcess, t_end: float, bounds: bool = 
     error, *others = (
         largest_norm(process, one.u - reference.u[::FINER]) for one in (sol, *map(run, BEST_OF))
     )
+    between = largest_norm(process, sol(reference.t) - reference.u)
     variations = [abs(np.diff(z, axis=0)).sum() for z in (sol.velocity, slips.mean(axis=1))]
     least = SLIPS * abs(slips).max(axis=(0, 1))
     always = (slips > least).all(axis=1) | (slips < -least).all(axis=1)
@@ -192,7 +194,7 @@ def judge(row: StiffRow, process: SweepingProcess, t_end: float, bounds: bool = 
         scheme=sol.plan.scheme.name,
         error=error,
         over_best=error / min(others),
-        bound_over_error=float(sol.error_bound()) / error if bounds else math.nan,
+        bound_over_error=float(sol.error_bound()) / between if bounds else math.nan,
         ringing=float(variations[0] / variations[1]),
         false_sticks=int((always & (sol.velocity == 0)).any(axis=1).sum()),
     )
