@@ -25,12 +25,12 @@ from sweepopt.integrate import (
     Grid,
     Observer,
     ProgressBar,
-    Reconstruction,
     Run,
     SaveFunction,
     Scheme,
     Segments,
     SolveOptions,
+    States,
     StepInfo,
     StoredRun,
     adapt,
@@ -81,9 +81,8 @@ def solve(
         Number of equal steps, or the increasing times themselves (the first one is where u0 holds),
         or ``Adaptive(tol)``: steps that are chosen for an error of tol.
     scheme : str
-        "auto" (sdirk2 where mu Lam <= 2 for the longest step, midpoint if path "proportional" may
-        apply; else sdirk32, with path="proportional" implicit-euler; with Adaptive midpoint, or
-        sdirk2 when A = 0; the plan says which one and why), "catching-up", "implicit-euler",
+        "auto" (sdirk2 where mu Lam <= 2 for the longest step, else sdirk32; with Adaptive midpoint,
+        or sdirk2 when A = 0; the plan says which one and why), "catching-up", "implicit-euler",
         "midpoint", "trapezoid" (A coercive only), "sdirk2", "sdirk32" (3 programs a step, 7 where
         much stops); "exact" for polyhedra and loads as data (`Separable`): closed forms between
         switches that are located, in `Solution.exact` also between the nodes.
@@ -305,7 +304,6 @@ def _move(
             saved = partial(saving, options.save, dim=grid.plan.entering, memory=options.memory)
             run = adapt(options.steps, segments, process, grid, saved, bar.update)
             grid, interrupted = run.grid, run.status is Status.INTERRUPTED
-        reconstruction = Reconstruction(grid)
         watchers: list[Callable[[StepInfo], Any]] = []
         if grid.saving.path and not interrupted:
             sink = NetCDFSink(grid.saving.path, float(grid.times[0]), process.u0)
@@ -317,8 +315,8 @@ def _move(
         if run is None or (not interrupted and (watchers or not run.done)):
             observe = None
             if watchers or progress:
-                observe = observer(bar, watchers, reconstruction, grid.times)
-            run = _integrate(process, grid, reconstruction, observe, writer)
+                observe = observer(bar, watchers, grid.plan, grid.times)
+            run = _integrate(process, grid, observe, writer)
         if grid.cause and run.done == len(grid.mus):
             run.status, run.cause = Status.INEXACT, grid.cause
         failed = run.status in (Status.INEXACT, Status.SWITCHING)
@@ -328,16 +326,16 @@ def _move(
         if sink is not None:
             sink.close(succeeded)
     if not succeeded:
-        u = reconstruction.state(run.done, run.u)
+        u = grid.plan.state(run.u)
         raise StepError(run.cause, float(grid.times[run.done]), run.done, u, run.relative)
     if sink is not None and (failure := sink.storage.failure):
         raise SaveError(
             f"save: {grid.saving.path} cannot be written ({failure.strerror}), the run "
             f"was stopped after {run.done} steps; `solution` of this error has the last of them. "
             "Free the disk, name another file, or keep fewer steps in memory, save=k",
-            _solution(process, run, reconstruction, sink, recorded),
+            _solution(process, run, sink, recorded),
         )
-    return _solution(process, run, reconstruction, sink, recorded)
+    return _solution(process, run, sink, recorded)
 
 
 def _first_grid(
@@ -351,7 +349,7 @@ def _first_grid(
     plan = make_plan(process, members, scheme, options.solver, options.tol, options.path)
     reduction = plan.reduction if options.path == "auto" else None
     if segments:
-        plan = plan.of_all_unknowns("its coefficients need all steps beforehand, these adapt")
+        plan = plan.of_all_unknowns("steps that adapt may be so short that they would be rounding")
     elif reduction and not reduction.suits(mus, scheme, options.tol):
         plan = plan.of_all_unknowns("the steps differ so much that short ones would be rounding")
     saved = saving(options.save, times, plan.entering, options.memory)
@@ -372,40 +370,39 @@ def _nearest(process: SweepingProcess, plan: Plan) -> Callable[[np.ndarray, Conv
 def _integrate(
     process: SweepingProcess,
     grid: Grid,
-    reconstruction: Reconstruction,
     observe: Observer | None,
     writer: CheckpointWriter | None,
 ) -> Run:
     """The run over the grid, from its start or from where a stored one is."""
-    plan, full_certificate = grid.plan, None
-    if plan.reduction:
-        process, full_certificate = plan.reduction.process, reconstruction.full_certificate
+    process = grid.plan.process_of(process)
     run = Run(grid, process.u0)
     if writer:
         writer.begin(run)
-    integrate(process, plan.of_entering, run, observe, full_certificate, writer)
+    integrate(process, grid.plan, run, observe, writer)
     return run
 
 
 def _solution(
     process: SweepingProcess,
     run: Run,
-    reconstruction: Reconstruction,
     sink: NetCDFSink | None,
     recorded: list[Any],
 ) -> Solution:
     """The states of all unknowns where they are, and what is known of the run."""
-    grid = run.grid
-    states = sink.states() if sink else reconstruction.states(run.states())
+    grid, states = run.grid, run.states()
+    plan, (steps, u, velocity) = grid.plan, states
+    states = States(steps, lambda i: plan.state(u(i)), lambda i: plan.velocity(velocity(i)))
+    if sink:
+        states = sink.states()
     return Solution(
         process=process,
-        plan=grid.plan,
+        plan=plan,
         t=grid.times[np.append(0, states.steps + 1)],
         states=states,
-        statistics=run.statistics(reconstruction.seconds),
+        statistics=run.statistics(),
         status=run.status,
         cause=run.cause,
-        exact=reconstruction.trajectory(run.exact),
+        exact=run.exact,
         recorded=recorded if grid.saving.function else None,
         passes=grid.passes,
     )

@@ -388,6 +388,9 @@ def test_the_distance_of_a_jump_that_is_not_known_is_not_made_up() -> None:
 
 def test_steep_noisy_and_fast_loads_are_no_jumps() -> None:
     noise = so.Table(np.linspace(0, 2, 2001), np.random.default_rng(0).normal(size=2001))
+    steep = so.Table([0, 0.5, 0.5 + 9e-4, 1e6], [0, 0, 9, 9])
+    C = so.Moving(so.Box([-1], [1]), so.Separable([(steep, [1.0])]))
+    so.SweepingProcess([[1.0]], None, C, [0.0]).check_jumps(0.0, 1e6)
     for history in (
         noise,
         so.Triangle(2.0, period=1e-6),

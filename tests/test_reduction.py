@@ -12,6 +12,7 @@ import sweepopt as so
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 RHO, CONTACT = 1.7, [3, 17, 30, 39]
+SCHEMES = ["catching-up", "implicit-euler", "midpoint", "trapezoid", "sdirk2"]
 SELECT = np.eye(40)[:, CONTACT]
 SETS: dict[str, so.ConvexSet] = {
     "intervals": so.Box([-1, -0.5, -0.2, -1], [1, 0.5, 0.2, 0.4]),
@@ -71,15 +72,45 @@ def test_a_body_that_hardly_remembers_loses_no_digits(rho: float) -> None:
     assert few.error_bound() >= max(map(this.metric.norm, few.u - exact(few.t)))
 
 
-@pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "midpoint"])
+@pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("part", SETS)
 def test_the_contact_alone_gives_the_trajectory_of_all_unknowns(part: str, scheme: str) -> None:
     this = process(part=SETS[part])
     grid = 4 * np.linspace(0, 1, 60) ** 2
     few, general = runs(this, steps=grid, scheme=scheme, on_unstable="ignore")
-    assert (few.plan.path, few.plan.entering) == ("proportional", 4)
+    assert (few.plan.path, few.plan.entering) == (
+        "proportional",
+        4 + 3,
+    )  # two loads, and what is left at the start
     assert difference(this, few.u, general.u) <= 1e-10
     assert difference(this, few.velocity, general.velocity) <= 1e-9
+
+
+def test_sdirk32_agrees_where_nothing_stops() -> None:
+    # which steps implicit Euler takes instead depends on the unknowns that enter
+    ramp = so.Separable([(so.Polynomial([0.0, 3.0]), SELECT.sum(axis=1))])
+    this = process(C=pressed(ramp), u0=np.zeros(40))
+    few, general = runs(this, t_end=4.0, steps=40, scheme="sdirk32")
+    assert not any("implicit-euler" in solver for solver in few.stats["solver"])
+    assert difference(this, few.u, general.u) <= 1e-10
+
+
+@pytest.mark.parametrize(
+    ("scheme", "order"), [("implicit-euler", 1), ("sdirk2", 2), ("sdirk32", 2)]
+)
+def test_every_scheme_has_its_order_and_the_errors_of_all_unknowns(scheme: str, order: int) -> None:
+    this, steps = process(), [40, 80, 160, 320]
+    exact = so.solve(this, t_end=3.0, steps=1, scheme="exact").exact
+    assert exact is not None
+    assert exact.velocity(2.0) == pytest.approx((exact(2.001) - exact(1.999)) / 0.002, abs=1e-4)
+    errors = []
+    for n in steps:
+        few, general = runs(this, t_end=3.0, steps=n, scheme=scheme)
+        each = [max(map(this.metric.norm, sol.u - exact(sol.t))) for sol in (few, general)]
+        assert each[0] <= 1.2 * each[1]
+        errors.append(each[0])
+    assert -np.polyfit(np.log(steps), np.log(errors), 1)[0] >= 0.93 * order
+    assert errors[-1] <= 0.02 / order**4 * max(map(this.metric.norm, exact(few.t)))
 
 
 @pytest.mark.parametrize(
@@ -179,7 +210,7 @@ def test_short_steps_long_after_the_start_of_a_stiff_body_are_not_rounding() -> 
     assert equal.plan.path == "proportional"
 
 
-@pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "midpoint"])
+@pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_body_held_for_a_while_is_u0_to_the_last_bit_and_then_moves_as_it_should(
     scheme: str,
 ) -> None:

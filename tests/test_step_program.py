@@ -84,6 +84,8 @@ def test_a_cone_is_a_constraint_and_data_that_come_twice_are_numbered() -> None:
     K = so.Orthant(n)
     process = so.EvolutionVI(A, B, load=load, cone=K, u0=U0)
     assert str(so.step_program(process, 1.0, U0, 0.5)).endswith("subject to 0.0 <= z")
+    free = so.SweepingProcess(A, B, so.WholeSpace(n), U0)
+    assert str(so.step_program(free, 1.0, U0, 0.5)).endswith("subject to z == 0.0")
     K = so.image(np.array([[1.0, 0.3], [0.2, 1.0], [1.0, 1.0]]), so.Orthant(2)).polar()
     process = so.EvolutionVI(A, B, load=load, cone=K, u0=U0)
     assert str(so.step_program(process, 1.0, U0, 0.5)).endswith("subject to G @ z <= 0.0")
@@ -152,6 +154,19 @@ def test_the_velocity_of_a_scheme_with_stages_is_their_weighted_sum(scheme: str)
     assert max(answer.relative for answer in answers) <= 1e-5
     assert mean == pytest.approx(sol.velocity[7], abs=1e-5)
     assert not np.allclose(answers[0].z, answers[1].z, atol=1e-4)
+
+
+@pytest.mark.parametrize("path", ["proportional", "eliminated"])
+def test_where_sdirk32_took_steps_of_implicit_euler_their_programs_are_given(path: str) -> None:
+    sol = chain(scheme="sdirk32", tol=1e-9, path=path)
+    took = [str(solver).endswith(", implicit-euler") for solver in sol.stats["solver"]]
+    assert 0 < sum(took) < len(took)
+    for i, weights in ((took.index(True), (0.2,) * 5), (took.index(False), sol.plan.scheme.b)):
+        programs = [sol.step_program(i, stage=k) for k in range(len(weights))]
+        answers: Any = [b * optimum(one) for b, one in zip(weights, programs, strict=True)]
+        assert sum(answers) == pytest.approx(sol.velocity[i], abs=1e-5)
+        with pytest.raises(so.InputError, match="no program of stage"):
+            sol.step_program(i, stage=len(weights))
 
 
 def test_a_set_of_which_nothing_is_known_enters_by_its_support_function() -> None:

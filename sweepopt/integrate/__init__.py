@@ -28,13 +28,13 @@ from sweepopt.integrate.observers import (
     observer,
 )
 from sweepopt.integrate.options import SolveOptions
-from sweepopt.integrate.reconstruction import Reconstruction
 from sweepopt.integrate.record import MEMORY, Grid, Index, Pass, Run, States, Statistics, saving
-from sweepopt.integrate.schemes import SCHEMES, Scheme
-from sweepopt.integrate.stage_program import step_program
-from sweepopt.integrate.step import Velocities, combination, compensated_sum
+from sweepopt.integrate.schemes import SCHEMES, Scheme, implicit_euler
+from sweepopt.integrate.stage_program import program_of_stage, step_program
+from sweepopt.integrate.step import BY_EULER, Velocities, combination, compensated_sum
 
 __all__ = [
+    "BY_EULER",
     "MEMORY",
     "SCHEMES",
     "Adaptive",
@@ -46,7 +46,6 @@ __all__ = [
     "Observer",
     "Pass",
     "ProgressBar",
-    "Reconstruction",
     "Run",
     "SaveFunction",
     "Scheme",
@@ -65,9 +64,11 @@ __all__ = [
     "compensated_sum",
     "divided",
     "evaluation_times",
+    "implicit_euler",
     "integrate",
     "newest",
     "observer",
+    "program_of_stage",
     "require_same_problem",
     "saving",
     "step_program",

@@ -36,7 +36,7 @@ from sweepopt.integrate.record import Grid, Run
 from sweepopt.io import locked, read_npz, remove_parts, versions_of, writable, write_npz
 from sweepopt.problem import SweepingProcess
 
-SCHEMA = 4  # of the file: one more for each change of what it holds
+SCHEMA = 5  # of the file: one more for each change of what it holds
 PACKAGES = ("numpy", "scipy", "cvxpy", "osqp", "clarabel", "cvxopt", "daqp", "pyamg")
 """Their versions may change the last bits of a result."""
 WRITES = 100  # of a run, at whose ends it may be written down if nobody says how many steps

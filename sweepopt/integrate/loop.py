@@ -28,8 +28,6 @@ from sweepopt.velocity import Plan, Velocity
 
 Observer = Callable[[int, np.ndarray, np.ndarray, float], "bool | None"]
 """Sees a step's number, state, velocity and certificate; a true value stops the run."""
-FullCertificate = Callable[[int, np.ndarray, Velocity], Velocity]
-"""A step's velocity with the certificate of all unknowns, from its number and first state."""
 Restarts = Callable[[Run], bool]
 """Whether programs shall forget the steps so far, as those of a run that goes on from there do."""
 
@@ -39,7 +37,6 @@ def integrate(
     plan: Plan,
     run: Run,
     observer: Observer | None = None,
-    full_certificate: FullCertificate | None = None,
     restarts: Restarts | None = None,
     velocities: Velocities | None = None,
 ) -> None:
@@ -50,8 +47,9 @@ def integrate(
 
     Parameters
     ----------
+    process : SweepingProcess
+        That of the unknowns which enter the steps (`Plan.process_of`).
     plan : Plan
-        That of the unknowns which enter the steps.
     velocities : Velocities, optional
         The compiled programs of an earlier run of the same process.
     """
@@ -69,8 +67,6 @@ def integrate(
             if result is None:
                 return
             velocity = result.velocity
-            if full_certificate is not None and not velocity.relative > plan.tol:
-                velocity = full_certificate(i, u, velocity)
             if result.end is None:
                 following, compensation = compensated_sum(u, mu * velocity.z, compensation)
             else:
@@ -118,9 +114,7 @@ def _cause(process: SweepingProcess, plan: Plan, t: float, velocity: Velocity, r
         )
     best = f"the best certificate of {velocity.attempts} attempts is {missed}, tol is {plan.tol:g}"
     tried = f", and to take it in {PARTS[0]} to {PARTS[-1]} parts does not help"
-    if result.complete:
-        tried, likely = "", "A is too badly conditioned to recover all unknowns"
-    elif result.cause:
+    if result.cause:
         tried, likely = "", f"It cannot be taken in parts: {result.cause}"
     elif velocity.solver == INDEFINITE:
         best = "A + gamma B is not positive definite to rounding"

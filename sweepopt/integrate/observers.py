@@ -9,7 +9,7 @@ import numpy as np
 
 from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate.loop import Observer
-from sweepopt.integrate.reconstruction import Reconstruction
+from sweepopt.velocity import Plan
 
 
 class StepInfo(NamedTuple):
@@ -57,7 +57,7 @@ class ProgressBar:
 def observer(
     bar: ProgressBar,
     watchers: Sequence[Callable[[StepInfo], Any]],
-    reconstruction: Reconstruction,
+    plan: Plan,
     times: np.ndarray,
 ) -> Observer:
     """What the loop calls after each step: the bar, then the watchers, who see all unknowns.
@@ -69,7 +69,7 @@ def observer(
         bar.update()
         if not watchers:
             return False
-        u, z = reconstruction.state(i + 1, u).copy(), reconstruction.velocity(i, z).copy()
+        u, z = plan.state(u).copy(), plan.velocity(z).copy()
         step = StepInfo(i, float(times[i + 1]), u, z, certificate)
         for watcher in watchers:
             answer = watcher(step)

@@ -40,14 +40,14 @@ class SolveOptions:
             value = number(name, getattr(self, name), minimum=0.0, strict=True)
             object.__setattr__(self, name, value)
         if isinstance(self.steps, Adaptive) and self.path == "proportional":
-            raise PathError("path='proportional' needs all steps beforehand; Adaptive cannot tell")
+            raise PathError("path='proportional' is for steps that are given beforehand")
 
     def tableau(self, process: SweepingProcess) -> Scheme:
         """The scheme; "auto" chooses by the longest step, or for steps that adapt."""
         name, adaptive = self.scheme, isinstance(self.steps, Adaptive)
         if isinstance(name, str) and name == "auto" and not adaptive:
             mu = float(time_grid(self.t_end, self.steps)[1].max())
-            return automatic(process, mu, self.path)
+            return automatic(process, mu)
         scheme = choose(name, process.rate_independent)
         if adaptive and scheme.exact:
             raise InputError("scheme 'exact' has no error in time that steps could be adapted to")

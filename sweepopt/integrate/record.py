@@ -199,11 +199,9 @@ class Run:
         nodes, velocities = self._nodes[: len(steps) + 1], self._velocities[: len(steps)]
         return States(steps, nodes.__getitem__, velocities.__getitem__)
 
-    def statistics(self, beside: float) -> Statistics:
-        """Those of the steps that are done; each took so many seconds beside the loop."""
-        rows = self._rows[: self.done].copy()
-        rows["seconds"] += beside
-        return Statistics(rows, tuple(self._solvers))
+    def statistics(self) -> Statistics:
+        """Those of the steps that are done."""
+        return Statistics(self._rows[: self.done], tuple(self._solvers))
 
     def store(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """All that `restore` needs, in terms of JSON and in arrays."""

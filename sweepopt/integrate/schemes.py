@@ -21,7 +21,6 @@ from sweepopt.checks import HUGE
 from sweepopt.errors import InputError, shown
 from sweepopt.linalg import exceeds_none
 from sweepopt.problem import SweepingProcess
-from sweepopt.velocity import contact_and_load
 
 
 @dataclass(frozen=True)
@@ -140,22 +139,14 @@ def rings(process: SweepingProcess, scheme: Scheme, mu: float, least: float = 0.
     return bool(scheme.amplification(-min(mu * process.Lam, HUGE)) < -least)
 
 
-def automatic(process: SweepingProcess, mu: float, path: str) -> Scheme:
-    """The scheme for steps of at most mu, with the reason.
-
-    sdirk2 while mu Lam <= 2 and sdirk32 beyond. A reduction to the contact of a body is moved by a
-    scheme of one stage, midpoint while it does not ring: so is the same body on other paths.
-    """
+def automatic(process: SweepingProcess, mu: float) -> Scheme:
+    """The scheme for steps of at most mu, with the reason: sdirk2 while mu Lam <= 2, or sdirk32."""
     if not is_stiff(process, mu):
-        if path == "proportional" or not isinstance(contact_and_load(process), str):
-            return replace(SCHEMES["midpoint"], reason="mu Lam is at most 2, and B = rho A")
         return replace(SCHEMES["sdirk2"], reason="mu Lam is at most 2")
     reason = "A is zero"
     if not process.rate_independent:
         reason = f"mu Lam = {mu * process.Lam:.3g} is above 2"
-    return replace(
-        SCHEMES["implicit-euler" if path == "proportional" else "sdirk32"], reason=reason
-    )
+    return replace(SCHEMES["sdirk32"], reason=reason)
 
 
 def choose(name: str, rate_independent: bool) -> Scheme:

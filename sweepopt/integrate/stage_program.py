@@ -9,7 +9,7 @@ import numpy as np
 
 from sweepopt.checks import count, instant, number, vector
 from sweepopt.errors import InputError, shown
-from sweepopt.integrate.schemes import choose
+from sweepopt.integrate.schemes import Scheme, choose
 from sweepopt.integrate.step import Velocities, combination
 from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
 from sweepopt.velocity import StepProgram, make_plan, matrix
@@ -65,17 +65,25 @@ def step_program(
     (array([1.]), True)
     """
     process = sweeping(process)
+    tableau = choose(scheme, process.rate_independent)
+    return program_of_stage(process, t, u, mu, tableau, stage)
+
+
+def program_of_stage(
+    process: SweepingProcess, t: float, u: Any, mu: float, tableau: Scheme, stage: int
+) -> StepProgram:
+    """The same for a tableau, which need not be that of a scheme with a name."""
     t, mu = instant("t", t), number("mu", mu, minimum=0.0, strict=True)
-    u, tableau = vector("u", u, process.dim), choose(scheme, process.rate_independent)
+    u = vector("u", u, process.dim)
     if tableau.exact or count("stage", stage, least=0) >= len(tableau.b):
         raise InputError(
-            f"scheme {scheme!r} has no program of stage {shown(stage)}: exact solves none, other "
-            "schemes count their stages from 0"
+            f"scheme {tableau.name!r} has no program of stage {shown(stage)}: exact solves none, "
+            "other schemes count their stages from 0"
         )
     *weights, implicit = tableau.a[stage]
     if stage:
         members = process.check(t + mu * np.unique(tableau.c[:stage]))
-        plan = make_plan(process, members, tableau, "auto", TOL)
+        plan = replace(make_plan(process, members, tableau, "auto", TOL), reduction=None)
         earlier = replace(tableau, a=tableau.a[:stage], c=tableau.c[:stage])
         before = Velocities(process, plan).stages(earlier, t, mu, u)
         u = u + mu * combination(weights, before)

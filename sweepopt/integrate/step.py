@@ -20,6 +20,7 @@ from sweepopt.velocity import Plan, StateVelocity, Velocity, compile_velocity
 PARTS = (2, 4, 8, 16)  # of a step that missed its tolerance: halved like steps of adaptive grids
 STOPS = 0.5  # of the motion; with 0.25 stiff runs had 1.8 times the best error at most, now 1.3
 MATRICES = 15  # kept factorised: irregular grids would otherwise keep one a step
+BY_EULER = ", implicit-euler"  # after the solver of a step that was taken by steps of that
 INDEFINITE = "indefinite"  # who answers where A + gamma B is no matrix of a program
 Stages = list[Velocity]
 
@@ -120,7 +121,8 @@ class Velocities:
         euler = implicit_euler(scheme.euler_steps)
         mean = _mean(euler.b, self.stages(euler, t, mu, u, stages[:1]))
         left = sum(stage.iterations for stage in stages[1:])
-        return mean._replace(iterations=mean.iterations + left)
+        iterations = mean.iterations + left
+        return mean._replace(solver=mean.solver + BY_EULER, iterations=iterations)
 
     def stages(
         self, scheme: Scheme, t: float, mu: float, u: np.ndarray, first: Sequence[Velocity] = ()

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from sweepopt.checks import TIME_SLACK
 from sweepopt.errors import InputError
 from sweepopt.linalg import Factor, dense
 from sweepopt.loads import Constant, Polynomial, Sine, Table, Triangle, breakpoints
@@ -16,7 +17,6 @@ from sweepopt.problem.motion import TimeFunction, motion
 from sweepopt.sets import AnySet, Box, ConvexSet
 
 BLOCK = 256  # columns of A^-1 at a time: those of all unknowns would not fit in memory
-JUMP = 1e-9  # of the run: what changes in no more is a jump to every step
 CONTINUOUS = (Constant, Polynomial, Sine, Triangle)
 Distance = Callable[[np.ndarray], float]
 
@@ -76,7 +76,8 @@ def jumps(C: AnySet, metric: Factor, start: float, end: float) -> list[tuple[flo
 
     Functions of which nothing is known are not looked at: they may have values on the grid only.
     """
-    sentences, width = [], JUMP * (end - start)
+    # between times that are the same to the library
+    sentences, width = [], TIME_SLACK * max(abs(start), abs(end))
     for name, f, distance in _moves(C, metric) or ():
         for t in _discontinuities(f.histories, start, end, width) if f.bounded else ():
             before, after = f.at(np.clip([t - width, t + width], start, end))

@@ -10,7 +10,14 @@ import numpy as np
 
 from sweepopt import checks
 from sweepopt.errors import InputError, PathError, Status, SweepoptError, shown
-from sweepopt.integrate import Pass, States, Statistics, step_program
+from sweepopt.integrate import (
+    BY_EULER,
+    Pass,
+    States,
+    Statistics,
+    implicit_euler,
+    program_of_stage,
+)
 from sweepopt.problem import SweepingProcess
 from sweepopt.results.dataset import to_xarray
 from sweepopt.results.energy import Energy, energy_of
@@ -87,7 +94,8 @@ class Solution:
         over the programs that the step solved), relative (the certificate in units of the program's
         size, what tol bounds), solver (who found it: a solver's name, "linear",
         "closed form" or "at rest"; "clarabel/4" for a step that missed tol as a whole and was taken
-        in 4 parts: its programs are those of the parts, M = A + gamma mu / 4 B, and no bound of how
+        in 4 parts, "newton, implicit-euler" for one that sdirk32 took by steps of implicit Euler:
+        its programs are those of the parts, M = A + gamma mu / 4 B, and no bound of how
         far its mean velocity is from that of one whole step).
         """
         return self.statistics.table()
@@ -162,8 +170,9 @@ class Solution:
         It has all unknowns, also those that the run eliminated or recovers when asked, and its
         answer is ``velocity[i]`` to the certificates of both; with several stages z_k the velocity
         is sum_k b_k z_k. It is that of the whole step, also where the run took it in parts
-        ("clarabel/4" in `stats`), because its own solvers missed tol on this program; and of
-        sdirk32 that of the tableau, also where the run took steps of implicit Euler in its place.
+        ("clarabel/4" in `stats`), because its own solvers missed tol on this program. Where sdirk32
+        took five steps of implicit Euler ("newton, implicit-euler"), these are its stages, with
+        equal weights.
 
         Parameters
         ----------
@@ -205,8 +214,10 @@ class Solution:
             u = self.states.u(i)
         else:  # the state before it was not kept
             u = self.states.u(i + 1) - (end - t) * self.states.velocity(i)
-        scheme = self.plan.scheme.name
-        return step_program(self.process, t, u, end - t, scheme=scheme, stage=stage)
+        tableau = self.plan.scheme
+        if self.stats["solver"][step].endswith(BY_EULER):
+            tableau = implicit_euler(tableau.euler_steps)
+        return program_of_stage(self.process, t, u, end - t, tableau, stage)
 
     def viability(self, t: Any = None) -> np.ndarray:
         """How far the viability condition A u' + B u in C(t) is missed, in the A^-1 metric.

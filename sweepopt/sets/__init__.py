@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sweepopt.sets.aligned import Similar, shape_of
+from sweepopt.sets.aligned import Aligned, Similar, shape_of
 from sweepopt.sets.balls import Ball, Balls, SecondOrderCone
 from sweepopt.sets.base import (
     ROUNDING,
@@ -30,6 +30,7 @@ __all__ = [
     "CAREFUL",
     "HULL",
     "ROUNDING",
+    "Aligned",
     "AnySet",
     "Ball",
     "Balls",

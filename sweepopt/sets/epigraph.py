@@ -9,7 +9,7 @@ numbers near 1. Here nothing is scaled, data and variables have names. A set tha
 
 from __future__ import annotations
 
-from operator import ge, le
+from operator import eq, ge, le
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -106,7 +106,7 @@ class Statement:
         import cvxpy as cp
 
         low, up = np.isfinite([C.lower, C.upper])
-        for at, sign in ((~up, le), (~low, ge)):
+        for at, sign in ((~up & ~low, eq), (~up & low, le), (~low & up, ge)):
             if at.any():
                 self.constraints.append(sign(p if at.all() else p[np.flatnonzero(at)], 0))
         lower = np.where(low, C.lower, np.where(up, C.upper, 0))

@@ -12,7 +12,7 @@ from sweepopt.velocity.compiled import (
 )
 from sweepopt.velocity.plan import PATHS, Plan, make_plan
 from sweepopt.velocity.program import VelocityProgram, untranslated
-from sweepopt.velocity.proportional import Reduction, contact_and_load
+from sweepopt.velocity.proportional import Reduction
 from sweepopt.velocity.solvers import (
     DAQP,
     OSQP,
@@ -51,7 +51,6 @@ __all__ = [
     "certify_point",
     "compile_projection",
     "compile_velocity",
-    "contact_and_load",
     "installed",
     "make_plan",
     "matrix",

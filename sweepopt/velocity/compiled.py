@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -17,12 +18,13 @@ import numpy as np
 from sweepopt.checks import Matrix
 from sweepopt.linalg import Elimination, Factor
 from sweepopt.problem import SweepingProcess
-from sweepopt.sets import Box, ConvexSet, same_array
+from sweepopt.sets import Box, ConvexSet, Point, Similar, same_array
 from sweepopt.velocity.cascade import Cascade
 from sweepopt.velocity.certificate import Inclusion, Instance, Velocity, at_rest, one_unknown
 from sweepopt.velocity.cones import Cones
 from sweepopt.velocity.plan import Plan
 from sweepopt.velocity.program import untranslated
+from sweepopt.velocity.proportional import Reduction
 from sweepopt.velocity.refinement import by_solve, refined
 from sweepopt.velocity.return_mapping import ReturnMapping
 
@@ -37,7 +39,12 @@ def matrix(process: SweepingProcess, gamma: float) -> Matrix:
 
 
 def compile_velocity(process: SweepingProcess, plan: Plan, gamma: float) -> StateVelocity:
-    """(u, C) -> the velocity z with -z in N_C(A z + B (u + gamma z)), certified."""
+    """(u, C) -> the velocity z with -z in N_C(A z + B (u + gamma z)), certified.
+
+    The process is that of the unknowns which enter.
+    """
+    if plan.reduction is not None:
+        return ReducedVelocity(plan, plan.reduction, gamma)
     M = matrix(process, gamma)
     return StateVelocity(plan, M, process.metric, process.A, process.B, gamma)
 
@@ -156,3 +163,30 @@ class StateVelocity:
     @cached_property
     def _on_few(self) -> Inclusion:
         return Inclusion(Elimination(self._M, self._contact, self._metric.order), *self._data)
+
+
+class ReducedVelocity(StateVelocity):
+    """The same for the process of a `Reduction`: a program for the contact, quotients beside it.
+
+    Its certificate is that of all unknowns.
+    """
+
+    def __init__(self, plan: Plan, reduction: Reduction, gamma: float) -> None:
+        rho, N = reduction.rho, reduction.metric
+        B = rho * N.M if rho else None
+        M = N.M if B is None or not gamma else N.M + gamma * B
+        super().__init__(replace(plan, contact=None, reduction=None), M, N, N.M, B, gamma)
+        self._reduction, self._gamma = reduction, gamma
+
+    def __call__(self, y: np.ndarray, C: ConvexSet) -> Velocity:
+        few, rho, gamma = self._reduction.few, self._reduction.rho, self._gamma
+        on_contact: ConvexSet
+        c, S = untranslated(C)
+        if C.singleton:  # shrunk to a point
+            c, on_contact = C.anchor, Point(C.anchor[:few])
+        elif (selection := S.selection) is not None:
+            on_contact = Similar(selection.part, c[:few])
+        velocity = super().__call__(y[:few], on_contact)
+        rates = (c[few:] - rho * y[few:]) / (1 + gamma * rho)
+        velocity = velocity._replace(z=np.concatenate([velocity.z, rates]))
+        return self._reduction.certified(gamma, y, velocity)

@@ -94,12 +94,17 @@ class Plan:
         """How many unknowns enter a step and are kept of it."""
         return self.unknowns if self.reduction is None else self.reduction.process.dim
 
-    @property
-    def of_entering(self) -> Plan:
-        """The plan of the process that the loop moves: the reduction's, if there is one."""
-        if self.reduction is None:
-            return self
-        return replace(self, unknowns=self.entering, contact=None, reduction=None)
+    def process_of(self, process: SweepingProcess) -> SweepingProcess:
+        """The process of the unknowns that enter, which the loop moves."""
+        return process if self.reduction is None else self.reduction.process
+
+    def state(self, y: np.ndarray) -> np.ndarray:
+        """All unknowns of states, shape (dim,) or in rows, from those that enter."""
+        return y if self.reduction is None else self.reduction.state(y)
+
+    def velocity(self, y: np.ndarray) -> np.ndarray:
+        """The same of velocities."""
+        return y if self.reduction is None else self.reduction.velocity(y)
 
     @property
     def eliminated(self) -> int:
@@ -174,9 +179,7 @@ def make_plan(
         solver == "auto" and not scheme.exact and _has_cones(process, members, contact, path, tol)
     )
     reduced: Reduction | str = "the unknowns shall be kept"
-    if len(scheme.b) > 1:
-        reduced = f"scheme {scheme.name!r} has several stages"
-    elif path in ("auto", "proportional") and contact is not None and not cones:
+    if path in ("auto", "proportional") and contact is not None and not cones:
         reduced = reduce(process, tol, members[0][0])
     if path == "proportional" and isinstance(reduced, str):
         raise PathError(f"path='proportional' does not apply: {reduced}")

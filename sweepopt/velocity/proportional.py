@@ -13,33 +13,31 @@ again a sweeping process: the library solves it as any other. The other unknowns
     alpha_k' + rho alpha_k = phi_k - phi_k(t_0),   alpha_0' + rho alpha_0 = 1,
 
 F_k the influence function of f_k and F_0 that of f(t_0) - B u0, which is 0 where u0 is at rest
-beside the contact. The same scheme moves alpha from 0. u is reconstructed when asked for: as long
-as the phi_k stay what they are and the contact is held, u and u' are u0 and 0 to the last bit.
+beside the contact. With zeta they are one more sweeping process, of y = (zeta, alpha), which any
+scheme moves: its set is a point in the alpha. u is reconstructed when asked for: as long as the
+phi_k stay what they are and the contact is held, u and u' are u0 and 0 to the last bit.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.linalg
 
-from sweepopt.linalg import UNIT, Elimination, Precise
+from sweepopt.checks import Matrix
+from sweepopt.linalg import UNIT, Elimination, Factor, Precise
 from sweepopt.loads import Constant, Separable
 from sweepopt.problem import Motion, SweepingProcess, Terms, motion, proportion
-from sweepopt.sets import ConvexSet, Moving, Selection
-from sweepopt.velocity.certificate import is_rounding
+from sweepopt.sets import Aligned, ConvexSet, Moving, Selection
+from sweepopt.velocity.certificate import Velocity, is_rounding
 from sweepopt.velocity.influence import Body
 
 if TYPE_CHECKING:
     from sweepopt.integrate import Scheme
 
 LEAST_SPEED = 1e-3  # of the velocity that the load alone would cause: less counts as this
-
-
-ResidualOf = Callable[[int, np.ndarray, np.ndarray], tuple[float, float]]
-"""(step, zeta, zeta') -> a residual in |.|_{M^-1}, and the size of velocity it is compared to."""
 
 
 class Reduction:
@@ -63,9 +61,9 @@ class Reduction:
     rho : float
         B = rho A; 0 where there is no B.
     process : SweepingProcess
-        That of zeta = E u, shape (m,).
-    load : Separable
-        Its values, shape (k + 1,), are the right hand sides of alpha.
+        That of y = (zeta, alpha), shape (m + k + 1,), in units in which |F_k|_A is about 1.
+    metric : Factor
+        N.
     """
 
     def __init__(
@@ -75,48 +73,50 @@ class Reduction:
         zeta0, load, histories = u0[A.unknowns], Separable(terms), [phi for phi, _ in terms]
         shapes = list(load.shapes.T)
         functions, forces = map(list, zip(*map(body.influence, shapes), strict=True))
-        C = Moving(S, Separable(zip(histories, forces, strict=True)), scale)
-        small = SweepingProcess(A.N, rho * A.N if rho else None, C, zeta0)
-        self.rho, self.process, self._body, self._u0 = rho, small, body, u0
+        self.rho, self.metric, self._body, self._u0 = rho, Factor(A.N), body, u0
+        self.few = A.unknowns.size
 
         # what is left at the start: f(t_0) - B u0, and its force on the contact
         start = load.coefficients(t)
         f, q = load.shapes @ start, process.times_B(u0)
-        shapes.append(_less_B(process, u0, f))
-        forces.append(_less_B(small, zeta0, np.column_stack(forces) @ start))
+        shapes.append(_less_B(process.B, u0, f))
+        B = rho * A.N if rho else None
+        forces.append(_less_B(B, zeta0, np.column_stack(forces) @ start))
         first, _ = body.influence(shapes[-1])
         beside = shapes[-1].copy()
         beside[A.unknowns] = 0.0
         functions.append(0 * first if is_rounding(beside, np.abs(q) + np.abs(f)) else first)
-        units = [*np.eye(len(shapes))[:-1], np.append(-start, 1.0)]
-        self.load = Separable(zip([*histories, Constant(1.0)], units, strict=True))
-
-        self._functions = np.column_stack(functions)  # F_k, then F_0
+        # powers of 2 as units of alpha, which round nothing
+        units = np.array([2.0 ** math.frexp(A.norm(F))[1] if F.any() else 1.0 for F in functions])
+        self._functions = np.column_stack(functions) / units  # F_k, then F_0
+        self._gram = self._functions.T @ (A.M @ self._functions)
         # |residual of each|_{A^-1}, and what it is compared to
-        self._errors = np.array(list(map(body.residual, functions, shapes, forces)))
-        self._sizes = np.array([*map(A.dual_norm, shapes[:-1]), A.dual_norm(f) + A.dual_norm(q)])
-        self._extension_error = body.extension_error()
+        self._errors = np.array(list(map(body.residual, functions, shapes, forces))) / units
+        sizes = np.array([*map(A.dual_norm, shapes[:-1]), A.dual_norm(f) + A.dual_norm(q)])
+        self._sizes, self._extension_error = sizes / units, body.extension_error()
 
-    def velocity(self, zeta: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-        """All unknowns of a velocity from the few and the rates of the coefficients.
+        rates = np.diag(units)
+        rates[:-1, -1] = -start * units[:-1]  # phi_k - phi_k(t_0)
+        columns = np.vstack([np.column_stack([*forces[:-1], 0 * zeta0]), rates]).T
+        E_S = Aligned(S, unknowns=np.arange(self.few), dim=columns.shape[1])
+        C = Moving(E_S, Separable(zip([*histories, Constant(1.0)], columns, strict=True)), scale)
+        small = scipy.linalg.block_diag(A.N, np.eye(len(units)))
+        y0 = np.append(zeta0, 0 * units)
+        self.process = SweepingProcess(small, rho * small if rho else None, C, y0)
 
-        Parameters
-        ----------
-        zeta : ndarray, shape (m,)
-        alpha : ndarray, shape (k + 1,)
-
-        Returns
-        -------
-        ndarray, shape (dim,)
-        """
+    def velocity(self, y: np.ndarray) -> np.ndarray:
+        """All unknowns of a velocity, or of some in rows, from those that enter."""
+        if y.ndim > 1:
+            return np.array(list(map(self.velocity, y))).reshape(len(y), self._u0.size)
+        zeta, alpha = y[: self.few], y[self.few :]
         z = self._functions @ alpha + self._body.extension(zeta)
         z[self._body.A.unknowns] = zeta  # to the last bit: stuck is 0.0
         return z
 
-    def state(self, zeta: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-        """All unknowns of u from the few and the coefficients; shapes as in `velocity`."""
-        u = self._u0 + self.velocity(zeta - self.process.u0, alpha)
-        u[self._body.A.unknowns] = zeta
+    def state(self, y: np.ndarray) -> np.ndarray:
+        """All unknowns of u, or of some in rows, from those that enter."""
+        u = self._u0 + self.velocity(y - self.process.u0)
+        u[..., self._body.A.unknowns] = y[..., : self.few]
         return u
 
     def suits(self, mus: np.ndarray, scheme: Scheme, tol: float) -> bool:
@@ -135,40 +135,29 @@ class Reduction:
         known = (self._errors <= enough * self._sizes).all()
         return bool(known and self._extension_error <= enough)
 
-    def residuals(self, alphas: np.ndarray, rates: np.ndarray, gammas: np.ndarray) -> ResidualOf:
-        """What the inclusion of all unknowns has of residual beyond that of the few.
+    def certified(self, gamma: float, y: np.ndarray, velocity: Velocity) -> Velocity:
+        """The velocity of a stage from y with the certificate of all unknowns.
 
-        With M = (1 + gamma rho) A and q = rho A u - f, both reconstructed, M z + q holds each
-        residual of an influence function times (1 + gamma rho) alpha_k' + rho alpha_k, here with
-        absolute values, and the same of the extension. The size is |z|_M, at least LEAST_SPEED of
-        what the load and what B u alone would move.
-
-        Parameters
-        ----------
-        alphas, rates : ndarray, shape (n, k + 1)
-            alpha at the start of each step and alpha' in it.
-        gammas : ndarray, shape (n,)
+        Beside what that of the contact proves, with M = (1 + gamma rho) A and q = rho A u - f, both
+        reconstructed, M z + q holds each residual of an influence function times
+        (1 + gamma rho) alpha_k' + rho alpha_k, here with absolute values, and the same of the
+        extension. The size is |z|_M, at least LEAST_SPEED of what the load and what B u alone would
+        move.
         """
-        A, rho, ratios = self._body.A, self.rho, 1 + gammas * self.rho
-        N, zeta0 = A.N, self.process.u0
-        weights = np.abs(ratios[:, None] * rates) + np.abs(rho * alphas)
-        gram = self._functions.T @ (A.M @ self._functions)
-        squares = np.einsum("ik,kl,il->i", rates, gram, rates)
-        columns = weights @ self._errors, LEAST_SPEED * (weights @ self._sizes), squares, ratios
-        load = np.column_stack(columns).tolist()
-
-        def residual(i: int, zeta: np.ndarray, velocity: np.ndarray) -> tuple[float, float]:
-            error, floor, square, ratio = load[i]
-            moved = zeta - zeta0
-            u = math.sqrt(max(moved.dot(N.dot(moved)), 0.0))
-            z_square = max(velocity.dot(N.dot(velocity)), 0.0)
-            error += self._extension_error * (ratio * math.sqrt(z_square) + rho * u)
-            # extensions and influence functions are orthogonal in the metric of A
-            size = math.sqrt(ratio * max(square + z_square, 0.0))
-            root = math.sqrt(ratio)
-            return error / root, max(size, (floor + LEAST_SPEED * rho * u) / root)
-
-        return residual
+        few, rho, ratio, z = self.few, self.rho, 1 + gamma * self.rho, velocity.z
+        N, root = self.metric, math.sqrt(ratio)
+        zeta, rates = N.norm(z[:few]), z[few:]
+        weights = ratio * abs(rates) + rho * abs(y[few:])
+        u = rho * N.norm(y[:few] - self.process.u0[:few])
+        error = weights.dot(self._errors) + self._extension_error * (ratio * zeta + u)
+        # extensions and influence functions are orthogonal in the metric of A
+        size = root * math.sqrt(max(rates.dot(self._gram.dot(rates)), 0.0) + zeta**2)
+        size = max(size, LEAST_SPEED * (weights.dot(self._sizes) + u) / root)
+        certificate = velocity.certificate + error / root
+        if velocity.relative > 0:
+            size = max(size, velocity.certificate / velocity.relative)
+        relative = certificate / size if certificate > 0 else certificate
+        return velocity._replace(certificate=certificate, relative=relative)
 
 
 def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
@@ -182,7 +171,7 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     t : float
         When the first step asks for the load.
     """
-    parts = contact_and_load(process)
+    parts = _contact_and_load(process)
     if isinstance(parts, str):
         return parts
     rho, selection, terms = parts
@@ -196,7 +185,7 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
     return reduction
 
 
-def contact_and_load(process: SweepingProcess) -> tuple[float, Selection, Terms] | str:
+def _contact_and_load(process: SweepingProcess) -> tuple[float, Selection, Terms] | str:
     """rho, E with S, and f of a process that a reduction may take; or why there is none."""
     if process.rate_independent:
         return "A is zero"
@@ -209,9 +198,9 @@ def contact_and_load(process: SweepingProcess) -> tuple[float, Selection, Terms]
     return selected if isinstance(selected, str) else (rho, *selected)
 
 
-def _less_B(process: SweepingProcess, u: np.ndarray, f: np.ndarray) -> np.ndarray:
+def _less_B(B: Matrix | None, u: np.ndarray, f: np.ndarray) -> np.ndarray:
     """f - B u, rounded once."""
-    return f if process.B is None else -Precise(process.B)(u, -f)
+    return f if B is None else -Precise(B)(u, -f)
 
 
 def _selected(moving: Motion, scale: Any) -> tuple[Selection, Terms] | str:

@@ -61,6 +61,8 @@ def exact_steps(
         if z.any() or C.normal(force).any():
             q = process.times_B(after - mu * z)
             at_end = certify_point(M, q, C, z, FLOOR * largest)
+            if plan.reduction is not None:
+                at_end = plan.reduction.certified(mu, after - mu * z, at_end)
         velocity = at_end._replace(
             z=(after - u) / mu, solver="closed form", iterations=phases, attempts=1
         )
@@ -77,7 +79,7 @@ def _nodes(
     done, before = 1, 0
     for phase in phases_of(rows, u0, float(times[0]), float(times[-1])):
         phases.append(phase)
-        run.exact = run.exact or Trajectory(phases)
+        run.exact = run.exact or Trajectory(phases, run.grid.plan)
         end = int(np.searchsorted(times, phase.end, side="right"))
         for first in range(done, end, BLOCK):
             block = times[first : min(first + BLOCK, end)]

@@ -16,6 +16,7 @@ from sweepopt.integrate.exact.face import Face, face_after
 from sweepopt.integrate.exact.first_root import first_root
 from sweepopt.integrate.exact.rows import Rows
 from sweepopt.linalg import EPS
+from sweepopt.velocity import Plan
 
 # Most phases besides one for each breakpoint: beyond it switching times are taken to accumulate.
 PHASES = 100_000  # a minute, with one unknown
@@ -56,8 +57,8 @@ class Trajectory:
     ----------
     phases : list of Phase
         One after the other; a run adds to them as it goes.
-    reconstruct : callable or None
-        (times, values, evaluate) -> values of all unknowns from those of few ones.
+    plan : Plan or None
+        Of a run whose phases have few of the unknowns.
 
     Examples
     --------
@@ -70,7 +71,7 @@ class Trajectory:
     """
 
     phases: list[Phase]
-    reconstruct: Callable[[np.ndarray, np.ndarray, Evaluate], np.ndarray] | None = None
+    plan: Plan | None = None
 
     def __repr__(self) -> str:
         return (
@@ -98,13 +99,15 @@ class Trajectory:
 
     def __call__(self, t: Any) -> np.ndarray:
         """u(t), shape (dim,) or (k, dim) for a scalar or an array t."""
-        return self.evaluate(t, Phase.state)
+        values = self._evaluate(t, Phase.state)
+        return values if self.plan is None else self.plan.state(values)
 
     def velocity(self, t: Any) -> np.ndarray:
         """u'(t), the left derivative; shape (dim,) or (k, dim)."""
-        return self.evaluate(t, Phase.velocity)
+        values = self._evaluate(t, Phase.velocity)
+        return values if self.plan is None else self.plan.velocity(values)
 
-    def evaluate(self, t: Any, of_phase: Evaluate) -> np.ndarray:
+    def _evaluate(self, t: Any, of_phase: Evaluate) -> np.ndarray:
         """What `of_phase` computes of the phases at the times."""
         start = self.phases[0].start
         times = checks.times_inside(t, start, self.end)
@@ -114,8 +117,6 @@ class Trajectory:
         for k, group in groupby(np.argsort(phase_of).tolist(), phase_of.__getitem__):
             inside = list(group)
             values[inside] = of_phase(self.phases[k], flat[inside])
-        if self.reconstruct is not None:
-            values = self.reconstruct(flat, values, of_phase)
         return values.reshape(*times.shape, values.shape[-1])
 
 
