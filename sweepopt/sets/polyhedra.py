@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import math
-from collections.abc import Iterator
 from functools import cached_property, lru_cache
 from itertools import combinations
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.optimize
@@ -41,14 +39,6 @@ FAR = 2.0 ** np.arange(0, 65, 8)  # in units of what is seen of the set: to the 
 FEW_SETS = 100_000  # of independent rows: their singular values take half a second
 NEAR = 1e-6  # of the size of a row: a point moves by much less to what is nearer
 ACTIVE_DIM = 1000  # rows or unknowns up to which active sets are used, beyond a sparse QP
-
-
-class _Point(NamedTuple):
-    """A point of C at most `off` from w, entry by entry, and bounds of its slack."""
-
-    w: np.ndarray
-    off: np.ndarray
-    slack: np.ndarray
 
 
 class Polyhedron(ConvexSet):
@@ -201,120 +191,74 @@ class Polyhedron(ConvexSet):
         """On the face that v = w + tau p is nearest to.
 
         v is rounded where tau p is large beside w. So only the active rows come from it; their
-        multipliers come from p, and the point is the one of their face nearest to w. Where rounding
-        hides all faces it is a point of C near the first one.
+        multipliers come from p, and the point is the one of their face nearest to w.
         """
-        root, first = np.sqrt(tau), None
-        with contextlib.suppress(EmptySetError):  # by no more than the rounding of its rows
-            for active in self._faces(p, w, tau):
-                first = active if first is None else first
-                pair = self._pair_on(active, p, w, root)
-                if pair is not None:
-                    return pair
-            if first is not None:
-                pair = self._pair_on(first, p, w, root, touches=False)
-                if pair is not None:
-                    return pair
-        return self._pair_outside(p, w, tau)
-
-    def _pair_outside(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
-        """The pair at a point that rounding leaves beside its face, and how far that is from C's.
-
-        It is one of the polyhedron with h - slack on the active and the violated rows. The
-        projection on { w : G w <= h } is piecewise linear in h, with pseudo-inverses of independent
-        rows: it moves by no more than h over the least singular value of all sets of them. None
-        where these are too many.
-        """
+        root = np.sqrt(tau)
+        # what is empty by no more than the rounding of its rows is not
         wider = self.with_offsets(self.h + ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(w)))
-        normal, root = wider._exact_normal(w + tau * p, tau), np.sqrt(tau)
+        normal = wider._exact_normal(w + tau * p, tau)
+        if normal is None:
+            return None
+        active = normal.active
+        normals, h = dense(self.G[active]), self.h[active]
+        inverse = np.linalg.pinv(normals * root)
+        multipliers = np.maximum((root * p) @ inverse, 0.0)
+        rounding = UNIT * (1 + active.size) * (multipliers @ abs(normals))
+        for near in (w, w + tau * (p - normal.u)):
+            point = near - root * (inverse @ (normals @ near - h))
+            slack = self._slack(point)
+            # the exact point of the face is as near, and in C where other rows have that much slack
+            off = root * (abs(inverse) @ np.abs(slack[active]))
+            bare = slack < abs(self.G) @ off
+            bare[active] = False
+            if not bare.any() or self._follow(np.flatnonzero(bare), active):
+                return NormalPair(multipliers @ normals, point, 0.0, Perturbation(off, rounding))
         least = least_singular_value(self.G, root)
-        if normal is None or not least:
-            return None
-        normals, h = dense(self.G[normal.active]), self.h[normal.active]
-        inverse = np.linalg.pinv(normals * root)
-        point = w - root * (inverse @ (normals @ w - h))
-        multipliers = np.maximum((root * p) @ inverse, 0.0)
-        slack = self._slack(point)
+        if not least:
+            return self._pair_inside(point, multipliers, active, root)
+        # The projection on { w : G w <= h } is piecewise linear in h, with pseudo-inverses of
+        # independent rows: it moves by no more than h over the least singular value of all sets of
+        # them. The point is that for h - slack on the active and the violated rows.
         change = np.minimum(slack, 0.0)
-        change[normal.active] = slack[normal.active]
+        change[active] = slack[active]
         off = root * (np.linalg.norm(change) / least)
-        rounding = UNIT * (1 + len(h)) * (multipliers @ abs(normals))
-        return NormalPair(
-            multipliers @ normals, point, 0.0, Perturbation(off, off / tau + rounding)
-        )
+        moved = Perturbation(off, off / tau + rounding)
+        return NormalPair(multipliers @ normals, point, 0.0, moved)
 
-    def _pair_on(
-        self,
-        active: np.ndarray,
-        p: np.ndarray,
-        w: np.ndarray,
-        root: np.ndarray,
-        touches: bool = True,
+    def _pair_inside(
+        self, w: np.ndarray, multipliers: np.ndarray, active: np.ndarray, root: np.ndarray
     ) -> NormalPair | None:
-        """With multipliers of these rows, at a point that is on them, or close to them."""
-        normals = dense(self.G[active])
-        inverse = np.linalg.pinv(normals * root)
-        start = w - root * (inverse @ (normals @ w - self.h[active]))
-        point = self._point(start, active if touches else active[:0], root)
-        if point is None:
-            return None
-        multipliers = np.maximum((root * p) @ inverse, 0.0)
-        rounding = UNIT * (1 + len(active)) * (multipliers @ abs(normals))
-        gap = float(multipliers @ point.slack[active])
-        perturbation = Perturbation(point.off, rounding)
-        return NormalPair(multipliers @ normals, point.w, gap, perturbation)
+        """At a point of C near w whose slack is known: a vertex of a hundred rows needs it.
 
-    def _faces(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> Iterator[np.ndarray]:
-        """The active rows at the point nearest to w + tau p.
-
-        Where rounding hides them, the linear program of the support function at p tells.
+        All rows keep a margin for what the shortest way from w to C rounds.
         """
-        normal = self._exact_normal(w + tau * p, tau)
-        if normal is not None:
-            yield normal.active
-            with contextlib.suppress(SweepoptError):  # of HiGHS
-                y = self._multipliers(p, self.project(w))
-                if y is not None:
-                    yield np.flatnonzero(y)
-
-    def _point(self, start: np.ndarray, on: np.ndarray, root: np.ndarray) -> _Point | None:
-        """A point of C near start, next to the rows `on`; None if rounding hides it.
-
-        It is w and the shortest shift to C, which the exact slack of w gives in twice the
-        precision. All rows keep a margin for what that rounds, but for pairs that are an equation:
-        these have a point as near as their residual, for C is not empty.
-        """
-        stack = sp.vstack if sp.issparse(self.G) else np.vstack
-        flat = self._flat()
-        distances = root[:, None] * abs(np.linalg.pinv(dense(self.G[flat]) * root))
-        on = np.setdiff1d(on, flat)
-        G = _columns(stack([self.G, -self.G[on]]), root)
-        lengths, w = row_lengths(G)[: self.h.size], start
-        margin, point = np.zeros(self.h.size), None
+        G, margin = _columns(self.G, root), np.zeros(self.h.size)
         for _ in range(1 + REFINEMENTS):
             slack = self._slack(w)
-            wanted = np.append(slack - margin, (margin - slack)[on])
             try:
-                shortest = least_distance(G, wanted, EPS * np.abs(wanted))
+                shortest = least_distance(G, slack - margin, EPS * np.abs(slack - margin))
             except EmptySetError:
-                if on.size or margin.any():
-                    break
-                raise
+                return None
             if shortest is None:
-                break
-            shift, left = root * shortest.u, slack - (G @ shortest.u)[: self.h.size]
-            sizes = np.abs(slack) + lengths * np.linalg.norm(shortest.u)
+                return None
+            shift, left = root * shortest.u, slack - G @ shortest.u
+            sizes = np.abs(slack) + row_lengths(G) * np.linalg.norm(shortest.u)
             rounded = (3 * ROUNDING + self.dim * EPS) * sizes
-            off = distances @ (np.abs(left[flat]) + rounded[flat])
-            enough = rounded + abs(self.G) @ off
-            enough[flat] = left[flat] = 0.0
             near = bool((np.abs(shift) <= ROUNDING * np.abs(w).max()).all())
-            if (left >= enough).all():
-                point = _Point(w, np.abs(shift) + off, left + enough)
-                if near:
-                    break
-            margin, w = (2 * enough, w) if near else (0 * margin, w + shift)
-        return point
+            if near and (left >= rounded).all():
+                normals = dense(self.G[active])
+                gap = float(multipliers @ (left + rounded)[active])
+                rounding = UNIT * (1 + active.size) * (multipliers @ abs(normals))
+                moved = Perturbation(np.abs(shift), rounding)
+                return NormalPair(multipliers @ normals, w, gap, moved)
+            margin, w = (2 * rounded, w) if near else (0 * margin, w + shift)
+        return None
+
+    def _follow(self, rows: np.ndarray, active: np.ndarray) -> bool:
+        """Whether each of these rows is an active one, or minus one, which equality meets too."""
+        data = np.column_stack([dense(self.scaled_rows), self.offsets]) + 0.0  # no -0.0
+        same = {row.tobytes() for sign in (1, -1) for row in sign * data[active] + 0.0}
+        return all(row.tobytes() in same for row in data[rows])
 
     def _slack(self, w: np.ndarray) -> np.ndarray:
         """h - G w, rounded once for rows that are near w."""
@@ -325,12 +269,6 @@ class Polyhedron(ConvexSet):
         terms = np.hstack([self.h[near, None], -G * w, -product_error(G, w)])
         slack[near] = [math.fsum(row) for row in terms.tolist()]
         return slack
-
-    def _flat(self) -> np.ndarray:
-        """The rows that an opposite one turns into an equation."""
-        rows = np.column_stack([dense(self.scaled_rows), self.offsets]) + 0.0  # no -0.0
-        opposite = {(0.0 - row).tobytes() for row in rows}
-        return np.flatnonzero([row.tobytes() in opposite for row in rows])
 
     @cached_property
     def scaled_rows(self) -> Any:
