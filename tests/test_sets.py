@@ -488,7 +488,7 @@ def test_sets_can_be_copied_with_their_factorisations(C: so.ConvexSet) -> None:
 # ---- what the algebra simplifies ----------------------------------------------------------------
 
 
-def test_points_and_boxes_stay_points_and_boxes() -> None:
+def test_points_boxes_and_balls_stay_what_they_are() -> None:
     p, box = so.Point([1.0, 2.0]), so.Box([0, 0], [1, 2])
     points = [p + [1, 1], -p, 3 * p, p + p, p - [1, 0], so.product(p, p), so.image(EYE, p)]
     for C in points:
@@ -497,6 +497,12 @@ def test_points_and_boxes_stay_points_and_boxes() -> None:
     assert (p + box).anchor @ [1, 0] == 1.0
     for D in (box + box, box & box, -box, so.product(box, box)):
         assert isinstance(D, so.Box)
+    ball = so.Ball([3.0, 4.0], 2.0)
+    assert isinstance(ball + ball, so.Ball)
+    for C in (ball, so.Ellipsoid([3.0, 4.0], 4 * EYE)):
+        flat = so.image([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0]], C)  # of any rank
+        assert isinstance(flat, so.Ellipsoid)
+        np.testing.assert_allclose(flat.project([9.0, 4.0, 9.0]), [5.0, 4.0, 5.0], rtol=1e-15)
 
 
 def test_intersections_of_polyhedra_are_polyhedra() -> None:

@@ -95,7 +95,8 @@ class Balls(ConvexSet):
         return D
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
-        return scipy.linalg.block_diag(*self.blocks(v))
+        D = self.blocks(v)
+        return D[0] if len(D) == 1 else scipy.linalg.block_diag(*D)
 
     def factors(self) -> list[ConvexSet]:
         return [Ball(np.zeros(self.block), radius) for radius in self.radii]

@@ -10,7 +10,7 @@ from sweepopt.checks import HUGE, entries, symmetric, vector
 from sweepopt.errors import InputError
 from sweepopt.linalg import dense
 from sweepopt.sets.balls import norms_below
-from sweepopt.sets.base import ConvexSet, Features, NormalPair, binary, same_array
+from sweepopt.sets.base import RANK, ConvexSet, Features, NormalPair, binary, same_array
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -47,7 +47,8 @@ class Ellipsoid(ConvexSet):
             raise InputError(
                 f"shape must be positive definite, its smallest eigenvalue is {self._squares[0]:g}"
             )
-        self.root = np.sqrt(self._squares)[:, None] * self._axes.T  # shape = root^T root
+        # shape = root^T root
+        self.root = self.matrix = np.sqrt(self._squares)[:, None] * self._axes.T
         self._unit = binary(np.sqrt(self._squares[-1]))
         self.offsets = np.append(self.center, self._unit)
 
@@ -63,28 +64,31 @@ class Ellipsoid(ConvexSet):
         w = vector("w", w, self.dim)
         d, e = self._axes.T @ (w - self.center), self._squares
         lam = self._multiplier(d)
-        return w if lam is None else self.center + self._axes @ (e * d / (e + lam))
+        if not lam and e.all():
+            return w
+        return self.center + self._axes @ (_ratio(e, e + lam) * d)
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
         d, e = self._axes.T @ (v - self.center), self._squares
         lam = self._multiplier(d)
-        if lam is None:
-            return np.eye(self.dim)
-        fall = e * d / (e + lam) ** 2  # -dx/dlam
-        inner = np.diag(e / (e + lam)) - np.outer(fall, fall) / (fall @ (d / (e + lam)))
+        inner = np.diag(_ratio(e, e + lam))
+        if lam:
+            fall = e * d / (e + lam) ** 2  # -dx/dlam
+            inner -= np.outer(fall, fall) / (fall @ (d / (e + lam)))
         return self._axes @ inner @ self._axes.T
 
-    def _multiplier(self, d: np.ndarray) -> float | None:
-        """The root lam > 0 of |x(lam)| = 1,  x_i = sqrt(e_i) d_i / (e_i + lam);  None inside.
+    def _multiplier(self, d: np.ndarray) -> float:
+        """The root lam > 0 of |x(lam)| = 1,  x_i = sqrt(e_i) d_i / (e_i + lam);  0 inside.
 
         1 / |x(lam)| is concave and grows, so that Newton's method from lam = 0 rises to the root
         and never passes it, whatever the e_i (J. More, D. Sorensen, Computing a trust region step,
         SIAM J. Sci. Stat. Comput. 4(3), 1983).
         """
-        e, lam = self._squares, 0.0
-        a = d / np.sqrt(e)
+        real = self._squares > 0
+        e, lam = self._squares[real], 0.0
+        a = d[real] / np.sqrt(e)
         if a @ a <= 1:
-            return None
+            return 0.0
         for _ in range(STEPS):
             falling = 1 + lam / e
             x = a / falling
@@ -108,18 +112,45 @@ class Ellipsoid(ConvexSet):
         import cvxpy as cp
 
         size = cp.Variable(1)
-        return Features([p, size], norms_below(self.root / self._unit @ p, size, self.dim))
+        return Features(
+            [p, size], norms_below(self.matrix / self._unit @ p, size, len(self.matrix))
+        )
 
     def same_cone(self, other: ConvexSet) -> bool:
-        return isinstance(other, Ellipsoid) and same_array(self.shape, other.shape)
+        return isinstance(other, Ellipsoid) and same_array(self.matrix, other.matrix)
 
     def magnitude(self) -> float:
-        return float(np.linalg.norm(self.center) + np.sqrt(self._squares[-1]))
+        return float(np.linalg.norm(self.center) + np.sqrt(self._squares.max()))
 
     def _distance(self, other: ConvexSet) -> float | None:
         if not isinstance(other, Ellipsoid):
             return None
         # | |R z| - |S z| | <= |(R - S) z| for the symmetric roots R, S of the shapes
         R, S = ((E._axes * np.sqrt(E._squares)) @ E._axes.T for E in (self, other))
-        apart = 0.0 if self.same_cone(other) else np.linalg.norm(R - S, 2)
-        return float(np.linalg.norm(self.center - other.center) + apart)
+        return float(np.linalg.norm(self.center - other.center) + np.linalg.norm(R - S, 2))
+
+
+class BallImage(Ellipsoid):
+    """{ center + radius root^T s : |s| <= 1 }, flat where the root has no full rank."""
+
+    def __init__(self, center: np.ndarray, radius: float, root: np.ndarray) -> None:
+        self.center, self.dim, self.matrix, self.radius = center, center.size, root, radius
+        self.root = radius * root
+        _, semiaxes, axes = np.linalg.svd(root)
+        semiaxes[semiaxes <= RANK * semiaxes[0]] = 0.0
+        self._squares, self._axes = np.zeros(self.dim), axes.T
+        self._squares[: semiaxes.size] = (radius * semiaxes) ** 2
+        self._unit = binary(semiaxes[0])
+        self.offsets = np.append(center, radius * self._unit)
+
+    def support(self, z: np.ndarray) -> float:
+        z = vector("z", z, self.dim)
+        return float(self.center @ z + np.linalg.norm(self.root @ z))
+
+    def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
+        return ConvexSet.normal_pair(self, p, w, tau)
+
+
+def _ratio(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a / b, 0 where a is."""
+    return np.divide(a, b, out=np.zeros_like(a), where=a > 0)

@@ -164,7 +164,8 @@ class Lifted(ConvexSet):
                 multipliers = self._unit * y[: self.lifted.F.shape[0]]
                 again = project(v, project.start_beside(v, p, multipliers))
                 near = again if again.exact else near
-                if not near.exact and again.splitting.tension(again) > TENSION:
+                held = bool(self.lifted.F.shape[0]) and not near.exact
+                if held and again.splitting.tension(again) > TENSION:
                     raise TouchingError(
                         "C & D: the two sets only touch, or miss each other, so that rounding "
                         "hides the projection; give what they share as a set of its own, a Point "

@@ -2,9 +2,9 @@
 
     C + v, C + D, r C, -C, C & D, so.product(C, D, ...), so.image(M, C)
 
-What stays a point, a box, a polyhedron or a polytope is one; every other composed set is a lifted
-form (lifted.py), or a product, translate or multiple (aligned.py) of others. Operators of
-`ConvexSet` call these functions.
+What stays a point, a box, a ball, an ellipsoid, a polyhedron or a polytope is one; every other
+composed set is a lifted form (lifted.py), or a product, translate or multiple (aligned.py) of
+others. Operators of `ConvexSet` call these functions.
 """
 
 from __future__ import annotations
@@ -16,8 +16,11 @@ import scipy.sparse as sp
 
 from sweepopt.checks import HUGE, Matrix, divisor, matrix, number, vector
 from sweepopt.errors import InputError
+from sweepopt.linalg import dense
 from sweepopt.sets.aligned import Aligned, Similar, shape_of
+from sweepopt.sets.balls import Ball
 from sweepopt.sets.base import (
+    DENSE,
     Algebra,
     ConvexSet,
     Operators,
@@ -26,6 +29,7 @@ from sweepopt.sets.base import (
     nested,
     require_same_dim,
 )
+from sweepopt.sets.ellipsoid import BallImage, Ellipsoid
 from sweepopt.sets.epigraph import epigraph
 from sweepopt.sets.lifted import Intersection, Lifted, Sum
 from sweepopt.sets.moving import MovingSet, over_time
@@ -51,6 +55,8 @@ def add(C: ConvexSet, other: Any) -> Any:
         return other + C.anchor
     if isinstance(C, Box) and isinstance(other, Box):
         return Box(C.lower + other.lower, C.upper + other.upper)
+    if isinstance(C, Ball) and isinstance(other, Ball):
+        return Ball(C.center + other.center, C.radius + other.radius)
     return Sum(C, other)
 
 
@@ -167,7 +173,7 @@ def _sizes(M: Matrix) -> list[float]:
 
 
 def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
-    """The image as what it is: a point, a polytope, a cone, a set of few unknowns, or more."""
+    """The image as what it is: a point, polytope, cone or ellipsoid, on few unknowns, or more."""
     if M.shape[1] != C.dim:
         raise InputError(f"image(M, C): M has {M.shape[1]} columns but C has dim {C.dim}")
     if isinstance(C, Point):
@@ -189,6 +195,9 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
         return Polytope((M @ C.vertices.T).T)
     if isinstance(C, GeneratedCone):
         return GeneratedCone(C.G @ M.T)
+    if isinstance(C, (Ball, Ellipsoid)) and 1 < C.dim <= DENSE >= M.shape[0]:
+        radius, root = (1.0, C.root) if isinstance(C, Ellipsoid) else (C.radius, np.eye(C.dim))
+        return BallImage(M @ C.center, radius, dense(root @ M.T))
     if isinstance(C, Box):
         # columns of numbers near 1: their units, powers of two, go to the box
         units = np.array([binary(size) for size in _sizes(M)])
