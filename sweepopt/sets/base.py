@@ -374,6 +374,10 @@ class ConvexSet(Operators, ABC):
         """
         return self.algebra.epigraph(self, p)
 
+    def is_beyond(self, w: np.ndarray, distance: float) -> bool:
+        """Whether what was computed before tells that w is further from C than that."""
+        return False
+
     def contains(self, w: np.ndarray, tol: float = 1e-9) -> bool:
         """Whether the Euclidean distance of w to C is at most tol."""
         w, tol = vector("w", w, self.dim), number("tol", tol, minimum=0.0)

@@ -174,6 +174,15 @@ class Lifted(ConvexSet):
             self._last = near
         return self._last
 
+    def is_beyond(self, w: np.ndarray, distance: float) -> bool:
+        """By the half-space of the last projection, which bodies that slide seldom come back to."""
+        if self._last is None or not self._last.exact:
+            return False
+        p, way = self._last.v - self._last.w, w - self._last.w
+        size = float(np.abs([self._last.v, self._last.w, w]).max())
+        rounding = 10 * ROUNDING * size * (np.abs(p).sum() + np.abs(way).sum())
+        return bool(p @ way > distance * np.linalg.norm(p) + rounding)
+
     def _pair(self, v: np.ndarray) -> NormalPair | None:
         """The projection of v and its normal, exact to rounding; None if they are not found."""
         near = self.near(v) if self.certifiable else None

@@ -100,20 +100,26 @@ class Instance(NamedTuple):
             beside[self.unknowns] = 0.0
             if not self.is_rounding(beside):
                 return False
+        if self.S.is_beyond(self.force[self.unknowns], 3 * ROUNDING * math.sqrt(self._squares)):
+            return False
         return self.is_rounding(self.force - self.projection(self.force))
+
+    @property
+    def _squares(self) -> float:
+        """Of what the rule of rest measures q against."""
+        anchor = self.S.anchor
+        return float(self.q.dot(self.q) + self.c.dot(self.c) + anchor.dot(anchor))
 
     def is_rounding(self, outside: np.ndarray) -> bool:
         """The rule of rest: q is out of C by at most 8 rounding units of q and of C's translations.
 
         It holds entry by entry; `outside` is how far q is out of C, up to signs.
         """
-        q, c, anchor = self.q, self.c, self.S.anchor
         # what the rule implies in the Euclidean norm is seen at once
-        squares = q.dot(q) + c.dot(c) + anchor.dot(anchor)
-        if outside.dot(outside) > 6 * ROUNDING**2 * squares:
+        if outside.dot(outside) > 6 * ROUNDING**2 * self._squares:
             return False
-        scale = np.abs(q) + np.abs(c)
-        scale[self.unknowns] += np.abs(anchor)
+        scale = np.abs(self.q) + np.abs(self.c)
+        scale[self.unknowns] += np.abs(self.S.anchor)
         return is_rounding(outside, scale)
 
 
