@@ -266,30 +266,17 @@ def friction_on(
     sizes = (unknown >= 0).sum(axis=1)
     for block in np.unique(sizes).tolist():
         mine = sizes == block
-        k, at = node[mine], first[mine]
-        some = unknown[mine]
+        k, at, some = node[mine], first[mine], unknown[mine]
         columns = some[some >= 0]
-        E = sp.csr_array(
-            (np.ones(columns.size), (np.arange(columns.size), columns)),
-            shape=(columns.size, body.dim),
-        )
         bound = threshold[k] / weight[k]
-        yields.append(
-            Yield(
-                Rows(E, block, weight[k], "trace" if boundary else "nodes"),
-                partial(moving_bound, k) if moves else bound,
-                None if axes is None else _metric(body, columns.reshape(-1, block), k, axes),
-                contact=Contact(
-                    unknown=some if several else columns,
-                    node=k,
-                    points=body.points[k],
-                    boundary=names[at],
-                    arc=arc[at],
-                    weight=weight[k],
-                    bound=bound,
-                ),
-            )
-        )
+        slips = some if several else columns
+        contact = Contact(slips, k, body.points[k], names[at], arc[at], weight[k], bound)
+        entries = np.ones(columns.size), (np.arange(columns.size), columns)
+        E = sp.csr_array(entries, shape=(columns.size, body.dim))
+        rows = Rows(E, block, weight[k], "trace" if boundary else "nodes")
+        metric = None if axes is None else _metric(body, columns.reshape(-1, block), k, axes)
+        moving = partial(moving_bound, k) if moves else bound
+        yields.append(Yield(rows, moving, metric, contact=contact))
     return yields
 
 

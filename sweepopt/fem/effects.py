@@ -413,6 +413,7 @@ class PointForce:
 
     Examples
     --------
+    >>> from sweepopt.loads import Constant
     >>> PointForce([0.0, 1.0], Constant(), force=2.0).force
     2.0
     """

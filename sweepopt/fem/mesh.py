@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
+from typing import Any
 
 import meshio
 import numpy as np
@@ -207,13 +208,22 @@ def _mesh_of(raw: meshio.Mesh) -> skfem.Mesh:
         raise InputError("is damaged: the edges of its triangles have not one middle node each")
     check_mesh(mesh)
 
-    corners = np.unique(cells[cell][:, : d + 1])
+    boundaries = _boundaries(raw, mesh, cells[cell], cells.get(facet), facet)
+    return mesh.with_boundaries(boundaries).with_subdomains(_groups(raw, d, cell))
+
+
+def _boundaries(
+    raw: meshio.Mesh, mesh: skfem.Mesh, cells: Indices, facets: Any, kind: str
+) -> dict[str, Indices]:
+    """Facets of the mesh in each group of a file's facets, and in each set of its nodes."""
+    d = mesh.dim()
+    corners = np.unique(cells[:, : d + 1])
     vertex = np.full(len(raw.points), -1)  # in the mesh, of a point of the file
     vertex[corners] = np.arange(corners.size)
-    wanted = _keys(vertex[cells.get(facet, np.empty((0, d), int))[:, :d]], mesh)
+    wanted = _keys(vertex[np.empty((0, d), int) if facets is None else facets[:, :d]], mesh)
     keys = _keys(mesh.facets.T, mesh)
     order = np.argsort(keys)
-    boundaries = _groups(raw, d - 1, facet)
+    boundaries = _groups(raw, d - 1, kind)
     for name, members in boundaries.items():
         at = np.minimum(np.searchsorted(keys, wanted[members], sorter=order), keys.size - 1)
         if (keys[order[at]] != wanted[members]).any():
@@ -225,7 +235,7 @@ def _mesh_of(raw: meshio.Mesh) -> skfem.Mesh:
         outer = inside & (mesh.f2t[1] < 0)
         if name not in boundaries and outer.any():
             boundaries[name] = np.flatnonzero(outer)
-    return mesh.with_boundaries(boundaries).with_subdomains(_groups(raw, d, cell))
+    return boundaries
 
 
 def _keys(corners: Indices, mesh: skfem.Mesh) -> Indices:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.checks import HUGE, choice, listed, number
 from sweepopt.errors import InputError, shown
-from sweepopt.fem.contact import Contact, dissipation, merged
+from sweepopt.fem.contact import Contact, Yield, dissipation, merged
 from sweepopt.fem.effects import Contribution, Effect, Force, Friction
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.integrate import schemes
@@ -262,15 +262,7 @@ def build(
     force = _force(loads, size)
     for one in yields:
         one.rows.E.resize(one.rows.E.shape[0], size)
-    start = np.zeros(size) if u0 is None else u0
-    problem: EvolutionVI | SweepingProcess
-    if any(callable(one.g) for one in yields):
-        shapes = MovingSet(lambda t: -dissipation(yields, t), size)
-        C = shapes if force is None else MovingSet(lambda t: shapes.at(t) + force(t), size)
-        problem = SweepingProcess(A, B, C, start)
-    else:
-        D = dissipation(yields) if yields else None
-        problem = EvolutionVI(A, B, load=force, dissipation=D, u0=start)
+    problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0)
     terms = {
         "no elasticity: B is not formed": B is not None,
         "no friction: no set and no optimiser, a step is one linear solve": yields,
@@ -286,6 +278,19 @@ def build(
         lifts=lifts,
         **settings,
     )
+
+
+def _problem(
+    A: Any, B: Any, force: Any, yields: Sequence[Yield], u0: ArrayLike
+) -> EvolutionVI | SweepingProcess:
+    """The variational inequality, or the process where bounds move."""
+    if not any(callable(one.g) for one in yields):
+        D = dissipation(yields) if yields else None
+        return EvolutionVI(A, B, load=force, dissipation=D, u0=u0)
+    size = A.shape[0]
+    shapes = MovingSet(lambda t: -dissipation(yields, t), size)
+    C = shapes if force is None else MovingSet(lambda t: shapes.at(t) + force(t), size)
+    return SweepingProcess(A, B, C, u0)
 
 
 def _contribution(

@@ -96,7 +96,7 @@ class Discretisation:
     >>> Discretisation(square, ["top"]).dim
     20
     >>> Discretisation(square, kind="plane strain", held={"top": "x", "left": "n"}).dim
-    40
+    41
     """
 
     mesh: skfem.Mesh
