@@ -50,10 +50,10 @@ def test_the_flux_of_a_pipe_converges_to_buckingham_and_reiner() -> None:
 
 @pytest.mark.slow
 def test_5046_triangles_meet_the_flux_and_the_plug_radius() -> None:
-    for P in (0.6, 1.0, 2.0):
+    for P, error in ((0.6, 2.5e-3), (1.0, 2e-3), (2.0, 2e-3)):  # 0.6 is 1.5 times the limit
         case = flow(disc(29), lambda t, P=P: P)
         z = run(case, path="auto").velocity[-1]
-        assert case.mean @ z == pytest.approx(flux(P), rel=2e-3)
+        assert case.mean @ z == pytest.approx(flux(P), rel=error)
         assert plug_radius(case, z) == pytest.approx(2 * G / P, rel=5e-3)
 
 
