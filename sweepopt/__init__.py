@@ -24,7 +24,14 @@ from sweepopt.errors import (
     VariationWarning,
     VelocityError,
 )
-from sweepopt.integrate import Adaptive, Checkpoint, StepInfo, step_program, velocity_field
+from sweepopt.integrate import (
+    Adaptive,
+    Checkpoint,
+    StepInfo,
+    compatible_start,
+    step_program,
+    velocity_field,
+)
 from sweepopt.loads import Constant, Polynomial, Separable, Sine, Table, Triangle
 from sweepopt.problem import EvolutionVI, SweepingProcess
 from sweepopt.results import Energy, ErrorBound, Pass, Solution
@@ -108,6 +115,7 @@ __all__ = [
     "VariationWarning",
     "VelocityError",
     "WholeSpace",
+    "compatible_start",
     "image",
     "product",
     "resume",

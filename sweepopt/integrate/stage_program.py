@@ -66,7 +66,7 @@ def step_program(
     """
     process = sweeping(process)
     t, mu = instant("t", t), number("mu", mu, minimum=0.0, strict=True)
-    u, tableau = vector("u", u, process.dim), choose(scheme, process.rate_independent)
+    u, tableau = vector("u", u, process.dim), choose(scheme, process.coercive)
     if tableau.exact or count("stage", stage, least=0) >= len(tableau.b):
         raise InputError(
             f"scheme {scheme!r} has no program of stage {shown(stage)}: exact solves none, other "

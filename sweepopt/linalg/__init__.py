@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sweepopt.linalg.eigenvalues import exceeds_none, is_semidefinite, largest_ratio
+from sweepopt.linalg.eigenvalues import exceeds_none, is_semidefinite, kernel, largest_ratio
 from sweepopt.linalg.factor import NEGLIGIBLE, Elimination, Factor, factor_bytes
 from sweepopt.linalg.matrices import (
     EPS,
@@ -30,6 +30,7 @@ __all__ = [
     "exceeds_none",
     "factor_bytes",
     "is_semidefinite",
+    "kernel",
     "largest_eigenvalue",
     "largest_ratio",
     "product_error",

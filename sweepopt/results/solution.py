@@ -211,6 +211,8 @@ class Solution:
     def viability(self, t: Any = None) -> np.ndarray:
         """How far the viability condition A u' + B u in C(t) is missed, in the A^-1 metric.
 
+        Where A is singular that is the metric of A + tau B, the process's `metric`.
+
         Parameters
         ----------
         t : float or array_like, shape (k,), optional
@@ -226,8 +228,7 @@ class Solution:
         """
         if t is None:
             implicit = max(row[-1] for row in self.plan.scheme.a) * np.diff(self._grid)
-            ratio = self.process.Lam if not self.process.rate_independent else 1.0
-            ratios = float(not self.process.rate_independent) + implicit * ratio
+            ratios = self.process.largest_ratio_to_metric(implicit)
             certificate = self.stats["certificate"]
             with np.errstate(invalid="ignore"):  # Lam is inf where no bound of it is proved
                 return np.where(certificate == 0, 0.0, certificate * np.sqrt(ratios))
@@ -255,7 +256,7 @@ class Solution:
         return compile_projection(self.plan, self.process.metric)
 
     def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
-        """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A = 0).
+        """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A is singular).
 
         It takes runs of sdirk2 on grids that are refined where switches are, with at most 20 times
         the programs of this run: 6 to 10 times its time in the median of runs of 60 steps with
@@ -276,7 +277,8 @@ class Solution:
         Raises
         ------
         InputError
-            If a variation that is given falls, or the states do not fit in memory.
+            If a variation that is given falls, the states do not fit in memory, or A and B are both
+            singular, where no norm bounds the error.
 
         Notes
         -----
