@@ -32,7 +32,7 @@ from sweepopt.integrate import (
     step_program,
     velocity_field,
 )
-from sweepopt.loads import Constant, Polynomial, Separable, Sine, Table, Triangle
+from sweepopt.loads import Constant, Polynomial, Separable, Sine, Table, Triangle, VectorTable
 from sweepopt.problem import EvolutionVI, SweepingProcess
 from sweepopt.results import Energy, ErrorBound, Pass, Solution
 from sweepopt.sets import (
@@ -113,6 +113,7 @@ __all__ = [
     "Triangle",
     "UnstableStepError",
     "VariationWarning",
+    "VectorTable",
     "VelocityError",
     "WholeSpace",
     "compatible_start",

@@ -228,7 +228,9 @@ def _interpolation_errors(
     both = []
     for norm, root in ((norms.dual, norms.beta), (norms.dual_B, norms.beta_B)):
         sizes = np.array([float(norm(f)) for _, f in moving.center.terms])
-        if moving.center.function is not None:
+        if moving.center.function is not None and not center.slope_error.any():
+            sizes = np.zeros(1)
+        elif moving.center.function is not None:
             sizes = np.array(
                 [1 / math.sqrt(root) if root else math.inf]
             )  # its variation is a Euclidean one
