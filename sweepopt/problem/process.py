@@ -67,6 +67,8 @@ class SweepingProcess:
     C : ConvexSet or MovingSet
         The constraint set, of dimension dim.
     u0 : array_like, shape (dim,)
+    fields : dict of str to slice, optional
+        Names of parts of u, ``{"u": slice(0, 8), "p": slice(8, 12)}``, for `Solution.field`.
 
     Raises
     ------
@@ -87,7 +89,9 @@ class SweepingProcess:
     0.5
     """
 
-    def __init__(self, A: Any, B: Any, C: AnySet, u0: Any) -> None:
+    def __init__(
+        self, A: Any, B: Any, C: AnySet, u0: Any, fields: dict[str, slice] | None = None
+    ) -> None:
         self.A = symmetric("A", A)
         self.dim = self.A.shape[0]
         self.B: Matrix | None = None if B is None else symmetric("B", B, self.dim)
@@ -97,6 +101,7 @@ class SweepingProcess:
             raise InputError(f"C has dim {C.dim} but A has shape {self.A.shape}; they must agree")
         self.C = C
         self.u0 = vector("u0", u0, self.dim)
+        self.fields = _checked_fields(fields or {}, self.dim)
         if self.B is not None and abs(self.B).max() == 0:
             self.B = None
         if self.B is not None and not is_semidefinite(self.B):
@@ -391,6 +396,28 @@ def sweeping(process: Any) -> SweepingProcess:
     if not isinstance(process, SweepingProcess):
         raise InputError(f"process must be a SweepingProcess or an EvolutionVI: {shown(process)}")
     return process
+
+
+def _checked_fields(fields: Any, dim: int) -> dict[str, slice]:
+    """Names of parts of the unknowns, none of which is in two."""
+    if not isinstance(fields, dict):
+        raise InputError(f'fields must be a dict such as {{"u": slice(0, 2)}}: {shown(fields)}')
+    owner: dict[int, str] = {}
+    for name, part in fields.items():
+        if not isinstance(name, str) or not isinstance(part, slice):
+            raise InputError(
+                f"fields: {shown(name)} must be a name with a slice, not {shown(part)}"
+            )
+        try:
+            inside = range(part.start or 0, dim if part.stop is None else part.stop, part.step or 1)
+        except (TypeError, ValueError):
+            inside = range(0)
+        if not inside or min(inside) < 0 or max(inside) >= dim:
+            raise InputError(f"fields[{name!r}] = {part} must hold some of the {dim} unknowns")
+        for i in inside:
+            if owner.setdefault(i, name) != name:
+                raise InputError(f"fields {owner[i]!r} and {name!r} overlap in unknown {i}")
+    return dict(fields)
 
 
 def _excess(force: np.ndarray, C: ConvexSet) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,13 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
     from sweepopt.integrate import Trajectory
+
+
+class Field(NamedTuple):
+    """Some unknowns of a solution by name: at its times, and their velocities in its steps."""
+
+    u: np.ndarray
+    velocity: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +98,35 @@ class Solution:
         far its mean velocity is from that of one whole step).
         """
         return self.statistics.table()
+
+    def field(self, name: str) -> Field:
+        """The unknowns that `fields` of the process calls so.
+
+        Returns
+        -------
+        Field
+            `u` at the times t, shape (k+1, m), and `velocity` in the kept steps, shape (k, m).
+
+        Raises
+        ------
+        InputError
+            If no field has this name.
+
+        Examples
+        --------
+        >>> import sweepopt as so
+        >>> A, B, C = [[0.0, 0.0], [0.0, 1.0]], [[2.0, -1.0], [-1.0, 1.0]], so.Point([1.0, 0.0])
+        >>> fields = {"u": slice(0, 1), "p": slice(1, 2)}
+        >>> start = [1.0, 1.0]
+        >>> sol = so.solve(so.SweepingProcess(A, B, C, start, fields), t_end=1.0, steps=10)
+        >>> sol.field("p").u.shape, sol.field("p").velocity.shape
+        ((11, 1), (10, 1))
+        """
+        fields = self.process.fields
+        if not isinstance(name, str) or name not in fields:
+            known = ", ".join(fields) or "none; give fields= to the process"
+            raise InputError(f"there is no field {shown(name)}; its fields are {known}")
+        return Field(self.u[:, fields[name]], self.velocity[:, fields[name]])
 
     @property
     def complete(self) -> bool:
