@@ -115,9 +115,9 @@ class Solution:
         Examples
         --------
         >>> import sweepopt as so
-        >>> A, B, C = [[0.0, 0.0], [0.0, 1.0]], [[2.0, -1.0], [-1.0, 1.0]], so.Point([1.0, 0.0])
+        >>> A, B, C = [[0.0, 0.0], [0.0, 1.0]], [[2.0, -1.0], [-1.0, 1.0]], so.Box([-1, -1], [1, 1])
         >>> fields = {"u": slice(0, 1), "p": slice(1, 2)}
-        >>> start = [1.0, 1.0]
+        >>> start = [0.0, 0.0]
         >>> sol = so.solve(so.SweepingProcess(A, B, C, start, fields), t_end=1.0, steps=10)
         >>> sol.field("p").u.shape, sol.field("p").velocity.shape
         ((11, 1), (10, 1))
