@@ -24,8 +24,15 @@ from sweepopt.errors import (
     VariationWarning,
     VelocityError,
 )
-from sweepopt.integrate import Adaptive, Checkpoint, StepInfo, step_program, velocity_field
-from sweepopt.loads import Constant, Polynomial, Separable, Sine, Table, Triangle
+from sweepopt.integrate import (
+    Adaptive,
+    Checkpoint,
+    StepInfo,
+    compatible_start,
+    step_program,
+    velocity_field,
+)
+from sweepopt.loads import Constant, Polynomial, Separable, Sine, Table, Triangle, VectorTable
 from sweepopt.problem import EvolutionVI, SweepingProcess
 from sweepopt.results import Energy, ErrorBound, Pass, Solution
 from sweepopt.sets import (
@@ -106,8 +113,10 @@ __all__ = [
     "Triangle",
     "UnstableStepError",
     "VariationWarning",
+    "VectorTable",
     "VelocityError",
     "WholeSpace",
+    "compatible_start",
     "image",
     "product",
     "resume",

@@ -161,7 +161,7 @@ def _announce(scene: Scene) -> None:
     from sweepopt.velocity import make_plan
 
     process = scene.problem.as_sweeping()
-    scheme = schemes.choose(scene.scheme, process.rate_independent)
+    scheme = schemes.choose(scene.scheme, process.coercive)
     plan = make_plan(process, [(0.0, process.C.at(0.0))], scheme, scene.solver, scene.tol)
     if scene.title:
         print(scene.title)

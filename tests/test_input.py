@@ -53,7 +53,7 @@ CASES: list[tuple[str, Callable[[], Any], str]] = [
     ("u0 masked", lambda: process(u0=np.ma.array([1.0, 2.0], mask=[0, 1])), r"u0\[1\] is nan"),
     ("table masked", lambda: so.Table([0, 1], np.ma.array([0, 1], mask=[0, 1])), r"values\[1\]"),
     ("phi masked", lambda: so.Separable([(lambda t: np.ma.masked, [1])])(0.0), r"terms\[0\]\[0\]"),
-    ("A indefinite", lambda: process(A=[[1, 2], [2, 1]]), r"A must be positive definite"),
+    ("A indefinite", lambda: process(A=[[1, 2], [2, 1]]), r"A must be positive semidefinite"),
     ("A negative", lambda: process(A=-EYE), r"A\[0, 0\] = -1"),
     ("A and B zero", lambda: process(A=0 * EYE, B=None), r"A and B are both zero"),
     ("A zero, B singular", lambda: process(A=0 * EYE, B=np.diag([1, 0])), r"B must be positive def"),

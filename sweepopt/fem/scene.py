@@ -220,7 +220,7 @@ def body(
 
 def method(scheme: str = "auto", solver: str = "auto", tol: float = 1e-6) -> dict[str, Any]:
     """Arguments of `sweepopt.solve`; a scheme or a solver that is not known is refused."""
-    schemes.choose(scheme, rate_independent=False)
+    schemes.choose(scheme, coercive=True)
     solvers.choose(solver, Point([0.0]))
     return {"scheme": scheme, "solver": solver, "tol": number("tol", tol, 0.0, strict=True)}
 

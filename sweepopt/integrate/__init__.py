@@ -12,7 +12,7 @@ from sweepopt.integrate.checkpoint import (
     require_same_problem,
 )
 from sweepopt.integrate.exact import Trajectory
-from sweepopt.integrate.field import velocity_field
+from sweepopt.integrate.field import compatible_start, velocity_field
 from sweepopt.integrate.grid import (
     check_stability,
     divided,
@@ -61,6 +61,7 @@ __all__ = [
     "check_stability",
     "checkpoint_writer",
     "combination",
+    "compatible_start",
     "compensated_sum",
     "divided",
     "evaluation_times",

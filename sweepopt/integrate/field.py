@@ -16,7 +16,7 @@ from sweepopt.checks import instant, number, vector
 from sweepopt.errors import InputError, VelocityError
 from sweepopt.integrate.schemes import SCHEMES
 from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
-from sweepopt.sets import ConvexSet
+from sweepopt.sets import ConvexSet, image
 from sweepopt.velocity import StateVelocity, compile_velocity, make_plan
 
 Field = Callable[[float, Any], np.ndarray]
@@ -47,7 +47,7 @@ def velocity_field(
     Raises
     ------
     InputError
-        If A = 0, or C has no certificates.
+        If A is singular, or C has no certificates.
     SolverRefusedError
         If the solver is not known or cannot treat C.
 
@@ -71,10 +71,10 @@ def velocity_field(
     """
     process = sweeping(process)
     tol = number("tol", tol, minimum=0.0, strict=True)
-    if process.rate_independent:
+    if not process.coercive:
         raise InputError(
-            "velocity_field needs A coercive: with A = 0 the velocity is no function of (t, u); "
-            "use so.solve with implicit-euler, sdirk2 or exact"
+            "velocity_field needs A coercive: where it is singular the velocity is no function of "
+            "(t, u); use so.solve with implicit-euler, sdirk2 or exact"
         )
 
     def compiled(t: float, C: ConvexSet) -> StateVelocity:
@@ -111,3 +111,47 @@ def velocity_field(
         return z
 
     return field
+
+
+def compatible_start(process: SweepingProcess | EvolutionVI, t: float = 0.0) -> np.ndarray:
+    """The state to which u0 jumps at t where A is singular: A z + B u is in C(t) for some z.
+
+    It is u0 + v for the v in the kernel of A with <B (u0 + v), y - v> + J(y) - J(v) >= 0 for all y
+    there, the limit of a step of implicit Euler whose length goes to 0 (MATH.md section 3).
+
+    Parameters
+    ----------
+    process : SweepingProcess or EvolutionVI
+    t : float
+
+    Returns
+    -------
+    ndarray, shape (dim,)
+        u0 itself where A is coercive or u0 is compatible.
+
+    Raises
+    ------
+    InputError
+        If t is not finite, or too many unknowns are coupled to see the kernel of A.
+    VelocityError
+        If the jump cannot be computed.
+
+    Examples
+    --------
+    A spring beside a dashpot that holds nothing: the force 3 is above its bound 1.
+
+    >>> import sweepopt as so
+    >>> A, B = [[1.0, 0.0], [0.0, 0.0]], [[1.0, 0.0], [0.0, 2.0]]
+    >>> process = so.SweepingProcess(A, B, so.Box([2, 2], [4, 4]), u0=[0.0, 0.0])
+    >>> so.compatible_start(process)
+    array([0., 1.])
+    """
+    process, t = sweeping(process), instant("t", t)
+    K, u0 = process.kernel, process.u0
+    if not K.shape[1]:
+        return u0.copy()
+    assert process.B is not None
+    # all that the kernel sees: -v in N(B v + B u0 - C), as a velocity with B for A
+    C = image(K.T, process.C.at(t)) - K.T @ process.times_B(u0)
+    jump = SweepingProcess(K.T @ (process.B @ K), None, C, np.zeros(K.shape[1]))
+    return np.asarray(u0 + K @ velocity_field(jump, tol=1e-9)(t, jump.u0))

@@ -79,7 +79,7 @@ def check_stability(
     if scheme.euler_steps or not plan.solvers or not (outside or moves):
         return
     if rings(process, scheme, mu, 0.0 if outside else FADES):
-        rate = "A is zero" if process.rate_independent else f"mu Lam = {mu * process.Lam:.3g}"
+        rate = f"mu Lam = {mu * process.Lam:.3g}" if process.coercive else "A is singular"
         effect = "can overshoot into a wrong stuck state" if outside else "rings"
         warn(
             f"scheme {scheme.name!r} {effect}: {rate}, and from {RESOLVED:g} on its errors change "

@@ -48,7 +48,12 @@ class SolveOptions:
         if isinstance(name, str) and name == "auto" and not adaptive:
             mu = float(time_grid(self.t_end, self.steps)[1].max())
             return automatic(process, mu)
-        scheme = choose(name, process.rate_independent)
+        scheme = choose(name, process.coercive)
+        if adaptive and not (process.coercive or process.rate_independent):
+            raise InputError(
+                "Adaptive estimates errors where A is coercive or zero, here it is singular; give "
+                "a number of steps or their times"
+            )
         if adaptive and scheme.exact:
             raise InputError("scheme 'exact' has no error in time that steps could be adapted to")
         return scheme

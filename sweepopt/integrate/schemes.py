@@ -67,7 +67,7 @@ class Scheme:
 
     @property
     def implicit(self) -> bool:
-        """Whether every stage is implicit in u, so that A = 0 is allowed."""
+        """Whether every stage is implicit in u, so that a singular A is allowed."""
         return all(row[-1] > 0 for row in self.a)
 
     @property
@@ -127,8 +127,8 @@ def implicit_euler(steps: int) -> Scheme:
 
 def is_stiff(process: SweepingProcess, mu: float) -> bool:
     """Whether mu Lam may be above 2, by one factorisation."""
-    if process.B is None or process.rate_independent:
-        return process.rate_independent
+    if process.B is None or not process.coercive:
+        return not process.coercive
     return not exceeds_none(process.metric, process.B, RESOLVED / mu)
 
 
@@ -143,21 +143,21 @@ def automatic(process: SweepingProcess, mu: float) -> Scheme:
     """The scheme for steps of at most mu, with the reason: sdirk2 while mu Lam <= 2, or sdirk32."""
     if not is_stiff(process, mu):
         return replace(SCHEMES["sdirk2"], reason="mu Lam is at most 2")
-    reason = "A is zero"
-    if not process.rate_independent:
+    reason = "A is singular"
+    if process.coercive:
         reason = f"mu Lam = {mu * process.Lam:.3g} is above 2"
     return replace(SCHEMES["sdirk32"], reason=reason)
 
 
-def choose(name: str, rate_independent: bool) -> Scheme:
+def choose(name: str, coercive: bool) -> Scheme:
     """The scheme of that name; "auto" is the one for steps that adapt to their errors."""
-    known = {"auto": SCHEMES["sdirk2" if rate_independent else "midpoint"], **SCHEMES}
+    known = {"auto": SCHEMES["midpoint" if coercive else "sdirk2"], **SCHEMES}
     if not isinstance(name, str) or name not in known:
         raise InputError(f"scheme {shown(name)} is not known; use {', '.join(known)}")
     scheme = known[name]
-    if rate_independent and not scheme.implicit:
+    if not coercive and not scheme.implicit:
         raise InputError(
-            f"scheme {scheme.name!r} needs A coercive; with A = 0 use implicit-euler, sdirk2 or "
-            "exact"
+            f"scheme {scheme.name!r} needs A coercive; with A = 0 or singular use implicit-euler, "
+            "sdirk2 or auto"
         )
     return scheme

@@ -65,7 +65,7 @@ def step_program(
     (array([1.]), True)
     """
     process = sweeping(process)
-    tableau = choose(scheme, process.rate_independent)
+    tableau = choose(scheme, process.coercive)
     return program_of_stage(process, t, u, mu, tableau, stage)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sweepopt.linalg.cholesky import factors_of_pattern
-from sweepopt.linalg.eigenvalues import exceeds_none, is_semidefinite, largest_ratio
+from sweepopt.linalg.eigenvalues import exceeds_none, is_semidefinite, kernel, largest_ratio
 from sweepopt.linalg.factor import NEGLIGIBLE, Elimination, Factor, factor_bytes
 from sweepopt.linalg.matrices import (
     EPS,
@@ -34,6 +34,7 @@ __all__ = [
     "factors_of_pattern",
     "is_diagonal",
     "is_semidefinite",
+    "kernel",
     "largest_eigenvalue",
     "largest_ratio",
     "product_error",

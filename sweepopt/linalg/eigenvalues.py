@@ -8,14 +8,51 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
+import scipy.sparse.csgraph as csgraph
 import scipy.sparse.linalg as spla
 
 from sweepopt.checks import Matrix
-from sweepopt.errors import IndefiniteError
+from sweepopt.errors import IndefiniteError, InputError
 from sweepopt.linalg.definiteness import MARGINS, dominates
 from sweepopt.linalg.factor import Factor
 from sweepopt.linalg.matrices import SMALL, dense, is_diagonal, is_dominant, lanczos_start
 from sweepopt.linalg.twice_precision import product_error
+
+SEMIDEFINITE = 1e-10  # of the diagonal: eigenvalues that rounding may have made of 0
+MOST_COUPLED = 3000  # unknowns of a dense eigenproblem: 70 MB and some seconds
+
+
+def kernel(M: Matrix) -> Matrix:
+    """A basis of the kernel of a positive semidefinite matrix, shape (dim, k), of its own kind.
+
+    Found on each set of coupled unknowns, as the eigenvectors of D^-1/2 M D^-1/2, D = diag(M).
+
+    Raises
+    ------
+    InputError
+        If too many unknowns are coupled.
+    """
+    rows, columns = sp.csr_array(M), []
+    _, group = csgraph.connected_components(rows, directed=False)
+    alone = np.bincount(group)[group] == 1
+    diagonal = np.asarray(M.diagonal(), dtype=float)
+    columns.append(sp.csc_array(sp.eye_array(len(group)))[:, np.flatnonzero(diagonal == 0)])
+    for name in np.unique(group[~alone]):
+        some = np.flatnonzero(group == name)
+        if some.size > MOST_COUPLED:
+            raise InputError(
+                f"A is singular on {some.size} coupled unknowns, and its kernel is computed of "
+                f"{MOST_COUPLED} at most; give it a little viscosity where it has none"
+            )
+        units = 1 / np.sqrt(diagonal[some])
+        values, vectors = scipy.linalg.eigh(units[:, None] * dense(rows[some][:, some]) * units)
+        vectors = units[:, None] * vectors[:, values <= SEMIDEFINITE]
+        vectors /= np.linalg.norm(vectors, axis=0)
+        i, j = np.indices(vectors.shape)
+        shape = len(group), vectors.shape[1]
+        columns.append(sp.csc_array((vectors.ravel(), (some[i.ravel()], j.ravel())), shape))
+    basis = sp.csc_array(sp.hstack(columns))
+    return basis if sp.issparse(M) else basis.toarray()
 
 
 def largest_ratio(A: Factor, B: Matrix) -> float:
@@ -75,7 +112,7 @@ def is_semidefinite(M: Matrix) -> bool:
     empty = diagonal == 0
     if abs(M[empty]).sum() > 0:
         return False
-    shift = np.where(empty, 1.0, 1e-10 * diagonal)
+    shift = np.where(empty, 1.0, SEMIDEFINITE * diagonal)
     M = M + (sp.diags_array(shift) if sp.issparse(M) else np.diag(shift))
     if is_dominant(M):
         return True

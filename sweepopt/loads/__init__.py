@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from sweepopt.loads.history import History, Piece, breakpoints
 from sweepopt.loads.separable import Separable
-from sweepopt.loads.table import Table, check_points
+from sweepopt.loads.table import Table, VectorTable, check_points
 from sweepopt.loads.waveforms import Constant, Polynomial, Sine, Triangle
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "Sine",
     "Table",
     "Triangle",
+    "VectorTable",
     "breakpoints",
     "check_points",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import HUGE, TIME_SLACK, number
+from sweepopt.checks import HUGE, TIME_SLACK, matrix, number
 from sweepopt.errors import InputError
 from sweepopt.io import read_columns
-from sweepopt.loads.history import Array, History, as_times, interval, read_only
+from sweepopt.loads.history import Array, History, Piece, as_times, interval, read_only
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +81,12 @@ class Table(History):
         return cls(times, factor * values)
 
     def __call__(self, t: ArrayLike) -> Any:
+        at = self._inside(t)
+        value = np.interp(at, self.times, self.values)
+        return float(value) if type(at) is float else value
+
+    def _inside(self, t: ArrayLike) -> Any:
+        """The times as floats, none of them outside."""
         at = as_times(t)
         first, last = self.times[0], self.times[-1]
         slack = TIME_SLACK * max(abs(first), abs(last))
@@ -89,8 +96,7 @@ class Table(History):
                 f"t = {np.asarray(at)[outside].flat[0]:g} lies outside the table, which covers "
                 f"[{first:g}, {last:g}]; extend the table or shorten the run"
             )
-        value = np.interp(at, self.times, self.values)
-        return float(value) if type(at) is float else value
+        return at
 
     def breakpoints(self, a: float, b: float) -> Array:
         """The table's times strictly inside (a, b)."""
@@ -106,6 +112,71 @@ class Table(History):
 
     def __repr__(self) -> str:
         return f"Table({self.times.size} points on [{self.times[0]:g}, {self.times[-1]:g}])"
+
+
+class VectorTable(Table):
+    """Piecewise linear load f(t) in R^dim through given vectors; an evaluation costs O(dim).
+
+    Parameters
+    ----------
+    times : array_like, shape (m,)
+        Strictly increasing; nothing is said, hence nothing answered, outside them.
+    values : array_like, shape (m, dim)
+
+    Attributes
+    ----------
+    dim : int
+
+    Raises
+    ------
+    InputError
+        As of `Table`, and if the values have not one row for each time.
+
+    Examples
+    --------
+    >>> f = VectorTable([0.0, 1.0, 3.0], [[0.0, 0.0], [2.0, 0.0], [2.0, 4.0]])
+    >>> f(2.0), f.variation(0.5, 3.0)
+    (array([2., 2.]), 5.0)
+    """
+
+    def __init__(self, times: ArrayLike, values: ArrayLike) -> None:
+        rows = matrix("values", values)
+        t, _ = check_points("times", times, rows[:, 0] if rows.size else rows)
+        rows.setflags(write=False)
+        object.__setattr__(self, "times", t)
+        object.__setattr__(self, "values", rows)
+
+    @property
+    def dim(self) -> int:
+        """Entries of f(t)."""
+        return int(self.values.shape[1])
+
+    def __call__(self, t: ArrayLike) -> Any:
+        """f(t), shape (dim,) of a number and (k, dim) of k times."""
+        at = self._inside(t)
+        i = np.clip(np.searchsorted(self.times, at, side="right") - 1, 0, self.times.size - 2)
+        share = np.clip((at - self.times[i]) / (self.times[i + 1] - self.times[i]), 0.0, 1.0)
+        share = np.asarray(share)[..., None]
+        return (1 - share) * self.values[i] + share * self.values[i + 1]
+
+    def variation(self, a: float, b: float, norm: Callable[[Array], Any] | None = None) -> float:
+        """Exact total variation on [a, b], Euclidean unless `norm` of forces is given."""
+        a, b = interval(a, b)
+        values = self(np.concatenate([[a], self.breakpoints(a, b), [b]]))
+        return float(sum(map(norm or np.linalg.norm, np.diff(values, axis=0))))
+
+    def turning_points(self, a: float, b: float) -> Array:
+        """All of its times: some entry turns there."""
+        return self.breakpoints(a, b)
+
+    def piece(self, a: float, b: float) -> Piece:
+        """None: it is no scalar history.
+
+        Raises
+        ------
+        InputError
+        """
+        raise InputError("a VectorTable has no scalar closed form; give it as center or load")
 
 
 def check_points(name: str, times: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from sweepopt.checks import instant
 from sweepopt.errors import InputError
-from sweepopt.loads import Piece, Separable, breakpoints
+from sweepopt.loads import Piece, Separable, VectorTable, breakpoints
 from sweepopt.problem.motion import Motion, TimeFunction
 from sweepopt.sets import basis, to_bernstein
 
@@ -91,6 +91,8 @@ def interpolate(f: TimeFunction, begin: np.ndarray, end: np.ndarray) -> Interpol
                 fifth = _fifth_derivative(history.piece(a, b), a, b) * h[i] ** 5
                 # Rolle: the error's derivative has four zeros
                 errors[i, k] = fifth * NODAL / 120, fifth / 24
+            elif isinstance(f.function, VectorTable):
+                continue  # straight between its breakpoints
             elif getattr(history, "variation", None) is not None:
                 errors[i, k] = _by_variation(function, history, a, b, samples[i])
     return Interpolated(NODES_TO_GAUSS @ values, errors[..., 0], errors[..., 1])

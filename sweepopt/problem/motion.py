@@ -15,7 +15,7 @@ import numpy as np
 
 from sweepopt.checks import vector
 from sweepopt.linalg import dense
-from sweepopt.loads import Constant, Separable
+from sweepopt.loads import Constant, Separable, VectorTable
 from sweepopt.sets import (
     AnySet,
     Box,
@@ -55,6 +55,8 @@ class TimeFunction:
             return cls((), dim)
         if isinstance(value, Separable):
             return cls(value.terms, dim)
+        if isinstance(value, VectorTable):
+            return cls((), dim, value, value.variation)
         if dim == 1 and hasattr(value, "variation"):
             return cls(((value, np.ones(1)),), 1)
         return cls((), dim, value)
@@ -78,6 +80,8 @@ class TimeFunction:
 
     def at(self, times: np.ndarray) -> np.ndarray:
         """Values, shape (len(times), dim)."""
+        if isinstance(self.function, VectorTable):
+            return np.asarray(self.function(times))
         if self.function is not None:
             return np.array(
                 [

@@ -19,24 +19,30 @@ class Norms:
 
     Attributes
     ----------
-    rate_independent : bool
-        Whether A = 0, so that B takes its place.
+    weak : bool
+        Whether A is singular, so that B takes its place; B must then be positive definite.
     beta : float
         |x|_A^2 >= beta |x|^2; 0 where no such number is proved.
     lam, Lam : float
-        Below and above all eigenvalues of A^-1 B; 0 where A = 0; Lam is inf if nothing is proved.
+        Below and above all eigenvalues of A^-1 B; 0 where A is singular; Lam is inf if nothing is
+        proved.
     """
 
     def __init__(self, process: SweepingProcess) -> None:
-        self._metric, self._B = process.metric, process.B
-        self.rate_independent = process.rate_independent
-        self.beta = process.metric.smallest_eigenvalue()
+        self._A, self._B, self.weak = process.A, process.B, not process.coercive
+        self._weak = process.metric if process.rate_independent else _factor(process.B)
+        metric = self._weak if self.weak else process.metric
+        if metric is None:
+            raise InputError(
+                "error bounds need A or B to be positive definite, here both are singular; compare "
+                "with a run of twice the steps"
+            )
+        self._metric, self.beta = metric, metric.smallest_eigenvalue()
         self.lam, self.Lam = _rates(process)
-        self._weak = process.metric if self.rate_independent else _factor(process.B)
         self.beta_B = 0.0 if self._weak is None else self._weak.smallest_eigenvalue()
 
     def A(self, x: np.ndarray) -> np.ndarray:
-        """|x|_A (of B where A = 0), over the last axis."""
+        """|x|_A (of B where A is singular), over the last axis."""
         return np.sqrt(np.maximum(squares(self._metric.M, x), 0.0))
 
     def B(self, x: np.ndarray) -> np.ndarray:
@@ -53,7 +59,7 @@ class Norms:
 
     def units(self, h: Any, weights: Callable[[np.ndarray], Any]) -> Any:
         """Weights of the diagonal of A + h B."""
-        units = 0.0 if self.rate_independent else weights(self._metric.diagonal)
+        units = weights(self._A.diagonal())
         return units if self._B is None else units + h * weights(self._B.diagonal())
 
     def dual_B(self, w: np.ndarray) -> np.ndarray:
@@ -93,7 +99,7 @@ def _factor(B: Matrix | None) -> Factor | None:
 
 def _rates(process: SweepingProcess) -> tuple[float, float]:
     """lam and Lam: below and above all eigenvalues of A^-1 B."""
-    if process.B is None or process.rate_independent:
+    if process.B is None or not process.coercive:
         return 0.0, 0.0
     try:
         largest = largest_ratio(Factor(process.B, "B"), process.A)

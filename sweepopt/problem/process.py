@@ -19,10 +19,17 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix, symmetric, vector
-from sweepopt.errors import InitialStateWarning, InputError, VariationWarning, shown, warn
-from sweepopt.linalg import EPS, Factor, is_semidefinite, largest_ratio
+from sweepopt.errors import (
+    IndefiniteError,
+    InitialStateWarning,
+    InputError,
+    VariationWarning,
+    shown,
+    warn,
+)
+from sweepopt.linalg import EPS, Factor, is_semidefinite, kernel, largest_ratio
 from sweepopt.problem.variation import Variation, jumps, variation
-from sweepopt.sets import AnySet, ConvexSet, Moving, MovingSet, Point
+from sweepopt.sets import AnySet, ConvexSet, Moving, MovingSet, Point, image
 
 Nearest = Callable[[np.ndarray, ConvexSet], np.ndarray]
 PROPORTIONAL = 8 * EPS  # entries of B and rho A may differ by this share
@@ -55,17 +62,25 @@ class SweepingProcess:
     Parameters
     ----------
     A : array_like or sparse, shape (dim, dim)
-        Symmetric with <Ax, x> >= beta |x|^2, beta > 0; or exactly zero with B positive definite.
+        Symmetric positive semidefinite. Where it is singular, as for bodies that are elastic in
+        parts, u0 must be compatible: `compatible_start` computes one that is.
     B : array_like or sparse, shape (dim, dim), or None
-        Symmetric positive semidefinite; None leaves it out.
+        Symmetric positive semidefinite; None leaves it out. A and B have no common kernel.
     C : ConvexSet or MovingSet
         The constraint set, of dimension dim.
     u0 : array_like, shape (dim,)
+    fields : dict of str to slice, optional
+        Names of parts of u, ``{"u": slice(0, 8), "p": slice(8, 12)}``, for `Solution.field`.
 
     Raises
     ------
     InputError
         If a shape, an entry or an assumption of the theory is wrong.
+
+    Notes
+    -----
+    `metric` has the norms of the theory: A, or A + tau B where A is singular, with the longest time
+    tau = A_ii / B_ii of an unknown; B itself where A = 0 (MATH.md section 1).
 
     Examples
     --------
@@ -76,7 +91,9 @@ class SweepingProcess:
     0.5
     """
 
-    def __init__(self, A: Any, B: Any, C: AnySet, u0: Any) -> None:
+    def __init__(
+        self, A: Any, B: Any, C: AnySet, u0: Any, fields: dict[str, slice] | None = None
+    ) -> None:
         self.A = symmetric("A", A)
         self.dim = self.A.shape[0]
         self.B: Matrix | None = None if B is None else symmetric("B", B, self.dim)
@@ -86,6 +103,7 @@ class SweepingProcess:
             raise InputError(f"C has dim {C.dim} but A has shape {self.A.shape}; they must agree")
         self.C = C
         self.u0 = vector("u0", u0, self.dim)
+        self.fields = _checked_fields(fields or {}, self.dim)
         if self.B is not None and abs(self.B).max() == 0:
             self.B = None
         if self.B is not None and not is_semidefinite(self.B):
@@ -93,9 +111,34 @@ class SweepingProcess:
         self.rate_independent = bool(abs(self.A).max() == 0)
         if self.rate_independent and self.B is None:
             raise InputError("A and B are both zero: nothing determines the velocity")
-        # MATH.md: A = 0 lets B take A's place in every norm
-        metric = (self.B, "B") if self.rate_independent else (self.A, "A")
-        self.metric = Factor(*metric)
+        self.time_scale = 0.0
+        try:
+            self.metric = Factor(self.A, "A")
+        except IndefiniteError:
+            if self.B is None:
+                raise
+            if not is_semidefinite(self.A):
+                i, least = int(self.A.diagonal().argmin()), float(self.A.diagonal().min())
+                found = f"A[{i}, {i}] = {least:g}" if least < 0 else "it has a negative eigenvalue"
+                raise IndefiniteError(f"A must be positive semidefinite, but {found}") from None
+            self._set_weak_metric(self.B)
+        self.coercive = self.time_scale == 0.0
+
+    def _set_weak_metric(self, B: Matrix) -> None:
+        """The metric A + tau B of a singular A: tau is the longest time that the diagonals show."""
+        a, b = self.A.diagonal(), B.diagonal()
+        times = a[b > 0] / b[b > 0]
+        self.time_scale = float(times.max(initial=0.0)) or 1.0
+        if self.rate_independent:
+            self.metric = Factor(B, "B")
+            return
+        try:
+            self.metric = Factor(self.A + self.time_scale * B, "A + tau B")
+        except IndefiniteError:
+            raise IndefiniteError(
+                "A + tau B must be positive definite for every tau > 0: on the common kernel of A "
+                "and B nothing determines the velocity; give these unknowns viscosity or elasticity"
+            ) from None
 
     def as_sweeping(self) -> SweepingProcess:
         """The process itself; for an `EvolutionVI` C(t) = f(t) - (D + the polar cone of K)."""
@@ -119,8 +162,8 @@ class SweepingProcess:
 
     @cached_property
     def beta(self) -> float:
-        """The constant of coercivity <Ax, x> >= beta |x|^2; 0 when A = 0."""
-        return 0.0 if self.rate_independent else self.metric.smallest_eigenvalue()
+        """The constant of coercivity <Ax, x> >= beta |x|^2; 0 where A is singular."""
+        return self.metric.smallest_eigenvalue() if self.coercive else 0.0
 
     @cached_property
     def Lam(self) -> float:
@@ -130,9 +173,15 @@ class SweepingProcess:
         """
         if self.B is None:
             return 0.0
-        if self.rate_independent:
+        if not self.coercive:
             return float("inf")
         return largest_ratio(self.metric, self.B)
+
+    def largest_ratio_to_metric(self, gamma: Any) -> Any:
+        """A number c with A + gamma B <= c metric, of each gamma."""
+        if self.coercive:
+            return 1 + gamma * self.Lam
+        return np.maximum(float(not self.rate_independent), gamma / self.time_scale)
 
     def times_B(self, u: np.ndarray) -> np.ndarray:
         """B u, zero where there is no B."""
@@ -172,23 +221,35 @@ class SweepingProcess:
         Raises
         ------
         InputError
-            If B u0 is not in C(t) while A = 0: then no solution starts there.
+            If no A z + B u0 is in C(t), seen on the kernel of A: then no solution starts there.
 
         Warns
         -----
         InitialStateWarning
-            If B u0 is not in C(t): the solution exists as A is coercive, but it starts moving.
+            If B u0 is not in C(t) elsewhere: the solution exists, but it starts moving.
         """
-        excess = self._excess(t, nearest)
+        force, C = self.times_B(self.u0), self.C.at(t)
+        excess = _excess(force, C, nearest)
         if not excess.any():
             return False
-        distance = float(np.linalg.norm(excess))
-        where = f"B u0 is not in C({t:g}); its distance is {distance:g}"
-        if self.rate_independent:
-            raise InputError(f"{where}. With A = 0 no solution starts there: change u0")
+        where = f"B u0 is not in C({t:g}); its distance is {np.linalg.norm(excess):g}"
+        if not self.coercive:
+            K = self.kernel
+            if K.shape[1] and _excess(K.T @ force, image(K.T, C)).any():
+                raise InputError(
+                    f"{where}. A is 0 on its kernel, and no solution starts there: change u0, to "
+                    "so.compatible_start(process) for example"
+                )
+            warn(f"{where}. The solution starts with a velocity", InitialStateWarning)
+            return True
         message = f"{where}. A is coercive, so the solution exists and starts with a velocity"
         warn(message, InitialStateWarning)
         return True
+
+    @cached_property
+    def kernel(self) -> Matrix:
+        """A basis of the kernel of A, shape (dim, k)."""
+        return kernel(self.A) if not self.coercive else np.zeros((self.dim, 0))
 
     def check_jumps(self, start: float, end: float) -> None:
         """Look for finite jumps of center(t), scale(t) and h(t) that are data, between two times.
@@ -207,20 +268,6 @@ class SweepingProcess:
                 "all the same, and are most accurate if they end at the jumps",
                 VariationWarning,
             )
-
-    def _excess(self, t: float, nearest: Nearest | None = None) -> np.ndarray:
-        """B u0 - the nearest point of C(t); 0 where that is rounding."""
-        C = self.C.at(t)
-        force = self.times_B(self.u0)
-        point = nearest(force, C) if nearest else C.project(force)
-        distance = float(np.linalg.norm(force - point))
-        size = max(np.abs(x).max() for x in (force, point, C.anchor))
-        # a set around 0 gives its own size; an unbounded one has none
-        if distance > 1e-9 * size:
-            extent = C.magnitude()
-            if not (np.isfinite(extent) and distance <= 1e-12 * extent):
-                return force - point
-        return np.zeros(self.dim)
 
     def variation(self, times: np.ndarray) -> Variation:
         """The total variation v(T) of C between the first and the last time, in |.|_{A^-1}.
@@ -267,15 +314,17 @@ class SweepingProcess:
         Raises
         ------
         InputError
-            If A = 0: the velocity then has no bound from these data; if v(T) is not known; if
+            If A is singular: the velocity then has no bound from these data, take differences of
+            `Solution.u`; if v(T) is not known; if
             B u0 is not in C(0), with `paper`.
         """
-        if self.rate_independent:
+        if not self.coercive:
             raise InputError("the a priori bound is one of |u'|_A; it needs A coercive, not A = 0")
         v = self.variation(times)
         times = vector("times", times)
         start = float(times[0])
-        distance = self.metric.dual_norm(self._excess(start))
+        excess = _excess(self.times_B(self.u0), self.C.at(start))
+        distance = self.metric.dual_norm(excess)
         value = distance + v
         if paper:
             if distance:
@@ -354,6 +403,41 @@ def sweeping(process: Any) -> SweepingProcess:
     if not isinstance(process, SweepingProcess):
         raise InputError(f"process must be a SweepingProcess or an EvolutionVI: {shown(process)}")
     return process
+
+
+def _checked_fields(fields: Any, dim: int) -> dict[str, slice]:
+    """Names of parts of the unknowns, none of which is in two."""
+    if not isinstance(fields, dict):
+        raise InputError(f'fields must be a dict such as {{"u": slice(0, 2)}}: {shown(fields)}')
+    owner: dict[int, str] = {}
+    for name, part in fields.items():
+        if not isinstance(name, str) or not isinstance(part, slice):
+            raise InputError(
+                f"fields: {shown(name)} must be a name with a slice, not {shown(part)}"
+            )
+        try:
+            inside = range(part.start or 0, dim if part.stop is None else part.stop, part.step or 1)
+        except (TypeError, ValueError):
+            inside = range(0)
+        if not inside or min(inside) < 0 or max(inside) >= dim:
+            raise InputError(f"fields[{name!r}] = {part} must hold some of the {dim} unknowns")
+        for i in inside:
+            if owner.setdefault(i, name) != name:
+                raise InputError(f"fields {owner[i]!r} and {name!r} overlap in unknown {i}")
+    return dict(fields)
+
+
+def _excess(force: np.ndarray, C: ConvexSet, nearest: Nearest | None = None) -> np.ndarray:
+    """The force less the nearest point of C; 0 where that is rounding."""
+    point = nearest(force, C) if nearest else C.project(force)
+    distance = float(np.linalg.norm(force - point))
+    size = max(np.abs(x).max() for x in (force, point, C.anchor))
+    # a set around 0 gives its own size; an unbounded one has none
+    if distance > 1e-9 * size:
+        extent = C.magnitude()
+        if not (np.isfinite(extent) and distance <= 1e-12 * extent):
+            return force - point
+    return np.zeros(force.size)
 
 
 def _check_support(C: ConvexSet) -> None:

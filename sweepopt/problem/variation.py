@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from sweepopt.checks import TIME_SLACK
 from sweepopt.errors import InputError
 from sweepopt.linalg import Factor, dense
-from sweepopt.loads import Constant, Polynomial, Sine, Table, Triangle, breakpoints
+from sweepopt.loads import Constant, Polynomial, Sine, Table, Triangle, VectorTable, breakpoints
 from sweepopt.problem.motion import TimeFunction, motion
 from sweepopt.sets import AnySet, Box, ConvexSet
 
@@ -59,6 +59,9 @@ def variation(C: AnySet, metric: Factor, times: np.ndarray) -> Variation:
         total = 0.0
         for _, f, distance in moves:
             known = f.function is None and f.bounded
+            if isinstance(f.function, VectorTable):
+                total += f.function.variation(times[0], times[-1], distance)
+                continue
             changes: Any = np.diff(f.at(times), axis=0)
             if known:
                 changes = (phi.variation(times[0], times[-1]) * v for phi, v in f.terms)

@@ -242,7 +242,14 @@ def to_xarray(solution: Solution) -> xr.Dataset:
             "tol": plan.tol,
         },
     )
-    return run.assign(solver=run.solver.astype(object)).set_coords("step_end")
+    run = run.assign(solver=run.solver.astype(object)).set_coords("step_end")
+    fields = solution.process.fields
+    if not fields:
+        return run
+    names = np.full(solution.process.dim, "", dtype=object)
+    for name, part in fields.items():
+        names[part] = name
+    return run.assign_coords(field=("unknown", names, {"long_name": "field of the unknown"}))
 
 
 def solver_name(solution: Solution) -> str:

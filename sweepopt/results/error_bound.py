@@ -54,7 +54,7 @@ run of one program a step. With 14 bounds are 2 to 4 times larger from mu Lam = 
 
 
 class ErrorBound(float):
-    """A bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A = 0), a number that knows more.
+    """A bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A is singular), a number that knows more.
 
     Attributes
     ----------
@@ -137,8 +137,8 @@ def error_bound(
 
 
 def _start(process: SweepingProcess, plan: Plan, t: float) -> np.ndarray | None:
-    """u'(t_0); None where A = 0."""
-    if process.rate_independent:
+    """u'(t_0); None where A is singular."""
+    if not process.coercive:
         return None
     phi = compile_projection(plan, process.metric)
     return phi(process.times_B(process.u0), process.C.at(t)).z
@@ -169,7 +169,7 @@ class _Growth(NamedTuple):
 def _growth(norms: Norms, t: np.ndarray, each: list[Residuals]) -> _Growth:
     """The smallest of the theorem's bounds, with the best curve on each step."""
     gaps, squares, turning = (np.array(x) for x in zip(*(r[:3] for r in each), strict=True))
-    if norms.rate_independent:
+    if norms.weak:
         squares[:] = np.inf
     turning[~np.isfinite(turning + np.array([r.error for r in each]))] = np.inf
     step = np.arange(len(t) - 1)
@@ -187,7 +187,7 @@ def _growth(norms: Norms, t: np.ndarray, each: list[Residuals]) -> _Growth:
         of_B = R + np.sqrt(R**2 + S)
         largest = of_B[-1]
     cost = cost[curve, step]
-    if norms.rate_independent:
+    if norms.weak:
         return _Growth(of_B, of_B, cost, curve)
     gap, square = gaps[curve, step], squares[curve, step]
     once = np.sqrt(np.diff(t) * (gap + square))  # Cauchy and Schwarz: int sqrt(2 G + |r|^2)

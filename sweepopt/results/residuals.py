@@ -48,7 +48,7 @@ class Residuals(NamedTuple):
     Attributes
     ----------
     gaps, squares : ndarray
-        int 2 G and int |r|^2; squares are infinite where A = 0.
+        int 2 G and int |r|^2; squares are infinite where A is singular.
     turning : ndarray
         int |r'|, in the dual norm of B.
     begin, end : ndarray, shape (n, dim)
@@ -117,7 +117,7 @@ def _model(
     if moving is not None and moving.shape is not None and moving.scale.function is None:
         intervals = smooth_intervals(moving, nodes.t)
         return _Model(moving, intervals, [moving.shape], np.zeros(len(intervals.step)))
-    if variation is None or norms.rate_independent:  # such a curve has no int |r'|
+    if variation is None or norms.weak:  # such a curve has no int |r'|
         return None
     steps = Intervals(np.arange(len(nodes.velocity)), nodes.t[:-1], nodes.t[1:])
     members = [process.C.at(t) for t in (0.5 * (steps.begin + steps.end)).tolist()]
@@ -205,7 +205,7 @@ def _on_intervals(
     largest = most.max(axis=1)
     # a curve that is moved has no bound of int |r'|, which is what counts in stiff steps
     ratios = np.where(h * norms.Lam > 2, np.inf, largest**2 / norms.beta)
-    if norms.rate_independent:
+    if norms.weak:
         ratios[:] = np.inf
     gaps, distance = model.each(_gaps, -directions * most[:, None], s, ratios).T
     speed = np.linalg.norm(directions, axis=2).mean(axis=1)
@@ -228,7 +228,9 @@ def _interpolation_errors(
     both = []
     for norm, root in ((norms.dual, norms.beta), (norms.dual_B, norms.beta_B)):
         sizes = np.array([float(norm(f)) for _, f in moving.center.terms])
-        if moving.center.function is not None:
+        if moving.center.function is not None and not center.slope_error.any():
+            sizes = np.zeros(1)
+        elif moving.center.function is not None:
             sizes = np.array(
                 [1 / math.sqrt(root) if root else math.inf]
             )  # its variation is a Euclidean one

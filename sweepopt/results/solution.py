@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,13 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
     from sweepopt.integrate import Trajectory
+
+
+class Field(NamedTuple):
+    """Some unknowns of a solution by name: at its times, and their velocities in its steps."""
+
+    u: np.ndarray
+    velocity: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +106,35 @@ class Solution:
         far its mean velocity is from that of one whole step).
         """
         return self.statistics.table()
+
+    def field(self, name: str) -> Field:
+        """The unknowns that `fields` of the process calls so.
+
+        Returns
+        -------
+        Field
+            `u` at the times t, shape (k+1, m), and `velocity` in the kept steps, shape (k, m).
+
+        Raises
+        ------
+        InputError
+            If no field has this name.
+
+        Examples
+        --------
+        >>> import sweepopt as so
+        >>> A, B, C = [[0.0, 0.0], [0.0, 1.0]], [[2.0, -1.0], [-1.0, 1.0]], so.Box([-1, -1], [1, 1])
+        >>> fields = {"u": slice(0, 1), "p": slice(1, 2)}
+        >>> start = [0.0, 0.0]
+        >>> sol = so.solve(so.SweepingProcess(A, B, C, start, fields), t_end=1.0, steps=10)
+        >>> sol.field("p").u.shape, sol.field("p").velocity.shape
+        ((11, 1), (10, 1))
+        """
+        fields = self.process.fields
+        if not isinstance(name, str) or name not in fields:
+            known = ", ".join(fields) or "none; give fields= to the process"
+            raise InputError(f"there is no field {shown(name)}; its fields are {known}")
+        return Field(self.u[:, fields[name]], self.velocity[:, fields[name]])
 
     @property
     def complete(self) -> bool:
@@ -222,6 +258,8 @@ class Solution:
     def viability(self, t: Any = None) -> np.ndarray:
         """How far the viability condition A u' + B u in C(t) is missed, in the A^-1 metric.
 
+        Where A is singular that is the metric of A + tau B, the process's `metric`.
+
         Parameters
         ----------
         t : float or array_like, shape (k,), optional
@@ -237,8 +275,7 @@ class Solution:
         """
         if t is None:
             implicit = max(row[-1] for row in self.plan.scheme.a) * np.diff(self._grid)
-            ratio = self.process.Lam if not self.process.rate_independent else 1.0
-            ratios = float(not self.process.rate_independent) + implicit * ratio
+            ratios = self.process.largest_ratio_to_metric(implicit)
             certificate = self.stats["certificate"]
             with np.errstate(invalid="ignore"):  # Lam is inf where no bound of it is proved
                 return np.where(certificate == 0, 0.0, certificate * np.sqrt(ratios))
@@ -266,7 +303,7 @@ class Solution:
         return compile_projection(self.plan, self.process.metric)
 
     def error_bound(self, *, variation: Callable[[float], float] | None = None) -> ErrorBound:
-        """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A = 0).
+        """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A is singular).
 
         It takes runs of sdirk2 on grids that are refined where switches are, with at most 20 times
         the programs of this run: 6 to 10 times its time in the median of runs of 60 steps with
@@ -287,7 +324,8 @@ class Solution:
         Raises
         ------
         InputError
-            If a variation that is given falls, or the states do not fit in memory.
+            If a variation that is given falls, the states do not fit in memory, or A and B are both
+            singular, where no norm bounds the error.
         PathError
             If the run's path is "cones".
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from sweepopt.checks import dimension, instant, number, vector
 from sweepopt.errors import InputError
-from sweepopt.loads import Constant, Separable
+from sweepopt.loads import Constant, Separable, VectorTable
 from sweepopt.sets.aligned import Similar
 from sweepopt.sets.balls import Ball
 from sweepopt.sets.base import ConvexSet, Operators, is_vector, nested
@@ -165,7 +165,7 @@ class Moving(MovingSet):
         if not callable(scale) and scale is not None:
             scale = Constant(number("scale", scale, 0.0))
         self.center, self.scale = center, scale
-        if isinstance(center, Separable) and center.dim != self.dim:
+        if isinstance(center, (Separable, VectorTable)) and center.dim != self.dim:
             raise InputError(f"center must have {self.dim} entries, got {center.dim}")
 
     def center_at(self, t: float) -> np.ndarray:

@@ -187,8 +187,8 @@ def reduce(process: SweepingProcess, tol: float, t: float) -> Reduction | str:
 
 def _contact_and_load(process: SweepingProcess) -> tuple[float, Selection, Terms] | str:
     """rho, E with S, and f of a process that a reduction may take; or why there is none."""
-    if process.rate_independent:
-        return "A is zero"
+    if not process.coercive:
+        return "A is singular"
     if process.metric.method != "factors":
         return "the factors of A do not fit in memory"
     rho = proportion(process.A, process.B)

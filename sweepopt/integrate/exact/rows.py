@@ -99,6 +99,8 @@ def rows_of(process: SweepingProcess) -> Rows:
 
 
 def _rows_of(process: SweepingProcess) -> Rows:
+    if not (process.coercive or process.rate_independent):
+        raise InputError("A is singular and not zero; use sdirk2 or auto")
     if process.dim > UNKNOWNS:
         raise InputError(
             f"the process has {process.dim} unknowns in its steps, more than {UNKNOWNS}. A body "

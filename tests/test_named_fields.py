@@ -1,0 +1,43 @@
+"""Unknowns that have names."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sweepopt as so
+
+
+def process(fields: Any) -> so.SweepingProcess:
+    C = so.Moving(so.Box([-1, -1, -1], [1, 1, 1]), lambda t: [2 * t, 3 * t, -2 * t])
+    return so.SweepingProcess(np.eye(3), np.eye(3), C, np.zeros(3), fields)
+
+
+def test_a_field_is_its_part_of_the_solution_and_of_the_dataset() -> None:
+    sol = so.solve(process({"u": slice(0, 2), "p": slice(2, 3)}), t_end=1.0, steps=10)
+    assert (sol.field("p").u == sol.u[:, 2:]).all()
+    assert (sol.field("u").velocity == sol.velocity[:, :2]).all()
+    data = sol.to_xarray()
+    assert (data.u.values[:, data.field.values == "u"] == sol.u[:, :2]).all()
+    assert "field" not in so.solve(process(None), t_end=1.0, steps=10).to_xarray()
+    with pytest.raises(so.InputError, match=r"no field 'q'; its fields are u, p"):
+        sol.field("q")
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ([1], "must be a dict"),
+        ({1: slice(0, 1)}, "must be a name with a slice"),
+        ({"u": 1}, "must be a name with a slice"),
+        ({"u": slice(0, 4)}, "must hold some of the 3 unknowns"),
+        ({"u": slice(2, 2)}, "must hold some of the 3 unknowns"),
+        ({"u": slice("a", 2)}, "must hold some of the 3 unknowns"),
+        ({"u": slice(0, 2), "p": slice(1, 3)}, "fields 'u' and 'p' overlap in unknown 1"),
+    ],
+)
+def test_bad_fields_are_refused(fields: Any, words: str) -> None:
+    with pytest.raises(so.InputError, match=words):
+        process(fields)

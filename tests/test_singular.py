@@ -1,0 +1,178 @@
+"""A and B with no common kernel: A may be singular, A = 0 is an instance."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.optimize import lsq_linear
+
+import sweepopt as so
+from sweepopt.integrate import SCHEMES
+
+IMPLICIT = ("implicit-euler", "midpoint", "sdirk2")
+quiet = pytest.mark.filterwarnings("ignore::sweepopt.StabilityWarning")
+
+
+def random_pair(seed: int, dim: int = 5) -> tuple[np.ndarray, np.ndarray]:
+    """Semidefinite, both singular, with no common kernel."""
+    Q = np.random.default_rng(seed).normal(size=(dim, dim))
+    lost = seed % (dim - 1) + 1
+    return Q[lost:].T @ Q[lost:], Q[: lost + 1].T @ Q[: lost + 1]
+
+
+def load(t: float) -> np.ndarray:
+    return np.array([2 * np.sin(3 * t), t, -t, np.sin(t), 3 * t])
+
+
+@quiet
+@pytest.mark.parametrize("convert", [np.asarray, sp.csc_array])
+@pytest.mark.parametrize("scheme", IMPLICIT)
+def test_steps_are_those_of_a_dense_least_squares_problem(scheme: str, convert: Any) -> None:
+    tableau = SCHEMES[scheme]
+    for seed in range(6):
+        A, B = random_pair(seed)
+        C = so.Moving(so.Box(-0.5 * np.ones(5), 0.7 * np.ones(5)), load)
+        process = so.SweepingProcess(convert(A), convert(B), C, np.zeros(5))
+        assert not process.coercive
+        sol = so.solve(process, t_end=1.0, steps=20, scheme=scheme, tol=1e-9)
+        u, mu = np.zeros(5), 1 / 20
+        for i in range(20):
+            stages: list[np.ndarray] = []
+            for row, c in zip(tableau.a, tableau.c, strict=True):
+                start = u + mu * sum(a * z for a, z in zip(row, stages, strict=False))
+                M, f = A + mu * row[-1] * B, load((i + c) * mu)
+                L = np.linalg.cholesky(np.linalg.inv(M)).T
+                w = lsq_linear(L, L @ (B @ start), (f - 0.5, f + 0.7), "bvls", tol=1e-14).x
+                stages.append(np.linalg.solve(M, w - B @ start))
+            u = u + mu * sum(b * z for b, z in zip(tableau.b, stages, strict=True))
+        assert np.abs(sol.u[-1] - u).max() <= 1e-7 * np.abs(u).max()
+
+
+K0, K1, ETA, G = 1.0, 2.0, 0.5, 0.3
+
+
+def zener(u0: Any = (0.0, 0.0)) -> so.SweepingProcess:
+    """A spring beside a Maxwell branch, held by friction, under the load t; u and the dashpot."""
+    B = [[K0 + K1, -K1], [-K1, K1]]
+    held = so.image([[1.0], [0.0]], so.Box([-G], [G]))
+    C = so.Moving(held, so.Separable([(so.Polynomial([0.0, 1.0]), [1.0, 0.0])]))
+    return so.SweepingProcess([[0.0, 0.0], [0.0, ETA]], B, C, u0)
+
+
+def of_zener(t: np.ndarray) -> np.ndarray:
+    s, a, b = np.maximum(t - G, 0), K1 / (K0 + K1) / ETA, K0 * K1 / (K0 + K1) / ETA
+    q = a * (s / b - (1 - np.exp(-b * s)) / b**2)
+    return np.column_stack([(s + K1 * q) / (K0 + K1), q])
+
+
+@quiet
+@pytest.mark.parametrize("scheme", [*IMPLICIT, "sdirk32"])
+def test_the_orders_hold_on_a_zener_element_with_friction(scheme: str) -> None:
+    errors = []
+    for n in (20, 40, 80, 160):
+        sol = so.solve(zener(), t_end=2.0, steps=n, scheme=scheme, tol=1e-10)
+        errors.append(np.abs(sol.u - of_zener(sol.t)).max())
+    slope = -np.polyfit(np.log([20, 40, 80, 160]), np.log(errors), 1)[0]
+    assert slope == pytest.approx(SCHEMES[scheme].order, abs=0.1)
+    assert errors[-1] <= (3e-3 if slope < 1.5 else 1e-5)
+
+
+def test_auto_is_an_l_stable_scheme_and_its_bound_holds() -> None:
+    sol = so.solve(zener(), t_end=2.0, steps=80)
+    assert sol.plan.scheme.name == "sdirk32"
+    assert "A is singular" in sol.plan.scheme.reason
+    e, B = sol.u - of_zener(sol.t), np.array([[3.0, -2.0], [-2.0, 2.0]])
+    bound = sol.error_bound()
+    assert bound.guaranteed
+    assert np.sqrt(np.einsum("ij,jk,ik->i", e, B, e)).max() <= bound < 1e-2
+    assert sol.viability().max() <= 1e-6
+
+
+@quiet
+def test_a_bar_half_viscous_and_half_elastic() -> None:
+    n, eta, kappa, g = 8, 0.4, 2.0, 0.5
+    rows = (np.eye(n) - np.eye(n, k=-1)) * n
+    viscous = np.where(np.arange(n) < n // 2, eta, 0.0)
+    A, B = rows.T @ (viscous[:, None] * rows) / n, kappa * rows.T @ rows / n
+    tip = np.eye(n)[:, -1:]
+    C = so.Moving(
+        so.image(tip, so.Box([-g], [g])), so.Separable([(so.Polynomial([0.0, 1.0]), tip[:, 0])])
+    )
+    process = so.SweepingProcess(sp.csc_array(A), sp.csc_array(B), C, np.zeros(n))
+    assert process.kernel.shape == (n, n // 2)
+    assert abs(process.A @ process.kernel).max() <= 1e-12
+    sol = so.solve(process, t_end=2.0, steps=400, scheme="sdirk2", tol=1e-10)
+    s, theta = sol.t - g, eta / kappa
+    s = np.maximum(s, 0.0)
+    strain = (s - theta * (1 - np.exp(-s / theta))) / kappa
+    assert sol.u[:, n // 2 - 1] == pytest.approx(strain / 2, abs=1e-5)
+    assert sol.u[:, -1] == pytest.approx((strain + s / kappa) / 2, abs=1e-5)
+
+
+def test_a_rectifier_with_an_ideal_diode_follows_its_source_and_then_decays() -> None:
+    # charges through the diode, which flow one way, and through the resistance
+    R, c = 2.0, 1.0
+    source = so.Separable([(so.Sine(1.0, 2 * np.pi), [1.0, 0.0])])
+    circuit = so.EvolutionVI(
+        np.diag([0.0, R]),
+        np.array([[1.0, -1.0], [-1.0, 1.0]]) / c,
+        load=source,
+        cone=so.Polyhedron([[-1.0, 0.0]], [0.0]),
+        u0=[0.0, 0.0],
+    )
+    sol = so.solve(circuit, t_end=5.0, steps=500, tol=1e-9)
+    voltage = (sol.u[:, 0] - sol.u[:, 1]) / c
+    off = np.pi - np.arctan(R * c)
+    decay = np.sin(off) * np.exp(-(sol.t - off) / (R * c))
+    assert voltage == pytest.approx(np.where(sol.t < off, np.sin(sol.t), decay), abs=1e-3)
+    assert sol.velocity[:, 0].min() >= 0
+    with pytest.raises(so.InputError, match="both are singular; compare"):
+        sol.error_bound()
+
+
+@quiet
+def test_little_viscosity_tends_to_none() -> None:
+    process = zener()
+    ends = []
+    for viscosity in (0.0, 1e-4, 1e-6):
+        A = process.A + viscosity * np.eye(2)
+        one = so.SweepingProcess(A, process.B, process.C, process.u0)
+        ends.append(so.solve(one, t_end=1.0, steps=40, scheme="sdirk2", tol=1e-10).u[-1])
+    first, second = (np.abs(u - ends[0]).max() for u in ends[1:])
+    assert first <= 1e-4
+    assert second <= 0.02 * first
+
+
+def test_an_incompatible_start_is_refused_and_a_compatible_one_computed() -> None:
+    with pytest.raises(so.InputError, match=r"change u0, to so\.compatible_start"):
+        so.solve(zener([1.0, 0.0]), t_end=1.0, steps=5)
+    start = so.compatible_start(zener([1.0, 0.0]))
+    assert start == pytest.approx([G / (K0 + K1), 0.0], abs=1e-9)  # only the spring's end jumps
+    with pytest.warns(so.InitialStateWarning, match="starts with a velocity"):
+        assert so.solve(zener(start), t_end=1.0, steps=5).success
+    # a jump of A = 0 is the projection
+    still = so.SweepingProcess(np.zeros((1, 1)), [[2.0]], so.Box([-1], [1]), [3.0])
+    assert so.compatible_start(still) == pytest.approx([0.5])
+    coercive = so.SweepingProcess([[1.0]], [[2.0]], so.Box([-1], [1]), [3.0])
+    assert so.compatible_start(coercive) == pytest.approx([3.0])
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda p: so.solve(p, t_end=1, steps=5, scheme="catching-up"), "use implicit-euler"),
+        (lambda p: so.solve(p, t_end=1, steps=5, scheme="trapezoid"), "use implicit-euler"),
+        (lambda p: so.solve(p, t_end=1, steps=5, scheme="exact"), "A is singular and not zero"),
+        (lambda p: so.solve(p, t_end=1, steps=so.Adaptive(1e-2)), "coercive or zero"),
+        (lambda p: so.velocity_field(p), "where it is singular"),
+        (lambda p: p.velocity_bound(np.linspace(0, 1, 5)), "needs A coercive"),
+        (lambda p: so.SweepingProcess(-p.A, p.B, p.C, p.u0), "A must be positive semidefinite"),
+        (lambda p: so.SweepingProcess(p.A, p.A, p.C, p.u0), "common kernel"),
+    ],
+)
+def test_what_needs_a_coercive_a_says_what_to_use(call: Any, words: str) -> None:
+    with pytest.raises(so.InputError, match=words):
+        call(zener())

@@ -1,0 +1,45 @@
+"""Loads that are vectors given at times: no sum of histories, the same bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import sweepopt as so
+
+TIMES = np.array([0.0, 0.3, 1.1, 2.0])
+VALUES = np.array([[0.0, 0.0, 0.0], [1.0, -2.0, 0.5], [3.0, 1.0, -1.0], [-1.0, 0.5, 2.0]])
+HATS = so.Separable([(so.Table(TIMES, v), e) for v, e in zip(VALUES.T, np.eye(3), strict=True)])
+
+
+def run(load: object, viscosity: float) -> so.Solution:
+    B = np.array([[2.0, -1, 0], [-1, 2, -1], [0, -1, 2]])
+    C = so.Moving(so.Box(-0.3 * np.ones(3), 0.4 * np.ones(3)), load)
+    process = so.SweepingProcess(viscosity * np.diag([1.0, 2, 1]), B, C, np.zeros(3))
+    return so.solve(process, t_end=2.0, steps=60, scheme="sdirk2", tol=1e-10)
+
+
+@pytest.mark.parametrize("viscosity", [0.5, 0.0])
+def test_it_is_the_sum_of_tables_with_the_same_guaranteed_bound(viscosity: float) -> None:
+    sol, same = run(so.VectorTable(TIMES, VALUES), viscosity), run(HATS, viscosity)
+    assert sol.u == pytest.approx(same.u, abs=1e-9)
+    bound, of_sum = sol.error_bound(), same.error_bound()
+    assert bound.guaranteed
+    assert float(bound) == pytest.approx(of_sum, rel=1e-4)
+    variation = sol.process.variation([0.0, 2.0])
+    assert variation.guaranteed
+    steps = sum(map(sol.process.metric.dual_norm, np.diff(VALUES, axis=0)))
+    assert variation == pytest.approx(steps)
+    assert variation < same.process.variation([0.0, 2.0])
+
+
+def test_values_between_and_bad_input() -> None:
+    f = so.VectorTable(TIMES, VALUES)
+    assert f([0.1, 1.5]) == pytest.approx(HATS.at_many(np.array([0.1, 1.5])))
+    assert f.breakpoints(0.3, 2.0).tolist() == [1.1]
+    with pytest.raises(so.InputError, match="outside the table"):
+        f(3.0)
+    with pytest.raises(so.InputError, match="give one each"):
+        so.VectorTable(TIMES, VALUES[1:])
+    with pytest.raises(so.InputError, match="center must have 2 entries, got 3"):
+        so.Moving(so.Box([0, 0], [1, 1]), f)
