@@ -306,8 +306,8 @@ class Solution:
         """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A is singular).
 
         It takes runs of sdirk2 on grids that are refined where switches are, with at most 20 times
-        the programs of this run: 6 to 10 times its time in the median of runs of 60 steps with
-        boxes (18 at most), 24 times with balls (44 at most). A C(t) that is no data takes one such
+        the programs of this run: more than that in time, as runs on the proportional path take less
+        a program. A C(t) that is no data takes one such
         run. Steps that were not kept are computed again.
 
         Parameters
