@@ -230,27 +230,7 @@ def dataset_of(report: Report) -> xr.Dataset:
     if not body.triangles.size:  # a bar has no faces
         del rows["mesh"], rows["triangles"]
     if slip is not None:
-        contact, names = slip.contact, slip.contact.boundary.astype(object)
-        along = " component" if contact.unknown.ndim > 1 else ""
-        rows |= {
-            "contact_node": ("contact", "", contact.node, "node of the contact"),
-            "boundary": ("contact", "", names, "boundary of the contact node"),
-            "arc_length": ("contact", "length", contact.arc, "arc length along the boundaries"),
-            "contact_weight": ("contact", "length", contact.weight, "length of its boundary"),
-            "friction_bound": (
-                "contact",
-                "force",
-                contact.threshold,
-                "force at which it slips, w g",
-            ),
-            "traction": (
-                f"step contact{along}",
-                "traction",
-                slip.traction,
-                "friction, against the slip",
-            ),
-            "slip_state": ("step contact", "", slip.state, "direction of slip, 0 where it sticks"),
-        }
+        rows |= _of_contact(slip)
     run = solution.to_xarray().drop_dims("unknown")
     for name, (dims, quantity, values, words) in rows.items():
         attributes = {"long_name": words, "units": units.get(quantity, "1")}
@@ -268,6 +248,31 @@ def dataset_of(report: Report) -> xr.Dataset:
         scene=report.text,
         units_of_the_scene=scene.units,
     )
+
+
+def _of_contact(slip: Slip) -> dict[str, tuple[str, str, Any, str]]:
+    """What `dataset_of` adds for the nodes with friction."""
+    contact, names = slip.contact, slip.contact.boundary.astype(object)
+    along = " component" if contact.unknown.ndim > 1 else ""
+    return {
+        "contact_node": ("contact", "", contact.node, "node of the contact"),
+        "boundary": ("contact", "", names, "boundary of the contact node"),
+        "arc_length": ("contact", "length", contact.arc, "arc length along the boundaries"),
+        "contact_weight": ("contact", "length", contact.weight, "length of its boundary"),
+        "friction_bound": (
+            "contact",
+            "force",
+            contact.threshold,
+            "force at which it slips, w g",
+        ),
+        "traction": (
+            f"step contact{along}",
+            "traction",
+            slip.traction,
+            "friction, against the slip",
+        ),
+        "slip_state": ("step contact", "", slip.state, "direction of slip, 0 where it sticks"),
+    }
 
 
 def write_netcdf(report: Report, path: Path) -> None:
