@@ -18,10 +18,17 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix, symmetric, vector
-from sweepopt.errors import InitialStateWarning, InputError, VariationWarning, shown, warn
+from sweepopt.errors import (
+    IndefiniteError,
+    InitialStateWarning,
+    InputError,
+    VariationWarning,
+    shown,
+    warn,
+)
 from sweepopt.linalg import EPS, Factor, is_semidefinite, largest_ratio
 from sweepopt.problem.variation import Variation, jumps, variation
-from sweepopt.sets import AnySet, ConvexSet, Moving, MovingSet, Point
+from sweepopt.sets import AnySet, ConvexSet, Moving, MovingSet, Point, exchanged
 
 PROPORTIONAL = 8 * EPS  # entries of B and rho A may differ by this share
 SHOWN = 5  # jumps that a warning names
@@ -93,7 +100,14 @@ class SweepingProcess:
             raise InputError("A and B are both zero: nothing determines the velocity")
         # MATH.md: A = 0 lets B take A's place in every norm
         metric = (self.B, "B") if self.rate_independent else (self.A, "A")
-        self.metric = Factor(*metric)
+        try:
+            self.metric = Factor(*metric)
+        except IndefiniteError:
+            # isotropic hardening alone bounds p by alpha' >= |p'|
+            H = exchanged(metric[0], (C.shape if isinstance(C, Moving) else C.at(0.0)).selection)
+            if H is None:
+                raise
+            self.metric = Factor(metric[0] + H, metric[1])
 
     def as_sweeping(self) -> SweepingProcess:
         """The process itself; for an `EvolutionVI` C(t) = f(t) - (D + the polar cone of K)."""

@@ -11,6 +11,7 @@ from sweepopt.sets.base import (
     NoHalfspacesError,
     Selection,
     binary,
+    exchanged,
     same_array,
 )
 from sweepopt.sets.constraints import Constraints
@@ -53,6 +54,7 @@ __all__ = [
     "WholeSpace",
     "basis",
     "binary",
+    "exchanged",
     "facets",
     "image",
     "in_turn",
