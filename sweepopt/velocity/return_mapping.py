@@ -23,6 +23,7 @@ without kinematic hardening too (`ConvexSet.exchange`).
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -84,7 +85,6 @@ class ReturnMapping:
         self._K, self._up = (sp.csr_array(rows[:, to]) for to in (self._rest, unknowns))
         self._G = sp.csr_array(-self._up.T)
         self._weights = S.weights(M.diagonal[unknowns])
-        self._order: np.ndarray | None = None
         self._v = np.zeros(self._rest.size)
 
     def propose(self, S: ConvexSet, residual: np.ndarray, z: np.ndarray | None) -> Proposal:
@@ -146,12 +146,19 @@ class ReturnMapping:
             end = start + count * size
             D = (np.eye(size) - D) / self._weights[start:end].reshape(count, size, 1)
             yields = D.any(axis=(1, 2))
-            rows = self._G[start + np.flatnonzero(np.repeat(yields, size))]
-            blocks = sp.bsr_array(
-                (D[yields], np.arange(yields.sum()), np.arange(yields.sum() + 1)),
-                shape=(len(rows.indptr) - 1,) * 2,
-            )
-            tangent, start = tangent - rows.T @ sp.csr_array(blocks @ rows), end
-        factor = Factor(sp.csc_array(tangent), "the tangent", order=self._order)
-        self._order = factor.order
-        return factor
+            if yields.any():
+                rows = self._G[start + np.flatnonzero(np.repeat(yields, size))]
+                blocks = sp.bsr_array(
+                    (D[yields], np.arange(yields.sum()), np.arange(yields.sum() + 1)),
+                    shape=(len(rows.indptr) - 1,) * 2,
+                )
+                tangent = tangent - rows.T @ sp.csr_array(blocks @ rows)
+            start = end
+        if tangent is self._K:
+            return self._elastic
+        return Factor(sp.csc_array(tangent), "the tangent", order=self._elastic.order, once=True)
+
+    @cached_property
+    def _elastic(self) -> Factor:
+        """K, whose order serves all tangents."""
+        return Factor(sp.csc_array(self._K), "the tangent")
