@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sweepopt.linalg.cholesky import InBlocks
 from sweepopt.linalg.eigenvalues import exceeds_none, is_semidefinite, largest_ratio
 from sweepopt.linalg.factor import NEGLIGIBLE, Elimination, Factor, factor_bytes
 from sweepopt.linalg.matrices import (
@@ -23,6 +24,7 @@ __all__ = [
     "UNIT",
     "Elimination",
     "Factor",
+    "InBlocks",
     "Precise",
     "dense",
     "euclidean",

@@ -17,9 +17,10 @@ dense M there is LAPACK.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -34,8 +35,6 @@ from sweepopt.linalg.matrices import Reduced, euclidean
 SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 LIMIT = 200_000  # unknowns that CHOLMOD is faster for
 SETTINGS = {"supernodal": 0, "nmethods": 1, "postorder": False}  # L D L^T in the order it is given
-# P2, 14,820 unknowns, in ms: factors in blocks take 18 and a solve 6, else 54 and 6; P1, 16,641: 12
-# and 1.1, else 28 and 0.6
 IN_BLOCKS = SETTINGS | {"supernodal": 2}
 WHOLE, LOWER, UPPER, DIAGONAL = 0, 4, 5, 6  # CHOLMOD's numbers of M, L, L^T and D
 _settings_lock = threading.Lock()
@@ -86,19 +85,45 @@ class Cholesky:
         return self.backward(y)
 
 
-def cholesky(
-    M: Matrix, order: np.ndarray | None = None, m: int = 0, once: bool = False
-) -> Cholesky:
-    """A sparse M factorised; the last m unknowns of a given order have their block of L at hand.
+def cholesky(M: Matrix, order: np.ndarray | None = None, m: int = 0) -> Cholesky:
+    """A sparse M factorised; the last m unknowns of a given order have their block of L at hand."""
+    return (cholmod if M.shape[0] <= LIMIT and has_cholmod() else superlu)(M, order, m)
 
-    Parameters
-    ----------
-    once : bool
-        Whether there is but a solve or two, so that the factorisation is to be fast; m is 0.
+
+class InBlocks:
+    """Factorises matrices one after the other, each for a solve or two: only the last one is kept.
+
+    CHOLMOD's L L^T in blocks: P2, 14,820 unknowns, in ms, factors take 18 and a solve 6, else 54
+    and 6; P1, 16,641 unknowns, 12 and 1.1, else 28 and 0.6. A pattern is analysed once.
     """
-    if M.shape[0] <= LIMIT and has_cholmod():
-        return cholmod(M, order, m, once)
-    return superlu(M, order, m)
+
+    def __init__(self) -> None:
+        self._order: Any = None
+        self._pattern: list[np.ndarray] = []
+
+    def __call__(self, M: Matrix) -> Cholesky:
+        """Those of a sparse M."""
+        M = sp.csc_array(M)
+        if M.shape[0] > LIMIT or not has_cholmod():
+            engine = superlu(M, self._order, 0)
+            self._order = engine.order
+            return engine
+        from cvxopt import cholmod, matrix
+
+        M.sort_indices()
+        pattern = [M.indptr, M.indices]
+        if not (self._pattern and all(map(np.array_equal, pattern, self._pattern))):
+            columns = np.repeat(np.arange(M.shape[0]), np.diff(M.indptr))
+            self._pattern, self._lower = pattern, np.flatnonzero(M.indices >= columns)
+            self._triangle = _triangle(M)
+            self._order = _order(self._triangle) if self._order is None else self._order
+            with _settings(IN_BLOCKS):
+                self._factor = cholmod.symbolic(self._triangle, matrix(self._order))
+        self._triangle.V = matrix(M.data[self._lower])
+        with _settings(IN_BLOCKS):
+            cholmod.numeric(self._triangle, self._factor)
+        pivots = np.ravel(cholmod.diag(self._factor))[np.argsort(self._order)] ** 2
+        return Cholesky(pivots, partial(_system, self._factor, WHOLE), self._order)
 
 
 @cache
@@ -117,46 +142,29 @@ def lapack_factor(M: np.ndarray) -> Cholesky:
     return Cholesky(lower.diagonal() ** 2, lambda w: lapack.dpotrs(lower, w, lower=True)[0])
 
 
-def cholmod(M: Matrix, order: np.ndarray | None, m: int, once: bool) -> Cholesky:
-    """CHOLMOD's L D L^T, with ones on the diagonal of its L, or once its L L^T in blocks.
+def cholmod(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
+    """CHOLMOD's L D L^T, with ones on the diagonal of its L.
 
     Where a hard limit of memory (ulimit -v) is met, cvxopt 1.3 may end the process.
     """
-    from cvxopt import amd, cholmod, matrix, spmatrix
+    from cvxopt import cholmod, matrix
 
-    lower = sp.tril(M, format="coo")
-    rows, columns = lower.row.astype(np.int64), lower.col.astype(np.int64)
-    triangle = spmatrix(lower.data, rows, columns, M.shape)
-    order = np.ravel(amd.order(triangle)) if order is None else order
+    triangle = _triangle(M)
+    order = _order(triangle) if order is None else order
 
     def factorised() -> Any:
-        """The factor in this order and no other; the settings are the module's, not ours."""
-        with _settings_lock:
-            before = dict(cholmod.options)
-            cholmod.options.clear()
-            cholmod.options.update(IN_BLOCKS if once else SETTINGS)
-            try:
-                factor = cholmod.symbolic(triangle, matrix(order.astype(np.int64)))
-                cholmod.numeric(triangle, factor)
-            finally:
-                cholmod.options.clear()
-                cholmod.options.update(before)
+        """The factor in this order and no other."""
+        with _settings(SETTINGS):
+            factor = cholmod.symbolic(triangle, matrix(order.astype(np.int64)))
+            cholmod.numeric(triangle, factor)
         return factor
-
-    def system(which: int, w: np.ndarray) -> np.ndarray:
-        x = matrix(np.asarray(w, dtype=float))
-        cholmod.solve(factor, x, sys=which)
-        return np.asarray(x).reshape(w.shape)
 
     tail = np.zeros((0, 0))
     if m:  # of a factor of its own: getfactor empties it
         tail = np.array(matrix(cholmod.getfactor(factorised())[-m:, -m:]))
         np.fill_diagonal(tail, 1.0)  # where D was
-    factor, place = factorised(), np.argsort(order)
-    if once:
-        pivots = np.ravel(cholmod.diag(factor))[place] ** 2
-        return Cholesky(pivots, lambda w: system(WHOLE, w), order)
-    D = 1 / system(DIAGONAL, np.ones(len(order)))
+    system = partial(_system, factorised())
+    D, place = 1 / system(DIAGONAL, np.ones(len(order))), np.argsort(order)
     root = np.sqrt(np.abs(D))
     return Cholesky(
         D[place],
@@ -166,6 +174,46 @@ def cholmod(M: Matrix, order: np.ndarray | None, m: int, once: bool) -> Cholesky
         lambda y: system(UPPER, y / root)[place],
         tail * root[len(order) - m :],
     )
+
+
+def _triangle(M: Matrix) -> Any:
+    """The lower triangle of a sparse M."""
+    from cvxopt import spmatrix
+
+    lower = sp.tril(M, format="coo")
+    rows, columns = lower.row.astype(np.int64), lower.col.astype(np.int64)
+    return spmatrix(lower.data, rows, columns, M.shape)
+
+
+def _order(triangle: Any) -> np.ndarray:
+    from cvxopt import amd
+
+    return np.ravel(amd.order(triangle)).astype(np.int64)
+
+
+@contextmanager
+def _settings(ours: dict[str, Any]) -> Iterator[None]:
+    """CHOLMOD's settings are those of its module, not ours."""
+    from cvxopt import cholmod
+
+    with _settings_lock:
+        before = dict(cholmod.options)
+        cholmod.options.clear()
+        cholmod.options.update(ours)
+        try:
+            yield
+        finally:
+            cholmod.options.clear()
+            cholmod.options.update(before)
+
+
+def _system(factor: Any, which: int, w: np.ndarray) -> np.ndarray:
+    """The solution of one of CHOLMOD's systems of equations."""
+    from cvxopt import cholmod, matrix
+
+    x = matrix(np.asarray(w, dtype=float))
+    cholmod.solve(factor, x, sys=which)
+    return np.asarray(x).reshape(w.shape)
 
 
 def superlu(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:

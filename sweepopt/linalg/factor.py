@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 import os
-from functools import cached_property
+from collections.abc import Callable
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -42,8 +43,8 @@ class Factor:
     M : ndarray or sparse, shape (dim, dim)
     name : str
         How error messages call M.
-    once : bool
-        Whether there is but a solve or two, so that the factorisation is to be fast.
+    factorise : callable, optional
+        M -> `Cholesky`, of who factorises many matrices of one pattern (`InBlocks`).
 
     Attributes
     ----------
@@ -69,7 +70,7 @@ class Factor:
         *,
         unknowns: np.ndarray | None = None,
         order: np.ndarray | None = None,
-        once: bool = False,
+        factorise: Callable[[Matrix], Cholesky] | None = None,
     ) -> None:
         self.M, self.dim = M, M.shape[0]
         self.diagonal = np.asarray(M.diagonal(), dtype=float)
@@ -85,7 +86,7 @@ class Factor:
         try:
             # pivots of inf or nan are refused below
             with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-                self._engine: Any = _engine(M, order, unknowns, once)
+                self._engine: Any = (factorise or partial(_engine, order=order, kept=unknowns))(M)
                 pivots = self._engine.pivots / self.diagonal
         except (scipy.linalg.LinAlgError, RuntimeError, ArithmeticError):
             pivots = np.zeros(1)
@@ -248,10 +249,7 @@ class Elimination(Factor):
 
 
 def _engine(
-    M: Matrix,
-    order: np.ndarray | None = None,
-    kept: np.ndarray | None = None,
-    once: bool = False,
+    M: Matrix, order: np.ndarray | None = None, kept: np.ndarray | None = None
 ) -> Cholesky | ConjugateGradients:
     """What solves with M, and eliminates all unknowns but those that are kept.
 
@@ -270,7 +268,7 @@ def _engine(
                 f"machine has {there / 1e9:.3g} GB, and conjugate gradients need a package: {error}"
             ) from error
     if kept is None:
-        return cholesky(M, order, once=once) if sp.issparse(M) else lapack_factor(M)
+        return cholesky(M, order) if sp.issparse(M) else lapack_factor(M)
     M = sp.csc_array(M)
     order = cholesky(M).order if order is None else order
     return cholesky(M, np.concatenate([order[~np.isin(order, kept)], kept]), kept.size)

@@ -31,7 +31,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
 from sweepopt.errors import IndefiniteError
-from sweepopt.linalg import EPS, Factor
+from sweepopt.linalg import EPS, Factor, InBlocks
 from sweepopt.sets import ROUNDING, ConvexSet
 from sweepopt.velocity.certificate import Proposal
 
@@ -85,6 +85,7 @@ class ReturnMapping:
         self._K, self._up = (sp.csr_array(rows[:, to]) for to in (self._rest, unknowns))
         self._G = sp.csr_array(-self._up.T)
         self._weights = S.weights(M.diagonal[unknowns])
+        self._factorise = InBlocks()
         self._v = np.zeros(self._rest.size)
 
     def propose(self, S: ConvexSet, residual: np.ndarray, z: np.ndarray | None) -> Proposal:
@@ -156,9 +157,9 @@ class ReturnMapping:
             start = end
         if tangent is self._K:
             return self._elastic
-        return Factor(sp.csc_array(tangent), "the tangent", order=self._elastic.order, once=True)
+        return Factor(sp.csc_array(tangent), "the tangent", factorise=self._factorise)
 
     @cached_property
     def _elastic(self) -> Factor:
-        """K, whose order serves all tangents."""
+        """The tangent where no point yields."""
         return Factor(sp.csc_array(self._K), "the tangent")
