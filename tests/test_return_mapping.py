@@ -14,7 +14,13 @@ from sweepopt.errors import PathError
 sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 from plasticity import antiplane_pipe, ring
 
-PIPE = 1.15  # u at the centre under the load 1, -1.15 under -1 (closed form)
+# Hk and Hi of the shear stress over gamma
+PIPE: dict[str, tuple[tuple[float, float], dict[int, float]]] = {
+    "kinematic": ((0.1, 0.0), {5: 1.15, 15: -1.15}),
+    "isotropic": ((0.0, 0.1), {5: 1.15, 10: 0.9}),
+    "both": ((0.05, 0.05), {5: 1.15, 15: -0.25}),
+}
+"""Displacements of its centre by the step, in closed form: 5 ends at the load 1, 15 at -1."""
 RING = {20: 0.006869859, 22: 0.044179585, 44: 0.039493079, 66: -0.044175687}
 """Displacement of the ring's inner side by the number of the step, of an independent code."""
 
@@ -24,14 +30,16 @@ def run(process: so.EvolutionVI, steps: int, **options: object) -> so.Solution:
     return so.solve(process, steps=steps, **settings)
 
 
-def test_the_pipe_converges_to_its_closed_form_with_every_step_proved() -> None:
+@pytest.mark.parametrize("name", PIPE)
+def test_the_pipe_converges_to_its_closed_form_with_every_step_proved(name: str) -> None:
+    moduli, exact = PIPE[name]
     errors = []
     for refinements in (2, 3, 4):
-        process, _, centre = antiplane_pipe(refinements)
+        process, _, centre = antiplane_pipe(refinements, *moduli)
         sol = run(process, 15, path="return mapping")
         assert sol.plan.path == "return mapping"
         assert sol.stats["relative"].max() <= 1e-10
-        errors.append(np.abs(sol.u[[5, 15], centre] - [PIPE, -PIPE]).max())
+        errors.append(np.abs(sol.u[[*exact], centre] - [*exact.values()]).max())
     slopes = np.log2(errors[:-1]) - np.log2(errors[1:])
     assert slopes.min() > 1.2, slopes
     assert errors[-1] < 4e-3
@@ -58,8 +66,11 @@ def test_a_point_that_does_not_yield_has_a_plastic_velocity_of_exactly_zero() ->
     assert not np.delete(still, elastic, axis=0).all(axis=1).any()
 
 
-def test_it_agrees_with_the_program_for_all_unknowns_to_both_certificates() -> None:
-    process, _, _ = antiplane_pipe(2)
+@pytest.mark.parametrize("moduli", [(0.1, 0.0), (0.05, 0.05)])
+def test_it_agrees_with_the_program_for_all_unknowns_to_both_certificates(
+    moduli: tuple[float, float],
+) -> None:
+    process, _, _ = antiplane_pipe(2, *moduli)
     B = process.B
     condensed, full = (
         run(process, 9, path=path, tol=tol)
