@@ -68,8 +68,8 @@ def hardening(
     """(u, p) with the energy 1/2 <volume u, u> + int two_G/2 |strains u - p|^2 + Hk/2 |p|^2.
 
     For Hi > 0 each point also has a with theta a' >= |p'|, sqrt(3/2) alpha = theta a, and the
-    energy Hi/2 alpha^2. theta^2 >= 1 + 2 (two_G + Hk) / (2/3 Hi) leaves at least half of it with p after
-    the exchange of stiffness between a and p (`ConvexSet.exchange`).
+    energy Hi/2 alpha^2. theta^2 >= 1 + 2 (two_G + Hk) / (2/3 Hi) leaves at least half of it with p
+    after the exchange of stiffness between a and p (`ConvexSet.exchange`).
     """
     Hk, Hi = moduli
     n, block, points = strains.shape[1], w.size // radii.size, radii.size
