@@ -254,7 +254,7 @@ def build(
         if bound or size > space.dim:
             raise InputError(
                 "effects: with a prescribed displacement there is no yield stress, one-way "
-                "velocity or Maxwell branch, whose rows would see it; drive the body by a traction"
+                "velocity, Maxwell branch or plasticity, which would see it; drive the body by a traction"
             )
         loads += _lifted(space, effects, parts, lifts)
     force = _force(loads, size)
@@ -373,7 +373,7 @@ def _lifted(
         if part.A is not None or part.B is not None
     ]
     for name in "AB":
-        matrix = _sum(free.dim, both, name)
+        matrix = _sum(both, name)
         if matrix is None:
             continue
         for history, d in lifts:
