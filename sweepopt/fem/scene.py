@@ -254,7 +254,8 @@ def build(
         if bound or size > space.dim:
             raise InputError(
                 "effects: with a prescribed displacement there is no yield stress, one-way "
-                "velocity, Maxwell branch or plasticity, which would see it; drive the body by a traction"
+                "velocity, Maxwell branch or plasticity, which would see it; drive the body by "
+                "a traction"
             )
         loads += _lifted(space, effects, parts, lifts)
     force = _force(loads, size)
