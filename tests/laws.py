@@ -249,6 +249,20 @@ def second_order_cone(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     return Sample(so.SecondOrderCone(dim), inside, lambda F, _: so.SecondOrderCone(dim))
 
 
+def second_order_cones(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+    count = int(frame.integers(1, 4)) if dim is None else 1
+    block, slopes = _dim(frame, dim), frame.exponential(size=count) + 0.1
+
+    def inside(w: cp.Variable) -> Constraints:
+        rows = cp.reshape(w, (count, block), order="C")
+        if block == 1:
+            return [rows >= 0]
+        return [cp.norm(rows[:, 1:], axis=1) <= cp.multiply(slopes, rows[:, 0])]
+
+    C = so.SecondOrderCone(block, slopes)
+    return Sample(C, inside, lambda F, _: C)
+
+
 def constraints(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     dim, center = _dim(frame, dim), rng.normal(size=3)
     return Sample(
@@ -435,7 +449,9 @@ def polar_of(frame: Rng, rng: Rng, s: Sample) -> Sample:
 
         return Sample(s.C.polar(), generated)
     if isinstance(s.C, so.SecondOrderCone):
-        return Sample(s.C.polar(), lambda p: s.inside(-p))
+        # |p[1:]| <= -p[0] / slope: that of w with slope w[0] in place of w[0], twice
+        scale = np.where(np.arange(s.C.dim) % s.C.block, 1.0, np.repeat(s.C.slopes**-2, s.C.block))
+        return Sample(s.C.polar(), lambda p: s.inside(cp.multiply(-scale, p)))
     return Sample(s.C.polar(), lambda p: [p <= 0])
 
 
@@ -461,7 +477,7 @@ ZOO: dict[str, Entry] = {
     "polyhedron, degenerate vertex": Cone(vertex_cone),
     "polyhedron, flat": Unbounded(flat),
     "polytope": Entry(polytope),
-    "second-order cone": Cone(second_order_cone),
+    "second-order cone": Cone(second_order_cones),
     "constraints": Entry(constraints, tol=1e-9, edge_tol=1e-8, support_tol=1e-9),
     "box + v": Entry(translated(box)),
     "cone + v": Unbounded(translated(second_order_cone)),
@@ -576,7 +592,8 @@ def epigraph_is_the_support(entry: Entry, s: Sample, rng: Rng) -> None:
         z = z / (np.abs(z).max() or 1.0)
         value, constraints = s.C.epigraph(cp.Constant(z))
         problem = cp.Problem(cp.Minimize(value), constraints)
-        problem.solve(solver=cp.CLARABEL)
+        with np.errstate(divide="ignore", invalid="ignore"):  # cvxpy's, at a cone of constant 0
+            problem.solve(solver=cp.CLARABEL)
         infeasible = problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE)
         found = np.inf if infeasible else problem.value
         close(found, s.C.support(z), PROGRAM, size(s.C.offsets))

@@ -36,6 +36,7 @@ from sweepopt.fem.effects import (
 )
 from sweepopt.fem.fields import Profile
 from sweepopt.fem.mesh import grid, read_mesh
+from sweepopt.fem.plasticity import Plasticity
 from sweepopt.fem.scene import Scene, antiplane, body
 from sweepopt.fem.scene_file import EFFECTS, read_scene
 from sweepopt.fem.spaces import Discretisation
@@ -54,6 +55,7 @@ __all__ = [
     "Friction",
     "MaxwellBranch",
     "OneWay",
+    "Plasticity",
     "PointForce",
     "PrescribedDisplacement",
     "Profile",

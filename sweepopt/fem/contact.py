@@ -22,7 +22,7 @@ from sweepopt.errors import InputError
 from sweepopt.fem.fields import Coefficient, Datum, in_time
 from sweepopt.fem.mesh import Indices
 from sweepopt.fem.spaces import Discretisation
-from sweepopt.sets import Balls, Box, ConvexSet, Ellipsoid, image, product
+from sweepopt.sets import Balls, Box, ConvexSet, Ellipsoid, SecondOrderCone, image, product
 
 if TYPE_CHECKING:
     from sweepopt.fem.scene import Scene
@@ -68,6 +68,9 @@ class Yield:
         Of ellipses: |x| is sqrt(<metric x, x>); None is the Euclidean norm.
     shape : {"ball", "half-line"}
         A half-line is a row that must not be negative: J is 0 where it is not, else inf.
+    slopes : ndarray, shape (m,), or None
+        J is sum_k w_k g_k a_k where slope_k a_k >= |v_k|, else inf, (a_k, v_k) the rows of a block:
+        forces are in shifted cones.
     contact : Contact or None
         Where friction acts, for reports.
     """
@@ -76,6 +79,7 @@ class Yield:
     g: Array | Callable[[float], Array]
     metric: Array | None = None
     shape: str = "ball"
+    slopes: Array | None = None
     contact: Contact | None = None
 
     def at(self, t: float) -> Array:
@@ -107,7 +111,11 @@ def dissipation(yields: Sequence[Yield], t: float = 0.0) -> ConvexSet:
             continue
         blocks.append(one.rows.E)
         radii = one.at(t)
-        if one.metric is None:
+        if one.slopes is not None:
+            apex = np.zeros((radii.size, one.rows.block))
+            apex[:, 0] = radii
+            parts.append(apex.ravel() - SecondOrderCone(one.rows.block, one.slopes))
+        elif one.metric is None:
             parts.append(Balls(radii, one.rows.block))
         else:
             centre = np.zeros(one.rows.block)

@@ -166,7 +166,13 @@ class Elasticity:
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix B; none if it is zero everywhere."""
-        values = body.place("kappa", (BODY,)).values
+        lam, mu = self.moduli(body, body.place("kappa", (BODY,)))
+        B = _stiffness(body, lam, mu, self.tensor)
+        return Contribution(B=B if B.count_nonzero() else None)
+
+    def moduli(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
+        """lam and mu at the points of a quadrature; mu is None where a tensor is given."""
+        values = place.values
         lam: Any = 0.0
         mu: Any = None
         if self.kappa is not None:
@@ -182,8 +188,7 @@ class Elasticity:
             lam, mu = (values(c, getattr(self, c.name)) for c in (LAM, MU))
             if (3 * lam + 2 * mu).min() < 0:
                 raise InputError("lam must be at least -2/3 mu everywhere")
-        B = _stiffness(body, lam, mu, self.tensor)
-        return Contribution(B=B if B.count_nonzero() else None)
+        return lam, mu
 
 
 @dataclass(frozen=True)

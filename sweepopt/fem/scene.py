@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ from sweepopt.checks import HUGE, choice, listed, number
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Contact, Yield, dissipation, merged
 from sweepopt.fem.effects import Contribution, Effect, Force, Friction
+from sweepopt.fem.plasticity import with_elasticity
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.integrate import schemes
 from sweepopt.loads import History, Separable
@@ -241,14 +242,16 @@ def build(
     turned = [name for on in rubs for name in on if name in boundaries]
     if turned and space.components > 1:
         space = space.with_turned(turned)
+    effects = dict(zip(effects, with_elasticity(effects.values()), strict=True))
     parts = [_contribution(label, effects[label], space, settings["t_end"]) for label in effects]
-    A, B = (_sum(space.dim, parts, name) for name in "AB")
+    size = space.dim + sum(part.internal for part in parts)
+    parts = _placed(space.dim, parts, size)
+    A, B = (_sum(parts, name) for name in "AB")
     loads = [load for part in parts for load in part.loads]
     lifts = tuple(part.lift for part in parts if part.lift is not None)
     yields = [one for part in parts for one in part.yields]
     if A is None and B is None:
         raise InputError("effects must hold a viscosity or an elasticity: nothing resists a motion")
-    size = space.dim + sum(part.internal for part in parts)
     A = sp.csc_array((size, size)) if A is None else A
     _check_held(space, A, B)
     if lifts:
@@ -256,12 +259,11 @@ def build(
         if bound or size > space.dim:
             raise InputError(
                 "effects: with a prescribed displacement there is no yield stress, one-way "
-                "velocity or Maxwell branch, whose rows would see it; drive the body by a traction"
+                "velocity, Maxwell branch or plasticity, which would see it; drive the body by "
+                "a traction"
             )
         loads += _lifted(space, effects, parts, lifts)
     force = _force(loads, size)
-    for one in yields:
-        one.rows.E.resize(one.rows.E.shape[0], size)
     problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0)
     terms = {
         "no elasticity: B is not formed": B is not None,
@@ -308,20 +310,28 @@ def _contribution(
     return part
 
 
-def _sum(dim: int, parts: Sequence[Contribution], name: str) -> sp.csc_array | None:
-    """The sum of the effects' matrices; internal unknowns follow those of the body in order."""
-    size, first, terms = dim + sum(part.internal for part in parts), dim, []
+def _placed(dim: int, parts: Sequence[Contribution], size: int) -> list[Contribution]:
+    """The parts on all unknowns: internal ones follow those of the body in order."""
+    first, placed = dim, []
     for part in parts:
-        matrix = getattr(part, name)
-        if matrix is not None:
-            if size > dim:
-                own = np.arange(first, first + part.internal)
-                at = np.concatenate([np.arange(dim), own])[: matrix.shape[0]]
-                entries = sp.coo_array(matrix)
-                places = at[entries.row], at[entries.col]
-                matrix = sp.csc_array((entries.data, places), shape=(size, size))
-            terms.append(matrix)
+        at = np.concatenate([np.arange(dim), np.arange(first, first + part.internal)])
         first += part.internal
+        columns = sp.eye_array(size, format="csr")[at]
+
+        def both(M: Any, E: Any = columns) -> Any:
+            return None if M is None else sp.csc_array(E[: M.shape[0]].T @ M @ E[: M.shape[0]])
+
+        yields = [
+            replace(one, rows=replace(one.rows, E=one.rows.E @ columns[: one.rows.E.shape[1]]))
+            for one in part.yields
+        ]
+        placed.append(replace(part, A=both(part.A), B=both(part.B), yields=yields))
+    return placed if size > dim else list(parts)
+
+
+def _sum(parts: Sequence[Contribution], name: str) -> sp.csc_array | None:
+    """The sum of the effects' matrices."""
+    terms = [M for part in parts if (M := getattr(part, name)) is not None]
     return sum(terms[1:], terms[0]) if terms else None
 
 
@@ -369,7 +379,7 @@ def _lifted(
         if part.A is not None or part.B is not None
     ]
     for name in "AB":
-        matrix = _sum(free.dim, both, name)
+        matrix = _sum(both, name)
         if matrix is None:
             continue
         for history, d in lifts:

@@ -32,6 +32,7 @@ from sweepopt.fem.effects import (
 )
 from sweepopt.fem.fields import Profile
 from sweepopt.fem.mesh import grid
+from sweepopt.fem.plasticity import Plasticity
 from sweepopt.fem.scene import PICTURES, Scene, at_path, build, method
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.io import as_path, find_scene, parse_toml, read_toml
@@ -43,6 +44,7 @@ EFFECTS: dict[str, type] = {
     "dashpot": Dashpot,
     "foundation": Foundation,
     "friction": Friction,
+    "plasticity": Plasticity,
     "body_force": BodyForce,
     "traction": Traction,
     "point_force": PointForce,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sweepopt.linalg.cholesky import factors_of_pattern
+from sweepopt.linalg.cholesky import InBlocks
 from sweepopt.linalg.eigenvalues import exceeds_none, is_semidefinite, kernel, largest_ratio
 from sweepopt.linalg.factor import NEGLIGIBLE, Elimination, Factor, factor_bytes
 from sweepopt.linalg.matrices import (
@@ -25,13 +25,13 @@ __all__ = [
     "UNIT",
     "Elimination",
     "Factor",
+    "InBlocks",
     "Precise",
     "dense",
     "euclidean",
     "exact_sum",
     "exceeds_none",
     "factor_bytes",
-    "factors_of_pattern",
     "is_diagonal",
     "is_semidefinite",
     "kernel",

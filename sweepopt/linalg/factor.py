@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 import os
-from functools import cached_property
+from collections.abc import Callable
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,8 @@ class Factor:
     M : ndarray or sparse, shape (dim, dim)
     name : str
         How error messages call M.
+    factorise : callable, optional
+        M -> `Cholesky`, of who factorises many matrices of one pattern (`InBlocks`).
 
     Attributes
     ----------
@@ -67,6 +70,7 @@ class Factor:
         *,
         unknowns: np.ndarray | None = None,
         order: np.ndarray | None = None,
+        factorise: Callable[[Matrix], Cholesky] | None = None,
     ) -> None:
         self.M, self.dim = M, M.shape[0]
         self.diagonal = np.asarray(M.diagonal(), dtype=float)
@@ -82,7 +86,7 @@ class Factor:
         try:
             # pivots of inf or nan are refused below
             with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-                self._engine: Any = _engine(M, order, unknowns)
+                self._engine: Any = (factorise or partial(_engine, order=order, kept=unknowns))(M)
                 pivots = self._engine.pivots / self.diagonal
         except (scipy.linalg.LinAlgError, RuntimeError, ArithmeticError):
             pivots = np.zeros(1)

@@ -30,7 +30,8 @@ class Norms:
 
     def __init__(self, process: SweepingProcess) -> None:
         self._A, self._B, self.weak = process.A, process.B, not process.coercive
-        self._weak = process.metric if process.rate_independent else _factor(process.B)
+        known = process.metric.M is process.B
+        self._weak = process.metric if known else _factor(process.B)
         metric = self._weak if self.weak else process.metric
         if metric is None:
             raise InputError(

@@ -29,7 +29,7 @@ from sweepopt.errors import (
 )
 from sweepopt.linalg import EPS, Factor, is_semidefinite, kernel, largest_ratio
 from sweepopt.problem.variation import Variation, jumps, variation
-from sweepopt.sets import AnySet, ConvexSet, Moving, MovingSet, Point, image
+from sweepopt.sets import AnySet, ConvexSet, Moving, MovingSet, Point, exchanged, image
 
 Nearest = Callable[[np.ndarray, ConvexSet], np.ndarray]
 PROPORTIONAL = 8 * EPS  # entries of B and rho A may differ by this share
@@ -129,12 +129,15 @@ class SweepingProcess:
         a, b = self.A.diagonal(), B.diagonal()
         times = a[b > 0] / b[b > 0]
         self.time_scale = float(times.max(initial=0.0)) or 1.0
-        if self.rate_independent:
-            self.metric = Factor(B, "B")
-            return
+        M = B if self.rate_independent else self.A + self.time_scale * B
         try:
-            self.metric = Factor(self.A + self.time_scale * B, "A + tau B")
+            self.metric = Factor(M, "A + tau B")
         except IndefiniteError:
+            C = self.C.shape if isinstance(self.C, Moving) else self.C.at(0.0)
+            # isotropic hardening alone bounds p by alpha' >= |p'|
+            if (H := exchanged(M, C.selection)) is not None:
+                self.metric = Factor(M + H, "A + tau B")
+                return
             raise IndefiniteError(
                 "A + tau B must be positive definite for every tau > 0: on the common kernel of A "
                 "and B nothing determines the velocity; give these unknowns viscosity or elasticity"

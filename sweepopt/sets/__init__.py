@@ -11,6 +11,7 @@ from sweepopt.sets.base import (
     NoHalfspacesError,
     Selection,
     binary,
+    exchanged,
     same_array,
 )
 from sweepopt.sets.constraints import Constraints
@@ -54,6 +55,7 @@ __all__ = [
     "WholeSpace",
     "basis",
     "binary",
+    "exchanged",
     "facets",
     "image",
     "in_turn",

@@ -157,9 +157,18 @@ class Aligned(ConvexSet):
         back = slice(None) if self.unknowns is None else np.argsort(self.unknowns)
         return D[back][:, back]
 
-    def blocks(self, v: np.ndarray) -> np.ndarray | None:
-        """Those of one part; of several ones none."""
-        return self.parts[0].blocks(self._back(v)) if self.whole else None
+    def blocks(self, v: np.ndarray) -> list[np.ndarray] | None:
+        """None for few of the unknowns."""
+        each = [S.blocks(x) for S, x in self._split(self._back(v))]
+        if self.unknowns is not None or any(D is None for D in each):
+            return None
+        return list(chain.from_iterable(each))
+
+    def exchange(self, diagonal: np.ndarray) -> np.ndarray:
+        return self._joined([S.exchange(x) for S, x in self._split(diagonal)])
+
+    def exchanges(self, force: np.ndarray) -> bool:
+        return all(S.exchanges(x) for S, x in self._split(self._back(force)))
 
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         r, sign = self._scale

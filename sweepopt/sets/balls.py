@@ -96,7 +96,7 @@ class Balls(ConvexSet):
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)
 
-    def blocks(self, v: np.ndarray) -> np.ndarray:
+    def blocks(self, v: np.ndarray) -> list[np.ndarray]:
         """I in a ball, r/|a| (I - n n^T) outside of it, n = a/|a|."""
         arms = self._arms(v)
         D = np.tile(np.eye(self.block), (self.radii.size, 1, 1))
@@ -105,10 +105,10 @@ class Balls(ConvexSet):
         n = arms[out] / lengths[out, None]
         share = (self.radii[out] / lengths[out])[:, None, None]
         D[out] = share * (D[out] - n[:, :, None] * n[:, None, :])
-        return D
+        return [D]
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
-        D = self.blocks(v)
+        (D,) = self.blocks(v)
         return D[0] if len(D) == 1 else scipy.linalg.block_diag(*D)
 
     def factors(self) -> list[ConvexSet]:
@@ -164,16 +164,21 @@ class Ball(Balls):
 
 
 class SecondOrderCone(ConvexSet):
-    """{ w : |w[1:]| <= w[0] }, its own dual:  sigma is the indicator of the polar cone -C.
+    """{ w : |w[1:]| <= slope w[0] }: sigma is the indicator of its polar cone.
+
+    Several slopes make the product of as many cones, one after the other in the vector. Shifted
+    along its axis it is the elastic domain of isotropic hardening.
 
     Parameters
     ----------
     dim : int
+        Dimension of each cone.
+    slopes : array_like, shape (m,), or float, > 0
 
     Raises
     ------
     InputError
-        If dim is not a positive whole number.
+        If dim is not a positive whole number, or a slope not positive and finite.
 
     Examples
     --------
@@ -183,44 +188,99 @@ class SecondOrderCone(ConvexSet):
 
     offsets = np.zeros(0)
 
-    def __init__(self, dim: int) -> None:
-        self.dim = dimension(dim)
-        self.polyhedral = self.dim <= 2
+    def __init__(self, dim: int, slopes: Any = 1.0) -> None:
+        self.block = dimension(dim)
+        self.slopes = entries("slopes", [slopes] if np.ndim(slopes) == 0 else slopes)
+        if not (self.slopes > 0).all():
+            raise InputError(f"slopes must be > 0, got {self.slopes.min():g}")
+        self.dim = self.block * self.slopes.size
+        self.polyhedral = self.block <= 2
+
+    def _split(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Heights over the apex, arms from the axis and their lengths, one for each cone."""
+        rows = w.reshape(-1, self.block)
+        return rows[:, 0], rows[:, 1:], np.linalg.norm(rows[:, 1:], axis=1)
+
+    def same_cone(self, other: ConvexSet) -> bool:
+        return (
+            isinstance(other, SecondOrderCone)
+            and self.block == other.block
+            and np.array_equal(self.slopes, other.slopes)
+        )
 
     def support(self, z: np.ndarray) -> float:
-        z = vector("z", z, self.dim)
-        excess = z[0] + np.linalg.norm(z[1:])
-        return 0.0 if excess <= ROUNDING * np.linalg.norm(z) else float("inf")
+        height, _, length = self._split(vector("z", z, self.dim))
+        excess = height + self.slopes * length
+        inside = excess <= ROUNDING * (np.abs(height) + self.slopes * length)
+        return 0.0 if inside.all() else float("inf")
 
     def normal(self, v: np.ndarray) -> np.ndarray:
-        # the polar cone is -C
-        return 0.0 - self.project(-v)
+        # the polar cone is that of the slopes 1 / slopes, turned around
+        return 0.0 - self._onto(-v, 1 / self.slopes)
 
     def project(self, w: np.ndarray) -> np.ndarray:
-        w = vector("w", w, self.dim)
-        height, length = w[0], float(np.linalg.norm(w[1:]))
-        if length <= abs(height):
-            return w if height >= 0 else np.zeros(self.dim)
-        top = 0.5 * (height + length)
-        return np.concatenate([[top], top / length * w[1:]])
+        return self._onto(vector("w", w, self.dim), self.slopes)
+
+    def _onto(self, w: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+        height, arms, length = self._split(w)
+        beside = length > slopes * height
+        if not beside.any():
+            return w
+        top = np.maximum((height + slopes * length) / (1 + slopes**2), 0.0)
+        along = np.divide(slopes * top, length, out=np.zeros_like(length), where=length > 0)
+        moved = np.column_stack([top, along[:, None] * arms])
+        return np.where(beside[:, None], moved, w.reshape(-1, self.block)).ravel()
+
+    def blocks(self, v: np.ndarray) -> list[np.ndarray]:
+        height, arms, length = self._split(v)
+        k, D = self.slopes, np.tile(np.eye(self.block), (self.slopes.size, 1, 1))
+        D[(k * length <= -height) & (length > k * height)] = 0.0
+        out = (length > k * height) & (k * length > -height)
+        k, height, length = k[out], height[out], length[out]
+        # top = <a, w> for a = (1, k n) / (1 + k^2), and w goes to top (1, k n)
+        n = arms[out] / length[:, None]
+        ray = np.column_stack([np.ones_like(k), k[:, None] * n])
+        D[out] = ray[:, :, None] * ray[:, None, :] / (1 + k**2)[:, None, None]
+        turn = k * (height + k * length) / ((1 + k**2) * length)
+        across = np.eye(self.block - 1) - n[:, :, None] * n[:, None, :]
+        D[out, 1:, 1:] += turn[:, None, None] * across
+        return [D]
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
-        height, length = v[0], float(np.linalg.norm(v[1:]))
-        if length <= abs(height):
-            return np.eye(self.dim) * (height >= 0)
-        n, slope = v[1:] / length, height / length
-        D = np.diag(np.full(self.dim, 0.5 * (1 + slope)))
-        D[1:, 1:] -= 0.5 * slope * np.outer(n, n)
-        D[0] = D[:, 0] = 0.5 * np.append(1.0, n)
-        return D
+        return scipy.linalg.block_diag(*self.blocks(v)[0])
+
+    def weights(self, tau: np.ndarray) -> np.ndarray:
+        return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)
+
+    def exchange(self, diagonal: np.ndarray) -> np.ndarray:
+        each = diagonal.reshape(-1, self.block)
+        axis, k = each[:, 0], self.slopes
+        # <H z, z> = x (|z[1:]|^2 - (z[0] / k)^2)
+        x = (axis - each[:, -1]) / (1 + k**-2)
+        return np.column_stack([-x / k**2, *[x] * (self.block - 1)]).ravel()
+
+    def exchanges(self, force: np.ndarray) -> bool:
+        return bool((force[:: self.block] >= 0).all())
+
+    def factors(self) -> list[ConvexSet]:
+        if self.slopes.size == 1:
+            return [self]
+        return [SecondOrderCone(self.block, slope) for slope in self.slopes]
 
     def features(self, p: cp.Expression) -> Features:
-        if self.dim == 1:
+        import cvxpy as cp
+
+        if self.block == 1:
             return Features([], [p <= 0])
-        return Features([], norms_below(p[1:], -p[:1], self.dim - 1))
+        axis = np.arange(self.dim) % self.block == 0
+        arms = cp.multiply(np.repeat(self.slopes, self.block - 1), p[np.flatnonzero(~axis)])
+        return Features([], norms_below(arms, -p[np.flatnonzero(axis)], self.block - 1))
+
+    def magnitude(self) -> float:
+        return float("inf")
 
     def polar(self) -> ConvexSet:
-        return -self
+        return -SecondOrderCone(self.block, 1 / self.slopes)
 
 
 def norms_below(p: cp.Expression, sizes: cp.Expression, block: int) -> list[cp.Constraint]:

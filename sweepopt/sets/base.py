@@ -75,6 +75,15 @@ class Selection(NamedTuple):
     shift: np.ndarray | None
 
 
+def exchanged(M: Any, of: Selection | None) -> sp.dia_array | None:
+    """H with zeros beside the unknowns of a selection, `ConvexSet.exchange` there; None for 0."""
+    if of is None:
+        return None
+    H = np.zeros(M.shape[0])
+    H[of.unknowns] = of.part.exchange(np.asarray(M.diagonal(), dtype=float)[of.unknowns])
+    return sp.diags_array(H) if H.any() else None
+
+
 class CurveGaps(NamedTuple):
     """Curves in C beside curves p of directions, all on [0, 1].
 
@@ -301,12 +310,28 @@ class ConvexSet(Operators, ABC):
         """
         return None
 
-    def blocks(self, v: np.ndarray) -> np.ndarray | None:
-        """The blocks of a block-diagonal `derivative`, shape (k, n, n); None where none are known.
+    def blocks(self, v: np.ndarray) -> list[np.ndarray] | None:
+        """The blocks of a block-diagonal `derivative`, one after the other; None for a full one.
 
-        They take the memory of k n^2 numbers where the derivative takes (k n)^2.
+        Returns
+        -------
+        list of ndarray, shape (k, n, n)
+            They take the memory of k n^2 numbers where the derivative takes (k n)^2.
         """
-        return None
+        D = self.derivative(v)
+        return [D.reshape(-1, 1, 1)] if D is not None and D.ndim == 1 else None
+
+    def exchange(self, diagonal: np.ndarray) -> np.ndarray:
+        """A diagonal H that may be added to this one, so that `project` knows the metric.
+
+        <H z, z> = 0 where -z is on the boundary of dom sigma: where `exchanges` says that the
+        velocity is there, the program with M + H has the same solution as that with M.
+        """
+        return np.zeros(self.dim)
+
+    def exchanges(self, force: np.ndarray) -> bool:
+        """Whether -z in N_C(M z + force) puts -z on the boundary of dom sigma, or z = 0."""
+        return True
 
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         """A proven normal pair near the approximate one (p, w); None if the set has no proof.

@@ -18,7 +18,7 @@ import numpy as np
 from sweepopt.checks import Matrix
 from sweepopt.linalg import Elimination, Factor
 from sweepopt.problem import SweepingProcess
-from sweepopt.sets import Box, ConvexSet, Point, Similar, same_array
+from sweepopt.sets import Box, ConvexSet, Point, Selection, Similar, exchanged, same_array
 from sweepopt.velocity.cascade import Cascade
 from sweepopt.velocity.certificate import Inclusion, Instance, Velocity, at_rest, one_unknown
 from sweepopt.velocity.cones import Cones
@@ -83,6 +83,7 @@ class StateVelocity:
         contact = np.zeros(0, dtype=int) if plan.contact is None else plan.contact
         self._contact, self._solver, self._condensed = contact, plan.solver, plan.condensed
         self._by_cones = plan.cones
+        self._on_condensed: Inclusion | None = None
         self._tol = plan.tol if math.isfinite(plan.tol) else DEFAULT_TOL
         self.forget()
 
@@ -123,9 +124,9 @@ class StateVelocity:
             if not self._condensed:
                 few, c, S = self._contact, shifted, part
             else:
-                velocity = self._mapped(Instance(q - shifted, q, shifted, part, u, self._contact))
-                if velocity.relative <= self._tol:
-                    return velocity
+                mapped = self._mapped(Instance(q - shifted, q, shifted, part, u, self._contact))
+                if mapped is not None and mapped.relative <= self._tol:
+                    return mapped
         inclusion = self._on_all if few is EVERY else self._on_few
         of = Instance(q - c, q, c, S, u, few)
         if self._by_cones:
@@ -137,9 +138,18 @@ class StateVelocity:
             self._cascade = Cascade(inclusion, self._solver, of, self._tol, anew)
         return self._cascade(of)
 
-    def _mapped(self, of: Instance) -> Velocity:
-        """By return mapping, and certified."""
-        inclusion = self._on_all
+    def _mapped(self, of: Instance) -> Velocity | None:
+        """By return mapping, and certified; None where alpha' = |p'| is not certain."""
+        if self._on_condensed is None:
+            H = exchanged(self._M, Selection(self._contact, of.S, None))
+            if H is None:
+                self._on_condensed = self._on_all
+            else:
+                M, (A, B, gamma) = Factor(self._M + H, order=self._metric.order), self._data
+                self._on_condensed = Inclusion(M, None if A is None else A + H, B, gamma)
+        inclusion = self._on_condensed
+        if not of.S.exchanges(of.force[self._contact]):
+            return None
         if inclusion.rests(of, self._tol):
             return at_rest(of.q)
         if self._mapping is None:

@@ -20,7 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from sweepopt.linalg import EPS, Factor, factors_of_pattern
+from sweepopt.linalg import EPS, Factor, InBlocks
 from sweepopt.sets import ROUNDING, Balls, ConvexSet, shape_of
 from sweepopt.velocity.certificate import Proposal
 from sweepopt.velocity.return_mapping import line_search
@@ -131,8 +131,8 @@ class Cones:
         pattern, place = np.unique(keys, return_inverse=True)
         self._entries = np.bincount(place[: lower.nnz], lower.data, pattern.size)
         self._place = place[lower.nnz :]
-        at = pattern % M.dim, pattern // M.dim
-        self._factorise = factors_of_pattern(*at, M.dim)
+        starts = np.searchsorted(pattern // M.dim, np.arange(M.dim + 1))
+        self._pattern, self._factorise = (pattern % M.dim, starts), InBlocks()
         self._z, self._s = np.zeros(M.dim), np.zeros((m, b))
         self._sigma, self._size = self._weights, 0.0
 
@@ -195,8 +195,9 @@ class Cones:
             stiff = self._rows.local.transpose(0, 2, 1) @ (D @ self._rows.local)
             more = np.bincount(self._place, stiff[self._below], self._entries.size)
             try:
-                change = -self._factorise(self._entries + more)(state.R)
-            except ArithmeticError:  # not positive definite, to rounding
+                tangent = sp.csc_array((self._entries + more, *self._pattern))
+                change = -self._factorise(tangent).solve(state.R)
+            except (ArithmeticError, RuntimeError):  # not positive definite, to rounding
                 break
             found = line_search(state_of, state, state.w, change)
             if found is None:

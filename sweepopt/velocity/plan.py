@@ -190,8 +190,8 @@ def make_plan(
         condensed = _condenses(process, members, contact, path)
     if path == "return mapping" and not condensed:
         raise PathError(
-            "path='return mapping' needs C(t) = f(t) + E^T S with S a box or balls, E selecting "
-            "unknowns on which A and B are diagonal and constant on each ball, and "
+            "path='return mapping' needs C(t) = f(t) + E^T S with S a box, balls or cones, E "
+            "selecting unknowns on which A and B are diagonal, and constant on each ball, and "
             'solver="auto"'
         )
     if path == "cones" and not cones:

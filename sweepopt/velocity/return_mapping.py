@@ -14,12 +14,17 @@ K - G^T W^-1 (I - DP_S(r)) G, at least the Schur complement S_u = K - G^T W^-1 G
 steps until the energy falls (Simo and Hughes, Computational Inelasticity, 1998, chapter 3). The
 pair (P_S(r), p) is exactly normal, so that the certificate of (v, p) is |R| in S_u^-1, which is
 that of (R, 0) in M^-1. All matrices are sparse.
+
+Isotropic hardening has an unknown alpha a point with alpha' >= |p'|, and equality in every
+solution: a share of its stiffness may go to p, x (|p'|^2 - alpha'^2) / 2 being 0 there. M then is a
+multiple of 1 on (p, alpha), in whose units the cone is a circular one, and it is positive definite
+without kinematic hardening too (`ConvexSet.exchange`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +32,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
 from sweepopt.errors import IndefiniteError
-from sweepopt.linalg import EPS, Factor
+from sweepopt.linalg import EPS, Factor, InBlocks
 from sweepopt.sets import ROUNDING, ConvexSet
 from sweepopt.velocity.certificate import Proposal
 
@@ -40,11 +45,12 @@ def condensable(M: Matrix, unknowns: np.ndarray, S: ConvexSet) -> bool:
     """Whether M on these unknowns is diagonal, and the projection on S in its metric S's own."""
     block = sp.csr_array(sp.csr_array(M)[unknowns][:, unknowns])
     diagonal = np.asarray(block.diagonal())
+    metric = diagonal + S.exchange(diagonal)
     return (
         S.exact
         and S.blocks(S.anchor) is not None
         and block.count_nonzero() == np.count_nonzero(diagonal)
-        and bool((np.abs(S.weights(diagonal) - diagonal) <= ROUNDING * diagonal).all())
+        and bool((np.abs(S.weights(metric) - metric) <= ROUNDING * metric).all())
     )
 
 
@@ -105,7 +111,7 @@ class ReturnMapping:
         self._K, self._up = (sp.csr_array(rows[:, to]) for to in (self._rest, unknowns))
         self._G = sp.csr_array(-self._up.T)
         self._weights = S.weights(M.diagonal[unknowns])
-        self._order: np.ndarray | None = None
+        self._factorise = InBlocks()
         self._v = np.zeros(self._rest.size)
 
     def propose(self, S: ConvexSet, residual: np.ndarray, z: np.ndarray | None) -> Proposal:
@@ -149,17 +155,25 @@ class ReturnMapping:
 
     def _tangent(self, S: ConvexSet, r: np.ndarray) -> Factor:
         """K - G^T W^-1 (I - DP_S(r)) G."""
-        D = S.blocks(r)
-        assert D is not None
-        count, size, _ = D.shape
-        D = (np.eye(size) - D) / self._weights.reshape(count, size, 1)
-        yields = D.any(axis=(1, 2))
-        rows = self._G[np.repeat(yields, size)]
-        blocks = sp.bsr_array(
-            (D[yields], np.arange(yields.sum()), np.arange(yields.sum() + 1)),
-            shape=(len(rows.indptr) - 1,) * 2,
-        )
-        tangent = sp.csc_array(self._K - rows.T @ sp.csr_array(blocks @ rows))
-        factor = Factor(tangent, "the tangent", order=self._order)
-        self._order = factor.order
-        return factor
+        tangent, start = self._K, 0
+        for D in S.blocks(r) or ():
+            count, size, _ = D.shape
+            end = start + count * size
+            D = (np.eye(size) - D) / self._weights[start:end].reshape(count, size, 1)
+            yields = D.any(axis=(1, 2))
+            if yields.any():
+                rows = self._G[start + np.flatnonzero(np.repeat(yields, size))]
+                blocks = sp.bsr_array(
+                    (D[yields], np.arange(yields.sum()), np.arange(yields.sum() + 1)),
+                    shape=(len(rows.indptr) - 1,) * 2,
+                )
+                tangent = tangent - rows.T @ sp.csr_array(blocks @ rows)
+            start = end
+        if tangent is self._K:
+            return self._elastic
+        return Factor(sp.csc_array(tangent), "the tangent", factorise=self._factorise)
+
+    @cached_property
+    def _elastic(self) -> Factor:
+        """The tangent where no point yields."""
+        return Factor(sp.csc_array(self._K), "the tangent")

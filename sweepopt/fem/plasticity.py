@@ -1,0 +1,211 @@
+"""Plasticity: strains that stay, with kinematic and isotropic hardening.
+
+With the elastic energy of e(u) - p, p a deviator at each point of the quadrature,
+
+    int G |dev e(u) - p|^2 + Hk/2 |p|^2 + Hi/2 alpha^2,        J = int sqrt(2/3) sigma_y |p'|,
+
+alpha' = sqrt(2/3) |p'| and Perzyna's dissipation eta/2 |p'|^2: the deviator s of the stress is in
+|s - Hk p - eta p'| <= sqrt(2/3) (sigma_y + Hi alpha) (Simo and Hughes, Computational Inelasticity,
+1998, chapters 1 to 3; Han and Reddy, Plasticity, 2013, chapter 7).
+
+For Hi > 0 the unknowns of a point are (a, p) with sqrt(3/2) alpha = theta a, theta a power of two:
+J = int sqrt(2/3) sigma_y theta a' on the cone theta a' >= |p'|. Stiffness is exchanged between a
+and p (`ConvexSet.exchange`) until both have the same; theta^2 >= 1 + 2 (2 G + Hk) / (2/3 Hi) leaves
+at least half of Hi with p, so that the matrix is positive definite for Hk = 0 too.
+
+In plane stress the strain e_zz is an unknown of the points as well, by its distance from the one of
+an elastic body, -lam/(lam + 2 G) (e_xx + e_yy).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from math import factorial
+
+import numpy as np
+import scipy.sparse as sp
+import skfem
+from numpy.typing import NDArray
+
+from sweepopt.errors import InputError
+from sweepopt.fem.contact import Rows, Yield
+from sweepopt.fem.effects import Contribution, Effect, Elasticity
+from sweepopt.fem.fields import Coefficient, Datum
+from sweepopt.fem.spaces import BODY, Discretisation, Place, boundary_names
+
+Array = NDArray[np.float64]
+
+COEFFICIENTS = tuple(Coefficient(name, 0.0) for name in ("sigma_y", "Hk", "Hi", "eta"))
+ZZ = -2 / np.sqrt(6)  # of e_zz in the second deviator
+
+
+@dataclass(frozen=True)
+class Plasticity:
+    """``J(p') = int sqrt(2/3) sigma_y |p'|`` of plastic strains p: von Mises's yield stress.
+
+    Stresses are those of the scene's elasticity on e(u) - p. Several of a kind act on subdomains.
+
+    Parameters
+    ----------
+    sigma_y : number, formula, mapping of subdomain to number, Profile or callable
+        Yield stress in uniaxial tension (Pa), >= 0.
+    Hk : as sigma_y
+        Kinematic hardening (Pa), >= 0: the back stress is Hk p. A tangent modulus E_t in tension
+        has Hk = 2/3 E E_t / (E - E_t).
+    Hi : as sigma_y
+        Isotropic hardening (Pa), zero or > 0 everywhere: the yield stress is sigma_y + Hi alpha. A
+        tangent modulus E_t in tension has Hi = E E_t / (E - E_t).
+    eta : as sigma_y
+        Perzyna's viscosity of p (Pa s), >= 0.
+    on : str or sequence of str
+        Subdomains; "body" for all of it.
+    elasticity : Elasticity, optional
+        That of the scene, without a tensor.
+
+    Raises
+    ------
+    InputError
+        If a value is negative or not finite, or nothing hardens somewhere: perfect plasticity.
+
+    Examples
+    --------
+    >>> Plasticity(sigma_y=250.0, Hk=470.0).on
+    ('body',)
+    """
+
+    sigma_y: Datum
+    Hk: Datum = 0.0
+    Hi: Datum = 0.0
+    eta: Datum = 0.0
+    on: Sequence[str] = (BODY,)
+    elasticity: Elasticity | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "on", boundary_names("on", self.on))
+        for coefficient in COEFFICIENTS:
+            coefficient.check(getattr(self, coefficient.name))
+
+    def contribute(self, body: Discretisation) -> Contribution:
+        """Couplings of strains and plastic strains, and a ball or a cone for each point."""
+        if self.elasticity is None:
+            raise InputError("elasticity: plasticity needs one, of E and nu, in the scene")
+        place, exact = _points(body, self.on)
+        sigma_y, Hk, Hi, eta = (
+            place.values(c, getattr(self, c.name)).ravel() for c in COEFFICIENTS
+        )
+        _check_hardening(Hk, Hi, eta)
+        strains, uu = _strains(body, place, self.elasticity)
+        # the deviators' energy by this quadrature instead of another: B stays semidefinite
+        uu = uu - _strains(body, exact, self.elasticity)[1]
+        lam, mu = (x.ravel() for x in _moduli(body, place, self.elasticity))
+        w, n = place.basis.dx.ravel(), body.dim
+        beside = w.size if body.kind == "plane stress" else 0
+        size = strains.shape[0] // w.size
+        block = size + bool(Hi.any())
+        total = n + beside + block * w.size
+        at = n + beside + np.arange(block * w.size).reshape(w.size, block)
+        p, theta = at[:, block - size :].ravel(), np.ones(w.size)
+        diagonal, viscous = np.zeros((2, total))
+        diagonal[n : n + beside] = ((lam + 2 * mu) * w)[:beside]
+        diagonal[p], viscous[p] = (np.repeat(x * w, size) for x in (2 * mu + Hk, eta))
+        if block > size:
+            theta = 2.0 ** np.ceil(0.5 * np.log2(1 + 3 * (2 * mu + Hk) / Hi))
+            diagonal[at[:, 0]] = 2 / 3 * Hi * theta**2 * w
+        x = np.full(beside, ZZ), (1 + size * np.arange(beside), np.arange(beside))
+        strains = sp.hstack([strains, sp.csr_array(x, shape=(p.size, total - n))], format="csr")
+        of_p = sp.csr_array((np.repeat(2 * mu * w, size), (np.arange(p.size), p)), strains.shape)
+        coupling = strains.T @ of_p
+        B = sp.block_diag([uu, sp.csr_array((total - n, total - n))]) + sp.diags_array(diagonal)
+        return Contribution(
+            A=sp.csc_array(sp.diags_array(viscous)) if eta.any() else None,
+            B=sp.csc_array(B - coupling - coupling.T),
+            yields=[
+                Yield(
+                    Rows(sp.eye_array(total, format="csr")[at.ravel()], block, w, "internal"),
+                    np.sqrt(2 / 3) * sigma_y * theta,
+                    slopes=1 / theta if block > size else None,
+                )
+            ],
+            internal=total - n,
+        )
+
+
+def with_elasticity(effects: Iterable[Effect]) -> list[Effect]:
+    """The effects; plasticity that names no elasticity has that of the scene."""
+    effects = list(effects)
+    elastic = [one for one in effects if isinstance(one, Elasticity)]
+    if len(elastic) != 1:
+        return effects
+    return [
+        replace(one, elasticity=elastic[0])
+        if isinstance(one, Plasticity) and one.elasticity is None
+        else one
+        for one in effects
+    ]
+
+
+def _check_hardening(Hk: Array, Hi: Array, eta: Array) -> None:
+    if (Hk + Hi + eta).min() <= 0:
+        raise InputError(
+            "Hk: nothing hardens where Hk, Hi and eta are zero. Perfect plasticity has no bounded "
+            "velocity and is not in the class; give a small Hk or Hi, or a viscosity eta"
+        )
+    if Hi.any() and Hi.min() <= 0:
+        raise InputError("Hi: must be > 0 everywhere or 0; state two effects, on two subdomains")
+
+
+def _points(body: Discretisation, on: Sequence[str]) -> tuple[Place, Place]:
+    """Points that integrate squares of strains, of a degree less than u; those of elasticity."""
+    exact = body.place("on", on)
+    if not isinstance(exact.basis, skfem.CellBasis):
+        raise InputError("on: name subdomains, or 'body', not boundaries")
+    d, element, cells, rule = body.mesh.dim(), body.basis.elem, exact.basis.tind, None
+    if body.scalar.elem.maxdeg == 1:
+        rule = np.full((d, 1), 1 / (d + 1)), np.array([1 / factorial(d)])
+    basis = skfem.CellBasis(body.mesh, element, elements=cells, intorder=2, quadrature=rule)
+    return exact._replace(basis=basis), exact
+
+
+def _moduli(body: Discretisation, place: Place, elasticity: Elasticity) -> list[Array]:
+    """lam and mu at points."""
+    lam, mu = elasticity.moduli(body, place)
+    if mu is None:
+        raise InputError("elasticity: plasticity needs an isotropic one, of E and nu")
+    return [np.broadcast_to(x, place.basis.dx.shape) for x in (lam, mu)]
+
+
+def _strains(
+    body: Discretisation, place: Place, elasticity: Elasticity
+) -> tuple[sp.csr_array, sp.csr_array]:
+    """Rows of the deviators of strains at points, and int 2 G |dev e|^2 on the unknowns.
+
+    In an orthonormal basis of the deviators, the components of a point one after the other.
+    """
+    basis, d = place.basis, body.mesh.dim()
+    lam, mu = _moduli(body, place, elasticity)
+    values = []
+    for phi in basis.basis:
+        g = np.asarray(phi[0].grad)
+        if body.components == 1:
+            rows = g / np.sqrt(2)
+        else:
+            trace = g[0, 0] + g[1, 1]
+            zz = g[2, 2] if d == 3 else 0.0 * trace
+            if body.kind == "plane stress":
+                zz = -lam / (lam + 2 * mu) * trace
+            shear = [(g[i, j] + g[j, i]) / np.sqrt(2) for i in range(d) for j in range(i)]
+            trace = np.broadcast_to(trace, basis.dx.shape)
+            deviators = [(g[0, 0] - g[1, 1]) / np.sqrt(2), (trace - 2 * zz) / np.sqrt(6)]
+            rows = np.array([np.broadcast_to(x, basis.dx.shape) for x in [*deviators, *shear]])
+        rows = np.broadcast_to(rows, (len(rows), *basis.dx.shape))
+        values.append(rows.transpose(1, 2, 0).ravel())
+    each = len(values[0]) // basis.dx.shape[0]
+    columns = np.repeat(basis.element_dofs, each, axis=1).ravel()
+    at = np.tile(np.arange(len(values[0])), len(values))
+    entries = (np.concatenate(values), (at, columns))
+    full = sp.csr_array(entries, shape=(len(values[0]), basis.N))
+    full = full if body.frame.T is None else full @ body.frame.T
+    selected = sp.csr_array(full[:, body.free])
+    weights = np.repeat((2 * mu * basis.dx).ravel(), each // basis.dx.shape[1])
+    return selected, sp.csr_array(selected.T @ sp.diags_array(weights) @ selected)
