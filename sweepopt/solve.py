@@ -84,8 +84,8 @@ def solve(
         "auto" (sdirk2 where mu Lam <= 2 for the longest step, else sdirk32; with Adaptive midpoint,
         or sdirk2 when A = 0; the plan says which one and why), "catching-up", "implicit-euler",
         "midpoint", "trapezoid" (A coercive only), "sdirk2", "sdirk32" (3 programs a step, 7 where
-        much stops); "exact" for polyhedra and loads as data (`Separable`): closed forms between
-        switches that are located, in `Solution.exact` also between the nodes.
+        mu Lam > 2 and much stops); "exact" for polyhedra and loads as data (`Separable`): closed
+        forms between switches that are located, in `Solution.exact` also between the nodes.
     solver : str or Solver
         "auto", "clarabel", "osqp", "daqp", "newton", "cvxpy" or an object: ``OSQP(tol=1e-10)``.
     tol : float

@@ -13,7 +13,7 @@ from cases import GRIDS, case
 import sweepopt as so
 from sweepopt.cli import main
 from sweepopt.fem import Elasticity, Friction, Traction, Viscosity, antiplane
-from sweepopt.study.stiff import BEST_OF, BODIES, LOADS, StiffRow, StiffStudy, judge, rows
+from sweepopt.study.stiff import BEST_OF, BODIES, LOADS, StiffRow, StiffStudy, judge, make, rows
 
 skfem = pytest.importorskip("skfem")
 
@@ -51,6 +51,15 @@ def test_below_two_auto_is_sdirk2_which_neither_rings_nor_is_far_from_the_best(l
     for row in rows(study):
         assert row.scheme == "sdirk2"
         check(row)
+
+
+def test_which_steps_are_stiff_is_asked_of_each() -> None:
+    process = make("chain", "sines", 0, 4.0, 60)  # mu Lam of 4 and 1
+    times = np.append(np.arange(30) / 60, 0.5 + np.arange(121) / 240)
+    sol = so.solve(process, steps=times, on_unstable="ignore")
+    euler = ["implicit-euler" in solver for solver in sol.stats["solver"]]
+    assert any(euler[:30])
+    assert not any(euler[30:])
 
 
 def test_a_set_is_looked_at_where_steps_of_implicit_euler_would_ask_for_it() -> None:

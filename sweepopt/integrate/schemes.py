@@ -7,8 +7,8 @@ Stage k of a step from (t_i, u_i) with mu solves the velocity program
 and u_{i+1} = u_i + mu sum_k b_k z_k. MATH.md section 3 has the orders and the proofs.
 
 The last stage of a second-order scheme starts from an extrapolation, which may have carried an
-unknown past the place where it should rest: friction then holds it there. A scheme with
-`euler_steps` takes such a step by implicit Euler instead, which never goes too far.
+unknown past the place where it should rest: friction then holds it there. Where mu Lam > 2, a
+scheme with `euler_steps` takes such a step by implicit Euler instead, which never goes too far.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Scheme:
     order : float
         For translated sets with smooth loads; infinite if the scheme has no error in time.
     euler_steps : int
-        Into how many steps of implicit Euler a step is divided in which unknowns that have
+        Into how many steps of implicit Euler a stiff step is divided in which unknowns that have
         half of the motion in the earlier stages rest or turn back in the last one; 0 for none.
         Their matrix is that of the stages.
     reason : str
@@ -129,6 +129,8 @@ def is_stiff(process: SweepingProcess, mu: float) -> bool:
     """Whether mu Lam may be above 2, by one factorisation."""
     if process.B is None or not process.coercive:
         return not process.coercive
+    if not process.metric.has_factors:
+        return mu * process.Lam > RESOLVED
     return not exceeds_none(process.metric, process.B, RESOLVED / mu)
 
 

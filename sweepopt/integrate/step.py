@@ -1,19 +1,20 @@
 """One step of a scheme: whole, or in equal parts where the whole misses its tolerance.
 
 u_{i+1} = u_i + mu sum_k b_k z_k, where z_k solves the program of stage k (see `schemes`); or some
-steps of implicit Euler, where much of the motion comes to rest or turns back.
+steps of implicit Euler, where mu Lam > 2 and much of the motion comes to rest or turns back.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from sweepopt.errors import IndefiniteError, TouchingError
-from sweepopt.integrate.schemes import Scheme, implicit_euler
+from sweepopt.integrate.schemes import Scheme, implicit_euler, is_stiff
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan, StateVelocity, Velocity, compile_velocity
 
@@ -52,6 +53,7 @@ class Velocities:
 
     def __init__(self, process: SweepingProcess, plan: Plan) -> None:
         self._process, self._plan = process, plan
+        self._is_stiff = cache(lambda mu: is_stiff(process, mu))
         self._compiled: dict[float, StateVelocity] = {}  # the one that was asked last at the end
 
     def __call__(self, gamma: float) -> StateVelocity:
@@ -104,8 +106,9 @@ class Velocities:
     def _mean(self, t: float, mu: float, u: np.ndarray) -> Velocity:
         """The mean velocity of a step of the scheme, or of its steps of implicit Euler.
 
-        These are taken where unknowns rest or turn back in the last stage that have half of the
-        motion in the earlier ones: the squares of velocities, weighted by the diagonal of M.
+        These are taken in stiff steps where unknowns rest or turn back in the last stage that have
+        half of the motion in the earlier ones: the squares of velocities, weighted by the diagonal
+        of M. In others they would cost accuracy, and no error comes back with the other sign.
         """
         scheme, process = self._plan.scheme, self._process
         stages = self.stages(scheme, t, mu, u)
@@ -116,7 +119,7 @@ class Velocities:
             weights = weights + mu * scheme.a[0][0] * process.B.diagonal()
         motion = weights * np.max([stage.z**2 for stage in stages[:-1]], axis=0)
         stops = np.min([stage.z * stages[-1].z for stage in stages[:-1]], axis=0) <= 0
-        if not motion[stops].sum() > STOPS * motion.sum():
+        if not (motion[stops].sum() > STOPS * motion.sum() and self._is_stiff(mu)):
             return _mean(scheme.b, stages)
         euler = implicit_euler(scheme.euler_steps)
         mean = _mean(euler.b, self.stages(euler, t, mu, u, stages[:1]))

@@ -80,11 +80,8 @@ def largest_ratio(A: Factor, B: Matrix) -> float:
 
 
 def exceeds_none(A: Factor, B: Matrix, s: float) -> bool:
-    """Whether s is proved to be no less than all eigenvalues of A^-1 B.
-
-    Without factors it is enough that s is above what an iteration finds.
-    """
-    if not A.has_factors or (A.is_diagonal and is_diagonal(B)):
+    """Whether s is proved to be no less than all eigenvalues of A^-1 B."""
+    if A.is_diagonal and is_diagonal(B):
         return largest_ratio(A, B) <= s
     return dominates(s * A.M, B)
 
