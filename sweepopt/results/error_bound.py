@@ -101,18 +101,18 @@ def error_bound(
     what work is left. Where C(t) is no data, there is one pass.
     """
     work = WORK * (len(run.t) - 1) * len(plan.scheme.b) // len(SCHEMES["sdirk2"].b)
-    plan = replace(plan, reduction=None, tol=min(plan.tol, TOL), scheme=SCHEMES["sdirk2"])
-    norms, velocities = Norms(process), Velocities(process, plan)
+    plan = replace(plan, tol=min(plan.tol, TOL), scheme=SCHEMES["sdirk2"])
+    norms, velocities = Norms(process), Velocities(plan.process_of(process), plan)
     A, B = np.full((2, len(run.t) - 1), np.inf)
     if norms.beta == 0 or norms.Lam == math.inf:  # A, to rounding, may be singular
         return ErrorBound.make(False, run.t, A, B, 0.0)
-    start = _start(process, plan, float(run.t[0]))
+    start = _start(process, replace(plan, reduction=None), float(run.t[0]))
     cuts = breakpoints(motion(process.C).histories, run.t[0], run.t[-1])
     t = np.union1d(run.t, cuts) if len(cuts) < len(run.t) else run.t
     lower = 0.0
     while True:
         work -= len(t) - 1
-        nodes, slopes = companion(process, velocities, t, start)
+        nodes, slopes = companion(process, plan, velocities, t, start)
         curves = slopes_of_curves(nodes, slopes)
         each, guaranteed = residuals(process, norms, nodes, curves, variation)
         growth = _growth(norms, t, each)
