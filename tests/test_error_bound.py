@@ -259,11 +259,27 @@ def test_a_set_that_is_shifted_against_its_load_has_the_same_bound(part: so.Conv
 
 
 def test_a_bound_that_overflows_is_infinite_and_not_nan() -> None:
-    vi = so.EvolutionVI([[0.0]], [[0.5]], dissipation=so.Box([-1], [1]), u0=[0.5])
+    vi = so.EvolutionVI([[0.0]], [[0.5]], dissipation=so.Box([-1], [np.inf]), u0=[0.5])
     bound = so.solve(vi, t_end=1e74, steps=2).error_bound()
     assert bound == np.inf
     assert np.isinf(bound.of_t).all()
     assert bound.lower == 0.0
+
+
+@pytest.mark.parametrize("A", [0.5, 0.0])
+@pytest.mark.parametrize("periods", [1e4, 1e6])
+def test_the_bound_of_a_few_steps_over_many_periods_is_that_of_the_energy(
+    periods: float, A: float
+) -> None:
+    """|u|_A <= sup |w|_{B^-1} / sqrt(lam), |w| <= 3 + 1: no more, however long the run is."""
+    C = so.Moving(so.Box([-1.0], [1.0]), so.Separable([(so.Sine(3.0, 1.0), [1.0])]))
+    process = so.SweepingProcess([[A]], [[2.0]], C, [0.0])
+    sol = so.solve(process, t_end=periods, steps=10, scheme="implicit-euler")
+    bound, largest = sol.error_bound(), 4.0 / 2.0 * np.sqrt(A or 2.0)
+    exact = so.solve(process, t_end=2.0, steps=400, scheme="implicit-euler")
+    assert bound.guaranteed
+    assert np.abs(exact.u).max() * np.sqrt(A or 2.0) <= bound <= 2 * largest
+    assert bound.B.max() <= 2 * 4.0 / np.sqrt(2.0) * (1 + 1e-12)
 
 
 def check_bound(seed: int, rate_independent: bool) -> None:

@@ -53,9 +53,15 @@ class History:
 
     def variation(self, a: float, b: float) -> float:
         """Exact total variation on [a, b]."""
+        return float(np.sum(np.abs(np.diff(self._extremes(a, b)))))
+
+    def largest(self, a: float, b: float) -> float:
+        """The maximum of |phi| on [a, b]."""
+        return float(np.abs(self._extremes(a, b)).max())
+
+    def _extremes(self, a: float, b: float) -> Array:
         a, b = interval(a, b)
-        values = self(np.concatenate([[a], self.turning_points(a, b), [b]]))
-        return float(np.sum(np.abs(np.diff(values))))
+        return np.asarray(self(np.concatenate([[a], self.turning_points(a, b), [b]])))
 
     def breakpoints(self, a: float, b: float) -> Array:
         """Where phi is not smooth, strictly inside (a, b), increasing."""

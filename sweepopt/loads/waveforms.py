@@ -142,6 +142,10 @@ class Periodic(History):
         rest = super().variation(a, a + part if whole else b)
         return 4.0 * abs(self.amplitude) * whole + rest
 
+    def largest(self, a: float, b: float) -> float:
+        """The maximum of |phi| on [a, b]: that of one period, however many there are."""
+        return super().largest(a, min(b, a + self.period))
+
 
 @dataclass(frozen=True)
 class Sine(Periodic):

@@ -7,7 +7,8 @@ A set that moves in another way gives a `Motion` that says so.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from sweepopt.checks import vector
 from sweepopt.linalg import dense
-from sweepopt.loads import Constant, Separable, VectorTable
+from sweepopt.loads import Constant, History, Separable, VectorTable
 from sweepopt.sets import (
     AnySet,
     Box,
@@ -67,6 +68,18 @@ class TimeFunction:
         if self.function is not None:
             return self.variation is not None
         return all(hasattr(phi, "variation") for phi, _ in self.terms)
+
+    def largest(self, a: float, b: float) -> Iterator[tuple[float, np.ndarray]]:
+        """A bound of |phi_k| on [a, b] with each f_k; infinite of a function."""
+        if self.function is not None:
+            yield math.inf, np.ones(self.dim)
+        for phi, f in self.terms:
+            if isinstance(phi, History):
+                yield phi.largest(a, b), f
+            elif hasattr(phi, "variation"):
+                yield abs(float(phi(a))) + phi.variation(a, b), f
+            else:
+                yield math.inf, f
 
     @property
     def constant(self) -> bool:

@@ -37,7 +37,11 @@ class Nodes(NamedTuple):
 
 
 def companion(
-    process: SweepingProcess, velocities: Velocities, t: np.ndarray, start: np.ndarray | None
+    process: SweepingProcess,
+    plan: Plan,
+    velocities: Velocities,
+    t: np.ndarray,
+    start: np.ndarray | None,
 ) -> tuple[Nodes, np.ndarray]:
     """Nodes of sdirk2 on the grid t, and the velocities at them; `start` is the first one.
 
@@ -46,8 +50,9 @@ def companion(
     misses its tolerance is in the residual.
     """
     times, mus = time_grid(None, t)
-    u, means, slopes = [process.u0], [], []
-    compensation, scheme = np.zeros(process.dim), SCHEMES["sdirk2"]
+    few = plan.process_of(process)
+    u, means, slopes = [few.u0], [], []
+    compensation, scheme = np.zeros(few.dim), SCHEMES["sdirk2"]
     for time, mu in zip(times[:-1].tolist(), mus.tolist(), strict=True):
         stages = velocities.stages(scheme, time, mu, u[-1])
         if len(stages) == len(scheme.b):
@@ -58,8 +63,9 @@ def companion(
         u.append(following)
         means.append(mean)
         slopes.append(slope)
-    first = means[0] if start is None else start
-    return Nodes(times, np.array(u), np.array(means)), np.array([first, *slopes])
+    velocity, ends = plan.velocity(np.array(means)), plan.velocity(np.array(slopes))
+    first = velocity[0] if start is None else start
+    return Nodes(times, plan.state(np.array(u)), velocity), np.array([first, *ends])
 
 
 def nodes_of(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
