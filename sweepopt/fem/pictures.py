@@ -1,4 +1,4 @@
-"""Pictures of a run: the displacement with its slip zone, and the contact's histories."""
+"""Pictures of a run: the displacement with its slip zone, the contact's histories, and flow."""
 
 from __future__ import annotations
 
@@ -9,18 +9,22 @@ import numpy as np
 
 from sweepopt.errors import InputError
 from sweepopt.fem.contact import STATES, Slip
+from sweepopt.fem.effects import YieldStress
 from sweepopt.fem.output import Report
 from sweepopt.plot import LOOKS, STICK, STYLES, draw_histories, new_figure, spread
 from sweepopt.results import Solution
 
+PLUG = "#E69F00"
 STATE_COLOURS = {-1: "#0072B2", 0: STICK, 1: "#D55E00"}
 
 
 def drawn_of(report: Report) -> dict[str, Callable[[Report], Any]]:
     """The functions that draw the scene's pictures, by name; all that fit if it names none."""
     scene, slip = report.scene, report.slip
+    flows = any(isinstance(effect, YieldStress) for effect in scene.effects)
     fits = {
         "displacement": scene.discretisation.mesh.dim() == 2,
+        "flow": scene.discretisation.mesh.dim() == 2 and flows,
         "contact": slip is not None and slip.velocity.ndim == 2 and slip.contact.on_curve,
     }
     names = scene.pictures or [name for name, fit in fits.items() if fit]
@@ -107,6 +111,74 @@ def contact_figure(report: Report) -> Any:
     _show_units(report, "length", zone.yaxis, moved.yaxis)
     _show_units(report, "time", traction.xaxis)
     _state_legend(figure)
+    return figure
+
+
+def flow_figure(report: Report) -> Any:
+    """The velocity of an antiplane body at a few times, what is rigid in it, and the flux.
+
+    A triangle is a part of a plug if its corners have one velocity, and at rest if that is 0: both
+    exactly, as the steps leave them.
+
+    Returns
+    -------
+    matplotlib Figure
+    """
+    from matplotlib.patches import Patch
+
+    body, t = report.scene.discretisation, report.solution.t
+    velocity, middle = report.scene.velocity(report.solution), (t[1:] + t[:-1]) / 2
+    triangles = body.triangles
+    a, b, c = body.points[triangles].transpose(1, 2, 0)
+    area = np.abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) / 2
+    flux = velocity[:, triangles].mean(axis=2) @ area
+    moving = np.flatnonzero(velocity.any(axis=1))
+    extremes = {int(flux.argmax()), int(flux.argmin())} & set(moving.tolist())
+    even = (
+        moving[np.linspace(0, moving.size - 1, 6 - len(extremes)).astype(int)]
+        if moving.size
+        else [0]
+    )
+    chosen = sorted(extremes | set(map(int, even)))
+    size = np.ptp(body.points, axis=0)
+    figure = new_figure((9.5, 3.1 * size[1] / size[0] * -(-len(chosen) // 3) + 3.0))
+    grid = figure.add_gridspec(2, 1, height_ratios=[-(-len(chosen) // 3) * size[1] / size[0], 0.75])
+    fields = (
+        grid[0]
+        .subgridspec(-(-len(chosen) // 3), min(len(chosen), 3))
+        .subplots(squeeze=False, sharex=True, sharey=True)
+    )
+    limit = float(np.abs(velocity).max()) or 1.0
+    least = -limit if velocity.min() < 0 else 0.0
+    colours = {"cmap": "PRGn" if least else "Blues", "vmin": least, "vmax": limit}
+    for panel in fields.flat[len(chosen) :]:
+        panel.set_axis_off()
+    for panel, i in zip(fields.flat, chosen, strict=False):
+        at = velocity[i, triangles]
+        rigid = (at == at[:, :1]).all(axis=1)
+        image = panel.tripcolor(
+            *body.points.T, triangles, velocity[i], shading="gouraud", rasterized=True, **colours
+        )
+        for still, colour in ((False, PLUG), (True, STICK)):
+            part = triangles[rigid & ((at[:, 0] == 0) == still)]
+            panel.fill(*body.points[part].transpose(2, 1, 0), color=colour, lw=0.4)
+        panel.set(aspect="equal", xlabel="x", ylabel="y")
+        panel.set_title(f"t = {middle[i]:.4g}{report.suffix('time')}", fontsize="medium")
+        panel.label_outer()
+    bar = figure.colorbar(image, ax=fields, label="velocity", shrink=0.8)
+    _show_units(report, "length", fields[0, 0].xaxis, fields[0, 0].yaxis)
+    _show_units(report, "velocity", bar.ax.yaxis)
+    history = figure.add_subplot(grid[1])
+    history.plot(middle, flux, color="black", lw=1.5)
+    history.plot(middle[chosen], flux[chosen], "o", color="black", ms=5)
+    at_rest = np.where(velocity.any(axis=1), np.nan, 0.0)
+    history.plot(middle, at_rest, color=STICK, lw=6.0, solid_capstyle="butt")
+    history.set(xlabel="time", xlim=(t[0], t[-1]))
+    history.set_ylabel("flux" + (" (m³/s)" if report.suffix("length") else ""))
+    history.grid(alpha=0.3)
+    _show_units(report, "time", history.xaxis)
+    handles = [Patch(color=PLUG, label="moves as a rigid body"), Patch(color=STICK, label="rests")]
+    figure.legend(handles=handles, ncols=2, fontsize="small", loc="outside upper center")
     return figure
 
 
@@ -250,6 +322,7 @@ def _state_legend(figure: Any) -> None:
 DRAWN = {
     "displacement": displacement_figure,
     "contact": contact_figure,
+    "flow": flow_figure,
     "yielding": yielding_figure,
     "loop": loop_figure,
 }
