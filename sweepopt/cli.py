@@ -188,13 +188,15 @@ def _write(report: Report, folder: Path) -> list[str]:
 
 def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:
     """Print how the run went and where its files are."""
+    from sweepopt.fem.output import largest
+
     solution, energy = report.solution, report.energy
     second, meter, joule = map(report.suffix, ("time", "length", "energy"))
     lines = {
         "status": solution.message,
         "reached": f"t = {solution.t[-1]:g}{second} in {len(solution.steps)} steps, "
         f"{report.seconds:.3g} s of computing",
-        "max displacement": f"{abs(solution.u).max():.4g}{meter}",
+        "max displacement": f"{largest(report)['value']:.4g}{meter}",
     }
     if report.slip is not None:
         slip = report.slip.statistics()

@@ -292,6 +292,28 @@ def test_what_has_no_bounded_velocity_is_refused(changes: Any, message: str) -> 
         pipe(1, **changes)
 
 
+@pytest.mark.parametrize("hardening", [{}, {"Hk": 0.6}, {"Hi": 0.9}, {"Hk": 0.2, "Hi": 0.6}])
+def test_perzynas_viscosity_follows_its_closed_form(hardening: Hardening) -> None:
+    """One state of shear under the stress t: eta p' + H p = sqrt(2) (t - 1) for t >= 1."""
+    space = Discretisation(grid([1.0, 1.0], [2, 2]), "left")
+    effects = [
+        Elasticity(2.0),
+        Plasticity(np.sqrt(3), eta=0.3, **hardening),
+        Traction("right", Table([0.0, 3.0], [0.0, 3.0])),
+    ]
+    scene = body(space, effects, t_end=3.0, scheme="implicit-euler", tol=1e-10)
+    H, s, errors = hardening.get("Hk", 0.0) + 2 / 3 * hardening.get("Hi", 0.0), 2.0, []
+    shear = s**2 / 0.6 if not H else (s - 0.3 / H * (1 - np.exp(-s * H / 0.3))) / H
+    for steps in (15, 30, 60):
+        sol = scene.solve(steps=steps, path="return mapping")
+        assert sol.stats["relative"].max() <= 1e-10
+        assert set(sol.stats["solver"]) <= {"return mapping", "at rest"}
+        errors.append(abs(scene.displacement(sol)[-1].max() - (1.5 + 2 * shear)))
+    slopes = np.log2(errors[:-1]) - np.log2(errors[1:])
+    assert slopes == pytest.approx(1.0, abs=0.1), errors
+    assert errors[-1] < 0.051 * shear, "without H the steps add 0.05 s to s^2"
+
+
 def test_plasticity_asks_for_elasticity() -> None:
     scene = pipe(1)
     with pytest.raises(InputError, match="elasticity: plasticity needs one"):

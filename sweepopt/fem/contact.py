@@ -48,12 +48,15 @@ class Rows:
         Of each block in the integral.
     where : {"trace", "nodes", "gradient", "internal"}
         What they are: unknowns on a boundary, unknowns inside, derivatives, internal unknowns.
+    cells : ndarray of int, shape (m,), or None
+        In which cell each block of a plastic strain is.
     """
 
     E: sp.csr_array
     block: int
     weight: Array
     where: str
+    cells: Indices | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -125,7 +125,7 @@ def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:
             "nonsmooth_unknowns": plan.nonsmooth_unknowns,
             "left_out": scene.left_out,
         },
-        "max_displacement": _largest(report),
+        "max_displacement": largest(report),
         "energy": {
             name: x[-1] for name, x in [*energy._asdict().items(), ("balance", energy.balance)]
         },
@@ -149,7 +149,7 @@ def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:
     return plain
 
 
-def _largest(report: Report) -> dict[str, Any]:
+def largest(report: Report) -> dict[str, Any]:
     """The largest displacement, with its time and place."""
     body, solution = report.scene.discretisation, report.solution
     size = np.abs(solution.u[:, : body.dim])
@@ -177,6 +177,7 @@ def write_summary(report: Report, folder: Path, files: Sequence[str]) -> None:
             path.unlink()
 
 
+PLASTIC = "sqrt(2/3) |p| of the plastic strain p, its mean in each cell of the mesh"
 FIELD = {"mesh": "mesh", "location": "node"}
 ATTRIBUTES: dict[str, dict[str, Any]] = {
     "displacement": FIELD,
@@ -231,6 +232,8 @@ def dataset_of(report: Report) -> xr.Dataset:
         del rows["mesh"], rows["triangles"]
     if slip is not None:
         rows |= _of_contact(slip)
+    if (strain := scene.plastic_strain(solution)) is not None:
+        rows["plastic_strain"] = "time cell", "", strain, PLASTIC
     run = solution.to_xarray().drop_dims("unknown")
     for name, (dims, quantity, values, words) in rows.items():
         attributes = {"long_name": words, "units": units.get(quantity, "1")}
@@ -284,7 +287,8 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
     """Write `vtu/step_*.vtu` at even times, at most 50, and the series that ParaView opens.
 
     Point data are displacement and velocity (of the step that ends there; of the first step at the
-    start), cell data the number of the material in the summary's `materials`, 0 for none.
+    start), cell data the number of the material in the summary's `materials`, 0 for none, and the
+    plastic strain where there is one.
 
     Returns
     -------
@@ -303,7 +307,7 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
         for k, members in enumerate(body.mesh.subdomains.values(), start=1):
             material[members] = k
         mesh.cell_data = {"material": [material]}
-    folder = folder / "vtu"
+    strain, folder = report.scene.plastic_strain(solution), folder / "vtu"
     folder.mkdir(parents=True, exist_ok=True)
     last, times = len(solution.steps), {}
     for i in [*range(0, last, -(-last // (MOST_VTU - 1))), last]:
@@ -312,6 +316,8 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
             mesh.point_data = {
                 name: np.pad(x, ((0, 0), (0, 3 - d))) for name, x in mesh.point_data.items()
             }
+        if strain is not None:
+            mesh.cell_data["plastic_strain"] = [strain[i]]
         path = folder / f"step_{i:06d}.vtu"
         with io.replacing(path) as part:
             mesh.write(part, file_format="vtu", compression="zlib")

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from sweepopt.errors import InputError
 from sweepopt.fem.contact import STATES, Slip
 from sweepopt.fem.effects import YieldStress
 from sweepopt.fem.output import Report
@@ -181,9 +182,90 @@ def flow_figure(report: Report) -> Any:
     return figure
 
 
+def yielding_figure(report: Report) -> Any:
+    """Plastic strains at a few times; what has none yet is grey, so that their front is seen.
+
+    The times are those at which a quarter, a half, three quarters and all of the cells that ever
+    yield have done so, that of the largest strain and the end.
+
+    Parameters
+    ----------
+    report : Report
+        Of a body in the plane with plasticity.
+
+    Returns
+    -------
+    matplotlib Figure
+    """
+    from matplotlib import colormaps
+
+    solution, body = report.solution, report.scene.discretisation
+    strain = report.scene.plastic_strain(solution)
+    if strain is None or body.mesh.dim() != 2:
+        raise InputError("pictures: yielding is of a body in the plane with plasticity")
+    share = np.maximum.accumulate(strain > 0, axis=0).mean(axis=1)
+    indices = [int(np.argmax(share >= k / 4 * share[-1])) for k in range(1, 5)]
+    indices += [int(strain.max(axis=1).argmax()), len(solution.steps)]
+    indices = sorted(set(indices))
+    triangles = np.asarray(body.scalar.element_dofs[:3].T)
+    colours = colormaps["plasma_r"].with_extremes(bad="0.85")
+    figure, panels = _page(np.ptp(body.points, axis=0), len(indices))
+    for panel, i in zip(panels.flat, indices, strict=False):
+        image = panel.tripcolor(
+            *body.points.T,
+            triangles,
+            facecolors=np.ma.masked_equal(strain[i], 0.0),
+            cmap=colours,
+            vmin=0.0,
+            vmax=float(strain.max()) or 1.0,
+            rasterized=True,
+        )
+        panel.set_title(f"t = {solution.t[i]:.4g}{report.suffix('time')}", fontsize="medium")
+        panel.set(aspect="equal", xlabel="x", ylabel="y")
+        panel.label_outer()
+    figure.colorbar(image, ax=panels, label="plastic strain", shrink=0.8)
+    _show_units(report, "length", panels[0, 0].xaxis, panels[0, 0].yaxis)
+    return figure
+
+
+def loop_figure(report: Report) -> Any:
+    """The load over the displacement that it works on: the area of a loop is what is lost.
+
+    The displacement is the mean of that of the body along the nodal forces of the largest load, the
+    load is the sum of these.
+
+    Parameters
+    ----------
+    report : Report
+        Of a scene with a load.
+
+    Returns
+    -------
+    matplotlib Figure
+    """
+    solution, scene = report.solution, report.scene
+    body, t = scene.discretisation, solution.t
+    forces = np.array([scene.load(time)[: body.dim] for time in t])
+    largest = forces[np.linalg.norm(forces, axis=1).argmax()]
+    if not largest.any():
+        raise InputError("pictures: loop needs a load; the scene has none")
+    nodal = body.expand(largest).reshape(-1, body.components)
+    along = largest / np.linalg.norm(nodal, axis=1).sum()
+    load = forces @ along / (along @ along)
+    figure = new_figure((6.0, 4.5))
+    panel = figure.subplots()
+    panel.plot(solution.u[:, : body.dim] @ along, load, color="#0072B2", lw=1.5)
+    panel.set(xlabel="mean displacement along the load", ylabel="load")
+    panel.grid(alpha=0.3)
+    panel.locator_params(axis="x", nbins=6)
+    _show_units(report, "length", panel.xaxis)
+    _show_units(report, "force", panel.yaxis)
+    return figure
+
+
 def _informative(solution: Solution, slip: Slip | None) -> list[int]:
     """Time indices, increasing: extreme displacements, start and extremes of slip, the end."""
-    u, last = solution.u, len(solution.steps)
+    u, last = solution.u[:, : solution.process.fields["u"].stop], len(solution.steps)
     indices = {int(u.max(axis=1).argmax()), int(u.min(axis=1).argmin()), last}
     if slip is not None and slip.state.any():
         share = slip.state @ slip.contact.weight
@@ -237,5 +319,11 @@ def _state_legend(figure: Any) -> None:
     figure.legend(handles=handles, ncols=3, fontsize="small", loc="outside upper center")
 
 
-DRAWN = {"displacement": displacement_figure, "contact": contact_figure, "flow": flow_figure}
+DRAWN = {
+    "displacement": displacement_figure,
+    "contact": contact_figure,
+    "flow": flow_figure,
+    "yielding": yielding_figure,
+    "loop": loop_figure,
+}
 """What draws each of PICTURES."""

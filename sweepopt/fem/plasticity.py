@@ -103,6 +103,9 @@ class Plasticity:
         beside = w.size if body.kind == "plane stress" else 0
         size = strains.shape[0] // w.size
         block = size + bool(Hi.any())
+        cells = np.repeat(
+            np.arange(body.mesh.nelements)[place.basis.tind].ravel(), place.basis.dx.shape[1]
+        )
         total = n + beside + block * w.size
         at = n + beside + np.arange(block * w.size).reshape(w.size, block)
         p, theta = at[:, block - size :].ravel(), np.ones(w.size)
@@ -122,7 +125,9 @@ class Plasticity:
             B=sp.csc_array(B - coupling - coupling.T),
             yields=[
                 Yield(
-                    Rows(sp.eye_array(total, format="csr")[at.ravel()], block, w, "internal"),
+                    Rows(
+                        sp.eye_array(total, format="csr")[at.ravel()], block, w, "internal", cells
+                    ),
                     np.sqrt(2 / 3) * sigma_y * theta,
                     slopes=1 / theta if block > size else None,
                 )

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from sweepopt.checks import HUGE, choice, listed, number
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Contact, Yield, dissipation, merged
-from sweepopt.fem.effects import Contribution, Effect, Force, Friction
-from sweepopt.fem.plasticity import with_elasticity
+from sweepopt.fem.effects import Contribution, Effect, Eigenstrain, Force, Friction
+from sweepopt.fem.plasticity import Plasticity, with_elasticity
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.integrate import schemes
 from sweepopt.loads import History, Separable
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from sweepopt.results import Solution
 
 UNITS = ("dimensionless", "SI")
-PICTURES = ("displacement", "contact", "flow")
+PICTURES = ("displacement", "contact", "flow", "yielding", "loop")
 """What a scene can ask for; DRAWN of pictures.py draws it."""
 
 
@@ -40,7 +40,8 @@ class Scene:
     Attributes
     ----------
     problem : EvolutionVI or SweepingProcess
-        A, B, load, dissipation and u0 on the unknowns; where the dissipation moves, a process.
+        A, B, load, dissipation and u0 on the unknowns; where the dissipation moves, a process. Its
+        fields are "u" and internal unknowns by the table of their effect, such as "plasticity".
     discretisation : Discretisation
     contact : Contact or None
         The nodes with friction; None without friction.
@@ -59,6 +60,8 @@ class Scene:
         f(t), shape (dim,); None is no load.
     lifts : tuple of (history, ndarray)
         Prescribed displacements phi(t) d, of all degrees of freedom.
+    yields : tuple of Yield
+        All rows that yield.
     """
 
     problem: EvolutionVI | SweepingProcess
@@ -76,6 +79,7 @@ class Scene:
     pictures: Sequence[str] = ()
     force: Callable[[float], Any] | None = None
     lifts: tuple[tuple[History, NDArray[np.float64]], ...] = ()
+    yields: tuple[Yield, ...] = ()
 
     @property
     def process(self) -> SweepingProcess:
@@ -94,6 +98,19 @@ class Scene:
         """u' at all nodes in each step, shape (n, N), or (n, N, components) of vectors."""
         mu = np.diff(solution.t)
         return self._full(solution.velocity, lambda history: np.diff(history(solution.t)) / mu)
+
+    def plastic_strain(self, solution: Solution) -> NDArray[np.float64] | None:
+        """sqrt(2/3) |p|, its mean in each cell at all times, (n+1, cells); None without p."""
+        u, cells = solution.u, self.discretisation.mesh.nelements
+        parts = [(one, at) for one in self.yields if (at := one.rows.cells) is not None]
+        strain = np.zeros((len(u), cells))
+        for one, at in parts:
+            E, block, weight = one.rows.E, one.rows.block, one.rows.weight
+            p = (E @ u.T).T.reshape(len(u), -1, block)[..., one.slopes is not None :]
+            share = weight / np.bincount(at, weight, cells)[at]
+            mean = sp.csr_array((share, (at, np.arange(at.size))), shape=(cells, at.size))
+            strain += np.sqrt(2 / 3) * (mean @ np.linalg.norm(p, axis=2).T).T
+        return strain if parts else None
 
     def _full(self, u: Any, values: Callable[[History], Any]) -> NDArray[np.float64]:
         space = self.discretisation
@@ -244,7 +261,11 @@ def build(
         space = space.with_turned(turned)
     effects = dict(zip(effects, with_elasticity(effects.values()), strict=True))
     parts = [_contribution(label, effects[label], space, settings["t_end"]) for label in effects]
-    size = space.dim + sum(part.internal for part in parts)
+    ends = np.cumsum([space.dim, *[part.internal for part in parts]]).tolist()
+    size, fields = ends[-1], {"u": slice(0, space.dim)}
+    for label, start, end in zip(effects, ends, ends[1:], strict=False):
+        if end > start:
+            fields[label.removeprefix("effects.")] = slice(start, end)
     parts = _placed(space.dim, parts, size)
     A, B = (_sum(parts, name) for name in "AB")
     loads = [load for part in parts for load in part.loads]
@@ -254,6 +275,12 @@ def build(
         raise InputError("effects must hold a viscosity or an elasticity: nothing resists a motion")
     A = sp.csc_array((size, size)) if A is None else A
     _check_held(space, A, B)
+    kinds = {type(effect) for effect in effects.values()}
+    if space.kind == "plane stress" and {Plasticity, Eigenstrain} <= kinds:
+        raise InputError(
+            "effects: in plane stress an eigenstrain beside plasticity is not offered: the "
+            "deviator of the stress lacks the eigenstrain across the plane; take kind = 'solid'"
+        )
     if lifts:
         bound = any(one.rows.where == "gradient" or one.shape != "ball" for one in yields)
         if bound or size > space.dim:
@@ -264,7 +291,7 @@ def build(
             )
         loads += _lifted(space, effects, parts, lifts)
     force = _force(loads, size)
-    problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0)
+    problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
     terms = {
         "no elasticity: B is not formed": B is not None,
         "no friction: no set and no optimiser, a step is one linear solve": yields,
@@ -278,21 +305,27 @@ def build(
         left_out=tuple(sentence for sentence, present in terms.items() if not present),
         force=force,
         lifts=lifts,
+        yields=tuple(yields),
         **settings,
     )
 
 
 def _problem(
-    A: Any, B: Any, force: Any, yields: Sequence[Yield], u0: ArrayLike
+    A: Any,
+    B: Any,
+    force: Any,
+    yields: Sequence[Yield],
+    u0: ArrayLike,
+    fields: dict[str, slice],
 ) -> EvolutionVI | SweepingProcess:
     """The variational inequality, or the process where bounds move."""
     if not any(callable(one.g) for one in yields):
         D = dissipation(yields) if yields else None
-        return EvolutionVI(A, B, load=force, dissipation=D, u0=u0)
+        return EvolutionVI(A, B, load=force, dissipation=D, u0=u0, fields=fields)
     size = A.shape[0]
     shapes = MovingSet(lambda t: -dissipation(yields, t), size)
     C = shapes if force is None else MovingSet(lambda t: shapes.at(t) + force(t), size)
-    return SweepingProcess(A, B, C, u0)
+    return SweepingProcess(A, B, C, u0, fields)
 
 
 def _contribution(

@@ -356,6 +356,8 @@ class EvolutionVI(SweepingProcess):
         None is J = 0.
     cone : ConvexSet or None
         K, a closed convex cone; None is the whole space.
+    fields
+        As in SweepingProcess.
 
     Raises
     ------
@@ -380,6 +382,7 @@ class EvolutionVI(SweepingProcess):
         dissipation: ConvexSet | None = None,
         cone: ConvexSet | None = None,
         u0: Any,
+        fields: dict[str, slice] | None = None,
     ) -> None:
         A = symmetric("A", A)
         dim = A.shape[0]
@@ -398,7 +401,7 @@ class EvolutionVI(SweepingProcess):
         if self.load is not None:
             C = moved = Moving(-D, center=self.load)
             moved.center_name = "load"
-        super().__init__(A, B, C, u0)
+        super().__init__(A, B, C, u0, fields)
 
 
 def sweeping(process: Any) -> SweepingProcess:

@@ -1,0 +1,132 @@
+"""The scenes of the library against exact values and independent codes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import meshio
+import numpy as np
+import pytest
+
+from sweepopt.errors import InputError
+from sweepopt.fem import Scene, read_scene
+from sweepopt.fem.output import Report, dataset_of, write_vtu
+from sweepopt.fem.pictures import drawn_of
+from sweepopt.io import find_scene, read_toml
+from sweepopt.results import Solution
+
+
+def changed(name: str, **changes: Any) -> Scene:
+    """A scene of the library with other values, keys with __ for dots."""
+    path = find_scene(name)
+    data = dict(read_toml(path))
+    for key, value in changes.items():
+        *tables, last = key.split("__")
+        table = data
+        for one in tables:
+            table = table[one]
+        table[last] = value
+    return read_scene(data, folder=path.parent)
+
+
+def at_point(scene: Scene, solution: Solution, point: tuple[float, float]) -> np.ndarray:
+    space = scene.discretisation
+    node = np.argmin(np.linalg.norm(space.points - point, axis=1))
+    return scene.displacement(solution)[:, node]
+
+
+# 9. a thick ring -----------------------------------------------------------------------------
+
+RING = {20: 0.006869859, 22: 0.044179585, 44: 0.039493079, 66: -0.044175687}
+"""Displacement of its inner side by the number of the step, of an independent code."""
+
+
+def test_the_ring_agrees_with_an_independent_code_over_a_cycle() -> None:
+    scene = changed("ring")
+    sol = scene.solve()
+    assert sol.plan.path == "return mapping"
+    assert sol.stats["relative"].max() <= 1e-10
+    u = at_point(scene, sol, (1.0, 0.0))[:, 0]
+    assert u[[*RING]] == pytest.approx([*RING.values()], rel=1e-3)
+
+
+def test_hardening_matters_only_where_the_ring_yields_back() -> None:
+    modulus = 70e9 * 0.7e9 / (70e9 - 0.7e9)
+    both = [
+        changed("ring"),
+        changed("ring", effects__plasticity__Hk=0.0, effects__plasticity__Hi=modulus),
+    ]
+    runs = [scene.solve(t_end=2.8, steps=28) for scene in both]
+    assert max(run.stats["relative"].max() for run in runs) <= 1e-10
+    kinematic, isotropic = (
+        at_point(scene, run, (1.0, 0.0))[:, 0] for scene, run in zip(both, runs, strict=True)
+    )
+    assert isotropic[:21] == pytest.approx(kinematic[:21], rel=2e-3), "nearly one curve, loading"
+    assert kinematic[28] < isotropic[28] - 1e-3, "the ring hardened both ways yields back later"
+
+
+# 10. a plate with a hole ---------------------------------------------------------------------
+
+HOLE = [
+    (4, (0.1, 0.0), 0, -0.0194636e-3),
+    (4, (0.0, 0.01), 1, 0.0136656e-3),
+    (4, (0.0, 0.1), 1, 0.0465587e-3),
+    (18, (0.1, 0.0), 0, -0.1013844e-3),
+    (18, (0.0, 0.01), 1, 0.0822044e-3),
+    (18, (0.0, 0.1), 1, 0.2260322e-3),
+]
+"""Step, point and component of displacements (m), of an independent code."""
+
+
+def test_the_plate_agrees_with_an_independent_code_in_plane_strain() -> None:
+    scene = changed("plate", domain__kind="plane strain", effects__traction__f2=[0.0, 450e6])
+    sol = scene.solve(t_end=1.0, steps=18)
+    assert sol.stats["relative"].max() <= 1e-10
+    for step, point, component, displacement in HOLE:
+        u = at_point(scene, sol, point)[step, component]
+        assert u == pytest.approx(displacement, rel=1e-3)
+
+
+def test_the_plate_yields_first_beside_the_hole_at_the_tension_of_its_notch_factor() -> None:
+    errors = []
+    for refinements in (0, 1):
+        scene = changed("plate", domain__refinements=refinements)
+        space, (elastic, plastic) = scene.discretisation, (140.0, 170.0)
+        while plastic - elastic > 0.5:  # one step to a tension of so many MPa
+            tension = (elastic + plastic) / 2
+            strain = scene.plastic_strain(scene.solve(t_end=tension / 420, steps=1))
+            assert strain is not None
+            if strain.any():
+                plastic, cell = tension, strain[1].argmax()
+            else:
+                elastic = tension
+        middle = space.points[space.scalar.element_dofs[:3, cell]].mean(axis=0)
+        assert np.hypot(*(middle - [0.01, 0.0])) < 1e-3
+        errors.append(abs(plastic / (450 / 3.03) - 1))
+    assert errors[0] < 0.03
+    assert errors[1] < 0.6 * errors[0]
+
+
+def test_what_a_run_of_plasticity_leaves_names_the_plastic_strain(tmp_path: Any) -> None:
+    scene = changed("plate")
+    sol = scene.solve(t_end=1.0, steps=4)
+    report, strain = Report(scene, sol, "plate"), scene.plastic_strain(sol)
+    assert strain is not None
+    p = sol.field("plasticity").u
+    assert sol.field("u").u.shape[1] + p.shape[1] == sol.u.shape[1]
+    points = p.shape[1] // 4  # in plane stress e_zz, then three components of p
+    each = np.sqrt(2 / 3) * np.linalg.norm(p[:, points:].reshape(5, points, 3), axis=2)
+    assert strain.max() <= each.max()
+    assert strain.max() > 0 == strain[0].max()
+    assert dataset_of(report).plastic_strain.values == pytest.approx(strain)
+    files = write_vtu(report, tmp_path)
+    assert meshio.read(files[-1]).cell_data["plastic_strain"][0] == pytest.approx(strain[-1])
+    for draw in drawn_of(report).values():
+        assert draw(report).axes
+
+
+def test_an_eigenstrain_beside_plasticity_is_refused_in_plane_stress() -> None:
+    heat = {"history": {"waveform": "constant"}, "strain": 1e-3, "E": 206.9e9, "nu": 0.29}
+    with pytest.raises(InputError, match="effects: in plane stress an eigenstrain beside plast"):
+        changed("plate", effects__eigenstrain=heat)
+    changed("plate", effects__eigenstrain=heat, domain__kind="plane strain")
