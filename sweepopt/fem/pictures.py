@@ -147,6 +147,7 @@ def flow_figure(report: Report) -> Any:
         .subgridspec(-(-len(chosen) // 3), min(len(chosen), 3))
         .subplots(squeeze=False, sharex=True, sharey=True)
     )
+    fields[0, 0].locator_params(nbins=4)
     limit = float(np.abs(velocity).max()) or 1.0
     least = -limit if velocity.min() < 0 else 0.0
     colours = {"cmap": "PRGn" if least else "Blues", "vmin": least, "vmax": limit}
