@@ -106,8 +106,8 @@ def solve(
         and B must be diagonal on them. With "cones" C(t) = f(t) + E^T S, S balls and E sparse,
         differences of neighbours or rows of a gradient: connected balls at rest, a plug, have one
         value. "auto" takes proportional, return mapping (where these unknowns are more than the
-        others, or very many), cones (from 300 unknowns on), eliminated or full, the first that
-        applies. Where factors would not fit in memory, conjugate gradients
+        others, or very many), cones (intervals from 300 unknowns on), eliminated or full, the
+        first that applies. Where factors would not fit in memory, conjugate gradients
         take their place on every path.
     save : None, "last", int, array_like, callable, str or Path
         What is kept: all steps, the last one, every k-th, those that end at the given times of the

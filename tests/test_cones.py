@@ -163,7 +163,7 @@ def test_a_yield_stress_that_grows_in_time_stops_the_flow() -> None:
     assert set(sol.stats["solver"]) == {"cones"}
 
 
-def test_many_discs_choose_the_path_and_rough_meshes_are_certified() -> None:
+def test_discs_choose_the_path_and_rough_meshes_are_certified() -> None:
     mesh = disc(14)
     inside = np.setdiff1d(np.arange(mesh.nvertices), mesh.boundary_nodes())
     points = mesh.p.copy()
@@ -172,8 +172,9 @@ def test_many_discs_choose_the_path_and_rough_meshes_are_certified() -> None:
     sol = run(case, 5, path="auto")
     assert sol.plan.path == "cones"
     assert set(sol.stats["solver"]) == {"cones"}
-    assert flow(disc(4), lambda t: t).process.dim < 300
-    assert run(flow(disc(4), lambda t: t), path="auto").plan.path == "full"
+    assert run(flow(disc(2), lambda t: t), path="auto").plan.path == "cones"
+    few = so.solve(chain(20), t_end=1.0, steps=1, scheme="implicit-euler")
+    assert few.plan.path == "full"  # a polyhedron has a finite method
 
 
 def test_whether_the_start_is_inside_is_found_without_a_slow_projection() -> None:

@@ -11,6 +11,7 @@ from sweepopt.errors import InputError
 from sweepopt.fem.contact import STATES, Slip
 from sweepopt.fem.effects import YieldStress
 from sweepopt.fem.output import Report
+from sweepopt.fem.spaces import Discretisation
 from sweepopt.plot import LOOKS, STICK, STYLES, draw_histories, new_figure, spread
 from sweepopt.results import Solution
 
@@ -132,36 +133,22 @@ def flow_figure(report: Report) -> Any:
     a, b, c = body.points[triangles].transpose(1, 2, 0)
     area = np.abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) / 2
     flux = velocity[:, triangles].mean(axis=2) @ area
-    moving = np.flatnonzero(velocity.any(axis=1))
-    extremes = {int(flux.argmax()), int(flux.argmin())} & set(moving.tolist())
-    even = (
-        moving[np.linspace(0, moving.size - 1, 6 - len(extremes)).astype(int)]
-        if moving.size
-        else [0]
-    )
-    chosen = sorted(extremes | set(map(int, even)))
+    chosen = _telling(velocity, flux)
+    rows = -(-len(chosen) // 3)
     size = np.ptp(body.points, axis=0)
-    figure = new_figure((9.5, 3.1 * size[1] / size[0] * -(-len(chosen) // 3) + 3.0))
-    grid = figure.add_gridspec(2, 1, height_ratios=[-(-len(chosen) // 3) * size[1] / size[0], 0.75])
-    fields = (
-        grid[0]
-        .subgridspec(-(-len(chosen) // 3), min(len(chosen), 3))
-        .subplots(squeeze=False, sharex=True, sharey=True)
-    )
+    height = rows * size[1] / size[0]
+    figure = new_figure((9.5, 3.1 * height + 3.0))
+    grid = figure.add_gridspec(2, 1, height_ratios=[height, 0.75])
+    parts = grid[0].subgridspec(rows, min(len(chosen), 3))
+    fields = parts.subplots(squeeze=False, sharex=True, sharey=True)
+    fields[0, 0].locator_params(nbins=4)
     limit = float(np.abs(velocity).max()) or 1.0
     least = -limit if velocity.min() < 0 else 0.0
     colours = {"cmap": "PRGn" if least else "Blues", "vmin": least, "vmax": limit}
     for panel in fields.flat[len(chosen) :]:
         panel.set_axis_off()
     for panel, i in zip(fields.flat, chosen, strict=False):
-        at = velocity[i, triangles]
-        rigid = (at == at[:, :1]).all(axis=1)
-        image = panel.tripcolor(
-            *body.points.T, triangles, velocity[i], shading="gouraud", rasterized=True, **colours
-        )
-        for still, colour in ((False, PLUG), (True, STICK)):
-            part = triangles[rigid & ((at[:, 0] == 0) == still)]
-            panel.fill(*body.points[part].transpose(2, 1, 0), color=colour, lw=0.4)
+        image = _draw_flow(panel, body, velocity[i], colours)
         panel.set(aspect="equal", xlabel="x", ylabel="y")
         panel.set_title(f"t = {middle[i]:.4g}{report.suffix('time')}", fontsize="medium")
         panel.label_outer()
@@ -261,6 +248,31 @@ def loop_figure(report: Report) -> Any:
     _show_units(report, "length", panel.xaxis)
     _show_units(report, "force", panel.yaxis)
     return figure
+
+
+def _telling(velocity: np.ndarray, flux: np.ndarray) -> list[int]:
+    """Up to six steps, increasing: extremes of the flux and an even choice of those that move."""
+    moving = np.flatnonzero(velocity.any(axis=1))
+    if not moving.size:
+        return [0]
+    extremes = {int(flux.argmax()), int(flux.argmin())} & set(moving.tolist())
+    even = np.linspace(0, moving.size - 1, 6 - len(extremes)).astype(int)
+    return sorted(extremes | set(moving[even].tolist()))
+
+
+def _draw_flow(
+    panel: Any, body: Discretisation, velocity: np.ndarray, colours: dict[str, Any]
+) -> Any:
+    """The velocity at the nodes, and in flat colours what moves as a rigid body or rests."""
+    points, triangles = body.points, body.triangles
+    look = {"shading": "gouraud", "rasterized": True} | colours
+    image = panel.tripcolor(*points.T, triangles, velocity, **look)
+    at = velocity[triangles]
+    rigid = (at == at[:, :1]).all(axis=1)
+    for still, colour in ((False, PLUG), (True, STICK)):
+        part = triangles[rigid & ((at[:, 0] == 0) == still)]
+        panel.fill(*points[part].transpose(2, 1, 0), color=colour, lw=0.4)
+    return image
 
 
 def _informative(solution: Solution, slip: Slip | None) -> list[int]:

@@ -1,0 +1,130 @@
+"""Scenes of the library against exact or independent values, a section for each."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import skfem
+
+from sweepopt.fem import Scene, read_scene
+from sweepopt.fem.output import Report
+from sweepopt.fem.pictures import drawn_of
+from sweepopt.io import find_scene
+
+SUDDEN = pytest.mark.filterwarnings("ignore::sweepopt.errors.InitialStateWarning")
+
+
+def changed(name: str, **tables: dict[str, Any]) -> Scene:
+    """A scene of the library with some keys of its tables replaced; effects by their names."""
+    path = find_scene(name)
+    data = tomllib.loads(Path(path).read_text())
+    for key, changes in tables.items():
+        (data if key in data else data["effects"])[key].update(changes)
+    return read_scene(data, folder=path.parent)
+
+
+# ---- pipe, square_pipe: Bingham's flow ----
+
+G, ETA, R = 120.0, 2.5, 5e-3
+PEAK = 96e3  # Pa/m
+
+
+def steady(name: str, P: float, **domain: Any) -> tuple[Scene, np.ndarray]:
+    """The velocity at the nodes under a constant pressure gradient."""
+    constant = {"waveform": "constant", "value": P / PEAK}
+    time = {"end": 1.0, "steps": 1}
+    scene = changed(name, domain=domain, time=time, body_force={"history": constant})
+    run = scene.solve()
+    assert run.plan.path == "cones"
+    assert run.stats["relative"].max() <= 1e-6
+    return scene, scene.velocity(run)[0]
+
+
+def mean_of(scene: Scene, values: np.ndarray) -> np.ndarray:
+    """The integral over the section, of values at its nodes in the last axis."""
+    integrals = skfem.LinearForm(lambda v, _: 1.0 * v).assemble(scene.discretisation.scalar)
+    return values @ integrals[scene.discretisation.nodes[0]]
+
+
+def flux(P: np.ndarray | float) -> np.ndarray:
+    """Of Buckingham and Reiner."""
+    phi = np.minimum(2 * G / (np.maximum(P, 1.0) * R), 1.0)
+    return np.pi * P * R**4 / (8 * ETA) * (1 - 4 * phi / 3 + phi**4 / 3)
+
+
+@SUDDEN
+def test_the_flux_and_the_plug_of_the_pipe_converge_to_the_formulas() -> None:
+    errors = []
+    for refinements in range(3):
+        scene, z = steady("pipe", PEAK, refinements=refinements)
+        errors.append(abs(mean_of(scene, z) / flux(PEAK) - 1))
+    assert np.diff(np.log2(errors)).max() < -1.8, errors
+    assert errors[-1] < 2e-3  # 4704 triangles
+    near = (z < 0.98 * z.max()) & (z > 0.5 * z.max())
+    r = np.hypot(*scene.discretisation.points[near].T)
+    slope, value = np.polyfit(r, np.sqrt(z.max() - z[near]), 1)
+    assert -value / slope == pytest.approx(2 * G / PEAK, rel=5e-3)
+    inside = np.hypot(*scene.discretisation.points.T) < 0.9 * 2 * G / PEAK
+    assert np.unique(z[inside]).tolist() == [z.max()]
+
+
+@SUDDEN
+@pytest.mark.parametrize(("refinements", "rings"), [(1, 14), (2, 28)])
+def test_the_pipe_is_at_rest_up_to_its_limit_and_moves_above_that_of_the_mesh(
+    refinements: int, rings: int
+) -> None:
+    limit = 2 * G / R
+    for P, moves in ((limit, False), (1.02 * limit * (1 + 0.53 / rings), True)):
+        assert steady("pipe", P, refinements=refinements)[1].any() == moves
+
+
+@SUDDEN
+def test_the_square_pipe_is_at_rest_up_to_its_limit_and_its_corner_stays_at_rest() -> None:
+    limit = (2 + np.sqrt(np.pi)) * G / (2 * R)
+    assert not steady("square_pipe", limit)[1].any()
+    scene, z = steady("square_pipe", 1.05 * limit)
+    still = z == 0
+    x, y = scene.discretisation.points.T
+    assert z.max() > 0
+    assert still[(x < -R + 2e-4) & (y > R - 2e-4)].all()
+    assert still[(x > -0.9 * R) & (y < 0.9 * R)].sum() == 0
+
+
+def test_the_flux_follows_the_pressure_as_the_pipe_starts_and_stops() -> None:
+    scene = changed("pipe", domain={"refinements": 1}, time={"steps": 16})
+    run = scene.solve()
+    t = (run.t[1:] + run.t[:-1]) / 2
+    P = PEAK * np.interp(t, [0.0, 3.0, 5.0, 8.0], [0.0, 1.0, 1.0, 0.0])
+    velocity = scene.velocity(run)
+    assert run.stats["relative"].max() <= 1e-6
+    assert mean_of(scene, velocity) == pytest.approx(flux(P), abs=4e-3 * flux(PEAK))
+    assert not velocity[P <= 2 * G / R].any()
+    assert velocity[P > 1.1 * 2 * G / R].any(axis=1).all()
+    figure = drawn_of(Report(scene, run))["flow"](Report(scene, run))
+    assert [ax.get_ylabel() for ax in figure.axes][-1] == "flux (m³/s)"
+
+
+# ---- gel: Kelvin, Voigt and Bingham ----
+
+
+def test_the_gel_of_the_loading_ramp_agrees_with_its_closed_form() -> None:
+    g, eta, kappa, p, end = 0.38, 3.71, 2.53, 456.0 / 4.0, 4.0
+    r = np.linspace(0, R, 4001)[1:]
+    s, theta = np.maximum(end - 2 * g / (p * r), 0.0), eta / kappa
+    shear = p * r / (2 * kappa) * (s - theta * (1 - np.exp(-s / theta)))
+    exact = np.trapezoid(shear * np.pi * r**2, r)  # of u over the section, by parts
+    errors = []
+    for refinements, steps in ((0, 6), (1, 12), (2, 24)):
+        domain = {"refinements": refinements}
+        scene = changed("gel", domain=domain, time={"end": end, "steps": steps})
+        run = scene.solve()
+        assert run.stats["relative"].max() <= 1e-6
+        u = scene.displacement(run)[-1]
+        errors.append(abs(mean_of(scene, u) / exact - 1))
+    assert np.diff(np.log2(errors)).max() < -1.8, errors
+    assert errors[-1] < 5e-3
+    assert u.max() == pytest.approx(np.trapezoid(shear, r), rel=5e-3)
