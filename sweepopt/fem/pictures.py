@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import cycle
 from typing import Any
 
 import numpy as np
 
+from sweepopt.errors import InputError
 from sweepopt.fem.contact import STATES, Slip
-from sweepopt.fem.effects import YieldStress
+from sweepopt.fem.effects import Foundation, YieldStress
 from sweepopt.fem.output import Report
 from sweepopt.plot import LOOKS, STICK, STYLES, draw_histories, new_figure, spread
 from sweepopt.results import Solution
@@ -181,6 +183,84 @@ def flow_figure(report: Report) -> Any:
     return figure
 
 
+def space_time_figure(report: Report) -> Any:
+    """How fast each point with friction slips, over place and time; what sticks is white.
+
+    Along the boundary where friction acts on one, else over x.
+
+    Parameters
+    ----------
+    report : Report
+        Of a scene with friction of one component.
+
+    Returns
+    -------
+    matplotlib Figure
+    """
+    slip = report.slip
+    if slip is None or slip.velocity.ndim > 2:
+        raise InputError("pictures: 'space_time' needs friction of one component; leave it out")
+    contact = slip.contact
+    along = contact.on_curve
+    order = np.argsort(contact.arc if along else contact.points[:, 0], kind="stable")
+    x = (contact.arc if along else contact.points[:, 0])[order]
+    edges = np.hstack([x[0], (x[1:] + x[:-1]) / 2.0, x[-1]])
+    speed = np.ma.masked_equal(slip.velocity[:, order], 0.0)
+    limit = float(np.abs(speed).max() or 1.0)
+    signed = bool((speed < 0).any())
+    figure = new_figure((8.5, 5.0))
+    panel = figure.subplots()
+    image = panel.pcolormesh(
+        slip.t,
+        edges,
+        speed.T,
+        cmap="coolwarm" if signed else "viridis",
+        vmin=-limit if signed else 0.0,
+        vmax=limit,
+        rasterized=True,
+    )
+    names = ", ".join(dict.fromkeys(contact.boundary))
+    panel.set(xlabel="time", ylabel=f"arc length of {names}" if along else "x")
+    bar = figure.colorbar(image, ax=panel, label="velocity of slip; white sticks")
+    _show_units(report, "length", panel.yaxis)
+    _show_units(report, "time", panel.xaxis)
+    _show_units(report, "velocity", bar.ax.yaxis)
+    return figure
+
+
+def loop_figure(report: Report) -> Any:
+    """The force of each foundation whose far end moves, over how far it has moved.
+
+    Parameters
+    ----------
+    report : Report
+        Of a scene with a foundation that says `moved`.
+
+    Returns
+    -------
+    matplotlib Figure
+    """
+    scene, solution = report.scene, report.solution
+    space = scene.discretisation
+    driven = [one for one in scene.effects if isinstance(one, Foundation) and one.moved]
+    if not driven:
+        raise InputError("pictures: 'loop' needs a foundation with `moved`; leave it out")
+    figure = new_figure((6.5, 5.5))
+    panel = figure.subplots()
+    for effect, look in zip(driven, cycle(LOOKS)):
+        term: Any = effect.contribute(space).loads[0]
+        history, k = term
+        d = np.array([history(t) for t in solution.t])
+        force = d * (k @ space.restrict(effect.shift(space))) - solution.u[:, : space.dim] @ k
+        panel.plot(d, force, lw=1.4, **look)
+    panel.axhline(0.0, color="black", lw=0.5)
+    panel.axvline(0.0, color="black", lw=0.5)
+    panel.set(xlabel="displacement of the far end", ylabel="force of the foundation")
+    _show_units(report, "length", panel.xaxis)
+    _show_units(report, "force", panel.yaxis)
+    return figure
+
+
 def _informative(solution: Solution, slip: Slip | None) -> list[int]:
     """Time indices, increasing: extreme displacements, start and extremes of slip, the end."""
     u, last = solution.u, len(solution.steps)
@@ -237,5 +317,11 @@ def _state_legend(figure: Any) -> None:
     figure.legend(handles=handles, ncols=3, fontsize="small", loc="outside upper center")
 
 
-DRAWN = {"displacement": displacement_figure, "contact": contact_figure, "flow": flow_figure}
+DRAWN = {
+    "displacement": displacement_figure,
+    "contact": contact_figure,
+    "flow": flow_figure,
+    "space_time": space_time_figure,
+    "loop": loop_figure,
+}
 """What draws each of PICTURES."""
