@@ -1,4 +1,4 @@
-"""Scenes of problems/ against exact or independent values."""
+"""Lumped models, and their scenes (hysteresis, chain) against exact values."""
 
 from __future__ import annotations
 
