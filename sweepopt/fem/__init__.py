@@ -35,7 +35,7 @@ from sweepopt.fem.effects import (
     YieldStress,
 )
 from sweepopt.fem.fields import Profile
-from sweepopt.fem.mesh import grid, read_mesh
+from sweepopt.fem.mesh import chain, grid, read_mesh
 from sweepopt.fem.plasticity import Plasticity
 from sweepopt.fem.scene import Scene, antiplane, body
 from sweepopt.fem.scene_file import EFFECTS, read_scene
@@ -67,6 +67,7 @@ __all__ = [
     "YieldStress",
     "antiplane",
     "body",
+    "chain",
     "grid",
     "read_mesh",
     "read_scene",

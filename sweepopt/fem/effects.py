@@ -225,7 +225,7 @@ class Dashpot:
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix A."""
-        return Contribution(A=_mass(body, self.on, ON_ETA, self.eta, self.along))
+        return Contribution(A=body.restrict(_mass(body, self.on, ON_ETA, self.eta, self.along)))
 
 
 @dataclass(frozen=True)
@@ -240,11 +240,14 @@ class Foundation:
         Stiffness (Pa/m on a boundary or under a sheet, Pa/m^2 in a volume), >= 0.
     along : str
         As for `Dashpot`.
+    moved : callable, optional
+        d(t) (m): how far the other end of the springs has moved along the direction, which adds
+        the load ``d(t) int k v``. Of vectors `along` is "x", "y" or "z".
 
     Raises
     ------
     InputError
-        If a name is missing or given twice, or k is negative.
+        If a name is missing or given twice, k is negative, or what moves has no direction.
 
     Examples
     --------
@@ -255,14 +258,30 @@ class Foundation:
     on: Sequence[str]
     k: Datum
     along: str = "all"
+    moved: Phi | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "on", boundary_names("on", self.on))
         ON_K.check(self.k)
+        if self.moved is not None:
+            check_history(self.moved, "moved")
 
     def contribute(self, body: Discretisation) -> Contribution:
-        """The matrix B."""
-        return Contribution(B=_mass(body, self.on, ON_K, self.k, self.along))
+        """The matrix B, and the load of what moves."""
+        B = _mass(body, self.on, ON_K, self.k, self.along)
+        if self.moved is None:
+            return Contribution(B=body.restrict(B))
+        if body.components > 1 and self.along not in AXES:
+            raise InputError(f"along must be x, y or z where `moved` is, got {shown(self.along)}")
+        return Contribution(
+            B=body.restrict(B), loads=[(self.moved, body.restrict(B @ self.shift(body)))]
+        )
+
+    def shift(self, body: Discretisation) -> Array:
+        """All degrees of freedom where the whole body moves by 1 along the direction."""
+        full = np.zeros(body.basis.N)
+        full[body.nodes[max(AXES.find(self.along), 0)]] = 1.0
+        return full
 
 
 @dataclass(frozen=True)
@@ -717,11 +736,11 @@ class MaxwellBranch:
         )
 
 
-def check_history(history: object) -> None:
+def check_history(history: object, name: str = "history") -> None:
     """Refuse a history that is not a function of time."""
     if not callable(history):
         raise InputError(
-            f"history must be a function of time such as Table or Sine, got {shown(history)}"
+            f"{name} must be a function of time such as Table or Sine, got {shown(history)}"
         )
 
 
@@ -788,8 +807,8 @@ def _stiffness(body: Discretisation, lam: Any, mu: Any, tensor: Any) -> sp.csc_a
 def _mass(
     body: Discretisation, on: Sequence[str], coefficient: Coefficient, datum: Datum, along: str
 ) -> sp.csc_array:
-    """int c u . v of the components along a direction, on the unknowns."""
-    place = body.place("on", tuple(on))
+    """int c u . v of the components along a direction, of all degrees of freedom."""
+    place = body.place("on", tuple(on), nodal=body.lumped)
     c, facets = place.values(coefficient, datum), hasattr(place.basis, "normals")
     known = ["all"]
     if body.components > 1:
@@ -810,15 +829,14 @@ def _mass(
         )
         return c * (normal if along == "n" else both - normal)
 
-    restricted: sp.csc_array = body.restrict(place.matrix(form))
-    return restricted
+    return place.matrix(form)
 
 
 def _force(
     body: Discretisation, coefficient: Coefficient, data: Any, history: Phi, on: Sequence[str]
 ) -> Force:
     """A term of the load with the density `data`: one number, one along the normal, or a vector."""
-    place = body.place("on", on)
+    place = body.place("on", on, nodal=body.lumped)
     several = isinstance(data, (list, tuple))
     parts = list(data) if several else [data]
     if len(parts) != (body.components if several or tuple(on) == (BODY,) else 1):

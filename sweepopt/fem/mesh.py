@@ -92,6 +92,23 @@ def grid(
     return mesh.with_boundaries(boundaries)
 
 
+def chain(nodes: int) -> skfem.Mesh:
+    """Nodes at x = 0, 1, 2, ... with an edge from each to the next, for a lumped model.
+
+    Returns
+    -------
+    skfem.Mesh
+        With the boundaries left and right.
+
+    Examples
+    --------
+    >>> chain(3).p
+    array([[0., 1., 2.]])
+    """
+    edges = count("nodes", nodes, 2) - 1
+    return grid([edges], [edges])
+
+
 def read_mesh(path: str | Path) -> skfem.Mesh:
     """Read a mesh of intervals, triangles of first or second order, or straight tetrahedra.
 

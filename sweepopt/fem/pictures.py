@@ -1,20 +1,23 @@
-"""Pictures of a run: the displacement with its slip zone, the contact's histories, and flow."""
+"""Pictures of a run: fields, what a contact does in space and time, loops of load and motion."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import cycle
 from typing import Any
 
 import numpy as np
 
 from sweepopt.errors import InputError
 from sweepopt.fem.contact import STATES, Slip
-from sweepopt.fem.effects import YieldStress
+from sweepopt.fem.effects import Foundation, YieldStress
 from sweepopt.fem.output import Report
+from sweepopt.fem.scene import Scene
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.plot import LOOKS, STICK, STYLES, draw_histories, new_figure, spread
 from sweepopt.results import Solution
 
+Array = np.ndarray
 PLUG = "#E69F00"
 STATE_COLOURS = {-1: "#0072B2", 0: STICK, 1: "#D55E00"}
 
@@ -125,8 +128,6 @@ def flow_figure(report: Report) -> Any:
     -------
     matplotlib Figure
     """
-    from matplotlib.patches import Patch
-
     body, t = report.scene.discretisation, report.solution.t
     velocity, middle = report.scene.velocity(report.solution), (t[1:] + t[:-1]) / 2
     triangles = body.triangles
@@ -164,8 +165,7 @@ def flow_figure(report: Report) -> Any:
     history.set_ylabel("flux" + (" (m³/s)" if report.suffix("length") else ""))
     history.grid(alpha=0.3)
     _show_units(report, "time", history.xaxis)
-    handles = [Patch(color=PLUG, label="moves as a rigid body"), Patch(color=STICK, label="rests")]
-    figure.legend(handles=handles, ncols=2, fontsize="small", loc="outside upper center")
+    _legend(figure, {PLUG: "moves as a rigid body", STICK: "rests"})
     return figure
 
 
@@ -215,39 +215,190 @@ def yielding_figure(report: Report) -> Any:
     return figure
 
 
-def loop_figure(report: Report) -> Any:
-    """The load over the displacement that it works on: the area of a loop is what is lost.
-
-    The displacement is the mean of that of the body along the nodal forces of the largest load, the
-    load is the sum of these.
+def space_time_figure(report: Report) -> Any:
+    """The slip rate along the contact, or over x, and time; grey where it sticks.
 
     Parameters
     ----------
     report : Report
-        Of a scene with a load.
+        Of a scene in which one component slips.
 
     Returns
     -------
     matplotlib Figure
     """
-    solution, scene = report.solution, report.scene
-    body, t = scene.discretisation, solution.t
-    forces = np.array([scene.load(time)[: body.dim] for time in t])
-    largest = forces[np.linalg.norm(forces, axis=1).argmax()]
-    if not largest.any():
-        raise InputError("pictures: loop needs a load; the scene has none")
-    nodal = body.expand(largest).reshape(-1, body.components)
-    along = largest / np.linalg.norm(nodal, axis=1).sum()
-    load = forces @ along / (along @ along)
-    figure = new_figure((6.0, 4.5))
+    from matplotlib import colormaps
+
+    slip = report.slip
+    if slip is None or slip.velocity.ndim > 2:
+        raise InputError("pictures: space_time needs friction of one component; leave it out")
+    contact = slip.contact
+    curve = contact.on_curve
+    order = np.argsort(contact.arc if curve else contact.points[:, 0], kind="stable")
+    edges = _edges(slip) if curve else _between(contact.points[order, 0])
+    rate = np.ma.masked_equal(slip.velocity[:, order], 0.0).T
+    limit, least = float(np.abs(rate).max() or 1.0), float(rate.min() or 0.0)
+    colours = colormaps["PuOr" if least < 0 else "YlOrBr"].with_extremes(bad=STICK)
+    figure = new_figure((8.5, 5.0))
     panel = figure.subplots()
-    panel.plot(solution.u[:, : body.dim] @ along, load, color="#0072B2", lw=1.5)
-    panel.set(xlabel="mean displacement along the load", ylabel="load")
+    look: dict[str, Any] = {"cmap": colours, "vmin": -limit if least < 0 else 0.0, "vmax": limit}
+    image = panel.pcolormesh(slip.t, edges, rate, rasterized=True, **look)
+    bar = figure.colorbar(image, ax=panel, label=f"slip rate{_in(report, 'velocity')}")
+    bar.formatter.set_powerlimits((-2, 3))
+    panel.set(xlabel="time", ylabel=_along(slip) if curve else "x")
+    if curve:
+        panel.set_ylim(_slipped(slip))
+    _show_units(report, "time", panel.xaxis)
+    _show_units(report, "length", panel.yaxis)
+    _legend(figure, {STICK: "sticks"})
+    return figure
+
+
+def profiles_figure(report: Report) -> Any:
+    """Slip and friction along the contact at five even times; the bound of t = 0 is dashed.
+
+    Returns
+    -------
+    matplotlib Figure
+    """
+    slip = _along_a_curve(report, "profiles")
+    figure = new_figure((8.5, 6.5))
+    moved, traction = figure.subplots(2, 1, sharex=True)
+    arc, steps = slip.contact.arc, len(slip.stage_t)
+    for i, look in zip(np.unique(np.arange(1, 6) * steps // 5).tolist(), LOOKS, strict=False):
+        if i:
+            label = f"t = {slip.t[i]:.4g}{report.suffix('time')}"
+            moved.plot(arc, slip.displacement[i], lw=1.5, label=label, **look)
+            traction.plot(arc, slip.traction[i - 1], lw=1.5, **look)
+    low, high = _slipped(slip)
+    inside = (arc >= low) & (arc <= high)
+    limit = 1.1 * float(slip.contact.bound[inside].max())
+    for sign in (-1, 1):
+        traction.plot(arc, sign * slip.contact.bound, color="black", ls="--", lw=0.8)
+    moved.set_ylabel("displacement")
+    moved.legend(fontsize="small", ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    traction.set(xlabel=_along(slip), ylabel="friction traction", xlim=(low, high))
+    traction.set_ylim(-limit, limit)
+    for panel in (moved, traction):
+        panel.grid(alpha=0.3)
+    _show_units(report, "length", traction.xaxis, moved.yaxis)
+    _show_units(report, "traction", traction.yaxis)
+    return figure
+
+
+def arrows_figure(report: Report) -> Any:
+    """Slip arrows in the plane of contact, and the friction traction over its bound, of vectors.
+
+    Parameters
+    ----------
+    report : Report
+        Of a scene in which two components slip.
+
+    Returns
+    -------
+    matplotlib Figure
+    """
+    solution, slip = report.solution, report.slip
+    if slip is None or slip.velocity.ndim == 2:
+        raise InputError("pictures: 'arrows' needs friction where two components slip")
+    points, bound = slip.contact.points, slip.contact.bound
+    plane = np.sort(np.argsort(-np.ptp(points, axis=0), kind="stable")[:2])
+    x, last = points[:, plane], len(solution.steps) - 1
+    steps = sorted({last, *(int(np.argmin(np.abs(slip.share - q))) for q in (0.25, 0.5, 1.0))})
+    velocity = report.scene.velocity(solution)[:, slip.contact.node][:, :, plane]
+    fastest = float(np.linalg.norm(velocity[steps], axis=2).max()) or 1.0
+    ratio = np.linalg.norm(slip.traction, axis=2)
+    ratio = np.divide(ratio, bound, out=np.zeros_like(ratio), where=bound > 0)
+    figure = new_figure((9.0, 1.0 + 4.2 * np.ptp(x[:, 1]) / np.ptp(x[:, 0]) * -(-len(steps) // 2)))
+    panels = figure.subplots(-(-len(steps) // 2), 2, squeeze=False, sharex=True, sharey=True)
+    for panel in panels.flat[len(steps) :]:
+        panel.set_axis_off()
+    for panel, k in zip(panels.flat, steps, strict=False):
+        panel.margins(0.1)
+        image = panel.scatter(*x.T, c=ratio[k], s=14, vmin=0.0, vmax=1.0, cmap="viridis")
+        arrows = velocity[k] * (0.09 * np.ptp(x[:, 0]) / fastest)
+        moves = slip.speed[k] > 0
+        panel.quiver(
+            *x[moves].T, *arrows[moves].T, angles="xy", scale_units="xy", scale=1.0, width=0.003
+        )
+        time = f"t = {solution.t[k + 1]:.4g}{report.suffix('time')}"
+        panel.set_title(f"{time}, {100 * slip.share[k]:.0f} % slips", fontsize="medium")
+        panel.set(aspect="equal", xlabel="xyz"[plane[0]], ylabel="xyz"[plane[1]])
+        panel.label_outer()
+    figure.colorbar(image, ax=panels, label="friction traction / bound", shrink=0.8)
+    _show_units(report, "length", panels[0, 0].xaxis, panels[0, 0].yaxis)
+    return figure
+
+
+def loop_figure(report: Report) -> Any:
+    """Loads over the displacements that they work on: the area of a loop is what is lost.
+
+    Returns
+    -------
+    matplotlib Figure
+    """
+    figure = new_figure((6.0, 5.0))
+    panel = figure.subplots()
+    for (x, load, words), look in zip(loops(report.scene, report.solution), cycle(LOOKS)):
+        panel.plot(x, load, lw=1.5, **look)
+        panel.set(xlabel=words[0], ylabel=words[1])
     panel.grid(alpha=0.3)
     panel.locator_params(axis="x", nbins=6)
     _show_units(report, "length", panel.xaxis)
     _show_units(report, "force", panel.yaxis)
     return figure
+
+
+def loops(scene: Scene, solution: Solution) -> list[tuple[Array, Array, tuple[str, str]]]:
+    """Displacement and load at the times with their names, one pair for each of what drives.
+
+    Of each foundation whose far end moves, its displacement and force. Else of a prescribed
+    displacement phi d, phi and the reaction <d, A u' + B u>; else the sum of the nodal forces along
+    the largest load, and the mean displacement along them.
+    """
+    body, t = scene.discretisation, solution.t
+    u = solution.u[:, : body.dim]
+    driven = [one for one in scene.effects if isinstance(one, Foundation) and one.moved]
+    found = []
+    for effect in driven:
+        term: Any = effect.contribute(body).loads[0]
+        history, k = term
+        d = np.array([history(time) for time in t])
+        force = d * (k @ body.restrict(effect.shift(body))) - u @ k
+        found.append((d, force, ("displacement of the far end", "force of the foundation")))
+    if found:
+        return found
+    if scene.lifts:
+        history, d = scene.lifts[0]
+        return [
+            (history(t), _reaction(scene, solution, d), ("prescribed displacement", "reaction"))
+        ]
+    forces = np.array([scene.load(time)[: body.dim] for time in t])
+    largest = forces[np.linalg.norm(forces, axis=1).argmax()]
+    if not largest.any():
+        raise InputError("pictures: loop needs a load or a far end that moves; leave it out")
+    nodal = body.expand(largest).reshape(-1, body.components)
+    along = largest / np.linalg.norm(nodal, axis=1).sum()
+    load = forces @ along / (along @ along)
+    return [(u @ along, load, ("mean displacement along the load", "load"))]
+
+
+def _reaction(scene: Scene, solution: Solution, d: Array) -> Array:
+    """<d, A u' + B u> at the times, with u at all nodes."""
+    free = scene.discretisation.released()
+    rate = scene.velocity(solution)
+    motions = {"A": np.concatenate([rate[:1], rate]), "B": scene.displacement(solution)}
+    force = np.zeros(len(solution.t))
+    for effect in scene.effects:
+        own = effect.contribute(scene.discretisation)
+        if own.A is None and own.B is None:
+            continue
+        part = effect.contribute(free)
+        for name, motion in motions.items():
+            if (matrix := getattr(part, name)) is not None:
+                row = (matrix @ d)[free.nodes.T]
+                force += motion.reshape(len(force), -1) @ row.ravel()
+    return force
 
 
 def _telling(velocity: np.ndarray, flux: np.ndarray) -> list[int]:
@@ -273,6 +424,43 @@ def _draw_flow(
         part = triangles[rigid & ((at[:, 0] == 0) == still)]
         panel.fill(*points[part].transpose(2, 1, 0), color=colour, lw=0.4)
     return image
+
+
+def _along_a_curve(report: Report, name: str) -> Slip:
+    """The slip of a scene with friction along boundaries, where one component slips."""
+    slip = report.slip
+    if slip is None or slip.velocity.ndim > 2 or not slip.contact.on_curve:
+        raise InputError(f"pictures: {name} needs friction along a boundary; leave it out")
+    return slip
+
+
+def _slipped(slip: Slip) -> tuple[float, float]:
+    """The arc between the outermost nodes that ever slip, and some more."""
+    arc = slip.contact.arc
+    where = arc[slip.total > 0] if slip.total.any() else arc
+    more = 0.15 * float(np.ptp(where))
+    return max(float(where.min()) - more, 0.0), min(float(where.max()) + more, float(arc[-1]))
+
+
+def _along(slip: Slip) -> str:
+    return f"arc length of {', '.join(dict.fromkeys(slip.contact.boundary))}"
+
+
+def _edges(slip: Slip) -> np.ndarray:
+    """Ends of the nodes' shares of the arc."""
+    arc, half = slip.contact.arc, slip.contact.weight / 2.0
+    return np.hstack([arc[0] - half[0], (arc[1:] + arc[:-1]) / 2.0, arc[-1] + half[-1]])
+
+
+def _in(report: Report, quantity: str) -> str:
+    """The unit of an axis, such as " (m)"."""
+    unit = report.suffix(quantity).strip()
+    return f" ({unit})" if unit else ""
+
+
+def _between(x: Array) -> Array:
+    """Ends of the shares of increasing places."""
+    return np.hstack([x[0], (x[1:] + x[:-1]) / 2.0, x[-1]])
 
 
 def _informative(solution: Solution, slip: Slip | None) -> list[int]:
@@ -302,13 +490,11 @@ def _draw_zone(panel: Any, slip: Slip) -> None:
     """Slip state over arc length and time."""
     from matplotlib.colors import ListedColormap
 
-    arc, half = slip.contact.arc, slip.contact.weight / 2.0
-    edges = np.hstack([arc[0] - half[0], (arc[1:] + arc[:-1]) / 2.0, arc[-1] + half[-1]])
     colours = ListedColormap([STATE_COLOURS[state] for state in STATES])
     panel.pcolormesh(
-        slip.t, edges, slip.state.T, cmap=colours, vmin=-1.5, vmax=1.5, rasterized=True
+        slip.t, _edges(slip), slip.state.T, cmap=colours, vmin=-1.5, vmax=1.5, rasterized=True
     )
-    panel.set_ylabel(f"arc length of {', '.join(dict.fromkeys(slip.contact.boundary))}")
+    panel.set_ylabel(_along(slip))
 
 
 def _show_units(report: Report, quantity: str, *axes: Any) -> None:
@@ -322,18 +508,23 @@ def _show_units(report: Report, quantity: str, *axes: Any) -> None:
 
 def _state_legend(figure: Any) -> None:
     """What the colours of the contact boundary mean."""
+    names = {STATE_COLOURS[state]: name.replace("_", " ") for state, name in STATES.items()}
+    _legend(figure, names)
+
+
+def _legend(figure: Any, names: dict[str, str]) -> None:
     from matplotlib.patches import Patch
 
-    handles = [
-        Patch(color=STATE_COLOURS[state], label=name.replace("_", " "))
-        for state, name in STATES.items()
-    ]
+    handles = [Patch(color=colour, label=name) for colour, name in names.items()]
     figure.legend(handles=handles, ncols=3, fontsize="small", loc="outside upper center")
 
 
 DRAWN = {
     "displacement": displacement_figure,
     "contact": contact_figure,
+    "space_time": space_time_figure,
+    "profiles": profiles_figure,
+    "arrows": arrows_figure,
     "flow": flow_figure,
     "yielding": yielding_figure,
     "loop": loop_figure,

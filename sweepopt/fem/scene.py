@@ -29,7 +29,16 @@ if TYPE_CHECKING:
     from sweepopt.results import Solution
 
 UNITS = ("dimensionless", "SI")
-PICTURES = ("displacement", "contact", "flow", "yielding", "loop")
+PICTURES = (
+    "displacement",
+    "contact",
+    "space_time",
+    "profiles",
+    "arrows",
+    "flow",
+    "yielding",
+    "loop",
+)
 """What a scene can ask for; DRAWN of pictures.py draws it."""
 
 
@@ -336,10 +345,11 @@ def _contribution(
         raise InputError(f"{label} is no effect such as Viscosity(1.0): {shown(effect)}")
     with at_path(label):
         part = effect.contribute(space)
-    if (history := getattr(effect, "history", None)) is not None and t_end is not None:
-        with at_path(f"{label}.history"):
-            for t in (0.0, t_end):
-                history(t)
+    for name in ("history", "moved"):
+        if (history := getattr(effect, name, None)) is not None and t_end is not None:
+            with at_path(f"{label}.{name}"):
+                for t in (0.0, t_end):
+                    history(t)
     return part
 
 

@@ -31,7 +31,7 @@ from sweepopt.fem.effects import (
     YieldStress,
 )
 from sweepopt.fem.fields import Profile
-from sweepopt.fem.mesh import grid
+from sweepopt.fem.mesh import chain, grid
 from sweepopt.fem.plasticity import Plasticity
 from sweepopt.fem.scene import PICTURES, Scene, at_path, build, method
 from sweepopt.fem.spaces import Discretisation
@@ -102,7 +102,8 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
         mesh = "tube.msh"               # Gmsh, VTU, Abaqus; groups by name
         # mesh = { sizes = [2.0, 1.0], cells = [20, 10] }: sides left, right, bottom, top (front,
         # back); one size is an interval, three are a box
-        kind = "antiplane"              # or "plane strain", "plane stress", "solid"
+        # mesh = { nodes = 50 }: a chain with nodes at x = 0, 1, ..., for kind = "lumped"
+        kind = "antiplane"              # or "plane strain", "plane stress", "solid", "lumped"
         clamped = "bonded"              # a name or a list; "clamped" if not given
         held = { foot = "y" }           # components: letters of x, y, z, n, t, or "all"
         element = "P1"                  # or "P2"
@@ -180,10 +181,10 @@ def _called(kind: Callable[..., Any], table: Any, path: str, folder: Path) -> An
 def _value(key: str, value: Any, path: str, folder: Path) -> Any:
     """A value of a table: files are relative to the folder, tables become records."""
     if key == "mesh" and isinstance(value, Mapping):
-        return _called(grid, value, path, folder)
+        return _called(chain if "nodes" in value else grid, value, path, folder)
     if key in ("mesh", "csv"):
         return folder / as_path(path, value)
-    if key == "history":
+    if key in ("history", "moved"):
         return _history(value, path, folder)
     if isinstance(value, Mapping) and "along" in value:
         return _called(Profile, value, path, folder)

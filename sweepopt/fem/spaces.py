@@ -1,9 +1,10 @@
 """The finite element space, its unknowns, and integrals on it.
 
-A body is antiplane (u is a number: the displacement out of a section, or along a bar), in plane
-strain, in plane stress, or solid (u is a vector). Components are held to zero on named boundaries;
-on boundaries with friction the components at a node are the normal and the tangents, so that
-contact holds a component and friction acts on unknowns.
+A body is lumped (u is a number at each node of a chain), antiplane (u is a number: the displacement
+out of a section, or along a bar), in plane strain, in plane stress, or solid (u is a vector).
+Components are held to zero on named boundaries; on boundaries with friction the components at a
+node are the normal and the tangents, so that contact holds a component and friction acts on
+unknowns.
 """
 
 from __future__ import annotations
@@ -31,7 +32,13 @@ from sweepopt.io import as_path
 
 Array = NDArray[np.float64]
 
-KINDS = {"antiplane": (1, 2), "plane strain": (2,), "plane stress": (2,), "solid": (3,)}
+KINDS = {
+    "lumped": (1,),
+    "antiplane": (1, 2),
+    "plane strain": (2,),
+    "plane stress": (2,),
+    "solid": (3,),
+}
 """Dimensions of the mesh of each kind of body."""
 ELEMENTS: dict[str, tuple[skfem.Element, ...]] = {
     "P1": (skfem.ElementLineP1(), skfem.ElementTriP1(), skfem.ElementTetP1()),
@@ -61,7 +68,9 @@ class Discretisation:
     refinements : int
         How often each cell is divided (a triangle into four). Curved edges stay as they are: the
         functions of a mesh are functions of the finer ones.
-    kind : {"antiplane", "plane strain", "plane stress", "solid"}
+    kind : {"lumped", "antiplane", "plane strain", "plane stress", "solid"}
+        A lumped model is a chain of P1 intervals of length 1: gradients are the differences along
+        edges, and an integral of values over the body is their sum over the nodes.
     held : mapping of str to str
         Components that are zero on a boundary: letters of "xyz", "n" (normal), "t" (all tangents),
         such as ``{"axis": "n", "foot": "xy"}``, or "all". At a node the normal is the mean of
@@ -119,6 +128,13 @@ class Discretisation:
             needs = " or ".join(("intervals", "triangles", "tetrahedra")[k - 1] for k in dimensions)
             raise InputError(f"kind: {self.kind!r} needs a mesh of {needs}; change one of the two")
         object.__setattr__(self, "mesh", refined(self.mesh, self.refinements))
+        if self.lumped and (
+            self.element != "P1" or not np.allclose(np.diff(self.mesh.p[0][self.mesh.t], axis=0), 1)
+        ):
+            raise InputError(
+                "kind: 'lumped' needs P1 and intervals of length 1; give mesh = { nodes = ... }, "
+                "or take 'antiplane' for a bar"
+            )
         given = ("clamped" if not self.held else ()) if self.clamped is None else self.clamped
         empty = not isinstance(given, str) and isinstance(given, Sequence) and not given
         names = () if empty else boundary_names("clamped", given)
@@ -145,9 +161,14 @@ class Discretisation:
                 raise InputError(f"held.{name} must be {letters}, got {shown(what)}")
 
     @property
+    def lumped(self) -> bool:
+        """Whether it is nodes and edges, with nothing between them."""
+        return self.kind == "lumped"
+
+    @property
     def components(self) -> int:
         """How many the displacement has."""
-        return 1 if self.kind == "antiplane" else int(self.mesh.dim())
+        return 1 if self.lumped or self.kind == "antiplane" else int(self.mesh.dim())
 
     @cached_property
     def scalar(self) -> skfem.CellBasis:
@@ -369,6 +390,9 @@ class Discretisation:
             basis = skfem.CellBasis(
                 self.mesh, element, elements=cells, intorder=order, quadrature=rule
             )
+            if nodal and self.lumped:  # each node counts as one, in however many cells it is
+                times = np.bincount(basis.element_dofs.ravel(), minlength=basis.N)
+                basis.dx = 1.0 / times[basis.element_dofs.T]
         return Place(basis, groups, nodes if cells is None else nodes[:, cells])
 
     def rule(self, dimension: int) -> tuple[Array, Array]:

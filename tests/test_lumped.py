@@ -1,0 +1,206 @@
+"""Lumped models, and their scenes (hysteresis, chain) against exact values."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import sweepopt as so
+from sweepopt.fem import (
+    Discretisation,
+    Elasticity,
+    Foundation,
+    Viscosity,
+    body,
+    chain,
+    grid,
+    read_scene,
+)
+from sweepopt.fem import Friction as Rub
+from sweepopt.fem.output import Report
+from sweepopt.fem.pictures import drawn_of
+from sweepopt.io import find_scene, read_toml
+from sweepopt.loads import Table
+
+Array = NDArray[np.float64]
+
+
+def scene_data(name: str) -> dict[str, Any]:
+    return dict(read_toml(find_scene(name)))
+
+
+# --- lumped models, and scene 11: hysteresis
+
+
+def test_a_lumped_model_is_the_chain_to_the_last_digit() -> None:
+    n, kappa, k = 6, np.array([1.0, 2.0, 4.0, 8.0, 16.0]), np.arange(6.0)
+    space = Discretisation(chain(n), (), kind="lumped")
+    effects = [
+        Viscosity(1.0),
+        Elasticity(lambda x: kappa[np.minimum(x[0].astype(int), n - 2)]),
+        Foundation("body", "x", moved=Table([0.0, 1.0], [0.0, 2.0])),
+        Rub("body", "1 + x"),
+    ]
+    scene = body(space, effects, t_end=1.0, steps=4)
+    D = np.diff(np.eye(n), axis=0)
+    assert np.allclose(scene.process.B.toarray(), D.T @ np.diag(kappa) @ D + np.diag(k), atol=1e-13)
+    assert np.allclose(scene.process.A.toarray(), D.T @ D, rtol=0, atol=1e-14)
+    assert np.allclose(scene.load(1.0), 2.0 * k, rtol=0, atol=1e-15)
+    assert scene.contact is not None
+    assert np.array_equal(scene.contact.weight, np.ones(n))
+    assert np.array_equal(scene.contact.threshold, 1.0 + k)
+
+
+def force_of(d: list[float]) -> tuple[Array, Array, Array]:
+    """Input, total force and forces of the sliders of the scene, driven through d."""
+    data = scene_data("hysteresis")
+    t = [float(i) for i in range(len(d))]
+    data["effects"]["foundation"]["moved"] = {"table": {"t": t, "values": d}}
+    data["time"] = {"end": t[-1], "steps": 40 * (len(d) - 1)}
+    solution = read_scene(data).solve()
+    assert solution.stats["relative"].max() <= 1e-10
+    x = np.interp(solution.t, t, d)
+    each = 0.02 * (x[:, None] - solution.u)
+    return x, each.sum(axis=1), each
+
+
+def first_loading(d: Any) -> Array:
+    """F on first loading: sum_i min(k d, g_i), odd in d."""
+    g = 0.02 * np.arange(1, 51) / 50
+    d = np.asarray(d)[:, None]
+    return np.asarray((np.sign(d) * np.minimum(0.02 * np.abs(d), g)).sum(axis=1))
+
+
+def test_loops_obey_masing_s_rule() -> None:
+    d, F, _ = force_of([0.0, 0.9, -0.7, 0.5])
+    assert np.allclose(F[:41], first_loading(d[:41]), rtol=0, atol=1e-10)
+    for turn, part in ((40, slice(40, 81)), (80, slice(80, 121))):
+        rule = F[turn] + 2 * first_loading((d[part] - d[turn]) / 2)
+        assert np.allclose(F[part], rule, rtol=0, atol=1e-10)
+
+
+def test_a_closed_loop_is_forgotten() -> None:
+    # the loop 0.3 -> -0.2 -> 0.3 leaves no trace: all sliders are where they were
+    _, _, with_loop = force_of([0.0, 0.9, -0.7, 0.3, -0.2, 0.3, 0.6])
+    _, _, without = force_of([0.0, 0.9, -0.7, 0.3, 0.6])
+    assert np.allclose(with_loop[200], with_loop[120], rtol=0, atol=1e-10)
+    assert np.allclose(with_loop[-1], without[-1], rtol=0, atol=1e-10)
+    assert np.abs(with_loop[160] - with_loop[120]).max() > 1e-3
+
+
+def test_loops_between_the_same_inputs_are_congruent() -> None:
+    _, up, _ = force_of([0.0, 1.0, -1.0, 0.3, -0.2, 0.3])
+    _, down, _ = force_of([0.0, 1.0, -0.2, 0.3, -0.2, 0.3])
+    first, second = up[-81:] - up[-1], down[-81:] - down[-1]
+    assert np.abs(up[-1] - down[-1]) > 0.1  # other branches
+    assert np.allclose(first, second, rtol=0, atol=1e-10)
+
+
+def test_the_loop_of_the_scene_is_that_of_fifty_plays() -> None:
+    scene = read_scene("hysteresis")
+    solution = scene.solve()
+    points = scene_data("hysteresis")["effects"]["foundation"]["moved"]["table"]
+    r, u = np.arange(1, 51) / 50, np.zeros(50)
+    for i, d in enumerate(np.interp(solution.t, points["t"], points["values"])):
+        u = np.clip(u, d - r, d + r)
+        assert np.abs(solution.u[i] - u).max() <= 1e-10
+    report = Report(scene, solution)
+    figure = drawn_of(report)["loop"](report)
+    force = figure.axes[0].lines[0].get_ydata()
+    assert force.max() == pytest.approx(0.51, abs=1e-10)  # sum of the g_i: all slide at d = 1
+
+
+@pytest.mark.parametrize(
+    ("domain", "message"),
+    [
+        ({"mesh": {"nodes": 1}}, "domain.mesh.nodes must be"),
+        ({"mesh": {"sizes": [1.0], "cells": [4]}}, "domain.kind: 'lumped' needs P1 and intervals"),
+        ({"element": "P2"}, "domain.kind: 'lumped' needs P1"),
+    ],
+)
+def test_a_lumped_model_that_is_none_is_refused(domain: dict[str, Any], message: str) -> None:
+    data = scene_data("hysteresis")
+    data["domain"] = data["domain"] | domain
+    with pytest.raises(so.InputError, match=message):
+        read_scene(data)
+
+
+def test_what_moves_a_foundation_is_checked() -> None:
+    plate = Discretisation(grid([1.0, 1.0], [2, 2]), (), kind="plane stress")
+    moved = Foundation("body", 1.0, moved=Table([0.0, 1.0], [0.0, 2.0]))
+    with pytest.raises(so.InputError, match="along must be x, y or z"):
+        body(plate, [Viscosity(1.0), moved])
+    with pytest.raises(so.InputError, match="moved must be a function of time"):
+        Foundation("body", 1.0, moved=3.0)  # type: ignore[arg-type]
+    data = scene_data("hysteresis")
+    data["time"]["end"] = 20.0
+    with pytest.raises(so.InputError, match=r"effects\.foundation\.moved"):
+        read_scene(data)
+
+
+def test_a_sheet_follows_the_bed_that_carries_it() -> None:
+    plate = Discretisation(grid([1.0, 1.0], [2, 2]), (), kind="plane stress")
+    bed = Foundation("body", 3.0, along="y", moved=Table([0.0, 1.0], [0.0, 2.0]))
+    hold = Foundation("body", 1.0, along="x")
+    scene = body(plate, [Viscosity(1e-9), bed, hold], t_end=1.0, steps=4)
+    u = scene.displacement(scene.solve())[-1]
+    assert np.allclose(u, [0.0, 2.0], rtol=0, atol=1e-6)
+
+
+# --- scene 12: a chain of blocks
+
+
+def chain_data(nodes: int, end: float, steps: int) -> dict[str, Any]:
+    data = scene_data("chain")
+    data["domain"]["mesh"]["nodes"] = nodes
+    data["time"] = {"end": end, "steps": steps}
+    data["effects"]["foundation"]["moved"] = {"table": {"t": [0.0, end], "values": [0.0, end]}}
+    return data
+
+
+def steady_creep(g: Array, t: float) -> Array:
+    """V t - B^-1 (g + eta V), with V = 1."""
+    D = np.diff(np.eye(g.size), axis=0)
+    return t - np.linalg.solve(np.eye(g.size) + 100.0 * D.T @ D, g + 0.1)
+
+
+@pytest.mark.parametrize("nodes", [10, 50])
+def test_a_chain_that_slides_creeps_at_the_speed_of_its_loader(nodes: int) -> None:
+    scene = read_scene(chain_data(nodes, 7.0, 140))
+    solution = scene.solve(tol=1e-10)
+    assert scene.contact is not None
+    assert solution.stats["relative"].max() <= 1e-10
+    u = steady_creep(scene.contact.threshold, 7.0)
+    assert np.allclose(solution.u[-1], u, rtol=0, atol=1e-10)
+    assert (scene.velocity(solution)[0] == 0.0).all()  # it starts at rest, exactly
+
+
+def test_no_block_of_a_one_way_chain_goes_back() -> None:
+    data = scene_data("chain")
+    data["domain"]["mesh"]["nodes"] = 20
+    data["time"]["steps"] = 120
+    free = read_scene(data)
+    assert free.velocity(free.solve()).min() < -0.5
+    data["effects"]["one_way"] = {"on": "body"}
+    bound = read_scene(data)
+    assert bound.velocity(bound.solve()).min() == 0.0
+
+
+def test_the_map_of_slip_has_sticking_blocks_white() -> None:
+    scene = read_scene(chain_data(20, 2.0, 40))
+    report = Report(scene, scene.solve())
+    figure = drawn_of(report)["space_time"](report)
+    shown = np.ma.asarray(figure.axes[0].collections[0].get_array()).reshape(20, 40)
+    assert report.slip is not None
+    assert np.array_equal(np.ma.getmaskarray(shown), report.slip.state.T == 0)
+
+
+@pytest.mark.slow
+def test_ten_thousand_blocks_reach_the_steady_creep() -> None:
+    scene = read_scene(chain_data(10_000, 7.0, 140))
+    solution = scene.solve(scheme="implicit-euler")
+    assert solution.stats["relative"].max() <= 1e-6
+    assert np.abs(scene.velocity(solution)[-1] - 1.0).max() <= 1e-5
