@@ -1,16 +1,21 @@
-"""Pictures of a run: the displacement with its slip zone, and the contact's histories."""
+"""Pictures of a run: fields, what a contact does in space and time, loops of load and motion."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sweepopt.errors import InputError
 from sweepopt.fem.contact import STATES, Slip
 from sweepopt.fem.output import Report
+from sweepopt.loads import Separable
 from sweepopt.plot import LOOKS, STICK, STYLES, draw_histories, new_figure, spread
 from sweepopt.results import Solution
+
+if TYPE_CHECKING:
+    from sweepopt.fem.scene import Scene
 
 STATE_COLOURS = {-1: "#0072B2", 0: STICK, 1: "#D55E00"}
 
@@ -109,6 +114,163 @@ def contact_figure(report: Report) -> Any:
     return figure
 
 
+def space_time_figure(report: Report) -> Any:
+    """The slip rate along the contact over time; grey where it sticks.
+
+    Returns
+    -------
+    matplotlib Figure
+
+    Raises
+    ------
+    InputError
+        If the scene has no friction along a boundary.
+    """
+    from matplotlib import colormaps
+
+    slip = _along_a_curve(report, "space_time")
+    figure = new_figure((8.5, 5.0))
+    panel = figure.subplots()
+    velocity = np.ma.masked_equal(slip.velocity.T, 0.0)
+    colours = colormaps["PuOr"].with_extremes(bad=STICK)
+    limit = float(np.abs(slip.velocity).max()) or 1.0
+    image = panel.pcolormesh(
+        slip.t, _edges(slip), velocity, cmap=colours, vmin=-limit, vmax=limit, rasterized=True
+    )
+    bar = figure.colorbar(image, ax=panel, label=f"slip rate{_in(report, 'velocity')}")
+    bar.formatter.set_powerlimits((-2, 3))
+    panel.set(xlabel="time", ylabel=_along(slip), ylim=_slipped(slip))
+    _show_units(report, "time", panel.xaxis)
+    _show_units(report, "length", panel.yaxis)
+    _legend(figure, {STICK: "sticks"})
+    return figure
+
+
+def profiles_figure(report: Report) -> Any:
+    """Slip and friction along the contact at five even times; the bound of t = 0 is dashed.
+
+    Returns
+    -------
+    matplotlib Figure
+
+    Raises
+    ------
+    InputError
+        If the scene has no friction along a boundary.
+    """
+    slip = _along_a_curve(report, "profiles")
+    figure = new_figure((8.5, 6.5))
+    moved, traction = figure.subplots(2, 1, sharex=True)
+    arc, steps = slip.contact.arc, len(slip.stage_t)
+    for i, look in zip(np.unique(np.arange(1, 6) * steps // 5).tolist(), LOOKS, strict=False):
+        if i:
+            label = f"t = {slip.t[i]:.4g}{report.suffix('time')}"
+            moved.plot(arc, slip.displacement[i], lw=1.5, label=label, **look)
+            traction.plot(arc, slip.traction[i - 1], lw=1.5, **look)
+    low, high = _slipped(slip)
+    inside = (arc >= low) & (arc <= high)
+    limit = 1.1 * float(slip.contact.bound[inside].max())
+    for sign in (-1, 1):
+        traction.plot(arc, sign * slip.contact.bound, color="black", ls="--", lw=0.8)
+    moved.set_ylabel("displacement")
+    moved.legend(fontsize="small", ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    traction.set(xlabel=_along(slip), ylabel="friction traction", xlim=(low, high))
+    traction.set_ylim(-limit, limit)
+    for panel in (moved, traction):
+        panel.grid(alpha=0.3)
+    _show_units(report, "length", traction.xaxis, moved.yaxis)
+    _show_units(report, "traction", traction.yaxis)
+    return figure
+
+
+def loop_figure(report: Report) -> Any:
+    """The first load over the displacement on which it does work.
+
+    Returns
+    -------
+    matplotlib Figure
+    """
+    displacement, force, words = loop(report.scene, report.solution)
+    figure = new_figure((6.0, 5.0))
+    panel = figure.subplots()
+    panel.plot(displacement, force, color="#0072B2", lw=1.5)
+    panel.plot(displacement[-1], force[-1], "o", color="#0072B2")
+    panel.set(xlabel=words[0], ylabel=words[1])
+    panel.grid(alpha=0.3)
+    if report.scene.lifts:
+        _show_units(report, "length", panel.xaxis)
+        _show_units(report, "force", panel.yaxis)
+    return figure
+
+
+def loop(scene: Scene, solution: Solution) -> tuple[Any, Any, tuple[str, str]]:
+    """The first load of a scene at the times, its conjugate displacement, and their names.
+
+    Of a prescribed displacement phi d the work is ``int R dphi`` with the reaction
+    ``R = <d, A u' + B u>``; of a force phi f it is ``int phi d<f, u>``.
+
+    Returns
+    -------
+    displacement, force : ndarray, shape (n+1,)
+    words : pair of str
+
+    Raises
+    ------
+    InputError
+        If the scene has no load that is data in time.
+    """
+    if scene.lifts:
+        history, d = scene.lifts[0]
+        free = scene.discretisation.released()
+        rate = scene.velocity(solution)
+        motions = {"A": np.concatenate([rate[:1], rate]), "B": scene.displacement(solution)}
+        force = np.zeros(len(solution.t))
+        for effect in scene.effects:
+            part = effect.contribute(free)
+            for name, motion in motions.items():
+                if (matrix := getattr(part, name)) is not None:
+                    row = (matrix @ d)[free.nodes.T]
+                    force += motion.reshape(len(force), -1) @ row.ravel()
+        return history(solution.t), force, ("prescribed displacement", "force of its support")
+    if not isinstance(scene.force, Separable):
+        raise InputError("pictures: loop needs a load that is data in time; leave it out")
+    phi, f = scene.force.terms[0]
+    load = np.array([phi(t) for t in solution.t])
+    return solution.u @ f, load, ("work at load 1", "load")
+
+
+def _along_a_curve(report: Report, name: str) -> Slip:
+    """The slip of a scene with friction along boundaries, where one component slips."""
+    slip = report.slip
+    if slip is None or slip.velocity.ndim > 2 or not slip.contact.on_curve:
+        raise InputError(f"pictures: {name} needs friction along a boundary; leave it out")
+    return slip
+
+
+def _slipped(slip: Slip) -> tuple[float, float]:
+    """The arc between the outermost nodes that ever slip, and some more."""
+    arc = slip.contact.arc
+    where = arc[slip.total > 0] if slip.total.any() else arc
+    more = 0.15 * float(np.ptp(where))
+    return max(float(where.min()) - more, 0.0), min(float(where.max()) + more, float(arc[-1]))
+
+
+def _along(slip: Slip) -> str:
+    return f"arc length of {', '.join(dict.fromkeys(slip.contact.boundary))}"
+
+
+def _edges(slip: Slip) -> np.ndarray:
+    """Ends of the nodes' shares of the arc."""
+    arc, half = slip.contact.arc, slip.contact.weight / 2.0
+    return np.hstack([arc[0] - half[0], (arc[1:] + arc[:-1]) / 2.0, arc[-1] + half[-1]])
+
+
+def _in(report: Report, quantity: str) -> str:
+    """The unit of an axis, such as " (m)"."""
+    unit = report.suffix(quantity).strip()
+    return f" ({unit})" if unit else ""
+
+
 def _informative(solution: Solution, slip: Slip | None) -> list[int]:
     """Time indices, increasing: extreme displacements, start and extremes of slip, the end."""
     u, last = solution.u, len(solution.steps)
@@ -136,13 +298,11 @@ def _draw_zone(panel: Any, slip: Slip) -> None:
     """Slip state over arc length and time."""
     from matplotlib.colors import ListedColormap
 
-    arc, half = slip.contact.arc, slip.contact.weight / 2.0
-    edges = np.hstack([arc[0] - half[0], (arc[1:] + arc[:-1]) / 2.0, arc[-1] + half[-1]])
     colours = ListedColormap([STATE_COLOURS[state] for state in STATES])
     panel.pcolormesh(
-        slip.t, edges, slip.state.T, cmap=colours, vmin=-1.5, vmax=1.5, rasterized=True
+        slip.t, _edges(slip), slip.state.T, cmap=colours, vmin=-1.5, vmax=1.5, rasterized=True
     )
-    panel.set_ylabel(f"arc length of {', '.join(dict.fromkeys(slip.contact.boundary))}")
+    panel.set_ylabel(_along(slip))
 
 
 def _show_units(report: Report, quantity: str, *axes: Any) -> None:
@@ -156,14 +316,22 @@ def _show_units(report: Report, quantity: str, *axes: Any) -> None:
 
 def _state_legend(figure: Any) -> None:
     """What the colours of the contact boundary mean."""
+    names = {STATE_COLOURS[state]: name.replace("_", " ") for state, name in STATES.items()}
+    _legend(figure, names)
+
+
+def _legend(figure: Any, names: dict[str, str]) -> None:
     from matplotlib.patches import Patch
 
-    handles = [
-        Patch(color=STATE_COLOURS[state], label=name.replace("_", " "))
-        for state, name in STATES.items()
-    ]
+    handles = [Patch(color=colour, label=name) for colour, name in names.items()]
     figure.legend(handles=handles, ncols=3, fontsize="small", loc="outside upper center")
 
 
-DRAWN = {"displacement": displacement_figure, "contact": contact_figure}
+DRAWN = {
+    "displacement": displacement_figure,
+    "contact": contact_figure,
+    "space_time": space_time_figure,
+    "profiles": profiles_figure,
+    "loop": loop_figure,
+}
 """What draws each of PICTURES."""

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from sweepopt.results import Solution
 
 UNITS = ("dimensionless", "SI")
-PICTURES = ("displacement", "contact")
+PICTURES = ("displacement", "contact", "space_time", "profiles", "loop")
 """What a scene can ask for; DRAWN of pictures.py draws it."""
 
 
