@@ -223,7 +223,10 @@ def test_a_run_without_a_single_step_writes_nothing_and_says_so(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["nowhere"], "'nowhere' is neither a scene file nor a problem; there are: square, tube"),
+        (
+            ["nowhere"],
+            "'nowhere' is neither a scene file nor a problem; there are: fault, fretting, square, tube",
+        ),
         (["nowhere.toml"], "nowhere.toml: cannot be read"),
         (["ring.toml", "--scheme", "leapfrog"], "scheme 'leapfrog' is not known"),
         (["ring.toml", "--solver", "magic"], "solver 'magic' is not known"),

@@ -226,6 +226,9 @@ def loop(scene: Scene, solution: Solution) -> tuple[Any, Any, tuple[str, str]]:
         motions = {"A": np.concatenate([rate[:1], rate]), "B": scene.displacement(solution)}
         force = np.zeros(len(solution.t))
         for effect in scene.effects:
+            own = effect.contribute(scene.discretisation)
+            if own.A is None and own.B is None:
+                continue
             part = effect.contribute(free)
             for name, motion in motions.items():
                 if (matrix := getattr(part, name)) is not None:
