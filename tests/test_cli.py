@@ -225,7 +225,7 @@ def test_a_run_without_a_single_step_writes_nothing_and_says_so(
     [
         (
             ["nowhere"],
-            "'nowhere' is neither a scene file nor a problem; there are: fault, fretting, square, tube",
+            "'nowhere' is neither a scene file nor a problem; there are: fault, fretting, sq",
         ),
         (["nowhere.toml"], "nowhere.toml: cannot be read"),
         (["ring.toml", "--scheme", "leapfrog"], "scheme 'leapfrog' is not known"),

@@ -64,7 +64,7 @@ def test_fretting_is_that_of_cattaneo_and_mindlin() -> None:
     exact = (Q * (np.log(40) + 0.5) + P / 2 * s * np.log(s)) / np.pi
     assert U[crest] == pytest.approx(exact, rel=0.01)
     # the support carries what rubs
-    np.testing.assert_allclose(slip.traction @ slip.contact.weight, half[1:], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(-slip.traction @ slip.contact.weight, half[1:], rtol=1e-4, atol=1e-4)
     x, sticks = slip.contact.points[:, 0], slip.state[crest - 1] == 0
     core = (x[sticks].max() + x[~sticks].min()) / 2
     assert core == pytest.approx(np.sqrt(s), rel=0.01)
