@@ -19,8 +19,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.errors import InputError
-from sweepopt.fem.fields import Coefficient, Datum, in_time
-from sweepopt.fem.mesh import Indices
+from sweepopt.fem.fields import Coefficient, Datum, Indices, in_time
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.sets import Balls, Box, ConvexSet, Ellipsoid, SecondOrderCone, image, product
 

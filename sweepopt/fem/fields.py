@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.checks import choice, number
 from sweepopt.errors import InputError, shown
-from sweepopt.fem.mesh import Indices
 from sweepopt.loads import check_points
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 DIRECTIONS: dict[str, Callable[[Array], Array]] = {
     "x": lambda x: x[0],

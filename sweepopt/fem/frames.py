@@ -15,7 +15,7 @@ import skfem
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from sweepopt.fem.mesh import Indices
+    from sweepopt.fem.fields import Indices
     from sweepopt.fem.spaces import Discretisation
 
 Array = NDArray[np.float64]

@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 
 from sweepopt.checks import bounded, count, listed, number
 from sweepopt.errors import InputError
+from sweepopt.fem.fields import Coefficient, Indices
 from sweepopt.io import as_path, read_bytes
 from sweepopt.linalg import EPS
-
-Indices = NDArray[np.int64]
 
 FLAT = 1e-10
 """A height below this share of the longest edge is rounding: at 1e-11 a matrix of P2 elements in
@@ -46,9 +45,12 @@ OUTPUT = threading.Lock()
 
 
 def grid(
-    sizes: Sequence[float], cells: Sequence[int], origin: Sequence[float] | None = None
+    sizes: Sequence[float],
+    cells: Sequence[int],
+    origin: Sequence[float] | None = None,
+    points: Sequence[str] | None = None,
 ) -> skfem.Mesh:
-    """An interval, a rectangle of triangles or a box of tetrahedra in equal cells.
+    """An interval, a rectangle of triangles or a box of tetrahedra in equal cells, or its image.
 
     Parameters
     ----------
@@ -58,6 +60,8 @@ def grid(
         How many along each; a rectangle is cut in two triangles, a box in six tetrahedra.
     origin : sequence of float, shape (d,), optional
         The least x, y and z; 0 by default.
+    points : sequence of str, shape (d,), optional
+        Where its points go: formulas in x, y and z, which grade or bend it.
 
     Returns
     -------
@@ -67,12 +71,15 @@ def grid(
     Raises
     ------
     InputError
-        If the lengths are not one to three numbers > 0, or the others are not as many.
+        If the lengths are not one to three numbers > 0, or the others are not as many, or a
+        formula has no finite value.
 
     Examples
     --------
     >>> sorted(grid([2.0, 1.0], [4, 2]).boundaries)
     ['bottom', 'left', 'right', 'top']
+    >>> grid([1.0], [4], points=["x**2"]).p.round(4).tolist()
+    [[0.0, 0.0625, 0.25, 0.5625, 1.0]]
     """
     sizes, cells = listed("sizes", sizes), listed("cells", cells)
     start = (0.0,) * len(sizes) if origin is None else listed("origin", origin)
@@ -89,7 +96,15 @@ def grid(
     for k, line in enumerate(lines):
         for name, end in zip(SIDES[k], line[[0, -1]], strict=True):
             boundaries[name] = outer[np.abs(middles[k, outer] - end) < 0.25 * (line[1] - line[0])]
-    return mesh.with_boundaries(boundaries)
+    if points is None:
+        return mesh.with_boundaries(boundaries)
+    if len(formulas := listed("points", points)) != len(lines):
+        raise InputError(f"points must be {len(lines)} formulas, one for each of x, y, z")
+    places = [
+        Coefficient(f"points[{k}]").values(formula, mesh.p, {})
+        for k, formula in enumerate(formulas)
+    ]
+    return type(mesh)(np.array(places), mesh.t).with_boundaries(boundaries)
 
 
 def chain(nodes: int) -> skfem.Mesh:

@@ -101,7 +101,7 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
         [domain]
         mesh = "tube.msh"               # Gmsh, VTU, Abaqus; groups by name
         # mesh = { sizes = [2.0, 1.0], cells = [20, 10] }: sides left, right, bottom, top (front,
-        # back); one size is an interval, three are a box
+        # back); one size is an interval, three are a box; points = ["x**2", "y"] moves its points
         # mesh = { nodes = 50 }: a chain with nodes at x = 0, 1, ..., for kind = "lumped"
         kind = "antiplane"              # or "plane strain", "plane stress", "solid", "lumped"
         clamped = "bonded"              # a name or a list; "clamped" if not given

@@ -24,9 +24,9 @@ from scipy.integrate import newton_cotes
 
 from sweepopt.checks import choice, count, floats, listed
 from sweepopt.errors import InputError, shown
-from sweepopt.fem.fields import Coefficient, Datum
+from sweepopt.fem.fields import Coefficient, Datum, Indices
 from sweepopt.fem.frames import Frame, frame_of
-from sweepopt.fem.mesh import Indices, check_mesh, read_mesh
+from sweepopt.fem.mesh import check_mesh, read_mesh
 from sweepopt.fem.refined import nested, refined
 from sweepopt.io import as_path
 
