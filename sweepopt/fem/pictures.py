@@ -115,6 +115,50 @@ def contact_figure(report: Report) -> Any:
     return figure
 
 
+def arrows_figure(report: Report) -> Any:
+    """Slip arrows in the plane of contact, and the friction traction over its bound, of vectors.
+
+    Parameters
+    ----------
+    report : Report
+        Of a scene in which two components slip.
+
+    Returns
+    -------
+    matplotlib Figure
+    """
+    solution, slip = report.solution, report.slip
+    if slip is None or slip.velocity.ndim == 2:
+        raise InputError("pictures: 'arrows' needs friction where two components slip")
+    points, bound = slip.contact.points, slip.contact.bound
+    plane = np.sort(np.argsort(-np.ptp(points, axis=0), kind="stable")[:2])
+    x, last = points[:, plane], len(solution.steps) - 1
+    steps = sorted({last, *(int(np.argmin(np.abs(slip.share - q))) for q in (0.25, 0.5, 1.0))})
+    velocity = report.scene.velocity(solution)[:, slip.contact.node][:, :, plane]
+    fastest = float(np.linalg.norm(velocity[steps], axis=2).max()) or 1.0
+    ratio = np.linalg.norm(slip.traction, axis=2)
+    ratio = np.divide(ratio, bound, out=np.zeros_like(ratio), where=bound > 0)
+    figure = new_figure((9.0, 1.0 + 4.2 * np.ptp(x[:, 1]) / np.ptp(x[:, 0]) * -(-len(steps) // 2)))
+    panels = figure.subplots(-(-len(steps) // 2), 2, squeeze=False, sharex=True, sharey=True)
+    for panel in panels.flat[len(steps) :]:
+        panel.set_axis_off()
+    for panel, k in zip(panels.flat, steps, strict=False):
+        panel.margins(0.1)
+        image = panel.scatter(*x.T, c=ratio[k], s=14, vmin=0.0, vmax=1.0, cmap="viridis")
+        arrows = velocity[k] * (0.09 * np.ptp(x[:, 0]) / fastest)
+        moves = slip.speed[k] > 0
+        panel.quiver(
+            *x[moves].T, *arrows[moves].T, angles="xy", scale_units="xy", scale=1.0, width=0.003
+        )
+        time = f"t = {solution.t[k + 1]:.4g}{report.suffix('time')}"
+        panel.set_title(f"{time}, {100 * slip.share[k]:.0f} % slips", fontsize="medium")
+        panel.set(aspect="equal", xlabel="xyz"[plane[0]], ylabel="xyz"[plane[1]])
+        panel.label_outer()
+    figure.colorbar(image, ax=panels, label="friction traction / bound", shrink=0.8)
+    _show_units(report, "length", panels[0, 0].xaxis, panels[0, 0].yaxis)
+    return figure
+
+
 def flow_figure(report: Report) -> Any:
     """The velocity of an antiplane body at a few times, what is rigid in it, and the flux.
 
@@ -337,5 +381,6 @@ DRAWN = {
     "flow": flow_figure,
     "yielding": yielding_figure,
     "loop": loop_figure,
+    "arrows": arrows_figure,
 }
 """What draws each of PICTURES."""

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from sweepopt.results import Solution
 
 UNITS = ("dimensionless", "SI")
-PICTURES = ("displacement", "contact", "flow", "yielding", "loop")
+PICTURES = ("displacement", "contact", "flow", "yielding", "loop", "arrows")
 """What a scene can ask for; DRAWN of pictures.py draws it."""
 
 
