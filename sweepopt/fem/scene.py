@@ -13,7 +13,7 @@ import scipy.sparse as sp
 import skfem
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.checks import HUGE, choice, listed, number
+from sweepopt.checks import choice, listed, number
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Contact, Yield, dissipation, merged
 from sweepopt.fem.effects import Contribution, Effect, Eigenstrain, Force, Friction
@@ -398,7 +398,7 @@ def _rate(history: History) -> Callable[[float], float]:
     def rate(t: float) -> float:
         before = history.breakpoints(0.0, t) if t > 0 else np.empty(0)
         start = float(before[-1]) if before.size else 0.0
-        after = history.breakpoints(0.0, HUGE / 2) if t <= 0 else np.empty(0)
+        after = history.breakpoints(0.0, 1.0) if t <= 0 else np.empty(0)
         piece = history.piece(start, t if t > 0 else float(after[0]) if after.size else 1.0)
         s = t - piece.origin
         slope = sum(k * c * s ** (k - 1) for k, c in enumerate(piece.polynomial) if k)

@@ -1,0 +1,89 @@
+"""The scenes of problems/ against exact solutions and independent programs."""
+
+from __future__ import annotations
+
+import cvxpy as cp
+import numpy as np
+import pytest
+
+from sweepopt.fem import read_scene
+from sweepopt.fem.contact import slip_of
+from sweepopt.io import find_scene, read_toml
+
+# The bar in a frictional bed
+
+
+def test_the_bar_follows_the_parabola_of_its_slip_front_and_masings_rule():
+    scene = read_scene("bar")
+    solution = scene.solve()
+    EA, g, F = 4.021e7, 7.54e4, 3.016e4
+    end = -scene.displacement(solution)[:, 0]
+    peak = F**2 / (2 * EA * g)
+    # first loading, whole reversal and reloading: the front meets a node at each of these times
+    np.testing.assert_allclose(end[[40, 120, 200]] / peak, [1.0, -1.0, 1.0], rtol=1e-10)
+    # unloaded: Masing, 2 (F/2)^2 / (2 EA g) back from the peak
+    np.testing.assert_allclose(end[80] / peak, 0.5, rtol=1e-10)
+    slipped = np.abs(scene.displacement(solution)[40]) > 0.0
+    assert scene.discretisation.points[slipped, 0].max() == pytest.approx(F / g - 0.005)
+    assert solution.stats["relative"].max() <= 1e-6
+
+
+# The sheet on an orbiting table
+
+
+def test_a_sheet_with_the_same_bound_everywhere_moves_on_the_exact_circle():
+    data = read_toml(find_scene("sheet"))
+    data["domain"]["mesh"]["cells"] = [3, 2]
+    data["effects"]["friction"]["g"] = 1.0
+    turns, n = 6, 16
+    data["time"] = {"end": turns * np.pi, "steps": turns * n}
+    scene = read_scene(data)
+    u = scene.displacement(scene.solve(scheme="implicit-euler"))
+    U = np.linalg.norm(u[-1], axis=1)
+    # chords in place of arcs: F^2 = (k U)^2 + D^2 + 2 k U D sin(half a step), D = eta |u'| + g
+    half = np.pi / n
+    D = 2 * U * np.sin(half) / (turns * np.pi / (turns * n)) + 1.0
+    np.testing.assert_allclose(U**2 + D**2 + 2 * U * D * np.sin(half), 2.5**2, rtol=1e-5)
+    assert U.mean() == pytest.approx(0.7, abs=0.1)  # of arcs, as steps get short
+
+
+def test_the_friction_of_the_sheet_is_in_its_disc_and_against_the_slip_at_every_node():
+    data = read_toml(find_scene("sheet"))
+    data["domain"]["mesh"]["cells"] = [6, 4]
+    scene = read_scene(data)
+    solution = scene.solve(scheme="implicit-euler")
+    slip = slip_of(scene, solution)
+    g, v, q = slip.contact.bound, slip.velocity, slip.traction
+    speed = slip.speed
+    assert (np.linalg.norm(q, axis=2) <= g * (1 + 1e-5)).all()
+    # g |v| + q . v = 0 where it slips
+    lost = g * speed + (q * v).sum(axis=2)
+    assert np.abs(lost).max() <= 1e-5 * (g * speed).max()
+    assert (speed == 0.0).any()
+    assert (speed > 0.0).any()
+
+
+# The tread block
+
+
+def test_a_step_of_the_tread_block_is_that_of_a_program_stated_by_hand():
+    data = read_toml(find_scene("tread"))
+    data["domain"]["mesh"]["cells"] = [4, 3, 2]
+    data["time"]["steps"] = 10
+    scene = read_scene(data)
+    solution = scene.solve(scheme="implicit-euler", tol=1e-10)
+    process, contact = scene.process, scene.contact
+    slip = slip_of(scene, solution)
+    k = int(np.argmin(np.abs(slip.share - 0.5)))
+    assert 0.0 < slip.share[k] < 1.0
+    mu, t, u = 0.2, solution.t[k + 1], solution.u[k]
+    z = cp.Variable(process.dim)
+    M = (process.A + mu * process.B).toarray()
+    rows = contact.unknown[:, (contact.unknown >= 0).all(axis=0)]
+    norms = cp.norm(cp.reshape(z[rows.ravel()], rows.shape, order="C"), axis=1)
+    linear = process.times_B(u) - scene.load(t)
+    energy = 0.5 * cp.quad_form(z, cp.psd_wrap(M)) + linear @ z
+    problem = cp.Problem(cp.Minimize(energy + contact.threshold @ norms))
+    problem.solve(solver=cp.CLARABEL, tol_gap_rel=1e-12, tol_gap_abs=1e-14, tol_feas=1e-12)
+    ours = solution.velocity[k]
+    assert np.abs(z.value - ours).max() <= 1e-4 * np.abs(ours).max()
