@@ -17,6 +17,7 @@ with brought_by("fem"):
     import skfem  # noqa: F401
 
 from sweepopt.fem.contact import Contact, Rows, Yield
+from sweepopt.fem.effect_costs import EffectCost, EffectCosts, compare_effects
 from sweepopt.fem.effects import (
     BodyForce,
     Contribution,
@@ -48,6 +49,8 @@ __all__ = [
     "Dashpot",
     "Discretisation",
     "Effect",
+    "EffectCost",
+    "EffectCosts",
     "Eigenstrain",
     "Elasticity",
     "Foundation",
@@ -65,6 +68,7 @@ __all__ = [
     "YieldStress",
     "antiplane",
     "body",
+    "compare_effects",
     "grid",
     "read_mesh",
     "read_scene",

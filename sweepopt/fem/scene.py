@@ -58,6 +58,10 @@ class Scene:
         f(t), shape (dim,); None is no load.
     lifts : tuple of (history, ndarray)
         Prescribed displacements phi(t) d, of all degrees of freedom.
+    yields : tuple of Yield
+        What makes C(t) more than a point; empty without friction and yield stresses.
+    changes : tuple of str
+        What `read_scene` was told to change in the file.
     """
 
     problem: EvolutionVI | SweepingProcess
@@ -75,6 +79,8 @@ class Scene:
     pictures: Sequence[str] = ()
     force: Callable[[float], Any] | None = None
     lifts: tuple[tuple[History, NDArray[np.float64]], ...] = ()
+    yields: tuple[Yield, ...] = ()
+    changes: tuple[str, ...] = ()
 
     @property
     def process(self) -> SweepingProcess:
@@ -276,6 +282,7 @@ def build(
         left_out=tuple(sentence for sentence, present in terms.items() if not present),
         force=force,
         lifts=lifts,
+        yields=tuple(yields),
         **settings,
     )
 
