@@ -1,4 +1,4 @@
-"""The command line: ``sweepopt run SCENE``, ``list``, ``study`` and ``compare``.
+"""The command line: ``sweepopt run SCENE``, ``list``, ``effects``, ``study`` and ``compare``.
 
 It parses, runs, and hands the run to `fem.output` and `fem.pictures`. What a command needs is
 imported when it runs, so that the list works with the core install.
@@ -26,7 +26,7 @@ from sweepopt.errors import (
     brought_by,
 )
 from sweepopt.integrate import schemes
-from sweepopt.io import find_scene, list_problems, replacing
+from sweepopt.io import find_scene, list_problems, read_toml, replacing
 from sweepopt.velocity import solvers
 
 if TYPE_CHECKING:
@@ -85,11 +85,18 @@ def _parser() -> argparse.ArgumentParser:
     run.set_defaults(command=_run)
     run.add_argument("scene", metavar="SCENE", help="a TOML file, or a name from `sweepopt list`")
     run.add_argument("--out", type=Path, metavar="FOLDER", help="default: results/<scene name>")
+    _add_changes(run)
     run.add_argument("--steps", type=int, help="number of equal steps")
     run.add_argument("--scheme", help=f"auto, {', '.join(schemes.SCHEMES)}")
     run.add_argument("--solver", help=f"auto, {', '.join(solvers.REGISTRY)}")
     run.add_argument("--tol", type=float, help="bound of each step's relative certificate")
     run.add_argument("--no-progress", action="store_true", help="no progress bar")
+
+    effects = commands.add_parser("effects", help="what each effect of a scene costs")
+    effects.set_defaults(command=_effects)
+    effects.add_argument("scene", metavar="SCENE", help="a TOML file, or a name")
+    _add_changes(effects)
+    effects.add_argument("--steps", type=int, default=5, help="of each run; the median is shown")
 
     study = commands.add_parser("study", help="what accuracy costs, cell by cell; resumable")
     study.set_defaults(command=_study)
@@ -107,11 +114,40 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _add_changes(parser: argparse.ArgumentParser) -> None:
+    """The options that change a scene."""
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="PATH=VALUE",
+        help="another value (TOML), such as effects.friction.g=0.5; may be repeated",
+    )
+    parser.add_argument(
+        "--without",
+        action="append",
+        default=[],
+        metavar="EFFECT",
+        help="leave an effect out: friction, traction[0], traction.NAME; may be repeated",
+    )
+
+
 def _list(_: argparse.Namespace) -> int:
     problems = list_problems()
     width = max(map(len, problems), default=0)
     for name, title in problems.items():
         print(f"{name:<{width}}  {title}".rstrip())
+        print(f"{'':<{width}}  effects: {', '.join(read_toml(find_scene(name))['effects'])}")
+    return DONE
+
+
+def _effects(chosen: argparse.Namespace) -> int:
+    _require("fem")
+    from sweepopt.fem import compare_effects
+    from sweepopt.fem.changes import parse_changes
+
+    path, changes = find_scene(chosen.scene), parse_changes(chosen.set)
+    print(compare_effects(path, changes=changes, without=chosen.without, steps=chosen.steps))
     return DONE
 
 
@@ -126,17 +162,19 @@ def _study(chosen: argparse.Namespace) -> int:
 def _run(chosen: argparse.Namespace) -> int:
     _require("fem", "plot")
     from sweepopt.fem import read_scene
+    from sweepopt.fem.changes import parse_changes
     from sweepopt.fem.output import Report
 
     path = find_scene(chosen.scene)
     given = {name: getattr(chosen, name) for name in ("steps", "scheme", "solver", "tol")}
-    scene = read_scene(path)
+    scene = read_scene(path, changes=parse_changes(chosen.set), without=chosen.without)
     scene = replace(scene, **{name: value for name, value in given.items() if value is not None})
     folder = chosen.out or Path("results") / path.stem
     folder.mkdir(parents=True, exist_ok=True)
     _announce(scene)
 
     text = path.read_text(encoding="utf-8")
+    text += "".join(f"\n# changed: {change}" for change in scene.changes)
     started, moved = clock.perf_counter(), False
     solution = scene.solve(progress=not chosen.no_progress, on_failure="stop")
     seconds = clock.perf_counter() - started
@@ -165,6 +203,8 @@ def _announce(scene: Scene) -> None:
     plan = make_plan(process, [(0.0, process.C.at(0.0))], scheme, scene.solver, scene.tol)
     if scene.title:
         print(scene.title)
+    for change in scene.changes:
+        print(f"changed             {change}")
     seconds = " s" if scene.units == "SI" else ""
     print(f"time                0 to {scene.t_end:g}{seconds} in {scene.steps} steps")
     # the scene's own words for what it leaves out

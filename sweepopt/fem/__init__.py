@@ -17,6 +17,7 @@ with brought_by("fem"):
     import skfem  # noqa: F401
 
 from sweepopt.fem.contact import Contact, Rows, Yield
+from sweepopt.fem.effect_costs import EffectCost, EffectCosts, compare_effects
 from sweepopt.fem.effects import (
     BodyForce,
     Contribution,
@@ -49,6 +50,8 @@ __all__ = [
     "Dashpot",
     "Discretisation",
     "Effect",
+    "EffectCost",
+    "EffectCosts",
     "Eigenstrain",
     "Elasticity",
     "Foundation",
@@ -68,6 +71,7 @@ __all__ = [
     "antiplane",
     "body",
     "chain",
+    "compare_effects",
     "grid",
     "read_mesh",
     "read_scene",

@@ -108,6 +108,7 @@ def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:
     summary = {
         "scene": report.name,
         "title": scene.title,
+        "changes": scene.changes,
         "status": solution.status.name.lower(),
         "success": solution.success,
         "message": solution.message,

@@ -70,7 +70,9 @@ class Scene:
     lifts : tuple of (history, ndarray)
         Prescribed displacements phi(t) d, of all degrees of freedom.
     yields : tuple of Yield
-        All rows that yield.
+        What makes C(t) more than a point; empty without friction and yield stresses.
+    changes : tuple of str
+        What `read_scene` was told to change in the file.
     """
 
     problem: EvolutionVI | SweepingProcess
@@ -89,6 +91,7 @@ class Scene:
     force: Callable[[float], Any] | None = None
     lifts: tuple[tuple[History, NDArray[np.float64]], ...] = ()
     yields: tuple[Yield, ...] = ()
+    changes: tuple[str, ...] = ()
 
     @property
     def process(self) -> SweepingProcess:

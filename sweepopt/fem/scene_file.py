@@ -7,17 +7,17 @@ as ``effects.friction.g``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from inspect import signature
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from sweepopt.checks import choice, count, listed, number
 from sweepopt.errors import InputError, shown
+from sweepopt.fem.changes import changed, remaining
 from sweepopt.fem.effects import (
     BodyForce,
     Dashpot,
-    Effect,
     Eigenstrain,
     Elasticity,
     Foundation,
@@ -72,7 +72,13 @@ class _File(NamedTuple):
     pictures: Any = ()
 
 
-def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = ".") -> Scene:
+def read_scene(
+    source: str | Path | Mapping[str, Any],
+    *,
+    folder: str | Path = ".",
+    changes: Mapping[str, Any] | None = None,
+    without: Sequence[str] = (),
+) -> Scene:
     """Read a scene and assemble it.
 
     Parameters
@@ -82,6 +88,12 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
         text (anything with a line break), or the mapping that such text stands for.
     folder : str or Path
         Where relative paths of meshes and tables start; a file's own folder for a file.
+    changes : mapping, optional
+        Other values by their path, ``{"effects.friction.g": 0.5, "effects.traction[0].f2": 2.0}``.
+        The last key may be new, a value may be a whole table.
+    without : sequence of str
+        Effects to leave out: a kind (``"traction"``) or one of it (``"traction[0]"``,
+        ``"traction.NAME"``). Nothing of them is assembled.
 
     Returns
     -------
@@ -136,21 +148,35 @@ def read_scene(source: str | Path | Mapping[str, Any], *, folder: str | Path = "
     >>> scene = read_scene("tube")
     >>> scene.t_end, scene.steps, scene.units
     (120.0, 480, 'SI')
+    >>> read_scene("square", changes={"effects.friction.g": 0.5}, without=["traction"]).left_out
+    ('no load: f = 0',)
     """
-    data, folder = _load(source, as_path("folder", folder))
+    data, folder = load_scene(source, folder)
+    data = changed(data, changes or {})
     file = _called(_File, data, "", folder)
     pictures = listed("pictures", file.pictures) if file.pictures else ()
     for name in pictures:
         choice("pictures", name, PICTURES)
-    effects = _effects(file.effects, folder)
+    tables = effect_tables(file.effects)
+    effects = {
+        label: _called(*tables[label], label, folder) for label in remaining(list(tables), without)
+    }
     body = _called(Discretisation, file.domain, "domain", folder)
     settings = {"title": file.title, "units": file.units, "pictures": pictures}
+    settings["changes"] = (
+        *(f"{path} = {value!r}" for path, value in (changes or {}).items()),
+        *(f"without {name}" for name in ([without] if isinstance(without, str) else without)),
+    )
     for kind, table, path in ((_time, file.time, "time"), (method, file.solve, "solve")):
         settings |= _called(kind, table, path, folder)
     return build(body, effects, None, settings)
 
 
-def _load(source: str | Path | Mapping[str, Any], folder: Path) -> tuple[Mapping[str, Any], Path]:
+def load_scene(
+    source: str | Path | Mapping[str, Any], folder: str | Path = "."
+) -> tuple[Mapping[str, Any], Path]:
+    """The tables of a scene, and where its relative paths start."""
+    folder = as_path("folder", folder)
     if isinstance(source, Mapping):
         return source, folder
     if isinstance(source, str) and "\n" in source:
@@ -191,11 +217,11 @@ def _value(key: str, value: Any, path: str, folder: Path) -> Any:
     return value
 
 
-def _effects(tables: Any, folder: Path) -> dict[str, Effect]:
-    """Effects by the path of their table."""
+def effect_tables(tables: Any) -> dict[str, tuple[type, Any]]:
+    """Kinds and tables of the effects by their path."""
     if not isinstance(tables, Mapping):
         raise InputError(f"effects: must be a table, got {shown(tables)}")
-    effects: dict[str, Effect] = {}
+    effects: dict[str, tuple[type, Any]] = {}
     for name, table in tables.items():
         path = f"effects.{name}"
         if name not in EFFECTS:
@@ -205,8 +231,7 @@ def _effects(tables: Any, folder: Path) -> dict[str, Effect]:
             several = {f"{path}[{k}]": one for k, one in enumerate(table)}
         elif _are_named(EFFECTS[name], table):
             several = {f"{path}.{key}": one for key, one in table.items()}
-        for label, one in several.items():
-            effects[label] = _called(EFFECTS[name], one, label, folder)
+        effects |= {label: (EFFECTS[name], one) for label, one in several.items()}
     return effects
 
 

@@ -1,0 +1,190 @@
+"""Effects on and off: changes of a scene by path, what is left out is absent, limits agree."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("skfem")
+
+from sweepopt import InputError, cli
+from sweepopt.fem import Scene, compare_effects, read_scene
+
+pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+
+SOLID = {
+    "domain": {"mesh": {"sizes": [1.0, 1.0, 1.0], "cells": [2, 2, 2]}, "kind": "solid"},
+    "time": {"end": 1.0, "steps": 10},
+    "effects": {
+        "viscosity": {"eta": 1.0},
+        "elasticity": {"E": 2.0, "nu": 0.3},
+        "foundation": {"on": "left", "k": 3.0},
+        "dashpot": {"on": "right", "eta": 0.5},
+        "friction": {"on": "bottom", "g": 0.2},
+        "one_way": {"on": "back", "along": "x"},
+        "traction": [
+            {"on": "right", "history": {"waveform": "sine", "amplitude": 1.0, "period": 2.0}},
+            {"on": "front", "f2": [0.1, 0.0, 0.0], "history": {"waveform": "constant"}},
+        ],
+    },
+}
+SOLID["domain"]["clamped"] = "top"
+SOLID["effects"]["traction"][0]["f2"] = [1.0, 0.0, 0.0]
+
+
+def test_changes_reach_values_in_tables_lists_and_whole_tables() -> None:
+    scene = read_scene(
+        "square",
+        changes={
+            "effects.friction.g": 0.5,
+            "solve": {"tol": 1e-8},
+            "effects.traction": [{"on": "left", "f2": 1.0, "history": {"waveform": "constant"}}],
+            "effects.traction[0].f2": 2.5,
+        },
+    )
+    assert scene.contact is not None
+    assert set(scene.contact.bound) == {0.5}
+    assert scene.tol == 1e-8
+    assert [one.f2 for one in scene.effects if hasattr(one, "f2")] == [2.5]
+    assert scene.changes[0] == "effects.friction.g = 0.5"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("effects.frction.g", "effects.frction.g: effects has no table 'frction'; there are: visc"),
+        ("effects.friction.gg", "effects.friction.gg: unknown key; there are: on, g, p"),
+        ("effects.friction[0].g", "effects.friction is no list, but .* leave .0. out"),
+        ("effects.friction.g.x", "effects.friction.g is no table, but 0.3; set it whole"),
+        ("effects..g", "'effects..g' is no path of a value; write keys with dots"),
+        ("effects.traction.x.on", "effects.traction has no table 'x'; there are: on, history"),
+    ],
+)
+def test_a_path_that_leads_nowhere_is_refused(change: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read_scene("square", changes={change: 1.0})
+    with pytest.raises(InputError, match=r"has 2 entries; use .0. to .1."):
+        read_scene(SOLID, changes={"effects.traction[2].on": "left"})
+
+
+def test_an_effect_is_left_out_by_its_kind_or_by_its_name() -> None:
+    both, one, none = (
+        read_scene(SOLID, without=without) for without in ([], ["traction[1]"], ["traction"])
+    )
+    assert len(both.effects) == len(one.effects) + 1 == len(none.effects) + 2
+    with pytest.raises(InputError, match=r"no effect 'body_force'; there are: visc.*traction\[1\]"):
+        read_scene(SOLID, without=["body_force"])
+
+
+def test_the_command_changes_a_scene_and_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    changes = ["--set", "effects.elasticity.kappa=2.0", "--set", "time.steps=20"]
+    options = ["--no-progress", "--out", str(tmp_path), "--without", "friction"]
+    assert cli.main(["run", "square", *changes, *options]) == 0
+    summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    expected = ["effects.elasticity.kappa = 2.0", "time.steps = 20", "without friction"]
+    assert summary["changes"] == expected
+    assert summary["settings"]["steps"] == 20
+    assert all(f"changed             {one}" in capsys.readouterr().out for one in expected[:1])
+    for change, message in (("time.steps", "write PATH=VALUE"), ("solve.scheme=euler", "quotes")):
+        assert cli.main(["run", "square", "--set", change]) == 2
+        assert message in capsys.readouterr().err
+
+
+def test_list_and_effects_show_what_a_scene_has(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["list"]) == 0
+    assert "effects: viscosity, elasticity, friction, traction" in capsys.readouterr().out
+    assert cli.main(["effects", "square", "--steps", "2"]) == 0
+    shown = capsys.readouterr().out
+    assert all(word in shown for word in ("without friction", "9 intervals", "nnz B", "s/step"))
+
+
+def test_the_table_of_effects_counts_what_is_there() -> None:
+    rows = {row.scene: row for row in compare_effects("square", steps=3)}
+    whole, bare = rows["all effects"], rows["without friction"]
+    assert (bare.path, bare.solvers, bare.sets, bare.nonsmooth_unknowns) == ("linear", "", "", 0)
+    assert rows["without elasticity"].nonzeros_B == rows["without viscosity"].nonzeros_A == 0
+    assert (whole.unknowns, whole.nonsmooth_unknowns, whole.sets) == (72, 9, "9 intervals")
+    assert max(row.certificate for row in rows.values()) <= 1e-6
+    alone = read_scene("square").solve(t_end=0.06, steps=3)
+    assert whole.nonzeros_A == alone.process.A.count_nonzero()
+    needed = compare_effects("square", without=["elasticity"], steps=1).needed
+    assert "viscosity" in needed
+
+
+FLAT = {
+    "domain": {"mesh": {"sizes": [1.0, 1.0], "cells": [3, 3]}, "clamped": "top"},
+    "time": {"end": 1.0, "steps": 10},
+    "effects": {
+        "viscosity": {"eta": 1.0},
+        "elasticity": {"kappa": 2.0},
+        "dashpot": {"on": "right", "eta": 0.5},
+        "foundation": {"on": "left", "k": 3.0},
+        "friction": {"on": "bottom", "g": 0.2},
+        "yield_stress": {"g": 0.1},
+        "traction": {"on": "right", "history": {"waveform": "constant"}},
+    },
+}
+
+
+def test_an_effect_leaves_what_the_others_add_bitwise_as_it_is() -> None:
+    """Over all pairs; in antiplane shear, as friction turns the unknowns of vectors."""
+    optional = [kind for kind in FLAT["effects"] if kind not in ("viscosity", "elasticity")]
+
+    def scene_with(*some: str) -> Scene:
+        return read_scene(FLAT, without=[kind for kind in optional if kind not in some])
+
+    single = {kind: scene_with(kind) for kind in optional}
+    for one, two in combinations(optional, 2):
+        both, first, second = scene_with(one, two), single[one], single[two]
+        for name, owner in (("A", "dashpot"), ("B", "foundation")):
+            M = getattr(both.problem, name)
+            expected = getattr((second if owner == two else first).problem, name)
+            assert np.array_equal(M.toarray(), expected.toarray()), (one, two, name)
+        assert np.array_equal(both.load(0.5), first.load(0.5) + second.load(0.5))
+        alone = [*first.yields, *second.yields]
+        assert len(both.yields) == len(alone)
+        for rows, mine in zip(both.yields, alone, strict=True):
+            assert np.array_equal(rows.rows.E.toarray(), mine.rows.E.toarray())
+            assert np.array_equal(rows.at(0.0), mine.at(0.0))
+
+
+def test_absent_effects_import_no_solver() -> None:
+    code = (
+        "import sys; from sweepopt.fem import read_scene;"
+        "s = read_scene('square', without=['friction']).solve(steps=2);"
+        "print([m for m in ('cvxpy', 'clarabel', 'osqp', 'daqp', 'scs') if m in sys.modules])"
+    )
+    found = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert found.stdout.strip() == "[]", found.stdout
+
+
+@pytest.mark.parametrize(
+    ("path", "values", "without"),
+    [
+        ("effects.friction.g", (1e-3, 1e-4, 1e-5), "friction"),
+        ("effects.elasticity.kappa", (1e-3, 1e-4, 1e-5), "elasticity"),
+    ],
+)
+def test_a_vanishing_effect_is_an_absent_one(
+    path: str, values: tuple[float, ...], without: str
+) -> None:
+    """|u - u_0| is proportional to the coefficient, and small."""
+    settings = {"steps": 20, "tol": 1e-12}
+    bare = read_scene("square", without=[without]).solve(**settings).u
+    errors = [
+        abs(read_scene("square", changes={path: value}).solve(**settings).u - bare).max()
+        for value in values
+    ]
+    slopes = np.diff(np.log(errors)) / np.diff(np.log(values))
+    assert np.allclose(slopes, 1.0, atol=0.05), slopes
+    assert errors[-1] < 2e-5 * abs(bare).max() / 0.5
