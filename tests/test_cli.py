@@ -300,7 +300,8 @@ def test_list_works_with_the_core_install_alone_and_without_a_warning() -> None:
     shown = subprocess.run(command, capture_output=True, text=True, check=True)
     *lines, codes = shown.stdout.splitlines()
     problems = [[name, title] for name, title in list_problems().items()]
-    assert [line.split(maxsplit=1) for line in lines] == problems
+    assert [line.split(maxsplit=1) for line in lines[::2]] == problems
+    assert all(line.split()[0] == "effects:" for line in lines[1::2])
     assert "tube" in list_problems()
     assert codes == "0 2"
     assert shown.stderr.startswith("sweepopt: ")

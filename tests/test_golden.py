@@ -136,7 +136,7 @@ def cli() -> Any:
     """Usage of each command."""
     found = {}
     with mock.patch.dict(os.environ, COLUMNS="2000", NO_COLOR="1"):
-        for command in ("run", "list", "study", "compare"):
+        for command in ("run", "list", "effects", "study", "compare"):
             usage = called(command, "--help")[1].partition("\n\n")[0]
             found[command] = " ".join(usage.split())
     return found

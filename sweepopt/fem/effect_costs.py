@@ -106,7 +106,7 @@ def compare_effects(
     --------
     >>> rows = compare_effects("square", steps=2)
     >>> [(row.scene, row.nonsmooth_unknowns, row.path) for row in rows[::3]]
-    [('all effects', 9, 'eliminated'), ('without friction', 0, 'linear')]
+    [('all effects', 9, 'proportional'), ('without friction', 0, 'linear')]
     """
     steps = count("steps", steps)
     data, folder = load_scene(source, folder)
