@@ -45,7 +45,8 @@ SI = {
     "viability": "W^0.5 m^-0.5",
 }
 """Units of bodies in the plane; energies and forces are per length of the body."""
-OF_SOLIDS = {"force": "N", "energy": "J", "certificate": "W^0.5", "viability": "W^0.5"}
+OF_WHOLE_BODIES = {"force": "N", "energy": "J", "certificate": "W^0.5", "viability": "W^0.5"}
+"""Those of solids and bars, whose loads are not per length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +91,7 @@ class Report:
         """Units of the scene's quantities."""
         if self.scene.units != "SI":
             return dict.fromkeys(SI, "1")
-        return SI | (OF_SOLIDS if self.scene.discretisation.mesh.dim() == 3 else {})
+        return SI | (OF_WHOLE_BODIES if self.scene.discretisation.mesh.dim() != 2 else {})
 
     def suffix(self, quantity: str) -> str:
         """The unit behind a number, such as " m"; nothing in a dimensionless scene."""
