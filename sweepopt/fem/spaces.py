@@ -33,11 +33,11 @@ from sweepopt.io import as_path
 Array = NDArray[np.float64]
 
 KINDS = {
-    "lumped": (1,),
     "antiplane": (1, 2),
     "plane strain": (2,),
     "plane stress": (2,),
     "solid": (3,),
+    "lumped": (1,),
 }
 """Dimensions of the mesh of each kind of body."""
 ELEMENTS: dict[str, tuple[skfem.Element, ...]] = {
