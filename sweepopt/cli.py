@@ -200,6 +200,8 @@ def _announce(scene: Scene) -> None:
 
     process = scene.problem.as_sweeping()
     scheme = schemes.choose(scene.scheme, process.coercive)
+    if scene.scheme == "auto" and scene.t_end and scene.steps:
+        scheme = schemes.automatic(process, scene.t_end / scene.steps)
     plan = make_plan(process, [(0.0, process.C.at(0.0))], scheme, scene.solver, scene.tol)
     if scene.title:
         print(scene.title)
@@ -215,8 +217,8 @@ def _write(report: Report, folder: Path) -> list[str]:
     """Write all files of a run; their names relative to the folder, the summary last."""
     from sweepopt.fem import output, pictures
 
-    figures = {f"{name}.png": draw(report) for name, draw in pictures.drawn_of(report).items()}
     output.write_netcdf(report, folder / "solution.nc")
+    figures = {f"{name}.png": draw(report) for name, draw in pictures.drawn_of(report).items()}
     for name, figure in figures.items():
         with replacing(folder / name) as part:
             figure.savefig(part)

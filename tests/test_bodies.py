@@ -16,6 +16,7 @@ from meshes import square
 from test_fem import order
 
 import sweepopt as so
+from sweepopt import fem
 from sweepopt.fem import (
     BodyForce,
     Contribution,
@@ -484,6 +485,25 @@ BAD = [
         {"at": [9, 9], "force": [1, 0], "history": {"waveform": "constant", "value": 1}},
         "effects.point_force.at: the point .* is not in",
     ),
+    ("effects.viscosity.eta", "1 + t", "effects.viscosity.eta does not move here"),
+    ("effects.elasticity", {"E": "2 + t", "nu": 0.2}, "effects.elasticity.E does not move here"),
+    ("effects.dashpot.eta", "sin(x, y)", "effects.dashpot.eta must be a number or a formula"),
+    ("effects.dashpot.eta", "1" + 400 * "0", "effects.dashpot.eta must be a number or a formula"),
+    (
+        "effects.friction.foot",
+        {"on": "bottom", "g": 1, "axes": "ab"},
+        "effects.friction.foot.axes",
+    ),
+    (
+        "effects.point_force",
+        {"at": [0, 0], "force": ["x", 0], "history": {"waveform": "constant", "value": 1}},
+        "effects.point_force.force",
+    ),
+    (
+        "effects.point_force",
+        {"at": ["a", 0], "force": [1, 0], "history": {"waveform": "constant", "value": 1}},
+        "effects.point_force.at",
+    ),
 ]
 
 
@@ -491,3 +511,23 @@ BAD = [
 def test_bad_keys_are_refused_by_their_path(path, value, message):
     with pytest.raises(so.InputError, match=message):
         read_scene(changed(path, value))
+
+
+def test_friction_that_would_not_see_a_displacement_along_it_is_refused():
+    box = fem.grid([1.0, 1.0, 1.0], [2, 2, 2])
+    space = fem.Discretisation(box, "back", kind="solid", held={"front": "ny"})
+    moved = fem.PrescribedDisplacement("front", so.Table([0, 1], [0, 1]), d=[0.0, 1.0, 0.0])
+    effects = [fem.Elasticity(E=1.0, nu=0.2), fem.Viscosity(1.0), fem.Friction("front", g=0.1)]
+    fem.body(space, effects)
+    with pytest.raises(so.InputError, match="whose slip would lack it"):
+        fem.body(space, [*effects, moved])
+
+
+def test_discs_are_not_glued_and_a_bound_that_turns_negative_is_named():
+    sheet = fem.Discretisation(fem.grid([1.0, 1.0], [2, 2]), (), kind="plane stress")
+    parts = [fem.Elasticity(E=1.0, nu=0.2), fem.Foundation("body", k=1.0)]
+    with pytest.raises(so.InputError, match="g is inf where two components could slip"):
+        fem.body(sheet, [*parts, fem.Friction("body", g=np.inf)])
+    falls = fem.Friction("body", g=1.0, history=so.Table([0, 1], [1, -1]))
+    with pytest.raises(so.InputError, match="history: a friction bound is multiplied by -"):
+        fem.body(sheet, [*parts, falls]).solve(t_end=1.0, steps=4)

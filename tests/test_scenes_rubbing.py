@@ -44,7 +44,6 @@ def test_a_sheet_with_the_same_bound_everywhere_moves_on_the_exact_circle():
     half = np.pi / n
     D = 2 * U * np.sin(half) / (turns * np.pi / (turns * n)) + 1.0
     np.testing.assert_allclose(U**2 + D**2 + 2 * U * D * np.sin(half), 2.5**2, rtol=1e-5)
-    assert U.mean() == pytest.approx(0.7, abs=0.1)  # of arcs, as steps get short
 
 
 def test_the_friction_of_the_sheet_is_in_its_disc_and_against_the_slip_at_every_node():

@@ -251,10 +251,13 @@ def friction_on(
     def thresholds(t: float) -> Any:
         bounds = place.values(BOUND, g, t)
         if p is not None:
-            bounds = bounds * place.values(PRESSURE, p, t)
+            bounds = _times(bounds, place.values(PRESSURE, p, t))
         if history is not None:
-            bounds = bounds * np.asarray(history(t), dtype=float)
-        return np.bincount(nodes.ravel(), (weights * bounds).ravel(), N)
+            phi = np.asarray(history(t), dtype=float)
+            if phi < 0:
+                raise InputError(f"history: a friction bound is multiplied by {phi:g} at t = {t:g}")
+            bounds = _times(bounds, phi)
+        return np.bincount(nodes.ravel(), _times(weights, bounds).ravel(), N)
 
     def moving_bound(k: Indices, t: float) -> Array:
         return np.asarray(thresholds(t)[k] / weight[k])
@@ -279,6 +282,8 @@ def friction_on(
         k, at, some = node[mine], first[mine], unknown[mine]
         columns = some[some >= 0]
         bound = threshold[k] / weight[k]
+        if block > 1 and not np.isfinite(bound).all():
+            raise InputError("g is inf where two components could slip; hold them instead")
         slips = some if several else columns
         contact = Contact(slips, k, body.points[k], names[at], arc[at], weight[k], bound)
         entries = np.ones(columns.size), (np.arange(columns.size), columns)
@@ -288,6 +293,12 @@ def friction_on(
         moving = partial(moving_bound, k) if moves else bound
         yields.append(Yield(rows, moving, metric, contact=contact))
     return yields
+
+
+def _times(a: Any, b: Any) -> Array:
+    """a b, and 0 where one of them is 0 though the other is infinite."""
+    a, b = np.broadcast_arrays(a, b)
+    return np.multiply(a, b, out=np.zeros(a.shape), where=(a != 0) & (b != 0))
 
 
 def _metric(body: Discretisation, columns: Indices, nodes: Indices, axes: Any) -> Array:

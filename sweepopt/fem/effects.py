@@ -24,7 +24,7 @@ from sweepopt.checks import listed, matrix, number
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import BOUND, PRESSURE, Rows, Yield, friction_on
 from sweepopt.fem.fields import Coefficient, Datum, in_time
-from sweepopt.fem.spaces import AXES, BODY, Discretisation, Place, boundary_names
+from sweepopt.fem.spaces import AXES, BODY, Discretisation, Place, boundary_names, centroid
 from sweepopt.loads import History
 
 Array = NDArray[np.float64]
@@ -331,6 +331,9 @@ class Friction:
             PRESSURE.check(self.p)
         if self.history is not None:
             check_history(self.history)
+        if self.axes is not None:
+            axes = [number("axes", one, 0.0, strict=True) for one in listed("axes", self.axes)]
+            object.__setattr__(self, "axes", tuple(axes))
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The rows that slip; none if g is zero everywhere."""
@@ -452,8 +455,9 @@ class PointForce:
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
-        d, values = body.mesh.dim(), np.atleast_1d(np.asarray(self.force, dtype=float))
-        at = np.asarray(listed("at", self.at), dtype=float)
+        parts = self.force if isinstance(self.force, (list, tuple)) else [self.force]
+        d, values = body.mesh.dim(), np.array([number("force", one) for one in parts])
+        at = np.array([number("at", one) for one in listed("at", self.at)])
         if at.shape != (d,) or values.shape != (body.components,):
             raise InputError(f"at must have {d} coordinates, force {body.components} components")
         try:
@@ -614,7 +618,8 @@ class YieldStress:
                 " element, which is not offered"
             )
         element, d = body.scalar.elem, body.mesh.dim()
-        basis = skfem.CellBasis(body.mesh, element, intorder=2 * (element.maxdeg - 1))
+        rule = centroid(d) if element.maxdeg == 1 else None
+        basis = skfem.CellBasis(body.mesh, element, intorder=2, quadrature=rule)
         place, moves = Place(basis, body.mesh.subdomains or {}, basis.element_dofs), in_time(self.g)
         gradients = np.array(
             [np.broadcast_to(phi[0].grad, (d, *basis.dx.shape)) for phi in basis.basis]
@@ -627,7 +632,7 @@ class YieldStress:
         entries = gradients.ravel(), (rows.ravel(), columns.ravel())
         E = sp.csr_array(entries, shape=(blocks * d, basis.N))[:, body.free]
         E.eliminate_zeros()
-        weight, g = basis.dx.ravel(), place.values(YIELD, self.g).ravel()
+        weight, g = basis.dx.ravel(), place.values(YIELD, self.g, 0.0).ravel()
         keep = (np.diff(E.indptr).reshape(blocks, d).sum(axis=1) > 0) & (moves | (g > 0))
         if not keep.any():
             return Contribution()

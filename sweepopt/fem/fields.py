@@ -90,7 +90,7 @@ Datum = float | str | Mapping[str, float] | Profile | Callable[..., ArrayLike]
 """What an effect takes for a coefficient. A function gets x of shape (d, ...), and the time if it
 takes two arguments, and returns numbers of shape (...)."""
 
-FUNCTIONS: dict[str, Callable[..., Any]] = {
+FUNCTIONS: dict[str, np.ufunc] = {
     name: getattr(np, name)
     for name in ("sin", "cos", "tan", "exp", "log", "sqrt", "abs", "minimum", "maximum")
 }
@@ -144,7 +144,7 @@ class Formula:
         try:
             with np.errstate(all="ignore"):  # what is no finite number is refused by who asks
                 return self._value(self.tree, np.asarray(x, dtype=float), t)
-        except TypeError as error:
+        except (TypeError, OverflowError) as error:
             raise InputError(f"must be a number or a formula, got {shown(self.text)}") from error
 
     def _value(self, node: Any, x: Array, t: float) -> Any:
@@ -161,7 +161,9 @@ class Formula:
                 return OPERATORS[type(op)](self._value(one, x, t))
             case ast.BinOp(left=one, op=op, right=two) if type(op) in OPERATORS:
                 return OPERATORS[type(op)](self._value(one, x, t), self._value(two, x, t))
-            case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
+            case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if (
+                name in FUNCTIONS and len(args) == FUNCTIONS[name].nin
+            ):
                 return FUNCTIONS[name](*(self._value(one, x, t) for one in args))
         raise InputError(f"must be a number or a formula, got {shown(self.text)}")
 
@@ -222,7 +224,11 @@ class Coefficient(NamedTuple):
             number(self.name, datum, *limits)
 
     def values(
-        self, datum: Datum, points: ArrayLike, groups: Mapping[str, Indices], t: float = 0.0
+        self,
+        datum: Datum,
+        points: ArrayLike,
+        groups: Mapping[str, Indices],
+        t: float | None = None,
     ) -> Array:
         """Values at points of cells.
 
@@ -232,8 +238,8 @@ class Coefficient(NamedTuple):
         points : array_like, shape (d, cells, ...)
         groups : mapping of str to indices of cells
             What a mapping may name; every cell must be covered by exactly one named group.
-        t : float
-            The time, of functions of x and t.
+        t : float, optional
+            The time, of functions of x and t; none where these are refused.
 
         Returns
         -------
@@ -244,10 +250,15 @@ class Coefficient(NamedTuple):
         if isinstance(datum, Mapping):
             self._fill(values, datum, groups)
             return values
+        moves = in_time(datum)
+        if moves and t is None:
+            raise InputError(
+                f"{self.name} does not move here; leave out t, or give an effect with a history"
+            )
         function: Any = Formula(datum) if isinstance(datum, str) else datum
         try:
             if callable(function):
-                function = function(x, t) if in_time(datum) else function(x)
+                function = function(x, t) if moves else function(x)
             values[:] = np.asarray(function, dtype=float)
         except InputError as error:
             dot = " " if isinstance(datum, str) else "."

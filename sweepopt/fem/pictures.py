@@ -129,6 +129,8 @@ def flow_figure(report: Report) -> Any:
     matplotlib Figure
     """
     body, t = report.scene.discretisation, report.solution.t
+    if body.components > 1 or body.mesh.dim() != 2:
+        raise InputError("pictures: flow is of an antiplane body in the plane; leave it out")
     velocity, middle = report.scene.velocity(report.solution), (t[1:] + t[:-1]) / 2
     triangles = body.triangles
     a, b, c = body.points[triangles].transpose(1, 2, 0)

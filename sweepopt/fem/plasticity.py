@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from math import factorial
 
 import numpy as np
 import scipy.sparse as sp
@@ -32,7 +31,7 @@ from sweepopt.errors import InputError
 from sweepopt.fem.contact import Rows, Yield
 from sweepopt.fem.effects import Contribution, Effect, Elasticity
 from sweepopt.fem.fields import Coefficient, Datum
-from sweepopt.fem.spaces import BODY, Discretisation, Place, boundary_names
+from sweepopt.fem.spaces import BODY, Discretisation, Place, boundary_names, centroid
 
 Array = NDArray[np.float64]
 
@@ -167,7 +166,7 @@ def _points(body: Discretisation, on: Sequence[str]) -> tuple[Place, Place]:
         raise InputError("on: name subdomains, or 'body', not boundaries")
     d, element, cells, rule = body.mesh.dim(), body.basis.elem, exact.basis.tind, None
     if body.scalar.elem.maxdeg == 1:
-        rule = np.full((d, 1), 1 / (d + 1)), np.array([1 / factorial(d)])
+        rule = centroid(d)
     basis = skfem.CellBasis(body.mesh, element, elements=cells, intorder=2, quadrature=rule)
     return exact._replace(basis=basis), exact
 

@@ -284,7 +284,10 @@ def build(
     lifts = tuple(part.lift for part in parts if part.lift is not None)
     yields = [one for part in parts for one in part.yields]
     if A is None and B is None:
-        raise InputError("effects must hold a viscosity or an elasticity: nothing resists a motion")
+        raise InputError(
+            "effects must hold a viscosity, an elasticity, a dashpot or a foundation: "
+            "nothing resists a motion"
+        )
     A = sp.csc_array((size, size)) if A is None else A
     _check_held(space, A, B)
     kinds = {type(effect) for effect in effects.values()}
@@ -301,6 +304,7 @@ def build(
                 "velocity, Maxwell branch or plasticity, which would see it; drive the body by "
                 "a traction"
             )
+        _check_rubs(space, yields, lifts)
         loads += _lifted(space, effects, parts, lifts)
     force = _force(loads, size)
     problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
@@ -320,6 +324,24 @@ def build(
         yields=tuple(yields),
         **settings,
     )
+
+
+def _check_rubs(space: Discretisation, yields: Sequence[Yield], lifts: Sequence[Any]) -> None:
+    """Refuse friction at nodes where a tangent is held and moved: |v| would lack its rub."""
+    frame = space.frame
+    for node, where in [(one.contact.node, one.rows.where) for one in yields if one.contact]:
+        held = frame.held[node]
+        # what is held is the normal alone, or nothing
+        harmless = (held == 0) | ((held == 1) & ~frame.normal[node] & (where == "trace"))
+        held = np.where(harmless | (space.components == 1), 0, held)
+        for _, d in lifts:
+            of_frame = d if frame.T is None else frame.T.T @ d
+            slot = np.arange(space.components)[:, None]
+            if of_frame[space.nodes[:, node]][slot < held].any():
+                raise InputError(
+                    "effects: a prescribed displacement moves a tangent of a boundary with "
+                    "friction, whose slip would lack it; prescribe it elsewhere"
+                )
 
 
 def _problem(

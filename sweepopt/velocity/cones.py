@@ -151,7 +151,10 @@ class Cones:
         rigid = (state.lengths <= g) | (self._sigma * rate <= g)
         self._z, self._s = base + state.w, state.s
         z = self._plugs(rigid, self._z)
-        rates, w = self._rates(z), self._transposed @ state.s.ravel()
+        at = z[self._rows.unknowns]
+        still = (at == at[:, :1]).all(axis=1) & (self._rows.tied | (at[:, 0] == 0))
+        rates = np.where(still[:, None], 0.0, self._of(z))
+        w = self._transposed @ state.s.ravel()
         support = float(g @ lengths(rates))
         gap = max(support - float(np.vdot(state.s, rates)), 0.0) + ROUNDING * support
         rounding = ROUNDING * (self._abs.T @ np.abs(state.s).ravel())
