@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 PARALLEL = 1e-6
 """Sine of the angle below which two directions that are held are one: normals of facets round."""
-APART = 0.5
+NEW_DIRECTION = 0.5
 """Some axis is at least sqrt(1/3) away from the span of fewer than d directions."""
 
 
@@ -85,7 +85,7 @@ def frame_of(body: Discretisation, held: list[tuple[Indices, str]]) -> Frame:
         normal[nodes] = count[nodes] > fixed[nodes]
     some = np.flatnonzero(count)
     for axis in axes:
-        add(some, np.tile(axis, (some.size, 1)), APART)
+        add(some, np.tile(axis, (some.size, 1)), NEW_DIRECTION)
     T = sp.eye_array(body.basis.N, format="csr")
     if some.size and (basis[some] != axes).any():
         rest = sp.diags_array((~np.isin(np.arange(T.shape[0]), body.nodes[:, some])).astype(float))
