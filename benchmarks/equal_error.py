@@ -33,7 +33,7 @@ import pandas as pd
 from scipy.integrate import odeint, solve_ivp
 
 import sweepopt as so
-from sweepopt.study.machine import machine
+from sweepopt.study import machine
 from sweepopt.study.problems import problem
 
 REPORTS = 100

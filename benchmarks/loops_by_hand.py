@@ -32,7 +32,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 import sweepopt as so
-from sweepopt.study.machine import machine
+from sweepopt.study import machine
 
 SCHEME = "implicit-euler"
 NAIVE, LINEAR = "cvxpy-rebuilt", "frictionless"

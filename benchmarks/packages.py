@@ -27,7 +27,7 @@ import pandas as pd
 from equal_error import Result, Task, cheapest, friction_of, ours, timed
 
 import sweepopt as so
-from sweepopt.study.machine import machine
+from sweepopt.study import machine
 from sweepopt.study.problems import BLOCK
 
 SCRIPT = Path(package_runs.__file__)

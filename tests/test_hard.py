@@ -13,10 +13,16 @@ import pytest
 
 import sweepopt as so
 from sweepopt.study.hard import FAMILIES, Program, verdicts
-from sweepopt.study.hard.bodies import MATRICES, chain
-from sweepopt.study.hard.families import chosen, combination, make, read_families
-from sweepopt.study.hard.ingredients import CONTACTS, HISTORIES, LOADS, STIFFNESS, UNITS
-from sweepopt.study.hard.judge import Judge
+from sweepopt.study.hard.bodies import chain
+from sweepopt.study.hard.exact import Judge
+from sweepopt.study.hard.families import (
+    HISTORIES,
+    TABLES,
+    chosen,
+    combination,
+    make,
+    read_families,
+)
 from sweepopt.study.hard.suite import PATHS, HardRow, HardStudy, rows
 from sweepopt.study.hard.verdicts import GOOD
 
@@ -49,8 +55,7 @@ def test_the_active_set_solver_stands_alone() -> None:
 
 
 def test_families_are_made_of_ingredients_that_there_are() -> None:
-    tables = (MATRICES, CONTACTS, LOADS, UNITS, STIFFNESS, HISTORIES)
-    names = [name for table in tables for name in table]
+    names = [name for table in TABLES for name in table]
     assert len(names) == len(set(names))
     assert set(joined(*FAMILIES.values())) <= set(names)
 
@@ -99,10 +104,10 @@ def test_combinations_drawn_by_chance_are_met(seed: int) -> None:
 def test_combinations_that_were_wrong_once(seed: int, number: int) -> None:
     random = np.random.default_rng([seed, number])
     names = combination(random)
-    process, history = make(names, random), chosen(HISTORIES, names)
-    judge = Judge(process, history.t_end / history.steps)
+    process, (t_end, steps, *_) = make(names, random), chosen(HISTORIES, names)
+    judge = Judge(process, t_end / steps)
     for solver in ("auto", "clarabel"):
-        sol = solve_once(process, t_end=history.t_end, steps=history.steps, solver=solver)
+        sol = solve_once(process, t_end=t_end, steps=steps, solver=solver)
         for k, certificate in enumerate(sol.stats["certificate"]):
             error, stated, _ = judge.step(sol.u[k], sol.t[k], sol.velocity[k], certificate)
             assert error <= min(1e-9, stated)

@@ -12,8 +12,8 @@ import scipy.sparse as sp
 import sweepopt as so
 from sweepopt.study.hard import Program
 from sweepopt.study.hard.bodies import chain, spectral
+from sweepopt.study.hard.exact import ROUNDING, Judge
 from sweepopt.study.hard.families import combination, make
-from sweepopt.study.hard.judge import ROUNDING, Judge
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 N = 12
@@ -44,7 +44,7 @@ def one_step(process: so.SweepingProcess, gamma: float, tol: float = 1e-9) -> so
 def test_stiffness_of_1e10_costs_no_digits(seed: int, gamma: float, name: str, form: str) -> None:
     random = np.random.default_rng(seed)
     # the states that a stiff body comes to: large where it is soft, B u is small beside |B| |u|
-    A, B = chain(random, N), spectral(random, np.logspace(0, 10, N))
+    A, B = chain(random, N), spectral(random, 0, 10, N)
     u = np.linalg.solve(B, random.normal(size=N))
     C = so.Moving(SETS[name](), 3 * random.normal(size=N))
     sol = one_step(so.SweepingProcess(FORMS[form](A), FORMS[form](B), C, u), gamma)

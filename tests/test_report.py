@@ -23,8 +23,9 @@ import sweepopt as so
 from sweepopt.cli import main
 from sweepopt.study import write_report
 from sweepopt.study.hard.suite import HardRow
-from sweepopt.study.ledger import read_rows
 from sweepopt.study.problems import problem
+from sweepopt.study.records import read_rows
+from sweepopt.study.suites import SUITES
 
 TITLE = "What <accuracy> & certainty cost"
 BLOCK = problem("S03")
@@ -250,8 +251,8 @@ def test_a_study_with_hard_cases_writes_its_files_goes_on_and_keeps_rows_of_an_i
         yield from HARD
         raise KeyboardInterrupt
 
-    judged = {"hard": ("hard", interrupted)}
-    monkeypatch.setattr("sweepopt.study.commands.JUDGED", judged)
+    suites = {"hard": SUITES["hard"]._replace(rows=interrupted)}
+    monkeypatch.setattr("sweepopt.study.commands.SUITES", suites)
     assert main(["study", str(path), "--out", str(out)]) != 0
     assert "2 cells, 2 of them finished before" in capsys.readouterr().err
     kept = read_rows(out / "hard.jsonl", HardRow)

@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -24,25 +23,25 @@ import pandas as pd
 import psutil
 import pytest
 from cases import case
+from distributed import LocalCluster
 from test_cli import make_scene
 
 import sweepopt as so
 from sweepopt import io as library
 from sweepopt.study import (
-    Processes,
     Study,
     advice,
     dask_executor,
     find_source,
     halving,
+    processes,
     read_study,
     read_table,
     run,
     summary,
 )
-from sweepopt.study.cell import Cell, CellRow, run_cell
+from sweepopt.study.cell import SAFETY, Cell, CellRow, Reference, run_cell
 from sweepopt.study.problems import problem
-from sweepopt.study.reference_states import SAFETY, Reference
 
 # of a run: its times, and the threads that its process was given
 OF_A_RUN = ["wall", "cpu", "machine"]
@@ -272,26 +271,8 @@ def test_an_edited_scene_is_another_cell_and_a_moved_one_is_not(tmp_path: Path) 
 # ---- executors ------------------------------------------------------------------------------
 
 
-@contextmanager
-def cluster(threads: int = 1) -> Iterator[Any]:
-    """A dask cluster of two processes, or of two threads in this one."""
-    distributed = pytest.importorskip("distributed")
-    workers = {"n_workers": 2 // threads, "threads_per_worker": threads, "processes": threads == 1}
-    with distributed.LocalCluster(**workers, dashboard_address=None) as started:
-        yield started.scheduler_address
-
-
-@contextmanager
-def dask() -> Iterator[Executor]:
-    with cluster() as address, dask_executor(address) as executor:
-        yield executor
-
-
-@pytest.mark.parametrize("workers", [dask, partial(Processes, 2)], ids=["dask", "processes"])
 @pytest.mark.filterwarnings("ignore::ResourceWarning")  # sockets of the worker that is killed
-def test_workers_give_the_same_rows_though_one_is_killed(
-    workers: Any, small: Path, tmp_path: Path
-) -> None:
+def test_workers_give_the_same_rows_though_one_is_killed(small: Path, tmp_path: Path) -> None:
     killed: list[int] = []
 
     def kill_one(words: str) -> None:
@@ -300,16 +281,16 @@ def test_workers_give_the_same_rows_though_one_is_killed(
             killed.extend(each.pid for each in children if "spawn_main" in str(each.cmdline()))
             os.kill(killed[0], signal.SIGKILL)
 
-    with workers() as executor:
+    with processes(2) as executor:
         table = run(SMALL, tmp_path, executor=executor, progress=kill_one)
     assert len(killed) == 2
     same(table, read_table(SMALL, small))
 
 
 def test_a_cluster_that_is_not_there_or_shares_time_is_refused() -> None:
-    with cluster(threads=2) as there:
+    with LocalCluster(1, threads_per_worker=2, processes=False, dashboard_address=None) as there:
         for address, words in (
-            (there, "has 2 threads, .* --nthreads 1"),
+            (there.scheduler_address, "has 2 threads, .* --nthreads 1"),
             ("nowhere", "scheduler 'nowhere' does not answer"),
         ):
             with pytest.raises(so.InputError, match=words), dask_executor(address):
@@ -321,12 +302,6 @@ def test_a_cell_that_its_workers_die_of_is_a_row_and_other_breakdowns_end_the_st
 ) -> None:
     shutil.copytree(small / "references", tmp_path / "references")
 
-    class Deadly(Processes):
-        def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
-            deadly = isinstance(args[0], Cell) and args[0].steps == 16
-            call = (signal.raise_signal, signal.SIGKILL) if deadly else (fn, *args)
-            return super().submit(*call, **kwargs)
-
     gone: Future[Any] = Future()
     gone.set_exception(ConnectionError("the scheduler is gone"))
     unreachable = MagicMock(Executor)
@@ -334,12 +309,18 @@ def test_a_cell_that_its_workers_die_of_is_a_row_and_other_breakdowns_end_the_st
     with pytest.raises(ConnectionError):
         run(SMALL, tmp_path, executor=unreachable)
     assert not finished(tmp_path)
-    with Deadly(1) as executor:
-        table = run(SMALL, tmp_path, executor=executor)
-    dead = table[table.steps == 16]
-    assert set(dead.status) == {"WorkerDiedError"}
-    assert dead.message.str.contains("2 times: out of memory").all()
-    same(table[table.steps == 8], read_table(SMALL, small)[table.steps == 8])
+
+    def deadly(function: Any, cell: Any, *arguments: Any) -> Future[Any]:
+        dies = "M16 midpoint auto 16" in str(cell) and isinstance(cell, Cell)
+        call = (signal.raise_signal, signal.SIGKILL) if dies else (function, cell, *arguments)
+        return workers.submit(*call)
+
+    with processes(2) as workers:
+        table = run(SMALL, tmp_path, executor=Mock(Executor, submit=deadly))
+    dead = table.status == "KilledWorker"
+    assert table.cell[dead].str.startswith("M16 midpoint auto 16").tolist() == [True]
+    assert table.message[dead].str.contains("all those workers died").all()
+    same(table[~dead], read_table(SMALL, small)[~dead])
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at the process tree")

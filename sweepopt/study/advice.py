@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import exp, inf, isnan, log, nan
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from sweepopt.study.sources import body_name
 
 if TYPE_CHECKING:
-    from pandas import DataFrame, Series
+    from pandas import DataFrame
 
 TARGETS = (1e-2, 1e-4, 1e-6)
 AXES = {
@@ -19,6 +20,7 @@ AXES = {
     "a higher degree": ("element", False),
 }
 """What makes a run more accurate: a column of the table, and whether by smaller values."""
+SETTINGS = ("problem", "scheme", "solver", *(column for column, _ in AXES.values()))
 NOTABLE = 0.9  # of the error of faster runs: what is less by less is no reason for a row
 MUCH = 100.0
 """Times the time for half the error: an axis that takes more is not the one to go along."""
@@ -54,15 +56,15 @@ def advice(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
 
 def advice_table(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
     """The advice in words: a row a problem, a column a target, "-" where no cell meets it."""
-    import pandas as pd
-
-    words = {
-        (row.problem, row.target): _run(row).removeprefix(f"{row.problem} ")
-        for row in advice(table, targets).itertuples()
-    }
-    problems = table.problem.unique()
-    entries = [[words.get((problem, target), "-") for target in targets] for problem in problems]
-    return pd.DataFrame(entries, problems, [f"{target:g}" for target in targets])
+    runs = advice(table, targets)
+    runs["run"] = [_run(row).removeprefix(f"{row.problem} ") for row in runs.itertuples()]
+    words = runs.pivot(index="problem", columns="target", values="run")
+    words = (
+        words.reindex(index=table.problem.unique(), columns=list(targets))
+        .astype(object)
+        .fillna("-")
+    )
+    return words.rename(columns="{:g}".format).rename_axis(index=None, columns=None)
 
 
 def halving(table: DataFrame) -> DataFrame:
@@ -85,40 +87,23 @@ def halving(table: DataFrame) -> DataFrame:
         for example: the factor of the time, inf where the error does not fall, nan where no next
         cell was measured; and `cheapest`, the axis of the least factor, "" if all are above MUCH.
     """
-    import pandas as pd
-
     known = table[table.success & (table.error > 0)].sort_values(["wall", "error"], kind="stable")
-    least = known.groupby("problem").error.transform(_least_before)
-    best = known[known.error < NOTABLE * least]
-    best = best.sort_values("problem", kind="stable")
-    rows = []
-    for row in best.itertuples():
-        factors = {words: _factor(known, row, *axis) for words, axis in AXES.items()}
-        possible = {words: factor for words, factor in factors.items() if factor <= MUCH}
-        rows.append({**factors, "cheapest": min(possible, key=possible.__getitem__, default="")})
-    return best.join(pd.DataFrame(rows, best.index, [*AXES, "cheapest"]))
-
-
-def _least_before(errors: Series) -> Series:
-    """Of each run the least error of the faster ones."""
-    return errors.cummin().shift(fill_value=inf)
-
-
-def _factor(known: DataFrame, row: Any, axis: str, smaller: bool) -> float:
-    """Time for half the error, in units of a cell's own, by the next cell along an axis."""
-    columns = "problem", "scheme", "solver", *(column for column, _ in AXES.values())
-    same = [column for column in columns if column != axis]
-    others = known[(known[same] == [getattr(row, name) for name in same]).all(axis=1)]
-    value, values = getattr(row, axis), others[axis]
-    finer = others[values < value if smaller else values > value]
-    if not len(finer):
-        return nan
-    following = finer.sort_values(axis, ascending=not smaller).iloc[0]
-    fall = log(row.error / following.error)
-    if not fall > 0:
-        return inf
-    # more accurate in less time is possible: times are measured
-    return exp(min(max(log(following.wall / row.wall), 0.0) * log(2) / fall, 700.0))
+    factors = {}
+    for words, (axis, smaller) in AXES.items():
+        cells = known.sort_values(axis, ascending=not smaller)
+        same = [column for column in SETTINGS if column != axis]
+        following = cells.groupby(same)[["error", "wall"]].shift(-1)
+        fall = np.log(cells.error / following.error)
+        # more accurate in less time is possible: times are measured
+        rise = np.log(following.wall / cells.wall).clip(lower=0.0)
+        factor = np.exp((rise * np.log(2) / fall).clip(upper=700.0))
+        factors[words] = factor.where(~(fall <= 0), np.inf)
+    cells = known.assign(**factors)
+    faster = cells.groupby("problem").error.transform(lambda x: x.cummin().shift(fill_value=np.inf))
+    best = cells[cells.error < NOTABLE * faster].sort_values("problem", kind="stable")
+    possible = best[list(AXES)].fillna(np.inf)
+    cheapest = possible.idxmin(axis="columns").where(possible.min(axis="columns") <= MUCH, "")
+    return best.assign(cheapest=cheapest)
 
 
 def halving_table(table: DataFrame) -> DataFrame:
@@ -132,8 +117,8 @@ def halving_table(table: DataFrame) -> DataFrame:
 
 def _words(factor: float) -> str:
     if factor > MUCH:
-        return "no help" if factor == inf else f"> {MUCH:g} x"
-    return "-" if isnan(factor) else f"{factor:.2g} x"
+        return "no help" if factor == np.inf else f"> {MUCH:g} x"
+    return "-" if np.isnan(factor) else f"{factor:.2g} x"
 
 
 def _run(row: Any) -> str:

@@ -5,9 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import warnings
-from collections.abc import Callable, Iterable
-from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import AbstractContextManager
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,15 +16,13 @@ from sweepopt.study.advice import TARGETS, advice, summary
 from sweepopt.study.cell import solution_of
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
-from sweepopt.study.executors import Processes, dask_executor
-from sweepopt.study.hard.suite import rows as hard_rows
-from sweepopt.study.hard.suite import trajectory_rows
 from sweepopt.study.hard.verdicts import worst
-from sweepopt.study.ledger import append_row
+from sweepopt.study.records import append_row
 from sweepopt.study.report import write_report
 from sweepopt.study.sources import find_source
-from sweepopt.study.stiff import rows as stiff_rows
 from sweepopt.study.study import Study, read_parts, read_study, run
+from sweepopt.study.suites import SUITES
+from sweepopt.study.workers import dask_executor, processes
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -36,14 +32,21 @@ TABLE, DIAGRAM, REPORT = "table.csv", "diagram.png", "report.html"
 
 def study_command(chosen: argparse.Namespace) -> None:
     """Run a study, or go on with it, then its hard and stiff cases, and write what they say."""
+    import pandas as pd
+
     path = find_study(chosen.study)
     folder = chosen.out or Path("results") / path.stem
     data, parts = read_parts(path)
     table, solutions, files = None, {}, []
     if not parts or data.keys() - {"title"}:
         study = read_study(path)
-        with _executor(chosen) as executor:
-            table = run(study, folder, executor=executor, progress=_say)
+        executor: Any = ThreadPoolExecutor(1)
+        if chosen.scheduler is not None:
+            executor = dask_executor(chosen.scheduler)
+        elif chosen.workers:
+            executor = processes(chosen.workers)
+        with executor as pool:
+            table = run(study, folder, executor=pool, progress=_say)
         table.to_csv(folder / TABLE, index=False)
         work_precision(table).figure.savefig(folder / DIAGRAM)
         solutions = _fastest_runs(study, table)
@@ -51,60 +54,31 @@ def study_command(chosen: argparse.Namespace) -> None:
         files += [TABLE, DIAGRAM]
     # in this process, from the start: hard cases take some minutes a seed
     folder.mkdir(parents=True, exist_ok=True)
-    found = {
-        name: _kept(rows(parts[part]), folder / name)
-        for name, (part, rows) in JUDGED.items()
-        if part in parts
-    }
-    for name, rows in found.items():
-        if rows:
-            print(worst(rows, GROUPS[name]))
+    judged = {}
+    for name, suite in SUITES.items():
+        if suite.part in parts and (rows := _kept(suite.rows(parts[suite.part]), folder / name)):
+            pd.DataFrame(rows).to_csv(folder / f"{name}.csv", index=False)
+            print(worst(rows, suite.by))
+            judged[name] = rows
             files.append(f"{name}.csv")
-    if table is not None or any(found.values()):
+    if files:
         files.append(REPORT)
         title = str(data.get("title", path.stem))
-        write_report(table, folder / REPORT, solutions=solutions, title=title, **found)
+        write_report(table, folder / REPORT, solutions=solutions, title=title, **judged)
     print(f"written: {folder}: {', '.join(files)}")
 
 
-JUDGED: dict[str, tuple[str, Callable[..., Any]]] = {
-    "hard": ("hard", hard_rows),
-    "trajectories": ("hard", trajectory_rows),
-    "stiff": ("stiff", stiff_rows),
-}
-"""Files of rows, the table of a study that they are of, and what yields them.
-
-The .jsonl has each row as soon as it is finished, the .csv all of them.
-"""
-GROUPS = {
-    "hard": ["family"],
-    "trajectories": ["trajectory"],
-    "stiff": ["body", "load", "mu_Lam", "scheme"],
-}
-"""Columns by which rows are grouped where they are printed."""
-
-
-def _kept(rows: Iterable[Any], path: Path) -> list[Any]:
+def _kept(rows: Any, path: Path) -> list[Any]:
     """All rows, each written down as soon as it is finished."""
-    import pandas as pd
-
     lines = path.with_suffix(".jsonl")
-    found: list[Any] = []
+    finished: list[Any] = []
     lines.unlink(missing_ok=True)
     for row in rows:
         append_row(lines, row)
-        if not found or row[:2] != found[-1][:2]:
+        if not finished or row[:2] != finished[-1][:2]:
             _say(f"{path.name}: {row[0]}, {row[1]}")
-        found.append(row)
-    if found:
-        pd.DataFrame(found).to_csv(path.with_suffix(".csv"), index=False)
-    return found
-
-
-def _executor(chosen: argparse.Namespace) -> AbstractContextManager[Executor]:
-    if chosen.scheduler is not None:
-        return dask_executor(chosen.scheduler)
-    return Processes(chosen.workers) if chosen.workers else ThreadPoolExecutor(1)
+        finished.append(row)
+    return finished
 
 
 def _fastest_runs(study: Study, table: DataFrame) -> dict[str, Solution]:

@@ -14,16 +14,18 @@ import time as clock
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from math import inf, nan
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from sweepopt.checks import count
 from sweepopt.errors import InputError
+from sweepopt.io import read_toml
 from sweepopt.sets import ConvexSet
 from sweepopt.solve import solve
-from sweepopt.study.machine import one_thread
 from sweepopt.study.sources import Source, open_source
+from sweepopt.study.workers import one_thread
 from sweepopt.velocity import (
     DAQP,
     OSQP,
@@ -41,23 +43,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 ACCURACIES = {"low": 1e-3, "mid": 1e-6, "high": 1e-9}
-TOLERANCES: dict[str, tuple[str, ...]] = {
-    "CLARABEL": ("tol_gap_abs", "tol_gap_rel", "tol_feas"),
-    "OSQP": ("eps_abs", "eps_rel"),
-    "PIQP": ("eps_abs", "eps_rel"),
-    "PROXQP": ("eps_abs", "eps_rel"),
-    "DAQP": ("primal_tol", "dual_tol"),
-    "SCS": ("eps_abs", "eps_rel"),
-    "QOCO": ("abstol", "reltol"),
-    "MOSEK": ("eps",),
-}
-"""What each solver calls its tolerances in cvxpy's interface."""
-LIMITS: dict[str, dict[str, Any]] = {
-    "OSQP": {"max_iter": 20_000},
-    "SCS": {"max_iters": 20_000},
-    "PROXQP": {"max_iter": 10_000},
-}
-"""Iterations, for methods of first order."""
+CVXPY = read_toml(Path(__file__).with_suffix(".toml"))
+"""Names of the tolerances, and limits, of the solvers of cvxpy."""
 SHIFT = 1e-3
 """Seconds: means are of log(time + SHIFT), so that what takes no time does not decide them."""
 LEGEND = """\
@@ -116,11 +103,16 @@ def compare(
         rows += [blank | result for result in trials(solver, programs)]
     tried = pd.DataFrame(rows).fillna({"certificate": inf})
     solved = tried.certificate <= tried.accuracy
-    tried["time"] = tried.seconds.where(solved, tried.seconds.max())
-    tried["programs"] = tried["worst"] = tried.certificate
-    how = {"programs": "size", "solved": "mean", "time": shifted_mean, "certificate": "median"}
-    groups = tried.assign(solved=solved).groupby(["solver", "setting", "accuracy"], sort=False)
-    table = groups.agg({**how, "worst": "max", "message": "max"}).reset_index()
+    time = tried.seconds.where(solved, tried.seconds.max())
+    tried = tried.assign(solved=solved, time=time)
+    table = tried.groupby(["solver", "setting", "accuracy"], sort=False, as_index=False).agg(
+        programs=("certificate", "size"),
+        solved=("solved", "mean"),
+        time=("time", shifted_mean),
+        certificate=("certificate", "median"),
+        worst=("certificate", "max"),
+        message=("message", "max"),
+    )
     best = table[table.solved == 1.0].groupby("accuracy").time.min()
     table.insert(6, "ratio", table.time / table.accuracy.map(best))
     return table.sort_values(
@@ -133,9 +125,9 @@ def solvers_for(C: ConvexSet) -> Iterator[tuple[str, Solver]]:
     everyone: list[tuple[str, Solver]] = [("high", Newton()), ("high", DAQP())]
     for setting, tol in ACCURACIES.items():
         everyone += [(setting, Clarabel(tol=tol)), (setting, OSQP(tol=tol))]
-        for name in filter(TOLERANCES.get, installed()):
-            settings = {**dict.fromkeys(TOLERANCES[name], tol), **LIMITS.get(name, {})}
-            everyone.append((setting, Cvxpy(name, settings)))
+        for name in filter(CVXPY.get, installed()):
+            settings = dict.fromkeys(CVXPY[name]["tolerances"], tol)
+            everyone.append((setting, Cvxpy(name, settings | CVXPY[name].get("limits", {}))))
     return ((setting, solver) for setting, solver in everyone if solver.treats(C))
 
 
@@ -153,7 +145,7 @@ def record(source: Source, steps: int) -> list[Program]:
 
             return noted
 
-    process, t_end = open_source(source)
+    process, t_end, _ = open_source(source)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         solve(process, t_end=t_end, steps=steps, solver=Recorder(), on_failure="stop")

@@ -1,10 +1,17 @@
-"""Tables of a study's file as records that check themselves; errors name the key at fault."""
+"""Tables of a study's file as records that check themselves, and rows of results on the disk."""
 
 from __future__ import annotations
 
+import contextlib
+import json
+import os
+import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import MISSING, fields
+from pathlib import Path
 from typing import Any, TypeVar
+
+import numpy as np
 
 from sweepopt.checks import listed
 from sweepopt.errors import InputError, shown
@@ -30,9 +37,14 @@ def read_record(where: str, kind: type[Record], data: Any, **given: Any) -> Reco
 
 
 def each(name: str, values: Any, check: Callable[..., Any], *limits: Any) -> tuple[Any, ...]:
-    """A list with one entry or more, each of them checked under its own name."""
-    entries = enumerate(listed(name, values))
-    return tuple(check(f"{name}[{k}]", entry, *limits) for k, entry in entries)
+    """A list with one entry or more, each checked under its own name and none there twice."""
+    entries: dict[str, Any] = {}
+    for k, value in enumerate(listed(name, values)):
+        entry = check(f"{name}[{k}]", value, *limits)
+        if str(entry) in entries:
+            raise InputError(f"{name}[{k}]: {shown(value)} is there twice")
+        entries[str(entry)] = entry
+    return tuple(entries.values())
 
 
 def known(name: str, value: Any, names: Iterable[str], advice: str = "use") -> Any:
@@ -42,7 +54,36 @@ def known(name: str, value: Any, names: Iterable[str], advice: str = "use") -> A
     return value
 
 
+def among(names: Iterable[str]) -> tuple[Any, ...]:
+    """The check of `check_lists` for entries that are some of these names."""
+    return known, names, "there are:"
+
+
 def check_lists(record: Any, **checks: tuple[Any, ...]) -> None:
     """Each list of a record by its own check and limits."""
     for key, (check, *limits) in checks.items():
         each(key, getattr(record, key), check, *limits)
+
+
+def append_row(path: Path, row: Any) -> None:
+    """Add a named tuple of numbers and words, a line of JSON; it is on the disk when this returns.
+
+    Kill -9 at any moment loses none of the lines.
+    """
+    line = json.dumps(row._asdict(), default=np.generic.item)
+    with path.open("ab") as file:
+        # a new line first: one that a kill cut short must not spoil this one
+        file.write(f"\n{zlib.crc32(line.encode()):08x} {line}".encode())
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def read_rows(path: Path, kind: type[Record]) -> list[Record]:
+    """The rows of a named tuple's class; lines that are damaged or have other columns are not."""
+    rows = []
+    for line in path.read_bytes().splitlines() if path.exists() else ():
+        checksum, _, text = line.partition(b" ")
+        if checksum == b"%08x" % zlib.crc32(text):
+            with contextlib.suppress(TypeError):
+                rows.append(kind(**json.loads(text)))
+    return rows

@@ -23,9 +23,9 @@ from sweepopt.results import Solution
 from sweepopt.study.advice import advice_table, halving_table
 from sweepopt.study.cell import guaranteed_bound
 from sweepopt.study.diagram import ACCURACIES, BOUND, COLOURS, COLUMNS, COSTS, points
-from sweepopt.study.hard.suite import TARGET
-from sweepopt.study.hard.verdicts import GOOD
-from sweepopt.study.machine import machine
+from sweepopt.study.hard.verdicts import GOOD, TARGET
+from sweepopt.study.suites import SUITES
+from sweepopt.study.workers import machine
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
@@ -43,24 +43,6 @@ TOOLTIP = {
 BAND = "rgba(0, 114, 178, 0.25)"
 LEAST = 1e-18
 """Hard cases: errors of 0, of bodies at rest, are drawn here."""
-SECTIONS = {
-    "hard": (
-        "Hard cases",
-        "The worst step of each run, judged by its exact velocity: the true error stays below "
-        f"{TARGET:g} and below the certificate. A click in the legend hides a solver.",
-    ),
-    "trajectories": (
-        "Hard trajectories",
-        "Runs beside exact trajectories: the error is that of the scheme's order, bounds lie above "
-        "it, energies balance, and what slips clearly does not rest.",
-    ),
-    "stiff": (
-        "Stiff bodies",
-        "The default scheme beside the best of three: its error is at most twice theirs and below "
-        "its bound, its velocities do not ring, and what slips does not rest.",
-    ),
-}
-"""Heading and text of rows that are judged, by the name of their file."""
 PAGE = Template("""\
 <!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>$title</title>
@@ -120,7 +102,7 @@ def write_report(
         If Plotly is not installed.
     """
     for name in judged:
-        choice("name", name, SECTIONS)
+        choice("name", name, SUITES)
     if table is None and not any(map(len, judged.values())):
         raise InputError("table is None and there are no hard cases: nothing to report")
     target = writable("path", path)
@@ -132,12 +114,11 @@ def write_report(
         parts += _study_section(table)
         machines = table.machine.unique()
     if solutions:
-        parts += [
-            "<h2>Trajectories in their guaranteed bands</h2>",
-            _page_of(_trajectories(solutions)),
-        ]
+        parts.append("<h2>Trajectories in their guaranteed bands</h2>")
+        parts.append(_page_of(_trajectories(solutions)))
     for name, rows in judged.items():
-        parts += _judged_section(name, rows) if len(rows) else []
+        if len(rows):
+            parts += _judged_section(name, rows)
     date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     page = PAGE.substitute(
         title=html.escape(title),
@@ -203,36 +184,31 @@ def _cost_figure(table: DataFrame, cost: str) -> Any:
 
 
 def _trajectories(solutions: Mapping[str, Solution]) -> Any:
-    """A panel a run: the component that moves most, in its guaranteed band."""
+    """A panel a run: the component that moves most, in its guaranteed band if there is one."""
     import pandas as pd
     import plotly.express as px
 
     curves = []
     for name, solution in solutions.items():
         k = int(np.argmax(np.ptp(solution.u, axis=0)))
-        curve = {"t": solution.t, "u": solution.u[:, k], "band": _band(solution, k)}
-        curves.append(pd.DataFrame(curve).assign(run=f"{name}, u[{k}]"))
+        bound, band = guaranteed_bound(solution), np.full(len(solution.t), np.nan)
+        if bound is not None:  # |u_k - u_n,k| <= |e|_A sqrt((A^-1)_kk)
+            inverse = solution.process.metric.solve(np.eye(1, solution.process.dim, k)[0])
+            band = np.sqrt(inverse[k]) * np.append(bound.of_t[:1], bound.of_t)
+        curve = {"t": solution.t, "u": solution.u[:, k], "band": band, "run": f"{name}, u[{k}]"}
+        curves.append(pd.DataFrame(curve))
     panels = _panels("run", len(curves))
     figure = px.line(pd.concat(curves), x="t", y="u", error_y="band", **panels)
     return figure.update_traces(error_y={"color": BAND, "thickness": 4, "width": 0})
 
 
-def _band(solution: Solution, k: int) -> Any:
-    """A bound of |u_k(t_i) - u_n,k(t_i)| <= |e|_A sqrt((A^-1)_kk); nan if there is none."""
-    bound = guaranteed_bound(solution)
-    if bound is None:
-        return np.nan
-    inverse = solution.process.metric.solve(np.eye(1, solution.process.dim, k)[0])
-    return np.sqrt(inverse[k]) * np.append(bound.of_t[:1], bound.of_t)
-
-
 def _judged_section(name: str, rows: Sequence[Any]) -> list[str]:
     import pandas as pd
 
-    table, (title, text) = pd.DataFrame(rows), SECTIONS[name]
+    table, suite = pd.DataFrame(rows), SUITES[name]
     return [
-        f"<h2>{title}</h2>",
-        f"<p>{text}</p>",
+        f"<h2>{suite.title}</h2>",
+        f"<p>{suite.text}</p>",
         _page_of(_hard_figure(table)) if name == "hard" else "",
         _table(
             table.drop(columns="excess", errors="ignore"),

@@ -85,27 +85,15 @@ def body_name(name: str, refinements: int, element: str) -> str:
     return " ".join(filter(None, [name, element, f"h/{2**refinements}" if refinements else ""]))
 
 
-def open_source(source: Source) -> tuple[SweepingProcess, float]:
-    """The process and how long it runs; both are built once in each worker.
+@lru_cache(maxsize=8)
+def open_source(source: Source) -> tuple[SweepingProcess, float, Any]:
+    """The process, how long it runs, and a scene's discretisation, built once in each worker.
 
     Raises
     ------
     SweepoptError
         If the files are not those the digest was taken of.
     """
-    process, t_end, _ = _opened(source)
-    return process, t_end
-
-
-@lru_cache(maxsize=8)
-def from_coarser(source: Source, coarse: Source) -> Any:
-    """The matrix that turns states on a coarser mesh of a scene into states on a finer one."""
-    return _opened(source)[2].from_coarser(_opened(coarse)[2])
-
-
-@lru_cache(maxsize=8)
-def _opened(source: Source) -> tuple[SweepingProcess, float, Any]:
-    """The process, how long it runs, and a scene's discretisation."""
     path = Path(source.path)
     if _digest(path) != source.digest:
         raise SweepoptError(f"{path} is not as it was when the study started; start it again")
@@ -122,6 +110,12 @@ def _opened(source: Source) -> tuple[SweepingProcess, float, Any]:
     scene = read_scene(data, folder=path.parent)
     assert scene.t_end is not None  # a file has it
     return scene.problem.as_sweeping(), scene.t_end, scene.discretisation
+
+
+@lru_cache(maxsize=8)
+def from_coarser(source: Source, coarse: Source) -> Any:
+    """The matrix that turns states on a coarser mesh of a scene into states on a finer one."""
+    return open_source(source)[2].from_coarser(open_source(coarse)[2])
 
 
 def _digest(path: Path) -> str:

@@ -19,13 +19,12 @@ from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
 from sweepopt.sets import Balls, Box, ConvexSet, Moving
 from sweepopt.solve import solve
+from sweepopt.study.cell import REFINED, largest_norm
 from sweepopt.study.hard.bodies import Random, chain, spectral
 from sweepopt.study.hard.verdicts import first_of
-from sweepopt.study.records import check_lists, known
-from sweepopt.study.reference_states import largest_norm
+from sweepopt.study.records import among, check_lists
 
 BEST_OF = ("implicit-euler", "midpoint", "sdirk2")
-FINER = 16  # steps of the reference in one of the run: its error is less by 16 at least
 TWICE, RINGS = 2.0, 1.1
 """What the default is to keep: its error over the best one, and its `ringing`."""
 SLIPS = 0.05  # of an unknown's largest velocity: a slower one may be rounding
@@ -33,9 +32,20 @@ SLIPS = 0.05  # of an unknown's largest velocity: a slower one may be rounding
 
 Body = tuple[Any, Any, ConvexSet, np.ndarray]
 """A and B, the set C(t) less the load, and two shapes of loads in columns."""
+MATRICES: dict[str, Callable[[Random], tuple[np.ndarray, np.ndarray]]] = {
+    "one mass": lambda random: (np.eye(1), np.eye(1)),
+    "chain": lambda random: (chain(random, 7), chain(random, 7)),
+    "mixed": lambda random: (spectral(random, -6, 0, 7), chain(random, 7)),
+    "discs": lambda random: (chain(random, 4), chain(random, 4)),
+}
+BODIES = (*MATRICES, "square")
 
 
-def _body(random: Random, A: np.ndarray, B: np.ndarray, discs: bool = False) -> Body:
+def _body(name: str, random: Random) -> Body:
+    if name == "square":
+        return _square(random)
+    A, B = MATRICES[name](random)
+    discs = name == "discs"
     g = random.uniform(0.5, 1.2, 2) if discs else random.uniform(0.3, 1.2, len(A))
     shapes = random.normal(size=(len(A), 2))
     shapes *= 2.5 * math.sqrt(len(A)) / np.linalg.norm(shapes, axis=0)
@@ -43,7 +53,7 @@ def _body(random: Random, A: np.ndarray, B: np.ndarray, discs: bool = False) -> 
 
 
 def _square(random: Random) -> Body:
-    """Finite elements with friction on one side, pulled and twisted."""
+    """Finite elements with friction on one side, pulled and twisted; the loads have any history."""
     import skfem
 
     from sweepopt.fem import BodyForce, Elasticity, Friction, Traction, Viscosity, antiplane
@@ -54,18 +64,6 @@ def _square(random: Random) -> Body:
     mesh = skfem.MeshTri().refined(2).with_defaults()
     problem: Any = antiplane(mesh, clamped="top", effects=effects).problem
     return problem.A, problem.B, -problem.dissipation, problem.load.shapes
-
-
-BODIES: dict[str, Callable[[Random], Body]] = {
-    "one mass": lambda random: _body(random, np.eye(1), np.eye(1)),
-    "chain": lambda random: _body(random, chain(random, 7), chain(random, 7)),
-    "mixed": lambda random: _body(
-        random, spectral(random, np.logspace(-6, 0, 7)), chain(random, 7)
-    ),
-    "discs": lambda random: _body(random, chain(random, 4), chain(random, 4), discs=True),
-    "square": _square,
-}
-"""By name; the square's loads have any history."""
 
 
 def _table(random: Random) -> Table:
@@ -99,14 +97,14 @@ class StiffStudy:
     """
 
     seeds: Sequence[int] = (0,)
-    bodies: Sequence[str] = tuple(BODIES)
+    bodies: Sequence[str] = BODIES
     loads: Sequence[str] = tuple(LOADS)
     stiffness: Sequence[float] = (1e-2, 1.0, 4.0, 1e2, 1e8, math.inf)
     steps: Sequence[int] = (60,)
     bounds: bool = True
 
     def __post_init__(self) -> None:
-        names = {"bodies": (known, BODIES, "there are:"), "loads": (known, LOADS, "there are:")}
+        names = {"bodies": among(BODIES), "loads": among(LOADS)}
         check_lists(self, seeds=(count, 0), steps=(count,), **names)
         for k, x in enumerate(self.stiffness):
             if x != math.inf:
@@ -122,7 +120,7 @@ class StiffRow(NamedTuple):
         The largest of all nodes, in the norm of A, of B where A = 0.
     over_best, bound_over_error : float
         The error over the smallest one of BEST_OF; the error bound over the error at all nodes
-        of the reference, of which FINER are in a step.
+        of the reference, of which REFINED are in a step.
     ringing : float
         Total variation of the velocities over that of the reference's means in the same steps.
     false_sticks : int
@@ -148,7 +146,7 @@ class StiffRow(NamedTuple):
 def make(body: str, load: str, seed: int, mu_Lam: float, steps: int) -> SweepingProcess:
     """The process of a row, on [0, 1]."""
     random = np.random.default_rng(seed)
-    A, B, C, shapes = BODIES[body](random)
+    A, B, C, shapes = _body(body, random)
     terms = [(LOADS[load](random), shape) for shape in shapes.T]
     u0 = np.zeros(len(shapes))
     factor = 0.0 if mu_Lam == math.inf else SweepingProcess(A, B, C, u0).Lam / steps / mu_Lam
@@ -181,10 +179,10 @@ def judge(row: StiffRow, process: SweepingProcess, t_end: float, bounds: bool = 
         settings: dict[str, Any] = {"scheme": scheme, "tol": 1e-8, "on_unstable": "ignore"}
         return solve(process, t_end=t_end, steps=finer * row.steps, **settings)
 
-    reference, sol = run("sdirk32", FINER), run("auto")
-    slips = reference.velocity.reshape(row.steps, FINER, -1)
+    reference, sol = run("sdirk32", REFINED), run("auto")
+    slips = reference.velocity.reshape(row.steps, REFINED, -1)
     error, *others = (
-        largest_norm(process, one.u - reference.u[::FINER]) for one in (sol, *map(run, BEST_OF))
+        largest_norm(process, one.u - reference.u[::REFINED]) for one in (sol, *map(run, BEST_OF))
     )
     between = largest_norm(process, sol(reference.t) - reference.u)
     variations = [abs(np.diff(z, axis=0)).sum() for z in (sol.velocity, slips.mean(axis=1))]

@@ -19,18 +19,19 @@ from sweepopt.checks import count, number
 from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, read_toml
-from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, run_cell
-from sweepopt.study.hard.suite import HardStudy
-from sweepopt.study.ledger import append_row, read_rows
-from sweepopt.study.records import each, known, read_record
-from sweepopt.study.reference_states import (
+from sweepopt.study.cell import (
+    THROUGH_CVXPY,
+    Cell,
+    CellRow,
     Reference,
     load_reference,
     make_reference,
+    run_cell,
     save_reference,
 )
+from sweepopt.study.records import append_row, each, known, read_record, read_rows
 from sweepopt.study.sources import Source, find_source
-from sweepopt.study.stiff import StiffStudy
+from sweepopt.study.suites import KINDS
 from sweepopt.velocity import solvers
 
 if TYPE_CHECKING:
@@ -38,13 +39,7 @@ if TYPE_CHECKING:
 
 IN_FLIGHT = 64
 """Cells handed to an executor at a time: each carries its reference."""
-Jobs = Iterator[tuple[Any, ...]]
-"""Cells and the arguments of a function that is called for each."""
 ROWS = "rows.jsonl"
-KINDS: dict[str, type[Any]] = {"hard": HardStudy, "stiff": StiffStudy}
-"""Tables of a study's file beside its own keys."""
-WORKER_DIED = ("WorkerDiedError", "KilledWorker")
-"""Exceptions, ours and dask's, of a cell whose workers died; others end the study."""
 
 
 @dataclass(frozen=True)
@@ -110,11 +105,6 @@ class Study:
             "tols": each("tols", self.tols, number, 0.0, True),
             "repeats": (count("repeats", self.repeats),),
         }
-        for name, entries in lists.items():
-            names = [entry.name if isinstance(entry, Source) else entry for entry in entries]
-            for k, entry in enumerate(names):
-                if entry in names[:k]:
-                    raise InputError(f"{name}[{k}]: {shown(entry)} is there twice")
         for k, source in enumerate(lists["problems"]):
             if source.small and (set(self.refinements), set(self.elements)) != ({0}, {""}):
                 raise InputError(
@@ -213,7 +203,7 @@ def run(
         Where finished cells are kept. Killed at any moment, the study goes on from there; what is
         not whole is computed again.
     executor : concurrent.futures.Executor, optional
-        `Processes(n)`, `dask_executor(client)`, or any other; by default cells are computed in one
+        `processes(n)`, `dask_executor(client)`, or any other; by default cells are computed in one
         thread, one after the other. The rows are the same bit for bit, times apart.
     progress : callable, optional
         Called with a line of text when something is finished, for example `print`.
@@ -236,20 +226,19 @@ def run(
     references, rows = Path(folder, "references"), Path(folder, ROWS)
     references.mkdir(parents=True, exist_ok=True)
     # cells of one problem and number of steps are compared with the same states
-    finest = {cell: study.reference(cell.problem) for cell in todo}
-    names = (
-        (cell, f"{one}-{one.digest[:16]}-{cell.steps}".replace("/", "_"))
-        for cell, one in finest.items()
-    )
-    states = {cell: references / f"{name}.npz" for cell, name in names}
-    missing = {path: cell for cell, path in states.items() if load_reference(path) is None}
+    states = {cell: (study.reference(cell.problem), cell.steps) for cell in todo}
+    files = {
+        (source, steps): references / f"{source}-{source.digest[:16]}-{steps}.npz".replace("/", "_")
+        for source, steps in states.values()
+    }
+    missing = [key for key, path in files.items() if load_reference(path) is None]
     with nullcontext(executor) if executor else ThreadPoolExecutor(1) as pool:
-        jobs: Jobs = ((cell, finest[cell], cell.steps) for cell in missing.values())
+        jobs: Iterator[Any] = ((key, key) for key in missing)
         made = _computed(pool, make_reference, jobs, lambda _, error: Reference(message=str(error)))
-        for k, (cell, reference) in enumerate(made, start=1):
-            save_reference(states[cell], reference)
-            progress(f"reference {k} of {len(missing)}: {finest[cell]} {cell.steps} steps")
-        jobs = ((cell, cell, load_reference(path), finest[cell]) for cell, path in states.items())
+        for k, (key, reference) in enumerate(made, start=1):
+            save_reference(files[key], reference)
+            progress(f"reference {k} of {len(missing)}: {key[0]} {key[1]} steps")
+        jobs = ((cell, (cell, load_reference(files[key]), key[0])) for cell, key in states.items())
         for k, (cell, row) in enumerate(_computed(pool, run_cell, jobs, Cell.failed), start=1):
             append_row(rows, row)
             progress(f"{k} of {len(todo)}: {cell}: {row.status}")
@@ -269,24 +258,33 @@ def read_table(study: Study, folder: str | Path) -> DataFrame:
 def _computed(
     executor: Executor,
     function: Callable[..., Any],
-    jobs: Jobs,
-    on_death: Callable[[Cell, BaseException], Any],
-) -> Iterator[tuple[Cell, Any]]:
-    """Cells and their results as they come, a limited number of jobs under way.
+    jobs: Iterator[tuple[Any, tuple[Any, ...]]],
+    on_death: Callable[[Any, BaseException], Any],
+) -> Iterator[tuple[Any, Any]]:
+    """The keys of jobs and their results as they come, a limited number of jobs under way.
 
-    The death of a job's workers has a result too; other exceptions are raised.
+    Jobs that were under way on workers that died (dask's KilledWorker) are done once more, each
+    alone: what dies again has a result too. Other exceptions are raised.
     """
-    running: dict[Future[Any], Cell] = {}
+    running: dict[Future[Any], Any] = {}
+    suspects: list[Any] = []
+    limit = IN_FLIGHT
     try:
         while True:
-            for cell, *arguments in islice(jobs, IN_FLIGHT - len(running)):
-                running[executor.submit(function, *arguments)] = cell
-            if not running:
+            for job in islice(jobs, limit - len(running)):
+                running[executor.submit(function, *job[1])] = job
+            if not running and not suspects:
                 return
+            if not running:
+                jobs, suspects, limit = iter(suspects), [], 1
+                continue
             for future in wait(running, return_when=FIRST_COMPLETED).done:
-                cell, error = running.pop(future), future.exception()
-                died = type(error).__name__ in WORKER_DIED
-                yield cell, on_death(cell, error) if error and died else future.result()
+                job, error = running.pop(future), future.exception()
+                died = type(error).__name__ == "KilledWorker"
+                if died and limit > 1:
+                    suspects.append(job)
+                else:
+                    yield job[0], on_death(job[0], error) if error and died else future.result()
     finally:
         for future in running:
             future.cancel()

@@ -4,7 +4,7 @@ Each family makes a case from a seed; nothing is tuned to a seed. `sweepopt stud
 through every path and solver, and judges each step by its exact velocity.
 """
 
+from sweepopt.study.hard.exact import Exact, Program
 from sweepopt.study.hard.families import FAMILIES
-from sweepopt.study.hard.judge import Exact, Program
 
 __all__ = ["FAMILIES", "Exact", "Program"]

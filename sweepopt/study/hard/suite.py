@@ -16,15 +16,20 @@ from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
 from sweepopt.study.cell import named_solver
 from sweepopt.study.hard.bodies import Random
-from sweepopt.study.hard.families import FAMILIES, Names, chosen, combination, make
-from sweepopt.study.hard.ingredients import HISTORIES, REFUSED
-from sweepopt.study.hard.judge import Judge
+from sweepopt.study.hard.exact import Judge
+from sweepopt.study.hard.families import (
+    FAMILIES,
+    HISTORIES,
+    REFUSED,
+    Names,
+    chosen,
+    combination,
+    make,
+)
 from sweepopt.study.hard.trajectories import TRAJECTORIES, TrajectoryRow, runs
-from sweepopt.study.hard.verdicts import Faults, judged
-from sweepopt.study.records import check_lists, known
+from sweepopt.study.hard.verdicts import TARGET, Faults, judged
+from sweepopt.study.records import among, check_lists
 
-TARGET = 1e-8
-"""True error, relative to max(|z*|_M, |M^-1 q|_M), that every step has to meet."""
 PATHS = ("full", "eliminated", "proportional")
 SOLVERS = ("auto", "newton", "daqp", "osqp", "clarabel", "cvxpy:osqp", "cvxpy:clarabel")
 
@@ -67,14 +72,12 @@ class HardStudy:
     def __post_init__(self) -> None:
         count("combinations", self.combinations, least=0)
         number("tol", self.tol, minimum=0.0, strict=True)
-        check_lists(self, seeds=(count, 0), solvers=_among(SOLVERS), paths=_among(PATHS))
-        for key, names in (("families", FAMILIES), ("trajectories", TRAJECTORIES)):
-            if getattr(self, key) != []:  # without any, this part is left out
-                check_lists(self, **{key: _among(names)})
-
-
-def _among(names: Any) -> tuple[Any, ...]:
-    return known, names, "there are:"
+        names = {"solvers": SOLVERS, "paths": PATHS}
+        if self.families != []:  # without any, this part is left out
+            names["families"] = tuple(FAMILIES)
+        if self.trajectories != []:
+            names["trajectories"] = tuple(TRAJECTORIES)
+        check_lists(self, seeds=(count, 0), **{key: among(known) for key, known in names.items()})
 
 
 class HardRow(NamedTuple):
@@ -130,8 +133,8 @@ def rows(study: HardStudy) -> Iterator[HardRow]:
     ('met', True)
     """
     for name, seed, names, random in _cases(study):
-        history, process = chosen(HISTORIES, names), make(names, random)
-        exact = Judge(process, history.t_end / history.steps)
+        (t_end, steps, *_), process = chosen(HISTORIES, names), make(names, random)
+        exact = Judge(process, t_end / steps)
         refused = chosen(REFUSED, names)
         for path, solver in product(study.paths, study.solvers):
             row = HardRow(name, seed, path, solver, ", ".join(names))
@@ -140,8 +143,8 @@ def rows(study: HardStudy) -> Iterator[HardRow]:
                 partial(SweepingProcess.as_sweeping, process),
                 partial(_judge, exact),
                 refused,
-                t_end=history.t_end,
-                steps=history.steps,
+                t_end=t_end,
+                steps=steps,
                 scheme="implicit-euler",
                 solver=named_solver(solver),
                 tol=study.tol,

@@ -16,10 +16,10 @@ from functools import cached_property, partial
 from itertools import pairwise
 from math import inf, nan
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from sweepopt.checks import HUGE
 from sweepopt.integrate import SCHEMES, Scheme
@@ -32,11 +32,9 @@ from sweepopt.sets import Box, ConvexSet, Moving, Polyhedron
 from sweepopt.solve import solve
 from sweepopt.study.cell import guaranteed_bound
 from sweepopt.study.hard.bodies import Random
-from sweepopt.study.hard.verdicts import Faults, judged
+from sweepopt.study.hard.verdicts import TARGET, Faults, judged
 
 LOCAL = 2.0  # once is not enough for catching-up: C(t) of one end of the step, u of the other
-TARGET = 1e-8
-"""What a run may add to the error of its scheme, in units of the way that the bodies go."""
 ROUNDING = 64 * EPS  # of u and of f / B, which cancel where bodies are far from the origin
 BOUNDED = 600  # steps: bounds of longer runs take minutes
 CLEAR, EVEN = 0.1, 0.5
@@ -98,43 +96,50 @@ class Case:
     """
 
     def __init__(self, keys: dict[str, Any], random: Random) -> None:
-        row = SimpleNamespace(**keys)
-        n, self.refused = row.unknowns, row.refused
-        (mu,), (steps,) = _draw(random, row.step), _draw(random, row.steps)
+        n, self.keys = keys["unknowns"], keys
+
+        def draw(key: str, count: int = n) -> np.ndarray:
+            """One number, or numbers between two by logarithm, or such a pair for each unknown."""
+            ends = keys[key]
+            low, high = np.array(ends, float).T if np.ndim(ends) else (ends, ends)
+            x = random.uniform(size=count)
+            return np.asarray(low ** (1 - x) * high**x)
+
+        (mu,), (steps,) = draw("step", 1), draw("steps", 1)
         self.t = mu * np.arange(int(steps) + 1)
-        stiffness, A, self.g = (_draw(random, x, n) for x in (row.mu_Lam, row.A, row.g))
-        self.mu_Lam, self.stiffness = float(stiffness.max()), np.minimum(stiffness, HUGE)
-        self.B = A if self.mu_Lam == inf else stiffness * A / mu
-        self.A = 0 * A if self.mu_Lam == inf else A
+        self.stiffness, A, self.g = map(draw, ("mu_Lam", "A", "g"))
+        self.mu_Lam = float(self.stiffness.max())
+        viscous = self.mu_Lam < inf
+        self.A = A if viscous else 0 * A
+        self.B = self.stiffness * A / mu if viscous else A
         compliance = np.divide(1.0, self.B, out=0 * A, where=self.B > 0)
-        amplitude, period = self.g * _draw(random, row.load, n), mu * _draw(random, row.period, n)
-        self.offset = _draw(random, row.offset, n)
+        amplitude, period = self.g * draw("load"), mu * draw("period")
+        self.offset = draw("offset")
         self.center = compliance * self.offset
         self.scale: Any = Constant(1.0)
-        if row.closes:
+        if keys["closes"]:
             places = np.array([0.0, 0.3, 0.45, 0.7, 1.0]) + 0.1 * random.uniform(0, 1, 5)
             places[[0, -1]] = 0.0, 1.0
             self.scale = Table(self.t[-1] * places, [1.0, 0.0, 0.0, 1.2, 0.6])
-        self.shapes = np.linalg.qr(random.normal(size=(n, n)))[0] if row.rotated else np.eye(n)
-        self.starts = _draw(random, row.start, n) * self.g * compliance
-        self.loads = [
-            _drive(random, row.drive, *x, self.t[-1]) for x in zip(amplitude, period, strict=False)
-        ]
+        self.shapes = np.eye(n)
+        if keys["rotated"]:
+            self.shapes = np.linalg.qr(random.normal(size=(n, n)))[0]
+        self.starts = draw("start") * self.g * compliance
+        ends = zip(amplitude, period, strict=True)
+        self.loads = [_drive(random, keys["drive"], *x, self.t[-1]) for x in ends]
 
     def process(self) -> SweepingProcess:
         """The process, which may be refused."""
         A, B = ((self.shapes * x) @ self.shapes.T for x in (self.A, self.B))
-        axes, g = self.shapes.T, self.g
-        box = np.array_equal(axes, np.eye(len(g)))
-        C = Box(-g, g) if box else Polyhedron(np.vstack([axes, -axes]), np.tile(g, 2))
-        offsets = map(Constant, self.offset.tolist())
-        u0 = self.shapes @ (self.center + self.starts)
-        terms = [*zip(self.loads, axes, strict=False), *zip(offsets, axes, strict=False)]
-        return SweepingProcess(0.5 * (A + A.T), 0.5 * (B + B.T), self._moving(C, terms), u0)
-
-    def _moving(self, C: ConvexSet, terms: list[Any]) -> Moving:
-        scale = 1.0 if isinstance(self.scale, Constant) else self.scale
-        return Moving(C, Separable(terms), scale)
+        axes = self.shapes.T
+        C: ConvexSet = Box(-self.g, self.g)
+        if self.keys["rotated"]:
+            C = Polyhedron(np.vstack([axes, -axes]), np.tile(self.g, 2))
+        loads = [*self.loads, *map(Constant, self.offset.tolist())]
+        terms = Separable(list(zip(loads, [*axes, *axes], strict=True)))
+        return SweepingProcess(
+            A, B, Moving(C, terms, self.scale), self.shapes @ (self.center + self.starts)
+        )
 
     @cached_property
     def exact(self) -> np.ndarray:
@@ -142,16 +147,17 @@ class Case:
         times, states = np.sort([*self.t, *0.5 * (self.t[1:] + self.t[:-1])]), []
         bodies = zip(self.A, self.B, self.g, self.loads, self.starts, strict=True)
         for A, B, g, load, start in bodies:
-            C = self._moving(Box([-g], [g]), [(load, [1.0])])
+            C = Moving(Box([-g], [g]), Separable([(load, [1.0])]), self.scale)
             process = SweepingProcess([[A]], [[B]], C, [start])
             states.append(solve(process, steps=times, scheme="exact").u[:, 0])
         return np.transpose(states)
 
     def way(self) -> np.ndarray:
         """How far load and friction bound of each body go in each step, together."""
-        steps = list(pairwise(self.t.tolist()))
-        r = np.array([self.scale.variation(*step) for step in steps])
-        f = [[load.variation(*step) for step in steps] for load in self.loads]
+        r, *f = (
+            np.array([one.variation(*step) for step in pairwise(self.t.tolist())])
+            for one in (self.scale, *self.loads)
+        )
         return np.transpose(f) + np.outer(r, self.g)
 
     def norm(self, u: np.ndarray) -> float:
@@ -161,8 +167,8 @@ class Case:
     def expected_refusal(self, scheme: str) -> str:
         """The error that is right, if one is."""
         tableau = SCHEMES.get(scheme)
-        if tableau is None or self.refused:
-            return str(self.refused)
+        if tableau is None or self.keys["refused"]:
+            return str(self.keys["refused"])
         if not self.A.any() and not tableau.implicit:
             return "InputError"
         return "UnstableStepError" if tableau.explicit and self.mu_Lam > 2 else ""
@@ -238,7 +244,7 @@ def _sum_of_local_errors(case: Case, scheme: Scheme, order: int) -> float:
     """The largest of all nodes; those of earlier steps fade while a body slips clearly."""
     exact, local = case.exact, np.zeros(case.exact[1:].shape)
     local[order:] = abs(np.diff(exact, order + 1, axis=0))
-    rates = np.array([abs(scheme.amplification(-x)) for x in case.stiffness])
+    rates = np.array([abs(scheme.amplification(-x)) for x in np.minimum(case.stiffness, HUGE)])
     sums = np.zeros(exact[::2].shape)
     slips = np.pad(_slips_clearly(exact), ((1, 1), (0, 0)))
     for i, step in enumerate(local.reshape(-1, 2, len(rates)).sum(axis=1)):
@@ -248,11 +254,11 @@ def _sum_of_local_errors(case: Case, scheme: Scheme, order: int) -> float:
 
 def _slips_clearly(exact: np.ndarray) -> np.ndarray:
     """For all steps but the first and the last, from states at nodes and middles of steps."""
-    moves = np.diff(exact, axis=0)
-    six = np.array([moves[k : len(moves) - 5 + k : 2] for k in range(6)])
-    one_sign = abs(np.sign(six).sum(axis=0)) == 6
-    least, largest = abs(six).min(axis=0), abs(six).max(axis=0)
-    return one_sign & (least > EVEN * largest) & (least > CLEAR * abs(moves).max(axis=0))
+    six = sliding_window_view(np.diff(exact, axis=0), 6, axis=0)[::2]
+    low, high = six.min(axis=-1), six.max(axis=-1)
+    # the least is negative where the six have not one sign
+    least, largest = np.maximum(low, -high), np.maximum(high, -low)
+    return (least > EVEN * largest) & (least > CLEAR * largest.max(axis=0))
 
 
 def _rests(case: Case, c: Sequence[float], u: np.ndarray) -> np.ndarray:
@@ -278,10 +284,3 @@ def _drive(random: Random, kind: str, amplitude: float, period: float, end: floa
         starts = np.delete(np.column_stack([starts, starts + 0.05 * period]).ravel(), 1)
         values = np.repeat(values, 2)[:-1]
     return Table([*starts, starts[-1] + end], [*values, values[-1]])
-
-
-def _draw(random: Random, ends: Any, n: int = 1) -> np.ndarray:
-    """Numbers: one, or drawn between two by logarithm, or between such a pair for each unknown."""
-    low, high = np.array(ends, float).T if np.ndim(ends) else (ends, ends)
-    x = random.uniform(size=n)
-    return np.asarray(low ** (1 - x) * high**x)

@@ -11,6 +11,9 @@ from sweepopt.errors import PathError, SolverRefusedError, StabilityWarning, Swe
 from sweepopt.results import Solution
 from sweepopt.solve import solve
 
+TARGET = 1e-8
+"""Relative error that every step has to meet, in units of max(|z*|_M, |M^-1 q|_M); and what a run
+may add to the error of its scheme, in units of the way that the bodies go."""
 GOOD = ("met", "warned", "refused")
 """Verdicts of right answers; a run that warns says that its scheme may be wrong."""
 Faults = dict[str, Any]

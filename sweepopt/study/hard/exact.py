@@ -1,0 +1,282 @@
+"""The exact velocity of a small program in 80 digits, to judge what double precision answers.
+
+-z in N_C(M z + q) for C = c + E^T S, S a polyhedron or balls: the unknowns beside E z are
+eliminated, the rest is solved by linear complementarity problems. These need no start, so that no
+solver's answer is favoured. The solution is unique.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from decimal import Context, Decimal, localcontext
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sweepopt.checks import Matrix
+from sweepopt.errors import InputError, SweepoptError
+from sweepopt.linalg import EPS, dense
+from sweepopt.problem import SweepingProcess
+from sweepopt.sets import Balls, Box, ConvexSet, Polyhedron, shape_of
+from sweepopt.velocity import untranslated
+
+DIGITS = 80
+"""Of radii from 1 to 1e24 at condition 4e9, 60 left 4e-25 of the smallest: more than is enough."""
+STEPS = 500  # of a method that is finite or converges fast: this ends what is not
+NOISE = Decimal("1e-70")  # relative: of 80 digits, the rest is for what elimination adds
+ZERO = Decimal("1e-35")
+"""Relative: pivots of normals that differ by 1e-7 at condition 1e12 are larger."""
+ENOUGH = Decimal("1e-25")  # relative, of a step; the next one would be its square
+ROUNDING = 16 * EPS
+"""Relative to the forces: a load above its threshold by no more counts as stuck."""
+
+# ---- numbers of 80 digits ---------------------------------------------------------------------
+
+
+@contextmanager
+def precise() -> Iterator[None]:
+    """All that is computed within has 80 digits; also a decorator."""
+    with localcontext(Context(prec=DIGITS)):
+        yield
+
+
+def exactly(x: Any) -> Any:
+    """Doubles as decimal numbers, without rounding; what is one stays as it is."""
+    return np.frompyfunc(Decimal, 1, 1)(x)
+
+
+def sqrt(x: Any) -> Any:
+    """Of each entry."""
+    return np.frompyfunc(Decimal.sqrt, 1, 1)(x)
+
+
+def norm(M: np.ndarray, z: np.ndarray) -> float:
+    """sqrt(<z, M z>)."""
+    return float((z @ M @ z).sqrt())
+
+
+def eliminate(S: np.ndarray, row: Any, column: int) -> None:
+    """Make a column of S that of the unit matrix, with its 1 in a row."""
+    others = np.arange(len(S)) != row
+    S[row] /= S[row, column]
+    S[others] -= np.outer(S[others, column], S[row])
+
+
+def inverse(M: np.ndarray) -> np.ndarray:
+    """M^-1, M symmetric positive definite."""
+    n = len(M)
+    S = np.column_stack([M, exactly(np.eye(n))])
+    for k in range(n):
+        eliminate(S, k, k)
+    return S[:, n:]
+
+
+# ---- programs ---------------------------------------------------------------------------------
+
+
+def velocity(C: ConvexSet, N: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """z with -z in N_C(N z + q).
+
+    Raises
+    ------
+    InputError
+        If C is neither a polyhedron that states its rows nor made of balls.
+    """
+    if isinstance(C, Balls):
+        return _in_balls(N, q, exactly(C.radii))
+    C = Box(C.anchor, C.anchor) if C.singleton else C
+    if not isinstance(shape_of(C), (Box, Polyhedron)):
+        raise InputError(f"no exact velocity is known for a {type(C).__name__}")
+    rows = C.halfspaces()
+    G = exactly(dense(rows.N))
+    return -_multipliers(N, q, G, exactly(rows.d)) @ G
+
+
+def _multipliers(P: np.ndarray, q: np.ndarray, G: np.ndarray, h: np.ndarray) -> np.ndarray:
+    """y >= 0 of the rows G w <= h, at w = q - P G^T y nearest to q in the metric of P^-1.
+
+    Rows that are violated join the problem until there are none. In the metric of P all rows have
+    about the same length, and faces of width 0 are made as wide as their rounding.
+    """
+    lengths = np.sqrt(np.einsum("ij,jk,ik->i", *(x.astype(float) for x in (G, P, G))))
+    scale = exactly(lengths + (lengths == 0))
+    G = G / scale[:, None]
+    noise = NOISE * abs(G @ q).max()
+    slack = h / scale - G @ q + noise
+    y, active = 0 * h, np.zeros(len(h), dtype=bool)
+    for _ in range(STEPS):
+        violated = (slack + G @ (P @ (y @ G)) < -noise) & ~active
+        if not violated.any():
+            return y / scale
+        active |= violated
+        y[active] = _complementary(G[active] @ P @ G[active].T, slack[active])
+    raise SweepoptError("the exact active set was not found")
+
+
+def _complementary(H: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """y >= 0 with s = H y + b >= 0 and <s, y> = 0, some b < 0 and H semidefinite.
+
+    Lemke's method (Cottle, Pang and Stone, The Linear Complementarity Problem, 4.4): y and s stay
+    complementary in s = H y + b + e y_0 while y_0 falls to 0. The columns of the tableau are those
+    of s, y and y_0, the last one is the value of the basis.
+    """
+    m = len(b)
+    unit, ones = exactly(np.eye(m)), exactly(np.ones(m))
+    table = np.column_stack([unit, -H, -ones, b])
+    basis, row, column = np.arange(m), b.argmin(), 2 * m
+    for _ in range(STEPS):
+        leaving, basis[row] = int(basis[row]), column
+        eliminate(table, row, column)
+        values = 0 * table[0]
+        values[basis] = table[:, -1]
+        if values[2 * m] <= NOISE * abs(b).max():
+            return values[m : 2 * m]
+        column = (leaving + m) % (2 * m)
+        falls = table[:, column]
+        rows = np.flatnonzero(falls > ZERO * abs(falls).max())
+        if not rows.size:
+            break
+        row = rows[(table[rows, -1] / falls[rows]).argmin()]
+    raise SweepoptError("C has no point")
+
+
+def _in_balls(N: np.ndarray, q: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """The velocity for balls |w_k| <= r_k side by side, by sequential quadratic programming.
+
+    At a point of C each ball is replaced by the half-space that touches it in this direction; its
+    multiplier y_k / r_k bends the objective along the sphere. Where multipliers fall their bend
+    falls by no more than 4 a step: without it some steps go round in circles.
+    """
+    owner = np.repeat(np.arange(len(radii)), len(q) // len(radii))
+    ball = exactly(owner == np.arange(len(radii))[:, None])
+    V, w, bend = inverse(N), q, 0 * radii
+    for _ in range(STEPS):
+        size = sqrt(ball @ (w * w))
+        normal = w / (size + (size == 0))[owner]
+        w, G = normal * np.minimum(size, radii)[owner], ball * normal
+        K = np.diag(bend[owner]) - G.T @ (bend[:, None] * G)
+        P = inverse(V + K)
+        center = q + P @ (K @ (w - q))
+        y = _multipliers(P, center, G, radii)
+        step = center - P @ (y @ G) - w
+        if (abs(step) <= ENOUGH * radii[owner]).all():
+            return -y @ G
+        w, bend = w + step, np.maximum(y / radii, bend / 4)
+    raise SweepoptError("the exact velocity was not found")
+
+
+# ---- the judge --------------------------------------------------------------------------------
+
+
+class Exact(NamedTuple):
+    """The velocity as decimal numbers, shape (dim,), and sizes in |.|_M.
+
+    Attributes
+    ----------
+    size : float
+        max(|z|_M, |M^-1 q|_M), q the full linear term.
+    forces : float
+        |M^-1 q|_M + |M^-1 c|_M of C = c + S, which cancel in the full linear term: rounding of
+        the two is rounding of the data.
+    """
+
+    z: np.ndarray
+    size: float
+    forces: float
+
+
+class Program:
+    """M = A + gamma B in 80 digits, for the exact velocities of many linear terms.
+
+    Parameters
+    ----------
+    A, B : ndarray or sparse, shape (dim, dim)
+        Small: the inverse takes dim^3 operations of a microsecond. B may be None.
+    gamma : float
+    """
+
+    @precise()
+    def __init__(self, A: Matrix, B: Matrix | None = None, gamma: float = 0.0) -> None:
+        A = exactly(dense(A))
+        self._B = 0 * A if B is None else exactly(dense(B))
+        self.M = A + exactly(gamma) * self._B
+        self._inverse = inverse(self.M)
+
+    @precise()
+    def term(self, u: np.ndarray) -> np.ndarray:
+        """The linear term B u, as decimal numbers."""
+        return self._B @ exactly(u)
+
+    @precise()
+    def solve(self, q: np.ndarray, C: ConvexSet) -> Exact:
+        """The velocity for a linear term of doubles or decimal numbers and a set.
+
+        Raises
+        ------
+        InputError
+            If C is none of the kinds that `velocities` knows.
+        """
+        # C = shift + a set on the unknowns `few`; nothing holds the forces on the others
+        if C.selection is not None:
+            few, part, shift = C.selection
+        else:
+            (shift, part), few = untranslated(C), np.arange(C.dim)
+        q = exactly(q)
+        force = q if shift is None else q - exactly(shift)
+        W, free = self._inverse, self._inverse @ force
+        N = inverse(W[np.ix_(few, few)])
+        moves = velocity(part, N, N @ free[few])
+        z = W[:, few] @ (N @ (moves + free[few])) - free
+        z[few] = moves
+        forces = norm(W, q) + norm(W, q - force)
+        return Exact(z, max(self.norm(z), norm(W, force)), forces)
+
+    @precise()
+    def norm(self, z: np.ndarray) -> float:
+        """|z|_M."""
+        return norm(self.M, z)
+
+    @precise()
+    def error(self, z: np.ndarray, exact: Exact) -> float:
+        """|z - z*|_M."""
+        return self.norm(exactly(z) - exact.z)
+
+
+class Judge:
+    """The exact velocities of one case, computed once for all of its runs.
+
+    Parameters
+    ----------
+    process : SweepingProcess
+    mu : float
+        The step of implicit Euler.
+    """
+
+    def __init__(self, process: SweepingProcess, mu: float) -> None:
+        self.process, self.mu = process, mu
+        self.program = Program(process.A, process.B, mu)
+        self._known: dict[tuple[float, bytes], Exact] = {}
+
+    def exact(self, u: np.ndarray, t: float) -> Exact:
+        """The velocity of the step from u at t: from A, B and u, where nothing is rounded."""
+        key = t, b"" if self.process.B is None else u.tobytes()
+        if key not in self._known:
+            # the time as a step makes it: a load may change within a rounding unit of t
+            C = self.process.C.at(t + self.mu)
+            self._known[key] = self.program.solve(self.program.term(u), C)
+        return self._known[key]
+
+    def step(
+        self, u: np.ndarray, t: float, z: np.ndarray, certificate: float
+    ) -> tuple[float, float, float]:
+        """Error and certificate of a velocity relative to `size`, and their excess.
+
+        The excess is error - certificate in the unit of the forces, less ROUNDING where nothing
+        moves.
+        """
+        exact = self.exact(u, t)
+        error, size = self.program.error(z, exact), exact.size or 1.0
+        allowed = 0.0 if z.any() else ROUNDING
+        excess = (error - certificate) / (exact.forces or 1.0) - allowed
+        return error / size, certificate / size, excess
