@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,8 @@ import pytest
 pytest.importorskip("skfem")
 
 from sweepopt import InputError, cli
-from sweepopt.fem import Scene, compare_effects, read_scene
+from sweepopt.fem import Friction, Scene, SlipWeakening, compare_effects, read_scene
+from sweepopt.fem.contact import slip_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 
@@ -127,7 +130,7 @@ FLAT = {
         "elasticity": {"kappa": 2.0},
         "dashpot": {"on": "right", "eta": 0.5},
         "foundation": {"on": "left", "k": 3.0},
-        "friction": {"on": "bottom", "g": 0.2},
+        "friction": {"on": "bottom", "g": 0.2, "slip": {"distance": 0.1, "residual": 0.5}},
         "yield_stress": {"g": 0.1},
         "traction": {"on": "right", "history": {"waveform": "constant"}},
     },
@@ -168,23 +171,76 @@ def test_absent_effects_import_no_solver() -> None:
     assert found.stdout.strip() == "[]", found.stdout
 
 
+SMALL = (1e-3, 1e-4, 1e-5)
+
+
 @pytest.mark.parametrize(
-    ("path", "values", "without"),
+    ("path", "changes", "without"),
     [
-        ("effects.friction.g", (1e-3, 1e-4, 1e-5), "friction"),
-        ("effects.elasticity.kappa", (1e-3, 1e-4, 1e-5), "elasticity"),
+        ("effects.friction.g", SMALL, ["friction"]),
+        ("effects.elasticity.kappa", SMALL, ["elasticity"]),
+        ("effects.friction.slip", [{"distance": 0.1, "residual": 1 - x} for x in SMALL], []),
+        ("effects.friction.slip", [{"distance": 1 / x} for x in SMALL], []),
+        ("effects.friction.slip", [{"at": [0, 1], "values": [1, 1 + x]} for x in SMALL], []),
     ],
 )
 def test_a_vanishing_effect_is_an_absent_one(
-    path: str, values: tuple[float, ...], without: str
+    path: str, changes: Sequence[Any], without: Sequence[str]
 ) -> None:
     """|u - u_0| is proportional to the coefficient, and small."""
     settings = {"steps": 20, "tol": 1e-12}
-    bare = read_scene("square", without=[without]).solve(**settings).u
+    bare = read_scene("square", without=without).solve(**settings).u
     errors = [
-        abs(read_scene("square", changes={path: value}).solve(**settings).u - bare).max()
-        for value in values
+        abs(read_scene("square", changes={path: change}).solve(**settings).u - bare).max()
+        for change in changes
     ]
-    slopes = np.diff(np.log(errors)) / np.diff(np.log(values))
+    slopes = np.diff(np.log(errors)) / np.diff(np.log(SMALL))
     assert np.allclose(slopes, 1.0, atol=0.05), slopes
     assert errors[-1] < 2e-5 * abs(bare).max() / 0.5
+
+
+@pytest.mark.parametrize("block", [1, 2])
+def test_friction_follows_its_law_of_the_slip_at_every_node(block: int) -> None:
+    """|q| = g phi(|u|) of the end of the step where a node slips, and no more where it sticks."""
+    changes: dict[str, Any] = {"effects.friction.slip": {"distance": 0.05, "residual": 0.3}}
+    source, without = ("square", []) if block == 1 else (SOLID, ["one_way"])
+    scene = read_scene(source, changes=changes, without=without)
+    solution = scene.solve(steps=40, scheme="implicit-euler", tol=1e-9)
+    slip, law = slip_of(scene, solution), SlipWeakening(0.05, 0.3)
+    assert slip is not None
+    assert 0 < solution.plan.contraction < 0.5
+    assert solution.stats["relative"].max() <= 1e-9
+    traction, moved = (x.reshape(*x.shape[:2], -1) for x in (slip.traction, slip.displacement))
+    assert np.count_nonzero(slip.contact.unknown[0] >= 0) == block
+    force, far = np.linalg.norm(traction, axis=2), np.linalg.norm(moved[1:], axis=2)
+    bound = slip.contact.bound * law(far)
+    slips = slip.speed > 0
+    assert slips.any()
+    assert bound.min() < 0.9 * slip.contact.bound.min()
+    assert np.allclose(force[slips], bound[slips], rtol=1e-6)
+    assert (force <= bound * (1 + 1e-6)).all()
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (0.5, "slip: must be a table, got 0.5"),
+        ({"distance": -1.0}, "slip.distance must be > 0, got -1"),
+        ({"distance": 1.0, "residual": -0.1}, "slip.residual must be >= 0, got -0.1"),
+        ({"dist": 1.0}, "slip.dist: unknown key; there are: distance, residual"),
+        ({"at": [0, 1], "values": [1, -1]}, "slip.values must be >= 0, got -1"),
+        ({"at": [0, 0], "values": [1, 1]}, "slip.at must increase strictly"),
+    ],
+)
+def test_a_bad_law_of_the_slip_is_refused(value: Any, message: str) -> None:
+    with pytest.raises(InputError, match=f"^effects.friction.{message}"):
+        read_scene("square", changes={"effects.friction.slip": value})
+
+
+def test_a_law_of_the_slip_goes_with_a_finite_bound_that_stands_still() -> None:
+    changes = {"effects.friction.slip": {"distance": 1.0}}
+    for g in ("0.3 + t", float("inf")):
+        with pytest.raises(InputError, match=r"friction.slip: .* multiplies a finite bound that"):
+            read_scene("square", changes=changes | {"effects.friction.g": g})
+    with pytest.raises(InputError, match="slip must be a law with its Lipschitz constant, such"):
+        Friction("left", g=1.0, slip=abs)

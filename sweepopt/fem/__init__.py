@@ -40,6 +40,7 @@ from sweepopt.fem.mesh import chain, grid, read_mesh
 from sweepopt.fem.plasticity import Plasticity
 from sweepopt.fem.scene import Scene, antiplane, body
 from sweepopt.fem.scene_file import EFFECTS, read_scene
+from sweepopt.fem.slip_laws import SlipTable, SlipWeakening
 from sweepopt.fem.spaces import Discretisation
 
 __all__ = [
@@ -64,6 +65,8 @@ __all__ = [
     "Profile",
     "Rows",
     "Scene",
+    "SlipTable",
+    "SlipWeakening",
     "Traction",
     "Viscosity",
     "Yield",

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.errors import InputError
 from sweepopt.fem.fields import Coefficient, Datum, Indices, in_time
+from sweepopt.fem.slip_laws import SlipLaw
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.sets import Balls, Box, ConvexSet, Ellipsoid, SecondOrderCone, image, product
 
@@ -75,6 +76,8 @@ class Yield:
         forces are in shifted cones.
     contact : Contact or None
         Where friction acts, for reports.
+    slip : SlipLaw or None
+        phi: g_k phi(|E_k u|) takes the place of g_k, which does not move then.
     """
 
     rows: Rows
@@ -83,14 +86,29 @@ class Yield:
     shape: str = "ball"
     slopes: Array | None = None
     contact: Contact | None = None
+    slip: SlipLaw | None = None
 
-    def at(self, t: float) -> Array:
-        """Radii w_k g_k at a time, shape (m,)."""
-        return self.rows.weight * (self.g(t) if callable(self.g) else self.g)
+    def at(self, t: float, u: Array | None = None) -> Array:
+        """Radii w_k g_k at a time and a state, the unslipped one if there is none, shape (m,)."""
+        radii = self.rows.weight * (self.g(t) if callable(self.g) else self.g)
+        if self.slip is None or u is None:
+            return radii
+        moved = (self.rows.E @ u).reshape(-1, self.rows.block)
+        return radii * self.slip(np.linalg.norm(moved, axis=1))
+
+    @property
+    def lipschitz(self) -> sp.csc_array:
+        """``sum_k w_k g_k lip(phi) E_k^T E_k``, the matrix of a `StateDependent` C."""
+        assert self.slip is not None
+        slopes = self.at(0.0) * self.slip.lipschitz
+        if self.metric is not None:
+            slopes = slopes * np.sqrt(np.linalg.eigvalsh(self.metric)[:, -1])
+        E = self.rows.E
+        return sp.csc_array(E.T @ sp.diags_array(np.repeat(slopes, self.rows.block)) @ E)
 
 
-def dissipation(yields: Sequence[Yield], t: float = 0.0) -> ConvexSet:
-    """``D(t) = sum_k E_k^T D_k(t)``, of one product of intervals, discs and ellipses.
+def dissipation(yields: Sequence[Yield], t: float = 0.0, u: Array | None = None) -> ConvexSet:
+    """``D(t, u) = sum_k E_k^T D_k(t, u)``, of one product of intervals, discs and ellipses.
 
     Intervals on the same unknown are added, so that E selects unknowns.
     """
@@ -99,7 +117,7 @@ def dissipation(yields: Sequence[Yield], t: float = 0.0) -> ConvexSet:
     intervals = [one for one in yields if one.rows.block == 1]
     if intervals:
         E = sp.vstack([one.rows.E for one in intervals], format="csr")
-        ends = [_ends(one, t) for one in intervals]
+        ends = [_ends(one, t, u) for one in intervals]
         lower, upper = (np.concatenate([pair[k] for pair in ends]) for k in (0, 1))
         if E.nnz == E.shape[0] and (E.data == 1.0).all():  # it selects unknowns
             _, first, group = np.unique(E.indices, return_index=True, return_inverse=True)
@@ -112,7 +130,7 @@ def dissipation(yields: Sequence[Yield], t: float = 0.0) -> ConvexSet:
         if one.rows.block == 1:
             continue
         blocks.append(one.rows.E)
-        radii = one.at(t)
+        radii = one.at(t, u)
         if one.slopes is not None:
             apex = np.zeros((radii.size, one.rows.block))
             apex[:, 0] = radii
@@ -126,9 +144,9 @@ def dissipation(yields: Sequence[Yield], t: float = 0.0) -> ConvexSet:
     return image(sp.csc_array(sp.vstack(blocks).T), part)
 
 
-def _ends(one: Yield, t: float) -> tuple[Array, Array]:
+def _ends(one: Yield, t: float, u: Array | None) -> tuple[Array, Array]:
     """Ends of the intervals of rows one by one."""
-    radii = one.at(t)
+    radii = one.at(t, u)
     if one.shape == "half-line":
         return np.full(radii.size, -np.inf), np.zeros(radii.size)
     if one.metric is not None:
@@ -224,6 +242,7 @@ def friction_on(
     p: Datum | None = None,
     history: Callable[[float], Any] | None = None,
     axes: Sequence[float] | None = None,
+    slip: SlipLaw | None = None,
 ) -> list[Yield]:
     """Friction with the bound g, or g p, lumped by nodal quadrature.
 
@@ -264,6 +283,11 @@ def friction_on(
 
     weight, threshold = np.bincount(nodes.ravel(), weights.ravel(), N), thresholds(0.0)
     moves = history is not None or in_time(g) or in_time(p)
+    if slip is not None and (moves or not np.isfinite(threshold).all()):
+        raise InputError(
+            "slip: a law of the slip multiplies a finite bound that does not move in time; leave "
+            "history and t out"
+        )
     boundary = hasattr(place.basis, "normals")
     along, names, arc = (_curve if boundary and body.mesh.dim() == 2 else _cloud)(body, place)
     node, first = np.unique(along, return_index=True)
@@ -291,7 +315,7 @@ def friction_on(
         rows = Rows(E, block, weight[k], "trace" if boundary else "nodes")
         metric = None if axes is None else _metric(body, columns.reshape(-1, block), k, axes)
         moving = partial(moving_bound, k) if moves else bound
-        yields.append(Yield(rows, moving, metric, contact=contact))
+        yields.append(Yield(rows, moving, metric, contact=contact, slip=slip))
     return yields
 
 

@@ -24,6 +24,7 @@ from sweepopt.checks import listed, matrix, number
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import BOUND, PRESSURE, Rows, Yield, friction_on
 from sweepopt.fem.fields import Coefficient, Datum, in_time
+from sweepopt.fem.slip_laws import SlipLaw
 from sweepopt.fem.spaces import AXES, BODY, Discretisation, Place, boundary_names, centroid
 from sweepopt.loads import History
 
@@ -306,6 +307,9 @@ class Friction:
         phi(t) >= 0 that multiplies the bound.
     axes : sequence of float, optional
         ``J(v) = int g |(a_x v_x, a_y v_y, ...)|``: ellipses in place of discs.
+    slip : SlipLaw, optional
+        phi(s), such as `SlipWeakening` and `SlipTable`: the bound is g phi(s) where the tangential
+        displacement has the length s. The problem is then quasi-variational: see `StateDependent`.
 
     Raises
     ------
@@ -323,9 +327,15 @@ class Friction:
     p: Datum | None = None
     history: Phi | None = None
     axes: Sequence[float] | None = None
+    slip: SlipLaw | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "on", boundary_names("on", self.on))
+        if self.slip is not None and not (callable(self.slip) and hasattr(self.slip, "lipschitz")):
+            raise InputError(
+                f"slip must be a law with its Lipschitz constant, such as SlipWeakening(0.1), got "
+                f"{shown(self.slip)}"
+            )
         BOUND.check(self.g)
         if self.p is not None:
             PRESSURE.check(self.p)
@@ -338,7 +348,7 @@ class Friction:
     def contribute(self, body: Discretisation) -> Contribution:
         """The rows that slip; none if g is zero everywhere."""
         return Contribution(
-            yields=friction_on(body, self.on, self.g, self.p, self.history, self.axes)
+            yields=friction_on(body, self.on, self.g, self.p, self.history, self.axes, self.slip)
         )
 
 

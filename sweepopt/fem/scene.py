@@ -22,7 +22,7 @@ from sweepopt.fem.spaces import Discretisation
 from sweepopt.integrate import schemes
 from sweepopt.loads import History, Separable
 from sweepopt.problem import EvolutionVI, SweepingProcess
-from sweepopt.sets import MovingSet, Point
+from sweepopt.sets import ConvexSet, MovingSet, Point, StateDependent
 from sweepopt.velocity import solvers
 
 if TYPE_CHECKING:
@@ -353,12 +353,16 @@ def _problem(
     fields: dict[str, slice],
 ) -> EvolutionVI | SweepingProcess:
     """The variational inequality, or the process where bounds move."""
-    if not any(callable(one.g) for one in yields):
+    slipping = [one.lipschitz for one in yields if one.slip is not None]
+    if not slipping and not any(callable(one.g) for one in yields):
         D = dissipation(yields) if yields else None
         return EvolutionVI(A, B, load=force, dissipation=D, u0=u0, fields=fields)
-    size = A.shape[0]
-    shapes = MovingSet(lambda t: -dissipation(yields, t), size)
-    C = shapes if force is None else MovingSet(lambda t: shapes.at(t) + force(t), size)
+
+    def at(t: float, u: NDArray[np.float64] | None = None) -> ConvexSet:
+        C = -dissipation(yields, t, u)
+        return C if force is None else C + force(t)
+
+    C = StateDependent(at, sum(slipping)) if slipping else MovingSet(at, A.shape[0])
     return SweepingProcess(A, B, C, u0, fields)
 
 

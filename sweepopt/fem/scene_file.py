@@ -34,6 +34,7 @@ from sweepopt.fem.fields import Profile
 from sweepopt.fem.mesh import chain, grid
 from sweepopt.fem.plasticity import Plasticity
 from sweepopt.fem.scene import PICTURES, Scene, at_path, build, method
+from sweepopt.fem.slip_laws import SlipTable, SlipWeakening
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.io import as_path, find_scene, parse_toml, read_toml
 from sweepopt.loads import Constant, Sine, Table, Triangle, check_points
@@ -131,6 +132,7 @@ def read_scene(
         [effects.friction]
         on = "contact"
         g = 0.3
+        slip = { distance = 0.01, residual = 0.4 }    # or { at = [...], values = [...] }, optional
         [[effects.traction]]            # a table, several, or [effects.traction.NAME]
         on = "outer"
         history = { csv = "loads.csv", column = "f2" }
@@ -212,6 +214,9 @@ def _value(key: str, value: Any, path: str, folder: Path) -> Any:
         return folder / as_path(path, value)
     if key in ("history", "moved"):
         return _history(value, path, folder)
+    if key == "slip":
+        law = SlipTable if isinstance(value, Mapping) and "at" in value else SlipWeakening
+        return _called(law, value, path, folder)
     if isinstance(value, Mapping) and "along" in value:
         return _called(Profile, value, path, folder)
     return value
