@@ -16,7 +16,15 @@ import pytest
 pytest.importorskip("skfem")
 
 from sweepopt import InputError, cli
-from sweepopt.fem import Friction, Scene, SlipWeakening, compare_effects, read_scene
+from sweepopt.fem import (
+    Friction,
+    Initial,
+    Scene,
+    SlipWeakening,
+    body,
+    compare_effects,
+    read_scene,
+)
 from sweepopt.fem.contact import slip_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
@@ -244,3 +252,55 @@ def test_a_law_of_the_slip_goes_with_a_finite_bound_that_stands_still() -> None:
             read_scene("square", changes=changes | {"effects.friction.g": g})
     with pytest.raises(InputError, match="slip must be a law with its Lipschitz constant, such"):
         Friction("left", g=1.0, slip=abs)
+
+
+def test_a_scene_starts_where_a_run_of_it_has_ended(tmp_path: Path) -> None:
+    """From files with all unknowns, and from what the command writes; bit for bit."""
+    scene = read_scene("square")
+    half = scene.solve(t_end=2.0, steps=100, save=tmp_path / "run.nc")
+    half.to_xarray().to_netcdf(tmp_path / "kept.nc", engine="h5netcdf")
+    options = ["--no-progress", "--out", str(tmp_path / "out"), "--set", "time.end=2.0"]
+    assert cli.main(["run", "square", *options, "--steps", "100"]) == 0
+    for name in ("run.nc", "kept.nc", "out", "out/solution.nc"):
+        start = {"initial": {"run": str(tmp_path / name)}}
+        assert np.array_equal(read_scene("square", changes=start).problem.u0, half.u[-1]), name
+    other = {"initial": {"run": str(tmp_path / "run.nc")}}
+    with pytest.raises(
+        InputError, match=r"^initial.run: .* 72 unknowns of .*, the scene 8480 of u"
+    ):
+        read_scene("ring", changes=other)
+    other = {"initial": {"run": str(tmp_path / "out")}}
+    with pytest.raises(InputError, match=r"^initial.run: .* nodes of another mesh"):
+        read_scene("ring", changes=other)
+
+
+def test_a_run_of_a_body_with_internal_unknowns_needs_all_of_them(tmp_path: Path) -> None:
+    branch = {"effects.maxwell": {"tau": 0.5, "kappa": 1.0}}
+    run = read_scene("square", changes=branch).solve(t_end=1.0, steps=20, save=tmp_path / "run.nc")
+    start = branch | {"initial": {"run": str(tmp_path / "run.nc")}}
+    assert np.array_equal(read_scene("square", changes=start).problem.u0, run.u[-1])
+    run.to_xarray().to_netcdf(tmp_path / "kept.nc", engine="h5netcdf")
+    start["initial"] = {"run": str(tmp_path / "kept.nc")}
+    assert np.array_equal(read_scene("square", changes=start).problem.u0, run.u[-1])
+    with pytest.raises(InputError, match="144 unknowns of u, maxwell, the scene 144 of u, maxwell.branch"):
+        read_scene("square", changes=start | {"effects": _named_branch()})
+
+
+def _named_branch() -> dict[str, Any]:
+    return {
+        "viscosity": {"eta": 1.0},
+        "maxwell": {"branch": {"tau": 0.5, "kappa": 1.0}},
+    }
+
+
+def test_a_start_is_a_formula_of_each_component(tmp_path: Path) -> None:
+    parts = ["0.01 * y", 0.0, "0.02 * x * y"]
+    scene = read_scene(SOLID, changes={"initial": {"u": parts}})
+    space = scene.discretisation
+    x, y, _ = space.points.T
+    expected = np.column_stack([0.01 * y, 0 * y, 0.02 * x * y])
+    held = space.frame.held > 0
+    start = space.expand(scene.problem.u0)
+    assert np.allclose(start[~held], expected[~held], atol=1e-16)
+    by_hand = body(space, scene.effects, u0=Initial(parts))
+    assert np.array_equal(by_hand.problem.u0, scene.problem.u0)

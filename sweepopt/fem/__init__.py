@@ -36,6 +36,7 @@ from sweepopt.fem.effects import (
     YieldStress,
 )
 from sweepopt.fem.fields import Profile
+from sweepopt.fem.initial import Initial
 from sweepopt.fem.mesh import chain, grid, read_mesh
 from sweepopt.fem.plasticity import Plasticity
 from sweepopt.fem.scene import Scene, antiplane, body
@@ -57,6 +58,7 @@ __all__ = [
     "Elasticity",
     "Foundation",
     "Friction",
+    "Initial",
     "MaxwellBranch",
     "OneWay",
     "Plasticity",

@@ -17,6 +17,7 @@ from sweepopt.checks import choice, listed, number
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Contact, Yield, dissipation, merged
 from sweepopt.fem.effects import Contribution, Effect, Eigenstrain, Force, Friction
+from sweepopt.fem.initial import Initial
 from sweepopt.fem.plasticity import Plasticity, with_elasticity
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.integrate import schemes
@@ -148,7 +149,7 @@ def antiplane(
     effects: Sequence[Effect],
     element: str = "P1",
     refinements: int = 0,
-    u0: ArrayLike | None = None,
+    u0: ArrayLike | Initial | None = None,
     t_end: float | None = None,
     steps: int | None = None,
     scheme: str = "auto",
@@ -170,8 +171,8 @@ def antiplane(
     element : {"P1", "P2"}
     refinements : int
         How often each triangle of the mesh is divided into four.
-    u0 : array_like of shape (dim,), optional
-        Initial values of the unknowns; zero by default.
+    u0 : array_like of shape (dim,) or Initial, optional
+        Initial values of the unknowns, or where they are from; zero by default.
     t_end, steps, scheme, solver, tol, units, title
         Kept in the scene. Histories must cover [0, t_end].
 
@@ -204,7 +205,7 @@ def antiplane(
 def body(
     space: Discretisation,
     effects: Sequence[Effect],
-    u0: ArrayLike | None = None,
+    u0: ArrayLike | Initial | None = None,
     t_end: float | None = None,
     steps: int | None = None,
     scheme: str = "auto",
@@ -258,7 +259,7 @@ def method(scheme: str = "auto", solver: str = "auto", tol: float = 1e-6) -> dic
 def build(
     space: Discretisation,
     effects: Mapping[str, Effect],
-    u0: ArrayLike | None,
+    u0: ArrayLike | Initial | None,
     settings: Mapping[str, Any],
 ) -> Scene:
     """A scene from effects by the label that errors shall give them."""
@@ -307,6 +308,9 @@ def build(
         _check_rubs(space, yields, lifts)
         loads += _lifted(space, effects, parts, lifts)
     force = _force(loads, size)
+    if isinstance(u0, Initial):
+        with at_path("initial"):
+            u0 = u0.state(space, fields, size)
     problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
     terms = {
         "no elasticity: B is not formed": B is not None,

@@ -31,6 +31,7 @@ from sweepopt.fem.effects import (
     YieldStress,
 )
 from sweepopt.fem.fields import Profile
+from sweepopt.fem.initial import Initial
 from sweepopt.fem.mesh import chain, grid
 from sweepopt.fem.plasticity import Plasticity
 from sweepopt.fem.scene import PICTURES, Scene, at_path, build, method
@@ -67,6 +68,7 @@ class _File(NamedTuple):
     domain: Any
     time: Any
     effects: Any
+    initial: Any = {}  # noqa: RUF012
     solve: Any = {}  # noqa: RUF012
     title: str = ""
     units: str = "dimensionless"
@@ -124,6 +126,8 @@ def read_scene(
         [time]
         end = 10.0
         steps = 400
+        [initial]                       # optional: the displacement at t = 0
+        u = "0.1 * x"                   # or run = "results/tube", where a run of the scene ended
         [solve]                         # optional: scheme, solver, tol of sweepopt.solve
         [effects.viscosity]
         eta = { core = 1.0, sleeve = 0.2 }
@@ -171,7 +175,7 @@ def read_scene(
     )
     for kind, table, path in ((_time, file.time, "time"), (method, file.solve, "solve")):
         settings |= _called(kind, table, path, folder)
-    return build(body, effects, None, settings)
+    return build(body, effects, _called(Initial, file.initial, "initial", folder), settings)
 
 
 def load_scene(
@@ -210,7 +214,7 @@ def _value(key: str, value: Any, path: str, folder: Path) -> Any:
     """A value of a table: files are relative to the folder, tables become records."""
     if key == "mesh" and isinstance(value, Mapping):
         return _called(chain if "nodes" in value else grid, value, path, folder)
-    if key in ("mesh", "csv"):
+    if key in ("mesh", "csv", "run"):
         return folder / as_path(path, value)
     if key in ("history", "moved"):
         return _history(value, path, folder)
