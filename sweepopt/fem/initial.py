@@ -15,7 +15,7 @@ from sweepopt.fem.fields import Coefficient, Datum
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.io import as_path
 
-DISPLACEMENT = Coefficient("u")
+DISPLACEMENT = Coefficient("u", vector=True)
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class Initial:
     def __post_init__(self) -> None:
         if self.u is not None and self.run is not None:
             raise InputError("run: give u or run, not both")
-        for datum in components(self.u) if self.u is not None else ():
-            DISPLACEMENT.check(datum)
+        if self.u is not None:
+            DISPLACEMENT.check(self.u)
         if self.run is not None:
             as_path("run", self.run)
 
@@ -67,18 +67,10 @@ class Initial:
         """
         u0 = np.zeros(size)
         if self.u is not None:
-            parts = components(self.u, "u", space.components)
+            parts = DISPLACEMENT.parts(self.u, space.components)
             values = [DISPLACEMENT.values(datum, space.points.T, {}) for datum in parts]
             u0[: space.dim] = space.interpolate(values if space.components > 1 else values[0])
         return u0 if self.run is None else _last_state(Path(self.run), space, fields, u0)
-
-
-def components(data: Any, name: str = "", wanted: int = 0) -> list[Any]:
-    """A datum, or those of x, y and z, as a list; of as many components as are wanted."""
-    parts = list(data) if isinstance(data, (list, tuple)) else [data]
-    if wanted and len(parts) != wanted:
-        raise InputError(f"{name} must have {wanted} components, a list of x, y ...")
-    return parts
 
 
 def _last_state(

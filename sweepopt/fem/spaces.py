@@ -358,7 +358,26 @@ class Discretisation:
                 full[dofs] = Coefficient("function").values(datum, self.points.T, {})
         return np.asarray(self.restrict(full))
 
-    def place(self, what: str, on: Sequence[str], *, nodal: bool = False) -> Place:
+    def rows(self, basis: Any, values: Any) -> sp.csr_array:
+        """Rows of the unknowns' values at the points of a quadrature, point after point.
+
+        Parameters
+        ----------
+        values : array_like, shape (basis functions of a cell, rows of a point, cells, points)
+            What each basis function adds to each row.
+        """
+        values = np.asarray(values)
+        at = np.arange(values[0].size).reshape(*values.shape[2:], -1)
+        row = np.broadcast_to(np.moveaxis(at, -1, 0), values.shape)
+        column = np.broadcast_to(basis.element_dofs[:, None, :, None], values.shape)
+        entries = values.ravel(), (row.ravel(), column.ravel())
+        full = sp.csr_array(entries, shape=(at.size, basis.N))
+        full = full if self.frame.T is None else full @ self.frame.T
+        return sp.csr_array(full[:, self.free])
+
+    def place(
+        self, what: str, on: Sequence[str], *, nodal: bool = False, strains: bool = False
+    ) -> Place:
         """Where an effect acts: boundaries, subdomains, or all of the body ("body").
 
         Parameters
@@ -368,6 +387,9 @@ class Discretisation:
         on : sequence of str
         nodal : bool
             With the scalar element and a quadrature whose points are the nodes.
+        strains : bool
+            With one that integrates squares of strains in cells, of a degree less than u: of P1
+            elements the centroid.
         """
         basis, inside = self.scalar if nodal else self.basis, self.mesh.subdomains or {}
         element, cells = basis.elem, None
@@ -384,9 +406,11 @@ class Discretisation:
             )
             return Place(basis, groups, self.facet_nodes(facets))
         nodes = self.scalar.element_dofs
-        if nodal or cells is not None:
-            rule = self.rule(self.mesh.dim()) if nodal else None
-            order = 2 * self.scalar.elem.maxdeg + 2
+        if nodal or strains or cells is not None:
+            d, degree = self.mesh.dim(), self.scalar.elem.maxdeg
+            rule, order = self.rule(d) if nodal else None, 2 * degree + 2
+            if strains:
+                rule, order = centroid(d) if degree == 1 else None, 2
             basis = skfem.CellBasis(
                 self.mesh, element, elements=cells, intorder=order, quadrature=rule
             )
