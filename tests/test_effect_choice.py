@@ -282,7 +282,9 @@ def test_a_run_of_a_body_with_internal_unknowns_needs_all_of_them(tmp_path: Path
     run.to_xarray().to_netcdf(tmp_path / "kept.nc", engine="h5netcdf")
     start["initial"] = {"run": str(tmp_path / "kept.nc")}
     assert np.array_equal(read_scene("square", changes=start).problem.u0, run.u[-1])
-    with pytest.raises(InputError, match="144 unknowns of u, maxwell, the scene 144 of u, maxwell.branch"):
+    with pytest.raises(
+        InputError, match=r"144 unknowns of u, maxwell, the scene 144 of u, maxwell.branch"
+    ):
         read_scene("square", changes=start | {"effects": _named_branch()})
 
 
@@ -304,3 +306,29 @@ def test_a_start_is_a_formula_of_each_component(tmp_path: Path) -> None:
     assert np.allclose(start[~held], expected[~held], atol=1e-16)
     by_hand = body(space, scene.effects, u0=Initial(parts))
     assert np.array_equal(by_hand.problem.u0, scene.problem.u0)
+
+
+def test_a_run_of_another_kind_of_body_on_the_same_mesh_is_refused(tmp_path: Path) -> None:
+    flat = FLAT | {"initial": {"run": str(tmp_path)}}
+    assert cli.main(["run", _file(tmp_path, PLANE), "--no-progress", "--out", str(tmp_path)]) == 0
+    with pytest.raises(InputError, match=r"^initial.run: .* another kind of body than antiplane"):
+        read_scene(flat)
+
+
+PLANE = """
+[domain]
+mesh = { sizes = [1.0, 1.0], cells = [3, 3] }
+clamped = "top"
+kind = "plane strain"
+[time]
+end = 1.0
+steps = 2
+[effects.viscosity]
+eta = 1.0
+"""
+
+
+def _file(folder: Path, text: str) -> str:
+    path = folder / "scene.toml"
+    path.write_text(text, encoding="utf-8")
+    return str(path)

@@ -19,12 +19,13 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.errors import InputError
-from sweepopt.fem.fields import Coefficient, Datum, Indices, in_time
+from sweepopt.fem.fields import Coefficient, Indices, in_time
 from sweepopt.fem.slip_laws import SlipLaw
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.sets import Balls, Box, ConvexSet, Ellipsoid, SecondOrderCone, image, product
 
 if TYPE_CHECKING:
+    from sweepopt.fem.effects import Friction
     from sweepopt.fem.scene import Scene
     from sweepopt.results import Solution
 
@@ -208,42 +209,31 @@ def merged(contacts: Sequence[Contact]) -> Contact | None:
     """All nodes with friction of a scene; a node that two share counts once, with both weights."""
     if len(contacts) < 2:
         return contacts[0] if contacts else None
-    width = max(1 if one.unknown.ndim == 1 else one.unknown.shape[1] for one in contacts)
-    pad = [
-        np.pad(k, ((0, 0), (0, width - k.shape[1])), constant_values=-1)
-        for k in (one.unknown.reshape(len(one), -1) for one in contacts)
-    ]
-    unknown, ends = np.vstack(pad), np.cumsum([0.0] + [_length(one) for one in contacts])
-    arc = np.concatenate([one.arc + end for one, end in zip(contacts, ends, strict=False)])
+
+    def joined(name: str) -> Any:
+        return np.concatenate([getattr(one, name) for one in contacts])
+
+    rows = [one.unknown.reshape(len(one), -1) for one in contacts]
+    width = max(row.shape[1] for row in rows)
+    missing = [((0, 0), (0, width - row.shape[1])) for row in rows]
+    unknown = np.vstack(
+        [np.pad(row, pad, constant_values=-1) for row, pad in zip(rows, missing, strict=True)]
+    )
     _, first, group = np.unique(unknown, axis=0, return_index=True, return_inverse=True)
-    group, order = group.ravel(), np.argsort(first)
+    order = np.argsort(first)
     keep = first[order]
     weight, threshold = (
-        np.bincount(group, np.concatenate([getattr(one, name) for one in contacts]))[order]
+        np.asarray(np.bincount(group.ravel(), joined(name))[order], float)
         for name in ("weight", "threshold")
     )
-    node, points, boundary = (
-        np.concatenate([getattr(one, name) for one in contacts])[keep]
-        for name in ("node", "points", "boundary")
-    )
-    unknown = unknown[keep] if width > 1 else unknown[keep, 0]
-    bound: Array = np.asarray(threshold / weight)
-    return Contact(unknown, node, points, boundary, arc[keep], np.asarray(weight, float), bound)
+    before = np.cumsum([0.0, *(one.weight.sum() for one in contacts)])[:-1]
+    arc = joined("arc") + np.repeat(before, list(map(len, contacts)))
+    unknown = unknown if width > 1 else unknown.ravel()
+    node, points, boundary = (joined(name)[keep] for name in ("node", "points", "boundary"))
+    return Contact(unknown[keep], node, points, boundary, arc[keep], weight, threshold / weight)
 
 
-def _length(contact: Contact) -> float:
-    return float(contact.weight.sum())
-
-
-def friction_on(
-    body: Discretisation,
-    on: Sequence[str],
-    g: Datum,
-    p: Datum | None = None,
-    history: Callable[[float], Any] | None = None,
-    axes: Sequence[float] | None = None,
-    slip: SlipLaw | None = None,
-) -> list[Yield]:
+def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
     """Friction with the bound g, or g p, lumped by nodal quadrature.
 
     Trapezoid (P1) or Simpson (P2) on every edge, with the length element of a curved edge taken
@@ -263,16 +253,15 @@ def friction_on(
     InputError
         If all of it is clamped.
     """
-    place = body.place("on", tuple(on), nodal=True)
-    nodes, weights = place.nodes.T, place.basis.dx
-    N = body.scalar.N
+    place = body.place("on", law.on, nodal=True)
+    nodes, weights, N = place.nodes.T, place.basis.dx, body.scalar.N
 
     def thresholds(t: float) -> Any:
-        bounds = place.values(BOUND, g, t)
-        if p is not None:
-            bounds = _times(bounds, place.values(PRESSURE, p, t))
-        if history is not None:
-            phi = np.asarray(history(t), dtype=float)
+        bounds = place.values(BOUND, law.g, t)
+        if law.p is not None:
+            bounds = _times(bounds, place.values(PRESSURE, law.p, t))
+        if law.history is not None:
+            phi = np.asarray(law.history(t), dtype=float)
             if phi < 0:
                 raise InputError(f"history: a friction bound is multiplied by {phi:g} at t = {t:g}")
             bounds = _times(bounds, phi)
@@ -282,8 +271,8 @@ def friction_on(
         return np.asarray(thresholds(t)[k] / weight[k])
 
     weight, threshold = np.bincount(nodes.ravel(), weights.ravel(), N), thresholds(0.0)
-    moves = history is not None or in_time(g) or in_time(p)
-    if slip is not None and (moves or not np.isfinite(threshold).all()):
+    moves = law.history is not None or in_time(law.g) or in_time(law.p)
+    if law.slip is not None and (moves or not np.isfinite(threshold).all()):
         raise InputError(
             "slip: a law of the slip multiplies a finite bound that does not move in time; leave "
             "history and t out"
@@ -294,7 +283,7 @@ def friction_on(
     unknown = body.unknowns(node, tangential=boundary)
     free = (unknown >= 0).any(axis=1)
     if not free.any():
-        raise InputError(f"on: all of {', '.join(on)} is clamped; nothing can slip there")
+        raise InputError(f"on: all of {', '.join(law.on)} is clamped; nothing can slip there")
     keep = free & (weight[node] > 0.0) & (moves | (threshold[node] > 0.0))
     order = np.argsort(first[keep])
     node, unknown, first = (x[keep][order] for x in (node, unknown, first))
@@ -313,9 +302,11 @@ def friction_on(
         entries = np.ones(columns.size), (np.arange(columns.size), columns)
         E = sp.csr_array(entries, shape=(columns.size, body.dim))
         rows = Rows(E, block, weight[k], "trace" if boundary else "nodes")
-        metric = None if axes is None else _metric(body, columns.reshape(-1, block), k, axes)
+        metric = None
+        if law.axes is not None:
+            metric = _metric(body, columns.reshape(-1, block), k, law.axes)
         moving = partial(moving_bound, k) if moves else bound
-        yields.append(Yield(rows, moving, metric, contact=contact, slip=slip))
+        yields.append(Yield(rows, moving, metric, contact=contact, slip=law.slip))
     return yields
 
 
@@ -327,8 +318,8 @@ def _times(a: Any, b: Any) -> Array:
 
 def _metric(body: Discretisation, columns: Indices, nodes: Indices, axes: Any) -> Array:
     """|diag(axes) v|^2 for the velocity v = sum of directions of a node times its unknowns."""
-    scale = np.asarray(axes, dtype=float)
-    if scale.shape != (body.components,) or not (scale > 0).all() or not np.isfinite(scale).all():
+    scale = np.asarray(axes)
+    if scale.size != body.components:
         raise InputError(f"axes must be {body.components} numbers > 0, one for each of x, y ...")
     identity = sp.eye_array(body.basis.N, format="csr")
     T = identity if body.frame.T is None else body.frame.T

@@ -7,6 +7,15 @@ All take one form: matrices, terms of the load, and rows that yield,
 A new effect is one frozen dataclass with a method `contribute`, and one line in
 `EFFECTS` of scene_file.py; its fields are its keys in a scene file. Errors start with the name of
 the field at fault.
+
+Units in the docstrings are those of solids and of sections, whose forces and energies are per
+length across. Other bodies have what is left after integrating across them:
+
+| body | moduli | viscosities | k, eta all over | g all over | loads all over, at an end |
+|---|---|---|---|---|---|
+| sheet, times its thickness | N/m | N s/m | Pa/m, Pa s/m | Pa | Pa, N/m |
+| bar, times its section | N | N s | Pa, Pa s | N/m | N/m, N |
+| lumped, kappa of an edge | N/m | N s/m | N/m, N s/m of a node | N | N, N |
 """
 
 from __future__ import annotations
@@ -18,6 +27,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
+from skfem.helpers import dot
 
 from sweepopt.checks import listed, matrix, number
 from sweepopt.errors import InputError, shown
@@ -231,7 +241,8 @@ class Dashpot(Record):
     on : str or sequence of str
         Boundaries, or subdomains; "body" for all of it (a film under a sheet, a bed along a bar).
     eta : number, formula, mapping of name to number, Profile or callable
-        Viscosity (Pa s/m on a boundary or under a sheet, Pa s/m^2 in a volume), >= 0.
+        Viscosity (Pa s/m on a boundary or under a sheet, Pa s/m^2 in a volume, Pa s along a bar,
+        N s/m of a node of a lumped model), >= 0.
     along : str
         "all", "n" (normal), "t" (tangents), "x", "y" or "z".
 
@@ -265,7 +276,8 @@ class Foundation(Record):
     on : str or sequence of str
         As for `Dashpot`.
     k : number, formula, mapping of name to number, Profile or callable
-        Stiffness (Pa/m on a boundary or under a sheet, Pa/m^2 in a volume), >= 0.
+        Stiffness (Pa/m on a boundary or under a sheet, Pa/m^2 in a volume, Pa along a bar, N/m of
+        a node of a lumped model), >= 0.
     along : str
         As for `Dashpot`.
     moved : callable, optional
@@ -321,9 +333,10 @@ class Friction(Record):
         The boundaries that make up Gamma_3; or subdomains, or "body", for a sheet that rubs over
         its face and a bar in a bed.
     g : number, formula, mapping of name to number, Profile or callable
-        Friction bound (Pa; Pa/m in a volume), >= 0; a coefficient of friction if `p` is given. A
-        function of x and t moves in time. Where it is zero there is no friction and nothing to
-        simulate; where it is inf the body is glued: it stays where u0 has it.
+        Friction bound (Pa; Pa/m in a volume, N/m along a bar, N of a node of a lumped model), >= 0;
+        a coefficient of friction if `p` is given. A function of x and t moves in time. Where it is
+        zero there is no friction and nothing to simulate; where it is inf the body is glued: it
+        stays where u0 has it.
     p : as g, optional
         Pressure (Pa) that is known; the bound is g p.
     history : callable, optional
@@ -366,9 +379,7 @@ class Friction(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The rows that slip; none if g is zero everywhere."""
-        return Contribution(
-            yields=friction_on(body, self.on, self.g, self.p, self.history, self.axes, self.slip)
-        )
+        return Contribution(yields=friction_on(body, self))
 
 
 @dataclass(frozen=True)
@@ -734,6 +745,12 @@ class MaxwellBranch:
         S = self._spring().contribute(body).B
         if S is None:
             return Contribution()
+        if (point := body.loose_point(S)) is not None:
+            raise InputError(
+                f"tau: nothing holds the dashpot's own displacement in the piece with the point "
+                f"{point}, where no strain tells it; clamp or hold part of every piece, as a "
+                "foundation or a dashpot does not act on it"
+            )
         zero = sp.csc_array(S.shape)
         return Contribution(
             A=sp.block_diag([zero, self.tau * S], format="csc"),
@@ -819,13 +836,10 @@ def _mass(
             return c * u * v
         if along in AXES:
             return c * u[AXES.index(along)] * v[AXES.index(along)]
-        both = sum(a * b for a, b in zip(u, v, strict=True))
         if along == "all":
-            return c * both
-        normal = sum(a * n for a, n in zip(u, w.n, strict=True)) * sum(
-            b * n for b, n in zip(v, w.n, strict=True)
-        )
-        return c * (normal if along == "n" else both - normal)
+            return c * dot(u, v)
+        normal = dot(u, w.n) * dot(v, w.n)
+        return c * (normal if along == "n" else dot(u, v) - normal)
 
     return place.matrix(form)
 
@@ -845,7 +859,7 @@ def _force(
         def form(v: Any, w: Any) -> Any:
             if body.components == 1:
                 return values[0] * v
-            directions = v if several else [sum(a * n for a, n in zip(v, w.n, strict=True))]
+            directions = v if several else [dot(v, w.n)]
             return sum(c * a for c, a in zip(values, directions, strict=True))
 
         return np.asarray(body.restrict(place.vector(form)))

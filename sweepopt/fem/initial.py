@@ -10,16 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sweepopt.errors import InputError, brought_by
+from sweepopt.errors import InputError
+from sweepopt.fem.effects import Record
 from sweepopt.fem.fields import Coefficient, Datum
-from sweepopt.fem.spaces import Discretisation
+from sweepopt.fem.spaces import AXES, Discretisation
 from sweepopt.io import as_path
+from sweepopt.results import last_state
 
 DISPLACEMENT = Coefficient("u", vector=True)
 
 
 @dataclass(frozen=True)
-class Initial:
+class Initial(Record):
     """u0 of a scene: zero where nothing is given.
 
     Parameters
@@ -46,14 +48,12 @@ class Initial:
 
     u: Datum | Sequence[Datum] | None = None
     run: str | Path | None = None
+    data = (DISPLACEMENT,)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.u is not None and self.run is not None:
             raise InputError("run: give u or run, not both")
-        if self.u is not None:
-            DISPLACEMENT.check(self.u)
-        if self.run is not None:
-            as_path("run", self.run)
 
     def state(
         self, space: Discretisation, fields: Mapping[str, slice], size: int
@@ -67,47 +67,45 @@ class Initial:
         """
         u0 = np.zeros(size)
         if self.u is not None:
-            parts = DISPLACEMENT.parts(self.u, space.components)
-            values = [DISPLACEMENT.values(datum, space.points.T, {}) for datum in parts]
-            u0[: space.dim] = space.interpolate(values if space.components > 1 else values[0])
-        return u0 if self.run is None else _last_state(Path(self.run), space, fields, u0)
+            u0[: space.dim] = space.interpolate(self.u, "u")
+        return u0 if self.run is None else _last_state(as_path("run", self.run), space, fields, u0)
 
 
 def _last_state(
     path: Path, space: Discretisation, fields: Mapping[str, slice], u0: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """The last state of a file, put into u0."""
-    with brought_by("fem"):
-        import xarray
     path = path / "solution.nc" if path.is_dir() else path
     try:
-        with xarray.open_dataset(path, engine="h5netcdf") as run:
-            last = np.asarray(run["u" if "u" in run else "displacement"][-1], dtype=float)
-            known = {name: np.asarray(run[name]) for name in (*"xyz", "field") if name in run}
-    except Exception as error:  # h5py has no list of what it raises
-        raise InputError(f"run: {path} is no NetCDF file of a run ({error})") from error
-    if "x" not in known:
-        names = np.full(u0.size, "", dtype=object)
+        run = last_state(path, "u", "field", "displacement", *AXES)
+    except InputError as error:
+        raise InputError(f"run: {error}") from error
+    if "u" in run:
+        known = np.full(u0.size, "", dtype=object)
         for name, part in fields.items():
-            names[part] = name
-        if last.shape != u0.shape or not np.array_equal(known.get("field", names), names):
+            known[part] = name
+        last, names = run["u"], run.get("field")
+        if last.shape != u0.shape or not (names is None or np.array_equal(names, known)):
             raise InputError(
-                f"run: {path} has {last.size} unknowns of {_fields(known.get('field', last))}, the "
-                f"scene {u0.size} of {_fields(names)}; take a run of the same body and effects"
+                f"run: {path} has {last.size} unknowns of {_fields(names)}, the scene {u0.size} of "
+                f"{_fields(known)}; take a run of the same body and effects"
             )
         return last
-    places = [known[axis] for axis in "xyz" if axis in known]
-    if np.shape(places) != space.points.T.shape or not np.allclose(places, space.points.T):
+    points, last = [run[axis] for axis in AXES if axis in run], run.get("displacement")
+    if np.shape(points) != space.points.T.shape or not np.allclose(points, space.points.T):
         raise InputError(f"run: {path} has the nodes of another mesh; take a run of this body")
+    if np.shape(last) != space.expand(u0[: space.dim]).shape:
+        raise InputError(f"run: {path} has displacements of another kind of body than {space.kind}")
     if u0.size > space.dim:
         raise InputError(
             f"run: {path} has displacements only, and not {', '.join(list(fields)[1:])}; keep all "
             'unknowns, with save="run.nc" of the solution, to go on from there'
         )
+    assert last is not None
     u0[:] = space.interpolate(last if space.components == 1 else list(last.T))
     return u0
 
 
-def _fields(names: NDArray[Any]) -> str:
+def _fields(names: Any) -> str:
     """The fields in an array of names of unknowns."""
-    return ", ".join(dict.fromkeys(map(str, names))) if names.dtype.kind != "f" else "no fields"
+    return "no fields" if names is None else ", ".join(dict.fromkeys(map(str, names)))

@@ -14,22 +14,8 @@ from typing import Any, NamedTuple
 
 from sweepopt.checks import choice, count, listed, number
 from sweepopt.errors import InputError, shown
+from sweepopt.fem import effects
 from sweepopt.fem.changes import changed, remaining
-from sweepopt.fem.effects import (
-    BodyForce,
-    Dashpot,
-    Eigenstrain,
-    Elasticity,
-    Foundation,
-    Friction,
-    MaxwellBranch,
-    OneWay,
-    PointForce,
-    PrescribedDisplacement,
-    Traction,
-    Viscosity,
-    YieldStress,
-)
 from sweepopt.fem.fields import Profile
 from sweepopt.fem.initial import Initial
 from sweepopt.fem.mesh import chain, grid
@@ -41,20 +27,20 @@ from sweepopt.io import as_path, find_scene, parse_toml, read_toml
 from sweepopt.loads import Constant, Sine, Table, Triangle, check_points
 
 EFFECTS: dict[str, type] = {
-    "viscosity": Viscosity,
-    "elasticity": Elasticity,
-    "dashpot": Dashpot,
-    "foundation": Foundation,
-    "friction": Friction,
+    "viscosity": effects.Viscosity,
+    "elasticity": effects.Elasticity,
+    "dashpot": effects.Dashpot,
+    "foundation": effects.Foundation,
+    "friction": effects.Friction,
     "plasticity": Plasticity,
-    "body_force": BodyForce,
-    "traction": Traction,
-    "point_force": PointForce,
-    "prescribed_displacement": PrescribedDisplacement,
-    "eigenstrain": Eigenstrain,
-    "yield_stress": YieldStress,
-    "one_way": OneWay,
-    "maxwell": MaxwellBranch,
+    "body_force": effects.BodyForce,
+    "traction": effects.Traction,
+    "point_force": effects.PointForce,
+    "prescribed_displacement": effects.PrescribedDisplacement,
+    "eigenstrain": effects.Eigenstrain,
+    "yield_stress": effects.YieldStress,
+    "one_way": effects.OneWay,
+    "maxwell": effects.MaxwellBranch,
 }
 """Effects by the name of their table in a scene file."""
 
@@ -164,7 +150,7 @@ def read_scene(
     for name in pictures:
         choice("pictures", name, PICTURES)
     tables = effect_tables(file.effects)
-    effects = {
+    chosen = {
         label: _called(*tables[label], label, folder) for label in remaining(list(tables), without)
     }
     body = _called(Discretisation, file.domain, "domain", folder)
@@ -175,7 +161,7 @@ def read_scene(
     )
     for kind, table, path in ((_time, file.time, "time"), (method, file.solve, "solve")):
         settings |= _called(kind, table, path, folder)
-    return build(body, effects, _called(Initial, file.initial, "initial", folder), settings)
+    return build(body, chosen, _called(Initial, file.initial, "initial", folder), settings)
 
 
 def load_scene(
@@ -230,7 +216,7 @@ def effect_tables(tables: Any) -> dict[str, tuple[type, Any]]:
     """Kinds and tables of the effects by their path."""
     if not isinstance(tables, Mapping):
         raise InputError(f"effects: must be a table, got {shown(tables)}")
-    effects: dict[str, tuple[type, Any]] = {}
+    kinds: dict[str, tuple[type, Any]] = {}
     for name, table in tables.items():
         path = f"effects.{name}"
         if name not in EFFECTS:
@@ -240,8 +226,8 @@ def effect_tables(tables: Any) -> dict[str, tuple[type, Any]]:
             several = {f"{path}[{k}]": one for k, one in enumerate(table)}
         elif _are_named(EFFECTS[name], table):
             several = {f"{path}.{key}": one for key, one in table.items()}
-        effects |= {label: (EFFECTS[name], one) for label, one in several.items()}
-    return effects
+        kinds |= {label: (EFFECTS[name], one) for label, one in several.items()}
+    return kinds
 
 
 def _are_named(kind: type, table: Any) -> bool:
