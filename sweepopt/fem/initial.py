@@ -91,7 +91,7 @@ def _last_state(
                 f"{_fields(known)}; take a run of the same body and effects"
             )
         return last
-    points, last = [run[axis] for axis in AXES if axis in run], run.get("displacement")
+    points, last = [run[axis] for axis in AXES if axis in run], run.get("displacement", u0[:0])
     if np.shape(points) != space.points.T.shape or not np.allclose(points, space.points.T):
         raise InputError(f"run: {path} has the nodes of another mesh; take a run of this body")
     if np.shape(last) != space.expand(u0[: space.dim]).shape:
@@ -101,7 +101,6 @@ def _last_state(
             f"run: {path} has displacements only, and not {', '.join(list(fields)[1:])}; keep all "
             'unknowns, with save="run.nc" of the solution, to go on from there'
         )
-    assert last is not None
     u0[:] = space.interpolate(last if space.components == 1 else list(last.T))
     return u0
 
