@@ -17,12 +17,16 @@ pytest.importorskip("skfem")
 
 from sweepopt import InputError, cli
 from sweepopt.fem import (
+    Discretisation,
+    Elasticity,
     Friction,
     Initial,
+    Plasticity,
     Scene,
     SlipWeakening,
     body,
     compare_effects,
+    grid,
     read_scene,
 )
 from sweepopt.fem.contact import slip_of
@@ -243,6 +247,22 @@ def test_friction_follows_its_law_of_the_slip_at_every_node(block: int) -> None:
 def test_a_bad_law_of_the_slip_is_refused(value: Any, message: str) -> None:
     with pytest.raises(InputError, match=f"^effects.friction.{message}"):
         read_scene("square", changes={"effects.friction.slip": value})
+
+
+def test_a_law_of_the_slip_beside_isotropic_hardening_alone_is_refused() -> None:
+    space = Discretisation(grid([1.0, 1.0], [2, 2]), "top", kind="plane strain")
+    weak = Friction("bottom", g=0.5, slip=SlipWeakening(1.0, 0.5))
+    for hardening, words in (
+        ({"Hi": 1.0}, "kinematic hardening or a viscosity"),
+        ({"Hk": 1.0}, ""),
+    ):
+        effects = [Elasticity(E=10.0, nu=0.3), Plasticity(1.0, **hardening), weak]
+        scene = body(space, effects, t_end=1.0, steps=2)
+        if not words:
+            assert 0 < scene.solve().plan.contraction < 1
+            continue
+        with pytest.raises(InputError, match=words):
+            scene.solve()
 
 
 def test_a_law_of_the_slip_goes_with_a_finite_bound_that_stands_still() -> None:

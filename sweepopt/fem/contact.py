@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from sweepopt.errors import InputError
 from sweepopt.fem.fields import Coefficient, Indices, in_time
 from sweepopt.fem.slip_laws import SlipLaw
-from sweepopt.fem.spaces import Discretisation
+from sweepopt.fem.spaces import Discretisation, Place
 from sweepopt.sets import Balls, Box, ConvexSet, Ellipsoid, SecondOrderCone, image, product
 
 if TYPE_CHECKING:
@@ -254,23 +254,13 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
         If all of it is clamped.
     """
     place = body.place("on", law.on, nodal=True)
-    nodes, weights, N = place.nodes.T, place.basis.dx, body.scalar.N
-
-    def thresholds(t: float) -> Any:
-        bounds = place.values(BOUND, law.g, t)
-        if law.p is not None:
-            bounds = _times(bounds, place.values(PRESSURE, law.p, t))
-        if law.history is not None:
-            phi = np.asarray(law.history(t), dtype=float)
-            if phi < 0:
-                raise InputError(f"history: a friction bound is multiplied by {phi:g} at t = {t:g}")
-            bounds = _times(bounds, phi)
-        return np.bincount(nodes.ravel(), _times(weights, bounds).ravel(), N)
+    nodes, N = place.nodes.T, body.scalar.N
 
     def moving_bound(k: Indices, t: float) -> Array:
-        return np.asarray(thresholds(t)[k] / weight[k])
+        return np.asarray(_thresholds(law, place, N, t)[k] / weight[k])
 
-    weight, threshold = np.bincount(nodes.ravel(), weights.ravel(), N), thresholds(0.0)
+    weight = np.bincount(nodes.ravel(), place.basis.dx.ravel(), N)
+    threshold = _thresholds(law, place, N, 0.0)
     moves = law.history is not None or in_time(law.g) or in_time(law.p)
     if law.slip is not None and (moves or not np.isfinite(threshold).all()):
         raise InputError(
@@ -308,6 +298,20 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
         moving = partial(moving_bound, k) if moves else bound
         yields.append(Yield(rows, moving, metric, contact=contact, slip=law.slip))
     return yields
+
+
+def _thresholds(law: Friction, place: Place, size: int, t: float) -> Array:
+    """Friction forces at which the nodes slip, of all nodes, shape (size,)."""
+    bounds = place.values(BOUND, law.g, t)
+    if law.p is not None:
+        bounds = _times(bounds, place.values(PRESSURE, law.p, t))
+    if law.history is not None:
+        phi = np.asarray(law.history(t), dtype=float)
+        if phi < 0:
+            raise InputError(f"history: a friction bound is multiplied by {phi:g} at t = {t:g}")
+        bounds = _times(bounds, phi)
+    forces = _times(place.basis.dx, bounds)
+    return np.asarray(np.bincount(place.nodes.T.ravel(), forces.ravel(), size), float)
 
 
 def _times(a: Any, b: Any) -> Array:

@@ -290,22 +290,8 @@ def build(
             "every piece, hold components, or give it a foundation or a dashpot (a must be "
             "coercive)"
         )
-    kinds = {type(effect) for effect in effects.values()}
-    if space.kind == "plane stress" and {Plasticity, Eigenstrain} <= kinds:
-        raise InputError(
-            "effects: in plane stress an eigenstrain beside plasticity is not offered: the "
-            "deviator of the stress lacks the eigenstrain across the plane; take kind = 'solid'"
-        )
-    if lifts:
-        bound = any(one.rows.where == "gradient" or one.shape != "ball" for one in yields)
-        if bound or size > space.dim:
-            raise InputError(
-                "effects: with a prescribed displacement there is no yield stress, one-way "
-                "velocity, Maxwell branch or plasticity, which would see it; drive the body by "
-                "a traction"
-            )
-        _check_rubs(space, yields, lifts)
-        loads += _lifted(space, effects, parts, lifts)
+    _check_together(space, effects, yields, lifts, internal=size > space.dim)
+    loads += _lifted(space, effects, parts, lifts) if lifts else []
     force = _force(loads, size)
     if isinstance(u0, Initial):
         with at_path("initial"):
@@ -327,6 +313,29 @@ def build(
         yields=tuple(yields),
         **settings,
     )
+
+
+def _check_together(
+    space: Discretisation,
+    effects: Mapping[str, Effect],
+    yields: Sequence[Yield],
+    lifts: Sequence[Any],
+    internal: bool,
+) -> None:
+    """Refuse effects that do not go with one another."""
+    kinds = {type(effect) for effect in effects.values()}
+    if space.kind == "plane stress" and {Plasticity, Eigenstrain} <= kinds:
+        raise InputError(
+            "effects: in plane stress an eigenstrain beside plasticity is not offered: the "
+            "deviator of the stress lacks the eigenstrain across the plane; take kind = 'solid'"
+        )
+    bound = any(one.rows.where == "gradient" or one.shape != "ball" for one in yields)
+    if lifts and (bound or internal):
+        raise InputError(
+            "effects: with a prescribed displacement there is no yield stress, one-way velocity, "
+            "Maxwell branch or plasticity, which would see it; drive the body by a traction"
+        )
+    _check_rubs(space, yields, lifts)
 
 
 def _check_rubs(space: Discretisation, yields: Sequence[Yield], lifts: Sequence[Any]) -> None:

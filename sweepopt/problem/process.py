@@ -213,7 +213,14 @@ class SweepingProcess:
         if not (isinstance(C, StateDependent) and gamma and abs(C.lipschitz).max()):
             return 0.0
         M = self.A if self.B is None else self.A + gamma * self.B
-        return gamma * largest_ratio(Factor(M, "A + gamma B"), C.lipschitz)
+        try:
+            metric = Factor(M, "A + gamma B")
+        except IndefiniteError:
+            raise InputError(
+                "C(t, u) depends on the state beside isotropic hardening alone, which leaves A + "
+                "gamma B singular: give kinematic hardening or a viscosity too"
+            ) from None
+        return gamma * largest_ratio(metric, C.lipschitz)
 
     def refuse_state(self, what: str) -> None:
         """Refuse what is known of a C(t) only that does not depend on the state.

@@ -260,7 +260,7 @@ class StateDependent(MovingSet):
     >>> process = so.SweepingProcess(A=[[1.0]], B=[[2.0]], C=C, u0=[0.0])
     >>> sol = so.solve(process, t_end=2.0, steps=100)
     >>> sol.plan.contraction < 0.01, round(float(sol.u[-1, 0]), 3)
-    (True, 0.301)
+    (True, 0.317)
     """
 
     def __init__(self, at: Callable[[float, np.ndarray], ConvexSet], lipschitz: Any) -> None:
