@@ -25,7 +25,7 @@ from sweepopt.errors import (
     UnstableStepError,
     brought_by,
 )
-from sweepopt.integrate import schemes
+from sweepopt.integrate import contraction, schemes
 from sweepopt.io import find_scene, list_problems, read_toml, replacing
 from sweepopt.velocity import solvers
 
@@ -203,6 +203,8 @@ def _announce(scene: Scene) -> None:
     if scene.scheme == "auto" and scene.t_end and scene.steps:
         scheme = schemes.automatic(process, scene.t_end / scene.steps)
     plan = make_plan(process, [(0.0, process.C.at(0.0))], scheme, scene.solver, scene.tol)
+    if scene.t_end and scene.steps:
+        plan = replace(plan, contraction=contraction(process, scheme, scene.t_end / scene.steps))
     if scene.title:
         print(scene.title)
     for change in scene.changes:

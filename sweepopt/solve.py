@@ -36,6 +36,7 @@ from sweepopt.integrate import (
     adapt,
     check_stability,
     checkpoint_writer,
+    contraction,
     evaluation_times,
     integrate,
     newest,
@@ -347,6 +348,7 @@ def _first_grid(
     )
     members = process.check(evaluation_times(times, mus, scheme))
     plan = make_plan(process, members, scheme, options.solver, options.tol, options.path)
+    plan = replace(plan, contraction=contraction(process, scheme, float(mus.max())))
     reduction = plan.reduction if options.path == "auto" else None
     if segments:
         plan = plan.of_all_unknowns("steps that adapt may be so short that they would be rounding")

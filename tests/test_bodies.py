@@ -452,6 +452,18 @@ BAD = [
     ("domain.mesh", {"sizes": [1.0], "cells": [2, 2]}, "domain.mesh.sizes, cells and origin must"),
     ("domain.mesh", {"sizes": [0.0, 1.0], "cells": [2, 2]}, r"domain.mesh.sizes\[0\] must be > 0"),
     ("domain.mesh", {"sizes": [1.0, 1.0]}, "domain.mesh.cells: is missing"),
+    (
+        "domain.mesh",
+        {"sizes": [1.0, 1.0], "cells": [10**6, 10**6]},
+        r"domain.mesh.cells: \(1000000, 1000000\) make more than 1e\+07 cells; take fewer",
+    ),
+    ("domain.mesh", {"nodes": 10**12}, r"domain.mesh.nodes is 1000000000000, more than 1e\+07"),
+    (
+        "effects.plasticity",
+        {"sigma_y": 1.0, "elasticity": {"E": 1.0}},
+        "effects.plasticity.elasticity: unknown key",
+    ),
+    ("effects.maxwell", {"tau": 0.0, "E": 1.0, "nu": 0.2}, "effects.maxwell.tau must be > 0"),
     ("effects.viscosity", {}, "effects.viscosity.eta: is missing; give eta, or tensor"),
     ("effects.viscosity", {"tensor": [[1.0]]}, r"effects.viscosity.tensor must be .* \(3, 3\)"),
     ("effects.elasticity", {"kappa": 1.0}, "effects.elasticity.kappa is for antiplane shear; give"),
@@ -521,6 +533,20 @@ def test_friction_that_would_not_see_a_displacement_along_it_is_refused():
     fem.body(space, effects)
     with pytest.raises(so.InputError, match="whose slip would lack it"):
         fem.body(space, [*effects, moved])
+
+
+def test_a_branch_on_a_body_that_a_foundation_alone_holds_is_refused_by_its_name():
+    sheet = {"mesh": {"sizes": [2.0, 1.0], "cells": [4, 2]}, "clamped": [], "kind": "plane stress"}
+    effects = {
+        "viscosity": {"eta": 1.0},
+        "foundation": {"on": "body", "k": 2.0},
+        "maxwell": {"branch": {"tau": 1.0, "E": 1.0, "nu": 0.3}},
+    }
+    scene = {"domain": sheet, "time": {"end": 1.0, "steps": 2}, "effects": effects}
+    with pytest.raises(so.InputError, match=r"^effects.maxwell.branch.tau: nothing .* \(0, 0\)"):
+        read_scene(scene)
+    held = scene | {"domain": sheet | {"clamped": "left"}}
+    assert read_scene(held).problem.dim == 2 * read_scene(held).discretisation.dim
 
 
 def test_discs_are_not_glued_and_a_bound_that_turns_negative_is_named():

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,20 @@ import pytest
 pytest.importorskip("skfem")
 
 from sweepopt import InputError, cli
-from sweepopt.fem import Scene, compare_effects, read_scene
+from sweepopt.fem import (
+    Discretisation,
+    Elasticity,
+    Friction,
+    Initial,
+    Plasticity,
+    Scene,
+    SlipWeakening,
+    body,
+    compare_effects,
+    grid,
+    read_scene,
+)
+from sweepopt.fem.contact import slip_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 
@@ -127,7 +142,7 @@ FLAT = {
         "elasticity": {"kappa": 2.0},
         "dashpot": {"on": "right", "eta": 0.5},
         "foundation": {"on": "left", "k": 3.0},
-        "friction": {"on": "bottom", "g": 0.2},
+        "friction": {"on": "bottom", "g": 0.2, "slip": {"distance": 0.1, "residual": 0.5}},
         "yield_stress": {"g": 0.1},
         "traction": {"on": "right", "history": {"waveform": "constant"}},
     },
@@ -168,23 +183,172 @@ def test_absent_effects_import_no_solver() -> None:
     assert found.stdout.strip() == "[]", found.stdout
 
 
+SMALL = (1e-3, 1e-4, 1e-5)
+
+
 @pytest.mark.parametrize(
-    ("path", "values", "without"),
+    ("path", "changes", "without"),
     [
-        ("effects.friction.g", (1e-3, 1e-4, 1e-5), "friction"),
-        ("effects.elasticity.kappa", (1e-3, 1e-4, 1e-5), "elasticity"),
+        ("effects.friction.g", SMALL, ["friction"]),
+        ("effects.elasticity.kappa", SMALL, ["elasticity"]),
+        ("effects.friction.slip", [{"distance": 0.1, "residual": 1 - x} for x in SMALL], []),
+        ("effects.friction.slip", [{"distance": 1 / x} for x in SMALL], []),
+        ("effects.friction.slip", [{"at": [0, 1], "values": [1, 1 + x]} for x in SMALL], []),
     ],
 )
 def test_a_vanishing_effect_is_an_absent_one(
-    path: str, values: tuple[float, ...], without: str
+    path: str, changes: Sequence[Any], without: Sequence[str]
 ) -> None:
     """|u - u_0| is proportional to the coefficient, and small."""
     settings = {"steps": 20, "tol": 1e-12}
-    bare = read_scene("square", without=[without]).solve(**settings).u
+    bare = read_scene("square", without=without).solve(**settings).u
     errors = [
-        abs(read_scene("square", changes={path: value}).solve(**settings).u - bare).max()
-        for value in values
+        abs(read_scene("square", changes={path: change}).solve(**settings).u - bare).max()
+        for change in changes
     ]
-    slopes = np.diff(np.log(errors)) / np.diff(np.log(values))
+    slopes = np.diff(np.log(errors)) / np.diff(np.log(SMALL))
     assert np.allclose(slopes, 1.0, atol=0.05), slopes
     assert errors[-1] < 2e-5 * abs(bare).max() / 0.5
+
+
+@pytest.mark.parametrize("block", [1, 2])
+def test_friction_follows_its_law_of_the_slip_at_every_node(block: int) -> None:
+    """|q| = g phi(|u|) of the end of the step where a node slips, and no more where it sticks."""
+    changes: dict[str, Any] = {"effects.friction.slip": {"distance": 0.05, "residual": 0.3}}
+    source, without = ("square", []) if block == 1 else (SOLID, ["one_way"])
+    scene = read_scene(source, changes=changes, without=without)
+    solution = scene.solve(steps=40, scheme="implicit-euler", tol=1e-9)
+    slip, law = slip_of(scene, solution), SlipWeakening(0.05, 0.3)
+    assert slip is not None
+    assert 0 < solution.plan.contraction < 0.5
+    assert solution.stats["relative"].max() <= 1e-9
+    traction, moved = (x.reshape(*x.shape[:2], -1) for x in (slip.traction, slip.displacement))
+    assert np.count_nonzero(slip.contact.unknown[0] >= 0) == block
+    force, far = np.linalg.norm(traction, axis=2), np.linalg.norm(moved[1:], axis=2)
+    bound = slip.contact.bound * law(far)
+    slips = slip.speed > 0
+    assert slips.any()
+    assert bound.min() < 0.9 * slip.contact.bound.min()
+    assert np.allclose(force[slips], bound[slips], rtol=1e-6)
+    assert (force <= bound * (1 + 1e-6)).all()
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (0.5, "slip: must be a table, got 0.5"),
+        ({"distance": -1.0}, "slip.distance must be > 0, got -1"),
+        ({"distance": 1.0, "residual": -0.1}, "slip.residual must be >= 0, got -0.1"),
+        ({"dist": 1.0}, "slip.dist: unknown key; there are: distance, residual"),
+        ({"at": [0, 1], "values": [1, -1]}, "slip.values must be >= 0, got -1"),
+        ({"at": [0, 0], "values": [1, 1]}, "slip.at must increase strictly"),
+    ],
+)
+def test_a_bad_law_of_the_slip_is_refused(value: Any, message: str) -> None:
+    with pytest.raises(InputError, match=f"^effects.friction.{message}"):
+        read_scene("square", changes={"effects.friction.slip": value})
+
+
+def test_a_law_of_the_slip_beside_isotropic_hardening_alone_is_refused() -> None:
+    space = Discretisation(grid([1.0, 1.0], [2, 2]), "top", kind="plane strain")
+    weak = Friction("bottom", g=0.5, slip=SlipWeakening(1.0, 0.5))
+    for hardening, words in (
+        ({"Hi": 1.0}, "kinematic hardening or a viscosity"),
+        ({"Hk": 1.0}, ""),
+    ):
+        effects = [Elasticity(E=10.0, nu=0.3), Plasticity(1.0, **hardening), weak]
+        scene = body(space, effects, t_end=1.0, steps=2)
+        if not words:
+            assert 0 < scene.solve().plan.contraction < 1
+            continue
+        with pytest.raises(InputError, match=words):
+            scene.solve()
+
+
+def test_a_law_of_the_slip_goes_with_a_finite_bound_that_stands_still() -> None:
+    changes = {"effects.friction.slip": {"distance": 1.0}}
+    for g in ("0.3 + t", float("inf")):
+        with pytest.raises(InputError, match=r"friction.slip: .* multiplies a finite bound that"):
+            read_scene("square", changes=changes | {"effects.friction.g": g})
+    with pytest.raises(InputError, match="slip must be a law with its Lipschitz constant, such"):
+        Friction("left", g=1.0, slip=abs)
+
+
+def test_a_scene_starts_where_a_run_of_it_has_ended(tmp_path: Path) -> None:
+    """From files with all unknowns, and from what the command writes; bit for bit."""
+    scene = read_scene("square")
+    half = scene.solve(t_end=2.0, steps=100, save=tmp_path / "run.nc")
+    half.to_xarray().to_netcdf(tmp_path / "kept.nc", engine="h5netcdf")
+    options = ["--no-progress", "--out", str(tmp_path / "out"), "--set", "time.end=2.0"]
+    assert cli.main(["run", "square", *options, "--steps", "100"]) == 0
+    for name in ("run.nc", "kept.nc", "out", "out/solution.nc"):
+        start = {"initial": {"run": str(tmp_path / name)}}
+        assert np.array_equal(read_scene("square", changes=start).problem.u0, half.u[-1]), name
+    other = {"initial": {"run": str(tmp_path / "run.nc")}}
+    with pytest.raises(
+        InputError, match=r"^initial.run: .* 72 unknowns of .*, the scene 8480 of u"
+    ):
+        read_scene("ring", changes=other)
+    other = {"initial": {"run": str(tmp_path / "out")}}
+    with pytest.raises(InputError, match=r"^initial.run: .* nodes of another mesh"):
+        read_scene("ring", changes=other)
+
+
+def test_a_run_of_a_body_with_internal_unknowns_needs_all_of_them(tmp_path: Path) -> None:
+    branch = {"effects.maxwell": {"tau": 0.5, "kappa": 1.0}}
+    run = read_scene("square", changes=branch).solve(t_end=1.0, steps=20, save=tmp_path / "run.nc")
+    start = branch | {"initial": {"run": str(tmp_path / "run.nc")}}
+    assert np.array_equal(read_scene("square", changes=start).problem.u0, run.u[-1])
+    run.to_xarray().to_netcdf(tmp_path / "kept.nc", engine="h5netcdf")
+    start["initial"] = {"run": str(tmp_path / "kept.nc")}
+    assert np.array_equal(read_scene("square", changes=start).problem.u0, run.u[-1])
+    with pytest.raises(
+        InputError, match=r"144 unknowns of u, maxwell, the scene 144 of u, maxwell.branch"
+    ):
+        read_scene("square", changes=start | {"effects": _named_branch()})
+
+
+def _named_branch() -> dict[str, Any]:
+    return {
+        "viscosity": {"eta": 1.0},
+        "maxwell": {"branch": {"tau": 0.5, "kappa": 1.0}},
+    }
+
+
+def test_a_start_is_a_formula_of_each_component(tmp_path: Path) -> None:
+    parts = ["0.01 * y", 0.0, "0.02 * x * y"]
+    scene = read_scene(SOLID, changes={"initial": {"u": parts}})
+    space = scene.discretisation
+    x, y, _ = space.points.T
+    expected = np.column_stack([0.01 * y, 0 * y, 0.02 * x * y])
+    held = space.frame.held > 0
+    start = space.expand(scene.problem.u0)
+    assert np.allclose(start[~held], expected[~held], atol=1e-16)
+    by_hand = body(space, scene.effects, u0=Initial(parts))
+    assert np.array_equal(by_hand.problem.u0, scene.problem.u0)
+
+
+def test_a_run_of_another_kind_of_body_on_the_same_mesh_is_refused(tmp_path: Path) -> None:
+    flat = FLAT | {"initial": {"run": str(tmp_path)}}
+    assert cli.main(["run", _file(tmp_path, PLANE), "--no-progress", "--out", str(tmp_path)]) == 0
+    with pytest.raises(InputError, match=r"^initial.run: .* another kind of body than antiplane"):
+        read_scene(flat)
+
+
+PLANE = """
+[domain]
+mesh = { sizes = [1.0, 1.0], cells = [3, 3] }
+clamped = "top"
+kind = "plane strain"
+[time]
+end = 1.0
+steps = 2
+[effects.viscosity]
+eta = 1.0
+"""
+
+
+def _file(folder: Path, text: str) -> str:
+    path = folder / "scene.toml"
+    path.write_text(text, encoding="utf-8")
+    return str(path)

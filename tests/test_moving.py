@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
 import sweepopt as so
+from sweepopt.errors import PathError
 
 TIMES = (0.3, 2.0)
 G = np.vstack([np.eye(2), -np.eye(2), [[1.0, 1.0]]])
@@ -208,3 +210,130 @@ def test_a_box_shrinks_through_all_sizes_to_a_point_and_grows_again(solver: str)
     assert sol.success
     for z, size in zip(sol.velocity, sizes[1:], strict=True):
         np.testing.assert_allclose(A @ z, f - size, atol=1e-12)
+
+
+# ---- sets that depend on the state ----------------------------------------------------------
+
+A, B, RATE, DISTANCE, RESIDUAL = 0.5, 1.0, 1.5, 0.2, 0.4
+"""A mass whose friction falls from 1 to RESIDUAL with the slip u, under the load 1 + RATE t."""
+STEEPEST = (1 - RESIDUAL) / DISTANCE
+
+
+def weakened(u: Any) -> Any:
+    return RESIDUAL + (1 - RESIDUAL) * np.exp(-abs(u) / DISTANCE)
+
+
+def mass(viscosity: float = A, steepest: float = STEEPEST) -> so.SweepingProcess:
+    C = so.StateDependent(
+        lambda t, u: so.Box(1 + RATE * t - weakened(u), 1 + RATE * t + weakened(u)), [[steepest]]
+    )
+    return so.SweepingProcess([[viscosity]], [[B]], C, u0=[0.0])
+
+
+def exact(times: Any) -> np.ndarray:
+    """u by SciPy: it slips forward from t = 0 on, so that A u' + B u = 1 + RATE t - g(u)."""
+    run = solve_ivp(
+        lambda t, u: (1 + RATE * t - weakened(u) - B * u) / A,
+        (0.0, times[-1]),
+        [0.0],
+        t_eval=times,
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-14,
+    )
+    return run.y[0]
+
+
+@pytest.mark.parametrize(
+    ("scheme", "order", "ceiling"),
+    [
+        ("catching-up", 1, 0.012),
+        ("implicit-euler", 1, 0.008),
+        ("midpoint", 2, 4e-5),
+        ("trapezoid", 2, 4e-5),
+        ("sdirk2", 2, 1e-5),
+    ],
+)
+def test_friction_that_weakens_with_slip_keeps_the_order_of_a_scheme(
+    scheme: str, order: int, ceiling: float
+) -> None:
+    errors = []
+    for steps in (40, 80, 160, 320):
+        sol = so.solve(mass(), t_end=2.0, steps=steps, scheme=scheme, tol=1e-10)
+        assert sol.success
+        assert sol.stats["relative"].max() <= 1e-10
+        errors.append(abs(sol.u[:, 0] - exact(sol.t)).max())
+    slopes = np.diff(np.log2(errors))
+    assert np.allclose(slopes, -order, atol=0.1), (errors, slopes)
+    assert errors[-1] < ceiling
+
+
+def test_the_velocity_of_a_state_has_the_set_of_that_state() -> None:
+    velocity = so.velocity_field(mass(), tol=1e-10)
+    run = solve_ivp(velocity, (0.0, 2.0), [0.0], method="LSODA", rtol=1e-11, atol=1e-13)
+    assert abs(run.y[0, -1] - exact([0.0, 2.0])[-1]) < 1e-8
+
+
+def test_the_contraction_is_computed_and_is_that_of_the_iteration() -> None:
+    """Of one mass mu L / (A + mu B), which the iterates of a step by hand show too."""
+    mu = 0.05
+    sol = so.solve(mass(), t_end=1.0, steps=20, scheme="implicit-euler")
+    assert sol.plan.contraction == pytest.approx(mu * STEEPEST / (A + mu * B), rel=1e-8)
+    assert f"contraction {sol.plan.contraction:.2g}" in str(sol.plan)
+    z = [0.0]
+    for _ in range(12):
+        z.append((1 + RATE * mu - weakened(mu * z[-1])) / (A + mu * B))
+    moved = np.abs(np.diff(z))
+    assert (moved[1:8] <= sol.plan.contraction * moved[:7]).all()
+    assert moved[1] > 0.7 * sol.plan.contraction * moved[0]
+    assert sol.velocity[0, 0] == pytest.approx(z[-1], rel=1e-6)
+    assert so.solve(mass(), t_end=1.0, steps=20, scheme="catching-up").plan.contraction == 0
+
+
+def test_a_step_that_is_no_contraction_is_refused_with_the_size_of_one_that_is() -> None:
+    with pytest.raises(
+        so.UnstableStepError, match=r"contraction is 1.71, not .* at most 0.167"
+    ) as one:
+        so.solve(mass(), t_end=2.0, steps=3, scheme="implicit-euler")
+    size = float(str(one.value).rpartition(" ")[2])
+    assert so.solve(mass(), t_end=2.0, steps=int(2 / size) + 1, scheme="implicit-euler").success
+    with pytest.raises(so.UnstableStepError, match="no shorter step helps, as B u alone"):
+        so.solve(mass(viscosity=0.0), t_end=2.0, steps=1000)
+
+
+def test_what_a_state_dependent_set_cannot_have_is_refused() -> None:
+    sol = so.solve(mass(), t_end=1.0, steps=20)
+    refused: list[Any] = [
+        lambda: sol.error_bound(),
+        lambda: so.solve(mass(), t_end=1.0, steps=so.Adaptive(1e-3)),
+        lambda: so.solve(mass(), t_end=1.0, steps=20, scheme="exact"),
+        lambda: so.solve(mass(), t_end=1.0, steps=20, error=1e-3),
+        lambda: mass().velocity_bound(np.linspace(0, 1, 5)),
+        lambda: so.compatible_start(mass()),
+    ]
+    for call in refused:
+        with pytest.raises(so.InputError, match=r"not depend on the state u: .* twice as many"):
+            call()
+    with pytest.raises(PathError, match="proportional"):
+        so.solve(mass(), t_end=1.0, steps=20, path="proportional")
+    shifted = so.StateDependent(lambda t, u: so.Box(-1 - u, 1 + u), [[1.0]]) + [1.0]
+    with pytest.raises(so.InputError, match=r"no set without a state: .* function of"):
+        so.solve(so.SweepingProcess([[1.0]], None, shifted, [0.0]), t_end=1.0, steps=2)
+    for lipschitz, words in (([[-1.0]], "semidefinite"), ([[0.0, 1.0]], "must be square")):
+        with pytest.raises(so.InputError, match=f"lipschitz must be .*{words}|{words}"):
+            so.StateDependent(lambda t, u: so.Box([-1], [1]), lipschitz)
+
+
+def test_energy_viability_and_programs_see_the_set_of_the_state(tmp_path: Any) -> None:
+    sol = so.solve(mass(), t_end=2.0, steps=400, scheme="midpoint")
+    assert abs(sol.energy().balance).max() < 2e-5
+    assert sol.viability([0.5, 1.5]).max() < 5e-3
+    program = sol.step_program(200)
+    program.problem.solve(solver="CLARABEL")
+    assert program.z.value == pytest.approx(sol.velocity[200], rel=1e-6)
+    stop = so.Checkpoint(tmp_path / "run.npz", steps=50)
+    so.solve(mass(), t_end=2.0, steps=400, checkpoint=stop, callback=lambda step: step.step == 120)
+    whole = so.solve(mass(), t_end=2.0, steps=400, checkpoint=tmp_path / "other.npz")
+    assert np.array_equal(so.resume(stop.path, mass()).u, whole.u)
+    with pytest.raises(so.InputError, match=r"C\(t\)"):
+        so.resume(stop.path, mass(steepest=2 * STEEPEST))

@@ -146,6 +146,23 @@ def test_little_viscosity_tends_to_none() -> None:
     assert second <= 0.02 * first
 
 
+def test_a_common_kernel_is_refused_and_a_little_elasticity_tends_to_the_play() -> None:
+    """Two sliders and a spring between them, which nothing else holds: |u_1| <= 3/4 - 1/2."""
+    A, B = np.zeros((2, 2)), np.array([[1.0, -1.0], [-1.0, 1.0]])
+    load = so.Separable([(so.Triangle(0.75, 4.0), [1.0, 0.0])])
+    C = so.Moving(so.Box([-0.5, -0.3], [0.5, 0.3]), center=load)
+    with pytest.raises(
+        so.InputError, match=r"bounded C.* a little of it for an element that shall"
+    ):
+        so.SweepingProcess(A, B, C, [0.0, 0.0])
+    errors = []
+    for little in (1e-2, 1e-3, 1e-4, 1e-5):
+        process = so.SweepingProcess(A, B + little * np.eye(2), C, [0.0, 0.0])
+        errors.append(abs(so.solve(process, t_end=4.0, steps=40).u - [-0.25, 0.0])[-1].max())
+    assert np.allclose(np.diff(np.log10(errors)), -1, atol=0.01)
+    assert errors[-1] < 3e-6
+
+
 def test_an_incompatible_start_is_refused_and_a_compatible_one_computed() -> None:
     with pytest.raises(so.InputError, match=r"change u0, to so\.compatible_start"):
         so.solve(zener([1.0, 0.0]), t_end=1.0, steps=5)

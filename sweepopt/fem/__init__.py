@@ -36,10 +36,12 @@ from sweepopt.fem.effects import (
     YieldStress,
 )
 from sweepopt.fem.fields import Profile
+from sweepopt.fem.initial import Initial
 from sweepopt.fem.mesh import chain, grid, read_mesh
 from sweepopt.fem.plasticity import Plasticity
 from sweepopt.fem.scene import Scene, antiplane, body
 from sweepopt.fem.scene_file import EFFECTS, read_scene
+from sweepopt.fem.slip_laws import SlipTable, SlipWeakening
 from sweepopt.fem.spaces import Discretisation
 
 __all__ = [
@@ -56,6 +58,7 @@ __all__ = [
     "Elasticity",
     "Foundation",
     "Friction",
+    "Initial",
     "MaxwellBranch",
     "OneWay",
     "Plasticity",
@@ -64,6 +67,8 @@ __all__ = [
     "Profile",
     "Rows",
     "Scene",
+    "SlipTable",
+    "SlipWeakening",
     "Traction",
     "Viscosity",
     "Yield",

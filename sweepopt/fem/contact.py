@@ -19,11 +19,13 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.errors import InputError
-from sweepopt.fem.fields import Coefficient, Datum, Indices, in_time
-from sweepopt.fem.spaces import Discretisation
+from sweepopt.fem.fields import Coefficient, Indices, in_time
+from sweepopt.fem.slip_laws import SlipLaw
+from sweepopt.fem.spaces import Discretisation, Place
 from sweepopt.sets import Balls, Box, ConvexSet, Ellipsoid, SecondOrderCone, image, product
 
 if TYPE_CHECKING:
+    from sweepopt.fem.effects import Friction
     from sweepopt.fem.scene import Scene
     from sweepopt.results import Solution
 
@@ -75,6 +77,8 @@ class Yield:
         forces are in shifted cones.
     contact : Contact or None
         Where friction acts, for reports.
+    slip : SlipLaw or None
+        phi: g_k phi(|E_k u|) takes the place of g_k, which does not move then.
     """
 
     rows: Rows
@@ -83,14 +87,29 @@ class Yield:
     shape: str = "ball"
     slopes: Array | None = None
     contact: Contact | None = None
+    slip: SlipLaw | None = None
 
-    def at(self, t: float) -> Array:
-        """Radii w_k g_k at a time, shape (m,)."""
-        return self.rows.weight * (self.g(t) if callable(self.g) else self.g)
+    def at(self, t: float, u: Array | None = None) -> Array:
+        """Radii w_k g_k at a time and a state, the unslipped one if there is none, shape (m,)."""
+        radii = self.rows.weight * (self.g(t) if callable(self.g) else self.g)
+        if self.slip is None or u is None:
+            return radii
+        moved = (self.rows.E @ u).reshape(-1, self.rows.block)
+        return radii * self.slip(np.linalg.norm(moved, axis=1))
+
+    @property
+    def lipschitz(self) -> sp.csc_array:
+        """``sum_k w_k g_k lip(phi) E_k^T E_k``, the matrix of a `StateDependent` C."""
+        assert self.slip is not None
+        slopes = self.at(0.0) * self.slip.lipschitz
+        if self.metric is not None:
+            slopes = slopes * np.sqrt(np.linalg.eigvalsh(self.metric)[:, -1])
+        E = self.rows.E
+        return sp.csc_array(E.T @ sp.diags_array(np.repeat(slopes, self.rows.block)) @ E)
 
 
-def dissipation(yields: Sequence[Yield], t: float = 0.0) -> ConvexSet:
-    """``D(t) = sum_k E_k^T D_k(t)``, of one product of intervals, discs and ellipses.
+def dissipation(yields: Sequence[Yield], t: float = 0.0, u: Array | None = None) -> ConvexSet:
+    """``D(t, u) = sum_k E_k^T D_k(t, u)``, of one product of intervals, discs and ellipses.
 
     Intervals on the same unknown are added, so that E selects unknowns.
     """
@@ -99,7 +118,7 @@ def dissipation(yields: Sequence[Yield], t: float = 0.0) -> ConvexSet:
     intervals = [one for one in yields if one.rows.block == 1]
     if intervals:
         E = sp.vstack([one.rows.E for one in intervals], format="csr")
-        ends = [_ends(one, t) for one in intervals]
+        ends = [_ends(one, t, u) for one in intervals]
         lower, upper = (np.concatenate([pair[k] for pair in ends]) for k in (0, 1))
         if E.nnz == E.shape[0] and (E.data == 1.0).all():  # it selects unknowns
             _, first, group = np.unique(E.indices, return_index=True, return_inverse=True)
@@ -112,7 +131,7 @@ def dissipation(yields: Sequence[Yield], t: float = 0.0) -> ConvexSet:
         if one.rows.block == 1:
             continue
         blocks.append(one.rows.E)
-        radii = one.at(t)
+        radii = one.at(t, u)
         if one.slopes is not None:
             apex = np.zeros((radii.size, one.rows.block))
             apex[:, 0] = radii
@@ -126,9 +145,9 @@ def dissipation(yields: Sequence[Yield], t: float = 0.0) -> ConvexSet:
     return image(sp.csc_array(sp.vstack(blocks).T), part)
 
 
-def _ends(one: Yield, t: float) -> tuple[Array, Array]:
+def _ends(one: Yield, t: float, u: Array | None) -> tuple[Array, Array]:
     """Ends of the intervals of rows one by one."""
-    radii = one.at(t)
+    radii = one.at(t, u)
     if one.shape == "half-line":
         return np.full(radii.size, -np.inf), np.zeros(radii.size)
     if one.metric is not None:
@@ -190,41 +209,31 @@ def merged(contacts: Sequence[Contact]) -> Contact | None:
     """All nodes with friction of a scene; a node that two share counts once, with both weights."""
     if len(contacts) < 2:
         return contacts[0] if contacts else None
-    width = max(1 if one.unknown.ndim == 1 else one.unknown.shape[1] for one in contacts)
-    pad = [
-        np.pad(k, ((0, 0), (0, width - k.shape[1])), constant_values=-1)
-        for k in (one.unknown.reshape(len(one), -1) for one in contacts)
-    ]
-    unknown, ends = np.vstack(pad), np.cumsum([0.0] + [_length(one) for one in contacts])
-    arc = np.concatenate([one.arc + end for one, end in zip(contacts, ends, strict=False)])
+
+    def joined(name: str) -> Any:
+        return np.concatenate([getattr(one, name) for one in contacts])
+
+    rows = [one.unknown.reshape(len(one), -1) for one in contacts]
+    width = max(row.shape[1] for row in rows)
+    missing = [((0, 0), (0, width - row.shape[1])) for row in rows]
+    unknown = np.vstack(
+        [np.pad(row, pad, constant_values=-1) for row, pad in zip(rows, missing, strict=True)]
+    )
     _, first, group = np.unique(unknown, axis=0, return_index=True, return_inverse=True)
-    group, order = group.ravel(), np.argsort(first)
+    order = np.argsort(first)
     keep = first[order]
     weight, threshold = (
-        np.bincount(group, np.concatenate([getattr(one, name) for one in contacts]))[order]
+        np.asarray(np.bincount(group.ravel(), joined(name))[order], float)
         for name in ("weight", "threshold")
     )
-    node, points, boundary = (
-        np.concatenate([getattr(one, name) for one in contacts])[keep]
-        for name in ("node", "points", "boundary")
-    )
-    unknown = unknown[keep] if width > 1 else unknown[keep, 0]
-    bound: Array = np.asarray(threshold / weight)
-    return Contact(unknown, node, points, boundary, arc[keep], np.asarray(weight, float), bound)
+    before = np.cumsum([0.0, *(one.weight.sum() for one in contacts)])[:-1]
+    arc = joined("arc") + np.repeat(before, list(map(len, contacts)))
+    unknown = unknown if width > 1 else unknown.ravel()
+    node, points, boundary = (joined(name)[keep] for name in ("node", "points", "boundary"))
+    return Contact(unknown[keep], node, points, boundary, arc[keep], weight, threshold / weight)
 
 
-def _length(contact: Contact) -> float:
-    return float(contact.weight.sum())
-
-
-def friction_on(
-    body: Discretisation,
-    on: Sequence[str],
-    g: Datum,
-    p: Datum | None = None,
-    history: Callable[[float], Any] | None = None,
-    axes: Sequence[float] | None = None,
-) -> list[Yield]:
+def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
     """Friction with the bound g, or g p, lumped by nodal quadrature.
 
     Trapezoid (P1) or Simpson (P2) on every edge, with the length element of a curved edge taken
@@ -244,33 +253,27 @@ def friction_on(
     InputError
         If all of it is clamped.
     """
-    place = body.place("on", tuple(on), nodal=True)
-    nodes, weights = place.nodes.T, place.basis.dx
-    N = body.scalar.N
-
-    def thresholds(t: float) -> Any:
-        bounds = place.values(BOUND, g, t)
-        if p is not None:
-            bounds = _times(bounds, place.values(PRESSURE, p, t))
-        if history is not None:
-            phi = np.asarray(history(t), dtype=float)
-            if phi < 0:
-                raise InputError(f"history: a friction bound is multiplied by {phi:g} at t = {t:g}")
-            bounds = _times(bounds, phi)
-        return np.bincount(nodes.ravel(), _times(weights, bounds).ravel(), N)
+    place = body.place("on", law.on, nodal=True)
+    nodes, N = place.nodes.T, body.scalar.N
 
     def moving_bound(k: Indices, t: float) -> Array:
-        return np.asarray(thresholds(t)[k] / weight[k])
+        return np.asarray(_thresholds(law, place, N, t)[k] / weight[k])
 
-    weight, threshold = np.bincount(nodes.ravel(), weights.ravel(), N), thresholds(0.0)
-    moves = history is not None or in_time(g) or in_time(p)
+    weight = np.bincount(nodes.ravel(), place.basis.dx.ravel(), N)
+    threshold = _thresholds(law, place, N, 0.0)
+    moves = law.history is not None or in_time(law.g) or in_time(law.p)
+    if law.slip is not None and (moves or not np.isfinite(threshold).all()):
+        raise InputError(
+            "slip: a law of the slip multiplies a finite bound that does not move in time; leave "
+            "history and t out"
+        )
     boundary = hasattr(place.basis, "normals")
     along, names, arc = (_curve if boundary and body.mesh.dim() == 2 else _cloud)(body, place)
     node, first = np.unique(along, return_index=True)
     unknown = body.unknowns(node, tangential=boundary)
     free = (unknown >= 0).any(axis=1)
     if not free.any():
-        raise InputError(f"on: all of {', '.join(on)} is clamped; nothing can slip there")
+        raise InputError(f"on: all of {', '.join(law.on)} is clamped; nothing can slip there")
     keep = free & (weight[node] > 0.0) & (moves | (threshold[node] > 0.0))
     order = np.argsort(first[keep])
     node, unknown, first = (x[keep][order] for x in (node, unknown, first))
@@ -289,10 +292,26 @@ def friction_on(
         entries = np.ones(columns.size), (np.arange(columns.size), columns)
         E = sp.csr_array(entries, shape=(columns.size, body.dim))
         rows = Rows(E, block, weight[k], "trace" if boundary else "nodes")
-        metric = None if axes is None else _metric(body, columns.reshape(-1, block), k, axes)
+        metric = None
+        if law.axes is not None:
+            metric = _metric(body, columns.reshape(-1, block), k, law.axes)
         moving = partial(moving_bound, k) if moves else bound
-        yields.append(Yield(rows, moving, metric, contact=contact))
+        yields.append(Yield(rows, moving, metric, contact=contact, slip=law.slip))
     return yields
+
+
+def _thresholds(law: Friction, place: Place, size: int, t: float) -> Array:
+    """Friction forces at which the nodes slip, of all nodes, shape (size,)."""
+    bounds = place.values(BOUND, law.g, t)
+    if law.p is not None:
+        bounds = _times(bounds, place.values(PRESSURE, law.p, t))
+    if law.history is not None:
+        phi = np.asarray(law.history(t), dtype=float)
+        if phi < 0:
+            raise InputError(f"history: a friction bound is multiplied by {phi:g} at t = {t:g}")
+        bounds = _times(bounds, phi)
+    forces = _times(place.basis.dx, bounds)
+    return np.asarray(np.bincount(place.nodes.T.ravel(), forces.ravel(), size), float)
 
 
 def _times(a: Any, b: Any) -> Array:
@@ -303,8 +322,8 @@ def _times(a: Any, b: Any) -> Array:
 
 def _metric(body: Discretisation, columns: Indices, nodes: Indices, axes: Any) -> Array:
     """|diag(axes) v|^2 for the velocity v = sum of directions of a node times its unknowns."""
-    scale = np.asarray(axes, dtype=float)
-    if scale.shape != (body.components,) or not (scale > 0).all() or not np.isfinite(scale).all():
+    scale = np.asarray(axes)
+    if scale.size != body.components:
         raise InputError(f"axes must be {body.components} numbers > 0, one for each of x, y ...")
     identity = sp.eye_array(body.basis.N, format="csr")
     T = identity if body.frame.T is None else body.frame.T

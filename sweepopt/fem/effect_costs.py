@@ -133,9 +133,7 @@ def _cost(name: str, scene: Scene, steps: int) -> EffectCost:
     solution = scene.solve(t_end=scene.t_end * taken / scene.steps, steps=taken)
     plan, stats, process = solution.plan, solution.stats, solution.process
     linear = plan.path == "linear"
-    nonzeros = [
-        0 if M is None else int(np.count_nonzero(_entries(M))) for M in (process.A, process.B)
-    ]
+    nonzeros = [0 if M is None else M.count_nonzero() for M in (process.A, process.B)]
     return EffectCost(
         scene=name,
         unknowns=plan.unknowns,
@@ -148,10 +146,6 @@ def _cost(name: str, scene: Scene, steps: int) -> EffectCost:
         seconds=float(np.median(stats["seconds"])),
         certificate=float(stats["relative"].max()),
     )
-
-
-def _entries(M: Any) -> Any:
-    return M.data if hasattr(M, "nnz") else M
 
 
 def _sets(scene: Scene) -> str:

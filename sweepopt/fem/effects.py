@@ -7,24 +7,34 @@ All take one form: matrices, terms of the load, and rows that yield,
 A new effect is one frozen dataclass with a method `contribute`, and one line in
 `EFFECTS` of scene_file.py; its fields are its keys in a scene file. Errors start with the name of
 the field at fault.
+
+Units in the docstrings are those of solids and of sections, whose forces and energies are per
+length across. Other bodies have what is left after integrating across them:
+
+| body | moduli | viscosities | k, eta all over | g all over | loads all over, at an end |
+|---|---|---|---|---|---|
+| sheet, times its thickness | N/m | N s/m | Pa/m, Pa s/m | Pa | Pa, N/m |
+| bar, times its section | N | N s | Pa, Pa s | N/m | N/m, N |
+| lumped, kappa of an edge | N/m | N s/m | N/m, N s/m of a node | N | N, N |
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import scipy.sparse as sp
-import skfem
 from numpy.typing import ArrayLike, NDArray
+from skfem.helpers import dot
 
 from sweepopt.checks import listed, matrix, number
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import BOUND, PRESSURE, Rows, Yield, friction_on
 from sweepopt.fem.fields import Coefficient, Datum, in_time
-from sweepopt.fem.spaces import AXES, BODY, Discretisation, Place, boundary_names, centroid
+from sweepopt.fem.slip_laws import SlipLaw
+from sweepopt.fem.spaces import AXES, BODY, Discretisation, Place, boundary_names
 from sweepopt.loads import History
 
 Array = NDArray[np.float64]
@@ -35,8 +45,10 @@ ETA, ZETA = Coefficient("eta", 0.0, strict=True), Coefficient("zeta")
 KAPPA, LAM, MU = Coefficient("kappa", 0.0), Coefficient("lam"), Coefficient("mu", 0.0)
 YOUNG, POISSON = Coefficient("E", 0.0, strict=True), Coefficient("nu", -1.0, strict=True)
 YIELD, ON_ETA, ON_K = Coefficient("g", 0.0), Coefficient("eta", 0.0), Coefficient("k", 0.0)
-DISPLACEMENT, STRAIN = Coefficient("d"), Coefficient("strain")
-F0, F2, FORCE = Coefficient("f0"), Coefficient("f2"), Coefficient("force")
+STRAIN = Coefficient("strain")
+DISPLACEMENT, F0, F2, FORCE = (
+    Coefficient(name, vector=True) for name in ("d", "f0", "f2", "force")
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +85,38 @@ class Effect(Protocol):
         ...
 
 
+class Record:
+    """The base of effects: checks fields when a record is made.
+
+    Attributes
+    ----------
+    data : tuple of Coefficient
+        Those of the fields that are data in space; `on`, `history` and `moved` are known.
+    """
+
+    data: ClassVar[tuple[Coefficient, ...]] = ()
+
+    def __post_init__(self) -> None:
+        given = {name: value for name, value in vars(self).items() if value is not None}
+        if "on" in given:
+            object.__setattr__(self, "on", boundary_names("on", given["on"]))
+        for name in ("history", "moved"):
+            if name in given and not callable(given[name]):
+                raise InputError(
+                    f"{name} must be a function of time such as Table or Sine, got "
+                    f"{shown(given[name])}"
+                )
+        for coefficient in self.data:
+            if coefficient.name in given:
+                coefficient.check(given[coefficient.name])
+
+    def values_at(self, place: Place, *coefficients: Coefficient) -> Iterator[Array]:
+        """Their values at the points of a quadrature."""
+        return (place.values(one, getattr(self, one.name)) for one in coefficients)
+
+
 @dataclass(frozen=True)
-class Viscosity:
+class Viscosity(Record):
     """``a(u', v) = int eta grad u' . grad v``, or the same of the strain rates of a vector u'.
 
     The viscous stress is ``2 eta e + zeta tr(e) I`` of the rate e of the strain.
@@ -109,21 +151,22 @@ class Viscosity:
     zeta: Datum = 0.0
     tensor: ArrayLike | None = None
 
+    data = ETA, ZETA
+
     def __post_init__(self) -> None:
         _one_of(self, ("eta",), ("tensor",))
-        if self.eta is not None:
-            ETA.check(self.eta)
-        ZETA.check(self.zeta)
+        super().__post_init__()
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix A."""
-        values = body.place("eta", (BODY,)).values
-        eta = None if self.eta is None else values(ETA, self.eta)
-        return Contribution(A=_stiffness(body, values(ZETA, self.zeta), eta, self.tensor))
+        place = body.place("eta", (BODY,))
+        eta = None if self.eta is None else place.values(ETA, self.eta)
+        zeta = place.values(ZETA, self.zeta)
+        return Contribution(A=_stiffness(body, zeta, eta, self.tensor))
 
 
 @dataclass(frozen=True)
-class Elasticity:
+class Elasticity(Record):
     """``b(u, v) = int kappa grad u . grad v``, or the same of the strains of a vector u.
 
     The elastic stress is ``2 mu e + lam tr(e) I`` of the strain e.
@@ -158,11 +201,11 @@ class Elasticity:
     mu: Datum | None = None
     tensor: ArrayLike | None = None
 
+    data = KAPPA, YOUNG, POISSON, LAM, MU
+
     def __post_init__(self) -> None:
         _one_of(self, ("kappa",), ("E", "nu"), ("lam", "mu"), ("tensor",))
-        for coefficient in (KAPPA, YOUNG, POISSON, LAM, MU):
-            if (datum := getattr(self, coefficient.name)) is not None:
-                coefficient.check(datum)
+        super().__post_init__()
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix B; none if it is zero everywhere."""
@@ -172,27 +215,25 @@ class Elasticity:
 
     def moduli(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
         """lam and mu at the points of a quadrature; mu is None where a tensor is given."""
-        values = place.values
         lam: Any = 0.0
         mu: Any = None
         if self.kappa is not None:
             if body.components > 1:
                 raise InputError("kappa is for antiplane shear; give E and nu, or lam and mu")
-            mu = values(KAPPA, self.kappa)
+            (mu,) = self.values_at(place, KAPPA)
         elif self.E is not None:
-            E, nu = (values(c, getattr(self, c.name)) for c in (YOUNG, POISSON))
-            if nu.max() >= 0.5:
-                raise InputError(f"nu must be < 0.5, got {nu.max():g}; incompressible is no limit")
+            E, nu = self.values_at(place, YOUNG, POISSON)
+            _check_compressible(nu)
             lam, mu = E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
         elif self.lam is not None:
-            lam, mu = (values(c, getattr(self, c.name)) for c in (LAM, MU))
+            lam, mu = self.values_at(place, LAM, MU)
             if (3 * lam + 2 * mu).min() < 0:
                 raise InputError("lam must be at least -2/3 mu everywhere")
         return lam, mu
 
 
 @dataclass(frozen=True)
-class Dashpot:
+class Dashpot(Record):
     """``a(u', v) = int eta u' . v`` on boundaries, subdomains or the whole body.
 
     Parameters
@@ -200,7 +241,8 @@ class Dashpot:
     on : str or sequence of str
         Boundaries, or subdomains; "body" for all of it (a film under a sheet, a bed along a bar).
     eta : number, formula, mapping of name to number, Profile or callable
-        Viscosity (Pa s/m on a boundary or under a sheet, Pa s/m^2 in a volume), >= 0.
+        Viscosity (Pa s/m on a boundary or under a sheet, Pa s/m^2 in a volume, Pa s along a bar,
+        N s/m of a node of a lumped model), >= 0.
     along : str
         "all", "n" (normal), "t" (tangents), "x", "y" or "z".
 
@@ -218,10 +260,7 @@ class Dashpot:
     on: Sequence[str]
     eta: Datum
     along: str = "all"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "on", boundary_names("on", self.on))
-        ON_ETA.check(self.eta)
+    data = (ON_ETA,)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix A."""
@@ -229,7 +268,7 @@ class Dashpot:
 
 
 @dataclass(frozen=True)
-class Foundation:
+class Foundation(Record):
     """``b(u, v) = int k u . v``: Winkler's springs on boundaries, subdomains or the whole body.
 
     Parameters
@@ -237,7 +276,8 @@ class Foundation:
     on : str or sequence of str
         As for `Dashpot`.
     k : number, formula, mapping of name to number, Profile or callable
-        Stiffness (Pa/m on a boundary or under a sheet, Pa/m^2 in a volume), >= 0.
+        Stiffness (Pa/m on a boundary or under a sheet, Pa/m^2 in a volume, Pa along a bar, N/m of
+        a node of a lumped model), >= 0.
     along : str
         As for `Dashpot`.
     moved : callable, optional
@@ -259,23 +299,19 @@ class Foundation:
     k: Datum
     along: str = "all"
     moved: Phi | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "on", boundary_names("on", self.on))
-        ON_K.check(self.k)
-        if self.moved is not None:
-            check_history(self.moved, "moved")
+    data = (ON_K,)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix B, and the load of what moves."""
         B = _mass(body, self.on, ON_K, self.k, self.along)
-        if self.moved is None:
-            return Contribution(B=body.restrict(B))
-        if body.components > 1 and self.along not in AXES:
-            raise InputError(f"along must be x, y or z where `moved` is, got {shown(self.along)}")
-        return Contribution(
-            B=body.restrict(B), loads=[(self.moved, body.restrict(B @ self.shift(body)))]
-        )
+        loads: list[Force] = []
+        if self.moved is not None:
+            if body.components > 1 and self.along not in AXES:
+                raise InputError(
+                    f"along must be x, y or z where `moved` is, got {shown(self.along)}"
+                )
+            loads = [(self.moved, body.restrict(B @ self.shift(body)))]
+        return Contribution(B=body.restrict(B), loads=loads)
 
     def shift(self, body: Discretisation) -> Array:
         """All degrees of freedom where the whole body moves by 1 along the direction."""
@@ -285,7 +321,7 @@ class Foundation:
 
 
 @dataclass(frozen=True)
-class Friction:
+class Friction(Record):
     """``J(v) = int g |v|`` of the tangential velocity, lumped at the nodes (see `friction_on`).
 
     Intervals where one component slips, discs where two do (the contact of a solid, a sheet on its
@@ -297,15 +333,19 @@ class Friction:
         The boundaries that make up Gamma_3; or subdomains, or "body", for a sheet that rubs over
         its face and a bar in a bed.
     g : number, formula, mapping of name to number, Profile or callable
-        Friction bound (Pa; Pa/m in a volume), >= 0; a coefficient of friction if `p` is given. A
-        function of x and t moves in time. Where it is zero there is no friction and nothing to
-        simulate; where it is inf the body is glued: it stays where u0 has it.
+        Friction bound (Pa; Pa/m in a volume, N/m along a bar, N of a node of a lumped model), >= 0;
+        a coefficient of friction if `p` is given. A function of x and t moves in time. Where it is
+        zero there is no friction and nothing to simulate; where it is inf the body is glued: it
+        stays where u0 has it.
     p : as g, optional
         Pressure (Pa) that is known; the bound is g p.
     history : callable, optional
         phi(t) >= 0 that multiplies the bound.
     axes : sequence of float, optional
         ``J(v) = int g |(a_x v_x, a_y v_y, ...)|``: ellipses in place of discs.
+    slip : SlipLaw, optional
+        phi(s), such as `SlipWeakening` and `SlipTable`: the bound is g phi(s) where the tangential
+        displacement has the length s. The problem is then quasi-variational: see `StateDependent`.
 
     Raises
     ------
@@ -323,27 +363,27 @@ class Friction:
     p: Datum | None = None
     history: Phi | None = None
     axes: Sequence[float] | None = None
+    slip: SlipLaw | None = None
+    data = BOUND, PRESSURE
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "on", boundary_names("on", self.on))
-        BOUND.check(self.g)
-        if self.p is not None:
-            PRESSURE.check(self.p)
-        if self.history is not None:
-            check_history(self.history)
+        super().__post_init__()
+        if self.slip is not None and not (callable(self.slip) and hasattr(self.slip, "lipschitz")):
+            raise InputError(
+                f"slip must be a law with its Lipschitz constant, such as SlipWeakening(0.1), got "
+                f"{shown(self.slip)}"
+            )
         if self.axes is not None:
             axes = [number("axes", one, 0.0, strict=True) for one in listed("axes", self.axes)]
             object.__setattr__(self, "axes", tuple(axes))
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The rows that slip; none if g is zero everywhere."""
-        return Contribution(
-            yields=friction_on(body, self.on, self.g, self.p, self.history, self.axes)
-        )
+        return Contribution(yields=friction_on(body, self))
 
 
 @dataclass(frozen=True)
-class BodyForce:
+class BodyForce(Record):
     """``<f, v> = phi(t) int_Omega f0 . v``.
 
     Parameters
@@ -368,10 +408,7 @@ class BodyForce:
 
     history: Phi
     f0: Datum | Sequence[Datum] = 1.0
-
-    def __post_init__(self) -> None:
-        check_history(self.history)
-        _check_components(F0, self.f0)
+    data = (F0,)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
@@ -379,7 +416,7 @@ class BodyForce:
 
 
 @dataclass(frozen=True)
-class Traction:
+class Traction(Record):
     """``<f, v> = phi(t) int_{Gamma_2} f2 . v``.
 
     Parameters
@@ -407,11 +444,7 @@ class Traction:
     on: Sequence[str]
     history: Phi
     f2: Datum | Sequence[Datum] = 1.0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "on", boundary_names("on", self.on))
-        check_history(self.history)
-        _check_components(F2, self.f2)
+    data = (F2,)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
@@ -420,7 +453,7 @@ class Traction:
 
 
 @dataclass(frozen=True)
-class PointForce:
+class PointForce(Record):
     """``<f, v> = phi(t) force . v(at)``.
 
     Parameters
@@ -448,18 +481,15 @@ class PointForce:
     at: ArrayLike
     history: Phi
     force: float | Sequence[float] = 1.0
-
-    def __post_init__(self) -> None:
-        check_history(self.history)
-        _check_components(FORCE, self.force)
+    data = (FORCE,)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
-        parts = self.force if isinstance(self.force, (list, tuple)) else [self.force]
-        d, values = body.mesh.dim(), np.array([number("force", one) for one in parts])
+        parts, d = FORCE.parts(self.force, body.components), body.mesh.dim()
+        values = np.array([number("force", one) for one in parts])
         at = np.array([number("at", one) for one in listed("at", self.at)])
-        if at.shape != (d,) or values.shape != (body.components,):
-            raise InputError(f"at must have {d} coordinates, force {body.components} components")
+        if at.shape != (d,):
+            raise InputError(f"at must have {d} coordinates, got {at.size}")
         try:
             shape = body.scalar.probes(at[:, None]).toarray()[0]
         except (ValueError, IndexError):
@@ -472,7 +502,7 @@ class PointForce:
 
 
 @dataclass(frozen=True)
-class PrescribedDisplacement:
+class PrescribedDisplacement(Record):
     """``u = phi(t) d`` where components are held: the load f - A_fd d' - B_fd d.
 
     Kinks of the history should be ends of steps. Energies are those of the other unknowns.
@@ -502,25 +532,24 @@ class PrescribedDisplacement:
     on: Sequence[str]
     history: History
     d: Datum | Sequence[Datum] = 1.0
+    data = (DISPLACEMENT,)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "on", boundary_names("on", self.on))
+        super().__post_init__()
         if not isinstance(self.history, History):
             raise InputError(
                 f"history must be data whose rate is known, such as Table or Sine, got "
                 f"{shown(self.history)}"
             )
-        _check_components(DISPLACEMENT, self.d)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The values that are held."""
         body.facets("on", self.on)
         place = body.place("on", self.on, nodal=True)
-        data: list[Any] = list(self.d) if isinstance(self.d, (list, tuple)) else [self.d]
-        if len(data) != body.components:
-            raise InputError(f"d must have {body.components} components, a list of x, y ...")
         full = np.zeros(body.basis.N)
-        for dofs, datum in zip(body.nodes, data, strict=True):
+        for dofs, datum in zip(
+            body.nodes, DISPLACEMENT.parts(self.d, body.components), strict=True
+        ):
             full[dofs[place.nodes.T]] = place.values(DISPLACEMENT, datum)
         T = body.frame.T
         along = full if T is None else T.T @ full
@@ -533,7 +562,7 @@ class PrescribedDisplacement:
 
 
 @dataclass(frozen=True)
-class Eigenstrain:
+class Eigenstrain(Record):
     """``<f, v> = phi(t) int sigma0 tr e(v)``: a strain that no stress makes, such as heat's.
 
     sigma0 = E strain / (1 - 2 nu) is the pressure that undoes it; in plane stress E strain / (1 -
@@ -564,27 +593,22 @@ class Eigenstrain:
     strain: Datum
     E: Datum
     nu: Datum
-
-    def __post_init__(self) -> None:
-        check_history(self.history)
-        for coefficient in (STRAIN, YOUNG, POISSON):
-            coefficient.check(getattr(self, coefficient.name))
+    data = STRAIN, YOUNG, POISSON
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
         if body.components == 1:
             raise InputError("strain: an isotropic strain does nothing in antiplane shear")
         place = body.place("strain", (BODY,))
-        strain, E, nu = (place.values(c, getattr(self, c.name)) for c in (STRAIN, YOUNG, POISSON))
-        if nu.max() >= 0.5:
-            raise InputError(f"nu must be < 0.5, got {nu.max():g}")
+        strain, E, nu = self.values_at(place, *self.data)
+        _check_compressible(nu)
         stress = E * strain / (1 - (1 if body.kind == "plane stress" else 2) * nu)
         f = place.vector(lambda v, _: stress * sum(v.grad[i, i] for i in range(body.components)))
         return Contribution(loads=[(self.history, body.restrict(f))])
 
 
 @dataclass(frozen=True)
-class YieldStress:
+class YieldStress(Record):
     """``J(v) = int g |grad v|``: Bingham's body of antiplane shear, which moves where it yields.
 
     The gradient is taken at the points of a quadrature that is exact for its square.
@@ -606,9 +630,7 @@ class YieldStress:
     """
 
     g: Datum
-
-    def __post_init__(self) -> None:
-        YIELD.check(self.g)
+    data = (YIELD,)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The gradients that yield; none if g is zero everywhere."""
@@ -617,23 +639,16 @@ class YieldStress:
                 "g: yield stress is for antiplane shear; vectors need an incompressible"
                 " element, which is not offered"
             )
-        element, d = body.scalar.elem, body.mesh.dim()
-        rule = centroid(d) if element.maxdeg == 1 else None
-        basis = skfem.CellBasis(body.mesh, element, intorder=2, quadrature=rule)
-        place, moves = Place(basis, body.mesh.subdomains or {}, basis.element_dofs), in_time(self.g)
+        place, d, moves = body.place("on", (BODY,), strains=True), body.mesh.dim(), in_time(self.g)
+        dx = place.basis.dx
         gradients = np.array(
-            [np.broadcast_to(phi[0].grad, (d, *basis.dx.shape)) for phi in basis.basis]
+            [np.broadcast_to(phi[0].grad, (d, *dx.shape)) for phi in place.basis.basis]
         )
         gradients[0] = -gradients[1:].sum(axis=0)  # a constant has none
-        blocks = basis.dx.size
-        row = np.arange(blocks * d).reshape(*basis.dx.shape, d)
-        rows = np.broadcast_to(np.moveaxis(row, -1, 0), gradients.shape)
-        columns = np.broadcast_to(basis.element_dofs[:, None, :, None], gradients.shape)
-        entries = gradients.ravel(), (rows.ravel(), columns.ravel())
-        E = sp.csr_array(entries, shape=(blocks * d, basis.N))[:, body.free]
+        E = body.rows(place.basis, gradients)
         E.eliminate_zeros()
-        weight, g = basis.dx.ravel(), place.values(YIELD, self.g, 0.0).ravel()
-        keep = (np.diff(E.indptr).reshape(blocks, d).sum(axis=1) > 0) & (moves | (g > 0))
+        weight, g = dx.ravel(), place.values(YIELD, self.g, 0.0).ravel()
+        keep = (np.diff(E.indptr).reshape(-1, d).sum(axis=1) > 0) & (moves | (g > 0))
         if not keep.any():
             return Contribution()
         chosen = Rows(E[np.repeat(keep, d)], d, weight[keep], "gradient")
@@ -645,7 +660,7 @@ class YieldStress:
 
 
 @dataclass(frozen=True)
-class OneWay:
+class OneWay(Record):
     """The velocity is not negative on boundaries or in the body: a ratchet.
 
     Parameters
@@ -668,9 +683,6 @@ class OneWay:
 
     on: Sequence[str]
     along: str = ""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "on", boundary_names("on", self.on))
 
     def contribute(self, body: Discretisation) -> Contribution:
         """Rows bounded to one side."""
@@ -733,19 +745,17 @@ class MaxwellBranch:
         S = self._spring().contribute(body).B
         if S is None:
             return Contribution()
+        if (point := body.loose_point(S)) is not None:
+            raise InputError(
+                f"tau: nothing holds the dashpot's own displacement in the piece with the point "
+                f"{point}, where no strain tells it; clamp or hold part of every piece, as a "
+                "foundation or a dashpot does not act on it"
+            )
         zero = sp.csc_array(S.shape)
         return Contribution(
             A=sp.block_diag([zero, self.tau * S], format="csc"),
             B=sp.block_array([[S, -S], [-S, S]], format="csc"),
             internal=body.dim,
-        )
-
-
-def check_history(history: object, name: str = "history") -> None:
-    """Refuse a history that is not a function of time."""
-    if not callable(history):
-        raise InputError(
-            f"{name} must be a function of time such as Table or Sine, got {shown(history)}"
         )
 
 
@@ -759,9 +769,9 @@ def _one_of(effect: Any, *choices: tuple[str, ...]) -> None:
         raise InputError(f"{sorted(given)[0]}: give {words}, not {' and '.join(sorted(given))}")
 
 
-def _check_components(coefficient: Coefficient, data: Any) -> None:
-    for datum in data if isinstance(data, (list, tuple)) else [data]:
-        coefficient.check(datum)
+def _check_compressible(nu: Array) -> None:
+    if nu.max() >= 0.5:
+        raise InputError(f"nu must be < 0.5, got {nu.max():g}; incompressible is no limit")
 
 
 def _strain(body: Discretisation) -> Callable[[Any], list[Any]]:
@@ -826,13 +836,10 @@ def _mass(
             return c * u * v
         if along in AXES:
             return c * u[AXES.index(along)] * v[AXES.index(along)]
-        both = sum(a * b for a, b in zip(u, v, strict=True))
         if along == "all":
-            return c * both
-        normal = sum(a * n for a, n in zip(u, w.n, strict=True)) * sum(
-            b * n for b, n in zip(v, w.n, strict=True)
-        )
-        return c * (normal if along == "n" else both - normal)
+            return c * dot(u, v)
+        normal = dot(u, w.n) * dot(v, w.n)
+        return c * (normal if along == "n" else dot(u, v) - normal)
 
     return place.matrix(form)
 
@@ -843,10 +850,8 @@ def _force(
     """A term of the load with the density `data`: one number, one along the normal, or a vector."""
     place = body.place("on", on, nodal=body.lumped)
     several = isinstance(data, (list, tuple))
-    parts = list(data) if several else [data]
-    if len(parts) != (body.components if several or tuple(on) == (BODY,) else 1):
-        name = coefficient.name
-        raise InputError(f"{name} must have {body.components} components, a list of x, y ...")
+    along_normal = not several and tuple(on) != (BODY,)
+    parts = coefficient.parts(data, 1 if along_normal else body.components)
 
     def shape(t: float) -> Array:
         values = [place.values(coefficient, datum, t) for datum in parts]
@@ -854,7 +859,7 @@ def _force(
         def form(v: Any, w: Any) -> Any:
             if body.components == 1:
                 return values[0] * v
-            directions = v if several else [sum(a * n for a, n in zip(v, w.n, strict=True))]
+            directions = v if several else [dot(v, w.n)]
             return sum(c * a for c, a in zip(values, directions, strict=True))
 
         return np.asarray(body.restrict(place.vector(form)))

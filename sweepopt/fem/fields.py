@@ -196,12 +196,15 @@ class Coefficient(NamedTuple):
         Whether the minimum itself is refused.
     finite : bool
         Whether inf is refused.
+    vector : bool
+        Whether a body with vectors has a list of data, one for each of x, y and z.
     """
 
     name: str
     minimum: float | None = None
     strict: bool = False
     finite: bool = True
+    vector: bool = False
 
     def check(self, datum: Any) -> None:
         """Check the numbers of a datum; a function is checked where it is evaluated.
@@ -211,8 +214,11 @@ class Coefficient(NamedTuple):
         InputError
             Naming the coefficient, the group and the value.
         """
-        limits = self[1:]
-        if isinstance(datum, Mapping):
+        limits = self[1:4]
+        if self.vector and isinstance(datum, (list, tuple)):
+            for one in datum:
+                self.check(one)
+        elif isinstance(datum, Mapping):
             for key, value in datum.items():
                 number(f"{self.name}.{key}", value, *limits)
         elif isinstance(datum, str):
@@ -222,6 +228,13 @@ class Coefficient(NamedTuple):
                 raise InputError(f"{self.name} {error}") from error
         elif not callable(datum):
             number(self.name, datum, *limits)
+
+    def parts(self, datum: Any, components: int) -> list[Any]:
+        """The data of x, y and z, or the one of an antiplane body, as a list."""
+        parts = list(datum) if isinstance(datum, (list, tuple)) else [datum]
+        if len(parts) != components:
+            raise InputError(f"{self.name} must have {components} components, a list of x, y ...")
+        return parts
 
     def values(
         self,

@@ -12,6 +12,7 @@ import threading
 import warnings
 from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
+from math import factorial, prod
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,9 @@ import skfem
 from numpy.typing import NDArray
 
 from sweepopt.checks import bounded, count, listed, number
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import Coefficient, Indices
+from sweepopt.fem.refined import MOST_CELLS
 from sweepopt.io import as_path, read_bytes
 from sweepopt.linalg import EPS
 
@@ -85,11 +87,13 @@ def grid(
     start = (0.0,) * len(sizes) if origin is None else listed("origin", origin)
     if not len(sizes) == len(cells) == len(start) <= len(SIDES):
         raise InputError("sizes, cells and origin must have one entry for each of x, y, z")
+    counts = [count(f"cells[{k}]", n) for k, n in enumerate(cells)]
+    if prod(counts) * factorial(len(counts)) > MOST_CELLS:
+        raise InputError(f"cells: {shown(cells)} make more than {MOST_CELLS:.0e} cells; take fewer")
     lines = []
-    for k, (a, size, n) in enumerate(zip(start, sizes, cells, strict=True)):
+    for k, (a, size, n) in enumerate(zip(start, sizes, counts, strict=True)):
         a = number(f"origin[{k}]", a)
-        b = a + number(f"sizes[{k}]", size, 0.0, strict=True)
-        lines.append(np.linspace(a, b, count(f"cells[{k}]", n) + 1))
+        lines.append(np.linspace(a, a + number(f"sizes[{k}]", size, 0.0, strict=True), n + 1))
     mesh = (skfem.MeshLine, skfem.MeshTri, skfem.MeshTet)[len(lines) - 1].init_tensor(*lines)
     middles, outer = mesh.p[:, mesh.facets].mean(axis=1), mesh.boundary_facets()
     boundaries = {}
@@ -121,6 +125,8 @@ def chain(nodes: int) -> skfem.Mesh:
     array([[0., 1., 2.]])
     """
     edges = count("nodes", nodes, 2) - 1
+    if edges > MOST_CELLS:
+        raise InputError(f"nodes is {shown(nodes)}, more than {MOST_CELLS:.0e}; take fewer")
     return grid([edges], [edges])
 
 

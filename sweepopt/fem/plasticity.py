@@ -20,7 +20,7 @@ an elastic body, -lam/(lam + 2 G) (e_xx + e_yy).
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 
 from sweepopt.errors import InputError
 from sweepopt.fem.contact import Rows, Yield
-from sweepopt.fem.effects import Contribution, Effect, Elasticity
+from sweepopt.fem.effects import Contribution, Effect, Elasticity, Record
 from sweepopt.fem.fields import Coefficient, Datum
-from sweepopt.fem.spaces import BODY, Discretisation, Place, boundary_names, centroid
+from sweepopt.fem.spaces import BODY, Discretisation, Place
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ ZZ = -2 / np.sqrt(6)  # of e_zz in the second deviator
 
 
 @dataclass(frozen=True)
-class Plasticity:
+class Plasticity(Record):
     """``J(p') = int sqrt(2/3) sigma_y |p'|`` of plastic strains p: von Mises's yield stress.
 
     Stresses are those of the scene's elasticity on e(u) - p. Several of a kind act on subdomains.
@@ -59,8 +59,11 @@ class Plasticity:
         Perzyna's viscosity of p (Pa s), >= 0.
     on : str or sequence of str
         Subdomains; "body" for all of it.
-    elasticity : Elasticity, optional
-        That of the scene, without a tensor.
+
+    Attributes
+    ----------
+    elasticity : Elasticity or None
+        That of the scene, which sets it: one, without a tensor.
 
     Raises
     ------
@@ -78,21 +81,17 @@ class Plasticity:
     Hi: Datum = 0.0
     eta: Datum = 0.0
     on: Sequence[str] = (BODY,)
-    elasticity: Elasticity | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "on", boundary_names("on", self.on))
-        for coefficient in COEFFICIENTS:
-            coefficient.check(getattr(self, coefficient.name))
+    elasticity: Elasticity | None = field(default=None, init=False)
+    data = COEFFICIENTS
 
     def contribute(self, body: Discretisation) -> Contribution:
         """Couplings of strains and plastic strains, and a ball or a cone for each point."""
         if self.elasticity is None:
             raise InputError("elasticity: plasticity needs one, of E and nu, in the scene")
-        place, exact = _points(body, self.on)
-        sigma_y, Hk, Hi, eta = (
-            place.values(c, getattr(self, c.name)).ravel() for c in COEFFICIENTS
-        )
+        place, exact = body.place("on", self.on, strains=True), body.place("on", self.on)
+        if not isinstance(exact.basis, skfem.CellBasis):
+            raise InputError("on: name subdomains, or 'body', not boundaries")
+        sigma_y, Hk, Hi, eta = map(np.ravel, self.values_at(place, *self.data))
         _check_hardening(Hk, Hi, eta)
         strains, uu = _strains(body, place, self.elasticity)
         # the deviators' energy by this quadrature instead of another: B stays semidefinite
@@ -141,12 +140,11 @@ def with_elasticity(effects: Iterable[Effect]) -> list[Effect]:
     elastic = [one for one in effects if isinstance(one, Elasticity)]
     if len(elastic) != 1:
         return effects
-    return [
-        replace(one, elasticity=elastic[0])
-        if isinstance(one, Plasticity) and one.elasticity is None
-        else one
-        for one in effects
-    ]
+    for k, one in enumerate(effects):
+        if isinstance(one, Plasticity):
+            effects[k] = replace(one)
+            object.__setattr__(effects[k], "elasticity", elastic[0])
+    return effects
 
 
 def _check_hardening(Hk: Array, Hi: Array, eta: Array) -> None:
@@ -157,18 +155,6 @@ def _check_hardening(Hk: Array, Hi: Array, eta: Array) -> None:
         )
     if Hi.any() and Hi.min() <= 0:
         raise InputError("Hi: must be > 0 everywhere or 0; state two effects, on two subdomains")
-
-
-def _points(body: Discretisation, on: Sequence[str]) -> tuple[Place, Place]:
-    """Points that integrate squares of strains, of a degree less than u; those of elasticity."""
-    exact = body.place("on", on)
-    if not isinstance(exact.basis, skfem.CellBasis):
-        raise InputError("on: name subdomains, or 'body', not boundaries")
-    d, element, cells, rule = body.mesh.dim(), body.basis.elem, exact.basis.tind, None
-    if body.scalar.elem.maxdeg == 1:
-        rule = centroid(d)
-    basis = skfem.CellBasis(body.mesh, element, elements=cells, intorder=2, quadrature=rule)
-    return exact._replace(basis=basis), exact
 
 
 def _moduli(body: Discretisation, place: Place, elasticity: Elasticity) -> list[Array]:
@@ -192,24 +178,15 @@ def _strains(
     for phi in basis.basis:
         g = np.asarray(phi[0].grad)
         if body.components == 1:
-            rows = g / np.sqrt(2)
+            rows = list(g / np.sqrt(2))
         else:
             trace = g[0, 0] + g[1, 1]
             zz = g[2, 2] if d == 3 else 0.0 * trace
             if body.kind == "plane stress":
                 zz = -lam / (lam + 2 * mu) * trace
             shear = [(g[i, j] + g[j, i]) / np.sqrt(2) for i in range(d) for j in range(i)]
-            trace = np.broadcast_to(trace, basis.dx.shape)
-            deviators = [(g[0, 0] - g[1, 1]) / np.sqrt(2), (trace - 2 * zz) / np.sqrt(6)]
-            rows = np.array([np.broadcast_to(x, basis.dx.shape) for x in [*deviators, *shear]])
-        rows = np.broadcast_to(rows, (len(rows), *basis.dx.shape))
-        values.append(rows.transpose(1, 2, 0).ravel())
-    each = len(values[0]) // basis.dx.shape[0]
-    columns = np.repeat(basis.element_dofs, each, axis=1).ravel()
-    at = np.tile(np.arange(len(values[0])), len(values))
-    entries = (np.concatenate(values), (at, columns))
-    full = sp.csr_array(entries, shape=(len(values[0]), basis.N))
-    full = full if body.frame.T is None else full @ body.frame.T
-    selected = sp.csr_array(full[:, body.free])
-    weights = np.repeat((2 * mu * basis.dx).ravel(), each // basis.dx.shape[1])
-    return selected, sp.csr_array(selected.T @ sp.diags_array(weights) @ selected)
+            rows = [(g[0, 0] - g[1, 1]) / np.sqrt(2), (trace - 2 * zz) / np.sqrt(6), *shear]
+        values.append([np.broadcast_to(row, basis.dx.shape) for row in rows])
+    strains = body.rows(basis, values)
+    weights = np.repeat((2 * mu * basis.dx).ravel(), len(values[0]))
+    return strains, sp.csr_array(strains.T @ sp.diags_array(weights) @ strains)

@@ -14,8 +14,8 @@ import skfem
 
 from sweepopt.errors import InputError
 
-MOST_TRIANGLES = 10_000_000
-"""Of a refined mesh: ten times those of the largest runs that were measured."""
+MOST_CELLS = 10_000_000
+"""Of a mesh that is refined or made: ten times those of the largest runs that were measured."""
 CELLS = {1: "intervals", 2: "triangles", 3: "tetrahedra"}
 
 
@@ -29,11 +29,11 @@ def refined(mesh: skfem.Mesh, times: int) -> skfem.Mesh:
     """
     if not times:
         return mesh
-    most = max(int(np.log2(MOST_TRIANGLES / mesh.nelements) / mesh.dim()), 0)
+    most = max(int(np.log2(MOST_CELLS / mesh.nelements) / mesh.dim()), 0)
     if times > most:
         raise InputError(
             f"refinements: {times} of {mesh.nelements} {CELLS[mesh.dim()]} make more than "
-            f"{MOST_TRIANGLES:.0e} of them; take at most {most}"
+            f"{MOST_CELLS:.0e} of them; take at most {most}"
         )
     if not isinstance(mesh, skfem.MeshTri2):
         return mesh.refined(times)

@@ -17,12 +17,13 @@ from sweepopt.checks import choice, listed, number
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Contact, Yield, dissipation, merged
 from sweepopt.fem.effects import Contribution, Effect, Eigenstrain, Force, Friction
+from sweepopt.fem.initial import Initial
 from sweepopt.fem.plasticity import Plasticity, with_elasticity
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.integrate import schemes
 from sweepopt.loads import History, Separable
 from sweepopt.problem import EvolutionVI, SweepingProcess
-from sweepopt.sets import MovingSet, Point
+from sweepopt.sets import ConvexSet, MovingSet, Point, StateDependent
 from sweepopt.velocity import solvers
 
 if TYPE_CHECKING:
@@ -148,14 +149,7 @@ def antiplane(
     effects: Sequence[Effect],
     element: str = "P1",
     refinements: int = 0,
-    u0: ArrayLike | None = None,
-    t_end: float | None = None,
-    steps: int | None = None,
-    scheme: str = "auto",
-    solver: str = "auto",
-    tol: float = 1e-6,
-    units: str = "dimensionless",
-    title: str = "",
+    **settings: Any,
 ) -> Scene:
     """Antiplane shear of a section: u(x, t) is the displacement out of its plane.
 
@@ -170,10 +164,8 @@ def antiplane(
     element : {"P1", "P2"}
     refinements : int
         How often each triangle of the mesh is divided into four.
-    u0 : array_like of shape (dim,), optional
-        Initial values of the unknowns; zero by default.
-    t_end, steps, scheme, solver, tol, units, title
-        Kept in the scene. Histories must cover [0, t_end].
+    **settings
+        u0, t_end, steps, scheme, solver, tol, units, title: as for `body`.
 
     Returns
     -------
@@ -198,13 +190,13 @@ def antiplane(
     ('no elasticity: B is not formed', 'no load: f = 0')
     """
     space = Discretisation(mesh, clamped, element, refinements)
-    return body(space, effects, u0, t_end, steps, scheme, solver, tol, units, title)
+    return body(space, effects, **settings)
 
 
 def body(
     space: Discretisation,
     effects: Sequence[Effect],
-    u0: ArrayLike | None = None,
+    u0: ArrayLike | Initial | None = None,
     t_end: float | None = None,
     steps: int | None = None,
     scheme: str = "auto",
@@ -220,8 +212,10 @@ def body(
     space : Discretisation
     effects : sequence of Effect
         Of each kind as many as there are; A from viscosity or dashpots is asked for.
-    u0, t_end, steps, scheme, solver, tol, units, title
-        As for `antiplane`.
+    u0 : array_like of shape (dim,) or Initial, optional
+        Initial values of the unknowns, or where they are from; zero by default.
+    t_end, steps, scheme, solver, tol, units, title
+        Kept in the scene. Histories must cover [0, t_end].
 
     Returns
     -------
@@ -258,7 +252,7 @@ def method(scheme: str = "auto", solver: str = "auto", tol: float = 1e-6) -> dic
 def build(
     space: Discretisation,
     effects: Mapping[str, Effect],
-    u0: ArrayLike | None,
+    u0: ArrayLike | Initial | None,
     settings: Mapping[str, Any],
 ) -> Scene:
     """A scene from effects by the label that errors shall give them."""
@@ -289,24 +283,19 @@ def build(
             "nothing resists a motion"
         )
     A = sp.csc_array((size, size)) if A is None else A
-    _check_held(space, A, B)
-    kinds = {type(effect) for effect in effects.values()}
-    if space.kind == "plane stress" and {Plasticity, Eigenstrain} <= kinds:
+    held = A if B is None else A + B
+    if (point := space.loose_point(held[: space.dim, : space.dim])) is not None:
         raise InputError(
-            "effects: in plane stress an eigenstrain beside plasticity is not offered: the "
-            "deviator of the stress lacks the eigenstrain across the plane; take kind = 'solid'"
+            f"clamped: nothing holds the piece of the body with the point {point}; clamp part of "
+            "every piece, hold components, or give it a foundation or a dashpot (a must be "
+            "coercive)"
         )
-    if lifts:
-        bound = any(one.rows.where == "gradient" or one.shape != "ball" for one in yields)
-        if bound or size > space.dim:
-            raise InputError(
-                "effects: with a prescribed displacement there is no yield stress, one-way "
-                "velocity, Maxwell branch or plasticity, which would see it; drive the body by "
-                "a traction"
-            )
-        _check_rubs(space, yields, lifts)
-        loads += _lifted(space, effects, parts, lifts)
+    _check_together(space, effects, yields, lifts, internal=size > space.dim)
+    loads += _lifted(space, effects, parts, lifts) if lifts else []
     force = _force(loads, size)
+    if isinstance(u0, Initial):
+        with at_path("initial"):
+            u0 = u0.state(space, fields, size)
     problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
     terms = {
         "no elasticity: B is not formed": B is not None,
@@ -324,6 +313,29 @@ def build(
         yields=tuple(yields),
         **settings,
     )
+
+
+def _check_together(
+    space: Discretisation,
+    effects: Mapping[str, Effect],
+    yields: Sequence[Yield],
+    lifts: Sequence[Any],
+    internal: bool,
+) -> None:
+    """Refuse effects that do not go with one another."""
+    kinds = {type(effect) for effect in effects.values()}
+    if space.kind == "plane stress" and {Plasticity, Eigenstrain} <= kinds:
+        raise InputError(
+            "effects: in plane stress an eigenstrain beside plasticity is not offered: the "
+            "deviator of the stress lacks the eigenstrain across the plane; take kind = 'solid'"
+        )
+    bound = any(one.rows.where == "gradient" or one.shape != "ball" for one in yields)
+    if lifts and (bound or internal):
+        raise InputError(
+            "effects: with a prescribed displacement there is no yield stress, one-way velocity, "
+            "Maxwell branch or plasticity, which would see it; drive the body by a traction"
+        )
+    _check_rubs(space, yields, lifts)
 
 
 def _check_rubs(space: Discretisation, yields: Sequence[Yield], lifts: Sequence[Any]) -> None:
@@ -353,12 +365,16 @@ def _problem(
     fields: dict[str, slice],
 ) -> EvolutionVI | SweepingProcess:
     """The variational inequality, or the process where bounds move."""
-    if not any(callable(one.g) for one in yields):
+    slipping = [one.lipschitz for one in yields if one.slip is not None]
+    if not slipping and not any(callable(one.g) for one in yields):
         D = dissipation(yields) if yields else None
         return EvolutionVI(A, B, load=force, dissipation=D, u0=u0, fields=fields)
-    size = A.shape[0]
-    shapes = MovingSet(lambda t: -dissipation(yields, t), size)
-    C = shapes if force is None else MovingSet(lambda t: shapes.at(t) + force(t), size)
+
+    def at(t: float, u: NDArray[np.float64] | None = None) -> ConvexSet:
+        C = -dissipation(yields, t, u)
+        return C if force is None else C + force(t)
+
+    C = StateDependent(at, sum(slipping)) if slipping else MovingSet(at, A.shape[0])
     return SweepingProcess(A, B, C, u0, fields)
 
 
@@ -380,21 +396,23 @@ def _contribution(
 
 def _placed(dim: int, parts: Sequence[Contribution], size: int) -> list[Contribution]:
     """The parts on all unknowns: internal ones follow those of the body in order."""
+    if size == dim:
+        return list(parts)
     first, placed = dim, []
     for part in parts:
         at = np.concatenate([np.arange(dim), np.arange(first, first + part.internal)])
         first += part.internal
-        columns = sp.eye_array(size, format="csr")[at]
-
-        def both(M: Any, E: Any = columns) -> Any:
-            return None if M is None else sp.csc_array(E[: M.shape[0]].T @ M @ E[: M.shape[0]])
-
+        E = sp.eye_array(size, format="csr")[at]
+        A, B = (
+            None if M is None else sp.csc_array(E[: M.shape[0]].T @ M @ E[: M.shape[0]])
+            for M in (part.A, part.B)
+        )
         yields = [
-            replace(one, rows=replace(one.rows, E=one.rows.E @ columns[: one.rows.E.shape[1]]))
+            replace(one, rows=replace(one.rows, E=one.rows.E @ E[: one.rows.E.shape[1]]))
             for one in part.yields
         ]
-        placed.append(replace(part, A=both(part.A), B=both(part.B), yields=yields))
-    return placed if size > dim else list(parts)
+        placed.append(replace(part, A=A, B=B, yields=yields))
+    return placed
 
 
 def _sum(parts: Sequence[Contribution], name: str) -> sp.csc_array | None:
@@ -421,12 +439,11 @@ def _rate(history: History) -> Callable[[float], float]:
     """phi'(t), from the left where it jumps."""
 
     def rate(t: float) -> float:
-        before = history.breakpoints(0.0, t) if t > 0 else np.empty(0)
-        start = float(before[-1]) if before.size else 0.0
-        after = history.breakpoints(0.0, 1.0) if t <= 0 else np.empty(0)
-        piece = history.piece(start, t if t > 0 else float(after[0]) if after.size else 1.0)
+        end = t if t > 0 else float(next(iter(history.breakpoints(0.0, 1.0)), 1.0))
+        start = float(next(iter(history.breakpoints(0.0, end)[::-1]), 0.0))
+        piece = history.piece(start, end)
         s = t - piece.origin
-        slope = sum(k * c * s ** (k - 1) for k, c in enumerate(piece.polynomial) if k)
+        slope = float(np.polynomial.Polynomial(piece.polynomial).deriv()(s))
         return slope + sum(a * w * float(np.cos(w * s + p)) for a, w, p in piece.waves)
 
     return rate
@@ -454,46 +471,6 @@ def _lifted(
             force = -np.asarray(space.restrict((matrix[: d.size, : d.size] @ d)[: d.size]))
             terms.append((_rate(history) if name == "A" else history, force))
     return terms
-
-
-def _check_held(space: Discretisation, A: Any, B: Any) -> None:
-    """Refuse a piece of the body that can move without any force.
-
-    Of each piece the motions are taken that strain nothing (translations, and rotations of
-    vectors), and A + B on those that are not held.
-    """
-    M = A if B is None else A + B
-    cells, size = space.scalar.element_dofs, space.scalar.N
-    rows = np.repeat(cells[:1], len(cells), axis=0).ravel()
-    graph = sp.coo_array((np.ones(rows.size), (rows, cells.ravel())), shape=(size, size))
-    count, piece = sp.csgraph.connected_components(graph, directed=False)
-    d, points = space.components, space.points
-    for k in range(count):
-        nodes = np.flatnonzero(piece == k)
-        x = points[nodes] - points[nodes].mean(axis=0)
-        x = x / (np.abs(x).max() or 1.0)
-        modes = [np.where(np.arange(d)[:, None] == i, 1.0, np.zeros(len(x))) for i in range(d)]
-        for i in range(d):
-            for j in range(i):
-                turn = np.zeros((d, len(x)))
-                turn[i], turn[j] = x[:, j], -x[:, i]
-                modes.append(turn)
-        full = np.zeros((space.basis.N, len(modes)))
-        for column, mode in zip(full.T, modes, strict=True):
-            column[space.nodes[:, nodes]] = mode
-        T = space.frame.T
-        full = full if T is None else T.T @ full
-        free = full[space.free]
-        held = np.delete(full, space.free, axis=0)
-        scale = np.abs(M[: space.dim, : space.dim]).max() or 1.0
-        gram = held.T @ held + free.T @ (M[: space.dim, : space.dim] @ free) / scale
-        if np.linalg.eigvalsh(gram)[0] <= 1e-12 * len(x):
-            place = ", ".join(f"{value:g}" for value in points[nodes[0]])
-            raise InputError(
-                f"clamped: nothing holds the piece of the body with the point ({place}); clamp "
-                "part of every piece, hold components, or give it a foundation or a dashpot (a "
-                "must be coercive)"
-            )
 
 
 @contextmanager

@@ -14,45 +14,33 @@ from typing import Any, NamedTuple
 
 from sweepopt.checks import choice, count, listed, number
 from sweepopt.errors import InputError, shown
+from sweepopt.fem import effects
 from sweepopt.fem.changes import changed, remaining
-from sweepopt.fem.effects import (
-    BodyForce,
-    Dashpot,
-    Eigenstrain,
-    Elasticity,
-    Foundation,
-    Friction,
-    MaxwellBranch,
-    OneWay,
-    PointForce,
-    PrescribedDisplacement,
-    Traction,
-    Viscosity,
-    YieldStress,
-)
 from sweepopt.fem.fields import Profile
+from sweepopt.fem.initial import Initial
 from sweepopt.fem.mesh import chain, grid
 from sweepopt.fem.plasticity import Plasticity
 from sweepopt.fem.scene import PICTURES, Scene, at_path, build, method
+from sweepopt.fem.slip_laws import SlipTable, SlipWeakening
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.io import as_path, find_scene, parse_toml, read_toml
 from sweepopt.loads import Constant, Sine, Table, Triangle, check_points
 
 EFFECTS: dict[str, type] = {
-    "viscosity": Viscosity,
-    "elasticity": Elasticity,
-    "dashpot": Dashpot,
-    "foundation": Foundation,
-    "friction": Friction,
+    "viscosity": effects.Viscosity,
+    "elasticity": effects.Elasticity,
+    "dashpot": effects.Dashpot,
+    "foundation": effects.Foundation,
+    "friction": effects.Friction,
     "plasticity": Plasticity,
-    "body_force": BodyForce,
-    "traction": Traction,
-    "point_force": PointForce,
-    "prescribed_displacement": PrescribedDisplacement,
-    "eigenstrain": Eigenstrain,
-    "yield_stress": YieldStress,
-    "one_way": OneWay,
-    "maxwell": MaxwellBranch,
+    "body_force": effects.BodyForce,
+    "traction": effects.Traction,
+    "point_force": effects.PointForce,
+    "prescribed_displacement": effects.PrescribedDisplacement,
+    "eigenstrain": effects.Eigenstrain,
+    "yield_stress": effects.YieldStress,
+    "one_way": effects.OneWay,
+    "maxwell": effects.MaxwellBranch,
 }
 """Effects by the name of their table in a scene file."""
 
@@ -66,6 +54,7 @@ class _File(NamedTuple):
     domain: Any
     time: Any
     effects: Any
+    initial: Any = {}  # noqa: RUF012
     solve: Any = {}  # noqa: RUF012
     title: str = ""
     units: str = "dimensionless"
@@ -123,6 +112,8 @@ def read_scene(
         [time]
         end = 10.0
         steps = 400
+        [initial]                       # optional: the displacement at t = 0
+        u = "0.1 * x"                   # or run = "results/tube", where a run of the scene ended
         [solve]                         # optional: scheme, solver, tol of sweepopt.solve
         [effects.viscosity]
         eta = { core = 1.0, sleeve = 0.2 }
@@ -131,6 +122,7 @@ def read_scene(
         [effects.friction]
         on = "contact"
         g = 0.3
+        slip = { distance = 0.01, residual = 0.4 }    # or { at = [...], values = [...] }, optional
         [[effects.traction]]            # a table, several, or [effects.traction.NAME]
         on = "outer"
         history = { csv = "loads.csv", column = "f2" }
@@ -158,7 +150,7 @@ def read_scene(
     for name in pictures:
         choice("pictures", name, PICTURES)
     tables = effect_tables(file.effects)
-    effects = {
+    chosen = {
         label: _called(*tables[label], label, folder) for label in remaining(list(tables), without)
     }
     body = _called(Discretisation, file.domain, "domain", folder)
@@ -169,7 +161,7 @@ def read_scene(
     )
     for kind, table, path in ((_time, file.time, "time"), (method, file.solve, "solve")):
         settings |= _called(kind, table, path, folder)
-    return build(body, effects, None, settings)
+    return build(body, chosen, _called(Initial, file.initial, "initial", folder), settings)
 
 
 def load_scene(
@@ -208,10 +200,13 @@ def _value(key: str, value: Any, path: str, folder: Path) -> Any:
     """A value of a table: files are relative to the folder, tables become records."""
     if key == "mesh" and isinstance(value, Mapping):
         return _called(chain if "nodes" in value else grid, value, path, folder)
-    if key in ("mesh", "csv"):
+    if key in ("mesh", "csv", "run"):
         return folder / as_path(path, value)
     if key in ("history", "moved"):
         return _history(value, path, folder)
+    if key == "slip":
+        law = SlipTable if isinstance(value, Mapping) and "at" in value else SlipWeakening
+        return _called(law, value, path, folder)
     if isinstance(value, Mapping) and "along" in value:
         return _called(Profile, value, path, folder)
     return value
@@ -221,7 +216,7 @@ def effect_tables(tables: Any) -> dict[str, tuple[type, Any]]:
     """Kinds and tables of the effects by their path."""
     if not isinstance(tables, Mapping):
         raise InputError(f"effects: must be a table, got {shown(tables)}")
-    effects: dict[str, tuple[type, Any]] = {}
+    kinds: dict[str, tuple[type, Any]] = {}
     for name, table in tables.items():
         path = f"effects.{name}"
         if name not in EFFECTS:
@@ -231,8 +226,8 @@ def effect_tables(tables: Any) -> dict[str, tuple[type, Any]]:
             several = {f"{path}[{k}]": one for k, one in enumerate(table)}
         elif _are_named(EFFECTS[name], table):
             several = {f"{path}.{key}": one for key, one in table.items()}
-        effects |= {label: (EFFECTS[name], one) for label, one in several.items()}
-    return effects
+        kinds |= {label: (EFFECTS[name], one) for label, one in several.items()}
+    return kinds
 
 
 def _are_named(kind: type, table: Any) -> bool:

@@ -13,6 +13,7 @@ import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import combinations
 from math import factorial
 from typing import Any, NamedTuple
 
@@ -203,21 +204,51 @@ class Discretisation:
 
     def with_turned(self, names: Sequence[str]) -> Discretisation:
         """The same with the unknowns of more boundaries turned."""
-        other = copy.copy(self)
-        for name in ("frame", "free"):
-            other.__dict__.pop(name, None)
-        object.__setattr__(other, "turned", tuple(dict.fromkeys([*self.turned, *names])))
-        return other
+        return self._with(turned=tuple(dict.fromkeys([*self.turned, *names])))
 
     def released(self) -> Discretisation:
         """The same with nothing held or turned."""
+        return self._with(clamped=(), held={}, turned=())
+
+    def _with(self, **fields: Any) -> Discretisation:
+        """The same with other unknowns."""
         other = copy.copy(self)
         for name in ("frame", "free"):
             other.__dict__.pop(name, None)
-        nothing: dict[str, Any] = {"clamped": (), "held": {}, "turned": ()}
-        for name, value in nothing.items():
-            object.__setattr__(other, name, value)
+        other.__dict__.update(fields)
         return other
+
+    def loose_point(self, M: Any) -> str | None:
+        """A point of a piece of the body that a matrix of the unknowns does not hold, if any.
+
+        Of each piece the motions are taken that strain nothing (translations, and rotations of
+        vectors), and M on those that are not held.
+
+        Returns
+        -------
+        str or None
+            Such as "(0, 1)"; None where every piece is held.
+        """
+        cells, size, T = self.scalar.element_dofs, self.scalar.N, self.frame.T
+        rows = np.repeat(cells[:1], len(cells), axis=0).ravel()
+        graph = sp.coo_array((np.ones(rows.size), (rows, cells.ravel())), shape=(size, size))
+        count, piece = sp.csgraph.connected_components(graph, directed=False)
+        axes, scale = np.eye(self.components), np.abs(M).max() or 1.0
+        for k in range(count):
+            nodes = np.flatnonzero(piece == k)
+            x = self.points[nodes] - self.points[nodes].mean(axis=0)
+            x = x / (np.abs(x).max() or 1.0)
+            modes = [np.outer(axis, np.ones(len(x))) for axis in axes]
+            for i, j in combinations(range(self.components), 2):
+                modes.append(np.outer(axes[i], x[:, j]) - np.outer(axes[j], x[:, i]))
+            full = np.zeros((self.basis.N, len(modes)))
+            full[self.nodes[:, nodes]] = np.moveaxis(np.array(modes), 0, -1)
+            full = full if T is None else T.T @ full
+            free, held = full[self.free], np.delete(full, self.free, axis=0)
+            gram = held.T @ held + free.T @ (M @ free) / scale
+            if np.linalg.eigvalsh(gram)[0] <= 1e-12 * len(x):
+                return f"({', '.join(f'{value:g}' for value in self.points[nodes[0]])})"
+        return None
 
     def facet_nodes(self, facets: Indices) -> Indices:
         """Nodes of each facet; of an edge start, (middle,) end; shape (nodes of a facet, m)."""
@@ -342,23 +373,42 @@ class Discretisation:
                     values = values @ T if side else T.T @ values
         return sp.csr_array(values)[self.free][:, coarse.free]
 
-    def interpolate(self, function: Any) -> Array:
+    def interpolate(self, function: Any, name: str = "function") -> Array:
         """Nodal values of a function of x (shape (d, N)) at the unknowns, shape (dim,).
 
-        Of a vector the components, a sequence of data, or a function that returns all of them.
+        Of a vector the components, a list of data, or a function that returns all of them. The name
+        is what errors call it.
         """
         if self.components > 1 and callable(function):
             function = list(function(self.points.T))
-        data = [function] if self.components == 1 else function
-        full = np.zeros(self.basis.N)
-        for dofs, datum in zip(self.nodes, data, strict=True):
-            if isinstance(datum, np.ndarray):
-                full[dofs] = datum
-            else:
-                full[dofs] = Coefficient("function").values(datum, self.points.T, {})
+        coefficient, full = Coefficient(name), np.zeros(self.basis.N)
+        for dofs, datum in zip(
+            self.nodes, coefficient.parts(function, self.components), strict=True
+        ):
+            known = isinstance(datum, np.ndarray)
+            full[dofs] = datum if known else coefficient.values(datum, self.points.T, {})
         return np.asarray(self.restrict(full))
 
-    def place(self, what: str, on: Sequence[str], *, nodal: bool = False) -> Place:
+    def rows(self, basis: Any, values: Any) -> sp.csr_array:
+        """Rows of the unknowns' values at the points of a quadrature, point after point.
+
+        Parameters
+        ----------
+        values : array_like, shape (basis functions of a cell, rows of a point, cells, points)
+            What each basis function adds to each row.
+        """
+        values = np.asarray(values)
+        at = np.arange(values[0].size).reshape(*values.shape[2:], -1)
+        row = np.broadcast_to(np.moveaxis(at, -1, 0), values.shape)
+        column = np.broadcast_to(basis.element_dofs[:, None, :, None], values.shape)
+        entries = values.ravel(), (row.ravel(), column.ravel())
+        full = sp.csr_array(entries, shape=(at.size, basis.N))
+        full = full if self.frame.T is None else full @ self.frame.T
+        return sp.csr_array(full[:, self.free])
+
+    def place(
+        self, what: str, on: Sequence[str], *, nodal: bool = False, strains: bool = False
+    ) -> Place:
         """Where an effect acts: boundaries, subdomains, or all of the body ("body").
 
         Parameters
@@ -368,6 +418,9 @@ class Discretisation:
         on : sequence of str
         nodal : bool
             With the scalar element and a quadrature whose points are the nodes.
+        strains : bool
+            With one that integrates squares of strains in cells, of a degree less than u: of P1
+            elements the centroid.
         """
         basis, inside = self.scalar if nodal else self.basis, self.mesh.subdomains or {}
         element, cells = basis.elem, None
@@ -384,9 +437,11 @@ class Discretisation:
             )
             return Place(basis, groups, self.facet_nodes(facets))
         nodes = self.scalar.element_dofs
-        if nodal or cells is not None:
-            rule = self.rule(self.mesh.dim()) if nodal else None
-            order = 2 * self.scalar.elem.maxdeg + 2
+        if nodal or strains or cells is not None:
+            d, degree = self.mesh.dim(), self.scalar.elem.maxdeg
+            rule, order = self.rule(d) if nodal else None, 2 * degree + 2
+            if strains:
+                rule, order = centroid(d) if degree == 1 else None, 2
             basis = skfem.CellBasis(
                 self.mesh, element, elements=cells, intorder=order, quadrature=rule
             )
@@ -403,12 +458,10 @@ class Discretisation:
         """
         degree = self.scalar.elem.maxdeg
         if dimension == 1:
-            if self.mesh.dim() == 2:  # an edge: start, middle, end
-                return np.linspace([0.0], [1.0], degree + 1, axis=1), newton_cotes(degree)[
-                    0
-                ] / degree
-            points, weights = self.scalar.elem.doflocs.T, [[0.5, 0.5], [1 / 6, 1 / 6, 2 / 3]]
-            return points, np.array(weights[degree - 1])
+            points = np.linspace([0.0], [1.0], degree + 1, axis=1)
+            # on an edge start, middle, end; the cell of a mesh of intervals has its middle last
+            order = [0, degree, 1][: degree + 1] if self.mesh.dim() == 1 else slice(None)
+            return points[:, order], newton_cotes(degree)[0][order] / degree
         corners = np.eye(dimension, dimension + 1, 1)
         if degree == 1 or not dimension:
             return corners, np.full(dimension + 1, 1 / factorial(dimension + 1))

@@ -15,6 +15,7 @@ from sweepopt.integrate.exact import Trajectory
 from sweepopt.integrate.field import compatible_start, velocity_field
 from sweepopt.integrate.grid import (
     check_stability,
+    contraction,
     divided,
     evaluation_times,
     time_grid,
@@ -63,6 +64,7 @@ __all__ = [
     "combination",
     "compatible_start",
     "compensated_sum",
+    "contraction",
     "divided",
     "evaluation_times",
     "implicit_euler",

@@ -96,7 +96,7 @@ def velocity_field(
     def field(t: float, u: Any) -> np.ndarray:
         nonlocal solve
         t, u = instant("t", t), vector("u", u, process.dim)
-        C = process.C.at(t)
+        C = process.set_at(t, u)
         if solve is None:
             solve = compiled(t, C)
         z, _, relative, *_ = solve(u, C)
@@ -147,6 +147,7 @@ def compatible_start(process: SweepingProcess | EvolutionVI, t: float = 0.0) -> 
     array([0., 1.])
     """
     process, t = sweeping(process), instant("t", t)
+    process.refuse_state("compatible_start")
     K, u0 = process.kernel, process.u0
     if not K.shape[1]:
         return u0.copy()

@@ -29,6 +29,7 @@ def fingerprint(process: SweepingProcess, times: np.ndarray) -> dict[str, str]:
     loads = [load for load in (moving.center, moving.scale, moving.offsets) if load is not None]
     if moving.shape is None:
         C: list[Any] = [process.C.at(t) for t in some.tolist()]
+        C.append(getattr(process.C, "lipschitz", None))
     else:
         C = [moving.shape, *((load.terms, load.at(some)) for load in loads)]
     parts = {"A": process.A, "B": process.B, "u0": process.u0, "C(t)": C}

@@ -17,6 +17,8 @@ from sweepopt.velocity import Plan
 
 MOST = 10**8
 """Steps of one run: their times and statistics alone are gigabytes."""
+HALVINGS = 21
+"""Of a step, to look for one that is short enough: down to a millionth."""
 FADES = 0.25
 """A larger share of an error that comes back lasts for steps: sdirk2's is 0.21 at most."""
 
@@ -87,6 +89,30 @@ def check_stability(
             "or implicit-euler, or shorter steps",
             StabilityWarning,
         )
+
+
+def contraction(process: SweepingProcess, scheme: Scheme, mu: float) -> float:
+    """The largest of the stages of the longest step; refused where it is not below 1.
+
+    Raises
+    ------
+    UnstableStepError
+        Naming steps that are short enough, if there are any.
+    """
+    gamma = mu * max(row[-1] for row in scheme.a)
+    theta = process.contraction(gamma)
+    if theta < 1:
+        return theta
+    shorter = (mu / 2**k for k in range(1, HALVINGS) if process.contraction(gamma / 2**k) < 1)
+    remedy = next(
+        (f"take steps of at most {size:.3g}" for size in shorter),
+        "no shorter step helps, as B u alone does not hold against it and a body without viscosity "
+        "jumps: give viscosity, a stiffer body, or a C(t, u) that changes less with u",
+    )
+    raise UnstableStepError(
+        f"C(t, u) changes so much with the state that fixed-point iteration need not converge: its "
+        f"contraction is {theta:.3g}, not below 1; {remedy}"
+    )
 
 
 def _check_explicit(process: SweepingProcess, scheme: Scheme, mu: float, on_unstable: str) -> None:

@@ -49,6 +49,8 @@ class SolveOptions:
             mu = float(time_grid(self.t_end, self.steps)[1].max())
             return automatic(process, mu)
         scheme = choose(name, process.coercive)
+        if adaptive or scheme.exact:
+            process.refuse_state("Adaptive" if adaptive else "scheme 'exact'")
         if adaptive and not (process.coercive or process.rate_independent):
             raise InputError(
                 "Adaptive estimates errors where A is coercive or zero, here it is singular; give "

@@ -81,11 +81,16 @@ def program_of_stage(
             "other schemes count their stages from 0"
         )
     *weights, implicit = tableau.a[stage]
-    if stage:
-        members = process.check(t + mu * np.unique(tableau.c[:stage]))
-        plan = replace(make_plan(process, members, tableau, "auto", TOL), reduction=None)
-        earlier = replace(tableau, a=tableau.a[:stage], c=tableau.c[:stage])
-        before = Velocities(process, plan).stages(earlier, t, mu, u)
-        u = u + mu * combination(weights, before)
-    C = process.C.at(t + tableau.c[stage] * mu)
+    contraction = process.contraction(mu * implicit)
+    own, solved = u, stage + bool(contraction)  # the state of a set that depends on it
+    if solved:
+        members = process.check(t + mu * np.unique(tableau.c[:solved]))
+        plan = make_plan(process, members, tableau, "auto", TOL)
+        plan = replace(plan, reduction=None, contraction=contraction)
+        first = replace(tableau, a=tableau.a[:solved], c=tableau.c[:solved])
+        stages = Velocities(process, plan).stages(first, t, mu, u)
+        own = u + mu * combination(tableau.a[solved - 1], stages)
+        u = u + mu * combination(weights, stages[:stage]) if stage else u
+        own = own if contraction else u
+    C = process.set_at(t + tableau.c[stage] * mu, own)
     return StepProgram.of(matrix(process, mu * implicit), process.times_B(u), C)

@@ -29,7 +29,16 @@ from sweepopt.errors import (
 )
 from sweepopt.linalg import EPS, Factor, is_semidefinite, kernel, largest_ratio
 from sweepopt.problem.variation import Variation, jumps, variation
-from sweepopt.sets import AnySet, ConvexSet, Moving, MovingSet, Point, exchanged, image
+from sweepopt.sets import (
+    AnySet,
+    ConvexSet,
+    Moving,
+    MovingSet,
+    Point,
+    StateDependent,
+    exchanged,
+    image,
+)
 
 Nearest = Callable[[np.ndarray, ConvexSet], np.ndarray]
 PROPORTIONAL = 8 * EPS  # entries of B and rho A may differ by this share
@@ -67,7 +76,8 @@ class SweepingProcess:
     B : array_like or sparse, shape (dim, dim), or None
         Symmetric positive semidefinite; None leaves it out. A and B have no common kernel.
     C : ConvexSet or MovingSet
-        The constraint set, of dimension dim.
+        The constraint set, of dimension dim. A `StateDependent` one makes the problem
+        quasi-variational: the constraint is C(t, u(t)).
     u0 : array_like, shape (dim,)
     fields : dict of str to slice, optional
         Names of parts of u, ``{"u": slice(0, 8), "p": slice(8, 12)}``, for `Solution.field`.
@@ -101,8 +111,8 @@ class SweepingProcess:
             raise InputError(f"C must be a set or a moving set, got {type(C).__name__}")
         if C.dim != self.dim:
             raise InputError(f"C has dim {C.dim} but A has shape {self.A.shape}; they must agree")
-        self.C = C
         self.u0 = vector("u0", u0, self.dim)
+        self.C = C.starting_at(self.u0) if isinstance(C, StateDependent) else C
         self.fields = _checked_fields(fields or {}, self.dim)
         if self.B is not None and abs(self.B).max() == 0:
             self.B = None
@@ -140,7 +150,9 @@ class SweepingProcess:
                 return
             raise IndefiniteError(
                 "A + tau B must be positive definite for every tau > 0: on the common kernel of A "
-                "and B nothing determines the velocity; give these unknowns viscosity or elasticity"
+                "and B nothing determines the velocity, and a bounded C(t) does so only up to its "
+                "faces, where no certificate tells several velocities apart; give these unknowns "
+                "viscosity or elasticity, a little of it for an element that shall have none"
             ) from None
 
     def as_sweeping(self) -> SweepingProcess:
@@ -186,6 +198,45 @@ class SweepingProcess:
             return 1 + gamma * self.Lam
         return np.maximum(float(not self.rate_independent), gamma / self.time_scale)
 
+    def set_at(self, t: float, u: np.ndarray) -> ConvexSet:
+        """C(t), or C(t, u) where it depends on the state."""
+        return self.C.of(u).at(t) if isinstance(self.C, StateDependent) else self.C.at(t)
+
+    def contraction(self, gamma: float) -> float:
+        """By how much a set C(t, u + gamma z) that is z's own brings two velocities z together.
+
+        The iteration z -> the velocity of C(t, u + gamma z) contracts in |.|_M, M = A + gamma B, by
+        gamma times the largest eigenvalue of M^-1 L, L the Lipschitz matrix of C. It is 0 where C
+        does not depend on the state or the stage is explicit.
+        """
+        C = self.C
+        if not (isinstance(C, StateDependent) and gamma and abs(C.lipschitz).max()):
+            return 0.0
+        M = self.A if self.B is None else self.A + gamma * self.B
+        try:
+            metric = Factor(M, "A + gamma B")
+        except IndefiniteError:
+            raise InputError(
+                "C(t, u) depends on the state beside isotropic hardening alone, which leaves A + "
+                "gamma B singular: give kinematic hardening or a viscosity too"
+            ) from None
+        return gamma * largest_ratio(metric, C.lipschitz)
+
+    def refuse_state(self, what: str) -> None:
+        """Refuse what is known of a C(t) only that does not depend on the state.
+
+        Raises
+        ------
+        InputError
+            Naming it and what to use.
+        """
+        if isinstance(self.C, StateDependent):
+            raise InputError(
+                f"{what} needs a C(t) that does not depend on the state u: the normal cones of "
+                "C(t, u) are not monotone in u; take equal steps, and compare with a run of twice "
+                "as many"
+            )
+
     def times_B(self, u: np.ndarray) -> np.ndarray:
         """B u, zero where there is no B."""
         return np.zeros(self.dim) if self.B is None else self.B.dot(u)
@@ -203,6 +254,8 @@ class SweepingProcess:
         members = self.C.members(times)
         for _, C in members:
             _check_support(C)
+            if not C.certifiable:
+                self.refuse_state(f"{type(C).__name__}, which has no certificates,")
         for (_, before), (t, C) in pairwise(members):
             # a change of offsets is a finite one
             if before.distance_bound(C) == np.inf:
@@ -296,6 +349,7 @@ class SweepingProcess:
             If the distance of two members is not known: a polyhedron of dependent rows in more than
             one dimension whose offsets move, sets of different kinds.
         """
+        self.refuse_state("the variation of C(t)")
         times = vector("times", times)
         if times.size < 2 or not (np.diff(times) > 0).all():
             raise InputError("times must hold at least two strictly increasing times")

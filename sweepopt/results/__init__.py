@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from sweepopt.results.dataset import (
     NetCDFSink,
+    last_state,
     netcdf_bytes,
     software,
     solver_name,
@@ -19,6 +20,7 @@ __all__ = [
     "NetCDFSink",
     "Pass",
     "Solution",
+    "last_state",
     "netcdf_bytes",
     "refine",
     "software",

@@ -193,6 +193,26 @@ def netcdf_bytes(dataset: xr.Dataset) -> bytes:
     return content.getvalue()
 
 
+def last_state(path: Path, *names: str) -> dict[str, np.ndarray]:
+    """Those of the named variables that a run's NetCDF file has, at the last time.
+
+    Raises
+    ------
+    InputError
+        If it is no such file.
+    MissingExtraError
+        If xarray is not installed.
+    """
+    with brought_by("fem"):
+        import xarray
+    try:
+        with xarray.open_dataset(path, engine="h5netcdf") as run:
+            last = run.isel(time=-1)
+            return {name: last[name].values for name in names if name in last}
+    except Exception as error:  # h5py has no list of what it raises
+        raise InputError(f"{path} is no NetCDF file of a run ({error})") from error
+
+
 # ---- datasets -----------------------------------------------------------------------------------
 
 STATISTICS = {

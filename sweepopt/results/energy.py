@@ -42,7 +42,7 @@ def energy_of(process: SweepingProcess, t: np.ndarray, states: States) -> Energy
     powers = np.zeros((3, len(t)))  # viscous, friction, work; none before the start
     for i in range(len(mu)):
         z = states.velocity(i)
-        C = process.C.at(float(t[i] + 0.5 * mu[i]))
+        C = process.set_at(float(t[i] + 0.5 * mu[i]), states.u(i) + 0.5 * mu[i] * z)
         work = C.anchor @ z
         powers[:, i + 1] = z @ (process.A @ z), C.support(-z) + work, work
     stored = np.array([0.5 * u @ process.times_B(u) for u in map(states.u, range(len(t)))])

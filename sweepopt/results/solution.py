@@ -353,6 +353,7 @@ class Solution:
         >>> bound.guaranteed, 0 < bound < 3e-3
         (True, True)
         """
+        self.process.refuse_state("error_bound")
         if self.plan.cones:
             raise PathError(
                 "error_bound needs projections on C(t), which take seconds each for as many balls "
@@ -394,8 +395,9 @@ class Solution:
         times, values = self._inside(t), list[float]()
         for time, i in zip(times.ravel(), self._step_of(times).ravel().tolist(), strict=True):
             z = self.states.velocity(i)
-            force = self.process.A @ z + self.process.times_B(self(time))
-            values.append(measure(z, force, self.process.C.at(float(time))))
+            u = self(time)
+            force = self.process.A @ z + self.process.times_B(u)
+            values.append(measure(z, force, self.process.set_at(float(time), u)))
         return np.array(values).reshape(times.shape)
 
     def to_xarray(self) -> Dataset:

@@ -20,7 +20,7 @@ from sweepopt.sets.cvxpy_lock import in_turn
 from sweepopt.sets.ellipsoid import Ellipsoid
 from sweepopt.sets.facets import facets
 from sweepopt.sets.least_distance import least_distance
-from sweepopt.sets.moving import AnySet, Moving, MovingOffsets, MovingSet
+from sweepopt.sets.moving import AnySet, Moving, MovingOffsets, MovingSet, StateDependent
 from sweepopt.sets.operations import image, product
 from sweepopt.sets.polyhedra import HalfSpace, Polyhedron
 from sweepopt.sets.polytope import HULL, Polytope
@@ -52,6 +52,7 @@ __all__ = [
     "SecondOrderCone",
     "Selection",
     "Similar",
+    "StateDependent",
     "WholeSpace",
     "basis",
     "binary",

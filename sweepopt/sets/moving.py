@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import dimension, instant, number, vector
+from sweepopt.checks import dimension, instant, number, symmetric, vector
 from sweepopt.errors import InputError
+from sweepopt.linalg import is_semidefinite
 from sweepopt.loads import Constant, Separable, VectorTable
 from sweepopt.sets.aligned import Similar
 from sweepopt.sets.balls import Ball
@@ -222,6 +223,70 @@ class MovingOffsets(MovingSet):
     def __init__(self, shape: Any, offsets: Callable[[float], Any]) -> None:
         self.shape, self.offsets = shape, offsets
         super().__init__(lambda t: shape.with_offsets(offsets(t)), shape.dim)
+
+
+class StateDependent(MovingSet):
+    """C(t, u): a set that moves with time and with the state, in a quasi-variational problem.
+
+    Each stage of a scheme has the set at its own time and state. A scheme that is explicit in u
+    knows that state; an implicit one finds it by fixed-point iteration (MATH.md section 3).
+
+    Parameters
+    ----------
+    at : callable
+        (t, u) -> ConvexSet, always of the same dim.
+    lipschitz : array_like or sparse, shape (dim, dim)
+        L, symmetric positive semidefinite, which is taken on trust: for all t, states u, v and
+        directions y, z, with sigma the support function,
+        ``|sigma(C(t, u), y) - sigma(C(t, u), z) - sigma(C(t, v), y) + sigma(C(t, v), z)|`` is at
+        most ``|u - v|_L |y - z|_L``. For intervals [-g_k(u_k), g_k(u_k)] it is the diagonal matrix
+        of the Lipschitz constants of g_k.
+
+    Raises
+    ------
+    InputError
+        If `at` is no function, or L is not symmetric positive semidefinite.
+
+    Examples
+    --------
+    Friction that falls from 1 to 1/2 with the slip u:
+
+    >>> import numpy as np
+    >>> import sweepopt as so
+    >>> def friction(t, u):
+    ...     g = 0.5 + 0.5 * np.exp(-abs(u))
+    ...     return so.Box(t - g, t + g)
+    >>> C = so.StateDependent(friction, lipschitz=[[0.5]])
+    >>> process = so.SweepingProcess(A=[[1.0]], B=[[2.0]], C=C, u0=[0.0])
+    >>> sol = so.solve(process, t_end=2.0, steps=100)
+    >>> sol.plan.contraction < 0.01, round(float(sol.u[-1, 0]), 3)
+    (True, 0.317)
+    """
+
+    def __init__(self, at: Callable[[float, np.ndarray], ConvexSet], lipschitz: Any) -> None:
+        if not callable(at):
+            raise InputError(f"StateDependent needs (t, u) -> set; got {type(at).__name__}")
+        self._of_state, self.lipschitz = at, symmetric("lipschitz", lipschitz)
+        if abs(self.lipschitz).max() and not is_semidefinite(self.lipschitz):
+            raise InputError("lipschitz must be positive semidefinite; it has an eigenvalue < 0")
+        super().__init__(_without_state, self.lipschitz.shape[0])
+
+    def of(self, u: np.ndarray) -> MovingSet:
+        """The sets t -> C(t, u) of one state."""
+        return MovingSet(lambda t: self._of_state(t, u), self.dim)
+
+    def starting_at(self, u0: np.ndarray) -> StateDependent:
+        """The same, with C(t, u0) where no state is given."""
+        other = copy.copy(self)
+        other._at = lambda t: self._of_state(t, u0)
+        return other
+
+
+def _without_state(_: float) -> ConvexSet:
+    raise InputError(
+        "C(t, u) is no set without a state: what is added to it, or made of it, belongs into its "
+        "function of (t, u)"
+    )
 
 
 AnySet = ConvexSet | MovingSet

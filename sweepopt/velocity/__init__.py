@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sweepopt.velocity.certificate import Velocity, certify, certify_point
+from sweepopt.velocity.certificate import Velocity, certify, certify_point, of_fixed_point
 from sweepopt.velocity.compiled import (
     StateVelocity,
     VelocityOf,
@@ -54,5 +54,6 @@ __all__ = [
     "installed",
     "make_plan",
     "matrix",
+    "of_fixed_point",
     "untranslated",
 ]

@@ -274,6 +274,30 @@ def rated(z: np.ndarray, certificate: float, size: float, solver: str = "") -> V
     return Velocity(z, certificate, float(relative) if certificate else 0.0, solver)
 
 
+def of_fixed_point(
+    velocity: Velocity, before: Velocity, distance: float, contraction: float
+) -> Velocity:
+    """An iterate z of a fixed-point iteration T with a proof of its distance to the fixed point z*.
+
+    With c the certificate of z as T(z_before) and theta < 1 the contraction of T,
+    |z - z*| <= (theta |z - z_before| + c) / (1 - theta), as |T(z_before) - z*| <= theta (|z_before
+    - z| + |z - z*|). The work is that of both.
+    """
+    certificate, relative, total = velocity.certificate, velocity.relative, math.inf
+    if contraction < 1:
+        total = (contraction * distance + certificate) / (1 - contraction)
+    if certificate:  # the size that it was compared to
+        relative *= total / certificate
+    elif total:
+        relative = math.inf
+    return velocity._replace(
+        certificate=total,
+        relative=relative,
+        iterations=velocity.iterations + before.iterations,
+        attempts=velocity.attempts + before.attempts,
+    )
+
+
 def certify(M: Factor, q: np.ndarray, C: ConvexSet, z: np.ndarray) -> Velocity:
     """The velocity that C's normal pair near z makes of an approximate answer, with its proof.
 

@@ -109,6 +109,11 @@ class StateVelocity:
             return self.of_force(np.zeros_like(u), C)
         return self.of_force(self._B.dot(u), C, u)
 
+    def distance(self, z: np.ndarray, other: np.ndarray) -> float:
+        """|z - other|_M."""
+        difference = z - other
+        return math.sqrt(max(difference.dot(self._M.dot(difference)), 0.0))
+
     def of_force(self, q: np.ndarray, C: ConvexSet, u: np.ndarray | None = None) -> Velocity:
         """The z with -z in N_C(M z + q); u has q = B u, without it M and q are taken as exact."""
         if C.singleton:

@@ -62,6 +62,9 @@ class Plan:
         Whether `contact` are internal variables that leave the program, not the ones that it keeps.
     cones : bool
         Whether the set is one of balls on many sparse combinations of the unknowns.
+    contraction : float
+        Of a C(t, u): the largest factor by which fixed-point iteration brings the velocity of a
+        stage closer to that of its own state; 0 where nothing is iterated.
     """
 
     unknowns: int
@@ -75,6 +78,7 @@ class Plan:
     reduction: Reduction | None = None
     condensed: bool = False
     cones: bool = False
+    contraction: float = 0.0
 
     @property
     def path(self) -> str:
@@ -141,6 +145,10 @@ class Plan:
             f"solver              {solver}",
             f"tolerance           {self.tol:g} (relative certificate of each program)",
         ]
+        if self.contraction:
+            lines.append(
+                f"fixed point         C(t, u), iterated; contraction {self.contraction:.2g}"
+            )
         lines += [f"left out            {what}" for what in self.left_out]
         return "\n".join(lines)
 

@@ -1,0 +1,110 @@
+"""Where a body starts: at a displacement that is given in space, or where a run of it has ended."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sweepopt.errors import InputError
+from sweepopt.fem.effects import Record
+from sweepopt.fem.fields import Coefficient, Datum
+from sweepopt.fem.spaces import AXES, Discretisation
+from sweepopt.io import as_path
+from sweepopt.results import last_state
+
+DISPLACEMENT = Coefficient("u", vector=True)
+
+
+@dataclass(frozen=True)
+class Initial(Record):
+    """u0 of a scene: zero where nothing is given.
+
+    Parameters
+    ----------
+    u : number, formula, Profile or callable, optional
+        Displacement (m) at the start; of vectors a list, one for each of x, y and z. What is held
+        stays where it is held, internal unknowns start at zero.
+    run : str or Path, optional
+        Instead of u: a NetCDF file whose last state is taken. One of ``save="run.nc"`` or
+        `Solution.to_xarray` has all unknowns; the ``solution.nc`` of ``sweepopt run``, or its
+        folder, has displacements and is for bodies without internal unknowns.
+
+    Raises
+    ------
+    InputError
+        If both are given or a value is not finite; when used, if the file is no run of this body:
+        another number of unknowns, other fields or another mesh.
+
+    Examples
+    --------
+    >>> Initial(u="0.1 * x").u
+    '0.1 * x'
+    """
+
+    u: Datum | Sequence[Datum] | None = None
+    run: str | Path | None = None
+    data = (DISPLACEMENT,)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.u is not None and self.run is not None:
+            raise InputError("run: give u or run, not both")
+
+    def state(
+        self, space: Discretisation, fields: Mapping[str, slice], size: int
+    ) -> NDArray[np.float64]:
+        """u0 on all unknowns, shape (size,).
+
+        Parameters
+        ----------
+        fields : mapping of str to slice
+            What the unknowns are: "u", and internal ones.
+        """
+        u0 = np.zeros(size)
+        if self.u is not None:
+            u0[: space.dim] = space.interpolate(self.u, "u")
+        return u0 if self.run is None else _last_state(as_path("run", self.run), space, fields, u0)
+
+
+def _last_state(
+    path: Path, space: Discretisation, fields: Mapping[str, slice], u0: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The last state of a file, put into u0."""
+    path = path / "solution.nc" if path.is_dir() else path
+    try:
+        run = last_state(path, "u", "field", "displacement", *AXES)
+    except InputError as error:
+        raise InputError(f"run: {error}") from error
+    if "u" in run:
+        known = np.full(u0.size, "", dtype=object)
+        for name, part in fields.items():
+            known[part] = name
+        last, names = run["u"], run.get("field")
+        if last.shape != u0.shape or not (names is None or np.array_equal(names, known)):
+            raise InputError(
+                f"run: {path} has {last.size} unknowns of {_fields(names)}, the scene {u0.size} of "
+                f"{_fields(known)}; take a run of the same body and effects"
+            )
+        return last
+    points, last = [run[axis] for axis in AXES if axis in run], run.get("displacement", u0[:0])
+    if np.shape(points) != space.points.T.shape or not np.allclose(points, space.points.T):
+        raise InputError(f"run: {path} has the nodes of another mesh; take a run of this body")
+    if np.shape(last) != space.expand(u0[: space.dim]).shape:
+        raise InputError(f"run: {path} has displacements of another kind of body than {space.kind}")
+    if u0.size > space.dim:
+        raise InputError(
+            f"run: {path} has displacements only, and not {', '.join(list(fields)[1:])}; keep all "
+            'unknowns, with save="run.nc" of the solution, to go on from there'
+        )
+    u0[:] = space.interpolate(last if space.components == 1 else list(last.T))
+    return u0
+
+
+def _fields(names: Any) -> str:
+    """The fields in an array of names of unknowns."""
+    return "no fields" if names is None else ", ".join(dict.fromkeys(map(str, names)))
