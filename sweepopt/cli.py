@@ -90,6 +90,13 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--scheme", help=f"auto, {', '.join(schemes.SCHEMES)}")
     run.add_argument("--solver", help=f"auto, {', '.join(solvers.REGISTRY)}")
     run.add_argument("--tol", type=float, help="bound of each step's relative certificate")
+    run.add_argument(
+        "--animate",
+        nargs="?",
+        const="gif",
+        choices=("gif", "mp4"),
+        help="write an animation too, as a GIF or (by ffmpeg) an MP4",
+    )
     run.add_argument("--no-progress", action="store_true", help="no progress bar")
 
     effects = commands.add_parser("effects", help="what each effect of a scene costs")
@@ -161,7 +168,7 @@ def _study(chosen: argparse.Namespace) -> int:
 
 def _run(chosen: argparse.Namespace) -> int:
     _require("fem", "plot")
-    from sweepopt.fem import read_scene
+    from sweepopt.fem import pictures, read_scene, snapshots
     from sweepopt.fem.changes import parse_changes
     from sweepopt.fem.output import Report
 
@@ -169,6 +176,10 @@ def _run(chosen: argparse.Namespace) -> int:
     given = {name: getattr(chosen, name) for name in ("steps", "scheme", "solver", "tol")}
     scene = read_scene(path, changes=parse_changes(chosen.set), without=chosen.without)
     scene = replace(scene, **{name: value for name, value in given.items() if value is not None})
+    drawn = [f"{name}.png" for name in pictures.pictures_of(scene)]
+    if chosen.animate:
+        drawn.append(f"{pictures.animated(scene)}.{chosen.animate}")
+        snapshots.writer_of(Path(drawn[-1]))
     folder = chosen.out or Path("results") / path.stem
     folder.mkdir(parents=True, exist_ok=True)
     _announce(scene)
@@ -181,11 +192,11 @@ def _run(chosen: argparse.Namespace) -> int:
     if len(solution.steps):
         report = Report(scene, solution, name=path.stem, text=text, seconds=seconds)
         try:
-            files = _write(report, folder)
+            files = _write(report, folder, drawn)
         except OSError as error:  # a full disk: the run is not lost if there is another
             _say(f"{folder}: the results cannot be written there ({error.strerror or error})")
             folder, moved = Path(tempfile.mkdtemp(prefix=f"sweepopt-{path.stem}-")), True
-            files = _write(report, folder)
+            files = _write(report, folder, drawn)
         _conclude(report, folder, files)
     else:
         _say(f"no step was completed, nothing is written. {solution.message}")
@@ -215,17 +226,19 @@ def _announce(scene: Scene) -> None:
     print(replace(plan, left_out=scene.left_out), flush=True)
 
 
-def _write(report: Report, folder: Path) -> list[str]:
+def _write(report: Report, folder: Path, drawn: Sequence[str]) -> list[str]:
     """Write all files of a run; their names relative to the folder, the summary last."""
     from sweepopt.fem import output, pictures
 
     output.write_netcdf(report, folder / "solution.nc")
-    figures = {f"{name}.png": draw(report) for name, draw in pictures.drawn_of(report).items()}
-    for name, figure in figures.items():
-        with replacing(folder / name) as part:
-            figure.savefig(part)
+    for path in map(folder.joinpath, drawn):
+        if path.suffix != ".png":
+            pictures.animate(report, path, path.stem)
+            continue
+        with replacing(path) as part:
+            pictures.draw(report, path.stem).savefig(part)
     series = [path.relative_to(folder).as_posix() for path in output.write_vtu(report, folder)]
-    files = ["solution.nc", *figures, *series]
+    files = ["solution.nc", *drawn, *series]
     output.write_summary(report, folder, files)
     return [*files, output.SUMMARY]
 

@@ -19,6 +19,7 @@ import pytest
 import tqdm.auto
 import xarray as xr
 from meshes import annulus, write_msh
+from PIL import Image
 
 import sweepopt as so
 from sweepopt import cli
@@ -131,6 +132,21 @@ def test_a_second_run_replaces_the_first_whole(scene: Path) -> None:
     with xr.open_dataset(out / "solution.nc", engine="h5netcdf") as dataset:
         assert dataset.sizes["step"] == 4
     assert not list(out.rglob(".*"))
+
+
+@pytest.mark.usefixtures("scene")
+def test_an_animation_is_written_on_request_and_refused_before_the_run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("--steps", "3", "--animate") == 0
+    assert "displacement.gif" in summary_in(Path("out"))["files"]
+    with Image.open("out/displacement.gif") as shown:
+        assert getattr(shown, "n_frames") == 4  # noqa: B009
+    monkeypatch.setenv("PATH", "")
+    capsys.readouterr()
+    assert run("--steps", "3", "--animate", "mp4") == 2
+    assert "made by ffmpeg, which is not installed" in capsys.readouterr().err
+    assert not Path("out/displacement.mp4").exists()
 
 
 # ---- a run that does not end well -----------------------------------------------------------

@@ -28,6 +28,7 @@ HOMES = {
     "skfem": ("fem", "study"),
     "meshio": ("fem",),
     "matplotlib": ("fem", "plot", "study"),
+    "mpl_toolkits": ("fem",),
     "xarray": ("results",),
     "h5netcdf": ("results",),
     "tqdm": ("integrate",),

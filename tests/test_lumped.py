@@ -21,7 +21,6 @@ from sweepopt.fem import (
 )
 from sweepopt.fem import Friction as Rub
 from sweepopt.fem.output import Report
-from sweepopt.fem.pictures import drawn_of
 from sweepopt.io import find_scene, read_toml
 from sweepopt.loads import Table
 
@@ -107,8 +106,7 @@ def test_the_loop_of_the_scene_is_that_of_fifty_plays() -> None:
     for i, d in enumerate(np.interp(solution.t, points["t"], points["values"])):
         u = np.clip(u, d - r, d + r)
         assert np.abs(solution.u[i] - u).max() <= 1e-10
-    report = Report(scene, solution)
-    figure = drawn_of(report)["loop"](report)
+    figure = scene.plot(solution, "loop")
     force = figure.axes[0].lines[0].get_ydata()
     assert force.max() == pytest.approx(0.51, abs=1e-10)  # sum of the g_i: all slide at d = 1
 
@@ -192,7 +190,7 @@ def test_no_block_of_a_one_way_chain_goes_back() -> None:
 def test_the_map_of_slip_has_sticking_blocks_white() -> None:
     scene = read_scene(chain_data(20, 2.0, 40))
     report = Report(scene, scene.solve())
-    figure = drawn_of(report)["space_time"](report)
+    figure = scene.plot(report.solution, "space_time")
     shown = np.ma.asarray(figure.axes[0].collections[0].get_array()).reshape(20, 40)
     assert report.slip is not None
     assert np.array_equal(np.ma.getmaskarray(shown), report.slip.state.T == 0)

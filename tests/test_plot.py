@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.collections import QuadMesh
+from matplotlib.collections import PathCollection, QuadMesh, TriMesh
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from meshes import annulus, report_of, ring, square
@@ -18,17 +18,21 @@ import sweepopt as so
 from sweepopt import plot
 from sweepopt.fem import (
     BodyForce,
+    Discretisation,
     Elasticity,
     Friction,
     Scene,
     Traction,
     Viscosity,
     antiplane,
+    body,
+    grid,
     read_scene,
 )
 from sweepopt.fem.output import Report
-from sweepopt.fem.pictures import DRAWN, STATE_COLOURS, contact_figure, displacement_figure
+from sweepopt.fem.pictures import DRAWN, FIELDS, draw
 from sweepopt.fem.scene import PICTURES
+from sweepopt.fem.snapshots import STATE_COLOURS
 
 
 def half_ring() -> Scene:
@@ -53,8 +57,8 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def contact_drawn(panel: Any) -> tuple[np.ndarray, list[str]]:
-    """Points of the contact boundary and their colours: the uppermost collection."""
-    points = panel.collections[-1]
+    """Points of the contact boundary and their colours: the uppermost ones."""
+    points = [one for one in panel.collections if isinstance(one, PathCollection)][-1]
     return points.get_offsets(), [to_hex(colour) for colour in points.get_facecolors()]
 
 
@@ -62,17 +66,18 @@ def test_displacement_stick_slip_and_reversal_are_those_of_the_solution(
     run: Report, tmp_path: Path
 ) -> None:
     scene, solution, slip = run.scene, run.solution, run.slip
-    figure = displacement_figure(run)
+    figure = draw(run, "displacement")
     save(figure, tmp_path / "displacement.png")
     panels = [panel for panel in figure.axes if panel.get_title()]
-    times = [float(panel.get_title().split(" s, ")[0].removeprefix("t = ")) for panel in panels]
+    times = [float(panel.get_title().removeprefix("t = ").removesuffix(" s")) for panel in panels]
     assert 4 <= len(times) <= 6
     assert times[-1] == 6.0
     drawn = set()
     for panel, t in zip(panels, times, strict=True):
         i = round(10 * t)
         field = scene.discretisation.expand(solution.u[i])
-        np.testing.assert_allclose(panel.collections[0].get_array(), field)
+        drawn_field = next(one for one in panel.collections if isinstance(one, TriMesh))
+        np.testing.assert_allclose(drawn_field.get_array(), field)
         assert panel.get_aspect() == 1.0
         state = slip.state[max(i - 1, 0)]
         points, colours = contact_drawn(panel)
@@ -88,14 +93,14 @@ def test_displacement_stick_slip_and_reversal_are_those_of_the_solution(
 def test_the_shortest_runs_have_pictures(steps: int, tmp_path: Path) -> None:
     scene = half_ring()
     run = Report(scene, scene.solve(steps=steps))
-    displacement_figure(run).savefig(tmp_path / "displacement.png")
-    contact_figure(run).savefig(tmp_path / "contact.png")
+    draw(run, "displacement").savefig(tmp_path / "displacement.png")
+    draw(run, "contact").savefig(tmp_path / "contact.png")
 
 
 def test_a_body_at_rest_without_friction_has_a_picture(tmp_path: Path) -> None:
     mesh = square(3).scaled((5.0, 1.0))
     scene = antiplane(mesh, clamped="top", effects=[Viscosity(1.0)], t_end=1.0, steps=3)
-    figure = displacement_figure(report_of(scene))
+    figure = draw(report_of(scene), "displacement")
     figure.savefig(tmp_path / "displacement.png")
     assert not figure.legends
     assert figure.axes[0].yaxis.get_major_formatter()(0.5) == "0.5"
@@ -103,7 +108,7 @@ def test_a_body_at_rest_without_friction_has_a_picture(tmp_path: Path) -> None:
 
 def test_contact_histories_are_those_of_the_solution(run: Report, tmp_path: Path) -> None:
     slip = run.slip
-    figure = contact_figure(run)
+    figure = draw(run, "contact")
     save(figure, tmp_path / "contact.png")
     zone, moved, traction = figure.axes
     grid = next(item for item in zone.collections if isinstance(item, QuadMesh))
@@ -128,7 +133,7 @@ def test_several_boundaries_share_one_picture(tmp_path: Path) -> None:
     run = report_of(scene)
     # the shared corner counts once, the clamped one not at all
     np.testing.assert_allclose(run.slip.contact.arc, np.arange(10) / 5.0, atol=1e-12)
-    figure = contact_figure(run)
+    figure = draw(run, "contact")
     save(figure, tmp_path / "contact.png")
     zone, moved, _ = figure.axes
     assert zone.get_ylabel() == "arc length of bottom, left"
@@ -181,6 +186,20 @@ def test_missing_matplotlib_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_every_picture_that_a_scene_can_ask_for_is_drawn() -> None:
-    assert set(DRAWN) == set(PICTURES)
+    assert {*FIELDS, *DRAWN} == set(PICTURES)
     with pytest.raises(so.InputError, match=r"pictures must be one of .*contact.*'nonsense'"):
         read_scene({"pictures": ["nonsense"], "domain": {}, "time": {}, "effects": {}})
+
+
+def test_a_solid_is_drawn_deformed_and_a_picture_that_does_not_fit_is_refused() -> None:
+    box = grid([2.0, 1.0, 1.0], [2, 1, 1])
+    space = Discretisation(box, "back", kind="solid")
+    effects = [Viscosity(1.0), Elasticity(E=1.0, nu=0.3), Friction("front", g=0.01)]
+    scene = body(space, [*effects, Traction("right", so.Sine(0.1, 4.0), [1.0, 0.0, 0.0])])
+    solution = scene.solve(t_end=1.0, steps=2)
+    figure = scene.plot(solution, "surface")
+    assert figure.axes[0].name == "3d"
+    faces = next(one for one in figure.axes[0].collections if one.get_array() is not None)
+    assert len(faces.get_array()) == len(scene.discretisation.triangles)
+    with pytest.raises(so.InputError, match="pictures: flow needs a section with a yield stress"):
+        scene.plot(solution, "flow")

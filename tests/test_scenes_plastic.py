@@ -11,7 +11,6 @@ import pytest
 from sweepopt.errors import InputError
 from sweepopt.fem import Scene, read_scene
 from sweepopt.fem.output import Report, dataset_of, write_vtu
-from sweepopt.fem.pictures import drawn_of
 from sweepopt.io import find_scene, read_toml
 from sweepopt.results import Solution
 
@@ -121,8 +120,8 @@ def test_what_a_run_of_plasticity_leaves_names_the_plastic_strain(tmp_path: Any)
     assert dataset_of(report).plastic_strain.values == pytest.approx(strain)
     files = write_vtu(report, tmp_path)
     assert meshio.read(files[-1]).cell_data["plastic_strain"][0] == pytest.approx(strain[-1])
-    for draw in drawn_of(report).values():
-        assert draw(report).axes
+    for picture in scene.pictures:
+        assert scene.plot(sol, picture).axes
 
 
 def test_an_eigenstrain_beside_plasticity_is_refused_in_plane_stress() -> None:

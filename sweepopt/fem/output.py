@@ -30,10 +30,12 @@ if TYPE_CHECKING:
     from sweepopt.results import Energy, Solution
 
 SUMMARY = "summary.json"
-RESULTS = ("*.nc", "*.png", "vtu/*.series", "vtu/*.vtu")
+RESULTS = ("*.nc", "*.png", "*.gif", "*.mp4", "vtu/*.series", "vtu/*.vtu")
 """Files of a run; those that the summary lists are removed by the next run in the same folder."""
 MOST_VTU = 50
 """VTU files of a run: enough for a film, few enough for a large mesh."""
+VTK = {"P1": ("line", "triangle", "tetra"), "P2": ("line3", "triangle6", "tetra10")}
+"""Cells of VTK files on meshes of dimension 1, 2 and 3."""
 SI = {
     "time": "s",
     "length": "m",
@@ -153,13 +155,11 @@ def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:
 
 def largest(report: Report) -> dict[str, Any]:
     """The largest displacement, with its time and place."""
-    body, solution = report.scene.discretisation, report.solution
-    size = np.abs(solution.u[:, : body.dim])
-    if body.components > 1:
-        size = np.linalg.norm(body.expand(solution.u[:, : body.dim]), axis=2)
+    u = report.scene.displacement(report.solution)
+    size = np.abs(u) if u.ndim == 2 else np.linalg.norm(u, axis=2)
     when, where = np.unravel_index(int(np.argmax(size)), size.shape)
-    point = body.points[where if body.components > 1 else body.free[where]]
-    return {"value": size[when, where], "time": solution.t[when], "point": point}
+    point = report.scene.discretisation.points[where]
+    return {"value": size[when, where], "time": report.solution.t[when], "point": point}
 
 
 def write_summary(report: Report, folder: Path, files: Sequence[str]) -> None:
@@ -298,12 +298,14 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
         The series first.
     """
     solution, body = report.solution, report.scene.discretisation
-    cells, d = body.scalar.element_dofs.T, body.mesh.dim()
     u, velocity = report.scene.displacement(solution), report.scene.velocity(solution)
-    kind = (
-        ("line3", "triangle6", "tetra10") if body.element == "P2" else ("line", "triangle", "tetra")
-    )
-    mesh = meshio.Mesh(np.pad(body.points, ((0, 0), (0, 3 - d))), {kind[d - 1]: cells})
+
+    def in_space(x: np.ndarray) -> np.ndarray:  # ParaView's points and vectors are in space
+        return x if x.ndim == 1 else np.pad(x, ((0, 0), (0, 3 - x.shape[1])))
+
+    cells = body.scalar.element_dofs.T
+    kind = VTK[body.element][body.mesh.dim() - 1]
+    mesh = meshio.Mesh(in_space(body.points), {kind: cells})
     if body.mesh.subdomains:
         material = np.zeros(len(cells), dtype=np.int32)
         for k, members in enumerate(body.mesh.subdomains.values(), start=1):
@@ -313,11 +315,8 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     last, times = len(solution.steps), {}
     for i in [*range(0, last, -(-last // (MOST_VTU - 1))), last]:
-        mesh.point_data = {"displacement": u[i], "velocity": velocity[max(i - 1, 0)]}
-        if 1 < body.components < 3:  # ParaView's vectors have three components
-            mesh.point_data = {
-                name: np.pad(x, ((0, 0), (0, 3 - d))) for name, x in mesh.point_data.items()
-            }
+        fields = {"displacement": u[i], "velocity": velocity[max(i - 1, 0)]}
+        mesh.point_data = {name: in_space(x) for name, x in fields.items()}
         if strain is not None:
             mesh.cell_data["plastic_strain"] = [strain[i]]
         path = folder / f"step_{i:06d}.vtu"

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 UNITS = ("dimensionless", "SI")
 PICTURES = (
     "displacement",
+    "surface",
     "contact",
     "space_time",
     "profiles",
@@ -40,7 +41,7 @@ PICTURES = (
     "yielding",
     "loop",
 )
-"""What a scene can ask for; DRAWN of pictures.py draws it."""
+"""What a scene can ask for; pictures.py draws it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +141,49 @@ class Scene:
         names = ("t_end", "steps", "scheme", "solver", "tol")
         settings = {name: one for name in names if (one := getattr(self, name)) is not None}
         return solve(self.problem, **(settings | changes))
+
+    def plot(self, solution: Solution, picture: str = "") -> Any:
+        """A picture of a run, one of PICTURES; by default the first of those of `sweepopt run`.
+
+        Returns
+        -------
+        matplotlib Figure
+
+        Raises
+        ------
+        InputError
+            If the picture does not fit the scene.
+        """
+        from sweepopt.fem import output, pictures
+
+        names = [picture] if picture else pictures.pictures_of(self)
+        if not names:
+            raise InputError(f"picture: none fits the scene of itself; name one of {PICTURES}")
+        return pictures.draw(output.Report(self, solution), names[0])
+
+    def animate(self, solution: Solution, path: str | Path, picture: str = "") -> Path:
+        """Write a run as an animation of at most 40 frames.
+
+        Parameters
+        ----------
+        path : str or Path
+            A ``.gif``, or an ``.mp4``, which needs the program ffmpeg.
+        picture : str
+            One of "displacement", "surface", "flow", "yielding" and "arrows"; by default the first
+            of the scene's pictures that is one of them, else the first that fits.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        InputError
+            If the picture does not fit the scene, or ffmpeg is not there for an MP4.
+        """
+        from sweepopt.fem import output, pictures
+
+        return pictures.animate(output.Report(self, solution), path, picture)
 
 
 def antiplane(
