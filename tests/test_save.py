@@ -295,8 +295,8 @@ def test_memory_does_not_grow_with_the_steps_that_are_not_kept() -> None:
 
 
 def test_a_run_keeps_less_than_fifty_bytes_a_step() -> None:
-    _, grown = (traced(steps, slider())[0] for steps in (10, 10_000))
-    assert grown < 50 * 10_000
+    _, grown = (traced(steps, slider())[0] for steps in (10, 4_000))
+    assert grown < 50 * 4_000
 
 
 # ---- damage, and disks that are full ----
@@ -343,7 +343,7 @@ def test_flipped_bits_and_cut_files_are_named(tmp_path: Path) -> None:
     sol = so.solve(slider(), t_end=4.0, steps=500, save=file)
     whole, content = so.solve(slider(), t_end=4.0, steps=500), file.read_bytes()
     damaged = []
-    for _ in range(100):
+    for _ in range(40):
         flipped = bytearray(content)
         flipped[random.integers(len(content))] ^= 1 << int(random.integers(8))
         damaged += [bytes(flipped), content[: random.integers(len(content))]]
@@ -357,8 +357,8 @@ def test_flipped_bits_and_cut_files_are_named(tmp_path: Path) -> None:
         except so.CheckpointError as error:
             assert "run.nc is damaged" in str(error)  # noqa: PT017
             found += 1
-    assert found > 130
-    for _ in range(100):  # as users read it
+    assert found > 52
+    for _ in range(40):  # as users read it
         flipped = bytearray(content)
         flipped[random.integers(len(content))] ^= 1 << int(random.integers(8))
         file.unlink()

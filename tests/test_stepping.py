@@ -46,7 +46,7 @@ def parts(sol: so.Solution) -> list[int]:
     return [int(name.partition("/")[2] or 1) for name in sol.stats["solver"]]
 
 
-@pytest.mark.parametrize("scheme", ["implicit-euler", "midpoint", "trapezoid", "sdirk2"])
+@pytest.mark.parametrize("scheme", ["midpoint", "trapezoid"])
 def test_a_step_that_is_too_long_for_its_matrix_is_rescued(scheme: str) -> None:
     sol = so.solve(stiff(4e15), t_end=4.0, steps=4, scheme=scheme, on_unstable="ignore")
     assert sol.success
@@ -133,15 +133,14 @@ def test_unknowns_that_the_set_does_not_act_on_move_with_the_parts() -> None:
 # ---- bit for bit after a kill ----------------------------------------------------------------
 
 
-@pytest.mark.parametrize("solver", ["newton", "osqp"])
-def test_a_resumed_run_with_parts_is_the_whole_run(solver: str, tmp_path: Path) -> None:
-    how: dict[str, Any] = {"steps": 15, "t_end": 15.0, "scheme": "midpoint", "solver": solver}
+def test_a_resumed_run_with_parts_is_the_whole_run(tmp_path: Path) -> None:
+    how: dict[str, Any] = {"steps": 8, "t_end": 8.0, "scheme": "midpoint", "solver": "osqp"}
     how["on_unstable"] = "ignore"  # the last bit of u is a force of 1: it overshoots
-    whole = so.solve(stiff(4e15), checkpoint=so.Checkpoint(tmp_path / "a", steps=4), **how)
+    whole = so.solve(stiff(4e15), checkpoint=so.Checkpoint(tmp_path / "a", steps=3), **how)
     assert max(parts(whole)) > 1
     path = tmp_path / "b"
     with pytest.raises(Killed):
-        so.solve(stiff(4e15), checkpoint=so.Checkpoint(path, steps=4), callback=stopping(10), **how)
+        so.solve(stiff(4e15), checkpoint=so.Checkpoint(path, steps=3), callback=stopping(4), **how)
     assert same(so.resume(path, stiff(4e15)), whole)
 
 
