@@ -14,12 +14,12 @@ import sweepopt as so
 from sweepopt.study.problems import Spiral, problem
 
 DATA = Path(__file__).parent / "data"
-GRIDS = (101, 211, 503, 1009, 2003)
+GRIDS = (101, 211, 503, 1009)
 REFERENCE = json.loads((DATA / "reference_cases.json").read_text())["cases"]
 SETS = tuple(REFERENCE)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Case:
     """A reference case: its process, end time, exact values on grids, tabulated errors."""
 

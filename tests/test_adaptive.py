@@ -57,7 +57,7 @@ def test_the_tolerance_is_met(name: str) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "trapezoid", "sdirk2"])
-@pytest.mark.parametrize("name", ["S03", "P09", "V05"])
+@pytest.mark.parametrize("name", ["S03", "P09"])
 def test_every_scheme_meets_the_tolerance(name: str, scheme: str) -> None:
     tol = 1e-2 if scheme in ("catching-up", "implicit-euler") else 1e-4
     sol = run(name, so.Adaptive(tol), scheme=scheme, on_unstable="ignore")
@@ -124,8 +124,8 @@ SLOW = [
 @pytest.mark.parametrize(
     ("A", "scheme", "seeds"),
     [
-        (1.0, "midpoint", 12),
-        (0.0, "sdirk2", 12),
+        (1.0, "midpoint", 8),
+        (0.0, "sdirk2", 8),
         *(pytest.param(*each, 32, marks=pytest.mark.slow) for each in SLOW),
     ],
 )
@@ -137,8 +137,10 @@ def test_nine_of_ten_random_processes_meet_the_tolerance_and_none_is_far_from_it
     assert np.mean(errors <= FACTOR) >= 0.98
 
 
-@pytest.mark.parametrize("data", [True, False])
-@pytest.mark.parametrize(("periods", "B"), [(4, 1.0), (16, 0.01), (33, 1.0), (64, 0.01)])
+@pytest.mark.parametrize(
+    ("periods", "B", "data"),
+    [(4, 1.0, False), (16, 0.01, True), (16, 0.01, False), (33, 1.0, True), (64, 0.01, False)],
+)
 def test_a_sine_that_is_sampled_at_its_zeros_is_seen(periods: int, B: float, data: bool) -> None:
     wave = so.Sine(2.0, 8.0 / periods)
     load = so.Separable([(wave, [1.0])])
@@ -455,27 +457,30 @@ def test_states_that_are_too_large_to_be_kept_are_looked_at_a_few_at_a_time() ->
     assert sol.passes[-1].steps == one.passes[-1].steps
 
 
-PERIODIC = {
-    "data": lambda load: so.Moving(so.Box([-1], [1]), load),
-    "data in a set made of another": lambda load: -so.Moving(so.Box([-1], [1]), load),
-    "a function": lambda load: so.Moving(so.Box([-1], [1]), lambda t: load(t)),
-}
-
-
-@pytest.mark.parametrize("scheme", ["midpoint", "implicit-euler", "trapezoid", "sdirk2"])
-@pytest.mark.parametrize("kind", PERIODIC)
-def test_whole_numbers_of_periods_are_not_aliased(kind: str, scheme: str) -> None:
+@pytest.mark.parametrize("data", [True, False], ids=["data in a set made of another", "a function"])
+@pytest.mark.parametrize(
+    ("scheme", "ramp", "periods"), [("midpoint", 0.0, 40.0), ("sdirk2", 1.5, 80.0)]
+)
+def test_whole_numbers_of_periods_are_not_aliased(
+    scheme: str, ramp: float, periods: float, data: bool
+) -> None:
     wave, tol = so.Sine(3.0, period=1.0), 0.03
-    for ramp, periods in [(0.0, 40), (1.5, 80)]:
-        load = so.Separable([(wave, [1.0]), (so.Polynomial([0.0, ramp]), [1.0])])
-        process = so.SweepingProcess([[0.5]], [[2.0]], PERIODIC[kind](load), [0.0])
-        known = so.SweepingProcess([[0.5]], [[2.0]], PERIODIC["data"](load), [0.0])
-        sol = so.solve(process, t_end=float(periods), steps=so.Adaptive(tol), scheme=scheme)
-        assert sol.success
-        sign = -1 if "another" in kind else 1
-        exact = so.solve(known, t_end=sol.t[-1], steps=1, scheme="exact").exact
-        assert exact is not None
-        assert np.sqrt(0.5) * np.abs(sign * sol.u - exact(sol.t)).max() <= FACTOR * tol
+    load, opposite = (
+        so.Separable([(wave, [sign]), (so.Polynomial([0.0, ramp]), [sign])]) for sign in (1.0, -1.0)
+    )
+    box = so.Box([-1], [1])
+    known, made, unknown = (
+        so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
+        for C in (
+            so.Moving(box, load),
+            -so.Moving(box, opposite),
+            so.Moving(box, lambda t: load(t)),
+        )
+    )
+    process = made if data else unknown
+    sol = so.solve(process, t_end=periods, steps=so.Adaptive(tol), scheme=scheme)
+    assert sol.success
+    assert error_of(sol, known) <= FACTOR * tol
 
 
 def test_a_history_of_a_user_that_has_no_period_is_a_function() -> None:

@@ -66,8 +66,8 @@ RUNS: dict[str, tuple[Callable[[], Any], dict[str, Any]]] = {
     "newton": (body, {"path": "eliminated", "solver": "newton", "save": "last"}),
     "two stages": (body, {"scheme": "sdirk2", "solver": "clarabel", "save": [1.0, 3.0]}),
     "balls": (balls, {"solver": "clarabel"}),
-    "polygon": (polygon, {"solver": "osqp", "t_end": 0.6}),
-    "uncertified": (free, {"steps": 24}),
+    "polygon": (polygon, {"solver": "osqp", "t_end": 0.6, "steps": 30}),
+    "uncertified": (free, {"steps": 12}),
     "set that is a function": (
         lambda: so.SweepingProcess(
             [[0.5]], [[2.0]], so.MovingSet(lambda t: so.Box([t], [3.0])), [0]
@@ -135,7 +135,7 @@ def test_a_resumed_run_is_the_whole_run(name: str, tmp_path: Path) -> None:
     assert whole.velocity.any()
     path = tmp_path / "b.npz"
     killed(path, name, 0)
-    for at in (8, 21):  # again and again
+    for at in (8, 10):  # again and again
         with pytest.raises(Killed):
             so.resume(path, arguments(name)[0], callback=stopping(at))
     resumed = so.resume(path, arguments(name)[0])
@@ -338,7 +338,7 @@ def test_300_bit_flips_are_detected_or_harmless(tmp_path: Path) -> None:
     assert detected > 250
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.999])
+@pytest.mark.parametrize("share", [0.0, 0.999])
 def test_a_damaged_checkpoint_gives_way_to_the_one_before_it(share: float, tmp_path: Path) -> None:
     process, settings, whole = finished(tmp_path, "full")
     path = tmp_path / "run.npz"

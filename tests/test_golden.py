@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import builtins
 import contextlib
-import csv
 import inspect
 import io
 import json
@@ -22,7 +21,6 @@ import warnings
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from functools import reduce
-from itertools import product
 from operator import getitem
 from pathlib import Path
 from typing import Any
@@ -33,7 +31,6 @@ import pytest
 
 pytest.importorskip("skfem")
 
-from cases import SETS, case
 from meshes import annulus, write_msh
 
 import sweepopt as so
@@ -213,66 +210,6 @@ def keys() -> Any:
     return {"scene": {**read, "effects": effects}, "unknown": refused}
 
 
-# ---- numbers ------------------------------------------------------------------------------------
-
-SCHEMES = ("catching-up", "implicit-euler", "midpoint", "trapezoid", "sdirk2")
-GRIDS = (101, 211, 503)
-
-
-def reference() -> Any:
-    """Errors and the observed order of each scheme on each reference case."""
-    found: dict[str, Any] = {}
-    for this, scheme in product(map(case, SETS), SCHEMES):
-        if scheme in this.errors:
-            runs = [
-                so.solve(this.process, t_end=this.t_end, steps=steps, scheme=scheme)
-                for steps in GRIDS
-            ]
-            errors = [this.error(run) for run in runs]
-            numbers = {str(steps): error for steps, error in zip(GRIDS, errors, strict=True)}
-            order = -np.polyfit(np.log(GRIDS), np.log(errors), 1)[0]
-            found[f"{this.name} {scheme}"] = {**numbers, "order": order}
-    return found
-
-
-HARD = "tol = 1e-9\nsolvers = ['auto']\ntrajectories = []\n"
-
-
-def hard_rows(settings: str) -> list[dict[str, str]]:
-    """The table of hard cases that `sweepopt study` writes at tol = 1e-9."""
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        (folder / "hard.toml").write_text(f"[hard]\n{HARD}{settings}")
-        code, said = called("study", str(folder / "hard.toml"), "--out", place)
-        assert code == 0, said
-        with (folder / "hard.csv").open(newline="") as file:
-            return list(csv.DictReader(file))
-
-
-def verdict(row: dict[str, str]) -> str:
-    """ "met", "refused", the name of an error, or what is wrong."""
-    return row["verdict"].partition(":")[0]
-
-
-def hard() -> Any:
-    """Which paths treat each family of hard cases, and how that ends."""
-    found: dict[str, dict[str, str]] = {}
-    for row in hard_rows("seeds = [1]\ncombinations = 0\n"):
-        found.setdefault(row["family"], {})[row["path"] or "any path"] = verdict(row)
-    return found
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(20))
-def test_no_combination_of_hard_things_gets_a_wrong_answer_or_too_small_a_certificate(
-    seed: int,
-) -> None:
-    rows = hard_rows(f"seeds = [{seed}]\ncombinations = 50\nfamilies = ['threshold']\n")
-    assert len({row["family"] for row in rows}) == 51
-    # at this tol a step may be refused where double precision does not carry its proof
-    assert {verdict(row) for row in rows} <= {"met", "refused", "StepError"}
-
-
 # ---- the run of the README ----------------------------------------------------------------------
 
 
@@ -319,8 +256,6 @@ FACES: dict[str, tuple[Callable[[], Any], float]] = {
     "api": (api, 0.0),
     "cli": (cli, 0.0),
     "keys": (keys, 0.0),
-    "reference": (reference, 0.03),
-    "hard": (hard, 0.0),
     "tube": (tube, 1e-6),
 }
 """What is written in each golden file and how far its numbers may be off, relatively."""

@@ -6,6 +6,7 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
@@ -47,8 +48,10 @@ class Import(NamedTuple):
     name: str
 
 
-def imports() -> Iterator[Import]:
+@cache
+def imports() -> list[Import]:
     """All imports of the package but those for annotations; the package's own face is left out."""
+    found = []
     for path in PACKAGE.rglob("*.py"):
         module, tree = (
             path.relative_to(PACKAGE).with_suffix("").as_posix(),
@@ -64,9 +67,10 @@ def imports() -> Iterator[Import]:
             if id(node) in typing or module == "__init__":
                 continue
             if isinstance(node, ast.Import):
-                yield from (Import(module, alias.name, "") for alias in node.names)
+                found += [Import(module, alias.name, "") for alias in node.names]
             elif isinstance(node, ast.ImportFrom) and node.module:
-                yield from (Import(module, node.module, alias.name) for alias in node.names)
+                found += [Import(module, node.module, alias.name) for alias in node.names]
+    return found
 
 
 def between_rooms() -> Iterator[tuple[str, str, Import]]:

@@ -36,7 +36,7 @@ def same(C: so.ConvexSet, D: so.ConvexSet) -> None:
     """Equal support functions and projections."""
     rng = np.random.default_rng(0)
     assert C.dim == D.dim
-    for z in rng.normal(size=(5, C.dim)):
+    for z in rng.normal(size=(3, C.dim)):
         np.testing.assert_allclose(C.support(z), D.support(z), atol=1e-7)
         np.testing.assert_allclose(C.project(4 * z), D.project(4 * z), atol=1e-12)
 

@@ -89,10 +89,9 @@ def test_displacement_stick_slip_and_reversal_are_those_of_the_solution(
     assert figure.axes[-1].yaxis.get_major_formatter()(2e-6) == "2 µm"
 
 
-@pytest.mark.parametrize("steps", [1, 2])
-def test_the_shortest_runs_have_pictures(steps: int, tmp_path: Path) -> None:
+def test_the_shortest_run_has_pictures(tmp_path: Path) -> None:
     scene = half_ring()
-    run = Report(scene, scene.solve(steps=steps))
+    run = Report(scene, scene.solve(steps=1))
     draw(run, "displacement").savefig(tmp_path / "displacement.png")
     draw(run, "contact").savefig(tmp_path / "contact.png")
 

@@ -39,9 +39,13 @@ def test_a_cone_enters_as_a_minkowski_sum_with_its_polar() -> None:
 
 
 @pytest.mark.parametrize(
-    "cone", [so.Orthant(2), so.SecondOrderCone(2), so.Polyhedron([[-1.0, 0.5], [0, -1]], [0, 0])]
+    ("cone", "dissipation"),
+    [
+        (so.Orthant(2), so.Ball([0, 0], 0.3)),
+        (so.SecondOrderCone(2), so.Box([-0.2, -0.1], [0.3, 0.4])),
+        (so.Polyhedron([[-1.0, 0.5], [0, -1]], [0, 0]), so.Ball([0, 0], 0.3)),
+    ],
 )
-@pytest.mark.parametrize("dissipation", [so.Box([-0.2, -0.1], [0.3, 0.4]), so.Ball([0, 0], 0.3)])
 def test_the_velocity_solves_the_variational_inequality_on_the_cone(
     cone: so.ConvexSet, dissipation: so.ConvexSet
 ) -> None:
@@ -55,7 +59,7 @@ def test_the_velocity_solves_the_variational_inequality_on_the_cone(
         sol = so.solve(vi, t_end=3.0, steps=60, scheme="implicit-euler")
     assert sol.success
     rng = np.random.default_rng(0)
-    tests = [cone.project(v) for v in rng.normal(size=(200, 2))]
+    tests = [cone.project(v) for v in rng.normal(size=(100, 2))]
     for i, z in enumerate(sol.velocity):
         assert np.linalg.norm(z - cone.project(z)) <= 1e-6
         force = A @ z + B @ sol.u[i + 1] - f(sol.t[i + 1])
@@ -126,7 +130,7 @@ def _random_motion(rng: np.random.Generator, dim: int) -> so.MovingSet:
 def test_the_a_priori_bound_is_above_the_velocity_of_random_processes() -> None:
     """|u'(t)|_A <= d(B u0, C(0)) + v(t) at every time; exact velocities at the nodes of a run."""
     rng, ratios = np.random.default_rng(3), []
-    for _ in range(40):
+    for _ in range(16):
         dim = int(rng.integers(1, 4))
         half, other = rng.normal(size=(2, dim, dim))
         A, B = half @ half.T + 0.1 * np.eye(dim), rng.choice([0.01, 1, 10]) * other @ other.T
@@ -178,7 +182,7 @@ def test_truncated_sets_move_at_most_eight_times_as_far() -> None:
     d_H near a y of D; on the way from y to a point of D & rho B it comes into the ball of radius r.
     """
     rng, worst = np.random.default_rng(0), 0.0
-    for _ in range(60):
+    for _ in range(30):
         dim, d = int(rng.integers(2, 4)), 10 ** rng.uniform(-3, 0)
         rho = 1.0
         G = rng.normal(size=(int(rng.integers(1, 4)), dim))

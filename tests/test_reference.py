@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from functools import cache
 
 import numpy as np
 import pytest
@@ -13,8 +14,11 @@ from sweepopt.integrate import SCHEMES, Scheme
 
 RUNS = [(name, scheme) for name in SETS for scheme in case(name).errors]
 SECOND_ORDER = ("midpoint", "trapezoid", "sdirk2")
+REFINED = ("S03", "S04", "V05", "P09", "B14", "B15", "M16", "E20")
+"""Cases whose orders are fitted, of every kind but the linear one; the others have their errors."""
 
 
+@cache
 def run(
     this: Case, steps: int, scheme: str, solver: object = "auto", tol: float = 1e-6
 ) -> so.Solution:
@@ -43,15 +47,16 @@ def test_a_scheme_is_a_triangular_tableau_that_does_not_amplify_stiff_errors(
 def test_errors_and_order_are_those_of_the_theory(name: str, scheme: str) -> None:
     this = case(name)
     errors = []
-    for steps in GRIDS:
-        sol = run(this, steps, scheme, "clarabel")
+    for steps in GRIDS if name in REFINED else GRIDS[:1]:
+        sol = run(this, steps, scheme)
         assert sol.success
         assert sol.stats["relative"].max() <= 1e-6
         errors.append(this.error(sol))
-    for steps in (101, 1009):
-        expected = this.errors[scheme][str(steps)]
-        margin = 0.03 if scheme in SECOND_ORDER else 0.02
-        assert errors[GRIDS.index(steps)] == pytest.approx(expected, rel=margin)
+        if expected := this.errors[scheme].get(str(steps)):
+            margin = 0.03 if scheme in SECOND_ORDER else 0.02
+            assert errors[-1] == pytest.approx(expected, rel=margin)
+    if name not in REFINED:
+        return
     order = -np.polyfit(np.log(GRIDS), np.log(errors), 1)[0]
     if this.process.rate_independent:
         assert scheme != "implicit-euler" or order >= 0.95
@@ -94,9 +99,7 @@ def test_clarabel_osqp_and_plain_cvxpy_agree_at_the_tolerance_they_carry(
     name: str, tol: float
 ) -> None:
     this = case(name)
-    solvers = [so.Clarabel(), so.Cvxpy("CLARABEL")]
-    if this.polyhedral:
-        solvers += [so.OSQP(), so.Cvxpy("OSQP")]
+    solvers = ["clarabel", "auto"] + ["osqp"] * this.polyhedral + ["cvxpy"] * (name == "P09")
     runs = [run(this, 101, "auto", solver, tol) for solver in solvers]
     # each step's velocity is within its certificate; errors in u grow at most by 1 + sqrt(Lam T)
     growth = 1.0 if this.process.rate_independent else 1 + np.sqrt(this.process.Lam * this.t_end)
@@ -122,27 +125,27 @@ def test_a_process_made_from_its_variational_inequality_gives_the_same_numbers(n
     assert np.array_equal(one.u, two.u)
 
 
-@pytest.mark.parametrize("name", ["S03", "S04", "V05", "P09", "B15"])
+@pytest.mark.parametrize("name", ["S04", "V05", "P09"])
 def test_the_viability_condition_is_met_to_first_order(name: str) -> None:
     this = case(name)
     times = np.linspace(0.01, 0.99, 600) * this.t_end
     distances = []
-    for steps in (101, 211, 503, 1009):
+    for steps in GRIDS:
         sol = run(this, steps, "implicit-euler")
         assert sol.viability().max() <= 1e-6 * np.abs(sol.velocity).max()
         distances.append(sol.viability(times).max())
-    order = -np.polyfit(np.log((101, 211, 503, 1009)), np.log(distances), 1)[0]
+    order = -np.polyfit(np.log(GRIDS), np.log(distances), 1)[0]
     assert order >= 0.8
     assert distances[-1] <= 0.1
 
 
-@pytest.mark.parametrize("name", ["S03", "P09", "V05", "B14"])
+@pytest.mark.parametrize("name", ["P09", "V05"])
 def test_dissipated_plus_stored_energy_is_the_work_done_to_first_order(name: str) -> None:
     this = case(name)
     imbalance = []
-    for steps in (101, 211, 503, 1009):
+    for steps in GRIDS:
         energy = run(this, steps, "implicit-euler").energy()
         assert (np.diff(energy.friction) >= -1e-12).all()
         imbalance.append(np.abs(energy.balance).max() / energy.work.max())
-    assert -np.polyfit(np.log((101, 211, 503, 1009)), np.log(imbalance), 1)[0] >= 0.9
+    assert -np.polyfit(np.log(GRIDS), np.log(imbalance), 1)[0] >= 0.9
     assert imbalance[-1] <= 0.05

@@ -39,8 +39,7 @@ def one_step(process: so.SweepingProcess, gamma: float, tol: float = 1e-9) -> so
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("name", SETS)
-@pytest.mark.parametrize("gamma", [0.0, 1 / 3])
-@pytest.mark.parametrize("seed", [9, 12])
+@pytest.mark.parametrize(("seed", "gamma"), [(9, 0.0), (12, 1 / 3)])
 def test_stiffness_of_1e10_costs_no_digits(seed: int, gamma: float, name: str, form: str) -> None:
     random = np.random.default_rng(seed)
     # the states that a stiff body comes to: large where it is soft, B u is small beside |B| |u|
@@ -169,7 +168,7 @@ def needle(seed: int) -> so.SweepingProcess:
 def test_certificates_on_needles_are_no_less_than_the_error() -> None:
     """Where slack is rounded 2 of these are below, by up to 2e12, and 4 have no support."""
     certified, mu = 0, 0.1
-    for seed in [*range(40), 92]:  # 92 is empty by the rounding of its rows
+    for seed in [*range(20), 92]:  # 92 is empty by the rounding of its rows
         process = needle(seed)
         try:
             run = so.solve(process, t_end=mu, steps=1, scheme="implicit-euler")
@@ -183,7 +182,7 @@ def test_certificates_on_needles_are_no_less_than_the_error() -> None:
         at_rest = 0.0 if run.velocity[0].any() else ROUNDING * exact.forces
         assert error <= run.stats["certificate"][0] + at_rest, seed
         certified += 1
-    assert certified >= 34
+    assert certified >= 17
 
 
 def test_the_support_function_of_a_needle_is_that_of_its_apex() -> None:

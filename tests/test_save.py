@@ -80,7 +80,7 @@ def test_a_function_records_every_step_and_sees_all_unknowns(path: str) -> None:
 @pytest.mark.parametrize("path", PATHS)
 def test_a_file_holds_what_memory_would(path: str, tmp_path: Path) -> None:
     this, file = large(10_000), tmp_path / "run.nc"
-    how: dict[str, Any] = {"t_end": 4.0, "steps": 250, "path": path}  # 100 steps are a block
+    how: dict[str, Any] = {"t_end": 4.0, "steps": 130, "path": path}  # 100 steps are a block
     whole, sol = so.solve(this, **how), so.solve(this, save=file, **how)
     assert list(tmp_path.iterdir()) == [file]
     assert np.array_equal(sol.u, whole.u)
@@ -295,8 +295,8 @@ def test_memory_does_not_grow_with_the_steps_that_are_not_kept() -> None:
 
 
 def test_a_run_keeps_less_than_fifty_bytes_a_step() -> None:
-    _, grown = (traced(steps, slider())[0] for steps in (10, 10_000))
-    assert grown < 50 * 10_000
+    _, grown = (traced(steps, slider())[0] for steps in (10, 4_000))
+    assert grown < 50 * 4_000
 
 
 # ---- damage, and disks that are full ----
@@ -306,33 +306,27 @@ import resource, sys
 sys.path.insert(0, {tests!r})
 resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
 import numpy as np, sweepopt as so, test_save
-process, settings = test_save.{process}, {settings}
-try:
-    so.solve(process, save={file!r}, **settings)
-except so.SaveError as error:
-    whole, sol = so.solve(process, **settings), error.solution
-    assert "run.nc cannot be written (File too large)" in str(error), error
-    assert np.array_equal(sol.u[1:], whole.u[sol.steps + 1])
-    print(len(sol.t), len(sol.stats))
+for process, settings in (
+    (test_save.slider(), {{"t_end": 40.0, "steps": 5000}}),
+    (test_save.large(10_000), {{"t_end": 4.0, "steps": 150, "path": "eliminated"}}),
+):
+    try:
+        so.solve(process, save={file!r}, **settings)
+    except so.SaveError as error:
+        whole, sol = so.solve(process, **settings), error.solution
+        assert "run.nc cannot be written (File too large)" in str(error), error
+        assert np.array_equal(sol.u[1:], whole.u[sol.steps + 1])
+        print(len(sol.t), len(sol.stats))
 """
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limits of files")
-@pytest.mark.parametrize(
-    ("process", "settings", "kept"),
-    [
-        ("slider()", {"t_end": 40.0, "steps": 5000}, "5001 5000"),
-        ("large(10_000)", {"t_end": 4.0, "steps": 150, "path": "eliminated"}, "2 1"),
-    ],
-)
-def test_a_full_disk_loses_nothing_that_is_in_memory_and_nothing_crashes(
-    process: str, settings: dict[str, Any], kept: str, tmp_path: Path
-) -> None:
+def test_a_full_disk_loses_nothing_that_is_in_memory_and_nothing_crashes(tmp_path: Path) -> None:
     tests, file = str(Path(__file__).parent), str(tmp_path / "run.nc")
-    code = FULL.format(tests=tests, process=process, settings=settings, file=file)
+    code = FULL.format(tests=tests, file=file)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.strip() == kept
+    assert done.stdout.split() == ["5001", "5000", "2", "1"]
     assert not list(tmp_path.iterdir())
 
 
@@ -343,7 +337,7 @@ def test_flipped_bits_and_cut_files_are_named(tmp_path: Path) -> None:
     sol = so.solve(slider(), t_end=4.0, steps=500, save=file)
     whole, content = so.solve(slider(), t_end=4.0, steps=500), file.read_bytes()
     damaged = []
-    for _ in range(100):
+    for _ in range(40):
         flipped = bytearray(content)
         flipped[random.integers(len(content))] ^= 1 << int(random.integers(8))
         damaged += [bytes(flipped), content[: random.integers(len(content))]]
@@ -357,8 +351,8 @@ def test_flipped_bits_and_cut_files_are_named(tmp_path: Path) -> None:
         except so.CheckpointError as error:
             assert "run.nc is damaged" in str(error)  # noqa: PT017
             found += 1
-    assert found > 130
-    for _ in range(100):  # as users read it
+    assert found > 52
+    for _ in range(40):  # as users read it
         flipped = bytearray(content)
         flipped[random.integers(len(content))] ^= 1 << int(random.integers(8))
         file.unlink()

@@ -28,11 +28,12 @@ def load(t: float) -> np.ndarray:
 
 
 @quiet
-@pytest.mark.parametrize("convert", [np.asarray, sp.csc_array])
-@pytest.mark.parametrize("scheme", IMPLICIT)
+@pytest.mark.parametrize(
+    ("scheme", "convert"), [*zip(IMPLICIT, (sp.csc_array, np.asarray, sp.csc_array), strict=True)]
+)
 def test_steps_are_those_of_a_dense_least_squares_problem(scheme: str, convert: Any) -> None:
     tableau = SCHEMES[scheme]
-    for seed in range(6):
+    for seed in range(4):
         A, B = random_pair(seed)
         C = so.Moving(so.Box(-0.5 * np.ones(5), 0.7 * np.ones(5)), load)
         process = so.SweepingProcess(convert(A), convert(B), C, np.zeros(5))
@@ -123,7 +124,7 @@ def test_a_rectifier_with_an_ideal_diode_follows_its_source_and_then_decays() ->
         cone=so.Polyhedron([[-1.0, 0.0]], [0.0]),
         u0=[0.0, 0.0],
     )
-    sol = so.solve(circuit, t_end=5.0, steps=500, tol=1e-9)
+    sol = so.solve(circuit, t_end=5.0, steps=200, tol=1e-9)
     voltage = (sol.u[:, 0] - sol.u[:, 1]) / c
     off = np.pi - np.arctan(R * c)
     decay = np.sin(off) * np.exp(-(sol.t - off) / (R * c))

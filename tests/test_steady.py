@@ -154,9 +154,9 @@ def test_as_viscosity_falls_the_error_falls_with_it_and_no_step_fails(name: str)
 
     limit = run(0.0, {}).u  # A = 0: no route but those for all unknowns, or the contact
     errors = []
-    for k in range(2, 13):
+    for k in range(2, 13, 2):
         sol = run(10.0**-k, route.settings)
         assert sol.success
         errors.append(float(np.abs(sol.u - limit).max() / np.abs(limit).max()))
-    assert all(later < 0.2 * earlier for earlier, later in pairwise(errors[:8]))
-    assert max(errors[8:]) <= 1e-9
+    assert all(later < 0.04 * earlier for earlier, later in pairwise(errors[:4]))
+    assert max(errors[4:]) <= 1e-9
