@@ -188,11 +188,7 @@ class Polyhedron(ConvexSet):
         return np.eye(self.dim) - projector(dense(self.G[normal.active]))
 
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
-        """On the face that v = w + tau p is nearest to.
-
-        v is rounded where tau p is large beside w. So only the active rows come from it; their
-        multipliers come from p, and the point is the one of their face nearest to w.
-        """
+        """On the face that v = w + tau p is nearest to: v gives the rows, p their multipliers."""
         root = np.sqrt(tau)
         # what is empty by no more than the rounding of its rows is not
         wider = self.with_offsets(self.h + ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(w)))
@@ -204,15 +200,15 @@ class Polyhedron(ConvexSet):
         inverse = np.linalg.pinv(normals * root)
         multipliers = np.maximum((root * p) @ inverse, 0.0)
         rounding = UNIT * (1 + active.size) * (multipliers @ abs(normals))
-        for near in (w, w + tau * (p - normal.u)):
-            point = near - root * (inverse @ (normals @ near - h))
-            slack = self._slack(point)
-            # the exact point of the face is as near, and in C where other rows have that much slack
-            off = root * (abs(inverse) @ np.abs(slack[active]))
-            bare = slack < abs(self.G) @ off
-            bare[active] = False
-            if not bare.any() or self._follow(np.flatnonzero(bare), active):
-                return NormalPair(multipliers @ normals, point, 0.0, Perturbation(off, rounding))
+        near = w + tau * (p - normal.u)
+        point = near - root * (inverse @ (normals @ near - h))
+        slack = self._slack(point)
+        # the exact point of the face is as near, and in C where other rows have that much slack
+        off = root * (abs(inverse) @ np.abs(slack[active]))
+        bare = slack < abs(self.G) @ off
+        bare[active] = False
+        if not bare.any():
+            return NormalPair(multipliers @ normals, point, 0.0, Perturbation(off, rounding))
         least = least_singular_value(self.G, root)
         if not least:
             return self._pair_inside(point, multipliers, active, root)
@@ -253,12 +249,6 @@ class Polyhedron(ConvexSet):
                 return NormalPair(multipliers @ normals, w, gap, moved)
             margin, w = (2 * rounded, w) if near else (0 * margin, w + shift)
         return None
-
-    def _follow(self, rows: np.ndarray, active: np.ndarray) -> bool:
-        """Whether each of these rows is an active one, or minus one, which equality meets too."""
-        data = np.column_stack([dense(self.scaled_rows), self.offsets]) + 0.0  # no -0.0
-        same = {row.tobytes() for sign in (1, -1) for row in sign * data[active] + 0.0}
-        return all(row.tobytes() in same for row in data[rows])
 
     def _slack(self, w: np.ndarray) -> np.ndarray:
         """h - G w, rounded once for rows that are near w."""
