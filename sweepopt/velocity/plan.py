@@ -62,6 +62,9 @@ class Plan:
         Whether `contact` are internal variables that leave the program, not the ones that it keeps.
     cones : bool
         Whether the set is one of balls on many sparse combinations of the unknowns.
+    proved : bool
+        Whether velocities are certified and refined; where not, a solver's first normal pair is
+        taken: for trajectories whose residual is bounded as a whole.
     """
 
     unknowns: int
@@ -75,6 +78,7 @@ class Plan:
     reduction: Reduction | None = None
     condensed: bool = False
     cones: bool = False
+    proved: bool = True
 
     @property
     def path(self) -> str:
