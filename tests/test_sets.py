@@ -904,3 +904,14 @@ def test_a_sum_is_projected_on_beside_a_vertex() -> None:
         pair = C.normal_pair(v - C.project(v), C.project(v), np.ones(3))
         assert pair is not None
         assert pair.gap == 0.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_rows_of_a_polyhedron_are_projected_and_supported_as_one_by_one(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    G = random.normal(size=(9 - 3 * (seed == 2), 3))  # six rows leave it unbounded, or may
+    C = so.Polyhedron(G, random.uniform(0.2, 1.0, len(G)))
+    rows = np.vstack([np.zeros(3), 0.01 * random.normal(size=(5, 3)), random.normal(size=(60, 3))])
+    assert C.project_rows(rows) == pytest.approx(np.array([C.project(w) for w in rows]), abs=1e-12)
+    one_by_one = [C.support(p) for p in rows]
+    assert C.support_rows(rows) == pytest.approx(np.array(one_by_one), rel=1e-12)

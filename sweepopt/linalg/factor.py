@@ -138,8 +138,9 @@ class Factor:
         """M z + q, with more digits where rounding may exceed `enough` * |z|_M, and |z|_M."""
         force = self.M.dot(z)
         size = math.sqrt(max(z.dot(force), 0.0))
-        rounding = self.rounding(z, euclidean(q / self.root))
-        return (force + q if rounding <= enough * size else self.precisely(z, q)), size
+        if enough < math.inf and not self.rounding(z, euclidean(q / self.root)) <= enough * size:
+            return self.precisely(z, q), size
+        return force + q, size
 
     def rounding(self, z: np.ndarray, q: float) -> float:
         """A bound in |.|_{M^-1} of what M @ z + q rounds, without a solve.

@@ -102,7 +102,7 @@ def error_bound(
     what work is left. Where C(t) is no data, there is one pass.
     """
     work = WORK * (len(run.t) - 1) * len(plan.scheme.b) // len(SCHEMES["sdirk2"].b)
-    plan = replace(plan, tol=min(plan.tol, TOL), scheme=SCHEMES["sdirk2"])
+    plan = replace(plan, tol=min(plan.tol, TOL), scheme=SCHEMES["sdirk2"], proved=False)
     norms, velocities = Norms(process), Velocities(plan.process_of(process), plan)
     A, B = np.full((2, len(run.t) - 1), np.inf)
     if norms.beta == 0 or norms.Lam == math.inf:  # A, to rounding, may be singular

@@ -145,6 +145,7 @@ def _bounds(
     """Those of each curve, from intervals treated at once."""
     n, dim = nodes.velocity.shape
     totals = [_no_residuals(n, dim) for _ in curves]
+    before = [(np.zeros(dim), 0.0) for _ in curves]  # r at the end of the last interval, its error
     count = max(CHUNK // (30 * dim), 1)
     for start in range(0, len(model.distance), count):
         part = slice(start, start + count)
@@ -157,15 +158,17 @@ def _bounds(
         )
         i = intervals.step
         first, last = intervals.begin == nodes.t[i], intervals.end == nodes.t[i + 1]
-        for total, slopes in zip(totals, curves, strict=True):
+        for k, (total, slopes) in enumerate(zip(totals, curves, strict=True)):
             each = _on_intervals(process, norms, nodes, slopes, some, center, scale)
             for sums, add in zip(total[:3], each[:3], strict=True):
                 np.add.at(sums, i, add)
             np.maximum.at(total.error, i, each.error)
             total.begin[i[first]], total.end[i[last]] = each.begin[first], each.end[last]
             # at a cut inside a step
-            jumps = norms.dual_B(each.begin[1:] - each.end[:-1]) + each.error[1:] + each.error[:-1]
-            np.add.at(total.turning, i[1:][~first[1:]], jumps[~first[1:]])
+            ends, errors = np.vstack([before[k][0], each.end]), np.append(before[k][1], each.error)
+            jumps = norms.dual_B(each.begin - ends[:-1]) + errors[1:] + errors[:-1]
+            np.add.at(total.turning, i[~first], jumps[~first])
+            before[k] = ends[-1], errors[-1]
     return totals
 
 

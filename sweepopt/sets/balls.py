@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.linalg
 
 from sweepopt.checks import dimension, entries, number, vector
 from sweepopt.errors import InputError
@@ -15,6 +14,14 @@ from sweepopt.sets.shapes import Box
 
 if TYPE_CHECKING:
     import cvxpy as cp
+
+
+def _block_diagonal(blocks: np.ndarray) -> np.ndarray:
+    """The matrix of equal blocks, shape (n, k, k); SciPy's took a third of Newton's time."""
+    n, k, _ = blocks.shape
+    D, i = np.zeros((n, k, n, k)), np.arange(n)
+    D[i, :, i] = blocks
+    return D.reshape(n * k, n * k)
 
 
 class Balls(ConvexSet):
@@ -108,8 +115,7 @@ class Balls(ConvexSet):
         return [D]
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
-        (D,) = self.blocks(v)
-        return D[0] if len(D) == 1 else scipy.linalg.block_diag(*D)
+        return _block_diagonal(self.blocks(v)[0])
 
     def factors(self) -> list[ConvexSet]:
         return [Ball(np.zeros(self.block), radius) for radius in self.radii]
@@ -247,7 +253,7 @@ class SecondOrderCone(ConvexSet):
         return [D]
 
     def derivative(self, v: np.ndarray) -> np.ndarray:
-        return scipy.linalg.block_diag(*self.blocks(v)[0])
+        return _block_diagonal(self.blocks(v)[0])
 
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)

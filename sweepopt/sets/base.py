@@ -366,17 +366,18 @@ class ConvexSet(Operators, ABC):
         ratios : ndarray, shape (m,)
             A set with more than one such curve takes that of the smaller 2 gap + ratio distance^2.
         """
-        each = [self._gaps(*one) for one in zip(p, w, strict=True)]
-        gaps = (products(2, w.shape[1] - 1) * np.array(each)).sum(axis=(1, 2))
+        sigma = self.support_rows(p.reshape(-1, self.dim)).reshape(*p.shape[:2], 1)
+        each = np.maximum(sigma - p @ np.swapaxes(w, 1, 2), 0.0) + ROUNDING * np.abs(sigma)
+        gaps = (products(2, w.shape[1] - 1) * each).sum(axis=(1, 2))
         return CurveGaps(gaps, np.zeros_like(gaps))
+
+    def support_rows(self, rows: np.ndarray) -> np.ndarray:
+        """`support` of each row, shape (m, dim)."""
+        return np.array([self.support(p) if p.any() else 0.0 for p in rows])
 
     def project_rows(self, rows: np.ndarray) -> np.ndarray:
         """`project` of each row, shape (m, dim)."""
         return np.array([self.project(w) for w in rows])
-
-    def _gaps(self, p: np.ndarray, w: np.ndarray) -> np.ndarray:
-        sigma = np.array([[self.support(x) if x.any() else 0.0] for x in p])
-        return np.maximum(sigma - p @ w.T, 0.0) + ROUNDING * np.abs(sigma)
 
     def epigraph(self, p: cp.Expression) -> tuple[cp.Expression, list[cp.Constraint]]:
         """The support function in cvxpy, to be read: minimising `value` gives sigma(C, p).

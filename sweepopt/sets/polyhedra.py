@@ -103,14 +103,29 @@ class Polyhedron(ConvexSet):
         return other
 
     def support(self, z: np.ndarray) -> float:
-        z = vector("z", z, self.dim)
-        if not z.any() or not self.h.size:
-            return float("inf") if z.any() else 0.0
+        return float(self.support_rows(vector("z", z, self.dim)[None])[0])
+
+    def support_rows(self, rows: np.ndarray) -> np.ndarray:
+        """The rows of G that bind for one z do so for all z of the cone that they generate."""
+        values, left = np.where(rows.any(axis=1), np.inf, 0.0), np.flatnonzero(rows.any(axis=1))
+        if not left.size or not self.h.size:
+            return values
         # seen from a point of the set: h - G x >= 0 is as large as the set, wherever that is
         inside = self.project(np.zeros(self.dim))
-        y = self._multipliers(z, inside)
         slack = np.maximum(self.h - self.G @ inside, 0.0)
-        return float("inf") if y is None else float(inside @ z + slack @ y)
+        while left.size:
+            z, serves = rows[left], np.arange(left.size) == 0
+            of_first = self._multipliers(z[0], inside)
+            if of_first is not None:
+                active = np.flatnonzero(of_first)
+                normals = dense(self.G[active])
+                y = z @ np.linalg.pinv(normals)
+                rounding = 10 * ROUNDING * (np.abs(z) + np.abs(y) @ np.abs(normals))
+                serves |= (y >= 0).all(axis=1) & (np.abs(y @ normals - z) <= rounding).all(axis=1)
+                y[0] = of_first[active]
+                values[left[serves]] = (z @ inside + y @ slack[active])[serves]
+            left = left[~serves]
+        return values
 
     def _multipliers(self, p: np.ndarray, x: np.ndarray) -> np.ndarray | None:
         """The y >= 0 with G^T y = p that minimises <h - G x, y>, x in C; None if there is none.
@@ -180,6 +195,27 @@ class Polyhedron(ConvexSet):
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
         return w - self.normal(w)
+
+    def project_rows(self, rows: np.ndarray) -> np.ndarray:
+        """The rows of G that bind for one point do so for all points of a polyhedral cone."""
+        points = rows.copy()
+        left = np.flatnonzero((rows @ self.G.T > self.h).any(axis=1))
+        while left.size:
+            v, serves = rows[left], np.arange(left.size) == 0
+            normal = self._exact_normal(v[0], np.ones(self.dim))
+            if normal is None:
+                points[left[0]] = self.project(v[0])
+            else:
+                normals, inverse = (G := dense(self.G[normal.active])), np.linalg.pinv(G)
+                moves = (v @ normals.T - self.h[normal.active]) @ inverse.T
+                w = v - moves
+                w[0] = v[0] - normal.u
+                rounding = ROUNDING * (np.abs(self.h) + np.abs(v) @ abs(self.G).T)
+                inside = (w @ self.G.T <= self.h + rounding).all(axis=1)
+                serves |= inside & (moves @ inverse >= 0).all(axis=1)
+                points[left[serves]] = w[serves]
+            left = left[~serves]
+        return points
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         normal = self._exact_normal(v, np.ones(self.dim))

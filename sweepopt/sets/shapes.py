@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -86,7 +87,7 @@ class Box(ConvexSet):
         return np.maximum((slack * p[..., :, None, :]).sum(axis=-1), 0.0)
 
     def features(self, p: cp.Expression) -> Features:
-        return rows_features(self._matrix(), p)
+        return rows_features(self._matrix, p)
 
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return tau
@@ -117,6 +118,7 @@ class Box(ConvexSet):
         ways = ((below, above), (-below, -above))  # from one box to the other and back
         return max(float(np.linalg.norm(np.maximum(0.0, np.maximum(*way)))) for way in ways)
 
+    @cached_property
     def _matrix(self) -> Any:
         """G of { w : G w <= offsets }."""
         identity = sp.eye_array(self.dim, format="csr")
@@ -124,7 +126,7 @@ class Box(ConvexSet):
         return G if self.dim > DENSE else G.toarray()
 
     def halfspaces(self) -> Halfspaces:
-        return Halfspaces.below(self._matrix(), self.offsets)
+        return Halfspaces.below(self._matrix, self.offsets)
 
     def polar(self) -> ConvexSet:
         if self.offsets.any():

@@ -25,7 +25,7 @@ from sweepopt.velocity.certificate import (
     unsolved,
 )
 from sweepopt.velocity.program import VelocityProgram
-from sweepopt.velocity.refinement import by_formula, by_program, refined
+from sweepopt.velocity.refinement import Propose, by_formula, by_program, refined
 from sweepopt.velocity.solvers import NEWTON, Answer, Solve, Solver, choose
 
 WRONG = 1e-2  # a larger relative certificate is that of a failure, not of a loose solver
@@ -53,20 +53,26 @@ class Attempt:
         self, inclusion: Inclusion, of: Instance, best: np.ndarray, tol: float
     ) -> Velocity:
         """The velocity that the solver finds, refined."""
-        M, S, selection = self.body(), of.S, of.S.selection
+        propose = self.proposals(inclusion, of.S, best, tol)
+        velocity = refined(inclusion, propose, of, tol)
+        if not velocity.relative <= WRONG:  # a workspace that failed is not used again
+            self.compiled = None
+        return velocity
+
+    def proposals(
+        self, inclusion: Inclusion, S: ConvexSet, best: np.ndarray, tol: float
+    ) -> Propose:
+        """From residuals to the solver's normal pairs."""
+        M, selection = self.body(), S.selection
         if M is not inclusion.M and selection is not None:
             S = selection.part
-        compiled = self.compiled or self.solver.compile(VelocityProgram(M.small, S))
+        compiled = self.compiled = self.compiled or self.solver.compile(VelocityProgram(M.small, S))
         start = [best[M.unknowns]] if self.from_best and best.any() else []
 
         def solve(q: np.ndarray, C: ConvexSet) -> Answer:
             return compiled(q, C, start.pop()) if start else compiled(q, C)
 
-        propose = by_program(M, solve, S, tol)
-        velocity = refined(inclusion, propose, of, tol)
-        # a workspace that failed is not used again
-        self.compiled = compiled if velocity.relative <= WRONG else None
-        return velocity
+        return by_program(M, solve, S, tol)
 
 
 def attempts(solver: Any, M: Factor, S: ConvexSet, tol: float, anew: bool) -> list[Attempt]:
@@ -115,11 +121,20 @@ class Cascade:
     tol : float
     anew : bool
         Whether the program before had another cone.
+    proved : bool
+        Whether velocities are certified and refined.
     """
 
     def __init__(
-        self, inclusion: Inclusion, solver: Any, of: Instance, tol: float, anew: bool = False
+        self,
+        inclusion: Inclusion,
+        solver: Any,
+        of: Instance,
+        tol: float,
+        anew: bool = False,
+        proved: bool = True,
     ) -> None:
+        self._proved = proved
         self._inclusion, self._cone, self._tol = inclusion, of.S, tol
         M, weights = inclusion.M, inclusion.M.diagonal[of.unknowns]
         # M is diagonal and the projection in its metric is the set's own: box, ball
@@ -130,7 +145,7 @@ class Cascade:
             and np.array_equal(of.S.weights(weights), weights)
         )
         # active sets are hidden by rounding where faces are nearly parallel: these ask for a proof
-        self._is_formula = all(
+        self._is_formula = self._has_formula and all(
             isinstance(part, (Box, Balls)) or not part.polyhedral
             for part in map(shape_of, of.S.form().parts)
         )
@@ -142,10 +157,16 @@ class Cascade:
 
     def __call__(self, of: Instance) -> Velocity:
         inclusion, tol = self._inclusion, self._tol
-        if self._has_formula and self._is_formula:
+        if self._is_formula:
             velocity = inclusion.closed_form(of, tol)
             if velocity is not None:
                 return velocity
+        if not self._proved:  # wrong answers show in the trajectory's residual
+            nothing = unsolved(of).z
+            for attempt in self._attempts:
+                pair = attempt.proposals(inclusion, of.S, nothing, math.inf)(of.force, None)
+                if pair.gap < math.inf or math.isnan(pair.gap):
+                    return Velocity(pair.z, math.nan, math.nan, attempt.solver.name)
         if inclusion.rests(of, tol):
             return at_rest(of.q)
         if self._has_formula:

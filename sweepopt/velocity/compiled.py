@@ -82,7 +82,7 @@ class StateVelocity:
         self._M, self._metric, self._B, self._data = M, metric, B, (A, B, gamma)
         contact = np.zeros(0, dtype=int) if plan.contact is None else plan.contact
         self._contact, self._solver, self._condensed = contact, plan.solver, plan.condensed
-        self._by_cones = plan.cones
+        self._by_cones, self._proved = plan.cones, plan.proved
         self._on_condensed: Inclusion | None = None
         self._tol = plan.tol if math.isfinite(plan.tol) else DEFAULT_TOL
         self.forget()
@@ -140,7 +140,7 @@ class StateVelocity:
                 return velocity
         if self._cascade is None or not self._cascade.serves(inclusion, S):
             anew = self._cascade is not None
-            self._cascade = Cascade(inclusion, self._solver, of, self._tol, anew)
+            self._cascade = Cascade(inclusion, self._solver, of, self._tol, anew, self._proved)
         return self._cascade(of)
 
     def _mapped(self, of: Instance) -> Velocity | None:
@@ -204,4 +204,4 @@ class ReducedVelocity(StateVelocity):
         velocity = super().__call__(y[:few], on_contact)
         rates = (c[few:] - rho * y[few:]) / (1 + gamma * rho)
         velocity = velocity._replace(z=np.concatenate([velocity.z, rates]))
-        return self._reduction.certified(gamma, y, velocity)
+        return self._reduction.certified(gamma, y, velocity) if self._proved else velocity

@@ -65,6 +65,9 @@ class Plan:
     contraction : float
         Of a C(t, u): the largest factor by which fixed-point iteration brings the velocity of a
         stage closer to that of its own state; 0 where nothing is iterated.
+    proved : bool
+        Whether velocities are certified and refined; where not, a solver's first normal pair is
+        taken: for trajectories whose residual is bounded as a whole.
     """
 
     unknowns: int
@@ -79,6 +82,7 @@ class Plan:
     condensed: bool = False
     cones: bool = False
     contraction: float = 0.0
+    proved: bool = True
 
     @property
     def path(self) -> str:

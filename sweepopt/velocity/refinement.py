@@ -83,7 +83,8 @@ def by_program(M: Factor, solve: AnswerOf, S: ConvexSet, tol: float) -> Propose:
             z = z + M.recover(forward, pair.z - z[few])
         w = np.zeros(z.size)
         z[few], w[few] = pair.z, pair.w  # to the last bit: stuck is 0.0
-        return Proposal(z, w, pair.gap, M.margin * pair.perturbation, size, answer.iterations)
+        perturbation = pair.perturbation and M.margin * pair.perturbation
+        return Proposal(z, w, pair.gap, perturbation, size, answer.iterations)
 
     return propose
 
