@@ -17,6 +17,7 @@ from sweepopt.integrate.grid import (
     check_stability,
     divided,
     evaluation_times,
+    meeting_breakpoints,
     time_grid,
 )
 from sweepopt.integrate.loop import Observer, integrate
@@ -67,6 +68,7 @@ __all__ = [
     "evaluation_times",
     "implicit_euler",
     "integrate",
+    "meeting_breakpoints",
     "newest",
     "observer",
     "program_of_stage",

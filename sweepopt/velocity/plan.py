@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -62,6 +62,8 @@ class Plan:
         Whether `contact` are internal variables that leave the program, not the ones that it keeps.
     cones : bool
         Whether the set is one of balls on many sparse combinations of the unknowns.
+    breakpoints : ndarray
+        Those of the load inside of steps, which are taken in parts that end there.
     """
 
     unknowns: int
@@ -75,6 +77,7 @@ class Plan:
     reduction: Reduction | None = None
     condensed: bool = False
     cones: bool = False
+    breakpoints: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def path(self) -> str:
@@ -141,6 +144,11 @@ class Plan:
             f"solver              {solver}",
             f"tolerance           {self.tol:g} (relative certificate of each program)",
         ]
+        if self.breakpoints.size:
+            lines.append(
+                f"breakpoints         {self.breakpoints.size} of the load lie inside of steps, "
+                "which are taken in parts that end there"
+            )
         lines += [f"left out            {what}" for what in self.left_out]
         return "\n".join(lines)
 
