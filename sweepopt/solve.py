@@ -39,6 +39,7 @@ from sweepopt.integrate import (
     contraction,
     evaluation_times,
     integrate,
+    meeting_breakpoints,
     newest,
     observer,
     require_same_problem,
@@ -82,8 +83,10 @@ def solve(
         Number of equal steps, or the increasing times themselves (the first one is where u0 holds),
         or ``Adaptive(tol)``: steps that are chosen for an error of tol.
     scheme : str
-        "auto" (sdirk2 where mu Lam <= 2 for the longest step, else sdirk32; with Adaptive midpoint,
-        or sdirk2 when A = 0; the plan says which one and why), "catching-up", "implicit-euler",
+        "auto" (sdirk2 where mu Lam <= 2 for the longest step, else sdirk32, in parts where a step
+        contains breakpoints of a load that is data, unless they are too many; with Adaptive
+        midpoint, or sdirk2 when A = 0; the plan says which one and why), or by name, on the steps
+        as they are: "catching-up", "implicit-euler",
         "midpoint", "trapezoid" (A coercive only), "sdirk2", "sdirk32" (3 programs a step, 7 where
         mu Lam > 2 and much stops); "exact" for polyhedra and loads as data (`Separable`): closed
         forms between switches that are located, in `Solution.exact` also between the nodes.
@@ -91,9 +94,8 @@ def solve(
         "auto", "clarabel", "osqp", "daqp", "newton", "cvxpy" or an object: ``OSQP(tol=1e-10)``.
     tol : float
         Each program's certificate is at most tol * max(|z|_M, |M^-1 q|_M); a step that misses it
-        is tried with other solvers, then in 2 to 16 equal parts (its solver in `stats` is then
-        "osqp/4", its certificate the worst of its parts' programs), then handled as on_failure
-        says.
+        is tried with other solvers, then in 2 to 16 equal parts, then handled as on_failure says.
+        The solver of a step in parts is "osqp/4" in `stats`, its certificate the worst of theirs.
     error : float, optional
         Refine the steps until `Solution.error_bound` is at most this; needs a load as data. The
         callback sees, and save= counts, the steps of the last run only, which is run once more.
@@ -354,6 +356,8 @@ def _first_grid(
         plan = plan.of_all_unknowns("steps that adapt may be so short that they would be rounding")
     elif reduction and not reduction.suits(mus, scheme, options.tol):
         plan = plan.of_all_unknowns("the steps differ so much that short ones would be rounding")
+    if options.scheme == "auto" and not segments:
+        plan = meeting_breakpoints(process, plan, times)
     saved = saving(options.save, times, plan.entering, options.memory)
     outside = process.check_start(float(times[0]), _nearest(process, plan) if plan.cones else None)
     process.check_jumps(float(times[0]), float(times[-1]))

@@ -1,4 +1,4 @@
-"""A step that misses its tolerance as a whole is taken in parts."""
+"""A step that contains breakpoints of the load, or misses its tolerance, is taken in parts."""
 
 from __future__ import annotations
 
@@ -132,7 +132,103 @@ def test_unknowns_that_the_set_does_not_act_on_move_with_the_parts() -> None:
     assert sol.u[-1] == pytest.approx(halves.u[-1], abs=1e-12)
 
 
+# ---- breakpoints of the load -------------------------------------------------------------------
+
+TURNS = so.Table([0.0, 0.31, 0.52, 0.58, 0.83, 1.0], [0.0, 2.5, -1.0, 1.5, -2.0, 0.5])
+ONES, PULL, E2 = np.ones(3), np.array([1.0, 0.5, -1.0]), np.eye(3)[:, 1:]
+A3 = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])
+BOX, ALONG = so.Box(-ONES, ONES), so.Separable([(TURNS, PULL)])
+ROWS = np.vstack([np.eye(3), -np.eye(3)])
+OFFSETS = so.Separable([(TURNS, np.append(PULL, -PULL)), (so.Constant(1.0), np.ones(6))])
+ON_TWO = so.Moving(so.image(E2, so.Box([-1, -1], [1, 1])), ALONG)
+VECTORS = so.VectorTable(TURNS.times, np.outer(TURNS.values, PULL))
+WAVE, SCALE = so.Separable([(so.Sine(2.0, 1.0), PULL)]), so.Table(TURNS.times, [1, 0.2, 1, 0, 2, 1])
+MEETING: dict[str, tuple[Any, np.ndarray, str]] = {
+    "Separable": (so.Moving(BOX, ALONG), np.eye(3), "auto"),
+    "VectorTable": (so.Moving(BOX, VECTORS), np.eye(3), "auto"),
+    "scale": (so.Moving(BOX, WAVE, scale=SCALE), np.eye(3), "auto"),
+    "rows": (so.Polyhedron(ROWS, OFFSETS), np.eye(3), "auto"),
+    "sum": (so.Moving(BOX, ALONG) + so.Ball(np.zeros(3), 0.3), np.eye(3), "auto"),
+    "eliminated": (ON_TWO, np.eye(3), "eliminated"),
+    "full": (ON_TWO, np.eye(3), "full"),
+    "proportional": (ON_TWO, 1.5 * A3, "proportional"),
+}
+
+
+@pytest.mark.parametrize("stiffness", [1.0, 1e5])
+@pytest.mark.parametrize("name", MEETING)
+def test_auto_takes_steps_with_breakpoints_in_parts_that_end_there(
+    name: str, stiffness: float
+) -> None:
+    C, B, path = MEETING[name]
+    process = so.SweepingProcess(A3 / stiffness, B, C, np.zeros(3))
+    how: dict[str, Any] = {"path": path, "tol": 1e-9}
+    sol = so.solve(process, t_end=1.0, steps=10, **how)
+    nodes = np.union1d(sol.t, TURNS.times)
+    by_hand = so.solve(process, steps=nodes, **how, scheme=sol.plan.scheme.name)
+    assert sol.plan.path == (by_hand.plan.path if path == "auto" else path)
+    assert len(sol.t) == 11
+    assert parts(sol) == [1, 1, 1, 2, 1, 3, 1, 1, 2, 1]
+    assert sol.u == pytest.approx(by_hand(sol.t), abs=1e-7)
+    assert sol.velocity == pytest.approx(np.diff(sol.u, axis=0) / 0.1, abs=1e-7)
+    assert "4 of the load lie inside of steps" in str(sol.plan)
+    # a scheme by name is its tableau on the given grid
+    assert set(parts(so.solve(process, t_end=1.0, steps=10, **how, scheme="sdirk2"))) == {1}
+
+
+def test_breakpoints_at_nodes_up_to_rounding_and_functions_of_time_divide_no_step() -> None:
+    for load in (so.Table(0.1 * np.arange(11) * 3, np.arange(11) % 2), lambda t: [np.sin(t)]):
+        center = so.Separable([(load, [2.0])]) if isinstance(load, so.Table) else load
+        process = so.SweepingProcess([[1.0]], [[1.0]], so.Moving(so.Box([-1], [1]), center), [0.0])
+        sol = so.solve(process, t_end=3.0, steps=30)
+        assert set(parts(sol)) == {1}
+        assert "breakpoints" not in str(sol.plan)
+
+
+def test_rough_loads_are_not_met_and_the_plan_says_so() -> None:
+    def run(dim: int, points: int) -> so.Solution:
+        random = np.random.default_rng(4)
+        times = np.concatenate([[0.0], np.sort(random.uniform(0, 1, points)), [1.0]])
+        table = so.Table(times, (-1.0) ** np.arange(points + 2))
+        ones = np.ones(dim)
+        C = so.Moving(so.Box(-ones, ones), so.Separable([(table, 2 * ones)]))
+        process = so.SweepingProcess(np.eye(dim), 2 * np.eye(dim), C, -2 * ones)
+        with pytest.warns(so.InitialStateWarning):
+            return so.solve(process, t_end=1.0, steps=60)
+
+    for dim, most in ((1, 30), (600, 6)):
+        assert sum(parts(run(dim, most))) == 60 + most
+        assert set(parts(rough := run(dim, most + 1))) == {1}
+        assert f"{most + 1} inside of steps, over {most} are not met" in str(rough.plan)
+
+
+def test_a_set_is_looked_at_where_the_parts_ask_for_it() -> None:
+    height = so.Table([0.0, 0.3, 0.5, 1.0], [1.0, 1.0, -0.1, 1.0])
+    C = so.Polyhedron([[1.0], [-1.0]], so.Separable([(height, [1.0, 1.0])]))
+    process = so.SweepingProcess([[0.0]], [[1.0]], C, [0.0])
+    with pytest.raises(so.InputError, match=r"C\(t\) at t = 0\.5 is empty"):
+        so.solve(process, steps=[0.0, 0.4, 0.9, 1.0])
+
+
 # ---- bit for bit after a kill ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["Separable", "eliminated", "proportional"])
+def test_a_resumed_run_that_meets_breakpoints_is_the_whole_run(name: str, tmp_path: Path) -> None:
+    C, B, path = MEETING[name]
+    process = so.SweepingProcess(A3, B, C, np.zeros(3))
+    how: dict[str, Any] = {"steps": 40, "t_end": 1.0, "path": path}
+    whole = so.solve(process, checkpoint=so.Checkpoint(tmp_path / "a", steps=7), **how)
+    assert sum(parts(whole)) == 44
+    for killed in (13, 14, 23):
+        file = tmp_path / f"{killed}"
+        checkpoint = so.Checkpoint(file, steps=7)
+        with pytest.raises(Killed):
+            so.solve(process, checkpoint=checkpoint, callback=stopping(killed), **how)
+        assert same(so.resume(file, process), whole)
+    last = so.solve(process, **how, save="last")  # its bound runs the steps again
+    every = so.solve(process, **how)
+    assert last.error_bound() == pytest.approx(every.error_bound())
 
 
 def test_a_resumed_run_with_parts_is_the_whole_run(tmp_path: Path) -> None:

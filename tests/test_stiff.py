@@ -53,6 +53,43 @@ def test_below_two_auto_is_sdirk2_which_neither_rings_nor_is_far_from_the_best(l
         check(row)
 
 
+# tables, mu Lam and steps where "auto" had 2.0 to 5.2 times the best error on whole steps
+UNLUCKY = (
+    ("one mass", 94916, 0.0377, 79),
+    ("one mass", 29268, 0.99, 64),
+    ("chain", 23028, 0.189, 52),
+    ("chain", 73904, 1.65, 88),
+    ("mixed", 12204, 0.0293, 39),
+    ("mixed", 64279, 0.0129, 40),
+    ("discs", 11141, math.inf, 38),
+)
+
+
+@pytest.mark.parametrize("case", UNLUCKY)
+def test_breakpoints_anywhere_in_steps_favour_none_of_the_three(
+    case: tuple[str, int, float, int],
+) -> None:
+    body, seed, stiffness, steps = case
+    study = StiffStudy([seed], [body], ["tables"], (stiffness,), [steps], bounds=False)
+    for row in rows(study):
+        check(row, over_best=1.0)
+
+
+@pytest.mark.parametrize("viscosity", [0.0, 1.0])
+def test_auto_is_of_order_two_where_breakpoints_lie_in_steps(viscosity: float) -> None:
+    turning = so.Table([0.0, 2.13, 6.31, 10.0], [0.0, 4.0, -4.0, 4.0])
+    load = so.Separable([(turning, [1.0]), (so.Sine(2.0, 3.3), [1.0])])
+    process = so.SweepingProcess([[viscosity]], [[1.0]], so.Moving(so.Box([-1], [1]), load), [0.0])
+    grids, errors = (50, 100, 200, 400, 800), []
+    for steps in grids:
+        how: dict[str, Any] = {"t_end": 10.0, "steps": steps}
+        sol = so.solve(process, **how, tol=1e-9)
+        errors.append(np.abs(sol.u - so.solve(process, **how, scheme="exact").u).max())
+        assert sol.plan.breakpoints.size == 2
+    assert -np.polyfit(np.log(grids), np.log(errors), 1)[0] >= 1.9
+    assert errors[0] <= 0.02
+
+
 def test_which_steps_are_stiff_is_asked_of_each() -> None:
     process = make("chain", "sines", 0, 4.0, 60)  # mu Lam of 4 and 1
     times = np.append(np.arange(30) / 60, 0.5 + np.arange(121) / 240)

@@ -18,6 +18,7 @@ from sweepopt.integrate.grid import (
     contraction,
     divided,
     evaluation_times,
+    meeting_breakpoints,
     time_grid,
 )
 from sweepopt.integrate.loop import Observer, integrate
@@ -69,6 +70,7 @@ __all__ = [
     "evaluation_times",
     "implicit_euler",
     "integrate",
+    "meeting_breakpoints",
     "newest",
     "observer",
     "program_of_stage",

@@ -24,20 +24,19 @@ import numpy as np
 from sweepopt.checks import TIME_SLACK, axes, number, vector
 from sweepopt.errors import InputError, Status
 from sweepopt.integrate.error_estimator import ErrorEstimator
-from sweepopt.integrate.grid import evaluation_times, time_grid
+from sweepopt.integrate.grid import breakpoints_to_meet, evaluation_times, time_grid
 from sweepopt.integrate.loop import integrate
 from sweepopt.integrate.record import Grid, Pass, Run, Saving
 from sweepopt.integrate.schemes import Scheme, rings
 from sweepopt.integrate.step import Velocities
 from sweepopt.linalg import EPS
-from sweepopt.loads import History, breakpoints
+from sweepopt.loads import History
 from sweepopt.problem import SweepingProcess, histories_of
 
 STEPS = 1_000_000  # of the finest pass: hours
 FIRST = 16  # steps of the first pass
 FIRST_UNKNOWN = 40  # the same where the load is a function: nothing but its values is known
 GRADING = 2.0  # of neighbours where the load is a function: an aliased step has fine ones beside it
-DENSE = 40  # breakpoints of a history from which on those between its turns are not met
 PER_PIECE = 3  # steps between breakpoints and in half a period, at least: for second differences
 AIM = 0.75  # estimate that the next pass should have, in units of tol: it scatters by a third
 FARTHEST = 6.0  # times the steps of a pass to which its differences say where they are needed
@@ -139,8 +138,8 @@ class Segments:
         }
         remedy = min(limits, key=limits.__getitem__)
         longest = min(limits[remedy], end / 4)
-        inner = [_breakpoints(history, end) for history in histories]
-        segments = cuts = _apart(np.concatenate([[0.0], *inner, [end]]))
+        inner = breakpoints_to_meet(histories, 0.0, end)
+        segments = cuts = _apart(np.concatenate([[0.0], inner, [end]]))
         if not isinstance(save, str) and not callable(save) and axes(save) == 1:
             times = vector("save", save)  # `saving` refuses those that are not between 0 and end
             cuts = _apart(np.append(segments, times[(times > 0.0) & (times < end)]))
@@ -375,17 +374,6 @@ def _period(history: Any) -> float:
     if isinstance(amplitude, Real) and amplitude == 0:
         return math.inf
     return float(period) if isinstance(period, Real) and float(period) > 0 else math.inf
-
-
-def _breakpoints(history: Any, end: float) -> np.ndarray:
-    """The ones that steps shall meet: of a dense table only those where it turns.
-
-    A sine in a table of 3,000 points took 18,006 steps with all of them, and 499 so (tol = 1e-2);
-    in one of 30 points 236, and 536 so.
-    """
-    points = breakpoints([history], 0.0, end)
-    dense = len(points) > DENSE and isinstance(history, History)
-    return history.turning_points(0.0, end) if dense else points
 
 
 def _apart(cuts: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from scipy.linalg import blas
 from sweepopt.checks import HUGE
 from sweepopt.errors import Status
 from sweepopt.integrate.exact import exact_steps
+from sweepopt.integrate.grid import by_steps
 from sweepopt.integrate.record import Run
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.integrate.step import (
@@ -42,8 +43,9 @@ def integrate(
 ) -> None:
     """Move u along the grid of `run` from where it is, and write every step into it.
 
-    A step that misses the tolerance is taken in parts; one that misses it all the same ends the
-    run. Ctrl-C ends it too, also in `observer`: the run has the steps that are done.
+    A step with breakpoints of the plan in it, or that misses the tolerance, is taken in parts; one
+    that misses it all the same ends the run. Ctrl-C ends it too, also in `observer`: the run has
+    the steps that are done.
 
     Parameters
     ----------
@@ -57,13 +59,14 @@ def integrate(
     starts, sizes = run.grid.times.data, mus.data  # these give floats of Python
     velocities = velocities or Velocities(process, plan)
     take = exact_steps(process, plan, run) if plan.scheme.exact else velocities.step
+    within = by_steps(plan.breakpoints, run.grid.times)
     limit = _largest_state(process, plan.scheme)
     u, compensation = run.u, run.compensation
     try:
         for i in range(run.done, steps):
             began = clock.perf_counter()
             mu = sizes[i]
-            result = take(starts[i], mu, u)
+            result = take(starts[i], mu, u, *within.get(i, ()))
             if result is None:
                 return
             velocity = result.velocity

@@ -9,6 +9,13 @@ and u_{i+1} = u_i + mu sum_k b_k z_k. MATH.md section 3 has the orders and the p
 The last stage of a second-order scheme starts from an extrapolation, which may have carried an
 unknown past the place where it should rest: friction then holds it there. Where mu Lam > 2, a
 scheme with `euler_steps` takes such a step by implicit Euler instead, which never goes too far.
+
+A scheme by name is its tableau on the given grid. "auto" meets the breakpoints of loads that are
+data, too: a step that contains some is taken in parts that end there, unless they are too many for
+the grid (`grid.meeting_breakpoints`). Else a turn of the load inside a step costs O(mu) where A is
+0, and where it falls decides which scheme is best: of 300 tables on mu Lam from 1e-2 to inf 8
+errors were above twice the best of implicit-euler, midpoint and sdirk2, the worst 5.2 times; now
+none, 1.6 times. Schemes by name do not, so that a comparison shows the tableaux.
 """
 
 from __future__ import annotations

@@ -1,7 +1,10 @@
-"""One step of a scheme: whole, or in equal parts where the whole misses its tolerance.
+"""One step of a scheme: whole, in parts that end at breakpoints of the load, or in equal parts.
 
 u_{i+1} = u_i + mu sum_k b_k z_k, where z_k solves the program of stage k (see `schemes`); or some
-steps of implicit Euler, where mu Lam > 2 and much of the motion comes to rest or turns back.
+steps of implicit Euler, where mu Lam > 2 and much of the motion comes to rest or turns back. A step
+is the whole one of the scheme but where it contains breakpoints of the plan, or misses its
+tolerance: then u moves through parts of it as through steps, and the result is that of a finer
+grid.
 """
 
 from __future__ import annotations
@@ -30,7 +33,7 @@ Stages = list[Velocity]
 
 
 class Step(NamedTuple):
-    """A step, whole or in equal parts.
+    """A step, whole or in parts.
 
     Attributes
     ----------
@@ -76,38 +79,54 @@ class Velocities:
         for velocity in self._compiled.values():
             velocity.forget()
 
-    def step(self, t: float, mu: float, u: np.ndarray) -> Step:
+    def step(self, t: float, mu: float, u: np.ndarray, *breakpoints: float) -> Step:
         """A step of the plan's scheme that meets its tolerance, if there is one.
 
-        One that misses it as a whole is tried in 2, 4, .. equal parts of the same scheme, until
-        all of them meet it: A + gamma mu / k B is nearer to A, and C(t) is asked for at other
-        times. u moves through the parts as through steps, so that the result is that of a finer
-        grid.
+        First in the parts between the breakpoints, if there are any. Their matrices, one for each
+        length, are not kept. A step that misses its tolerance as a whole is tried in 2, 4, .. equal
+        parts, until all of them meet it: A + gamma mu / k B is nearer to A, and C(t) is asked for
+        at other times.
         """
-        scheme, tol = self._plan.scheme, self._plan.tol
+        work: Stages = []
+        if breakpoints:
+            starts, kept = np.array([t, *breakpoints]), set(self._compiled)
+            mean = self._in_parts(starts, np.diff(starts, append=t + mu), u, work)
+            for gamma in set(self._compiled) - kept:
+                del self._compiled[gamma]
+            if mean is not None:
+                return Step(mean, True)
         whole = self._mean(t, mu, u)
-        if not whole.relative > tol:
-            return Step(whole, True)
-        work, cause = [whole], ""
+        work.append(whole)
+        if not whole.relative > self._plan.tol:
+            return Step(_mean((1.0,), [whole], work), True) if breakpoints else Step(whole, True)
+        cause = ""
         for count in PARTS:
             h = mu / count
             starts = t + h * np.arange(count)
             try:
-                self._process.C.members(np.unique(starts[:, None] + h * np.array(scheme.times)))
+                times = starts[:, None] + h * np.array(self._plan.scheme.times)
+                self._process.C.members(np.unique(times))
             except Exception as error:  # C(t) may have no value between the times of the grid
                 cause = str(error) or type(error).__name__
                 break
-            v, compensation, means = u, np.zeros_like(u), []
-            for start in starts.tolist():
-                means.append(self._mean(start, h, v))
-                work.append(means[-1])
-                if means[-1].relative > tol:
-                    break
-                v, compensation = compensated_sum(v, h * means[-1].z, compensation)
-            else:
-                mean = _mean([1 / count] * count, means, work)
-                return Step(mean._replace(solver=f"{mean.solver}/{count}"), True)
+            mean = self._in_parts(starts, np.full(count, h), u, work)
+            if mean is not None:
+                return Step(mean, True)
         return Step(_mean((1.0,), [whole], work), False, cause)
+
+    def _in_parts(
+        self, starts: np.ndarray, sizes: np.ndarray, u: np.ndarray, work: Stages
+    ) -> Velocity | None:
+        """The mean velocity of a step in parts; None where one misses the tolerance."""
+        compensation, means = np.zeros_like(u), []
+        for start, h in zip(starts.tolist(), sizes.tolist(), strict=True):
+            means.append(self._mean(start, h, u))
+            work.append(means[-1])
+            if means[-1].relative > self._plan.tol:
+                return None
+            u, compensation = compensated_sum(u, h * means[-1].z, compensation)
+        mean = _mean((sizes / sizes.sum()).tolist(), means, work)
+        return mean._replace(solver=f"{mean.solver}/{len(means)}")
 
     def _mean(self, t: float, mu: float, u: np.ndarray) -> Velocity:
         """The mean velocity of a step of the scheme, or of its steps of implicit Euler.

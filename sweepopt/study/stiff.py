@@ -179,7 +179,7 @@ def judge(row: StiffRow, process: SweepingProcess, t_end: float, bounds: bool = 
         settings: dict[str, Any] = {"scheme": scheme, "tol": 1e-8, "on_unstable": "ignore"}
         return solve(process, t_end=t_end, steps=finer * row.steps, **settings)
 
-    reference, sol = run("sdirk32", REFINED), run("auto")
+    reference, sol = run("auto", REFINED), run("auto")
     slips = reference.velocity.reshape(row.steps, REFINED, -1)
     error, *others = (
         largest_norm(process, one.u - reference.u[::REFINED]) for one in (sol, *map(run, BEST_OF))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -68,6 +68,8 @@ class Plan:
     proved : bool
         Whether velocities are certified and refined; where not, a solver's first normal pair is
         taken: for trajectories whose residual is bounded as a whole.
+    breakpoints : ndarray
+        Those of the load inside of steps, which are taken in parts that end there.
     """
 
     unknowns: int
@@ -83,6 +85,7 @@ class Plan:
     cones: bool = False
     contraction: float = 0.0
     proved: bool = True
+    breakpoints: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def path(self) -> str:
@@ -152,6 +155,11 @@ class Plan:
         if self.contraction:
             lines.append(
                 f"fixed point         C(t, u), iterated; contraction {self.contraction:.2g}"
+            )
+        if self.breakpoints.size:
+            lines.append(
+                f"breakpoints         {self.breakpoints.size} of the load lie inside of steps, "
+                "which are taken in parts that end there"
             )
         lines += [f"left out            {what}" for what in self.left_out]
         return "\n".join(lines)
