@@ -6,6 +6,7 @@ from sweepopt.sets.aligned import Aligned, Similar, shape_of
 from sweepopt.sets.balls import Ball, Balls, SecondOrderCone
 from sweepopt.sets.base import (
     ROUNDING,
+    Blocks,
     ConvexSet,
     Features,
     NoHalfspacesError,
@@ -35,6 +36,7 @@ __all__ = [
     "AnySet",
     "Ball",
     "Balls",
+    "Blocks",
     "Box",
     "Constraints",
     "ConvexSet",

@@ -16,11 +16,11 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse as sp
 
 from sweepopt.checks import vector
 from sweepopt.sets.base import (
+    Blocks,
     ConvexSet,
     CurveGaps,
     Features,
@@ -29,6 +29,7 @@ from sweepopt.sets.base import (
     NormalPair,
     Perturbation,
     Selection,
+    assembled,
     places,
 )
 from sweepopt.sets.shapes import Box, Point
@@ -147,22 +148,22 @@ class Aligned(ConvexSet):
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:
         """None for few of the unknowns: their set has one."""
-        each: list[Any] = [S.derivative(x) for S, x in self._split(self._back(v))]
-        few = self.unknowns is not None and self.unknowns.size < self.dim
-        if few or any(D is None for D in each):
-            return None
-        if all(D.ndim == 1 for D in each):
-            return self._joined(each)
-        D = scipy.linalg.block_diag(*(D if D.ndim == 2 else np.diag(D) for D in each))
-        back = slice(None) if self.unknowns is None else np.argsort(self.unknowns)
-        return D[back][:, back]
+        return assembled(self.blocks(v), self.dim)
 
-    def blocks(self, v: np.ndarray) -> list[np.ndarray] | None:
+    @property
+    def block(self) -> int:
+        return max(S.block for S in self.parts)
+
+    def blocks(self, v: np.ndarray) -> list[Blocks] | None:
         """None for few of the unknowns."""
         each = [S.blocks(x) for S, x in self._split(self._back(v))]
-        if self.unknowns is not None or any(D is None for D in each):
+        few = self.unknowns is not None and self.unknowns.size < self.dim
+        if few or any(blocks is None for blocks in each):
             return None
-        return list(chain.from_iterable(each))
+        if self.whole:
+            return each[0]
+        every, places = np.arange(self.dim), zip(self._places, each, strict=True)
+        return [one._replace(unknowns=every[at][one.unknowns]) for at, of in places for one in of]
 
     def exchange(self, diagonal: np.ndarray) -> np.ndarray:
         return self._joined([S.exchange(x) for S, x in self._split(diagonal)])

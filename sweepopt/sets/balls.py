@@ -8,20 +8,21 @@ import numpy as np
 
 from sweepopt.checks import dimension, entries, number, vector
 from sweepopt.errors import InputError
-from sweepopt.sets.base import ROUNDING, ConvexSet, CurveGaps, Features, Halfspaces
+from sweepopt.sets.base import (
+    ROUNDING,
+    Blocks,
+    ConvexSet,
+    CurveGaps,
+    Features,
+    Halfspaces,
+    assembled,
+    neighbours,
+)
 from sweepopt.sets.curves import ball_arcs, products
 from sweepopt.sets.shapes import Box
 
 if TYPE_CHECKING:
     import cvxpy as cp
-
-
-def _block_diagonal(blocks: np.ndarray) -> np.ndarray:
-    """The matrix of equal blocks, shape (n, k, k); SciPy's took a third of Newton's time."""
-    n, k, _ = blocks.shape
-    D, i = np.zeros((n, k, n, k)), np.arange(n)
-    D[i, :, i] = blocks
-    return D.reshape(n * k, n * k)
 
 
 class Balls(ConvexSet):
@@ -103,7 +104,7 @@ class Balls(ConvexSet):
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)
 
-    def blocks(self, v: np.ndarray) -> list[np.ndarray]:
+    def blocks(self, v: np.ndarray) -> list[Blocks]:
         """I in a ball, r/|a| (I - n n^T) outside of it, n = a/|a|."""
         arms = self._arms(v)
         D = np.tile(np.eye(self.block), (self.radii.size, 1, 1))
@@ -112,10 +113,10 @@ class Balls(ConvexSet):
         n = arms[out] / lengths[out, None]
         share = (self.radii[out] / lengths[out])[:, None, None]
         D[out] = share * (D[out] - n[:, :, None] * n[:, None, :])
-        return [D]
+        return [neighbours(D)]
 
-    def derivative(self, v: np.ndarray) -> np.ndarray:
-        return _block_diagonal(self.blocks(v)[0])
+    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        return assembled(self.blocks(v), self.dim)
 
     def factors(self) -> list[ConvexSet]:
         return [Ball(np.zeros(self.block), radius) for radius in self.radii]
@@ -237,7 +238,7 @@ class SecondOrderCone(ConvexSet):
         moved = np.column_stack([top, along[:, None] * arms])
         return np.where(beside[:, None], moved, w.reshape(-1, self.block)).ravel()
 
-    def blocks(self, v: np.ndarray) -> list[np.ndarray]:
+    def blocks(self, v: np.ndarray) -> list[Blocks]:
         height, arms, length = self._split(v)
         k, D = self.slopes, np.tile(np.eye(self.block), (self.slopes.size, 1, 1))
         D[(k * length <= -height) & (length > k * height)] = 0.0
@@ -250,10 +251,10 @@ class SecondOrderCone(ConvexSet):
         turn = k * (height + k * length) / ((1 + k**2) * length)
         across = np.eye(self.block - 1) - n[:, :, None] * n[:, None, :]
         D[out, 1:, 1:] += turn[:, None, None] * across
-        return [D]
+        return [neighbours(D)]
 
-    def derivative(self, v: np.ndarray) -> np.ndarray:
-        return _block_diagonal(self.blocks(v)[0])
+    def derivative(self, v: np.ndarray) -> np.ndarray | None:
+        return assembled(self.blocks(v), self.dim)
 
     def weights(self, tau: np.ndarray) -> np.ndarray:
         return np.repeat(tau.reshape(-1, self.block).mean(axis=1), self.block)

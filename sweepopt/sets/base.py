@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -73,6 +73,36 @@ class Selection(NamedTuple):
     unknowns: np.ndarray
     part: ConvexSet
     shift: np.ndarray | None
+
+
+class Blocks(NamedTuple):
+    """Blocks of a derivative on unknowns, shape (k, n), as matrices D, shape (k, n, n).
+
+    They take the memory of k n^2 numbers where the derivative takes (k n)^2.
+    """
+
+    unknowns: np.ndarray
+    D: np.ndarray
+
+
+def neighbours(D: np.ndarray) -> Blocks:
+    """Blocks one after the other in the vector."""
+    return Blocks(np.arange(D.shape[0] * D.shape[1]).reshape(D.shape[:2]), D)
+
+
+def assembled(blocks: list[Blocks] | None, dim: int) -> np.ndarray | None:
+    """The derivative of these blocks, a diagonal as a vector."""
+    if blocks is None:
+        return None
+    if all(block.shape[1] == 1 for _, block in blocks):
+        diagonal = np.zeros(dim)
+        for at, block in blocks:
+            diagonal[at.ravel()] = block.ravel()
+        return diagonal
+    D = np.zeros((dim, dim))
+    for at, block in blocks:
+        D[at[:, :, None], at[:, None]] = block
+    return D
 
 
 def exchanged(M: Any, of: Selection | None) -> sp.dia_array | None:
@@ -310,16 +340,17 @@ class ConvexSet(Operators, ABC):
         """
         return None
 
-    def blocks(self, v: np.ndarray) -> list[np.ndarray] | None:
-        """The blocks of a block-diagonal `derivative`, one after the other; None for a full one.
+    @cached_property
+    def block(self) -> int:
+        """How many unknowns `derivative` couples at most."""
+        return self.dim
 
-        Returns
-        -------
-        list of ndarray, shape (k, n, n)
-            They take the memory of k n^2 numbers where the derivative takes (k n)^2.
-        """
-        D = self.derivative(v)
-        return [D.reshape(-1, 1, 1)] if D is not None and D.ndim == 1 else None
+    def blocks(self, v: np.ndarray) -> list[Blocks] | None:
+        """The blocks of `derivative`; None where that is not known."""
+        D, at = self.derivative(v), np.arange(self.dim)
+        if D is None:
+            return None
+        return [Blocks(at[:, None], D[:, None, None]) if D.ndim == 1 else Blocks(at[None], D[None])]
 
     def exchange(self, diagonal: np.ndarray) -> np.ndarray:
         """A diagonal H that may be added to this one, so that `project` knows the metric.

@@ -22,6 +22,7 @@ from sweepopt.errors import EmptySetError, TouchingError
 from sweepopt.sets.aligned import Aligned, product_of
 from sweepopt.sets.base import (
     ROUNDING,
+    Blocks,
     ConvexSet,
     Features,
     Form,
@@ -217,6 +218,13 @@ class Lifted(ConvexSet):
             return self._blocks.derivative(v)
         near = self.near(v) if self.certifiable else None
         return near.splitting.derivative(near) if near is not None and near.exact else None
+
+    @property
+    def block(self) -> int:
+        return self.dim if self._blocks is None else self._blocks.block
+
+    def blocks(self, v: np.ndarray) -> list[Blocks] | None:
+        return super().blocks(v) if self._blocks is None else self._blocks.blocks(v)
 
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         if self._blocks is not None:

@@ -46,6 +46,7 @@ class Box(ConvexSet):
     """
 
     polyhedral = True
+    block = 1
 
     def __init__(self, lower: Any, upper: Any) -> None:
         self.lower = entries("lower", lower, finite=False)

@@ -33,7 +33,7 @@ import scipy.sparse as sp
 from sweepopt.checks import Matrix
 from sweepopt.errors import IndefiniteError
 from sweepopt.linalg import EPS, Factor, InBlocks
-from sweepopt.sets import ROUNDING, ConvexSet
+from sweepopt.sets import ROUNDING, Balls, ConvexSet, shape_of
 from sweepopt.velocity.certificate import Proposal
 
 MOST = 50  # Newton steps; a load step of a fully plastic body takes 5 to 10
@@ -48,7 +48,7 @@ def condensable(M: Matrix, unknowns: np.ndarray, S: ConvexSet) -> bool:
     metric = diagonal + S.exchange(diagonal)
     return (
         S.exact
-        and S.blocks(S.anchor) is not None
+        and (S.block == 1 or S.block < S.dim or isinstance(shape_of(S), Balls))
         and block.count_nonzero() == np.count_nonzero(diagonal)
         and bool((np.abs(S.weights(metric) - metric) <= ROUNDING * metric).all())
     )
@@ -155,20 +155,18 @@ class ReturnMapping:
 
     def _tangent(self, S: ConvexSet, r: np.ndarray) -> Factor:
         """K - G^T W^-1 (I - DP_S(r)) G."""
-        tangent, start = self._K, 0
-        for D in S.blocks(r) or ():
-            count, size, _ = D.shape
-            end = start + count * size
-            D = (np.eye(size) - D) / self._weights[start:end].reshape(count, size, 1)
+        tangent = self._K
+        for at, D in S.blocks(r) or ():
+            size = D.shape[1]
+            D = (np.eye(size) - D) / self._weights[at][:, :, None]
             yields = D.any(axis=(1, 2))
             if yields.any():
-                rows = self._G[start + np.flatnonzero(np.repeat(yields, size))]
+                rows = self._G[at[yields].ravel()]
                 blocks = sp.bsr_array(
                     (D[yields], np.arange(yields.sum()), np.arange(yields.sum() + 1)),
                     shape=(len(rows.indptr) - 1,) * 2,
                 )
                 tangent = tangent - rows.T @ sp.csr_array(blocks @ rows)
-            start = end
         if tangent is self._K:
             return self._elastic
         return Factor(sp.csc_array(tangent), "the tangent", factorise=self._factorise)

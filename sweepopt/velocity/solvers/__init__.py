@@ -52,8 +52,8 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
     small: list[Solver] = [NEWTON] if NEWTON.treats(C) else []
     if isinstance(solver, str) and solver == "auto":
         fastest = [FASTEST] if has_daqp() and FASTEST.treats(C) else []
-        D = C.derivative(C.anchor) if small and C.polyhedral else None
-        first = 1 if (D is not None and D.ndim == 2) or not C.exact else 0
+        coupled = bool(small) and C.polyhedral and C.block > 1
+        first = 1 if coupled or not C.exact else 0
         return (*fastest, *general[:first], *small, *general[first:])
     if isinstance(solver, str):
         if solver not in REGISTRY:

@@ -1,4 +1,4 @@
-"""A semismooth Newton method for small programs: exact to rounding, warm started.
+"""A semismooth Newton method: exact to rounding, warm started.
 
 -z in N_C(M z + q) is the equation  w = P_C(w - T z),  w = M z + q, for weights T > 0. With D a
 generalised derivative of P_C the Newton step solves  (M - D (M - T)) dz = P_C(v) - w. For a box it
@@ -6,26 +6,33 @@ is the primal-dual active-set method: stuck entries get z = 0 at once, slipping 
 system (Hintermueller, Ito, Kunisch, SIAM J. Optim. 13(3), 2002). There an entry does not reverse
 within one step: it stops first, or a warm start would have whole contact zones flip to and fro. The
 method may still cycle far from the solution: then each step is halved until the residual of the
-equation falls. Where that ends, another solver takes over.
+equation falls. Where that ends, another solver takes over. Where M is sparse and D has small
+blocks, so is the system.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 import scipy.linalg
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
 
-from sweepopt.checks import count
-from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, dense, euclidean
-from sweepopt.sets import ConvexSet, Polyhedron, shape_of
+from sweepopt.checks import Matrix, count
+from sweepopt.linalg import EPS, NEGLIGIBLE, SMALL, Factor, euclidean
+from sweepopt.sets import Blocks, ConvexSet, Polyhedron, shape_of
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.contract import Answer, Small, Solve
 
 PATIENCE = 5  # steps that may fail to improve on the best one: more are a cycle
 SHORTEST = 1e-5  # share of a step: discs across cells of stiffness 1 and 1e8 miss tol at 1e-3
+
+SolveLinear = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -35,7 +42,7 @@ class Newton(Small):
     Parameters
     ----------
     max_dim : int
-        Larger programs are left to the other solvers; a step solves a dense system.
+        Sets whose projection couples more unknowns than this are left to the other solvers.
     max_iter : int
         Of whole steps, and again of halved ones.
 
@@ -60,14 +67,13 @@ class Newton(Small):
         count("max_iter", self.max_iter)
 
     def treats(self, C: ConvexSet) -> bool:
-        """Whether C is small and the derivative of its projection is known.
+        """Whether the derivative of C's projection is known and couples few unknowns.
 
         Rows are left to the active sets, which end after finitely many of them.
         """
-        if C.dim > self.max_dim:
+        if C.block > self.max_dim or isinstance(shape_of(C), Polyhedron):
             return False
-        D = C.derivative(C.anchor)
-        return D is not None and (D.ndim == 1 or not isinstance(shape_of(C), Polyhedron))
+        return C.blocks(C.anchor) is not None
 
     def compile(self, program: VelocityProgram) -> Solve:
         """A function that starts from the velocity it found last, or from one it is given."""
@@ -75,19 +81,17 @@ class Newton(Small):
 
 
 class _Iteration:
-    """Newton steps for one M; the last velocity and the last factorised block are kept.
+    """Newton steps for one M; the last velocity and the last tangent are kept.
 
-    Contact states change rarely from step to step, and with them the block: that of M for the
-    slipping entries, or that of M^-1 for the stuck ones where these are fewer. Where M is
+    Contact states of a box change rarely from step to step, and with them its tangent. Where M is
     ill-conditioned M z + q is computed more sharply: at condition 1e12, all in contact, plain
     products cost a digit of the certificate.
     """
 
     def __init__(self, M: Factor, max_iter: int) -> None:
-        self._factor, self.M, self._max_iter = M, dense(M.M), max_iter
+        self._M, self._max_iter = M, max_iter
         self._z = np.zeros(M.dim)
-        self._stuck = b""
-        self._block: Any = None
+        self._last: tuple[bytes, Any] = b"", None
 
     def __call__(self, q: np.ndarray, C: ConvexSet, start: np.ndarray | None = None) -> Answer:
         self._z, iterations = self._z if start is None else start, 0
@@ -102,12 +106,12 @@ class _Iteration:
         self, q: np.ndarray, C: ConvexSet, z: np.ndarray, damped: bool
     ) -> tuple[np.ndarray, bool, int]:
         """Newton steps from z: the last z, whether it is exact to rounding, and their number."""
-        T = C.weights(self._factor.diagonal)
+        T = C.weights(self._M.diagonal)
         scale = 1 / np.sqrt(T)
         smallest, stalled, iteration, enough = math.inf, 0, 0, 1e3 * NEGLIGIBLE
         start, change, share = z, np.zeros_like(z), 1.0
         while iteration < self._max_iter:
-            w, size_z = self._factor.apply(z, q, enough)
+            w, size_z = self._M.apply(z, q, enough)
             v = w - T * z
             residual = C.project(v) - w
             size, forces = euclidean(residual * scale), euclidean(w * scale) + size_z
@@ -126,15 +130,12 @@ class _Iteration:
             if stalled == PATIENCE and not damped:
                 break
             smallest = min(smallest, size)
-            D = C.derivative(v)
+            D = C.blocks(v)
             if D is None:
                 break
             try:
-                if D.ndim == 1:
-                    following = self._separable(D == 1, z, residual)
-                else:
-                    following = z + self._coupled(T, D, z, residual)
-            except np.linalg.LinAlgError:
+                following = self._following(D, T, z, residual)
+            except (scipy.linalg.LinAlgError, RuntimeError):  # singular
                 break
             if not math.isfinite(following @ following):
                 break
@@ -142,42 +143,56 @@ class _Iteration:
             z, iteration = following, iteration + 1
         return z, False, iteration
 
-    def _separable(self, stuck: np.ndarray, z: np.ndarray, residual: np.ndarray) -> np.ndarray:
-        """Stuck entries get 0, slipping ones solve M dz = residual; nothing reverses."""
-        inverted = 2 * stuck.sum() < stuck.size
-        kept = np.flatnonzero(stuck if inverted else ~stuck)
-        if stuck.tobytes() != self._stuck:
-            matrix = self._factor.inverse if inverted else self.M
-            block = matrix[np.ix_(kept, kept)]
-            self._block = kept.size and scipy.linalg.cho_factor(block, check_finite=False)
-            self._stuck = stuck.tobytes()
-        change = np.where(stuck, -z, 0.0)
-        if inverted:
-            # the few stuck entries: the forces on them that hold them, in the inverse
-            force = np.where(stuck, 0.0, residual)
-            if kept.size:
-                inner = change[kept] - self._factor.inverse[kept] @ force
-                force[kept] = scipy.linalg.cho_solve(self._block, inner, check_finite=False)
-            change = self._factor.inverse @ force
-        elif kept.size:
-            right = (residual - self.M @ change if change.any() else residual)[kept]
-            change[kept] = scipy.linalg.cho_solve(self._block, right, check_finite=False)
-        following = np.where(stuck, 0.0, z + change)
-        return np.where(following * z < 0, 0.0, following)
-
-    def _coupled(
-        self, T: np.ndarray, D: np.ndarray, z: np.ndarray, residual: np.ndarray
+    def _following(
+        self, D: list[Blocks], T: np.ndarray, z: np.ndarray, residual: np.ndarray
     ) -> np.ndarray:
-        """Solve (M - D (M - T)) dz = residual, with the rows where D is the identity taken out."""
-        stuck = (D.diagonal() == 1) & (np.abs(D).sum(axis=1) == 1)
-        dz = np.where(stuck, -z, 0.0)
+        """z + dz; entries of a box do not reverse."""
+        key = b"".join(block.tobytes() for _, block in D)
+        if key != self._last[0]:
+            self._last = key, self._tangent(D, T)
+        stuck, beside, solve = self._last[1]
+        following, free = np.where(stuck, 0.0, z), ~stuck
+        right = residual[free]
+        if z[stuck].any():
+            right = right + beside @ z[stuck]
+        following[free] += solve(right)
+        if all(block.shape[1] == 1 for _, block in D):
+            following[following * z < 0] = 0.0
+        return following
+
+    def _tangent(self, D: list[Blocks], T: np.ndarray) -> tuple[np.ndarray, Matrix, SolveLinear]:
+        """What sticks, the columns of M - D (M - T) for it, and the equations of the others."""
+        M = self._M.M
+        P = _matrix(D, M.shape[0], sp.issparse(M) or M.shape[0] > SMALL)
+        stuck = (P.diagonal() == 1) & (abs(P).sum(axis=1) == 1)
         free = ~stuck
-        if not free.any():
-            return dz
-        rows = self.M[free]
-        rows = rows - D[free] @ self.M + D[free] * T
-        right = residual[free] - rows[:, stuck] @ dz[stuck]
+        P = P[free]
+        rows = M[free] - P @ M + P * T
         # in units of T: pivots are chosen by size
-        units = np.sqrt(T[free])
-        dz[free] = np.linalg.solve(rows[:, free] / np.outer(units, units), right / units) / units
-        return dz
+        units = 1 / np.sqrt(T[free])
+        solve = _factorised(rows[:, free] * units * units[:, None]) if free.any() else np.copy
+        return stuck, rows[:, stuck], lambda right: units * solve(units * right)
+
+
+def _factorised(J: Matrix) -> SolveLinear:
+    """b -> the solution of J x = b."""
+    if sp.issparse(J):
+        return spla.splu(sp.csc_array(J)).solve
+    return partial(scipy.linalg.lu_solve, scipy.linalg.lu_factor(J, check_finite=False))
+
+
+def _matrix(D: list[Blocks], n: int, as_sparse: bool) -> Matrix:
+    """The blocks in one matrix."""
+    rows: list[np.ndarray] = []
+    columns: list[np.ndarray] = []
+    entries: list[np.ndarray] = []
+    for at, block in D:
+        for of, index in ((rows, at[:, :, None]), (columns, at[:, None])):
+            of.append(np.broadcast_to(index, block.shape).ravel())
+        entries.append(block.ravel())
+    places = np.concatenate(rows), np.concatenate(columns)
+    if as_sparse:
+        return sp.csr_array((np.concatenate(entries), places), (n, n))
+    matrix = np.zeros((n, n))
+    matrix[places] = np.concatenate(entries)
+    return matrix
