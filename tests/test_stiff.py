@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cases import GRIDS, case
+from cases import case
 
 import sweepopt as so
 from sweepopt.cli import main
@@ -142,8 +142,9 @@ def test_a_square_of_small_viscosity_is_as_accurate_as_the_best() -> None:
 def test_sdirk32_is_of_order_two(name: str) -> None:
     this = case(name)
     how: dict[str, Any] = {"t_end": this.t_end, "scheme": "sdirk32", "tol": 1e-9}
-    errors = [this.error(so.solve(this.process, steps=n, **how)) for n in GRIDS]
-    order = -np.polyfit(np.log(GRIDS), np.log(errors), 1)[0]
+    grids = (101, 211, 503, 1009, 2003)
+    errors = [this.error(so.solve(this.process, steps=n, **how)) for n in grids]
+    order = -np.polyfit(np.log(grids), np.log(errors), 1)[0]
     assert order >= 1.9
     assert errors[0] <= 1.9 * min(this.errors[scheme]["101"] for scheme in BEST_OF)
 
