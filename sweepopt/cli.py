@@ -18,6 +18,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sweepopt.display import as_lines
 from sweepopt.errors import (
     Status,
     SweepoptError,
@@ -271,7 +272,7 @@ def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:
     lines["worst certificate"] = f"{solution.stats['relative'].max():.1e} (relative)"
     named = [name for name in files if not name.endswith(".vtu")]
     lines["written"] = f"{folder}: {', '.join(named)}"
-    print("\n".join(f"{name:<18}  {words}" for name, words in lines.items()))
+    print(as_lines(lines.items()))
 
 
 def _require(*extras: str) -> None:

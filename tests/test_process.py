@@ -526,3 +526,50 @@ def test_a_sparse_matrix_whose_indices_are_not_sorted_stays_as_it_is() -> None:
         process = so.SweepingProcess(A, None, so.Box([-1, -1], [1, 1]), np.zeros(2))
         assert np.array_equal(process.A.toarray(), before)
     assert np.array_equal(A.toarray(), before)
+
+
+BOX = so.Box([-1, -1, -1], [1, 1, 1])
+PLAIN = so.SweepingProcess(np.eye(3), sp.eye_array(3), so.Moving(BOX, lambda t: 3 * [t]), 3 * [0.0])
+TITLED = antiplane(
+    square(2),
+    clamped="top",
+    effects=[Viscosity(1.0), Elasticity(1.0), Friction("bottom", g=0.1)],
+    title="plates <1 & 2>",
+)
+RUN = so.solve(PLAIN, t_end=2.0, steps=20, scheme="midpoint", save=4)
+SHOWN = {
+    "Box, dim 3": BOX,
+    "Moving, dim 3": PLAIN.C,
+    "StateDependent, dim 1": so.StateDependent(lambda t, u: so.Box(t - 1, t + 1), [[0.1]]),
+    "Ellipsoid, dim 2": so.Ellipsoid([0, 0], np.eye(2)),
+    "SweepingProcess     dim 3, dense": PLAIN,
+    "EvolutionVI": so.EvolutionVI(np.eye(3), None, dissipation=BOX, u0=np.zeros(3)),
+    "plates <1 & 2>": TITLED,
+    "20, 5 of them kept": RUN,
+    "full: a program for all unknowns": RUN.plan,
+}
+
+
+@pytest.mark.parametrize("words", SHOWN)
+def test_objects_show_themselves_in_a_few_lines(words: str) -> None:
+    shown = repr(SHOWN[words])
+    assert words in shown
+    assert "0x" not in shown
+    lines = shown.splitlines()
+    assert len(lines) <= 8
+    assert max(map(len, lines)) < 120
+
+
+def test_notebooks_show_rows_with_the_words_of_users_escaped() -> None:
+    assert "<td>plates &lt;1 &amp; 2&gt;<" in TITLED._repr_html_()
+    for this in (PLAIN, TITLED, RUN, RUN.plan):
+        assert this._repr_html_().count("<tr>") == repr(this).count("\n") + 1
+
+
+def test_a_solution_shows_a_bound_once_it_is_known_and_whether_it_is_guaranteed() -> None:
+    load = so.Separable([(so.Sine(3.0, 4.0), [1.0])])
+    known = so.SweepingProcess([[0.5]], [[2.0]], so.Moving(so.Box([-1], [1]), load), [0.0])
+    for process, words in ((known, "guaranteed"), (PLAIN, "not guaranteed")):
+        sol = so.solve(process, t_end=1.0, steps=10)
+        assert "error bound" not in repr(sol)
+        assert f"error bound         {sol.error_bound():.3g}, {words}" in repr(sol)

@@ -14,6 +14,7 @@ import skfem
 from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.checks import choice, listed, number
+from sweepopt.display import Displayed, Rows
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Contact, Yield, dissipation, merged
 from sweepopt.fem.effects import Contribution, Effect, Eigenstrain, Force, Friction
@@ -44,8 +45,8 @@ PICTURES = (
 """What a scene can ask for; pictures.py draws it."""
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
+@dataclass(frozen=True, eq=False, repr=False)
+class Scene(Displayed):
     """A problem with its mesh and settings, as `body`, `antiplane` and `read_scene` build it.
 
     Attributes
@@ -94,6 +95,15 @@ class Scene:
     lifts: tuple[tuple[History, NDArray[np.float64]], ...] = ()
     yields: tuple[Yield, ...] = ()
     changes: tuple[str, ...] = ()
+
+    def _rows(self) -> Rows:
+        space = self.discretisation
+        yield "Scene", self.title
+        yield "body", f"{space.kind}, {space.element}, {space.mesh.nelements} cells"
+        yield "unknowns", self.problem.dim
+        yield "effects", ", ".join(type(effect).__name__ for effect in self.effects)
+        yield "t_end, steps", f"{self.t_end}, {self.steps}"
+        yield "left out", "; ".join(self.left_out)
 
     @property
     def process(self) -> SweepingProcess:

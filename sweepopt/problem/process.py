@@ -19,6 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix, symmetric, vector
+from sweepopt.display import Displayed, Rows
 from sweepopt.errors import (
     IndefiniteError,
     InitialStateWarning,
@@ -65,7 +66,7 @@ class VelocityBound(NamedTuple):
     guaranteed: bool
 
 
-class SweepingProcess:
+class SweepingProcess(Displayed):
     """-u'(t) in N_{C(t)}(A u'(t) + B u(t)),  u(0) = u0.
 
     Parameters
@@ -133,6 +134,11 @@ class SweepingProcess:
                 raise IndefiniteError(f"A must be positive semidefinite, but {found}") from None
             self._set_weak_metric(self.B)
         self.coercive = self.time_scale == 0.0
+
+    def _rows(self) -> Rows:
+        yield type(self).__name__, f"dim {self.dim}, {'sparse' if sp.issparse(self.A) else 'dense'}"
+        yield "B", "none" if self.B is None else "given"
+        yield "C", self.C
 
     def _set_weak_metric(self, B: Matrix) -> None:
         """The metric A + tau B of a singular A: tau is the longest time that the diagonals show."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from sweepopt import checks
+from sweepopt.display import Displayed, Rows
 from sweepopt.errors import InputError, PathError, Status, SweepoptError, shown
 from sweepopt.integrate import (
     BY_EULER,
@@ -41,8 +42,8 @@ class Field(NamedTuple):
     velocity: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
+@dataclass(frozen=True, eq=False, repr=False)
+class Solution(Displayed):
     """The piecewise-linear interpolant u_n and its diagnostics.
 
     Attributes
@@ -77,6 +78,18 @@ class Solution:
     recorded: list[Any] | None = None
     exact: Trajectory | None = None
     passes: tuple[Pass, ...] = ()
+
+    def _rows(self) -> Rows:
+        stats, names = self.statistics.rows, [*self.statistics.solvers, "none"]
+        yield type(self).__name__, f"dim {self.process.dim}, {self.status.name.lower()}"
+        yield "ended", self.message
+        yield "times", f"{self.t[0]:g} to {self.t[-1]:g}"
+        yield "steps", f"{len(stats)}, {len(self.steps)} of them kept"
+        yield "scheme", self.plan.scheme.name
+        yield "solver", ", ".join(names[i] for i in np.unique(stats["solver"]))
+        yield "worst certificate", f"{stats['relative'].max(initial=0.0):.1e} (relative)"
+        if (bound := vars(self).get("_bound")) is not None:
+            yield "error bound", f"{bound:.3g}, {'' if bound.guaranteed else 'not '}guaranteed"
 
     @property
     def steps(self) -> np.ndarray:

@@ -241,6 +241,9 @@ class Operators:
     __pandas_priority__ = 10000
     depth = 0  # of operations that each ask the set before
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}, dim {self.dim}"
+
     def __add__(self, other: Any) -> Any:
         return self.algebra.add(self, other)
 

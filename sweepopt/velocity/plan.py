@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
+from sweepopt.display import Displayed, Rows
 from sweepopt.errors import PathError, SolverRefusedError
 from sweepopt.linalg import factor_bytes, is_diagonal
 from sweepopt.problem import SweepingProcess
@@ -35,8 +36,8 @@ MANY = 300  # unknowns of a polyhedron: on fewer a step has a finite method
 FINEST = 1e-7  # tolerance of cones: the root of twice what sum g |E_k z| rounds, 6e-8 of its root
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan(Displayed):
     """How a process is simulated.
 
     Attributes
@@ -131,7 +132,7 @@ class Plan:
         left_out = (*self.left_out, f"proportional path: {reason}")
         return replace(self, reduction=None, left_out=left_out)
 
-    def __str__(self) -> str:
+    def _rows(self) -> Rows:
         solver = self.solvers[0].name if self.solvers else "linear solves, no optimiser"
         if self.solver == "auto" and self.solvers:
             solver += ", a formula where M is diagonal"
@@ -143,26 +144,20 @@ class Plan:
             solver = "closed forms between the switches, which are located"
         order = "" if self.scheme.exact else f" (order {self.scheme.order})"
         reason = f": {self.scheme.reason}" if self.scheme.reason else ""
-        lines = [
-            f"path                {self.path}: {PATHS.get(self.path, 'a linear solve a step')}",
-            f"unknowns            {self.unknowns}",
-            f"nonsmooth unknowns  {self.nonsmooth_unknowns}",
-            f"eliminated          {self.eliminated}",
-            f"scheme              {self.scheme.name}{order}{reason}",
-            f"solver              {solver}",
-            f"tolerance           {self.tol:g} (relative certificate of each program)",
-        ]
+        yield "path", f"{self.path}: {PATHS.get(self.path, 'a linear solve a step')}"
+        yield "unknowns", self.unknowns
+        yield "nonsmooth unknowns", self.nonsmooth_unknowns
+        yield "eliminated", self.eliminated
+        yield "scheme", f"{self.scheme.name}{order}{reason}"
+        yield "solver", solver
+        yield "tolerance", f"{self.tol:g} (relative certificate of each program)"
         if self.contraction:
-            lines.append(
-                f"fixed point         C(t, u), iterated; contraction {self.contraction:.2g}"
-            )
+            yield "fixed point", f"C(t, u), iterated; contraction {self.contraction:.2g}"
         if self.breakpoints.size:
-            lines.append(
-                f"breakpoints         {self.breakpoints.size} of the load lie inside of steps, "
-                "which are taken in parts that end there"
-            )
-        lines += [f"left out            {what}" for what in self.left_out]
-        return "\n".join(lines)
+            inside = "of the load lie inside of steps, which are taken in parts that end there"
+            yield "breakpoints", f"{self.breakpoints.size} {inside}"
+        for what in self.left_out:
+            yield "left out", what
 
 
 def make_plan(
