@@ -11,6 +11,7 @@ import scipy.sparse as sp
 import skfem
 
 import sweepopt as so
+from sweepopt import fem
 from sweepopt.errors import InitialStateWarning, PathError
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
@@ -130,6 +131,27 @@ def test_other_balls_agree_with_the_program_for_all_unknowns(process: so.Evoluti
     )
     assert set(cones.stats["solver"]) <= {"cones", "at rest"}
     assert np.abs(cones.velocity - full.velocity).max() <= 1e-5 * np.abs(full.velocity).max()
+
+
+@pytest.mark.parametrize("g", [0.0, 0.3, 5.0])
+def test_friction_beside_a_yield_stress_agrees_with_a_program_stated_in_cvxpy(g: float) -> None:
+    body = skfem.MeshTri().refined(3).with_defaults()
+    pull = fem.Traction("right", so.Sine(1.5, period=2.0))
+    effects = [fem.Viscosity(1.0), fem.Elasticity(1.5), fem.YieldStress(0.2), pull]
+    friction = [fem.Friction("bottom", g=g)] if g else []
+    scene = fem.antiplane(body, clamped="top", effects=[*effects, *friction])
+    sol = so.solve(scene.problem, t_end=1.0, steps=10, tol=CERTIFICATE)
+    assert sol.plan.path == "cones"
+    assert sol.stats["relative"].max() <= CERTIFICATE
+    if g:
+        assert (sol.velocity[-1][scene.contact.unknown] == 0.0).any()
+    stages = [sol.step_program(9, stage).problem for stage in range(2)]
+    for problem in stages:
+        problem.solve(solver="CLARABEL", tol_gap_abs=1e-12, tol_gap_rel=1e-12, tol_feas=1e-12)
+    weights = sol.plan.scheme.b
+    z = sum(b * problem.variables()[0].value for b, problem in zip(weights, stages, strict=True))
+    norm = scene.process.metric.norm
+    assert norm(z - sol.velocity[9]) <= 1e-4 * norm(z)
 
 
 def test_answers_do_not_depend_on_units() -> None:

@@ -111,10 +111,20 @@ class Yield:
 def dissipation(yields: Sequence[Yield], t: float = 0.0, u: Array | None = None) -> ConvexSet:
     """``D(t, u) = sum_k E_k^T D_k(t, u)``, of one product of intervals, discs and ellipses.
 
-    Intervals on the same unknown are added, so that E selects unknowns.
+    Intervals on the same unknown are added, so that E selects unknowns. Beside discs or balls alone
+    they are those of a row and zeros, so that all have one dimension, as path "cones" asks for.
     """
     parts: list[ConvexSet] = []
     blocks: list[sp.csr_array] = []
+    dims = {one.rows.block for one in yields} - {1}
+    if len(dims) == 1 and all(
+        one.shape == "ball" and one.metric is None and one.slopes is None for one in yields
+    ):
+        (dim,) = dims
+        first = sp.csr_array(np.eye(dim, 1))
+        E = [sp.kron(one.rows.E, first) if one.rows.block == 1 else one.rows.E for one in yields]
+        balls = Balls(np.concatenate([one.at(t, u) for one in yields]), dim)
+        return image(sp.csc_array(sp.vstack(E).T), balls)
     intervals = [one for one in yields if one.rows.block == 1]
     if intervals:
         E = sp.vstack([one.rows.E for one in intervals], format="csr")
