@@ -91,13 +91,9 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--scheme", help=f"auto, {', '.join(schemes.SCHEMES)}")
     run.add_argument("--solver", help=f"auto, {', '.join(solvers.REGISTRY)}")
     run.add_argument("--tol", type=float, help="bound of each step's relative certificate")
-    run.add_argument(
-        "--animate",
-        nargs="?",
-        const="gif",
-        choices=("gif", "mp4"),
-        help="write an animation too, as a GIF or (by ffmpeg) an MP4",
-    )
+    for flag, kind in (("--animate", "gif"), ("--mp4", "mp4")):
+        words = "write an animation too, as " + ("a GIF" if kind == "gif" else "an MP4 (by ffmpeg)")
+        run.add_argument(flag, dest="animate", action="store_const", const=kind, help=words)
     run.add_argument("--no-progress", action="store_true", help="no progress bar")
 
     effects = commands.add_parser("effects", help="what each effect of a scene costs")

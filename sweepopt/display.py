@@ -9,8 +9,8 @@ Rows = Iterable[tuple[str, object]]
 
 
 def as_lines(rows: Rows) -> str:
-    """One line a row, the values below each other."""
-    return "\n".join(f"{name:<20}{value}" for name, value in rows)
+    """One line a row that has a value, the values below each other."""
+    return "\n".join(f"{name:<20}{value}" for name, value in rows if str(value))
 
 
 class Displayed:
@@ -22,5 +22,6 @@ class Displayed:
         return as_lines(self._rows())
 
     def _repr_html_(self) -> str:
-        rows = (f"<tr><th>{name}<td>{escape(str(value))}" for name, value in self._rows())
+        texts = ((name, str(value)) for name, value in self._rows())
+        rows = (f"<tr><th>{name}<td>{escape(text)}" for name, text in texts if text)
         return f"<table>{''.join(rows)}</table>"

@@ -301,6 +301,37 @@ def test_a_step_that_is_no_contraction_is_refused_with_the_size_of_one_that_is()
         so.solve(mass(viscosity=0.0), t_end=2.0, steps=1000)
 
 
+def test_a_lipschitz_matrix_that_is_too_small_is_found_by_the_iteration() -> None:
+    def friction(t: float, u: np.ndarray) -> so.Box:
+        g = 0.5 + 2 * abs(u)
+        return so.Box(5 * t - g, 5 * t + g)
+
+    C = so.StateDependent(friction, [[0.01]])
+    with pytest.raises(so.InputError, match=r"lipschitz of C\(t, u\) is too small: at t = "):
+        so.solve(so.SweepingProcess([[1.0]], None, C, [0.0]), t_end=1.0, steps=10)
+
+
+def test_what_a_set_adds_to_the_rate_counts_for_the_step_of_the_explicit_scheme() -> None:
+    def run(steps: int) -> so.Solution:
+        C = so.StateDependent(lambda t, u: so.Box(t - 1 - 10 * abs(u), t + 1 + 10 * abs(u)), [[10]])
+        process = so.SweepingProcess([[1.0]], None, C, [0.0])
+        return so.solve(process, t_end=2.0, steps=steps, scheme="catching-up")
+
+    with pytest.raises(so.UnstableStepError, match=r"mu Lam = 5; take mu <= 0\.1"):
+        run(4)
+    assert run(20).success
+
+
+def test_a_function_of_the_state_cannot_change_it() -> None:
+    def C(t: float, u: np.ndarray) -> so.Box:
+        u *= 0
+        return so.Box([-1], [1])
+
+    process = so.SweepingProcess([[1.0]], None, so.StateDependent(C, [[0.1]]), [2.0])
+    with pytest.raises(ValueError, match="read-only"):
+        so.solve(process, t_end=1.0, steps=5)
+
+
 def test_what_a_state_dependent_set_cannot_have_is_refused() -> None:
     sol = so.solve(mass(), t_end=1.0, steps=20)
     refused: list[Any] = [

@@ -18,6 +18,7 @@ from sweepopt.io import as_path
 from sweepopt.results import last_state
 
 DISPLACEMENT = Coefficient("u", vector=True)
+SAME = 1e-9  # of the body's size: nodes that are nearer are one, as a file may have rounded them
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,10 @@ def _last_state(
             )
         return last
     points, last = [run[axis] for axis in AXES if axis in run], run.get("displacement", u0[:0])
-    if np.shape(points) != space.points.T.shape or not np.allclose(points, space.points.T):
+    nodes = space.points.T
+    if np.shape(points) != nodes.shape or not np.allclose(
+        points, nodes, rtol=0, atol=SAME * np.ptp(nodes)
+    ):
         raise InputError(f"run: {path} has the nodes of another mesh; take a run of this body")
     if np.shape(last) != space.expand(u0[: space.dim]).shape:
         raise InputError(f"run: {path} has displacements of another kind of body than {space.kind}")

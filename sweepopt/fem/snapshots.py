@@ -21,7 +21,7 @@ PLUG = "#E69F00"
 SMOOTH: dict[str, Any] = {"shading": "gouraud", "rasterized": True}
 STATE_COLOURS = {-1: "#0072B2", 0: STICK, 1: "#D55E00"}
 MOST_FRAMES, RATE = 40, 8
-"""Of an animation, and how many are shown in a second: at most 1.3 MB and 8 s as a GIF."""
+"""Of an animation, and how many are shown in a second: at most 1.4 MB and 5 s as a GIF."""
 EXAGGERATED = 0.05
 """A solid is drawn deformed so that its largest displacement is at least this share of its size."""
 

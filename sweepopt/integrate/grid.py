@@ -19,8 +19,10 @@ from sweepopt.velocity import Plan
 
 MOST = 10**8
 """Steps of one run: their times and statistics alone are gigabytes."""
-HALVINGS = 21
-"""Of a step, to look for one that is short enough: down to a millionth."""
+CONTRACTS = 0.8
+"""By no more than this: a fixed point has ten digits after 100 iterations then."""
+HALVINGS = 50
+"""Of a step, to look for one that is short enough: down to rounding."""
 FADES = 0.25
 """A larger share of an error that comes back lasts for steps: sdirk2's is 0.21 at most."""
 DENSE = 40  # breakpoints of a history from which on those between its turns are not met
@@ -126,10 +128,12 @@ def check_stability(
     where R < -FADES; nothing of it stays where nothing sticks, or where Euler steps step in.
     """
     scheme = plan.scheme
-    if on_unstable == "ignore" or process.B is None:
+    if on_unstable == "ignore":
         return
     if scheme.explicit:
         _check_explicit(process, scheme, mu, on_unstable)
+        return
+    if process.B is None:
         return
     moves = any(not isinstance(phi, Constant) for phi in motion(process.C).histories)
     if scheme.euler_steps or not plan.solvers or not (outside or moves):
@@ -146,7 +150,7 @@ def check_stability(
 
 
 def contraction(process: SweepingProcess, scheme: Scheme, mu: float) -> float:
-    """The largest of the stages of the longest step; refused where it is not below 1.
+    """The largest of the stages of the longest step; refused above CONTRACTS.
 
     Raises
     ------
@@ -155,26 +159,30 @@ def contraction(process: SweepingProcess, scheme: Scheme, mu: float) -> float:
     """
     gamma = mu * max(row[-1] for row in scheme.a)
     theta = process.contraction(gamma)
-    if theta < 1:
+    if theta <= CONTRACTS:
         return theta
-    shorter = (mu / 2**k for k in range(1, HALVINGS) if process.contraction(gamma / 2**k) < 1)
+    halved = ((mu / 2**k, process.contraction(gamma / 2**k)) for k in range(1, HALVINGS))
+    shorter = (size for size, contracts in halved if contracts <= CONTRACTS)
     remedy = next(
         (f"take steps of at most {size:.3g}" for size in shorter),
         "no shorter step helps, as B u alone does not hold against it and a body without viscosity "
         "jumps: give viscosity, a stiffer body, or a C(t, u) that changes less with u",
     )
     raise UnstableStepError(
-        f"C(t, u) changes so much with the state that fixed-point iteration need not converge: its "
-        f"contraction is {theta:.3g}, not below 1; {remedy}"
+        f"C(t, u) changes so much with the state that fixed-point iteration converges slowly or "
+        f"not at all: its contraction is {theta:.3g}, not below {CONTRACTS:g}; {remedy}"
     )
 
 
 def _check_explicit(process: SweepingProcess, scheme: Scheme, mu: float, on_unstable: str) -> None:
-    """Explicit in u means mu Lam <= 2, and no overshoot only for mu Lam <= 1."""
-    number_ = mu * process.Lam
+    """Explicit in u means mu Lam <= 2, and no overshoot only for mu Lam <= 1.
+
+    What C(t, u) adds to the rate of change with u counts as B does.
+    """
+    number_ = mu * (process.Lam + process.state_rate)
     if number_ <= 1:
         return
-    shorter = "take" if math.isinf(number_) else f"take mu <= {1 / process.Lam:.3g}, or"
+    shorter = "take" if math.isinf(number_) else f"take mu <= {mu / number_:.3g}, or"
     remedy = (
         f"mu Lam = {number_:.3g}; {shorter} implicit-euler, which needs no such step and never "
         "overshoots"

@@ -17,16 +17,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.errors import IndefiniteError, TouchingError
+from sweepopt.errors import IndefiniteError, InputError, TouchingError
 from sweepopt.integrate.schemes import Scheme, implicit_euler, is_stiff
 from sweepopt.problem import SweepingProcess
+from sweepopt.sets import ROUNDING
 from sweepopt.velocity import Plan, StateVelocity, Velocity, compile_velocity, of_fixed_point
 
 PARTS = (2, 4, 8, 16)  # of a step that missed its tolerance: halved like steps of adaptive grids
 STOPS = 0.5  # of the motion; with 0.25 stiff runs had 1.8 times the best error at most, now 1.3
 MATRICES = 15  # kept factorised: irregular grids would otherwise keep one a step
-ITERATIONS = 100  # of a fixed point: a contraction of 0.8 gives ten digits; parts contract more
-SHARE = 0.1  # of the tolerance, for the programs of an iteration that contracts by 0.9 or less
+ITERATIONS = 100  # of a fixed point: a contraction of 0.8, the largest allowed, gives ten digits
+SHARE = 0.1  # of the tolerance, for the programs: 1 / (1 - 0.8) of it is in the certificate
 BY_EULER = ", implicit-euler"  # after the solver of a step that was taken by steps of that
 INDEFINITE = "indefinite"  # who answers where A + gamma B is no matrix of a program
 Stages = list[Velocity]
@@ -177,12 +178,19 @@ class Velocities:
         """
         process = self._process
         velocity = self(gamma if process.B is not None else 0.0)
-        result = velocity(u, process.set_at(t, u))
+        result = program = velocity(u, process.set_at(t, u))
         q = self._contraction(gamma)
+        last = size = velocity.distance(result.z, np.zeros_like(u)) if q else 0.0
         for _ in range(ITERATIONS if q else 0):
-            before = result
+            before, error = result, program.certificate
             program = velocity(u, process.set_at(t, u + gamma * before.z))
             distance = velocity.distance(program.z, before.z)
+            if distance > q * last + error + program.certificate + ROUNDING * size:
+                raise InputError(
+                    f"lipschitz of C(t, u) is too small: at t = {t:g} the set changes more with "
+                    f"the state than it says, by a factor of {distance / max(q * last, 1e-300):.2g}"
+                )
+            last = distance
             result = of_fixed_point(program, before, distance, q)
             if result.relative <= self._plan.tol or program.relative > self._plan.tol:
                 break

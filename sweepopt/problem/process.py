@@ -205,8 +205,20 @@ class SweepingProcess(Displayed):
         return np.maximum(float(not self.rate_independent), gamma / self.time_scale)
 
     def set_at(self, t: float, u: np.ndarray) -> ConvexSet:
-        """C(t), or C(t, u) where it depends on the state."""
-        return self.C.of(u).at(t) if isinstance(self.C, StateDependent) else self.C.at(t)
+        """C(t), or C(t, u) where it depends on the state, which its function cannot change."""
+        if not isinstance(self.C, StateDependent):
+            return self.C.at(t)
+        state = u.view()
+        state.flags.writeable = False
+        return self.C.of(state).at(t)
+
+    @cached_property
+    def state_rate(self) -> float:
+        """The largest eigenvalue of A^-1 L, L the Lipschitz matrix of C(t, u); 0 of a C(t)."""
+        C = self.C
+        if not (isinstance(C, StateDependent) and abs(C.lipschitz).max()):
+            return 0.0
+        return largest_ratio(self.metric, C.lipschitz)
 
     def contraction(self, gamma: float) -> float:
         """By how much a set C(t, u + gamma z) that is z's own brings two velocities z together.

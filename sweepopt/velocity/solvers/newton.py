@@ -178,7 +178,10 @@ def _factorised(J: Matrix) -> SolveLinear:
     """b -> the solution of J x = b."""
     if sp.issparse(J):
         return spla.splu(sp.csc_array(J)).solve
-    return partial(scipy.linalg.lu_solve, scipy.linalg.lu_factor(J, check_finite=False))
+    lu, pivots, singular = scipy.linalg.lapack.dgetrf(J)
+    if singular:
+        raise scipy.linalg.LinAlgError("a pivot is 0")
+    return partial(scipy.linalg.lu_solve, (lu, pivots), check_finite=False)
 
 
 def _matrix(D: list[Blocks], n: int, as_sparse: bool) -> Matrix:
