@@ -82,14 +82,14 @@ def _last_state(
     except InputError as error:
         raise InputError(f"run: {error}") from error
     if "u" in run:
-        known = np.full(u0.size, "", dtype=object)
+        labels = np.full(u0.size, "", dtype=object)
         for name, part in fields.items():
-            known[part] = name
+            labels[part] = name
         last, names = run["u"], run.get("field")
-        if last.shape != u0.shape or not (names is None or np.array_equal(names, known)):
+        if last.shape != u0.shape or not (names is None or np.array_equal(names, labels)):
             raise InputError(
                 f"run: {path} has {last.size} unknowns of {_fields(names)}, the scene {u0.size} of "
-                f"{_fields(known)}; take a run of the same body and effects"
+                f"{_fields(labels)}; take a run of the same body and effects"
             )
         return last
     points, last = [run[axis] for axis in AXES if axis in run], run.get("displacement", u0[:0])

@@ -60,11 +60,11 @@ def pictures_of(scene: Scene) -> list[str]:
         If one that it asks for does not fit.
     """
     reasons = {name: refusal(scene, name) for name in (*scene.pictures, *AUTOMATIC)}
-    asked = [name for name in scene.pictures if not reasons[name]]
-    if len(asked) < len(scene.pictures) and not any("without" in one for one in scene.changes):
+    fitting = [name for name in scene.pictures if not reasons[name]]
+    if len(fitting) < len(scene.pictures) and not any("without" in one for one in scene.changes):
         reason = next(filter(None, map(reasons.get, scene.pictures)))
         raise InputError(f"pictures: {reason}; leave it out")
-    return asked or [name for name in AUTOMATIC if not reasons[name]]
+    return fitting or [name for name in AUTOMATIC if not reasons[name]]
 
 
 def draw(report: Report, name: str) -> Any:
@@ -213,7 +213,7 @@ def loops(scene: Scene, solution: Solution) -> list[tuple[Array, Array, tuple[st
     """
     body, t = scene.discretisation, solution.t
     u = solution.u[:, : body.dim]
-    found = []
+    curves = []
     for effect in scene.effects:
         if not isinstance(effect, Foundation) or not effect.moved:
             continue
@@ -221,9 +221,9 @@ def loops(scene: Scene, solution: Solution) -> list[tuple[Array, Array, tuple[st
         history, k = term
         d = np.array([history(time) for time in t])
         force = d * (k @ body.restrict(effect.shift(body))) - u @ k
-        found.append((d, force, ("displacement of the far end", "force of the foundation")))
-    if found:
-        return found
+        curves.append((d, force, ("displacement of the far end", "force of the foundation")))
+    if curves:
+        return curves
     if scene.lifts:
         history, d = scene.lifts[0]
         return [

@@ -90,9 +90,9 @@ class Velocities:
         """
         work: Stages = []
         if breakpoints:
-            starts, kept = np.array([t, *breakpoints]), set(self._compiled)
+            starts, of_steps = np.array([t, *breakpoints]), set(self._compiled)
             mean = self._in_parts(starts, np.diff(starts, append=t + mu), u, work)
-            for gamma in set(self._compiled) - kept:
+            for gamma in set(self._compiled) - of_steps:
                 del self._compiled[gamma]
             if mean is not None:
                 return Step(mean, True)
