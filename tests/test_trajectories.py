@@ -77,12 +77,13 @@ def test_the_exact_trajectory_is_that_of_an_independent_code(name: str) -> None:
 # ---- every scheme -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", SHORT)
+@pytest.mark.parametrize(("turn", "name"), [*enumerate(SHORT)])
 def test_every_scheme_has_the_error_that_it_should_have(
-    name: str, monkeypatch: pytest.MonkeyPatch
+    turn: int, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(trajectories, "BOUNDED", 0)  # bounds take ten times as long as all the rest
-    checked(name, 0)
+    named = [*SCHEMES]  # "auto" and two of them in turn here, all of them with -m slow
+    checked(name, 0, ("auto", *(named[(2 * turn + k) % len(named)] for k in range(2))))
 
 
 @pytest.mark.slow
