@@ -30,11 +30,14 @@ def number(
     finite: bool = True,
 ) -> float:
     """A finite float, at least (or above) `minimum`; no True or False, and no list of one."""
-    array = floats(name, value, "one number")
-    if array.ndim or np.asarray(value).dtype == bool:
-        given = f"{array.size} of them in a list" if array.ndim else shown(value)
-        raise InputError(f"{name} must be one number, got {given}; give the number itself")
-    result = float(bounded(name, array, "a finite number" if finite else "a number", finite))
+    if type(value) is float and abs(value) <= HUGE:  # as in every step
+        result = value
+    else:
+        array = floats(name, value, "one number")
+        if array.ndim or np.asarray(value).dtype == bool:
+            given = f"{array.size} of them in a list" if array.ndim else shown(value)
+            raise InputError(f"{name} must be one number, got {given}; give the number itself")
+        result = float(bounded(name, array, "a finite number" if finite else "a number", finite))
     if minimum is not None and (result < minimum or (strict and result == minimum)):
         raise InputError(f"{name} must be {'>' if strict else '>='} {minimum:g}, got {result:g}")
     if strict and minimum == 0:
