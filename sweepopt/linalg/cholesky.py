@@ -91,40 +91,43 @@ def cholesky(M: Matrix, order: np.ndarray | None = None, m: int = 0) -> Cholesky
 
 
 class InBlocks:
-    """Factorises matrices one after the other, each for a solve or two: only the last one is kept.
+    """Factorises matrices of one pattern one after the other: only the last factors are kept.
 
     CHOLMOD's L L^T in blocks: P2, 14,820 unknowns, in ms, factors take 18 and a solve 6, else 54
-    and 6; P1, 16,641 unknowns, 12 and 1.1, else 28 and 0.6. A pattern is analysed once.
+    and 6; P1, 16,641 unknowns, 12 and 1.1, else 28 and 0.6.
+
+    Parameters
+    ----------
+    indices, starts : ndarray of int
+        Of the lower triangle, column by column as SciPy has it.
     """
 
-    def __init__(self) -> None:
-        self._order: Any = None
-        self._pattern: list[np.ndarray] = []
-
-    def __call__(self, M: Matrix) -> Cholesky:
-        """Those of a sparse M, of which only the lower triangle is read."""
-        M = sp.csc_array(M)
-        if M.shape[0] > LIMIT or not has_cholmod():
-            lower = sp.tril(M)
-            engine = superlu(lower + sp.tril(lower, -1).T, self._order, 0)
-            self._order = engine.order
-            return engine
+    def __init__(self, indices: np.ndarray, starts: np.ndarray) -> None:
+        n = len(starts) - 1
+        self._pattern, self._order, self._factor = (indices, starts), None, None
+        if n > LIMIT or not has_cholmod():
+            return
         from cvxopt import cholmod, matrix
 
-        M.sort_indices()
-        pattern = [M.indptr, M.indices]
-        if not (self._pattern and all(map(np.array_equal, pattern, self._pattern))):
-            columns = np.repeat(np.arange(M.shape[0]), np.diff(M.indptr))
-            self._pattern, self._lower = pattern, np.flatnonzero(M.indices >= columns)
-            self._triangle = _triangle(M)
-            self._order = _order(self._triangle) if self._order is None else self._order
-            with _settings(IN_BLOCKS):
-                self._factor = cholmod.symbolic(self._triangle, matrix(self._order))
-        self._triangle.V = matrix(M.data[self._lower])
+        self._triangle = _triangle(sp.csc_array((np.ones(len(indices)), *self._pattern), (n, n)))
+        with _settings(IN_BLOCKS):
+            self._factor = cholmod.symbolic(self._triangle, matrix(_order(self._triangle)))
+
+    def __call__(self, data: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """w -> M^-1 w for the M with these entries; ArithmeticError where M > 0 does not hold."""
+        if self._factor is None:
+            lower = sp.csc_array((data, *self._pattern))
+            engine = superlu(lower + sp.tril(lower, -1).T, self._order, 0)
+            self._order = engine.order
+            if not engine.pivots.min() > 0:
+                raise ArithmeticError("a pivot is not positive")
+            return engine.solve
+        from cvxopt import cholmod, matrix
+
+        self._triangle.V = matrix(data)
         with _settings(IN_BLOCKS):
             cholmod.numeric(self._triangle, self._factor)
-        pivots = np.ravel(cholmod.diag(self._factor))[np.argsort(self._order)] ** 2
-        return Cholesky(pivots, partial(_system, self._factor, WHOLE), self._order)
+        return partial(_system, self._factor, WHOLE)
 
 
 @cache
