@@ -35,7 +35,8 @@ class Rows(NamedTuple):
 
     Attributes
     ----------
-    E : sparse, shape (m b, dim)
+    E : sparse, shape (b m, dim)
+        First component of all blocks, then the second, and so on: arrays of shape (b, m).
     local : Local
         Each block on its own unknowns.
     tied : ndarray of bool, shape (m,)
@@ -72,7 +73,7 @@ def blocks(S: ConvexSet) -> Rows | None:
     tied = (np.abs(sums) <= ROUNDING * sizes).all(axis=1)
     if not np.array_equal(np.linalg.matrix_rank(entries), np.maximum(local.counts - tied, 0)):
         return None
-    return Rows(E, local, tied)
+    return Rows(E[np.arange(m * b).reshape(m, b).T.ravel()], local, tied)
 
 
 class State(NamedTuple):
@@ -111,11 +112,11 @@ class Cones:
         self._abs, self._transposed = abs(rows.E), sp.csr_array(rows.E.T)
         self._matrix, (m, b, _) = sp.csr_array(M.M), rows.local.entries.shape
         compliance = (rows.E * rows.E) @ (1 / M.diagonal)
-        compliance = compliance.reshape(m, b).mean(axis=1)
+        compliance = compliance.reshape(b, m).mean(axis=0)
         # a block of zeros, all of whose nodes are on the wall, has any
         self._weights = 1 / np.where(compliance > 0, compliance, compliance.max())
         self._tangent = Tangent(M.M, [rows.local])
-        self._z, self._s = np.zeros(M.dim), np.zeros((m, b))
+        self._z, self._s = np.zeros(M.dim), np.zeros((b, m))
         self._sigma, self._size = self._weights, 0.0
 
     def propose(self, S: ConvexSet, residual: np.ndarray, z: np.ndarray | None) -> Proposal:
@@ -135,7 +136,7 @@ class Cones:
         z = self._plugs(rigid, self._z)
         at = z[self._rows.local.unknowns]
         still = (at == at[:, :1]).all(axis=1) & (self._rows.tied | (at[:, 0] == 0))
-        rates = np.where(still[:, None], 0.0, self._of(z))
+        rates = np.where(still, 0.0, self._of(z))
         w = self._transposed @ state.s.ravel()
         support = float(g @ lengths(rates))
         gap = max(support - float(np.vdot(state.s, rates)), 0.0) + ROUNDING * support
@@ -143,7 +144,7 @@ class Cones:
         return Proposal(z, -w, gap, self._M.dual_norm_bound(rounding), self._size, iterations)
 
     def _of(self, w: np.ndarray) -> np.ndarray:
-        """E w, a row for each block."""
+        """E w, a column for each block."""
         rows: np.ndarray = (self._rows.E @ w).reshape(self._s.shape)
         return rows
 
@@ -157,7 +158,7 @@ class Cones:
         self, g: np.ndarray, residual: np.ndarray, base: np.ndarray, start: np.ndarray
     ) -> tuple[State, int]:
         """The w with residual + M w + E^T P_S(s0 + sigma E (base + w)) = 0, and how many steps."""
-        sigma, s0 = self._sigma[:, None], in_balls(self._s, g)
+        sigma, s0 = self._sigma, in_balls(self._s, g)
         of_base = s0 + sigma * self._rates(base)
 
         def state_of(w: np.ndarray, multipliers: np.ndarray) -> State:
@@ -179,7 +180,7 @@ class Cones:
         def step(state: State) -> Step[State]:
             D = self._derivative(g, state)
             change = -self._tangent.solve([D], state.R)
-            steps = np.einsum("kij,kj->ki", D, self._of(change))
+            steps = (D * self._of(change)).sum(axis=1)
             return change, lambda share: state_of(
                 state.w + share * change, in_balls(state.s + share * steps, g)
             )
@@ -190,9 +191,11 @@ class Cones:
         """sigma where a block sticks, else sigma/|v| (g I - (s n^T + n s^T)/2) with n = v/|v|."""
         flows, s = state.lengths > g, state.multipliers
         size = np.where(flows, state.lengths, 1.0)
-        of_one, of_two = np.where(flows, [g / size, 0.5 / size**2], [[1.0], [0.0]]) * self._sigma
-        turned = s[:, :, None] * (of_two[:, None] * state.v)[:, None]
-        return of_one[:, None, None] * np.eye(s.shape[1]) - turned - turned.transpose(0, 2, 1)
+        of_one = np.where(flows, g / size, 1.0) * self._sigma
+        of_two = np.where(flows, 0.5 / size**2, 0.0) * self._sigma
+        turned = s[:, None] * (of_two * state.v)
+        D: np.ndarray = of_one * np.eye(len(s))[:, :, None] - turned - turned.transpose(1, 0, 2)
+        return D
 
     def _plugs(self, rigid: np.ndarray, z: np.ndarray) -> np.ndarray:
         """z with one value, the mean, on connected rigid blocks; 0 where one of them is held."""
@@ -209,12 +212,13 @@ class Cones:
         return values[label]
 
 
-def lengths(rows: np.ndarray) -> np.ndarray:
-    """|x_k| of each row."""
-    return np.sqrt(np.einsum("ki,ki->k", rows, rows))
+def lengths(columns: np.ndarray) -> np.ndarray:
+    """|x_k| of each column."""
+    of: np.ndarray = np.sqrt((columns * columns).sum(axis=0))
+    return of
 
 
 def in_balls(v: np.ndarray, g: np.ndarray) -> np.ndarray:
-    """The projection of each row on its ball."""
+    """The projection of each column on its ball."""
     size = lengths(v)
-    return v * np.divide(g, size, out=np.ones_like(g), where=size > g)[:, None]
+    return v * np.divide(g, size, out=np.ones_like(g), where=size > g)

@@ -102,7 +102,7 @@ class Tangent:
         )
 
     def solve(self, D: Sequence[np.ndarray], R: np.ndarray) -> np.ndarray:
-        """The solution for symmetric D_k, shape (m, b, b) in each group.
+        """The solution for symmetric D_k, shape (b, b, m) in each group.
 
         Raises
         ------
@@ -113,10 +113,9 @@ class Tangent:
         if solve is None or not all(map(np.array_equal, D, last)):
             data = self._K
             for L, places, of in zip(self._groups, self._places, D, strict=True):
-                some = of.any(axis=(1, 2))
+                some = of.any(axis=(0, 1))
                 if not some.all():
-                    L, places, of = L[:, :, some], places[:, some], of[some]
-                of = np.ascontiguousarray(of.transpose(1, 2, 0))
+                    L, places, of = L[:, :, some], places[:, some], of[:, :, some]
                 of_L = sum(of[:, k, None] * L[k] for k in range(len(L)))
                 stiff = [(L[:, j:] * of_L[:, j, None]).sum(axis=0) for j in range(L.shape[1])]
                 entries = np.concatenate(stiff).ravel()

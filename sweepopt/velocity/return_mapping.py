@@ -124,5 +124,6 @@ class ReturnMapping:
     def _softening(self, S: ConvexSet, r: np.ndarray) -> list[np.ndarray]:
         """-W^-1 (I - DP_S(r)) at each point: by how much K is softer where it yields."""
         return [
-            (D - np.eye(D.shape[1])) / self._weights[at][:, :, None] for at, D in S.blocks(r) or ()
+            np.moveaxis((D - np.eye(D.shape[1])) / self._weights[at][:, :, None], 0, 2)
+            for at, D in S.blocks(r) or ()
         ]
