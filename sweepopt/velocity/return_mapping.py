@@ -23,6 +23,7 @@ without kinematic hardening too (`ConvexSet.exchange`).
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -51,13 +52,14 @@ def condensable(M: Matrix, unknowns: np.ndarray, S: ConvexSet) -> bool:
 
 
 class State(NamedTuple):
-    """(v, p) = z with p the return mapping of v: r, the gradient R, the energy and its rounding."""
+    """(v, p) = z with p the return mapping of v: r, the gradient R, the energy, |z|_M squared."""
 
     z: np.ndarray
     r: np.ndarray
     R: np.ndarray
     energy: float
     rounding: float
+    square: float
 
 
 class ReturnMapping:
@@ -103,8 +105,9 @@ class ReturnMapping:
         z[self._rest], z[self._few] = v, p
         terms = 0.5 * v.dot(force), f.dot(v), 0.5 * p.dot(outside)
         # the rounding of sums of n terms
-        rounding = EPS * q.size * sum(map(abs, terms))
-        return State(z, r, force + self._up @ p + f, sum(terms), rounding)
+        rounding, of_p = EPS * q.size * sum(map(abs, terms)), self._up @ p
+        square = v.dot(force) + 2 * v.dot(of_p) - p.dot(outside)
+        return State(z, r, force + of_p + f, sum(terms), rounding, square)
 
     def _newton(self, S: ConvexSet, q: np.ndarray) -> tuple[State, int]:
         """From the velocity found last: the state in which R is small, and the number of steps."""
@@ -112,7 +115,7 @@ class ReturnMapping:
         def converged(state: State) -> bool:
             rho = np.zeros(q.size)
             rho[self._rest] = state.R
-            return self._M.is_within(rho, 0.5 * self._tol * self._M.norm(state.z))
+            return self._M.is_within(rho, 0.5 * self._tol * math.sqrt(max(state.square, 0.0)))
 
         def step(state: State) -> Step[State]:
             change = -self._tangent.solve(self._softening(S, state.r), state.R)
