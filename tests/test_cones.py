@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -15,10 +17,63 @@ from sweepopt import fem
 from sweepopt.errors import InitialStateWarning, PathError
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
-from cones import Flow, G, R, disc, flow, flux, square
+from scenes import disc
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.errors.InitialStateWarning")
 CERTIFICATE = 1e-6
+MU, G, R = 1.0, 0.2, 1.0  # viscosity, yield stress, radius of the pipe
+
+
+class Flow(NamedTuple):
+    """A process, int v for velocities v, the gradient's rows, areas and the free nodes (2, dim)."""
+
+    process: so.EvolutionVI
+    mean: np.ndarray
+    gradient: sp.csr_array
+    areas: np.ndarray
+    nodes: np.ndarray
+
+
+def square(n: int, L: float = 1.0) -> skfem.MeshTri:
+    """4 n^2 triangles, each square cut by its diagonals."""
+    x = L * np.linspace(0, 1, n + 1)
+    middle = (x[1:] + x[:-1]) / 2
+    corners, centres = (np.array(np.meshgrid(a, a, indexing="ij")) for a in (x, middle))
+    points = np.hstack([corners.reshape(2, -1), centres.reshape(2, -1)])
+    i, j = (a.ravel() for a in np.indices((n, n)))
+    a, b = i * (n + 1) + j, (i + 1) * (n + 1) + j
+    centre = (n + 1) ** 2 + i * n + j
+    sides = [(a, b), (b, b + 1), (b + 1, a + 1), (a + 1, a)]
+    return skfem.MeshTri(points, np.hstack([[p, q, centre] for p, q in sides]))
+
+
+def flow(
+    mesh: skfem.MeshTri, pressure: Callable[[float], float], kappa: float = 0.0, mu: float = MU
+) -> Flow:
+    """The velocity is 0 on the wall; with kappa > 0 a gel that is elastic beside its viscosity."""
+    basis = skfem.Basis(mesh, skfem.ElementTriP1(), intorder=1)
+    free, areas = basis.complement_dofs(basis.get_dofs()), basis.dx.sum(axis=1)
+    values = np.array([phi[0].grad[:, :, 0] for phi in basis.basis])  # of node, component, triangle
+    rows = 2 * np.arange(areas.size) + np.arange(2)[:, None]
+    at = np.broadcast_to(rows, values.shape), np.repeat(mesh.t[:, None], 2, axis=1)
+    E = sp.coo_array((values.ravel(), (at[0].ravel(), at[1].ravel())))
+    E = sp.csr_array(E)[:, free]
+    laplace = sp.csc_array(E.T @ (sp.diags_array(np.repeat(areas, 2)) @ E))
+    mean = skfem.LinearForm(lambda v, _: v).assemble(basis)[free]
+    process = so.EvolutionVI(
+        mu * laplace,
+        kappa * laplace if kappa else None,
+        load=lambda t: pressure(t) * mean,
+        dissipation=so.image(E.T, so.Balls(G * areas, 2)),
+        u0=np.zeros(free.size),
+    )
+    return Flow(process, mean, E, areas, mesh.p[:, free])
+
+
+def flux(P: float) -> float:
+    """Of the pipe; 0 below P = 2 G/R."""
+    phi = min(2 * G / (P * R), 1.0)
+    return float(np.pi * P * R**4 / (8 * MU) * (1 - 4 * phi / 3 + phi**4 / 3))
 
 
 def run(case: Flow, steps: int = 1, **options: object) -> so.Solution:

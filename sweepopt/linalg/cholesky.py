@@ -34,7 +34,8 @@ from sweepopt.linalg.matrices import Reduced, euclidean
 
 SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 LIMIT = 200_000  # unknowns that CHOLMOD is faster for
-SETTINGS = {"supernodal": 0, "nmethods": 1, "postorder": False}  # L D L^T in the order it is given
+# in the order it is given: L D L^T, or where L is dense enough by CHOLMOD's count L L^T in blocks
+SETTINGS = {"supernodal": 1, "nmethods": 1, "postorder": False}
 IN_BLOCKS = SETTINGS | {"supernodal": 2}
 WHOLE, LOWER, UPPER, DIAGONAL = 0, 4, 5, 6  # CHOLMOD's numbers of M, L, L^T and D
 _settings_lock = threading.Lock()
@@ -91,40 +92,43 @@ def cholesky(M: Matrix, order: np.ndarray | None = None, m: int = 0) -> Cholesky
 
 
 class InBlocks:
-    """Factorises matrices one after the other, each for a solve or two: only the last one is kept.
+    """Factorises matrices of one pattern one after the other: only the last factors are kept.
 
     CHOLMOD's L L^T in blocks: P2, 14,820 unknowns, in ms, factors take 18 and a solve 6, else 54
-    and 6; P1, 16,641 unknowns, 12 and 1.1, else 28 and 0.6. A pattern is analysed once.
+    and 6; P1, 16,641 unknowns, 12 and 1.1, else 28 and 0.6.
+
+    Parameters
+    ----------
+    indices, starts : ndarray of int
+        Of the lower triangle, column by column as SciPy has it.
     """
 
-    def __init__(self) -> None:
-        self._order: Any = None
-        self._pattern: list[np.ndarray] = []
-
-    def __call__(self, M: Matrix) -> Cholesky:
-        """Those of a sparse M, of which only the lower triangle is read."""
-        M = sp.csc_array(M)
-        if M.shape[0] > LIMIT or not has_cholmod():
-            lower = sp.tril(M)
-            engine = superlu(lower + sp.tril(lower, -1).T, self._order, 0)
-            self._order = engine.order
-            return engine
+    def __init__(self, indices: np.ndarray, starts: np.ndarray) -> None:
+        n = len(starts) - 1
+        self._pattern, self._order, self._factor = (indices, starts), None, None
+        if n > LIMIT or not has_cholmod():
+            return
         from cvxopt import cholmod, matrix
 
-        M.sort_indices()
-        pattern = [M.indptr, M.indices]
-        if not (self._pattern and all(map(np.array_equal, pattern, self._pattern))):
-            columns = np.repeat(np.arange(M.shape[0]), np.diff(M.indptr))
-            self._pattern, self._lower = pattern, np.flatnonzero(M.indices >= columns)
-            self._triangle = _triangle(M)
-            self._order = _order(self._triangle) if self._order is None else self._order
-            with _settings(IN_BLOCKS):
-                self._factor = cholmod.symbolic(self._triangle, matrix(self._order))
-        self._triangle.V = matrix(M.data[self._lower])
+        self._triangle = _triangle(sp.csc_array((np.ones(len(indices)), *self._pattern), (n, n)))
+        with _settings(IN_BLOCKS):
+            self._factor = cholmod.symbolic(self._triangle, matrix(_order(self._triangle)))
+
+    def __call__(self, data: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """w -> M^-1 w for the M with these entries; ArithmeticError where M > 0 does not hold."""
+        if self._factor is None:
+            lower = sp.csc_array((data, *self._pattern))
+            engine = superlu(lower + sp.tril(lower, -1).T, self._order, 0)
+            self._order = engine.order
+            if not engine.pivots.min() > 0:
+                raise ArithmeticError("a pivot is not positive")
+            return engine.solve
+        from cvxopt import cholmod, matrix
+
+        self._triangle.V = matrix(data)
         with _settings(IN_BLOCKS):
             cholmod.numeric(self._triangle, self._factor)
-        pivots = np.ravel(cholmod.diag(self._factor))[np.argsort(self._order)] ** 2
-        return Cholesky(pivots, partial(_system, self._factor, WHOLE), self._order)
+        return partial(_system, self._factor, WHOLE)
 
 
 @cache
@@ -144,7 +148,7 @@ def lapack_factor(M: np.ndarray) -> Cholesky:
 
 
 def cholmod(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
-    """CHOLMOD's L D L^T, with ones on the diagonal of its L.
+    """CHOLMOD's L D L^T, or L L^T in blocks: of a solid of 13,832 unknowns 6 times as fast.
 
     Where a hard limit of memory (ulimit -v) is met, cvxopt 1.3 may end the process.
     """
@@ -160,15 +164,19 @@ def cholmod(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
             cholmod.numeric(triangle, factor)
         return factor
 
-    tail = np.zeros((0, 0))
+    factor, tail = factorised(), np.zeros((0, 0))
+    system = partial(_system, factor)
+    D, place = 1 / system(DIAGONAL, np.ones(len(order))), np.argsort(order)
+    root, pivots = np.sqrt(np.abs(D)), D
+    try:
+        pivots = np.ravel(cholmod.diag(factor)) ** 2
+    except ValueError:  # L D L^T
+        pass
     if m:  # of a factor of its own: getfactor empties it
         tail = np.array(matrix(cholmod.getfactor(factorised())[-m:, -m:]))
-        np.fill_diagonal(tail, 1.0)  # where D was
-    system = partial(_system, factorised())
-    D, place = 1 / system(DIAGONAL, np.ones(len(order))), np.argsort(order)
-    root = np.sqrt(np.abs(D))
+        np.fill_diagonal(tail, np.sqrt(np.abs(pivots[-m:])) / root[-m:])
     return Cholesky(
-        D[place],
+        pivots[place],
         lambda w: system(WHOLE, w),
         order,
         lambda w: system(LOWER, w[order]) / root,

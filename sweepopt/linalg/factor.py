@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -43,8 +42,6 @@ class Factor:
     M : ndarray or sparse, shape (dim, dim)
     name : str
         How error messages call M.
-    factorise : callable, optional
-        M -> `Cholesky`, of who factorises many matrices of one pattern (`InBlocks`).
 
     Attributes
     ----------
@@ -70,7 +67,6 @@ class Factor:
         *,
         unknowns: np.ndarray | None = None,
         order: np.ndarray | None = None,
-        factorise: Callable[[Matrix], Cholesky] | None = None,
     ) -> None:
         self.M, self.dim = M, M.shape[0]
         self.diagonal = np.asarray(M.diagonal(), dtype=float)
@@ -86,7 +82,7 @@ class Factor:
         try:
             # pivots of inf or nan are refused below
             with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-                self._engine: Any = (factorise or partial(_engine, order=order, kept=unknowns))(M)
+                self._engine: Any = _engine(M, order, unknowns)
                 pivots = self._engine.pivots / self.diagonal
         except (scipy.linalg.LinAlgError, RuntimeError, ArithmeticError):
             pivots = np.zeros(1)
@@ -133,6 +129,13 @@ class Factor:
         lambda_min is that of D^-1/2 M D^-1/2.
         """
         return euclidean(w / self.root) * self.bound_factor
+
+    def is_within(self, w: np.ndarray, limit: float) -> bool:
+        """Whether |w|_{M^-1} <= limit; a solve only where bounds of it do not decide."""
+        size = euclidean(w / self.root)
+        if size > limit * self.stretch:
+            return False
+        return size * self.bound_factor <= limit or self.dual_norm(w) <= limit
 
     def apply(self, z: np.ndarray, q: np.ndarray, enough: float) -> tuple[np.ndarray, float]:
         """M z + q, with more digits where rounding may exceed `enough` * |z|_M, and |z|_M."""

@@ -52,7 +52,7 @@ class Precise:
         self.share = SLICES * math.sqrt(len(diagonal)) * 2.0 ** (-self._bits * (SLICES - 1))
         matrices = [
             sp.csr_array((part, scaled.indices, scaled.indptr), shape=M.shape)
-            for part in _cut(scaled.data, self._bits)
+            for part in (_cut(scaled.data, self._bits) if scaled.nnz else [])
         ]
         # products of dense slices are five times as fast as those of full sparse ones
         self._slices = matrices if is_sparse else [one.toarray() for one in matrices]

@@ -220,11 +220,12 @@ class Inclusion:
         """A z + B (u + gamma z) - c + the others, rounded once."""
         if of.u is None:
             return self.M.precisely(z, of.q, -of.c, *more)
-        (A, B), gamma = self._exact, self.gamma
-        terms = [*A.terms(z), *B.terms(of.u), -of.c, *more]
-        if gamma:
-            terms += [*B.terms(gamma * z), self.B @ product_error(gamma, z)]
-        return exact_sum(terms)
+        (A, B), change = self._exact, self.gamma * z
+        state = of.u + change
+        added = state - of.u
+        # what is rounded of u + gamma z (Knuth's two-sum)
+        error = (of.u - (state - added)) + (change - added) + product_error(self.gamma, z)
+        return exact_sum([*A.terms(z), *B.terms(state), self.B @ error, -of.c, *more])
 
     @cached_property
     def _exact(self) -> tuple[Precise, ...]:

@@ -20,10 +20,10 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from sweepopt.linalg import EPS, Factor, InBlocks
+from sweepopt.linalg import EPS, Factor
 from sweepopt.sets import ROUNDING, Balls, ConvexSet, shape_of
 from sweepopt.velocity.certificate import Proposal
-from sweepopt.velocity.return_mapping import line_search
+from sweepopt.velocity.energies import Local, Step, Tangent, newton
 
 STIFFNESS = 1e6  # sigma of the first round, in units of M as E sees it: a plug creeps 1e-6 of g/M
 STIFFER = 100.0  # in each round: the certificate falls tenfold, with 10 it stalls at 2e-6
@@ -31,22 +31,20 @@ MOST = 60  # Newton steps of a round; 2 to 37 were needed
 
 
 class Rows(NamedTuple):
-    """The blocks of E: m of size b, on n unknowns each at most.
+    """The blocks of E.
 
     Attributes
     ----------
-    E : sparse, shape (m b, dim)
-    unknowns : ndarray of int, shape (m, n)
-        Those of a block; what is missing is repeated.
-    local : ndarray, shape (m, b, n)
-        The entries; 0 where an unknown is repeated.
+    E : sparse, shape (b m, dim)
+        First component of all blocks, then the second, and so on: arrays of shape (b, m).
+    local : Local
+        Each block on its own unknowns.
     tied : ndarray of bool, shape (m,)
         Whether E_k z = 0 for equal values on the unknowns, and no others; else it holds them at 0.
     """
 
     E: sp.csr_array
-    unknowns: np.ndarray
-    local: np.ndarray
+    local: Local
     tied: np.ndarray
 
 
@@ -65,31 +63,24 @@ def blocks(S: ConvexSet) -> Rows | None:
     if g is None or len({part.dim // part.offsets.size for part in S.form().parts}) > 1:
         return None
     E, m = sp.csr_array(S.form().E.T), g.size
-    b, dim = E.shape[0] // m, E.shape[1]
+    b = E.shape[0] // m
     E.eliminate_zeros()
-    E.sort_indices()
-    block = np.repeat(np.arange(m * b) // b, np.diff(E.indptr))
-    pairs, place = np.unique(block * dim + E.indices, return_inverse=True)
-    counts = np.bincount(pairs // dim, minlength=m)
-    n = int(counts.max(initial=0))
-    if not 0 < n <= b + 1:  # more have states at rest that are no constants
+    local = Local.of(E, b)
+    entries = local.entries
+    if not 0 < entries.shape[2] <= b + 1:  # more have states at rest that are no constants
         return None
-    first = np.cumsum(counts) - counts
-    unknowns = (pairs % dim)[
-        np.minimum(first[:, None] + np.arange(n), (first + counts - 1)[:, None])
-    ]
-    local = np.zeros((m, b, n))
-    row = np.repeat(np.arange(m * b) % b, np.diff(E.indptr))
-    local[block, row, place - first[block]] = E.data
-    sums, sizes = local.sum(axis=2), np.abs(local).sum(axis=2)
+    sums, sizes = entries.sum(axis=2), np.abs(entries).sum(axis=2)
     tied = (np.abs(sums) <= ROUNDING * sizes).all(axis=1)
-    if not np.array_equal(np.linalg.matrix_rank(local), np.maximum(counts - tied, 0)):
+    if not np.array_equal(np.linalg.matrix_rank(entries), np.maximum(local.counts - tied, 0)):
         return None
-    return Rows(E, unknowns, local, tied)
+    return Rows(E[np.arange(m * b).reshape(m, b).T.ravel()], local, tied)
 
 
 class State(NamedTuple):
-    """w with its gradient R, energy, rounding, v = s0 + sigma E (base + w), |v| and s = P_S(v)."""
+    """w with its gradient R, energy, rounding, v = s0 + sigma E (base + w), |v| and s = P_S(v).
+
+    `multipliers` are what the last Newton step expects of s.
+    """
 
     w: np.ndarray
     R: np.ndarray
@@ -98,6 +89,7 @@ class State(NamedTuple):
     v: np.ndarray
     lengths: np.ndarray
     s: np.ndarray
+    multipliers: np.ndarray
 
 
 class Cones:
@@ -118,22 +110,13 @@ class Cones:
         assert rows is not None
         self._M, self._tol, self._rows, self.S = M, tol, rows, S
         self._abs, self._transposed = abs(rows.E), sp.csr_array(rows.E.T)
-        self._matrix, (m, b, _) = sp.csr_array(M.M), rows.local.shape
+        self._matrix, (m, b, _) = sp.csr_array(M.M), rows.local.entries.shape
         compliance = (rows.E * rows.E) @ (1 / M.diagonal)
-        compliance = compliance.reshape(m, b).mean(axis=1)
+        compliance = compliance.reshape(b, m).mean(axis=0)
         # a block of zeros, all of whose nodes are on the wall, has any
         self._weights = 1 / np.where(compliance > 0, compliance, compliance.max())
-        # the lower triangle of the tangent, column by column
-        i, j = np.broadcast_arrays(rows.unknowns[:, :, None], rows.unknowns[:, None])
-        lower, self._below = sp.tril(M.M, format="coo"), i >= j
-        of_blocks = (j.astype(np.int64) * M.dim + i)[self._below]
-        keys = np.concatenate([lower.col.astype(np.int64) * M.dim + lower.row, of_blocks])
-        pattern, place = np.unique(keys, return_inverse=True)
-        self._entries = np.bincount(place[: lower.nnz], lower.data, pattern.size)
-        self._place = place[lower.nnz :]
-        starts = np.searchsorted(pattern // M.dim, np.arange(M.dim + 1))
-        self._pattern, self._factorise = (pattern % M.dim, starts), InBlocks()
-        self._z, self._s = np.zeros(M.dim), np.zeros((m, b))
+        self._tangent = Tangent(M.M, [rows.local])
+        self._z, self._s = np.zeros(M.dim), np.zeros((b, m))
         self._sigma, self._size = self._weights, 0.0
 
     def propose(self, S: ConvexSet, residual: np.ndarray, z: np.ndarray | None) -> Proposal:
@@ -151,9 +134,9 @@ class Cones:
         rigid = (state.lengths <= g) | (self._sigma * rate <= g)
         self._z, self._s = base + state.w, state.s
         z = self._plugs(rigid, self._z)
-        at = z[self._rows.unknowns]
+        at = z[self._rows.local.unknowns]
         still = (at == at[:, :1]).all(axis=1) & (self._rows.tied | (at[:, 0] == 0))
-        rates = np.where(still[:, None], 0.0, self._of(z))
+        rates = np.where(still, 0.0, self._of(z))
         w = self._transposed @ state.s.ravel()
         support = float(g @ lengths(rates))
         gap = max(support - float(np.vdot(state.s, rates)), 0.0) + ROUNDING * support
@@ -161,7 +144,7 @@ class Cones:
         return Proposal(z, -w, gap, self._M.dual_norm_bound(rounding), self._size, iterations)
 
     def _of(self, w: np.ndarray) -> np.ndarray:
-        """E w, a row for each block."""
+        """E w, a column for each block."""
         rows: np.ndarray = (self._rows.E @ w).reshape(self._s.shape)
         return rows
 
@@ -175,10 +158,10 @@ class Cones:
         self, g: np.ndarray, residual: np.ndarray, base: np.ndarray, start: np.ndarray
     ) -> tuple[State, int]:
         """The w with residual + M w + E^T P_S(s0 + sigma E (base + w)) = 0, and how many steps."""
-        sigma, s0 = self._sigma[:, None], in_balls(self._s, g)
-        of_base, s = s0 + sigma * self._rates(base), s0
+        sigma, s0 = self._sigma, in_balls(self._s, g)
+        of_base = s0 + sigma * self._rates(base)
 
-        def state_of(w: np.ndarray) -> State:
+        def state_of(w: np.ndarray, multipliers: np.ndarray) -> State:
             v = of_base + sigma * self._of(w)
             s, of_w = in_balls(v, g), self._matrix @ w
             terms = (
@@ -186,42 +169,37 @@ class Cones:
                 float(residual @ w),
                 0.5 * float(np.sum(s * (2 * v - s) / sigma)),
             )
-            R = residual + of_w + self._transposed @ s.ravel()
-            return State(w, R, sum(terms), EPS * w.size * sum(map(abs, terms)), v, lengths(v), s)
+            R, rounding = residual + of_w + self._transposed @ s.ravel(), EPS * w.size
+            rounding *= sum(map(abs, terms))
+            return State(w, R, sum(terms), rounding, v, lengths(v), s, multipliers)
 
-        state, iterations = state_of(start), 0
-        while iterations < MOST:
+        def converged(state: State) -> bool:
             size = max(self._size, self._M.norm(base + state.w))
-            if self._M.dual_norm(state.R) <= 0.1 * self._tol * size:
-                break
-            D = self._derivative(g, state, s)
-            stiff = self._rows.local.transpose(0, 2, 1) @ (D @ self._rows.local)
-            more = np.bincount(self._place, stiff[self._below], self._entries.size)
-            try:
-                tangent = sp.csc_array((self._entries + more, *self._pattern))
-                change = -self._factorise(tangent).solve(state.R)
-            except (ArithmeticError, RuntimeError):  # not positive definite, to rounding
-                break
-            found = line_search(state_of, state, state.w, change)
-            if found is None:
-                break
-            trial, share = found
-            steps = np.einsum("kij,kj->ki", D, share * self._of(change))
-            s, state = in_balls(state.s + steps, g), trial
-            iterations += 1
-        return state, iterations
+            return self._M.is_within(state.R, 0.1 * self._tol * size)
 
-    def _derivative(self, g: np.ndarray, state: State, s: np.ndarray) -> np.ndarray:
+        def step(state: State) -> Step[State]:
+            D = self._derivative(g, state)
+            change = -self._tangent.solve([D], state.R)
+            steps = (D * self._of(change)).sum(axis=1)
+            return change, lambda share: state_of(
+                state.w + share * change, in_balls(state.s + share * steps, g)
+            )
+
+        return newton(state_of(start, s0), step, converged, MOST)
+
+    def _derivative(self, g: np.ndarray, state: State) -> np.ndarray:
         """sigma where a block sticks, else sigma/|v| (g I - (s n^T + n s^T)/2) with n = v/|v|."""
-        flows = state.lengths > g
+        flows, s = state.lengths > g, state.multipliers
         size = np.where(flows, state.lengths, 1.0)
-        of_one, of_two = np.where(flows, [g / size, 0.5 / size**2], [[1.0], [0.0]]) * self._sigma
-        turned = s[:, :, None] * (of_two[:, None] * state.v)[:, None]
-        return of_one[:, None, None] * np.eye(s.shape[1]) - turned - turned.transpose(0, 2, 1)
+        of_one = np.where(flows, g / size, 1.0) * self._sigma
+        of_two = np.where(flows, 0.5 / size**2, 0.0) * self._sigma
+        turned = s[:, None] * (of_two * state.v)
+        D: np.ndarray = of_one * np.eye(len(s))[:, :, None] - turned - turned.transpose(1, 0, 2)
+        return D
 
     def _plugs(self, rigid: np.ndarray, z: np.ndarray) -> np.ndarray:
         """z with one value, the mean, on connected rigid blocks; 0 where one of them is held."""
-        unknowns, ground = self._rows.unknowns[rigid], self._M.dim
+        unknowns, ground = self._rows.local.unknowns[rigid], self._M.dim
         first = unknowns[:, :1]
         ends = np.where(self._rows.tied[rigid, None], first, ground)
         others = np.hstack([unknowns[:, 1:], ends])
@@ -234,12 +212,13 @@ class Cones:
         return values[label]
 
 
-def lengths(rows: np.ndarray) -> np.ndarray:
-    """|x_k| of each row."""
-    return np.sqrt(np.einsum("ki,ki->k", rows, rows))
+def lengths(columns: np.ndarray) -> np.ndarray:
+    """|x_k| of each column."""
+    of: np.ndarray = np.sqrt((columns * columns).sum(axis=0))
+    return of
 
 
 def in_balls(v: np.ndarray, g: np.ndarray) -> np.ndarray:
-    """The projection of each row on its ball."""
+    """The projection of each column on its ball."""
     size = lengths(v)
-    return v * np.divide(g, size, out=np.ones_like(g), where=size > g)[:, None]
+    return v * np.divide(g, size, out=np.ones_like(g), where=size > g)

@@ -23,22 +23,19 @@ without kinematic hardening too (`ConvexSet.exchange`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cached_property, partial
-from typing import Any, NamedTuple
+import math
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
-from sweepopt.errors import IndefiniteError
-from sweepopt.linalg import EPS, Factor, InBlocks
+from sweepopt.linalg import EPS, Factor
 from sweepopt.sets import ROUNDING, Balls, ConvexSet, shape_of
 from sweepopt.velocity.certificate import Proposal
+from sweepopt.velocity.energies import Local, Step, Tangent, newton
 
 MOST = 50  # Newton steps; a load step of a fully plastic body takes 5 to 10
-SUFFICIENT = 1e-4  # of the decrease that the tangent promises (Armijo)
-SHORTEST = 2.0**-20  # share of a step
 
 
 def condensable(M: Matrix, unknowns: np.ndarray, S: ConvexSet) -> bool:
@@ -55,38 +52,14 @@ def condensable(M: Matrix, unknowns: np.ndarray, S: ConvexSet) -> bool:
 
 
 class State(NamedTuple):
-    """(v, p) = z with p the return mapping of v: r, the gradient R, the energy and its rounding."""
+    """(v, p) = z with p the return mapping of v: r, the gradient R, the energy, |z|_M squared."""
 
     z: np.ndarray
     r: np.ndarray
     R: np.ndarray
     energy: float
     rounding: float
-
-
-def line_search(
-    at: Callable[[np.ndarray], Any], state: Any, x: np.ndarray, change: np.ndarray
-) -> tuple[Any, float] | None:
-    """The first of the shares 1, 1/2, 1/4, ... of a Newton step after which the energy is less.
-
-    Where the energy only rounds, the derivative along the step decides (Hager and Zhang, SIAM J.
-    Optim. 16(1), 2005). None where rounding hides that too.
-
-    Parameters
-    ----------
-    at : callable
-        x -> the state there, with its `energy`, its `rounding` and its gradient R.
-    """
-    slope, share = float(state.R.dot(change)), 1.0
-    while share > SHORTEST:
-        trial = at(x + share * change)
-        hidden = -share * slope <= trial.rounding
-        if trial.energy <= state.energy + SUFFICIENT * share * slope or (
-            hidden and trial.R.dot(change) <= -0.5 * slope
-        ):
-            return trial, share
-        share /= 2
-    return None
+    square: float
 
 
 class ReturnMapping:
@@ -111,7 +84,8 @@ class ReturnMapping:
         self._K, self._up = (sp.csr_array(rows[:, to]) for to in (self._rest, unknowns))
         self._G = sp.csr_array(-self._up.T)
         self._weights = S.weights(M.diagonal[unknowns])
-        self._factorise = InBlocks()
+        groups = [Local.of(self._G[at.ravel()], at.shape[1]) for at, _ in S.blocks(S.anchor) or ()]
+        self._tangent = Tangent(self._K, groups)
         self._v = np.zeros(self._rest.size)
 
     def propose(self, S: ConvexSet, residual: np.ndarray, z: np.ndarray | None) -> Proposal:
@@ -131,47 +105,28 @@ class ReturnMapping:
         z[self._rest], z[self._few] = v, p
         terms = 0.5 * v.dot(force), f.dot(v), 0.5 * p.dot(outside)
         # the rounding of sums of n terms
-        rounding = EPS * q.size * sum(map(abs, terms))
-        return State(z, r, force + self._up @ p + f, sum(terms), rounding)
+        rounding, of_p = EPS * q.size * sum(map(abs, terms)), self._up @ p
+        square = v.dot(force) + 2 * v.dot(of_p) - p.dot(outside)
+        return State(z, r, force + of_p + f, sum(terms), rounding, square)
 
     def _newton(self, S: ConvexSet, q: np.ndarray) -> tuple[State, int]:
         """From the velocity found last: the state in which R is small, and the number of steps."""
-        state, rho = self._state(S, q, self._v), np.zeros(q.size)
-        iterations = 0
-        while iterations < MOST:
+
+        def converged(state: State) -> bool:
+            rho = np.zeros(q.size)
             rho[self._rest] = state.R
-            if self._M.dual_norm(rho) <= 0.5 * self._tol * self._M.norm(state.z):
-                break
-            try:
-                change = -self._tangent(S, state.r).solve(state.R)
-            except IndefiniteError:
-                break
-            found = line_search(partial(self._state, S, q), state, state.z[self._rest], change)
-            if found is None:
-                break
-            state = found[0]
-            iterations += 1
-        return state, iterations
+            return self._M.is_within(rho, 0.5 * self._tol * math.sqrt(max(state.square, 0.0)))
 
-    def _tangent(self, S: ConvexSet, r: np.ndarray) -> Factor:
-        """K - G^T W^-1 (I - DP_S(r)) G."""
-        tangent = self._K
-        for at, D in S.blocks(r) or ():
-            size = D.shape[1]
-            D = (np.eye(size) - D) / self._weights[at][:, :, None]
-            yields = D.any(axis=(1, 2))
-            if yields.any():
-                rows = self._G[at[yields].ravel()]
-                blocks = sp.bsr_array(
-                    (D[yields], np.arange(yields.sum()), np.arange(yields.sum() + 1)),
-                    shape=(len(rows.indptr) - 1,) * 2,
-                )
-                tangent = tangent - rows.T @ sp.csr_array(blocks @ rows)
-        if tangent is self._K:
-            return self._elastic
-        return Factor(sp.csc_array(tangent), "the tangent", factorise=self._factorise)
+        def step(state: State) -> Step[State]:
+            change = -self._tangent.solve(self._softening(S, state.r), state.R)
+            v = state.z[self._rest]
+            return change, lambda share: self._state(S, q, v + share * change)
 
-    @cached_property
-    def _elastic(self) -> Factor:
-        """The tangent where no point yields."""
-        return Factor(sp.csc_array(self._K), "the tangent")
+        return newton(self._state(S, q, self._v), step, converged, MOST)
+
+    def _softening(self, S: ConvexSet, r: np.ndarray) -> list[np.ndarray]:
+        """-W^-1 (I - DP_S(r)) at each point: by how much K is softer where it yields."""
+        return [
+            np.moveaxis((D - np.eye(D.shape[1])) / self._weights[at][:, :, None], 0, 2)
+            for at, D in S.blocks(r) or ()
+        ]
