@@ -25,7 +25,12 @@ from sweepopt.sets.base import (
     binary,
     same_array,
 )
-from sweepopt.sets.least_distance import Shortest, least_distance, projector
+from sweepopt.sets.least_distance import (
+    Shortest,
+    least_distance,
+    nonnegative_least_squares,
+    projector,
+)
 from sweepopt.sets.moving import MovingOffsets
 from sweepopt.sets.programs import normal_by_program
 from sweepopt.sets.shapes import rows_features
@@ -139,7 +144,7 @@ class Polyhedron(ConvexSet):
         costs, goal = weights * np.maximum(self.h - self.G @ x, 0.0), p / size
         columns = _columns(self.G.T, weights)
         if self.exact:
-            nearest = scipy.optimize.nnls(dense(columns), goal, maxiter=30 * costs.size)[1]
+            nearest = nonnegative_least_squares(dense(columns), goal).residual
             if nearest > math.sqrt(OUTSIDE):  # NNLS looks at gradients, that are its square
                 return None
             extent = float(np.abs(np.append(x, costs)).max()) or 1.0
