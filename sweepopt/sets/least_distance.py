@@ -87,7 +87,7 @@ def _binding(
     columns, s = dense(G[rows]).T, slack[rows]
     goal = np.append(np.zeros(len(columns)), 1.0)
     system = np.vstack([-columns, s / s.min()])
-    positive = scipy.optimize.nnls(system, goal, maxiter=30 * len(rows))[0] > 0
+    positive = nonnegative_least_squares(system, goal).y > 0
     rows, columns = rows[positive], columns[:, positive]
     # entries of very different sizes, as in mixed units, each with its own rounding: sorted by size
     # they keep it in R (A. Cox, N. Higham, Stability of Householder QR factorization, 1998)
@@ -116,6 +116,27 @@ def _on(G: Any, slack: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.nda
             return Q @ heights, rows
         rows = np.delete(rows, np.argmin(multipliers))
     return np.zeros(G.shape[1]), rows
+
+
+class NonnegativeSolution(NamedTuple):
+    """y >= 0 with the least |A y - b|, and that."""
+
+    y: np.ndarray
+    residual: float
+
+
+def nonnegative_least_squares(A: np.ndarray, b: np.ndarray) -> NonnegativeSolution:
+    """The y >= 0 that minimises |A y - b|, by an active set.
+
+    Up to SciPy 1.17 `nnls` may return a y that is no minimiser, with a residual that is not that of
+    y (scipy#25389, mended by #26180): then the method for bounded variables is asked.
+    """
+    y, claimed = scipy.optimize.nnls(A, b, maxiter=30 * A.shape[1])
+    residual = float(np.linalg.norm(A @ y - b))
+    if residual > claimed + 1e-8 * np.linalg.norm(b):
+        y = scipy.optimize.lsq_linear(A, b, (0, np.inf), method="bvls").x
+        residual = float(np.linalg.norm(A @ y - b))
+    return NonnegativeSolution(y, residual)
 
 
 def projector(rows: np.ndarray) -> np.ndarray:

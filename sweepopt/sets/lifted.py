@@ -47,6 +47,9 @@ SWEEPS_BETWEEN = 3000
 # times |v - w|, while sets that overlap by 1e-8 of their size are projected on to rounding.
 TENSION = 1e3
 
+# From so far away bounded parts of a set are less than rounding, and the square is no overflow.
+FAR = 2.0**200
+
 
 class Lifted(ConvexSet):
     """{ E s : s in S, F s = 0 }, S the product of exact parts."""
@@ -157,23 +160,26 @@ class Lifted(ConvexSet):
         """The projection of v, as exactly as it is found."""
         if self._last is None or not np.array_equal(self._last.v, v):
             # a projection, its normal and the pair are asked for one after the other
-            v, project = v.copy(), self._projector
-            near = project(v, project.start(v))
-            if not near.exact and self.lifted.small:
-                # an interior point method comes to the right faces where sweeps crawl
-                p, y = normal_by_program(self, v)
-                multipliers = self._unit * y[: self.lifted.F.shape[0]]
-                again = project(v, project.start_beside(v, p, multipliers))
-                near = again if again.exact else near
-                held = bool(self.lifted.F.shape[0]) and not near.exact
-                if held and again.splitting.tension(again) > TENSION:
-                    raise TouchingError(
-                        "C & D: the two sets only touch, or miss each other, so that rounding "
-                        "hides the projection; give what they share as a set of its own, a Point "
-                        "for example, or let them overlap by 1e-8 of their size"
-                    )
-            self._last = near
+            self._last = self._projection(v.copy())
         return self._last
+
+    def _projection(self, v: np.ndarray) -> Projection:
+        project = self._projector
+        near = project(v, project.start(v))
+        if not near.exact and self.lifted.small:
+            # an interior point method comes to the right faces where sweeps crawl
+            p, y = normal_by_program(self, v)
+            multipliers = self._unit * y[: self.lifted.F.shape[0]]
+            again = project(v, project.start_beside(v, p, multipliers))
+            near = again if again.exact else near
+            held = bool(self.lifted.F.shape[0]) and not near.exact
+            if held and again.splitting.tension(again) > TENSION:
+                raise TouchingError(
+                    "C & D: the two sets only touch, or miss each other, so that rounding "
+                    "hides the projection; give what they share as a set of its own, a Point "
+                    "for example, or let them overlap by 1e-8 of their size"
+                )
+        return near
 
     def is_beyond(self, w: np.ndarray, distance: float) -> bool:
         """By the half-space of the last projection, which bodies that slide seldom come back to."""
@@ -190,6 +196,10 @@ class Lifted(ConvexSet):
         if near is None or not near.exact:
             return None
         p = near.splitting.normal(near)
+        if not self.lifted.F.shape[0] and np.isinf(self.support(p)):
+            # the rounding of v has left the domain of sigma, where all p - P_{rC}(p) are
+            far = self._projection(FAR * p)
+            p = far.splitting.normal(far) / FAR if far.exact else p
         size = np.abs(p).max()
         noise = np.abs(p) <= ROUNDING * (size if size > ROUNDING * np.abs(v).max() else np.inf)
         return NormalPair(np.where(noise, 0.0, p), near.w.copy(), 0.0)
@@ -201,6 +211,8 @@ class Lifted(ConvexSet):
         pair = self._pair(v)
         if pair is None:
             p = normal_by_program(self, v).p
+            if self.certifiable and not self.lifted.F.shape[0]:
+                p = min(p, v - self.near(v).w, key=np.linalg.norm)  # that w is a point of C
             pair = NormalPair(p, v - p, 0.0)
         return pair
 

@@ -189,8 +189,9 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
             np.add.at(ends, unknowns, np.sort(factors * [C.lower, C.upper], axis=0).T)
             unknowns = unknowns if distinct else np.unique(unknowns)
             return Aligned(Box(*ends[unknowns].T), unknowns=unknowns, dim=M.shape[0])
-        if distinct and (factors == 1).all():
-            return nested(Aligned(C, unknowns=unknowns, dim=M.shape[0]), C)
+        if distinct and (factors == factors[0]).all():
+            part = C if factors[0] == 1 else scale(factors[0], C)
+            return nested(Aligned(part, unknowns=unknowns, dim=M.shape[0]), C)
     if isinstance(C, Polytope):
         return Polytope((M @ C.vertices.T).T)
     if isinstance(C, GeneratedCone):

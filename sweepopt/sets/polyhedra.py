@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +25,12 @@ from sweepopt.sets.base import (
     binary,
     same_array,
 )
-from sweepopt.sets.least_distance import Shortest, least_distance, projector
+from sweepopt.sets.least_distance import (
+    Shortest,
+    least_distance,
+    nonnegative_least_squares,
+    projector,
+)
 from sweepopt.sets.moving import MovingOffsets
 from sweepopt.sets.programs import normal_by_program
 from sweepopt.sets.shapes import rows_features
@@ -82,8 +87,9 @@ class Polyhedron(ConvexSet):
         largest = (largest.toarray() if sp.issparse(self.G) else largest).ravel()
         for i in np.flatnonzero(largest):
             divisor(f"the largest entry of row {i} of G", largest[i])
-        # programs see rows of numbers near 1
+        # rows of numbers near 1, whose right hand sides are the offsets
         self._units = np.array([binary(row) for row in largest])
+        self.rows = sp.diags_array(1 / self._units) @ self.G
         self._set_offsets(h)
 
     def __getnewargs__(self) -> tuple[Any, Any]:
@@ -108,17 +114,17 @@ class Polyhedron(ConvexSet):
     def support_rows(self, rows: np.ndarray) -> np.ndarray:
         """The rows of G that bind for one z do so for all z of the cone that they generate."""
         values, left = np.where(rows.any(axis=1), np.inf, 0.0), np.flatnonzero(rows.any(axis=1))
-        if not left.size or not self.h.size:
+        if not left.size or not self.offsets.size:
             return values
         # seen from a point of the set: h - G x >= 0 is as large as the set, wherever that is
         inside = self.project(np.zeros(self.dim))
-        slack = np.maximum(self.h - self.G @ inside, 0.0)
+        slack = np.maximum(self.offsets - self.rows @ inside, 0.0)
         while left.size:
             z, serves = rows[left], np.arange(left.size) == 0
             of_first = self._multipliers(z[0], inside)
             if of_first is not None:
                 active = np.flatnonzero(of_first)
-                normals = dense(self.G[active])
+                normals = dense(self.rows[active])
                 y = z @ np.linalg.pinv(normals)
                 rounding = 10 * ROUNDING * (np.abs(z) + np.abs(y) @ np.abs(normals))
                 serves |= (y >= 0).all(axis=1) & (np.abs(y @ normals - z) <= rounding).all(axis=1)
@@ -134,12 +140,12 @@ class Polyhedron(ConvexSet):
         beyond active sets, or where none proves it, HiGHS is asked.
         """
         # rows of length 1 and units of the data: what follows looks at absolute numbers
-        lengths = row_lengths(self.G)
+        lengths = row_lengths(self.rows)
         weights, size = 1 / np.where(lengths > 0, lengths, 1.0), float(np.abs(p).max()) or 1.0
-        costs, goal = weights * np.maximum(self.h - self.G @ x, 0.0), p / size
-        columns = _columns(self.G.T, weights)
+        costs, goal = weights * np.maximum(self.offsets - self.rows @ x, 0.0), p / size
+        columns = _columns(self.rows.T, weights)
         if self.exact:
-            nearest = scipy.optimize.nnls(dense(columns), goal, maxiter=30 * costs.size)[1]
+            nearest = nonnegative_least_squares(dense(columns), goal).residual
             if nearest > math.sqrt(OUTSIDE):  # NNLS looks at gradients, that are its square
                 return None
             extent = float(np.abs(np.append(x, costs)).max()) or 1.0
@@ -165,7 +171,7 @@ class Polyhedron(ConvexSet):
         if result.status == 2:
             return None
         if result.x is None or not result.success:
-            rows = dense(self.scaled_rows) / row_lengths(self.scaled_rows)[:, None]
+            rows = dense(self.rows) / row_lengths(self.rows)[:, None]
             i, j = divmod(int(np.argmin(rows @ rows.T)), len(rows))
             raise SweepoptError(
                 f"the support function of a Polyhedron is lost in rounding: rows {i} and {j} of G "
@@ -178,18 +184,21 @@ class Polyhedron(ConvexSet):
         exact = self._exact_normal(v, np.ones(self.dim))
         return normal_by_program(self, v).p if exact is None else exact.u
 
-    def _exact_normal(self, v: np.ndarray, tau: np.ndarray) -> Shortest | None:
+    def _exact_normal(
+        self, v: np.ndarray, tau: np.ndarray, margin: np.ndarray | float = 0.0
+    ) -> Shortest | None:
         """u = (v - w) / tau from the active rows, w the nearest point in the metric of 1 / tau.
 
+        The set is that of h + margin.
         None where there are too many rows and unknowns, and where no active rows prove it.
         """
-        slack, root = self.h - self.G @ v, np.sqrt(tau)
+        slack, root = self.offsets + margin - self.rows @ v, np.sqrt(tau)
         if (slack >= 0).all():
             return Shortest(np.zeros(self.dim), np.zeros(0, dtype=int))
         if not self.exact:
             return None
-        rounding = ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(v))
-        normal = least_distance(_columns(self.G, root), slack, rounding)
+        rounding = ROUNDING * (np.abs(self.offsets) + abs(self.rows) @ np.abs(v))
+        normal = least_distance(_columns(self.rows, root), slack, rounding)
         return None if normal is None else Shortest(0.0 - normal.u / root, normal.active)
 
     def project(self, w: np.ndarray) -> np.ndarray:
@@ -199,19 +208,19 @@ class Polyhedron(ConvexSet):
     def project_rows(self, rows: np.ndarray) -> np.ndarray:
         """The rows of G that bind for one point do so for all points of a polyhedral cone."""
         points = rows.copy()
-        left = np.flatnonzero((rows @ self.G.T > self.h).any(axis=1))
+        left = np.flatnonzero((rows @ self.rows.T > self.offsets).any(axis=1))
         while left.size:
             v, serves = rows[left], np.arange(left.size) == 0
             normal = self._exact_normal(v[0], np.ones(self.dim))
             if normal is None:
                 points[left[0]] = self.project(v[0])
             else:
-                normals, inverse = (G := dense(self.G[normal.active])), np.linalg.pinv(G)
-                moves = (v @ normals.T - self.h[normal.active]) @ inverse.T
+                normals, inverse = (G := dense(self.rows[normal.active])), np.linalg.pinv(G)
+                moves = (v @ normals.T - self.offsets[normal.active]) @ inverse.T
                 w = v - moves
                 w[0] = v[0] - normal.u
-                rounding = ROUNDING * (np.abs(self.h) + np.abs(v) @ abs(self.G).T)
-                inside = (w @ self.G.T <= self.h + rounding).all(axis=1)
+                rounding = ROUNDING * (np.abs(self.offsets) + np.abs(v) @ abs(self.rows).T)
+                inside = (w @ self.rows.T <= self.offsets + rounding).all(axis=1)
                 serves |= inside & (moves @ inverse >= 0).all(axis=1)
                 points[left[serves]] = w[serves]
             left = left[~serves]
@@ -221,18 +230,18 @@ class Polyhedron(ConvexSet):
         normal = self._exact_normal(v, np.ones(self.dim))
         if normal is None:
             return None
-        return np.eye(self.dim) - projector(dense(self.G[normal.active]))
+        return np.eye(self.dim) - projector(dense(self.rows[normal.active]))
 
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         """On the face that v = w + tau p is nearest to: v gives the rows, p their multipliers."""
         root = np.sqrt(tau)
         # what is empty by no more than the rounding of its rows is not
-        wider = self.with_offsets(self.h + ROUNDING * (np.abs(self.h) + abs(self.G) @ np.abs(w)))
-        normal = wider._exact_normal(w + tau * p, tau)
+        margin = ROUNDING * (np.abs(self.offsets) + abs(self.rows) @ np.abs(w))
+        normal = self._exact_normal(w + tau * p, tau, margin)
         if normal is None:
             return None
         active = normal.active
-        normals, h = dense(self.G[active]), self.h[active]
+        normals, h = dense(self.rows[active]), self.offsets[active]
         inverse = np.linalg.pinv(normals * root)
         multipliers = np.maximum((root * p) @ inverse, 0.0)
         rounding = UNIT * (1 + active.size) * (multipliers @ abs(normals))
@@ -241,11 +250,11 @@ class Polyhedron(ConvexSet):
         slack = self._slack(point)
         # the exact point of the face is as near, and in C where other rows have that much slack
         off = root * (abs(inverse) @ np.abs(slack[active]))
-        bare = slack < abs(self.G) @ off
+        bare = slack < abs(self.rows) @ off
         bare[active] = False
         if not bare.any():
             return NormalPair(multipliers @ normals, point, 0.0, Perturbation(off, rounding))
-        least = least_singular_value(self.G, root)
+        least = least_singular_value(self.rows, root)
         if not least:
             return self._pair_inside(point, multipliers, active, root)
         # The projection on { w : G w <= h } is piecewise linear in h, with pseudo-inverses of
@@ -264,7 +273,7 @@ class Polyhedron(ConvexSet):
 
         All rows keep a margin for what the shortest way from w to C rounds.
         """
-        G, margin = _columns(self.G, root), np.zeros(self.h.size)
+        G, margin = _columns(self.rows, root), np.zeros(self.offsets.size)
         for _ in range(1 + REFINEMENTS):
             slack = self._slack(w)
             try:
@@ -278,7 +287,7 @@ class Polyhedron(ConvexSet):
             rounded = (3 * ROUNDING + self.dim * EPS) * sizes
             near = bool((np.abs(shift) <= ROUNDING * np.abs(w).max()).all())
             if near and (left >= rounded).all():
-                normals = dense(self.G[active])
+                normals = dense(self.rows[active])
                 gap = float(multipliers @ (left + rounded)[active])
                 rounding = UNIT * (1 + active.size) * (multipliers @ abs(normals))
                 moved = Perturbation(np.abs(shift), rounding)
@@ -288,21 +297,16 @@ class Polyhedron(ConvexSet):
 
     def _slack(self, w: np.ndarray) -> np.ndarray:
         """h - G w, rounded once for rows that are near w."""
-        products = abs(self.G) @ np.abs(w)
-        slack = self.h - self.G @ w
-        near = np.flatnonzero(slack <= NEAR * (np.abs(self.h) + products))
-        G = dense(self.G[near])
-        terms = np.hstack([self.h[near, None], -G * w, -product_error(G, w)])
+        products = abs(self.rows) @ np.abs(w)
+        slack = self.offsets - self.rows @ w
+        near = np.flatnonzero(slack <= NEAR * (np.abs(self.offsets) + products))
+        G = dense(self.rows[near])
+        terms = np.hstack([self.offsets[near, None], -G * w, -product_error(G, w)])
         slack[near] = [math.fsum(row) for row in terms.tolist()]
         return slack
 
-    @cached_property
-    def scaled_rows(self) -> Any:
-        """G with rows of numbers near 1, whose right hand sides are the offsets."""
-        return sp.diags_array(1 / self._units) @ self.G
-
     def features(self, p: cp.Expression) -> Features:
-        return rows_features(self.scaled_rows, p)
+        return rows_features(self.rows, p)
 
     def same_cone(self, other: ConvexSet) -> bool:
         return isinstance(other, Polyhedron) and same_array(self.G, other.G)
@@ -375,17 +379,19 @@ class HalfSpace(Polyhedron):
 
     def support(self, z: np.ndarray) -> float:
         z = vector("z", z, self.dim)
-        row, length = self.G[0], float(np.linalg.norm(self.G[0]))
+        row, length = self.rows[0], float(np.linalg.norm(self.rows[0]))
         factor = float(row @ (z / length)) / length
         # z must be a multiple of the row up to rounding
         if factor < 0 or np.linalg.norm(z - factor * row) > ROUNDING * np.linalg.norm(z):
             return float("inf")
-        return factor * self.offset
+        return factor * float(self.offsets[0])
 
-    def _exact_normal(self, v: np.ndarray, tau: np.ndarray) -> Shortest:
-        row = self.G[0]
+    def _exact_normal(
+        self, v: np.ndarray, tau: np.ndarray, margin: np.ndarray | float = 0.0
+    ) -> Shortest:
+        row = self.rows[0]
         length = float(np.linalg.norm(row * np.sqrt(tau)))
-        excess = float(row @ v) - self.offset
+        excess = float(row @ v - (self.offsets + margin)[0])
         return Shortest(max(excess, 0.0) / length * (row / length), np.flatnonzero([excess > 0]))
 
     def _distance(self, other: ConvexSet) -> float | None:
@@ -407,8 +413,9 @@ class GeneratedCone(ConvexSet):
 
     def support(self, z: np.ndarray) -> float:
         z = vector("z", z, self.dim)
-        rounding = 2 * ROUNDING * (abs(self.G) @ np.abs(z))
-        return 0.0 if (self.G @ z <= rounding).all() else float("inf")
+        rows = self._polar.rows
+        rounding = 2 * ROUNDING * (abs(rows) @ np.abs(z))
+        return 0.0 if (rows @ z <= rounding).all() else float("inf")
 
     def project(self, w: np.ndarray) -> np.ndarray:
         return self._polar.normal(w)
@@ -425,7 +432,7 @@ class GeneratedCone(ConvexSet):
         return None if normal is None else np.eye(self.dim) - normal
 
     def features(self, p: cp.Expression) -> Features:
-        return Features([], [self._polar.scaled_rows @ p <= 0])
+        return Features([], [self._polar.rows @ p <= 0])
 
     def same_cone(self, other: ConvexSet) -> bool:
         return isinstance(other, GeneratedCone) and same_array(self.G, other.G)

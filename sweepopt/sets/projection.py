@@ -164,10 +164,10 @@ class Splitting:
         for sweeps in rounds:
             x, fixed = fixed_point(step, x, size, sweeps, memory)
             ahead = fixed_point(step, self._newton(step, near, x), size, CONFIRMING, memory)
-            if ahead.fixed:
-                x, fixed = ahead
+            fixed = fixed or ahead.fixed
             if fixed:
                 break
+        x = min(x, ahead.x, key=lambda x: float(np.abs(step(x) - x).max()))
         s = near(x)
         image = 2 * s - x
         on_parts = self.projected(image)
