@@ -233,6 +233,44 @@ def test_friction_follows_its_law_of_the_slip_at_every_node(block: int) -> None:
     assert (force <= bound * (1 + 1e-6)).all()
 
 
+T = [0.0, 0.37, 1.13, 1.71, 2.0]
+PULL = {"table": {"t": T, "values": [0.0, 1.5, -1.5, 1.2, 0.3]}}
+BOUNDS = {
+    "at rest": ({}, []),
+    "slip": ({"effects.friction.slip": {"distance": 0.5, "residual": 0.4}}, []),
+    "formula": ({"effects.friction.g": "0.3 * (1 + 0.5 * sin(t))"}, []),
+    "history": (
+        {"effects.friction.history": {"table": {"t": [0, 0.77, 2], "values": [1, 0.5, 1]}}},
+        [0.77],
+    ),
+    "load": (
+        {"effects.body_force": {"f0": "0.1 * x * sin(t)", "history": {"waveform": "constant"}}},
+        [],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BOUNDS)
+def test_steps_end_at_breakpoints_of_loads_whatever_the_bound_of_friction_does(name: str) -> None:
+    """The second order is the scheme's; the slope varies with where in a step nodes stop."""
+    given, more = BOUNDS[name]
+    changes = {"domain.refinements": 0, "time.end": 2.0, "effects.traction.history": PULL}
+    scene = read_scene("square", changes=changes | given)
+    runs = [scene.solve(steps=steps, tol=1e-9) for steps in (8, 16, 32, 64, 192)]
+    assert runs[0].plan.breakpoints.tolist() == sorted(T[1:-1] + more)
+    errors = [abs(run.u - runs[-1](run.t)).max() for run in runs[:-1]]
+    assert np.polyfit(range(4), np.log2(errors), 1)[0] < -1.6, errors
+    assert errors[1] < 3e-3, errors  # 3.7e-3 to 5e-3 without the breakpoints
+    assert errors[-1] < 2.5e-4
+
+
+def test_steps_end_where_the_rate_of_a_prescribed_displacement_jumps() -> None:
+    """Without elasticity the load has the rate alone."""
+    changes = {"effects.prescribed_displacement": {"on": "top", "history": PULL}, "time.end": 2.0}
+    scene = read_scene("square", changes=changes, without=["traction", "elasticity"])
+    assert scene.solve(steps=10).plan.breakpoints.tolist() == T[1:-1]
+
+
 @pytest.mark.parametrize(
     ("value", "message"),
     [

@@ -38,8 +38,8 @@ from sweepopt.fem.spaces import AXES, BODY, Discretisation, Place, boundary_name
 from sweepopt.loads import History
 
 Array = NDArray[np.float64]
-Phi = Callable[[float], ArrayLike]
-Force = tuple[Phi, Array] | Callable[[float], Array]
+Phi = Callable[[float], Any]
+Force = tuple[Phi, Array | Callable[[float], Array]] | Callable[[float], Array]
 
 ETA, ZETA = Coefficient("eta", 0.0, strict=True), Coefficient("zeta")
 KAPPA, LAM, MU = Coefficient("kappa", 0.0), Coefficient("lam"), Coefficient("mu", 0.0)
@@ -59,8 +59,8 @@ class Contribution:
     ----------
     A, B : sparse, shape (dim, dim), or None
         Part of the matrix of u' or of u. With internal unknowns these follow those of the body.
-    loads : sequence of (history, ndarray of shape (dim,)) or callable t -> (dim,)
-        Terms ``phi(t) f`` or ``f(t)`` of the load.
+    loads : sequence of (history, f) or callable t -> (dim,)
+        Terms ``phi(t) f`` or ``f(t)`` of the load, f an array of shape (dim,) or a function of t.
     yields : sequence of Yield
         Parts of the dissipation: rows of the velocity and the sets D_k that bound their forces.
     internal : int
@@ -865,5 +865,5 @@ def _force(
         return np.asarray(body.restrict(place.vector(form)))
 
     if any(map(in_time, parts)):
-        return lambda t: np.asarray(history(t)) * shape(t)
+        return history, shape
     return history, shape(0.0)
