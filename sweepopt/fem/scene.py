@@ -353,7 +353,7 @@ def build(
     problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
     terms = {
         "no elasticity: B is not formed": B is not None,
-        "no friction: no set and no optimiser, a step is one linear solve": yields,
+        "no friction: J is not formed": yields,
         "no load: f = 0": loads,
     }
     return Scene(
