@@ -543,7 +543,7 @@ class PrescribedDisplacement(Record):
             )
 
     def contribute(self, body: Discretisation) -> Contribution:
-        """The values that are held."""
+        """The values that are held; none if d is zero everywhere."""
         body.facets("on", self.on)
         place = body.place("on", self.on, nodal=True)
         full = np.zeros(body.basis.N)
@@ -554,6 +554,8 @@ class PrescribedDisplacement(Record):
         T = body.frame.T
         along = full if T is None else T.T @ full
         along[body.free] = 0.0
+        if not full.any():
+            return Contribution()
         if not along.any():
             raise InputError(
                 f"on: nothing is held on {', '.join(self.on)} along d; clamp or hold it"
@@ -611,7 +613,9 @@ class Eigenstrain(Record):
 class YieldStress(Record):
     """``J(v) = int g |grad v|``: Bingham's body of antiplane shear, which moves where it yields.
 
-    The gradient is taken at the points of a quadrature that is exact for its square.
+    The gradient is taken at the points of a quadrature that is exact for its square. Plugs are
+    rigid exactly on P1 elements; on P2 ones, where the gradient varies within a cell, a step of a
+    flow that nearly rests may not reach 1e-6 and raises.
 
     Parameters
     ----------

@@ -340,9 +340,9 @@ def build(
     held = A if B is None else A + B
     if (point := space.loose_point(held[: space.dim, : space.dim])) is not None:
         raise InputError(
-            f"clamped: nothing holds the piece of the body with the point {point}; clamp part of "
-            "every piece, hold components, or give it a foundation or a dashpot (a must be "
-            "coercive)"
+            f"clamped: nothing holds the piece of the body with the point {point}, or "
+            "less than rounding; clamp part of every piece, hold components, or give it a "
+            "foundation or a dashpot (a must be coercive)"
         )
     _check_together(space, effects, yields, lifts, internal=size > space.dim)
     loads += _lifted(space, effects, parts, lifts) if lifts else []
