@@ -26,7 +26,7 @@ from sweepopt.errors import (
     UnstableStepError,
     brought_by,
 )
-from sweepopt.integrate import contraction, schemes
+from sweepopt.integrate import SolveOptions, schemes, time_grid
 from sweepopt.io import find_scene, list_problems, read_toml, replacing
 from sweepopt.velocity import solvers
 
@@ -204,23 +204,18 @@ def _run(chosen: argparse.Namespace) -> int:
 
 def _announce(scene: Scene) -> None:
     """Print what will be simulated and what will not."""
-    from sweepopt.velocity import make_plan
-
     process = scene.problem.as_sweeping()
-    scheme = schemes.choose(scene.scheme, process.coercive)
-    if scene.scheme == "auto" and scene.t_end and scene.steps:
-        scheme = schemes.automatic(process, scene.t_end / scene.steps)
-    plan = make_plan(process, [(0.0, process.C.at(0.0))], scheme, scene.solver, scene.tol)
-    if scene.t_end and scene.steps:
-        plan = replace(plan, contraction=contraction(process, scheme, scene.t_end / scene.steps))
+    options = SolveOptions(
+        scene.t_end, scene.steps, scheme=scene.scheme, solver=scene.solver, tol=scene.tol
+    )
+    plan = options.plan(process, options.tableau(process), *time_grid(scene.t_end, scene.steps))
     if scene.title:
         print(scene.title)
     for change in scene.changes:
         print(f"changed             {change}")
     seconds = " s" if scene.units == "SI" else ""
     print(f"time                0 to {scene.t_end:g}{seconds} in {scene.steps} steps")
-    # the scene's own words for what it leaves out
-    print(replace(plan, left_out=scene.left_out), flush=True)
+    print(replace(plan, left_out=(*scene.left_out, *plan.left_out)), flush=True)
 
 
 def _write(report: Report, folder: Path, drawn: Sequence[str]) -> list[str]:

@@ -36,10 +36,7 @@ from sweepopt.integrate import (
     adapt,
     check_stability,
     checkpoint_writer,
-    contraction,
-    evaluation_times,
     integrate,
-    meeting_breakpoints,
     newest,
     observer,
     require_same_problem,
@@ -49,7 +46,7 @@ from sweepopt.integrate import (
 from sweepopt.problem import EvolutionVI, SweepingProcess, sweeping
 from sweepopt.results import NetCDFSink, Solution, refine
 from sweepopt.sets import ConvexSet
-from sweepopt.velocity import Plan, compile_projection, make_plan
+from sweepopt.velocity import Plan, compile_projection
 
 
 def solve(
@@ -348,16 +345,7 @@ def _first_grid(
     times, mus = (
         time_grid(None, segments.equal()) if segments else time_grid(options.t_end, options.steps)
     )
-    members = process.check(evaluation_times(times, mus, scheme))
-    plan = make_plan(process, members, scheme, options.solver, options.tol, options.path)
-    plan = replace(plan, contraction=contraction(process, scheme, float(mus.max())))
-    reduction = plan.reduction if options.path == "auto" else None
-    if segments:
-        plan = plan.of_all_unknowns("steps that adapt may be so short that they would be rounding")
-    elif reduction and not reduction.suits(mus, scheme, options.tol):
-        plan = plan.of_all_unknowns("the steps differ so much that short ones would be rounding")
-    if options.scheme == "auto" and not segments:
-        plan = meeting_breakpoints(process, plan, times)
+    plan = options.plan(process, scheme, times, mus)
     saved = saving(options.save, times, plan.entering, options.memory)
     outside = process.check_start(float(times[0]), _nearest(process, plan) if plan.cones else None)
     process.check_jumps(float(times[0]), float(times[-1]))

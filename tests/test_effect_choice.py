@@ -100,14 +100,20 @@ def test_an_effect_is_left_out_by_its_kind_or_by_its_name() -> None:
 def test_the_command_changes_a_scene_and_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    zigzag = "{ waveform = 'triangle', amplitude = 1.5, period = 1.37 }"
     changes = ["--set", "effects.elasticity.kappa=2.0", "--set", "time.steps=20"]
+    changes += ["--set", f"effects.traction.history={zigzag}"]
     options = ["--no-progress", "--out", str(tmp_path), "--without", "friction"]
     assert cli.main(["run", "square", *changes, *options]) == 0
     summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
-    expected = ["effects.elasticity.kappa = 2.0", "time.steps = 20", "without friction"]
-    assert summary["changes"] == expected
+    expected = ["effects.elasticity.kappa = 2.0", "time.steps = 20"]
+    assert summary["changes"][:2] == expected
+    assert summary["changes"][3:] == ["without friction"]
     assert summary["settings"]["steps"] == 20
-    assert all(f"changed             {one}" in capsys.readouterr().out for one in expected[:1])
+    shown = capsys.readouterr().out
+    assert all(f"changed             {one}" in shown for one in expected)
+    # what is printed is the plan of the run
+    assert "breakpoints         6 of the load lie inside of steps" in shown
     for change, message in (("time.steps", "write PATH=VALUE"), ("solve.scheme=euler", "quotes")):
         assert cli.main(["run", "square", "--set", change]) == 2
         assert message in capsys.readouterr().err
@@ -231,6 +237,44 @@ def test_friction_follows_its_law_of_the_slip_at_every_node(block: int) -> None:
     assert bound.min() < 0.9 * slip.contact.bound.min()
     assert np.allclose(force[slips], bound[slips], rtol=1e-6)
     assert (force <= bound * (1 + 1e-6)).all()
+
+
+T = [0.0, 0.37, 1.13, 1.71, 2.0]
+PULL = {"table": {"t": T, "values": [0.0, 1.5, -1.5, 1.2, 0.3]}}
+BOUNDS = {
+    "at rest": ({}, []),
+    "slip": ({"effects.friction.slip": {"distance": 0.5, "residual": 0.4}}, []),
+    "formula": ({"effects.friction.g": "0.3 * (1 + 0.5 * sin(t))"}, []),
+    "history": (
+        {"effects.friction.history": {"table": {"t": [0, 0.77, 2], "values": [1, 0.5, 1]}}},
+        [0.77],
+    ),
+    "load": (
+        {"effects.body_force": {"f0": "0.1 * x * sin(t)", "history": {"waveform": "constant"}}},
+        [],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BOUNDS)
+def test_steps_end_at_breakpoints_of_loads_whatever_the_bound_of_friction_does(name: str) -> None:
+    """The second order is the scheme's; the slope varies with where in a step nodes stop."""
+    given, more = BOUNDS[name]
+    changes = {"domain.refinements": 0, "time.end": 2.0, "effects.traction.history": PULL}
+    scene = read_scene("square", changes=changes | given)
+    runs = [scene.solve(steps=steps, tol=1e-9) for steps in (8, 16, 32, 64, 192)]
+    assert runs[0].plan.breakpoints.tolist() == sorted(T[1:-1] + more)
+    errors = [abs(run.u - runs[-1](run.t)).max() for run in runs[:-1]]
+    assert np.polyfit(range(4), np.log2(errors), 1)[0] < -1.6, errors
+    assert errors[1] < 3e-3, errors  # 3.7e-3 to 5e-3 without the breakpoints
+    assert errors[-1] < 2.5e-4
+
+
+def test_steps_end_where_the_rate_of_a_prescribed_displacement_jumps() -> None:
+    """Without elasticity the load has the rate alone."""
+    changes = {"effects.prescribed_displacement": {"on": "top", "history": PULL}, "time.end": 2.0}
+    scene = read_scene("square", changes=changes, without=["traction", "elasticity"])
+    assert scene.solve(steps=10).plan.breakpoints.tolist() == T[1:-1]
 
 
 @pytest.mark.parametrize(

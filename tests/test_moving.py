@@ -347,9 +347,17 @@ def test_what_a_state_dependent_set_cannot_have_is_refused() -> None:
             call()
     with pytest.raises(PathError, match="proportional"):
         so.solve(mass(), t_end=1.0, steps=20, path="proportional")
-    shifted = so.StateDependent(lambda t, u: so.Box(-1 - u, 1 + u), [[1.0]]) + [1.0]
-    with pytest.raises(so.InputError, match=r"no set without a state: .* function of"):
-        so.solve(so.SweepingProcess([[1.0]], None, shifted, [0.0]), t_end=1.0, steps=2)
+    C = so.StateDependent(lambda t, u: so.Box(-1 - u, 1 + u), [[1.0]])
+    parts: list[Any] = [
+        lambda C: C + [1.0],
+        lambda C: -C,
+        lambda C: so.Box([-1], [1]) & C,
+        lambda C: so.image([[2.0]], C),
+    ]
+    for of_both in (C, so.SweepingProcess([[1.0]], None, C, [0.0]).C):
+        for made in parts:
+            with pytest.raises(so.InputError, match=r"no set without a state: .* function of"):
+                made(of_both)
     for lipschitz, words in (([[-1.0]], "semidefinite"), ([[0.0, 1.0]], "must be square")):
         with pytest.raises(so.InputError, match=f"lipschitz must be .*{words}|{words}"):
             so.StateDependent(lambda t, u: so.Box([-1], [1]), lipschitz)

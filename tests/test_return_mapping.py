@@ -288,6 +288,7 @@ def test_yield_stresses_differ_by_subdomain_and_the_load_is_data() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"Hk": 1e-9}, "Hk: nothing hardens .* below 1e-07 of 2 mu"),
         ({"Hk": 0.0}, "Hk: nothing hardens .* Perfect plasticity .* give a small Hk"),
         ({"Hk": -1.0}, "Hk must be"),
         ({"Hi": lambda x: 1.0 * (x[0] > 0)}, "Hi: must be > 0 everywhere or 0"),

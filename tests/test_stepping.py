@@ -143,12 +143,18 @@ OFFSETS = so.Separable([(TURNS, np.append(PULL, -PULL)), (so.Constant(1.0), np.o
 ON_TWO = so.Moving(so.image(E2, so.Box([-1, -1], [1, 1])), ALONG)
 VECTORS = so.VectorTable(TURNS.times, np.outer(TURNS.values, PULL))
 WAVE, SCALE = so.Separable([(so.Sine(2.0, 1.0), PULL)]), so.Table(TURNS.times, [1, 0.2, 1, 0, 2, 1])
+STATE = so.StateDependent(
+    lambda t, u: (1 + 0.01 * np.exp(-(u @ u))) * BOX + ALONG(t), 0.02 * np.eye(3), [TURNS]
+)
 MEETING: dict[str, tuple[Any, np.ndarray, str]] = {
     "Separable": (so.Moving(BOX, ALONG), np.eye(3), "auto"),
     "VectorTable": (so.Moving(BOX, VECTORS), np.eye(3), "auto"),
     "scale": (so.Moving(BOX, WAVE, scale=SCALE), np.eye(3), "auto"),
     "rows": (so.Polyhedron(ROWS, OFFSETS), np.eye(3), "auto"),
     "sum": (so.Moving(BOX, ALONG) + so.Ball(np.zeros(3), 0.3), np.eye(3), "auto"),
+    "image": (so.image(np.eye(3), so.Moving(BOX, ALONG)), np.eye(3), "auto"),
+    "function": (so.MovingSet(lambda t: BOX + ALONG(t), histories=[TURNS]), np.eye(3), "auto"),
+    "state": (STATE, np.eye(3), "auto"),
     "eliminated": (ON_TWO, np.eye(3), "eliminated"),
     "full": (ON_TWO, np.eye(3), "full"),
     "proportional": (ON_TWO, 1.5 * A3, "proportional"),

@@ -68,6 +68,8 @@ class Yield:
     ----------
     rows : Rows
     g : ndarray of shape (m,), or callable t -> (m,)
+    histories : sequence of callable
+        Functions of time that g is made of, as data: steps end at their breakpoints.
     metric : ndarray, shape (m, block, block), or None
         Of ellipses: |x| is sqrt(<metric x, x>); None is the Euclidean norm.
     shape : {"ball", "half-line"}
@@ -88,6 +90,7 @@ class Yield:
     slopes: Array | None = None
     contact: Contact | None = None
     slip: SlipLaw | None = None
+    histories: Sequence[Callable[[float], Any]] = ()
 
     def at(self, t: float, u: Array | None = None) -> Array:
         """Radii w_k g_k at a time and a state, the unslipped one if there is none, shape (m,)."""
@@ -306,7 +309,8 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
         if law.axes is not None:
             metric = _metric(body, columns.reshape(-1, block), k, law.axes)
         moving = partial(moving_bound, k) if moves else bound
-        yields.append(Yield(rows, moving, metric, contact=contact, slip=law.slip))
+        histories = () if law.history is None else (law.history,)
+        yields.append(Yield(rows, moving, metric, "ball", None, contact, law.slip, histories))
     return yields
 
 

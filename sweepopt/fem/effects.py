@@ -38,8 +38,8 @@ from sweepopt.fem.spaces import AXES, BODY, Discretisation, Place, boundary_name
 from sweepopt.loads import History
 
 Array = NDArray[np.float64]
-Phi = Callable[[float], ArrayLike]
-Force = tuple[Phi, Array] | Callable[[float], Array]
+Phi = Callable[[float], Any]
+Force = tuple[Phi, Array | Callable[[float], Array]] | Callable[[float], Array]
 
 ETA, ZETA = Coefficient("eta", 0.0, strict=True), Coefficient("zeta")
 KAPPA, LAM, MU = Coefficient("kappa", 0.0), Coefficient("lam"), Coefficient("mu", 0.0)
@@ -59,8 +59,8 @@ class Contribution:
     ----------
     A, B : sparse, shape (dim, dim), or None
         Part of the matrix of u' or of u. With internal unknowns these follow those of the body.
-    loads : sequence of (history, ndarray of shape (dim,)) or callable t -> (dim,)
-        Terms ``phi(t) f`` or ``f(t)`` of the load.
+    loads : sequence of (history, f) or callable t -> (dim,)
+        Terms ``phi(t) f`` or ``f(t)`` of the load, f an array of shape (dim,) or a function of t.
     yields : sequence of Yield
         Parts of the dissipation: rows of the velocity and the sets D_k that bound their forces.
     internal : int
@@ -543,7 +543,7 @@ class PrescribedDisplacement(Record):
             )
 
     def contribute(self, body: Discretisation) -> Contribution:
-        """The values that are held."""
+        """The values that are held; none if d is zero everywhere."""
         body.facets("on", self.on)
         place = body.place("on", self.on, nodal=True)
         full = np.zeros(body.basis.N)
@@ -554,6 +554,8 @@ class PrescribedDisplacement(Record):
         T = body.frame.T
         along = full if T is None else T.T @ full
         along[body.free] = 0.0
+        if not full.any():
+            return Contribution()
         if not along.any():
             raise InputError(
                 f"on: nothing is held on {', '.join(self.on)} along d; clamp or hold it"
@@ -611,7 +613,9 @@ class Eigenstrain(Record):
 class YieldStress(Record):
     """``J(v) = int g |grad v|``: Bingham's body of antiplane shear, which moves where it yields.
 
-    The gradient is taken at the points of a quadrature that is exact for its square.
+    The gradient is taken at the points of a quadrature that is exact for its square. Plugs are
+    rigid exactly on P1 elements; on P2 ones, where the gradient varies within a cell, a step of a
+    flow that nearly rests may not reach 1e-6 and raises.
 
     Parameters
     ----------
@@ -865,5 +869,5 @@ def _force(
         return np.asarray(body.restrict(place.vector(form)))
 
     if any(map(in_time, parts)):
-        return lambda t: np.asarray(history(t)) * shape(t)
+        return history, shape
     return history, shape(0.0)

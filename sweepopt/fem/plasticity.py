@@ -36,6 +36,9 @@ from sweepopt.fem.spaces import BODY, Discretisation, Place
 Array = NDArray[np.float64]
 
 COEFFICIENTS = tuple(Coefficient(name, 0.0) for name in ("sigma_y", "Hk", "Hi", "eta"))
+LEAST = 1e-7
+"""Of 2 mu: with hardening of 6e-8 of it rounding makes B of the plate scene indefinite, and with 9e-9
+a step of the ring takes minutes."""
 ZZ = -2 / np.sqrt(6)  # of e_zz in the second deviator
 
 
@@ -92,11 +95,11 @@ class Plasticity(Record):
         if not isinstance(exact.basis, skfem.CellBasis):
             raise InputError("on: name subdomains, or 'body', not boundaries")
         sigma_y, Hk, Hi, eta = map(np.ravel, self.values_at(place, *self.data))
-        _check_hardening(Hk, Hi, eta)
+        lam, mu = (x.ravel() for x in _moduli(body, place, self.elasticity))
+        _check_hardening(Hk, Hi, eta, mu)
         strains, uu = _strains(body, place, self.elasticity)
         # the deviators' energy by this quadrature instead of another: B stays semidefinite
         uu = uu - _strains(body, exact, self.elasticity)[1]
-        lam, mu = (x.ravel() for x in _moduli(body, place, self.elasticity))
         w, n = place.basis.dx.ravel(), body.dim
         beside = w.size if body.kind == "plane stress" else 0
         size = strains.shape[0] // w.size
@@ -147,11 +150,12 @@ def with_elasticity(effects: Iterable[Effect]) -> list[Effect]:
     return effects
 
 
-def _check_hardening(Hk: Array, Hi: Array, eta: Array) -> None:
-    if (Hk + Hi + eta).min() <= 0:
+def _check_hardening(Hk: Array, Hi: Array, eta: Array, mu: Array) -> None:
+    if ((eta == 0) & (Hk + Hi <= LEAST * 2 * mu)).any():
         raise InputError(
-            "Hk: nothing hardens where Hk, Hi and eta are zero. Perfect plasticity has no bounded "
-            "velocity and is not in the class; give a small Hk or Hi, or a viscosity eta"
+            f"Hk: nothing hardens where eta is zero, and Hk + Hi zero or below {LEAST:g} of 2 mu, "
+            "which is rounding. Perfect plasticity has no bounded velocity and is not in the "
+            "class; give a small Hk or Hi, or a viscosity eta"
         )
     if Hi.any() and Hi.min() <= 0:
         raise InputError("Hi: must be > 0 everywhere or 0; state two effects, on two subdomains")

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,7 +22,7 @@ from sweepopt.fem.initial import Initial
 from sweepopt.fem.plasticity import Plasticity, with_elasticity
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.integrate import schemes
-from sweepopt.loads import History, Separable
+from sweepopt.loads import Constant, History, Separable, breakpoints
 from sweepopt.problem import EvolutionVI, SweepingProcess
 from sweepopt.sets import ConvexSet, MovingSet, Point, StateDependent
 from sweepopt.velocity import solvers
@@ -340,9 +340,9 @@ def build(
     held = A if B is None else A + B
     if (point := space.loose_point(held[: space.dim, : space.dim])) is not None:
         raise InputError(
-            f"clamped: nothing holds the piece of the body with the point {point}; clamp part of "
-            "every piece, hold components, or give it a foundation or a dashpot (a must be "
-            "coercive)"
+            f"clamped: nothing holds the piece of the body with the point {point}, or "
+            "less than rounding; clamp part of every piece, hold components, or give it a "
+            "foundation or a dashpot (a must be coercive)"
         )
     _check_together(space, effects, yields, lifts, internal=size > space.dim)
     loads += _lifted(space, effects, parts, lifts) if lifts else []
@@ -353,7 +353,7 @@ def build(
     problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
     terms = {
         "no elasticity: B is not formed": B is not None,
-        "no friction: no set and no optimiser, a step is one linear solve": yields,
+        "no friction: J is not formed": yields,
         "no load: f = 0": loads,
     }
     return Scene(
@@ -428,8 +428,11 @@ def _problem(
         C = -dissipation(yields, t, u)
         return C if force is None else C + force(t)
 
-    C = StateDependent(at, sum(slipping)) if slipping else MovingSet(at, A.shape[0])
-    return SweepingProcess(A, B, C, u0, fields)
+    histories = [phi for one in yields for phi in one.histories]
+    histories += [] if force is None else [phi for phi, _ in force.terms]
+    if slipping:
+        return SweepingProcess(A, B, StateDependent(at, sum(slipping), histories), u0, fields)
+    return SweepingProcess(A, B, MovingSet(at, A.shape[0], histories), u0, fields)
 
 
 def _contribution(
@@ -475,32 +478,46 @@ def _sum(parts: Sequence[Contribution], name: str) -> sp.csc_array | None:
     return sum(terms[1:], terms[0]) if terms else None
 
 
+class _Load(NamedTuple):
+    """``sum_k phi_k(t) f_k(t)``, with the breakpoints of those phi_k that know them."""
+
+    terms: Sequence[tuple[Any, Any]]
+
+    def __call__(self, t: float) -> NDArray[np.float64]:
+        return np.asarray(sum(phi(t) * (f(t) if callable(f) else f) for phi, f in self.terms))
+
+    def breakpoints(self, a: float, b: float) -> NDArray[np.float64]:
+        return breakpoints((phi for phi, _ in self.terms), a, b)
+
+
 def _force(loads: Sequence[Force], size: int) -> Any:
     """The sum of the terms; data where all of them are. None acts on internal unknowns."""
 
-    def pad(f: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.pad(f, (0, size - f.size))
+    def pad(f: Any) -> Any:
+        return (lambda t: pad(f(t))) if callable(f) else np.pad(f, (0, size - f.size))
 
-    terms = [(one[0], pad(one[1])) for one in loads if not callable(one)]
-    functions = [one for one in loads if callable(one)]
-    separable = Separable(terms) if terms else None
-    if not functions:
-        return separable
-    return lambda t: sum(pad(one(t)) for one in functions) + (separable(t) if separable else 0.0)
+    pairs = [one if isinstance(one, tuple) else (Constant(), one) for one in loads]
+    terms = [(phi, pad(f)) for phi, f in pairs]
+    if any(callable(f) for _, f in terms):
+        return _Load(terms)
+    return Separable(terms) if terms else None
 
 
-def _rate(history: History) -> Callable[[float], float]:
+class _Rate(NamedTuple):
     """phi'(t), from the left where it jumps."""
 
-    def rate(t: float) -> float:
-        end = t if t > 0 else float(next(iter(history.breakpoints(0.0, 1.0)), 1.0))
-        start = float(next(iter(history.breakpoints(0.0, end)[::-1]), 0.0))
-        piece = history.piece(start, end)
+    history: History
+
+    def __call__(self, t: float) -> float:
+        end = t if t > 0 else float(next(iter(self.breakpoints(0.0, 1.0)), 1.0))
+        start = float(next(iter(self.breakpoints(0.0, end)[::-1]), 0.0))
+        piece = self.history.piece(start, end)
         s = t - piece.origin
         slope = float(np.polynomial.Polynomial(piece.polynomial).deriv()(s))
         return slope + sum(a * w * float(np.cos(w * s + p)) for a, w, p in piece.waves)
 
-    return rate
+    def breakpoints(self, a: float, b: float) -> NDArray[np.float64]:
+        return self.history.breakpoints(a, b)
 
 
 def _lifted(
@@ -523,7 +540,8 @@ def _lifted(
             continue
         for history, d in lifts:
             force = -np.asarray(space.restrict((matrix[: d.size, : d.size] @ d)[: d.size]))
-            terms.append((_rate(history) if name == "A" else history, force))
+            phi: Any = _Rate(history) if name == "A" else history
+            terms.append((phi, force))
     return terms
 
 

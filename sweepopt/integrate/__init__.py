@@ -15,10 +15,7 @@ from sweepopt.integrate.exact import Trajectory
 from sweepopt.integrate.field import compatible_start, velocity_field
 from sweepopt.integrate.grid import (
     check_stability,
-    contraction,
     divided,
-    evaluation_times,
-    meeting_breakpoints,
     time_grid,
 )
 from sweepopt.integrate.loop import Observer, integrate
@@ -65,12 +62,9 @@ __all__ = [
     "combination",
     "compatible_start",
     "compensated_sum",
-    "contraction",
     "divided",
-    "evaluation_times",
     "implicit_euler",
     "integrate",
-    "meeting_breakpoints",
     "newest",
     "observer",
     "program_of_stage",

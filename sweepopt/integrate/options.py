@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,11 +10,17 @@ import numpy as np
 from sweepopt.checks import choice, number
 from sweepopt.errors import InputError, PathError
 from sweepopt.integrate.adaptive import Adaptive
-from sweepopt.integrate.grid import time_grid
+from sweepopt.integrate.grid import (
+    contraction,
+    evaluation_times,
+    meeting_breakpoints,
+    time_grid,
+)
 from sweepopt.integrate.json_arrays import decoded, encoded
+from sweepopt.integrate.record import MEMORY
 from sweepopt.integrate.schemes import Scheme, automatic, choose
 from sweepopt.problem import SweepingProcess
-from sweepopt.velocity import PATHS, REGISTRY
+from sweepopt.velocity import PATHS, REGISTRY, Plan, make_plan
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,11 +32,11 @@ class SolveOptions:
     scheme: Any
     solver: Any
     tol: float
-    path: str
-    save: Any
-    memory: float
-    on_failure: str
-    on_unstable: str
+    path: str = "auto"
+    save: Any = None
+    memory: float = MEMORY
+    on_failure: str = "raise"
+    on_unstable: str = "raise"
 
     def __post_init__(self) -> None:
         choice("path", self.path, PATHS)
@@ -59,6 +65,24 @@ class SolveOptions:
         if adaptive and scheme.exact:
             raise InputError("scheme 'exact' has no error in time that steps could be adapted to")
         return scheme
+
+    def plan(
+        self, process: SweepingProcess, scheme: Scheme, times: np.ndarray, mus: np.ndarray
+    ) -> Plan:
+        """How the process is simulated; C(t) is checked at all times that are asked for."""
+        members = process.check(evaluation_times(times, mus, scheme))
+        plan = make_plan(process, members, scheme, self.solver, self.tol, self.path)
+        plan = replace(plan, contraction=contraction(process, scheme, float(mus.max())))
+        if isinstance(self.steps, Adaptive):
+            return plan.of_all_unknowns(
+                "steps that adapt may be so short that they would be rounding"
+            )
+        reduction = plan.reduction if self.path == "auto" else None
+        if reduction and not reduction.suits(mus, scheme, self.tol):
+            plan = plan.of_all_unknowns(
+                "the steps differ so much that short ones would be rounding"
+            )
+        return meeting_breakpoints(process, plan, times) if self.scheme == "auto" else plan
 
     def to_json(self) -> dict[str, Any]:
         """The options in terms of JSON.

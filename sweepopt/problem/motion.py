@@ -163,8 +163,8 @@ def motion(C: AnySet) -> Motion:
 
 def histories_of(C: AnySet) -> list[Any]:
     """The functions of time that C(t) moves with, also where it is made of others that move."""
-    parts = C.operands if isinstance(C, MovingSet) else ()
-    return [phi for part in parts for phi in histories_of(part)] or motion(C).histories
+    parts, given = (C.operands, C.histories) if isinstance(C, MovingSet) else ((), ())
+    return [*given, *([phi for part in parts for phi in histories_of(part)] or motion(C).histories)]
 
 
 def _moving_box(G: np.ndarray, h: TimeFunction) -> Motion | None:

@@ -8,7 +8,7 @@ serves them all.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import wraps
 from typing import Any
 
@@ -33,6 +33,9 @@ class MovingSet(Operators):
         t -> ConvexSet, always of the same dim.
     dim : int, optional
         Taken from at(0.0) when not given: give it if the set is not defined at t = 0.
+    histories : sequence of callable
+        Functions of time that `at` is made of, such as Table: steps of `solve` end at their
+        breakpoints.
 
     Raises
     ------
@@ -50,10 +53,19 @@ class MovingSet(Operators):
     """
 
     operands: tuple[MovingSet, ...] = ()  # what an operation made it of
+    histories: tuple[Any, ...] = ()
 
-    def __init__(self, at: Callable[[float], ConvexSet], dim: int | None = None) -> None:
+    def __init__(
+        self,
+        at: Callable[[float], ConvexSet],
+        dim: int | None = None,
+        histories: Sequence[Callable[[float], Any]] = (),
+    ) -> None:
         if not callable(at):
             raise InputError("MovingSet needs a function t -> set; got " + type(at).__name__)
+        if not isinstance(histories, (list, tuple)) or not all(map(callable, histories)):
+            raise InputError(f"histories must be a list of functions of time, got {histories!r}")
+        self.histories = tuple(histories)
         self._at = at
         if dim is not None:
             self.dim = dimension(dim)
@@ -120,6 +132,8 @@ def over_time(operation: Callable[..., Any]) -> Callable[..., Any]:
     def on_all(*operands: Any) -> Any:
         if not any(isinstance(C, MovingSet) for C in operands):
             return operation(*operands)
+        if any(isinstance(C, StateDependent) for C in operands):
+            raise InputError(WITHOUT_STATE)
         fixed = [copy.copy(x) if is_vector(x) else x for x in operands]
 
         def done(member: Callable[[MovingSet], ConvexSet]) -> Any:
@@ -241,11 +255,14 @@ class StateDependent(MovingSet):
         ``|sigma(C(t, u), y) - sigma(C(t, u), z) - sigma(C(t, v), y) + sigma(C(t, v), z)|`` is at
         most ``|u - v|_L |y - z|_L``. For intervals [-g_k(u_k), g_k(u_k)] it is the diagonal matrix
         of the Lipschitz constants of g_k.
+    histories : sequence of callable
+        As of `MovingSet`.
 
     Raises
     ------
     InputError
-        If `at` is no function, or L is not symmetric positive semidefinite.
+        If `at` is no function, or L is not symmetric positive semidefinite; of sums, multiples and
+        the like of it, as what these add belongs into `at`.
 
     Examples
     --------
@@ -263,13 +280,18 @@ class StateDependent(MovingSet):
     (True, 0.317)
     """
 
-    def __init__(self, at: Callable[[float, np.ndarray], ConvexSet], lipschitz: Any) -> None:
+    def __init__(
+        self,
+        at: Callable[[float, np.ndarray], ConvexSet],
+        lipschitz: Any,
+        histories: Sequence[Callable[[float], Any]] = (),
+    ) -> None:
         if not callable(at):
             raise InputError(f"StateDependent needs (t, u) -> set; got {type(at).__name__}")
         self._of_state, self.lipschitz = at, symmetric("lipschitz", lipschitz)
         if abs(self.lipschitz).max() and not is_semidefinite(self.lipschitz):
             raise InputError("lipschitz must be positive semidefinite; it has an eigenvalue < 0")
-        super().__init__(_without_state, self.lipschitz.shape[0])
+        super().__init__(_without_state, self.lipschitz.shape[0], histories)
 
     def of(self, u: np.ndarray) -> MovingSet:
         """The sets t -> C(t, u) of one state."""
@@ -282,11 +304,14 @@ class StateDependent(MovingSet):
         return other
 
 
+WITHOUT_STATE = (
+    "C(t, u) is no set without a state: what is added to it, or made of it, belongs into its "
+    "function of (t, u)"
+)
+
+
 def _without_state(_: float) -> ConvexSet:
-    raise InputError(
-        "C(t, u) is no set without a state: what is added to it, or made of it, belongs into its "
-        "function of (t, u)"
-    )
+    raise InputError(WITHOUT_STATE)
 
 
 AnySet = ConvexSet | MovingSet

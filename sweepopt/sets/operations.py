@@ -151,8 +151,7 @@ def image(M: Any, C: Any) -> Any:
     >>> image([[1.0], [1.0]], Box([-1], [1])).support([2.0, 3.0])
     5.0
     """
-    moving = isinstance(C, MovingSet)
-    if not moving and not isinstance(C, ConvexSet):
+    if not isinstance(C, (ConvexSet, MovingSet)):
         raise InputError(f"image(M, C): C must be a set, got {type(C).__name__}")
     M = matrix("M", M)
     if not M.shape[0]:
@@ -160,10 +159,7 @@ def image(M: Any, C: Any) -> Any:
     for j, size in enumerate(_sizes(M)):
         if size:
             divisor(f"the largest entry of column {j} of M", size)
-    if not moving:
-        return _image(M, C)
-    _image(M, Point(np.zeros(C.dim)))  # refuses another width now
-    return nested(MovingSet(lambda t: _image(M, C.at(t)), M.shape[0]), C)
+    return _image(M, C)
 
 
 def _sizes(M: Matrix) -> list[float]:
@@ -172,6 +168,7 @@ def _sizes(M: Matrix) -> list[float]:
     return (largest.toarray() if sp.issparse(M) else largest).tolist()
 
 
+@over_time
 def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
     """The image as what it is: a point, polytope, cone or ellipsoid, on few unknowns, or more."""
     if M.shape[1] != C.dim:
