@@ -20,7 +20,7 @@ import numpy as np
 from sweepopt.errors import IndefiniteError, InputError, TouchingError
 from sweepopt.integrate.schemes import Scheme, implicit_euler, is_stiff
 from sweepopt.problem import SweepingProcess
-from sweepopt.sets import ROUNDING
+from sweepopt.sets import ROUNDING, ConvexSet
 from sweepopt.velocity import Plan, StateVelocity, Velocity, compile_velocity, of_fixed_point
 
 PARTS = (2, 4, 8, 16)  # of a step that missed its tolerance: halved like steps of adaptive grids
@@ -154,31 +154,39 @@ class Velocities:
         return mean._replace(solver=mean.solver + BY_EULER, iterations=iterations)
 
     def stages(
-        self, scheme: Scheme, t: float, mu: float, u: np.ndarray, first: Sequence[Velocity] = ()
+        self,
+        scheme: Scheme,
+        t: float,
+        mu: float,
+        u: np.ndarray,
+        first: Sequence[Velocity] = (),
+        sets: Sequence[ConvexSet | None] = (),
     ) -> Stages:
         """What the stages of a tableau solve after the first ones, up to one that has no program.
 
-        A matrix A + gamma B that is not positive definite to rounding gives no velocity.
+        Their sets C(t) may be given. A matrix A + gamma B that is not positive definite to rounding
+        gives no velocity.
         """
         stages = [*first]
-        for weights, c in list(zip(scheme.a, scheme.c, strict=True))[len(stages) :]:
+        tableau = zip(scheme.a, scheme.c, sets or [None] * len(scheme.c), strict=True)
+        for weights, c, C in list(tableau)[len(stages) :]:
             start = u + mu * combination(weights[:-1], stages) if stages else u
             try:
-                stages.append(self._stage(mu * weights[-1], t + c * mu, start))
+                stages.append(self._stage(mu * weights[-1], t + c * mu, start, C))
             except TouchingError:
                 return [Velocity(np.zeros_like(u), math.inf, math.inf, "none", attempts=1)]
             except IndefiniteError:
                 return [Velocity(np.zeros_like(u), math.inf, math.inf, INDEFINITE)]
         return stages
 
-    def _stage(self, gamma: float, t: float, u: np.ndarray) -> Velocity:
+    def _stage(self, gamma: float, t: float, u: np.ndarray, C: ConvexSet | None = None) -> Velocity:
         """The velocity z of the state u + gamma z, where C depends on it by fixed-point iteration.
 
         z_{k+1} is the velocity of C(t, u + gamma z_k), z_0 = 0.
         """
         process = self._process
         velocity = self(gamma if process.B is not None else 0.0)
-        result = program = velocity(u, process.set_at(t, u))
+        result = program = velocity(u, process.set_at(t, u) if C is None else C)
         q = self._contraction(gamma)
         last = size = velocity.distance(result.z, np.zeros_like(u)) if q else 0.0
         for _ in range(ITERATIONS if q else 0):

@@ -17,7 +17,7 @@ import numpy as np
 
 from sweepopt.checks import instant
 from sweepopt.errors import InputError
-from sweepopt.loads import Piece, Separable, VectorTable, breakpoints
+from sweepopt.loads import History, Separable, VectorTable, breakpoints
 from sweepopt.problem.motion import Motion, TimeFunction
 from sweepopt.sets import basis, to_bernstein
 
@@ -86,14 +86,14 @@ def interpolate(f: TimeFunction, begin: np.ndarray, end: np.ndarray) -> Interpol
     for k, (function, vector, history) in enumerate(terms):
         samples = function(times).reshape(m, 5, -1)
         values += samples * vector
-        for i, (a, b) in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
-            if hasattr(history, "piece"):
-                fifth = _fifth_derivative(history.piece(a, b), a, b) * h[i] ** 5
-                # Rolle: the error's derivative has four zeros
-                errors[i, k] = fifth * NODAL / 120, fifth / 24
-            elif isinstance(f.function, VectorTable):
-                continue  # straight between its breakpoints
-            elif getattr(history, "variation", None) is not None:
+        if isinstance(f.function, VectorTable):
+            continue  # straight between its breakpoints
+        if hasattr(history, "piece"):
+            fifth = _fifth_derivative(history, begin, end) * h**5
+            # Rolle: the error's derivative has four zeros
+            errors[:, k] = np.column_stack([fifth * NODAL / 120, fifth / 24])
+        elif getattr(history, "variation", None) is not None:
+            for i, (a, b) in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
                 errors[i, k] = _by_variation(function, history, a, b, samples[i])
     return Interpolated(NODES_TO_GAUSS @ values, errors[..., 0], errors[..., 1])
 
@@ -125,10 +125,18 @@ def increments(variation: Callable[[float], float], times: np.ndarray) -> np.nda
     return grown
 
 
-def _fifth_derivative(piece: Piece, a: float, b: float) -> float:
-    """A bound of |phi^(5)| on [a, b]."""
-    total = sum(abs(amplitude) * abs(rate) ** 5 for amplitude, rate, _ in piece.waves)
-    reach = max(abs(a - piece.origin), abs(b - piece.origin))
-    for k, c in enumerate(piece.polynomial[5:], start=5):
-        total += abs(c) * math.perm(k, 5) * reach ** (k - 5)
-    return total
+def _fifth_derivative(history: Any, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """A bound of |phi^(5)| on each interval; all between two breakpoints have one closed form."""
+    bounds = np.zeros(len(begin))
+    if getattr(type(history), "piece", None) is History.piece:
+        return bounds  # straight
+    points = breakpoints([history], begin[0], end[-1])
+    for some in np.split(np.arange(len(begin)), np.searchsorted(begin, points)):
+        if some.size:
+            a, b = begin[some], end[some]
+            origin, polynomial, waves = history.piece(float(a[0]), float(b[-1]))
+            bounds[some] = sum(abs(amplitude) * abs(rate) ** 5 for amplitude, rate, _ in waves)
+            reach = np.maximum(abs(a - origin), abs(b - origin))
+            for k, c in enumerate(polynomial[5:], start=5):
+                bounds[some] += abs(c) * math.perm(k, 5) * reach ** (k - 5)
+    return bounds

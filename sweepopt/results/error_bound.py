@@ -20,12 +20,14 @@ r_1 = 0. r_2 is r on the steps where that makes y smaller, and jumps to 0 at the
 K(tau) = min(exp(nu tau), 1 + sqrt(Lam tau / 2)), nu = (Lam - lam)^2 / (8 (Lam + lam)), with
 lam <= Lam the extreme eigenvalues of A^-1 B.
 
-v runs through the nodes of a second run, of sdirk2, which is L-stable: on each step the best of a
-line and two cubics. Its grid is refined where the bound of |u - v| comes from and the run repeated,
-until |u - v| is a share of |v - u_n|: switches are located so. w(t) = center(t) + scale(t) s(t),
-s a curve in S between projections, so that a solver's inexactness is in r and G. Both are bounded
-on the whole of each step: G by the convexity of sigma, r as a polynomial and the interpolation
-error of histories (`residuals`).
+v runs through the nodes of a second run, on each step the best of a line and two cubics. Its scheme
+is L-stable: sdirk2, or implicit Euler where all of the body is stiff (mu lam > 10, or A = 0), as
+errors fade within a step there, switches decide the order of both, and implicit Euler has half of
+the programs. The grid is refined where the bound of |u - v| comes from and the run repeated, until
+|u - v| is a share of |v - u_n|: switches are located so. w(t) = center(t) + scale(t) s(t), s a
+curve in S between projections, so that a solver's inexactness is in r and G. Both are bounded on
+the whole of each step: G by the convexity of sigma, r as a polynomial and the interpolation error
+of histories (`residuals`).
 """
 
 from __future__ import annotations
@@ -48,10 +50,13 @@ from sweepopt.velocity import Plan, compile_projection
 SUMMED = 64 * EPS  # rounding of a run's sums, in units of |u|_A and the root of its steps
 TOL = 1e-8  # of the second run: 1e-9 takes twice the digits where A is uneven, 3 times the time
 SHARE = 0.5  # |u - v| / |v - u_n| that will do: a bound is then at most 1.5 / 0.5 times the error
-WORK = 20
-"""Programs of all second runs, at most, in those of the run: grids of n, 3n and 6n steps beside a
-run of one program a step. With 12 bounds are 3 times larger from mu Lam = 1e4 on; grids that double
-instead take 0.86 of the time for bounds twice as large there."""
+FADES = 10
+"""mu lam from which the second run is of implicit Euler. On equal grids its bounds were 1.1 times
+those of sdirk2 at mu lam = 10, 1.4 times at 2, up to 4 times at 0.5 and 9 times at 0.002."""
+WORK = {"implicit-euler": 13, "sdirk2": 10}
+"""Steps of all second runs, at most, for each program of the run: grids of n, 3n and 9n or 6n steps
+beside a run of one program a step. With 6 of sdirk2 bounds are 3 times larger from mu Lam = 1e4 on,
+with 10 of implicit Euler 1.1 times; other shares of cuts, or grids that double, were no better."""
 
 
 class ErrorBound(float):
@@ -101,9 +106,12 @@ def error_bound(
     each step. The next pass has three times the steps, where the bound of |u - v| comes from, or
     what work is left. Where C(t) is no data, there is one pass.
     """
-    work = WORK * (len(run.t) - 1) * len(plan.scheme.b) // len(SCHEMES["sdirk2"].b)
-    plan = replace(plan, tol=min(plan.tol, TOL), scheme=SCHEMES["sdirk2"], proved=False)
-    norms, velocities = Norms(process), Velocities(plan.process_of(process), plan)
+    norms = Norms(process)
+    stiff = process.rate_independent or norms.lam * np.diff(run.t).min() > FADES
+    scheme = SCHEMES["implicit-euler" if stiff else "sdirk2"]
+    work = WORK[scheme.name] * (len(run.t) - 1) * len(plan.scheme.b)
+    plan = replace(plan, tol=min(plan.tol, TOL), scheme=scheme, proved=False)
+    velocities = Velocities(plan.process_of(process), plan)
     A, B = np.full((2, len(run.t) - 1), np.inf)
     if norms.beta == 0 or norms.Lam == math.inf:  # A, to rounding, may be singular
         return ErrorBound.make(False, run.t, A, B, 0.0)
@@ -209,7 +217,7 @@ def _growth(norms: Norms, t: np.ndarray, each: list[Residuals]) -> _Growth:
     gap, square = gaps[curve, step], squares[curve, step]
     once = np.sqrt(np.diff(t) * (gap + square))  # Cauchy and Schwarz: int sqrt(2 G + |r|^2)
     energy = np.cumsum(gap + np.where(weak, 0.0, square)) + 2 * of_B * R
-    A = np.minimum(np.sqrt((t[1:] - t[0]) * energy), _fan(norms, t, once)[1:])
+    A = _with_fan(norms, t, once, np.sqrt((t[1:] - t[0]) * energy))
     of_B = np.minimum(of_B, math.sqrt(norms.Lam) * np.cumsum(once)) if norms.Lam else 0 * of_B
     if norms.lam > 0 and of_B[-1] < math.sqrt(norms.lam) * A[-1]:
         return _Growth(np.minimum(A, of_B / math.sqrt(norms.lam)), of_B, cost, curve)
@@ -232,13 +240,17 @@ def _variation(
     return np.maximum.accumulate(np.cumsum(turning + jumps) + norms.dual_B(end) + error)
 
 
-def _fan(norms: Norms, t: np.ndarray, once: np.ndarray) -> np.ndarray:
-    """sum_j K(t_i - t_j) int_j sqrt(2 G + |r|^2) at every node; of many, at 2000 of them."""
-    n = len(once)
-    ends = np.append(np.arange(0, n, max(n // 2000, 1)), n)
-    some = np.array([float(norms.growth(t[m] - t[:m]) @ once[:m]) for m in ends])
-    # it never falls: between two of them the later one holds
-    return some[np.searchsorted(ends, np.arange(n + 1))]
+def _with_fan(norms: Norms, t: np.ndarray, once: np.ndarray, bound: np.ndarray) -> np.ndarray:
+    """The bound at t_1, .. or, if it is less, sum_j K(t_i - t_j) int_j sqrt(2 G + |r|^2).
+
+    As K >= 1 only nodes matter where the sum without K is less; of many, 2000. As the sum with K
+    never falls, that of the next one holds at the others.
+    """
+    lower = np.flatnonzero(np.cumsum(once) < bound) + 1
+    ends = lower[:: -max(len(lower) // 2000, 1)][::-1]
+    sums = [float(norms.growth(t[m] - t[:m]) @ once[:m]) for m in ends]
+    bound[lower - 1] = np.fmin(bound[lower - 1], np.array(sums)[np.searchsorted(ends, lower)])
+    return bound
 
 
 def _difference(nodes: Nodes, slopes: np.ndarray, u: np.ndarray) -> np.ndarray:

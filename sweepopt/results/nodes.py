@@ -10,7 +10,6 @@ import numpy as np
 
 from sweepopt.integrate import (
     MEMORY,
-    SCHEMES,
     Grid,
     Run,
     Velocities,
@@ -43,18 +42,20 @@ def companion(
     t: np.ndarray,
     start: np.ndarray | None,
 ) -> tuple[Nodes, np.ndarray]:
-    """Nodes of sdirk2 on the grid t, and the velocities at them; `start` is the first one.
+    """Nodes of the plan's scheme on the grid t, and the velocities at them; `start` is the first.
 
     Its last stage is the inclusion at the node itself, so that no difference of forces is divided
     by A; its weights are positive, so that means of velocities stay in cones. A program that
     misses its tolerance is in the residual.
     """
     times, mus = time_grid(None, t)
-    few = plan.process_of(process)
+    few, scheme = plan.process_of(process), plan.scheme
     u, means, slopes = [few.u0], [], []
-    compensation, scheme = np.zeros(few.dim), SCHEMES["sdirk2"]
-    for time, mu in zip(times[:-1].tolist(), mus.tolist(), strict=True):
-        stages = velocities.stages(scheme, time, mu, u[-1])
+    compensation, count = np.zeros(few.dim), len(scheme.c)
+    sets = few.C.at_many((times[:-1, None] + mus[:, None] * np.array(scheme.c)).ravel())
+    for i, (time, mu) in enumerate(zip(times[:-1].tolist(), mus.tolist(), strict=True)):
+        of_step = sets[i * count : (i + 1) * count]
+        stages = velocities.stages(scheme, time, mu, u[-1], sets=of_step)
         if len(stages) == len(scheme.b):
             mean, slope = combination(scheme.b, stages), stages[-1].z
         else:  # a stage has no program

@@ -532,6 +532,10 @@ class ConvexSet(Operators, ABC):
         """C(t): a set that does not move is the same at every time."""
         return self
 
+    def at_many(self, times: np.ndarray) -> list[ConvexSet]:
+        """As `MovingSet.at_many`."""
+        return [self] * len(times)
+
     def members(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
         """As `MovingSet.members`: one member, itself."""
         self.require_nonempty(f"C(t) at t = {times[0]:g}")

@@ -84,6 +84,10 @@ class MovingSet(Operators):
             raise InputError(f"C(t) at t = {t:g} has dim {C.dim}, not {self.dim}")
         return C
 
+    def at_many(self, times: np.ndarray) -> list[ConvexSet]:
+        """C(t) at each of the times; data are evaluated at all of them at once."""
+        return [self.at(t) for t in times.tolist()]
+
     def members(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
         """Look at every C(t), and keep one of each run that differs in the offsets only.
 
@@ -214,13 +218,22 @@ class Moving(MovingSet):
         return self.at(float(times[0])).members(times)
 
     def at(self, t: float) -> ConvexSet:
-        scaled = self.shape if self.scale is None else self.scale_at(t) * self.shape
         if self.center is None:
             instant("t", t)
-            return scaled
-        if isinstance(scaled, Point):
-            return Point(scaled.anchor + self.center_at(t))
-        return Similar(scaled, self.center_at(t))
+            return self._scaled(t)
+        return _translate(self._scaled(t), self.center_at(t))
+
+    def at_many(self, times: np.ndarray) -> list[ConvexSet]:
+        if not isinstance(self.center, Separable):
+            return super().at_many(times)
+        return list(map(_translate, map(self._scaled, times.tolist()), self.center.at_many(times)))
+
+    def _scaled(self, t: float) -> ConvexSet:
+        return self.shape if self.scale is None else self.scale_at(t) * self.shape
+
+
+def _translate(C: ConvexSet, v: np.ndarray) -> ConvexSet:
+    return Point(C.anchor + v) if isinstance(C, Point) else Similar(C, v)
 
 
 class MovingOffsets(MovingSet):
