@@ -40,7 +40,7 @@ SUITES = {
     "hard": Suite(
         *("hard", rows, ["family"], "Hard cases"),
         "The worst step of each run, judged by its exact velocity: the true error stays below "
-        f"{TARGET:g} and below the certificate. A click in the legend hides a solver.",
+        f"{TARGET:g} and below the certificate.",
     ),
     "trajectories": Suite(
         *("hard", trajectory_rows, ["trajectory"], "Hard trajectories"),
