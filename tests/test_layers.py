@@ -35,7 +35,6 @@ HOMES = {
     "tqdm": ("integrate",),
     "pandas": ("study",),
     "threadpoolctl": ("study",),
-    "distributed": ("study",),
 }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import warnings
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,10 +19,9 @@ from sweepopt.study.diagram import work_precision
 from sweepopt.study.hard.verdicts import worst
 from sweepopt.study.records import append_row
 from sweepopt.study.report import write_report
-from sweepopt.study.sources import find_source
 from sweepopt.study.study import Study, read_parts, read_study, run
 from sweepopt.study.suites import SUITES
-from sweepopt.study.workers import dask_executor, processes
+from sweepopt.study.workers import processes
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -40,12 +39,7 @@ def study_command(chosen: argparse.Namespace) -> None:
     table, solutions, files = None, {}, []
     if not parts or data.keys() - {"title"}:
         study = read_study(path)
-        executor: Any = ThreadPoolExecutor(1)
-        if chosen.scheduler is not None:
-            executor = dask_executor(chosen.scheduler)
-        elif chosen.workers:
-            executor = processes(chosen.workers)
-        with executor as pool:
+        with processes(chosen.workers) if chosen.workers else nullcontext() as pool:
             table = run(study, folder, executor=pool, progress=_say)
         table.to_csv(folder / TABLE, index=False)
         work_precision(table).figure.savefig(folder / DIAGRAM)
@@ -100,7 +94,7 @@ def compare_command(chosen: argparse.Namespace) -> None:
     """Compare all solvers on the programs of a scene."""
     if chosen.csv is not None:
         chosen.csv.touch()  # says so now if it cannot be written
-    table = compare(find_source(chosen.scene), steps=chosen.steps, progress=_say)
+    table = compare(chosen.scene, steps=chosen.steps, progress=_say)
     print(comparison_text(table))
     if chosen.csv is not None:
         table.to_csv(chosen.csv, index=False)
