@@ -23,7 +23,7 @@ from sweepopt.study.hard.families import (
     make,
     read_families,
 )
-from sweepopt.study.hard.suite import PATHS, HardRow, HardStudy, rows
+from sweepopt.study.hard.suite import PATHS, HardRow, HardStudy
 from sweepopt.study.hard.verdicts import GOOD
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
@@ -35,7 +35,7 @@ def solve_once(process: so.SweepingProcess, **settings: Any) -> so.Solution:
 
 
 def judged(*families: str, **settings: Any) -> list[HardRow]:
-    return list(rows(HardStudy(families=families, **{"combinations": 0, **settings})))
+    return list(HardStudy(families=families, **{"combinations": 0, **settings}).rows())
 
 
 def wrong(found: list[HardRow]) -> list[HardRow]:

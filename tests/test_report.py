@@ -18,10 +18,9 @@ from test_cli import make_scene
 import sweepopt as so
 from sweepopt.cli import main
 from sweepopt.study import write_report
-from sweepopt.study.hard.suite import HardRow
+from sweepopt.study.hard.suite import HardRow, HardStudy
 from sweepopt.study.problems import problem
 from sweepopt.study.records import read_rows
-from sweepopt.study.suites import SUITES
 
 TITLE = "What <accuracy> & certainty cost"
 BLOCK = problem("S03")
@@ -144,7 +143,8 @@ def test_a_study_with_hard_cases_writes_its_files_goes_on_and_keeps_rows_of_an_i
     path.write_text(
         'title = "Both"\nproblems = ["S01", "ring.toml"]\nschemes = ["midpoint"]\n'
         'solvers = ["auto"]\nsteps = [20]\nrepeats = 1\n[hard]\nfamilies = ["threshold"]\n'
-        'solvers = ["auto"]\npaths = ["full"]\ncombinations = 0\ntrajectories = ["grazing"]\n'
+        'solvers = ["auto"]\npaths = ["full"]\ncombinations = 0\n'
+        '[trajectories]\ntrajectories = ["grazing"]\n'
     )
     assert main(["study", str(path), "--out", str(out)]) == 0
     shown = capsys.readouterr()
@@ -160,12 +160,11 @@ def test_a_study_with_hard_cases_writes_its_files_goes_on_and_keeps_rows_of_an_i
     assert len(pd.read_csv(out / "hard.csv")) == 1
     assert set(pd.read_csv(out / "trajectories.csv").verdict) == {"met"}
 
-    def interrupted(*_: Any, **__: Any) -> Iterator[HardRow]:
+    def interrupted(_: HardStudy) -> Iterator[HardRow]:
         yield from HARD
         raise KeyboardInterrupt
 
-    suites = {"hard": SUITES["hard"]._replace(rows=interrupted)}
-    monkeypatch.setattr("sweepopt.study.commands.SUITES", suites)
+    monkeypatch.setattr(HardStudy, "rows", interrupted)
     assert main(["study", str(path), "--out", str(out)]) != 0
     assert "2 cells, 2 of them finished before" in capsys.readouterr().err
     kept = read_rows(out / "hard.jsonl", HardRow)

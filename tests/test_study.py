@@ -365,7 +365,10 @@ def test_a_bad_study_is_refused_by_file_and_key(
         ("[hard]\nseed = [1]", "hard.seed: unknown key; there are: seeds"),
         ("[hard]\nseeds = [-1]", "hard.seeds[0] must be a whole number >= 0, got -1"),
         ('[hard]\nfamilies = ["soft"]', "hard.families[0]: 'soft' is not known; there are: thr"),
-        ('[hard]\ntrajectories = ["x"]', "hard.trajectories[0]: 'x' is not known; there are: ord"),
+        (
+            '[trajectories]\ntrajectories = ["x"]',
+            "trajectories.trajectories[0]: 'x' is not known; ",
+        ),
         ('[stiff]\nbodies = ["x"]', "stiff.bodies[0]: 'x' is not known; there are: one mass"),
         ("[stiff]\nstiffness = [0.0]", "stiff.stiffness[0] must be > 0"),
         ("[stiff]\nseeds = [-1]", "stiff.seeds[0] must be"),

@@ -20,7 +20,6 @@ from sweepopt.study.hard.verdicts import worst
 from sweepopt.study.records import append_row
 from sweepopt.study.report import write_report
 from sweepopt.study.study import Study, read_parts, read_study, run
-from sweepopt.study.suites import SUITES
 from sweepopt.study.workers import processes
 
 if TYPE_CHECKING:
@@ -49,8 +48,8 @@ def study_command(chosen: argparse.Namespace) -> None:
     # in this process, from the start: hard cases take some minutes a seed
     folder.mkdir(parents=True, exist_ok=True)
     judged = {}
-    for name, suite in SUITES.items():
-        if suite.part in parts and (rows := _kept(suite.rows(parts[suite.part]), folder / name)):
+    for name, suite in parts.items():
+        if rows := _kept(suite.rows(), folder / name):
             pd.DataFrame(rows).to_csv(folder / f"{name}.csv", index=False)
             print(worst(rows, suite.by))
             judged[name] = rows

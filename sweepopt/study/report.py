@@ -12,6 +12,7 @@ import io
 import os
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from inspect import getdoc
 from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Any
@@ -142,17 +143,12 @@ def _study_section(table: DataFrame) -> list[str]:
 def _judged_section(name: str, rows: Sequence[Any]) -> list[str]:
     import pandas as pd
 
-    table, suite = pd.DataFrame(rows), SUITES[name]
+    table = pd.DataFrame(rows)
+    title, text = str(getdoc(SUITES[name])).split("\n\n")[:2]
+    good, shown = table.verdict.isin(GOOD), table.drop(columns="excess", errors="ignore")
     return [
-        f"<h2>{suite.title}</h2>",
-        f"<p>{suite.text}</p>",
-        _table(
-            table.drop(columns="excess", errors="ignore"),
-            "verdict",
-            table.verdict.isin(GOOD),
-            "runs",
-            "wrong",
-        ),
+        f"<h2>{title.rstrip('.')}</h2><p>{html.escape(text)}</p>",
+        _table(shown, "verdict", good, "runs", "wrong"),
     ]
 
 

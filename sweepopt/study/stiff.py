@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import count, number
 from sweepopt.loads import Separable, Sine, Table
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
@@ -21,8 +20,7 @@ from sweepopt.sets import Balls, Box, ConvexSet, Moving
 from sweepopt.solve import solve
 from sweepopt.study.cell import REFINED, largest_norm
 from sweepopt.study.hard.bodies import Random, chain, spectral
-from sweepopt.study.hard.verdicts import first_of
-from sweepopt.study.records import among, check_lists
+from sweepopt.study.hard.verdicts import Suite, first_of
 
 BEST_OF = ("implicit-euler", "midpoint", "sdirk2")
 TWICE, RINGS = 2.0, 1.1
@@ -77,40 +75,6 @@ LOADS: dict[str, Callable[[Random], Any]] = {
 }
 
 
-@dataclass(frozen=True)
-class StiffStudy:
-    """What `sweepopt study stiff` runs: all bodies and loads by default.
-
-    Parameters
-    ----------
-    seeds, steps : sequence of int
-    bodies, loads : sequence of str
-    stiffness : sequence of float
-        mu Lam; infinite for A = 0.
-    bounds : bool
-        Whether each run's error bound is computed.
-
-    Raises
-    ------
-    InputError
-        Naming the key and the entry.
-    """
-
-    seeds: Sequence[int] = (0,)
-    bodies: Sequence[str] = BODIES
-    loads: Sequence[str] = tuple(LOADS)
-    stiffness: Sequence[float] = (1e-2, 1.0, 4.0, 1e2, 1e8, math.inf)
-    steps: Sequence[int] = (60,)
-    bounds: bool = True
-
-    def __post_init__(self) -> None:
-        names = {"bodies": among(BODIES), "loads": among(LOADS)}
-        check_lists(self, seeds=(count, 0), steps=(count,), **names)
-        for k, x in enumerate(self.stiffness):
-            if x != math.inf:
-                number(f"stiffness[{k}]", x, 0.0, strict=True)
-
-
 class StiffRow(NamedTuple):
     """A run with scheme "auto".
 
@@ -153,23 +117,46 @@ def make(body: str, load: str, seed: int, mu_Lam: float, steps: int) -> Sweeping
     return SweepingProcess(factor * A, B, Moving(C, Separable(terms)), u0)
 
 
-def rows(study: StiffStudy) -> Iterator[StiffRow]:
-    """Run the processes of a study.
+@dataclass(frozen=True)
+class StiffStudy(Suite):
+    """Stiff bodies.
 
-    Yields
-    ------
-    StiffRow
+    Scheme "auto" beside the best of three: its error is at most twice theirs and below its bound,
+    its velocities do not ring, and what slips does not rest.
 
-    Examples
-    --------
-    >>> study = StiffStudy(bodies=["one mass"], loads=["sines"], stiffness=[1e6], bounds=False)
-    >>> row = next(rows(study))
-    >>> row.scheme, row.over_best < 2, row.false_sticks
-    ('sdirk32', True, 0)
+    Parameters
+    ----------
+    seeds : sequence of int
+    bodies, loads : sequence of str
+    stiffness : sequence of float
+        mu Lam; infinite for A = 0.
+    steps : sequence of int
+    bounds : bool
+        Whether each run's error bound is computed.
     """
-    lists = study.bodies, study.loads, study.seeds, study.stiffness, study.steps
-    for case in product(*lists):
-        yield judge(StiffRow(*case), make(*case), 1.0, study.bounds)
+
+    by = ("body", "load", "mu_Lam", "scheme")
+
+    seeds: Sequence[int] = (0,)
+    bodies: Sequence[str] = BODIES
+    loads: Sequence[str] = tuple(LOADS)
+    stiffness: Sequence[float] = (1e-2, 1.0, 4.0, 1e2, 1e8, math.inf)
+    steps: Sequence[int] = (60,)
+    bounds: bool = True
+
+    def rows(self) -> Iterator[StiffRow]:
+        """Run the processes.
+
+        Examples
+        --------
+        >>> study = StiffStudy(bodies=["one mass"], loads=["sines"], stiffness=[1e6], bounds=False)
+        >>> row = next(study.rows())
+        >>> row.scheme, row.over_best < 2, row.false_sticks
+        ('sdirk32', True, 0)
+        """
+        lists = self.bodies, self.loads, self.seeds, self.stiffness, self.steps
+        for case in product(*lists):
+            yield judge(StiffRow(*case), make(*case), 1.0, self.bounds)
 
 
 def judge(row: StiffRow, process: SweepingProcess, t_end: float, bounds: bool = True) -> StiffRow:

@@ -21,7 +21,7 @@ from sweepopt.io import as_path, read_toml
 from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, run_cell
 from sweepopt.study.records import append_row, each, known, read_record, read_rows
 from sweepopt.study.sources import Source, find_source
-from sweepopt.study.suites import KINDS
+from sweepopt.study.suites import SUITES
 from sweepopt.study.workers import processes
 from sweepopt.velocity import solvers
 
@@ -153,6 +153,8 @@ def read_study(path: str | Path) -> Study:
         repeats = 3                                     # optional
         [hard]                                          # optional: hard cases, run afterwards
         seeds = [0]
+        [trajectories]                                  # optional: hard trajectories
+        seeds = [0]
         [stiff]                                         # optional: stiff bodies, run afterwards
         seeds = [0]
 
@@ -171,7 +173,7 @@ def read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     data = read_toml(path)
     return data, {
         name: read_record(f"{path}: {name}.", kind, data.pop(name))
-        for name, kind in KINDS.items()
+        for name, kind in SUITES.items()
         if name in data
     }
 

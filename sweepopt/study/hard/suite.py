@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import count, number
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
 from sweepopt.study.cell import named_solver
@@ -26,58 +25,10 @@ from sweepopt.study.hard.families import (
     combination,
     make,
 )
-from sweepopt.study.hard.trajectories import TRAJECTORIES, TrajectoryRow, runs
-from sweepopt.study.hard.verdicts import TARGET, Faults, judged
-from sweepopt.study.records import among, check_lists
+from sweepopt.study.hard.verdicts import TARGET, Faults, Suite, judged
 
 PATHS = ("full", "eliminated", "proportional")
 SOLVERS = ("auto", "newton", "daqp", "osqp", "clarabel", "cvxpy:osqp", "cvxpy:clarabel")
-
-
-@dataclass(frozen=True)
-class HardStudy:
-    """What `sweepopt study hard` runs; all there is by default.
-
-    Parameters
-    ----------
-    seeds : sequence of int
-        Whole numbers >= 0; each makes every family anew.
-    families, solvers, paths : sequence of str
-    combinations : int
-        How many cases are drawn by chance for each seed.
-    trajectories : sequence of str
-        Rows of trajectories.toml; each seed draws every one of them anew.
-    tol : float
-        What `solve` is asked for.
-
-    Raises
-    ------
-    InputError
-        Naming the key and the entry.
-
-    Examples
-    --------
-    >>> HardStudy(seeds=[0, 1], families=["threshold"]).families
-    ['threshold']
-    """
-
-    seeds: Sequence[int] = (0,)
-    families: Sequence[str] = tuple(FAMILIES)
-    solvers: Sequence[str] = SOLVERS
-    paths: Sequence[str] = PATHS
-    combinations: int = 8
-    trajectories: Sequence[str] = tuple(TRAJECTORIES)
-    tol: float = 1e-9
-
-    def __post_init__(self) -> None:
-        count("combinations", self.combinations, least=0)
-        number("tol", self.tol, minimum=0.0, strict=True)
-        names = {"solvers": SOLVERS, "paths": PATHS}
-        if self.families != []:  # without any, this part is left out
-            names["families"] = tuple(FAMILIES)
-        if self.trajectories != []:
-            names["trajectories"] = tuple(TRAJECTORIES)
-        check_lists(self, seeds=(count, 0), **{key: among(known) for key, known in names.items()})
 
 
 class HardRow(NamedTuple):
@@ -117,49 +68,76 @@ class HardRow(NamedTuple):
     verdict: str = ""
 
 
-def rows(study: HardStudy) -> Iterator[HardRow]:
-    """Run the cases of a study.
+@dataclass(frozen=True)
+class HardStudy(Suite):
+    """Hard cases.
 
-    A solver or a path that cannot treat a case leaves no row.
+    Programs on which solvers alone fail, through every path and solver. Of each run the worst step,
+    judged by its exact velocity: the true error stays below 1e-8 and below the certificate.
 
-    Yields
-    ------
-    HardRow
+    Parameters
+    ----------
+    seeds : sequence of int
+        Whole numbers >= 0; each makes every family anew.
+    families, solvers, paths : sequence of str
+    combinations : int
+        How many cases are drawn by chance for each seed.
+    tol : float
+        What `solve` is asked for.
 
-    Examples
-    --------
-    >>> row = next(rows(HardStudy(families=["threshold"], solvers=["auto"])))
-    >>> row.verdict, row.error < 1e-12
-    ('met', True)
     """
-    for name, seed, names, random in _cases(study):
-        (t_end, steps, *_), process = chosen(HISTORIES, names), make(names, random)
-        exact = Judge(process, t_end / steps)
-        refused = chosen(REFUSED, names)
-        for path, solver in product(study.paths, study.solvers):
-            row = HardRow(name, seed, path, solver, ", ".join(names))
-            row = judged(
-                row._replace(answer=f"refuse: {refused}" if refused else ""),
-                partial(SweepingProcess.as_sweeping, process),
-                partial(_judge, exact),
-                refused,
-                t_end=t_end,
-                steps=steps,
-                scheme="implicit-euler",
-                solver=named_solver(solver),
-                tol=study.tol,
-                path=path,
-            )
-            if row:
-                yield row
 
+    by = ("family",)
 
-def _cases(study: HardStudy) -> Iterator[tuple[str, int, Names, Random]]:
-    for name, seed in product(study.families, study.seeds):
-        yield name, seed, FAMILIES[name], np.random.default_rng(seed)
-    for seed, k in product(study.seeds, range(study.combinations)):
-        random = np.random.default_rng([seed, k])
-        yield f"combination {k}", seed, combination(random), random
+    seeds: Sequence[int] = (0,)
+    families: Sequence[str] = tuple(FAMILIES)
+    solvers: Sequence[str] = SOLVERS
+    paths: Sequence[str] = PATHS
+    combinations: int = 8
+    tol: float = 1e-9
+
+    def rows(self) -> Iterator[HardRow]:
+        """Run the cases of a self.
+
+        A solver or a path that cannot treat a case leaves no row.
+
+        Yields
+        ------
+        HardRow
+
+        Examples
+        --------
+        >>> row = next(HardStudy(families=["threshold"], solvers=["auto"]).rows())
+        >>> row.verdict, row.error < 1e-12
+        ('met', True)
+        """
+        for name, seed, names, random in self._cases():
+            (t_end, steps, *_), process = chosen(HISTORIES, names), make(names, random)
+            exact = Judge(process, t_end / steps)
+            refused = chosen(REFUSED, names)
+            for path, solver in product(self.paths, self.solvers):
+                row = HardRow(name, seed, path, solver, ", ".join(names))
+                row = judged(
+                    row._replace(answer=f"refuse: {refused}" if refused else ""),
+                    partial(SweepingProcess.as_sweeping, process),
+                    partial(_judge, exact),
+                    refused,
+                    t_end=t_end,
+                    steps=steps,
+                    scheme="implicit-euler",
+                    solver=named_solver(solver),
+                    tol=self.tol,
+                    path=path,
+                )
+                if row:
+                    yield row
+
+    def _cases(self) -> Iterator[tuple[str, int, Names, Random]]:
+        for name, seed in product(self.families, self.seeds):
+            yield name, seed, FAMILIES[name], np.random.default_rng(seed)
+        for seed, k in product(self.seeds, range(self.combinations)):
+            random = np.random.default_rng([seed, k])
+            yield f"combination {k}", seed, combination(random), random
 
 
 def _judge(judge: Judge, solution: Solution, _: bool) -> tuple[dict[str, Any], Faults]:
@@ -188,9 +166,3 @@ def _judge(judge: Judge, solution: Solution, _: bool) -> tuple[dict[str, Any], F
         f"error above {TARGET:g}": error > TARGET,
         "certificate below the error": excess > 0,
     }
-
-
-def trajectory_rows(study: HardStudy) -> Iterator[TrajectoryRow]:
-    """Run the trajectories of a study through every scheme, as `rows` does its cases."""
-    for name, seed in product(study.trajectories, study.seeds):
-        yield from runs(name, seed, tol=study.tol)

@@ -1,15 +1,18 @@
-"""Runs as rows with a verdict: one law for programs and trajectories, and their table in words."""
+"""Suites of cases: what each takes from a study's file, its runs as rows with a verdict."""
 
 from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
 
+from sweepopt.checks import count, number
 from sweepopt.errors import PathError, SolverRefusedError, StabilityWarning, SweepoptError
 from sweepopt.results import Solution
 from sweepopt.solve import solve
+from sweepopt.study.records import each, known
 
 TARGET = 1e-8
 """Relative error that every step has to meet, in units of max(|z*|_M, |M^-1 q|_M); and what a run
@@ -17,6 +20,44 @@ may add to the error of its scheme, in units of the way that the bodies go."""
 GOOD = ("met", "warned", "refused")
 """Verdicts of right answers; a run that warns says that its scheme may be wrong."""
 Faults = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Suite:
+    """The base of a table of a study's file; the class's own docstring is shown in the report.
+
+    What is not given is all that there is. A field whose default is a list of names takes some of
+    these names, one of whole numbers such numbers >= 0, one of other numbers such > 0.
+
+    Attributes
+    ----------
+    by : tuple of str
+        Columns by which rows are grouped where they are printed.
+
+    Raises
+    ------
+    InputError
+        Naming the key and the entry.
+    """
+
+    by: ClassVar[tuple[str, ...]]
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            name, value = field.name, getattr(self, field.name)
+            default: Any = field.default
+            several = isinstance(default, tuple)
+            kind = type(default[0] if several else default)
+            checks: Any = {str: (known, default, "there are:"), int: (count, 0)}
+            check = checks.get(kind, (number, 0.0, True, False))
+            if several:
+                each(name, value, *check)
+            elif kind is not bool:
+                check[0](name, value, *check[1:])
+
+    def rows(self) -> Iterator[Any]:
+        """Run the cases: named tuples with the fields seed, seconds and verdict."""
+        raise NotImplementedError
 
 
 def judged(
@@ -65,11 +106,11 @@ def first_of(faults: Faults, verdict: str = GOOD[0]) -> str:
     return next((words for words, fault in faults.items() if fault), verdict)
 
 
-def worst(rows: Sequence[Any], by: list[str]) -> str:
+def worst(rows: Sequence[Any], by: Sequence[str]) -> str:
     """The largest numbers of each group of rows, and a line for each row that is not good."""
     import pandas as pd
 
-    groups = pd.DataFrame(rows).drop(columns="seed").groupby(by, sort=False)
+    groups = pd.DataFrame(rows).drop(columns="seed").groupby(list(by), sort=False)
     table = groups.max(numeric_only=True).assign(runs=groups.size())
     wrong = [row for row in rows if row.verdict not in GOOD]
     lines = [table.to_string(float_format="{:.2g}".format), "", f"{len(rows)} runs"]
