@@ -30,23 +30,20 @@ SLIPS = 0.05  # of an unknown's largest velocity: a slower one may be rounding
 
 Body = tuple[Any, Any, ConvexSet, np.ndarray]
 """A and B, the set C(t) less the load, and two shapes of loads in columns."""
-MATRICES: dict[str, Callable[[Random], tuple[np.ndarray, np.ndarray]]] = {
-    "one mass": lambda random: (np.eye(1), np.eye(1)),
-    "chain": lambda random: (chain(random, 7), chain(random, 7)),
-    "mixed": lambda random: (spectral(random, -6, 0, 7), chain(random, 7)),
-    "discs": lambda random: (chain(random, 4), chain(random, 4)),
-}
-BODIES = (*MATRICES, "square")
+BODIES = ("one mass", "chain", "mixed", "discs", "square")
 
 
 def _body(name: str, random: Random) -> Body:
     if name == "square":
         return _square(random)
-    A, B = MATRICES[name](random)
-    discs = name == "discs"
-    g = random.uniform(0.5, 1.2, 2) if discs else random.uniform(0.3, 1.2, len(A))
-    shapes = random.normal(size=(len(A), 2))
-    shapes *= 2.5 * math.sqrt(len(A)) / np.linalg.norm(shapes, axis=0)
+    discs, n = name == "discs", {"one mass": 1, "discs": 4}.get(name, 7)
+    A = B = np.eye(n)
+    if n > 1:
+        A = spectral(random, -6, 0, n) if name == "mixed" else chain(random, n)
+        B = chain(random, n)
+    g = random.uniform(0.5, 1.2, 2) if discs else random.uniform(0.3, 1.2, n)
+    shapes = random.normal(size=(n, 2))
+    shapes *= 2.5 * math.sqrt(n) / np.linalg.norm(shapes, axis=0)
     return A, B, Balls(g, 2) if discs else Box(-g, g), shapes
 
 
@@ -163,24 +160,22 @@ def judge(row: StiffRow, process: SweepingProcess, t_end: float, bounds: bool = 
     """The row with what a run of a process is worth."""
 
     def run(scheme: str, finer: int = 1) -> Solution:
-        settings: dict[str, Any] = {"scheme": scheme, "tol": 1e-8, "on_unstable": "ignore"}
-        return solve(process, t_end=t_end, steps=finer * row.steps, **settings)
+        steps, quiet = finer * row.steps, "ignore"
+        return solve(process, t_end=t_end, steps=steps, scheme=scheme, tol=1e-8, on_unstable=quiet)
 
     reference, sol = run("auto", REFINED), run("auto")
-    slips = reference.velocity.reshape(row.steps, REFINED, -1)
-    error, *others = (
-        largest_norm(process, one.u - reference.u[::REFINED]) for one in (sol, *map(run, BEST_OF))
-    )
-    between = largest_norm(process, sol(reference.t) - reference.u)
-    variations = [abs(np.diff(z, axis=0)).sum() for z in (sol.velocity, slips.mean(axis=1))]
-    least = SLIPS * abs(slips).max(axis=(0, 1))
+    exact, slips = reference.u[::REFINED], reference.velocity.reshape(row.steps, REFINED, -1)
+    error, *others = (largest_norm(process, one.u - exact) for one in (sol, *map(run, BEST_OF)))
+    means, least = slips.mean(axis=1), SLIPS * abs(slips).max(axis=(0, 1))
+    rings, changes = (abs(np.diff(z, axis=0)).sum() for z in (sol.velocity, means))
     always = (slips > least).all(axis=1) | (slips < -least).all(axis=1)
+    between = largest_norm(process, sol(reference.t) - reference.u)
     row = row._replace(
         scheme=sol.plan.scheme.name,
         error=error,
         over_best=error / min(others),
         bound_over_error=float(sol.error_bound()) / between if bounds else math.nan,
-        ringing=float(variations[0] / variations[1]),
+        ringing=float(rings / changes),
         false_sticks=int((always & (sol.velocity == 0)).any(axis=1).sum()),
     )
     faults = {
