@@ -36,6 +36,8 @@ def study_command(chosen: argparse.Namespace) -> None:
     folder = chosen.out or Path("results") / path.stem
     data, parts = read_parts(path)
     table, solutions, files = None, {}, []
+    judged: dict[str, list[Any]] = {}
+    folder.mkdir(parents=True, exist_ok=True)
     if not parts or data.keys() - {"title"}:
         study = read_study(path)
         with processes(chosen.workers) if chosen.workers else nullcontext() as pool:
@@ -45,33 +47,21 @@ def study_command(chosen: argparse.Namespace) -> None:
         solutions = _fastest_runs(study, table)
         print(summary(table))
         files += [TABLE, DIAGRAM]
-    # in this process, from the start: hard cases take some minutes a seed
-    folder.mkdir(parents=True, exist_ok=True)
-    judged = {}
     for name, suite in parts.items():
-        if rows := _kept(suite.rows(), folder / name):
+        # in this process, from the start: hard cases take some minutes a seed
+        (lines := folder / f"{name}.jsonl").unlink(missing_ok=True)
+        rows = judged[name] = []
+        for row in suite.rows():
+            append_row(lines, row)
+            rows.append(row)
+            _say(f"{name}: {row[:4]}")
+        if rows:
             pd.DataFrame(rows).to_csv(folder / f"{name}.csv", index=False)
             print(worst(rows, suite.by))
-            judged[name] = rows
             files.append(f"{name}.csv")
-    if files:
-        files.append(REPORT)
-        title = str(data.get("title", path.stem))
-        write_report(table, folder / REPORT, solutions=solutions, title=title, **judged)
-    print(f"written: {folder}: {', '.join(files)}")
-
-
-def _kept(rows: Any, path: Path) -> list[Any]:
-    """All rows, each written down as soon as it is finished."""
-    lines = path.with_suffix(".jsonl")
-    finished: list[Any] = []
-    lines.unlink(missing_ok=True)
-    for row in rows:
-        append_row(lines, row)
-        if not finished or row[:2] != finished[-1][:2]:
-            _say(f"{path.name}: {row[0]}, {row[1]}")
-        finished.append(row)
-    return finished
+    title = str(data.get("title", path.stem))
+    write_report(table, folder / REPORT, solutions=solutions, title=title, **judged)
+    print(f"written: {folder}: {', '.join([*files, REPORT])}")
 
 
 def _fastest_runs(study: Study, table: DataFrame) -> dict[str, Solution]:

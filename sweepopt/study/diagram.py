@@ -9,6 +9,7 @@ known above them.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -70,14 +71,17 @@ def work_precision(table: DataFrame, *, x: str = "wall") -> Any:
     tols = table.tol.map(" · tol {:g}".format) if table.tol.nunique() > 1 else ""
     bodies = zip(table.problem, table.refinements, table.element, strict=True)
     cells = table.assign(
-        panel=[body_name(*body) for body in bodies], line=table.scheme + tols, known=known
+        panel=[body_name(*body) for body in bodies],
+        line=table.scheme + tols,
+        known=known,
+        x=table[x].groupby(table.problem).transform(_on_axis),
+        y=table.error.where(known).groupby(table.problem).transform(_on_axis),
     )
-    places = cells.assign(y=table.error.where(known)).groupby("problem")
-    cells = cells.assign(x=places[x].transform(_on_axis), y=places["y"].transform(_on_axis))
-    names, solvers = list(cells.line.unique()), list(cells.solver.unique())
+    colours = dict(zip(cells.line.unique(), cycle(COLOURS), strict=False))
+    markers = dict(zip(cells.solver.unique(), cycle(MARKERS), strict=False))
     axes = panels(cells.panel.unique())
     first: dict[str, Any] = {}
-    for (panel, problem), _ in cells.groupby(["panel", "problem"], sort=False):
+    for problem, panel in cells[["problem", "panel"]].drop_duplicates().itertuples(index=False):
         ax, one = axes[panel], first.setdefault(problem, axes[panel])
         if ax is not one:
             ax.sharex(one)
@@ -89,18 +93,17 @@ def work_precision(table: DataFrame, *, x: str = "wall") -> Any:
     bounded = len(axes) == len(first)
     for (panel, line, solver), rows in cells.groupby(["panel", "line", "solver"], sort=False):
         rows = rows.sort_values("steps")
-        marker = MARKERS[solvers.index(solver) % len(MARKERS)]
         proved = rows.known & np.isfinite(rows.bound) & bounded
-        for label, style, drawn, y in (
-            (f"{line} · {solver}", f"{marker}-", rows.known, rows.y),
+        for label, style, shown, y in (
+            (f"{line} · {solver}", f"{markers[solver]}-", rows.known, rows.y),
             ("guaranteed bound", "--", proved, rows.bound),
             ("failed", "x", ~rows.success, rows.y),
             ("error not known", "o", rows.success & ~rows.known, rows.y),
         ):
-            if drawn.any():
-                look = {"color": COLOURS[names.index(line) % len(COLOURS)], "label": label}
-                look["markerfacecolor"] = look["color"] if "-" in style else "none"
-                axes[panel].plot(rows.x[drawn], y[drawn], style, **look)
+            if shown.any():
+                look = {"color": colours[line], "label": label}
+                look["markerfacecolor"] = colours[line] if "-" in style else "none"
+                axes[panel].plot(rows.x[shown], y[shown], style, **look)
     named = {line.get_label(): line for ax in axes.values() for line in ax.lines}
     ax.figure.legend(named.values(), named.keys(), fontsize="small", loc="outside right upper")
     return ax.figure.axes[0]

@@ -160,8 +160,8 @@ def judge(row: StiffRow, process: SweepingProcess, t_end: float, bounds: bool = 
     """The row with what a run of a process is worth."""
 
     def run(scheme: str, finer: int = 1) -> Solution:
-        steps, quiet = finer * row.steps, "ignore"
-        return solve(process, t_end=t_end, steps=steps, scheme=scheme, tol=1e-8, on_unstable=quiet)
+        how: Any = {"t_end": t_end, "steps": finer * row.steps, "on_unstable": "ignore"}
+        return solve(process, scheme=scheme, tol=1e-8, **how)
 
     reference, sol = run("auto", REFINED), run("auto")
     exact, slips = reference.u[::REFINED], reference.velocity.reshape(row.steps, REFINED, -1)

@@ -84,7 +84,6 @@ class HardStudy(Suite):
         How many cases are drawn by chance for each seed.
     tol : float
         What `solve` is asked for.
-
     """
 
     by = ("family",)
@@ -97,7 +96,7 @@ class HardStudy(Suite):
     tol: float = 1e-9
 
     def rows(self) -> Iterator[HardRow]:
-        """Run the cases of a self.
+        """Run the cases.
 
         A solver or a path that cannot treat a case leaves no row.
 
