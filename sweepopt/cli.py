@@ -26,12 +26,11 @@ from sweepopt.errors import (
     UnstableStepError,
     brought_by,
 )
-from sweepopt.integrate import contraction, schemes
+from sweepopt.integrate import schemes
 from sweepopt.io import find_scene, list_problems, read_toml, replacing
 from sweepopt.velocity import solvers
 
 if TYPE_CHECKING:
-    from sweepopt.fem import Scene
     from sweepopt.fem.output import Report
 
 DONE, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
@@ -177,13 +176,20 @@ def _run(chosen: argparse.Namespace) -> int:
         snapshots.writer_of(Path(drawn[-1]))
     folder = chosen.out or Path("results") / path.stem
     folder.mkdir(parents=True, exist_ok=True)
-    _announce(scene)
+    if scene.title:
+        print(scene.title)
+    for change in scene.changes:
+        print(f"changed             {change}")
+    second = " s" if scene.units == "SI" else ""
+    print(f"time                0 to {scene.t_end:g}{second} in {scene.steps} steps", flush=True)
 
     text = path.read_text(encoding="utf-8")
     text += "".join(f"\n# changed: {change}" for change in scene.changes)
     started, moved = clock.perf_counter(), False
     solution = scene.solve(progress=not chosen.no_progress, on_failure="stop")
     seconds = clock.perf_counter() - started
+    # the scene's own words for what it leaves out
+    print(replace(solution.plan, left_out=scene.left_out))
     if len(solution.steps):
         report = Report(scene, solution, name=path.stem, text=text, seconds=seconds)
         try:
@@ -198,27 +204,6 @@ def _run(chosen: argparse.Namespace) -> int:
     if solution.status is Status.INTERRUPTED:
         return INTERRUPTED
     return DONE if solution.success and not moved else INCOMPLETE
-
-
-def _announce(scene: Scene) -> None:
-    """Print what will be simulated and what will not."""
-    from sweepopt.velocity import make_plan
-
-    process = scene.problem.as_sweeping()
-    scheme = schemes.choose(scene.scheme, process.coercive)
-    if scene.scheme == "auto" and scene.t_end and scene.steps:
-        scheme = schemes.automatic(process, scene.t_end / scene.steps)
-    plan = make_plan(process, [(0.0, process.C.at(0.0))], scheme, scene.solver, scene.tol)
-    if scene.t_end and scene.steps:
-        plan = replace(plan, contraction=contraction(process, scheme, scene.t_end / scene.steps))
-    if scene.title:
-        print(scene.title)
-    for change in scene.changes:
-        print(f"changed             {change}")
-    seconds = " s" if scene.units == "SI" else ""
-    print(f"time                0 to {scene.t_end:g}{seconds} in {scene.steps} steps")
-    # the scene's own words for what it leaves out
-    print(replace(plan, left_out=scene.left_out), flush=True)
 
 
 def _write(report: Report, folder: Path, drawn: Sequence[str]) -> list[str]:
