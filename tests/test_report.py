@@ -18,7 +18,7 @@ from test_cli import make_scene
 import sweepopt as so
 from sweepopt.cli import main
 from sweepopt.study import write_report
-from sweepopt.study.hard.suite import HardRow, HardStudy
+from sweepopt.study.hard.programs import HardRow, HardStudy
 from sweepopt.study.problems import problem
 from sweepopt.study.records import read_rows
 

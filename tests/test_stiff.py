@@ -13,7 +13,7 @@ from cases import case
 import sweepopt as so
 from sweepopt.cli import main
 from sweepopt.fem import Elasticity, Friction, Traction, Viscosity, antiplane
-from sweepopt.study.stiff import BEST_OF, BODIES, LOADS, StiffRow, StiffStudy, judge, make
+from sweepopt.study.hard.stiff import BEST_OF, BODIES, LOADS, StiffRow, StiffStudy, judge, make
 
 skfem = pytest.importorskip("skfem")
 

@@ -12,14 +12,14 @@ from play import Play
 
 import sweepopt as so
 from sweepopt.integrate import SCHEMES
-from sweepopt.study.hard import trajectories, verdicts
+from sweepopt.study.hard import suite, trajectories
+from sweepopt.study.hard.suite import GOOD
 from sweepopt.study.hard.trajectories import (
     TRAJECTORIES,
     Case,
     TrajectoryRow,
     TrajectoryStudy,
 )
-from sweepopt.study.hard.verdicts import GOOD
 
 SHORT = sorted({*TRAJECTORIES} - {"thousand_cycles"})
 
@@ -134,7 +134,7 @@ def test_the_judge_sees_what_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
             said |= {name: getattr(sol, name) for name in ("plan", "stats", "success", "message")}
             return SimpleNamespace(**said | {name: f(sol) for name, f in changes.items()})
 
-        monkeypatch.setattr(verdicts, "solve", lying)
+        monkeypatch.setattr(suite, "solve", lying)
         return next(runs("ordinary", 0, [scheme]))
 
     def euler(sol: so.Solution) -> np.ndarray:

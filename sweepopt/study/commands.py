@@ -16,7 +16,7 @@ from sweepopt.study.advice import TARGETS, advice, summary
 from sweepopt.study.cell import solution_of
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
-from sweepopt.study.hard.verdicts import worst
+from sweepopt.study.hard import worst
 from sweepopt.study.records import append_row
 from sweepopt.study.report import write_report
 from sweepopt.study.study import Study, read_parts, read_study, run

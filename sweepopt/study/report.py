@@ -23,8 +23,7 @@ from sweepopt.io import put, writable
 from sweepopt.results import Solution
 from sweepopt.study.advice import advice_table, halving_table
 from sweepopt.study.diagram import trajectories, work_precision
-from sweepopt.study.hard.verdicts import GOOD
-from sweepopt.study.suites import SUITES
+from sweepopt.study.hard import GOOD, SUITES
 from sweepopt.study.workers import machine
 
 if TYPE_CHECKING:

@@ -19,9 +19,9 @@ from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, read_toml
 from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, run_cell
+from sweepopt.study.hard import SUITES
 from sweepopt.study.records import append_row, each, known, read_record, read_rows
 from sweepopt.study.sources import Source, find_source
-from sweepopt.study.suites import SUITES
 from sweepopt.study.workers import processes
 from sweepopt.velocity import solvers
 

@@ -33,7 +33,7 @@ from sweepopt.sets import Box, ConvexSet, Moving, Polyhedron
 from sweepopt.solve import solve
 from sweepopt.study.cell import guaranteed_bound
 from sweepopt.study.hard.bodies import Random
-from sweepopt.study.hard.verdicts import TARGET, Faults, Suite, judged
+from sweepopt.study.hard.suite import TARGET, Faults, Suite, judged
 
 LOCAL = 2.0  # once is not enough for catching-up: C(t) of one end of the step, u of the other
 ROUNDING = 64 * EPS  # of u and of f / B, which cancel where bodies are far from the origin

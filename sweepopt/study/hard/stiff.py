@@ -20,7 +20,7 @@ from sweepopt.sets import Balls, Box, ConvexSet, Moving
 from sweepopt.solve import solve
 from sweepopt.study.cell import REFINED, largest_norm
 from sweepopt.study.hard.bodies import Random, chain, spectral
-from sweepopt.study.hard.verdicts import Suite, first_of
+from sweepopt.study.hard.suite import Suite, first_of
 
 BEST_OF = ("implicit-euler", "midpoint", "sdirk2")
 TWICE, RINGS = 2.0, 1.1
