@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.figure import Figure
 from study_table import study_table
 
 import sweepopt as so
 from sweepopt.study import work_precision
+from sweepopt.study.diagram import trajectories
+from sweepopt.study.problems import problem
 
 TABLE = study_table()
 BLOCK = TABLE[TABLE.problem == "block"]
@@ -57,13 +58,32 @@ def test_what_has_no_place_on_the_axes_is_beside_the_others() -> None:
     assert 0.0 < exact.get_ydata()[0] < BLOCK.error[BLOCK.error > 0].min()
 
 
-def test_an_axis_can_be_chosen_and_a_panel_given() -> None:
-    ax = Figure().add_subplot()
-    assert work_precision(BLOCK, x="steps", y="bound", ax=ax) is ax
-    assert (ax.get_xlabel(), ax.get_ylabel()[:18]) == ("time steps", "bound of the error")
-    names = [text.get_text() for text in ax.get_legend().get_texts()]
+def test_a_cost_can_be_chosen_and_the_legend_names_each_line_once() -> None:
+    ax = work_precision(TABLE, x="steps")
+    assert ax.get_xlabel() == "time steps"
+    assert drawn(ax, "catching-up · clarabel")[0].get_xdata().tolist() == [50, 100, 200, 400]
+    names = [text.get_text() for text in ax.figure.legends[0].get_texts()]
     assert names[0] == "catching-up · clarabel"
     assert len(names) == len(set(names))
+
+
+def test_the_band_of_a_run_is_its_guaranteed_one() -> None:
+    block = problem("S03")
+    process = block.process()
+    run = so.solve(process, t_end=block.t_end, steps=80)
+    pull = so.Moving(so.Box([-1], [1]), lambda t: [3 * t])
+    sampled = so.solve(so.SweepingProcess([[0.5]], [[2.0]], pull, [0]), t_end=1.0, steps=20)
+    band, none = trajectories({"block": run, "sampled": sampled}).figure.axes
+    np.testing.assert_array_equal(band.lines[0].get_ydata(), run.u[:, 0])
+    exact = so.solve(process, steps=run.t, scheme="exact").u[:, 0]
+    edges = band.collections[0].get_paths()[0].vertices
+    for t, u in zip(run.t, exact, strict=True):
+        low, high = np.sort(edges[edges[:, 0] == t, 1])[[0, -1]]
+        assert low <= u <= high
+    bound = float(run.error_bound()) / np.sqrt(0.5)  # |u|_A = sqrt(0.5) |u|
+    widths = [np.ptp(edges[edges[:, 0] == t, 1]) for t in run.t]
+    assert max(widths) == pytest.approx(2 * bound, rel=1e-12)
+    assert not none.collections  # nothing guarantees it
 
 
 def test_tolerances_are_lines_of_their_own_and_all_may_have_failed() -> None:
@@ -80,11 +100,9 @@ def test_tolerances_are_lines_of_their_own_and_all_may_have_failed() -> None:
     ("table", "settings", "words"),
     [
         (TABLE, {"x": "speed"}, "x must be one of wall, cpu, steps"),
-        (TABLE, {"y": "wall"}, "y must be one of error, bound"),
         (TABLE.drop(columns="wall"), {}, r"lacks the columns \['wall'\]"),
         (TABLE[:0], {}, "no rows"),
         ([1, 2], {}, "pass the table of a study as it is"),
-        (TABLE, {"ax": "a panel"}, "ax is one panel but table has the problems block, pipe"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused(table: Any, settings: Any, words: str) -> None:

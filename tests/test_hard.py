@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import sweepopt as so
-from sweepopt.study.hard import FAMILIES, Program, verdicts
+from sweepopt.study.hard import FAMILIES, Program, suite
 from sweepopt.study.hard.bodies import chain
 from sweepopt.study.hard.exact import Judge
 from sweepopt.study.hard.families import (
@@ -23,8 +23,8 @@ from sweepopt.study.hard.families import (
     make,
     read_families,
 )
-from sweepopt.study.hard.suite import PATHS, HardRow, HardStudy, rows
-from sweepopt.study.hard.verdicts import GOOD
+from sweepopt.study.hard.programs import PATHS, HardRow, HardStudy
+from sweepopt.study.hard.suite import GOOD
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 
@@ -35,7 +35,7 @@ def solve_once(process: so.SweepingProcess, **settings: Any) -> so.Solution:
 
 
 def judged(*families: str, **settings: Any) -> list[HardRow]:
-    return list(rows(HardStudy(families=families, **{"combinations": 0, **settings})))
+    return list(HardStudy(families=families, **{"combinations": 0, **settings}).rows())
 
 
 def wrong(found: list[HardRow]) -> list[HardRow]:
@@ -171,7 +171,7 @@ def test_the_exact_velocity_of_discs_of_any_size_is_known(
     random = np.random.default_rng([seed, number])
     judge = Judge(make(combination(random), random), 1.0)
     exact = judge.exact(judge.process.u0, 0.0)
-    assert judge.program.norm(exact.z) == pytest.approx(length, rel=1e-14)
+    assert judge.norm(exact.z) == pytest.approx(length, rel=1e-14)
 
 
 def test_the_judge_does_not_round_the_sum_and_the_product_of_the_data() -> None:
@@ -197,7 +197,7 @@ def test_the_judge_sees_wrong_answers_and_certificates(
             stats["certificate"] = stated * stats["certificate"]
             return SimpleNamespace(t=sol.t, u=sol.u, velocity=factor * sol.velocity, stats=stats)
 
-        monkeypatch.setattr(verdicts, "solve", lying)
+        monkeypatch.setattr(suite, "solve", lying)
         return judged(family, seeds=[2], solvers=["auto"], paths=["full"])[0]
 
     right, far, near = judged_as(1.0), judged_as(1 + 1e-6), judged_as(1 + 1e-9, stated=0.0)
@@ -210,7 +210,7 @@ def test_the_judge_sees_wrong_answers_and_certificates(
 def test_an_error_of_the_library_is_a_wrong_row_whatever_its_words(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(verdicts, "solve", Mock(side_effect=so.InputError("path= is in the text")))
+    monkeypatch.setattr(suite, "solve", Mock(side_effect=so.InputError("path= is in the text")))
     found = judged("small_beta", solvers=["auto"])
     assert [row.path for row in found] == list(PATHS)
     assert all(row.verdict.startswith("InputError: path=") for row in found)

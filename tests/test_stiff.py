@@ -13,7 +13,7 @@ from cases import case
 import sweepopt as so
 from sweepopt.cli import main
 from sweepopt.fem import Elasticity, Friction, Traction, Viscosity, antiplane
-from sweepopt.study.stiff import BEST_OF, BODIES, LOADS, StiffRow, StiffStudy, judge, make, rows
+from sweepopt.study.hard.stiff import BEST_OF, BODIES, LOADS, StiffRow, StiffStudy, judge, make
 
 skfem = pytest.importorskip("skfem")
 
@@ -30,7 +30,7 @@ def test_auto_is_at_most_twice_the_best_of_three_where_mu_lam_is_above_two(
 ) -> None:
     stiffness = {"sines": (4.0, 1e8), "tables": (1e2, math.inf)}[load]  # all: the slow test
     study = StiffStudy(bodies=[body], loads=[load], stiffness=stiffness, steps=[40], bounds=False)
-    for row in rows(study):
+    for row in study.rows():
         assert row.scheme == "sdirk32"
         check(row)
 
@@ -42,14 +42,14 @@ def test_auto_is_at_most_twice_the_best_of_three_on_many_seeds(body: str, load: 
     stiffness = (2.1, 5.0, 1e2, 1e4, 1e6, 1e8, math.inf)
     seeds = [1, 2] if body == "discs" else [1, 2, 3, 4, 5]
     study = StiffStudy(seeds, [body], [load], stiffness, [60, 150], bounds=False)
-    for row in rows(study):
+    for row in study.rows():
         check(row)
 
 
 @pytest.mark.parametrize("load", LOADS)
 def test_below_two_auto_is_sdirk2_which_neither_rings_nor_is_far_from_the_best(load: str) -> None:
     study = StiffStudy([0], ["chain"], [load], (0.01, 1.9), [50], bounds=False)
-    for row in rows(study):
+    for row in study.rows():
         assert row.scheme == "sdirk2"
         check(row)
 
@@ -72,7 +72,7 @@ def test_breakpoints_anywhere_in_steps_favour_none_of_the_three(
 ) -> None:
     body, seed, stiffness, steps = case
     study = StiffStudy([seed], [body], ["tables"], (stiffness,), [steps], bounds=False)
-    for row in rows(study):
+    for row in study.rows():
         check(row, over_best=1.0)
 
 

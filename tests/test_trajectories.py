@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,11 +12,20 @@ from play import Play
 
 import sweepopt as so
 from sweepopt.integrate import SCHEMES
-from sweepopt.study.hard import trajectories, verdicts
-from sweepopt.study.hard.trajectories import TRAJECTORIES, Case, TrajectoryRow, runs
-from sweepopt.study.hard.verdicts import GOOD
+from sweepopt.study.hard import suite, trajectories
+from sweepopt.study.hard.suite import GOOD
+from sweepopt.study.hard.trajectories import (
+    TRAJECTORIES,
+    Case,
+    TrajectoryRow,
+    TrajectoryStudy,
+)
 
 SHORT = sorted({*TRAJECTORIES} - {"thousand_cycles"})
+
+
+def runs(name: str, seed: int, schemes: Sequence[str]) -> Iterator[TrajectoryRow]:
+    return TrajectoryStudy([seed], [name], schemes).rows()
 
 
 def checked(name: str, seed: int, schemes: tuple[str, ...] = ("auto", *SCHEMES)) -> None:
@@ -98,8 +108,9 @@ def test_every_scheme_has_the_error_that_it_should_have_for_every_seed(
 def test_midpoint_rests_falsely_on_stiff_bodies_and_warns_from_ten_thirds_on() -> None:
     for stiffness, warned in ((3.3, False), (3.4, True), (1e3, True)):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setitem(TRAJECTORIES, "one", TRAJECTORIES["ordinary"] | {"mu_Lam": stiffness})
-            midpoint, auto = runs("one", 0, ("midpoint", "auto"))
+            changed = TRAJECTORIES["ordinary"] | {"mu_Lam": stiffness}
+            patch.setitem(TRAJECTORIES, "ordinary", changed)
+            midpoint, auto = runs("ordinary", 0, ("midpoint", "auto"))
         assert midpoint.verdict == ("warned" if warned else "met")
         assert (auto.verdict, auto.false_sticks) == ("met", 0)
     assert midpoint.false_sticks > 0
@@ -124,7 +135,7 @@ def test_the_judge_sees_what_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
             said |= {name: getattr(sol, name) for name in ("plan", "stats", "success", "message")}
             return SimpleNamespace(**said | {name: f(sol) for name, f in changes.items()})
 
-        monkeypatch.setattr(verdicts, "solve", lying)
+        monkeypatch.setattr(suite, "solve", lying)
         return next(runs("ordinary", 0, [scheme]))
 
     def euler(sol: so.Solution) -> np.ndarray:
@@ -157,8 +168,8 @@ def test_the_judge_sees_what_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_what_must_be_refused_is_missed_if_it_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
     keys = TRAJECTORIES["ordinary"] | {"steps": 5, "refused": "IndefiniteError"}
-    monkeypatch.setitem(TRAJECTORIES, "soft", keys)
-    (row,) = runs("soft", 0, ["midpoint"])
+    monkeypatch.setitem(TRAJECTORIES, "ordinary", keys)
+    (row,) = runs("ordinary", 0, ["midpoint"])
     assert row.verdict == "not refused with IndefiniteError" not in GOOD
     (row,) = runs("singular", 0, ["midpoint"])
     assert row.verdict == "refused"

@@ -56,15 +56,16 @@ def advice(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
 
 def advice_table(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
     """The advice in words: a row a problem, a column a target, "-" where no cell meets it."""
-    runs = advice(table, targets)
-    runs["run"] = [_run(row).removeprefix(f"{row.problem} ") for row in runs.itertuples()]
-    words = runs.pivot(index="problem", columns="target", values="run")
-    words = (
-        words.reindex(index=table.problem.unique(), columns=list(targets))
-        .astype(object)
-        .fillna("-")
-    )
-    return words.rename(columns="{:g}".format).rename_axis(index=None, columns=None)
+    import pandas as pd
+
+    chosen = advice(table, targets)
+    runs = {(row.problem, row.target): _run(row) for row in chosen.itertuples()}
+    problems = table.problem.unique()
+    words = [
+        [runs.get((name, target), "-").removeprefix(f"{name} ") for target in targets]
+        for name in problems
+    ]
+    return pd.DataFrame(words, problems, [f"{target:g}" for target in targets])
 
 
 def halving(table: DataFrame) -> DataFrame:

@@ -160,11 +160,24 @@ class Reference(NamedTuple):
         return error if error >= SAFETY * self.uncertainty else nan
 
 
-def make_reference(source: Source, steps: int) -> Reference:
+def read_reference(source: Source, steps: int, folder: Path) -> Reference:
     """The states of a problem on a grid of equal steps, as well as the library knows them.
 
-    A pure function of plain data: it runs in workers. What goes wrong leaves no states.
+    They are kept in the folder: what is not there, not whole or of another version is made anew. A
+    zip has a checksum for each of its entries.
     """
+    path = folder / f"{source}-{source.digest[:16]}-{steps}.npz".replace("/", "_")
+    with suppress(OSError, DamagedFileError, KeyError):
+        record, arrays = read_npz(path)
+        return Reference(arrays["u"], *record["record"])
+    reference = _make_reference(source, steps)
+    u, *others = reference
+    write_npz(path, {"record": others}, {"u": u})
+    return reference
+
+
+def _make_reference(source: Source, steps: int) -> Reference:
+    """States by the event-exact integrator, or by a fine run; what goes wrong leaves none."""
 
     def run(times: int, scheme: str, **settings: Any) -> Solution:
         return solve(process, t_end=t_end, steps=steps * times, scheme=scheme, **settings)
@@ -191,22 +204,7 @@ def largest_norm(process: SweepingProcess, u: np.ndarray) -> float:
     return max(map(process.metric.norm, u))
 
 
-def save_reference(path: Path, reference: Reference) -> None:
-    """Write it; a zip has a checksum for each of its entries."""
-    u, *record = reference
-    write_npz(path, {"record": record}, {"u": u})
-
-
-def load_reference(path: Path) -> Reference | None:
-    """Read it; None if it is not there, not whole or of another version."""
-    try:
-        record, arrays = read_npz(path)
-        return Reference(arrays["u"], *record["record"])
-    except (OSError, DamagedFileError, KeyError):
-        return None
-
-
-def run_cell(cell: Cell, reference: Reference, finest: Source | None = None) -> CellRow:
+def run_cell(cell: Cell, finest: Source | None = None, folder: Path | None = None) -> CellRow:
     """Run a cell. What goes wrong is a row as well.
 
     A pure function of plain data, times apart: it runs in workers.
@@ -214,22 +212,23 @@ def run_cell(cell: Cell, reference: Reference, finest: Source | None = None) -> 
     Parameters
     ----------
     cell : Cell
-    reference : Reference
-        Of the cell's problem and steps.
     finest : Source, optional
-        What the reference is of, if it has another mesh than the cell.
+        What errors are against, if it has another mesh than the cell.
+    folder : Path, optional
+        Where references are kept. Without it there are neither errors nor bounds.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             solution_of(cell)  # packages are imported, the problem is assembled, caches are filled
             with one_thread():
-                row = _timed(cell, reference, finest or cell.problem)
+                row, solution = _timed(cell)
+                if folder is not None:
+                    row = _judged(row, solution, cell, finest or cell.problem, folder)
         except Exception as error:  # whatever it is, the table has it
             return cell.failed(error)._replace(machine=machine())
     ours = [f"{one.message}." for one in caught if issubclass(one.category, SweepoptWarning)]
-    missing = [f"No reference: {reference.message}."] if reference.message else []
-    return row._replace(message=" ".join([row.message, *dict.fromkeys(ours), *missing]))
+    return row._replace(message=" ".join([row.message, *dict.fromkeys(ours)]))
 
 
 def solution_of(cell: Cell) -> Solution:
@@ -252,8 +251,8 @@ def named_solver(name: str) -> Any:
     return Cvxpy(name.removeprefix(THROUGH_CVXPY).upper()) if through_cvxpy else name
 
 
-def _timed(cell: Cell, reference: Reference, finest: Source) -> CellRow:
-    """The last of several equal runs, the medians of their times, its error and its bound."""
+def _timed(cell: Cell) -> tuple[CellRow, Solution]:
+    """The last of several equal runs, with the medians of their times."""
     gc.collect()
     times = []
     for _ in range(cell.repeats):
@@ -261,16 +260,12 @@ def _timed(cell: Cell, reference: Reference, finest: Source) -> CellRow:
         solution = solution_of(cell)
         times.append((clock.perf_counter() - wall, clock.process_time() - cpu))
     wall, cpu = np.median(times, axis=0).tolist()
-    process, stats = solution.process, solution.stats
-    bound = guaranteed_bound(solution)
-    return cell.row(
+    stats = solution.stats
+    row = cell.row(
         status=solution.status.name,
         success=solution.success,
         message=solution.message,
-        error=_error(reference, finest, cell.problem, solution),
-        reference_error=reference.uncertainty,
-        size=largest_norm(process, solution.u),
-        bound=nan if bound is None else float(bound),
+        size=largest_norm(solution.process, solution.u),
         certificate=stats["relative"].max() if len(stats) else nan,
         wall=wall,
         cpu=cpu,
@@ -280,14 +275,22 @@ def _timed(cell: Cell, reference: Reference, finest: Source) -> CellRow:
         path=solution.plan.path,
         machine=machine(),
     )
+    return row, solution
 
 
-def _error(reference: Reference, finest: Source, source: Source, solution: Solution) -> float:
-    """The error of a run, as a function on the mesh of the reference."""
-    if finest == source:
-        return reference.error(solution.process, solution.u)
-    u = solution.u @ from_coarser(finest, source).T
-    return reference.error(open_source(finest)[0], u)
+def _judged(row: CellRow, solution: Solution, cell: Cell, finest: Source, folder: Path) -> CellRow:
+    """The row with the error of its run, as a function on the finest mesh, and with the bound."""
+    reference, process, u = read_reference(finest, cell.steps, folder), solution.process, solution.u
+    if finest != cell.problem:
+        process, u = open_source(finest)[0], u @ from_coarser(finest, cell.problem).T
+    bound = guaranteed_bound(solution)
+    missing = f" No reference: {reference.message}." if reference.message else ""
+    return row._replace(
+        error=reference.error(process, u),
+        reference_error=reference.uncertainty,
+        bound=nan if bound is None else float(bound),
+        message=row.message + missing,
+    )
 
 
 def guaranteed_bound(solution: Solution) -> ErrorBound | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import warnings
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,13 +16,11 @@ from sweepopt.study.advice import TARGETS, advice, summary
 from sweepopt.study.cell import solution_of
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
-from sweepopt.study.hard.verdicts import worst
+from sweepopt.study.hard import worst
 from sweepopt.study.records import append_row
 from sweepopt.study.report import write_report
-from sweepopt.study.sources import find_source
 from sweepopt.study.study import Study, read_parts, read_study, run
-from sweepopt.study.suites import SUITES
-from sweepopt.study.workers import dask_executor, processes
+from sweepopt.study.workers import processes
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -38,47 +36,32 @@ def study_command(chosen: argparse.Namespace) -> None:
     folder = chosen.out or Path("results") / path.stem
     data, parts = read_parts(path)
     table, solutions, files = None, {}, []
+    judged: dict[str, list[Any]] = {}
+    folder.mkdir(parents=True, exist_ok=True)
     if not parts or data.keys() - {"title"}:
         study = read_study(path)
-        executor: Any = ThreadPoolExecutor(1)
-        if chosen.scheduler is not None:
-            executor = dask_executor(chosen.scheduler)
-        elif chosen.workers:
-            executor = processes(chosen.workers)
-        with executor as pool:
+        with processes(chosen.workers) if chosen.workers else nullcontext() as pool:
             table = run(study, folder, executor=pool, progress=_say)
         table.to_csv(folder / TABLE, index=False)
         work_precision(table).figure.savefig(folder / DIAGRAM)
         solutions = _fastest_runs(study, table)
         print(summary(table))
         files += [TABLE, DIAGRAM]
-    # in this process, from the start: hard cases take some minutes a seed
-    folder.mkdir(parents=True, exist_ok=True)
-    judged = {}
-    for name, suite in SUITES.items():
-        if suite.part in parts and (rows := _kept(suite.rows(parts[suite.part]), folder / name)):
+    for name, suite in parts.items():
+        # in this process, from the start: hard cases take some minutes a seed
+        (lines := folder / f"{name}.jsonl").unlink(missing_ok=True)
+        rows = judged[name] = []
+        for row in suite.rows():
+            append_row(lines, row)
+            rows.append(row)
+            _say(f"{name}: {row[:4]}")
+        if rows:
             pd.DataFrame(rows).to_csv(folder / f"{name}.csv", index=False)
             print(worst(rows, suite.by))
-            judged[name] = rows
             files.append(f"{name}.csv")
-    if files:
-        files.append(REPORT)
-        title = str(data.get("title", path.stem))
-        write_report(table, folder / REPORT, solutions=solutions, title=title, **judged)
-    print(f"written: {folder}: {', '.join(files)}")
-
-
-def _kept(rows: Any, path: Path) -> list[Any]:
-    """All rows, each written down as soon as it is finished."""
-    lines = path.with_suffix(".jsonl")
-    finished: list[Any] = []
-    lines.unlink(missing_ok=True)
-    for row in rows:
-        append_row(lines, row)
-        if not finished or row[:2] != finished[-1][:2]:
-            _say(f"{path.name}: {row[0]}, {row[1]}")
-        finished.append(row)
-    return finished
+    title = str(data.get("title", path.stem))
+    write_report(table, folder / REPORT, solutions=solutions, title=title, **judged)
+    print(f"written: {folder}: {', '.join([*files, REPORT])}")
 
 
 def _fastest_runs(study: Study, table: DataFrame) -> dict[str, Solution]:
@@ -100,7 +83,7 @@ def compare_command(chosen: argparse.Namespace) -> None:
     """Compare all solvers on the programs of a scene."""
     if chosen.csv is not None:
         chosen.csv.touch()  # says so now if it cannot be written
-    table = compare(find_source(chosen.scene), steps=chosen.steps, progress=_say)
+    table = compare(chosen.scene, steps=chosen.steps, progress=_say)
     print(comparison_text(table))
     if chosen.csv is not None:
         table.to_csv(chosen.csv, index=False)

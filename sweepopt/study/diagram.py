@@ -1,4 +1,4 @@
-"""The work-precision diagram as a picture: what accuracy costs, and what failed.
+"""The work-precision diagram: what accuracy costs, and what failed.
 
 A panel is a problem with its mesh, a colour a scheme and tolerance, a marker a solver, a dashed
 line the guaranteed bound of the error in time. Cells that have no place on logarithmic axes are not
@@ -8,6 +8,8 @@ known above them.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +17,8 @@ import numpy as np
 from sweepopt.checks import choice
 from sweepopt.errors import InputError
 from sweepopt.plot import new_figure
-from sweepopt.study.cell import CellRow
+from sweepopt.results import Solution
+from sweepopt.study.cell import CellRow, guaranteed_bound
 from sweepopt.study.sources import body_name
 
 if TYPE_CHECKING:
@@ -32,12 +35,10 @@ COSTS = {
     "steps": "time steps",
     "solver_calls": "solver calls",
 }
-ACCURACIES = {"error": "largest error over the steps", "bound": "bound of the error"}
-BOUND = "guaranteed bound"
 
 
-def work_precision(table: DataFrame, *, x: str = "wall", y: str = "error", ax: Any = None) -> Any:
-    """Accuracy against cost on logarithmic axes, a line for each scheme, solver and tolerance.
+def work_precision(table: DataFrame, *, x: str = "wall") -> Any:
+    """Errors against cost on logarithmic axes, a line for each scheme, solver and tolerance.
 
     Parameters
     ----------
@@ -45,96 +46,93 @@ def work_precision(table: DataFrame, *, x: str = "wall", y: str = "error", ax: A
         Of a study, one row a cell.
     x : {"wall", "cpu", "steps", "solver_calls"}
         The cost.
-    y : {"error", "bound"}
-        The accuracy. Beside errors the guaranteed bounds are drawn dashed.
-    ax : matplotlib Axes, optional
-        Where to draw one problem. Otherwise a new figure with a panel for each problem and mesh;
-        those of one problem have the same limits.
 
     Returns
     -------
     matplotlib Axes
-        The first panel; its `figure` holds all of them.
+        The first panel; its `figure` has one for each problem and mesh, those of a problem with the
+        same limits. Bounds are not drawn where a problem has several meshes, whose error is in the
+        errors and not in the bounds.
 
     Raises
     ------
     InputError
-        If the table lacks a column, `x` or `y` is none of the above, or `ax` is given for several
-        problems.
+        If the table lacks a column or has no rows, or `x` is none of the above.
     MissingExtraError
         If matplotlib is not installed.
     """
     choice("x", x, COSTS)
-    choice("y", y, ACCURACIES)
-    cells = points(table, x, y)
-    problems, names, solvers = (list(cells[name].unique()) for name in ("panel", "line", "solver"))
-    if ax is not None and len(problems) > 1:
-        raise InputError(
-            f"ax is one panel but table has the problems {', '.join(problems)}; leave ax out or "
-            f"pass one problem, table[table.problem == {table.problem.iloc[0]!r}], and one mesh"
-        )
-    legend = ax
-    if ax is None:
-        columns, lines = min(len(problems), COLUMNS), -(-len(problems) // COLUMNS)
-        legend = new_figure((4.4 * columns + 1.8, 4.0 * lines))
-    panels: dict[str, Any] = {}
-    first: dict[str, Any] = {}
-    for k, (panel, rows) in enumerate(cells.groupby("panel", sort=False), start=1):
-        # meshes of one problem have the same limits, so that they can be compared
-        one = first.get(rows.problem.iloc[0])
-        here = ax or legend.add_subplot(lines, columns, k, sharex=one, sharey=one)
-        panels[panel] = here
-        first.setdefault(rows.problem.iloc[0], here)
-        here.set(title=panel, xlabel=COSTS[x], ylabel=f"{ACCURACIES[y]}, $|\\cdot|_A$")
-        here.set(xscale="log", yscale="log")
-        here.grid(alpha=0.3)
-        # labels at 2 and 4 between powers of ten have room in a panel
-        here.xaxis.get_minor_locator().set_params(subs=(2, 4))
-    groups = cells.groupby(["panel", "line", "solver", "kind"], sort=False)
-    for (problem, line, solver, kind), rows in groups:
-        marker = MARKERS[solvers.index(solver) % len(MARKERS)]
-        style = {"known": f"{marker}-", BOUND: "--", "failed": "x"}.get(kind, "o")
-        panels[problem].plot(
-            *rows.sort_values("steps")[["x", "y"]].to_numpy().T,
-            style,
-            color=COLOURS[names.index(line) % len(COLOURS)],
-            markerfacecolor=None if kind == "known" else "none",
-            label=f"{line} · {solver}" if kind == "known" else kind,
-        )
-    named = {line.get_label(): line for panel in panels.values() for line in panel.lines}
-    place = {} if ax is legend else {"loc": "outside right upper"}
-    legend.legend(named.values(), named.keys(), fontsize="small", **place)
-    return panels[problems[0]]
-
-
-def points(table: Any, x: str, y: str) -> DataFrame:
-    """The cells with their places x and y on logarithmic axes, their panel and line.
-
-    `kind` is "known", "failed" or, for example, "error not known"; beside errors the cells with a
-    guaranteed bound are there once more, with it as y, unless a problem has several meshes: then
-    the error of these is in y and not in the bound.
-    """
-    import pandas as pd
-
     missing = [name for name in CellRow._fields if name not in getattr(table, "columns", ())]
     if missing:
         raise InputError(f"table lacks the columns {missing}; pass the table of a study as it is")
     if not len(table):
         raise InputError("table has no rows; run the study first")
-    known = table.success & np.isfinite(table[y])
-    kind = np.select([~table.success, ~known], ["failed", f"{y} not known"], "known")
-    columns = {"x": table[x], "y": table[y].where(known)}
-    places = {
-        name: values.groupby(table.problem).transform(_on_axis) for name, values in columns.items()
-    }
-    bodies = table[["problem", "refinements", "element"]]
+    known = table.success & np.isfinite(table.error)
     tols = table.tol.map(" · tol {:g}".format) if table.tol.nunique() > 1 else ""
-    panels = [body_name(*row) for row in bodies.itertuples(index=False)]
-    cells = table.assign(**places, kind=kind, panel=panels, line=table.scheme + tols)
-    one_mesh = len(bodies.drop_duplicates()) == table.problem.nunique()
-    with_bound = (cells.kind == "known") & np.isfinite(cells.bound)
-    proved = cells[with_bound & (y == "error") & one_mesh]
-    return pd.concat([cells, proved.assign(y=proved.bound, kind=BOUND)])
+    bodies = zip(table.problem, table.refinements, table.element, strict=True)
+    cells = table.assign(
+        panel=[body_name(*body) for body in bodies],
+        line=table.scheme + tols,
+        known=known,
+        x=table[x].groupby(table.problem).transform(_on_axis),
+        y=table.error.where(known).groupby(table.problem).transform(_on_axis),
+    )
+    colours = dict(zip(cells.line.unique(), cycle(COLOURS), strict=False))
+    markers = dict(zip(cells.solver.unique(), cycle(MARKERS), strict=False))
+    axes = panels(cells.panel.unique())
+    first: dict[str, Any] = {}
+    for problem, panel in cells[["problem", "panel"]].drop_duplicates().itertuples(index=False):
+        ax, one = axes[panel], first.setdefault(problem, axes[panel])
+        if ax is not one:
+            ax.sharex(one)
+            ax.sharey(one)
+        ax.set(xscale="log", yscale="log", xlabel=COSTS[x])
+        ax.set_ylabel(r"largest error over the steps, $|\cdot|_A$")
+        # labels at 2 and 4 between powers of ten have room in a panel
+        ax.xaxis.get_minor_locator().set_params(subs=(2, 4))
+    bounded = len(axes) == len(first)
+    for (panel, line, solver), rows in cells.groupby(["panel", "line", "solver"], sort=False):
+        rows = rows.sort_values("steps")
+        proved = rows.known & np.isfinite(rows.bound) & bounded
+        for label, style, shown, y in (
+            (f"{line} · {solver}", f"{markers[solver]}-", rows.known, rows.y),
+            ("guaranteed bound", "--", proved, rows.bound),
+            ("failed", "x", ~rows.success, rows.y),
+            ("error not known", "o", rows.success & ~rows.known, rows.y),
+        ):
+            if shown.any():
+                look = {"color": colours[line], "label": label}
+                look["markerfacecolor"] = colours[line] if "-" in style else "none"
+                axes[panel].plot(rows.x[shown], y[shown], style, **look)
+    named = {line.get_label(): line for ax in axes.values() for line in ax.lines}
+    ax.figure.legend(named.values(), named.keys(), fontsize="small", loc="outside right upper")
+    return ax.figure.axes[0]
+
+
+def trajectories(solutions: Mapping[str, Solution]) -> Any:
+    """Axes, a panel a run by name: the component that moves most, in its guaranteed band."""
+    axes = panels(list(solutions))
+    for ax, solution in zip(axes.values(), solutions.values(), strict=True):
+        k = int(np.argmax(np.ptp(solution.u, axis=0)))
+        t, u, bound = solution.t, solution.u[:, k], guaranteed_bound(solution)
+        ax.plot(t, u)
+        ax.set(xlabel="t", ylabel=f"u[{k}]")
+        if bound is not None:  # |u_k - u_n,k| <= |e|_A sqrt((A^-1)_kk)
+            inverse = solution.process.metric.solve(np.eye(1, solution.process.dim, k)[0])
+            band = np.sqrt(inverse[k]) * np.append(bound.of_t[:1], bound.of_t)
+            ax.fill_between(t, u - band, u + band, alpha=0.25)
+    return ax
+
+
+def panels(names: Sequence[str]) -> dict[str, Any]:
+    """Axes of a new figure by their titles, side by side."""
+    columns, lines = min(len(names), COLUMNS), -(-len(names) // COLUMNS)
+    figure = new_figure((4.4 * columns + 1.8, 4.0 * lines))
+    axes = {}
+    for k, name in enumerate(names, start=1):
+        axes[name] = figure.add_subplot(lines, columns, k, title=name)
+        axes[name].grid(alpha=0.3)
+    return axes
 
 
 def _on_axis(values: Series) -> Series:

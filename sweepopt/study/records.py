@@ -54,17 +54,6 @@ def known(name: str, value: Any, names: Iterable[str], advice: str = "use") -> A
     return value
 
 
-def among(names: Iterable[str]) -> tuple[Any, ...]:
-    """The check of `check_lists` for entries that are some of these names."""
-    return known, names, "there are:"
-
-
-def check_lists(record: Any, **checks: tuple[Any, ...]) -> None:
-    """Each list of a record by its own check and limits."""
-    for key, (check, *limits) in checks.items():
-        each(key, getattr(record, key), check, *limits)
-
-
 def append_row(path: Path, row: Any) -> None:
     """Add a named tuple of numbers and words, a line of JSON; it is on the disk when this returns.
 

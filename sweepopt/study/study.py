@@ -8,10 +8,9 @@ One row a combination, failures included, kept as soon as it is finished: run ag
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
-from contextlib import nullcontext
+from concurrent.futures import BrokenExecutor, Executor, as_completed
 from dataclasses import dataclass
-from itertools import islice, product
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,26 +18,16 @@ from sweepopt.checks import count, number
 from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, read_toml
-from sweepopt.study.cell import (
-    THROUGH_CVXPY,
-    Cell,
-    CellRow,
-    Reference,
-    load_reference,
-    make_reference,
-    run_cell,
-    save_reference,
-)
+from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, run_cell
+from sweepopt.study.hard import SUITES
 from sweepopt.study.records import append_row, each, known, read_record, read_rows
 from sweepopt.study.sources import Source, find_source
-from sweepopt.study.suites import KINDS
+from sweepopt.study.workers import processes
 from sweepopt.velocity import solvers
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-IN_FLIGHT = 64
-"""Cells handed to an executor at a time: each carries its reference."""
 ROWS = "rows.jsonl"
 
 
@@ -164,6 +153,8 @@ def read_study(path: str | Path) -> Study:
         repeats = 3                                     # optional
         [hard]                                          # optional: hard cases, run afterwards
         seeds = [0]
+        [trajectories]                                  # optional: hard trajectories
+        seeds = [0]
         [stiff]                                         # optional: stiff bodies, run afterwards
         seeds = [0]
 
@@ -182,7 +173,7 @@ def read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     data = read_toml(path)
     return data, {
         name: read_record(f"{path}: {name}.", kind, data.pop(name))
-        for name, kind in KINDS.items()
+        for name, kind in SUITES.items()
         if name in data
     }
 
@@ -203,8 +194,9 @@ def run(
         Where finished cells are kept. Killed at any moment, the study goes on from there; what is
         not whole is computed again.
     executor : concurrent.futures.Executor, optional
-        `processes(n)`, `dask_executor(client)`, or any other; by default cells are computed in one
-        thread, one after the other. The rows are the same bit for bit, times apart.
+        `processes(n)`, or any other one whose workers see the folder, such as dask's
+        ``Client(address).get_executor()``; by default cells are computed here, one after the
+        other. The rows are the same bit for bit, times apart.
     progress : callable, optional
         Called with a line of text when something is finished, for example `print`.
 
@@ -223,25 +215,12 @@ def run(
     cells, done = study.cells(), set(read_table(study, folder).cell)
     todo = [cell for cell in cells if cell.id not in done]
     progress(f"{len(cells)} cells, {len(done)} of them finished before")
-    references, rows = Path(folder, "references"), Path(folder, ROWS)
+    references = Path(folder, "references")
     references.mkdir(parents=True, exist_ok=True)
-    # cells of one problem and number of steps are compared with the same states
-    states = {cell: (study.reference(cell.problem), cell.steps) for cell in todo}
-    files = {
-        (source, steps): references / f"{source}-{source.digest[:16]}-{steps}.npz".replace("/", "_")
-        for source, steps in states.values()
-    }
-    missing = [key for key, path in files.items() if load_reference(path) is None]
-    with nullcontext(executor) if executor else ThreadPoolExecutor(1) as pool:
-        jobs: Iterator[Any] = ((key, key) for key in missing)
-        made = _computed(pool, make_reference, jobs, lambda _, error: Reference(message=str(error)))
-        for k, (key, reference) in enumerate(made, start=1):
-            save_reference(files[key], reference)
-            progress(f"reference {k} of {len(missing)}: {key[0]} {key[1]} steps")
-        jobs = ((cell, (cell, load_reference(files[key]), key[0])) for cell, key in states.items())
-        for k, (cell, row) in enumerate(_computed(pool, run_cell, jobs, Cell.failed), start=1):
-            append_row(rows, row)
-            progress(f"{k} of {len(todo)}: {cell}: {row.status}")
+    jobs = [(cell, study.reference(cell.problem), references) for cell in todo]
+    for k, row in enumerate(_computed(jobs, executor), start=1):
+        append_row(Path(folder, ROWS), row)
+        progress(f"{k} of {len(todo)}: {row.cell}: {row.status}")
     return read_table(study, folder)
 
 
@@ -255,39 +234,32 @@ def read_table(study: Study, folder: str | Path) -> DataFrame:
     return pd.DataFrame(finished, columns=list(CellRow._fields))
 
 
-def _computed(
-    executor: Executor,
-    function: Callable[..., Any],
-    jobs: Iterator[tuple[Any, tuple[Any, ...]]],
-    on_death: Callable[[Any, BaseException], Any],
-) -> Iterator[tuple[Any, Any]]:
-    """The keys of jobs and their results as they come, a limited number of jobs under way.
+def _computed(jobs: list[Any], executor: Executor | None) -> Iterator[CellRow]:
+    """The rows as they come.
 
-    Jobs that were under way on workers that died (dask's KilledWorker) are done once more, each
-    alone: what dies again has a result too. Other exceptions are raised.
+    Where a process dies, its executor is broken: what it had to compute is computed one by one,
+    each in a process of its own. A cell whose process dies again is a failed row.
     """
-    running: dict[Future[Any], Any] = {}
-    suspects: list[Any] = []
-    limit = IN_FLIGHT
+    if executor is None:
+        yield from (run_cell(*job) for job in jobs)
+        return
+    futures = {executor.submit(run_cell, *job): job for job in jobs}
+    lost = []
     try:
-        while True:
-            for job in islice(jobs, limit - len(running)):
-                running[executor.submit(function, *job[1])] = job
-            if not running and not suspects:
-                return
-            if not running:
-                jobs, suspects, limit = iter(suspects), [], 1
-                continue
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                job, error = running.pop(future), future.exception()
-                died = type(error).__name__ == "KilledWorker"
-                if died and limit > 1:
-                    suspects.append(job)
-                else:
-                    yield job[0], on_death(job[0], error) if error and died else future.result()
+        for future in as_completed(futures):
+            if isinstance(future.exception(), BrokenExecutor):
+                lost.append(futures[future])
+            else:
+                yield future.result()
     finally:
-        for future in running:
+        for future in futures:
             future.cancel()
+    for job in lost:
+        with processes(1) as alone:
+            try:
+                yield alone.submit(run_cell, *job).result()
+            except BrokenExecutor as error:
+                yield job[0].failed(error)
 
 
 def _text(name: str, value: Any) -> str:

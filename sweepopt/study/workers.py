@@ -1,7 +1,8 @@
-"""What computes: processor and versions, one thread a process, processes or a dask cluster.
+"""What computes: processor and versions, one thread a process, and processes of this machine.
 
-A study asks for no more than `concurrent.futures` has: submit(function, *arguments) -> Future. With
-one thread times compare, and results are the same bit for bit, wherever they are computed.
+A study asks for no more than `concurrent.futures` has: submit(function, *arguments) -> Future, so
+that the executor of a cluster serves too. With one thread times compare, and results are the same
+bit for bit, wherever they are computed.
 """
 
 from __future__ import annotations
@@ -9,16 +10,15 @@ from __future__ import annotations
 import os
 import platform
 import re
-import warnings
-from collections.abc import Iterator
-from concurrent.futures import Executor
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import AbstractContextManager
 from functools import cache
+from multiprocessing import get_context, parent_process
 from pathlib import Path
-from typing import Any
+from threading import Thread
 
 from sweepopt.checks import count
-from sweepopt.errors import InputError, brought_by
+from sweepopt.errors import brought_by
 from sweepopt.io import versions_of
 
 PACKAGES = ("numpy", "scipy", "cvxpy", "clarabel", "osqp")
@@ -57,9 +57,8 @@ def one_thread() -> AbstractContextManager[object]:
     return limits
 
 
-@contextmanager
-def processes(workers: int) -> Iterator[Executor]:
-    """New processes of this machine as an executor: a dask cluster of its own.
+def processes(workers: int) -> Executor:
+    """New processes of this machine as an executor, for `run`.
 
     Parameters
     ----------
@@ -67,60 +66,19 @@ def processes(workers: int) -> Iterator[Executor]:
 
     Notes
     -----
-    Workers that die are replaced; all end with the process that started them, even by kill -9. They
-    are started anew ("spawn"): a script guards its own code with ``if __name__ == "__main__":``.
+    They are started anew ("spawn"): a script guards its own code with
+    ``if __name__ == "__main__":``. All end with the process that started them, even by kill -9.
     """
-    size = count("workers", workers)
-    with brought_by("study"):
-        from distributed import LocalCluster
-    with (
-        LocalCluster(
-            n_workers=size,
-            threads_per_worker=1,
-            dashboard_address=None,
-            scheduler_kwargs={"allowed_failures": 1},  # a second death is the cell's doing
-        ) as cluster,
-        dask_executor(cluster.scheduler_address) as executor,
-    ):
-        yield executor
+    return ProcessPoolExecutor(count("workers", workers), get_context("spawn"), _end_with_parent)
 
 
-@contextmanager
-def dask_executor(client: Any) -> Iterator[Executor]:
-    """The workers of a dask cluster as an executor.
+def _end_with_parent() -> None:
+    """A thread of a worker that waits for the end of the process that started it."""
+    parent = parent_process()
+    assert parent is not None
 
-    Parameters
-    ----------
-    client : dask.distributed.Client or str
-        A client, or the address of a running scheduler, such as "tcp://127.0.0.1:8786".
+    def end() -> None:
+        parent.join()
+        os._exit(1)
 
-    Raises
-    ------
-    InputError
-        If the scheduler does not answer, or a worker has several threads: cells in one process
-        would share its time. Start workers with ``--nthreads 1``.
-    MissingExtraError
-        If distributed is not installed.
-
-    Notes
-    -----
-    If a worker dies, another one computes its cells. A cell that several workers died of (dask's
-    setting distributed.scheduler.allowed-failures) is tried again alone and then becomes a failed
-    row.
-    """
-    with brought_by("study"):
-        from distributed import Client
-    try:
-        connected = Client(client, timeout=10) if isinstance(client, str) else nullcontext(client)
-    except (OSError, ValueError) as error:
-        raise InputError(f"scheduler {client!r} does not answer: {error}") from error
-    # the references of large problems, each of which a worker needs once
-    with connected as cluster, warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Sending large graph")
-        for address, worker in cluster.scheduler_info(n_workers=-1)["workers"].items():
-            if worker["nthreads"] > 1:
-                raise InputError(
-                    f"worker {address} has {worker['nthreads']} threads, which would share a "
-                    "cell's time; start workers with --nthreads 1"
-                )
-        yield cluster.get_executor(pure=False)
+    Thread(target=end, daemon=True).start()

@@ -1,10 +1,22 @@
-"""Hard cases: families of programs on which solvers alone fail, their exact answers, one table.
+"""Suites of cases that are judged: `sweepopt study hard` and `sweepopt study stiff`.
 
-Each family makes a case from a seed; nothing is tuned to a seed. `sweepopt study hard` runs them
-through every path and solver, and judges each step by its exact velocity.
+Each makes cases from seeds, nothing is tuned to a seed: programs on which solvers alone fail,
+judged by exact velocities; trajectories, judged by exact ones; stiff bodies, on which the default
+scheme is judged by the best of three.
 """
 
 from sweepopt.study.hard.exact import Exact, Program
 from sweepopt.study.hard.families import FAMILIES
+from sweepopt.study.hard.programs import HardStudy
+from sweepopt.study.hard.stiff import StiffStudy
+from sweepopt.study.hard.suite import GOOD, Suite, worst
+from sweepopt.study.hard.trajectories import TrajectoryStudy
 
-__all__ = ["FAMILIES", "Exact", "Program"]
+SUITES: dict[str, type[Suite]] = {
+    "hard": HardStudy,
+    "trajectories": TrajectoryStudy,
+    "stiff": StiffStudy,
+}
+"""By the names of their tables in a study's file, which are those of the files of their rows."""
+
+__all__ = ["FAMILIES", "GOOD", "SUITES", "Exact", "Program", "worst"]

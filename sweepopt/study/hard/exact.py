@@ -243,7 +243,7 @@ class Program:
         return self.norm(exactly(z) - exact.z)
 
 
-class Judge:
+class Judge(Program):
     """The exact velocities of one case, computed once for all of its runs.
 
     Parameters
@@ -254,8 +254,8 @@ class Judge:
     """
 
     def __init__(self, process: SweepingProcess, mu: float) -> None:
+        super().__init__(process.A, process.B, mu)
         self.process, self.mu = process, mu
-        self.program = Program(process.A, process.B, mu)
         self._known: dict[tuple[float, bytes], Exact] = {}
 
     def exact(self, u: np.ndarray, t: float) -> Exact:
@@ -263,8 +263,7 @@ class Judge:
         key = t, b"" if self.process.B is None else u.tobytes()
         if key not in self._known:
             # the time as a step makes it: a load may change within a rounding unit of t
-            C = self.process.C.at(t + self.mu)
-            self._known[key] = self.program.solve(self.program.term(u), C)
+            self._known[key] = self.solve(self.term(u), self.process.C.at(t + self.mu))
         return self._known[key]
 
     def step(
@@ -276,7 +275,7 @@ class Judge:
         moves.
         """
         exact = self.exact(u, t)
-        error, size = self.program.error(z, exact), exact.size or 1.0
+        error, size = self.error(z, exact), exact.size or 1.0
         allowed = 0.0 if z.any() else ROUNDING
         excess = (error - certificate) / (exact.forces or 1.0) - allowed
         return error / size, certificate / size, excess

@@ -1,196 +1,118 @@
-"""Every hard case through every path and solver: the true error beside the certificate."""
+"""Suites of cases: what each takes from a study's file, its runs as rows with a verdict."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import partial
-from itertools import product
-from math import nan
-from typing import Any, NamedTuple
-
-import numpy as np
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
 
 from sweepopt.checks import count, number
-from sweepopt.problem import SweepingProcess
+from sweepopt.errors import PathError, SolverRefusedError, StabilityWarning, SweepoptError
 from sweepopt.results import Solution
-from sweepopt.study.cell import named_solver
-from sweepopt.study.hard.bodies import Random
-from sweepopt.study.hard.exact import Judge
-from sweepopt.study.hard.families import (
-    FAMILIES,
-    HISTORIES,
-    REFUSED,
-    Names,
-    chosen,
-    combination,
-    make,
-)
-from sweepopt.study.hard.trajectories import TRAJECTORIES, TrajectoryRow, runs
-from sweepopt.study.hard.verdicts import TARGET, Faults, judged
-from sweepopt.study.records import among, check_lists
+from sweepopt.solve import solve
+from sweepopt.study.records import each, known
 
-PATHS = ("full", "eliminated", "proportional")
-SOLVERS = ("auto", "newton", "daqp", "osqp", "clarabel", "cvxpy:osqp", "cvxpy:clarabel")
+TARGET = 1e-8
+"""Relative error that every step has to meet, in units of max(|z*|_M, |M^-1 q|_M); and what a run
+may add to the error of its scheme, in units of the way that the bodies go."""
+GOOD = ("met", "warned", "refused")
+"""Verdicts of right answers; a run that warns says that its scheme may be wrong."""
+Faults = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class HardStudy:
-    """What `sweepopt study hard` runs; all there is by default.
+class Suite:
+    """The base of a table of a study's file; the class's own docstring is shown in the report.
 
-    Parameters
+    What is not given is all that there is. A field whose default is a list of names takes some of
+    these names, one of whole numbers such numbers >= 0, one of other numbers such > 0.
+
+    Attributes
     ----------
-    seeds : sequence of int
-        Whole numbers >= 0; each makes every family anew.
-    families, solvers, paths : sequence of str
-    combinations : int
-        How many cases are drawn by chance for each seed.
-    trajectories : sequence of str
-        Rows of trajectories.toml; each seed draws every one of them anew.
-    tol : float
-        What `solve` is asked for.
+    by : tuple of str
+        Columns by which rows are grouped where they are printed.
 
     Raises
     ------
     InputError
         Naming the key and the entry.
-
-    Examples
-    --------
-    >>> HardStudy(seeds=[0, 1], families=["threshold"]).families
-    ['threshold']
     """
 
-    seeds: Sequence[int] = (0,)
-    families: Sequence[str] = tuple(FAMILIES)
-    solvers: Sequence[str] = SOLVERS
-    paths: Sequence[str] = PATHS
-    combinations: int = 8
-    trajectories: Sequence[str] = tuple(TRAJECTORIES)
-    tol: float = 1e-9
+    by: ClassVar[tuple[str, ...]]
 
     def __post_init__(self) -> None:
-        count("combinations", self.combinations, least=0)
-        number("tol", self.tol, minimum=0.0, strict=True)
-        names = {"solvers": SOLVERS, "paths": PATHS}
-        if self.families != []:  # without any, this part is left out
-            names["families"] = tuple(FAMILIES)
-        if self.trajectories != []:
-            names["trajectories"] = tuple(TRAJECTORIES)
-        check_lists(self, seeds=(count, 0), **{key: among(known) for key, known in names.items()})
+        for field in fields(self):
+            name, value = field.name, getattr(self, field.name)
+            default: Any = field.default
+            several = isinstance(default, tuple)
+            kind = type(default[0] if several else default)
+            checks: Any = {str: (known, default, "there are:"), int: (count, 0)}
+            check = checks.get(kind, (number, 0.0, True, False))
+            if several:
+                each(name, value, *check)
+            elif kind is not bool:
+                check[0](name, value, *check[1:])
+
+    def rows(self) -> Iterator[Any]:
+        """Run the cases: named tuples with the fields seed, seconds and verdict."""
+        raise NotImplementedError
 
 
-class HardRow(NamedTuple):
-    """One hard case, path and solver; the worst of its steps.
+def judged(
+    row: Any,
+    process: Callable[[], Any],
+    judge: Callable[[Solution, bool], tuple[Any, Faults]],
+    refused: str = "",
+    allowed: str = "",
+    **settings: Any,
+) -> Any:
+    """A run's row: what a judge finds in it, or how it ended; None if a solver cannot treat it.
 
-    Attributes
+    Parameters
     ----------
-    drawn : str
-        What is hard about it.
-    answer : str
-        The true one: of the last step, or the error that is right.
-    error, certificate : float
-        True and stated |z - z*|_M, relative to max(|z*|_M, |M^-1 q|_M).
-    excess : float
-        Largest error - certificate in the unit of the forces, less ROUNDING where nothing moves:
-        above 0 a certificate was wrong.
-    solved_by, attempts : str, int
-        Which solver answered the last step, and the most attempts at a step.
-    seconds : float
-        Of the run.
-    verdict : str
-        "met", "refused" where that is right, else what is wrong.
+    row : named tuple with the fields seconds and verdict
+    process : callable
+        Makes the process.
+    judge : callable
+        A solution, and whether its run warned -> the row's other entries, and faults by name.
+    refused, allowed : str
+        Names of errors: the one that is the right answer, and one that is an answer.
+    **settings
+        Of `sweepopt.solve`.
     """
-
-    family: str
-    seed: int
-    path: str
-    solver: str
-    drawn: str = ""
-    answer: str = ""
-    error: float = nan
-    certificate: float = nan
-    excess: float = nan
-    solved_by: str = ""
-    attempts: int = 0
-    seconds: float = nan
-    verdict: str = ""
-
-
-def rows(study: HardStudy) -> Iterator[HardRow]:
-    """Run the cases of a study.
-
-    A solver or a path that cannot treat a case leaves no row.
-
-    Yields
-    ------
-    HardRow
-
-    Examples
-    --------
-    >>> row = next(rows(HardStudy(families=["threshold"], solvers=["auto"])))
-    >>> row.verdict, row.error < 1e-12
-    ('met', True)
-    """
-    for name, seed, names, random in _cases(study):
-        (t_end, steps, *_), process = chosen(HISTORIES, names), make(names, random)
-        exact = Judge(process, t_end / steps)
-        refused = chosen(REFUSED, names)
-        for path, solver in product(study.paths, study.solvers):
-            row = HardRow(name, seed, path, solver, ", ".join(names))
-            row = judged(
-                row._replace(answer=f"refuse: {refused}" if refused else ""),
-                partial(SweepingProcess.as_sweeping, process),
-                partial(_judge, exact),
-                refused,
-                t_end=t_end,
-                steps=steps,
-                scheme="implicit-euler",
-                solver=named_solver(solver),
-                tol=study.tol,
-                path=path,
-            )
-            if row:
-                yield row
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            started = time.perf_counter()
+            solution = solve(process(), **settings)
+            row = row._replace(seconds=time.perf_counter() - started)
+            if refused:
+                return row._replace(verdict=f"not refused with {refused}")
+            warned = any(issubclass(one.category, StabilityWarning) for one in caught)
+            entries, faults = judge(solution, warned)
+    except (SolverRefusedError, PathError):
+        return None
+    except SweepoptError as error:
+        name = type(error).__name__
+        right = name == (refused or allowed)
+        return row._replace(verdict="refused" if right else f"{name}: {error}")
+    return row._replace(verdict=first_of(faults, GOOD[warned]), **entries)
 
 
-def _cases(study: HardStudy) -> Iterator[tuple[str, int, Names, Random]]:
-    for name, seed in product(study.families, study.seeds):
-        yield name, seed, FAMILIES[name], np.random.default_rng(seed)
-    for seed, k in product(study.seeds, range(study.combinations)):
-        random = np.random.default_rng([seed, k])
-        yield f"combination {k}", seed, combination(random), random
+def first_of(faults: Faults, verdict: str = GOOD[0]) -> str:
+    """The name of the first fault that there is, or a verdict."""
+    return next((words for words, fault in faults.items() if fault), verdict)
 
 
-def _judge(judge: Judge, solution: Solution, _: bool) -> tuple[dict[str, Any], Faults]:
-    """The last answer in words, the worst of all steps, and what is wrong with it."""
-    stats = solution.stats
-    # of a step that is taken in parts the velocity is the mean of theirs, of no one program
-    proved = stats["certificate"], stats["solver"]
-    starts = solution.u, solution.t.tolist(), solution.velocity
-    steps = [
-        judge.step(*step)
-        for *step, solver in zip(*starts, *proved, strict=False)
-        if "/" not in str(solver)
-    ]
-    error, certificate, excess = map(float, np.max(steps or [(nan, nan, nan)], axis=0))
-    z = judge.exact(solution.u[-2], float(solution.t[-2])).z
-    entries = {
-        "answer": f"|z| = {judge.program.norm(z):.3g}, {np.count_nonzero(z)} of {len(z)} move",
-        "error": error,
-        "certificate": certificate,
-        "excess": excess,
-        "solved_by": stats["solver"][-1],
-        "attempts": stats["attempts"].max(),
-    }
-    return entries, {
-        "no certificate": np.isnan(certificate),
-        f"error above {TARGET:g}": error > TARGET,
-        "certificate below the error": excess > 0,
-    }
+def worst(rows: Sequence[Any], by: Sequence[str]) -> str:
+    """The largest numbers of each group of rows, and a line for each row that is not good."""
+    import pandas as pd
 
-
-def trajectory_rows(study: HardStudy) -> Iterator[TrajectoryRow]:
-    """Run the trajectories of a study through every scheme, as `rows` does its cases."""
-    for name, seed in product(study.trajectories, study.seeds):
-        yield from runs(name, seed, tol=study.tol)
+    groups = pd.DataFrame(rows).drop(columns="seed").groupby(list(by), sort=False)
+    table = groups.max(numeric_only=True).assign(runs=groups.size())
+    wrong = [row for row in rows if row.verdict not in GOOD]
+    lines = [table.to_string(float_format="{:.2g}".format), "", f"{len(rows)} runs"]
+    lines += [f"{len(wrong)} wrong", *(f"  {row[:4]}: {row.verdict}" for row in wrong)]
+    return "\n".join(lines)

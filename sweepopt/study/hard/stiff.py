@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import count, number
 from sweepopt.loads import Separable, Sine, Table
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
@@ -21,8 +20,7 @@ from sweepopt.sets import Balls, Box, ConvexSet, Moving
 from sweepopt.solve import solve
 from sweepopt.study.cell import REFINED, largest_norm
 from sweepopt.study.hard.bodies import Random, chain, spectral
-from sweepopt.study.hard.verdicts import first_of
-from sweepopt.study.records import among, check_lists
+from sweepopt.study.hard.suite import Suite, first_of
 
 BEST_OF = ("implicit-euler", "midpoint", "sdirk2")
 TWICE, RINGS = 2.0, 1.1
@@ -32,23 +30,20 @@ SLIPS = 0.05  # of an unknown's largest velocity: a slower one may be rounding
 
 Body = tuple[Any, Any, ConvexSet, np.ndarray]
 """A and B, the set C(t) less the load, and two shapes of loads in columns."""
-MATRICES: dict[str, Callable[[Random], tuple[np.ndarray, np.ndarray]]] = {
-    "one mass": lambda random: (np.eye(1), np.eye(1)),
-    "chain": lambda random: (chain(random, 7), chain(random, 7)),
-    "mixed": lambda random: (spectral(random, -6, 0, 7), chain(random, 7)),
-    "discs": lambda random: (chain(random, 4), chain(random, 4)),
-}
-BODIES = (*MATRICES, "square")
+BODIES = ("one mass", "chain", "mixed", "discs", "square")
 
 
 def _body(name: str, random: Random) -> Body:
     if name == "square":
         return _square(random)
-    A, B = MATRICES[name](random)
-    discs = name == "discs"
-    g = random.uniform(0.5, 1.2, 2) if discs else random.uniform(0.3, 1.2, len(A))
-    shapes = random.normal(size=(len(A), 2))
-    shapes *= 2.5 * math.sqrt(len(A)) / np.linalg.norm(shapes, axis=0)
+    discs, n = name == "discs", {"one mass": 1, "discs": 4}.get(name, 7)
+    A = B = np.eye(n)
+    if n > 1:
+        A = spectral(random, -6, 0, n) if name == "mixed" else chain(random, n)
+        B = chain(random, n)
+    g = random.uniform(0.5, 1.2, 2) if discs else random.uniform(0.3, 1.2, n)
+    shapes = random.normal(size=(n, 2))
+    shapes *= 2.5 * math.sqrt(n) / np.linalg.norm(shapes, axis=0)
     return A, B, Balls(g, 2) if discs else Box(-g, g), shapes
 
 
@@ -75,40 +70,6 @@ LOADS: dict[str, Callable[[Random], Any]] = {
     "sines": lambda random: Sine(1.0, 1 / random.uniform(1, 4)),
     "tables": _table,
 }
-
-
-@dataclass(frozen=True)
-class StiffStudy:
-    """What `sweepopt study stiff` runs: all bodies and loads by default.
-
-    Parameters
-    ----------
-    seeds, steps : sequence of int
-    bodies, loads : sequence of str
-    stiffness : sequence of float
-        mu Lam; infinite for A = 0.
-    bounds : bool
-        Whether each run's error bound is computed.
-
-    Raises
-    ------
-    InputError
-        Naming the key and the entry.
-    """
-
-    seeds: Sequence[int] = (0,)
-    bodies: Sequence[str] = BODIES
-    loads: Sequence[str] = tuple(LOADS)
-    stiffness: Sequence[float] = (1e-2, 1.0, 4.0, 1e2, 1e8, math.inf)
-    steps: Sequence[int] = (60,)
-    bounds: bool = True
-
-    def __post_init__(self) -> None:
-        names = {"bodies": among(BODIES), "loads": among(LOADS)}
-        check_lists(self, seeds=(count, 0), steps=(count,), **names)
-        for k, x in enumerate(self.stiffness):
-            if x != math.inf:
-                number(f"stiffness[{k}]", x, 0.0, strict=True)
 
 
 class StiffRow(NamedTuple):
@@ -153,47 +114,68 @@ def make(body: str, load: str, seed: int, mu_Lam: float, steps: int) -> Sweeping
     return SweepingProcess(factor * A, B, Moving(C, Separable(terms)), u0)
 
 
-def rows(study: StiffStudy) -> Iterator[StiffRow]:
-    """Run the processes of a study.
+@dataclass(frozen=True)
+class StiffStudy(Suite):
+    """Stiff bodies.
 
-    Yields
-    ------
-    StiffRow
+    Scheme "auto" beside the best of three: its error is at most twice theirs and below its bound,
+    its velocities do not ring, and what slips does not rest.
 
-    Examples
-    --------
-    >>> study = StiffStudy(bodies=["one mass"], loads=["sines"], stiffness=[1e6], bounds=False)
-    >>> row = next(rows(study))
-    >>> row.scheme, row.over_best < 2, row.false_sticks
-    ('sdirk32', True, 0)
+    Parameters
+    ----------
+    seeds : sequence of int
+    bodies, loads : sequence of str
+    stiffness : sequence of float
+        mu Lam; infinite for A = 0.
+    steps : sequence of int
+    bounds : bool
+        Whether each run's error bound is computed.
     """
-    lists = study.bodies, study.loads, study.seeds, study.stiffness, study.steps
-    for case in product(*lists):
-        yield judge(StiffRow(*case), make(*case), 1.0, study.bounds)
+
+    by = ("body", "load", "mu_Lam", "scheme")
+
+    seeds: Sequence[int] = (0,)
+    bodies: Sequence[str] = BODIES
+    loads: Sequence[str] = tuple(LOADS)
+    stiffness: Sequence[float] = (1e-2, 1.0, 4.0, 1e2, 1e8, math.inf)
+    steps: Sequence[int] = (60,)
+    bounds: bool = True
+
+    def rows(self) -> Iterator[StiffRow]:
+        """Run the processes.
+
+        Examples
+        --------
+        >>> study = StiffStudy(bodies=["one mass"], loads=["sines"], stiffness=[1e6], bounds=False)
+        >>> row = next(study.rows())
+        >>> row.scheme, row.over_best < 2, row.false_sticks
+        ('sdirk32', True, 0)
+        """
+        lists = self.bodies, self.loads, self.seeds, self.stiffness, self.steps
+        for case in product(*lists):
+            yield judge(StiffRow(*case), make(*case), 1.0, self.bounds)
 
 
 def judge(row: StiffRow, process: SweepingProcess, t_end: float, bounds: bool = True) -> StiffRow:
     """The row with what a run of a process is worth."""
 
     def run(scheme: str, finer: int = 1) -> Solution:
-        settings: dict[str, Any] = {"scheme": scheme, "tol": 1e-8, "on_unstable": "ignore"}
-        return solve(process, t_end=t_end, steps=finer * row.steps, **settings)
+        how: Any = {"t_end": t_end, "steps": finer * row.steps, "on_unstable": "ignore"}
+        return solve(process, scheme=scheme, tol=1e-8, **how)
 
     reference, sol = run("auto", REFINED), run("auto")
-    slips = reference.velocity.reshape(row.steps, REFINED, -1)
-    error, *others = (
-        largest_norm(process, one.u - reference.u[::REFINED]) for one in (sol, *map(run, BEST_OF))
-    )
-    between = largest_norm(process, sol(reference.t) - reference.u)
-    variations = [abs(np.diff(z, axis=0)).sum() for z in (sol.velocity, slips.mean(axis=1))]
-    least = SLIPS * abs(slips).max(axis=(0, 1))
+    exact, slips = reference.u[::REFINED], reference.velocity.reshape(row.steps, REFINED, -1)
+    error, *others = (largest_norm(process, one.u - exact) for one in (sol, *map(run, BEST_OF)))
+    means, least = slips.mean(axis=1), SLIPS * abs(slips).max(axis=(0, 1))
+    rings, changes = (abs(np.diff(z, axis=0)).sum() for z in (sol.velocity, means))
     always = (slips > least).all(axis=1) | (slips < -least).all(axis=1)
+    between = largest_norm(process, sol(reference.t) - reference.u)
     row = row._replace(
         scheme=sol.plan.scheme.name,
         error=error,
         over_best=error / min(others),
         bound_over_error=float(sol.error_bound()) / between if bounds else math.nan,
-        ringing=float(variations[0] / variations[1]),
+        ringing=float(rings / changes),
         false_sticks=int((always & (sol.velocity == 0)).any(axis=1).sum()),
     )
     faults = {
