@@ -167,12 +167,12 @@ def _number(where: str, cell: str) -> float:
 # ---- problems that come with the library: one scene or study a TOML file, its data beside it ----
 
 
-def list_problems() -> dict[str, str]:
+def list_scenes() -> dict[str, str]:
     """Titles of the problems by their names.
 
     Examples
     --------
-    >>> "tube" in list_problems()
+    >>> "tube" in list_scenes()
     True
     """
     files = sorted(_problems().glob("*.toml"))

@@ -146,7 +146,7 @@ class Scene(Displayed):
 
     def solve(self, **changes: Any) -> Solution:
         """`sweepopt.solve` with the scene's settings; keywords replace or add arguments."""
-        from sweepopt.solve import solve
+        from sweepopt.driver import solve
 
         names = ("t_end", "steps", "scheme", "solver", "tol")
         settings = {name: one for name in names if (one := getattr(self, name)) is not None}

@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sweepopt.driver import solve
 from sweepopt.errors import DamagedFileError, SweepoptError, SweepoptWarning
 from sweepopt.io import read_npz, write_npz
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import ErrorBound, Solution
-from sweepopt.solve import solve
 from sweepopt.study.sources import Source, from_coarser, open_source
 from sweepopt.study.workers import machine, one_thread
 from sweepopt.velocity import Cvxpy

@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from sweepopt.checks import count
+from sweepopt.driver import solve
 from sweepopt.errors import InputError
 from sweepopt.io import read_toml
 from sweepopt.sets import ConvexSet
-from sweepopt.solve import solve
 from sweepopt.study.sources import Source, open_source
 from sweepopt.study.workers import one_thread
 from sweepopt.velocity import (

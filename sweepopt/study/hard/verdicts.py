@@ -7,9 +7,9 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from sweepopt.driver import solve
 from sweepopt.errors import PathError, SolverRefusedError, StabilityWarning, SweepoptError
 from sweepopt.results import Solution
-from sweepopt.solve import solve
 
 TARGET = 1e-8
 """Relative error that every step has to meet, in units of max(|z*|_M, |M^-1 q|_M); and what a run
