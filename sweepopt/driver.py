@@ -91,7 +91,8 @@ def solve(
         mu Lam > 2 and much stops); "exact" for polyhedra and loads as data (`Separable`): closed
         forms between switches that are located, in `Solution.exact` also between the nodes.
     solver : str or Solver
-        "auto", "clarabel", "osqp", "daqp", "newton", "cvxpy" or an object: ``OSQP(tol=1e-10)``.
+        "auto", "clarabel", "osqp", "daqp", "newton", "cvxpy:NAME" for any that cvxpy knows, such as
+        "cvxpy:scs", or an object with settings: ``OSQP(tol=1e-10)``.
     tol : float
         Each program's certificate is at most tol * max(|z|_M, |M^-1 q|_M); a step that misses it
         is tried with other solvers, then in 2 to 16 equal parts, then handled as on_failure says.

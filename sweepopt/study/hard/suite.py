@@ -14,7 +14,6 @@ import numpy as np
 from sweepopt.checks import count, number
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
-from sweepopt.study.cell import named_solver
 from sweepopt.study.hard.bodies import Random
 from sweepopt.study.hard.exact import Judge
 from sweepopt.study.hard.families import (
@@ -146,7 +145,7 @@ def rows(study: HardStudy) -> Iterator[HardRow]:
                 t_end=t_end,
                 steps=steps,
                 scheme="implicit-euler",
-                solver=named_solver(solver),
+                solver=solver,
                 tol=study.tol,
                 path=path,
             )
