@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sweepopt.checks import number
+from sweepopt.checks import arguments, number
 from sweepopt.errors import InputError, SaveError, Status, StepError, shown
 from sweepopt.integrate import (
     MEMORY,
@@ -52,6 +52,14 @@ from sweepopt.sets import ConvexSet
 from sweepopt.velocity import Plan, compile_projection, make_plan
 
 
+@arguments(
+    dt="; give steps=round(t_end / dt)",
+    t_span="; the run starts at t = 0: give t_end, or the times themselves as steps",
+    t_eval="; give the times as save, they must be among those of steps",
+    method="; give scheme",
+    rtol="; give tol, of each step's certificate, or error, of the whole run",
+    atol="; give tol, of each step's certificate, or error, of the whole run",
+)
 def solve(
     process: SweepingProcess | EvolutionVI,
     *,
