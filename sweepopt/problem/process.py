@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix, agree, arguments, symmetric, vector
-from sweepopt.display import Displayed, Rows
+from sweepopt.display import Displayed, Rows, brief
 from sweepopt.errors import (
     IndefiniteError,
     InitialStateWarning,
@@ -160,7 +160,7 @@ class SweepingProcess(Displayed):
     def _rows(self) -> Rows:
         yield type(self).__name__, f"dim {self.dim}, {'sparse' if sp.issparse(self.A) else 'dense'}"
         yield "B", "none" if self.B is None else "given"
-        yield "C", self.C
+        yield "C", brief(self.C)
 
     def _set_weak_metric(self, B: Matrix) -> None:
         """The metric A + tau B of a singular A: tau is the longest time that the diagonals show."""
