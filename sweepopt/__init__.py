@@ -1,64 +1,75 @@
 """sweepopt: implicit sweeping processes and quasistatic evolution variational inequalities.
 
 -u'(t) in N_{C(t)}(A u'(t) + B u(t)),   u(0) = u0
+
+`SweepingProcess` or `EvolutionVI` states a problem, `solve` integrates it to a `Solution`; `scene`
+and `fem` build bodies of finite elements, `study` compares methods. What a name needs is imported
+when it is first used.
 """
 
 from __future__ import annotations
 
-from sweepopt.errors import (
-    AccuracyError,
-    CheckpointError,
-    CheckpointWarning,
-    EmptySetError,
-    InitialStateWarning,
-    InputError,
-    MissingExtraError,
-    SaveError,
-    SolverRefusedError,
-    StabilityWarning,
-    Status,
-    StepError,
-    SweepoptError,
-    SweepoptWarning,
-    UnstableStepError,
-    VariationWarning,
-    VelocityError,
-)
-from sweepopt.integrate import (
-    Adaptive,
-    Checkpoint,
-    StepInfo,
-    compatible_start,
-    step_program,
-    velocity_field,
-)
-from sweepopt.loads import Constant, Polynomial, Separable, Sine, Table, Triangle, VectorTable
-from sweepopt.problem import EvolutionVI, SweepingProcess
-from sweepopt.results import Energy, ErrorBound, Pass, Solution
-from sweepopt.sets import (
-    Ball,
-    Balls,
-    Box,
-    Constraints,
-    ConvexSet,
-    Ellipsoid,
-    HalfSpace,
-    Moving,
-    MovingSet,
-    Orthant,
-    Point,
-    Polyhedron,
-    Polytope,
-    SecondOrderCone,
-    StateDependent,
-    WholeSpace,
-    image,
-    product,
-)
-from sweepopt.solve import resume, solve
-from sweepopt.velocity import DAQP, OSQP, ActiveSet, Clarabel, Cvxpy, Newton, Plan, StepProgram
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sweepopt import fem
+    from sweepopt.driver import resume, solve
+    from sweepopt.errors import (
+        AccuracyError,
+        CheckpointError,
+        CheckpointWarning,
+        EmptySetError,
+        InitialStateWarning,
+        InputError,
+        MissingExtraError,
+        SaveError,
+        SolverRefusedError,
+        StabilityWarning,
+        Status,
+        StepError,
+        SweepoptError,
+        SweepoptWarning,
+        UnstableStepError,
+        VariationWarning,
+        VelocityError,
+    )
+    from sweepopt.integrate import (
+        Adaptive,
+        Checkpoint,
+        StepInfo,
+        compatible_start,
+        step_program,
+        velocity_field,
+    )
+    from sweepopt.io import list_scenes
+    from sweepopt.loads import Constant, Polynomial, Separable, Sine, Table, Triangle, VectorTable
+    from sweepopt.problem import EvolutionVI, SweepingProcess
+    from sweepopt.results import Energy, ErrorBound, Pass, Solution
+    from sweepopt.sets import (
+        Ball,
+        Balls,
+        Box,
+        Constraints,
+        ConvexSet,
+        Ellipsoid,
+        HalfSpace,
+        Moving,
+        MovingSet,
+        Orthant,
+        Point,
+        Polyhedron,
+        Polytope,
+        SecondOrderCone,
+        StateDependent,
+        WholeSpace,
+        image,
+        product,
+    )
+    from sweepopt.velocity import DAQP, OSQP, ActiveSet, Clarabel, Cvxpy, Newton, Plan, StepProgram
 
 __version__ = "0.1.0"
+
 
 __all__ = [
     "DAQP",
@@ -120,9 +131,61 @@ __all__ = [
     "WholeSpace",
     "compatible_start",
     "image",
+    "list_scenes",
     "product",
     "resume",
+    "scene",
     "solve",
     "step_program",
     "velocity_field",
 ]
+
+_ROOMS = (
+    *("errors", "io", "loads", "sets", "problem", "velocity", "integrate", "results", "driver"),
+    *("fem", "study", "plot"),
+)
+"""Where the names are, those first that need little; the last three are names themselves."""
+
+
+def __getattr__(name: str) -> Any:
+    """The public names, each imported when it is first asked for (PEP 562)."""
+    if name in _ROOMS:
+        try:
+            return import_module(f"{__name__}.{name}")
+        except ImportError as error:  # a missing extra: hasattr, dir and help go on
+            raise AttributeError(str(error)) from error
+    if name in __all__:
+        for room in map(import_module, (f"{__name__}.{room}" for room in _ROOMS[:-3])):
+            if name in getattr(room, "__all__", vars(room)):
+                globals()[name] = getattr(room, name)
+                return globals()[name]
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return [*__all__, *_ROOMS[-3:], "__doc__", "__version__"]
+
+
+def scene(source: Any, **options: Any) -> fem.Scene:
+    """Read a scene: `sweepopt.fem.read_scene`, whose help lists all keys of scene files.
+
+    Parameters
+    ----------
+    source : str, Path or mapping
+        A name from `list_scenes`, the path of a TOML file, or TOML text.
+    **options
+        Those of `read_scene`, such as ``changes={"effects.friction.g": 0.5}``.
+
+    Returns
+    -------
+    Scene
+
+    Examples
+    --------
+    >>> import sweepopt as so
+    >>> so.scene("pipe").problem.dim > 100
+    True
+    """
+    from sweepopt.fem import read_scene
+
+    return read_scene(source, **options)

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from typing import Any, TypeAlias
+from collections import Counter
+from collections.abc import Callable, Iterable
+from functools import wraps
+from inspect import signature
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.linalg import blas
 
-from sweepopt.errors import InputError, shown
+from sweepopt.errors import InputError, shown, suggestion
 
+F = TypeVar("F", bound=Callable[..., Any])
 Matrix: TypeAlias = Any  # np.ndarray or scipy.sparse.csc_array, as `matrix` returns them
 
 HUGE = 1e75
@@ -20,6 +24,49 @@ TIME_SLACK = 1e-12
 """Share of the time scale by which a time may miss a node or a range: rounding of t0 + i mu."""
 MOST_UNKNOWNS = 10**9
 """A vector of more of them takes 8 GB, and a step needs a few."""
+
+
+def arguments(**meant: str) -> Callable[[F], F]:
+    """For functions and classes of users: what is no argument is an InputError with a remedy.
+
+    Parameters
+    ----------
+    **meant
+        Arguments of other libraries, and what stands for them here.
+    """
+
+    def decorated(function: Any) -> Any:
+        call, name = signature(function), function.__qualname__.removesuffix(".__init__")
+        known = [key for key in call.parameters if key != "self"]
+
+        @wraps(function)
+        def checked(*args: Any, **named: Any) -> Any:
+            try:
+                call.bind(*args, **named)
+            except TypeError as error:
+                unknown = next((key for key in named if key not in known), None)
+                if unknown is None:
+                    raise InputError(f"{name}: {error}; give by name {', '.join(known)}") from None
+                hint = meant.get(unknown) or suggestion(unknown, known)
+                hint = hint or f"; there are: {', '.join(known)}"
+                raise InputError(f"{name} has no argument {unknown}{hint}") from None
+            return function(*args, **named)
+
+        return checked
+
+    return decorated
+
+
+def agree(**sizes: int) -> None:
+    """Refuse arguments whose numbers of unknowns differ, blaming the one that differs from most."""
+    (most, _), *others = Counter(sizes.values()).most_common()
+    if others:
+        odd = next(name for name, size in reversed(sizes.items()) if size != most)
+        rest = " and ".join(name for name, size in sizes.items() if size == most)
+        raise InputError(
+            f"{odd} has dim {sizes[odd]}, but {rest} {most}: give all of them the same number of "
+            "unknowns"
+        )
 
 
 def number(
@@ -71,7 +118,9 @@ def divisor(name: str, value: float) -> None:
 
 
 def count(name: str, value: Any, least: int = 1) -> int:
-    """A whole number, positive or at least 0."""
+    """A whole number, positive or at least 0; 100.0 is one."""
+    if isinstance(value, (float, np.floating)) and value.is_integer():
+        value = int(value)
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         wanted = "a positive whole number" if least else "a whole number >= 0"
         raise InputError(f"{name} must be {wanted}, got {shown(value)}")
@@ -92,7 +141,8 @@ def choice(name: str, value: Any, allowed: Iterable[str]) -> str:
     """One of the words that are allowed."""
     words = tuple(allowed)
     if not isinstance(value, str) or value not in words:
-        raise InputError(f"{name} must be one of {', '.join(words)}; got {shown(value)}")
+        hint = suggestion(value, words)
+        raise InputError(f"{name} must be one of {', '.join(words)}; got {shown(value)}{hint}")
     return value
 
 
@@ -158,8 +208,11 @@ def matrix(name: str, value: Any) -> Matrix:
 def symmetric(name: str, value: Any, dim: int | None = None) -> Matrix:
     """A finite symmetric matrix; an asymmetry above rounding is refused with its entry.
 
-    One of rounding is taken out: factors look at one triangle, residuals at both.
+    A number is that of one unknown. An asymmetry of rounding is taken out: factors look at one
+    triangle, residuals at both.
     """
+    if not sp.issparse(value) and axes(value) == 0:
+        value = floats(name, value, "a matrix of numbers", ndmin=2)
     result = matrix(name, value)
     rows, columns = result.shape
     if not rows:

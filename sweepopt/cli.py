@@ -27,7 +27,7 @@ from sweepopt.errors import (
     brought_by,
 )
 from sweepopt.integrate import SolveOptions, schemes, time_grid
-from sweepopt.io import find_scene, list_problems, read_toml, replacing
+from sweepopt.io import find_scene, list_scenes, read_toml, replacing
 from sweepopt.velocity import solvers
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ def _add_changes(parser: argparse.ArgumentParser) -> None:
 
 
 def _list(_: argparse.Namespace) -> int:
-    problems = list_problems()
+    problems = list_scenes()
     width = max(map(len, problems), default=0)
     for name, title in problems.items():
         print(f"{name:<{width}}  {title}".rstrip())

@@ -1,11 +1,18 @@
-"""Objects that show themselves as a few rows, at a prompt and in a notebook."""
+"""Objects that show themselves: in a few lines at a prompt, with a small picture in a notebook."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from html import escape
+from inspect import isroutine, signature
+from textwrap import fill
+from typing import Any
+
+import numpy as np
 
 Rows = Iterable[tuple[str, object]]
+COLOURS = ("#000000", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#F0E442")
+"""Told apart with every common colour vision (Okabe and Ito)."""
 
 
 def as_lines(rows: Rows) -> str:
@@ -13,7 +20,62 @@ def as_lines(rows: Rows) -> str:
     return "\n".join(f"{name:<20}{value}" for name, value in rows if str(value))
 
 
-class Displayed:
+def brief(value: Any) -> str:
+    """A value on a part of a line: of a large array its shape and range."""
+    if isroutine(value):
+        return "a function"
+    if hasattr(value, "nnz"):
+        return f"sparse {value.shape}"
+    if not isinstance(value, np.ndarray):
+        return " ".join(repr(value).split())[:99]
+    if value.size <= 4 or not np.issubdtype(value.dtype, np.number):
+        return np.array2string(value, precision=5, separator=", ", threshold=5).replace("\n", "")
+    return f"{value.shape} in [{value.min():.5g}, {value.max():.5g}]"
+
+
+def svg(curves: Sequence[np.ndarray], equal: bool = False, title: str = "") -> str:
+    """Curves through points, each of shape (k, 2), as a small picture; `equal`: one scale."""
+    low, high = (bound(np.concatenate(curves), axis=0) for bound in (np.min, np.max))
+    size = np.where(high > low, high - low, 1.0)
+    scale = np.array([300.0, -120.0]) / size
+    if equal:
+        scale = np.array([1, -1]) * abs(scale).min()
+    lines = ""
+    for i, curve in enumerate(curves):
+        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in (curve - low) * scale + [5.0, 125.0])
+        colour = COLOURS[i % len(COLOURS)]
+        lines += f'<polyline points="{points}" fill="none" stroke="{colour}"/>'
+    return (
+        f'<svg width="310" height="150" xmlns="http://www.w3.org/2000/svg">{lines}'
+        f'<text x="5" y="145" font-size="12">{escape(title)}</text></svg>'
+    )
+
+
+def by_parts(thing: Any) -> str:
+    """An object by what it was made of, the parts that it still has."""
+    parts = ((name, getattr(thing, name, None)) for name in signature(type(thing)).parameters)
+    words = [f"{name}={brief(one)}" for name, one in parts if one is not None and name != "dim"]
+    if dim := getattr(thing, "dim", None):
+        words.insert(0, f"dim {dim}")
+    text = f"{type(thing).__name__}({', '.join(words)})"
+    return fill(text, 100, subsequent_indent="    ", max_lines=8, break_long_words=False)
+
+
+class Brief:
+    """The base of what shows itself by what it was made of."""
+
+    def __repr__(self) -> str:
+        return by_parts(self)
+
+    def _picture(self) -> str:
+        """An SVG beside the words, if one helps."""
+        return ""
+
+    def _repr_html_(self) -> str:
+        return f"<code>{escape(repr(self))}</code>{self._picture()}"
+
+
+class Displayed(Brief):
     """The base of what shows itself by names and values that are known: nothing is computed."""
 
     _rows: Callable[[], Rows]
@@ -24,4 +86,4 @@ class Displayed:
     def _repr_html_(self) -> str:
         texts = ((name, str(value)) for name, value in self._rows())
         rows = (f"<tr><th>{name}<td>{escape(text)}" for name, text in texts if text)
-        return f"<table>{''.join(rows)}</table>"
+        return f"<table>{''.join(rows)}</table>{self._picture()}"

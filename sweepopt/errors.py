@@ -1,15 +1,16 @@
 """What can go wrong: statuses are sentences, every exception of ours is a SweepoptError.
 
 The contract for any input: in time a certified, finite answer or one of these. What a function that
-a user passes raises goes through as it is.
+a user passes raises goes through as it is, with a note that says which function, and at what time.
 """
 
 from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from difflib import get_close_matches
 from enum import Enum
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,18 @@ def shown(value: object) -> str:
         return " ".join(f"{value!r:.80}".split())
     except (ValueError, RecursionError):  # thousands of digits, lists in lists without end
         return f"{type(value).__name__} too long to print"
+
+
+def suggestion(word: object, known: Iterable[str]) -> str:
+    """The known word that is nearest to an unknown one, as the end of a message."""
+    near = get_close_matches(str(word), list(known), 1)
+    return f"; did you mean {near[0]}?" if near else ""
+
+
+def noted(error: Exception, function: str) -> None:
+    """Note on what a user's function raised which one it was; errors of ours say it already."""
+    if not isinstance(error, SweepoptError) and not hasattr(error, "__notes__"):
+        error.add_note(f"This was raised in the function that was given for {function}.")
 
 
 class Status(Enum):

@@ -106,17 +106,21 @@ def read_toml(path: Path) -> dict[str, Any]:
 # ---- tables ----
 
 
-def read_columns(path: str | Path, *names: str) -> tuple[Array, list[int]]:
+def read_columns(path: str | Path, time: str | None, *others: str) -> tuple[Array, list[int]]:
     """Named columns of a CSV file with decimal points and commas between the cells.
 
     Parameters
     ----------
     path : str or Path
         First line that is neither empty nor a ``#`` comment: the column names.
+    time : str, optional
+        The first of the columns; without it "t" or "time", else the one on the left.
+    *others : str
+        The others.
 
     Returns
     -------
-    columns : ndarray, shape (len(names), m)
+    columns : ndarray, shape (1 + len(others), m)
     rows : list of int
         Line number of each row in the file.
 
@@ -133,12 +137,17 @@ def read_columns(path: str | Path, *names: str) -> tuple[Array, list[int]]:
             except csv.Error as error:  # a cell beyond the reader's limit
                 raise InputError(f"{path}, row {row}: {error}; is it a table?") from error
     header = table.pop(next(iter(table), 0), [])
+    if time is None:
+        left = next((name for name in header if name not in others), "t")
+        time = next((name for name in ("t", "time") if name in header), left)
+    names = time, *others
     for name in names:
         if header.count(name) != 1:
             fault = "is there twice" if name in header else "is missing"
             # not what there is: a scene of a stranger may name any file
+            hint = "; write commas between the cells" if len(header) == 1 else ""
             raise InputError(
-                f"{path}: column {name!r} {fault} among its {len(header)} column names"
+                f"{path}: column {name!r} {fault} among its {len(header)} column names{hint}"
             )
     columns = np.empty((len(names), len(table)))
     for k, (row, cells) in enumerate(table.items()):
@@ -167,12 +176,12 @@ def _number(where: str, cell: str) -> float:
 # ---- problems that come with the library: one scene or study a TOML file, its data beside it ----
 
 
-def list_problems() -> dict[str, str]:
+def list_scenes() -> dict[str, str]:
     """Titles of the problems by their names.
 
     Examples
     --------
-    >>> "tube" in list_problems()
+    >>> "tube" in list_scenes()
     True
     """
     files = sorted(_problems().glob("*.toml"))

@@ -1,7 +1,7 @@
 """Components of a solution over time, and what all pictures share: figures, colours, stick phases.
 
 Drawn on matplotlib's Figure without pyplot, so that no window system and no global state is
-touched. Colours are told apart with every common colour vision (Okabe and Ito).
+touched.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sweepopt.display import COLOURS
 from sweepopt.errors import brought_by
 
 if TYPE_CHECKING:
     from sweepopt.results import Solution
 
 STICK = "#8C8C8C"
-COLOURS = ("#000000", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#F0E442")
 STYLES = ("-", "--", "-.", (0, (1, 1)))
 LOOKS = [
     {"color": colour, "linestyle": style}

@@ -24,7 +24,7 @@ from PIL import Image
 import sweepopt as so
 from sweepopt import cli
 from sweepopt.fem import Scene
-from sweepopt.io import list_problems
+from sweepopt.io import list_scenes
 
 SCENE = """
 title = "a small ring"
@@ -316,10 +316,10 @@ def test_list_works_with_the_core_install_alone_and_without_a_warning() -> None:
     command = [sys.executable, "-W", "error", "-c", code]
     shown = subprocess.run(command, capture_output=True, text=True, check=True)
     *lines, codes = shown.stdout.splitlines()
-    problems = [[name, title] for name, title in list_problems().items()]
+    problems = [[name, title] for name, title in list_scenes().items()]
     assert [line.split(maxsplit=1) for line in lines[::2]] == problems
     assert all(line.split()[0] == "effects:" for line in lines[1::2])
-    assert "tube" in list_problems()
+    assert "tube" in list_scenes()
     assert codes == "0 2"
     assert shown.stderr.startswith("sweepopt: ")
     assert shown.stderr.endswith('pip install "sweepopt[fem]"\n')

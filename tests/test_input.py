@@ -57,12 +57,12 @@ CASES: list[tuple[str, Callable[[], Any], str]] = [
     ("A negative", lambda: process(A=-EYE), r"A\[0, 0\] = -1"),
     ("A and B zero", lambda: process(A=0 * EYE, B=None), r"A and B are both zero"),
     ("A zero, B singular", lambda: process(A=0 * EYE, B=np.diag([1, 0])), r"B must be positive def"),
-    ("B of another size", lambda: process(B=np.eye(3)), r"B must be of shape \(2, 2\)"),
+    ("B of another size", lambda: process(B=np.eye(3)), r"B has dim 3, but A and C and u0 2"),
     ("B indefinite", lambda: process(B=np.diag([1, -1])), r"B must be positive semidefinite"),
     # sets and start
     ("C of another dim", lambda: process(C=so.Ball([0, 0, 0], 1)), r"C has dim 3"),
     ("C not a set", lambda: process(C=[-1, 1]), r"C must be a set"),
-    ("u0 too long", lambda: process(u0=[0, 0, 0]), r"u0 must have 2 entries"),
+    ("u0 too long", lambda: process(u0=[0, 0, 0]), r"u0 has dim 3, but A and B and C 2"),
     ("u0 outside at A = 0", lambda: run(process(A=0 * EYE, u0=[5, 0])), r"B u0 is not in C\(0\)"),
     ("wrong support", lambda: run(process(C=Sublinear([0, 0], 1))), r"not positively homogeneous"),
     # variational inequality

@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).parent.parent / "sweepopt"
 # from the ground up; a room imports from those before it
 ROOMS = (
     ["errors", "checks", "display", "io", "loads", "linalg", "sets", "problem", "velocity"]
-    + ["integrate", "results", "plot", "solve", "fem", "study", "cli", "__main__"]
+    + ["integrate", "results", "plot", "driver", "fem", "study", "cli", "__main__"]
 )  # fmt: skip
 # a convenience of Solution: plot()
 UPWARD = {("results", "plot")}

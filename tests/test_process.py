@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from decimal import Decimal
 from typing import Any
 
@@ -538,15 +539,23 @@ TITLED = antiplane(
 )
 RUN = so.solve(PLAIN, t_end=2.0, steps=20, scheme="midpoint", save=4)
 SHOWN = {
-    "Box, dim 3": BOX,
-    "Moving, dim 3": PLAIN.C,
-    "StateDependent, dim 1": so.StateDependent(lambda t, u: so.Box(t - 1, t + 1), [[0.1]]),
-    "Ellipsoid, dim 2": so.Ellipsoid([0, 0], np.eye(2)),
+    "Box(dim 3, lower=[-1., -1., -1.], upper=[1., 1., 1.])": BOX,
+    "Moving(dim 3, shape=Box(dim 3, lower=[-1., -1., -1.], upper": PLAIN.C,
+    "StateDependent(dim 1, at=a function, lipschitz=[[0.5]])": so.StateDependent(
+        lambda t, u: so.Box(t - 1, t + 1), 0.5
+    ),
+    "Ellipsoid(dim 2, center=[0., 0.]": so.Ellipsoid([0, 0], np.eye(2)),
     "SweepingProcess     dim 3, dense": PLAIN,
     "EvolutionVI": so.EvolutionVI(np.eye(3), None, dissipation=BOX, u0=np.zeros(3)),
     "plates <1 & 2>": TITLED,
     "20, 5 of them kept": RUN,
     "full: a program for all unknowns": RUN.plan,
+    "Energy(stored=(21,) in [0, ": so.solve(PLAIN, t_end=2.0, steps=20).energy(),
+    "Contact(unknown=": TITLED.contact,
+    "Discretisation(dim 6, mesh=<skfem": TITLED.discretisation,
+    "StepProgram(problem=Problem(": RUN.step_program(0),
+    "center=Separable(1 terms": so.Moving(BOX, so.Separable([(so.Sine(3, 4), [1, 2, 3])])),
+    "sampled, not guaranteed: C(t) is a function": RUN.error_bound(),
 }
 
 
@@ -564,12 +573,34 @@ def test_notebooks_show_rows_with_the_words_of_users_escaped() -> None:
     assert "<td>plates &lt;1 &amp; 2&gt;<" in TITLED._repr_html_()
     for this in (PLAIN, TITLED, RUN, RUN.plan):
         assert this._repr_html_().count("<tr>") == repr(this).count("\n") + 1
+    assert so.Ball([0.0, 0.0], 1.0)._repr_html_().startswith("<code>Ball(dim 2, center=[0., 0.]")
+
+
+def test_notebooks_show_small_pictures() -> None:
+    """A history, the outline of a set in the plane and of a mesh; none of what has no outline."""
+
+    def points(this: Any) -> list[np.ndarray]:
+        lines = re.findall(r'<polyline points="([^"]*)"', this._repr_html_())
+        return [np.array([p.split(",") for p in line.split()], float) for line in lines]
+
+    (disc,) = points(so.Ball([3.0, 4.0], 2.0))
+    middle = (disc.min(axis=0) + disc.max(axis=0)) / 2
+    np.testing.assert_allclose(np.hypot(*(disc - middle).T), 60.0, rtol=2e-3)
+    (box,) = points(so.Box([-2, -1], [2, 1]))
+    np.testing.assert_allclose(abs((box - [125.0, 65.0]) / [120.0, 60.0]).max(axis=1), 1.0)
+    assert not points(so.Orthant(2))
+    assert not points(BOX)
+    assert len(points(TITLED)) == 8  # edges of the boundary
+    assert len(points(RUN)) == 3
+    t = points(RUN)[0][:, 0]
+    assert (np.diff(t) > 0).all()
+    np.testing.assert_allclose(np.ptp(t), 300.0)
 
 
 def test_a_solution_shows_a_bound_once_it_is_known_and_whether_it_is_guaranteed() -> None:
     load = so.Separable([(so.Sine(3.0, 4.0), [1.0])])
     known = so.SweepingProcess([[0.5]], [[2.0]], so.Moving(so.Box([-1], [1]), load), [0.0])
-    for process, words in ((known, "guaranteed"), (PLAIN, "not guaranteed")):
+    for process, words in ((known, "(guaranteed)"), (PLAIN, "(sampled, not guaranteed: ")):
         sol = so.solve(process, t_end=1.0, steps=10)
         assert "error bound" not in repr(sol)
-        assert f"error bound         {sol.error_bound():.3g}, {words}" in repr(sol)
+        assert f"error bound         {sol.error_bound():.4g} {words}" in repr(sol)

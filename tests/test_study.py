@@ -391,7 +391,7 @@ def test_the_studies_of_the_library_can_be_run_and_are_no_problems() -> None:
     assert library.find_study("hard").parent.name == "hard"
     for path in folder.glob("*.toml"):
         assert len(read_study(library.find_study(path.stem)).cells()) > 0
-        assert path.stem not in library.list_problems()
+        assert path.stem not in library.list_scenes()
 
 
 # ---- advice ---------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
+from sweepopt.display import Brief
 from sweepopt.errors import InputError
 from sweepopt.fem.fields import Coefficient, Indices, in_time
 from sweepopt.fem.slip_laws import SlipLaw
@@ -36,8 +37,8 @@ PRESSURE = Coefficient("p", 0.0)
 STATES = {-1: "slips_backward", 0: "sticks", 1: "slips_forward"}
 
 
-@dataclass(frozen=True, eq=False)
-class Rows:
+@dataclass(frozen=True, eq=False, repr=False)
+class Rows(Brief):
     """Rows E of the velocity that are bounded together in blocks.
 
     Attributes
@@ -60,8 +61,8 @@ class Rows:
     cells: Indices | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Yield:
+@dataclass(frozen=True, eq=False, repr=False)
+class Yield(Brief):
     """``J(v) = sum_k w_k g_k |E_k v|``: rows with the sets D_k that bound their forces.
 
     Attributes
@@ -168,8 +169,8 @@ def _ends(one: Yield, t: float, u: Array | None) -> tuple[Array, Array]:
     return -radii, radii
 
 
-@dataclass(frozen=True, eq=False)
-class Contact:
+@dataclass(frozen=True, eq=False, repr=False)
+class Contact(Brief):
     """Nodes with friction; along a curve in the order in which one walks along it.
 
     Walked with the body on the left; pieces of a boundary follow one another. Clamped nodes and

@@ -30,6 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from skfem.helpers import dot
 
 from sweepopt.checks import listed, matrix, number
+from sweepopt.display import Brief
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import BOUND, PRESSURE, Rows, Yield, friction_on
 from sweepopt.fem.fields import Coefficient, Datum, in_time
@@ -51,8 +52,8 @@ DISPLACEMENT, F0, F2, FORCE = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Contribution:
+@dataclass(frozen=True, eq=False, repr=False)
+class Contribution(Brief):
     """What an effect adds to the problem; what is None or empty does not exist.
 
     Attributes

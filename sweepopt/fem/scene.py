@@ -14,7 +14,7 @@ import skfem
 from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.checks import choice, listed, number
-from sweepopt.display import Displayed, Rows
+from sweepopt.display import Displayed, Rows, svg
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Contact, Yield, dissipation, merged
 from sweepopt.fem.effects import Contribution, Effect, Eigenstrain, Force, Friction
@@ -105,6 +105,13 @@ class Scene(Displayed):
         yield "t_end, steps", f"{self.t_end}, {self.steps}"
         yield "left out", "; ".join(self.left_out)
 
+    def _picture(self) -> str:
+        mesh = self.discretisation.mesh
+        if mesh.dim() != 2:
+            return ""
+        edges = mesh.boundary_facets()
+        return svg([mesh.p[:2, mesh.facets[:2, edge]].T for edge in edges], equal=True)
+
     @property
     def process(self) -> SweepingProcess:
         """The problem as a sweeping process."""
@@ -146,7 +153,7 @@ class Scene(Displayed):
 
     def solve(self, **changes: Any) -> Solution:
         """`sweepopt.solve` with the scene's settings; keywords replace or add arguments."""
-        from sweepopt.solve import solve
+        from sweepopt.driver import solve
 
         names = ("t_end", "steps", "scheme", "solver", "tol")
         settings = {name: one for name in names if (one := getattr(self, name)) is not None}

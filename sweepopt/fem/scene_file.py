@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from sweepopt.checks import choice, count, listed, number
-from sweepopt.errors import InputError, shown
+from sweepopt.errors import InputError, shown, suggestion
 from sweepopt.fem import effects
 from sweepopt.fem.changes import changed, remaining
 from sweepopt.fem.fields import Profile
@@ -183,7 +183,11 @@ def _called(kind: Callable[..., Any], table: Any, path: str, folder: Path) -> An
         raise InputError(f"{path}: must be a table, got {shown(table)}")
     keys, where = signature(kind).parameters, f"{path}." if path else ""
     known = f"; there are: {', '.join(keys)}" if "." in path else ""
-    faults = [f"{where}{key}: unknown key{known}" for key in table if key not in keys]
+    faults = [
+        f"{where}{key}: unknown key{known}{suggestion(key, keys)}"
+        for key in table
+        if key not in keys
+    ]
     faults += [
         f"{where}{key}: is missing"
         for key, argument in keys.items()
@@ -220,7 +224,9 @@ def effect_tables(tables: Any) -> dict[str, tuple[type, Any]]:
     for name, table in tables.items():
         path = f"effects.{name}"
         if name not in EFFECTS:
-            raise InputError(f"{path}: unknown key; there are: {', '.join(EFFECTS)}")
+            raise InputError(
+                f"{path}: unknown key; there are: {', '.join(EFFECTS)}{suggestion(name, EFFECTS)}"
+            )
         several = {path: table}
         if isinstance(table, list):
             several = {f"{path}[{k}]": one for k, one in enumerate(table)}
@@ -258,7 +264,7 @@ def _time(end: float, steps: int) -> dict[str, Any]:
     return {"t_end": number("end", end, 0.0, strict=True), "steps": count("steps", steps)}
 
 
-def _column(csv: Path, column: str, time: str = "t", scale: float = 1.0) -> Table:
+def _column(csv: Path, column: str, time: str | None = None, scale: float = 1.0) -> Table:
     return Table.from_csv(csv, column, time=time, scale=scale)
 
 

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import newton_cotes
 
 from sweepopt.checks import choice, count, floats, listed
+from sweepopt.display import Brief
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import Coefficient, Datum, Indices
 from sweepopt.fem.frames import Frame, frame_of
@@ -53,8 +54,8 @@ BODY = "body"
 AXES = "xyz"
 
 
-@dataclass(frozen=True, eq=False)
-class Discretisation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Discretisation(Brief):
     """Continuous piecewise polynomials on a mesh, with components held to zero on boundaries.
 
     Parameters

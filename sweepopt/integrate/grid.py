@@ -39,6 +39,11 @@ def time_grid(t_end: float | None, steps: Any) -> tuple[np.ndarray, np.ndarray]:
 
     Steps that differ by the rounding of the times only get one size: they share a program.
     """
+    if axes(t_end):
+        raise InputError(
+            f"t_end must be one number, the end of [0, t_end], got {shown(t_end)}; give the times "
+            "themselves as steps to start elsewhere"
+        )
     end = None if t_end is None else number("t_end", t_end, minimum=0.0, strict=True)
     if axes(steps) == 0:
         n = count("steps", steps)

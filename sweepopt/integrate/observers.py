@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sweepopt.display import by_parts
 from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate.loop import Observer
 from sweepopt.velocity import Plan
@@ -23,6 +24,9 @@ class StepInfo(NamedTuple):
     u: np.ndarray
     velocity: np.ndarray
     certificate: float
+
+    def __repr__(self) -> str:
+        return by_parts(self)
 
 
 Callback = Callable[[StepInfo], "bool | None"]

@@ -49,7 +49,7 @@ class Table(History):
 
     @classmethod
     def from_csv(
-        cls, path: str | Path, column: str, *, time: str = "t", scale: float = 1.0
+        cls, path: str | Path, column: str, *, time: str | None = None, scale: float = 1.0
     ) -> Table:
         """Read two columns of a CSV file.
 
@@ -57,8 +57,11 @@ class Table(History):
         ----------
         path : str or Path
             First line that is neither empty nor a ``#`` comment: the column names.
-        column, time : str
-            Names of the value and of the time column.
+        column : str
+            Name of the column of values.
+        time : str, optional
+            Name of the column of times; without it "t" or "time", else the first
+            column that is another one.
         scale : float
             Factor on the values, e.g. 1e3 for kPa to Pa.
 
@@ -73,7 +76,7 @@ class Table(History):
         if late.size:
             k = int(late[0]) + 1
             raise InputError(
-                f"{path}, column {time!r}, row {rows[k]}: time {times[k]:g} does not come after "
+                f"{path}, row {rows[k]}: time {times[k]:g} does not come after "
                 f"{times[k - 1]:g}; times must increase strictly"
             )
         if len(times) < 2:

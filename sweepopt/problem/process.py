@@ -18,12 +18,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import Matrix, symmetric, vector
-from sweepopt.display import Displayed, Rows
+from sweepopt.checks import Matrix, agree, arguments, symmetric, vector
+from sweepopt.display import Displayed, Rows, brief
 from sweepopt.errors import (
     IndefiniteError,
     InitialStateWarning,
     InputError,
+    SweepoptWarning,
     VariationWarning,
     shown,
     warn,
@@ -44,6 +45,8 @@ from sweepopt.sets import (
 Nearest = Callable[[np.ndarray, ConvexSet], np.ndarray]
 PROPORTIONAL = 8 * EPS  # entries of B and rho A may differ by this share
 SHOWN = 5  # jumps that a warning names
+MANY = 1000
+"""Unknowns of dense matrices that are worth a warning: steps of 4,000 take 1.7 s, sparse 3 ms."""
 
 
 class VelocityBound(NamedTuple):
@@ -71,15 +74,17 @@ class SweepingProcess(Displayed):
 
     Parameters
     ----------
-    A : array_like or sparse, shape (dim, dim)
-        Symmetric positive semidefinite. Where it is singular, as for bodies that are elastic in
-        parts, u0 must be compatible: `compatible_start` computes one that is.
+    A : array_like or sparse, shape (dim, dim), or None
+        Symmetric positive semidefinite, a number for one unknown; None is 0. Where it is singular,
+        as for bodies that are elastic in parts, u0 must be compatible: `compatible_start` computes
+        one that is.
     B : array_like or sparse, shape (dim, dim), or None
         Symmetric positive semidefinite; None leaves it out. A and B have no common kernel.
-    C : ConvexSet or MovingSet
-        The constraint set, of dimension dim. A `StateDependent` one makes the problem
-        quasi-variational: the constraint is C(t, u(t)).
+    C : ConvexSet, MovingSet or callable
+        The constraint set, of dimension dim, or a function of t that returns it. A `StateDependent`
+        one makes the problem quasi-variational: the constraint is C(t, u(t)).
     u0 : array_like, shape (dim,)
+        A number for one unknown.
     fields : dict of str to slice, optional
         Names of parts of u, ``{"u": slice(0, 8), "p": slice(8, 12)}``, for `Solution.field`.
 
@@ -96,32 +101,49 @@ class SweepingProcess(Displayed):
     Examples
     --------
     >>> from sweepopt.sets import Box, Moving
-    >>> C = Moving(Box([-1], [1]), center=lambda t: [1.5 * t])
-    >>> process = SweepingProcess([[0.5]], [[2.0]], C, u0=[0])
+    >>> C = Moving(Box(-1, 1), center=lambda t: 1.5 * t)
+    >>> process = SweepingProcess(A=0.5, B=2.0, C=C, u0=0.0)
     >>> round(process.beta, 12)
     0.5
     """
 
+    @arguments(
+        load="; C(t) = f(t) - D: give C, or take EvolutionVI, which has load and dissipation",
+        dissipation="; take EvolutionVI, which has load and dissipation",
+        K="; C is the set that B u and A u' are in; EvolutionVI has cone=K",
+        x0="; the start is u0",
+    )
     def __init__(
         self, A: Any, B: Any, C: AnySet, u0: Any, fields: dict[str, slice] | None = None
     ) -> None:
-        self.A = symmetric("A", A)
-        self.dim = self.A.shape[0]
-        self.B: Matrix | None = None if B is None else symmetric("B", B, self.dim)
+        self.A, self.B, sizes = _matrices(A, B)
+        if callable(C) and not isinstance(C, (type, MovingSet)):
+            C = MovingSet(C)
         if not isinstance(C, (ConvexSet, MovingSet)):
-            raise InputError(f"C must be a set or a moving set, got {type(C).__name__}")
-        if C.dim != self.dim:
-            raise InputError(f"C has dim {C.dim} but A has shape {self.A.shape}; they must agree")
-        self.u0 = vector("u0", u0, self.dim)
+            raise InputError(
+                f"C must be a set or a moving set, got {shown(C)}; an interval is so.Box(-1, 1), "
+                "one that moves so.Moving(so.Box(-1, 1), center=f), any other so.MovingSet(t -> C)"
+            )
+        self.u0 = vector("u0", u0)
+        agree(**sizes, C=C.dim, u0=self.u0.size)
+        self.dim = self.u0.size
         self.C = C.starting_at(self.u0) if isinstance(C, StateDependent) else C
         self.fields = _checked_fields(fields or {}, self.dim)
         if self.B is not None and abs(self.B).max() == 0:
             self.B = None
-        if self.B is not None and not is_semidefinite(self.B):
-            raise InputError("B must be positive semidefinite; it has a negative eigenvalue")
         self.rate_independent = bool(abs(self.A).max() == 0)
         if self.rate_independent and self.B is None:
             raise InputError("A and B are both zero: nothing determines the velocity")
+        given = [M for M in (self.A, self.B) if M is not None]
+        if all((abs(M.sum(axis=1)) <= 1e-12 * abs(M).sum(axis=1)).all() for M in given):
+            raise IndefiniteError(
+                "A and B let the body move as a whole: A u = B u = 0 for u = (1, ..., 1). Clamp a "
+                "part of it (leave these unknowns out of A and B), or give a foundation or dashpot;"
+                " a bounded C(t) holds only up to its faces, so give a little of it for an element "
+                "that shall have none"
+            )
+        if self.B is not None and not is_semidefinite(self.B):
+            raise InputError("B must be positive semidefinite; it has a negative eigenvalue")
         self.time_scale = 0.0
         try:
             self.metric = Factor(self.A, "A")
@@ -138,7 +160,7 @@ class SweepingProcess(Displayed):
     def _rows(self) -> Rows:
         yield type(self).__name__, f"dim {self.dim}, {'sparse' if sp.issparse(self.A) else 'dense'}"
         yield "B", "none" if self.B is None else "given"
-        yield "C", self.C
+        yield "C", brief(self.C)
 
     def _set_weak_metric(self, B: Matrix) -> None:
         """The metric A + tau B of a singular A: tau is the longest time that the diagonals show."""
@@ -445,6 +467,14 @@ class EvolutionVI(SweepingProcess):
     1.0
     """
 
+    @arguments(
+        C="; its C(t) is load - dissipation: give these, or take SweepingProcess(A, B, C, u0)",
+        f="; the load is load",
+        J="; J is the support function of the set dissipation",
+        D="; D is dissipation",
+        K="; K is cone",
+        x0="; the start is u0",
+    )
     def __init__(
         self,
         A: Any,
@@ -456,15 +486,18 @@ class EvolutionVI(SweepingProcess):
         u0: Any,
         fields: dict[str, slice] | None = None,
     ) -> None:
-        A = symmetric("A", A)
-        dim = A.shape[0]
+        A, B, sizes = _matrices(A, B)
         for name, given in (("dissipation", dissipation), ("cone", cone)):
             if given is not None and not isinstance(given, ConvexSet):
                 kind = type(given).__name__
                 raise InputError(f"{name} must be a set that does not move, got {kind}")
-            if given is not None and given.dim != dim:
-                raise InputError(f"{name} has dim {given.dim} but A has shape {A.shape}")
-        self.load = load if callable(load) or load is None else vector("load", load, dim)
+            if given is not None:
+                sizes[name] = given.dim
+        self.load = load if callable(load) or load is None else vector("load", load)
+        if (size := getattr(self.load, "dim" if callable(load) else "size", None)) is not None:
+            sizes["load"] = size
+        agree(**sizes, u0=vector("u0", u0).size)
+        dim = A.shape[0]
         self.dissipation, self.cone = dissipation, cone
         D: ConvexSet = Point(np.zeros(dim)) if dissipation is None else dissipation
         if cone is not None:
@@ -474,6 +507,24 @@ class EvolutionVI(SweepingProcess):
             C = moved = Moving(-D, center=self.load)
             moved.center_name = "load"
         super().__init__(A, B, C, u0, fields)
+
+
+def _matrices(A: Any, B: Any) -> tuple[Matrix, Matrix | None, dict[str, int]]:
+    """A, zero where it is left out, B, and the numbers of unknowns of those that are given."""
+    given = {name: symmetric(name, M) for name, M in (("A", A), ("B", B)) if M is not None}
+    if not given:
+        raise InputError("A and B are both None: nothing determines the velocity; give one of them")
+    sizes = {name: M.shape[0] for name, M in given.items()}
+    for name, M in given.items():
+        if isinstance(M, np.ndarray) and len(M) >= MANY and np.count_nonzero(M) < M.size / 10:
+            warn(
+                f"{name} is dense, {M.nbytes / 1e6:.0f} MB of which most are zeros: pass "
+                f"scipy.sparse.csc_array({name}), and a step takes a small part of the time",
+                SweepoptWarning,
+            )
+    one = next(iter(given.values()))
+    zero = sp.csc_array(one.shape) if sp.issparse(one) else np.zeros(one.shape)
+    return given.get("A", zero), given.get("B"), sizes
 
 
 def sweeping(process: Any) -> SweepingProcess:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sweepopt.display import by_parts
 from sweepopt.integrate import States
 from sweepopt.problem import SweepingProcess
 
@@ -29,6 +30,9 @@ class Energy(NamedTuple):
     viscous: np.ndarray
     friction: np.ndarray
     work: np.ndarray
+
+    def __repr__(self) -> str:
+        return by_parts(self)
 
     @property
     def balance(self) -> np.ndarray:

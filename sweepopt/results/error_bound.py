@@ -81,6 +81,10 @@ class ErrorBound(float):
     B: np.ndarray
     lower: float
 
+    def __repr__(self) -> str:
+        sampled = "sampled, not guaranteed: C(t) is a function, known at some times only"
+        return f"{float(self):.4g} ({'guaranteed' if self.guaranteed else sampled})"
+
     @classmethod
     def make(
         cls, guaranteed: bool, t: np.ndarray, of_t: np.ndarray, B: np.ndarray, lower: float

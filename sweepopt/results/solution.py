@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from sweepopt import checks
-from sweepopt.display import Displayed, Rows
+from sweepopt.display import Displayed, Rows, svg
 from sweepopt.errors import InputError, PathError, Status, SweepoptError, shown
 from sweepopt.integrate import (
     BY_EULER,
@@ -89,7 +89,14 @@ class Solution(Displayed):
         yield "solver", ", ".join(names[i] for i in np.unique(stats["solver"]))
         yield "worst certificate", f"{stats['relative'].max(initial=0.0):.1e} (relative)"
         if (bound := vars(self).get("_bound")) is not None:
-            yield "error bound", f"{bound:.3g}, {'' if bound.guaranteed else 'not '}guaranteed"
+            yield "error bound", repr(bound)
+
+    def _picture(self) -> str:
+        some = np.unique(np.linspace(0, len(self.steps), 200).astype(int))
+        t, u = self.t[some], self.states.u(some)[:, :4]
+        span = f"{u.min():.3g} to {u.max():.3g} over t = {t[0]:g} to {t[-1]:g}"
+        names = "u[0]" if u.shape[1] == 1 else f"u[0] to u[{u.shape[1] - 1}]"
+        return svg([np.column_stack([t, x]) for x in u.T], title=f"{names}: {span}")
 
     @property
     def steps(self) -> np.ndarray:

@@ -27,6 +27,7 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from sweepopt.checks import number, vector
+from sweepopt.display import Brief, svg
 from sweepopt.errors import InputError
 from sweepopt.linalg import dense
 from sweepopt.sets.curves import products
@@ -231,7 +232,7 @@ class Algebra(NamedTuple):
     epigraph: Callable[[Any, Any], tuple[Any, list[Any]]]
 
 
-class Operators:
+class Operators(Brief):
     """The operators on sets, moving ones too; the laws are stated in operations.py."""
 
     dim: int
@@ -240,9 +241,6 @@ class Operators:
     __array_ufunc__ = None
     __pandas_priority__ = 10000
     depth = 0  # of operations that each ask the set before
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}, dim {self.dim}"
 
     def __add__(self, other: Any) -> Any:
         return self.algebra.add(self, other)
@@ -320,6 +318,18 @@ class ConvexSet(Operators, ABC):
         )
 
     # ---- what follows from it -----------------------------------------------------------------
+
+    def outline(self) -> np.ndarray:
+        """Points around the boundary of a bounded set in the plane, shape (k, 2); else none."""
+        if self.dim != 2 or not (self.exact and math.isfinite(self.magnitude())):
+            return np.zeros((0, 2))
+        angles = np.linspace(0.0, 2 * math.pi, 73)
+        far = 100 * self.magnitude() * np.column_stack([np.cos(angles), np.sin(angles)])
+        return np.array([self.project(self.anchor + v) for v in far])
+
+    def _picture(self) -> str:
+        points = self.outline()
+        return svg([points], equal=True) if points.size else ""
 
     def normal(self, v: np.ndarray) -> np.ndarray:
         """v - P_C(v), exactly 0 in C; sets with an unbounded direction compute it in dom sigma."""

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from sweepopt.checks import dimension, instant, number, symmetric, vector
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, noted
 from sweepopt.linalg import is_semidefinite
 from sweepopt.loads import Constant, Separable, VectorTable
 from sweepopt.sets.aligned import Similar
@@ -121,8 +121,14 @@ class MovingSet(Operators):
             if str(error).startswith(where):
                 raise
             raise type(error)(f"{where}: {error}") from error
+        except Exception as error:  # whatever a user's function raises
+            noted(error, f"C(t), at t = {t:g}")
+            raise
         if not isinstance(C, ConvexSet):
-            raise InputError(f"C(t) at t = {t:g} must be a set, got {type(C).__name__}")
+            raise InputError(
+                f"C(t) at t = {t:g} must be a set, got {type(C).__name__}; a function that says "
+                "where C(t) is belongs into so.Moving(set, center=function)"
+            )
         return C
 
 
@@ -192,7 +198,11 @@ class Moving(MovingSet):
         t = instant("t", t)
         if self.center is None:
             return np.zeros(self.dim)
-        value = self.center(t)
+        try:
+            value = self.center(t)
+        except Exception as error:
+            noted(error, f"{self.center_name}(t), at t = {t:g}")
+            raise
         try:
             return vector("center", value, self.dim)
         except InputError:
@@ -204,7 +214,12 @@ class Moving(MovingSet):
         if self.scale is None:
             return 1.0
         name = f"scale(t) at t = {t:g}"
-        return number(name, instant(name, self.scale(t)), minimum=0.0)
+        try:
+            value = self.scale(t)
+        except Exception as error:
+            noted(error, f"scale(t), at t = {t:g}")
+            raise
+        return number(name, instant(name, value), minimum=0.0)
 
     def members(self, times: np.ndarray) -> list[tuple[float, ConvexSet]]:
         if self.scale is not None:

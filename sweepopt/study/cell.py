@@ -15,14 +15,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sweepopt.driver import solve
 from sweepopt.errors import DamagedFileError, SweepoptError, SweepoptWarning
 from sweepopt.io import read_npz, write_npz
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import ErrorBound, Solution
-from sweepopt.solve import solve
 from sweepopt.study.sources import Source, from_coarser, open_source
 from sweepopt.study.workers import machine, one_thread
-from sweepopt.velocity import Cvxpy
 
 THROUGH_CVXPY = "cvxpy:"  # such as cvxpy:piqp
 REFINED = 16
@@ -239,16 +238,10 @@ def solution_of(cell: Cell) -> Solution:
         t_end=t_end,
         steps=cell.steps,
         scheme=cell.scheme,
-        solver=named_solver(cell.solver),
+        solver=cell.solver,
         tol=cell.tol,
         on_failure="stop",
     )
-
-
-def named_solver(name: str) -> Any:
-    """What `sweepopt.solve` is given for the name of a solver."""
-    through_cvxpy = name.startswith(THROUGH_CVXPY)
-    return Cvxpy(name.removeprefix(THROUGH_CVXPY).upper()) if through_cvxpy else name
 
 
 def _timed(cell: Cell) -> tuple[CellRow, Solution]:

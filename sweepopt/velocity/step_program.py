@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweepopt.checks import Matrix, vector
+from sweepopt.display import Brief
 from sweepopt.errors import InputError
 from sweepopt.linalg import Factor
 from sweepopt.sets import ConvexSet, Point, in_turn
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
     import cvxpy as cp
 
 
-@dataclass(frozen=True, eq=False)
-class StepProgram:
+@dataclass(frozen=True, eq=False, repr=False)
+class StepProgram(Brief):
     """min 1/2 <M z, z> + <Bu, z> + J(z) - <f, z>, the program that a step of a scheme solves.
 
     It is the program of all unknowns, whatever the plan of a run eliminates. The set is

@@ -13,7 +13,6 @@ import numpy as np
 
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
-from sweepopt.study.cell import named_solver
 from sweepopt.study.hard.bodies import Random
 from sweepopt.study.hard.exact import Judge
 from sweepopt.study.hard.families import (
@@ -124,7 +123,7 @@ class HardStudy(Suite):
                     t_end=t_end,
                     steps=steps,
                     scheme="implicit-euler",
-                    solver=named_solver(solver),
+                    solver=solver,
                     tol=self.tol,
                     path=path,
                 )

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 from sweepopt.checks import count, number
 from sweepopt.errors import PathError, SolverRefusedError, StabilityWarning, SweepoptError
 from sweepopt.results import Solution
-from sweepopt.solve import solve
+from sweepopt.driver import solve
 from sweepopt.study.records import each, known
 
 TARGET = 1e-8

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from sweepopt.checks import HUGE
+from sweepopt.driver import solve
 from sweepopt.integrate import SCHEMES, Scheme
 from sweepopt.io import read_toml
 from sweepopt.linalg import EPS
@@ -30,7 +31,6 @@ from sweepopt.loads import Constant, Separable, Sine, Table
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
 from sweepopt.sets import Box, ConvexSet, Moving, Polyhedron
-from sweepopt.solve import solve
 from sweepopt.study.cell import guaranteed_bound
 from sweepopt.study.hard.bodies import Random
 from sweepopt.study.hard.suite import TARGET, Faults, Suite, judged

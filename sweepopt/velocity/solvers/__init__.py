@@ -38,7 +38,7 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
     Parameters
     ----------
     solver : str or Solver
-        "auto", a registered name or an object.
+        "auto", a registered name, "cvxpy:NAME" for a solver that cvxpy knows, or an object.
     C : ConvexSet
     tol : float
         Of the certificate: OSQP and Clarabel get settings that meet it, where they are not given.
@@ -56,9 +56,13 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
         first = 1 if coupled or not C.exact else 0
         return (*fastest, *general[:first], *small, *general[first:])
     if isinstance(solver, str):
-        if solver not in REGISTRY:
-            raise SolverRefusedError(f"solver {solver!r} is not known; use auto, {_names()}")
-        solver = _made(REGISTRY[solver], C, tol)
+        name, _, engine = solver.partition(":")
+        if solver not in REGISTRY and not (name == "cvxpy" and engine):
+            raise SolverRefusedError(
+                f"solver {solver!r} is not known; use auto, {_names()} or cvxpy:NAME for one that "
+                "cvxpy knows"
+            )
+        solver = Cvxpy(engine.upper()) if engine else _made(REGISTRY[name], C, tol)
     lacks = [name for name in CONTRACT if not hasattr(solver, name)]
     if lacks or isinstance(solver, type):
         missing = f" (it has no {lacks[0]}, see help(sweepopt.velocity.Solver))" if lacks else ""

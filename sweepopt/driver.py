@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sweepopt.checks import number
+from sweepopt.checks import arguments, number
 from sweepopt.errors import InputError, SaveError, Status, StepError, shown
 from sweepopt.integrate import (
     MEMORY,
@@ -49,6 +49,14 @@ from sweepopt.sets import ConvexSet
 from sweepopt.velocity import Plan, compile_projection
 
 
+@arguments(
+    dt="; give steps=round(t_end / dt)",
+    t_span="; the run starts at t = 0: give t_end, or the times themselves as steps",
+    t_eval="; give the times as save, they must be among those of steps",
+    method="; give scheme",
+    rtol="; give tol, of each step's certificate, or error, of the whole run",
+    atol="; give tol, of each step's certificate, or error, of the whole run",
+)
 def solve(
     process: SweepingProcess | EvolutionVI,
     *,
@@ -88,7 +96,8 @@ def solve(
         mu Lam > 2 and much stops); "exact" for polyhedra and loads as data (`Separable`): closed
         forms between switches that are located, in `Solution.exact` also between the nodes.
     solver : str or Solver
-        "auto", "clarabel", "osqp", "daqp", "newton", "cvxpy" or an object: ``OSQP(tol=1e-10)``.
+        "auto", "clarabel", "osqp", "daqp", "newton", "cvxpy:NAME" for any that cvxpy knows, such as
+        "cvxpy:scs", or an object with settings: ``OSQP(tol=1e-10)``.
     tol : float
         Each program's certificate is at most tol * max(|z|_M, |M^-1 q|_M); a step that misses it
         is tried with other solvers, then in 2 to 16 equal parts, then handled as on_failure says.

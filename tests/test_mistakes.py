@@ -1,0 +1,140 @@
+"""What new users get wrong: each message names the argument and the remedy, none needs the source."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import sweepopt as so
+
+BOX = so.Box(-1, 1)
+
+
+def pulled(**others: Any) -> so.SweepingProcess:
+    """A block that a spring and a dashpot hold, with friction, pulled by 1.5 t."""
+    given = {"A": 0.5, "B": 2.0, "C": so.Moving(BOX, center=lambda t: 1.5 * t), "u0": 0.0}
+    return so.SweepingProcess(**{**given, **others})
+
+
+def run(process: Any = None, **others: Any) -> so.Solution:
+    return so.solve(process or pulled(), **{"t_end": 1.0, "steps": 10, **others})
+
+
+def scene(text: str = "", mesh: str = "{ sizes = [1.0, 1.0], cells = [2, 2] }") -> Any:
+    domain = f"[domain]\nmesh = {mesh}\n[time]\nend = 1.0\nsteps = 2\n"
+    return so.fem.read_scene(domain + text)
+
+
+VISCOUS = "[effects.viscosity]\neta = 1.0\n"
+LAPLACIAN = sp.diags_array([[-1.0] * 5, [1.0, 2, 2, 2, 2, 1], [-1.0] * 5], offsets=[-1, 0, 1])
+
+MISTAKES: list[tuple[str, Callable[[], Any], str, str]] = [
+    # the arguments of other libraries
+    ("dt", lambda: run(dt=0.1), "argument dt", r"steps=round\(t_end / dt\)"),
+    ("t_span", lambda: run(t_span=(0, 1)), "argument t_span", "give t_end"),
+    ("t_span by place", lambda: so.solve(pulled(), (0, 1)), "solve: too many", "by name process, t_end"),
+    ("t_span as t_end", lambda: run(t_end=(0, 1)), "t_end must be one number", "steps to start els"),
+    ("method", lambda: run(method="BDF"), "argument method", "give scheme"),
+    ("rtol", lambda: run(rtol=1e-3), "argument rtol", "tol, of each step's .* or error"),
+    ("a letter wrong", lambda: run(shceme="midpoint"), "argument shceme", r"did you mean scheme\?"),
+    ("no end", lambda: so.solve(pulled()), "t_end is missing", "give it or pass the times as steps"),
+    ("C of a vi", lambda: so.EvolutionVI(0.5, 2.0, C=BOX, u0=0), "argument C", "load - dissipation"),
+    ("J of a vi", lambda: so.EvolutionVI(0.5, 2.0, J=BOX, u0=0), "argument J", "dissipation"),
+    ("load of a process", lambda: pulled(load=np.sin), "argument load", "take EvolutionVI"),
+    ("no u0", lambda: so.SweepingProcess(0.5, 2.0, BOX), "'u0'", "give by name A, B, C, u0"),
+    # sets
+    ("an interval", lambda: pulled(C=(-1, 1)), r"C must be a set .* \(-1, 1\)", r"so.Box\(-1, 1\)"),
+    ("a center for C", lambda: pulled(C=lambda t: 1.5 * t), "C.t. at t = 0", r"so.Moving\(set, center"),
+    ("C a class", lambda: pulled(C=so.Box), "C must be a set", r"so.Box\(-1, 1\)"),
+    ("bounds reversed", lambda: so.Box(1, -1), "lower", "upper"),
+    # shapes: the one at odds with the others is blamed
+    ("A at odds", lambda: pulled(A=np.eye(3)), "A has dim 3, but B and C and u0 1", "same number"),
+    ("C at odds", lambda: pulled(C=so.Ball([0, 0], 1)), "C has dim 2, but A and B and u0", "same num"),
+    ("load at odds", lambda: so.EvolutionVI(np.eye(2), None, load=[1, 2, 3], dissipation=so.Ball(
+        [0, 0], 1), u0=[0, 0]), "load has dim 3, but A and dissipation and u0 2", "same number"),
+    ("all None", lambda: pulled(A=None, B=None), "A and B are both None", "give one of them"),
+    ("upper triangle", lambda: pulled(A=[[1, 2], [0, 1]]), r"A\[0, 1\] = 2 but A\[1, 0\] = 0", r"A \+ A.T"),
+    ("no clamping", lambda: so.EvolutionVI(None, LAPLACIAN, dissipation=so.Ball(np.zeros(6), 1), u0=[0] * 6),
+        r"A and B let the body move as a whole", "Clamp a part of it"),
+    # numbers of runs
+    ("half a step", lambda: run(steps=0.1), "steps must be a positive whole number", "got 0.1"),
+    ("solver", lambda: run(solver="clarabell"), "solver 'clarabell' is not known", "use auto, clarabel"),
+    ("scheme", lambda: run(scheme="euler"), "scheme 'euler' is not known", "implicit-euler"),
+    ("on_failure", lambda: run(on_failure="stopp"), "on_failure must be one of", "did you mean stop"),
+    # scenes
+    ("scene", lambda: so.scene("tub"), "tub", "tube"),
+    ("effect", lambda: scene("[effect.viscosity]\neta = 1.0\n"), "effect: unknown key", "mean effects"),
+    ("effect's name", lambda: scene("[effects.viscocity]\neta = 1.0\n"), "viscocity", "mean viscosity"),
+    ("key", lambda: scene("[effects.viscosity]\netta = 1.0\n"), "effects.viscosity.etta", "mean eta"),
+    ("loose body", lambda: scene('[effects.viscosity]\neta = 1.0\n', "{ sizes = [1.0], cells = [2] }"),
+        "clamped", "clamp"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("call", "name", "remedy"), [m[1:] for m in MISTAKES], ids=[m[0] for m in MISTAKES]
+)
+def test_a_mistake_is_named_with_its_remedy(
+    call: Callable[[], Any], name: str, remedy: str
+) -> None:
+    with pytest.raises(so.InputError, match=name) as caught:
+        call()
+    with pytest.raises(so.InputError, match=remedy):
+        raise caught.value
+
+
+def test_one_unknown_needs_no_brackets() -> None:
+    plain = run(steps=10.0)
+    lists = run(
+        so.SweepingProcess(
+            [[0.5]], [[2.0]], so.Moving(so.Box([-1], [1]), lambda t: [1.5 * t]), [0.0]
+        )
+    )
+    np.testing.assert_array_equal(plain.u, lists.u)
+    assert plain(0.95) > 0
+
+
+def test_a_that_is_left_out_is_zero_and_a_function_for_c_is_a_moving_set() -> None:
+    # the play operator: B u follows the input to within 1
+    play = pulled(A=None, C=lambda t: so.Box(1.5 * t - 1, 1.5 * t + 1))
+    np.testing.assert_allclose(run(play, t_end=4.0)(4.0), (6.0 - 1.0) / 2.0, rtol=1e-12)
+    elastic = so.EvolutionVI(None, 2.0, load=lambda t: 1.5 * t, dissipation=BOX, u0=0.0)
+    np.testing.assert_allclose(run(elastic, t_end=4.0)(4.0), 2.5, rtol=1e-12)
+
+
+def broken(t: float) -> float:
+    if t > 0.55:
+        raise ZeroDivisionError("of my own")
+    return 0.5 + t
+
+
+@pytest.mark.parametrize(("C", "function"), [
+    (so.Moving(BOX, center=broken), "center"),
+    (so.Moving(BOX, scale=broken), "scale"),
+    (so.MovingSet(lambda t: so.Box(-1, broken(t))), "C"),
+    (so.Moving(BOX, so.Separable([(broken, 1.0)])), r"terms\[0\]\[0\]"),
+])  # fmt: skip
+def test_what_a_users_function_raises_goes_through_with_the_time(C: Any, function: str) -> None:
+    with pytest.raises(ZeroDivisionError, match="of my own") as caught:
+        run(pulled(C=C), scheme="implicit-euler")
+    note = rf"the function that was given for {function}.*, at t = 0\.6"
+    with pytest.raises(AssertionError, match=note):
+        raise AssertionError(" ".join(caught.value.__notes__))
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
+def test_dense_matrices_that_are_mostly_zeros_are_warned_about_and_work() -> None:
+    n = 1000
+    A, at = np.diag(np.linspace(1.0, 2.0, n)), np.arange(n)
+    with pytest.warns(so.SweepoptWarning, match=r"A is dense, 8 MB .* scipy.sparse.csc_array\(A\)"):
+        dense = pulled(
+            A=A,
+            B=None,
+            C=so.Moving(so.Box(-1.0 + 0 * at, 1.0 + 0 * at), center=3.0 + 0 * at),
+            u0=np.zeros(n),
+        )
+    np.testing.assert_allclose(run(dense, steps=2)(1.0), 2.0 / np.diag(A), rtol=1e-9)

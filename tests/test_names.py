@@ -1,0 +1,83 @@
+"""Names are found where a user looks for them: `dir`, `help`, tab completion, `import *`."""
+
+from __future__ import annotations
+
+import pydoc
+import subprocess
+import sys
+
+import pytest
+
+import sweepopt as so
+
+
+def fresh(code: str) -> str:
+    """What a new Python prints."""
+    run = [sys.executable, "-c", code]
+    return subprocess.run(run, capture_output=True, text=True, check=True).stdout.strip()
+
+
+def test_importing_the_library_takes_no_time() -> None:
+    """A fraction of what scipy.sparse takes, which every use of it needs."""
+    code = "import time; t = time.process_time(); import {}; print(time.process_time() - t)"
+    assert float(fresh(code.format("sweepopt"))) < min(
+        0.3, float(fresh(code.format("scipy.sparse")))
+    )
+
+
+def test_dir_has_the_public_names_and_each_of_them_is_there() -> None:
+    public = {name for name in dir(so) if not name.startswith("__")}
+    assert public == {*so.__all__, "fem", "study", "plot"}
+    for name in so.__all__:
+        assert getattr(so, name).__name__ == name
+        assert getattr(so, name).__module__.startswith("sweepopt")
+    names: dict[str, object] = {}
+    exec("from sweepopt import *", names)
+    assert names["solve"] is so.solve
+    with pytest.raises(AttributeError, match="no attribute 'solv'"):
+        so.solv  # noqa: B018
+
+
+def test_help_of_what_the_readme_names_needs_no_import_of_it() -> None:
+    assert "[effects.friction]" in fresh("import sweepopt; help(sweepopt.fem.read_scene)")
+    assert "sweepopt.study" in fresh("import sweepopt; print(sweepopt.study, sweepopt.plot)")
+    assert "SweepingProcess" in pydoc.render_doc(so)
+
+
+def test_solve_is_the_function_whatever_is_imported_before() -> None:
+    assert "function" in fresh("import sweepopt.driver, sweepopt; print(sweepopt.solve)")
+
+
+def test_a_missing_extra_is_named_and_leaves_dir_and_help_alone() -> None:
+    code = """if True:
+        import sys, pydoc
+        sys.modules["skfem"] = None
+        import sweepopt as so
+        assert not hasattr(so, "fem")
+        pydoc.render_doc(so)
+        try:
+            so.fem
+        except AttributeError as error:
+            print(error)
+    """
+    assert fresh(code).startswith("skfem is not installed; run: ")
+
+
+def test_scenes_are_listed_and_read_by_name() -> None:
+    assert so.list_scenes()["tube"].startswith("Tube")
+    scene = so.scene("pipe", changes={"time.steps": 3})
+    assert scene.steps == 3
+    with pytest.raises(so.InputError, match="tube"):
+        so.scene("tub")
+
+
+def test_a_solver_has_one_name_in_solve_in_scenes_and_in_studies() -> None:
+    C = so.Moving(so.Ball([0.0, 0.0], 1.0), center=lambda t: [3.0 * t, t])
+    process = so.SweepingProcess([[2.0, 1.0], [1.0, 2.0]], None, C, [0.0, 0.0])
+    sol = so.solve(process, t_end=1.0, steps=2, solver="cvxpy:clarabel")
+    assert set(sol.stats["solver"]) == {"cvxpy:clarabel"}
+    with pytest.raises(so.SolverRefusedError, match=r"use auto, clarabel.* or cvxpy:NAME"):
+        so.solve(process, t_end=1.0, steps=2, solver="scs")
+    with pytest.raises(so.SolverRefusedError, match=r"cvxpy has no solver 'SCSS' here; it has"):
+        so.solve(process, t_end=1.0, steps=2, solver="cvxpy:scss")
+    assert so.scene("pipe", changes={"solve.solver": "cvxpy:scs"}).solver == "cvxpy:scs"
