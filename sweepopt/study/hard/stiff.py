@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sweepopt.driver import solve
 from sweepopt.loads import Separable, Sine, Table
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
 from sweepopt.sets import Balls, Box, ConvexSet, Moving
-from sweepopt.driver import solve
 from sweepopt.study.cell import REFINED, largest_norm
 from sweepopt.study.hard.bodies import Random, chain, spectral
 from sweepopt.study.hard.suite import Suite, first_of

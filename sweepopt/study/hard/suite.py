@@ -9,9 +9,9 @@ from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 from sweepopt.checks import count, number
+from sweepopt.driver import solve
 from sweepopt.errors import PathError, SolverRefusedError, StabilityWarning, SweepoptError
 from sweepopt.results import Solution
-from sweepopt.driver import solve
 from sweepopt.study.records import each, known
 
 TARGET = 1e-8
