@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any
@@ -36,7 +36,6 @@ SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMod
 LIMIT = 200_000  # unknowns that CHOLMOD is faster for
 # in the order it is given: L D L^T, or where L is dense enough by CHOLMOD's count L L^T in blocks
 SETTINGS = {"supernodal": 1, "nmethods": 1, "postorder": False}
-IN_BLOCKS = SETTINGS | {"supernodal": 2}
 WHOLE, LOWER, UPPER, DIAGONAL = 0, 4, 5, 6  # CHOLMOD's numbers of M, L, L^T and D
 _settings_lock = threading.Lock()
 
@@ -111,7 +110,7 @@ class InBlocks:
         from cvxopt import cholmod, matrix
 
         self._triangle = _triangle(sp.csc_array((np.ones(len(indices)), *self._pattern), (n, n)))
-        with _settings(IN_BLOCKS):
+        with _settings():
             self._factor = cholmod.symbolic(self._triangle, matrix(_order(self._triangle)))
 
     def __call__(self, data: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
@@ -126,7 +125,7 @@ class InBlocks:
         from cvxopt import cholmod, matrix
 
         self._triangle.V = matrix(data)
-        with _settings(IN_BLOCKS):
+        with _settings():
             cholmod.numeric(self._triangle, self._factor)
         return partial(_system, self._factor, WHOLE)
 
@@ -159,7 +158,7 @@ def cholmod(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
 
     def factorised() -> Any:
         """The factor in this order and no other."""
-        with _settings(SETTINGS):
+        with _settings():
             factor = cholmod.symbolic(triangle, matrix(order.astype(np.int64)))
             cholmod.numeric(triangle, factor)
         return factor
@@ -168,10 +167,8 @@ def cholmod(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
     system = partial(_system, factor)
     D, place = 1 / system(DIAGONAL, np.ones(len(order))), np.argsort(order)
     root, pivots = np.sqrt(np.abs(D)), D
-    try:
+    with suppress(ValueError):  # raised for L D L^T
         pivots = np.ravel(cholmod.diag(factor)) ** 2
-    except ValueError:  # L D L^T
-        pass
     if m:  # of a factor of its own: getfactor empties it
         tail = np.array(matrix(cholmod.getfactor(factorised())[-m:, -m:]))
         np.fill_diagonal(tail, np.sqrt(np.abs(pivots[-m:])) / root[-m:])
@@ -201,14 +198,14 @@ def _order(triangle: Any) -> np.ndarray:
 
 
 @contextmanager
-def _settings(ours: dict[str, Any]) -> Iterator[None]:
+def _settings() -> Iterator[None]:
     """CHOLMOD's settings are those of its module, not ours."""
     from cvxopt import cholmod
 
     with _settings_lock:
         before = dict(cholmod.options)
         cholmod.options.clear()
-        cholmod.options.update(ours)
+        cholmod.options.update(SETTINGS)
         try:
             yield
         finally:
