@@ -163,15 +163,16 @@ def cholmod(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
             cholmod.numeric(triangle, factor)
         return factor
 
-    factor, tail = factorised(), np.zeros((0, 0))
+    tail = np.zeros((0, 0))
+    if m:  # of a factor of its own, which getfactor empties, and before the other is in memory
+        tail = np.array(matrix(cholmod.getfactor(factorised())[-m:, -m:]))
+    factor = factorised()
     system = partial(_system, factor)
     D, place = 1 / system(DIAGONAL, np.ones(len(order))), np.argsort(order)
     root, pivots = np.sqrt(np.abs(D)), D
     with suppress(ValueError):  # raised for L D L^T
         pivots = np.ravel(cholmod.diag(factor)) ** 2
-    if m:  # of a factor of its own: getfactor empties it
-        tail = np.array(matrix(cholmod.getfactor(factorised())[-m:, -m:]))
-        np.fill_diagonal(tail, np.sqrt(np.abs(pivots[-m:])) / root[-m:])
+    np.fill_diagonal(tail, (np.sqrt(np.abs(pivots)) / root)[len(order) - m :])
     return Cholesky(
         pivots[place],
         lambda w: system(WHOLE, w),
