@@ -36,6 +36,7 @@ SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMod
 LIMIT = 200_000  # unknowns that CHOLMOD is faster for
 # in the order it is given: L D L^T, or where L is dense enough by CHOLMOD's count L L^T in blocks
 SETTINGS = {"supernodal": 1, "nmethods": 1, "postorder": False}
+IN_BLOCKS = SETTINGS | {"supernodal": 2}  # which alone refuses what is not positive definite
 WHOLE, LOWER, UPPER, DIAGONAL = 0, 4, 5, 6  # CHOLMOD's numbers of M, L, L^T and D
 _settings_lock = threading.Lock()
 
@@ -110,7 +111,7 @@ class InBlocks:
         from cvxopt import cholmod, matrix
 
         self._triangle = _triangle(sp.csc_array((np.ones(len(indices)), *self._pattern), (n, n)))
-        with _settings():
+        with _settings(IN_BLOCKS):
             self._factor = cholmod.symbolic(self._triangle, matrix(_order(self._triangle)))
 
     def __call__(self, data: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
@@ -125,7 +126,7 @@ class InBlocks:
         from cvxopt import cholmod, matrix
 
         self._triangle.V = matrix(data)
-        with _settings():
+        with _settings(IN_BLOCKS):
             cholmod.numeric(self._triangle, self._factor)
         return partial(_system, self._factor, WHOLE)
 
@@ -158,7 +159,7 @@ def cholmod(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
 
     def factorised() -> Any:
         """The factor in this order and no other."""
-        with _settings():
+        with _settings(SETTINGS):
             factor = cholmod.symbolic(triangle, matrix(order.astype(np.int64)))
             cholmod.numeric(triangle, factor)
         return factor
@@ -199,14 +200,14 @@ def _order(triangle: Any) -> np.ndarray:
 
 
 @contextmanager
-def _settings() -> Iterator[None]:
+def _settings(ours: dict[str, Any]) -> Iterator[None]:
     """CHOLMOD's settings are those of its module, not ours."""
     from cvxopt import cholmod
 
     with _settings_lock:
         before = dict(cholmod.options)
         cholmod.options.clear()
-        cholmod.options.update(SETTINGS)
+        cholmod.options.update(ours)
         try:
             yield
         finally:

@@ -85,10 +85,7 @@ class Tangent:
         ]
         starts = np.searchsorted(pattern // dim, np.arange(dim + 1))
         self._factorise = InBlocks(pattern % dim, starts)
-        self._last: tuple[Sequence[np.ndarray], Callable[[np.ndarray], np.ndarray] | None] = (
-            (),
-            None,
-        )
+        self._last: tuple[Sequence[np.ndarray], Any] = (), None
 
     def solve(self, D: Sequence[np.ndarray], R: np.ndarray) -> np.ndarray:
         """The solution for symmetric D_k, shape (b, b, m) in each group.
@@ -107,8 +104,9 @@ class Tangent:
                     L, places, of = L[:, :, some], places[:, some], of[:, :, some]
                 of_L = sum(of[:, k, None] * L[k] for k in range(len(L)))
                 stiff = [(L[:, j:] * of_L[:, j, None]).sum(axis=0) for j in range(L.shape[1])]
-                entries = np.concatenate(stiff).ravel()
-                data = data + np.bincount(places.ravel(), entries, data.size)
+                entries = np.concatenate([np.zeros((0, places.shape[1])), *stiff])
+                data = data + np.bincount(places.ravel(), entries.ravel(), data.size)
+            self._last = (), None  # nothing, if there are no factors
             solve = self._factorise(data)
             self._last = D, solve
         return solve(R)
@@ -125,7 +123,7 @@ def newton(
     while iterations < most and not converged(state):
         try:
             trial = line_search(state, *step(state))
-        except ArithmeticError:
+        except (ArithmeticError, RuntimeError):  # not positive definite, to rounding
             break
         if trial is None:
             break

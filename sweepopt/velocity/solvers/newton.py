@@ -180,7 +180,8 @@ class _Iteration:
     def _symmetric(self, M: np.ndarray, D: list[Blocks], T: np.ndarray) -> Any:
         """The same of a dense M from M + T ((I - D)^-1 - I), whose factors cost half of others.
 
-        None where a block, such as a projector, has an eigenvalue near 1 and does not stick.
+        None where a block, such as a projector, has an eigenvalue near 1 and does not stick, and
+        where all stick.
         """
         free, inverses = np.zeros(len(M), dtype=bool), []
         for at, block in D:
@@ -194,6 +195,8 @@ class _Iteration:
                 return None
             free[at[moves]] = True
             inverses.append((at[moves], inverse))
+        if not free.any():
+            return None
         J, place = M[np.ix_(free, free)], np.cumsum(free) - 1
         for at, inverse in inverses:
             more = T[at][:, :, None] * (inverse - np.eye(inverse.shape[1]))
