@@ -5,6 +5,7 @@
     python benchmarks/scenes.py --memory              # a block of 100,000 unknowns, no loop
 
     tread   3D block on a road, friction in discs          size: cells along its height
+    tube    section of a tube, friction on few nodes       size: refinements of its mesh
     pipe    Bingham's fluid, yield stress on triangles     size: rings of triangles
     rough   the same, nodes moved by a quarter of a cell   size: rings of triangles
     ring    thick ring, plastic strains at P2's points     size: cells along the radius
@@ -13,8 +14,8 @@ Steps of implicit Euler, one after the other. The loop states one problem of cvx
 is the linear term, and takes some of the same steps from the same states; the first solve of both
 is not counted. Times are processor times. cvxpy 1.9 makes dense matrices of the square of the
 unknowns of a parameter in the objective: beyond PARAMETERS of them the loop states each step anew,
-and "solver" is the time in Clarabel alone. "linear" is a step
-of the block without friction. Certificates are relative, "apart" is |z - z_cvxpy|_M / |z|_M.
+and "solver" is the wall time of Clarabel alone. Certificates are relative, "apart" is
+|z - z_cvxpy|_M / |z|_M, the largest. Of block and tube a line compares steps without friction.
 """
 
 from __future__ import annotations
@@ -106,9 +107,16 @@ def tread(cells: int, without: tuple[str, ...] = ()) -> Scene:
     return read_scene("tread", changes=changes, without=without)
 
 
-Make = Callable[[int], Scene]
+def tube(refinements: int, without: tuple[str, ...] = ()) -> Scene:
+    """The section of problems/tube.toml, or without its friction."""
+    changes = {"domain.refinements": refinements}
+    return read_scene("tube", changes=changes, without=without)
+
+
+Make = Callable[..., Scene]
 SCENES: dict[str, tuple[Make, int, float, int]] = {  # size, t_end and steps
     "tread": (tread, 5, 2.0, 40),
+    "tube": (tube, 0, 60.0, 240),
     "pipe": (pipe, 29, 1.0, 40),
     "rough": (lambda rings: pipe(rings, 0.25), 29, 1.0, 40),
     "ring": (ring, 19, 1.0, 22),
@@ -178,8 +186,8 @@ def compare(name: str, size: int, every: int) -> None:
         f"{loop / mine:>8.1f}{alone:>10.1f}{run.stats['relative'].max():>10.0e}{apart:>9.0e}"
         f"{memory:>7.2f}{peak():>7.2f}  {run.plan.path}"
     )
-    if name == "tread":
-        _, linear = timed(tread(size, without=("friction",)), t_end, steps)
+    if make in (tread, tube):
+        _, linear = timed(make(size, without=("friction",)), t_end, steps)
         linear_ms = 1e3 * linear[1:].mean()
         ratio = 1e3 * ours[1:].mean() / linear_ms
         print(f"       without friction {linear_ms:.2f} ms a step: with it {ratio:.2f} times that")

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any
@@ -36,7 +36,7 @@ SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMod
 LIMIT = 200_000  # unknowns that CHOLMOD is faster for
 # in the order it is given: L D L^T, or where L is dense enough by CHOLMOD's count L L^T in blocks
 SETTINGS = {"supernodal": 1, "nmethods": 1, "postorder": False}
-IN_BLOCKS = SETTINGS | {"supernodal": 2}
+IN_BLOCKS = SETTINGS | {"supernodal": 2}  # which alone refuses what is not positive definite
 WHOLE, LOWER, UPPER, DIAGONAL = 0, 4, 5, 6  # CHOLMOD's numbers of M, L, L^T and D
 _settings_lock = threading.Lock()
 
@@ -164,17 +164,16 @@ def cholmod(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
             cholmod.numeric(triangle, factor)
         return factor
 
-    factor, tail = factorised(), np.zeros((0, 0))
+    tail = np.zeros((0, 0))
+    if m:  # of a factor of its own, which getfactor empties, and before the other is in memory
+        tail = np.array(matrix(cholmod.getfactor(factorised())[-m:, -m:]))
+    factor = factorised()
     system = partial(_system, factor)
     D, place = 1 / system(DIAGONAL, np.ones(len(order))), np.argsort(order)
     root, pivots = np.sqrt(np.abs(D)), D
-    try:
+    with suppress(ValueError):  # raised for L D L^T
         pivots = np.ravel(cholmod.diag(factor)) ** 2
-    except ValueError:  # L D L^T
-        pass
-    if m:  # of a factor of its own: getfactor empties it
-        tail = np.array(matrix(cholmod.getfactor(factorised())[-m:, -m:]))
-        np.fill_diagonal(tail, np.sqrt(np.abs(pivots[-m:])) / root[-m:])
+    np.fill_diagonal(tail, (np.sqrt(np.abs(pivots)) / root)[len(order) - m :])
     return Cholesky(
         pivots[place],
         lambda w: system(WHOLE, w),

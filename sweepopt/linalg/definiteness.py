@@ -69,10 +69,15 @@ def _backward_error(M: Matrix, w: np.ndarray) -> np.ndarray:
         lu = spla.splu(sp.csc_matrix(M), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC)
     except (scipy.linalg.LinAlgError, RuntimeError, MemoryError):
         return np.full(len(w), math.inf)
-    L, U, pivots = lu.L, lu.U, lu.U.diagonal()
-    if not (pivots.min() > 0 and (lu.perm_r == lu.perm_c).all()):
+    L, U, place, rows = lu.L, lu.U, lu.perm_c, lu.perm_r
+    del lu  # factors of a solid fill the memory: each is there once
+    pivots = U.diagonal()
+    if not (pivots.min() > 0 and (rows == place).all()):
         return np.full(len(w), math.inf)
-    gamma, y = (np.bincount(L.indices).max() + 4) * UNIT, w[np.argsort(lu.perm_c)]
-    bound = abs(U - (L @ sp.diags_array(pivots)).T) + gamma * abs(U)
-    L = abs(L)
-    return 0.5 * (L @ (bound @ y) + bound.T @ (L.T @ y))[lu.perm_c]
+    gamma, y = (np.bincount(L.indices).max() + 4) * UNIT, w[np.argsort(place)]
+    bound = U - (L @ sp.diags_array(pivots)).T
+    for one in (bound, U, L):
+        np.abs(one.data, out=one.data)
+    U *= gamma
+    upper, lower = bound @ y + U @ y, L.T @ y
+    return 0.5 * (L @ upper + bound.T @ lower + U.T @ lower)[place]

@@ -167,6 +167,7 @@ class Cascade:
                 pair = attempt.proposals(inclusion, of.S, nothing, math.inf)(of.force, None)
                 if pair.gap < math.inf or math.isnan(pair.gap):
                     return Velocity(pair.z, math.nan, math.nan, attempt.solver.name)
+                attempt.compiled = None
         if inclusion.rests(of, tol):
             return at_rest(of.q)
         if self._has_formula:

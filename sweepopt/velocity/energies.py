@@ -9,7 +9,7 @@ falls.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,19 +21,8 @@ SUFFICIENT = 1e-4  # of the decrease that the tangent promises (Armijo)
 SHORTEST = 2.0**-20  # share of a step
 
 
-class State(Protocol):
-    """The energy at a point, a bound of its rounding, and its gradient R."""
-
-    @property
-    def energy(self) -> float: ...
-    @property
-    def rounding(self) -> float: ...
-    @property
-    def R(self) -> np.ndarray: ...
-
-
-A_State = TypeVar("A_State", bound=State)
-Step = tuple[np.ndarray, Callable[[float], A_State]]
+State = TypeVar("State")  # a point, its `energy`, a bound of its `rounding`, its gradient `R`
+Step = tuple[np.ndarray, Callable[[float], State]]
 """The change of a Newton step, and the state after a share of it."""
 
 
@@ -96,10 +85,7 @@ class Tangent:
         ]
         starts = np.searchsorted(pattern // dim, np.arange(dim + 1))
         self._factorise = InBlocks(pattern % dim, starts)
-        self._last: tuple[Sequence[np.ndarray], Callable[[np.ndarray], np.ndarray] | None] = (
-            (),
-            None,
-        )
+        self._last: tuple[Sequence[np.ndarray], Any] = (), None
 
     def solve(self, D: Sequence[np.ndarray], R: np.ndarray) -> np.ndarray:
         """The solution for symmetric D_k, shape (b, b, m) in each group.
@@ -118,25 +104,26 @@ class Tangent:
                     L, places, of = L[:, :, some], places[:, some], of[:, :, some]
                 of_L = sum(of[:, k, None] * L[k] for k in range(len(L)))
                 stiff = [(L[:, j:] * of_L[:, j, None]).sum(axis=0) for j in range(L.shape[1])]
-                entries = np.concatenate(stiff).ravel()
-                data = data + np.bincount(places.ravel(), entries, data.size)
+                entries = np.concatenate([np.zeros((0, places.shape[1])), *stiff])
+                data = data + np.bincount(places.ravel(), entries.ravel(), data.size)
+            self._last = (), None  # nothing, if there are no factors
             solve = self._factorise(data)
             self._last = D, solve
         return solve(R)
 
 
 def newton(
-    state: A_State,
-    step: Callable[[A_State], Step[A_State]],
-    converged: Callable[[A_State], bool],
+    state: State,
+    step: Callable[[State], Step[State]],
+    converged: Callable[[State], bool],
     most: int,
-) -> tuple[A_State, int]:
+) -> tuple[State, int]:
     """Steps until one converges, at most so many, or none is left; and how many were taken."""
     iterations = 0
     while iterations < most and not converged(state):
         try:
             trial = line_search(state, *step(state))
-        except ArithmeticError:
+        except (ArithmeticError, RuntimeError):  # not positive definite, to rounding
             break
         if trial is None:
             break
@@ -144,9 +131,7 @@ def newton(
     return state, iterations
 
 
-def line_search(
-    state: A_State, change: np.ndarray, after: Callable[[float], A_State]
-) -> A_State | None:
+def line_search(state: Any, change: np.ndarray, after: Callable[[float], Any]) -> Any:
     """After the first of the shares 1, 1/2, 1/4, ... of a step with which the energy is less.
 
     Where the energy only rounds, the derivative along the step decides (Hager and Zhang, SIAM J.

@@ -24,13 +24,15 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from sweepopt.checks import Matrix, count
-from sweepopt.linalg import EPS, NEGLIGIBLE, SMALL, Factor, euclidean
+from sweepopt.linalg import EPS, NEGLIGIBLE, Factor, euclidean
 from sweepopt.sets import Blocks, ConvexSet, Polyhedron, shape_of
 from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.contract import Answer, Small, Solve
 
 PATIENCE = 5  # steps that may fail to improve on the best one: more are a cycle
 SHORTEST = 1e-5  # share of a step: discs across cells of stiffness 1 and 1e8 miss tol at 1e-3
+
+STEEPEST = 1e8  # of (I - D)^-1: a symmetric system loses as many digits
 
 SolveLinear = Callable[[np.ndarray], np.ndarray]
 
@@ -150,28 +152,67 @@ class _Iteration:
         key = b"".join(block.tobytes() for _, block in D)
         if key != self._last[0]:
             self._last = key, self._tangent(D, T)
-        stuck, beside, solve = self._last[1]
-        following, free = np.where(stuck, 0.0, z), ~stuck
-        right = residual[free]
-        if z[stuck].any():
-            right = right + beside @ z[stuck]
-        following[free] += solve(right)
+        stuck, solve = self._last[1]
+        following = np.where(stuck, 0.0, z)
+        following[~stuck] += solve(residual[~stuck], z[stuck])
         if all(block.shape[1] == 1 for _, block in D):
             following[following * z < 0] = 0.0
         return following
 
-    def _tangent(self, D: list[Blocks], T: np.ndarray) -> tuple[np.ndarray, Matrix, SolveLinear]:
-        """What sticks, the columns of M - D (M - T) for it, and the equations of the others."""
+    def _tangent(self, D: list[Blocks], T: np.ndarray) -> tuple[np.ndarray, Any]:
+        """What sticks, and (residual of the others, z of what sticks) -> dz of the others."""
         M = self._M.M
-        P = _matrix(D, M.shape[0], sp.issparse(M) or M.shape[0] > SMALL)
+        if not sp.issparse(M):
+            soft = self._symmetric(M, D, T)
+            if soft is not None:
+                return soft
+        P = _matrix(D, M.shape[0])
         stuck = (P.diagonal() == 1) & (abs(P).sum(axis=1) == 1)
         free = ~stuck
         P = P[free]
         rows = M[free] - P @ M + P * T
+        beside = rows[:, stuck]
         # in units of T: pivots are chosen by size
         units = 1 / np.sqrt(T[free])
         solve = _factorised(rows[:, free] * units * units[:, None]) if free.any() else np.copy
-        return stuck, rows[:, stuck], lambda right: units * solve(units * right)
+        return stuck, lambda right, z: units * solve(units * (right + beside @ z))
+
+    def _symmetric(self, M: np.ndarray, D: list[Blocks], T: np.ndarray) -> Any:
+        """The same of a dense M from M + T ((I - D)^-1 - I), whose factors cost half of others.
+
+        None where a block, such as a projector, has an eigenvalue near 1 and does not stick, and
+        where all stick.
+        """
+        free, inverses = np.zeros(len(M), dtype=bool), []
+        for at, block in D:
+            less = np.eye(block.shape[1]) - block
+            moves = less.any(axis=(1, 2))
+            try:
+                inverse = np.linalg.inv(less[moves])
+            except np.linalg.LinAlgError:
+                return None
+            if not (np.abs(inverse) < STEEPEST).all():
+                return None
+            free[at[moves]] = True
+            inverses.append((at[moves], inverse))
+        if not free.any():
+            return None
+        J, place = M[np.ix_(free, free)], np.cumsum(free) - 1
+        for at, inverse in inverses:
+            more = T[at][:, :, None] * (inverse - np.eye(inverse.shape[1]))
+            J[place[at][:, :, None], place[at][:, None]] += more
+        lower, failed = scipy.linalg.lapack.dpotrf(J, lower=1)
+        if failed:
+            return None
+
+        def solve(right: np.ndarray, z: np.ndarray) -> np.ndarray:
+            scaled = M[np.ix_(free, ~free)] @ z if z.any() else np.zeros_like(right)
+            for at, inverse in inverses:
+                scaled[place[at]] += np.einsum("kij,kj->ki", inverse, right[place[at]])
+            change: np.ndarray = scipy.linalg.lapack.dpotrs(lower, scaled, lower=1)[0]
+            return change
+
+        return ~free, solve
 
 
 def _factorised(J: Matrix) -> SolveLinear:
@@ -184,18 +225,12 @@ def _factorised(J: Matrix) -> SolveLinear:
     return partial(scipy.linalg.lu_solve, (lu, pivots), check_finite=False)
 
 
-def _matrix(D: list[Blocks], n: int, as_sparse: bool) -> Matrix:
+def _matrix(D: list[Blocks], n: int) -> sp.csr_array:
     """The blocks in one matrix."""
-    rows: list[np.ndarray] = []
-    columns: list[np.ndarray] = []
-    entries: list[np.ndarray] = []
-    for at, block in D:
-        for of, index in ((rows, at[:, :, None]), (columns, at[:, None])):
-            of.append(np.broadcast_to(index, block.shape).ravel())
-        entries.append(block.ravel())
-    places = np.concatenate(rows), np.concatenate(columns)
-    if as_sparse:
-        return sp.csr_array((np.concatenate(entries), places), (n, n))
-    matrix = np.zeros((n, n))
-    matrix[places] = np.concatenate(entries)
-    return matrix
+    parts = [
+        (block.ravel(), *(np.broadcast_to(index, block.shape).ravel() for index in indices))
+        for at, block in D
+        for indices in [(at[:, :, None], at[:, None])]
+    ]
+    entries, rows, columns = map(np.concatenate, zip(*parts, strict=True))
+    return sp.csr_array((entries, (rows, columns)), (n, n))
