@@ -443,6 +443,7 @@ DISTANCES: list[tuple[so.ConvexSet, so.ConvexSet, float]] = [
     (UNIT, UNIT + [3, 4], 5.0),
     (so.SecondOrderCone(2), so.SecondOrderCone(2) + [3, 4], 5.0),
     (2 * UNIT, 5 * UNIT, 3.0),
+    (so.image(EYE, UNIT), so.image(2 * EYE, UNIT), 1.0),
     (2 * so.SecondOrderCone(3), 5 * so.SecondOrderCone(3), 0.0),
     (UNIT, 5.0 * UNIT, 4.0),
     (
@@ -485,7 +486,7 @@ def test_distance_bound_is_none_where_nothing_is_known() -> None:
         (UNIT + halves[0], UNIT + halves[1]),
         (so.product(UNIT, halves[0]), so.product(UNIT, halves[1])),
         (2 * halves[0], 3 * halves[0]),
-        (so.image(EYE, UNIT), so.image(2 * EYE, UNIT)),
+        (so.image(EYE, UNIT), so.image([[2, 0], [0, 1]], UNIT)),
     ]:
         assert C.distance_bound(D) is None
         assert D.distance_bound(C) is None

@@ -16,6 +16,7 @@ from sweepopt.checks import divisor, matrix, number, vector
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
 from sweepopt.linalg import EPS, UNIT, dense, product_error, row_lengths
 from sweepopt.sets.base import (
+    DENSE,
     ROUNDING,
     ConvexSet,
     Features,
@@ -89,7 +90,8 @@ class Polyhedron(ConvexSet):
             divisor(f"the largest entry of row {i} of G", largest[i])
         # rows of numbers near 1, whose right hand sides are the offsets
         self._units = np.array([binary(row) for row in largest])
-        self.rows = sp.diags_array(1 / self._units) @ self.G
+        rows = sp.diags_array(1 / self._units) @ self.G
+        self.rows = rows if max(rows.shape) > DENSE else dense(rows)
         self._set_offsets(h)
 
     def __getnewargs__(self) -> tuple[Any, Any]:
