@@ -60,7 +60,7 @@ def write_report(
     *,
     solutions: Mapping[str, Solution] | None = None,
     title: str = "Accuracy and what it costs",
-    **judged: Sequence[Any],
+    **suites: Sequence[Any],
 ) -> Path:
     """Write a study as one HTML file; nothing is fetched when it is opened.
 
@@ -74,7 +74,7 @@ def write_report(
         Runs to show over time, by name: the component that moves most, in its guaranteed band.
     title : str
         The report's heading.
-    **judged : sequences of named tuples
+    **suites : sequences of named tuples
         Rows of hard cases, hard=, of trajectories=, and of stiff= bodies.
 
     Returns
@@ -89,9 +89,9 @@ def write_report(
     MissingExtraError
         If matplotlib is not installed.
     """
-    for name in judged:
+    for name in suites:
         choice("name", name, SUITES)
-    if table is None and not any(map(len, judged.values())):
+    if table is None and not any(map(len, suites.values())):
         raise InputError("table is None and there are no hard cases: nothing to report")
     target = writable("path", path)
     parts, machines = [], [machine()]
@@ -103,9 +103,9 @@ def write_report(
             "<h2>Trajectories in their guaranteed bands</h2>",
             _picture(trajectories(solutions)),
         ]
-    for name, rows in judged.items():
+    for name, rows in suites.items():
         if len(rows):
-            parts += _judged_section(name, rows)
+            parts += _suite_section(name, rows)
     date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     page = PAGE.substitute(
         title=html.escape(title),
@@ -136,7 +136,7 @@ def _study_section(table: DataFrame) -> list[str]:
     ]
 
 
-def _judged_section(name: str, rows: Sequence[Any]) -> list[str]:
+def _suite_section(name: str, rows: Sequence[Any]) -> list[str]:
     import pandas as pd
 
     table = pd.DataFrame(rows)
