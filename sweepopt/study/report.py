@@ -29,8 +29,8 @@ from sweepopt.study.workers import machine
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
-HIDDEN = ["repeats", "cell", "success", "size", "cpu", "steps_done", "machine"]
-"""Columns of a study's table that its page does not show."""
+HIDDEN = ["repeats", "cell", "success", "size", "cpu", "steps_done", "machine", "message"]
+"""Columns of a study's table that its page does not show, but for the message, which is last."""
 PAGE = Template("""\
 <!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>$title</title>
@@ -119,7 +119,7 @@ def write_report(
 def _study_section(table: DataFrame) -> list[str]:
     pictures = [_picture(work_precision(table, x=cost)) for cost in ("wall", "steps")]
     usual = Status.SUCCESS.value  # the one message that need not be shown
-    table = table.assign(message=table.message.str.replace(usual, "", regex=False))
+    message = table.message.str.replace(usual, "", regex=False)
     return [
         "<h2>The fastest way to each relative error</h2>",
         advice_table(table).to_html(border=0),
@@ -132,7 +132,13 @@ def _study_section(table: DataFrame) -> list[str]:
         "of 0 below them.</p>",
         *pictures,
         "<h2>All cells</h2>",
-        _table(table.drop(columns=HIDDEN), "status", table.success, "cells", "failed"),
+        _table(
+            table.drop(columns=HIDDEN).assign(message=message),
+            "status",
+            table.success,
+            "cells",
+            "failed",
+        ),
     ]
 
 
