@@ -27,7 +27,8 @@ class Suite:
     """The base of a table of a study's file; the class's own docstring is shown in the report.
 
     What is not given is all that there is. A field whose default is a list of names takes some of
-    these names, one of whole numbers such numbers >= 0, one of other numbers such > 0.
+    these names, one of whole numbers such numbers (0 if the default has it), one of other numbers
+    such > 0.
 
     Attributes
     ----------
@@ -48,7 +49,8 @@ class Suite:
             default: Any = field.default
             several = isinstance(default, tuple)
             kind = type(default[0] if several else default)
-            checks: Any = {str: (one_of, default, "there are:"), int: (count, 0)}
+            least = int(several and 0 not in default)
+            checks: Any = {str: (one_of, default, "there are:"), int: (count, least)}
             check = checks.get(kind, (number, 0.0, True, False))
             if several:
                 each(name, value, *check)
