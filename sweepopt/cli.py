@@ -54,10 +54,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments : sequence of str, optional
         Those of the command line by default.
     """
-    chosen = _parser().parse_args(arguments)
+    options = _parser().parse_args(arguments)
     try:
         with _plain_warnings():
-            return int(chosen.command(chosen))
+            return int(options.command(options))
     except UnstableStepError as error:
         # the rest of its advice is for callers of solve
         _say(f"{str(error).partition(', or say')[0]}; use --steps or --scheme")
@@ -143,46 +143,46 @@ def _list(_: argparse.Namespace) -> int:
     return DONE
 
 
-def _effects(chosen: argparse.Namespace) -> int:
+def _effects(options: argparse.Namespace) -> int:
     _require("fem")
     from sweepopt.fem import compare_effects
     from sweepopt.fem.changes import parse_changes
 
-    path, changes = find_scene(chosen.scene), parse_changes(chosen.set)
-    print(compare_effects(path, changes=changes, without=chosen.without, steps=chosen.steps))
+    path, changes = find_scene(options.scene), parse_changes(options.set)
+    print(compare_effects(path, changes=changes, without=options.without, steps=options.steps))
     return DONE
 
 
-def _study(chosen: argparse.Namespace) -> int:
+def _study(options: argparse.Namespace) -> int:
     _require("study")
     from sweepopt.study import commands
 
-    (commands.study_command if "study" in chosen else commands.compare_command)(chosen)
+    (commands.study_command if "study" in options else commands.compare_command)(options)
     return DONE
 
 
-def _run(chosen: argparse.Namespace) -> int:
+def _run(options: argparse.Namespace) -> int:
     _require("fem", "plot")
     from sweepopt.fem import pictures, read_scene, snapshots
     from sweepopt.fem.changes import parse_changes
     from sweepopt.fem.output import Report
 
-    path = find_scene(chosen.scene)
-    given = {name: getattr(chosen, name) for name in ("steps", "scheme", "solver", "tol")}
-    scene = read_scene(path, changes=parse_changes(chosen.set), without=chosen.without)
+    path = find_scene(options.scene)
+    given = {name: getattr(options, name) for name in ("steps", "scheme", "solver", "tol")}
+    scene = read_scene(path, changes=parse_changes(options.set), without=options.without)
     scene = replace(scene, **{name: value for name, value in given.items() if value is not None})
     drawn = [f"{name}.png" for name in pictures.pictures_of(scene)]
-    if chosen.animate:
-        drawn.append(f"{pictures.animated(scene)}.{chosen.animate}")
+    if options.animate:
+        drawn.append(f"{pictures.animated(scene)}.{options.animate}")
         snapshots.writer_of(Path(drawn[-1]))
-    folder = chosen.out or Path("results") / path.stem
+    folder = options.out or Path("results") / path.stem
     folder.mkdir(parents=True, exist_ok=True)
     _announce(scene)
 
     text = path.read_text(encoding="utf-8")
     text += "".join(f"\n# changed: {change}" for change in scene.changes)
     started, moved = clock.perf_counter(), False
-    solution = scene.solve(progress=not chosen.no_progress, on_failure="stop")
+    solution = scene.solve(progress=not options.no_progress, on_failure="stop")
     seconds = clock.perf_counter() - started
     if len(solution.steps):
         report = Report(scene, solution, name=path.stem, text=text, seconds=seconds)

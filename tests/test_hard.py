@@ -18,8 +18,8 @@ from sweepopt.study.hard.exact import Judge
 from sweepopt.study.hard.families import (
     HISTORIES,
     TABLES,
-    chosen,
     combination,
+    entry_of,
     make,
     read_families,
 )
@@ -104,7 +104,7 @@ def test_combinations_drawn_by_chance_are_met(seed: int) -> None:
 def test_combinations_that_were_wrong_once(seed: int, number: int) -> None:
     random = np.random.default_rng([seed, number])
     names = combination(random)
-    process, (t_end, steps, *_) = make(names, random), chosen(HISTORIES, names)
+    process, (t_end, steps, *_) = make(names, random), entry_of(HISTORIES, names)
     judge = Judge(process, t_end / steps)
     for solver in ("auto", "clarabel"):
         sol = solve_once(process, t_end=t_end, steps=steps, solver=solver)

@@ -372,6 +372,7 @@ def test_a_bad_study_is_refused_by_file_and_key(
         ('[stiff]\nbodies = ["x"]', "stiff.bodies[0]: 'x' is not known; there are: one mass"),
         ("[stiff]\nstiffness = [0.0]", "stiff.stiffness[0] must be > 0"),
         ("[stiff]\nseeds = [-1]", "stiff.seeds[0] must be"),
+        ("[stiff]\nsteps = [0]", "stiff.steps[0] must be a positive whole number, got 0"),
         ("[stiff]\nnonsense = 1", "stiff.nonsense: unknown key; there are: seeds"),
     ],
 )

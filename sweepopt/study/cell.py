@@ -221,9 +221,9 @@ def run_cell(cell: Cell, finest: Source | None = None, folder: Path | None = Non
         try:
             solution_of(cell)  # packages are imported, the problem is assembled, caches are filled
             with one_thread():
-                row, solution = _timed(cell)
+                row, solution = _measure(cell)
                 if folder is not None:
-                    row = _judged(row, solution, cell, finest or cell.problem, folder)
+                    row = _with_error(row, solution, cell, finest or cell.problem, folder)
         except Exception as error:  # whatever it is, the table has it
             return cell.failed(error)._replace(machine=machine())
     ours = [f"{one.message}." for one in caught if issubclass(one.category, SweepoptWarning)]
@@ -244,7 +244,7 @@ def solution_of(cell: Cell) -> Solution:
     )
 
 
-def _timed(cell: Cell) -> tuple[CellRow, Solution]:
+def _measure(cell: Cell) -> tuple[CellRow, Solution]:
     """The last of several equal runs, with the medians of their times."""
     gc.collect()
     times = []
@@ -271,12 +271,12 @@ def _timed(cell: Cell) -> tuple[CellRow, Solution]:
     return row, solution
 
 
-def _judged(row: CellRow, solution: Solution, cell: Cell, finest: Source, folder: Path) -> CellRow:
+def _with_error(row: CellRow, run: Solution, cell: Cell, finest: Source, folder: Path) -> CellRow:
     """The row with the error of its run, as a function on the finest mesh, and with the bound."""
-    reference, process, u = read_reference(finest, cell.steps, folder), solution.process, solution.u
+    reference, process, u = read_reference(finest, cell.steps, folder), run.process, run.u
     if finest != cell.problem:
         process, u = open_source(finest)[0], u @ from_coarser(finest, cell.problem).T
-    bound = guaranteed_bound(solution)
+    bound = guaranteed_bound(run)
     missing = f" No reference: {reference.message}." if reference.message else ""
     return row._replace(
         error=reference.error(process, u),

@@ -16,7 +16,7 @@ from sweepopt.study.advice import TARGETS, advice, summary
 from sweepopt.study.cell import solution_of
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
-from sweepopt.study.hard import worst
+from sweepopt.study.hard import suite_summary
 from sweepopt.study.records import append_row
 from sweepopt.study.report import write_report
 from sweepopt.study.study import Study, read_parts, read_study, run
@@ -28,19 +28,19 @@ if TYPE_CHECKING:
 TABLE, DIAGRAM, REPORT = "table.csv", "diagram.png", "report.html"
 
 
-def study_command(chosen: argparse.Namespace) -> None:
+def study_command(options: argparse.Namespace) -> None:
     """Run a study, or go on with it, then its hard and stiff cases, and write what they say."""
     import pandas as pd
 
-    path = find_study(chosen.study)
-    folder = chosen.out or Path("results") / path.stem
+    path = find_study(options.study)
+    folder = options.out or Path("results") / path.stem
     data, parts = read_parts(path)
     table, solutions, files = None, {}, []
-    judged: dict[str, list[Any]] = {}
+    suites: dict[str, list[Any]] = {}
     folder.mkdir(parents=True, exist_ok=True)
     if not parts or data.keys() - {"title"}:
         study = read_study(path)
-        with processes(chosen.workers) if chosen.workers else nullcontext() as pool:
+        with processes(options.workers) if options.workers else nullcontext() as pool:
             table = run(study, folder, executor=pool, progress=_say)
         table.to_csv(folder / TABLE, index=False)
         work_precision(table).figure.savefig(folder / DIAGRAM)
@@ -50,17 +50,17 @@ def study_command(chosen: argparse.Namespace) -> None:
     for name, suite in parts.items():
         # in this process, from the start: hard cases take some minutes a seed
         (lines := folder / f"{name}.jsonl").unlink(missing_ok=True)
-        rows = judged[name] = []
+        rows = suites[name] = []
         for row in suite.rows():
             append_row(lines, row)
             rows.append(row)
             _say(f"{name}: {row[:4]}")
         if rows:
             pd.DataFrame(rows).to_csv(folder / f"{name}.csv", index=False)
-            print(worst(rows, suite.by))
+            print(suite_summary(rows, suite.by))
             files.append(f"{name}.csv")
     title = str(data.get("title", path.stem))
-    write_report(table, folder / REPORT, solutions=solutions, title=title, **judged)
+    write_report(table, folder / REPORT, solutions=solutions, title=title, **suites)
     print(f"written: {folder}: {', '.join([*files, REPORT])}")
 
 
@@ -79,14 +79,14 @@ def _fastest_runs(study: Study, table: DataFrame) -> dict[str, Solution]:
         }
 
 
-def compare_command(chosen: argparse.Namespace) -> None:
+def compare_command(options: argparse.Namespace) -> None:
     """Compare all solvers on the programs of a scene."""
-    if chosen.csv is not None:
-        chosen.csv.touch()  # says so now if it cannot be written
-    table = compare(chosen.scene, steps=chosen.steps, progress=_say)
+    if options.csv is not None:
+        options.csv.touch()  # says so now if it cannot be written
+    table = compare(options.scene, steps=options.steps, progress=_say)
     print(comparison_text(table))
-    if chosen.csv is not None:
-        table.to_csv(chosen.csv, index=False)
+    if options.csv is not None:
+        table.to_csv(options.csv, index=False)
 
 
 def _say(words: str) -> None:

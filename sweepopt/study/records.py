@@ -47,7 +47,7 @@ def each(name: str, values: Any, check: Callable[..., Any], *limits: Any) -> tup
     return tuple(entries.values())
 
 
-def known(name: str, value: Any, names: Iterable[str], advice: str = "use") -> Any:
+def one_of(name: str, value: Any, names: Iterable[str], advice: str = "use") -> Any:
     """One of some names, which a refusal lists after the advice."""
     if value not in tuple(names):
         raise InputError(f"{name}: {shown(value)} is not known; {advice} {', '.join(names)}")

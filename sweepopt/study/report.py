@@ -29,8 +29,8 @@ from sweepopt.study.workers import machine
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
-HIDDEN = ["repeats", "cell", "success", "size", "cpu", "steps_done", "machine"]
-"""Columns of a study's table that its page does not show."""
+HIDDEN = ["repeats", "cell", "success", "size", "cpu", "steps_done", "machine", "message"]
+"""Columns of a study's table that its page does not show, but for the message, which is last."""
 PAGE = Template("""\
 <!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>$title</title>
@@ -60,7 +60,7 @@ def write_report(
     *,
     solutions: Mapping[str, Solution] | None = None,
     title: str = "Accuracy and what it costs",
-    **judged: Sequence[Any],
+    **suites: Sequence[Any],
 ) -> Path:
     """Write a study as one HTML file; nothing is fetched when it is opened.
 
@@ -74,7 +74,7 @@ def write_report(
         Runs to show over time, by name: the component that moves most, in its guaranteed band.
     title : str
         The report's heading.
-    **judged : sequences of named tuples
+    **suites : sequences of named tuples
         Rows of hard cases, hard=, of trajectories=, and of stiff= bodies.
 
     Returns
@@ -89,9 +89,9 @@ def write_report(
     MissingExtraError
         If matplotlib is not installed.
     """
-    for name in judged:
+    for name in suites:
         choice("name", name, SUITES)
-    if table is None and not any(map(len, judged.values())):
+    if table is None and not any(map(len, suites.values())):
         raise InputError("table is None and there are no hard cases: nothing to report")
     target = writable("path", path)
     parts, machines = [], [machine()]
@@ -103,9 +103,9 @@ def write_report(
             "<h2>Trajectories in their guaranteed bands</h2>",
             _picture(trajectories(solutions)),
         ]
-    for name, rows in judged.items():
+    for name, rows in suites.items():
         if len(rows):
-            parts += _judged_section(name, rows)
+            parts += _suite_section(name, rows)
     date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     page = PAGE.substitute(
         title=html.escape(title),
@@ -119,7 +119,7 @@ def write_report(
 def _study_section(table: DataFrame) -> list[str]:
     pictures = [_picture(work_precision(table, x=cost)) for cost in ("wall", "steps")]
     usual = Status.SUCCESS.value  # the one message that need not be shown
-    table = table.assign(message=table.message.str.replace(usual, "", regex=False))
+    message = table.message.str.replace(usual, "", regex=False)
     return [
         "<h2>The fastest way to each relative error</h2>",
         advice_table(table).to_html(border=0),
@@ -132,11 +132,17 @@ def _study_section(table: DataFrame) -> list[str]:
         "of 0 below them.</p>",
         *pictures,
         "<h2>All cells</h2>",
-        _table(table.drop(columns=HIDDEN), "status", table.success, "cells", "failed"),
+        _table(
+            table.drop(columns=HIDDEN).assign(message=message),
+            "status",
+            table.success,
+            "cells",
+            "failed",
+        ),
     ]
 
 
-def _judged_section(name: str, rows: Sequence[Any]) -> list[str]:
+def _suite_section(name: str, rows: Sequence[Any]) -> list[str]:
     import pandas as pd
 
     table = pd.DataFrame(rows)

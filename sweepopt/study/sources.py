@@ -120,16 +120,16 @@ def from_coarser(source: Source, coarse: Source) -> Any:
 
 def _digest(path: Path) -> str:
     """Of a file, of its mesh and of its tables."""
-    files = [path, *(path.parent / name for name in _named(read_toml(path)))]
+    files = [path, *(path.parent / name for name in _file_names(read_toml(path)))]
     parts = [hashlib.sha256(read_bytes(file)).digest() for file in files]
     return hashlib.sha256(b"".join(parts)).hexdigest()
 
 
-def _named(data: Any) -> Iterator[str]:
+def _file_names(data: Any) -> Iterator[str]:
     """The values of the keys mesh and csv, wherever they are."""
     if isinstance(data, dict):
         yield from (data[key] for key in ("mesh", "csv") if isinstance(data.get(key), str))
         data = list(data.values())
     if isinstance(data, list):
         for entry in data:
-            yield from _named(entry)
+            yield from _file_names(entry)

@@ -20,7 +20,7 @@ from sweepopt.integrate import schemes
 from sweepopt.io import as_path, read_toml
 from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, run_cell
 from sweepopt.study.hard import SUITES
-from sweepopt.study.records import append_row, each, known, read_record, read_rows
+from sweepopt.study.records import append_row, each, one_of, read_record, read_rows
 from sweepopt.study.sources import Source, find_source
 from sweepopt.study.workers import processes
 from sweepopt.velocity import solvers
@@ -87,8 +87,8 @@ class Study:
         lists = {
             "problems": each("problems", self.problems, self._source),
             "refinements": each("refinements", self.refinements, count, 0),
-            "elements": each("elements", self.elements, known, ("", "P1", "P2")),
-            "schemes": each("schemes", self.schemes, known, ("auto", *schemes.SCHEMES)),
+            "elements": each("elements", self.elements, one_of, ("", "P1", "P2")),
+            "schemes": each("schemes", self.schemes, one_of, ("auto", *schemes.SCHEMES)),
             "solvers": each("solvers", self.solvers, _solver),
             "steps": each("steps", self.steps, count),
             "tols": each("tols", self.tols, number, 0.0, True),
@@ -218,7 +218,7 @@ def run(
     references = Path(folder, "references")
     references.mkdir(parents=True, exist_ok=True)
     jobs = [(cell, study.reference(cell.problem), references) for cell in todo]
-    for k, row in enumerate(_computed(jobs, executor), start=1):
+    for k, row in enumerate(_compute(jobs, executor), start=1):
         append_row(Path(folder, ROWS), row)
         progress(f"{k} of {len(todo)}: {row.cell}: {row.status}")
     return read_table(study, folder)
@@ -234,7 +234,7 @@ def read_table(study: Study, folder: str | Path) -> DataFrame:
     return pd.DataFrame(finished, columns=list(CellRow._fields))
 
 
-def _computed(jobs: list[Any], executor: Executor | None) -> Iterator[CellRow]:
+def _compute(jobs: list[Any], executor: Executor | None) -> Iterator[CellRow]:
     """The rows as they come.
 
     Where a process dies, its executor is broken: what it had to compute is computed one by one,
@@ -271,4 +271,4 @@ def _text(name: str, value: Any) -> str:
 def _solver(name: str, value: Any) -> Any:
     through_cvxpy = str(value).startswith(THROUGH_CVXPY)
     names = "auto", *solvers.REGISTRY, value if through_cvxpy else f"{THROUGH_CVXPY}NAME"
-    return known(name, value, names)
+    return one_of(name, value, names)

@@ -9,7 +9,7 @@ from sweepopt.study.hard.exact import Exact, Program
 from sweepopt.study.hard.families import FAMILIES
 from sweepopt.study.hard.programs import HardStudy
 from sweepopt.study.hard.stiff import StiffStudy
-from sweepopt.study.hard.suite import GOOD, Suite, worst
+from sweepopt.study.hard.suite import GOOD, Suite, suite_summary
 from sweepopt.study.hard.trajectories import TrajectoryStudy
 
 SUITES: dict[str, type[Suite]] = {
@@ -19,4 +19,4 @@ SUITES: dict[str, type[Suite]] = {
 }
 """By the names of their tables in a study's file, which are those of the files of their rows."""
 
-__all__ = ["FAMILIES", "GOOD", "SUITES", "Exact", "Program", "worst"]
+__all__ = ["FAMILIES", "GOOD", "SUITES", "Exact", "Program", "suite_summary"]

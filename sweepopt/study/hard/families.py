@@ -17,7 +17,7 @@ from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Moving, image
 from sweepopt.study.hard import bodies
 from sweepopt.study.hard.bodies import Contact, Random, between, chain, spectral
-from sweepopt.study.records import each, known
+from sweepopt.study.records import each, one_of
 
 Names = Sequence[str]
 
@@ -90,25 +90,25 @@ MATRICES, CONTACTS, UNITS = read_toml(Path(__file__).with_name("ingredients.toml
 TABLES = (MATRICES, CONTACTS, LOADS, UNITS, STIFFNESS, HISTORIES)
 
 
-def chosen(table: Mapping[str, Any], names: Names) -> Any:
+def entry_of(table: Mapping[str, Any], names: Names) -> Any:
     """The entry of a table that is named, the first one if none is."""
     return table[next((name for name in names if name in table), next(iter(table)))]
 
 
 def make(names: Names, random: Random) -> SweepingProcess:
     """The process that these ingredients and a seed make."""
-    A = _drawn(MATRICES, names, random)
+    A = _draw(MATRICES, names, random)
     n = len(A)
-    contact: Contact = _drawn(CONTACTS, names, random, n)
+    contact: Contact = _draw(CONTACTS, names, random, n)
     few, block = contact.few, contact.block
-    length, force = chosen(UNITS, names) or (2.0 ** random.integers(-40, 41, n), 1.0)
+    length, force = entry_of(UNITS, names) or (2.0 ** random.integers(-40, 41, n), 1.0)
     units = length * np.ones(n)
     units[few] = np.repeat(units[few[::block]], block)
-    _, _, *factors = chosen(HISTORIES, names)
+    _, _, *factors = entry_of(HISTORIES, names)
     terms: list[Any] = [
         (factor, force * units * _load(names, random, n, contact)) for factor in factors
     ]
-    B = chosen(STIFFNESS, names)(random, A)
+    B = entry_of(STIFFNESS, names)(random, A)
     A, B = (
         M if M is None else force * np.outer(units, units) * M
         for M in (B if isinstance(B, tuple) else (A, B))
@@ -123,13 +123,13 @@ def make(names: Names, random: Random) -> SweepingProcess:
     return SweepingProcess(A, B, Moving(part, Separable(terms)), u0)
 
 
-def _drawn(table: Mapping[str, Any], names: Names, *given: Any) -> Any:
-    ((function, arguments),) = chosen(table, names).items()
+def _draw(table: Mapping[str, Any], names: Names, *given: Any) -> Any:
+    ((function, arguments),) = entry_of(table, names).items()
     return getattr(bodies, function)(*given, *arguments)
 
 
 def _load(names: Names, random: Random, n: int, contact: Contact) -> np.ndarray:
-    shares = chosen(LOADS, names)
+    shares = entry_of(LOADS, names)
     if shares is None or contact.edge is None:
         return 3 * random.normal(size=n)
     if callable(shares):
@@ -157,7 +157,7 @@ def read_families(path: Path) -> dict[str, Names]:
     """Families of a file by name; InputError names an ingredient that there is not."""
     ingredients, families = [name for table in TABLES for name in table], read_toml(path)
     return {
-        name: each(f"{path.name}: {name}", names, known, ingredients, "there are:")
+        name: each(f"{path.name}: {name}", names, one_of, ingredients, "there are:")
         for name, names in families.items()
     }
 

@@ -20,11 +20,11 @@ from sweepopt.study.hard.families import (
     HISTORIES,
     REFUSED,
     Names,
-    chosen,
     combination,
+    entry_of,
     make,
 )
-from sweepopt.study.hard.suite import TARGET, Faults, Suite, judged
+from sweepopt.study.hard.suite import TARGET, Faults, Suite, run_case
 
 PATHS = ("full", "eliminated", "proportional")
 SOLVERS = ("auto", "newton", "daqp", "osqp", "clarabel", "cvxpy:osqp", "cvxpy:clarabel")
@@ -110,12 +110,12 @@ class HardStudy(Suite):
         ('met', True)
         """
         for name, seed, names, random in self._cases():
-            (t_end, steps, *_), process = chosen(HISTORIES, names), make(names, random)
+            (t_end, steps, *_), process = entry_of(HISTORIES, names), make(names, random)
             exact = Judge(process, t_end / steps)
-            refused = chosen(REFUSED, names)
+            refused = entry_of(REFUSED, names)
             for path, solver in product(self.paths, self.solvers):
                 row = HardRow(name, seed, path, solver, ", ".join(names))
-                row = judged(
+                row = run_case(
                     row._replace(answer=f"refuse: {refused}" if refused else ""),
                     partial(SweepingProcess.as_sweeping, process),
                     partial(_judge, exact),

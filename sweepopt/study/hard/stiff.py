@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from sweepopt.results import Solution
 from sweepopt.sets import Balls, Box, ConvexSet, Moving
 from sweepopt.study.cell import REFINED, largest_norm
 from sweepopt.study.hard.bodies import Random, chain, spectral
-from sweepopt.study.hard.suite import Suite, first_of
+from sweepopt.study.hard.suite import Faults, Suite, run_case
 
 BEST_OF = ("implicit-euler", "midpoint", "sdirk2")
 TWICE, RINGS = 2.0, 1.1
@@ -101,6 +101,7 @@ class StiffRow(NamedTuple):
     bound_over_error: float = math.nan
     ringing: float = math.nan
     false_sticks: int = 0
+    seconds: float = math.nan
     verdict: str = ""
 
 
@@ -158,30 +159,31 @@ class StiffStudy(Suite):
 
 def judge(row: StiffRow, process: SweepingProcess, t_end: float, bounds: bool = True) -> StiffRow:
     """The row with what a run of a process is worth."""
+    how: Any = {"t_end": t_end, "tol": 1e-8, "on_unstable": "ignore"}
 
-    def run(scheme: str, finer: int = 1) -> Solution:
-        how: Any = {"t_end": t_end, "steps": finer * row.steps, "on_unstable": "ignore"}
-        return solve(process, scheme=scheme, tol=1e-8, **how)
+    def compare(sol: Solution, _: bool) -> tuple[dict[str, Any], Faults]:
+        fine = solve(process, steps=REFINED * row.steps, scheme="auto", **how)
+        exact, slips = fine.u[::REFINED], fine.velocity.reshape(row.steps, REFINED, -1)
+        others = [solve(process, steps=row.steps, scheme=scheme, **how) for scheme in BEST_OF]
+        error, *least = (largest_norm(process, one.u - exact) for one in (sol, *others))
+        between = largest_norm(process, sol(fine.t) - fine.u)
+        rings, changes = (abs(np.diff(z, axis=0)).sum() for z in (sol.velocity, slips.mean(axis=1)))
+        slow = SLIPS * abs(slips).max(axis=(0, 1))
+        always = (slips > slow).all(axis=1) | (slips < -slow).all(axis=1)
+        entries: dict[str, Any] = {
+            "scheme": sol.plan.scheme.name,
+            "error": error,
+            "over_best": error / min(least),
+            "bound_over_error": float(sol.error_bound()) / between if bounds else math.nan,
+            "ringing": float(rings / changes),
+            "false_sticks": int((always & (sol.velocity == 0)).any(axis=1).sum()),
+        }
+        return entries, {
+            "false stick": entries["false_sticks"],
+            "bound below the error": entries["bound_over_error"] < 1,
+            f"error above {TWICE:g} times the best": entries["over_best"] > TWICE,
+            "velocities ring": entries["ringing"] > RINGS,
+        }
 
-    reference, sol = run("auto", REFINED), run("auto")
-    exact, slips = reference.u[::REFINED], reference.velocity.reshape(row.steps, REFINED, -1)
-    error, *others = (largest_norm(process, one.u - exact) for one in (sol, *map(run, BEST_OF)))
-    means, least = slips.mean(axis=1), SLIPS * abs(slips).max(axis=(0, 1))
-    rings, changes = (abs(np.diff(z, axis=0)).sum() for z in (sol.velocity, means))
-    always = (slips > least).all(axis=1) | (slips < -least).all(axis=1)
-    between = largest_norm(process, sol(reference.t) - reference.u)
-    row = row._replace(
-        scheme=sol.plan.scheme.name,
-        error=error,
-        over_best=error / min(others),
-        bound_over_error=float(sol.error_bound()) / between if bounds else math.nan,
-        ringing=float(rings / changes),
-        false_sticks=int((always & (sol.velocity == 0)).any(axis=1).sum()),
-    )
-    faults = {
-        "false stick": row.false_sticks,
-        "bound below the error": row.bound_over_error < 1,
-        f"error above {TWICE:g} times the best": row.over_best > TWICE,
-        "velocities ring": row.ringing > RINGS,
-    }
-    return row._replace(verdict=first_of(faults))
+    run: Any = {"steps": row.steps, "scheme": "auto", **how}
+    return cast(StiffRow, run_case(row, lambda: process, compare, **run))

@@ -12,7 +12,7 @@ from sweepopt.checks import count, number
 from sweepopt.driver import solve
 from sweepopt.errors import PathError, SolverRefusedError, StabilityWarning, SweepoptError
 from sweepopt.results import Solution
-from sweepopt.study.records import each, known
+from sweepopt.study.records import each, one_of
 
 TARGET = 1e-8
 """Relative error that every step has to meet, in units of max(|z*|_M, |M^-1 q|_M); and what a run
@@ -27,7 +27,8 @@ class Suite:
     """The base of a table of a study's file; the class's own docstring is shown in the report.
 
     What is not given is all that there is. A field whose default is a list of names takes some of
-    these names, one of whole numbers such numbers >= 0, one of other numbers such > 0.
+    these names, one of whole numbers such numbers (0 if the default has it), one of other numbers
+    such > 0.
 
     Attributes
     ----------
@@ -48,7 +49,8 @@ class Suite:
             default: Any = field.default
             several = isinstance(default, tuple)
             kind = type(default[0] if several else default)
-            checks: Any = {str: (known, default, "there are:"), int: (count, 0)}
+            least = int(several and 0 not in default)
+            checks: Any = {str: (one_of, default, "there are:"), int: (count, least)}
             check = checks.get(kind, (number, 0.0, True, False))
             if several:
                 each(name, value, *check)
@@ -60,7 +62,7 @@ class Suite:
         raise NotImplementedError
 
 
-def judged(
+def run_case(
     row: Any,
     process: Callable[[], Any],
     judge: Callable[[Solution, bool], tuple[Any, Faults]],
@@ -98,15 +100,11 @@ def judged(
         name = type(error).__name__
         right = name == (refused or allowed)
         return row._replace(verdict="refused" if right else f"{name}: {error}")
-    return row._replace(verdict=first_of(faults, GOOD[warned]), **entries)
+    verdict = next((words for words, fault in faults.items() if fault), GOOD[warned])
+    return row._replace(verdict=verdict, **entries)
 
 
-def first_of(faults: Faults, verdict: str = GOOD[0]) -> str:
-    """The name of the first fault that there is, or a verdict."""
-    return next((words for words, fault in faults.items() if fault), verdict)
-
-
-def worst(rows: Sequence[Any], by: Sequence[str]) -> str:
+def suite_summary(rows: Sequence[Any], by: Sequence[str]) -> str:
     """The largest numbers of each group of rows, and a line for each row that is not good."""
     import pandas as pd
 

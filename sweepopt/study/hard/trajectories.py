@@ -33,7 +33,7 @@ from sweepopt.results import Solution
 from sweepopt.sets import Box, ConvexSet, Moving, Polyhedron
 from sweepopt.study.cell import guaranteed_bound
 from sweepopt.study.hard.bodies import Random
-from sweepopt.study.hard.suite import TARGET, Faults, Suite, judged
+from sweepopt.study.hard.suite import TARGET, Faults, Suite, run_case
 
 LOCAL = 2.0  # once is not enough for catching-up: C(t) of one end of the step, u of the other
 ROUNDING = 64 * EPS  # of u and of f / B, which cancel where bodies are far from the origin
@@ -209,7 +209,7 @@ class TrajectoryStudy(Suite):
         for name, seed in product(self.trajectories, self.seeds):
             case = Case(TRAJECTORIES[name], np.random.default_rng([seed, *name.encode()]))
             for scheme in self.schemes:
-                yield judged(
+                yield run_case(
                     TrajectoryRow(name, seed, scheme, len(case.t) - 1, case.mu_Lam),
                     case.process,
                     partial(_judge, case),
