@@ -10,7 +10,7 @@ and the forces on the face of a sheet. Tested with the basis function of node k 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -434,6 +434,8 @@ class Slip:
         Exactly 0.0 where a node sticks.
     traction : ndarray, shape (n, m) or (n, m, components)
         q_k, against the velocity.
+    bound : ndarray, shape (n, m)
+        g_k at these times and states, which a law of the slip or a bound that moves changes.
     """
 
     contact: Contact
@@ -442,6 +444,13 @@ class Slip:
     displacement: Array
     velocity: Array
     traction: Array
+    bound: Array
+
+    @cached_property
+    def use(self) -> Array:
+        """Share of the bound that the traction takes, with its sign where it has one, (n, m)."""
+        q = self.traction if self.traction.ndim == 2 else np.linalg.norm(self.traction, axis=2)
+        return np.divide(q, self.bound, out=np.zeros_like(q), where=self.bound > 0)
 
     @cached_property
     def state(self) -> NDArray[np.int8]:
@@ -500,14 +509,11 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     mu = np.diff(solution.t)
     stage_t = solution.t[:-1] + np.dot(scheme.b, scheme.c) * mu
     implicit = np.dot(scheme.b, [sum(row) for row in scheme.a])
-    force = np.array(
-        [
-            contact.of(process.A @ z + process.times_B(u + implicit * h * z) - scene.load(t))
-            for t, h, u, z in zip(
-                stage_t.tolist(), mu, solution.u[:-1], solution.velocity, strict=True
-            )
-        ]
-    )
+    force, bound = [], []
+    for t, h, u, z in zip(stage_t.tolist(), mu, solution.u[:-1], solution.velocity, strict=True):
+        u = u + implicit * h * z
+        force.append(contact.of(process.A @ z + process.times_B(u) - scene.load(t)))
+        bound.append(_bounds(contact, scene.yields, t, u))
     return Slip(
         contact=contact,
         t=solution.t,
@@ -515,4 +521,18 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
         displacement=contact.of(solution.u),
         velocity=contact.of(solution.velocity),
         traction=force / contact.weight.reshape((-1,) + (1,) * (contact.unknown.ndim - 1)),
+        bound=np.array(bound),
     )
+
+
+def _bounds(contact: Contact, yields: Sequence[Yield], t: float, u: Array) -> Array:
+    """g_k of all nodes with friction at a time and a state, shape (m,)."""
+    if not any(callable(one.g) or one.slip for one in yields if one.contact):
+        return contact.bound
+    parts = [
+        replace(one.contact, bound=one.at(t, u) / one.contact.weight)
+        for one in yields
+        if one.contact
+    ]
+    both = merged(parts)
+    return contact.bound if both is None else both.bound

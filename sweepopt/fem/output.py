@@ -179,6 +179,7 @@ def write_summary(report: Report, folder: Path, files: Sequence[str]) -> None:
             path.unlink()
 
 
+INTERNAL = "internal unknowns at the end of the run, such as plastic strains"
 PLASTIC = "sqrt(2/3) |p| of the plastic strain p, its mean in each cell of the mesh"
 FIELD = {"mesh": "mesh", "location": "node"}
 ATTRIBUTES: dict[str, dict[str, Any]] = {
@@ -236,7 +237,12 @@ def dataset_of(report: Report) -> xr.Dataset:
         rows |= _of_contact(slip)
     if (strain := scene.plastic_strain(solution)) is not None:
         rows["plastic_strain"] = "time cell", "", strain, PLASTIC
-    run = solution.to_xarray().drop_dims("unknown")
+    of_all = solution.to_xarray()
+    run = of_all.drop_dims("unknown")
+    if body.dim < of_all.unknown.size:
+        rows["internal"] = "internal_unknown", "", solution.u[-1, body.dim :], INTERNAL
+        names = of_all.field.values[body.dim :]
+        rows["internal_field"] = "internal_unknown", "", names, "field of the internal unknown"
     for name, (dims, quantity, values, words) in rows.items():
         attributes = {"long_name": words, "units": units.get(quantity, "1")}
         more = ATTRIBUTES.get(name, {})

@@ -35,7 +35,7 @@ def refusal(scene: Scene, name: str) -> str:
     plastic = any(part.rows.cells is not None for part in scene.yields)
     flows = any(isinstance(effect, YieldStress) for effect in scene.effects)
     needs = {
-        "displacement": (dimension == 2, "a body in the plane"),
+        "displacement": (dimension < 3, "a body in the plane or along a line"),
         "surface": (dimension == 3, "a solid"),
         "flow": (dimension == 2 and flows, "a section with a yield stress"),
         "yielding": (dimension == 2 and plastic, "a body in the plane with plasticity"),
@@ -127,8 +127,7 @@ def contact(report: Report) -> Any:
     for node, look in zip(nodes, LOOKS, strict=False):
         zone.axhline(arc[node], lw=2.6, color="white")
         zone.axhline(arc[node], lw=1.4, **look)
-        share = slip.traction[:, node] / slip.contact.bound[node]
-        traction.plot(slip.stage_t, share, lw=1.5, **look)
+        traction.plot(slip.stage_t, slip.use[:, node], lw=1.5, **look)
     metre, names = report.suffix("length"), slip.contact.boundary
     places = [f"{names[node]}, {arc[node]:.3g}{metre}" for node in nodes]
     draw_histories(moved, slip.t, slip.displacement[:, nodes], slip.state[:, nodes] == 0, places)

@@ -203,7 +203,14 @@ def antiplane(
     effects: Sequence[Effect],
     element: str = "P1",
     refinements: int = 0,
-    **settings: Any,
+    u0: ArrayLike | Initial | None = None,
+    t_end: float | None = None,
+    steps: int | None = None,
+    scheme: str = "auto",
+    solver: str = "auto",
+    tol: float = 1e-6,
+    units: str = "dimensionless",
+    title: str = "",
 ) -> Scene:
     """Antiplane shear of a section: u(x, t) is the displacement out of its plane.
 
@@ -218,8 +225,8 @@ def antiplane(
     element : {"P1", "P2"}
     refinements : int
         How often each triangle of the mesh is divided into four.
-    **settings
-        u0, t_end, steps, scheme, solver, tol, units, title: as for `body`.
+    u0, t_end, steps, scheme, solver, tol, units, title
+        As for `body`.
 
     Returns
     -------
@@ -244,7 +251,7 @@ def antiplane(
     ('no elasticity: B is not formed', 'no load: f = 0')
     """
     space = Discretisation(mesh, clamped, element, refinements)
-    return body(space, effects, **settings)
+    return body(space, effects, u0, t_end, steps, scheme, solver, tol, units, title)
 
 
 def body(
@@ -351,6 +358,7 @@ def build(
         with at_path("initial"):
             u0 = u0.state(space, fields, size)
     problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
+    problem.mesh_digest = space.digest
     terms = {
         "no elasticity: B is not formed": B is not None,
         "no friction: J is not formed": yields,

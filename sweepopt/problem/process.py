@@ -102,6 +102,8 @@ class SweepingProcess(Displayed):
     0.5
     """
 
+    mesh_digest = ""  # what the unknowns of a scene belong to, which files of its runs name
+
     def __init__(
         self, A: Any, B: Any, C: AnySet, u0: Any, fields: dict[str, slice] | None = None
     ) -> None:
