@@ -111,51 +111,45 @@ class Yield:
         return sp.csc_array(E.T @ sp.diags_array(np.repeat(slopes, self.rows.block)) @ E)
 
 
-def dissipation(yields: Sequence[Yield], t: float = 0.0, u: Array | None = None) -> ConvexSet:
-    """``D(t, u) = sum_k E_k^T D_k(t, u)``, of one product of intervals, discs and ellipses.
+def dissipation(yields: Sequence[Yield]) -> Callable[..., ConvexSet]:
+    """(t, u) -> ``D = sum_k E_k^T D_k``: the image of a product of intervals, discs and ellipses.
 
-    Intervals on the same unknown are added, so that E selects unknowns. Beside discs or balls alone
-    they are those of a row and zeros, so that all have one dimension, as path "cones" asks for.
+    Beside discs or balls alone intervals are those of a row and zeros, so that all have one
+    dimension, as path "cones" asks for.
     """
-    parts: list[ConvexSet] = []
-    blocks: list[sp.csr_array] = []
     dims = {one.rows.block for one in yields} - {1}
-    if len(dims) == 1 and all(
-        one.shape == "ball" and one.metric is None and one.slopes is None for one in yields
-    ):
+    are_balls = all(one.shape == "ball" and one.metric is one.slopes is None for one in yields)
+    if alike := len(dims) == 1 and are_balls:
         (dim,) = dims
         first = sp.csr_array(np.eye(dim, 1))
         E = [sp.kron(one.rows.E, first) if one.rows.block == 1 else one.rows.E for one in yields]
-        balls = Balls(np.concatenate([one.at(t, u) for one in yields]), dim)
-        return image(sp.csc_array(sp.vstack(E).T), balls)
-    intervals = [one for one in yields if one.rows.block == 1]
-    if intervals:
-        E = sp.vstack([one.rows.E for one in intervals], format="csr")
-        ends = [_ends(one, t, u) for one in intervals]
-        lower, upper = (np.concatenate([pair[k] for pair in ends]) for k in (0, 1))
-        if E.nnz == E.shape[0] and (E.data == 1.0).all():  # it selects unknowns
-            _, first, group = np.unique(E.indices, return_index=True, return_inverse=True)
-            if first.size < E.shape[0]:
-                E = E[first]
-                lower, upper = (np.bincount(group, end) for end in (lower, upper))
-        blocks.append(E)
-        parts.append(Box(lower, upper))
-    for one in yields:
-        if one.rows.block == 1:
-            continue
-        blocks.append(one.rows.E)
-        radii = one.at(t, u)
-        if one.slopes is not None:
-            apex = np.zeros((radii.size, one.rows.block))
-            apex[:, 0] = radii
-            parts.append(apex.ravel() - SecondOrderCone(one.rows.block, one.slopes))
-        elif one.metric is None:
-            parts.append(Balls(radii, one.rows.block))
-        else:
-            centre = np.zeros(one.rows.block)
-            parts += [Ellipsoid(centre, r**2 * G) for r, G in zip(radii, one.metric, strict=True)]
-    part = parts[0] if len(parts) == 1 else product(*parts)
-    return image(sp.csc_array(sp.vstack(blocks).T), part)
+    else:
+        yields = sorted(yields, key=lambda one: one.rows.block > 1)  # intervals are one box
+        E = [one.rows.E for one in yields]
+    of_forces = sp.csc_array(sp.vstack(E).T)
+
+    def at(t: float = 0.0, u: Array | None = None) -> ConvexSet:
+        if alike:
+            balls = Balls(np.concatenate([one.at(t, u) for one in yields]), dim)
+            return image(of_forces, balls)
+        ends = [_ends(one, t, u) for one in yields if one.rows.block == 1]
+        parts: list[ConvexSet] = [Box(*np.hstack(ends))] if ends else []
+        for one in yields:
+            radii, block = one.at(t, u), one.rows.block
+            if block == 1:
+                continue
+            if one.slopes is not None:
+                parts.append(
+                    np.kron(radii, np.eye(1, block)[0]) - SecondOrderCone(block, one.slopes)
+                )
+            elif one.metric is None:
+                parts.append(Balls(radii, block))
+            else:
+                scaled = radii[:, None, None] ** 2 * one.metric
+                parts += [Ellipsoid(np.zeros(block), G) for G in scaled]
+        return image(of_forces, parts[0] if len(parts) == 1 else product(*parts))
+
+    return at
 
 
 def _ends(one: Yield, t: float, u: Array | None) -> tuple[Array, Array]:

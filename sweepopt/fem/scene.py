@@ -321,9 +321,8 @@ def build(
     title = settings["title"]
     if not isinstance(title, str) or not title.replace("\n", " ").isprintable():
         raise InputError(f"title must be text, got {shown(title)}; leave out control characters")
-    rubs = [one.on for one in effects.values() if isinstance(one, Friction)]
-    boundaries = space.mesh.boundaries or {}
-    turned = [name for on in rubs for name in on if name in boundaries]
+    rubbing = [name for one in effects.values() if isinstance(one, Friction) for name in one.on]
+    turned = [name for name in rubbing if name in (space.mesh.boundaries or {})]
     if turned and space.components > 1:
         space = space.with_turned(turned)
     effects = dict(zip(effects, with_elasticity(effects.values()), strict=True))
@@ -334,29 +333,18 @@ def build(
         if end > start:
             fields[label.removeprefix("effects.")] = slice(start, end)
     parts = _placed(space.dim, parts, size)
-    A, B = (_sum(parts, name) for name in "AB")
+    A, B = _sum(parts, "A"), _sum(parts, "B")
     loads = [load for part in parts for load in part.loads]
     lifts = tuple(part.lift for part in parts if part.lift is not None)
-    yields = [one for part in parts for one in part.yields]
-    if A is None and B is None:
-        raise InputError(
-            "effects must hold a viscosity, an elasticity, a dashpot or a foundation: "
-            "nothing resists a motion"
-        )
-    A = sp.csc_array((size, size)) if A is None else A
-    held = A if B is None else A + B
-    if (point := space.loose_point(held[: space.dim, : space.dim])) is not None:
-        raise InputError(
-            f"clamped: nothing holds the piece of the body with the point {point}, or "
-            "less than rounding; clamp part of every piece, hold components, or give it a "
-            "foundation or a dashpot (a must be coercive)"
-        )
+    yields = tuple(one for part in parts for one in part.yields)
+    _check_held(space, A, B)
     _check_together(space, effects, yields, lifts, internal=size > space.dim)
     loads += _lifted(space, effects, parts, lifts) if lifts else []
     force = _force(loads, size)
     if isinstance(u0, Initial):
         with at_path("initial"):
             u0 = u0.state(space, fields, size)
+    A = sp.csc_array((size, size)) if A is None else A
     problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
     problem.mesh_digest = space.digest
     terms = {
@@ -372,9 +360,26 @@ def build(
         left_out=tuple(sentence for sentence, present in terms.items() if not present),
         force=force,
         lifts=lifts,
-        yields=tuple(yields),
+        yields=yields,
         **settings,
     )
+
+
+def _check_held(space: Discretisation, A: Any, B: Any) -> None:
+    """Refuse a body of which a piece moves freely."""
+    matrices = [M for M in (A, B) if M is not None]
+    if not matrices:
+        raise InputError(
+            "effects must hold a viscosity, an elasticity, a dashpot or a foundation: "
+            "nothing resists a motion"
+        )
+    of_body = sum(M[: space.dim, : space.dim] for M in matrices)
+    if (point := space.loose_point(of_body)) is not None:
+        raise InputError(
+            f"clamped: nothing holds the piece of the body with the point {point}, or less than "
+            "rounding; clamp part of every piece, hold components, or give it a foundation or a "
+            "dashpot (a must be coercive)"
+        )
 
 
 def _check_together(
@@ -428,12 +433,13 @@ def _problem(
 ) -> EvolutionVI | SweepingProcess:
     """The variational inequality, or the process where bounds move."""
     slipping = [one.lipschitz for one in yields if one.slip is not None]
+    D: Any = dissipation(yields) if yields else None
     if not slipping and not any(callable(one.g) for one in yields):
-        D = dissipation(yields) if yields else None
+        D = D and D()
         return EvolutionVI(A, B, load=force, dissipation=D, u0=u0, fields=fields)
 
     def at(t: float, u: NDArray[np.float64] | None = None) -> ConvexSet:
-        C = -dissipation(yields, t, u)
+        C: ConvexSet = -D(t, u)
         return C if force is None else C + force(t)
 
     histories = [phi for one in yields for phi in one.histories]
