@@ -17,7 +17,15 @@ from sweepopt.checks import choice, listed, number
 from sweepopt.display import Displayed, Rows
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Contact, Yield, dissipation, merged
-from sweepopt.fem.effects import Contribution, Effect, Eigenstrain, Force, Friction
+from sweepopt.fem.effects import (
+    Contribution,
+    Effect,
+    Eigenstrain,
+    Force,
+    Friction,
+    released_matrices,
+    total,
+)
 from sweepopt.fem.initial import Initial
 from sweepopt.fem.plasticity import Plasticity, with_elasticity
 from sweepopt.fem.spaces import Discretisation
@@ -333,13 +341,13 @@ def build(
         if end > start:
             fields[label.removeprefix("effects.")] = slice(start, end)
     parts = _placed(space.dim, parts, size)
-    A, B = _sum(parts, "A"), _sum(parts, "B")
+    A, B = total(parts, "A"), total(parts, "B")
     loads = [load for part in parts for load in part.loads]
     lifts = tuple(part.lift for part in parts if part.lift is not None)
     yields = tuple(one for part in parts for one in part.yields)
     _check_held(space, A, B)
     _check_together(space, effects, yields, lifts, internal=size > space.dim)
-    loads += _lifted(space, effects, parts, lifts) if lifts else []
+    loads += _lifted(space, effects, lifts) if lifts else []
     force = _force(loads, size)
     if isinstance(u0, Initial):
         with at_path("initial"):
@@ -486,12 +494,6 @@ def _placed(dim: int, parts: Sequence[Contribution], size: int) -> list[Contribu
     return placed
 
 
-def _sum(parts: Sequence[Contribution], name: str) -> sp.csc_array | None:
-    """The sum of the effects' matrices."""
-    terms = [M for part in parts if (M := getattr(part, name)) is not None]
-    return sum(terms[1:], terms[0]) if terms else None
-
-
 class _Load(NamedTuple):
     """``sum_k phi_k(t) f_k(t)``, with the breakpoints of those phi_k that know them."""
 
@@ -537,25 +539,16 @@ class _Rate(NamedTuple):
 def _lifted(
     space: Discretisation,
     effects: Mapping[str, Effect],
-    parts: Sequence[Contribution],
     lifts: Sequence[tuple[History, NDArray[np.float64]]],
 ) -> list[Force]:
     """-A_fd d' and -B_fd d, by the matrices of the body with nothing held."""
-    free = space.released()
+    A, B = released_matrices(space, effects.values())
     terms: list[Force] = []
-    both = [
-        one.contribute(free)
-        for one, part in zip(effects.values(), parts, strict=True)
-        if part.A is not None or part.B is not None
-    ]
-    for name in "AB":
-        matrix = _sum(both, name)
-        if matrix is None:
-            continue
-        for history, d in lifts:
-            force = -np.asarray(space.restrict((matrix[: d.size, : d.size] @ d)[: d.size]))
-            phi: Any = _Rate(history) if name == "A" else history
-            terms.append((phi, force))
+    for history, d in lifts:
+        phi: Any
+        for phi, M in ((_Rate(history), A), (history, B)):
+            if M is not None:
+                terms.append((phi, -space.restrict(M @ d)))
     return terms
 
 
