@@ -315,7 +315,8 @@ def _move(
             grid, interrupted = run.grid, run.status is Status.INTERRUPTED
         watchers: list[Callable[[StepInfo], Any]] = []
         if grid.saving.path and not interrupted:
-            sink = NetCDFSink(grid.saving.path, float(grid.times[0]), process.u0)
+            start = float(grid.times[0]), process.u0, process.mesh_digest
+            sink = NetCDFSink(grid.saving.path, *start)
             watchers.append(sink.put)
         if record := grid.saving.function:
             watchers.append(lambda step: recorded.append(record(step.t, step.u, step.velocity)))

@@ -237,6 +237,9 @@ def test_friction_follows_its_law_of_the_slip_at_every_node(block: int) -> None:
     assert bound.min() < 0.9 * slip.contact.bound.min()
     assert np.allclose(force[slips], bound[slips], rtol=1e-6)
     assert (force <= bound * (1 + 1e-6)).all()
+    # what pictures show
+    assert np.allclose(slip.bound, bound, rtol=1e-9)
+    assert np.allclose(abs(slip.use[slips]), 1.0, rtol=1e-6)
 
 
 T = [0.0, 0.37, 1.13, 1.71, 2.0]
@@ -350,6 +353,33 @@ def test_a_run_of_a_body_with_internal_unknowns_needs_all_of_them(tmp_path: Path
         InputError, match=r"144 unknowns of u, maxwell, the scene 144 of u, maxwell.branch"
     ):
         read_scene("square", changes=start | {"effects": _named_branch()})
+
+
+def test_a_run_of_the_command_has_internal_unknowns_and_other_meshes_are_refused(
+    tmp_path: Path,
+) -> None:
+    options = [
+        "--no-progress",
+        "--out",
+        str(tmp_path),
+        "--set",
+        "effects.maxwell={tau=0.5, kappa=1}",
+    ]
+    assert cli.main(["run", "square", *options, "--steps", "20"]) == 0
+    branch = {"effects.maxwell": {"tau": 0.5, "kappa": 1.0}}
+    start = {"initial": {"run": str(tmp_path)}}
+    scene = read_scene("square", changes=branch | start)
+    assert np.array_equal(
+        scene.problem.u0, read_scene("square", changes=branch).solve(steps=20).u[-1]
+    )
+    with pytest.raises(InputError, match="has internal unknowns of maxwell, the scene of none"):
+        read_scene("square", changes=start)
+    scene.solve(t_end=1.0, steps=2, save=tmp_path / "run.nc")
+    narrow = {"sizes": [1.0, 0.5], "cells": [8, 8]}
+    sheet = {"domain.mesh": narrow, "domain.refinements": 0, "effects.friction.g": 0.0}
+    start = {"initial": {"run": str(tmp_path / "run.nc")}}
+    with pytest.raises(InputError, match=r"run.nc is of another mesh"):
+        read_scene("square", changes=branch | sheet | start)
 
 
 def _named_branch() -> dict[str, Any]:

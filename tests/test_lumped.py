@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 
 import sweepopt as so
 from sweepopt.fem import (
@@ -194,6 +196,16 @@ def test_the_map_of_slip_has_sticking_blocks_white() -> None:
     shown = np.ma.asarray(figure.axes[0].collections[0].get_array()).reshape(20, 40)
     assert report.slip is not None
     assert np.array_equal(np.ma.getmaskarray(shown), report.slip.state.T == 0)
+
+
+def test_the_displacement_of_a_chain_is_a_curve_that_can_be_animated(tmp_path: Path) -> None:
+    scene = read_scene(chain_data(20, 2.0, 10))
+    solution = scene.solve()
+    figure = scene.plot(solution, "displacement")
+    end = figure.axes[len(figure.axes) - 2].lines[0].get_xydata()
+    assert np.array_equal(end[:, 1], scene.displacement(solution)[-1])
+    with Image.open(scene.animate(solution, tmp_path / "chain.gif", "displacement")) as shown:
+        assert shown.n_frames == 11
 
 
 @pytest.mark.slow

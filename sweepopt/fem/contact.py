@@ -10,7 +10,7 @@ and the forces on the face of a sheet. Tested with the basis function of node k 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -112,51 +112,45 @@ class Yield(Brief):
         return sp.csc_array(E.T @ sp.diags_array(np.repeat(slopes, self.rows.block)) @ E)
 
 
-def dissipation(yields: Sequence[Yield], t: float = 0.0, u: Array | None = None) -> ConvexSet:
-    """``D(t, u) = sum_k E_k^T D_k(t, u)``, of one product of intervals, discs and ellipses.
+def dissipation(yields: Sequence[Yield]) -> Callable[..., ConvexSet]:
+    """(t, u) -> ``D = sum_k E_k^T D_k``: the image of a product of intervals, discs and ellipses.
 
-    Intervals on the same unknown are added, so that E selects unknowns. Beside discs or balls alone
-    they are those of a row and zeros, so that all have one dimension, as path "cones" asks for.
+    Beside discs or balls alone intervals are those of a row and zeros, so that all have one
+    dimension, as path "cones" asks for.
     """
-    parts: list[ConvexSet] = []
-    blocks: list[sp.csr_array] = []
     dims = {one.rows.block for one in yields} - {1}
-    if len(dims) == 1 and all(
-        one.shape == "ball" and one.metric is None and one.slopes is None for one in yields
-    ):
+    are_balls = all(one.shape == "ball" and one.metric is one.slopes is None for one in yields)
+    if alike := len(dims) == 1 and are_balls:
         (dim,) = dims
         first = sp.csr_array(np.eye(dim, 1))
         E = [sp.kron(one.rows.E, first) if one.rows.block == 1 else one.rows.E for one in yields]
-        balls = Balls(np.concatenate([one.at(t, u) for one in yields]), dim)
-        return image(sp.csc_array(sp.vstack(E).T), balls)
-    intervals = [one for one in yields if one.rows.block == 1]
-    if intervals:
-        E = sp.vstack([one.rows.E for one in intervals], format="csr")
-        ends = [_ends(one, t, u) for one in intervals]
-        lower, upper = (np.concatenate([pair[k] for pair in ends]) for k in (0, 1))
-        if E.nnz == E.shape[0] and (E.data == 1.0).all():  # it selects unknowns
-            _, first, group = np.unique(E.indices, return_index=True, return_inverse=True)
-            if first.size < E.shape[0]:
-                E = E[first]
-                lower, upper = (np.bincount(group, end) for end in (lower, upper))
-        blocks.append(E)
-        parts.append(Box(lower, upper))
-    for one in yields:
-        if one.rows.block == 1:
-            continue
-        blocks.append(one.rows.E)
-        radii = one.at(t, u)
-        if one.slopes is not None:
-            apex = np.zeros((radii.size, one.rows.block))
-            apex[:, 0] = radii
-            parts.append(apex.ravel() - SecondOrderCone(one.rows.block, one.slopes))
-        elif one.metric is None:
-            parts.append(Balls(radii, one.rows.block))
-        else:
-            centre = np.zeros(one.rows.block)
-            parts += [Ellipsoid(centre, r**2 * G) for r, G in zip(radii, one.metric, strict=True)]
-    part = parts[0] if len(parts) == 1 else product(*parts)
-    return image(sp.csc_array(sp.vstack(blocks).T), part)
+    else:
+        yields = sorted(yields, key=lambda one: one.rows.block > 1)  # intervals are one box
+        E = [one.rows.E for one in yields]
+    of_forces = sp.csc_array(sp.vstack(E).T)
+
+    def at(t: float = 0.0, u: Array | None = None) -> ConvexSet:
+        if alike:
+            balls = Balls(np.concatenate([one.at(t, u) for one in yields]), dim)
+            return image(of_forces, balls)
+        ends = [_ends(one, t, u) for one in yields if one.rows.block == 1]
+        parts: list[ConvexSet] = [Box(*np.hstack(ends))] if ends else []
+        for one in yields:
+            radii, block = one.at(t, u), one.rows.block
+            if block == 1:
+                continue
+            if one.slopes is not None:
+                parts.append(
+                    np.kron(radii, np.eye(1, block)[0]) - SecondOrderCone(block, one.slopes)
+                )
+            elif one.metric is None:
+                parts.append(Balls(radii, block))
+            else:
+                scaled = radii[:, None, None] ** 2 * one.metric
+                parts += [Ellipsoid(np.zeros(block), G) for G in scaled]
+        return image(of_forces, parts[0] if len(parts) == 1 else product(*parts))
+
+    return at
 
 
 def _ends(one: Yield, t: float, u: Array | None) -> tuple[Array, Array]:
@@ -435,6 +429,8 @@ class Slip:
         Exactly 0.0 where a node sticks.
     traction : ndarray, shape (n, m) or (n, m, components)
         q_k, against the velocity.
+    bound : ndarray, shape (n, m)
+        g_k at these times and states, which a law of the slip or a bound that moves changes.
     """
 
     contact: Contact
@@ -443,6 +439,13 @@ class Slip:
     displacement: Array
     velocity: Array
     traction: Array
+    bound: Array
+
+    @cached_property
+    def use(self) -> Array:
+        """Share of the bound that the traction takes, with its sign where it has one, (n, m)."""
+        q = self.traction if self.traction.ndim == 2 else np.linalg.norm(self.traction, axis=2)
+        return np.divide(q, self.bound, out=np.zeros_like(q), where=self.bound > 0)
 
     @cached_property
     def state(self) -> NDArray[np.int8]:
@@ -501,14 +504,11 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     mu = np.diff(solution.t)
     stage_t = solution.t[:-1] + np.dot(scheme.b, scheme.c) * mu
     implicit = np.dot(scheme.b, [sum(row) for row in scheme.a])
-    force = np.array(
-        [
-            contact.of(process.A @ z + process.times_B(u + implicit * h * z) - scene.load(t))
-            for t, h, u, z in zip(
-                stage_t.tolist(), mu, solution.u[:-1], solution.velocity, strict=True
-            )
-        ]
-    )
+    force, bound = [], []
+    for t, h, u, z in zip(stage_t.tolist(), mu, solution.u[:-1], solution.velocity, strict=True):
+        u = u + implicit * h * z
+        force.append(contact.of(process.A @ z + process.times_B(u) - scene.load(t)))
+        bound.append(_bounds(contact, scene.yields, t, u))
     return Slip(
         contact=contact,
         t=solution.t,
@@ -516,4 +516,18 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
         displacement=contact.of(solution.u),
         velocity=contact.of(solution.velocity),
         traction=force / contact.weight.reshape((-1,) + (1,) * (contact.unknown.ndim - 1)),
+        bound=np.array(bound),
     )
+
+
+def _bounds(contact: Contact, yields: Sequence[Yield], t: float, u: Array) -> Array:
+    """g_k of all nodes with friction at a time and a state, shape (m,)."""
+    if not any(callable(one.g) or one.slip for one in yields if one.contact):
+        return contact.bound
+    parts = [
+        replace(one.contact, bound=one.at(t, u) / one.contact.weight)
+        for one in yields
+        if one.contact
+    ]
+    both = merged(parts)
+    return contact.bound if both is None else both.bound

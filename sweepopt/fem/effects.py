@@ -20,7 +20,7 @@ length across. Other bodies have what is left after integrating across them:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
@@ -84,6 +84,20 @@ class Effect(Protocol):
     def contribute(self, body: Discretisation) -> Contribution:
         """The effect's matrices, terms of the load or rows that yield, on a body."""
         ...
+
+
+def total(parts: Sequence[Contribution], name: str) -> sp.csc_array | None:
+    """The sum of the effects' matrices."""
+    terms = [M for part in parts if (M := getattr(part, name)) is not None]
+    return sum(terms[1:], terms[0]) if terms else None
+
+
+def released_matrices(space: Discretisation, effects: Iterable[Effect]) -> tuple[Any, Any]:
+    """A and B of all degrees of freedom, of the body with nothing held or turned."""
+    own = [(one, one.contribute(space)) for one in effects]
+    free = space.released()
+    parts = [one.contribute(free) for one, part in own if part.A is not None or part.B is not None]
+    return total(parts, "A"), total(parts, "B")
 
 
 class Record:
@@ -743,7 +757,8 @@ class MaxwellBranch:
         self._spring()
 
     def _spring(self) -> Elasticity:
-        return Elasticity(self.kappa, self.E, self.nu, self.lam, self.mu, self.tensor)
+        _, *moduli = vars(self).values()
+        return Elasticity(*moduli)
 
     def contribute(self, body: Discretisation) -> Contribution:
         """Matrices of u and w; none if the moduli are zero everywhere."""

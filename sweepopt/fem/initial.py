@@ -31,9 +31,8 @@ class Initial(Record):
         Displacement (m) at the start; of vectors a list, one for each of x, y and z. What is held
         stays where it is held, internal unknowns start at zero.
     run : str or Path, optional
-        Instead of u: a NetCDF file whose last state is taken. One of ``save="run.nc"`` or
-        `Solution.to_xarray` has all unknowns; the ``solution.nc`` of ``sweepopt run``, or its
-        folder, has displacements and is for bodies without internal unknowns.
+        Instead of u: a NetCDF file whose last state is taken: the ``solution.nc`` of ``sweepopt
+        run``, or its folder, or one of ``save="run.nc"`` or `Solution.to_xarray`.
 
     Raises
     ------
@@ -77,21 +76,27 @@ def _last_state(
 ) -> NDArray[np.float64]:
     """The last state of a file, put into u0."""
     path = path / "solution.nc" if path.is_dir() else path
+    names = "u", "field", "mesh_digest", "displacement", "internal", "internal_field", *AXES
     try:
-        run = last_state(path, "u", "field", "displacement", *AXES)
+        run = last_state(path, *names)
     except InputError as error:
         raise InputError(f"run: {error}") from error
+    labels = np.full(u0.size, "", dtype=object)
+    for name, part in fields.items():
+        labels[part] = name
     if "u" in run:
-        labels = np.full(u0.size, "", dtype=object)
-        for name, part in fields.items():
-            labels[part] = name
-        last, names = run["u"], run.get("field")
-        if last.shape != u0.shape or not (names is None or np.array_equal(names, labels)):
+        last, found = run["u"], run.get("field")
+        if last.shape != u0.shape or not (found is None or np.array_equal(found, labels)):
             raise InputError(
-                f"run: {path} has {last.size} unknowns of {_fields(names)}, the scene {u0.size} of "
+                f"run: {path} has {last.size} unknowns of {_fields(found)}, the scene {u0.size} of "
                 f"{_fields(labels)}; take a run of the same body and effects"
             )
-        return last
+        if run.get("mesh_digest") not in (None, "", space.digest):
+            raise InputError(
+                f"run: {path} is of another mesh, or has other components held or turned; take the "
+                "solution.nc of sweepopt run, or a run of this body"
+            )
+        return np.asarray(last)
     points, last = [run[axis] for axis in AXES if axis in run], run.get("displacement", u0[:0])
     nodes = space.points.T
     if np.shape(points) != nodes.shape or not np.allclose(
@@ -100,15 +105,17 @@ def _last_state(
         raise InputError(f"run: {path} has the nodes of another mesh; take a run of this body")
     if np.shape(last) != space.expand(u0[: space.dim]).shape:
         raise InputError(f"run: {path} has displacements of another kind of body than {space.kind}")
-    if u0.size > space.dim:
+    internal, found = run.get("internal", u0[:0]), run.get("internal_field", labels[:0])
+    if not np.array_equal(found, labels[space.dim :]):
         raise InputError(
-            f"run: {path} has displacements only, and not {', '.join(list(fields)[1:])}; keep all "
-            'unknowns, with save="run.nc" of the solution, to go on from there'
+            f"run: {path} has internal unknowns of {_fields(found)}, the scene of "
+            f"{_fields(labels[space.dim :])}; take a run of the same effects"
         )
-    u0[:] = space.interpolate(last if space.components == 1 else list(last.T))
+    u0[: space.dim] = space.interpolate(last if space.components == 1 else list(last.T))
+    u0[space.dim :] = internal
     return u0
 
 
 def _fields(names: Any) -> str:
     """The fields in an array of names of unknowns."""
-    return "no fields" if names is None else ", ".join(dict.fromkeys(map(str, names)))
+    return "none" if names is None else ", ".join(dict.fromkeys(map(str, names))) or "none"

@@ -179,6 +179,15 @@ def write_summary(report: Report, folder: Path, files: Sequence[str]) -> None:
             path.unlink()
 
 
+Variables = dict[str, tuple[str, str, Any, str]]
+"""Dimensions, quantity, values and description of what a run's file adds to the solution's own."""
+ENERGIES = {
+    "stored": "change of elastic energy",
+    "viscous": "lost to viscosity",
+    "friction": "lost to friction",
+    "work": "work of the loads",
+}
+INTERNAL = "internal unknowns at the end of the run, such as plastic strains"
 PLASTIC = "sqrt(2/3) |p| of the plastic strain p, its mean in each cell of the mesh"
 FIELD = {"mesh": "mesh", "location": "node"}
 ATTRIBUTES: dict[str, dict[str, Any]] = {
@@ -205,57 +214,58 @@ def dataset_of(report: Report) -> xr.Dataset:
 
     Dimensions are time, step, node (clamped ones too), triangle, corner and contact.
     """
-    scene, solution, slip, energy = report.scene, report.solution, report.slip, report.energy
-    body, units = scene.discretisation, report.units
-    # dimensions, quantity, values and description of what is added to the solution's own
-    u, velocity = scene.displacement(solution), scene.velocity(solution)
-    vector = " component" if body.components > 1 else ""
-    of_what = "" if vector else " out of the plane"
-    rows: dict[str, tuple[str, str, Any, str]] = {
-        "displacement": (f"time node{vector}", "length", u, f"displacement{of_what}"),
-        "velocity": (
-            f"step node{vector}",
-            "velocity",
-            velocity,
-            f"velocity{of_what} in each step",
-        ),
-        "mesh": ("", "", np.int32(0), "mesh of triangles; a quadratic element counts as four"),
-        "triangles": ("triangle corner", "", np.int32(body.triangles), "nodes of each triangle"),
-        **{
-            axis: ("node", "length", place, f"{axis} coordinate of the node")
-            for axis, place in zip("xyz", body.points.T, strict=False)
-        },
-        "energy_stored": ("time", "energy", energy.stored, "change of elastic energy, per length"),
-        "energy_viscous": ("time", "energy", energy.viscous, "lost to viscosity, per length"),
-        "energy_friction": ("time", "energy", energy.friction, "lost to friction, per length"),
-        "energy_work": ("time", "energy", energy.work, "work of the loads, per length"),
+    scene, solution, units = report.scene, report.solution, report.units
+    rows = _of_mesh(report) | {
+        f"energy_{name}": ("time", "energy", getattr(report.energy, name), words)
+        for name, words in ENERGIES.items()
     }
-    if not body.triangles.size:  # a bar has no faces
-        del rows["mesh"], rows["triangles"]
-    if slip is not None:
-        rows |= _of_contact(slip)
+    if report.slip is not None:
+        rows |= _of_contact(report.slip)
     if (strain := scene.plastic_strain(solution)) is not None:
         rows["plastic_strain"] = "time cell", "", strain, PLASTIC
-    run = solution.to_xarray().drop_dims("unknown")
+    of_all, dim = solution.to_xarray(), scene.discretisation.dim
+    run = of_all.drop_dims("unknown")
+    if dim < of_all.unknown.size:
+        rows["internal"] = "internal_unknown", "", solution.u[-1, dim:], INTERNAL
+        names = of_all.field.values[dim:]
+        rows["internal_field"] = "internal_unknown", "", names, "field of the internal unknown"
     for name, (dims, quantity, values, words) in rows.items():
         attributes = {"long_name": words, "units": units.get(quantity, "1")}
         more = ATTRIBUTES.get(name, {})
-        if more is FIELD and "mesh" not in rows:
-            more = {}
-        run[name] = dims.split(), values, attributes | more
+        if more is not FIELD or "mesh" in rows:
+            attributes |= more
+        run[name] = dims.split(), values, attributes
     for name in ("time", "certificate", "viability"):
         run[name].attrs["units"] = units[name]
     run.step_end.attrs["units"] = units["time"]
     coordinates = {"x", "y", "z", "contact_node", "boundary", "arc_length"} & set(run)
     return run.set_coords(coordinates).assign_attrs(
-        title=scene.title or report.name or "An antiplane problem",
+        title=scene.title or report.name or "A body with friction",
         Conventions="CF-1.11 UGRID-1.0",
         scene=report.text,
         units_of_the_scene=scene.units,
     )
 
 
-def _of_contact(slip: Slip) -> dict[str, tuple[str, str, Any, str]]:
+def _of_mesh(report: Report) -> Variables:
+    """Fields at the nodes, and where these are."""
+    scene, body = report.scene, report.scene.discretisation
+    u, velocity = scene.displacement(report.solution), scene.velocity(report.solution)
+    vector = " component" if body.components > 1 else ""
+    rows: Variables = {
+        "displacement": (f"time node{vector}", "length", u, "displacement"),
+        "velocity": (f"step node{vector}", "velocity", velocity, "velocity in each step"),
+        "mesh": ("", "", np.int32(0), "mesh of triangles; a quadratic element counts as four"),
+        "triangles": ("triangle corner", "", np.int32(body.triangles), "nodes of each triangle"),
+    }
+    if not body.triangles.size:  # a bar has no faces
+        del rows["mesh"], rows["triangles"]
+    for axis, place in zip("xyz", body.points.T, strict=False):
+        rows[axis] = "node", "length", place, f"{axis} coordinate of the node"
+    return rows
+
+
+def _of_contact(slip: Slip) -> Variables:
     """What `dataset_of` adds for the nodes with friction."""
     contact, names = slip.contact, slip.contact.boundary.astype(object)
     along = " component" if contact.unknown.ndim > 1 else ""

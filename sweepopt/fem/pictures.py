@@ -11,7 +11,7 @@ import numpy as np
 from sweepopt.checks import choice
 from sweepopt.errors import InputError
 from sweepopt.fem import snapshots
-from sweepopt.fem.effects import Foundation, YieldStress
+from sweepopt.fem.effects import Foundation, YieldStress, released_matrices
 from sweepopt.fem.output import Report
 from sweepopt.fem.snapshots import between, colours_of, legend_of, show_units, states_of
 from sweepopt.io import writable
@@ -35,7 +35,7 @@ def refusal(scene: Scene, name: str) -> str:
     plastic = any(part.rows.cells is not None for part in scene.yields)
     flows = any(isinstance(effect, YieldStress) for effect in scene.effects)
     needs = {
-        "displacement": (dimension == 2, "a body in the plane"),
+        "displacement": (dimension < 3, "a body in the plane or along a line"),
         "surface": (dimension == 3, "a solid"),
         "flow": (dimension == 2 and flows, "a section with a yield stress"),
         "yielding": (dimension == 2 and plastic, "a body in the plane with plasticity"),
@@ -127,8 +127,7 @@ def contact(report: Report) -> Any:
     for node, look in zip(nodes, LOOKS, strict=False):
         zone.axhline(arc[node], lw=2.6, color="white")
         zone.axhline(arc[node], lw=1.4, **look)
-        share = slip.traction[:, node] / slip.contact.bound[node]
-        traction.plot(slip.stage_t, share, lw=1.5, **look)
+        traction.plot(slip.stage_t, slip.use[:, node], lw=1.5, **look)
     metre, names = report.suffix("length"), slip.contact.boundary
     places = [f"{names[node]}, {arc[node]:.3g}{metre}" for node in nodes]
     draw_histories(moved, slip.t, slip.displacement[:, nodes], slip.state[:, nodes] == 0, places)
@@ -237,22 +236,16 @@ def loops(scene: Scene, solution: Solution) -> list[tuple[Array, Array, tuple[st
     return [(u @ along, load, ("mean displacement along the load", "load"))]
 
 
-def _reaction(scene: Scene, solution: Solution, d: Array) -> Array:
+def _reaction(scene: Scene, solution: Solution, d: Array) -> Any:
     """<d, A u' + B u> at the times, with u at all nodes."""
-    free = scene.discretisation.released()
-    rate = scene.velocity(solution)
-    motions = {"A": np.concatenate([rate[:1], rate]), "B": scene.displacement(solution)}
-    force = np.zeros(len(solution.t))
-    for effect in scene.effects:
-        own = effect.contribute(scene.discretisation)
-        if own.A is None and own.B is None:
-            continue
-        part = effect.contribute(free)
-        for name, motion in motions.items():
-            if (matrix := getattr(part, name)) is not None:
-                row = (matrix @ d)[free.nodes.T]
-                force += motion.reshape(len(force), -1) @ row.ravel()
-    return force
+    body, rate = scene.discretisation, scene.velocity(solution)
+    motions = np.concatenate([rate[:1], rate]), scene.displacement(solution)
+    rows = [M if M is None else M @ d for M in released_matrices(body, scene.effects)]
+    return sum(
+        motion.reshape(len(motion), -1) @ row[body.nodes.T].ravel()
+        for motion, row in zip(motions, rows, strict=True)
+        if row is not None
+    )
 
 
 def _named(panel: Any, label: str) -> None:

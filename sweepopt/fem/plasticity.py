@@ -37,8 +37,8 @@ Array = NDArray[np.float64]
 
 COEFFICIENTS = tuple(Coefficient(name, 0.0) for name in ("sigma_y", "Hk", "Hi", "eta"))
 LEAST = 1e-7
-"""Of 2 mu: with hardening of 6e-8 of it rounding makes B of the plate scene indefinite, and with 9e-9
-a step of the ring takes minutes."""
+"""Of 2 mu: with 6e-8 of it B of the plate is indefinite by rounding, with 9e-9 a step of the ring
+takes minutes."""
 ZZ = -2 / np.sqrt(6)  # of e_zz in the second deviator
 
 

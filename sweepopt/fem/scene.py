@@ -17,7 +17,15 @@ from sweepopt.checks import choice, listed, number
 from sweepopt.display import Displayed, Rows, svg
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import Contact, Yield, dissipation, merged
-from sweepopt.fem.effects import Contribution, Effect, Eigenstrain, Force, Friction
+from sweepopt.fem.effects import (
+    Contribution,
+    Effect,
+    Eigenstrain,
+    Force,
+    Friction,
+    released_matrices,
+    total,
+)
 from sweepopt.fem.initial import Initial
 from sweepopt.fem.plasticity import Plasticity, with_elasticity
 from sweepopt.fem.spaces import Discretisation
@@ -210,7 +218,14 @@ def antiplane(
     effects: Sequence[Effect],
     element: str = "P1",
     refinements: int = 0,
-    **settings: Any,
+    u0: ArrayLike | Initial | None = None,
+    t_end: float | None = None,
+    steps: int | None = None,
+    scheme: str = "auto",
+    solver: str = "auto",
+    tol: float = 1e-6,
+    units: str = "dimensionless",
+    title: str = "",
 ) -> Scene:
     """Antiplane shear of a section: u(x, t) is the displacement out of its plane.
 
@@ -225,8 +240,8 @@ def antiplane(
     element : {"P1", "P2"}
     refinements : int
         How often each triangle of the mesh is divided into four.
-    **settings
-        u0, t_end, steps, scheme, solver, tol, units, title: as for `body`.
+    u0, t_end, steps, scheme, solver, tol, units, title
+        As for `body`.
 
     Returns
     -------
@@ -251,7 +266,7 @@ def antiplane(
     ('no elasticity: B is not formed', 'no load: f = 0')
     """
     space = Discretisation(mesh, clamped, element, refinements)
-    return body(space, effects, **settings)
+    return body(space, effects, u0, t_end, steps, scheme, solver, tol, units, title)
 
 
 def body(
@@ -321,9 +336,8 @@ def build(
     title = settings["title"]
     if not isinstance(title, str) or not title.replace("\n", " ").isprintable():
         raise InputError(f"title must be text, got {shown(title)}; leave out control characters")
-    rubs = [one.on for one in effects.values() if isinstance(one, Friction)]
-    boundaries = space.mesh.boundaries or {}
-    turned = [name for on in rubs for name in on if name in boundaries]
+    rubbing = [name for one in effects.values() if isinstance(one, Friction) for name in one.on]
+    turned = [name for name in rubbing if name in (space.mesh.boundaries or {})]
     if turned and space.components > 1:
         space = space.with_turned(turned)
     effects = dict(zip(effects, with_elasticity(effects.values()), strict=True))
@@ -334,30 +348,20 @@ def build(
         if end > start:
             fields[label.removeprefix("effects.")] = slice(start, end)
     parts = _placed(space.dim, parts, size)
-    A, B = (_sum(parts, name) for name in "AB")
+    A, B = total(parts, "A"), total(parts, "B")
     loads = [load for part in parts for load in part.loads]
     lifts = tuple(part.lift for part in parts if part.lift is not None)
-    yields = [one for part in parts for one in part.yields]
-    if A is None and B is None:
-        raise InputError(
-            "effects must hold a viscosity, an elasticity, a dashpot or a foundation: "
-            "nothing resists a motion"
-        )
-    A = sp.csc_array((size, size)) if A is None else A
-    held = A if B is None else A + B
-    if (point := space.loose_point(held[: space.dim, : space.dim])) is not None:
-        raise InputError(
-            f"clamped: nothing holds the piece of the body with the point {point}, or "
-            "less than rounding; clamp part of every piece, hold components, or give it a "
-            "foundation or a dashpot (a must be coercive)"
-        )
+    yields = tuple(one for part in parts for one in part.yields)
+    _check_held(space, A, B)
     _check_together(space, effects, yields, lifts, internal=size > space.dim)
-    loads += _lifted(space, effects, parts, lifts) if lifts else []
+    loads += _lifted(space, effects, lifts) if lifts else []
     force = _force(loads, size)
     if isinstance(u0, Initial):
         with at_path("initial"):
             u0 = u0.state(space, fields, size)
+    A = sp.csc_array((size, size)) if A is None else A
     problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
+    problem.mesh_digest = space.digest
     terms = {
         "no elasticity: B is not formed": B is not None,
         "no friction: J is not formed": yields,
@@ -371,9 +375,26 @@ def build(
         left_out=tuple(sentence for sentence, present in terms.items() if not present),
         force=force,
         lifts=lifts,
-        yields=tuple(yields),
+        yields=yields,
         **settings,
     )
+
+
+def _check_held(space: Discretisation, A: Any, B: Any) -> None:
+    """Refuse a body of which a piece moves freely."""
+    matrices = [M for M in (A, B) if M is not None]
+    if not matrices:
+        raise InputError(
+            "effects must hold a viscosity, an elasticity, a dashpot or a foundation: "
+            "nothing resists a motion"
+        )
+    of_body = sum(M[: space.dim, : space.dim] for M in matrices)
+    if (point := space.loose_point(of_body)) is not None:
+        raise InputError(
+            f"clamped: nothing holds the piece of the body with the point {point}, or less than "
+            "rounding; clamp part of every piece, hold components, or give it a foundation or a "
+            "dashpot (a must be coercive)"
+        )
 
 
 def _check_together(
@@ -427,12 +448,13 @@ def _problem(
 ) -> EvolutionVI | SweepingProcess:
     """The variational inequality, or the process where bounds move."""
     slipping = [one.lipschitz for one in yields if one.slip is not None]
+    D: Any = dissipation(yields) if yields else None
     if not slipping and not any(callable(one.g) for one in yields):
-        D = dissipation(yields) if yields else None
+        D = D and D()
         return EvolutionVI(A, B, load=force, dissipation=D, u0=u0, fields=fields)
 
     def at(t: float, u: NDArray[np.float64] | None = None) -> ConvexSet:
-        C = -dissipation(yields, t, u)
+        C: ConvexSet = -D(t, u)
         return C if force is None else C + force(t)
 
     histories = [phi for one in yields for phi in one.histories]
@@ -477,12 +499,6 @@ def _placed(dim: int, parts: Sequence[Contribution], size: int) -> list[Contribu
         ]
         placed.append(replace(part, A=A, B=B, yields=yields))
     return placed
-
-
-def _sum(parts: Sequence[Contribution], name: str) -> sp.csc_array | None:
-    """The sum of the effects' matrices."""
-    terms = [M for part in parts if (M := getattr(part, name)) is not None]
-    return sum(terms[1:], terms[0]) if terms else None
 
 
 class _Load(NamedTuple):
@@ -530,25 +546,16 @@ class _Rate(NamedTuple):
 def _lifted(
     space: Discretisation,
     effects: Mapping[str, Effect],
-    parts: Sequence[Contribution],
     lifts: Sequence[tuple[History, NDArray[np.float64]]],
 ) -> list[Force]:
     """-A_fd d' and -B_fd d, by the matrices of the body with nothing held."""
-    free = space.released()
+    A, B = released_matrices(space, effects.values())
     terms: list[Force] = []
-    both = [
-        one.contribute(free)
-        for one, part in zip(effects.values(), parts, strict=True)
-        if part.A is not None or part.B is not None
-    ]
-    for name in "AB":
-        matrix = _sum(both, name)
-        if matrix is None:
-            continue
-        for history, d in lifts:
-            force = -np.asarray(space.restrict((matrix[: d.size, : d.size] @ d)[: d.size]))
-            phi: Any = _Rate(history) if name == "A" else history
-            terms.append((phi, force))
+    for history, d in lifts:
+        phi: Any
+        for phi, M in ((_Rate(history), A), (history, B)):
+            if M is not None:
+                terms.append((phi, -space.restrict(M @ d)))
     return terms
 
 

@@ -33,9 +33,9 @@ class Snapshots(NamedTuple):
     ----------
     values : ndarray, shape (n+1, ...)
         Of which the extremes are shown.
-    draw : callable (panel, i) -> what the bar of colours belongs to
+    draw : callable (panel, i) -> what the bar of colours belongs to, if there is one
     points : ndarray, shape (N, d)
-        What is drawn lies in their box.
+        What is drawn lies in their box; over a line it is a curve, with the label beside it.
     label, quantity : str
         Of the bar, and whose units it has.
     history : tuple of (ndarray of shape (n+1,), str)
@@ -119,6 +119,8 @@ def displacement(report: Report) -> Snapshots:
     """The displacement of a body in the plane, and where it slips."""
     body = report.scene.discretisation
     u, label = _lengths(report.scene.displacement(report.solution), body.components)
+    if body.mesh.dim() == 1:
+        return _along_a_line(report, u, label)
     edges = body.points[body.facet_nodes(body.mesh.boundary_facets()).T]
     outline = np.pad(edges, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan).reshape(-1, 2)
     look = SMOOTH | colours_of(u)
@@ -129,6 +131,20 @@ def displacement(report: Report) -> Snapshots:
         return panel.tripcolor(*body.points.T, body.triangles, u[i], **look)
 
     return Snapshots(u, draw, body.points, label, "length", *_slip_history(report, u))
+
+
+def _along_a_line(report: Report, u: Array, label: str) -> Snapshots:
+    """The displacement of a bar or of a chain over x."""
+    x = report.scene.discretisation.points[:, 0]
+    order, edge = np.argsort(x), 0.08 * (np.ptp(u) or 1.0)
+
+    def draw(panel: Any, i: int) -> None:
+        panel.plot(x[order], u[i, order], color="black", lw=1.0, zorder=1)
+        _mark(report, panel, i, np.column_stack([x, u[i]]))
+        panel.set_ylim(u.min() - edge, u.max() + edge)
+        show_units(report, "length", panel.yaxis)
+
+    return Snapshots(u, draw, x[:, None], label, "length", *_slip_history(report, u))
 
 
 def surface(report: Report) -> Snapshots:
@@ -206,18 +222,16 @@ def arrows(report: Report) -> Snapshots:
     slip = report.slip
     assert slip is not None
     plane = np.sort(np.argsort(-np.ptp(slip.contact.points, axis=0), kind="stable")[:2])
-    x, bound = slip.contact.points[:, plane], slip.contact.bound
+    x, use = slip.contact.points[:, plane], _by_ends(slip.use)
     speed = _by_ends(slip.speed)
     velocity = _by_ends(report.scene.velocity(report.solution)[:, slip.contact.node][..., plane])
     scale = (speed.max() or 1.0) / (0.08 * np.ptp(x[:, 0]))
-    force = _by_ends(np.linalg.norm(slip.traction, axis=2))
-    ratio = np.divide(force, bound, out=np.zeros_like(force), where=bound > 0)
     look = {"angles": "xy", "scale_units": "xy", "scale": scale, "width": 0.003}
 
     def draw(panel: Any, i: int) -> Any:
         moves = speed[i] > 0
         panel.quiver(*x[moves].T, *velocity[i, moves].T, **look)
-        return panel.scatter(*x.T, c=ratio[i], s=14, vmin=0.0, vmax=1.0, cmap="viridis")
+        return panel.scatter(*x.T, c=use[i], s=14, vmin=0.0, vmax=1.0, cmap="viridis")
 
     label, axes = "friction traction / bound", "".join("xyz"[k] for k in plane)
     return Snapshots(speed, draw, x, label, "", _slip_history(report, speed)[0], axes=axes)
@@ -316,8 +330,8 @@ def _draw(report: Report, field: Snapshots, panel: Any, i: int) -> Any:
 def _page(report: Report, field: Snapshots, indices: list[int]) -> tuple[Any, Array, Any]:
     """A figure, its panels, up to three in a row, and one with the history below."""
     size, count = np.ptp(field.points, axis=0), len(indices)
-    solid = len(size) == 3
-    columns, shape = 2 if count == 4 else min(count, 3), 0.75 if solid else size[1] / size[0]
+    flat, solid = len(size) == 2, len(size) == 3
+    columns, shape = 2 if count == 4 else min(count, 3), size[1] / size[0] if flat else 0.75
     rows, width = -(-count // columns), min(9.0 / max(columns, 2), 4.0 / shape)
     heights = [(width * shape + 0.3) * rows + 0.8, 1.7]
     figure = new_figure((width * columns + 2.0, sum(heights)))
@@ -334,8 +348,9 @@ def _page(report: Report, field: Snapshots, indices: list[int]) -> tuple[Any, Ar
             panel.set(**{f"{own}label": name, f"{own}lim": (x.min() - edge, x.max() + edge)})
             show_units(report, "length", getattr(panel, f"{own}axis"))
         panel.locator_params(nbins=4)
-        if not solid:
+        if flat:
             panel.set_aspect("equal")
+        if not solid:
             panel.label_outer()
     history, slip, t = figure.add_subplot(grid[1]), report.slip, report.solution.t
     if slip is not None and slip.velocity.ndim == 2 and slip.contact.on_curve:
@@ -346,7 +361,10 @@ def _page(report: Report, field: Snapshots, indices: list[int]) -> tuple[Any, Ar
     history.set(xlabel="time", xlim=t[[0, -1]])
     history.grid(alpha=0.3)
     show_units(report, "time", history.xaxis)
-    bar = figure.colorbar(image, ax=panels, label=field.label, shrink=0.8)
-    show_units(report, field.quantity, bar.ax.yaxis)
+    if len(size) == 1:
+        figure.supylabel(field.label)
+    else:
+        bar = figure.colorbar(image, ax=panels, label=field.label, shrink=0.8)
+        show_units(report, field.quantity, bar.ax.yaxis)
     legend_of(figure, field.legend)
     return figure, panels, history

@@ -10,6 +10,7 @@ unknowns.
 from __future__ import annotations
 
 import copy
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -218,6 +219,15 @@ class Discretisation(Brief):
             other.__dict__.pop(name, None)
         other.__dict__.update(fields)
         return other
+
+    @property
+    def digest(self) -> str:
+        """A checksum of the kind, the unknowns, and the nodes to 1e-9 of the body's size."""
+        places = np.round(self.points / np.ptp(self.points), 9) + 0.0  # one zero
+        T = self.frame.T
+        turned = b"" if T is None else np.round(T.data, 9).tobytes()
+        parts = self.kind.encode(), places.tobytes(), self.free.tobytes(), turned
+        return hashlib.sha256(b" ".join(parts)).hexdigest()
 
     def loose_point(self, M: Any) -> str | None:
         """A point of a piece of the body that a matrix of the unknowns does not hold, if any.

@@ -107,6 +107,8 @@ class SweepingProcess(Displayed):
     0.5
     """
 
+    mesh_digest = ""  # what the unknowns of a scene belong to, which files of its runs name
+
     @arguments(
         load="; C(t) = f(t) - D: give C, or take EvolutionVI, which has load and dissipation",
         dissipation="; take EvolutionVI, which has load and dissipation",

@@ -76,12 +76,13 @@ class NetCDFSink:
         If h5netcdf or h5py is not installed.
     """
 
-    def __init__(self, path: Path, t: float, u0: np.ndarray) -> None:
+    def __init__(self, path: Path, t: float, u0: np.ndarray, mesh_digest: str = "") -> None:
         self._path, self._part = path, part_of(path)
         package = netcdf_package()
         self.storage = _Storage(self._part, "w+")
         self._file = package.File(self.storage, "w", **CHECKED)
         self._run = self._file.attrs["run"] = uuid.uuid4().hex  # another run has another one
+        self._file.attrs["mesh_digest"] = mesh_digest
         self._file.dimensions = {"time": None, "step": None, "unknown": u0.size}
         self._most = max(int(BLOCK // (16 * u0.size)), 1)
         rows = min(self._most, 64), u0.size
@@ -193,8 +194,8 @@ def netcdf_bytes(dataset: xr.Dataset) -> bytes:
     return content.getvalue()
 
 
-def last_state(path: Path, *names: str) -> dict[str, np.ndarray]:
-    """Those of the named variables that a run's NetCDF file has, at the last time.
+def last_state(path: Path, *names: str) -> dict[str, Any]:
+    """Those of the named variables and attributes that a run's NetCDF file has, at the last time.
 
     Raises
     ------
@@ -208,7 +209,8 @@ def last_state(path: Path, *names: str) -> dict[str, np.ndarray]:
     try:
         with xarray.open_dataset(path, engine="h5netcdf") as run:
             last = run.isel(time=-1)
-            return {name: last[name].values for name in names if name in last}
+            kept: dict[str, Any] = {name: last[name].values for name in names if name in last}
+            return kept | {name: run.attrs[name] for name in names if name in run.attrs}
     except Exception as error:  # h5py has no list of what it raises
         raise InputError(f"{path} is no NetCDF file of a run ({error})") from error
 
@@ -260,6 +262,7 @@ def to_xarray(solution: Solution) -> xr.Dataset:
             "scheme": plan.scheme.name,
             "solver": solver_name(solution),
             "tol": plan.tol,
+            "mesh_digest": solution.process.mesh_digest,
         },
     )
     run = run.assign(solver=run.solver.astype(object)).set_coords("step_end")
