@@ -10,7 +10,7 @@ import numpy as np
 
 from sweepopt import checks
 from sweepopt.display import Displayed, Rows, svg
-from sweepopt.errors import InputError, PathError, Status, SweepoptError, shown
+from sweepopt.errors import BoundWarning, InputError, PathError, Status, SweepoptError, shown, warn
 from sweepopt.integrate import (
     BY_EULER,
     Pass,
@@ -350,6 +350,11 @@ class Solution(Displayed):
         PathError
             If the run's path is "cones".
 
+        Warns
+        -----
+        BoundWarning
+            If the bound is sampled, which its repr says too.
+
         Notes
         -----
         For any Lipschitz v with v(t_0) = u0 and any w(t) in C(t), with r = A v' + B v - w and
@@ -374,14 +379,13 @@ class Solution(Displayed):
         >>> bound.guaranteed, 0 < bound < 3e-3
         (True, True)
         """
-        self.process.refuse_state("error_bound")
-        if self.plan.cones:
-            raise PathError(
-                "error_bound needs projections on C(t), which take seconds each for as many balls "
-                "as path='cones' is for: compare with a run of half the steps, or take path='full' "
-                "on a coarser mesh"
-            )
         if variation is None:
+            if not ("_bound" in vars(self) or self._bound.guaranteed):
+                warn(
+                    "this bound is sampled, not guaranteed: C(t) is a function, known at some "
+                    "times only; give the load as data (so.Separable, so.Table), or variation=",
+                    BoundWarning,
+                )
             return self._bound
         if not callable(variation):
             raise InputError(f"variation must be a function of time, got {shown(variation)}")
@@ -392,6 +396,13 @@ class Solution(Displayed):
         return self._bound_with(None)
 
     def _bound_with(self, variation: Callable[[float], float] | None) -> ErrorBound:
+        self.process.refuse_state("error_bound")
+        if self.plan.cones:
+            raise PathError(
+                "error_bound needs projections on C(t), which take seconds each for as many balls "
+                "as path='cones' is for: compare with a run of half the steps, or take path='full' "
+                "on a coarser mesh"
+            )
         if self.complete:
             run = Nodes(self.t, self.u, self.velocity)
         elif self.exact is not None:
