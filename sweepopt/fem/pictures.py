@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,11 +11,11 @@ import numpy as np
 
 from sweepopt.checks import choice
 from sweepopt.errors import InputError
-from sweepopt.fem import snapshots
+from sweepopt.fem import output, snapshots
 from sweepopt.fem.effects import Foundation, YieldStress
 from sweepopt.fem.output import Report
 from sweepopt.fem.snapshots import between, colours_of, legend_of, show_units, states_of
-from sweepopt.io import writable
+from sweepopt.io import replacing, writable
 from sweepopt.plot import LOOKS, STICK, STYLES, draw_histories, new_figure, spread
 
 if TYPE_CHECKING:
@@ -47,6 +48,21 @@ def refusal(scene: Scene, name: str) -> str:
     }
     fits, what = needs[choice("pictures", name, needs)]
     return "" if fits else f"{name} needs {what}"
+
+
+def write(report: Report, folder: Path, drawn: Sequence[str]) -> list[str]:
+    """Write all files of a run, pictures by their names; what was written, the summary last."""
+    output.write_netcdf(report, folder / "solution.nc")
+    for path in map(folder.joinpath, drawn):
+        if path.suffix != ".png":
+            animate(report, path, path.stem)
+            continue
+        with replacing(path) as part:
+            draw(report, path.stem).savefig(part)
+    series = [path.relative_to(folder).as_posix() for path in output.write_vtu(report, folder)]
+    files = ["solution.nc", *drawn, *series]
+    output.write_summary(report, folder, files)
+    return [*files, output.SUMMARY]
 
 
 def pictures_of(scene: Scene) -> list[str]:

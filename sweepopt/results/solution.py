@@ -437,7 +437,11 @@ class Solution(Displayed):
         return to_xarray(self)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Components of u_n over time, stick phases shaded (needs the extra "plot")."""
+        """Components of u_n over time, stick phases shaded (needs the extra "plot").
+
+        Of one unknown its velocity too, and the force A u' + B u inside of C(t); of two their path
+        and that of the force. `sweepopt.plot.plot_solution` says more.
+        """
         from sweepopt.plot import plot_solution
 
         return plot_solution(self, ax)
