@@ -13,6 +13,7 @@ import numpy as np
 
 from sweepopt.display import COLOURS
 from sweepopt.errors import brought_by
+from sweepopt.problem import SweepingProcess
 
 if TYPE_CHECKING:
     from sweepopt.results import Solution
@@ -47,11 +48,12 @@ def plot_solution(solution: Solution, ax: Any = None) -> Any:
         That of u.
     """
     dim = solution.u.shape[1]
-    if ax is None and dim == 2:
+    known = ax is None and isinstance(solution.process, SweepingProcess)
+    if known and dim == 2:
         return _plot_paths(solution)
     panels = [ax]
     if ax is None:
-        rows = 3 if dim == 1 else 1
+        rows = 3 if known and dim == 1 else 1
         figure = new_figure((7.0, 2.5 + 1.5 * rows))
         panels = figure.subplots(rows, sharex=True, squeeze=False)[:, 0]
     drawn = spread(np.ptp(solution.u, axis=0), len(LOOKS))
