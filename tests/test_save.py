@@ -391,6 +391,9 @@ def test_flipped_bits_and_cut_files_are_named(tmp_path: Path) -> None:
         try:
             assert np.array_equal(sol.states.u(slice(None)), whole.u)
             assert np.array_equal(sol.states.velocity([0, -1]), whole.velocity[[0, -1]])
+            loaded = so.Solution.load(file)
+            assert np.array_equal(loaded.velocity, whole.velocity)
+            assert np.array_equal(loaded.stats["relative"], whole.stats["relative"])
         except so.CheckpointError as error:
             assert "run.nc is damaged" in str(error)  # noqa: PT017
             found += 1
