@@ -101,7 +101,8 @@ def test_a_body_at_rest_without_friction_has_a_picture(tmp_path: Path) -> None:
     scene = antiplane(mesh, clamped="top", effects=[Viscosity(1.0)], t_end=1.0, steps=3)
     figure = draw(report_of(scene), "displacement")
     figure.savefig(tmp_path / "displacement.png")
-    assert not figure.legends
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["clamped"]
     assert figure.axes[0].yaxis.get_major_formatter()(0.5) == "0.5"
 
 
@@ -109,7 +110,9 @@ def test_contact_histories_are_those_of_the_solution(run: Report, tmp_path: Path
     slip = run.slip
     figure = draw(run, "contact")
     save(figure, tmp_path / "contact.png")
-    zone, moved, traction = figure.axes
+    zone, moved, traction, load = figure.axes
+    t, force = load.lines[0].get_data()
+    np.testing.assert_allclose(force / abs(force).max(), np.sin(np.pi * t / 2), atol=1e-9)
     grid = next(item for item in zone.collections if isinstance(item, QuadMesh))
     np.testing.assert_array_equal(np.reshape(grid.get_array(), slip.state.T.shape), slip.state.T)
     for state, colour in STATE_COLOURS.items():
@@ -134,7 +137,7 @@ def test_several_boundaries_share_one_picture(tmp_path: Path) -> None:
     np.testing.assert_allclose(run.slip.contact.arc, np.arange(10) / 5.0, atol=1e-12)
     figure = draw(run, "contact")
     save(figure, tmp_path / "contact.png")
-    zone, moved, _ = figure.axes
+    zone, moved, *_ = figure.axes
     assert zone.get_ylabel() == "arc length of bottom, left"
     labels = " ".join(text.get_text() for text in moved.get_legend().get_texts())
     assert "bottom" in labels
