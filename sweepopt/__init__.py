@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from sweepopt.driver import resume, solve
     from sweepopt.errors import (
         AccuracyError,
+        BoundWarning,
         CheckpointError,
         CheckpointWarning,
         EmptySetError,
@@ -79,6 +80,7 @@ __all__ = [
     "Adaptive",
     "Ball",
     "Balls",
+    "BoundWarning",
     "Box",
     "Checkpoint",
     "CheckpointError",

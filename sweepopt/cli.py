@@ -27,7 +27,7 @@ from sweepopt.errors import (
     brought_by,
 )
 from sweepopt.integrate import SolveOptions, schemes, time_grid
-from sweepopt.io import find_scene, list_scenes, read_toml, replacing
+from sweepopt.io import find_scene, list_scenes, read_toml
 from sweepopt.velocity import solvers
 
 if TYPE_CHECKING:
@@ -187,11 +187,11 @@ def _run(options: argparse.Namespace) -> int:
     if len(solution.steps):
         report = Report(scene, solution, name=path.stem, text=text, seconds=seconds)
         try:
-            files = _write(report, folder, drawn)
+            files = pictures.write(report, folder, drawn)
         except OSError as error:  # a full disk: the run is not lost if there is another
             _say(f"{folder}: the results cannot be written there ({error.strerror or error})")
             folder, moved = Path(tempfile.mkdtemp(prefix=f"sweepopt-{path.stem}-")), True
-            files = _write(report, folder, drawn)
+            files = pictures.write(report, folder, drawn)
         _conclude(report, folder, files)
     else:
         _say(f"no step was completed, nothing is written. {solution.message}")
@@ -214,23 +214,6 @@ def _announce(scene: Scene) -> None:
     seconds = " s" if scene.units == "SI" else ""
     print(f"time                0 to {scene.t_end:g}{seconds} in {scene.steps} steps")
     print(replace(plan, left_out=(*scene.left_out, *plan.left_out)), flush=True)
-
-
-def _write(report: Report, folder: Path, drawn: Sequence[str]) -> list[str]:
-    """Write all files of a run; their names relative to the folder, the summary last."""
-    from sweepopt.fem import output, pictures
-
-    output.write_netcdf(report, folder / "solution.nc")
-    for path in map(folder.joinpath, drawn):
-        if path.suffix != ".png":
-            pictures.animate(report, path, path.stem)
-            continue
-        with replacing(path) as part:
-            pictures.draw(report, path.stem).savefig(part)
-    series = [path.relative_to(folder).as_posix() for path in output.write_vtu(report, folder)]
-    files = ["solution.nc", *drawn, *series]
-    output.write_summary(report, folder, files)
-    return [*files, output.SUMMARY]
 
 
 def _conclude(report: Report, folder: Path, files: Sequence[str]) -> None:

@@ -334,7 +334,7 @@ def _move(
     finally:
         bar.close()
         if sink is not None:
-            sink.close(succeeded)
+            sink.close(_solution(process, run, sink, recorded) if run and succeeded else None)
     if not succeeded:
         u = grid.plan.state(run.u)
         raise StepError(run.cause, float(grid.times[run.done]), run.done, u, run.relative)

@@ -219,5 +219,9 @@ class StabilityWarning(SweepoptWarning):
     """The step size lets a scheme ring, or overshoot into a wrong stuck state."""
 
 
+class BoundWarning(SweepoptWarning):
+    """An error bound is sampled, not guaranteed: C(t) is a function, known at some times only."""
+
+
 class CheckpointWarning(SweepoptWarning):
     """A run is continued from an older checkpoint, or with other versions than it began with."""

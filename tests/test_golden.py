@@ -51,14 +51,15 @@ MEMBERS = {
     "SweepingProcess": "as_sweeping as_vi Lam beta",
     "EvolutionVI": "as_sweeping",
     "Solution": "process plan t steps status recorded exact passes u velocity stats success "
-    "message complete __call__ viability residual error_bound energy plot to_xarray step_program",
+    "message complete __call__ viability residual error_bound energy plot to_xarray save load "
+    "step_program",
     "Plan": "unknowns nonsmooth_unknowns solver scheme tol left_out path",
     "Energy": "stored viscous friction work balance",
     "Pass": "steps error seconds",
     "StepInfo": "step t u velocity certificate",
     "StepProgram": "problem z M Bu C certify",
     "Scene": "problem discretisation contact effects left_out t_end steps scheme solver tol units "
-    "title solve",
+    "title solve plot animate write",
     **dict.fromkeys(("Constant", "Polynomial", "Separable", "Sine", "Triangle"), HISTORY),
     "Table": f"{HISTORY} from_csv",
 }

@@ -138,3 +138,12 @@ def test_dense_matrices_that_are_mostly_zeros_are_warned_about_and_work() -> Non
             u0=np.zeros(n),
         )
     np.testing.assert_allclose(run(dense, steps=2)(1.0), 2.0 / np.diag(A), rtol=1e-9)
+
+
+def test_constraints_tell_their_price_and_what_to_use_instead() -> None:
+    cp = pytest.importorskip("cvxpy")
+    linear = so.Constraints(2, lambda w: [w <= 1, w[0] + w[1] >= -1])
+    assert "0.1 s a step and no proof" in repr(linear)
+    assert "as these constraints are linear: so.Polyhedron" in repr(linear)
+    curved = so.Constraints(2, lambda w: [cp.norm(w) <= 1])
+    assert "so.Ball" in repr(curved)

@@ -101,7 +101,8 @@ def test_a_body_at_rest_without_friction_has_a_picture(tmp_path: Path) -> None:
     scene = antiplane(mesh, clamped="top", effects=[Viscosity(1.0)], t_end=1.0, steps=3)
     figure = draw(report_of(scene), "displacement")
     figure.savefig(tmp_path / "displacement.png")
-    assert not figure.legends
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["clamped"]
     assert figure.axes[0].yaxis.get_major_formatter()(0.5) == "0.5"
 
 
@@ -109,7 +110,9 @@ def test_contact_histories_are_those_of_the_solution(run: Report, tmp_path: Path
     slip = run.slip
     figure = draw(run, "contact")
     save(figure, tmp_path / "contact.png")
-    zone, moved, traction = figure.axes
+    zone, moved, traction, load = figure.axes
+    t, force = load.lines[0].get_data()
+    np.testing.assert_allclose(force / abs(force).max(), np.sin(np.pi * t / 2), atol=1e-9)
     grid = next(item for item in zone.collections if isinstance(item, QuadMesh))
     np.testing.assert_array_equal(np.reshape(grid.get_array(), slip.state.T.shape), slip.state.T)
     for state, colour in STATE_COLOURS.items():
@@ -134,7 +137,7 @@ def test_several_boundaries_share_one_picture(tmp_path: Path) -> None:
     np.testing.assert_allclose(run.slip.contact.arc, np.arange(10) / 5.0, atol=1e-12)
     figure = draw(run, "contact")
     save(figure, tmp_path / "contact.png")
-    zone, moved, _ = figure.axes
+    zone, moved, *_ = figure.axes
     assert zone.get_ylabel() == "arc length of bottom, left"
     labels = " ".join(text.get_text() for text in moved.get_legend().get_texts())
     assert "bottom" in labels
@@ -165,10 +168,10 @@ def test_plot_of_a_solution_draws_components_and_stick_phases(dim: int, tmp_path
     assert solution.plot(given) is given
     assert len(given.lines) == len(ax.lines)
     save(ax.figure, tmp_path / "solution.png")
-    curves = [line for line in ax.lines if line.get_label().startswith("$u_")]
+    curves = [line for line in ax.lines if line.get_label().startswith("u[")]
     assert len(curves) == min(dim, len(plot.LOOKS))
     for line in curves:
-        i = int(line.get_label().strip("$u_{}"))
+        i = int(line.get_label().strip("u[]"))
         np.testing.assert_array_equal(line.get_ydata(), solution.u[:, i])
         stuck = np.count_nonzero(solution.velocity[:, i] == 0.0)
         # wide lines: two points and a gap for each stuck step of this component
@@ -176,6 +179,42 @@ def test_plot_of_a_solution_draws_components_and_stick_phases(dim: int, tmp_path
         wide = [other for other in mine if other.get_linewidth() > 5]
         assert not stuck or 3 * stuck in [len(other.get_xdata()) for other in wide]
     assert ("of 20 components" in ax.get_legend().get_title().get_text()) == (dim == 20)
+
+
+def test_one_unknown_is_drawn_with_its_velocity_and_the_force_inside_of_the_tube() -> None:
+    solution = stick_slip(1)
+    u, velocity, force = solution.plot().figure.axes
+    assert [panel.get_ylabel() for panel in (u, velocity, force)] == ["u", "u'", "force"]
+    t = (solution.t[1:] + solution.t[:-1]) / 2
+    np.testing.assert_array_equal(velocity.lines[0].get_ydata(), solution.velocity[:, 0])
+    np.testing.assert_allclose(force.lines[0].get_xdata(), t)
+    middle = 3.0 * np.sin(2.0 * t)
+    tube = force.collections[0].get_paths()[0].vertices
+    for side in (-1, 1):
+        band = np.column_stack([t, middle + side])
+        assert abs(tube[:, None] - band).max(axis=2).min(axis=0).max() < 1e-12
+    # the middle of a step is in C(t) to second order
+    assert abs(force.lines[0].get_ydata().ravel() - middle).max() < 1.0 + 0.1
+
+
+def test_two_unknowns_are_drawn_as_a_path_beside_the_set() -> None:
+    C = so.Moving(so.Ball([0.0, 0.0], 1.0), lambda t: [2.0 * t, t])
+    solution = so.solve(so.SweepingProcess(np.eye(2), None, C, [0.0, 0.0]), t_end=2.0, steps=40)
+    path, force = solution.plot().figure.axes
+    assert (path.get_xlabel(), path.get_ylabel()) == ("u[0]", "u[1]")
+    np.testing.assert_array_equal(np.transpose(path.lines[0].get_data()), solution.u)
+    for line in force.lines[1:]:
+        t = float(line.get_label().strip("C()"))
+        radii = np.hypot(*(np.transpose(line.get_data()) - [2.0 * t, t]).T)
+        np.testing.assert_allclose(radii, 1.0, atol=0.02)
+    assert len(force.lines) == 6
+
+
+def test_a_scene_writes_what_the_command_line_writes(tmp_path: Path) -> None:
+    scene = half_ring()
+    folder = scene.write(scene.solve(steps=4), tmp_path / "new" / "run")
+    files = {path.name for path in folder.iterdir()}
+    assert {"solution.nc", "displacement.png", "contact.png", "summary.json", "vtu"} <= files
 
 
 def test_missing_matplotlib_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:

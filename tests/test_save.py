@@ -91,6 +91,49 @@ def test_a_file_holds_what_memory_would(path: str, tmp_path: Path) -> None:
         assert np.array_equal(dataset.u, whole.u)
 
 
+@pytest.mark.parametrize("save", [None, 3])
+def test_a_solution_is_loaded_as_it_was_saved(save: int | None, tmp_path: Path) -> None:
+    sol = run("eliminated", save=save)
+    sol.save(tmp_path / "sol.nc")
+    files = [tmp_path / "sol.nc"]
+    if save is None:
+        files.append(tmp_path / "run.nc")
+        run("eliminated", save=files[1])
+    wanted = sol.to_xarray().drop_vars("seconds")
+    for file in files:
+        with xr.open_dataset(file, engine="h5netcdf") as dataset:
+            found = dataset.load().drop_vars("seconds")
+        found.attrs.pop("run", None)
+        xr.testing.assert_identical(found, wanted)
+        for process_ in (None, sol.process):
+            same = so.Solution.load(file, process_)
+            assert np.array_equal(same.u, sol.u)
+            assert np.array_equal(same.velocity, sol.velocity)
+            for name in set(sol.stats.dtype.names) - {"seconds"}:
+                assert np.array_equal(same.stats[name], sol.stats[name])
+            assert (same.message, same.status) == (sol.message, sol.status)
+            assert same.complete == sol.complete
+            assert np.array_equal(same(sol.t[-1]), sol(sol.t[-1]))
+            assert repr(same) == repr(sol)
+        assert np.array_equal(same.viability(), sol.viability())
+    with pytest.raises(so.InputError, match=r"loaded without its process.*load\(path, process\)"):
+        so.Solution.load(files[0]).viability()
+    with pytest.raises(so.InputError, match=r"process has dim 1, but .* has dim 40"):
+        so.Solution.load(files[0], slider())
+
+
+def test_a_damaged_or_missing_file_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "sol.nc"
+    with pytest.raises(so.InputError, match="there is no file"):
+        so.Solution.load(file)
+    run("eliminated").save(file)
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 255
+    file.write_bytes(content)
+    with pytest.raises(so.CheckpointError, match=r"sol.nc is damaged"):
+        so.Solution.load(file)
+
+
 def large(dim: int) -> so.SweepingProcess:
     """A chain whose contact is four of its points."""
     D = so.image(sp.eye_array(dim, format="csc")[:, CONTACT], SETS["intervals"])
@@ -348,6 +391,9 @@ def test_flipped_bits_and_cut_files_are_named(tmp_path: Path) -> None:
         try:
             assert np.array_equal(sol.states.u(slice(None)), whole.u)
             assert np.array_equal(sol.states.velocity([0, -1]), whole.velocity[[0, -1]])
+            loaded = so.Solution.load(file)
+            assert np.array_equal(loaded.velocity, whole.velocity)
+            assert np.array_equal(loaded.stats["relative"], whole.stats["relative"])
         except so.CheckpointError as error:
             assert "run.nc is damaged" in str(error)  # noqa: PT017
             found += 1

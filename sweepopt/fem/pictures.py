@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,11 +11,11 @@ import numpy as np
 
 from sweepopt.checks import choice
 from sweepopt.errors import InputError
-from sweepopt.fem import snapshots
+from sweepopt.fem import output, snapshots
 from sweepopt.fem.effects import Foundation, YieldStress, released_matrices
 from sweepopt.fem.output import Report
 from sweepopt.fem.snapshots import between, colours_of, legend_of, show_units, states_of
-from sweepopt.io import writable
+from sweepopt.io import replacing, writable
 from sweepopt.plot import LOOKS, STICK, STYLES, draw_histories, new_figure, spread
 
 if TYPE_CHECKING:
@@ -47,6 +48,21 @@ def refusal(scene: Scene, name: str) -> str:
     }
     fits, what = needs[choice("pictures", name, needs)]
     return "" if fits else f"{name} needs {what}"
+
+
+def write(report: Report, folder: Path, drawn: Sequence[str]) -> list[str]:
+    """Write all files of a run, pictures by their names; what was written, the summary last."""
+    output.write_netcdf(report, folder / "solution.nc")
+    for path in map(folder.joinpath, drawn):
+        if path.suffix != ".png":
+            animate(report, path, path.stem)
+            continue
+        with replacing(path) as part:
+            draw(report, path.stem).savefig(part)
+    series = [path.relative_to(folder).as_posix() for path in output.write_vtu(report, folder)]
+    files = ["solution.nc", *drawn, *series]
+    output.write_summary(report, folder, files)
+    return [*files, output.SUMMARY]
 
 
 def pictures_of(scene: Scene) -> list[str]:
@@ -115,12 +131,14 @@ def animated(scene: Scene, name: str = "") -> str:
 
 
 def contact(report: Report) -> Any:
-    """What the contact does over time: slip zone, displacement and traction over friction bound."""
+    """What the contact does over time: slip zone, displacement, traction over bound, load."""
     slip = report.slip
     assert slip is not None
     arc = slip.contact.arc
-    figure = new_figure((8.5, 9.0))
-    zone, moved, traction = figure.subplots(3, 1, sharex=True, height_ratios=[1.3, 1.0, 1.0])
+    driven = [] if refusal(report.scene, "loop") else loops(report.scene, report.solution)[:1]
+    figure, heights = new_figure((8.5, 9.0)), [1.3, 1.0, 1.0, *[0.5 for _ in driven]]
+    panels = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+    zone, moved, traction, *below = panels
     snapshots.draw_zone(report, zone)
     # points that slip from little to far
     nodes = spread(slip.total, len(STYLES))
@@ -132,11 +150,17 @@ def contact(report: Report) -> Any:
     places = [f"{names[node]}, {arc[node]:.3g}{metre}" for node in nodes]
     draw_histories(moved, slip.t, slip.displacement[:, nodes], slip.state[:, nodes] == 0, places)
     _named(moved, "displacement")
-    traction.set(xlabel="time", ylabel="friction traction / bound")
+    traction.set(ylabel="friction traction / bound")
     traction.set(xlim=(slip.t[0], slip.t[-1]), ylim=(-1.15, 1.15))
     traction.grid(alpha=0.3)
     show_units(report, "length", moved.yaxis)
-    show_units(report, "time", traction.xaxis)
+    for panel, (_, load, words) in zip(below, driven, strict=False):
+        panel.plot(slip.t, load, color="black", lw=1.5)
+        panel.set(ylabel=words[1])
+        panel.grid(alpha=0.3)
+        show_units(report, "force", panel.yaxis)
+    panels[-1].set_xlabel("time")
+    show_units(report, "time", panels[-1].xaxis)
     legend_of(figure, states_of(slip))
     return figure
 

@@ -30,6 +30,7 @@ from sweepopt.fem.initial import Initial
 from sweepopt.fem.plasticity import Plasticity, with_elasticity
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.integrate import schemes
+from sweepopt.io import as_path
 from sweepopt.loads import Constant, History, Separable, breakpoints
 from sweepopt.problem import EvolutionVI, SweepingProcess
 from sweepopt.sets import ConvexSet, MovingSet, Point, StateDependent
@@ -185,6 +186,22 @@ class Scene(Displayed):
         if not names:
             raise InputError(f"picture: none fits the scene of itself; name one of {PICTURES}")
         return pictures.draw(output.Report(self, solution), names[0])
+
+    def write(self, solution: Solution, folder: str | Path) -> Path:
+        """Write what `sweepopt run` writes: pictures, NetCDF, VTU and a summary; the folder.
+
+        Raises
+        ------
+        MissingExtraError
+            If matplotlib, xarray or h5netcdf is not installed.
+        """
+        from sweepopt.fem import output, pictures
+
+        folder = as_path("folder", folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        drawn = [f"{name}.png" for name in pictures.pictures_of(self)]
+        pictures.write(output.Report(self, solution, name=folder.name), folder, drawn)
+        return folder
 
     def animate(self, solution: Solution, path: str | Path, picture: str = "") -> Path:
         """Write a run as an animation of at most 40 frames.

@@ -12,12 +12,13 @@ import skfem
 from sweepopt.checks import choice
 from sweepopt.errors import InputError, brought_by
 from sweepopt.fem.contact import STATES, Slip
+from sweepopt.fem.effects import Traction
 from sweepopt.fem.output import Report
 from sweepopt.io import replacing
 from sweepopt.plot import STICK, new_figure
 
 Array = np.ndarray
-PLUG = "#E69F00"
+PLUG, PULLED = "#E69F00", "#CC79A7"
 SMOOTH: dict[str, Any] = {"shading": "gouraud", "rasterized": True}
 STATE_COLOURS = {-1: "#0072B2", 0: STICK, 1: "#D55E00"}
 MOST_FRAMES, RATE = 40, 8
@@ -121,16 +122,27 @@ def displacement(report: Report) -> Snapshots:
     u, label = _lengths(report.scene.displacement(report.solution), body.components)
     if body.mesh.dim() == 1:
         return _along_a_line(report, u, label)
-    edges = body.points[body.facet_nodes(body.mesh.boundary_facets()).T]
-    outline = np.pad(edges, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan).reshape(-1, 2)
-    look = SMOOTH | colours_of(u)
+    label += " out of the plane" if body.kind == "antiplane" else ""
+
+    def lines(facets: Array) -> Array:
+        edges = body.points[body.facet_nodes(facets).T]
+        return np.pad(edges, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan).reshape(-1, 2)
+
+    pulled = [name for one in report.scene.effects if isinstance(one, Traction) for name in one.on]
+    arcs = {"clamped": (body.clamped, "black"), "pulled": (pulled, PULLED)}
+    drawn = {what: (lines(body.facets(what, on)[0]), c) for what, (on, c) in arcs.items() if on}
+    outline, look = lines(body.mesh.boundary_facets()), SMOOTH | colours_of(u)
 
     def draw(panel: Any, i: int) -> Any:
         panel.plot(*outline.T, color="black", lw=0.6, zorder=1)
+        for arc, colour in drawn.values():
+            panel.plot(*arc.T, color=colour, lw=3.0, zorder=1.5, solid_capstyle="butt")
         _mark(report, panel, i, body.points)
         return panel.tripcolor(*body.points.T, body.triangles, u[i], **look)
 
-    return Snapshots(u, draw, body.points, label, "length", *_slip_history(report, u))
+    line, legend = _slip_history(report, u)
+    legend = legend | {colour: what for what, (_, colour) in drawn.items()}
+    return Snapshots(u, draw, body.points, label, "length", line, legend)
 
 
 def _along_a_line(report: Report, u: Array, label: str) -> Snapshots:

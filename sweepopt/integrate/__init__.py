@@ -27,7 +27,17 @@ from sweepopt.integrate.observers import (
     observer,
 )
 from sweepopt.integrate.options import SolveOptions
-from sweepopt.integrate.record import MEMORY, Grid, Index, Pass, Run, States, Statistics, saving
+from sweepopt.integrate.record import (
+    MEMORY,
+    ROW,
+    Grid,
+    Index,
+    Pass,
+    Run,
+    States,
+    Statistics,
+    saving,
+)
 from sweepopt.integrate.schemes import SCHEMES, Scheme, implicit_euler
 from sweepopt.integrate.stage_program import program_of_stage, step_program
 from sweepopt.integrate.step import BY_EULER, Velocities, combination, compensated_sum
@@ -35,6 +45,7 @@ from sweepopt.integrate.step import BY_EULER, Velocities, combination, compensat
 __all__ = [
     "BY_EULER",
     "MEMORY",
+    "ROW",
     "SCHEMES",
     "Adaptive",
     "Callback",

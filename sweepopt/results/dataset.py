@@ -10,6 +10,7 @@ import uuid
 from collections.abc import Callable
 from functools import partial
 from io import BytesIO, FileIO
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,7 @@ import numpy as np
 
 from sweepopt.errors import DamagedFileError, InputError, brought_by
 from sweepopt.integrate import Index, States, StepInfo
-from sweepopt.io import part_of, versions_of
+from sweepopt.io import as_path, part_of, versions_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 BLOCK = 8e6  # bytes that wait in memory: large enough that writing them costs little
 
 
+U, VELOCITY = "u_n at the kept grid times", "velocity u_n' in each kept step"
 CHECKED = {"libver": ("v110", "v110")}  # of HDF5: its own tables have checksums too
 
 
@@ -88,8 +90,8 @@ class NetCDFSink:
         rows = min(self._most, 64), u0.size
         for name, dims, chunks, words in (
             ("time", ("time",), (1024,), "time"),
-            ("u", ("time", "unknown"), rows, "u_n at the grid times"),
-            ("velocity", ("step", "unknown"), rows, "velocity u_n' in each step"),
+            ("u", ("time", "unknown"), rows, U),
+            ("velocity", ("step", "unknown"), rows, VELOCITY),
         ):
             created = self._file.create_variable(name, dims, float, chunks=chunks, fletcher32=True)
             created.attrs.update({"long_name": words, "units": "1"})
@@ -109,17 +111,24 @@ class NetCDFSink:
             self._write()
         return self.storage.failure is not None
 
-    def close(self, finished: bool) -> None:
+    def close(self, solution: Solution | None) -> None:
         """Write what waits and put the file in its place; an unfinished one keeps its part name.
 
         One that cannot be written disappears.
+
+        Parameters
+        ----------
+        solution : Solution or None
+            The run, if it is finished: its statistics come beside the states.
         """
         self._write()
+        if solution and not self.storage.failure:
+            _dump(to_xarray(solution, states=False), self._file)
         self._file.close()
         self.storage.close()
         if self.storage.failure:
             self._part.unlink()
-        elif finished:
+        elif solution:
             os.replace(self._part, self._path)
 
     def _write(self) -> None:
@@ -144,6 +153,7 @@ class NetCDFSink:
 
     def states(self) -> States:
         """The states in the file, read when they are asked for; those that wait if it failed."""
+        self._write()
         if self.storage.failure:
             _, u, velocity = self._columns()
             steps, nodes = self._steps + np.arange(len(u)), np.vstack([self._u0, u])
@@ -176,6 +186,7 @@ def netcdf_package() -> Any:
     with brought_by("fem"):
         import h5netcdf
         import h5py  # noqa: F401  # h5netcdf alone cannot write
+        import xarray  # noqa: F401
     return h5netcdf
 
 
@@ -185,13 +196,45 @@ def netcdf_bytes(dataset: xr.Dataset) -> bytes:
     It is made in memory: HDF5 crashes at exit where a disk is full.
     """
     package, content = netcdf_package(), BytesIO()
+    with package.File(content, "w", **CHECKED) as file:
+        _dump(dataset, file)
+    return content.getvalue()
+
+
+def _dump(dataset: xr.Dataset, file: Any) -> None:
+    """Write a dataset into an open file."""
     from xarray.backends import H5NetCDFStore
 
     packed = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
     arrays = [name for name, x in dataset.variables.items() if x.ndim and x.dtype.kind in "if"]
-    with package.File(content, "w", **CHECKED) as file:
-        dataset.dump_to_store(H5NetCDFStore(file), encoding=dict.fromkeys(arrays, packed))
-    return content.getvalue()
+    new = [name for name in arrays if name not in file.variables]
+    dataset.dump_to_store(H5NetCDFStore(file), encoding=dict.fromkeys(new, packed))
+
+
+def read_run(path: str | PathLike[str]) -> xr.Dataset:
+    """What `to_xarray` made of a run, from the file that it was written to.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or it is none of a run.
+    DamagedFileError
+        If it is no NetCDF file, or not as it was written: its numbers have checksums.
+    """
+    netcdf_package()
+    import xarray
+
+    file_of_run = as_path("path", path)
+    if not file_of_run.is_file():
+        raise InputError(f"path: there is no file {path}")
+    try:
+        with xarray.open_dataset(file_of_run, engine="h5netcdf") as file:
+            run = file.load()
+    except Exception as error:  # h5py has no list of what it raises
+        raise DamagedFileError(f"{path} is damaged or no NetCDF file ({error})") from error
+    if not {"status", "scheme"} <= set(run.attrs) or "u" not in run:
+        raise InputError(f"{path} is no file of sol.save or save=: it has no u, status and scheme")
+    return run
 
 
 def last_state(path: Path, *names: str) -> dict[str, Any]:
@@ -227,8 +270,8 @@ STATISTICS = {
 }
 
 
-def to_xarray(solution: Solution) -> xr.Dataset:
-    """A solution as a dataset: u, velocity and the statistics of each step; see there.
+def to_xarray(solution: Solution, states: bool = True) -> xr.Dataset:
+    """A solution as a dataset: u, velocity if `states`, and the statistics of each step.
 
     Raises
     ------
@@ -239,16 +282,18 @@ def to_xarray(solution: Solution) -> xr.Dataset:
         import xarray
     kept, stats, plan = "step" if solution.complete else "kept_step", solution.stats, solution.plan
     variables: dict[str, tuple[Any, Any, str]] = {
-        "u": (("time", "unknown"), solution.u, "u_n at the kept grid times"),
-        "velocity": ((kept, "unknown"), solution.velocity, "velocity u_n' in each kept step"),
         **{name: ("step", stats[name], words) for name, words in STATISTICS.items()},
         "viability": ("step", solution.viability(), "bound of the distance of its force to C"),
         "time": ("time", solution.t, "time"),
         "step": ("step", np.arange(len(stats)), "step, counted from 0"),
         "step_end": ("step", stats["t"], "time at the end of the step"),
         kept: (kept, solution.steps, "step, counted from 0"),
-        "unknown": ("unknown", np.arange(solution.u.shape[1]), "unknown"),
+        "unknown": ("unknown", np.arange(solution.process.dim), "unknown"),
     }
+    if states:
+        u, velocity = solution.u, solution.velocity
+        variables["u"] = ("time", "unknown"), u, U
+        variables["velocity"] = (kept, "unknown"), velocity, VELOCITY
     run = xarray.Dataset(
         {
             name: (dims, values, {"long_name": words, "units": "s" if name == "seconds" else "1"})

@@ -41,7 +41,7 @@ def refine(run: Callable[[np.ndarray], Solution], times: np.ndarray, error: floa
         solution = run(times)
         if not solution.success:
             return solution
-        bound = solution.error_bound()
+        bound = solution._bound  # without the warning
         if not bound.guaranteed:
             raise InputError(
                 "error= needs a guaranteed bound, but only samples are known of this C(t): give "

@@ -4,27 +4,32 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from os import PathLike
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from sweepopt import checks
 from sweepopt.display import Displayed, Rows, svg
-from sweepopt.errors import InputError, PathError, Status, SweepoptError, shown
+from sweepopt.errors import BoundWarning, InputError, PathError, Status, SweepoptError, shown, warn
 from sweepopt.integrate import (
     BY_EULER,
+    ROW,
+    SCHEMES,
     Pass,
     States,
     Statistics,
     implicit_euler,
     program_of_stage,
 )
+from sweepopt.io import put, writable
 from sweepopt.problem import SweepingProcess
-from sweepopt.results.dataset import to_xarray
+from sweepopt.results.dataset import STATISTICS, netcdf_bytes, read_run, to_xarray
 from sweepopt.results.energy import Energy, energy_of
 from sweepopt.results.error_bound import ErrorBound, error_bound
 from sweepopt.results.nodes import Nodes, nodes_of
-from sweepopt.velocity import Plan, StepProgram, VelocityOf, compile_projection
+from sweepopt.velocity import Plan, StepProgram, VelocityOf, compile_projection, make_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -40,6 +45,16 @@ class Field(NamedTuple):
 
     u: np.ndarray
     velocity: np.ndarray
+
+
+class _Absent(SimpleNamespace):
+    """What a file says of a process and its plan."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise InputError(
+            "this solution was loaded without its process, which this needs: "
+            "so.Solution.load(path, process)"
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -351,6 +366,11 @@ class Solution(Displayed):
         PathError
             If the run's path is "cones".
 
+        Warns
+        -----
+        BoundWarning
+            If the bound is sampled, which its repr says too.
+
         Notes
         -----
         For any Lipschitz v with v(t_0) = u0 and any w(t) in C(t), with r = A v' + B v - w and
@@ -375,14 +395,13 @@ class Solution(Displayed):
         >>> bound.guaranteed, 0 < bound < 3e-3
         (True, True)
         """
-        self.process.refuse_state("error_bound")
-        if self.plan.cones:
-            raise PathError(
-                "error_bound needs projections on C(t), which take seconds each for as many balls "
-                "as path='cones' is for: compare with a run of half the steps, or take path='full' "
-                "on a coarser mesh"
-            )
         if variation is None:
+            if not ("_bound" in vars(self) or self._bound.guaranteed):
+                warn(
+                    "this bound is sampled, not guaranteed: C(t) is a function, known at some "
+                    "times only; give the load as data (so.Separable, so.Table), or variation=",
+                    BoundWarning,
+                )
             return self._bound
         if not callable(variation):
             raise InputError(f"variation must be a function of time, got {shown(variation)}")
@@ -393,6 +412,13 @@ class Solution(Displayed):
         return self._bound_with(None)
 
     def _bound_with(self, variation: Callable[[float], float] | None) -> ErrorBound:
+        self.process.refuse_state("error_bound")
+        if self.plan.cones:
+            raise PathError(
+                "error_bound needs projections on C(t), which take seconds each for as many balls "
+                "as path='cones' is for: compare with a run of half the steps, or take path='full' "
+                "on a coarser mesh"
+            )
         if self.complete:
             run = Nodes(self.t, self.u, self.velocity)
         elif self.exact is not None:
@@ -426,8 +452,75 @@ class Solution(Displayed):
         """The trajectory and its statistics as an xarray.Dataset (needs the extra "fem")."""
         return to_xarray(self)
 
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write `to_xarray` to a NetCDF file with checksums, as ``solve(save="run.nc")`` does."""
+        put(writable("path", path), netcdf_bytes(self.to_xarray()))
+
+    @classmethod
+    def load(cls, path: str | PathLike[str], process: SweepingProcess | None = None) -> Solution:
+        """Read what `save` or ``solve(save="run.nc")`` wrote: the same numbers to the last bit.
+
+        Parameters
+        ----------
+        path : str or Path
+        process : SweepingProcess or EvolutionVI, optional
+            The problem, whose functions no file holds; `viability`, `energy`, `error_bound` and
+            what else needs it are refused without it.
+
+        Returns
+        -------
+        Solution
+
+        Raises
+        ------
+        InputError
+            If it is no such file, or of another number of unknowns.
+        DamagedFileError
+            If it is not as it was written.
+
+        Examples
+        --------
+        >>> import pathlib, tempfile
+        >>> import sweepopt as so
+        >>> process = so.SweepingProcess(A=0.5, B=2.0, C=so.Box(-1, 1), u0=0.2)
+        >>> sol = so.solve(process, t_end=1.0, steps=10)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     sol.save(pathlib.Path(folder) / "run.nc")
+        ...     same = so.Solution.load(pathlib.Path(folder) / "run.nc", process)
+        >>> bool((same.u == sol.u).all()), same.message == sol.message
+        (True, True)
+        """
+        run = read_run(path)
+        u, velocity = run.u.values, run.velocity.values
+        steps = run["kept_step" if "kept_step" in run.dims else "step"].values
+        names, number = np.unique(run.solver.values.astype(str), return_inverse=True)
+        rows = np.zeros(len(number), ROW)
+        rows["t"], rows["solver"] = run.step_end, number
+        for name in STATISTICS.keys() - {"solver"}:
+            rows[name] = run[name]
+        status, scheme = Status[run.status.upper()], SCHEMES[run.scheme]
+        plan: Any = _Absent(scheme=scheme, tol=run.tol, solvers=())
+        given: Any = process or _Absent(dim=u.shape[1], fields={})
+        if given.dim != u.shape[1]:
+            raise InputError(f"process has dim {given.dim}, but {path} has dim {u.shape[1]}")
+        if process is not None:
+            plan = make_plan(process, process.check(run.time.values), scheme, "auto", run.tol)
+        return cls(
+            process=given,
+            plan=plan,
+            t=run.time.values,
+            states=States(steps, u.__getitem__, velocity.__getitem__),
+            statistics=Statistics(rows, tuple(map(str, names))),
+            status=status,
+            cause=run.message.removeprefix(status.value).strip(),
+        )
+
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Components of u_n over time, stick phases shaded (needs the extra "plot")."""
+        """Components of u_n over time, stick phases shaded (needs the extra "plot").
+
+        Of one unknown its velocity too, and the force A u' + B u inside of C(t); of two their path
+        and that of the force. `sweepopt.plot.plot_solution` says more.
+        """
         from sweepopt.plot import plot_solution
 
         return plot_solution(self, ax)

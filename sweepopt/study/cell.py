@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweepopt.driver import solve
-from sweepopt.errors import DamagedFileError, SweepoptError, SweepoptWarning
+from sweepopt.errors import BoundWarning, DamagedFileError, SweepoptError, SweepoptWarning
 from sweepopt.io import read_npz, write_npz
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import ErrorBound, Solution
@@ -288,7 +288,8 @@ def _with_error(row: CellRow, run: Solution, cell: Cell, finest: Source, folder:
 
 def guaranteed_bound(solution: Solution) -> ErrorBound | None:
     """The bound of the error; None if there is none, or only samples of C(t) are known."""
-    with suppress(SweepoptError):
+    with suppress(SweepoptError), warnings.catch_warnings():
+        warnings.simplefilter("ignore", BoundWarning)
         bound = solution.error_bound()
         return bound if bound.guaranteed else None
     return None
