@@ -14,6 +14,7 @@ from __future__ import annotations
 import re
 import sys
 from collections import Counter
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ import pytest
 
 nbformat = pytest.importorskip("nbformat")
 nbclient = pytest.importorskip("nbclient")
+jupyter_client = pytest.importorskip("jupyter_client")
 
 NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?(?![\w])", re.IGNORECASE)
@@ -29,11 +31,31 @@ CLOSE = {"rel": 0.05, "abs": 1e-6}
 CVXPY = ".".join(version("cvxpy").split(".")[:2])
 
 
-def run(path: Path) -> tuple[Any, Any]:
-    """The notebook as it is stored, and as it comes out now."""
-    stored, fresh = (nbformat.read(path, as_version=4) for _ in range(2))
-    client = nbclient.NotebookClient(fresh, timeout=300, kernel_name="python3", record_timing=False)
+RESET = """
+import warnings
+import matplotlib.pyplot
+matplotlib.pyplot.close("all")
+matplotlib.rcdefaults()
+warnings.filters[:] = vars(warnings).setdefault("filters_of_the_start", list(warnings.filters))
+get_ipython().run_line_magic("reset", "-f")
+get_ipython().run_line_magic("matplotlib", "inline")
+"""
+
+
+def execute(notebook: Any, kernel: Any) -> None:
+    settings = {"timeout": 300, "kernel_name": "python3", "record_timing": False}
+    client = nbclient.NotebookClient(notebook, km=kernel, **settings)
     client.execute()
+    if kernel is not None:
+        client.kc.stop_channels()
+
+
+def run(path: Path, kernel: Any = None) -> tuple[Any, Any]:
+    """The notebook as it is stored, and as it comes out now; in a new kernel if none is given."""
+    stored, fresh = (nbformat.read(path, as_version=4) for _ in range(2))
+    if kernel is not None:
+        execute(nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(RESET)]), kernel)
+    execute(fresh, kernel)
     fresh.metadata["cvxpy"] = CVXPY
     return stored, fresh
 
@@ -71,10 +93,22 @@ def same_text(old: str, new: str, tags: list[str]) -> None:
     assert numbers[1] == pytest.approx(numbers[0], **CLOSE)
 
 
+@pytest.fixture(scope="module")
+def kernel() -> Iterator[Any]:
+    """One kernel for all notebooks, which forgets names, figures and filters of warnings between
+    them: a new one for each would import everything again, half of the time of these tests.
+    """
+    manager = jupyter_client.KernelManager(kernel_name="python3")
+    manager.start_kernel()
+    yield manager
+    manager.shutdown_kernel(now=True)
+    manager.cleanup_resources()
+
+
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
-def test_a_notebook_shows_what_the_code_prints(path: Path) -> None:
-    stored, fresh = run(path)
+def test_a_notebook_shows_what_the_code_prints(path: Path, kernel: Any) -> None:
+    stored, fresh = run(path, kernel)
     assert any(text(cell) or pictures(cell) for cell in stored.cells)
     if stored.metadata["cvxpy"] != CVXPY:
         pytest.skip(f"it runs; what it shows was stored with cvxpy {stored.metadata['cvxpy']}")

@@ -1,0 +1,195 @@
+"""The site in docs/: the code on its pages runs, its links lead somewhere, what is public is there.
+
+Sphinx itself runs in .ci/run; here are the pages as they are written and made, without it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import pytest
+from selenium import webdriver
+from selenium.webdriver.common.by import By
+
+import sweepopt as so
+from sweepopt import fem, study
+from sweepopt.cli import main
+from sweepopt.io import list_scenes
+
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+BLOCK = re.compile(r"^```(?:python|\{code-cell\})\n(.*?)^```", re.DOTALL | re.MULTILINE)
+WRITTEN = [path for path in sorted(DOCS.rglob("*.md")) if not {"gallery", "site"} & {*path.parts}]
+WITH_CODE = [path for path in WRITTEN if BLOCK.search(path.read_text("utf-8"))]
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The pages of the site in a folder, those that docs/gallery.py makes too."""
+    folder = tmp_path_factory.mktemp("site") / "docs"
+    made = shutil.ignore_patterns("gallery", "notebooks", "theory.md", "limits.md")
+    shutil.copytree(DOCS, folder, ignore=made)
+    code = f"import sys; sys.path[:0] = {[str(DOCS)]}; import pathlib, gallery as g; "
+    code += f"g.write_pages(pathlib.Path({str(folder)!r}))"
+    subprocess.run([sys.executable, "-c", code], check=True)
+    return folder
+
+
+@pytest.mark.parametrize("page", WITH_CODE, ids=lambda page: page.stem)
+def test_the_code_of_a_page_runs(
+    page: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    known = dict(fem.EFFECTS)
+    namespace: dict[str, object] = {}
+    try:
+        for block in BLOCK.findall(page.read_text("utf-8")):
+            exec(compile(block, page.name, "exec"), namespace)
+    finally:
+        plt.close("all")
+        for name in fem.EFFECTS.keys() - known.keys():
+            del fem.EFFECTS[name]
+    for line in capsys.readouterr().out.splitlines():
+        if "difference" in line:  # from a formula, or from the same set in another form
+            assert float(line.split()[-1]) <= 1e-9, line
+        elif line.startswith("the same"):
+            assert line.endswith("True")
+
+
+def test_the_pages_with_code_are_those_that_teach() -> None:
+    teach = {"quick_start", "own_finite_elements", "cookbook", "which_scheme"}
+    assert teach <= {page.stem for page in WITH_CODE}
+
+
+def anchors(page: Path) -> set[str]:
+    """Names of the headings of a page, as MyST makes them."""
+    headings = re.findall(r"^#{1,3} (.*)$", page.read_text("utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", one.lower()).replace(" ", "-") for one in headings}
+
+
+def test_links_between_pages_resolve(pages: Path) -> None:
+    count, scenes = 0, list_scenes()
+    for page in pages.rglob("*.md"):
+        for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text("utf-8")):
+            file, _, anchor = target.partition("#")
+            if "://" in file or file.removesuffix(".png") in scenes:  # drawn when the site is built
+                continue
+            count += 1
+            assert (page.parent / file).is_file(), f"{page.name}: {target}"
+            assert not anchor or anchor in anchors(page.parent / file), f"{page.name}: {target}"
+    assert count > 40
+
+
+def test_every_page_and_notebook_is_in_a_table_of_contents(pages: Path) -> None:
+    listed = set()
+    for page in pages.rglob("*.md"):
+        for tree in re.findall(r"^```\{toctree\}\n(.*?)```", page.read_text("utf-8"), re.M | re.S):
+            names = [line for line in tree.splitlines() if line and not line.startswith(":")]
+            listed |= {(page.parent / name.split(" <")[0]).resolve() for name in names}
+    files = [*pages.rglob("*.md"), *pages.rglob("*.ipynb")]
+    there = {file.with_suffix("") for file in files if not file.stem.endswith("_head")}
+    assert listed == there - {pages / "index"}
+
+
+def test_the_gallery_has_every_scene_with_its_effects_and_its_check(pages: Path) -> None:
+    for name, title in list_scenes().items():
+        page = (pages / "gallery" / f"{name}.md").read_text("utf-8")
+        assert f"# {title}\n" in page
+        assert f"]({name}.png)" in page  # drawn from a run of the scene when the site is built
+        assert re.search(r"\*\*(Checked|Check|Formula)\*\*", page), f"{name}: no check is stated"
+        kinds = re.findall(r"~sweepopt\.fem\.(\w+)", page)
+        assert len(kinds) >= 2
+        assert set(kinds) <= set(fem.__all__)
+
+
+def test_every_public_name_is_documented_once() -> None:
+    text = "\n".join(path.read_text("utf-8") for path in (DOCS / "api").glob("*.md"))
+    modules = {"sweepopt": so, "sweepopt.fem": fem, "sweepopt.study": study}
+    for block in re.findall(r"\{eval-rst\}\n(.*?)```", text, re.S):
+        (module,) = re.findall(r"currentmodule:: (\S+)", block)
+        for directive in block.split(".. auto")[1:]:
+            name = directive.split()[1]
+            for members in re.findall(r":members: (.+)", directive):
+                for member in members.split(", "):
+                    assert hasattr(getattr(modules[module], name), member), f"{name}.{member}"
+    for module, package in modules.items():
+        blocks = re.findall(rf"currentmodule:: {re.escape(module)}\n(.*?)```", text, re.S)
+        names = re.findall(r"(?:auto(?:class|function)|py:data):: (\w+)", "\n".join(blocks))
+        assert sorted(names) == sorted(package.__all__)
+
+
+def test_formulas_are_as_tex_reads_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("docutils.utils.math.latex2mathml")
+    monkeypatch.syspath_prepend(DOCS)
+    mathml = importlib.import_module("mathml").mathml
+    half = re.sub(r"\s", "", mathml(r"\tfrac12 x", block=False))
+    assert "><mn>1</mn><mn>2</mn></mfrac><mi>x</mi>" in half
+    assert "<mtext>(1)</mtext>" in mathml(r"x \le 1 \tag{1}", block=True)
+    assert "\\" not in mathml(r"N_{C(t)}\big(A u'\big), \dots", block=True)
+
+
+def test_commands_on_the_pages_are_understood(
+    pages: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = "\n".join(page.read_text("utf-8") for page in pages.rglob("*.md"))
+    commands = {*re.findall(r"`(sweepopt \w[^`]*)`", text)}
+    assert len(commands) > 15
+    scenes = {*list_scenes(), "SCENE", "STUDY", "STUDY.toml", "NAME"}
+    studies = {path.stem for path in (ROOT / "problems").rglob("*.toml")}
+    for command in commands:
+        _, verb, *words = shlex.split(command)
+        with pytest.raises(SystemExit) as stopped:
+            main([verb, "--help"])
+        assert stopped.value.code == 0, command
+        help_text = capsys.readouterr().out
+        assert all(word in help_text for word in words if word.startswith("--")), command
+        if words and not words[0].startswith("--"):
+            assert words[0] in scenes | studies, command
+
+
+@pytest.mark.skipif("SWEEPOPT_SITE" not in os.environ, reason="SWEEPOPT_SITE names no built site")
+def test_a_gallery_page_opens_in_a_browser_and_asks_nobody_for_anything(tmp_path: Path) -> None:
+    chromium, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
+    if not chromium or not chromedriver:
+        assert os.environ.get("SWEEPOPT_BROWSER") != "required", "there is no Chromium"
+        pytest.skip("the apt packages chromium and chromium-driver are not installed")
+    site = Path(os.environ["SWEEPOPT_SITE"]).resolve()
+    options = webdriver.ChromeOptions()
+    options.binary_location = chromium
+    for switch in ("headless", "no-sandbox", "disable-dev-shm-usage", f"user-data-dir={tmp_path}"):
+        options.add_argument(f"--{switch}")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    with webdriver.Chrome(options=options, service=webdriver.ChromeService(chromedriver)) as driver:
+        driver.get("about:blank")  # leaves Chromium's own first page
+        driver.get_log("performance")
+        driver.get((site / "gallery" / "index.html").as_uri())
+        widths = "return [...document.querySelectorAll('.cards img')].map(i => i.naturalWidth)"
+        assert len(driver.execute_script(widths)) == len(list_scenes())
+        assert min(driver.execute_script(widths)) > 300
+        driver.get((site / "theory.html").as_uri())
+        driver.get((site / "gallery" / "tube.html").as_uri())
+        assert "Tube pulled through its housing" in driver.find_element(By.TAG_NAME, "h1").text
+        driver.get(driver.find_element(By.LINK_TEXT, "Friction").get_attribute("href"))
+        assert driver.find_element(By.ID, "sweepopt.fem.Friction").is_displayed()
+        assert driver.current_url.endswith("api/fem.html#sweepopt.fem.Friction")
+        assert driver.get_log("browser") == []
+        events = [json.loads(each["message"])["message"] for each in driver.get_log("performance")]
+    asked = [
+        event["params"]["request"]["url"]
+        for event in events
+        if event["method"] == "Network.requestWillBeSent"
+    ]
+    assert len(asked) > 10
+    assert all(url.startswith((site.as_uri(), "data:")) for url in asked)
