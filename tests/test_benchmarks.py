@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 import equal_error
 import loops_by_hand
 import packages
+import scenes
 from equal_error import Run, SmoothedLaw, Task, Way, cheapest
 
 
@@ -123,3 +124,16 @@ def test_a_package_is_judged_at_its_own_nodes_and_must_come_to_the_end(task: Tas
     assert packages.error_at_nodes(times, u) < 1e-8
     assert packages.error_at_nodes(times, u + 0.5) == pytest.approx(0.5, abs=1e-8)
     assert packages.error_at_nodes(times[:-3], u[:-3]) == math.inf
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.errors.InitialStateWarning")
+@pytest.mark.parametrize(("name", "size"), [("tread", 2), ("pipe", 3), ("rough", 3), ("ring", 1)])
+def test_steps_of_the_scenes_are_those_of_their_loop_with_cvxpy(name: str, size: int) -> None:
+    make, _, t_end, _ = scenes.SCENES[name]
+    scene, steps = make(size), 10
+    run, seconds = scenes.timed(scene, t_end, steps)
+    assert seconds.size == steps
+    step = scenes.by_cvxpy(scene, t_end / steps)
+    for k in (4, 9):
+        z, _ = step(run.u[k], float(run.t[k + 1]))
+        assert np.abs(z - run.velocity[k]).max() <= 2e-3 * np.abs(z).max()

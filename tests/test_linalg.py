@@ -18,6 +18,7 @@ from sweepopt.errors import InputError
 from sweepopt.linalg import (
     Elimination,
     Factor,
+    InBlocks,
     cholesky,
     dense,
     is_semidefinite,
@@ -316,3 +317,27 @@ def test_a_matrix_at_the_limit_of_rounding_proves_nothing(convert: type) -> None
     assert is_exactly_semidefinite((1, one))
     assert Factor(convert(one)).smallest_eigenvalue() == 0.0
     assert largest_ratio(Factor(convert(one)), convert(laplacian(6))) == math.inf
+
+
+def test_a_norm_is_compared_to_a_limit_by_bounds_or_by_a_solve() -> None:
+    M = sp.csc_array(sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(60, 60)))
+    factor = Factor(M)
+    for w in np.random.default_rng(0).normal(size=(5, 60)):
+        size = factor.dual_norm(w)
+        for share in (1e-3, 0.5, 1 - 1e-9):
+            assert not factor.is_within(w, share * size)
+            assert factor.is_within(w, size / share)
+
+
+@pytest.mark.usefixtures("engine")
+def test_factors_of_one_pattern_refuse_what_is_not_positive_definite() -> None:
+    lower = sp.csc_array([[2.0, 0.0, 0.0], [-1.0, 2.0, 0.0], [0.0, -1.0, 2.0]])
+    factorise, w = InBlocks(lower.indices, lower.indptr), np.array([1.0, -2.0, 3.0])
+    full = lower + sp.csc_array(sp.tril(lower, -1)).T
+    np.testing.assert_allclose(full @ factorise(lower.data)(w), w)
+    np.testing.assert_allclose(full @ factorise(3 * lower.data)(w), w / 3)
+    indefinite = lower.data.copy()
+    indefinite[-1] = -2.0
+    with pytest.raises(ArithmeticError):
+        factorise(indefinite)
+    np.testing.assert_allclose(full @ factorise(lower.data)(w), w)
