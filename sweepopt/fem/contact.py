@@ -423,7 +423,8 @@ class Slip:
     t : ndarray, shape (n+1,)
     stage_t : ndarray, shape (n,)
         Where in each step the traction is taken: at the scheme's stage, so that |q| <= g holds as
-        exactly as the step is certified; in the middle for schemes of several stages.
+        exactly as the step is certified; in the middle for schemes of several stages. Of a step
+        that is taken in parts, as the load turns in it, q is a mean, which may be larger.
     displacement : ndarray, shape (n+1, m) or (n+1, m, components)
     velocity : ndarray, shape (n, m) or (n, m, components)
         Exactly 0.0 where a node sticks.

@@ -7,7 +7,7 @@ normal, and the axes, in this order; `T` has these bases as blocks.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -83,20 +83,16 @@ def frame_of(body: Discretisation, held: list[tuple[Indices, str]]) -> Frame:
         nodes, normals = normals_at(body, body.facets("turned", body.turned)[0])
         add(nodes, normals, PARALLEL)
         normal[nodes] = count[nodes] > fixed[nodes]
-    some = np.flatnonzero(count)
     for axis in axes:
-        add(some, np.tile(axis, (some.size, 1)), NEW_DIRECTION)
-    T = sp.eye_array(body.basis.N, format="csr")
-    if some.size and (basis[some] != axes).any():
-        rest = sp.diags_array((~np.isin(np.arange(T.shape[0]), body.nodes[:, some])).astype(float))
-        dofs = body.nodes.T[some]  # node, direction
-        rows = np.broadcast_to(dofs[:, None, :], basis[some].shape)
-        columns = np.broadcast_to(dofs[:, :, None], basis[some].shape)
-        entries = basis[some].ravel(), (rows.ravel(), columns.ravel())
-        turned: Any = sp.csr_array(entries, shape=T.shape)
-        turned.eliminate_zeros()
-        return Frame(sp.csr_array(rest + turned), fixed, normal)
-    return Frame(None, fixed, normal)
+        add(np.arange(size), np.tile(axis, (size, 1)), NEW_DIRECTION)
+    if (basis == axes).all():
+        return Frame(None, fixed, normal)
+    dofs = body.nodes.T  # node, direction
+    rows, columns = (np.broadcast_to(x, basis.shape) for x in (dofs[:, None, :], dofs[:, :, None]))
+    entries = basis.ravel(), (rows.ravel(), columns.ravel())
+    T = sp.csr_array(entries, shape=(dofs.size, dofs.size))
+    T.eliminate_zeros()
+    return Frame(T, fixed, normal)
 
 
 def normals_at(body: Discretisation, facets: Indices) -> tuple[Indices, Array]:
