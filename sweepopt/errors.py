@@ -30,7 +30,7 @@ def shown(value: object) -> str:
 
 def suggestion(word: object, known: Iterable[str]) -> str:
     """The known word that is nearest to an unknown one, as the end of a message."""
-    near = get_close_matches(str(word), list(known), 1)
+    near = get_close_matches(word, list(known), 1) if isinstance(word, str) else []
     return f"; did you mean {near[0]}?" if near else ""
 
 

@@ -65,6 +65,7 @@ MISTAKES: list[tuple[str, Callable[[], Any], str, str]] = [
     ("solver", lambda: run(solver="clarabell"), "solver 'clarabell' is not known", "use auto, clarabel"),
     ("scheme", lambda: run(scheme="euler"), "scheme 'euler' is not known", "implicit-euler"),
     ("on_failure", lambda: run(on_failure="stopp"), "on_failure must be one of", "did you mean stop"),
+    ("no word", lambda: run(on_failure=10**5000), "on_failure must be one of", "int too long to print"),
     # scenes
     ("scene", lambda: so.scene("tub"), "tub", "tube"),
     ("effect", lambda: scene("[effect.viscosity]\neta = 1.0\n"), "effect: unknown key", "mean effects"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pydoc
 import subprocess
 import sys
+from inspect import signature
 
 import pytest
 
@@ -40,6 +41,10 @@ def test_dir_has_the_public_names_and_each_of_them_is_there() -> None:
 
 def test_help_of_what_the_readme_names_needs_no_import_of_it() -> None:
     assert "[effects.friction]" in fresh("import sweepopt; help(sweepopt.fem.read_scene)")
+    lines = (so.fem.read_scene.__doc__ or "").partition("All effects")[2].splitlines()
+    keys = {words[0]: words[1:] for line in lines if (words := line.split())}
+    for name, effect in so.fem.EFFECTS.items():
+        assert [key.strip("[],") for key in keys[name]] == list(signature(effect).parameters)
     assert "sweepopt.study" in fresh("import sweepopt; print(sweepopt.study, sweepopt.plot)")
     assert "SweepingProcess" in pydoc.render_doc(so)
 

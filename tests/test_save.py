@@ -406,7 +406,8 @@ def test_flipped_bits_and_cut_files_are_named(tmp_path: Path) -> None:
         try:
             with xr.open_dataset(file, engine="h5netcdf") as dataset:
                 u, velocity = dataset.u.values, dataset.velocity.values
-        except (OSError, KeyError, RuntimeError, AttributeError):  # by version of h5netcdf
+        # by version of h5netcdf; names of solvers are text, which has no checksum
+        except (OSError, KeyError, RuntimeError, AttributeError, UnicodeDecodeError):
             continue
         assert np.array_equal(u, whole.u)
         assert np.array_equal(velocity, whole.velocity)

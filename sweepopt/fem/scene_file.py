@@ -135,6 +135,11 @@ def read_scene(
     are lists. Other histories: ``{ waveform = "triangle", amplitude, period }``,
     ``{ waveform = "constant", value }``, ``{ table = { t = [...], values = [...] } }``.
 
+    All effects with their keys, those in brackets may be left out; `sweepopt.fem` has a class of
+    each, whose help says what they mean::
+
+        EFFECTS_AND_KEYS
+
     Examples
     --------
     >>> scene = read_scene("tube")
@@ -162,6 +167,18 @@ def read_scene(
     for kind, table, path in ((_time, file.time, "time"), (method, file.solve, "solve")):
         settings |= _called(kind, table, path, folder)
     return build(body, chosen, _called(Initial, file.initial, "initial", folder), settings)
+
+
+def keys_of(effect: type) -> str:
+    """The keys of an effect's table; those in brackets may be left out."""
+    given = signature(effect).parameters.values()
+    return ", ".join(p.name if p.default is p.empty else f"[{p.name}]" for p in given)
+
+
+read_scene.__doc__ = str(read_scene.__doc__).replace(
+    "EFFECTS_AND_KEYS",
+    "\n        ".join(f"{name:<24} {keys_of(kind)}" for name, kind in EFFECTS.items()),
+)
 
 
 def load_scene(

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sweepopt.checks import HUGE, TIME_SLACK, matrix, number
+from sweepopt.display import Brief
 from sweepopt.errors import InputError
 from sweepopt.io import read_columns
 from sweepopt.loads.history import Array, History, Piece, as_times, interval, read_only
 
 
-@dataclass(frozen=True, eq=False)
-class Table(History):
+@dataclass(frozen=True, eq=False, repr=False)
+class Table(Brief, History):
     """Piecewise linear history through measured points.
 
     Parameters
@@ -112,9 +113,6 @@ class Table(History):
         points, slopes = self.breakpoints(a, b), np.sign(np.diff(self.values))
         turns = self.times[1:-1][slopes[1:] != slopes[:-1]]
         return points[np.isin(points, turns)]
-
-    def __repr__(self) -> str:
-        return f"Table({self.times.size} points on [{self.times[0]:g}, {self.times[-1]:g}])"
 
 
 class VectorTable(Table):
