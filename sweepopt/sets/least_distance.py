@@ -131,9 +131,9 @@ def nonnegative_least_squares(A: np.ndarray, b: np.ndarray) -> NonnegativeSoluti
     Up to SciPy 1.17 `nnls` may return a y that is no minimiser, with a residual that is not that of
     y (scipy#25389, mended by #26180): then the method for bounded variables is asked.
     """
-    y, claimed = scipy.optimize.nnls(A, b, maxiter=30 * A.shape[1])
-    residual = float(np.linalg.norm(A @ y - b))
-    if residual > claimed + 1e-8 * np.linalg.norm(b):
+    y, residual = scipy.optimize.nnls(A, b, maxiter=30 * A.shape[1])
+    rounding = 1e-8 * np.linalg.norm(np.abs(A) @ y + np.abs(b))  # much more than A y rounds
+    if np.linalg.norm(A @ y - b) > residual + rounding:
         y = scipy.optimize.lsq_linear(A, b, (0, np.inf), method="bvls").x
         residual = float(np.linalg.norm(A @ y - b))
     return NonnegativeSolution(y, residual)

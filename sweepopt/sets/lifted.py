@@ -164,21 +164,14 @@ class Lifted(ConvexSet):
         return self._last
 
     def _projection(self, v: np.ndarray) -> Projection:
-        project = self._projector
-        near = project(v, project.start(v))
-        if not near.exact and self.lifted.small:
-            # an interior point method comes to the right faces where sweeps crawl
-            p, y = normal_by_program(self, v)
-            multipliers = self._unit * y[: self.lifted.F.shape[0]]
-            again = project(v, project.start_beside(v, p, multipliers))
-            near = again if again.exact else near
-            held = bool(self.lifted.F.shape[0]) and not near.exact
-            if held and again.splitting.tension(again) > TENSION:
-                raise TouchingError(
-                    "C & D: the two sets only touch, or miss each other, so that rounding "
-                    "hides the projection; give what they share as a set of its own, a Point "
-                    "for example, or let them overlap by 1e-8 of their size"
-                )
+        near = self._projector(v, self._projector.start(v))
+        held = bool(self.lifted.F.shape[0]) and self.lifted.small and not near.exact
+        if held and near.splitting.is_tense(near, TENSION):
+            raise TouchingError(
+                "C & D: the two sets only touch, or miss each other, so that rounding "
+                "hides the projection; give what they share as a set of its own, a Point "
+                "for example, or let them overlap by 1e-8 of their size"
+            )
         return near
 
     def is_beyond(self, w: np.ndarray, distance: float) -> bool:

@@ -77,12 +77,6 @@ class Projector:
         s = plain.projected(plain.E.T @ v)
         return Start(s, plain.E.T @ (v - plain.E @ s))
 
-    def start_beside(self, v: np.ndarray, p: np.ndarray, multipliers: np.ndarray) -> Start:
-        """From an approximate normal p of C and multipliers of F s = 0."""
-        plain = self.splitting(1.0)
-        s = _shortest(np.vstack([plain.E, plain.F]), np.append(v - p, 0 * multipliers))
-        return Start(s, plain.E.T @ p - plain.F.T @ multipliers)
-
     def __call__(self, v: np.ndarray, start: Start, restart: bool = True) -> Projection:
         """The projection of v, as exactly as it is found.
 
@@ -220,14 +214,14 @@ class Splitting:
         multipliers = _shortest(F, E @ p - n)
         return p + _shortest(np.hstack([E, -F]), n - E @ p + F @ multipliers)[: p.size]
 
-    def tension(self, near: Projection) -> float:
-        """How much larger the multipliers of F s = 0 are than v - w, both as forces on the parts.
+    def is_tense(self, near: Projection, times: float) -> bool:
+        """Whether multipliers of F s = 0 are so many times as large as v - w, as forces on parts.
 
         They have no bound where the parts meet in no interior point.
         """
         pull = self.E.T @ (near.v - near.w)
         held = self.F.T @ _shortest(self.F.T, pull - (near.image - near.s))
-        return float(np.linalg.norm(held) / np.linalg.norm(np.append(pull, np.finfo(float).tiny)))
+        return bool(np.linalg.norm(held) > times * np.linalg.norm(pull))
 
     def perturbation(self, near: Projection, p: np.ndarray) -> Perturbation | None:
         """How far w and p are from a pair, to first order; None where parts have no derivative.
@@ -296,16 +290,14 @@ class FixedPoint(NamedTuple):
     fixed: bool
 
 
-def fixed_point(
-    step: Map, x: np.ndarray, size: float, sweeps: int, memory: int = LOOK_BACK
-) -> FixedPoint:
-    """x = step(x) for a nonexpansive step, `size` that of its data; without memory plain sweeps.
+def fixed_point(step: Map, x: np.ndarray, size: float, sweeps: int) -> FixedPoint:
+    """x = step(x) for a nonexpansive step, `size` that of its data.
 
     Anderson's acceleration (Walker and Ni, SIAM J. Numer. Anal. 49, 2011), with the plain
     iteration, whose residual never grows, as the safeguard of Zhang, O'Donoghue and Boyd (2020).
     """
-    images: deque[np.ndarray] = deque(maxlen=memory + 1)
-    residuals: deque[np.ndarray] = deque(maxlen=memory + 1)
+    images: deque[np.ndarray] = deque(maxlen=LOOK_BACK + 1)
+    residuals: deque[np.ndarray] = deque(maxlen=LOOK_BACK + 1)
     size = max(size, float(np.abs(x).max()))
     for _ in range(sweeps):
         image = step(x)
