@@ -275,7 +275,7 @@ def test_unknowns_at_rest_do_not_change_the_bound_of_a_load_that_jumps_within_st
         process = so.SweepingProcess(0.0 * one, one, C, 100.0 * first)
         return so.solve(process, t_end=1.0, steps=20, scheme="sdirk2").error_bound().of_t
 
-    assert np.allclose(bounds(500), bounds(1), rtol=1e-9)
+    assert np.allclose(bounds(1000), bounds(1), rtol=1e-9)
 
 
 @pytest.mark.parametrize(
