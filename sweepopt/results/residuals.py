@@ -154,7 +154,8 @@ def _bounds(
 ) -> list[Residuals]:
     """Those of each curve, from intervals treated at once."""
     n, dim = nodes.velocity.shape
-    totals = [_no_residuals(n, dim) for _ in curves]
+    sizes = (n, n, n, (n, dim), (n, dim), n)
+    totals = [Residuals(*map(np.zeros, sizes)) for _ in curves]
     before = [(np.zeros(dim), 0.0) for _ in curves]  # r at the end of the last interval, its error
     moving = model.motion
     width = dim if moving.offsets is None else max(dim, moving.offsets.dim)
@@ -181,12 +182,6 @@ def _bounds(
             np.add.at(total.turning, i[~first], jumps[~first])
             before[k] = ends[-1], errors[-1]
     return totals
-
-
-def _no_residuals(n: int, dim: int) -> Residuals:
-    a, b, c, d = np.zeros((4, n))
-    begin, end = np.zeros((2, n, dim))
-    return Residuals(a, b, c, begin, end, d)
 
 
 def _on_intervals(
@@ -281,14 +276,11 @@ def _interpolation_errors(
     """What interpolated histories add to |r|, in both dual norms, and to int |r'| in that of B."""
     both = []
     for norm, root in ((norms.dual, norms.beta), (norms.dual_B, norms.beta_B)):
-        sizes = np.array([float(norm(f)) for _, f in moving.center.terms])
-        if moving.center.function is not None and not center.slope_error.any():
-            sizes = np.zeros(1)
-        elif moving.center.function is not None:
-            sizes = np.array(
-                [1 / math.sqrt(root) if root else math.inf]
-            )  # its variation is a Euclidean one
-        error, turning = center.error @ sizes, center.slope_error @ sizes
+        euclidean = 1 / math.sqrt(root) if root else math.inf  # so is the variation of a function
+        sizes = [float(norm(f)) for _, f in moving.center.terms] or [euclidean]
+        error, turning = (
+            np.where(e > 0, e * sizes, 0.0).sum(axis=1) for e in (center.error, center.slope_error)
+        )
         if scale.error.any():
             each = np.array([norm(f * s).max(axis=1) for _, f in moving.scale.terms]).T
             error = error + (scale.error * each).sum(axis=1)
