@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from cases import SETS, case, random_process
 
 import sweepopt as so
@@ -203,6 +204,81 @@ def test_scales_and_cones_have_a_guaranteed_bound(
     bound, error = sol.error_bound(), sizes(process, sol.u - reference(sol.t)).max()
     assert bound.guaranteed
     assert error <= bound <= min(most, factor * error)
+
+
+def coupled(seed: int, history: Any, A: float) -> so.SweepingProcess:
+    """{ w : G w <= h(t) } with more rows than unknowns, two of them opposite."""
+    random = np.random.default_rng(seed)
+    dim = 2 + seed % 3
+    G = random.normal(size=(dim + 2, dim))
+    G = np.vstack([G, -G[0]]) / np.linalg.norm(np.vstack([G, G[0]]), axis=1)[:, None]
+    h: list[Any] = [(so.Constant(), random.uniform(0.7, 1.2, len(G)))]
+    for point in 1.5 * random.normal(size=(2, dim)):
+        h.append((history(random), G @ point + random.uniform(-0.1, 0.1, len(G))))
+    Q, R = random.normal(size=(2, dim, dim))
+    return so.SweepingProcess(
+        A * (Q @ Q.T + 0.2 * np.eye(dim)),
+        R @ R.T + 0.5 * np.eye(dim),
+        so.Polyhedron(G, so.Separable(h)),
+        np.zeros(dim),
+    )
+
+
+@pytest.mark.parametrize("A", [0.3, 0.0])
+@pytest.mark.parametrize(
+    "history",
+    [
+        lambda random: so.Sine(1.0, random.uniform(1.0, 3.0)),
+        lambda random: so.Table([0, 0.5, 1.1, 1.7, 2.0], np.append(0, random.normal(size=4))),
+    ],
+    ids=["sines", "tables"],
+)
+def test_coupled_rows_that_move_have_a_guaranteed_bound(history: Any, A: float) -> None:
+    for seed in range(3):
+        process = coupled(seed, history, A)
+        truth = so.solve(process, t_end=2.0, steps=1, scheme="exact")
+        for scheme in FOR_A_ZERO:
+            sol = so.solve(process, t_end=2.0, steps=20, scheme=scheme, on_unstable="ignore")
+            times = divided(sol.t, 8)
+            bound, error = sol.error_bound(), sizes(process, sol(times) - truth.exact(times)).max()
+            assert bound.guaranteed
+            assert error <= bound <= 4 * error
+
+
+def test_coupled_rows_that_are_a_function_stay_sampled() -> None:
+    data = coupled(0, lambda random: so.Sine(1.0, 2.0), 0.3)
+    C = so.Polyhedron(data.C.shape.G, lambda t: data.C.offsets(t))
+    process = so.SweepingProcess(data.A, data.B, C, data.u0)
+    assert not so.solve(process, t_end=1.0, steps=10).error_bound().guaranteed
+
+
+class Staircase:
+    """It jumps by 1/100 at 150 times, a third of them further apart than the others."""
+
+    at = np.linspace(0.0, 1.0, 152)[1:-1] ** 1.5
+
+    def __call__(self, t: float) -> float:
+        return 0.01 * float(np.searchsorted(self.at, t, side="right"))
+
+    def variation(self, a: float, b: float) -> float:
+        return self(b) - self(a)
+
+    def breakpoints(self, a: float, b: float) -> Any:
+        return self.at[(self.at > a) & (self.at < b)]
+
+
+@pytest.mark.filterwarnings("ignore::sweepopt.VariationWarning")
+def test_unknowns_at_rest_do_not_change_the_bound_of_a_load_that_jumps_within_steps() -> None:
+    """The residuals of many unknowns are computed in parts that end within a step."""
+
+    def bounds(dim: int) -> np.ndarray:
+        first, one = np.eye(dim)[0], sp.eye_array(dim)
+        load = so.Separable([(Staircase(), first), (so.Constant(100.0), first)])
+        C = so.Moving(so.Box(np.full(dim, -1.0), np.ones(dim)), load)
+        process = so.SweepingProcess(0.0 * one, one, C, 100.0 * first)
+        return so.solve(process, t_end=1.0, steps=20, scheme="sdirk2").error_bound().of_t
+
+    assert np.allclose(bounds(1000), bounds(1), rtol=1e-9)
 
 
 @pytest.mark.parametrize(

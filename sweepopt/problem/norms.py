@@ -54,22 +54,16 @@ class Norms:
 
     def dual(self, w: np.ndarray) -> np.ndarray:
         """|w|_{A^-1} over the last axis."""
-        rows = w.reshape(-1, w.shape[-1])
-        solved = self._metric.solve_many(rows) if rows.any() else rows
-        return np.sqrt(np.maximum((rows * solved).sum(axis=1), 0.0)).reshape(w.shape[:-1])
+        return _dual(self._metric, w)
+
+    def dual_B(self, w: np.ndarray) -> np.ndarray:
+        """|w|_{B^-1} over the last axis; infinite where B has no inverse."""
+        return _dual(self._weak, w)
 
     def units(self, h: Any, weights: Callable[[np.ndarray], Any]) -> Any:
         """Weights of the diagonal of A + h B."""
         units = weights(self._A.diagonal())
         return units if self._B is None else units + h * weights(self._B.diagonal())
-
-    def dual_B(self, w: np.ndarray) -> np.ndarray:
-        """|w|_{B^-1} over the last axis; infinite where B has no inverse."""
-        rows = w.reshape(-1, w.shape[-1])
-        squared = np.where(rows.any(axis=1), np.inf, 0.0)
-        if self._weak is not None and squared.any():
-            squared = (rows * self._weak.solve_many(rows)).sum(axis=1)
-        return np.sqrt(np.maximum(squared, 0.0)).reshape(w.shape[:-1])
 
     def growth(self, tau: np.ndarray) -> np.ndarray:
         """K(tau) of MATH 3 without sqrt(Lam / lam), which |.|_B / sqrt(lam) does not need."""
@@ -78,6 +72,14 @@ class Norms:
         nu = (self.Lam - self.lam) ** 2 / (8 * (self.Lam + self.lam))
         with np.errstate(over="ignore"):
             return np.minimum(np.exp(nu * tau), 1 + np.sqrt(0.5 * self.Lam * tau))
+
+
+def _dual(metric: Factor | None, w: np.ndarray) -> np.ndarray:
+    rows = w.reshape(-1, w.shape[-1])
+    squared = np.where(rows.any(axis=1), np.inf, 0.0)
+    if metric is not None and squared.any():
+        squared = (rows * metric.solve_many(rows)).sum(axis=1)
+    return np.sqrt(np.maximum(squared, 0.0)).reshape(w.shape[:-1])
 
 
 def applied(M: Any, x: np.ndarray) -> np.ndarray:

@@ -4,20 +4,24 @@ For the curve v and a selection w(t) in C(t) this gives int 2 G and int |r|^2 on
 r = A v' + B v - w and G = sigma(C(t), -v') + <v', w>. Where C(t) = center(t) + scale(t) S is data,
 w(t) = center(t) + scale(t) s(t) with s a curve in S between projections, and both integrals are
 bounds: G by the convexity of sigma, r as a polynomial plus the interpolation error of the
-histories. Of any other C(t) the member in the middle of a step is S if its variation v is known, as
-w(t) is then no further from s(t) than v grows on the step, which costs 2 |v'| times that in G;
-otherwise both are sampled.
+histories. Where C(t) = { w : G w <= h(t) } is data, w is a curve between projections on the sets of
+h's Bernstein coefficients, and weak duality bounds sigma. Of any other C(t) the member in the
+middle of a step is S if its variation v is known, as w(t) is then no further from s(t) than v grows
+on the step, which costs 2 |v'| times that in G; otherwise both are sampled.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
+from sweepopt.errors import EmptySetError
 from sweepopt.problem import (
     DERIVATIVE,
     GAUSS,
@@ -35,7 +39,7 @@ from sweepopt.problem import (
     smooth_intervals,
 )
 from sweepopt.results.nodes import Nodes, force_along
-from sweepopt.sets import ConvexSet, basis, to_bernstein
+from sweepopt.sets import ROUNDING, ConvexSet, Polyhedron, basis, to_bernstein
 
 HALVES = np.array([0.0, 0.5, 1.0])
 HALVES_TO_BERNSTEIN = to_bernstein(HALVES)
@@ -101,17 +105,23 @@ def residuals(
         v with d_H(C(t), C(s)) <= v(t) - v(s) for s <= t.
     """
     model = _model(process, norms, nodes, variation)
-    if model is None:
-        return [_sampled(process, norms, nodes, v) for v in curves], False
-    guaranteed = model.motion.center.bounded and model.motion.scale.bounded
-    return _bounds(process, norms, nodes, curves, model), guaranteed
+    # coefficients of a polynomial may be no offsets of a set that is nearly a point
+    with suppress(EmptySetError):
+        if model is not None:
+            moving = model.motion
+            guaranteed = moving.center.bounded and moving.scale.bounded
+            return _bounds(process, norms, nodes, curves, model), guaranteed
+    return [_sampled(process, norms, nodes, v) for v in curves], False
 
 
 def _model(
     process: SweepingProcess, norms: Norms, nodes: Nodes, variation: Callable[[float], float] | None
 ) -> _Model | None:
     """What is known of C(t) on intervals that cover the steps; None if nothing is."""
-    moving = motion(process.C).translated()
+    data = motion(process.C)
+    moving, h = data.translated(), data.offsets
+    if moving is None and h and h.bounded and data.shape and data.shape.exact:
+        moving = data
     if moving is not None and variation is not None and not moving.center.bounded:
         moving = _with_variation(moving, variation)
     if moving is not None and moving.shape is not None and moving.scale.function is None:
@@ -144,22 +154,24 @@ def _bounds(
 ) -> list[Residuals]:
     """Those of each curve, from intervals treated at once."""
     n, dim = nodes.velocity.shape
-    totals = [_no_residuals(n, dim) for _ in curves]
+    sizes = (n, n, n, (n, dim), (n, dim), n)
+    totals = [Residuals(*map(np.zeros, sizes)) for _ in curves]
     before = [(np.zeros(dim), 0.0) for _ in curves]  # r at the end of the last interval, its error
-    count = max(CHUNK // (30 * dim), 1)
+    moving = model.motion
+    width = dim if moving.offsets is None else max(dim, moving.offsets.dim)
+    count = max(CHUNK // (30 * width), 1)
     for start in range(0, len(model.distance), count):
         part = slice(start, start + count)
         intervals = Intervals(*(x[part] for x in model.intervals))
         shapes = model.shapes if len(model.shapes) == 1 else model.shapes[part]
         some = model._replace(intervals=intervals, shapes=shapes, distance=model.distance[part])
-        center, scale = (
-            interpolate(f, intervals.begin, intervals.end)
-            for f in (model.motion.center, model.motion.scale)
-        )
+        on_part = partial(interpolate, begin=intervals.begin, end=intervals.end)
+        center, scale = on_part(moving.center), on_part(moving.scale)
+        offsets = on_part(moving.offsets) if moving.offsets else None
         i = intervals.step
         first, last = intervals.begin == nodes.t[i], intervals.end == nodes.t[i + 1]
         for k, (total, slopes) in enumerate(zip(totals, curves, strict=True)):
-            each = _on_intervals(process, norms, nodes, slopes, some, center, scale)
+            each = _on_intervals(process, norms, nodes, slopes, some, center, scale, offsets)
             for sums, add in zip(total[:3], each[:3], strict=True):
                 np.add.at(sums, i, add)
             np.maximum.at(total.error, i, each.error)
@@ -172,12 +184,6 @@ def _bounds(
     return totals
 
 
-def _no_residuals(n: int, dim: int) -> Residuals:
-    a, b, c, d = np.zeros((4, n))
-    begin, end = np.zeros((2, n, dim))
-    return Residuals(a, b, c, begin, end, d)
-
-
 def _on_intervals(
     process: SweepingProcess,
     norms: Norms,
@@ -186,36 +192,31 @@ def _on_intervals(
     model: _Model,
     center: Interpolated,
     scale: Interpolated,
+    offsets: Interpolated | None,
 ) -> Residuals:
     """Those of one curve on each interval."""
-    moving, (i, a, b) = model.motion, model.intervals
+    i, a, b = model.intervals
     h, length = nodes.t[i + 1] - nodes.t[i], b - a
     begin, share = ((a - nodes.t[i]) / h)[:, None], (length / h)[:, None]
     theta = begin + share * GAUSS
     force = force_along(process, nodes, slopes, i, theta) - center.values
     # the diagonal of A + h B
     tau = norms.units(h[:, None, None], model.shapes[0].weights)
-    s = _curve_in_shape(model, force - tau * (basis(2, theta) @ slopes[i]), scale.values)
-    r = force - scale.values * (basis(s.shape[1] - 1, GAUSS) @ s)
+    aim = force - tau * (basis(2, theta) @ slopes[i])
+    directions = -HALVES_TO_BERNSTEIN @ (basis(2, begin + share * HALVES) @ slopes[i])
+    if offsets is None:
+        s = _curve_in_shape(model, aim, scale.values)
+        w = scale.values * (basis(s.shape[1] - 1, GAUSS) @ s)
+        # a curve that is moved has no bound of int |r'|, which is what counts in stiff steps
+        may_move = ~(norms.weak | (h * norms.Lam > 2))
+        gaps, moved = _gaps_in_shape(norms, model, scale, s, directions, may_move)
+        error, error_B, turning = _interpolation_errors(norms, model.motion, s, center, scale)
+        error = error + moved / math.sqrt(norms.beta)
+    else:
+        w, gaps = _within_rows(model, aim, directions, offsets)
+        moved = error = error_B = turning = np.zeros(len(a))
 
-    error, error_B, turning = _interpolation_errors(norms, model.motion, s, center, scale)
-    most = (TO_BERNSTEIN @ scale.values).max(axis=1)
-    if scale.error.any():
-        most = most + scale.error @ np.abs([f for _, f in moving.scale.terms])
-
-    # G <= sup scale * (sigma(S, -v') + <v', s>), a scale of several entries inside the parentheses
-    directions = HALVES_TO_BERNSTEIN @ (basis(2, begin + share * HALVES) @ slopes[i])
-    largest = most.max(axis=1)
-    # a curve that is moved has no bound of int |r'|, which is what counts in stiff steps
-    ratios = np.where(h * norms.Lam > 2, np.inf, largest**2 / norms.beta)
-    if norms.weak:
-        ratios[:] = np.inf
-    gaps, distance = model.each(_gaps, -directions * most[:, None], s, ratios).T
-    speed = np.linalg.norm(directions, axis=2).mean(axis=1)
-    gaps = gaps + 2 * speed * model.distance
-    moved = largest * distance + model.distance
-    error = error + moved / math.sqrt(norms.beta)
-
+    r = force - w
     # Minkowski: the interpolation error adds up in the norm
     squares = length * (np.sqrt(norms.dual(r) ** 2 @ WEIGHTS) + error) ** 2
     turning = np.sqrt(norms.dual_B(DERIVATIVE @ r) ** 2 @ WEIGHTS) + turning
@@ -224,20 +225,62 @@ def _on_intervals(
     return Residuals(2 * length * gaps, squares, turning, first, last, error_B)
 
 
+def _gaps_in_shape(
+    norms: Norms,
+    model: _Model,
+    scale: Interpolated,
+    s: np.ndarray,
+    directions: np.ndarray,
+    may_move: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The mean of a bound of G on each interval, and how far the curve is moved for it.
+
+    G <= sup scale (sigma(S, -v') + <v', s>), a scale of several entries inside the parentheses.
+    """
+    most = (TO_BERNSTEIN @ scale.values).max(axis=1)
+    if scale.error.any():
+        most = most + scale.error @ np.abs([f for _, f in model.motion.scale.terms])
+    largest = most.max(axis=1)
+    ratios = np.where(may_move, largest**2 / norms.beta, np.inf)
+    gaps, distance = model.each(_gaps, directions * most[:, None], s, ratios).T
+    speed = np.linalg.norm(directions, axis=2).mean(axis=1)
+    return gaps + 2 * speed * model.distance, largest * distance + model.distance
+
+
+def _within_rows(
+    model: _Model, aim: np.ndarray, directions: np.ndarray, h: Interpolated
+) -> tuple[np.ndarray, np.ndarray]:
+    """A curve w in C(t) = { w : G w <= h(t) } at GAUSS, and the mean of a bound of its G.
+
+    Where each Bernstein coefficient of w satisfies the rows for that of h's polynomial less its
+    error, w is in C(t). By weak duality sigma(C(t), -v') <= <h(t), y> for y >= 0, G^T y = -v'.
+    """
+    S, f = model.shapes[0], model.motion.offsets
+    assert isinstance(S, Polyhedron)
+    assert f is not None
+    error = h.error @ np.abs([shape for _, shape in f.terms] or np.ones((1, f.dim)))
+    limits = TO_BERNSTEIN @ h.values - error[:, None]
+    rows = S.project_rows((TO_BERNSTEIN @ aim).reshape(-1, S.dim), limits.reshape(-1, f.dim))
+    w = rows.reshape(aim.shape)
+    slack = np.maximum(limits - w @ S.G.T, 0.0) + ROUNDING * np.abs(limits)
+    of_each = np.repeat(slack.mean(axis=1), directions.shape[1], axis=0)
+    y = S.multiplier_rows(directions.reshape(-1, S.dim), of_each)
+    y = basis(2, GAUSS) @ y.reshape(*directions.shape[:2], f.dim)
+    gaps = (((basis(5, GAUSS) @ slack) + 2 * error[:, None]) * y).sum(axis=2) @ WEIGHTS
+    return basis(5, GAUSS) @ w, np.where(np.isnan(gaps), np.inf, gaps)
+
+
 def _interpolation_errors(
     norms: Norms, moving: Motion, s: np.ndarray, center: Interpolated, scale: Interpolated
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What interpolated histories add to |r|, in both dual norms, and to int |r'| in that of B."""
     both = []
     for norm, root in ((norms.dual, norms.beta), (norms.dual_B, norms.beta_B)):
-        sizes = np.array([float(norm(f)) for _, f in moving.center.terms])
-        if moving.center.function is not None and not center.slope_error.any():
-            sizes = np.zeros(1)
-        elif moving.center.function is not None:
-            sizes = np.array(
-                [1 / math.sqrt(root) if root else math.inf]
-            )  # its variation is a Euclidean one
-        error, turning = center.error @ sizes, center.slope_error @ sizes
+        euclidean = 1 / math.sqrt(root) if root else math.inf  # so is the variation of a function
+        sizes = [float(norm(f)) for _, f in moving.center.terms] or [euclidean]
+        error, turning = (
+            np.where(e > 0, e * sizes, 0.0).sum(axis=1) for e in (center.error, center.slope_error)
+        )
         if scale.error.any():
             each = np.array([norm(f * s).max(axis=1) for _, f in moving.scale.terms]).T
             error = error + (scale.error * each).sum(axis=1)

@@ -114,26 +114,46 @@ class Polyhedron(ConvexSet):
         return float(self.support_rows(vector("z", z, self.dim)[None])[0])
 
     def support_rows(self, rows: np.ndarray) -> np.ndarray:
-        """The rows of G that bind for one z do so for all z of the cone that they generate."""
-        values, left = np.where(rows.any(axis=1), np.inf, 0.0), np.flatnonzero(rows.any(axis=1))
-        if not left.size or not self.offsets.size:
+        values = np.where(rows.any(axis=1), np.inf, 0.0)
+        if not values.any() or not self.h.size:
             return values
         # seen from a point of the set: h - G x >= 0 is as large as the set, wherever that is
         inside = self.project(np.zeros(self.dim))
-        slack = np.maximum(self.offsets - self.rows @ inside, 0.0)
+        slack = np.maximum(self.h - self.G @ inside, 0.0)
+        y = self.multiplier_rows(rows, slack)
+        finite = np.isfinite(y).all(axis=1)
+        values[finite] = rows[finite] @ inside + y[finite] @ slack
+        return values
+
+    def multiplier_rows(self, rows: np.ndarray, slack: np.ndarray) -> np.ndarray:
+        """y >= 0 with G^T y = z and the least <slack, y>, shape (k, m); inf where there is none.
+
+        The slack h - G x >= 0 of a point x of the set is one for all rows z, shape (m,), or one for
+        each. The rows of G that bind for one z do so for all z of the cone that they generate, and
+        for another slack where the point in which they meet satisfies the other rows.
+        """
+        multipliers, left = np.zeros((len(rows), self.h.size)), np.flatnonzero(rows.any(axis=1))
+        multipliers[left] = np.inf
+        slack = np.broadcast_to(slack, multipliers.shape)
         while left.size:
-            z, serves = rows[left], np.arange(left.size) == 0
-            of_first = self._multipliers(z[0], inside)
+            z, s, serves = rows[left], slack[left] / self._units, np.arange(left.size) == 0
+            first = self.with_offsets(slack[left[0]])
+            of_first = first._multipliers(z[0], np.zeros(self.dim))
             if of_first is not None:
                 active = np.flatnonzero(of_first)
-                normals = dense(self.rows[active])
-                y = z @ np.linalg.pinv(normals)
+                normals, inverse = (G := dense(self.rows[active])), np.linalg.pinv(G)
+                y, meet = z @ inverse, s[:, active] @ inverse.T @ self.rows.T
                 rounding = 10 * ROUNDING * (np.abs(z) + np.abs(y) @ np.abs(normals))
-                serves |= (y >= 0).all(axis=1) & (np.abs(y @ normals - z) <= rounding).all(axis=1)
+                serves |= (
+                    ((s == s[0]) | (meet <= s + ROUNDING * (s + np.abs(meet)))).all(axis=1)
+                    & (y >= 0).all(axis=1)
+                    & (np.abs(y @ normals - z) <= rounding).all(axis=1)
+                )
                 y[0] = of_first[active]
-                values[left[serves]] = (z @ inside + y @ slack[active])[serves]
+                multipliers[left[serves]] = 0.0
+                multipliers[np.ix_(left[serves], active)] = y[serves] / self._units[active]
             left = left[~serves]
-        return values
+        return multipliers
 
     def _multipliers(self, p: np.ndarray, x: np.ndarray) -> np.ndarray | None:
         """The y >= 0 with G^T y = p that minimises <h - G x, y>, x in C; None if there is none.
@@ -207,22 +227,27 @@ class Polyhedron(ConvexSet):
         w = vector("w", w, self.dim)
         return w - self.normal(w)
 
-    def project_rows(self, rows: np.ndarray) -> np.ndarray:
-        """The rows of G that bind for one point do so for all points of a polyhedral cone."""
-        points = rows.copy()
-        left = np.flatnonzero((rows @ self.rows.T > self.offsets).any(axis=1))
+    def project_rows(self, rows: np.ndarray, offsets: np.ndarray | None = None) -> np.ndarray:
+        """Projections with the h of this set, or with one for each row, shape (k, m).
+
+        The rows of G that bind for one point do so for all points of a polyhedral cone.
+        """
+        points, h = rows.copy(), self.h if offsets is None else offsets
+        h = np.broadcast_to(h / self._units, (len(rows), self.h.size))
+        left = np.flatnonzero((rows @ self.rows.T > h).any(axis=1))
         while left.size:
             v, serves = rows[left], np.arange(left.size) == 0
-            normal = self._exact_normal(v[0], np.ones(self.dim))
+            first = self if offsets is None else self.with_offsets(offsets[left[0]])
+            normal = first._exact_normal(v[0], np.ones(self.dim))
             if normal is None:
-                points[left[0]] = self.project(v[0])
+                points[left[0]] = first.project(v[0])
             else:
                 normals, inverse = (G := dense(self.rows[normal.active])), np.linalg.pinv(G)
-                moves = (v @ normals.T - self.offsets[normal.active]) @ inverse.T
+                moves = (v @ normals.T - h[left][:, normal.active]) @ inverse.T
                 w = v - moves
                 w[0] = v[0] - normal.u
-                rounding = ROUNDING * (np.abs(self.offsets) + np.abs(v) @ abs(self.rows).T)
-                inside = (w @ self.rows.T <= self.offsets + rounding).all(axis=1)
+                rounding = ROUNDING * (np.abs(h[left]) + np.abs(v) @ abs(self.rows).T)
+                inside = (w @ self.rows.T <= h[left] + rounding).all(axis=1)
                 serves |= inside & (moves @ inverse >= 0).all(axis=1)
                 points[left[serves]] = w[serves]
             left = left[~serves]
