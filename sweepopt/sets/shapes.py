@@ -16,6 +16,7 @@ from sweepopt.sets.base import (
     CurveGaps,
     Features,
     Halfspaces,
+    Selection,
     difference,
     same_array,
 )
@@ -60,6 +61,15 @@ class Box(ConvexSet):
             )
         self._low, self._up = np.isfinite(self.lower), np.isfinite(self.upper)
         self.offsets = np.concatenate([self.upper[self._up], -self.lower[self._low]])
+
+    @cached_property
+    def selection(self) -> Selection | None:
+        few = np.flatnonzero(self.lower < self.upper)
+        if few.size in (0, self.dim):
+            return None
+        shift = np.where(self.lower < self.upper, 0.0, self.lower)
+        part = Box(self.lower[few], self.upper[few])
+        return Selection(few, part, shift if shift.any() else None)
 
     def support(self, z: np.ndarray) -> float:
         z = vector("z", z, self.dim)
