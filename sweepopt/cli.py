@@ -108,10 +108,10 @@ def _parser() -> argparse.ArgumentParser:
     study.add_argument("--out", type=Path, metavar="FOLDER", help="default: results/<study name>")
     study.add_argument("--workers", type=int, metavar="N", help="processes; default: none, serial")
 
-    compare = commands.add_parser("compare", help="all solvers on one scene")
+    compare = commands.add_parser("compare", help="all solvers on the programs of a scene")
     compare.set_defaults(command=_study)
     compare.add_argument("scene", metavar="SCENE", help="a TOML file, a name, or as P09 in studies")
-    compare.add_argument("--steps", type=int, default=50, help="number of equal steps")
+    compare.add_argument("--steps", type=int, default=50, help="of the run that has the programs")
     compare.add_argument("--csv", type=Path, metavar="FILE", help="write the rows too")
     return parser
 

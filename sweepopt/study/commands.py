@@ -19,6 +19,7 @@ from sweepopt.study.diagram import work_precision
 from sweepopt.study.hard import suite_summary
 from sweepopt.study.records import append_row
 from sweepopt.study.report import write_report
+from sweepopt.study.sources import find_source
 from sweepopt.study.study import Study, read_parts, read_study, run
 from sweepopt.study.workers import processes
 
@@ -83,7 +84,7 @@ def compare_command(options: argparse.Namespace) -> None:
     """Compare all solvers on the programs of a scene."""
     if options.csv is not None:
         options.csv.touch()  # says so now if it cannot be written
-    table = compare(options.scene, steps=options.steps, progress=_say)
+    table = compare(find_source(options.scene), steps=options.steps, progress=_say)
     print(comparison_text(table))
     if options.csv is not None:
         table.to_csv(options.csv, index=False)
