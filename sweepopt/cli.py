@@ -106,7 +106,9 @@ def _parser() -> argparse.ArgumentParser:
     study.set_defaults(command=_study)
     study.add_argument("study", metavar="STUDY", help="a TOML file, accuracy, hard, or stiff")
     study.add_argument("--out", type=Path, metavar="FOLDER", help="default: results/<study name>")
-    study.add_argument("--workers", type=int, metavar="N", help="processes; default: none, serial")
+    where = study.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=int, metavar="N", help="processes; default: none, serial")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="of a running dask scheduler")
 
     compare = commands.add_parser("compare", help="all solvers on the programs of a scene")
     compare.set_defaults(command=_study)

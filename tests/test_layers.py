@@ -35,6 +35,7 @@ HOMES = {
     "tqdm": ("integrate",),
     "pandas": ("study",),
     "threadpoolctl": ("study",),
+    "distributed": ("study",),
 }
 
 

@@ -12,13 +12,14 @@ from sweepopt.study.diagram import work_precision
 from sweepopt.study.report import write_report
 from sweepopt.study.sources import find_source
 from sweepopt.study.study import Study, read_study, read_table, run
-from sweepopt.study.workers import machine, processes
+from sweepopt.study.workers import dask_executor, machine, processes
 
 __all__ = [
     "Study",
     "advice",
     "compare",
     "comparison_text",
+    "dask_executor",
     "find_source",
     "halving",
     "machine",
