@@ -41,7 +41,7 @@ results are in a temporary folder, as theirs is full."""
 EXTRAS = {
     "fem": ("skfem", "xarray", "h5netcdf", "h5py"),
     "plot": ("matplotlib",),
-    "study": ("pandas", "threadpoolctl", "matplotlib"),
+    "study": ("pandas", "threadpoolctl", "matplotlib", "plotly"),
 }
 """Packages whose absence would only show when a long run is over, by the extra that brings them."""
 

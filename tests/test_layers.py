@@ -34,6 +34,7 @@ HOMES = {
     "h5netcdf": ("results",),
     "tqdm": ("integrate",),
     "pandas": ("study",),
+    "plotly": ("study",),
     "threadpoolctl": ("study",),
     "distributed": ("study",),
 }
