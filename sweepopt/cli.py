@@ -41,7 +41,7 @@ results are in a temporary folder, as theirs is full."""
 EXTRAS = {
     "fem": ("skfem", "xarray", "h5netcdf", "h5py"),
     "plot": ("matplotlib",),
-    "study": ("pandas", "threadpoolctl", "matplotlib"),
+    "study": ("pandas", "threadpoolctl", "matplotlib", "plotly"),
 }
 """Packages whose absence would only show when a long run is over, by the extra that brings them."""
 
@@ -106,12 +106,14 @@ def _parser() -> argparse.ArgumentParser:
     study.set_defaults(command=_study)
     study.add_argument("study", metavar="STUDY", help="a TOML file, accuracy, hard, or stiff")
     study.add_argument("--out", type=Path, metavar="FOLDER", help="default: results/<study name>")
-    study.add_argument("--workers", type=int, metavar="N", help="processes; default: none, serial")
+    where = study.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=int, metavar="N", help="processes; default: none, serial")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="of a running dask scheduler")
 
-    compare = commands.add_parser("compare", help="all solvers on one scene")
+    compare = commands.add_parser("compare", help="all solvers on the programs of a scene")
     compare.set_defaults(command=_study)
     compare.add_argument("scene", metavar="SCENE", help="a TOML file, a name, or as P09 in studies")
-    compare.add_argument("--steps", type=int, default=50, help="number of equal steps")
+    compare.add_argument("--steps", type=int, default=50, help="of the run that has the programs")
     compare.add_argument("--csv", type=Path, metavar="FILE", help="write the rows too")
     return parser
 

@@ -54,7 +54,9 @@ def svg(curves: Sequence[np.ndarray], equal: bool = False, title: str = "") -> s
 def by_parts(thing: Any) -> str:
     """An object by what it was made of, the parts that it still has."""
     parts = ((name, getattr(thing, name, None)) for name in signature(type(thing)).parameters)
-    words = [f"{name}={brief(one)}" for name, one in parts if one is not None and name != "dim"]
+    none = (type(None), tuple)  # what was not given: None, or an empty list of more
+    given = [(name, one) for name, one in parts if not isinstance(one, none) or one]
+    words = [f"{name}={brief(one)}" for name, one in given if name != "dim"]
     if dim := getattr(thing, "dim", None):
         words.insert(0, f"dim {dim}")
     text = f"{type(thing).__name__}({', '.join(words)})"

@@ -108,6 +108,17 @@ def test_run_writes_every_file_and_says_what_it_will_do_and_did(
 
 
 @pytest.mark.usefixtures("scene")
+def test_the_plan_is_printed_before_the_run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sweepopt.fem.Scene.solve", Mock(side_effect=KeyboardInterrupt))
+    assert run() == 130
+    shown = capsys.readouterr().out
+    assert "0 to 6 s in 30 steps" in shown
+    assert "nonsmooth unknowns" in shown
+
+
+@pytest.mark.usefixtures("scene")
 def test_options_replace_the_scenes_settings_and_no_progress_leaves_stderr_empty(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pandas as pd
@@ -11,36 +13,54 @@ from test_cli import make_scene
 
 import sweepopt as so
 from sweepopt import cli
-from sweepopt.study.cell import CellRow
-from sweepopt.study.comparison import LEGEND, TOLS, compare, comparison_text
+from sweepopt.study.comparison import (
+    ACCURACIES,
+    compare,
+    comparison_text,
+    record,
+    solvers_for,
+    trials,
+)
+from sweepopt.study.sources import find_source
 
 
 @pytest.fixture(scope="module")
 def table() -> pd.DataFrame:
-    return compare("P09", steps=8)
+    return compare(find_source("P09"), steps=8)
 
 
 def test_every_installed_solver_is_compared_at_three_accuracies(table: pd.DataFrame) -> None:
-    assert list(table.columns) == [*CellRow._fields, "ms", "ratio", "calls"]
-    solvers = "auto clarabel osqp newton daqp cvxpy:clarabel cvxpy:osqp cvxpy:scs"
-    for solver in solvers.split():
-        assert set(table[table.solver == solver].tol) == set(TOLS)
-    assert table.success.all()
-    assert (table.certificate <= table.tol).all()  # whichever solver it is
-    assert (table.wall > 0.0).all()
-    assert (table.ms == 1e3 * table.wall / 8).all()
-    assert (table.groupby("tol").ratio.min() == 1.0).all()
-    # finite methods need no one to repair them; SCS ends at its own tolerance, 1e-4
-    assert (table.calls[table.solver.isin(["newton", "daqp"])] <= 1.0).all()
-    scs = table[table.solver == "cvxpy:scs"].set_index("tol").calls
-    assert scs[1e-9] > scs[1e-3]
+    columns = "solver setting accuracy programs solved time ratio certificate worst message"
+    assert list(table.columns) == columns.split()
+    for solver in ("clarabel", "osqp", "cvxpy:clarabel", "cvxpy:osqp", "cvxpy:scs"):
+        assert set(table[table.solver == solver].setting) == set(ACCURACIES)
+    assert table.programs.nunique() == 1
+    assert (table.time > 0.0).all()
+    exact = table[table.solver.isin(["newton", "daqp"])]
+    assert (exact.solved == 1.0).all()
+    assert (table.certificate <= table.worst).all()
+    for _, group in table.groupby("accuracy"):
+        assert group[group.solved == 1.0].ratio.min() == 1.0
 
 
-def test_only_solvers_that_treat_the_set_take_part(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sweepopt.study.comparison.TOLS", (1e-6,))
-    names = set(compare("V05", steps=2).solver)  # a disc
-    assert {"auto", "clarabel", "cvxpy:clarabel"} <= names
+def test_a_solver_is_judged_by_its_certificates_and_not_by_what_it_says() -> None:
+    class Liar(so.Clarabel):
+        def compile(self, program: Any) -> Any:
+            solve = super().compile(program)
+            return lambda q, C: solve(q, C)._replace(z=np.ones_like(q))
+
+    programs = record(find_source("P09"), 8)
+    assert all(trial["certificate"] > 1e-3 for trial in trials(Liar(), programs))
+    broken = Mock(so.Clarabel, compile=Mock(side_effect=ArithmeticError("no")))
+    assert trials(broken, programs) == [{"message": "ArithmeticError: no"}] * len(programs)
+
+
+def test_only_solvers_that_treat_the_set_take_part() -> None:
+    names = {solver.name for _, solver in solvers_for(so.Ball([0.0, 0.0], 1.0))}
+    assert "clarabel" in names
     assert not names & {"osqp", "cvxpy:daqp"}
+    with pytest.raises(so.InputError, match="L13 has no program to compare solvers on"):
+        compare(find_source("L13"), steps=5)
 
 
 @pytest.mark.parametrize("name", ["CLARABEL", "OSQP"])
@@ -61,9 +81,9 @@ def test_what_a_solver_reaches_through_cvxpy_does_not_depend_on_units(name: str)
 def test_the_comparison_prints_a_line_a_row(table: pd.DataFrame) -> None:
     lines = comparison_text(table).splitlines()
     assert lines[0].split() == [
-        *("tol", "solver", "status", "ms", "a", "step", "x", "best", "calls", "certificate")
+        *("solver", "setting", "accuracy", "solved", "ms", "x", "best", "median", "worst")
     ]
-    assert len(lines) == 1 + len(table) + len(LEGEND.splitlines())
+    assert len(lines) == 1 + len(table) + 4
 
 
 # ---- commands -------------------------------------------------------------------------------
@@ -73,13 +93,12 @@ def test_compare_prints_its_table_and_writes_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sweepopt.study.comparison.TOLS", (1e-6,))
     make_scene(tmp_path)
     assert cli.main(["compare", "ring.toml", "--steps", "5", "--csv", "rows.csv"]) == 0
     shown = capsys.readouterr()
     assert "cvxpy:clarabel" in shown.out
-    assert "ring auto cvxpy:clarabel 5 steps tol 1e-06: SUCCESS" in shown.err
-    assert len(pd.read_csv("rows.csv")) >= 8
+    assert "programs of" in shown.err
+    assert len(pd.read_csv("rows.csv")) >= 12
     assert cli.main(["compare", "nowhere"]) == 2
     assert "'nowhere' is neither a scene file nor a problem" in capsys.readouterr().err
 
@@ -96,3 +115,5 @@ def test_a_bad_study_gives_one_clean_line(
         shown = capsys.readouterr().err
         assert words in shown
         assert shown.count("\n") == 1
+    with pytest.raises(SystemExit):
+        cli.main(["study", "accuracy", "--workers", "2", "--scheduler", "tcp://127.0.0.1:1"])

@@ -34,7 +34,9 @@ HOMES = {
     "h5netcdf": ("results",),
     "tqdm": ("integrate",),
     "pandas": ("study",),
+    "plotly": ("study",),
     "threadpoolctl": ("study",),
+    "distributed": ("study",),
 }
 
 

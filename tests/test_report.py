@@ -1,23 +1,28 @@
-"""The report is one file that holds the study and asks nobody for anything."""
+"""The report is one file that holds the study, works in a browser and asks nobody for anything."""
 
 from __future__ import annotations
 
-import base64
-import xml.etree.ElementTree as ET
+import json
+import os
+import shutil
 from collections.abc import Callable, Iterator
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from selenium import webdriver
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.by import By
+from selenium.webdriver.support.wait import WebDriverWait
 from study_table import NASTY, study_table
 from test_cli import make_scene
 
 import sweepopt as so
 from sweepopt.cli import main
 from sweepopt.study import write_report
+from sweepopt.study.diagram import COSTS
 from sweepopt.study.hard.programs import HardRow, HardStudy
 from sweepopt.study.problems import problem
 from sweepopt.study.records import read_rows
@@ -39,77 +44,157 @@ HARD = (
     MET._replace(family="condition", solver="clarabel", error=np.nan, solved_by="", verdict=NASTY),
     HardRow("empty", 3, "full", "osqp", answer="refuse: EmptySetError", verdict="refused"),
 )
-
-
-class Page(HTMLParser):
-    """A page as a browser takes it apart: its text, tables, pictures and tags."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__()
-        self.text, self.tags, self.pictures = "", set[str](), list[str]()
-        self.tables: list[list[list[str]]] = []
-        self.feed(path.read_text("utf-8"))
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.add(tag)
-        assert {name for name, _ in attrs}.isdisjoint({"href", "srcset", "onclick", "onload"})
-        if tag == "img":
-            self.pictures.append(dict(attrs)["src"] or "")
-        if tag == "table":
-            self.tables.append([])
-        if tag == "tr":
-            self.tables[-1].append([])
-        if tag in ("td", "th"):
-            self.tables[-1][-1].append("")
-
-    def handle_endtag(self, tag: str) -> None:
-        if tag in ("td", "th", "h1", "h2", "p"):
-            self.text += "\n"
-
-    def handle_data(self, data: str) -> None:
-        self.text += data
-        if self.tables and self.tables[-1] and self.tables[-1][-1]:
-            self.tables[-1][-1][-1] += data.strip()
+WALL, STEPS = 0, 2  # diagrams of the page, a cost each
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("report") / "report.html"
     assert write_report(study_table(), path, solutions=RUNS, hard=HARD, title=TITLE) == path
-    return Page(path)
+    return path
 
 
-def test_the_page_needs_nothing_else_and_runs_nothing(page: Page) -> None:
-    assert page.tags.isdisjoint({"script", "link", "iframe", "object", "base"})
-    assert len(page.pictures) == 3  # error against time and against steps, trajectories
-    for picture in page.pictures:
-        kind, _, data = picture.partition(",")
-        assert kind == "data:image/svg+xml;base64"
-        drawing = ET.fromstring(base64.b64decode(data))
-        assert drawing.tag.endswith("svg")
-        links = (each.attrib.get("{http://www.w3.org/1999/xlink}href") for each in drawing.iter())
-        assert all(link.startswith("#") for link in links if link)
+class Browser:
+    """Headless Chromium with the report open."""
+
+    def __init__(self, driver: Any) -> None:
+        self.driver = driver
+
+    def traces(self, diagram: int) -> list[dict[str, Any]]:
+        """What a diagram draws, as the browser has it."""
+        script = (
+            "const all = document.querySelectorAll('.plotly-graph-div')[arguments[0]]._fullData;"
+            "return all.map(t => ({name: t.name, x: [...t.x], y: [...t.y], visible: t.visible}))"
+        )
+        return list(self.driver.execute_script(script, diagram))
+
+    def rows(self, table: int) -> list[list[str]]:
+        """The words of a table, its heading first."""
+        script = (
+            "return [...document.querySelectorAll('table')[arguments[0]].rows].map("
+            "row => [...row.cells].map(cell => cell.textContent))"
+        )
+        return list(self.driver.execute_script(script, table))
+
+    def all(self, selector: str, diagram: int | None = None) -> list[Any]:
+        """Elements of the page or of a diagram."""
+        where = self.driver if diagram is None else self.all(".plotly-graph-div")[diagram]
+        return list(where.find_elements(By.CSS_SELECTOR, selector))
+
+    def point_at(self, element: Any) -> ActionChains:
+        return ActionChains(self.driver).scroll_to_element(element).move_to_element(element)
+
+    def wait_for(self, condition: Callable[[], bool]) -> None:
+        WebDriverWait(self.driver, 10).until(lambda _: condition())
+
+    def text(self) -> str:
+        return str(self.all("body")[0].text)
 
 
-def test_hard_cases_come_with_the_wrong_ones_first(page: Page) -> None:
-    assert "5 runs, 2 wrong" in page.text
-    names, *rows = page.tables[3]
+@pytest.fixture(scope="module")
+def browser(page: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """The page, opened once; afterwards: no errors, no requests, no script of a message."""
+    chromium, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
+    if not chromium or not chromedriver:
+        reason = "the apt packages chromium and chromium-driver are not installed"
+        if os.environ.get("SWEEPOPT_BROWSER") == "required":
+            pytest.fail(reason)
+        pytest.skip(reason)
+    options = webdriver.ChromeOptions()
+    options.binary_location = chromium
+    disabled = ["gpu", "dev-shm-usage", "quic", "background-networking", "component-update"]
+    switches = ["headless", "no-sandbox", "no-first-run", "window-size=1400,900"]
+    switches += [f"disable-{part}" for part in (*disabled, "sync")]
+    for switch in (*switches, f"user-data-dir={tmp_path_factory.mktemp('chromium')}"):
+        options.add_argument(f"--{switch}")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    with webdriver.Chrome(options=options, service=webdriver.ChromeService(chromedriver)) as driver:
+        driver.get("about:blank")  # leaves Chromium's own first page
+        driver.get_log("performance")
+        driver.get(page.as_uri())
+        opened = Browser(driver)
+        opened.wait_for(lambda: len(opened.all(".plotly-graph-div")) == len(COSTS))
+        yield opened
+        assert driver.execute_script("return window.hacked") is None
+        assert driver.get_log("browser") == []
+        events = [json.loads(each["message"])["message"] for each in driver.get_log("performance")]
+    asked = {
+        event["params"]["request"]["url"]
+        for event in events
+        if event["method"] == "Network.requestWillBeSent"
+    }
+    assert page.as_uri() in asked
+    assert all(url == page.as_uri() or url.startswith(("data:", "blob:")) for url in asked)
+
+
+def test_the_diagrams_hold_the_numbers_of_the_table(browser: Browser) -> None:
+    table = study_table()
+    traces = browser.traces(WALL)
+    good = table[table.success & (table.error > 0)]
+    for (_, scheme, solver), rows in good.groupby(["problem", "scheme", "solver"]):
+        assert any(
+            trace["name"] == f"{scheme} · {solver}"
+            and trace["x"] == rows.wall.tolist()
+            and trace["y"] == rows.error.tolist()
+            for trace in traces
+        )
+    drawn = [trace["name"] for trace in traces for _ in trace["x"]]
+    assert (drawn.count("failed"), drawn.count("error not known")) == (5, 2)
+    assert len(drawn) - drawn.count("guaranteed bound") == len(table)
+
+
+def test_trajectories_are_a_picture_in_the_page(browser: Browser) -> None:
+    (picture,) = browser.all("img")
+    assert picture.get_property("naturalWidth") > 100
+    assert str(picture.get_attribute("src")).startswith("data:image/svg+xml;base64,")
+
+
+def test_the_legend_filters_and_there_is_a_diagram_for_each_cost(browser: Browser) -> None:
+    names = [entry.text for entry in browser.all(".legend .traces", WALL)]
+    toggle = browser.all(".legendtoggle", WALL)[names.index("midpoint · osqp")]
+    browser.point_at(toggle).click().perform()
+
+    def hidden() -> list[str]:
+        return [one["name"] for one in browser.traces(WALL) if one["visible"] == "legendonly"]
+
+    browser.wait_for(lambda: hidden() == 2 * ["midpoint · osqp"])  # in both panels
+    assert [title.text for title in browser.all(".xtitle, .x2title", STEPS)] == ["time steps"] * 2
+    assert browser.traces(STEPS)[0]["x"] == [50, 100, 200, 400]
+
+
+def test_a_tooltip_tells_a_cell_and_a_message_is_text(browser: Browser) -> None:
+    point = browser.all(".scatterlayer .point", WALL)[0]
+    browser.point_at(point).perform()
+    browser.wait_for(lambda: bool(browser.all(".hovertext", WALL)))
+    words = browser.all(".hovertext", WALL)[0].text
+    # of catching-up or of implicit-euler, which have the same errors in this table
+    for part in ("solver=clarabel", "steps=50", "error=0.006", "bound=0.0102"):
+        assert part in words
+    assert NASTY[:20] in browser.text()
+
+
+def test_hard_cases_come_with_the_wrong_ones_first(browser: Browser) -> None:
+    names, *rows = browser.rows(3)
     shown = pd.DataFrame(rows, columns=names)
     assert shown.verdict.str.startswith("✗").tolist() == [True, True, False, False, False]
     assert shown.error.tolist() == ["2e-06", "-", "2e-13", "3e-10", "-"]
     assert shown.answer.iloc[-1] == "refuse: EmptySetError"
-    assert "each load is its friction bound" in page.text
+    for words in ("5 runs, 2 wrong", "each load is its friction bound"):
+        assert words in browser.text()
 
 
-def test_the_heading_names_machine_and_versions(page: Page) -> None:
-    for words in (TITLE, "A processor, 2 cores, Linux", "sweepopt 0.1.0", "clarabel 0.11.1"):
-        assert words in page.text
-    assert "49 cells, 5 failed" in page.text
+def test_the_heading_names_machine_and_versions(browser: Browser) -> None:
+    shown = browser.text()
+    assert browser.driver.title == TITLE == shown.splitlines()[0]
+    for words in ("A processor, 2 cores, Linux", "sweepopt 0.1.0", "clarabel 0.11.1"):
+        assert words in shown.splitlines()[1]
+    assert "49 cells, 5 failed" in shown
+    assert browser.driver.execute_script("return document.documentElement.scrollWidth") <= 1400
 
 
-def test_the_table_holds_every_cell_the_failed_ones_first_and_a_message_is_text(page: Page) -> None:
+def test_the_table_holds_every_cell_the_failed_ones_first(browser: Browser) -> None:
     table = study_table()
-    names, *rows = page.tables[2]
+    names, *rows = browser.rows(2)
     shown = pd.DataFrame(rows, columns=names)
     assert len(shown) == len(table)
     assert shown.status.str.startswith("✗").tolist() == [True] * 5 + [False] * 44

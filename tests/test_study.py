@@ -23,13 +23,17 @@ import pandas as pd
 import psutil
 import pytest
 from cases import case
+from distributed import LocalCluster
 from test_cli import make_scene
 
 import sweepopt as so
 from sweepopt import io as library
+from sweepopt.cli import main
 from sweepopt.study import (
     Study,
     advice,
+    dask_executor,
+    find_source,
     halving,
     processes,
     read_study,
@@ -39,7 +43,6 @@ from sweepopt.study import (
 )
 from sweepopt.study.cell import SAFETY, Cell, CellRow, Reference, run_cell
 from sweepopt.study.problems import problem
-from sweepopt.study.sources import find_source
 
 # of a run: its times, and the threads that its process was given
 OF_A_RUN = ["wall", "cpu", "machine"]
@@ -270,7 +273,32 @@ def test_an_edited_scene_is_another_cell_and_a_moved_one_is_not(tmp_path: Path) 
 # ---- executors ------------------------------------------------------------------------------
 
 
-def test_workers_give_the_same_rows_though_one_is_killed(small: Path, tmp_path: Path) -> None:
+@contextmanager
+def cluster(workers: int) -> Iterator[str]:
+    """The address of a dask cluster that gives up what workers died of, or beside, twice."""
+    with LocalCluster(
+        workers,
+        threads_per_worker=1,
+        dashboard_address=None,
+        scheduler_kwargs={"allowed_failures": 1},
+    ) as there:
+        yield there.scheduler_address
+
+
+@contextmanager
+def on_dask(workers: int) -> Iterator[Executor]:
+    with cluster(workers) as address, dask_executor(address) as executor:
+        yield executor
+
+
+both_executors = pytest.mark.parametrize("executors", [processes, on_dask])
+
+
+@both_executors
+@pytest.mark.filterwarnings("ignore::ResourceWarning")  # sockets of dask's worker that is killed
+def test_workers_give_the_same_rows_though_one_is_killed(
+    executors: Any, small: Path, tmp_path: Path
+) -> None:
     killed: list[int] = []
 
     def kill_one(words: str) -> None:
@@ -279,14 +307,41 @@ def test_workers_give_the_same_rows_though_one_is_killed(small: Path, tmp_path: 
             killed.extend(each.pid for each in children if "spawn_main" in str(each.cmdline()))
             os.kill(killed[0], signal.SIGKILL)
 
-    with processes(2) as executor:
+    with executors(2) as executor:
         table = run(SMALL, tmp_path, executor=executor, progress=kill_one)
     assert len(killed) == 2
     same(table, read_table(SMALL, small))
 
 
-def test_a_cell_that_its_processes_die_of_is_a_row_and_other_breakdowns_end_the_study(
+def test_the_command_computes_the_same_rows_on_a_scheduler(
     small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = TEXT.replace('"V05"', '"M16"').replace("[14, 20]", "[8, 16]").replace(', "daqp"', "")
+    text = re.sub("schemes = .*", 'schemes = ["midpoint", "catching-up"]', text)
+    Path("small.toml").write_text(text, encoding="utf-8")
+    # workers are processes of their own
+    here = Mock(side_effect=AssertionError("computed here"))
+    monkeypatch.setattr("sweepopt.study.cell._measure", here)
+    with cluster(1) as address:
+        assert main(["study", "small.toml", "--out", "out", "--scheduler", address]) == 0
+    same(read_table(SMALL, "out"), read_table(SMALL, small))
+
+
+def test_a_cluster_that_is_not_there_or_shares_time_is_refused() -> None:
+    with LocalCluster(1, threads_per_worker=2, processes=False, dashboard_address=None) as there:
+        for address, words in (
+            (there.scheduler_address, "has 2 threads, .* --nthreads 1"),
+            ("nowhere", "scheduler 'nowhere' does not answer"),
+        ):
+            with pytest.raises(so.InputError, match=words), dask_executor(address):
+                pass
+
+
+@both_executors
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_a_cell_that_its_processes_die_of_is_a_row_and_other_breakdowns_end_the_study(
+    executors: Any, small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     gone: Future[Any] = Future()
     gone.set_exception(ConnectionError("the scheduler is gone"))
@@ -305,8 +360,8 @@ def test_a_cell_that_its_processes_die_of_is_a_row_and_other_breakdowns_end_the_
         return pool
 
     monkeypatch.setattr("sweepopt.study.study.processes", lambda count: deadly(processes(count)))
-    with deadly(processes(2)) as workers:
-        table = run(SMALL, tmp_path, executor=workers)
+    with executors(2) as workers:
+        table = run(SMALL, tmp_path, executor=deadly(workers))
     dead = table.status == "BrokenProcessPool"
     assert table.cell[dead].str.startswith("M16 midpoint auto 16").tolist() == [True]
     assert table.message[dead].str.contains("terminated abruptly").all()

@@ -3,21 +3,24 @@
 table = run(read_study("accuracy.toml"), "results/accuracy")   # a work-precision study, resumable
 work_precision(table)                                          # its diagram
 write_report(table, "report.html")                             # its page
-compare("tube")                                                # all solvers on one scene
+compare(find_source("tube"))                                   # all solvers on a run's programs
 """
 
 from sweepopt.study.advice import advice, halving, summary
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
 from sweepopt.study.report import write_report
+from sweepopt.study.sources import find_source
 from sweepopt.study.study import Study, read_study, read_table, run
-from sweepopt.study.workers import machine, processes
+from sweepopt.study.workers import dask_executor, machine, processes
 
 __all__ = [
     "Study",
     "advice",
     "compare",
     "comparison_text",
+    "dask_executor",
+    "find_source",
     "halving",
     "machine",
     "processes",

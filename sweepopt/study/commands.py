@@ -19,8 +19,9 @@ from sweepopt.study.diagram import work_precision
 from sweepopt.study.hard import suite_summary
 from sweepopt.study.records import append_row
 from sweepopt.study.report import write_report
+from sweepopt.study.sources import find_source
 from sweepopt.study.study import Study, read_parts, read_study, run
-from sweepopt.study.workers import processes
+from sweepopt.study.workers import dask_executor, processes
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -40,7 +41,12 @@ def study_command(options: argparse.Namespace) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     if not parts or data.keys() - {"title"}:
         study = read_study(path)
-        with processes(options.workers) if options.workers else nullcontext() as pool:
+        executor: Any = nullcontext()
+        if options.scheduler is not None:
+            executor = dask_executor(options.scheduler)
+        elif options.workers:
+            executor = processes(options.workers)
+        with executor as pool:
             table = run(study, folder, executor=pool, progress=_say)
         table.to_csv(folder / TABLE, index=False)
         work_precision(table).figure.savefig(folder / DIAGRAM)
@@ -83,7 +89,7 @@ def compare_command(options: argparse.Namespace) -> None:
     """Compare all solvers on the programs of a scene."""
     if options.csv is not None:
         options.csv.touch()  # says so now if it cannot be written
-    table = compare(options.scene, steps=options.steps, progress=_say)
+    table = compare(find_source(options.scene), steps=options.steps, progress=_say)
     print(comparison_text(table))
     if options.csv is not None:
         table.to_csv(options.csv, index=False)

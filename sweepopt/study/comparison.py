@@ -1,86 +1,198 @@
-"""Solvers compared: a study of one scene whose axis is the solver, at three tolerances.
+"""Solvers compared on the velocity programs that a run really has, each program alone.
 
-Every step is certified, whichever solver it came from. What counts for a solver is the time of the
-run and how many calls a step takes: where it takes more than one, the solver's answer was above tol
-and others repaired it. What a solver says of itself does not count.
+The programs of a run are recorded, and each solver is given all of them in turn, at a low, a middle
+and a high accuracy. Nothing repairs or refines its answers. A program counts as solved if the
+certificate of the answer, computed from the data, is within the accuracy asked for; what the solver
+says of itself does not count.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+import contextlib
+import io
+import time as clock
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from math import inf, nan
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from sweepopt.study.cell import THROUGH_CVXPY, run_cell
-from sweepopt.study.study import Study
-from sweepopt.velocity import REGISTRY, installed
+import numpy as np
+
+from sweepopt.checks import count
+from sweepopt.driver import solve
+from sweepopt.errors import InputError
+from sweepopt.io import read_toml
+from sweepopt.sets import ConvexSet
+from sweepopt.study.sources import Source, open_source
+from sweepopt.study.workers import one_thread
+from sweepopt.velocity import (
+    DAQP,
+    OSQP,
+    Clarabel,
+    Cvxpy,
+    Newton,
+    Solve,
+    Solver,
+    VelocityProgram,
+    certify,
+    installed,
+)
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-TOLS = (1e-3, 1e-6, 1e-9)
-OF_CVXPY = ("CLARABEL", "DAQP", "MOSEK", "OSQP", "PIQP", "PROXQP", "QOCO", "SCS")
-"""Those of cvxpy's solvers that treat quadratic programs, if they are installed."""
+ACCURACIES = {"low": 1e-3, "mid": 1e-6, "high": 1e-9}
+CVXPY = read_toml(Path(__file__).with_suffix(".toml"))
+"""Names of the tolerances, and limits, of the solvers of cvxpy."""
+SHIFT = 1e-3
+"""Seconds: means are of log(time + SHIFT), so that what takes no time does not decide them."""
 LEGEND = """\
-ms a step    wall time of the run over its steps, repairs included
-x best       of those at that tol
-calls        of solvers, a step: above 1 some answers missed tol and other solvers repaired them
-certificate  the worst one of the run, relative"""
+solved   share of programs with a relative certificate within the accuracy
+ms       shifted geometric mean; unsolved programs count with the longest time of all
+x best   of those that solved all programs at that accuracy
+median, worst   relative certificates of the solver's own answers, not refined"""
+
+
+class Program(NamedTuple):
+    """A velocity program of a run."""
+
+    statement: VelocityProgram
+    q: np.ndarray
+    C: ConvexSet
 
 
 def compare(
-    scene: str, *, steps: int = 50, progress: Callable[[str], object] = lambda words: None
+    source: Source, *, steps: int = 50, progress: Callable[[str], object] = lambda words: None
 ) -> DataFrame:
-    """Run a problem with every solver that is installed and treats its set.
+    """Give the programs of a run to every solver that is installed.
 
     Parameters
     ----------
-    scene : str
-        A scene, its file, or a problem of the studies.
+    source : Source
+        A problem, as `find_source` finds it.
     steps : int
+        Of the run whose programs are compared.
     progress : callable, optional
-        Called with a line of text when a run is finished, for example `print`.
 
     Returns
     -------
     pandas DataFrame
         A row a solver ("cvxpy:..." through cvxpy's interface, the others are the library's own) and
-        tolerance, with the columns of `CellRow` but no errors, and with ``ms`` (a step), ``ratio``
-        (to the fastest at that tolerance) and ``calls`` (of solvers, a step).
+        setting, with the columns ``accuracy`` (asked of the solver, and what the relative
+        certificate is judged by), ``programs``, ``solved`` (share of the programs within the
+        accuracy), ``time`` (seconds a program, shifted geometric mean; one that was not solved
+        counts with the longest time that any solver took), ``ratio`` (of time to the smallest at
+        that accuracy among those that solved all), ``certificate`` and ``worst`` (median and
+        largest of the relative ones; inf where there is none) and ``message`` (a failure in words).
 
     Raises
     ------
     InputError
-        If there is no such problem.
-
-    Examples
-    --------
-    >>> table = compare("S03", steps=5)
-    >>> bool((table.certificate <= table.tol).all())
-    True
+        If no step of the run has a program: nothing moves, there is a formula, or it is linear.
     """
     import pandas as pd
 
-    through = [THROUGH_CVXPY + name.lower() for name in installed() if name in OF_CVXPY]
-    solvers = ("auto", *(name for name in REGISTRY if name != "cvxpy"), *through)
-    study = Study((scene,), ("auto",), solvers, (steps,), TOLS, repeats=1)
+    programs = record(source, count("steps", steps))
+    progress(f"{source.name}: {len(programs)} programs of {programs[0].q.size} unknowns")
     rows = []
-    for cell in study.cells():
-        row = run_cell(cell)
-        if row.status != "SolverRefusedError":
-            rows.append(row)
-            progress(f"{cell}: {row.status}")
-    table = pd.DataFrame(rows)
-    best = table[table.success].groupby("tol").wall.min()
-    table["ms"] = 1e3 * table.wall / steps
-    table["ratio"] = table.wall / table.tol.map(best)
-    table["calls"] = table.solver_calls / table.steps_done
-    order = ["tol", "success", "wall"]
-    return table.sort_values(order, ascending=[False, False, True], ignore_index=True)
+    for setting, solver in solvers_for(programs[0].C):
+        progress(f"{solver.name} {setting}")
+        blank = {"solver": solver.name, "setting": setting, "accuracy": ACCURACIES[setting]}
+        blank |= {"seconds": nan, "certificate": inf, "message": ""}
+        rows += [blank | result for result in trials(solver, programs)]
+    tried = pd.DataFrame(rows).fillna({"certificate": inf})
+    solved = tried.certificate <= tried.accuracy
+    time = tried.seconds.where(solved, tried.seconds.max())
+    tried = tried.assign(solved=solved, time=time)
+    table = tried.groupby(["solver", "setting", "accuracy"], sort=False, as_index=False).agg(
+        programs=("certificate", "size"),
+        solved=("solved", "mean"),
+        time=("time", shifted_mean),
+        certificate=("certificate", "median"),
+        worst=("certificate", "max"),
+        message=("message", "max"),
+    )
+    best = table[table.solved == 1.0].groupby("accuracy").time.min()
+    table.insert(6, "ratio", table.time / table.accuracy.map(best))
+    return table.sort_values(
+        ["accuracy", "solved", "time"], ascending=[False, False, True], ignore_index=True
+    )
+
+
+def solvers_for(C: ConvexSet) -> Iterator[tuple[str, Solver]]:
+    """The library's own solvers and those installed for cvxpy, with a setting, for a set."""
+    everyone: list[tuple[str, Solver]] = [("high", Newton()), ("high", DAQP())]
+    for setting, tol in ACCURACIES.items():
+        everyone += [(setting, Clarabel(tol=tol)), (setting, OSQP(tol=tol))]
+        for name in filter(CVXPY.get, installed()):
+            settings = dict.fromkeys(CVXPY[name]["tolerances"], tol)
+            everyone.append((setting, Cvxpy(name, settings | CVXPY[name].get("limits", {}))))
+    return ((setting, solver) for setting, solver in everyone if solver.treats(C))
+
+
+def record(source: Source, steps: int) -> list[Program]:
+    """The programs of a run of a problem, without those of steps at rest."""
+    programs: list[Program] = []
+
+    class Recorder(Clarabel):
+        def compile(self, program: VelocityProgram) -> Solve:
+            answer = super().compile(program)
+
+            def noted(q: np.ndarray, C: ConvexSet) -> Any:
+                programs.append(Program(program, q.copy(), C))
+                return answer(q, C)
+
+            return noted
+
+    process, t_end, _ = open_source(source)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        solve(process, t_end=t_end, steps=steps, solver=Recorder(), on_failure="stop")
+    if not programs:
+        raise InputError(f"{source.name} has no program to compare solvers on: no step needs one")
+    return programs
+
+
+def trials(solver: Solver, programs: Sequence[Program]) -> list[dict[str, Any]]:
+    """Every program in the order of time, a call that is not timed before the first one.
+
+    Each has seconds and a relative certificate, or a message how the solver broke.
+    """
+    compiled: dict[int, Solve] = {}
+    results: list[dict[str, Any]] = []
+    quiet = contextlib.redirect_stdout(io.StringIO())
+    with quiet, warnings.catch_warnings(), one_thread():
+        warnings.simplefilter("ignore")
+        for statement, q, C in programs:
+            try:
+                if id(statement) not in compiled:
+                    compiled[id(statement)] = solver.compile(statement)
+                    compiled[id(statement)](q, C)  # warm
+                started = clock.perf_counter()
+                z = compiled[id(statement)](q, C).z
+                seconds = clock.perf_counter() - started
+                relative = certify(statement.M, q, C, z).relative if np.isfinite(z).all() else inf
+                results.append({"seconds": seconds, "certificate": relative})
+            except Exception as error:  # a solver that breaks is a row of the table
+                results.append({"message": f"{type(error).__name__}: {error}"})
+    return results
+
+
+def shifted_mean(seconds: Any) -> float:
+    """The shifted geometric mean exp(mean log(x + SHIFT)) - SHIFT.
+
+    Examples
+    --------
+    >>> round(shifted_mean([1e-3, 3e-3]), 6)
+    0.001828
+    """
+    return float(np.exp(np.log(np.asarray(seconds) + SHIFT).mean()) - SHIFT)
 
 
 def comparison_text(table: DataFrame) -> str:
     """The comparison as text."""
-    names = {"ms": "ms a step", "ratio": "x best"}
-    shown = table[["tol", "solver", "status", "ms", "ratio", "calls", "certificate"]]
-    text = shown.rename(columns=names).to_string(index=False, float_format="{:.3g}".format)
-    return f"{text}\n{LEGEND}"
+    names = {"time": "ms", "ratio": "x best", "certificate": "median", "message": ""}
+    shown = table.assign(time=1e3 * table.time, message=table.message.str[:60])
+    shown = shown.drop(columns="programs").rename(columns=names)
+    return f"{shown.to_string(index=False, float_format='{:.3g}'.format)}\n{LEGEND}"

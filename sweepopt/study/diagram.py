@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import cycle
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C8C8C")
 COLUMNS = 3
 """Panels side by side."""
+ERROR = "largest error over the steps"
 MARKERS = "os^vDP*"
 COSTS = {
     "wall": "wall time (s)",
@@ -35,6 +36,28 @@ COSTS = {
     "steps": "time steps",
     "solver_calls": "solver calls",
 }
+
+
+class Curve(NamedTuple):
+    """A line of the diagram.
+
+    Attributes
+    ----------
+    problem, panel, label : str
+    cells : DataFrame
+        Rows of the study's table by their number of steps, with their places `x` and `y` on
+        logarithmic axes.
+    marker, line, colour : str
+        As matplotlib names them; there is no line, or there are no markers, where one is "".
+    """
+
+    problem: str
+    panel: str
+    label: str
+    cells: DataFrame
+    marker: str
+    line: str
+    colour: str
 
 
 def work_precision(table: DataFrame, *, x: str = "wall") -> Any:
@@ -61,6 +84,36 @@ def work_precision(table: DataFrame, *, x: str = "wall") -> Any:
     MissingExtraError
         If matplotlib is not installed.
     """
+    lines = curves(table, x)
+    places = {curve.panel: curve.problem for curve in lines}
+    axes = panels(list(places))
+    first: dict[str, Any] = {}
+    for panel, problem in places.items():
+        ax, one = axes[panel], first.setdefault(problem, axes[panel])
+        if ax is not one:
+            ax.sharex(one)
+            ax.sharey(one)
+        ax.set(xscale="log", yscale="log", xlabel=COSTS[x], ylabel=f"{ERROR}, $|\\cdot|_A$")
+        # labels at 2 and 4 between powers of ten have room in a panel
+        ax.xaxis.get_minor_locator().set_params(subs=(2, 4))
+    for curve in lines:
+        look = {"color": curve.colour, "label": curve.label}
+        look["markerfacecolor"] = curve.colour if curve.line else "none"
+        style = f"{curve.marker}{curve.line}"
+        axes[curve.panel].plot(curve.cells.x, curve.cells.y, style, **look)
+    named = {line.get_label(): line for ax in axes.values() for line in ax.lines}
+    ax.figure.legend(named.values(), named.keys(), fontsize="small", loc="outside right upper")
+    return ax.figure.axes[0]
+
+
+def curves(table: DataFrame, x: str) -> list[Curve]:
+    """The lines of the diagram, for `work_precision` and for the report.
+
+    Raises
+    ------
+    InputError
+        As `work_precision`.
+    """
     choice("x", x, COSTS)
     missing = [name for name in CellRow._fields if name not in getattr(table, "columns", ())]
     if missing:
@@ -79,34 +132,23 @@ def work_precision(table: DataFrame, *, x: str = "wall") -> Any:
     )
     colours = dict(zip(cells.line.unique(), cycle(COLOURS), strict=False))
     markers = dict(zip(cells.solver.unique(), cycle(MARKERS), strict=False))
-    axes = panels(cells.panel.unique())
-    first: dict[str, Any] = {}
-    for problem, panel in cells[["problem", "panel"]].drop_duplicates().itertuples(index=False):
-        ax, one = axes[panel], first.setdefault(problem, axes[panel])
-        if ax is not one:
-            ax.sharex(one)
-            ax.sharey(one)
-        ax.set(xscale="log", yscale="log", xlabel=COSTS[x])
-        ax.set_ylabel(r"largest error over the steps, $|\cdot|_A$")
-        # labels at 2 and 4 between powers of ten have room in a panel
-        ax.xaxis.get_minor_locator().set_params(subs=(2, 4))
-    bounded = len(axes) == len(first)
-    for (panel, line, solver), rows in cells.groupby(["panel", "line", "solver"], sort=False):
+    bounded = cells.panel.nunique() == cells.problem.nunique()
+    lines = []
+    for (problem, panel, line, solver), rows in cells.groupby(
+        ["problem", "panel", "line", "solver"], sort=False
+    ):
         rows = rows.sort_values("steps")
         proved = rows.known & np.isfinite(rows.bound) & bounded
-        for label, style, shown, y in (
-            (f"{line} · {solver}", f"{markers[solver]}-", rows.known, rows.y),
-            ("guaranteed bound", "--", proved, rows.bound),
-            ("failed", "x", ~rows.success, rows.y),
-            ("error not known", "o", rows.success & ~rows.known, rows.y),
+        for label, marker, style, shown, y in (
+            (f"{line} · {solver}", markers[solver], "-", rows.known, rows.y),
+            ("guaranteed bound", "", "--", proved, rows.bound),
+            ("failed", "x", "", ~rows.success, rows.y),
+            ("error not known", "o", "", rows.success & ~rows.known, rows.y),
         ):
             if shown.any():
-                look = {"color": colours[line], "label": label}
-                look["markerfacecolor"] = colours[line] if "-" in style else "none"
-                axes[panel].plot(rows.x[shown], y[shown], style, **look)
-    named = {line.get_label(): line for ax in axes.values() for line in ax.lines}
-    ax.figure.legend(named.values(), named.keys(), fontsize="small", loc="outside right upper")
-    return ax.figure.axes[0]
+                drawn = rows.assign(y=y)[shown]
+                lines.append(Curve(problem, panel, label, drawn, marker, style, colours[line]))
+    return lines
 
 
 def trajectories(solutions: Mapping[str, Solution]) -> Any:

@@ -1,7 +1,7 @@
-"""A study as one HTML file that works without a network: pictures by matplotlib, tables by pandas.
+"""A study as one HTML file that works without a network: diagrams by Plotly, tables by pandas.
 
-The pictures stand in the file, and its policy lets nothing be loaded from elsewhere or run. What
-comes from a table is text in it, never HTML.
+Plotly's script and the pictures stand in the file, and its policy lets nothing be loaded from
+elsewhere. What comes from a table is text in it, never HTML.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from string import Template
 from typing import TYPE_CHECKING, Any
 
 from sweepopt.checks import choice
-from sweepopt.errors import InputError, Status
+from sweepopt.errors import InputError, Status, brought_by
 from sweepopt.io import put, writable
 from sweepopt.results import Solution
 from sweepopt.study.advice import advice_table, halving_table
-from sweepopt.study.diagram import trajectories, work_precision
+from sweepopt.study.diagram import COLUMNS, COSTS, ERROR, curves, trajectories
 from sweepopt.study.hard import GOOD, SUITES
 from sweepopt.study.workers import machine
 
@@ -31,12 +31,21 @@ if TYPE_CHECKING:
 
 HIDDEN = ["repeats", "cell", "success", "size", "cpu", "steps_done", "machine", "message"]
 """Columns of a study's table that its page does not show, but for the message, which is last."""
+SYMBOLS = {
+    **{"o": "circle", "s": "square", "^": "triangle-up", "v": "triangle-down"},
+    **{"D": "diamond", "P": "cross", "*": "star", "x": "x"},
+}
+"""Plotly's names of matplotlib's markers."""
+TOOLTIP = """\
+{0.scheme}<br>solver={0.solver}<br>steps={0.steps}<br>tol={0.tol:g}<br>error={0.error:.3g}<br>\
+bound={0.bound:.3g}<br>wall={0.wall:.3g} s<br>solver calls={0.solver_calls:.0f}<br>{0.status}"""
+"""Of a row of the study's table."""
 PAGE = Template("""\
 <!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>$title</title>
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; \
-style-src 'unsafe-inline'">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data: blob:; \
+style-src 'unsafe-inline'; script-src 'unsafe-inline'">
 <style>
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1500px; margin: auto; padding: 1rem; }
 .about { color: #555; font-size: 13px; }
@@ -47,7 +56,8 @@ td { vertical-align: top; min-width: 4rem; max-width: 18rem; overflow-wrap: brea
 td:last-child { min-width: 20rem; max-width: 40rem; overflow-wrap: anywhere; }
 thead th { position: sticky; top: 0; background: #f2f4f7; }
 img { max-width: 100%; }
-</style></head>
+</style>
+<script>$plotly</script></head>
 <body><h1>$title</h1><p class="about">$about</p>
 $body
 </body></html>
@@ -87,13 +97,15 @@ def write_report(
     InputError
         If the table is not a study's or the path no place for a file.
     MissingExtraError
-        If matplotlib is not installed.
+        If Plotly or matplotlib is not installed.
     """
     for name in suites:
         choice("name", name, SUITES)
     if table is None and not any(map(len, suites.values())):
         raise InputError("table is None and there are no hard cases: nothing to report")
     target = writable("path", path)
+    with brought_by("study"):
+        from plotly.offline import get_plotlyjs
     parts, machines = [], [machine()]
     if table is not None:
         parts += _study_section(table)
@@ -110,6 +122,7 @@ def write_report(
     page = PAGE.substitute(
         title=html.escape(title),
         about=html.escape("; ".join([date, *machines])),
+        plotly=get_plotlyjs(),
         body="\n".join(parts),
     )
     put(target, page.encode("utf-8"))
@@ -117,7 +130,7 @@ def write_report(
 
 
 def _study_section(table: DataFrame) -> list[str]:
-    pictures = [_picture(work_precision(table, x=cost)) for cost in ("wall", "steps")]
+    diagrams = [_diagram(table, cost) for cost in COSTS]
     usual = Status.SUCCESS.value  # the one message that need not be shown
     message = table.message.str.replace(usual, "", regex=False)
     return [
@@ -129,8 +142,9 @@ def _study_section(table: DataFrame) -> list[str]:
         halving_table(table).to_html(border=0),
         "<h2>What accuracy costs</h2>",
         "<p>Down is more accurate, left is cheaper; what failed stands above the others, an error "
-        "of 0 below them.</p>",
-        *pictures,
+        "of 0 below them. A click in the legend hides a line in all panels, a double click hides "
+        "all others.</p>",
+        *diagrams,
         "<h2>All cells</h2>",
         _table(
             table.drop(columns=HIDDEN).assign(message=message),
@@ -152,6 +166,41 @@ def _suite_section(name: str, rows: Sequence[Any]) -> list[str]:
         f"<h2>{title.rstrip('.')}</h2><p>{html.escape(text)}</p>",
         _table(shown, "verdict", good, "runs", "wrong"),
     ]
+
+
+def _diagram(table: DataFrame, cost: str) -> str:
+    """What `work_precision` draws, with a legend that filters and a tooltip a cell."""
+    from plotly.subplots import make_subplots
+
+    lines = curves(table, cost)
+    names = list(dict.fromkeys(curve.panel for curve in lines))
+    rows, columns = -(-len(names) // COLUMNS), min(len(names), COLUMNS)
+    figure = make_subplots(rows, columns, subplot_titles=names, horizontal_spacing=0.06)
+    labels: set[str] = set()
+    for curve in lines:
+        parts = {"lines": curve.line, "markers": curve.marker}
+        row, column = divmod(names.index(curve.panel), COLUMNS)
+        figure.add_scatter(
+            x=curve.cells.x,
+            y=curve.cells.y,
+            mode="+".join(part for part, style in parts.items() if style),
+            line_color=curve.colour,
+            line_dash="dash" if curve.line == "--" else "solid",
+            marker_symbol=SYMBOLS.get(curve.marker, "circle") + "-open" * (not curve.line),
+            name=curve.label,
+            legendgroup=curve.label,
+            showlegend=curve.label not in labels,
+            hovertext=list(map(TOOLTIP.format, curve.cells.itertuples())),
+            hoverinfo="text",
+            row=row + 1,
+            col=column + 1,
+        )
+        labels.add(curve.label)
+    figure.update_xaxes(type="log", exponentformat="power", title=COSTS[cost])
+    figure.update_yaxes(type="log", exponentformat="power", title=f"{ERROR}, |·|<sub>A</sub>")
+    figure.update_layout(template="plotly_white", height=120 + 320 * rows)
+    config = {"displaylogo": False, "responsive": True}
+    return str(figure.to_html(full_html=False, include_plotlyjs=False, config=config))
 
 
 def _picture(ax: Any) -> str:

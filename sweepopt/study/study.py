@@ -194,9 +194,9 @@ def run(
         Where finished cells are kept. Killed at any moment, the study goes on from there; what is
         not whole is computed again.
     executor : concurrent.futures.Executor, optional
-        `processes(n)`, or any other one whose workers see the folder, such as dask's
-        ``Client(address).get_executor()``; by default cells are computed here, one after the
-        other. The rows are the same bit for bit, times apart.
+        `processes(n)`, `dask_executor(client)`, or any other one whose workers see the folder; by
+        default cells are computed here, one after the other. The rows are the same bit for bit,
+        times apart.
     progress : callable, optional
         Called with a line of text when something is finished, for example `print`.
 
@@ -215,7 +215,7 @@ def run(
     cells, done = study.cells(), set(read_table(study, folder).cell)
     todo = [cell for cell in cells if cell.id not in done]
     progress(f"{len(cells)} cells, {len(done)} of them finished before")
-    references = Path(folder, "references")
+    references = Path(folder, "references").resolve()  # a worker may have another folder of its own
     references.mkdir(parents=True, exist_ok=True)
     jobs = [(cell, study.reference(cell.problem), references) for cell in todo]
     for k, row in enumerate(_compute(jobs, executor), start=1):
@@ -237,8 +237,9 @@ def read_table(study: Study, folder: str | Path) -> DataFrame:
 def _compute(jobs: list[Any], executor: Executor | None) -> Iterator[CellRow]:
     """The rows as they come.
 
-    Where a process dies, its executor is broken: what it had to compute is computed one by one,
-    each in a process of its own. A cell whose process dies again is a failed row.
+    Where a process dies, its executor is broken, and dask gives up the cells that several workers
+    died of, or beside: these are computed one by one, each in a process of its own. A cell whose
+    process dies again is a failed row.
     """
     if executor is None:
         yield from (run_cell(*job) for job in jobs)
@@ -247,7 +248,8 @@ def _compute(jobs: list[Any], executor: Executor | None) -> Iterator[CellRow]:
     lost = []
     try:
         for future in as_completed(futures):
-            if isinstance(future.exception(), BrokenExecutor):
+            error = future.exception()
+            if isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker":
                 lost.append(futures[future])
             else:
                 yield future.result()

@@ -1,8 +1,7 @@
-"""What computes: processor and versions, one thread a process, and processes of this machine.
+"""What computes: processor and versions, one thread a process, processes or a dask cluster.
 
-A study asks for no more than `concurrent.futures` has: submit(function, *arguments) -> Future, so
-that the executor of a cluster serves too. With one thread times compare, and results are the same
-bit for bit, wherever they are computed.
+A study asks for no more than `concurrent.futures` has: submit(function, *arguments) -> Future. With
+one thread times compare, and results are the same bit for bit, wherever they are computed.
 """
 
 from __future__ import annotations
@@ -10,15 +9,17 @@ from __future__ import annotations
 import os
 import platform
 import re
+from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from threading import Thread
+from typing import Any
 
 from sweepopt.checks import count
-from sweepopt.errors import brought_by
+from sweepopt.errors import InputError, brought_by
 from sweepopt.io import versions_of
 
 PACKAGES = ("numpy", "scipy", "cvxpy", "clarabel", "osqp")
@@ -82,3 +83,41 @@ def _end_with_parent() -> None:
         os._exit(1)
 
     Thread(target=end, daemon=True).start()
+
+
+@contextmanager
+def dask_executor(client: Any) -> Iterator[Executor]:
+    """The workers of a dask cluster as an executor, for `run`.
+
+    Parameters
+    ----------
+    client : dask.distributed.Client or str
+        A client, or the address of a running scheduler, such as "tcp://127.0.0.1:8786".
+
+    Raises
+    ------
+    InputError
+        If the scheduler does not answer, or a worker has several threads: cells in one process
+        would share its time. Start workers with ``--nthreads 1``.
+    MissingExtraError
+        If distributed is not installed.
+
+    Notes
+    -----
+    Workers read scenes, and read and write references, in the files of the machine that runs the
+    study. If a worker dies, another one computes its cells.
+    """
+    with brought_by("study"):
+        from distributed import Client
+    try:
+        connected = Client(client, timeout=10) if isinstance(client, str) else nullcontext(client)
+    except (OSError, ValueError) as error:
+        raise InputError(f"scheduler {client!r} does not answer: {error}") from error
+    with connected as cluster:
+        for address, worker in cluster.scheduler_info(n_workers=-1)["workers"].items():
+            if worker["nthreads"] > 1:
+                raise InputError(
+                    f"worker {address} has {worker['nthreads']} threads, which would share a "
+                    "cell's time; start workers with --nthreads 1"
+                )
+        yield cluster.get_executor(pure=False)
