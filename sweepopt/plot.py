@@ -40,7 +40,7 @@ def plot_solution(solution: Solution, ax: Any = None) -> Any:
         Of many components eight are drawn, from the one that moves least to the one that moves
         furthest.
     ax : matplotlib Axes, optional
-        Where to draw the components; a new figure otherwise, the result's `figure`.
+        Where to draw the components; a new figure of pyplot otherwise, the result's `figure`.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def plot_solution(solution: Solution, ax: Any = None) -> Any:
     panels = [ax]
     if ax is None:
         rows = 3 if known and dim == 1 else 1
-        figure = new_figure((7.0, 2.5 + 1.5 * rows))
+        figure = _shown_figure((7.0, 2.5 + 1.5 * rows))
         panels = figure.subplots(rows, sharex=True, squeeze=False)[:, 0]
     drawn = spread(np.ptp(solution.u, axis=0), len(LOOKS))
     stuck = solution.velocity[:, drawn] == 0.0
@@ -77,6 +77,13 @@ def plot_solution(solution: Solution, ax: Any = None) -> Any:
     return panels[0]
 
 
+def _shown_figure(size: tuple[float, float]) -> Any:
+    """A figure of pyplot, which a notebook shows and `pyplot.show` opens."""
+    with brought_by("plot"):
+        from matplotlib import pyplot
+    return pyplot.figure(figsize=size, layout="constrained")
+
+
 def _forces(solution: Solution, most: int) -> tuple[Any, Any, Any, list[ConvexSet]]:
     """Velocity, A u' + B u and C(t) in the middle of at most so many of the kept steps."""
     process, k = solution.process, len(solution.steps)
@@ -91,7 +98,7 @@ def _forces(solution: Solution, most: int) -> tuple[Any, Any, Any, list[ConvexSe
 
 def _plot_paths(solution: Solution) -> Any:
     """The path of two unknowns, and that of the force with C(t) around it."""
-    left, right = new_figure((8.0, 4.0)).subplots(1, 2)
+    left, right = _shown_figure((8.0, 4.0)).subplots(1, 2)
     left.plot(*solution.u.T, color=COLOURS[0])
     left.plot(*solution.u[0], "o", color=COLOURS[0], label=f"t = {solution.t[0]:g}")
     left.set(xlabel="u[0]", ylabel="u[1]")

@@ -218,7 +218,7 @@ def test_a_scene_writes_what_the_command_line_writes(tmp_path: Path) -> None:
 
 
 def test_missing_matplotlib_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
     with pytest.raises(so.MissingExtraError, match=r'pip install "sweepopt\[plot\]"'):
         stick_slip(1).plot()
 

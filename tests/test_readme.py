@@ -11,9 +11,13 @@ ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
 
 
-def test_the_example_runs_and_prints_what_it_says(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_example_runs_and_prints_what_it_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
     (example,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     exec(compile(example, "README.md", "exec"), {})
+    assert (tmp_path / "run.png").is_file()
     lines = capsys.readouterr().out.splitlines()
     message, state, certificate, bound, viability, program = lines
     assert "every step is certified" in message
@@ -27,15 +31,8 @@ def test_the_example_runs_and_prints_what_it_says(capsys: pytest.CaptureFixture[
     assert float(program.split()[-1]) <= 1e-2
 
 
-def test_the_scene_shown_is_the_tube_with_fewer_effects() -> None:
-    (shown,) = re.findall(r"```toml\n(.*?)```", README, re.DOTALL)
-    tube = (ROOT / "problems" / "tube.toml").read_text()
-    for line in shown.splitlines():
-        assert line.split("#")[0].strip() in tube
-
-
 def test_it_is_short_and_its_picture_is_there() -> None:
-    assert len(README.splitlines()) < 150
+    assert len(README.splitlines()) < 120
     for picture in re.findall(r"!\[.*?\]\((.*?)\)", README):
         assert (ROOT / picture).is_file()
 

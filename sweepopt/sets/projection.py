@@ -201,13 +201,14 @@ class Splitting:
 
     def _point(self, v: np.ndarray, s: np.ndarray) -> np.ndarray:
         """E s, or v itself where that is the same to rounding: v is in C."""
-        w, rounding = self.E @ s, ROUNDING * (abs(self.E) @ np.abs(s))
+        w, sizes = self.E @ s, np.abs(s) + self.rounding_scale(s)
+        rounding = ROUNDING * (abs(self.E) @ sizes)
         return v.copy() if (np.abs(v - w) <= rounding).all() else w
 
     def normal(self, near: Projection) -> np.ndarray:
         """v - w, changed by what rounding of v keeps it from being one to the parts' normals."""
         p = near.v - near.w
-        if not self.small:
+        if not self.small or not p.any():  # 0 is normal everywhere
             return p
         each = [unit * part.normal(near.image[at] / unit) for part, at, unit in self.parts]
         n, E, F = np.concatenate(each), self.E.T, self.F.T
