@@ -80,7 +80,7 @@ def plot_solution(solution: Solution, ax: Any = None) -> Any:
 def _shown_figure(size: tuple[float, float]) -> Any:
     """A figure of pyplot, which a notebook shows and `pyplot.show` opens."""
     with brought_by("plot"):
-        from matplotlib import pyplot
+        import matplotlib.pyplot as pyplot
     return pyplot.figure(figsize=size, layout="constrained")
 
 
