@@ -119,6 +119,7 @@ def test_a_body_whose_factors_do_not_fit_moves_as_one_whose_factors_do(
 
 
 @pytest.mark.usefixtures("little_memory")
+@pytest.mark.filterwarnings("ignore::sweepopt.BoundWarning")
 def test_a_proportional_body_is_not_factorised_either() -> None:
     sol = run(n=20, shift=0.0)
     assert sol.plan.path == "eliminated"

@@ -245,6 +245,7 @@ def test_coupled_rows_that_move_have_a_guaranteed_bound(history: Any, A: float) 
             assert error <= bound <= 4 * error
 
 
+@pytest.mark.filterwarnings("ignore::sweepopt.BoundWarning")
 def test_coupled_rows_that_are_a_function_stay_sampled() -> None:
     data = coupled(0, lambda random: so.Sine(1.0, 2.0), 0.3)
     C = so.Polyhedron(data.C.shape.G, lambda t: data.C.offsets(t))

@@ -50,7 +50,7 @@ def residual(process: so.SweepingProcess, found: Trajectory, times: np.ndarray) 
 def integral_error(found: Trajectory) -> float:
     """How far u is from u0 + int u', by Gauss's rule on fine intervals in every phase."""
     x, weights = np.polynomial.legendre.leggauss(12)
-    worst, u = 0.0, found(found.starts[0])
+    worst, u = 0.0, found.phases[0].state(found.starts[0])
     ends = [*found.starts[1:], found.end]
     for phase, end in zip(found.phases, ends, strict=True):
         worst = max(worst, np.abs(phase.state(phase.start) - u).max())

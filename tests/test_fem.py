@@ -499,7 +499,7 @@ BAD = [  # what a scene file cannot say; the rest is in test_scene.py
     (lambda: antiplane(INSIDE, clamped="cut", effects=VISCOUS), "'cut' lies inside the body"),
     (lambda: antiplane_square().discretisation.expand([1.0]), "u must have 6 entries in its last"),
     (lambda: antiplane_square(t_end=-1.0), "t_end must be > 0"),
-    (lambda: antiplane_square(u0=[1.0]), "u0 must have 6 entries, got 1"),
+    (lambda: antiplane_square(u0=[1.0]), "u0 has dim 1, but A 6"),
     (lambda: antiplane_square(effects=VISCOUS[0]), r"must be a list .*, got Viscosity\(eta=1.0"),
     (lambda: antiplane_square(effects=[Viscosity]), r"^effects\[0\] is no effect such as .*class"),
     (lambda: Friction("left", 1e308), r"^g is 1e\+308, beyond 1e\+75: .* other units"),

@@ -45,9 +45,11 @@ get_ipython().run_line_magic("matplotlib", "inline")
 def execute(notebook: Any, kernel: Any) -> None:
     settings = {"timeout": 300, "kernel_name": "python3", "record_timing": False}
     client = nbclient.NotebookClient(notebook, km=kernel, **settings)
-    client.execute()
-    if kernel is not None:
-        client.kc.stop_channels()
+    try:
+        client.execute()
+    finally:
+        if kernel is not None:
+            client.kc.stop_channels()
 
 
 def run(path: Path, kernel: Any = None) -> tuple[Any, Any]:

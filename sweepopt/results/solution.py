@@ -399,7 +399,8 @@ class Solution(Displayed):
             if not ("_bound" in vars(self) or self._bound.guaranteed):
                 warn(
                     "this bound is sampled, not guaranteed: C(t) is a function, known at some "
-                    "times only; give the load as data (so.Separable, so.Table), or variation=",
+                    "times only (give the load as data, so.Separable or so.Table, or variation=), "
+                    "or the matrices are too large or too uneven to prove their eigenvalues",
                     BoundWarning,
                 )
             return self._bound
