@@ -138,14 +138,16 @@ def read_columns(path: str | Path, time: str | None, *others: str) -> tuple[Arra
                 raise InputError(f"{path}, row {row}: {error}; is it a table?") from error
     header = table.pop(next(iter(table), 0), [])
     if time is None:
-        left = next((name for name in header if name not in others), "t")
-        time = next((name for name in ("t", "time") if name in header), left)
+        words = {name: re.split(r"\W", name.lower())[0] for name in header}
+        left = [name for name in header if name not in others]
+        time = next((name for name in left if words[name] in ("t", "time")), (*left, "t")[0])
     names = time, *others
     for name in names:
         if header.count(name) != 1:
             fault = "is there twice" if name in header else "is missing"
             # not what there is: a scene of a stranger may name any file
-            hint = "; write commas between the cells" if len(header) == 1 else ""
+            mixed = len(header) == 1 and re.search("[;\t]", header[0])
+            hint = "; write commas between the cells" if mixed else ""
             raise InputError(
                 f"{path}: column {name!r} {fault} among its {len(header)} column names{hint}"
             )

@@ -1,7 +1,7 @@
 """Components of a solution over time, and what all pictures share: figures, colours, stick phases.
 
-Drawn on matplotlib's Figure without pyplot, so that no window system and no global state is
-touched.
+What users ask of a `Solution` is a figure of pyplot, which notebooks show; the files of scenes and
+studies are drawn without pyplot, so that no window system and no global state is touched.
 """
 
 from __future__ import annotations

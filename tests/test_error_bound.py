@@ -216,6 +216,7 @@ def coupled(seed: int, history: Any, A: float) -> so.SweepingProcess:
     for point in 1.5 * random.normal(size=(2, dim)):
         h.append((history(random), G @ point + random.uniform(-0.1, 0.1, len(G))))
     Q, R = random.normal(size=(2, dim, dim))
+    G = sp.csc_array(G) if seed % 2 else G
     return so.SweepingProcess(
         A * (Q @ Q.T + 0.2 * np.eye(dim)),
         R @ R.T + 0.5 * np.eye(dim),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -163,3 +164,38 @@ def test_sets_of_several_kinds_are_solved_each_in_its_way_or_refused_before_the_
     assert {"linear", "newton"} <= set(sol.stats["solver"])
     with pytest.raises(so.SolverRefusedError, match=r"Ball.*t = 2"):
         so.solve(this, t_end=3.99, steps=40, solver="osqp")
+
+
+@pytest.mark.parametrize("scale", [None, so.Table([0.0, 1.0, 2.0], [1.0, 0.2, 1.0])])
+def test_a_box_with_equal_bounds_away_from_the_contact_acts_on_the_contact_alone(
+    scale: so.Table | None,
+) -> None:
+    n, few = 24, np.array([0, 7, 14, 21])
+    random = np.random.default_rng(0)
+    A = 3 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    lower = random.normal(size=n)  # equal bounds need not be 0
+    upper = lower.copy()
+    upper[few] += 0.5
+    load = so.Separable([(so.Sine(2.0, 1.5), random.normal(size=n))])
+    process = so.SweepingProcess(A, 2 * A, so.Moving(so.Box(lower, upper), load, scale), 0 * lower)
+    how: dict[str, Any] = {"t_end": 2.0, "steps": 40, "tol": 1e-9, "scheme": "midpoint"}
+    with pytest.warns(so.InitialStateWarning):
+        sol, full = (so.solve(process, **how, path=path) for path in ("auto", "full"))
+    assert "eliminated          20" in str(sol.plan)
+    np.testing.assert_allclose(sol.u, full.u, rtol=0, atol=1e-8 * np.abs(full.u).max())
+    assert sol.error_bound().guaranteed
+    assert sol.error_bound() == pytest.approx(full.error_bound(), rel=1e-3)
+
+
+def test_boxes_whose_equal_bounds_change_in_time_have_the_answers_of_the_whole_program() -> None:
+    A = 3 * np.eye(12) - np.eye(12, k=1) - np.eye(12, k=-1)
+
+    def box(t: float) -> so.Box:
+        g = np.zeros(12)
+        g[[0, 5 + round(4 * t) % 3]] = 0.3
+        return so.Box(np.sin(3 * t) - g, np.sin(3 * t) + g)
+
+    process = so.SweepingProcess(A, A, so.MovingSet(box), np.zeros(12))
+    how: dict[str, Any] = {"t_end": 2.0, "steps": 40, "tol": 1e-9, "scheme": "implicit-euler"}
+    auto, full = (so.solve(process, **how, path=path).u for path in ("auto", "full"))
+    np.testing.assert_allclose(auto, full, rtol=0, atol=1e-8 * np.abs(full).max())

@@ -43,6 +43,7 @@ from sweepopt.sets import (
 )
 
 Nearest = Callable[[np.ndarray, ConvexSet], np.ndarray]
+LOOSE = 64 * EPS  # share of a row's entries that assembly rounds in their sum
 PROPORTIONAL = 8 * EPS  # entries of B and rho A may differ by this share
 SHOWN = 5  # jumps that a warning names
 MANY = 1000
@@ -137,7 +138,7 @@ class SweepingProcess(Displayed):
         if self.rate_independent and self.B is None:
             raise InputError("A and B are both zero: nothing determines the velocity")
         given = [M for M in (self.A, self.B) if M is not None]
-        if all((abs(M.sum(axis=1)) <= 1e-12 * abs(M).sum(axis=1)).all() for M in given):
+        if all((abs(M.sum(axis=1)) <= LOOSE * abs(M).sum(axis=1)).all() for M in given):
             raise IndefiniteError(
                 "A and B let the body move as a whole: A u = B u = 0 for u = (1, ..., 1). Clamp a "
                 "part of it (leave these unknowns out of A and B), or give a foundation or dashpot;"

@@ -262,7 +262,9 @@ def _within_rows(
     limits = TO_BERNSTEIN @ h.values - error[:, None]
     rows = S.project_rows((TO_BERNSTEIN @ aim).reshape(-1, S.dim), limits.reshape(-1, f.dim))
     w = rows.reshape(aim.shape)
-    slack = np.maximum(limits - w @ S.G.T, 0.0) + ROUNDING * np.abs(limits)
+    slack = np.maximum(
+        limits - (S.G @ w.reshape(-1, S.dim).T).T.reshape(limits.shape), 0.0
+    ) + ROUNDING * np.abs(limits)
     of_each = np.repeat(slack.mean(axis=1), directions.shape[1], axis=0)
     y = S.multiplier_rows(directions.reshape(-1, S.dim), of_each)
     y = basis(2, GAUSS) @ y.reshape(*directions.shape[:2], f.dim)

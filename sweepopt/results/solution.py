@@ -24,7 +24,7 @@ from sweepopt.integrate import (
     program_of_stage,
 )
 from sweepopt.io import put, writable
-from sweepopt.problem import SweepingProcess
+from sweepopt.problem import SweepingProcess, sweeping
 from sweepopt.results.dataset import STATISTICS, netcdf_bytes, read_run, to_xarray
 from sweepopt.results.energy import Energy, energy_of
 from sweepopt.results.error_bound import ErrorBound, error_bound
@@ -93,6 +93,7 @@ class Solution(Displayed):
     recorded: list[Any] | None = None
     exact: Trajectory | None = None
     passes: tuple[Pass, ...] = ()
+    loaded: bool = False
 
     def _rows(self) -> Rows:
         stats, names = self.statistics.rows, [*self.statistics.solvers, "none"]
@@ -400,7 +401,8 @@ class Solution(Displayed):
                 warn(
                     "this bound is sampled, not guaranteed: C(t) is a function, known at some "
                     "times only (give the load as data, so.Separable or so.Table, or variation=), "
-                    "or the matrices are too large or too uneven to prove their eigenvalues",
+                    "or nearly empty, or the matrices are too large or too uneven to prove their "
+                    "eigenvalues",
                     BoundWarning,
                 )
             return self._bound
@@ -425,6 +427,11 @@ class Solution(Displayed):
         elif self.exact is not None:
             u = self.exact(self._grid)
             run = Nodes(self._grid, u, np.diff(u, axis=0) / np.diff(self._grid)[:, None])
+        elif self.loaded:
+            raise InputError(
+                "error_bound of a run from a file needs all its steps, as the file has no plan by "
+                "which those that are missing could be made again: keep all, save=None"
+            )
         else:
             run = nodes_of(self.process, replace(self.plan, reduction=None), self._grid)
         with np.errstate(over="ignore", invalid="ignore"):  # a bound may be infinite
@@ -501,10 +508,14 @@ class Solution(Displayed):
             rows[name] = run[name]
         status, scheme = Status[run.status.upper()], SCHEMES[run.scheme]
         plan: Any = _Absent(scheme=scheme, tol=run.tol, solvers=())
-        given: Any = process or _Absent(dim=u.shape[1], fields={})
-        if given.dim != u.shape[1]:
-            raise InputError(f"process has dim {given.dim}, but {path} has dim {u.shape[1]}")
+        given: Any = _Absent(dim=u.shape[1], fields={})
         if process is not None:
+            given = process = sweeping(process)
+            if given.dim != u.shape[1]:
+                raise InputError(f"process has dim {given.dim}, but {path} has dim {u.shape[1]}")
+            digest = run.attrs.get("mesh_digest", "")
+            if digest != given.mesh_digest or not np.array_equal(given.u0, u[0]):
+                raise InputError(f"process is not that of {path}: its mesh or u0 is another")
             plan = make_plan(process, process.check(run.time.values), scheme, "auto", run.tol)
         return cls(
             process=given,
@@ -512,6 +523,7 @@ class Solution(Displayed):
             t=run.time.values,
             states=States(steps, u.__getitem__, velocity.__getitem__),
             statistics=Statistics(rows, tuple(map(str, names))),
+            loaded=True,
             status=status,
             cause=run.message.removeprefix(status.value).strip(),
         )

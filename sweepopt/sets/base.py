@@ -28,7 +28,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import number, vector
 from sweepopt.display import Brief, svg
-from sweepopt.errors import InputError
+from sweepopt.errors import InputError, SweepoptError
 from sweepopt.linalg import dense
 from sweepopt.sets.curves import products
 
@@ -328,7 +328,10 @@ class ConvexSet(Operators, ABC):
         return np.array([self.project(self.anchor + v) for v in far])
 
     def _picture(self) -> str:
-        points = self.outline()
+        try:
+            points = self.outline()
+        except SweepoptError:  # no point is known: C may be empty
+            return ""
         return svg([points], equal=True) if points.size else ""
 
     def normal(self, v: np.ndarray) -> np.ndarray:
@@ -493,6 +496,8 @@ class ConvexSet(Operators, ABC):
     @property
     def nonsmooth_dim(self) -> int:
         """How many unknowns C really acts on (fewer than dim for the image of a small set)."""
+        if self.selection is not None:
+            return self.selection.part.nonsmooth_dim
         return min(self.dim, sum(part.dim for part in self.form().parts if not part.singleton))
 
     @property

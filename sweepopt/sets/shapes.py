@@ -25,6 +25,10 @@ from sweepopt.sets.curves import products
 if TYPE_CHECKING:
     import cvxpy as cp
 
+FEW = 1000
+"""Unknowns of a box, and a quarter of all, up to which the others are worth eliminating. In a plane
+body 1,000 of 10,000 take 1.6 s so and 2.8 s whole, 625 of 2,500 0.6 and 0.8, 1,250 2.3 and 0.8."""
+
 
 class Box(ConvexSet):
     """{ w : lower <= w <= upper }, entries may be infinite:  sigma(z) = sum max(lower z, upper z).
@@ -65,7 +69,7 @@ class Box(ConvexSet):
     @cached_property
     def selection(self) -> Selection | None:
         few = np.flatnonzero(self.lower < self.upper)
-        if few.size in (0, self.dim):
+        if not 0 < few.size <= min(self.dim / 4, FEW):
             return None
         shift = np.where(self.lower < self.upper, 0.0, self.lower)
         part = Box(self.lower[few], self.upper[few])
