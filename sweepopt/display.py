@@ -57,6 +57,8 @@ def by_parts(thing: Any) -> str:
     none = (type(None), tuple)  # what was not given: None, or an empty list of more
     given = [(name, one) for name, one in parts if not isinstance(one, none) or one]
     words = [f"{name}={brief(one)}" for name, one in given if name != "dim"]
+    if "parts" not in dict(given):  # what an operation made it of
+        words += map(brief, getattr(thing, "operands", ()) or getattr(thing, "parts", ()))
     if dim := getattr(thing, "dim", None):
         words.insert(0, f"dim {dim}")
     text = f"{type(thing).__name__}({', '.join(words)})"

@@ -13,6 +13,7 @@ import scipy.optimize
 import scipy.sparse as sp
 
 from sweepopt.checks import divisor, matrix, number, vector
+from sweepopt.display import brief
 from sweepopt.errors import EmptySetError, InputError, SweepoptError
 from sweepopt.linalg import EPS, UNIT, dense, product_error, row_lengths
 from sweepopt.sets.base import (
@@ -398,6 +399,9 @@ class HalfSpace(Polyhedron):
         if not row.any():
             raise InputError("normal must not be zero")
         super().__init__(row[None, :], [number("offset", offset)])
+
+    def __repr__(self) -> str:
+        return f"HalfSpace(dim {self.dim}, normal={brief(self.G[0])}, offset={self.offset})"
 
     @property
     def offset(self) -> float:

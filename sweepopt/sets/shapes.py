@@ -172,7 +172,7 @@ class Point(Box):
     nonsmooth_dim = 0
 
     def __init__(self, p: Any) -> None:
-        self.lower = self.upper = self.offsets = entries("p", p)
+        self.p = self.lower = self.upper = self.offsets = entries("p", p)
         self.dim = self.offsets.size
         self._low = self._up = np.ones(self.dim, bool)
 
