@@ -439,6 +439,8 @@ CONTRADICTIONS = [
     (Disc(2) + [1.0, 5.0], r"contradicts Disc\.support"),
     (so.product(so.Ball([0, 0], 1), Disc(2)), r"contradicts Disc\.support"),
     (so.Moving(Disc(2), lambda t: [t, t]), r"contradicts Disc\.support"),
+    (so.Moving(-2 * Disc(2), lambda t: [t, t]), r"contradicts Disc\.support"),
+    (Disc(2) + so.Box([-1, -1], [1, 1]), r"contradicts Disc\.support"),
 ]
 
 

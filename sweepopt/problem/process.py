@@ -582,10 +582,18 @@ def _check_support(C: ConvexSet) -> None:
                 f"{type(C).__name__}.support is not positively homogeneous: "
                 f"sigma(z) = {once:g} but sigma(2z) = {twice:g}"
             )
-    for factor in C.factors():
-        for part in getattr(factor, "parts", [factor]):
-            if not type(part).__module__.startswith(f"{__package__.partition('.')[0]}."):
-                _check_projection(part)
+    for part in _leaves(C):
+        if not type(part).__module__.startswith(f"{__package__.partition('.')[0]}."):
+            _check_projection(part)
+
+
+def _leaves(C: ConvexSet) -> Iterator[ConvexSet]:
+    """The sets that products, translates, multiples, sums and intersections were made of."""
+    parts = (*getattr(C, "parts", ()), *getattr(C, "operands", ()))
+    for part in parts:
+        yield from _leaves(part)
+    if not parts:
+        yield C
 
 
 def _check_projection(C: ConvexSet) -> None:
