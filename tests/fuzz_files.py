@@ -18,7 +18,7 @@ from sweepopt.fem import read_mesh, read_scene
 from sweepopt.io import find_scene, find_study, read_toml
 from sweepopt.loads import Table
 from sweepopt.study import read_study
-from sweepopt.study.hard.programs import HardStudy
+from sweepopt.study.hard.velocities import HardStudy
 from sweepopt.study.records import read_record
 
 DATA = Path(__file__).parent / "data"

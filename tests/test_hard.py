@@ -23,8 +23,8 @@ from sweepopt.study.hard.families import (
     make,
     read_families,
 )
-from sweepopt.study.hard.programs import PATHS, HardRow, HardStudy
 from sweepopt.study.hard.suite import GOOD
+from sweepopt.study.hard.velocities import PATHS, HardRow, HardStudy
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 

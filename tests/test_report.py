@@ -23,7 +23,7 @@ import sweepopt as so
 from sweepopt.cli import main
 from sweepopt.study import write_report
 from sweepopt.study.diagram import COSTS
-from sweepopt.study.hard.programs import HardRow, HardStudy
+from sweepopt.study.hard.velocities import HardRow, HardStudy
 from sweepopt.study.problems import problem
 from sweepopt.study.records import read_rows
 
