@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import TIME_SLACK, axes, vector
+from sweepopt.checks import TIME_SLACK, axes, takes, vector
 from sweepopt.errors import InputError, Status, shown
 from sweepopt.io import writable
 from sweepopt.velocity import Plan, Velocity
@@ -267,6 +267,8 @@ def saving(save: Any, times: np.ndarray, dim: int, memory: float) -> Saving:
             f"save must be None, 'last', a stride, times, a function of (t, u, z) or the name of "
             f"an .nc file; got {shown(save)}"
         )
+    else:
+        takes("save", save, "t", "u", "z")
     steps = np.union1d(np.array(kept, dtype=int), n - 1)  # the last one always
     size = 8.0 * dim * (2 * steps.size + 1)
     if size > memory:
