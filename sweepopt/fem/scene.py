@@ -13,9 +13,9 @@ import scipy.sparse as sp
 import skfem
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.checks import choice, listed, number
+from sweepopt.checks import choice, count, listed, matrix, number, symmetric, vector
 from sweepopt.display import Displayed, Rows, svg
-from sweepopt.errors import InputError, shown
+from sweepopt.errors import InputError, noted, shown
 from sweepopt.fem.contact import Contact, Yield, dissipation, merged
 from sweepopt.fem.effects import (
     Contribution,
@@ -487,13 +487,55 @@ def _contribution(
     """What an effect adds; its history must cover the run."""
     if isinstance(effect, type) or not hasattr(effect, "contribute"):
         raise InputError(f"{label} is no effect such as Viscosity(1.0): {shown(effect)}")
+    if not label.startswith("effects."):
+        label = f"{type(effect).__name__}: {label}"
     with at_path(label):
-        part = effect.contribute(space)
+        try:
+            part = effect.contribute(space)
+        except Exception as error:  # whatever a user's effect raises
+            noted(error, f"{label}.contribute")
+            raise
+        part = _checked(part, space.dim)
     for name in ("history", "moved"):
         if (history := getattr(effect, name, None)) is not None and t_end is not None:
             with at_path(f"{label}.{name}"):
                 for t in (0.0, t_end):
                     history(t)
+    return part
+
+
+def _checked(part: Any, dim: int) -> Contribution:
+    """What an effect gives, if it is finite and fits the body; a user may have written it."""
+    if not isinstance(part, Contribution):
+        raise InputError(f"contribute must return a so.fem.Contribution, got {shown(part)}")
+    sizes = {dim, dim + count("internal", part.internal, 0)}
+
+    def fits(name: str, size: int) -> None:
+        if size not in sizes:
+            raise InputError(
+                f"{name} has {size} unknowns, the body has {dim}: take what is of all degrees of "
+                "freedom to those that are not held by body.restrict"
+            )
+
+    for name in ("A", "B"):
+        if (given := getattr(part, name)) is not None:
+            M = symmetric(name, given)
+            fits(name, M.shape[0])
+            if not sp.issparse(given):
+                part = replace(part, **{name: sp.csc_array(M)})
+    for name in ("loads", "yields"):
+        if not isinstance(getattr(part, name), (list, tuple)):
+            raise InputError(f"{name} must be a list, got {shown(getattr(part, name))}")
+    for k, load in enumerate(part.loads):
+        phi, f = load if isinstance(load, tuple) and len(load) == 2 else (Constant(), load)
+        if not callable(phi):
+            raise InputError(f"loads[{k}][0] must be a function of time, got {shown(phi)}")
+        if not callable(f):
+            fits(f"loads[{k}]", vector(f"loads[{k}]", f).size)
+    for k, one in enumerate(part.yields):
+        if not isinstance(one, Yield):
+            raise InputError(f"yields[{k}] must be a Yield, got {shown(one)}")
+        fits(f"yields[{k}].rows.E", matrix(f"yields[{k}].rows.E", one.rows.E).shape[1])
     return part
 
 
