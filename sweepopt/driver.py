@@ -407,7 +407,7 @@ def _solution(
         states=states,
         statistics=run.statistics(),
         status=run.status,
-        cause=run.cause,
+        cause=f"{run.divided()} {run.cause}".strip(),
         exact=run.exact,
         recorded=recorded if grid.saving.function else None,
         passes=grid.passes,

@@ -372,7 +372,7 @@ def build(
     _check_held(space, A, B)
     _check_together(space, effects, yields, lifts, internal=size > space.dim)
     loads += _lifted(space, effects, lifts) if lifts else []
-    force = _force(loads, size)
+    force = _force(loads, space.dim, size)
     if isinstance(u0, Initial):
         with at_path("initial"):
             u0 = u0.state(space, fields, size)
@@ -572,11 +572,13 @@ class _Load(NamedTuple):
         return breakpoints((phi for phi, _ in self.terms), a, b)
 
 
-def _force(loads: Sequence[Force], size: int) -> Any:
+def _force(loads: Sequence[Force], dim: int, size: int) -> Any:
     """The sum of the terms; data where all of them are. None acts on internal unknowns."""
 
-    def pad(f: Any) -> Any:
-        return (lambda t: pad(f(t))) if callable(f) else np.pad(f, (0, size - f.size))
+    def pad(f: Any, name: str = "loads") -> Any:
+        if callable(f):
+            return lambda t: pad(f(t), f"a function in loads, at t = {t:g},")
+        return np.pad(vector(name, f, dim), (0, size - dim))
 
     pairs = [one if isinstance(one, tuple) else (Constant(), one) for one in loads]
     terms = [(phi, pad(f)) for phi, f in pairs]

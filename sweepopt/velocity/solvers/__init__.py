@@ -65,7 +65,9 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
         solver = Cvxpy(engine.upper()) if engine else _made(REGISTRY[name], C, tol)
     if isinstance(solver, type):
         name = "so." * (solver in REGISTRY.values()) + solver.__name__
-        raise SolverRefusedError(f"solver must be an object, got a class; call it: {name}()")
+        raise SolverRefusedError(
+            f"solver must be a name or an object, got a class; call it: {name}()"
+        )
     lacks = [name for name in CONTRACT if not hasattr(solver, name)]
     if lacks:
         missing = f" (it has no {lacks[0]}, see help(sweepopt.velocity.Solver))"
