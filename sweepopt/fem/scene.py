@@ -487,7 +487,8 @@ def _contribution(
     """What an effect adds; its history must cover the run."""
     if isinstance(effect, type) or not hasattr(effect, "contribute"):
         raise InputError(f"{label} is no effect such as Viscosity(1.0): {shown(effect)}")
-    if not label.startswith("effects."):
+    own = type(effect).__module__.startswith(__package__)
+    if not (own or label.startswith("effects.")):
         label = f"{type(effect).__name__}: {label}"
     with at_path(label):
         try:
