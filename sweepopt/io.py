@@ -169,8 +169,8 @@ def _header_hint(header: list[str]) -> str:
     any file, and a file without a header begins with data.
     """
     if len(header) == 1:
-        mark = next((name for sign, name in ((";", "';'"), ("\t", "tabs")) if sign in header[0]), "")
-        return f"; it is separated by {mark}, write commas between the cells" if mark else ""
+        mark = re.search("[;\t]", header[0])
+        return f"; it is separated by {mark[0]!r}, write commas between the cells" if mark else ""
     if not header or any(re.match(r"[-+.]?\d", name) for name in header):
         return ""
     return f": {', '.join(f'{name:.30}' for name in header[:10])}{', ...' * (len(header) > 10)}"
