@@ -57,6 +57,17 @@ def arguments(**meant: str) -> Callable[[F], F]:
     return decorated
 
 
+def takes(name: str, function: Any, *given: str) -> None:
+    """Refuse what is no function of the given arguments, as far as its signature tells."""
+    try:
+        signature(function).bind(*given)
+    except TypeError as error:
+        wanted = f"a function of ({', '.join(given)})"
+        raise InputError(f"{name} must be {wanted}, got {shown(function)} ({error})") from None
+    except ValueError:  # some of other languages have no signature
+        return
+
+
 def agree(**sizes: int) -> None:
     """Refuse arguments whose numbers of unknowns differ, blaming the one that differs from most."""
     (most, _), *others = Counter(sizes.values()).most_common()
@@ -240,6 +251,8 @@ def floats(name: str, value: Any, what: str, ndmin: int = 0) -> np.ndarray:
         if isinstance(value, np.ma.MaskedArray):  # under a mask there is any number
             value = np.ma.filled(value.astype(float), np.nan)
         array = np.array(value, ndmin=ndmin)
+        if array.dtype == object and any(entry is None for entry in array.flat):
+            raise TypeError("None is no number; a function without return gives it")
         if array.dtype.kind not in "biufO":
             raise TypeError(f"entries are {array.dtype}")
         with np.errstate(over="ignore"):

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sweepopt.checks import arguments, number
+from sweepopt.checks import arguments, number, takes
 from sweepopt.errors import InputError, SaveError, Status, StepError, shown
 from sweepopt.integrate import (
     MEMORY,
@@ -286,6 +286,8 @@ def _run(
     """Check what remains to be checked, and run."""
     if callback is not None and not callable(callback):
         raise InputError(f"callback must be a function of a StepInfo, got {shown(callback)}")
+    if callback is not None:
+        takes("callback", callback, "step")
     scheme, steps = options.tableau(process), options.steps
     segments = None
     if isinstance(steps, Adaptive):
@@ -405,7 +407,7 @@ def _solution(
         states=states,
         statistics=run.statistics(),
         status=run.status,
-        cause=run.cause,
+        cause=f"{run.divided()} {run.cause}".strip(),
         exact=run.exact,
         recorded=recorded if grid.saving.function else None,
         passes=grid.passes,

@@ -145,11 +145,9 @@ def read_columns(path: str | Path, time: str | None, *others: str) -> tuple[Arra
     for name in names:
         if header.count(name) != 1:
             fault = "is there twice" if name in header else "is missing"
-            # not what there is: a scene of a stranger may name any file
-            mixed = len(header) == 1 and re.search("[;\t]", header[0])
-            hint = "; write commas between the cells" if mixed else ""
             raise InputError(
-                f"{path}: column {name!r} {fault} among its {len(header)} column names{hint}"
+                f"{path}: column {name!r} {fault} among its {len(header)} column names"
+                f"{_header_hint(header)}"
             )
     columns = np.empty((len(names), len(table)))
     for k, (row, cells) in enumerate(table.items()):
@@ -163,6 +161,20 @@ def read_columns(path: str | Path, time: str | None, *others: str) -> tuple[Arra
             _number(f"{path}, column {name!r}, row {row}", by_name.get(name, "")) for name in names
         ]
     return columns, list(table)
+
+
+def _header_hint(header: list[str]) -> str:
+    """What a header tells a user who misses a column in it.
+
+    Its names, but nothing of a line that has one cell or numbers: a scene of a stranger may name
+    any file, and a file without a header begins with data.
+    """
+    if len(header) == 1:
+        mark = re.search("[;\t]", header[0])
+        return f"; it is separated by {mark[0]!r}, write commas between the cells" if mark else ""
+    if not header or any(re.match(r"[-+.]?\d", name) for name in header):
+        return ""
+    return f": {', '.join(f'{name:.30}' for name in header[:10])}{', ...' * (len(header) > 10)}"
 
 
 def _number(where: str, cell: str) -> float:

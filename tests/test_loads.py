@@ -157,7 +157,8 @@ def test_the_time_column_of_a_csv_may_have_any_name(tmp_path, header):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("t,f1\n0,1\n1,2\n", "log.csv: column 'f2' is missing among its 2 column names$"),
+        ("t,f1\n0,1\n1,2\n", "log.csv: column 'f2' is missing among its 2 column names: t, f1$"),
+        ("0,1\n1,2\n", "log.csv: column 'f2' is missing among its 2 column names$"),
         ("t,f2,f2\n0,1,1\n1,2,2\n", "log.csv: column 'f2' is there twice"),
         ("", "log.csv: column 't' is missing among its 0"),
         ("t,f2\n0,1\n", "log.csv: 1 data rows"),
@@ -169,7 +170,7 @@ def test_the_time_column_of_a_csv_may_have_any_name(tmp_path, header):
         pytest.param(
             f"t,f2\n0,{'1' * 200_000}\n", "log.csv, row 2: field larger than", id="huge cell"
         ),
-        ("t;f2\n0;1\n2;1\n", "column 'f2' is missing among its 1 .*; write commas between"),
+        ("t;f2\n0;1\n2;1\n", "column 'f2' is missing among its 1 .*separated by ';', write commas"),
         (None, "log.csv: cannot be read"),
         (b"\xff\xfe\x00t", "log.csv: is not UTF-8 text"),
     ],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,25 @@ def scene(text: str = "", mesh: str = "{ sizes = [1.0, 1.0], cells = [2, 2] }") 
     return so.fem.read_scene(domain + text)
 
 
+@dataclass
+class Given:
+    """An effect of a user's own that contributes whatever a function of the body makes."""
+
+    make: Callable[[so.fem.Discretisation], Any]
+
+    def contribute(self, body: so.fem.Discretisation) -> Any:
+        return self.make(body)
+
+
+def contributed(make: Callable[[so.fem.Discretisation], Any]) -> so.fem.Scene:
+    section = so.fem.Discretisation(so.fem.grid([1.0, 1.0], [2, 2]), "left")
+    return so.fem.body(section, [so.fem.Viscosity(1.0), Given(make)])
+
+
+def matrix_of(body: so.fem.Discretisation, value: float) -> so.fem.Contribution:
+    return so.fem.Contribution(A=sp.diags_array(np.full(body.dim, value)))
+
+
 VISCOUS = "[effects.viscosity]\neta = 1.0\n"
 LAPLACIAN = sp.diags_array([[-1.0] * 5, [1.0, 2, 2, 2, 2, 1], [-1.0] * 5], offsets=[-1, 0, 1])
 
@@ -46,7 +66,14 @@ MISTAKES: list[tuple[str, Callable[[], Any], str, str]] = [
     ("J of a vi", lambda: so.EvolutionVI(0.5, 2.0, J=BOX, u0=0), "argument J", "dissipation"),
     ("load of a process", lambda: pulled(load=np.sin), "argument load", "take EvolutionVI"),
     ("no u0", lambda: so.SweepingProcess(0.5, 2.0, BOX), "'u0'", "give by name A, B, C, u0"),
+    ("no u0 but None", lambda: pulled(u0=None), "u0 must be .* got None", "None is no number"),
+    ("load gives None", lambda: run(so.EvolutionVI(0.5, 2.0, load=lambda t: None, dissipation=BOX,
+        u0=0)), r"load\(t\) at t = 0 must be .* got None", "a function without return gives it"),
     # sets
+    ("dissipation moves", lambda: so.EvolutionVI(0.5, 2.0, dissipation=so.Moving(BOX), u0=0),
+        "dissipation must be a set that does not move", "C=so.Moving.-set, center=load, scale=g"),
+    ("M transposed", lambda: so.image(np.ones((3, 2)), so.Box([-1] * 3, [1] * 3)),
+        "M has 2 columns but C has dim 3", "its transpose"),
     ("an interval", lambda: pulled(C=(-1, 1)), r"C must be a set .* \(-1, 1\)", r"so.Box\(-1, 1\)"),
     ("a center for C", lambda: pulled(C=lambda t: 1.5 * t), "C.t. at t = 0", r"so.Moving\(set, center"),
     ("C a class", lambda: pulled(C=so.Box), "C must be a set", r"so.Box\(-1, 1\)"),
@@ -64,13 +91,32 @@ MISTAKES: list[tuple[str, Callable[[], Any], str, str]] = [
     ("half a step", lambda: run(steps=0.1), "steps must be a positive whole number", "got 0.1"),
     ("solver", lambda: run(solver="clarabell"), "solver 'clarabell' is not known", "use auto, clarabel"),
     ("scheme", lambda: run(scheme="euler"), "scheme 'euler' is not known", "implicit-euler"),
+    ("solver a class", lambda: run(solver=so.OSQP), "solver must be a name or", r"call it: so.OSQP\(\)"),
+    ("steps a class", lambda: run(steps=so.Adaptive), "steps must be an", r"so.Adaptive\(tol\)"),
+    ("tol of rounding", lambda: run(tol=1e-17), "tol is 1e-17", "give 1e-14 or more"),
+    ("save of t", lambda: run(save=lambda t: t), r"save must be a function of \(t, u, z\)", "too many"),
+    ("callback", lambda: run(callback=lambda: 1), r"callback must be a function of \(step\)", "too many"),
     ("on_failure", lambda: run(on_failure="stopp"), "on_failure must be one of", "did you mean stop"),
     ("no word", lambda: run(on_failure=10**5000), "on_failure must be one of", "int too long to print"),
     # scenes
     ("scene", lambda: so.scene("tub"), "tub", "tube"),
     ("effect", lambda: scene("[effect.viscosity]\neta = 1.0\n"), "effect: unknown key", "mean effects"),
     ("effect's name", lambda: scene("[effects.viscocity]\neta = 1.0\n"), "viscocity", "mean viscosity"),
+    ("effect on top", lambda: scene("[friction]\ng = 1.0\n"), "friction: unknown", "effects.friction"),
+    ("held", lambda: scene(VISCOUS + '[domain.held]\nbottom = "y"\n'), "held.bottom must be 'all'",
+        "kind 'antiplane', the default"),
     ("key", lambda: scene("[effects.viscosity]\netta = 1.0\n"), "effects.viscosity.etta", "mean eta"),
+    # effects of a user's own
+    ("no Contribution", lambda: contributed(lambda body: None), r"^Given: effects\[1\].contribute must",
+        "return a so.fem.Contribution, got None"),
+    ("nan in A", lambda: contributed(lambda body: matrix_of(body, np.nan)),
+        r"^Given: effects\[1\].A\[0, 0\] is nan", "give finite"),
+    ("not restricted", lambda: contributed(lambda body: so.fem.Contribution(B=np.eye(body.dim + 3))),
+        r"^Given: effects\[1\].B has \d+ unknowns, the body has \d+", "body.restrict"),
+    ("not square", lambda: contributed(lambda body: so.fem.Contribution(B=np.ones((2, 3)))),
+        r"^Given: effects\[1\].B must be square", r"got shape \(2, 3\)"),
+    ("a load too short", lambda: contributed(lambda body: so.fem.Contribution(loads=[np.ones(2)])),
+        r"^Given: effects\[1\].loads\[0\] has 2 unknowns", "body.restrict"),
     ("loose body", lambda: scene('[effects.viscosity]\neta = 1.0\n', "{ sizes = [1.0], cells = [2] }"),
         "clamped", "clamp"),
 ]  # fmt: skip

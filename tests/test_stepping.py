@@ -78,6 +78,7 @@ def test_a_step_where_the_set_is_thin_is_taken_in_parts() -> None:
     process = thin(lambda t: 1e-12 + abs(t - 0.5))
     sol = so.solve(process, t_end=1.0, steps=1, scheme="midpoint")
     assert [name.partition("/")[2] for name in sol.stats["solver"]] == ["2"]
+    assert sol.message.endswith(" 1 step was taken in parts, as tol was missed in one.")
     assert sol.stats["attempts"][0] >= 3  # the whole step and its two parts
     halves = so.solve(process, t_end=1.0, steps=2, scheme="midpoint")
     assert sol.u[-1] == pytest.approx(halves.u[-1], abs=1e-12)
@@ -175,6 +176,7 @@ def test_auto_takes_steps_with_breakpoints_in_parts_that_end_there(
     assert sol.plan.path == (by_hand.plan.path if path == "auto" else path)
     assert len(sol.t) == 11
     assert parts(sol) == [1, 1, 1, 2, 1, 3, 1, 1, 2, 1]
+    assert "in parts" not in sol.message  # tol was met
     assert sol.u == pytest.approx(by_hand(sol.t), abs=1e-7)
     assert sol.velocity == pytest.approx(np.diff(sol.u, axis=0) / 0.1, abs=1e-7)
     assert "4 of the load lie inside of steps" in str(sol.plan)

@@ -13,9 +13,9 @@ import scipy.sparse as sp
 import skfem
 from numpy.typing import ArrayLike, NDArray
 
-from sweepopt.checks import choice, listed, number
+from sweepopt.checks import choice, count, listed, matrix, number, symmetric, vector
 from sweepopt.display import Displayed, Rows, svg
-from sweepopt.errors import InputError, shown
+from sweepopt.errors import InputError, noted, shown
 from sweepopt.fem.contact import Contact, Yield, dissipation, merged
 from sweepopt.fem.effects import (
     Contribution,
@@ -372,7 +372,7 @@ def build(
     _check_held(space, A, B)
     _check_together(space, effects, yields, lifts, internal=size > space.dim)
     loads += _lifted(space, effects, lifts) if lifts else []
-    force = _force(loads, size)
+    force = _force(loads, space.dim, size)
     if isinstance(u0, Initial):
         with at_path("initial"):
             u0 = u0.state(space, fields, size)
@@ -487,13 +487,56 @@ def _contribution(
     """What an effect adds; its history must cover the run."""
     if isinstance(effect, type) or not hasattr(effect, "contribute"):
         raise InputError(f"{label} is no effect such as Viscosity(1.0): {shown(effect)}")
+    own = type(effect).__module__.startswith(__package__)
+    if not (own or label.startswith("effects.")):
+        label = f"{type(effect).__name__}: {label}"
     with at_path(label):
-        part = effect.contribute(space)
+        try:
+            part = effect.contribute(space)
+        except Exception as error:  # whatever a user's effect raises
+            noted(error, f"{label}.contribute")
+            raise
+        part = _checked(part, space.dim)
     for name in ("history", "moved"):
         if (history := getattr(effect, name, None)) is not None and t_end is not None:
             with at_path(f"{label}.{name}"):
                 for t in (0.0, t_end):
                     history(t)
+    return part
+
+
+def _checked(part: Any, dim: int) -> Contribution:
+    """What an effect gives, if it is finite and fits the body; a user may have written it."""
+    if not isinstance(part, Contribution):
+        raise InputError(f"contribute must return a so.fem.Contribution, got {shown(part)}")
+    sizes = {dim, dim + count("internal", part.internal, 0)}
+
+    def fits(name: str, size: int) -> None:
+        if size not in sizes:
+            raise InputError(
+                f"{name} has {size} unknowns, the body has {dim}: take what is of all degrees of "
+                "freedom to those that are not held by body.restrict"
+            )
+
+    for name in ("A", "B"):
+        if (given := getattr(part, name)) is not None:
+            M = symmetric(name, given)
+            fits(name, M.shape[0])
+            if not sp.issparse(given):
+                part = replace(part, **{name: sp.csc_array(M)})
+    for name in ("loads", "yields"):
+        if not isinstance(getattr(part, name), (list, tuple)):
+            raise InputError(f"{name} must be a list, got {shown(getattr(part, name))}")
+    for k, load in enumerate(part.loads):
+        phi, f = load if isinstance(load, tuple) and len(load) == 2 else (Constant(), load)
+        if not callable(phi):
+            raise InputError(f"loads[{k}][0] must be a function of time, got {shown(phi)}")
+        if not callable(f):
+            fits(f"loads[{k}]", vector(f"loads[{k}]", f).size)
+    for k, one in enumerate(part.yields):
+        if not isinstance(one, Yield):
+            raise InputError(f"yields[{k}] must be a Yield, got {shown(one)}")
+        fits(f"yields[{k}].rows.E", matrix(f"yields[{k}].rows.E", one.rows.E).shape[1])
     return part
 
 
@@ -530,11 +573,13 @@ class _Load(NamedTuple):
         return breakpoints((phi for phi, _ in self.terms), a, b)
 
 
-def _force(loads: Sequence[Force], size: int) -> Any:
+def _force(loads: Sequence[Force], dim: int, size: int) -> Any:
     """The sum of the terms; data where all of them are. None acts on internal unknowns."""
 
-    def pad(f: Any) -> Any:
-        return (lambda t: pad(f(t))) if callable(f) else np.pad(f, (0, size - f.size))
+    def pad(f: Any, name: str = "loads") -> Any:
+        if callable(f):
+            return lambda t: pad(f(t), f"a function in loads, at t = {t:g},")
+        return np.pad(vector(name, f, dim), (0, size - dim))
 
     pairs = [one if isinstance(one, tuple) else (Constant(), one) for one in loads]
     terms = [(phi, pad(f)) for phi, f in pairs]

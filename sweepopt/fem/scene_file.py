@@ -200,8 +200,9 @@ def _called(kind: Callable[..., Any], table: Any, path: str, folder: Path) -> An
         raise InputError(f"{path}: must be a table, got {shown(table)}")
     keys, where = signature(kind).parameters, f"{path}." if path else ""
     known = f"; there are: {', '.join(keys)}" if "." in path else ""
+    hints = {} if path else {key: f"; did you mean effects.{key}?" for key in EFFECTS}
     faults = [
-        f"{where}{key}: unknown key{known}{suggestion(key, keys)}"
+        f"{where}{key}: unknown key{known}{suggestion(key, keys) or hints.get(key, '')}"
         for key in table
         if key not in keys
     ]

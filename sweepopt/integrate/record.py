@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import TIME_SLACK, axes, vector
+from sweepopt.checks import TIME_SLACK, axes, takes, vector
 from sweepopt.errors import InputError, Status, shown
+from sweepopt.integrate.grid import by_steps
 from sweepopt.io import writable
 from sweepopt.velocity import Plan, Velocity
 
@@ -203,6 +204,25 @@ class Run:
         """Those of the steps that are done."""
         return Statistics(self._rows[: self.done], tuple(self._solvers))
 
+    def divided(self) -> str:
+        """A sentence that says how many steps missed tol whole and met it in equal parts.
+
+        No step is meant that a breakpoint of the load divides, and "" is said of none.
+        """
+        parts = [name.rpartition("/") for name in self._solvers]  # "osqp/4"
+        in_parts = np.array([int(n) if slash and n.isdigit() else 1 for _, slash, n in parts])
+        if not (in_parts > 1).any():
+            return ""
+        count = in_parts[self._rows["solver"][: self.done]]
+        for step, points in by_steps(self.grid.plan.breakpoints, self.grid.times).items():
+            if step < self.done and count[step] == len(points) + 1:
+                count[step] = 1
+        steps = int((count > 1).sum())
+        if not steps:
+            return ""
+        taken = "1 step was" if steps == 1 else f"{steps} steps were"
+        return f"{taken} taken in parts, as tol was missed in one."
+
     def store(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """All that `restore` needs, in terms of JSON and in arrays."""
         done, k, *last = self._last
@@ -267,6 +287,8 @@ def saving(save: Any, times: np.ndarray, dim: int, memory: float) -> Saving:
             f"save must be None, 'last', a stride, times, a function of (t, u, z) or the name of "
             f"an .nc file; got {shown(save)}"
         )
+    else:
+        takes("save", save, "t", "u", "z")
     steps = np.union1d(np.array(kept, dtype=int), n - 1)  # the last one always
     size = 8.0 * dim * (2 * steps.size + 1)
     if size > memory:

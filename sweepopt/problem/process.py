@@ -493,7 +493,14 @@ class EvolutionVI(SweepingProcess):
         for name, given in (("dissipation", dissipation), ("cone", cone)):
             if given is not None and not isinstance(given, ConvexSet):
                 kind = type(given).__name__
-                raise InputError(f"{name} must be a set that does not move, got {kind}")
+                moves = name == "dissipation" and isinstance(given, MovingSet)
+                remedy = (
+                    "; as C(t) = load - dissipation, take SweepingProcess(A, B, "
+                    "C=so.Moving(-set, center=load, scale=g), u0=u0)"
+                )
+                raise InputError(
+                    f"{name} must be a set that does not move, got {kind}{remedy if moves else ''}"
+                )
             if given is not None:
                 sizes[name] = given.dim
         self.load = load if callable(load) or load is None else vector("load", load)

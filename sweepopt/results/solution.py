@@ -189,7 +189,7 @@ class Solution(Displayed):
 
     @property
     def message(self) -> str:
-        """The status as a sentence, and the cause of an early stop."""
+        """The status as a sentence, how many steps missed tol whole, the cause of an early stop."""
         return f"{self.status.value} {self.cause}".rstrip()
 
     def __call__(self, t: Any) -> np.ndarray:

@@ -172,7 +172,8 @@ def _sizes(M: Matrix) -> list[float]:
 def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
     """The image as what it is: a point, polytope, cone or ellipsoid, on few unknowns, or more."""
     if M.shape[1] != C.dim:
-        raise InputError(f"image(M, C): M has {M.shape[1]} columns but C has dim {C.dim}")
+        hint = "; did you mean its transpose?" if M.shape[0] == C.dim else ""
+        raise InputError(f"image(M, C): M has {M.shape[1]} columns but C has dim {C.dim}{hint}")
     if isinstance(C, Point):
         return Point(M @ C.offsets)
     columns = sp.csc_array(M)

@@ -63,9 +63,14 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
                 "cvxpy knows"
             )
         solver = Cvxpy(engine.upper()) if engine else _made(REGISTRY[name], C, tol)
+    if isinstance(solver, type):
+        name = "so." * (solver in REGISTRY.values()) + solver.__name__
+        raise SolverRefusedError(
+            f"solver must be a name or an object, got a class; call it: {name}()"
+        )
     lacks = [name for name in CONTRACT if not hasattr(solver, name)]
-    if lacks or isinstance(solver, type):
-        missing = f" (it has no {lacks[0]}, see help(sweepopt.velocity.Solver))" if lacks else ""
+    if lacks:
+        missing = f" (it has no {lacks[0]}, see help(sweepopt.velocity.Solver))"
         raise SolverRefusedError(
             f"solver must be a name ({_names()}) or an object: {shown(solver)}{missing}"
         )
