@@ -145,9 +145,13 @@ def read_columns(path: str | Path, time: str | None, *others: str) -> tuple[Arra
     for name in names:
         if header.count(name) != 1:
             fault = "is there twice" if name in header else "is missing"
+            # not what there is: a scene of a stranger may name any file
+            mark = re.search("[;\t]", header[0]) if len(header) == 1 else None
+            hint = (
+                f"; it is separated by {mark[0]!r}, write commas between the cells" if mark else ""
+            )
             raise InputError(
-                f"{path}: column {name!r} {fault} among its {len(header)} column names"
-                f"{_header_hint(header)}"
+                f"{path}: column {name!r} {fault} among its {len(header)} column names{hint}"
             )
     columns = np.empty((len(names), len(table)))
     for k, (row, cells) in enumerate(table.items()):
@@ -161,20 +165,6 @@ def read_columns(path: str | Path, time: str | None, *others: str) -> tuple[Arra
             _number(f"{path}, column {name!r}, row {row}", by_name.get(name, "")) for name in names
         ]
     return columns, list(table)
-
-
-def _header_hint(header: list[str]) -> str:
-    """What a header tells a user who misses a column in it.
-
-    Its names, but nothing of a line that has one cell or numbers: a scene of a stranger may name
-    any file, and a file without a header begins with data.
-    """
-    if len(header) == 1:
-        mark = re.search("[;\t]", header[0])
-        return f"; it is separated by {mark[0]!r}, write commas between the cells" if mark else ""
-    if not header or any(re.match(r"[-+.]?\d", name) for name in header):
-        return ""
-    return f": {', '.join(f'{name:.30}' for name in header[:10])}{', ...' * (len(header) > 10)}"
 
 
 def _number(where: str, cell: str) -> float:

@@ -239,15 +239,11 @@ def test_a_run_that_stops_early_writes_its_certified_steps_and_exits_with_1(
 
 
 def test_a_run_without_a_single_step_writes_nothing_and_says_so(
-    scene: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    scene: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene.write_text(BARE)
-
-    def stopped(*_: Any) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("sweepopt.integrate.step.Velocities.step", stopped)
-    assert run() == 130
+    # no solver reaches this: rounding alone is larger, once the body moves
+    assert run("--tol", "1e-30") == 1
     assert "nothing is written" in capsys.readouterr().err
     assert not list(Path("out").iterdir())
 

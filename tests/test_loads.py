@@ -157,7 +157,7 @@ def test_the_time_column_of_a_csv_may_have_any_name(tmp_path, header):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("t,f1\n0,1\n1,2\n", "log.csv: column 'f2' is missing among its 2 column names: t, f1$"),
+        ("t,f1\n0,1\n1,2\n", "log.csv: column 'f2' is missing among its 2 column names$"),
         ("0,1\n1,2\n", "log.csv: column 'f2' is missing among its 2 column names$"),
         ("t,f2,f2\n0,1,1\n1,2,2\n", "log.csv: column 'f2' is there twice"),
         ("", "log.csv: column 't' is missing among its 0"),

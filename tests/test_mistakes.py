@@ -93,7 +93,6 @@ MISTAKES: list[tuple[str, Callable[[], Any], str, str]] = [
     ("scheme", lambda: run(scheme="euler"), "scheme 'euler' is not known", "implicit-euler"),
     ("solver a class", lambda: run(solver=so.OSQP), "solver must be a name or", r"call it: so.OSQP\(\)"),
     ("steps a class", lambda: run(steps=so.Adaptive), "steps must be an", r"so.Adaptive\(tol\)"),
-    ("tol of rounding", lambda: run(tol=1e-17), "tol is 1e-17", "give 1e-14 or more"),
     ("save of t", lambda: run(save=lambda t: t), r"save must be a function of \(t, u, z\)", "too many"),
     ("callback", lambda: run(callback=lambda: 1), r"callback must be a function of \(step\)", "too many"),
     ("on_failure", lambda: run(on_failure="stopp"), "on_failure must be one of", "did you mean stop"),

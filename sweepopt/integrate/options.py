@@ -19,7 +19,6 @@ from sweepopt.integrate.grid import (
 from sweepopt.integrate.json_arrays import decoded, encoded
 from sweepopt.integrate.record import MEMORY
 from sweepopt.integrate.schemes import Scheme, automatic, choose
-from sweepopt.linalg import EPS
 from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import PATHS, REGISTRY, Plan, make_plan
 
@@ -48,11 +47,6 @@ class SolveOptions:
             object.__setattr__(self, name, value)
         if self.steps is Adaptive:
             raise InputError("steps must be an object, got a class; call it: so.Adaptive(tol)")
-        if self.tol < EPS:
-            raise InputError(
-                f"tol is {self.tol:g}, less than the rounding of doubles, {EPS:.1e}, which no "
-                "certificate can meet; give 1e-14 or more"
-            )
         if isinstance(self.steps, Adaptive) and self.path == "proportional":
             raise PathError("path='proportional' is for steps that are given beforehand")
 
