@@ -340,7 +340,7 @@ class Friction(Record):
     """``J(v) = int g |v|`` of the tangential velocity, lumped at the nodes (see `friction_on`).
 
     Intervals where one component slips, discs where two do (the contact of a solid, a sheet on its
-    face), balls in a volume.
+    face), balls in a volume. In the plane and in a solid the normal displacement should be `held`.
 
     Parameters
     ----------
