@@ -482,8 +482,8 @@ class Solution(Displayed):
         Raises
         ------
         InputError
-            If it is no such file, or of another number of unknowns.
-        DamagedFileError
+            If it is no such file, or that of another number of unknowns, mesh or u0.
+        CheckpointError
             If it is not as it was written.
 
         Examples
