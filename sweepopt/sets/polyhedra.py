@@ -31,9 +31,9 @@ from sweepopt.sets.base import (
 from sweepopt.sets.least_distance import (
     Flat,
     Shortest,
-    shortest_on,
     nonnegative_least_squares,
     projector,
+    shortest_on,
 )
 from sweepopt.sets.moving import MovingOffsets
 from sweepopt.sets.parallel import parallel_rows
@@ -122,7 +122,7 @@ class Polyhedron(ConvexSet):
 
     @cached_property
     def selection(self) -> Selection | None:
-        """The unknowns beside those that an equation fixes, as far as they are worth eliminating."""
+        """The unknowns beside those that an equation fixes, if that is worth eliminating these."""
         flat = self._flat(ROUNDING * np.abs(self.offsets))
         if flat is None:
             return None
@@ -168,7 +168,9 @@ class Polyhedron(ConvexSet):
             z, s, serves = rows[left], slack[left] / self._units, np.arange(left.size) == 0
             first = self.with_offsets(slack[left[0]])
             of_first = first._multipliers(z[0], np.zeros(self.dim))
-            if of_first is not None:
+            if of_first is not None and left.size == 1:
+                multipliers[left] = of_first / self._units
+            elif of_first is not None:
                 active = np.flatnonzero(of_first)
                 normals, inverse = (G := dense(self.rows[active])), np.linalg.pinv(G)
                 y, meet = z @ inverse, s[:, active] @ inverse.T @ self.rows.T
