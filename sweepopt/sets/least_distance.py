@@ -38,13 +38,16 @@ class Flat(NamedTuple):
 
     Attributes
     ----------
-    opposite : ndarray of int, shape (m,)
-        The opposite row of one row for each direction in which the set is flat; else -1.
+    equations : ndarray of bool, shape (m,)
+        One row for each direction in which the set is flat.
+    widths : ndarray, shape (m,)
+        What rounding leaves between it and its opposite row, 0 of other rows.
     others : ndarray of bool, shape (m,)
         Rows that are parallel to none of these.
     """
 
-    opposite: np.ndarray
+    equations: np.ndarray
+    widths: np.ndarray
     others: np.ndarray
 
 
@@ -56,9 +59,9 @@ def shortest_on(
     With an orthonormal basis Z of the kernel of the equations u = u_0 + Z s, s the shortest with
     G Z s <= slack - G u_0.
     """
-    if flat is None:
+    if flat is None or flat.others.all():
         return least_distance(G, slack, rounding)
-    equations, others = np.flatnonzero(flat.opposite >= 0), np.flatnonzero(flat.others)
+    equations, others = np.flatnonzero(flat.equations), np.flatnonzero(flat.others)
     Q, R, order = scipy.linalg.qr(dense(G[equations]).T, pivoting=True)
     diagonal = np.abs(R.diagonal())
     rank = int((diagonal > RANK * diagonal[0]).sum())

@@ -124,11 +124,9 @@ class Polyhedron(ConvexSet):
     def selection(self) -> Selection | None:
         """The unknowns beside those that an equation fixes, if that is worth eliminating these."""
         flat = self._flat(ROUNDING * np.abs(self.offsets))
-        if flat is None:
-            return None
         rows = sp.csr_array(self.rows)
         rows.eliminate_zeros()
-        fix = np.flatnonzero((flat.opposite >= 0) & (np.diff(rows.indptr) == 1))
+        fix = np.flatnonzero(flat.equations & (np.diff(rows.indptr) == 1))
         fixed = rows[fix].indices
         few = np.setdiff1d(np.arange(self.dim), fixed)
         if not fix.size or not 0 < few.size <= FEW:
@@ -305,23 +303,17 @@ class Polyhedron(ConvexSet):
         active = normal.active
         inverse = np.linalg.pinv(dense(self.rows[active]) * root)
         multipliers = (root * p) @ inverse
-        if flat is not None:  # of an equation the row that pushes
-            turned = (flat.opposite[active] >= 0) & (multipliers < 0)
-            other = np.where(turned, flat.opposite[active], active)
-            ratio = np.where(turned, -1.0, 1.0) * self._lengths[active] / self._lengths[other]
-            active, inverse, multipliers = other, inverse * ratio, multipliers * ratio
+        multipliers = np.where(flat.equations[active], multipliers, np.maximum(multipliers, 0.0))
         normals, h = dense(self.rows[active]), self.offsets[active]
-        multipliers = np.maximum(multipliers, 0.0)
-        rounding = UNIT * (1 + active.size) * (multipliers @ abs(normals))
+        rounding = UNIT * (1 + active.size) * (np.abs(multipliers) @ abs(normals))
         near = w + tau * (p - normal.u)
         point = near - root * (inverse @ (normals @ near - h))
         slack = self._slack(point)
         # the exact point of the face is as near, and in C where other rows have that much slack
-        off = root * (abs(inverse) @ np.abs(slack[active]))
+        off = root * (abs(inverse) @ (np.abs(slack) + flat.widths)[active])
         bare = slack < abs(self.rows) @ off
         bare[active] = False
-        if flat is not None:
-            bare &= flat.others
+        bare &= flat.others
         if not bare.any():
             return NormalPair(multipliers @ normals, point, 0.0, Perturbation(off, rounding))
         least = least_singular_value(self.rows, root)
@@ -336,17 +328,16 @@ class Polyhedron(ConvexSet):
         moved = Perturbation(off, off / tau + rounding)
         return NormalPair(multipliers @ normals, point, 0.0, moved)
 
-    def _flat(self, margin: np.ndarray) -> Flat | None:
+    def _flat(self, margin: np.ndarray) -> Flat:
         """Opposite rows with no more than their margins between them are equations."""
         i, j, sign = self._parallel
         d, margin = self.offsets / self._lengths, margin / self._lengths
-        equal = (sign < 0) & self._parallel.equal(d, margin)
-        if not equal.any():
-            return None
-        opposite = np.full(d.size, -1)
-        directions, one = np.unique(self._lead[i[equal]], return_index=True)
-        opposite[i[equal][one]] = j[equal][one]
-        return Flat(opposite, ~np.isin(self._lead, directions))
+        equal = np.flatnonzero((sign < 0) & self._parallel.equal(d, margin))
+        directions, first = np.unique(self._lead[i[equal]], return_index=True)
+        i, j = i[equal[first]], j[equal[first]]
+        equations, widths = np.zeros(d.size, dtype=bool), np.zeros(d.size)
+        equations[i], widths[i] = True, np.abs(d[i] + d[j]) * self._lengths[i]
+        return Flat(equations, widths, ~np.isin(self._lead, directions))
 
     def _pair_inside(
         self,
@@ -354,7 +345,7 @@ class Polyhedron(ConvexSet):
         multipliers: np.ndarray,
         active: np.ndarray,
         root: np.ndarray,
-        flat: Flat | None,
+        flat: Flat,
     ) -> NormalPair | None:
         """At a point of C near w whose slack is known: a vertex of a hundred rows needs it.
 
@@ -372,18 +363,17 @@ class Polyhedron(ConvexSet):
             shift, left = root * shortest.u, slack - G @ shortest.u
             sizes = np.abs(slack) + row_lengths(G) * np.linalg.norm(shortest.u)
             rounded = (3 * ROUNDING + self.dim * EPS) * sizes
-            off = np.zeros(self.dim)
-            if flat is not None:  # the point that satisfies the equations exactly
-                held = shortest.active[flat.opposite[shortest.active] >= 0]
-                errors = (np.abs(left) + rounded)[held]
-                off = root * (abs(np.linalg.pinv(dense(G[held]))) @ errors)
-                rounded = np.where(flat.others, rounded + abs(self.rows) @ off, 0.0)
-                left = np.where(flat.others, left, 0.0)
+            # the point that satisfies the equations exactly
+            equal = shortest.active[flat.equations[shortest.active]]
+            errors = (np.abs(left) + rounded + flat.widths)[equal]
+            off = root * (abs(np.linalg.pinv(dense(G[equal]))) @ errors)
+            rounded = np.where(flat.others, rounded + abs(self.rows) @ off, 0.0)
+            left = np.where(flat.others, left, 0.0)
             near = bool((np.abs(shift) <= ROUNDING * np.abs(w).max()).all())
             if near and (left >= rounded).all():
                 normals = dense(self.rows[active])
                 gap = float(multipliers @ (left + rounded)[active])
-                rounding = UNIT * (1 + active.size) * (multipliers @ abs(normals))
+                rounding = UNIT * (1 + active.size) * (np.abs(multipliers) @ abs(normals))
                 moved = Perturbation(np.abs(shift) + off, rounding)
                 return NormalPair(multipliers @ normals, w, gap, moved)
             margin, w = (2 * rounded, w) if near else (0 * margin, w + shift)
