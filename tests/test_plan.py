@@ -197,5 +197,80 @@ def test_boxes_whose_equal_bounds_change_in_time_have_the_answers_of_the_whole_p
 
     process = so.SweepingProcess(A, A, so.MovingSet(box), np.zeros(12))
     how: dict[str, Any] = {"t_end": 2.0, "steps": 40, "tol": 1e-9, "scheme": "implicit-euler"}
-    auto, full = (so.solve(process, **how, path=path).u for path in ("auto", "full"))
-    np.testing.assert_allclose(auto, full, rtol=0, atol=1e-8 * np.abs(full).max())
+    auto, full = (so.solve(process, **how, path=path) for path in ("auto", "full"))
+    np.testing.assert_allclose(auto.u, full.u, rtol=0, atol=1e-8 * np.abs(full.u).max())
+    assert auto.plan.path == "full"  # the zone moves: there are no unknowns to eliminate
+
+
+EULER: dict[str, Any] = {"t_end": 2.0, "steps": 20, "tol": 1e-9, "scheme": "implicit-euler"}
+
+
+@pytest.mark.parametrize("always", [True, False], ids=["at all times", "at some times"])
+@pytest.mark.parametrize("n", [6, 40])
+def test_opposite_rows_are_the_equal_bounds_of_a_box(n: int, always: bool) -> None:
+    random = np.random.default_rng(n)
+    T = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    size, phase = random.uniform(0.1, 0.5, n), random.uniform(0, 6, n)
+    middle, both = random.normal(size=n), np.vstack([np.eye(n), -np.eye(n)])
+    size[::2] *= not always
+
+    def radius(t: float) -> np.ndarray:
+        return size if always else np.maximum(0.0, size * np.sin(2 * t + phase))
+
+    def box(t: float) -> so.Box:
+        return so.Box(t * middle - radius(t), t * middle + radius(t))
+
+    def h(t: float) -> np.ndarray:
+        return np.concatenate([t * middle + radius(t), radius(t) - t * middle])
+
+    rows, bounds = (
+        so.solve(so.SweepingProcess(0.1 * T, T, C, np.zeros(n)), **EULER)
+        for C in (so.Polyhedron(both, h), so.MovingSet(box))
+    )
+    assert rows.plan.path == ("eliminated" if always else "full")
+    assert rows.stats["attempts"].max() <= 2
+    np.testing.assert_allclose(rows.u, bounds.u, rtol=0, atol=2e-9 * np.abs(bounds.u).max())
+
+
+def test_a_flat_polyhedron_at_rest_takes_the_path_of_the_box() -> None:
+    n, T = 80, 2 * np.eye(80) - np.eye(80, k=1) - np.eye(80, k=-1)
+    middle, size = 0.1 * np.arange(n), np.where(np.arange(n) % 2, 0.0, 0.3)
+    lower, upper = middle - size, middle + size
+    load = so.Separable([(so.Sine(1.0, 2.0), np.cos(np.arange(n)))])
+    # rows of two lengths, whose sides are equal but for rounding
+    polyhedron = so.Polyhedron(np.vstack([np.eye(n), -3.0 * np.eye(n)]), [*upper, *(-3.0 * lower)])
+    rows, bounds = (
+        so.solve(
+            so.SweepingProcess(0.1 * T, T, so.Moving(C, load), np.linalg.solve(T, middle)), **EULER
+        )
+        for C in (polyhedron, so.Box(lower, upper))
+    )
+    assert rows.plan.nonsmooth_unknowns == 40
+    np.testing.assert_allclose(rows.u, bounds.u, rtol=0, atol=1e-9 * np.abs(bounds.u).max())
+
+
+@pytest.mark.parametrize("double", [False, True], ids=["once", "twice"])
+def test_equations_that_couple_unknowns_are_those_of_the_rotated_unknowns(double: bool) -> None:
+    """C = { w : E w = e, |N w| <= 1 } beside the two processes in which it falls apart."""
+    n, k = 12, 5
+    random = np.random.default_rng(3)
+    E, N, w0 = random.normal(size=(k, n)), random.normal(size=(n, n)), random.normal(size=n)
+    e, d = E @ w0, np.ones(2 * n) + np.vstack([N, -N]) @ w0
+    G, h = np.vstack([E, -2 * E, N, -N]), np.concatenate([e, -2 * e, d])
+    if double:
+        G, h = np.vstack([G, 3 * E, -E]), np.concatenate([h, 3 * e, -e])
+    f = random.normal(size=n)
+    Q = np.linalg.qr(E.T, mode="complete")[0]
+    across, along = Q[:, :k], Q[:, k:]
+
+    def solved(C: so.ConvexSet, basis: np.ndarray) -> so.Solution:
+        eye, load = np.eye(basis.shape[1]), so.Separable([(so.Sine(2.0, 3.0), basis.T @ f)])
+        u0 = basis.T @ w0 / 3  # B u0 is in C(0)
+        return so.solve(so.SweepingProcess(2 * eye, 3 * eye, so.Moving(C, load), u0), **EULER)
+
+    sol = solved(so.Polyhedron(G, h), np.eye(n))
+    reduced = so.Polyhedron(np.vstack([N, -N]) @ along, np.ones(2 * n)) + along.T @ w0
+    inside, beside = solved(reduced, along).u, solved(so.Point(across.T @ w0), across).u
+    by_hand = inside @ along.T + beside @ across.T
+    np.testing.assert_allclose(sol.u, by_hand, rtol=0, atol=1e-9 * np.abs(by_hand).max())
+    assert sol.stats["relative"].max() <= 1e-9

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
@@ -24,18 +24,21 @@ from sweepopt.sets.base import (
     Halfspaces,
     NormalPair,
     Perturbation,
+    Selection,
     binary,
     same_array,
 )
 from sweepopt.sets.least_distance import (
+    Flat,
     Shortest,
-    least_distance,
     nonnegative_least_squares,
     projector,
+    shortest_on,
 )
 from sweepopt.sets.moving import MovingOffsets
+from sweepopt.sets.parallel import parallel_rows
 from sweepopt.sets.programs import normal_by_program
-from sweepopt.sets.shapes import rows_features
+from sweepopt.sets.shapes import FEW, Box, rows_features
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -93,6 +96,11 @@ class Polyhedron(ConvexSet):
         self._units = np.array([binary(row) for row in largest])
         rows = sp.diags_array(1 / self._units) @ self.G
         self.rows = rows if max(rows.shape) > DENSE else dense(rows)
+        lengths = row_lengths(self.rows)
+        self._lengths = np.where(lengths > 0, lengths, np.inf)
+        self._parallel = parallel_rows(_columns(self.rows.T, 1 / self._lengths).T)
+        self._lead = np.arange(lengths.size)  # the first of all parallel rows
+        np.minimum.at(self._lead, self._parallel.j, self._parallel.i)
         self._set_offsets(h)
 
     def __getnewargs__(self) -> tuple[Any, Any]:
@@ -108,8 +116,26 @@ class Polyhedron(ConvexSet):
     def with_offsets(self, h: Any) -> Polyhedron:
         """{ w : G w <= h } with the same matrix object, so that `same_cone` is free."""
         other = copy.copy(self)
+        other.__dict__.pop("selection", None)
         other._set_offsets(h)
         return other
+
+    @cached_property
+    def selection(self) -> Selection | None:
+        """The unknowns beside those that an equation fixes, if that is worth eliminating these."""
+        flat = self._flat(ROUNDING * np.abs(self.offsets))
+        rows = sp.csr_array(self.rows)
+        rows.eliminate_zeros()
+        fix = np.flatnonzero(flat.equations & (np.diff(rows.indptr) == 1))
+        fixed = rows[fix].indices
+        few = np.setdiff1d(np.arange(self.dim), fixed)
+        if not fix.size or not 0 < few.size <= FEW:
+            return None
+        shift = np.zeros(self.dim)
+        shift[fixed] = self.offsets[fix] / rows[fix].data
+        h, rows = self.offsets - rows @ shift, rows[:, few]
+        left = np.diff(rows.indptr) > 0
+        return Selection(few, _simplest(rows[left], h[left]), shift if shift.any() else None)
 
     def support(self, z: np.ndarray) -> float:
         return float(self.support_rows(vector("z", z, self.dim)[None])[0])
@@ -140,7 +166,9 @@ class Polyhedron(ConvexSet):
             z, s, serves = rows[left], slack[left] / self._units, np.arange(left.size) == 0
             first = self.with_offsets(slack[left[0]])
             of_first = first._multipliers(z[0], np.zeros(self.dim))
-            if of_first is not None:
+            if of_first is not None and left.size == 1:
+                multipliers[left] = of_first / self._units
+            elif of_first is not None:
                 active = np.flatnonzero(of_first)
                 normals, inverse = (G := dense(self.rows[active])), np.linalg.pinv(G)
                 y, meet = z @ inverse, s[:, active] @ inverse.T @ self.rows.T
@@ -163,8 +191,7 @@ class Polyhedron(ConvexSet):
         beyond active sets, or where none proves it, HiGHS is asked.
         """
         # rows of length 1 and units of the data: what follows looks at absolute numbers
-        lengths = row_lengths(self.rows)
-        weights, size = 1 / np.where(lengths > 0, lengths, 1.0), float(np.abs(p).max()) or 1.0
+        weights, size = 1 / self._lengths, float(np.abs(p).max()) or 1.0
         costs, goal = weights * np.maximum(self.offsets - self.rows @ x, 0.0), p / size
         columns = _columns(self.rows.T, weights)
         if self.exact:
@@ -194,7 +221,7 @@ class Polyhedron(ConvexSet):
         if result.status == 2:
             return None
         if result.x is None or not result.success:
-            rows = dense(self.rows) / row_lengths(self.rows)[:, None]
+            rows = dense(self.rows) / self._lengths[:, None]
             i, j = divmod(int(np.argmin(rows @ rows.T)), len(rows))
             raise SweepoptError(
                 f"the support function of a Polyhedron is lost in rounding: rows {i} and {j} of G "
@@ -208,20 +235,24 @@ class Polyhedron(ConvexSet):
         return normal_by_program(self, v).p if exact is None else exact.u
 
     def _exact_normal(
-        self, v: np.ndarray, tau: np.ndarray, margin: np.ndarray | float = 0.0
+        self,
+        v: np.ndarray,
+        tau: np.ndarray,
+        margin: np.ndarray | float = 0.0,
+        flat: Flat | None = None,
     ) -> Shortest | None:
         """u = (v - w) / tau from the active rows, w the nearest point in the metric of 1 / tau.
 
-        The set is that of h + margin.
+        The set is that of h + margin. The first active rows are equations, if these are given.
         None where there are too many rows and unknowns, and where no active rows prove it.
         """
         slack, root = self.offsets + margin - self.rows @ v, np.sqrt(tau)
-        if (slack >= 0).all():
+        if flat is None and (slack >= 0).all():
             return Shortest(np.zeros(self.dim), np.zeros(0, dtype=int))
         if not self.exact:
             return None
         rounding = ROUNDING * (np.abs(self.offsets) + abs(self.rows) @ np.abs(v))
-        normal = least_distance(_columns(self.rows, root), slack, rounding)
+        normal = shortest_on(flat, _columns(self.rows, root), slack, rounding)
         return None if normal is None else Shortest(0.0 - normal.u / root, normal.active)
 
     def project(self, w: np.ndarray) -> np.ndarray:
@@ -265,26 +296,29 @@ class Polyhedron(ConvexSet):
         root = np.sqrt(tau)
         # what is empty by no more than the rounding of its rows is not
         margin = ROUNDING * (np.abs(self.offsets) + abs(self.rows) @ np.abs(w))
-        normal = self._exact_normal(w + tau * p, tau, margin)
+        flat = self._flat(margin)
+        normal = self._exact_normal(w + tau * p, tau, margin, flat)
         if normal is None:
             return None
         active = normal.active
+        inverse = np.linalg.pinv(dense(self.rows[active]) * root)
+        multipliers = (root * p) @ inverse
+        multipliers = np.where(flat.equations[active], multipliers, np.maximum(multipliers, 0.0))
         normals, h = dense(self.rows[active]), self.offsets[active]
-        inverse = np.linalg.pinv(normals * root)
-        multipliers = np.maximum((root * p) @ inverse, 0.0)
-        rounding = UNIT * (1 + active.size) * (multipliers @ abs(normals))
+        rounding = UNIT * (1 + active.size) * (np.abs(multipliers) @ abs(normals))
         near = w + tau * (p - normal.u)
         point = near - root * (inverse @ (normals @ near - h))
         slack = self._slack(point)
         # the exact point of the face is as near, and in C where other rows have that much slack
-        off = root * (abs(inverse) @ np.abs(slack[active]))
+        off = root * (abs(inverse) @ (np.abs(slack) + flat.widths)[active])
         bare = slack < abs(self.rows) @ off
         bare[active] = False
+        bare &= flat.others
         if not bare.any():
             return NormalPair(multipliers @ normals, point, 0.0, Perturbation(off, rounding))
         least = least_singular_value(self.rows, root)
         if not least:
-            return self._pair_inside(point, multipliers, active, root)
+            return self._pair_inside(point, multipliers, active, root, flat)
         # The projection on { w : G w <= h } is piecewise linear in h, with pseudo-inverses of
         # independent rows: it moves by no more than h over the least singular value of all sets of
         # them. The point is that for h - slack on the active and the violated rows.
@@ -294,18 +328,34 @@ class Polyhedron(ConvexSet):
         moved = Perturbation(off, off / tau + rounding)
         return NormalPair(multipliers @ normals, point, 0.0, moved)
 
+    def _flat(self, margin: np.ndarray) -> Flat:
+        """Opposite rows with no more than their margins between them are equations."""
+        i, j, sign = self._parallel
+        d, margin = self.offsets / self._lengths, margin / self._lengths
+        equal = np.flatnonzero((sign < 0) & self._parallel.equal(d, margin))
+        directions, first = np.unique(self._lead[i[equal]], return_index=True)
+        i, j = i[equal[first]], j[equal[first]]
+        equations, widths = np.zeros(d.size, dtype=bool), np.zeros(d.size)
+        equations[i], widths[i] = True, np.abs(d[i] + d[j]) * self._lengths[i]
+        return Flat(equations, widths, ~np.isin(self._lead, directions))
+
     def _pair_inside(
-        self, w: np.ndarray, multipliers: np.ndarray, active: np.ndarray, root: np.ndarray
+        self,
+        w: np.ndarray,
+        multipliers: np.ndarray,
+        active: np.ndarray,
+        root: np.ndarray,
+        flat: Flat,
     ) -> NormalPair | None:
         """At a point of C near w whose slack is known: a vertex of a hundred rows needs it.
 
-        All rows keep a margin for what the shortest way from w to C rounds.
+        All rows but equations keep a margin for what the shortest way from w to C rounds.
         """
         G, margin = _columns(self.rows, root), np.zeros(self.offsets.size)
         for _ in range(1 + REFINEMENTS):
             slack = self._slack(w)
             try:
-                shortest = least_distance(G, slack - margin, EPS * np.abs(slack - margin))
+                shortest = shortest_on(flat, G, slack - margin, EPS * np.abs(slack - margin))
             except EmptySetError:
                 return None
             if shortest is None:
@@ -313,12 +363,18 @@ class Polyhedron(ConvexSet):
             shift, left = root * shortest.u, slack - G @ shortest.u
             sizes = np.abs(slack) + row_lengths(G) * np.linalg.norm(shortest.u)
             rounded = (3 * ROUNDING + self.dim * EPS) * sizes
+            # the point that satisfies the equations exactly
+            equal = shortest.active[flat.equations[shortest.active]]
+            errors = (np.abs(left) + rounded + flat.widths)[equal]
+            off = root * (abs(np.linalg.pinv(dense(G[equal]))) @ errors)
+            rounded = np.where(flat.others, rounded + abs(self.rows) @ off, 0.0)
+            left = np.where(flat.others, left, 0.0)
             near = bool((np.abs(shift) <= ROUNDING * np.abs(w).max()).all())
             if near and (left >= rounded).all():
                 normals = dense(self.rows[active])
                 gap = float(multipliers @ (left + rounded)[active])
-                rounding = UNIT * (1 + active.size) * (multipliers @ abs(normals))
-                moved = Perturbation(np.abs(shift), rounding)
+                rounding = UNIT * (1 + active.size) * (np.abs(multipliers) @ abs(normals))
+                moved = Perturbation(np.abs(shift) + off, rounding)
                 return NormalPair(multipliers @ normals, w, gap, moved)
             margin, w = (2 * rounded, w) if near else (0 * margin, w + shift)
         return None
@@ -350,6 +406,17 @@ class Polyhedron(ConvexSet):
 
     def polar(self) -> ConvexSet:
         return super().polar() if self.h.any() else GeneratedCone(self.G)
+
+
+def _simplest(G: sp.csr_array, h: np.ndarray) -> ConvexSet:
+    """{ w : G w <= h }, a box where each row has one entry."""
+    if (np.diff(G.indptr) > 1).any():
+        return Polyhedron(G, h)
+    lower, upper, side = np.full(G.shape[1], -np.inf), np.full(G.shape[1], np.inf), h / G.data
+    up = G.data > 0
+    np.maximum.at(lower, G.indices[~up], side[~up])
+    np.minimum.at(upper, G.indices[up], side[up])
+    return Box(lower, upper)
 
 
 def least_singular_value(G: Any, units: np.ndarray) -> float:
@@ -407,23 +474,6 @@ class HalfSpace(Polyhedron):
     def offset(self) -> float:
         """The h of its row."""
         return float(self.h[0])
-
-    def support(self, z: np.ndarray) -> float:
-        z = vector("z", z, self.dim)
-        row, length = self.rows[0], float(np.linalg.norm(self.rows[0]))
-        factor = float(row @ (z / length)) / length
-        # z must be a multiple of the row up to rounding
-        if factor < 0 or np.linalg.norm(z - factor * row) > ROUNDING * np.linalg.norm(z):
-            return float("inf")
-        return factor * float(self.offsets[0])
-
-    def _exact_normal(
-        self, v: np.ndarray, tau: np.ndarray, margin: np.ndarray | float = 0.0
-    ) -> Shortest:
-        row = self.rows[0]
-        length = float(np.linalg.norm(row * np.sqrt(tau)))
-        excess = float(row @ v - (self.offsets + margin)[0])
-        return Shortest(max(excess, 0.0) / length * (row / length), np.flatnonzero([excess > 0]))
 
     def _distance(self, other: ConvexSet) -> float | None:
         if not (isinstance(other, HalfSpace) and same_array(self.G, other.G)):

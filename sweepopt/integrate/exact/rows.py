@@ -22,12 +22,11 @@ from sweepopt.integrate.exact.modes import modes
 from sweepopt.linalg import dense
 from sweepopt.loads import Piece, breakpoints
 from sweepopt.problem import Motion, SweepingProcess, Terms, TimeFunction, motion
-from sweepopt.sets import NoHalfspacesError, facets
+from sweepopt.sets import SAME, NoHalfspacesError, facets, parallel_rows
 
 NONSMOOTH = 50  # unknowns in a set's inequalities
 UNKNOWNS = 300  # all of them: a phase has a dense eigenproblem of what moves
 FACES = 1000  # whose modes are kept: 20 MB where 50 rows are active
-SAME = 1e-14  # entries of unit rows, and offsets, that differ by less are equal: a few roundings
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,13 +176,11 @@ def _distinct(
 
     A pair n w <= d, -n w <= -d is an equation at all times; so is what a Box with equal bounds has.
     """
-    rounding, parallel = SAME * np.abs(weights).max(axis=1), R @ R.T
+    pairs = parallel_rows(R)
+    same = pairs.equal(weights, SAME * np.abs(weights).max(axis=1))
     kept, equations = np.ones(len(R), dtype=bool), equations.copy()
-    for i, j in np.argwhere(np.tril(np.abs(parallel) > 1 - 1e-12, -1)).tolist():
-        sign = np.sign(parallel[i, j])
-        change = np.abs(weights[i] - sign * weights[j]).max()
-        same = change <= max(rounding[i], rounding[j]) and np.abs(R[i] - sign * R[j]).max() <= SAME
-        if kept[i] and kept[j] and same:
-            equations[j] |= sign < 0 or equations[i]
-            kept[i] = False
+    for i, j, sign in zip(*(x[same].tolist() for x in pairs), strict=True):
+        if kept[i] and kept[j]:
+            equations[i] |= sign < 0 or equations[j]
+            kept[j] = False
     return np.flatnonzero(kept), equations[kept]

@@ -1,0 +1,54 @@
+"""Rows of a polyhedron with one direction: repeated ones, and pairs that can be equations.
+
+n w <= d beside -n w <= -d is n w = d. A set with such rows has no inner points, and which of the
+two rows binds is rounding.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sweepopt.linalg import row_lengths
+
+SAME = 1e-14  # unit rows, and their offsets, that differ by less are equal: a few roundings
+
+
+class Parallel(NamedTuple):
+    """Pairs of rows n_i = sign n_j, i < j, each array of shape (k,)."""
+
+    i: np.ndarray
+    j: np.ndarray
+    sign: np.ndarray
+
+    def equal(self, d: np.ndarray, margin: np.ndarray) -> np.ndarray:
+        """Which of the pairs have one side, d_i = sign d_j, but for the larger margin of the two.
+
+        Sides are shape (m,), or (m, k) for k histories.
+        """
+        i, j, sign = self
+        change = np.abs(d[i].T - sign * d[j].T).T.reshape(i.size, d[:1].size)
+        return change.max(axis=1, initial=0.0) <= np.maximum(margin[i], margin[j])
+
+
+def parallel_rows(R: Any) -> Parallel:
+    """The pairs among unit rows, dense or sparse; rows of zeros are in none.
+
+    Examples
+    --------
+    >>> parallel_rows(np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]))
+    Parallel(i=array([0]), j=array([2]), sign=array([-1.]))
+    """
+    # parallel rows are neighbours in the order of their products with any vector
+    way = np.random.default_rng(0).normal(size=R.shape[1])
+    heights = R @ way
+    order = np.argsort(np.abs(heights), kind="stable")
+    ends = np.flatnonzero(np.diff(np.abs(heights[order])) > SAME * np.abs(way).sum())
+    groups = np.split(order, ends + 1)
+    pairs = [pair for group in groups for pair in combinations(np.sort(group).tolist(), 2)]
+    i, j = np.array(pairs, dtype=int).reshape(-1, 2).T
+    sign = np.sign(heights[i] * heights[j])
+    found = (row_lengths(R[i] - sign[:, None] * R[j]) <= SAME) & (sign != 0)
+    return Parallel(i[found], j[found], sign[found])
