@@ -43,9 +43,11 @@ if TYPE_CHECKING:
 # Alternating projections crawl where sets nearly touch: 3,000 settle an ellipsoid and a polytope
 # that are 5e-5 apart, 500 do not.
 SWEEPS_BETWEEN = 3000
-# Multipliers of sets that touch have no bound: for a box and a ball they end at 2,800 to 8,500
-# times |v - w|, while sets that overlap by 1e-8 of their size are projected on to rounding.
+# Multipliers of sets that touch have no bound: 1e3 times |v - w| where no projection is exact. Of a
+# flat and a round set that overlap by d of their size they are |v - w| / sqrt(d). What an exact
+# projection says of its rounding is right to first order, while d is known to 4 digits.
 TENSION = 1e3
+TENSION_EXACT = 1e6
 
 # From so far away bounded parts of a set are less than rounding, and the square is no overflow.
 FAR = 2.0**200
@@ -165,8 +167,11 @@ class Lifted(ConvexSet):
 
     def _projection(self, v: np.ndarray) -> Projection:
         near = self._projector(v, self._projector.start(v))
-        held = bool(self.lifted.F.shape[0]) and self.lifted.small and not near.exact
-        if held and near.splitting.is_tense(near, TENSION):
+        limit = TENSION_EXACT if near.exact else TENSION
+        cut = bool(self.lifted.F.shape[0]) and self.lifted.small
+        # a polyhedron's is linear in the data, however large its multipliers are
+        sure = near.exact and (self.polyhedral or np.array_equal(near.w, v))
+        if cut and not sure and near.splitting.is_tense(near, limit):
             raise TouchingError(
                 "C & D: the two sets only touch, or miss each other, so that rounding "
                 "hides the projection; give what they share as a set of its own, a Point "
