@@ -208,9 +208,9 @@ class Lifted(ConvexSet):
             return NormalPair(self._blocks.normal(v), self._blocks.project(v), 0.0)
         pair = self._pair(v)
         if pair is None:
-            p = normal_by_program(self, v).p
-            if self.certifiable and not self.lifted.F.shape[0]:
-                p = min(p, v - self.near(v).w, key=np.linalg.norm)  # that w is a point of C
+            pair = self._pair_nearby(v)
+        if pair is None:
+            p = normal_by_program(self, v)
             pair = NormalPair(p, v - p, 0.0)
         return pair
 
@@ -251,15 +251,11 @@ class Lifted(ConvexSet):
         return NormalPair(pair.p / step, pair.w, pair.gap / step, off._replace(p=off.p / step))
 
     def _pair_nearby(self, v: np.ndarray) -> NormalPair | None:
-        """A point of C, and the better one of two normals, where no projection is exact."""
+        """A point of C, and what is left of v, where no projection is exact."""
         if self.lifted.F.shape[0] or not self.certifiable:
             return None
         w = self.near(v).w
-        pairs = [
-            NormalPair(p, w, self.gap(p, w), _rounded(v))
-            for p in (v - w, normal_by_program(self, v).p)
-        ]
-        return min(pairs, key=lambda pair: pair.gap)
+        return NormalPair(v - w, w, self.gap(v - w, w), _rounded(v))
 
     def require_nonempty(self, where: str = "C") -> None:
         self.part.require_nonempty(where)
@@ -326,8 +322,8 @@ class Intersection(Lifted):
 
     def _pair(self, v: np.ndarray) -> NormalPair | None:
         # that of one of the two sets, if its point lies in the other: exact from any v
-        for part, other in (self.operands, self.operands[::-1]):
-            if part.exact and self.certifiable:
+        if all(C.exact for C in self.operands):
+            for part, other in (self.operands, self.operands[::-1]):
                 w = part.project(v)
                 if not other.normal(w).any():
                     return NormalPair(part.normal(v), w, 0.0, _rounded(v))

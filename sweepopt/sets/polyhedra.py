@@ -205,7 +205,7 @@ class Polyhedron(ConvexSet):
     def normal(self, v: np.ndarray) -> np.ndarray:
         v = vector("v", v, self.dim)
         exact = self._exact_normal(v, np.ones(self.dim))
-        return normal_by_program(self, v).p if exact is None else exact.u
+        return normal_by_program(self, v) if exact is None else exact.u
 
     def _exact_normal(
         self, v: np.ndarray, tau: np.ndarray, margin: np.ndarray | float = 0.0
