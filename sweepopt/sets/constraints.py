@@ -89,7 +89,7 @@ class Constraints(ConvexSet):
 
     def project(self, w: np.ndarray) -> np.ndarray:
         w = vector("w", w, self.dim)
-        return w - normal_by_program(self, w).p
+        return w - normal_by_program(self, w)
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp

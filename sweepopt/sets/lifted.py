@@ -43,9 +43,11 @@ if TYPE_CHECKING:
 # Alternating projections crawl where sets nearly touch: 3,000 settle an ellipsoid and a polytope
 # that are 5e-5 apart, 500 do not.
 SWEEPS_BETWEEN = 3000
-# Multipliers of sets that touch have no bound: for a box and a ball they end at 2,800 to 8,500
-# times |v - w|, while sets that overlap by 1e-8 of their size are projected on to rounding.
+# Multipliers of sets that touch have no bound: 1e3 times |v - w| where no projection is exact. Of a
+# flat and a round set that overlap by d of their size they are |v - w| / sqrt(d). What an exact
+# projection says of its rounding is right to first order, while d is known to 4 digits.
 TENSION = 1e3
+TENSION_EXACT = 1e6
 
 # From so far away bounded parts of a set are less than rounding, and the square is no overflow.
 FAR = 2.0**200
@@ -165,8 +167,11 @@ class Lifted(ConvexSet):
 
     def _projection(self, v: np.ndarray) -> Projection:
         near = self._projector(v, self._projector.start(v))
-        held = bool(self.lifted.F.shape[0]) and self.lifted.small and not near.exact
-        if held and near.splitting.is_tense(near, TENSION):
+        limit = TENSION_EXACT if near.exact else TENSION
+        cut = bool(self.lifted.F.shape[0]) and self.lifted.small
+        # a polyhedron's is linear in the data, however large its multipliers are
+        sure = near.exact and (self.polyhedral or np.array_equal(near.w, v))
+        if cut and not sure and near.splitting.is_tense(near, limit):
             raise TouchingError(
                 "C & D: the two sets only touch, or miss each other, so that rounding "
                 "hides the projection; give what they share as a set of its own, a Point "
@@ -203,9 +208,9 @@ class Lifted(ConvexSet):
             return NormalPair(self._blocks.normal(v), self._blocks.project(v), 0.0)
         pair = self._pair(v)
         if pair is None:
-            p = normal_by_program(self, v).p
-            if self.certifiable and not self.lifted.F.shape[0]:
-                p = min(p, v - self.near(v).w, key=np.linalg.norm)  # that w is a point of C
+            pair = self._pair_nearby(v)
+        if pair is None:
+            p = normal_by_program(self, v)
             pair = NormalPair(p, v - p, 0.0)
         return pair
 
@@ -246,15 +251,11 @@ class Lifted(ConvexSet):
         return NormalPair(pair.p / step, pair.w, pair.gap / step, off._replace(p=off.p / step))
 
     def _pair_nearby(self, v: np.ndarray) -> NormalPair | None:
-        """A point of C, and the better one of two normals, where no projection is exact."""
+        """A point of C, and what is left of v, where no projection is exact."""
         if self.lifted.F.shape[0] or not self.certifiable:
             return None
         w = self.near(v).w
-        pairs = [
-            NormalPair(p, w, self.gap(p, w), _rounded(v))
-            for p in (v - w, normal_by_program(self, v).p)
-        ]
-        return min(pairs, key=lambda pair: pair.gap)
+        return NormalPair(v - w, w, self.gap(v - w, w), _rounded(v))
 
     def require_nonempty(self, where: str = "C") -> None:
         self.part.require_nonempty(where)
@@ -321,8 +322,8 @@ class Intersection(Lifted):
 
     def _pair(self, v: np.ndarray) -> NormalPair | None:
         # that of one of the two sets, if its point lies in the other: exact from any v
-        for part, other in (self.operands, self.operands[::-1]):
-            if part.exact and self.certifiable:
+        if all(C.exact for C in self.operands):
+            for part, other in (self.operands, self.operands[::-1]):
                 w = part.project(v)
                 if not other.normal(w).any():
                     return NormalPair(part.normal(v), w, 0.0, _rounded(v))

@@ -190,6 +190,9 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
         if distinct and (factors == factors[0]).all():
             part = C if factors[0] == 1 else scale(factors[0], C)
             return nested(Aligned(part, unknowns=unknowns, dim=M.shape[0]), C)
+    if isinstance(C, Similar):
+        moved = C.factor * _image(M, C.parts[0])
+        return moved if C.v is None else moved + M @ C.v
     if isinstance(C, Polytope):
         return Polytope((M @ C.vertices.T).T)
     if isinstance(C, GeneratedCone):
@@ -197,10 +200,14 @@ def _image(M: Matrix, C: ConvexSet) -> ConvexSet:
     if isinstance(C, (Ball, Ellipsoid)) and 1 < C.dim <= DENSE >= M.shape[0]:
         radius, root = (1.0, C.root) if isinstance(C, Ellipsoid) else (C.radius, np.eye(C.dim))
         return BallImage(M @ C.center, radius, dense(root @ M.T))
-    if isinstance(C, Box):
-        # columns of numbers near 1: their units, powers of two, go to the box
+    if isinstance(C, (Box, Polyhedron)):
+        # columns of numbers near 1: their units, powers of two, go to the set
         units = np.array([binary(size) for size in _sizes(M)])
-        M, C = M @ sp.diags_array(1 / units), Box(units * C.lower, units * C.upper)
+        M = M @ sp.diags_array(1 / units)
+    if isinstance(C, Polyhedron):
+        C = Polyhedron(C.G @ sp.diags_array(1 / units), C.h)
+    elif isinstance(C, Box):
+        C = Box(units * C.lower, units * C.upper)
         if not C.offsets.any():  # <p, M s> <= 0 for all s of the cone
             return GeneratedCone(C.polar().halfspaces().N @ M.T)
     return Lifted(C.form().image(M))

@@ -232,7 +232,7 @@ class Polyhedron(ConvexSet):
     def normal(self, v: np.ndarray) -> np.ndarray:
         v = vector("v", v, self.dim)
         exact = self._exact_normal(v, np.ones(self.dim))
-        return normal_by_program(self, v).p if exact is None else exact.u
+        return normal_by_program(self, v) if exact is None else exact.u
 
     def _exact_normal(
         self,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -48,15 +48,8 @@ def support_by_program(C: ConvexSet, z: np.ndarray) -> float:
     return length * unit * float(problem.value)
 
 
-class Normal(NamedTuple):
-    """A normal p, and the value y of its features: sigma(C, p) = <offsets, y>."""
-
-    p: np.ndarray
-    y: np.ndarray
-
-
 @in_turn
-def normal_by_program(C: ConvexSet, w: np.ndarray) -> Normal:
+def normal_by_program(C: ConvexSet, w: np.ndarray) -> np.ndarray:
     """w - P_C(w).
 
     A solver's gap leaves an error of its square root, relative to the unit of length. So the
@@ -67,27 +60,26 @@ def normal_by_program(C: ConvexSet, w: np.ndarray) -> Normal:
 
     p = cp.Variable(C.dim)
     features, constraints = C.features(p)
-    y = cp.hstack(features) if features else cp.Constant(np.zeros(1))
-    offsets = C.offsets if features else np.zeros(1)
+    sigma = C.offsets @ cp.hstack(features) if features else 0
     size = binary(max(np.abs(w).max(initial=0.0), np.abs(C.offsets).max(initial=0.0)))
 
-    def solve(unit: float) -> Normal:
-        objective = 0.5 * cp.sum_squares(p) + (offsets @ y - w @ p) / unit
+    def solve(unit: float) -> np.ndarray:
+        objective = 0.5 * cp.sum_squares(p) + (sigma - w @ p) / unit
         problem = cp.Problem(cp.Minimize(objective), constraints)
         solve_tightly(problem)
         if p.value is None:
             raise EmptySetError(
                 f"{type(C).__name__} has no point: nothing meets all its conditions"
             )
-        return Normal(unit * p.value, unit * y.value)
+        return np.asarray(unit * p.value)
 
-    solution = solve(size)
-    distance = float(np.linalg.norm(solution.p))
+    normal = solve(size)
+    distance = float(np.linalg.norm(normal))
     if distance < 0.01 * size:
         # a failure at this scale says nothing about the set
         with contextlib.suppress(SweepoptError):
-            solution = solve(binary(max(distance, 1e-6 * size)))
-    return solution
+            normal = solve(binary(max(distance, 1e-6 * size)))
+    return normal
 
 
 def solve_tightly(problem: cp.Problem) -> None:
