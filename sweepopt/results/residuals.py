@@ -200,9 +200,7 @@ def _on_intervals(
     begin, share = ((a - nodes.t[i]) / h)[:, None], (length / h)[:, None]
     theta = begin + share * GAUSS
     force = force_along(process, nodes, slopes, i, theta) - center.values
-    # the diagonal of A + h B
-    tau = norms.units(h[:, None, None], model.shapes[0].weights)
-    aim = force - tau * (basis(2, theta) @ slopes[i])
+    aim = force - norms.push * (basis(2, theta) @ slopes[i])
     directions = -HALVES_TO_BERNSTEIN @ (basis(2, begin + share * HALVES) @ slopes[i])
     if offsets is None:
         s = _curve_in_shape(model, aim, scale.values)
@@ -295,9 +293,7 @@ def _interpolation_errors(
 def _curve_in_shape(model: _Model, force: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Bernstein coefficients of a curve in S, shape (m, k, dim).
 
-    Those of (A v' + B v - center - tau v') / scale, projected on S: S is convex, so the curve stays
-    in it. Any tau > 0 will do: where v rests and the force is in C(t) the residual is zero, and
-    where v moves s is pushed to where it is normal.
+    Those of the force / scale, projected on S: S is convex, so the curve stays in it.
     """
     size = np.broadcast_to(scale, force.shape)
     aim = TO_BERNSTEIN @ np.divide(force, size, out=np.zeros_like(force), where=size > 0)
@@ -325,7 +321,7 @@ def _sampled(process: SweepingProcess, norms: Norms, nodes: Nodes, slopes: np.nd
     velocity = basis(2, theta) @ slopes
     force = force_along(process, nodes, slopes, np.arange(n), theta)
     gaps, r = np.zeros(theta.shape), np.zeros(force.shape)
-    push = norms.units(h[:, None, None], np.mean) * velocity
+    push = norms.push * velocity
     for i, j in np.ndindex(*theta.shape):
         C = process.C.at(float(nodes.t[i] + h[i] * theta[i, j]))
         w = C.project(force[i, j] - push[i, j])
