@@ -54,7 +54,7 @@ def largest_error(name: str, sol: so.Solution, n: int = 2003) -> float:
     if name in CURVED:
         times, u = np.linspace(0.0, this.t_end, n + 1), this.exact(n)
         return max(sizes(this.process, sol(times) - u).max(), this.error(sol))
-    times = divided(sol.t, 4)
+    times = divided(sol.t, 16)
     return float(sizes(this.process, sol(times) - exact(name)(times)).max())
 
 

@@ -47,6 +47,7 @@ from sweepopt.loads import breakpoints
 from sweepopt.problem import Norms, SweepingProcess, motion
 from sweepopt.results.nodes import Nodes, companion, cubic, slopes_of_curves
 from sweepopt.results.residuals import Residuals, residuals
+from sweepopt.sets import Polyhedron
 from sweepopt.velocity import Plan, compile_projection
 
 SUMMED = 64 * EPS  # rounding of a run's sums, in units of |u|_A and the root of its steps
@@ -142,10 +143,12 @@ def error_bound(
         B = np.fmin(B, np.maximum.reduceat(distance_B + growth.B, first) + rounding)
         below = norms.A(nodes.u - states)[1:] - growth.A - rounding
         lower = max(lower, float(np.nan_to_num(below).max()))
-        enough = growth.A[-1] <= max(SHARE * distance.max(), rounding)
-        if enough or len(t) - 1 > work or not guaranteed or variation is not None:
+        goal = max(SHARE * distance.max(), rounding)
+        if growth.A[-1] <= goal or len(t) - 1 > work or not guaranteed or variation is not None:
             break
-        t = _refined(t, growth.shares, min(2 * (len(t) - 1), work - (len(t) - 1)))
+        n = len(t) - 1  # the bound falls as 1 / n at least
+        more = (growth.A[-1] / goal - 1) * n if goal > 0 else np.inf
+        t = _refined(t, growth.shares, math.ceil(np.fmin(more, min(2 * n, work - n))))
     ends = norms.A(run.u)
     most = _largest_state(process, norms, float(run.t[0]), float(run.t[-1]))
     most += np.maximum(ends[:-1], ends[1:]) + rounding
@@ -157,13 +160,19 @@ def error_bound(
 
 def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -> float:
     """A bound of |u(t)|_A on [a, b]: |u|_A falls where |u|_B > sup |w|_{B^-1}, w in C (MATH 4)."""
-    moving = motion(process.C).translated()
+    moving = motion(process.C)
     lam = 1.0 if process.rate_independent else norms.lam  # at A = 0, B u = w
-    if moving is None or moving.shape is None or lam == 0 or norms.beta_B == 0:
+    if moving.shape is None or lam == 0 or norms.beta_B == 0:
         return math.inf
     center = sum(phi * float(norms.dual_B(f)) for phi, f in moving.center.largest(a, b))
     scale = sum(phi * float(np.abs(f).max()) for phi, f in moving.scale.largest(a, b))
-    w = center + scale * moving.shape.magnitude() / math.sqrt(norms.beta_B)
+    shape = moving.shape
+    if moving.offsets is not None and isinstance(shape, Polyhedron):
+        h = np.sum([phi * np.abs(f) for phi, f in moving.offsets.largest(a, b)], axis=0)
+        if not np.isfinite(h).all():
+            return math.inf
+        shape = shape.with_offsets(h)
+    w = center + scale * shape.magnitude() / math.sqrt(norms.beta_B)
     return max(float(norms.A(process.u0)), w / math.sqrt(lam)) if w < math.inf else w
 
 

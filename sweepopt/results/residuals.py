@@ -119,11 +119,11 @@ def _model(
 ) -> _Model | None:
     """What is known of C(t) on intervals that cover the steps; None if nothing is."""
     data = motion(process.C)
-    moving, h = data.translated(), data.offsets
-    if moving is None and h and h.bounded and data.shape and data.shape.exact:
-        moving = data
-    if moving is not None and variation is not None and not moving.center.bounded:
-        moving = _with_variation(moving, variation)
+    moving: Motion | None = data
+    if data.shape is None or (data.offsets and not (data.offsets.bounded and data.shape.exact)):
+        moving = None
+    elif variation is not None and not data.center.bounded:
+        moving = _with_variation(data, variation)
     if moving is not None and moving.shape is not None and moving.scale.function is None:
         intervals = smooth_intervals(moving, nodes.t)
         return _Model(moving, intervals, [moving.shape], np.zeros(len(intervals.step)))
