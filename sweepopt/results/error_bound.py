@@ -67,8 +67,10 @@ class ErrorBound(float):
 
     Attributes
     ----------
+    reason : str
+        Why it is sampled and does not hold for certain; "" if it does, up to rounding.
     guaranteed : bool
-        Whether it holds for certain, up to rounding: False where C(t) is known at samples only.
+        Whether there is no such reason.
     t : ndarray, shape (n+1,)
     of_t : ndarray, shape (n,)
         The bound on each step [t_i, t_{i+1}].
@@ -78,24 +80,28 @@ class ErrorBound(float):
         A lower bound of the same supremum; 0 where none is known.
     """
 
-    guaranteed: bool
+    reason: str
     t: np.ndarray
     of_t: np.ndarray
     B: np.ndarray
     lower: float
 
     def __repr__(self) -> str:
-        sampled = "sampled, not guaranteed: C(t) is a function, known at some times only"
+        sampled = f"sampled, not guaranteed: {self.reason}"
         return f"{float(self):.4g} ({'guaranteed' if self.guaranteed else sampled})"
+
+    @property
+    def guaranteed(self) -> bool:
+        return not self.reason
 
     @classmethod
     def make(
-        cls, guaranteed: bool, t: np.ndarray, of_t: np.ndarray, B: np.ndarray, lower: float
+        cls, reason: str, t: np.ndarray, of_t: np.ndarray, B: np.ndarray, lower: float
     ) -> ErrorBound:
         # what overflows on the way, inf - inf for example, is not bounded
         of_t, B = (np.where(np.isnan(one), np.inf, one) for one in (of_t, B))
         bound = cls(of_t.max(initial=0.0))
-        bound.guaranteed, bound.t, bound.of_t, bound.B = guaranteed, t, of_t, B
+        bound.reason, bound.t, bound.of_t, bound.B = reason, t, of_t, B
         bound.lower = lower if math.isfinite(lower) else 0.0
         return bound
 
@@ -121,7 +127,7 @@ def error_bound(
     velocities = Velocities(plan.process_of(process), plan)
     A, B = np.full((2, len(run.t) - 1), np.inf)
     if norms.beta == 0 or norms.Lam == math.inf:  # A, to rounding, may be singular
-        return ErrorBound.make(False, run.t, A, B, 0.0)
+        return ErrorBound.make("no eigenvalues of A and B are proved", run.t, A, B, 0.0)
     start = _start(process, replace(plan, reduction=None), float(run.t[0]))
     cuts = breakpoints(motion(process.C).histories, run.t[0], run.t[-1])
     t = np.union1d(run.t, cuts) if len(cuts) < len(run.t) else run.t
@@ -130,7 +136,7 @@ def error_bound(
         work -= len(t) - 1
         nodes, slopes = companion(process, plan, velocities, t, start)
         curves = slopes_of_curves(nodes, slopes)
-        each, guaranteed = residuals(process, norms, nodes, curves, variation)
+        each, reason = residuals(process, norms, nodes, curves, variation)
         growth = _growth(norms, t, each)
         states = np.column_stack([np.interp(t, run.t, u) for u in run.u.T])
         v = np.array(curves)[growth.curve, np.arange(len(t) - 1)]
@@ -144,7 +150,7 @@ def error_bound(
         below = norms.A(nodes.u - states)[1:] - growth.A - rounding
         lower = max(lower, float(np.nan_to_num(below).max()))
         goal = max(SHARE * distance.max(), rounding)
-        if growth.A[-1] <= goal or len(t) - 1 > work or not guaranteed or variation is not None:
+        if growth.A[-1] <= goal or len(t) - 1 > work or reason or variation is not None:
             break
         n = len(t) - 1  # the bound falls as 1 / n at least
         more = (growth.A[-1] / goal - 1) * n if goal > 0 else np.inf
@@ -153,9 +159,9 @@ def error_bound(
     most = _largest_state(process, norms, float(run.t[0]), float(run.t[-1]))
     most += np.maximum(ends[:-1], ends[1:]) + rounding
     A, B = np.fmin(A, most), np.fmin(B, most * (1.0 if norms.weak else math.sqrt(norms.Lam)))
-    # without factors Lam is what an iteration shows of it, and proved by no pivots
-    proved = process.metric.method == "factors"
-    return ErrorBound.make(guaranteed and proved, run.t, A, B, lower)
+    if process.metric.method != "factors":
+        reason = reason or "the matrices are too large for factors, which would prove their Lam"
+    return ErrorBound.make(reason, run.t, A, B, lower)
 
 
 def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -> float:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -94,8 +93,8 @@ def residuals(
     nodes: Nodes,
     curves: list[np.ndarray],
     variation: Callable[[float], float] | None,
-) -> tuple[list[Residuals], bool]:
-    """The residuals of curves through the nodes, and whether they are bounds.
+) -> tuple[list[Residuals], str]:
+    """The residuals of curves through the nodes, and why they are no bounds; "" if they are.
 
     Parameters
     ----------
@@ -104,25 +103,47 @@ def residuals(
     variation : callable or None
         v with d_H(C(t), C(s)) <= v(t) - v(s) for s <= t.
     """
-    model = _model(process, norms, nodes, variation)
-    # coefficients of a polynomial may be no offsets of a set that is nearly a point
-    with suppress(EmptySetError):
-        if model is not None:
+    data = motion(process.C)
+    reason = _unknown(data)
+    model = _model(process, data, reason, norms, nodes, variation)
+    if model is not None:
+        try:
             moving = model.motion
-            guaranteed = moving.center.bounded and moving.scale.bounded
-            return _bounds(process, norms, nodes, curves, model), guaranteed
-    return [_sampled(process, norms, nodes, v) for v in curves], False
+            known = moving.center.bounded and moving.scale.bounded
+            return _bounds(process, norms, nodes, curves, model), "" if known else reason
+        # coefficients of a polynomial may be no offsets of a set that is nearly a point
+        except EmptySetError as error:
+            reason = f"C(t) is nearly empty at times ({error})"
+    return [_sampled(process, norms, nodes, v) for v in curves], reason
+
+
+def _unknown(data: Motion) -> str:
+    """What is not known of C(t) between the times of a grid; "" if nothing is missing."""
+    if data.shape is None:
+        return "C(t) is a function of time: write it as a Moving set, or give variation="
+    parts = {data.name: data.offsets or data.center, "scale": data.scale}
+    for name, f in parts.items():
+        if not f.bounded:
+            return (
+                f"{name}(t) is a function, known at some times only: give it as so.Separable or "
+                "so.Table, or give variation="
+            )
+    if data.offsets is not None and not data.shape.exact:
+        return f"the {data.offsets.dim} rows of G that move are too many for exact projections"
+    return ""
 
 
 def _model(
-    process: SweepingProcess, norms: Norms, nodes: Nodes, variation: Callable[[float], float] | None
+    process: SweepingProcess,
+    data: Motion,
+    reason: str,
+    norms: Norms,
+    nodes: Nodes,
+    variation: Callable[[float], float] | None,
 ) -> _Model | None:
     """What is known of C(t) on intervals that cover the steps; None if nothing is."""
-    data = motion(process.C)
-    moving: Motion | None = data
-    if data.shape is None or (data.offsets and not (data.offsets.bounded and data.shape.exact)):
-        moving = None
-    elif variation is not None and not data.center.bounded:
+    moving: Motion | None = None if reason and data.offsets else data
+    if variation is not None and not data.center.bounded:
         moving = _with_variation(data, variation)
     if moving is not None and moving.shape is not None and moving.scale.function is None:
         intervals = smooth_intervals(moving, nodes.t)
@@ -137,8 +158,8 @@ def _model(
 
 def _with_variation(moving: Motion, variation: Callable[[float], float]) -> Motion | None:
     """Translates of a bounded set are as far apart as their centers."""
-    assert moving.shape is not None
-    if not moving.scale.constant or not math.isfinite(moving.shape.magnitude()):
+    shape, scale = moving.shape, moving.scale
+    if shape is None or not scale.constant or not math.isfinite(shape.magnitude()):
         return None
     center = moving.center
     value = center.function or (lambda t: center.at(np.array([t]))[0])

@@ -398,13 +398,8 @@ class Solution(Displayed):
         """
         if variation is None:
             if not ("_bound" in vars(self) or self._bound.guaranteed):
-                warn(
-                    "this bound is sampled, not guaranteed: C(t) is a function, known at some "
-                    "times only (give the load as data, so.Separable or so.Table, or variation=), "
-                    "or nearly empty, or the matrices are too large or too uneven to prove their "
-                    "eigenvalues",
-                    BoundWarning,
-                )
+                reason = self._bound.reason
+                warn(f"this bound is sampled, not guaranteed: {reason}", BoundWarning)
             return self._bound
         if not callable(variation):
             raise InputError(f"variation must be a function of time, got {shown(variation)}")
