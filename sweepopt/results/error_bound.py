@@ -58,8 +58,8 @@ FADES = 10
 those of sdirk2 at mu lam = 10, 1.4 times at 2, up to 4 times at 0.5 and 9 times at 0.002."""
 WORK = {"implicit-euler": 11, "sdirk2": 8}
 """Steps of all second runs, at most, for each program of the run: grids of n, 3n and the rest of
-the work, beside a run of one program a step. With this a bound takes ten times the run; with 13 and
-10 the bounds of bodies of uneven viscosity were 1.6 times closer, those of others 1.05 times."""
+the work, beside a run of one program a step. With this a bound takes 11 times the run at most; with
+13 and 10 bounds of bodies of uneven viscosity were 1.6 times closer, those of others 1.05 times."""
 
 
 class ErrorBound(float):
