@@ -220,7 +220,7 @@ class StabilityWarning(SweepoptWarning):
 
 
 class BoundWarning(SweepoptWarning):
-    """An error bound is sampled, not guaranteed: C(t) is a function, known at some times only."""
+    """An error bound is sampled, not guaranteed; its `reason` says what is not known."""
 
 
 class CheckpointWarning(SweepoptWarning):

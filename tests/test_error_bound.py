@@ -54,7 +54,7 @@ def largest_error(name: str, sol: so.Solution, n: int = 2003) -> float:
     if name in CURVED:
         times, u = np.linspace(0.0, this.t_end, n + 1), this.exact(n)
         return max(sizes(this.process, sol(times) - u).max(), this.error(sol))
-    times = divided(sol.t, 4)
+    times = divided(sol.t, 16)
     return float(sizes(this.process, sol(times) - exact(name)(times)).max())
 
 
@@ -246,12 +246,30 @@ def test_coupled_rows_that_move_have_a_guaranteed_bound(history: Any, A: float) 
             assert error <= bound <= 4 * error
 
 
-@pytest.mark.filterwarnings("ignore::sweepopt.BoundWarning")
-def test_coupled_rows_that_are_a_function_stay_sampled() -> None:
+def test_a_sampled_bound_says_what_is_not_known() -> None:
     data = coupled(0, lambda random: so.Sine(1.0, 2.0), 0.3)
-    C = so.Polyhedron(data.C.shape.G, lambda t: data.C.offsets(t))
-    process = so.SweepingProcess(data.A, data.B, C, data.u0)
-    assert not so.solve(process, t_end=1.0, steps=10).error_bound().guaranteed
+    box = so.Box([-1.0, -1.0], [1.0, 1.0])
+    for C, words in (
+        (so.Polyhedron(data.C.shape.G, lambda t: data.C.offsets(t)), r"h\(t\) is a function"),
+        (so.Moving(box, lambda t: [t, 0.0]), r"center\(t\) is a function"),
+        (so.Moving(box, scale=lambda t: 1.0 + t), r"scale\(t\) is a function"),
+        (so.MovingSet(lambda t: box + [t, t]), r"C\(t\) is a function of time"),
+    ):
+        sol = so.solve(so.SweepingProcess(data.A, data.B, C, data.u0), t_end=1.0, steps=10)
+        with pytest.warns(so.BoundWarning, match=words):
+            bound = sol.error_bound()
+        assert not bound.guaranteed
+        assert bound.reason in repr(bound)
+
+
+@pytest.mark.parametrize("A", [1.0, 1e-4, 0.0])
+def test_a_body_at_rest_under_rows_that_move_has_the_bound_0(A: float) -> None:
+    G = np.vstack([np.eye(2), -np.eye(2)])
+    h = so.Separable([(so.Constant(), np.ones(4)), (so.Sine(0.3, 1.3), [0.5, 1.0, -0.5, -1.0])])
+    process = so.SweepingProcess(A * np.eye(2), np.eye(2), so.Polyhedron(G, h), np.zeros(2))
+    bound = so.solve(process, t_end=4.0, steps=20).error_bound()
+    assert bound.guaranteed
+    assert bound == 0.0
 
 
 class Staircase:

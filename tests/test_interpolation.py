@@ -32,15 +32,3 @@ def test_the_interpolation_error_of_a_history_is_bounded(history: Any) -> None:
         weights = np.linalg.solve(np.vander(GAUSS, 6), center.values[k, :, 0])
         error = np.abs(history(a + (b - a) * inside) - np.vander(inside, 6) @ weights).max()
         assert error <= center.error[k, 0] + 1e-11
-
-
-def test_moving_rows_that_bound_entries_are_a_moving_box() -> None:
-    h = so.Separable([(so.Sine(1.0, 3.0), [1.0, 0.0, 0.5]), (so.Constant(1.0), [1.0, 2.0, 3.0])])
-    C = so.Polyhedron([[2.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0]], h)
-    moved = motion(C).translated()
-    assert moved is not None
-    for t in (0.0, 0.4, 2.0):
-        c, r = moved.center.at(np.array([t]))[0], moved.scale.at(np.array([t]))[0]
-        w = np.random.default_rng(0).normal(size=(20, 3)) * 3
-        for x in w:
-            assert np.allclose(c + r * moved.shape.project((x - c) / r), C.at(t).project(x))

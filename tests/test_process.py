@@ -602,7 +602,10 @@ def test_notebooks_show_small_pictures() -> None:
 def test_a_solution_shows_a_bound_once_it_is_known_and_whether_it_is_guaranteed() -> None:
     load = so.Separable([(so.Sine(3.0, 4.0), [1.0])])
     known = so.SweepingProcess([[0.5]], [[2.0]], so.Moving(so.Box([-1], [1]), load), [0.0])
-    for process, words in ((known, "guaranteed"), (PLAIN, "sampled, not guaranteed: C(t) is a f")):
+    for process, words in (
+        (known, "guaranteed"),
+        (PLAIN, "sampled, not guaranteed: center(t) is"),
+    ):
         sol = so.solve(process, t_end=1.0, steps=10)
         assert "error bound" not in repr(sol)
         with warnings.catch_warnings(record=True) as caught:

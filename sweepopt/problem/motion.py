@@ -15,11 +15,9 @@ from typing import Any
 import numpy as np
 
 from sweepopt.checks import vector
-from sweepopt.linalg import dense
 from sweepopt.loads import Constant, History, Separable, VectorTable
 from sweepopt.sets import (
     AnySet,
-    Box,
     ConvexSet,
     Moving,
     MovingOffsets,
@@ -138,14 +136,6 @@ class Motion:
         functions = (self.center, self.scale, self.offsets)
         return [phi for f in functions if f is not None for phi in f.histories]
 
-    def translated(self) -> Motion | None:
-        """C(t) as center(t) + scale(t) S, also where moving rows form a box; None if it is not."""
-        if self.shape is None or self.offsets is None:
-            return None if self.shape is None else self
-        if self.offsets.function is not None:
-            return None
-        return _moving_box(dense(self.shape.halfspaces().N), self.offsets)
-
 
 def motion(C: AnySet) -> Motion:
     """Read how C(t) moves."""
@@ -165,30 +155,3 @@ def histories_of(C: AnySet) -> list[Any]:
     """The functions of time that C(t) moves with, also where it is made of others that move."""
     parts, given = (C.operands, C.histories) if isinstance(C, MovingSet) else ((), ())
     return [*given, *([phi for part in parts for phi in histories_of(part)] or motion(C).histories)]
-
-
-def _moving_box(G: np.ndarray, h: TimeFunction) -> Motion | None:
-    """{ w : G w <= h(t) } with at most one bound a side of each entry of w, as a moving box.
-
-    w_k in [l, u] is l + (u - l) [0, 1], w_k >= l is l + [0, inf), w_k <= u is u + (-inf, 0].
-    """
-    m, dim = G.shape
-    if (np.count_nonzero(G, axis=1) != 1).any():
-        return None
-    column = np.abs(G).argmax(axis=1)
-    entry = G[np.arange(m), column]
-    bounds = Separable(h.terms).shapes / entry[:, None]  # of each row, a column for each history
-    ends = np.full((2, dim, bounds.shape[1]), np.nan)
-    ends[(entry > 0).astype(int), column] = bounds
-    below, above = known = ~np.isnan(ends[..., 0])
-    if known.sum() < m:
-        return None
-    center = np.nan_to_num(np.where(below[:, None], *ends))
-    scale = np.nan_to_num(ends[1] - ends[0])
-    shape = Box(np.where(below, 0.0, -np.inf), np.where(above, 1.0 * below, np.inf))
-    fixed = (Constant(1.0), 1.0 - (below & above))
-    return Motion(
-        shape,
-        TimeFunction(tuple(zip(h.histories, center.T, strict=True)), dim),
-        TimeFunction((*zip(h.histories, scale.T, strict=True), fixed), dim),
-    )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,7 @@ class Norms:
     """
 
     def __init__(self, process: SweepingProcess) -> None:
-        self._A, self._B, self.weak = process.A, process.B, not process.coercive
+        self._B, self.weak = process.B, not process.coercive
         known = process.metric.M is process.B
         self._weak = process.metric if known else _factor(process.B)
         metric = self._weak if self.weak else process.metric
@@ -60,10 +59,13 @@ class Norms:
         """|w|_{B^-1} over the last axis; infinite where B has no inverse."""
         return _dual(self._weak, w)
 
-    def units(self, h: Any, weights: Callable[[np.ndarray], Any]) -> Any:
-        """Weights of the diagonal of A + h B."""
-        units = weights(self._A.diagonal())
-        return units if self._B is None else units + h * weights(self._B.diagonal())
+    @property
+    def push(self) -> float:
+        """tau for which w = P_C(A v' + B v - tau v') makes 2 G + |r|^2 / beta least.
+
+        That is beta, at least 2 G + |r|^2 in the dual norm of A; 0 where A is singular.
+        """
+        return 0.0 if self.weak else self.beta
 
     def growth(self, tau: np.ndarray) -> np.ndarray:
         """K(tau) of MATH 3 without sqrt(Lam / lam), which |.|_B / sqrt(lam) does not need."""

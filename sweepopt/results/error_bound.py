@@ -12,9 +12,10 @@ Then for e = u - v, as monotonicity of the normal cone gives <e', A e' + B e + r
 Let further r = r_1 + r_2, r_2 of bounded variation. With <e', r_1> >= -|e'|_A^2 - |r_1|^2 / 4 and
 int <e', r_2> = <e, r_2> - int <e, dr_2> that inequality gives for e(0) = 0
 
-    |e(t)|_B <= y = R + sqrt(R^2 + S),    int |e'|_A^2 <= int 2 G + |r_1|^2 + 2 y R,
-    S = int 2 G + |r_1|^2 / 2,            R = var(r_2) + |r_2(t)|     (| | of B^-1 for r_2),
+    |e(t)|_B <= y = R + sqrt(R^2 - V^2 + S),    int |e'|_A^2 <= int 2 G + |r_1|^2 + 2 y R,
+    S = int 2 G + |r_1|^2 / 2,    V = var(r_2),    R = V + sup |r_2|    (| | of B^-1 for r_2),
 
+as g = |e|_B - sup |r_2| has g(t)^2 <= S + (R - V)^2 + 2 int (g + R - V) |dr_2| (Ou-Iang's lemma),
 and |e|_A <= |e|_B / sqrt(lam). No A^-1 is in R: it holds for stiff bodies as for A = 0, where
 r_1 = 0. r_2 is r on the steps where that makes y smaller, and jumps to 0 at their ends.
 K(tau) = min(exp(nu tau), 1 + sqrt(Lam tau / 2)), nu = (Lam - lam)^2 / (8 (Lam + lam)), with
@@ -25,9 +26,10 @@ is L-stable: sdirk2, or implicit Euler where all of the body is stiff (mu lam > 
 errors fade within a step there, switches decide the order of both, and implicit Euler has half of
 the programs. The grid is refined where the bound of |u - v| comes from and the run repeated, until
 |u - v| is a share of |v - u_n|: switches are located so. w(t) = center(t) + scale(t) s(t), s a
-curve in S between projections, so that a solver's inexactness is in r and G. Both are bounded on
-the whole of each step: G by the convexity of sigma, r as a polynomial and the interpolation error
-of histories (`residuals`).
+curve in S through projections of A v' + B v - beta v', less the center. beta is that of
+|x|_A^2 >= beta |x|^2, as w = P_C(A v' + B v - beta v') makes 2 G + |r|^2 / beta least; 0 where A is
+singular. So a solver's inexactness is in r and G. Both are bounded on the whole of each step: G by
+the convexity of sigma, r as a polynomial and the interpolation error of histories (`residuals`).
 """
 
 from __future__ import annotations
@@ -45,6 +47,7 @@ from sweepopt.loads import breakpoints
 from sweepopt.problem import Norms, SweepingProcess, motion
 from sweepopt.results.nodes import Nodes, companion, cubic, slopes_of_curves
 from sweepopt.results.residuals import Residuals, residuals
+from sweepopt.sets import Polyhedron
 from sweepopt.velocity import Plan, compile_projection
 
 SUMMED = 64 * EPS  # rounding of a run's sums, in units of |u|_A and the root of its steps
@@ -53,10 +56,10 @@ SHARE = 0.5  # |u - v| / |v - u_n| that will do: a bound is then at most 1.5 / 0
 FADES = 10
 """mu lam from which the second run is of implicit Euler. On equal grids its bounds were 1.1 times
 those of sdirk2 at mu lam = 10, 1.4 times at 2, up to 4 times at 0.5 and 9 times at 0.002."""
-WORK = {"implicit-euler": 13, "sdirk2": 10}
-"""Steps of all second runs, at most, for each program of the run: grids of n, 3n and 9n or 6n steps
-beside a run of one program a step. With 6 of sdirk2 bounds are 3 times larger from mu Lam = 1e4 on,
-with 10 of implicit Euler 1.1 times; other shares of cuts, or grids that double, were no better."""
+WORK = {"implicit-euler": 11, "sdirk2": 8}
+"""Steps of all second runs, at most, for each program of the run: grids of n, 3n and the rest of
+the work, beside a run of one program a step. With this a bound takes 11 times the run at most; with
+13 and 10 bounds of bodies of uneven viscosity were 1.6 times closer, those of others 1.05 times."""
 
 
 class ErrorBound(float):
@@ -64,8 +67,10 @@ class ErrorBound(float):
 
     Attributes
     ----------
+    reason : str
+        Why it is sampled and does not hold for certain; "" if it does, up to rounding.
     guaranteed : bool
-        Whether it holds for certain, up to rounding: False where C(t) is known at samples only.
+        Whether there is no such reason.
     t : ndarray, shape (n+1,)
     of_t : ndarray, shape (n,)
         The bound on each step [t_i, t_{i+1}].
@@ -75,24 +80,28 @@ class ErrorBound(float):
         A lower bound of the same supremum; 0 where none is known.
     """
 
-    guaranteed: bool
+    reason: str
     t: np.ndarray
     of_t: np.ndarray
     B: np.ndarray
     lower: float
 
     def __repr__(self) -> str:
-        sampled = "sampled, not guaranteed: C(t) is a function, known at some times only"
+        sampled = f"sampled, not guaranteed: {self.reason}"
         return f"{float(self):.4g} ({'guaranteed' if self.guaranteed else sampled})"
+
+    @property
+    def guaranteed(self) -> bool:
+        return not self.reason
 
     @classmethod
     def make(
-        cls, guaranteed: bool, t: np.ndarray, of_t: np.ndarray, B: np.ndarray, lower: float
+        cls, reason: str, t: np.ndarray, of_t: np.ndarray, B: np.ndarray, lower: float
     ) -> ErrorBound:
         # what overflows on the way, inf - inf for example, is not bounded
         of_t, B = (np.where(np.isnan(one), np.inf, one) for one in (of_t, B))
         bound = cls(of_t.max(initial=0.0))
-        bound.guaranteed, bound.t, bound.of_t, bound.B = guaranteed, t, of_t, B
+        bound.reason, bound.t, bound.of_t, bound.B = reason, t, of_t, B
         bound.lower = lower if math.isfinite(lower) else 0.0
         return bound
 
@@ -118,7 +127,7 @@ def error_bound(
     velocities = Velocities(plan.process_of(process), plan)
     A, B = np.full((2, len(run.t) - 1), np.inf)
     if norms.beta == 0 or norms.Lam == math.inf:  # A, to rounding, may be singular
-        return ErrorBound.make(False, run.t, A, B, 0.0)
+        return ErrorBound.make("no eigenvalues of A and B are proved", run.t, A, B, 0.0)
     start = _start(process, replace(plan, reduction=None), float(run.t[0]))
     cuts = breakpoints(motion(process.C).histories, run.t[0], run.t[-1])
     t = np.union1d(run.t, cuts) if len(cuts) < len(run.t) else run.t
@@ -127,7 +136,7 @@ def error_bound(
         work -= len(t) - 1
         nodes, slopes = companion(process, plan, velocities, t, start)
         curves = slopes_of_curves(nodes, slopes)
-        each, guaranteed = residuals(process, norms, nodes, curves, variation)
+        each, reason = residuals(process, norms, nodes, curves, variation)
         growth = _growth(norms, t, each)
         states = np.column_stack([np.interp(t, run.t, u) for u in run.u.T])
         v = np.array(curves)[growth.curve, np.arange(len(t) - 1)]
@@ -140,28 +149,36 @@ def error_bound(
         B = np.fmin(B, np.maximum.reduceat(distance_B + growth.B, first) + rounding)
         below = norms.A(nodes.u - states)[1:] - growth.A - rounding
         lower = max(lower, float(np.nan_to_num(below).max()))
-        enough = growth.A[-1] <= max(SHARE * distance.max(), rounding)
-        if enough or len(t) - 1 > work or not guaranteed or variation is not None:
+        goal = max(SHARE * distance.max(), rounding)
+        if growth.A[-1] <= goal or len(t) - 1 > work or reason or variation is not None:
             break
-        t = _refined(t, growth.shares, min(2 * (len(t) - 1), work - (len(t) - 1)))
+        n = len(t) - 1  # the bound falls as 1 / n at least
+        more = (growth.A[-1] / goal - 1) * n if goal > 0 else np.inf
+        t = _refined(t, growth.shares, math.ceil(np.fmin(more, min(2 * n, work - n))))
     ends = norms.A(run.u)
     most = _largest_state(process, norms, float(run.t[0]), float(run.t[-1]))
     most += np.maximum(ends[:-1], ends[1:]) + rounding
     A, B = np.fmin(A, most), np.fmin(B, most * (1.0 if norms.weak else math.sqrt(norms.Lam)))
-    # without factors Lam is what an iteration shows of it, and proved by no pivots
-    proved = process.metric.method == "factors"
-    return ErrorBound.make(guaranteed and proved, run.t, A, B, lower)
+    if process.metric.method != "factors":
+        reason = reason or "the matrices are too large for factors, which would prove their Lam"
+    return ErrorBound.make(reason, run.t, A, B, lower)
 
 
 def _largest_state(process: SweepingProcess, norms: Norms, a: float, b: float) -> float:
     """A bound of |u(t)|_A on [a, b]: |u|_A falls where |u|_B > sup |w|_{B^-1}, w in C (MATH 4)."""
-    moving = motion(process.C).translated()
+    moving = motion(process.C)
     lam = 1.0 if process.rate_independent else norms.lam  # at A = 0, B u = w
-    if moving is None or moving.shape is None or lam == 0 or norms.beta_B == 0:
+    if moving.shape is None or lam == 0 or norms.beta_B == 0:
         return math.inf
     center = sum(phi * float(norms.dual_B(f)) for phi, f in moving.center.largest(a, b))
     scale = sum(phi * float(np.abs(f).max()) for phi, f in moving.scale.largest(a, b))
-    w = center + scale * moving.shape.magnitude() / math.sqrt(norms.beta_B)
+    shape = moving.shape
+    if moving.offsets is not None and isinstance(shape, Polyhedron):
+        h = np.sum([phi * np.abs(f) for phi, f in moving.offsets.largest(a, b)], axis=0)
+        if not np.isfinite(h).all():
+            return math.inf
+        shape = shape.with_offsets(h)
+    w = center + scale * shape.magnitude() / math.sqrt(norms.beta_B)
     return max(float(norms.A(process.u0)), w / math.sqrt(lam)) if w < math.inf else w
 
 
@@ -204,16 +221,17 @@ def _growth(norms: Norms, t: np.ndarray, each: list[Residuals]) -> _Growth:
     step = np.arange(len(t) - 1)
     powers, largest = gaps + 0.5 * squares, 0.0
     for _ in range(2):
-        # |r|^2 on a step or its variation: what makes R + sqrt(R^2 + S) smaller, to first order;
+        # |r|^2 on a step or its variation: what makes y smaller, to first order;
         # at first the variation wherever there is one
         varied = np.where(turning < np.inf, gaps + 2 * largest * turning, np.inf)
         varied[np.isnan(varied)] = np.inf
         cost = np.minimum(powers, varied)
         curve = np.argmin(cost, axis=0)
         weak = (varied < powers)[curve, step]
-        R, S = _variation(norms, each, curve, weak), gaps[curve, step]
-        S = np.cumsum(np.where(weak, S, powers[curve, step]))
-        of_B = R + np.sqrt(R**2 + S)
+        V, size = _variation(norms, each, curve, weak)
+        S = np.cumsum(np.where(weak, gaps[curve, step], powers[curve, step]))
+        R = V + size
+        of_B = R + np.sqrt(size * (size + 2 * V) + S)
         largest = of_B[-1]
     cost = cost[curve, step]
     if norms.weak:
@@ -230,8 +248,8 @@ def _growth(norms: Norms, t: np.ndarray, each: list[Residuals]) -> _Growth:
 
 def _variation(
     norms: Norms, each: list[Residuals], curve: np.ndarray, weak: np.ndarray
-) -> np.ndarray:
-    """R on each step: the variation of r on the weak ones, with its jumps at their ends."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """V and sup |r_2| until the end of each step; r_2 is r on the weak steps, and jumps to 0."""
     rows = curve, np.arange(len(curve))
     turning, begin, end, error = (
         np.array([getattr(r, name) for r in each])[rows]
@@ -241,17 +259,19 @@ def _variation(
     begin, end = (np.where(weak[:, None], r, 0.0) for r in (begin, end))
     before = np.concatenate([np.zeros_like(end[:1]), end[:-1]])
     jumps = norms.dual_B(begin - before) + error + np.append(0.0, error[:-1])
-    return np.maximum.accumulate(np.cumsum(turning + jumps) + norms.dual_B(end) + error)
+    # |r(t)| is at most that at each end and the variation from there
+    size = 0.5 * (norms.dual_B(begin) + norms.dual_B(end) + turning) + error
+    return np.cumsum(turning + jumps), np.maximum.accumulate(size)
 
 
 def _with_fan(norms: Norms, t: np.ndarray, once: np.ndarray, bound: np.ndarray) -> np.ndarray:
     """The bound at t_1, .. or, if it is less, sum_j K(t_i - t_j) int_j sqrt(2 G + |r|^2).
 
-    As K >= 1 only nodes matter where the sum without K is less; of many, 2000. As the sum with K
-    never falls, that of the next one holds at the others.
+    As K >= 1 only nodes matter where the sum without K is less; of many, a hundred. As the sum with
+    K never falls, that of the next one holds at the others.
     """
     lower = np.flatnonzero(np.cumsum(once) < bound) + 1
-    ends = lower[:: -max(len(lower) // 2000, 1)][::-1]
+    ends = lower[:: -max(len(lower) // 100, 1)][::-1]
     sums = [float(norms.growth(t[m] - t[:m]) @ once[:m]) for m in ends]
     bound[lower - 1] = np.fmin(bound[lower - 1], np.array(sums)[np.searchsorted(ends, lower)])
     return bound

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -94,8 +93,8 @@ def residuals(
     nodes: Nodes,
     curves: list[np.ndarray],
     variation: Callable[[float], float] | None,
-) -> tuple[list[Residuals], bool]:
-    """The residuals of curves through the nodes, and whether they are bounds.
+) -> tuple[list[Residuals], str]:
+    """The residuals of curves through the nodes, and why they are no bounds; "" if they are.
 
     Parameters
     ----------
@@ -104,26 +103,48 @@ def residuals(
     variation : callable or None
         v with d_H(C(t), C(s)) <= v(t) - v(s) for s <= t.
     """
-    model = _model(process, norms, nodes, variation)
-    # coefficients of a polynomial may be no offsets of a set that is nearly a point
-    with suppress(EmptySetError):
-        if model is not None:
+    data = motion(process.C)
+    reason = _unknown(data)
+    model = _model(process, data, reason, norms, nodes, variation)
+    if model is not None:
+        try:
             moving = model.motion
-            guaranteed = moving.center.bounded and moving.scale.bounded
-            return _bounds(process, norms, nodes, curves, model), guaranteed
-    return [_sampled(process, norms, nodes, v) for v in curves], False
+            known = moving.center.bounded and moving.scale.bounded
+            return _bounds(process, norms, nodes, curves, model), "" if known else reason
+        # coefficients of a polynomial may be no offsets of a set that is nearly a point
+        except EmptySetError as error:
+            reason = f"C(t) is nearly empty at times ({error})"
+    return [_sampled(process, norms, nodes, v) for v in curves], reason
+
+
+def _unknown(data: Motion) -> str:
+    """What is not known of C(t) between the times of a grid; "" if nothing is missing."""
+    if data.shape is None:
+        return "C(t) is a function of time: write it as a Moving set, or give variation="
+    parts = {data.name: data.offsets or data.center, "scale": data.scale}
+    for name, f in parts.items():
+        if not f.bounded:
+            return (
+                f"{name}(t) is a function, known at some times only: give it as so.Separable or "
+                "so.Table, or give variation="
+            )
+    if data.offsets is not None and not data.shape.exact:
+        return f"the {data.offsets.dim} rows of G that move are too many for exact projections"
+    return ""
 
 
 def _model(
-    process: SweepingProcess, norms: Norms, nodes: Nodes, variation: Callable[[float], float] | None
+    process: SweepingProcess,
+    data: Motion,
+    reason: str,
+    norms: Norms,
+    nodes: Nodes,
+    variation: Callable[[float], float] | None,
 ) -> _Model | None:
     """What is known of C(t) on intervals that cover the steps; None if nothing is."""
-    data = motion(process.C)
-    moving, h = data.translated(), data.offsets
-    if moving is None and h and h.bounded and data.shape and data.shape.exact:
-        moving = data
-    if moving is not None and variation is not None and not moving.center.bounded:
-        moving = _with_variation(moving, variation)
+    moving: Motion | None = None if reason and data.offsets else data
+    if variation is not None and not data.center.bounded:
+        moving = _with_variation(data, variation)
     if moving is not None and moving.shape is not None and moving.scale.function is None:
         intervals = smooth_intervals(moving, nodes.t)
         return _Model(moving, intervals, [moving.shape], np.zeros(len(intervals.step)))
@@ -137,8 +158,8 @@ def _model(
 
 def _with_variation(moving: Motion, variation: Callable[[float], float]) -> Motion | None:
     """Translates of a bounded set are as far apart as their centers."""
-    assert moving.shape is not None
-    if not moving.scale.constant or not math.isfinite(moving.shape.magnitude()):
+    shape, scale = moving.shape, moving.scale
+    if shape is None or not scale.constant or not math.isfinite(shape.magnitude()):
         return None
     center = moving.center
     value = center.function or (lambda t: center.at(np.array([t]))[0])
@@ -200,9 +221,7 @@ def _on_intervals(
     begin, share = ((a - nodes.t[i]) / h)[:, None], (length / h)[:, None]
     theta = begin + share * GAUSS
     force = force_along(process, nodes, slopes, i, theta) - center.values
-    # the diagonal of A + h B
-    tau = norms.units(h[:, None, None], model.shapes[0].weights)
-    aim = force - tau * (basis(2, theta) @ slopes[i])
+    aim = force - norms.push * (basis(2, theta) @ slopes[i])
     directions = -HALVES_TO_BERNSTEIN @ (basis(2, begin + share * HALVES) @ slopes[i])
     if offsets is None:
         s = _curve_in_shape(model, aim, scale.values)
@@ -295,9 +314,7 @@ def _interpolation_errors(
 def _curve_in_shape(model: _Model, force: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Bernstein coefficients of a curve in S, shape (m, k, dim).
 
-    Those of (A v' + B v - center - tau v') / scale, projected on S: S is convex, so the curve stays
-    in it. Any tau > 0 will do: where v rests and the force is in C(t) the residual is zero, and
-    where v moves s is pushed to where it is normal.
+    Those of the force / scale, projected on S: S is convex, so the curve stays in it.
     """
     size = np.broadcast_to(scale, force.shape)
     aim = TO_BERNSTEIN @ np.divide(force, size, out=np.zeros_like(force), where=size > 0)
@@ -325,7 +342,7 @@ def _sampled(process: SweepingProcess, norms: Norms, nodes: Nodes, slopes: np.nd
     velocity = basis(2, theta) @ slopes
     force = force_along(process, nodes, slopes, np.arange(n), theta)
     gaps, r = np.zeros(theta.shape), np.zeros(force.shape)
-    push = norms.units(h[:, None, None], np.mean) * velocity
+    push = norms.push * velocity
     for i, j in np.ndindex(*theta.shape):
         C = process.C.at(float(nodes.t[i] + h[i] * theta[i, j]))
         w = C.project(force[i, j] - push[i, j])

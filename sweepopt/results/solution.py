@@ -343,7 +343,7 @@ class Solution(Displayed):
         """A guaranteed bound of sup_t |u(t) - u_n(t)|_A (|.|_B where A is singular).
 
         It takes runs of sdirk2, or of implicit Euler where mu lam > 10, on grids that are refined
-        where switches are, with at most 20 and 13 times the programs of this run. A C(t) that is no
+        where switches are, with at most 16 and 11 times the programs of this run. A C(t) that is no
         data takes one such run. Steps that were not
         kept are computed again. Where C(t) is bounded data it is never more than what the energy
         allows u and u_n to be apart (MATH 4).
@@ -398,13 +398,8 @@ class Solution(Displayed):
         """
         if variation is None:
             if not ("_bound" in vars(self) or self._bound.guaranteed):
-                warn(
-                    "this bound is sampled, not guaranteed: C(t) is a function, known at some "
-                    "times only (give the load as data, so.Separable or so.Table, or variation=), "
-                    "or nearly empty, or the matrices are too large or too uneven to prove their "
-                    "eigenvalues",
-                    BoundWarning,
-                )
+                reason = self._bound.reason
+                warn(f"this bound is sampled, not guaranteed: {reason}", BoundWarning)
             return self._bound
         if not callable(variation):
             raise InputError(f"variation must be a function of time, got {shown(variation)}")
