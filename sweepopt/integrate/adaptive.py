@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import TIME_SLACK, axes, number, vector
+from sweepopt.checks import TIME_SLACK, arguments, axes, number, vector
 from sweepopt.errors import InputError, Status
 from sweepopt.integrate.error_estimator import ErrorEstimator
 from sweepopt.integrate.grid import breakpoints_to_meet, evaluation_times, time_grid
@@ -51,6 +51,11 @@ ADVICE = (
 COMPLETE = (Status.SUCCESS, Status.UNCERTIFIED)
 
 
+@arguments(
+    rtol="; give tol, the error itself in the units of |u|_A",
+    atol="; give tol, the error in the units of |u|_A",
+    max_step="; give first, the longest step",
+)
 @dataclass(frozen=True)
 class Adaptive:
     """Steps that are chosen such that max_i |u_i - u(t_i)|_A is at most tol (|.|_B where A = 0).
