@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import InitVar, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -143,7 +143,7 @@ class Segments:
         longest = min(limits[remedy], end / 4)
         inner = breakpoints_to_meet(histories, 0.0, end)
         segments = cuts = _apart(np.concatenate([[0.0], inner, [end]]))
-        if not isinstance(save, str) and not callable(save) and axes(save) == 1:
+        if axes(save) == 1:
             times = vector("save", save)  # `saving` refuses those that are not between 0 and end
             cuts = _apart(np.append(segments, times[(times > 0.0) & (times < end)]))
         if end / longest > STEPS:
@@ -188,21 +188,19 @@ class Segments:
                 largest *= 0.8  # small enough that hardly a grid is passed over
 
 
+@dataclass
 class _AdaptiveDriver:
     """Integrates over one grid after the other, and estimates the error of each pass."""
 
-    def __init__(
-        self,
-        segments: Segments,
-        process: SweepingProcess,
-        grid: Grid,
-        saved: Callable[[np.ndarray], Saving],
-        tick: Callable[[], Any],
-    ) -> None:
-        self._segments, self._process, self._plan = segments, process, grid.plan
-        self._saved, self._tick = saved, tick
-        self._programs = Velocities(process, grid.plan)
-        self.run = Run(grid, process.u0)
+    _segments: Segments
+    _process: SweepingProcess
+    grid: InitVar[Grid]
+    _saved: Callable[[np.ndarray], Saving]
+    _tick: Callable[[], Any]
+
+    def __post_init__(self, grid: Grid) -> None:
+        self._plan, self.run = grid.plan, Run(grid, self._process.u0)
+        self._programs = Velocities(self._process, grid.plan)
 
     def refine(self, steps: Adaptive) -> Run:
         """The passes, two at least: the first estimate has none to be compared with.
