@@ -36,6 +36,9 @@ def arguments(**meant: str) -> Callable[[F], F]:
     """
 
     def decorated(function: Any) -> Any:
+        if isinstance(function, type):
+            function.__init__ = decorated(function.__init__)  # type: ignore[misc]
+            return function
         call, name = signature(function), function.__qualname__.removesuffix(".__init__")
         known = [key for key in call.parameters if key != "self"]
 

@@ -249,22 +249,22 @@ class Interrupting:
 
 
 def a_probe(times: list[float]) -> bool:
-    """The first time off the grid, of 80 steps, after it was checked twice."""
-    return len(times) > 200 and times[-1] not in times[:-1]
+    """The start, which no step asks for, after 201 times of 100 steps were checked twice."""
+    return len(times) > 410 and times[-1] == 0.0
 
 
 def a_second_pass(times: list[float]) -> bool:
-    """Half way in the first half step."""
-    return abs(times[-1] - 0.0125) < 1e-9
+    """In the first part of the first step, which is longer than 0.098."""
+    return 0.0 < times[-1] < 0.049
 
 
-@pytest.mark.parametrize("evaluations", [200, 340])
+@pytest.mark.parametrize("evaluations", [300, 440])
 def test_ctrl_c_returns_the_steps_of_the_pass_under_way(evaluations: int) -> None:
-    # C(t) is checked at 161 times before the first pass, and again in it
+    # C(t) is checked at 201 times before the first pass, and again in it
     load = Interrupting(lambda times: len(times) == evaluations)
     sol = so.solve(load.process(), t_end=8.0, steps=so.Adaptive(1e-5, first=0.1))
     assert sol.status is so.Status.INTERRUPTED
-    assert (len(sol.t) > 2) == (evaluations == 340)
+    assert (len(sol.t) > 2) == (evaluations == 440)
     assert all(math.isnan(one.error) for one in sol.passes)
 
 
@@ -279,7 +279,7 @@ def test_ctrl_c_between_two_passes_returns_the_one_before_and_writes_no_file(
     assert sol.status is so.Status.INTERRUPTED
     assert len(sol.passes) == 1
     assert math.isnan(sol.passes[0].error) == (when is a_probe)
-    assert sol.passes[0].steps == len(sol.stats) == 80
+    assert sol.passes[0].steps == len(sol.stats) == 100
     assert sol.t[-1] == 8.0
     assert np.isfinite(sol.u).all()
     assert not list(tmp_path.iterdir())
@@ -303,30 +303,6 @@ def test_the_progress_bar_is_closed_if_a_pass_is_left(
     except Exception:
         assert failure is ZeroDivisionError
     assert len(closed) == 1
-
-
-@pytest.mark.parametrize(
-    "between",
-    [
-        lambda t: so.Box([-1.0], [math.nan]),
-        lambda t: so.Box([1.0], [-1.0]),
-        lambda t: 1 / 0,
-    ],
-)
-def test_a_probe_where_the_set_has_no_value_is_skipped(between: Any) -> None:
-    probes = []
-
-    def C(t: float) -> so.Box:
-        if abs(480 * t - round(480 * t)) < 1e-9:
-            return so.Box([-1.0], [1.0])
-        probes.append(t)
-        return between(t)
-
-    process = so.SweepingProcess([[1.0]], [[1.0]], so.MovingSet(C), [0.0])
-    sol = so.solve(process, t_end=1.0, steps=so.Adaptive(1e-3))
-    assert probes
-    assert sol.success
-    assert not sol.u.any()
 
 
 class Wave:

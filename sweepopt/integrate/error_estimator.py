@@ -47,10 +47,10 @@ class ErrorEstimator:
         The largest error so far.
     length : float
         Arc length of u.
-    ends : dict
-        The steps at which segments start or end, and the share 0 or 1 of the step where they do.
+    starts : set of int
+        The first steps of segments.
     leading : ndarray, shape (n,)
-        |d| / h^(r+1) of each step.
+        |u^(r+1)| of each step times p: it says where steps must be short.
     """
 
     def __init__(
@@ -65,15 +65,10 @@ class ErrorEstimator:
         self.order = r
         s = ((np.arange(1000) + 0.5) / 1000)[:, None]  # where in a step a switch is
         kernel = _after(c - s, r) @ b - (1 - s[:, 0]) ** r / r
+        self._mean, self._spread = float(kernel.mean()), float(kernel.std())
         if jumps and r == 2:
             rms = float(np.sqrt((_stops(scheme, s) ** 2).mean()))
-            self._mean, self._spread = 0.0, math.hypot(float(kernel.std()), rms)
-        else:
-            # what each difference of velocities sees of a switch
-            samples = _after(np.arange(-r, r + 1)[:, None, None] + c - s, r) @ b
-            shares = np.diff(samples, r, axis=0)
-            self._mean = float(kernel.mean())
-            self._spread = float(kernel.std() / np.sqrt((shares**2).sum(0).mean()))
+            self._mean, self._spread = 0.0, math.hypot(self._spread, rms)
         delays = [sum(a * x ** (r - 1) for a, x in zip(row, c, strict=False)) for row in scheme.a]
         self._q = 0.0 if jumps else float(b @ delays) - 1 / (r * (r + 1)) - self._mean
         # the first of the r + 1 steps whose velocities tell of each step's derivatives
@@ -81,9 +76,7 @@ class ErrorEstimator:
         first, after = (np.searchsorted(segment, segment, side) for side in ("left", "right"))
         window = np.clip(np.arange(len(segment)) - 1, first, after - 1 - r)
         self._window = np.maximum(window, 0)
-        self.ends: dict[int, list[float]] = {i: [0.0] for i in first.tolist()}
-        for i in np.unique(after - 1).tolist():
-            self.ends.setdefault(i, []).append(1.0)
+        self.starts = set(first.tolist())
         self._z: list[np.ndarray] = []
         self._done, self._error, self._variance = 0, *np.zeros((2, process.dim))
         self.error = self.length = 0.0
@@ -124,7 +117,7 @@ class ErrorEstimator:
         self.error = max(self.error, float(sizes.max()))
         self.length += float(h @ self.norms(z))
         p = math.hypot(self._mean, self._spread)
-        self.leading[steps] = p * self.norms(highest[j]) + self.norms(drift)
+        self.leading[steps] = p * self.norms(highest[j])
         self._done = stop
 
     def _rates(self, z: np.ndarray) -> np.ndarray:

@@ -19,7 +19,8 @@ from sweepopt.integrate.grid import (
 from sweepopt.integrate.json_arrays import decoded, encoded
 from sweepopt.integrate.record import MEMORY
 from sweepopt.integrate.schemes import Scheme, automatic, choose
-from sweepopt.problem import SweepingProcess
+from sweepopt.loads import Table
+from sweepopt.problem import SweepingProcess, histories_of
 from sweepopt.velocity import PATHS, REGISTRY, Plan, make_plan
 
 
@@ -72,6 +73,9 @@ class SolveOptions:
         self, process: SweepingProcess, scheme: Scheme, times: np.ndarray, mus: np.ndarray
     ) -> Plan:
         """How the process is simulated; C(t) is checked at all times that are asked for."""
+        for history in histories_of(process.C):
+            if isinstance(history, Table):
+                history.check_run(float(times[0]), float(times[-1]))
         members = process.check(evaluation_times(times, mus, scheme))
         plan = make_plan(process, members, scheme, self.solver, self.tol, self.path)
         plan = replace(plan, contraction=contraction(process, scheme, float(mus.max())))

@@ -41,8 +41,6 @@ class Step(NamedTuple):
     velocity : Velocity
         The mean velocity with the worst certificate of the programs and all their work. In parts
         that is no bound of the error of one whole step, which nobody knows.
-    complete : bool
-        Whether it meets its tolerance, whole or in parts.
     cause : str
         Why the step cannot be taken in parts at all.
     end : ndarray or None
@@ -50,7 +48,6 @@ class Step(NamedTuple):
     """
 
     velocity: Velocity
-    complete: bool
     cause: str = ""
     end: np.ndarray | None = None
 
@@ -95,12 +92,11 @@ class Velocities:
             for gamma in set(self._compiled) - of_steps:
                 del self._compiled[gamma]
             if mean is not None:
-                return Step(mean, True)
-        whole = self._mean(t, mu, u)
+                return Step(mean)
+        whole, cause = self._mean(t, mu, u), ""
         work.append(whole)
         if not whole.relative > self._plan.tol:
-            return Step(_mean((1.0,), [whole], work), True) if breakpoints else Step(whole, True)
-        cause = ""
+            return Step(_mean((1.0,), [whole], work))
         for count in PARTS:
             h = mu / count
             starts = t + h * np.arange(count)
@@ -112,8 +108,8 @@ class Velocities:
                 break
             mean = self._in_parts(starts, np.full(count, h), u, work)
             if mean is not None:
-                return Step(mean, True)
-        return Step(_mean((1.0,), [whole], work), False, cause)
+                return Step(mean)
+        return Step(_mean((1.0,), [whole], work), cause)
 
     def _in_parts(
         self, starts: np.ndarray, sizes: np.ndarray, u: np.ndarray, work: Stages
@@ -210,7 +206,7 @@ def _mean(weights: Sequence[float], velocities: Stages, work: Stages | None = No
 
     Its attempts are the most of a stage, or all of those that were work.
     """
-    if len(velocities) == 1 and work is None:
+    if len(work or velocities) == 1:
         return velocities[0]
     attempts = [one.attempts for one in work or velocities]
     return Velocity(

@@ -87,14 +87,6 @@ def as_times(t: Any) -> Any:
     return array if array.ndim else array.item()
 
 
-def check_fields(record: object, *names: str) -> None:
-    """Make the named fields finite floats; a period must be positive."""
-    for name in names:
-        minimum = 0.0 if name == "period" else None
-        value = number(name, getattr(record, name), minimum, strict=True)
-        object.__setattr__(record, name, value)
-
-
 def read_only(name: str, values: ArrayLike) -> Array:
     """A vector of finite numbers that nobody can change."""
     array = entries(name, values)

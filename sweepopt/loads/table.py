@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import HUGE, TIME_SLACK, matrix, number
+from sweepopt.checks import HUGE, TIME_SLACK, arguments, matrix, number
 from sweepopt.display import Brief
 from sweepopt.errors import InputError
 from sweepopt.io import read_columns
 from sweepopt.loads.history import Array, History, Piece, as_times, interval, read_only
 
 
+@arguments()
 @dataclass(frozen=True, eq=False, repr=False)
 class Table(Brief, History):
     """Piecewise linear history through measured points.
@@ -102,6 +103,17 @@ class Table(Brief, History):
             )
         return at
 
+    def check_run(self, start: float, end: float) -> None:
+        """Refuse a run that goes on where the table says nothing."""
+        try:
+            self._inside([start, end])
+        except InputError as error:
+            raise InputError(
+                f"a table of C(t) covers [{self.times[0]:g}, {self.times[-1]:g}], but the run "
+                f"[{start:g}, {end:g}]: extend the table, or let the run end with it, t_end = "
+                f"{self.times[-1]:g}"
+            ) from error
+
     def breakpoints(self, a: float, b: float) -> Array:
         """The table's times strictly inside (a, b)."""
         a, b = interval(a, b)
@@ -109,12 +121,13 @@ class Table(Brief, History):
         return self.times[first : np.searchsorted(self.times, b, side="left")]
 
     def turning_points(self, a: float, b: float) -> Array:
-        """Those of its times where it turns, or begins or ends to rest."""
-        points, slopes = self.breakpoints(a, b), np.sign(np.diff(self.values))
-        turns = self.times[1:-1][slopes[1:] != slopes[:-1]]
-        return points[np.isin(points, turns)]
+        """Those of its times where an entry turns, or begins or ends to rest."""
+        slopes = np.sign(np.diff(self.values, axis=0))
+        turns = (slopes[1:] != slopes[:-1]).reshape(len(slopes) - 1, -1).any(axis=1)
+        return np.intersect1d(self.breakpoints(a, b), self.times[1:-1][turns])
 
 
+@arguments()
 class VectorTable(Table):
     """Piecewise linear load f(t) in R^dim through given vectors; an evaluation costs O(dim).
 
@@ -165,10 +178,6 @@ class VectorTable(Table):
         a, b = interval(a, b)
         values = self(np.concatenate([[a], self.breakpoints(a, b), [b]]))
         return float(sum(map(norm or np.linalg.norm, np.diff(values, axis=0))))
-
-    def turning_points(self, a: float, b: float) -> Array:
-        """All of its times: some entry turns there."""
-        return self.breakpoints(a, b)
 
     def piece(self, a: float, b: float) -> Piece:
         """None: it is no scalar history.

@@ -3,29 +3,33 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sweepopt.checks import arguments, number
 from sweepopt.errors import InputError, shown
-from sweepopt.loads.history import (
-    Array,
-    History,
-    Piece,
-    as_times,
-    check_fields,
-    interval,
-    read_only,
-)
+from sweepopt.loads.history import Array, History, Piece, as_times, interval, read_only
 
 MOST_TURNS = 10_000_000
 """Turning points of one history on one interval: 80 MB of them; more are a mistake of units."""
 
 
+class _Formula(History):
+    """A history whose fields are finite numbers, and a period among them positive."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):  # type: ignore[arg-type]
+            minimum = 0.0 if field.name == "period" else None
+            value = number(field.name, getattr(self, field.name), minimum, strict=True)
+            object.__setattr__(self, field.name, value)
+
+
+@arguments()
 @dataclass(frozen=True)
-class Constant(History):
+class Constant(_Formula):
     """``phi(t) = value``.
 
     Parameters
@@ -45,17 +49,11 @@ class Constant(History):
 
     value: float = 1.0
 
-    def __post_init__(self) -> None:
-        check_fields(self, "value")
-
     def __call__(self, t: ArrayLike) -> Any:
         return self.value + 0.0 * as_times(t)
 
-    def piece(self, a: float, b: float) -> Piece:
-        """The value."""
-        return Piece(a, (self.value,))
 
-
+@arguments()
 @dataclass(frozen=True, eq=False)
 class Polynomial(History):
     """``phi(t) = sum_k coefficients[k] t^k``.
@@ -110,7 +108,7 @@ class Polynomial(History):
         return f"Polynomial({self.coefficients.tolist()})"
 
 
-class Periodic(History):
+class _Periodic(_Formula):
     """A wave with one crest and one trough a period; its first crest is at `crest`."""
 
     amplitude: float
@@ -147,8 +145,9 @@ class Periodic(History):
         return super().largest(a, min(b, a + self.period))
 
 
+@arguments(frequency="; give period, 1 / frequency", omega="; give period, 2 pi / omega")
 @dataclass(frozen=True)
-class Sine(Periodic):
+class Sine(_Periodic):
     """``phi(t) = offset + amplitude sin(2 pi t / period + phase)``, phase in radians.
 
     Parameters
@@ -173,9 +172,6 @@ class Sine(Periodic):
     phase: float = 0.0
     offset: float = 0.0
 
-    def __post_init__(self) -> None:
-        check_fields(self, "amplitude", "period", "phase", "offset")
-
     def __call__(self, t: ArrayLike) -> Any:
         angle = 2.0 * math.pi * (as_times(t) / self.period) + self.phase
         wave = math.sin(angle) if type(angle) is float else np.sin(angle)
@@ -192,8 +188,9 @@ class Sine(Periodic):
         return Piece(a, (self.offset,), (wave,))
 
 
+@arguments(frequency="; give period, 1 / frequency")
 @dataclass(frozen=True)
-class Triangle(Periodic):
+class Triangle(_Periodic):
     """Triangular wave from 0 at t = 0 up to `amplitude` at a quarter of the period.
 
     Parameters
@@ -217,9 +214,6 @@ class Triangle(Periodic):
 
     amplitude: float
     period: float
-
-    def __post_init__(self) -> None:
-        check_fields(self, "amplitude", "period")
 
     def __call__(self, t: ArrayLike) -> Any:
         quarters = (4.0 * (as_times(t) / self.period) - 1.0) % 4.0  # after the crest

@@ -17,7 +17,6 @@ from sweepopt.problem import SweepingProcess
 from sweepopt.velocity import Plan, Velocity, certify_point, matrix
 
 FLOOR = 0.01  # share of the largest forces so far that counts as the size of their sum
-BLOCK = 1000  # nodes that are computed at once: one by one they take twice as long
 
 
 def exact_steps(
@@ -66,7 +65,7 @@ def exact_steps(
         velocity = at_end._replace(
             z=(after - u) / mu, solver="closed form", iterations=phases, attempts=1
         )
-        return Step(velocity, True, end=after)
+        return Step(velocity, end=after)
 
     return take
 
@@ -81,9 +80,8 @@ def _nodes(
         phases.append(phase)
         run.exact = run.exact or Trajectory(phases, run.grid.plan)
         end = int(np.searchsorted(times, phase.end, side="right"))
-        for first in range(done, end, BLOCK):
-            block = times[first : min(first + BLOCK, end)]
-            for u, z in zip(phase.state(block), phase.velocity(block), strict=True):
-                yield u, z, len(phases) - before
-                before = len(phases)
+        block = times[done:end]  # one by one they take twice as long
+        for u, z in zip(phase.state(block), phase.velocity(block), strict=True):
+            yield u, z, len(phases) - before
+            before = len(phases)
         done = max(done, end)
