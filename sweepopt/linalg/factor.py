@@ -28,6 +28,7 @@ from sweepopt.linalg.matrices import (
     largest_eigenvalue,
     rounding_weights,
 )
+from sweepopt.linalg.ordering import factor_entries
 from sweepopt.linalg.twice_precision import Precise
 
 MEMORY_SHARE = 0.6  # of the physical memory, for factors: the rest is for mesh, states and Python
@@ -281,12 +282,10 @@ def _engine(
 def factor_bytes(M: Matrix) -> float:
     """The memory that factors of M need, about.
 
-    A factor of P1 elements in the plane has about 2 n log2 n entries (measured from 1e4 to 1e6
-    unknowns), and a run holds about 120 bytes for each. A diagonal matrix is its own factor; a
+    A run holds about 120 bytes for each entry of a factor. A diagonal matrix is its own factor; a
     dense one is in memory already.
     """
-    n = M.shape[0]
-    return 240.0 * n * math.log2(n + 1) if sp.issparse(M) and M.nnz > n else 0.0
+    return 120 * factor_entries(M) if sp.issparse(M) and M.nnz > M.shape[0] else 0.0
 
 
 def _physical_memory() -> float:
