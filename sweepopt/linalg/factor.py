@@ -80,10 +80,10 @@ class Factor:
         divisor(f"{name}[{i}, {i}]", self.diagonal[i])
         self.is_diagonal = is_diagonal(M)
         self.root = np.sqrt(self.diagonal)
+        self.order, self._kept = order, unknowns
         try:
             # pivots of inf or nan are refused below
             with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-                self._engine: Any = _engine(M, order, unknowns)
                 pivots = self._engine.pivots / self.diagonal
         except (scipy.linalg.LinAlgError, RuntimeError, ArithmeticError):
             pivots = np.zeros(1)
@@ -96,6 +96,14 @@ class Factor:
         if not pivots.min() > PIVOT:
             raise IndefiniteError(f"{name} must be positive definite; it has an eigenvalue <= 0")
         self.order, self.method = self._engine.order, self._engine.method
+
+    @cached_property
+    def _engine(self) -> Any:
+        return _engine(self.M, self.order, self._kept)
+
+    def forget(self) -> None:
+        """Drop the factors; a solve that needs them makes them again."""
+        self.__dict__.pop("_engine", None)
 
     def solve(self, w: np.ndarray) -> np.ndarray:
         """M^-1 w."""

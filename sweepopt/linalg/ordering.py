@@ -75,15 +75,15 @@ def _dissected(graph: sp.csr_array) -> np.ndarray:
     """What is before a level, what is behind it and in other components, then the level."""
     levels = _levels(graph) if graph.shape[0] > PIECE else np.zeros(graph.shape[0], dtype=int)
     sizes = np.bincount(levels + 1)
-    before = np.cumsum(sizes) - sizes
-    # of the levels that leave a third on both sides the one with the fewest unknowns
-    middle = np.flatnonzero((3 * before > levels.size) & (3 * (before + sizes) < 2 * levels.size))
-    if not middle.size:
+    ahead = np.cumsum(sizes) - sizes
+    smaller = np.minimum(ahead, levels.size - ahead - sizes)
+    if not smaller.any():
         return _minimum_degree(graph)
-    cut = middle[sizes[middle].argmin()] - 1
-    parts = [np.flatnonzero(part) for part in (levels < cut, levels > cut, levels == cut)]
-    orders = [*(_dissected(graph[part][:, part]) for part in parts[:2]), slice(None)]
-    return np.concatenate([part[order] for part, order in zip(parts, orders, strict=True)])
+    # few unknowns beside those that they separate
+    cut = int(np.argmax(smaller / sizes.clip(1))) - 1
+    before, behind = (np.flatnonzero(part) for part in (levels < cut, levels > cut))
+    parts = (part[_dissected(graph[part][:, part])] for part in (before, behind))
+    return np.concatenate([*parts, np.flatnonzero(levels == cut)])
 
 
 def triangle(M: Matrix) -> Any:
