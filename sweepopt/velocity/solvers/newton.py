@@ -113,16 +113,13 @@ class _Iteration:
         """Newton steps from z: the last z, whether it is exact to rounding, and their number."""
         T = C.weights(self._M.diagonal)
         scale = 1 / np.sqrt(T)
-        smallest, stalled, iteration, enough = math.inf, 0, 0, 1e3 * NEGLIGIBLE
+        smallest, stalled, iteration = math.inf, 0, 0
         start, change, share = z, np.zeros_like(z), 1.0
         while iteration < self._max_iter:
-            w, size_z = self._M.apply(z, q, enough)
+            w, size_z = self._M.apply(z, q, NEGLIGIBLE)
             v = w - T * z
             residual = C.project(v) - w
             size, forces = euclidean(residual * scale), euclidean(w * scale) + size_z
-            if enough > NEGLIGIBLE and not size > 1e3 * enough * forces:
-                enough = NEGLIGIBLE  # what the residual is far above needs no such digits
-                continue
             rounding = EPS * forces
             # at rounding the equation cannot get better: stop when it does not, or when it cycles
             stalled += size >= smallest
