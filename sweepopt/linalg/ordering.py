@@ -39,16 +39,6 @@ def fill_reducing(M: Matrix) -> np.ndarray:
     return _dissected(_graph(M)) if is_solid(M) else _minimum_degree(M)
 
 
-def factor_entries(M: Matrix) -> float:
-    """How many entries a factor of a sparse M has, about.
-
-    With P1 elements in the plane 2 n log2 n, measured from 1e4 to 1e6 unknowns; in the block above
-    10 to 18 n^(4/3).
-    """
-    n = M.shape[0]
-    return 20 * n ** (4 / 3) if is_solid(M) else 2 * n * math.log2(n + 1)
-
-
 def _graph(M: Matrix) -> sp.csr_array:
     rows = sp.csr_array(M)
     return sp.csr_array((np.ones(rows.nnz), rows.indices, rows.indptr), rows.shape)
