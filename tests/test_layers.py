@@ -24,7 +24,7 @@ HOMES = {
     "clarabel": ("velocity/solvers/clarabel",),
     "osqp": ("velocity/solvers/osqp",),
     "daqp": ("velocity/solvers/daqp",),
-    "cvxopt": ("linalg/cholesky",),
+    "cvxopt": ("linalg/cholesky", "linalg/ordering"),
     "pyamg": ("linalg",),
     "skfem": ("fem", "study"),
     "meshio": ("fem",),

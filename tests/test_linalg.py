@@ -13,6 +13,7 @@ import pytest
 import scipy.linalg
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
+import skfem
 
 from sweepopt.errors import InputError
 from sweepopt.linalg import (
@@ -22,6 +23,7 @@ from sweepopt.linalg import (
     cholesky,
     dense,
     is_semidefinite,
+    is_solid,
     largest_eigenvalue,
     largest_ratio,
     rounding_weights,
@@ -308,6 +310,47 @@ def test_constants_are_on_the_guaranteed_side(convert: type, digits: int) -> Non
             assert not is_exactly_semidefinite((Lam * (1 - 1e-8), M), (-1, N))
         proved += beta > 0 and Lam < math.inf
     assert proved >= 60
+
+
+def of_solid(N: int) -> tuple[sp.csc_array, sp.csc_array, np.ndarray]:
+    """Mass and stiffness of a cube of N^3 nodes, each beside 26, and the angles of eigenvectors."""
+    T, K = (
+        sp.diags_array([a, b, a], offsets=[-1, 0, 1], shape=(N, N))
+        for a, b in ((1.0, 4.0), (-1.0, 2.0))
+    )
+    products = [(K, T, T), (T, K, T), (T, T, K)]
+    B = sum(sp.kron(sp.kron(a, b), c) for a, b, c in products)
+    A = sp.kron(sp.kron(T, T), T)
+    return sp.csc_array(A), sp.csc_array(B), np.arange(1, N + 1) * np.pi / (N + 1)
+
+
+@pytest.mark.parametrize("N", [8, 14])
+def test_bounds_of_a_solid_are_proved_and_near_the_eigenvalues(N: int) -> None:
+    A, B, angles = of_solid(N)
+    factor, cos = Factor(A), np.cos(angles)
+    assert is_solid(A)
+    assert not is_solid(sp.csc_array(laplacian(N**3)))
+    exact = 3 * ((2 - 2 * cos) / (4 + 2 * cos)).max()
+    assert exact <= largest_ratio(factor, B) <= exact * (1 + 2e-6)
+    smallest = (4 + 2 * cos).min() ** 3
+    assert smallest * (1 - 2e-6) <= factor.smallest_eigenvalue() <= smallest
+    x = factor.solve(B @ angles.repeat(N * N))
+    factor.forget()
+    assert np.array_equal(factor.solve(B @ angles.repeat(N * N)), x)
+
+
+def test_the_order_of_a_solid_leaves_less_fill_than_minimum_degree() -> None:
+    pytest.importorskip("cvxopt")
+    cells = skfem.MeshTet.init_tensor(*(np.arange(n + 1.0) for n in (24, 16, 8))).t
+    i, j = np.repeat(cells, 4, axis=0).ravel(), np.tile(cells, (4, 1)).ravel()
+    nodes = sp.csc_array((np.ones(i.size), (i, j)))
+    nodes += sp.diags_array(nodes.sum(axis=0))  # diagonally dominant
+    M = sp.csc_array(sp.kron(nodes, np.eye(3) + 1.0))  # three components of a displacement
+    order, n = Factor(M).order, M.shape[0]
+    assert np.array_equal(np.sort(order), np.arange(n))
+    how = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+    ours = spla.splu(M[order][:, order], permc_spec="NATURAL", **how).L.nnz
+    assert ours < 0.9 * spla.splu(M, permc_spec="MMD_AT_PLUS_A", **how).L.nnz
 
 
 @both_kinds

@@ -263,6 +263,16 @@ def test_a_ring_that_is_killed_ends_as_one_that_is_not(tmp_path: Path) -> None:
     assert resumed.u.tobytes() == whole.u.tobytes()
 
 
+def test_a_ring_a_thousand_times_as_stiff_is_solved_by_return_mapping_alone() -> None:
+    changes = {"effects.elasticity.E": 70e12, "time.steps": 5}
+    run = read_scene("ring", changes=changes).solve()
+    assert run.success
+    assert run.plan.path == "return mapping"
+    assert run.stats["relative"].max() <= run.plan.tol
+    assert run.stats["attempts"].max() == 1
+    assert run.stats["iterations"].max() <= 150
+
+
 def test_yield_stresses_differ_by_subdomain_and_the_load_is_data() -> None:
     strip = grid([2.0, 1.0], [4, 2]).with_subdomains(
         {"soft": lambda x: x[0] < 1, "hard": lambda x: x[0] > 1}

@@ -143,7 +143,8 @@ def is_stiff(process: SweepingProcess, mu: float) -> bool:
 
 def rings(process: SweepingProcess, scheme: Scheme, mu: float, least: float = 0.0) -> bool:
     """Whether errors come back with the other sign and more than this share of their size."""
-    if not is_stiff(process, mu):
+    # of implicit Euler R = 1 / (1 + mu Lam) > 0, whatever Lam is: to prove it takes factors
+    if (scheme.order == 1 and not scheme.explicit) or not is_stiff(process, mu):
         return False
     return bool(scheme.amplification(-min(mu * process.Lam, HUGE)) < -least)
 

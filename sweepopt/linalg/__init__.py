@@ -16,6 +16,7 @@ from sweepopt.linalg.matrices import (
     rounding_weights,
     row_lengths,
 )
+from sweepopt.linalg.ordering import is_solid
 from sweepopt.linalg.twice_precision import Precise, exact_sum, product_error
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "factor_bytes",
     "is_diagonal",
     "is_semidefinite",
+    "is_solid",
     "kernel",
     "largest_eigenvalue",
     "largest_ratio",

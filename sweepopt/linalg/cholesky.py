@@ -31,6 +31,7 @@ from scipy.linalg import lapack  # the plain calls: no checks in the loop
 
 from sweepopt.checks import Matrix
 from sweepopt.linalg.matrices import Reduced, euclidean
+from sweepopt.linalg.ordering import fill_reducing, triangle
 
 SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 LIMIT = 200_000  # unknowns that CHOLMOD is faster for
@@ -110,9 +111,10 @@ class InBlocks:
             return
         from cvxopt import cholmod, matrix
 
-        self._triangle = _triangle(sp.csc_array((np.ones(len(indices)), *self._pattern), (n, n)))
+        lower = sp.csc_array((np.ones(len(indices)), *self._pattern), (n, n))
+        self._triangle, order = triangle(lower), fill_reducing(lower + lower.T)
         with _settings(IN_BLOCKS):
-            self._factor = cholmod.symbolic(self._triangle, matrix(_order(self._triangle)))
+            self._factor = cholmod.symbolic(self._triangle, matrix(order))
 
     def __call__(self, data: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """w -> M^-1 w for the M with these entries; ArithmeticError where M > 0 does not hold."""
@@ -129,6 +131,18 @@ class InBlocks:
         with _settings(IN_BLOCKS):
             cholmod.numeric(self._triangle, self._factor)
         return partial(_system, self._factor, WHOLE)
+
+
+def has_positive_pivots(M: Matrix) -> bool:
+    """Whether CHOLMOD factorises a sparse M in blocks."""
+    from cvxopt import cholmod, matrix
+
+    lower = triangle(M)
+    with _settings(IN_BLOCKS), suppress(ArithmeticError):
+        factor = cholmod.symbolic(lower, matrix(fill_reducing(M)))
+        cholmod.numeric(lower, factor)
+        return True
+    return False
 
 
 @cache
@@ -154,14 +168,14 @@ def cholmod(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
     """
     from cvxopt import cholmod, matrix
 
-    triangle = _triangle(M)
-    order = _order(triangle) if order is None else order
+    lower = triangle(M)
+    order = fill_reducing(M) if order is None else order
 
     def factorised() -> Any:
         """The factor in this order and no other."""
         with _settings(SETTINGS):
-            factor = cholmod.symbolic(triangle, matrix(order.astype(np.int64)))
-            cholmod.numeric(triangle, factor)
+            factor = cholmod.symbolic(lower, matrix(order.astype(np.int64)))
+            cholmod.numeric(lower, factor)
         return factor
 
     tail = np.zeros((0, 0))
@@ -182,21 +196,6 @@ def cholmod(M: Matrix, order: np.ndarray | None, m: int) -> Cholesky:
         lambda y: system(UPPER, y / root)[place],
         tail * root[len(order) - m :],
     )
-
-
-def _triangle(M: Matrix) -> Any:
-    """The lower triangle of a sparse M."""
-    from cvxopt import spmatrix
-
-    lower = sp.tril(M, format="coo")
-    rows, columns = lower.row.astype(np.int64), lower.col.astype(np.int64)
-    return spmatrix(lower.data, rows, columns, M.shape)
-
-
-def _order(triangle: Any) -> np.ndarray:
-    from cvxopt import amd
-
-    return np.ravel(amd.order(triangle)).astype(np.int64)
 
 
 @contextmanager

@@ -15,8 +15,9 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from sweepopt.checks import Matrix
-from sweepopt.linalg.cholesky import SYMMETRIC
+from sweepopt.linalg.cholesky import SYMMETRIC, has_cholmod, has_positive_pivots
 from sweepopt.linalg.matrices import EPS, UNIT
+from sweepopt.linalg.ordering import is_solid
 
 MARGINS = 1e-9 * 1e3 ** np.arange(9)  # of a bound of an eigenvalue, from next to rounding upwards
 SAFE = float(np.finfo(float).tiny) / EPS**2  # beside it what underflows is less than a rounding
@@ -61,19 +62,27 @@ def _backward_error(M: Matrix, w: np.ndarray) -> np.ndarray:
     |M - L U| <= gamma_k |L| |U|, gamma_k = k u / (1 - k u), with k the most entries of a row of L
     and a little, in whatever order the products are summed (Higham, Accuracy and Stability of
     Numerical Algorithms, 2002, Theorem 9.3). SuperLU's U is D L^T up to a remainder.
+
+    Of solids both fill the memory, and CHOLMOD does not show its L L^T: its rows i have k_i entries
+    and the length sqrt(M_ii), so that the sum of all gamma_(k_i + 2) is a bound in units of the
+    diagonal (Rump), and of all k_i no more than n (n + 1) / 2.
     """
+    n = len(w)
     try:
         if not sp.issparse(M):
             L = abs(scipy.linalg.cholesky(M, lower=True))
-            return (len(L) + 4) * UNIT * (L @ (L.T @ w))
+            return (n + 4) * UNIT * (L @ (L.T @ w))
+        if has_cholmod() and is_solid(M):
+            bound = SUMS * UNIT * n * (n + 5) / 2 if has_positive_pivots(M) else math.inf
+            return bound * M.diagonal() * w
         lu = spla.splu(sp.csc_matrix(M), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC)
     except (scipy.linalg.LinAlgError, RuntimeError, MemoryError):
-        return np.full(len(w), math.inf)
+        return np.full(n, math.inf)
     L, U, place, rows = lu.L, lu.U, lu.perm_c, lu.perm_r
     del lu  # factors of a solid fill the memory: each is there once
     pivots = U.diagonal()
     if not (pivots.min() > 0 and (rows == place).all()):
-        return np.full(len(w), math.inf)
+        return np.full(n, math.inf)
     gamma, y = (np.bincount(L.indices).max() + 4) * UNIT, w[np.argsort(place)]
     bound = U - (L @ sp.diags_array(pivots)).T
     for one in (bound, U, L):

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 
 from sweepopt.checks import Matrix, divisor
 from sweepopt.errors import IndefiniteError, MissingExtraError, SolverRefusedError
-from sweepopt.linalg.cholesky import Cholesky, cholesky, lapack_factor
+from sweepopt.linalg.cholesky import Cholesky, cholesky, has_cholmod, lapack_factor
 from sweepopt.linalg.conjugate_gradients import ConjugateGradients
 from sweepopt.linalg.definiteness import MARGINS, dominates
 from sweepopt.linalg.matrices import (
@@ -28,6 +28,7 @@ from sweepopt.linalg.matrices import (
     largest_eigenvalue,
     rounding_weights,
 )
+from sweepopt.linalg.ordering import is_solid
 from sweepopt.linalg.twice_precision import Precise
 
 MEMORY_SHARE = 0.6  # of the physical memory, for factors: the rest is for mesh, states and Python
@@ -79,10 +80,10 @@ class Factor:
         divisor(f"{name}[{i}, {i}]", self.diagonal[i])
         self.is_diagonal = is_diagonal(M)
         self.root = np.sqrt(self.diagonal)
+        self.order, self._kept = order, unknowns
         try:
             # pivots of inf or nan are refused below
             with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-                self._engine: Any = _engine(M, order, unknowns)
                 pivots = self._engine.pivots / self.diagonal
         except (scipy.linalg.LinAlgError, RuntimeError, ArithmeticError):
             pivots = np.zeros(1)
@@ -95,6 +96,14 @@ class Factor:
         if not pivots.min() > PIVOT:
             raise IndefiniteError(f"{name} must be positive definite; it has an eigenvalue <= 0")
         self.order, self.method = self._engine.order, self._engine.method
+
+    @cached_property
+    def _engine(self) -> Any:
+        return _engine(self.M, self.order, self._kept)
+
+    def forget(self) -> None:
+        """Drop the factors; a solve that needs them makes them again."""
+        self.__dict__.pop("_engine", None)
 
     def solve(self, w: np.ndarray) -> np.ndarray:
         """M^-1 w."""
@@ -282,11 +291,16 @@ def factor_bytes(M: Matrix) -> float:
     """The memory that factors of M need, about.
 
     A factor of P1 elements in the plane has about 2 n log2 n entries (measured from 1e4 to 1e6
-    unknowns), and a run holds about 120 bytes for each. A diagonal matrix is its own factor; a
-    dense one is in memory already.
+    unknowns), and a run holds about 120 bytes for each. One of a solid has less than 20 n^(4/3)
+    (see `ordering`), for each of which runs held 20 to 32 bytes with CHOLMOD's blocks, here 40. A
+    diagonal matrix is its own factor; a dense one is in memory already.
     """
     n = M.shape[0]
-    return 240.0 * n * math.log2(n + 1) if sp.issparse(M) and M.nnz > n else 0.0
+    if not sp.issparse(M) or M.nnz <= n:
+        return 0.0
+    if is_solid(M):
+        return float((40 if has_cholmod() else 120) * 20 * n ** (4 / 3))
+    return 240.0 * n * math.log2(n + 1)
 
 
 def _physical_memory() -> float:

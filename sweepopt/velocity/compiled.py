@@ -14,9 +14,10 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
-from sweepopt.linalg import Elimination, Factor
+from sweepopt.linalg import Elimination, Factor, is_solid
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Box, ConvexSet, Point, Selection, Similar, exchanged, same_array
 from sweepopt.velocity.cascade import Cascade
@@ -172,8 +173,11 @@ class StateVelocity:
 
     @cached_property
     def _on_all(self) -> Inclusion:
-        M = self._metric if self._metric.M is self._M else Factor(self._M)
-        return Inclusion(M, *self._data)
+        if self._metric.M is self._M:
+            return Inclusion(self._metric, *self._data)
+        if sp.issparse(self._M) and is_solid(self._M):  # of 107,855 unknowns factors take 0.9 GB
+            self._metric.forget()
+        return Inclusion(Factor(self._M, order=self._metric.order), *self._data)
 
     @cached_property
     def _on_few(self) -> Inclusion:

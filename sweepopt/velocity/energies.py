@@ -15,6 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from sweepopt.checks import Matrix
+from sweepopt.errors import IndefiniteError
 from sweepopt.linalg import InBlocks
 
 SUFFICIENT = 1e-4  # of the decrease that the tangent promises (Armijo)
@@ -92,7 +93,7 @@ class Tangent:
 
         Raises
         ------
-        ArithmeticError
+        IndefiniteError
             If the matrix is not positive definite, to rounding.
         """
         last, solve = self._last
@@ -107,7 +108,10 @@ class Tangent:
                 entries = np.concatenate([np.zeros((0, places.shape[1])), *stiff])
                 data = data + np.bincount(places.ravel(), entries.ravel(), data.size)
             self._last = (), None  # nothing, if there are no factors
-            solve = self._factorise(data)
+            try:
+                solve = self._factorise(data)
+            except (ArithmeticError, RuntimeError) as error:  # a pivot <= 0, or 0 in SuperLU
+                raise IndefiniteError("the tangent is not positive definite") from error
             self._last = D, solve
         return solve(R)
 
@@ -122,9 +126,10 @@ def newton(
     iterations = 0
     while iterations < most and not converged(state):
         try:
-            trial = line_search(state, *step(state))
-        except (ArithmeticError, RuntimeError):  # not positive definite, to rounding
+            change, after = step(state)
+        except IndefiniteError:
             break
+        trial = line_search(state, change, after)
         if trial is None:
             break
         state, iterations = trial, iterations + 1

@@ -52,8 +52,12 @@ def condensable(M: Matrix, unknowns: np.ndarray, S: ConvexSet) -> bool:
 
 
 class State(NamedTuple):
-    """(v, p) = z with p the return mapping of v: r, the gradient R, the energy, |z|_M squared."""
+    """v beside a base, and z = (v, p) with p the return mapping: r, the gradient R, the energy.
 
+    `square` is |z|_M squared where the base is 0.
+    """
+
+    v: np.ndarray
     z: np.ndarray
     r: np.ndarray
     R: np.ndarray
@@ -86,43 +90,53 @@ class ReturnMapping:
         self._weights = S.weights(M.diagonal[unknowns])
         groups = [Local.of(self._G[at.ravel()], at.shape[1]) for at, _ in S.blocks(S.anchor) or ()]
         self._tangent = Tangent(self._K, groups)
-        self._v = np.zeros(self._rest.size)
+        self._v, self._size = np.zeros(self._rest.size), 0.0
 
     def propose(self, S: ConvexSet, residual: np.ndarray, z: np.ndarray | None) -> Proposal:
-        """The pair for the linear term residual - M z."""
-        q = residual if z is None else self._M.precisely(-z, residual)
-        state, iterations = self._newton(S, q)
-        self._v, w = state.z[self._rest], np.zeros(q.size)
+        """The pair for the linear term residual - M z, from the base z.
+
+        Newton's method moves v - v(z): what is summed of M z + q is in the residual, rounded once.
+        """
+        base, start = z, np.zeros_like(self._v)
+        if base is None:
+            base, start, self._size = np.zeros_like(residual), self._v, 0.0
+        state, iterations = self._newton(S, residual, base, start)
+        self._v, w = state.z[self._rest], np.zeros(residual.size)
+        self._size = max(self._size, math.sqrt(max(state.square, 0.0)))
         w[self._few] = S.project(state.r)
         return Proposal(state.z, w, iterations=iterations)
 
-    def _state(self, S: ConvexSet, q: np.ndarray, v: np.ndarray) -> State:
-        """The return mapping for v."""
-        f, z = q[self._rest], np.empty(q.size)
-        r, force = q[self._few] - self._G @ v, self._K @ v
-        outside = S.normal(r)
-        p = 0.0 - outside / self._weights
-        z[self._rest], z[self._few] = v, p
-        terms = 0.5 * v.dot(force), f.dot(v), 0.5 * p.dot(outside)
-        # the rounding of sums of n terms
-        rounding, of_p = EPS * q.size * sum(map(abs, terms)), self._up @ p
-        square = v.dot(force) + 2 * v.dot(of_p) - p.dot(outside)
-        return State(z, r, force + of_p + f, sum(terms), rounding, square)
+    def _newton(
+        self, S: ConvexSet, residual: np.ndarray, base: np.ndarray, start: np.ndarray
+    ) -> tuple[State, int]:
+        """The state in which R is small, from start = v - v(base), and the number of steps."""
+        p_base, force = base[self._few], residual[self._rest]
+        r_base, of_base = residual[self._few] - self._weights * p_base, self._up @ p_base
 
-    def _newton(self, S: ConvexSet, q: np.ndarray) -> tuple[State, int]:
-        """From the velocity found last: the state in which R is small, and the number of steps."""
+        def state_of(v: np.ndarray) -> State:
+            """The return mapping for v(base) + v."""
+            r, stiff, z = r_base - self._G @ v, self._K @ v, base.copy()
+            outside = S.normal(r)
+            p = 0.0 - outside / self._weights
+            z[self._rest] += v
+            z[self._few] = p
+            terms = 0.5 * v.dot(stiff), (force - of_base).dot(v), 0.5 * p.dot(outside)
+            # the rounding of sums of n terms
+            rounding, of_p = EPS * z.size * sum(map(abs, terms)), self._up @ (p - p_base)
+            square = v.dot(stiff) + 2 * v.dot(of_p) - p.dot(outside)
+            return State(v, z, r, force + stiff + of_p, sum(terms), rounding, square)
 
         def converged(state: State) -> bool:
-            rho = np.zeros(q.size)
+            rho = np.zeros(residual.size)
             rho[self._rest] = state.R
-            return self._M.is_within(rho, 0.5 * self._tol * math.sqrt(max(state.square, 0.0)))
+            size = max(self._size, math.sqrt(max(state.square, 0.0)))
+            return self._M.is_within(rho, 0.5 * self._tol * size)
 
         def step(state: State) -> Step[State]:
             change = -self._tangent.solve(self._softening(S, state.r), state.R)
-            v = state.z[self._rest]
-            return change, lambda share: self._state(S, q, v + share * change)
+            return change, lambda share: state_of(state.v + share * change)
 
-        return newton(self._state(S, q, self._v), step, converged, MOST)
+        return newton(state_of(start), step, converged, MOST)
 
     def _softening(self, S: ConvexSet, r: np.ndarray) -> list[np.ndarray]:
         """-W^-1 (I - DP_S(r)) at each point: by how much K is softer where it yields."""

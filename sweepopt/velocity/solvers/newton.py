@@ -30,6 +30,9 @@ from sweepopt.velocity.program import VelocityProgram
 from sweepopt.velocity.solvers.contract import Answer, Small, Solve
 
 PATIENCE = 5  # steps that may fail to improve on the best one: more are a cycle
+# of the residual, left by a step with the tangent of another point: such steps cost a sixth of one
+# with a new tangent, and where its residual falls so far the tangent is as near
+KEPT = 1e-3
 SHORTEST = 1e-5  # share of a step: discs across cells of stiffness 1 and 1e8 miss tol at 1e-3
 
 STEEPEST = 1e8  # of (I - D)^-1: a symmetric system loses as many digits
@@ -110,16 +113,13 @@ class _Iteration:
         """Newton steps from z: the last z, whether it is exact to rounding, and their number."""
         T = C.weights(self._M.diagonal)
         scale = 1 / np.sqrt(T)
-        smallest, stalled, iteration, enough = math.inf, 0, 0, 1e3 * NEGLIGIBLE
+        smallest, stalled, iteration = math.inf, 0, 0
         start, change, share = z, np.zeros_like(z), 1.0
         while iteration < self._max_iter:
-            w, size_z = self._M.apply(z, q, enough)
+            w, size_z = self._M.apply(z, q, NEGLIGIBLE)
             v = w - T * z
             residual = C.project(v) - w
             size, forces = euclidean(residual * scale), euclidean(w * scale) + size_z
-            if enough > NEGLIGIBLE and not size > 1e3 * enough * forces:
-                enough = NEGLIGIBLE  # what the residual is far above needs no such digits
-                continue
             rounding = EPS * forces
             # at rounding the equation cannot get better: stop when it does not, or when it cycles
             stalled += size >= smallest
@@ -131,12 +131,13 @@ class _Iteration:
                 continue
             if stalled == PATIENCE and not damped:
                 break
+            kept = not iteration or size < KEPT * smallest
             smallest = min(smallest, size)
             D = C.blocks(v)
             if D is None:
                 break
             try:
-                following = self._following(D, T, z, residual)
+                following = self._following(D, T, z, residual, kept)
             except (scipy.linalg.LinAlgError, RuntimeError):  # singular
                 break
             if not math.isfinite(following @ following):
@@ -146,11 +147,11 @@ class _Iteration:
         return z, False, iteration
 
     def _following(
-        self, D: list[Blocks], T: np.ndarray, z: np.ndarray, residual: np.ndarray
+        self, D: list[Blocks], T: np.ndarray, z: np.ndarray, residual: np.ndarray, kept: bool
     ) -> np.ndarray:
-        """z + dz; entries of a box do not reverse."""
+        """z + dz, with the last tangent if it may be kept; entries of a box do not reverse."""
         key = b"".join(block.tobytes() for _, block in D)
-        if key != self._last[0]:
+        if key != self._last[0] and not (kept and self._last[0]):
             self._last = key, self._tangent(D, T)
         stuck, solve = self._last[1]
         following = np.where(stuck, 0.0, z)
@@ -201,7 +202,7 @@ class _Iteration:
         for at, inverse in inverses:
             more = T[at][:, :, None] * (inverse - np.eye(inverse.shape[1]))
             J[place[at][:, :, None], place[at][:, None]] += more
-        lower, failed = scipy.linalg.lapack.dpotrf(J, lower=1)
+        lower, failed = scipy.linalg.lapack.dpotrf(J.T, lower=1, overwrite_a=1)
         if failed:
             return None
 
