@@ -177,7 +177,7 @@ class Viscosity(Record):
         place = body.place("eta", (BODY,))
         eta = None if self.eta is None else place.values(ETA, self.eta)
         zeta = place.values(ZETA, self.zeta)
-        return Contribution(A=_stiffness(body, zeta, eta, self.tensor))
+        return Contribution(A=_stiffness(body, place, zeta, eta, self.tensor))
 
 
 @dataclass(frozen=True)
@@ -224,9 +224,12 @@ class Elasticity(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The matrix B; none if it is zero everywhere."""
-        lam, mu = self.moduli(body, body.place("kappa", (BODY,)))
-        B = _stiffness(body, lam, mu, self.tensor)
+        B = self.stiffness(body, body.place("kappa", (BODY,)))
         return Contribution(B=B if B.count_nonzero() else None)
+
+    def stiffness(self, body: Discretisation, place: Place) -> sp.csc_array:
+        """B of the cells of a quadrature, by that quadrature."""
+        return _stiffness(body, place, *self.moduli(body, place), self.tensor)
 
     def moduli(self, body: Discretisation, place: Place) -> tuple[Any, Any]:
         """lam and mu at the points of a quadrature; mu is None where a tensor is given."""
@@ -827,7 +830,7 @@ def _moduli(body: Discretisation, lam: Any, mu: Any, tensor: Any) -> dict[tuple[
     return law | {(i, i): mu for i in range(d, size)}
 
 
-def _stiffness(body: Discretisation, lam: Any, mu: Any, tensor: Any) -> sp.csc_array:
+def _stiffness(body: Discretisation, place: Place, lam: Any, mu: Any, tensor: Any) -> sp.csc_array:
     """int C e(u) . e(v) on the unknowns."""
     strain, law = _strain(body), _moduli(body, lam, mu, tensor)
 
@@ -835,7 +838,7 @@ def _stiffness(body: Discretisation, lam: Any, mu: Any, tensor: Any) -> sp.csc_a
         a, b = strain(u), strain(v)
         return sum(c * a[j] * b[i] for (i, j), c in law.items())
 
-    restricted: sp.csc_array = body.restrict(body.place("on", (BODY,)).matrix(form))
+    restricted: sp.csc_array = body.restrict(place.matrix(form))
     return restricted
 
 
