@@ -76,7 +76,7 @@ def _last_state(
 ) -> NDArray[np.float64]:
     """The last state of a file, put into u0."""
     path = path / "solution.nc" if path.is_dir() else path
-    names = "u", "field", "mesh_digest", "displacement", "internal", "internal_field", *AXES
+    names = "u", "field", "unknowns_digest", "displacement", "internal", "internal_field", *AXES
     try:
         run = last_state(path, *names)
     except InputError as error:
@@ -91,7 +91,7 @@ def _last_state(
                 f"run: {path} has {last.size} unknowns of {_fields(found)}, the scene {u0.size} of "
                 f"{_fields(labels)}; take a run of the same body and effects"
             )
-        if run.get("mesh_digest") not in (None, "", space.digest):
+        if run.get("unknowns_digest") not in (None, "", space.digest):
             raise InputError(
                 f"run: {path} is of another mesh, or has other components held or turned; take the "
                 "solution.nc of sweepopt run, or a run of this body"

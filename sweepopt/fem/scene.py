@@ -378,7 +378,7 @@ def build(
             u0 = u0.state(space, fields, size)
     A = sp.csc_array((size, size)) if A is None else A
     problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
-    problem.mesh_digest = space.digest
+    problem.unknowns_digest = space.digest
     terms = {
         "no elasticity: B is not formed": B is not None,
         "no friction: J is not formed": yields,
