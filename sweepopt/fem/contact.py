@@ -334,12 +334,8 @@ def _metric(body: Discretisation, columns: Indices, nodes: Indices, axes: Any) -
     scale = np.asarray(axes)
     if scale.size != body.components:
         raise InputError(f"axes must be {body.components} numbers > 0, one for each of x, y ...")
-    identity = sp.eye_array(body.basis.N, format="csr")
-    T = identity if body.frame.T is None else body.frame.T
-    some = body.free[columns]  # node, slot
-    R = np.array(
-        [T[dofs][:, k].toarray() for dofs, k in zip(body.nodes.T[nodes], some, strict=True)]
-    )
+    dofs = body.nodes.T[nodes]
+    R = np.array([body.extension[i][:, k].toarray() for i, k in zip(dofs, columns, strict=True)])
     scaled = scale[:, None] * R
     return np.asarray(np.swapaxes(scaled, 1, 2) @ scaled)
 

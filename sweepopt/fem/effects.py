@@ -570,7 +570,7 @@ class PrescribedDisplacement(Record):
         ):
             full[dofs[place.nodes.T]] = place.values(DISPLACEMENT, datum)
         T = body.frame.T
-        along = full if T is None else T.T @ full
+        along = T.T @ full
         along[body.free] = 0.0
         if not full.any():
             return Contribution()
@@ -578,7 +578,7 @@ class PrescribedDisplacement(Record):
             raise InputError(
                 f"on: nothing is held on {', '.join(self.on)} along d; clamp or hold it"
             )
-        return Contribution(lift=(self.history, along if T is None else np.asarray(T @ along)))
+        return Contribution(lift=(self.history, np.asarray(T @ along)))
 
 
 @dataclass(frozen=True)
@@ -712,8 +712,7 @@ class OneWay(Record):
         if self.along not in known:
             raise InputError(f"along must be one of {', '.join(known) or 'none'} here")
         nodes = np.unique(body.place("on", self.on).nodes)
-        T = sp.eye_array(body.basis.N, format="csr") if body.frame.T is None else body.frame.T
-        E = sp.csr_array(T[body.nodes[known.index(self.along), nodes]][:, body.free])
+        E = sp.csr_array(body.extension[body.nodes[known.index(self.along), nodes]])
         E = E[np.diff(E.indptr) > 0]
         if not E.shape[0]:
             raise InputError(f"on: all of {', '.join(self.on)} is clamped; nothing moves there")

@@ -446,7 +446,7 @@ def _check_rubs(space: Discretisation, yields: Sequence[Yield], lifts: Sequence[
         harmless = (held == 0) | ((held == 1) & ~frame.normal[node] & (where == "trace"))
         held = np.where(harmless | (space.components == 1), 0, held)
         for _, d in lifts:
-            of_frame = d if frame.T is None else frame.T.T @ d
+            of_frame = frame.T.T @ d
             slot = np.arange(space.components)[:, None]
             if of_frame[space.nodes[:, node]][slot < held].any():
                 raise InputError(

@@ -216,7 +216,7 @@ class Discretisation(Brief):
     def _with(self, **fields: Any) -> Discretisation:
         """The same with other unknowns."""
         other = copy.copy(self)
-        for name in ("frame", "free"):
+        for name in ("frame", "free", "extension"):
             other.__dict__.pop(name, None)
         other.__dict__.update(fields)
         return other
@@ -225,9 +225,8 @@ class Discretisation(Brief):
     def digest(self) -> str:
         """A checksum of the kind, the unknowns, and the nodes to 1e-9 of the body's size."""
         places = np.round(self.points / np.ptp(self.points), 9) + 0.0  # one zero
-        T = self.frame.T
-        turned = b"" if T is None else np.round(T.data, 9).tobytes()
-        parts = self.kind.encode(), places.tobytes(), self.free.tobytes(), turned
+        turned = np.round(self.frame.T.data, 9)
+        parts = self.kind.encode(), places.tobytes(), self.free.tobytes(), turned.tobytes()
         return hashlib.sha256(b" ".join(parts)).hexdigest()
 
     def loose_point(self, M: Any) -> str | None:
@@ -255,7 +254,7 @@ class Discretisation(Brief):
                 modes.append(np.outer(axes[i], x[:, j]) - np.outer(axes[j], x[:, i]))
             full = np.zeros((self.basis.N, len(modes)))
             full[self.nodes[:, nodes]] = np.moveaxis(np.array(modes), 0, -1)
-            full = full if T is None else T.T @ full
+            full = T.T @ full
             free, held = full[self.free], np.delete(full, self.free, axis=0)
             gram = held.T @ held + free.T @ (M @ free) / scale
             if np.linalg.eigvalsh(gram)[0] <= 1e-12 * len(x):
@@ -276,6 +275,11 @@ class Discretisation(Brief):
         """Degrees of freedom, in the frames of the nodes, that are not held."""
         slot = np.arange(self.components)[:, None]
         return np.sort(self.nodes[slot >= self.frame.held])
+
+    @cached_property
+    def extension(self) -> sp.csr_array:
+        """All degrees of freedom of `basis`, 0 where they are held, from the unknowns."""
+        return sp.csr_array(self.frame.T[:, self.free])
 
     @property
     def dim(self) -> int:
@@ -343,19 +347,17 @@ class Discretisation(Brief):
         values = floats("u", u, "numbers")
         if values.shape[-1:] != (self.dim,):
             raise InputError(f"u must have {self.dim} entries in its last axis, got {values.shape}")
-        full = np.zeros((*values.shape[:-1], self.basis.N))
-        full[..., self.free] = values
-        if self.frame.T is not None:
-            full = (self.frame.T @ full.reshape(-1, self.basis.N).T).T.reshape(full.shape)
+        full = (self.extension @ values.reshape(-1, self.dim).T).T
+        full = full.reshape(*values.shape[:-1], self.basis.N)
         return full[..., self.nodes[0] if self.components == 1 else self.nodes.T]
 
     def restrict(self, x: Any) -> Any:
         """A matrix or a vector of all degrees of freedom of `basis`, on the unknowns."""
-        T = self.frame.T
         if not sp.issparse(x):
-            return np.asarray(x if T is None else T.T @ x)[self.free]
-        x = sp.csr_array(x) if T is None else sp.csr_array(T.T @ x @ T)
-        return sp.csc_array(x[self.free][:, self.free])
+            return np.asarray(self.extension.T @ x)
+        restricted = sp.csc_array(self.extension.T @ x @ self.extension)
+        restricted.sort_indices()
+        return restricted
 
     def from_coarser(self, coarse: Discretisation) -> sp.csr_array:
         """The matrix that turns values of the unknowns on a coarser mesh into values on this one.
@@ -380,10 +382,7 @@ class Discretisation(Brief):
                 sp.eye_array(one.basis.N, format="csr")[one.nodes.ravel()] for one in (self, coarse)
             )
             values = fine.T @ sp.block_diag([values] * self.components) @ old
-            for T, side in ((self.frame.T, 0), (coarse.frame.T, 1)):
-                if T is not None:
-                    values = values @ T if side else T.T @ values
-        return sp.csr_array(values)[self.free][:, coarse.free]
+        return sp.csr_array(self.extension.T @ values @ coarse.extension)
 
     def interpolate(self, function: Any, name: str = "function") -> Array:
         """Nodal values of a function of x (shape (d, N)) at the unknowns, shape (dim,).
@@ -415,8 +414,7 @@ class Discretisation(Brief):
         column = np.broadcast_to(basis.element_dofs[:, None, :, None], values.shape)
         entries = values.ravel(), (row.ravel(), column.ravel())
         full = sp.csr_array(entries, shape=(at.size, basis.N))
-        full = full if self.frame.T is None else full @ self.frame.T
-        return sp.csr_array(full[:, self.free])
+        return sp.csr_array(full @ self.extension)
 
     def place(
         self, what: str, on: Sequence[str], *, nodal: bool = False, strains: bool = False
