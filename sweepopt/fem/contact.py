@@ -505,7 +505,7 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     for t, h, u, z in zip(stage_t.tolist(), mu, solution.u[:-1], solution.velocity, strict=True):
         u = u + implicit * h * z
         force.append(contact.of(process.A @ z + process.times_B(u) - scene.load(t)))
-        bound.append(_bounds(contact, scene.yields, t, u))
+        bound.append(_bounds(scene.yields, t, u))
     return Slip(
         contact=contact,
         t=solution.t,
@@ -517,14 +517,10 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     )
 
 
-def _bounds(contact: Contact, yields: Sequence[Yield], t: float, u: Array) -> Array:
+def _bounds(yields: Sequence[Yield], t: float, u: Array) -> Array:
     """g_k of all nodes with friction at a time and a state, shape (m,)."""
-    if not any(callable(one.g) or one.slip for one in yields if one.contact):
-        return contact.bound
-    parts = [
-        replace(one.contact, bound=one.at(t, u) / one.contact.weight)
-        for one in yields
-        if one.contact
-    ]
-    both = merged(parts)
-    return contact.bound if both is None else both.bound
+    parts = [(one, one.contact) for one in yields if one.contact]
+    moved = [replace(part, bound=one.at(t, u) / part.weight) for one, part in parts]
+    both = merged(moved)
+    assert both is not None
+    return both.bound
