@@ -22,7 +22,6 @@ import numpy as np
 import scipy.sparse as sp
 import skfem
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import newton_cotes
 
 from sweepopt.checks import choice, count, floats, listed
 from sweepopt.display import Brief
@@ -466,19 +465,18 @@ class Discretisation(Brief):
         Trapezoid and its like for P1, exact on linear functions; for P2 Simpson's on edges and the
         middles of edges on triangles, exact on quadratic functions.
         """
-        degree = self.scalar.elem.maxdeg
-        if dimension == 1:
-            points = np.linspace([0.0], [1.0], degree + 1, axis=1)
-            # on an edge start, middle, end; the cell of a mesh of intervals has its middle last
-            order = [0, degree, 1][: degree + 1] if self.mesh.dim() == 1 else slice(None)
-            return points[:, order], newton_cotes(degree)[0][order] / degree
-        corners = np.eye(dimension, dimension + 1, 1)
-        if degree == 1 or not dimension:
-            return corners, np.full(dimension + 1, 1 / factorial(dimension + 1))
-        if dimension == 3:
-            raise InputError("on: a volume of P2 elements has no nodal quadrature; use P1")
-        middles = (corners + np.roll(corners, -1, axis=1)) / 2
-        return np.hstack([corners, middles]), np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0]) / 6
+        if not dimension:
+            return np.empty((0, 1)), np.ones(1)
+        points = ELEMENTS[self.element][dimension - 1].doflocs.T
+        weights = np.full(dimension + 1, 1 / factorial(dimension + 1))
+        if self.element == "P2":
+            if dimension == 3:
+                raise InputError("on: a volume of P2 elements has no nodal quadrature; use P1")
+            weights = np.array([1, 1, 4] if dimension == 1 else [0, 0, 0, 1, 1, 1]) / 6
+        if dimension < self.mesh.dim() == 2:  # an edge has its middle between its ends
+            order = np.argsort(points[0])
+            points, weights = points[:, order], weights[order]
+        return points, weights
 
 
 class Place(NamedTuple):
