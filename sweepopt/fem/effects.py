@@ -29,7 +29,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 from skfem.helpers import dot
 
-from sweepopt.checks import listed, matrix, number
+from sweepopt.checks import choice, listed, matrix, number
 from sweepopt.display import Brief
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import BOUND, PRESSURE, Rows, Yield, friction_on
@@ -709,8 +709,7 @@ class OneWay(Record):
     def contribute(self, body: Discretisation) -> Contribution:
         """Rows bounded to one side."""
         known = [""] if body.components == 1 else list(AXES[: body.components])
-        if self.along not in known:
-            raise InputError(f"along must be one of {', '.join(known) or 'none'} here")
+        choice("along", self.along, known)
         nodes = np.unique(body.place("on", self.on).nodes)
         E = sp.csr_array(body.extension[body.nodes[known.index(self.along), nodes]])
         E = E[np.diff(E.indptr) > 0]
@@ -796,7 +795,7 @@ def _check_compressible(nu: Array) -> None:
         raise InputError(f"nu must be < 0.5, got {nu.max():g}; incompressible is no limit")
 
 
-def _strain(body: Discretisation) -> Callable[[Any], list[Any]]:
+def strains_of(body: Discretisation) -> Callable[[Any], list[Any]]:
     """The gradient of a number, or the engineering strains of a vector in Voigt's order."""
     d = body.mesh.dim()
     if body.components == 1:
@@ -831,7 +830,7 @@ def _moduli(body: Discretisation, lam: Any, mu: Any, tensor: Any) -> dict[tuple[
 
 def _stiffness(body: Discretisation, place: Place, lam: Any, mu: Any, tensor: Any) -> sp.csc_array:
     """int C e(u) . e(v) on the unknowns."""
-    strain, law = _strain(body), _moduli(body, lam, mu, tensor)
+    strain, law = strains_of(body), _moduli(body, lam, mu, tensor)
 
     def form(u: Any, v: Any, _: Any) -> Any:
         a, b = strain(u), strain(v)
@@ -850,8 +849,7 @@ def _mass(
     known = ["all"]
     if body.components > 1:
         known += [*(["n", "t"] if facets else []), *AXES[: body.components]]
-    if along not in known:
-        raise InputError(f"along must be one of {', '.join(known)} here, got {shown(along)}")
+    choice("along", along, known)
 
     def form(u: Any, v: Any, w: Any) -> Any:
         if body.components == 1:

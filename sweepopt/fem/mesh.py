@@ -95,11 +95,10 @@ def grid(
         a = number(f"origin[{k}]", a)
         lines.append(np.linspace(a, a + number(f"sizes[{k}]", size, 0.0, strict=True), n + 1))
     mesh = (skfem.MeshLine, skfem.MeshTri, skfem.MeshTet)[len(lines) - 1].init_tensor(*lines)
-    middles, outer = mesh.p[:, mesh.facets].mean(axis=1), mesh.boundary_facets()
     boundaries = {}
     for k, line in enumerate(lines):
         for name, end in zip(SIDES[k], line[[0, -1]], strict=True):
-            boundaries[name] = outer[np.abs(middles[k, outer] - end) < 0.25 * (line[1] - line[0])]
+            boundaries[name] = np.flatnonzero((mesh.p[k, mesh.facets] == end).all(axis=0))
     if points is None:
         return mesh.with_boundaries(boundaries)
     if len(formulas := listed("points", points)) != len(lines):

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from sweepopt.errors import InputError
 from sweepopt.fem.contact import Rows, Yield
-from sweepopt.fem.effects import Contribution, Effect, Elasticity, Record
+from sweepopt.fem.effects import Contribution, Effect, Elasticity, Record, strains_of
 from sweepopt.fem.fields import Coefficient, Datum
 from sweepopt.fem.spaces import BODY, Discretisation, Place
 
@@ -175,18 +175,16 @@ def _strains(body: Discretisation, place: Place, lam: Array, mu: Array) -> sp.cs
 
     In an orthonormal basis of the deviators, the components of a point one after the other.
     """
-    basis, d = place.basis, body.mesh.dim()
+    basis, d, strains = place.basis, body.mesh.dim(), strains_of(body)
     values = []
     for phi in basis.basis:
-        g = np.asarray(phi[0].grad)
-        if body.components == 1:
-            rows = list(g / np.sqrt(2))
-        else:
-            trace = g[0, 0] + g[1, 1]
-            zz = g[2, 2] if d == 3 else 0.0 * trace
+        rows = strains(phi[0])
+        if body.components > 1:
+            xx, yy, *others = rows
+            zz = others.pop(0) if d == 3 else 0.0
             if body.kind == "plane stress":
-                zz = -lam / (lam + 2 * mu) * trace
-            shear = [(g[i, j] + g[j, i]) / np.sqrt(2) for i in range(d) for j in range(i)]
-            rows = [(g[0, 0] - g[1, 1]) / np.sqrt(2), (trace - 2 * zz) / np.sqrt(6), *shear]
+                zz = -lam / (lam + 2 * mu) * (xx + yy)
+            rows = [xx - yy, (xx + yy - 2 * zz) / np.sqrt(3), *others]
+        rows = [row / np.sqrt(2) for row in rows]
         values.append([np.broadcast_to(row, basis.dx.shape) for row in rows])
     return body.rows(basis, values)

@@ -187,8 +187,7 @@ class Discretisation(Brief):
         """The scikit-fem basis of all components."""
         if self.components == 1:
             return self.scalar
-        vector, order = skfem.ElementVector(self.scalar.elem), 2 * self.scalar.elem.maxdeg + 2
-        return skfem.CellBasis(self.mesh, vector, intorder=order)
+        return self.scalar.with_element(skfem.ElementVector(self.scalar.elem))
 
     @cached_property
     def nodes(self) -> Indices:
@@ -239,7 +238,7 @@ class Discretisation(Brief):
         str or None
             Such as "(0, 1)"; None where every piece is held.
         """
-        cells, size, T = self.scalar.element_dofs, self.scalar.N, self.frame.T
+        cells, size = self.scalar.element_dofs, self.scalar.N
         rows = np.repeat(cells[:1], len(cells), axis=0).ravel()
         graph = sp.coo_array((np.ones(rows.size), (rows, cells.ravel())), shape=(size, size))
         count, piece = sp.csgraph.connected_components(graph, directed=False)
@@ -253,9 +252,8 @@ class Discretisation(Brief):
                 modes.append(np.outer(axes[i], x[:, j]) - np.outer(axes[j], x[:, i]))
             full = np.zeros((self.basis.N, len(modes)))
             full[self.nodes[:, nodes]] = np.moveaxis(np.array(modes), 0, -1)
-            full = T.T @ full
-            free, held = full[self.free], np.delete(full, self.free, axis=0)
-            gram = held.T @ held + free.T @ (M @ free) / scale
+            free = self.extension.T @ full
+            gram = full.T @ full - free.T @ free + free.T @ (M @ free) / scale
             if np.linalg.eigvalsh(gram)[0] <= 1e-12 * len(x):
                 return f"({', '.join(f'{value:g}' for value in self.points[nodes[0]])})"
         return None
