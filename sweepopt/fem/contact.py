@@ -337,11 +337,10 @@ def _metric(body: Discretisation, columns: Indices, nodes: Indices, axes: Any) -
 def _cloud(body: Discretisation, place: Any) -> tuple[Indices, Array, Array]:
     """Nodes with the names of the groups they are in, in no order."""
     nodes = place.nodes.T
-    names = np.full(len(nodes), "body", dtype=object)
+    names = np.full(nodes.shape, "body", dtype=object)
     for name, members in place.groups.items():
         names[members] = name
-    repeated = np.repeat(names.astype(str), nodes.shape[1])
-    return nodes.ravel(), repeated, np.full(nodes.size, np.nan)
+    return nodes.ravel(), names.ravel().astype(str), np.full(nodes.size, np.nan)
 
 
 def _curve(body: Discretisation, place: Any) -> tuple[Indices, Array, Array]:

@@ -29,7 +29,7 @@ from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import Coefficient, Datum, Indices
 from sweepopt.fem.frames import Frame, frame_of
 from sweepopt.fem.mesh import check_mesh, read_mesh
-from sweepopt.fem.refined import nested, refined
+from sweepopt.fem.refined import CELLS, nested, refined
 from sweepopt.io import as_path
 
 Array = NDArray[np.float64]
@@ -127,7 +127,7 @@ class Discretisation(Brief):
             object.__setattr__(self, "mesh", read_mesh(path))
         check_mesh(self.mesh)
         if self.mesh.dim() not in dimensions:
-            needs = " or ".join(("intervals", "triangles", "tetrahedra")[k - 1] for k in dimensions)
+            needs = " or ".join(CELLS[k] for k in dimensions)
             raise InputError(f"kind: {self.kind!r} needs a mesh of {needs}; change one of the two")
         object.__setattr__(self, "mesh", refined(self.mesh, self.refinements))
         if self.lumped and (
@@ -138,7 +138,7 @@ class Discretisation(Brief):
                 "or take 'antiplane' for a bar"
             )
         given = ("clamped" if not self.held else ()) if self.clamped is None else self.clamped
-        empty = not isinstance(given, str) and isinstance(given, Sequence) and not given
+        empty = isinstance(given, (list, tuple)) and not given
         names = () if empty else boundary_names("clamped", given)
         object.__setattr__(self, "clamped", names)
         self.facets("clamped", names)
