@@ -317,7 +317,7 @@ def _move(
             grid, interrupted = run.grid, run.status is Status.INTERRUPTED
         watchers: list[Callable[[StepInfo], Any]] = []
         if grid.saving.path and not interrupted:
-            start = float(grid.times[0]), process.u0, process.mesh_digest
+            start = float(grid.times[0]), process.u0, process.unknowns_digest
             sink = NetCDFSink(grid.saving.path, *start)
             watchers.append(sink.put)
         if record := grid.saving.function:

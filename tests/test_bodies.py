@@ -473,7 +473,7 @@ BAD = [
     ("effects.elasticity", {"E": 1.0, "nu": 0.5}, "effects.elasticity.nu must be < 0.5"),
     ("effects.elasticity", {"lam": -1.0, "mu": 1.0}, "effects.elasticity.lam must be at least"),
     ("effects.elasticity", {"E": "1 + z", "nu": 0.2}, "effects.elasticity.E .*z.*must be one of x"),
-    ("effects.dashpot.along", "z", "effects.dashpot.along must be one of all, n, t, x, y here"),
+    ("effects.dashpot.along", "z", "effects.dashpot.along must be one of all, n, t, x, y;"),
     ("effects.dashpot.on", "floor", "effects.dashpot.on: 'floor' is not a boundary"),
     ("effects.dashpot.eta", -1.0, "effects.dashpot.eta must be >= 0"),
     ("effects.foundation", {"on": "body"}, "effects.foundation.k: is missing"),

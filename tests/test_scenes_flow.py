@@ -92,6 +92,17 @@ def test_the_square_pipe_is_at_rest_up_to_its_limit_and_its_corner_stays_at_rest
     assert still[(x > -0.9 * R) & (y < 0.9 * R)].sum() == 0
 
 
+@SUDDEN
+def test_p2_elements_have_rigid_plugs_too_and_the_flux_of_the_formula() -> None:
+    mesh = {"sizes": [5e-3, 5e-3], "cells": [8, 8], "origin": [-5e-3, 0.0]}
+    assert not steady("square_pipe", 45e3, element="P2", mesh=mesh)[1].any()
+    assert steady("square_pipe", 50e3, element="P2", mesh=mesh)[1].any()
+    scene, z = steady("pipe", 2 * PEAK, element="P2", refinements=1)
+    assert mean_of(scene, z) == pytest.approx(flux(2 * PEAK), rel=1e-3)
+    inside = np.hypot(*scene.discretisation.points.T) < 0.8 * G / PEAK
+    assert np.unique(z[inside]).tolist() == [z.max()]
+
+
 def test_the_flux_follows_the_pressure_as_the_pipe_starts_and_stops() -> None:
     scene = changed("pipe", domain={"refinements": 1}, time={"steps": 16})
     run = scene.solve()

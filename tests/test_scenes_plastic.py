@@ -124,6 +124,27 @@ def test_what_a_run_of_plasticity_leaves_names_the_plastic_strain(tmp_path: Any)
         assert scene.plot(sol, picture).axes
 
 
+@pytest.mark.parametrize(
+    "hardening", [{}, {"effects__plasticity__Hk": 0.0, "effects__plasticity__Hi": 1e10}]
+)
+def test_a_plate_that_starts_where_a_run_ended_goes_on_with_its_plastic_strains(
+    hardening: dict[str, float], tmp_path: Any
+) -> None:
+    scene = changed("plate", **hardening)
+    whole, first = scene.solve(t_end=2.0, steps=4), scene.solve(t_end=1.0, steps=2)
+    dataset_of(Report(scene, first)).to_netcdf(tmp_path / "solution.nc", engine="h5netcdf")
+    table = {"t": [0.0, 5.0], "values": [1.0, -4.0]}
+    rest = changed(
+        "plate",
+        initial={"run": str(tmp_path)},
+        effects__traction__history={"table": table},
+        **hardening,
+    )
+    assert np.array_equal(rest.problem.u0, first.u[-1])
+    second = rest.solve(t_end=1.0, steps=2)
+    np.testing.assert_allclose(second.u[-1], whole.u[-1], atol=1e-8 * np.abs(whole.u[-1]).max())
+
+
 def test_an_eigenstrain_beside_plasticity_is_refused_in_plane_stress() -> None:
     heat = {"history": {"waveform": "constant"}, "strain": 1e-3, "E": 206.9e9, "nu": 0.29}
     with pytest.raises(InputError, match="effects: in plane stress an eigenstrain beside plast"):

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from math import prod
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -277,19 +278,17 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
         )
     boundary = hasattr(place.basis, "normals")
     along, names, arc = (_curve if boundary and body.mesh.dim() == 2 else _cloud)(body, place)
-    node, first = np.unique(along, return_index=True)
+    first = np.sort(np.unique(along, return_index=True)[1])
+    node = along[first]
     unknown = body.unknowns(node, tangential=boundary)
-    free = (unknown >= 0).any(axis=1)
-    if not free.any():
+    sizes = (unknown >= 0).sum(axis=1)
+    if not sizes.any():
         raise InputError(f"on: all of {', '.join(law.on)} is clamped; nothing can slip there")
-    keep = free & (weight[node] > 0.0) & (moves | (threshold[node] > 0.0))
-    order = np.argsort(first[keep])
-    node, unknown, first = (x[keep][order] for x in (node, unknown, first))
+    keep = (sizes > 0) & (weight[node] > 0.0) & (moves | (threshold[node] > 0.0))
     several = body.components - boundary > 1
     yields = []
-    sizes = (unknown >= 0).sum(axis=1)
-    for block in np.unique(sizes).tolist():
-        mine = sizes == block
+    for block in np.unique(sizes[keep]).tolist():
+        mine = keep & (sizes == block)
         k, at, some = node[mine], first[mine], unknown[mine]
         columns = some[some >= 0]
         bound = threshold[k] / weight[k]
@@ -297,8 +296,7 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
             raise InputError("g is inf where two components could slip; hold them instead")
         slips = some if several else columns
         contact = Contact(slips, k, body.points[k], names[at], arc[at], weight[k], bound)
-        entries = np.ones(columns.size), (np.arange(columns.size), columns)
-        E = sp.csr_array(entries, shape=(columns.size, body.dim))
+        E = sp.eye_array(body.dim, format="csr")[columns]
         rows = Rows(E, block, weight[k], "trace" if boundary else "nodes")
         metric = None
         if law.axes is not None:
@@ -311,22 +309,18 @@ def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
 
 def _thresholds(law: Friction, place: Place, size: int, t: float) -> Array:
     """Friction forces at which the nodes slip, of all nodes, shape (size,)."""
-    bounds = place.values(BOUND, law.g, t)
+    factors = [place.values(BOUND, law.g, t)]
     if law.p is not None:
-        bounds = _times(bounds, place.values(PRESSURE, law.p, t))
+        factors.append(place.values(PRESSURE, law.p, t))
     if law.history is not None:
         phi = np.asarray(law.history(t), dtype=float)
-        if phi < 0:
+        if not phi >= 0:
             raise InputError(f"history: a friction bound is multiplied by {phi:g} at t = {t:g}")
-        bounds = _times(bounds, phi)
-    forces = _times(place.basis.dx, bounds)
+        factors.append(phi)
+    with np.errstate(invalid="ignore"):
+        forces = prod(factors) * place.basis.dx
+    forces[np.isnan(forces)] = 0.0  # one of them is 0, another is infinite
     return np.asarray(np.bincount(place.nodes.T.ravel(), forces.ravel(), size), float)
-
-
-def _times(a: Any, b: Any) -> Array:
-    """a b, and 0 where one of them is 0 though the other is infinite."""
-    a, b = np.broadcast_arrays(a, b)
-    return np.multiply(a, b, out=np.zeros(a.shape), where=(a != 0) & (b != 0))
 
 
 def _metric(body: Discretisation, columns: Indices, nodes: Indices, axes: Any) -> Array:
@@ -334,12 +328,8 @@ def _metric(body: Discretisation, columns: Indices, nodes: Indices, axes: Any) -
     scale = np.asarray(axes)
     if scale.size != body.components:
         raise InputError(f"axes must be {body.components} numbers > 0, one for each of x, y ...")
-    identity = sp.eye_array(body.basis.N, format="csr")
-    T = identity if body.frame.T is None else body.frame.T
-    some = body.free[columns]  # node, slot
-    R = np.array(
-        [T[dofs][:, k].toarray() for dofs, k in zip(body.nodes.T[nodes], some, strict=True)]
-    )
+    dofs = body.nodes.T[nodes]
+    R = np.array([body.extension[i][:, k].toarray() for i, k in zip(dofs, columns, strict=True)])
     scaled = scale[:, None] * R
     return np.asarray(np.swapaxes(scaled, 1, 2) @ scaled)
 
@@ -347,11 +337,10 @@ def _metric(body: Discretisation, columns: Indices, nodes: Indices, axes: Any) -
 def _cloud(body: Discretisation, place: Any) -> tuple[Indices, Array, Array]:
     """Nodes with the names of the groups they are in, in no order."""
     nodes = place.nodes.T
-    names = np.full(len(nodes), "body", dtype=object)
+    names = np.full(nodes.shape, "body", dtype=object)
     for name, members in place.groups.items():
         names[members] = name
-    repeated = np.repeat(names.astype(str), nodes.shape[1])
-    return nodes.ravel(), repeated, np.full(nodes.size, np.nan)
+    return nodes.ravel(), names.ravel().astype(str), np.full(nodes.size, np.nan)
 
 
 def _curve(body: Discretisation, place: Any) -> tuple[Indices, Array, Array]:
@@ -509,7 +498,7 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     for t, h, u, z in zip(stage_t.tolist(), mu, solution.u[:-1], solution.velocity, strict=True):
         u = u + implicit * h * z
         force.append(contact.of(process.A @ z + process.times_B(u) - scene.load(t)))
-        bound.append(_bounds(contact, scene.yields, t, u))
+        bound.append(_bounds(scene.yields, t, u))
     return Slip(
         contact=contact,
         t=solution.t,
@@ -521,14 +510,10 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     )
 
 
-def _bounds(contact: Contact, yields: Sequence[Yield], t: float, u: Array) -> Array:
+def _bounds(yields: Sequence[Yield], t: float, u: Array) -> Array:
     """g_k of all nodes with friction at a time and a state, shape (m,)."""
-    if not any(callable(one.g) or one.slip for one in yields if one.contact):
-        return contact.bound
-    parts = [
-        replace(one.contact, bound=one.at(t, u) / one.contact.weight)
-        for one in yields
-        if one.contact
-    ]
-    both = merged(parts)
-    return contact.bound if both is None else both.bound
+    parts = [(one, one.contact) for one in yields if one.contact]
+    moved = [replace(part, bound=one.at(t, u) / part.weight) for one, part in parts]
+    both = merged(moved)
+    assert both is not None
+    return both.bound

@@ -31,16 +31,15 @@ class Frame(NamedTuple):
 
     Attributes
     ----------
-    T : sparse, shape (n, n), or None
+    T : sparse, shape (n, n)
         Orthogonal: the values along x, y, z are T times those along the directions of the nodes.
-        None is the identity.
     held : ndarray of int, shape (N,)
         How many directions of each node are held; they come first.
     normal : ndarray of bool, shape (N,)
         Whether the next one is the normal, of a node that is turned.
     """
 
-    T: sp.csr_array | None
+    T: sp.csr_array
     held: Indices
     normal: NDArray[np.bool_]
 
@@ -49,10 +48,6 @@ def frame_of(body: Discretisation, held: list[tuple[Indices, str]]) -> Frame:
     """The frame of a body whose facets have components held."""
     size, d = body.scalar.N, body.components
     count, normal = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=bool)
-    if d == 1:
-        for facets, _ in held:
-            count[body.facet_nodes(facets)] = 1
-        return Frame(None, count, normal)
     basis = np.zeros((size, d, d))
 
     def add(nodes: Indices, directions: Array, least: float) -> None:
@@ -79,14 +74,12 @@ def frame_of(body: Discretisation, held: list[tuple[Indices, str]]) -> Frame:
                     direction -= (normals @ axis)[:, None] * normals
                 add(nodes, direction, PARALLEL)
     fixed = count.copy()
-    if body.turned:
+    if body.turned and d > 1:
         nodes, normals = normals_at(body, body.facets("turned", body.turned)[0])
         add(nodes, normals, PARALLEL)
         normal[nodes] = count[nodes] > fixed[nodes]
     for axis in axes:
         add(np.arange(size), np.tile(axis, (size, 1)), NEW_DIRECTION)
-    if (basis == axes).all():
-        return Frame(None, fixed, normal)
     dofs = body.nodes.T  # node, direction
     rows, columns = (np.broadcast_to(x, basis.shape) for x in (dofs[:, None, :], dofs[:, :, None]))
     entries = basis.ravel(), (rows.ravel(), columns.ravel())

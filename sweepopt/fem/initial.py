@@ -76,7 +76,7 @@ def _last_state(
 ) -> NDArray[np.float64]:
     """The last state of a file, put into u0."""
     path = path / "solution.nc" if path.is_dir() else path
-    names = "u", "field", "mesh_digest", "displacement", "internal", "internal_field", *AXES
+    names = "u", "field", "unknowns_digest", "displacement", "internal", "internal_field", *AXES
     try:
         run = last_state(path, *names)
     except InputError as error:
@@ -85,13 +85,13 @@ def _last_state(
     for name, part in fields.items():
         labels[part] = name
     if "u" in run:
-        last, found = run["u"], run.get("field")
-        if last.shape != u0.shape or not (found is None or np.array_equal(found, labels)):
+        last, kinds = run["u"], run.get("field")
+        if last.shape != u0.shape or not (kinds is None or np.array_equal(kinds, labels)):
             raise InputError(
-                f"run: {path} has {last.size} unknowns of {_fields(found)}, the scene {u0.size} of "
+                f"run: {path} has {last.size} unknowns of {_fields(kinds)}, the scene {u0.size} of "
                 f"{_fields(labels)}; take a run of the same body and effects"
             )
-        if run.get("mesh_digest") not in (None, "", space.digest):
+        if run.get("unknowns_digest") not in (None, "", space.digest):
             raise InputError(
                 f"run: {path} is of another mesh, or has other components held or turned; take the "
                 "solution.nc of sweepopt run, or a run of this body"
@@ -105,10 +105,10 @@ def _last_state(
         raise InputError(f"run: {path} has the nodes of another mesh; take a run of this body")
     if np.shape(last) != space.expand(u0[: space.dim]).shape:
         raise InputError(f"run: {path} has displacements of another kind of body than {space.kind}")
-    internal, found = run.get("internal", u0[:0]), run.get("internal_field", labels[:0])
-    if not np.array_equal(found, labels[space.dim :]):
+    internal, kinds = run.get("internal", u0[:0]), run.get("internal_field", labels[:0])
+    if not np.array_equal(kinds, labels[space.dim :]):
         raise InputError(
-            f"run: {path} has internal unknowns of {_fields(found)}, the scene of "
+            f"run: {path} has internal unknowns of {_fields(kinds)}, the scene of "
             f"{_fields(labels[space.dim :])}; take a run of the same effects"
         )
     u0[: space.dim] = space.interpolate(last if space.components == 1 else list(last.T))

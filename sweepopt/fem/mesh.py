@@ -95,11 +95,10 @@ def grid(
         a = number(f"origin[{k}]", a)
         lines.append(np.linspace(a, a + number(f"sizes[{k}]", size, 0.0, strict=True), n + 1))
     mesh = (skfem.MeshLine, skfem.MeshTri, skfem.MeshTet)[len(lines) - 1].init_tensor(*lines)
-    middles, outer = mesh.p[:, mesh.facets].mean(axis=1), mesh.boundary_facets()
     boundaries = {}
     for k, line in enumerate(lines):
         for name, end in zip(SIDES[k], line[[0, -1]], strict=True):
-            boundaries[name] = outer[np.abs(middles[k, outer] - end) < 0.25 * (line[1] - line[0])]
+            boundaries[name] = np.flatnonzero((mesh.p[k, mesh.facets] == end).all(axis=0))
     if points is None:
         return mesh.with_boundaries(boundaries)
     if len(formulas := listed("points", points)) != len(lines):
@@ -246,7 +245,8 @@ def _mesh_of(raw: meshio.Mesh) -> skfem.Mesh:
         raise InputError("is damaged: the edges of its triangles have not one middle node each")
     check_mesh(mesh)
 
-    boundaries = _boundaries(raw, mesh, cells[cell], cells.get(facet), facet)
+    lines = cells.get(facet, np.empty((0, d), int))
+    boundaries = _boundaries(raw, mesh, cells[cell], lines, facet)
     return mesh.with_boundaries(boundaries).with_subdomains(_groups(raw, d, cell))
 
 
@@ -258,29 +258,21 @@ def _boundaries(
     corners = np.unique(cells[:, : d + 1])
     vertex = np.full(len(raw.points), -1)  # in the mesh, of a point of the file
     vertex[corners] = np.arange(corners.size)
-    wanted = _keys(vertex[np.empty((0, d), int) if facets is None else facets[:, :d]], mesh)
-    keys = _keys(mesh.facets.T, mesh)
-    order = np.argsort(keys)
     boundaries = _groups(raw, d - 1, kind)
     for name, members in boundaries.items():
-        at = np.minimum(np.searchsorted(keys, wanted[members], sorter=order), keys.size - 1)
-        if (keys[order[at]] != wanted[members]).any():
+        ends = vertex[facets[members, :d]].T
+        touching = sum(mesh.p2f[:, end] for end in ends)  # of facets and members, common nodes
+        at, member = (touching == d).nonzero()
+        if (ends < 0).any() or (np.bincount(member, minlength=len(members)) != 1).any():
             what = ("point", "curve", "surface")[d - 1]
             raise InputError(f"physical {what} {name!r} has a line that is no edge of a triangle")
-        boundaries[name] = np.unique(order[at])
+        boundaries[name] = np.unique(at)
     for name, members in raw.point_sets.items():
         inside = np.isin(mesh.facets, vertex[np.asarray(members, dtype=int)]).all(axis=0)
         outer = inside & (mesh.f2t[1] < 0)
         if name not in boundaries and outer.any():
             boundaries[name] = np.flatnonzero(outer)
     return boundaries
-
-
-def _keys(corners: Indices, mesh: skfem.Mesh) -> Indices:
-    """One number for the corners of each facet, whatever their order."""
-    ordered = np.sort(corners, axis=1).astype(np.int64)
-    powers = np.int64(mesh.nvertices + 1) ** np.arange(ordered.shape[1], dtype=np.int64)
-    return np.asarray((ordered + 1) @ powers)
 
 
 def _groups(raw: meshio.Mesh, dimension: int, kind: str) -> dict[str, Indices]:

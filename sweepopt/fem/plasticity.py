@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from sweepopt.errors import InputError
 from sweepopt.fem.contact import Rows, Yield
-from sweepopt.fem.effects import Contribution, Effect, Elasticity, Record
+from sweepopt.fem.effects import Contribution, Effect, Elasticity, Record, strains_of
 from sweepopt.fem.fields import Coefficient, Datum
 from sweepopt.fem.spaces import BODY, Discretisation, Place
 
@@ -95,11 +95,12 @@ class Plasticity(Record):
         if not isinstance(exact.basis, skfem.CellBasis):
             raise InputError("on: name subdomains, or 'body', not boundaries")
         sigma_y, Hk, Hi, eta = map(np.ravel, self.values_at(place, *self.data))
-        lam, mu = (x.ravel() for x in _moduli(body, place, self.elasticity))
+        at_points = _moduli(body, place, self.elasticity)
+        lam, mu = map(np.ravel, at_points)
         _check_hardening(Hk, Hi, eta, mu)
-        strains, uu = _strains(body, place, self.elasticity)
-        # the deviators' energy by this quadrature instead of another: B stays semidefinite
-        uu = uu - _strains(body, exact, self.elasticity)[1]
+        strains = _strains(body, place, *at_points)
+        # the energy by this quadrature instead of another: B is a sum of squares
+        uu = self.elasticity.stiffness(body, place) - self.elasticity.stiffness(body, exact)
         w, n = place.basis.dx.ravel(), body.dim
         beside = w.size if body.kind == "plane stress" else 0
         size = strains.shape[0] // w.size
@@ -169,28 +170,21 @@ def _moduli(body: Discretisation, place: Place, elasticity: Elasticity) -> list[
     return [np.broadcast_to(x, place.basis.dx.shape) for x in (lam, mu)]
 
 
-def _strains(
-    body: Discretisation, place: Place, elasticity: Elasticity
-) -> tuple[sp.csr_array, sp.csr_array]:
-    """Rows of the deviators of strains at points, and int 2 G |dev e|^2 on the unknowns.
+def _strains(body: Discretisation, place: Place, lam: Array, mu: Array) -> sp.csr_array:
+    """Rows of the deviators of strains at points.
 
     In an orthonormal basis of the deviators, the components of a point one after the other.
     """
-    basis, d = place.basis, body.mesh.dim()
-    lam, mu = _moduli(body, place, elasticity)
+    basis, d, strains = place.basis, body.mesh.dim(), strains_of(body)
     values = []
     for phi in basis.basis:
-        g = np.asarray(phi[0].grad)
-        if body.components == 1:
-            rows = list(g / np.sqrt(2))
-        else:
-            trace = g[0, 0] + g[1, 1]
-            zz = g[2, 2] if d == 3 else 0.0 * trace
+        rows = strains(phi[0])
+        if body.components > 1:
+            xx, yy, *others = rows
+            zz = others.pop(0) if d == 3 else 0.0
             if body.kind == "plane stress":
-                zz = -lam / (lam + 2 * mu) * trace
-            shear = [(g[i, j] + g[j, i]) / np.sqrt(2) for i in range(d) for j in range(i)]
-            rows = [(g[0, 0] - g[1, 1]) / np.sqrt(2), (trace - 2 * zz) / np.sqrt(6), *shear]
+                zz = -lam / (lam + 2 * mu) * (xx + yy)
+            rows = [xx - yy, (xx + yy - 2 * zz) / np.sqrt(3), *others]
+        rows = [row / np.sqrt(2) for row in rows]
         values.append([np.broadcast_to(row, basis.dx.shape) for row in rows])
-    strains = body.rows(basis, values)
-    weights = np.repeat((2 * mu * basis.dx).ravel(), len(values[0]))
-    return strains, sp.csr_array(strains.T @ sp.diags_array(weights) @ strains)
+    return body.rows(basis, values)

@@ -378,7 +378,7 @@ def build(
             u0 = u0.state(space, fields, size)
     A = sp.csc_array((size, size)) if A is None else A
     problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
-    problem.mesh_digest = space.digest
+    problem.unknowns_digest = space.digest
     terms = {
         "no elasticity: B is not formed": B is not None,
         "no friction: J is not formed": yields,
@@ -446,7 +446,7 @@ def _check_rubs(space: Discretisation, yields: Sequence[Yield], lifts: Sequence[
         harmless = (held == 0) | ((held == 1) & ~frame.normal[node] & (where == "trace"))
         held = np.where(harmless | (space.components == 1), 0, held)
         for _, d in lifts:
-            of_frame = d if frame.T is None else frame.T.T @ d
+            of_frame = frame.T.T @ d
             slot = np.arange(space.components)[:, None]
             if of_frame[space.nodes[:, node]][slot < held].any():
                 raise InputError(

@@ -22,7 +22,6 @@ import numpy as np
 import scipy.sparse as sp
 import skfem
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import newton_cotes
 
 from sweepopt.checks import choice, count, floats, listed
 from sweepopt.display import Brief
@@ -30,7 +29,7 @@ from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import Coefficient, Datum, Indices
 from sweepopt.fem.frames import Frame, frame_of
 from sweepopt.fem.mesh import check_mesh, read_mesh
-from sweepopt.fem.refined import nested, refined
+from sweepopt.fem.refined import CELLS, nested, refined
 from sweepopt.io import as_path
 
 Array = NDArray[np.float64]
@@ -128,7 +127,7 @@ class Discretisation(Brief):
             object.__setattr__(self, "mesh", read_mesh(path))
         check_mesh(self.mesh)
         if self.mesh.dim() not in dimensions:
-            needs = " or ".join(("intervals", "triangles", "tetrahedra")[k - 1] for k in dimensions)
+            needs = " or ".join(CELLS[k] for k in dimensions)
             raise InputError(f"kind: {self.kind!r} needs a mesh of {needs}; change one of the two")
         object.__setattr__(self, "mesh", refined(self.mesh, self.refinements))
         if self.lumped and (
@@ -139,7 +138,7 @@ class Discretisation(Brief):
                 "or take 'antiplane' for a bar"
             )
         given = ("clamped" if not self.held else ()) if self.clamped is None else self.clamped
-        empty = not isinstance(given, str) and isinstance(given, Sequence) and not given
+        empty = isinstance(given, (list, tuple)) and not given
         names = () if empty else boundary_names("clamped", given)
         object.__setattr__(self, "clamped", names)
         self.facets("clamped", names)
@@ -188,8 +187,7 @@ class Discretisation(Brief):
         """The scikit-fem basis of all components."""
         if self.components == 1:
             return self.scalar
-        vector, order = skfem.ElementVector(self.scalar.elem), 2 * self.scalar.elem.maxdeg + 2
-        return skfem.CellBasis(self.mesh, vector, intorder=order)
+        return self.scalar.with_element(skfem.ElementVector(self.scalar.elem))
 
     @cached_property
     def nodes(self) -> Indices:
@@ -216,7 +214,7 @@ class Discretisation(Brief):
     def _with(self, **fields: Any) -> Discretisation:
         """The same with other unknowns."""
         other = copy.copy(self)
-        for name in ("frame", "free"):
+        for name in ("frame", "free", "extension"):
             other.__dict__.pop(name, None)
         other.__dict__.update(fields)
         return other
@@ -225,9 +223,8 @@ class Discretisation(Brief):
     def digest(self) -> str:
         """A checksum of the kind, the unknowns, and the nodes to 1e-9 of the body's size."""
         places = np.round(self.points / np.ptp(self.points), 9) + 0.0  # one zero
-        T = self.frame.T
-        turned = b"" if T is None else np.round(T.data, 9).tobytes()
-        parts = self.kind.encode(), places.tobytes(), self.free.tobytes(), turned
+        turned = np.round(self.frame.T.data, 9)
+        parts = self.kind.encode(), places.tobytes(), self.free.tobytes(), turned.tobytes()
         return hashlib.sha256(b" ".join(parts)).hexdigest()
 
     def loose_point(self, M: Any) -> str | None:
@@ -241,7 +238,7 @@ class Discretisation(Brief):
         str or None
             Such as "(0, 1)"; None where every piece is held.
         """
-        cells, size, T = self.scalar.element_dofs, self.scalar.N, self.frame.T
+        cells, size = self.scalar.element_dofs, self.scalar.N
         rows = np.repeat(cells[:1], len(cells), axis=0).ravel()
         graph = sp.coo_array((np.ones(rows.size), (rows, cells.ravel())), shape=(size, size))
         count, piece = sp.csgraph.connected_components(graph, directed=False)
@@ -255,9 +252,8 @@ class Discretisation(Brief):
                 modes.append(np.outer(axes[i], x[:, j]) - np.outer(axes[j], x[:, i]))
             full = np.zeros((self.basis.N, len(modes)))
             full[self.nodes[:, nodes]] = np.moveaxis(np.array(modes), 0, -1)
-            full = full if T is None else T.T @ full
-            free, held = full[self.free], np.delete(full, self.free, axis=0)
-            gram = held.T @ held + free.T @ (M @ free) / scale
+            free = self.extension.T @ full
+            gram = full.T @ full - free.T @ free + free.T @ (M @ free) / scale
             if np.linalg.eigvalsh(gram)[0] <= 1e-12 * len(x):
                 return f"({', '.join(f'{value:g}' for value in self.points[nodes[0]])})"
         return None
@@ -276,6 +272,11 @@ class Discretisation(Brief):
         """Degrees of freedom, in the frames of the nodes, that are not held."""
         slot = np.arange(self.components)[:, None]
         return np.sort(self.nodes[slot >= self.frame.held])
+
+    @cached_property
+    def extension(self) -> sp.csr_array:
+        """All degrees of freedom of `basis`, 0 where they are held, from the unknowns."""
+        return sp.csr_array(self.frame.T[:, self.free])
 
     @property
     def dim(self) -> int:
@@ -343,19 +344,17 @@ class Discretisation(Brief):
         values = floats("u", u, "numbers")
         if values.shape[-1:] != (self.dim,):
             raise InputError(f"u must have {self.dim} entries in its last axis, got {values.shape}")
-        full = np.zeros((*values.shape[:-1], self.basis.N))
-        full[..., self.free] = values
-        if self.frame.T is not None:
-            full = (self.frame.T @ full.reshape(-1, self.basis.N).T).T.reshape(full.shape)
+        full = (self.extension @ values.reshape(-1, self.dim).T).T
+        full = full.reshape(*values.shape[:-1], self.basis.N)
         return full[..., self.nodes[0] if self.components == 1 else self.nodes.T]
 
     def restrict(self, x: Any) -> Any:
         """A matrix or a vector of all degrees of freedom of `basis`, on the unknowns."""
-        T = self.frame.T
         if not sp.issparse(x):
-            return np.asarray(x if T is None else T.T @ x)[self.free]
-        x = sp.csr_array(x) if T is None else sp.csr_array(T.T @ x @ T)
-        return sp.csc_array(x[self.free][:, self.free])
+            return np.asarray(self.extension.T @ x)
+        restricted = sp.csc_array(self.extension.T @ x @ self.extension)
+        restricted.sort_indices()
+        return restricted
 
     def from_coarser(self, coarse: Discretisation) -> sp.csr_array:
         """The matrix that turns values of the unknowns on a coarser mesh into values on this one.
@@ -380,10 +379,7 @@ class Discretisation(Brief):
                 sp.eye_array(one.basis.N, format="csr")[one.nodes.ravel()] for one in (self, coarse)
             )
             values = fine.T @ sp.block_diag([values] * self.components) @ old
-            for T, side in ((self.frame.T, 0), (coarse.frame.T, 1)):
-                if T is not None:
-                    values = values @ T if side else T.T @ values
-        return sp.csr_array(values)[self.free][:, coarse.free]
+        return sp.csr_array(self.extension.T @ values @ coarse.extension)
 
     def interpolate(self, function: Any, name: str = "function") -> Array:
         """Nodal values of a function of x (shape (d, N)) at the unknowns, shape (dim,).
@@ -415,8 +411,7 @@ class Discretisation(Brief):
         column = np.broadcast_to(basis.element_dofs[:, None, :, None], values.shape)
         entries = values.ravel(), (row.ravel(), column.ravel())
         full = sp.csr_array(entries, shape=(at.size, basis.N))
-        full = full if self.frame.T is None else full @ self.frame.T
-        return sp.csr_array(full[:, self.free])
+        return sp.csr_array(full @ self.extension)
 
     def place(
         self, what: str, on: Sequence[str], *, nodal: bool = False, strains: bool = False
@@ -468,19 +463,18 @@ class Discretisation(Brief):
         Trapezoid and its like for P1, exact on linear functions; for P2 Simpson's on edges and the
         middles of edges on triangles, exact on quadratic functions.
         """
-        degree = self.scalar.elem.maxdeg
-        if dimension == 1:
-            points = np.linspace([0.0], [1.0], degree + 1, axis=1)
-            # on an edge start, middle, end; the cell of a mesh of intervals has its middle last
-            order = [0, degree, 1][: degree + 1] if self.mesh.dim() == 1 else slice(None)
-            return points[:, order], newton_cotes(degree)[0][order] / degree
-        corners = np.eye(dimension, dimension + 1, 1)
-        if degree == 1 or not dimension:
-            return corners, np.full(dimension + 1, 1 / factorial(dimension + 1))
-        if dimension == 3:
-            raise InputError("on: a volume of P2 elements has no nodal quadrature; use P1")
-        middles = (corners + np.roll(corners, -1, axis=1)) / 2
-        return np.hstack([corners, middles]), np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0]) / 6
+        if not dimension:
+            return np.empty((0, 1)), np.ones(1)
+        points = ELEMENTS[self.element][dimension - 1].doflocs.T
+        weights = np.full(dimension + 1, 1 / factorial(dimension + 1))
+        if self.element == "P2":
+            if dimension == 3:
+                raise InputError("on: a volume of P2 elements has no nodal quadrature; use P1")
+            weights = np.array([1, 1, 4] if dimension == 1 else [0, 0, 0, 1, 1, 1]) / 6
+        if dimension < self.mesh.dim() == 2:  # an edge has its middle between its ends
+            order = np.argsort(points[0])
+            points, weights = points[:, order], weights[order]
+        return points, weights
 
 
 class Place(NamedTuple):

@@ -108,7 +108,7 @@ class SweepingProcess(Displayed):
     0.5
     """
 
-    mesh_digest = ""  # what the unknowns of a scene belong to, which files of its runs name
+    unknowns_digest = ""  # a checksum of what they are, where it is known; files of runs hold it
 
     @arguments(
         load="; C(t) = f(t) - D: give C, or take EvolutionVI, which has load and dissipation",

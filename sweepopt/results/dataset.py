@@ -78,13 +78,13 @@ class NetCDFSink:
         If h5netcdf or h5py is not installed.
     """
 
-    def __init__(self, path: Path, t: float, u0: np.ndarray, mesh_digest: str = "") -> None:
+    def __init__(self, path: Path, t: float, u0: np.ndarray, unknowns_digest: str = "") -> None:
         self._path, self._part = path, part_of(path)
         package = netcdf_package()
         self.storage = _Storage(self._part, "w+")
         self._file = package.File(self.storage, "w", **CHECKED)
         self._run = self._file.attrs["run"] = uuid.uuid4().hex  # another run has another one
-        self._file.attrs["mesh_digest"] = mesh_digest
+        self._file.attrs["unknowns_digest"] = unknowns_digest
         self._file.dimensions = {"time": None, "step": None, "unknown": u0.size}
         self._most = max(int(BLOCK // (16 * u0.size)), 1)
         rows = min(self._most, 64), u0.size
@@ -307,7 +307,7 @@ def to_xarray(solution: Solution, states: bool = True) -> xr.Dataset:
             "scheme": plan.scheme.name,
             "solver": solver_name(solution),
             "tol": plan.tol,
-            "mesh_digest": solution.process.mesh_digest,
+            "unknowns_digest": solution.process.unknowns_digest,
         },
     )
     run = run.assign(solver=run.solver.astype(object)).set_coords("step_end")

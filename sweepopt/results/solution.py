@@ -477,7 +477,7 @@ class Solution(Displayed):
         Raises
         ------
         InputError
-            If it is no such file, or that of another number of unknowns, mesh or u0.
+            If it is no such file, or that of another number of unknowns, other unknowns or u0.
         CheckpointError
             If it is not as it was written.
 
@@ -508,9 +508,9 @@ class Solution(Displayed):
             given = process = sweeping(process)
             if given.dim != u.shape[1]:
                 raise InputError(f"process has dim {given.dim}, but {path} has dim {u.shape[1]}")
-            digest = run.attrs.get("mesh_digest", "")
-            if digest != given.mesh_digest or not np.array_equal(given.u0, u[0]):
-                raise InputError(f"process is not that of {path}: its mesh or u0 is another")
+            digest = run.attrs.get("unknowns_digest", "")
+            if digest != given.unknowns_digest or not np.array_equal(given.u0, u[0]):
+                raise InputError(f"process is not that of {path}: its unknowns or u0 are others")
             plan = make_plan(process, process.check(run.time.values), scheme, "auto", run.tol)
         return cls(
             process=given,
