@@ -68,9 +68,10 @@ def test_an_ingredient_that_there_is_not_is_refused_by_name(tmp_path: Path) -> N
         read_families(path)
 
 
-@pytest.mark.parametrize("family", FAMILIES)
-def test_hard_families_are_met_within_their_certificates(family: str) -> None:
-    found = judged(family, solvers=["auto", "osqp", "clarabel"], tol=1e-9)
+@pytest.mark.parametrize(("turn", "family"), [*enumerate(FAMILIES)])
+def test_hard_families_are_met_within_their_certificates(turn: int, family: str) -> None:
+    # "auto" and one of the others in turn here, all of them with -m slow
+    found = judged(family, solvers=["auto", ("osqp", "clarabel")[turn % 2]], tol=1e-9)
     assert found
     assert wrong(found) == []
 
@@ -82,7 +83,7 @@ def test_hard_families_are_met_for_every_seed_and_solver(family: str, seed: int)
     assert wrong(judged(family, seeds=[seed])) == []
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_combinations_drawn_by_chance_are_met(seed: int) -> None:
     found = judged("unbounded", seeds=[seed], solvers=["auto", "osqp", "clarabel"], combinations=4)
     assert len({row.drawn for row in found}) == 5

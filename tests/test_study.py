@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import signal
@@ -291,28 +290,6 @@ def on_dask(workers: int) -> Iterator[Executor]:
         yield executor
 
 
-both_executors = pytest.mark.parametrize("executors", [processes, on_dask])
-
-
-@both_executors
-@pytest.mark.filterwarnings("ignore::ResourceWarning")  # sockets of dask's worker that is killed
-def test_workers_give_the_same_rows_though_one_is_killed(
-    executors: Any, small: Path, tmp_path: Path
-) -> None:
-    killed: list[int] = []
-
-    def kill_one(words: str) -> None:
-        if words.startswith("4 of 8"):
-            children = psutil.Process().children()
-            killed.extend(each.pid for each in children if "spawn_main" in str(each.cmdline()))
-            os.kill(killed[0], signal.SIGKILL)
-
-    with executors(2) as executor:
-        table = run(SMALL, tmp_path, executor=executor, progress=kill_one)
-    assert len(killed) == 2
-    same(table, read_table(SMALL, small))
-
-
 def test_the_command_computes_the_same_rows_on_a_scheduler(
     small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -338,9 +315,9 @@ def test_a_cluster_that_is_not_there_or_shares_time_is_refused() -> None:
                 pass
 
 
-@both_executors
-@pytest.mark.filterwarnings("ignore::ResourceWarning")
-def test_a_cell_that_its_processes_die_of_is_a_row_and_other_breakdowns_end_the_study(
+@pytest.mark.parametrize("executors", [processes, on_dask])
+@pytest.mark.filterwarnings("ignore::ResourceWarning")  # sockets of dask's workers that are killed
+def test_workers_give_the_same_rows_though_a_cell_kills_them_and_other_breakdowns_end_the_study(
     executors: Any, small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     gone: Future[Any] = Future()
