@@ -70,8 +70,10 @@ def test_an_ingredient_that_there_is_not_is_refused_by_name(tmp_path: Path) -> N
 
 @pytest.mark.parametrize(("turn", "family"), [*enumerate(FAMILIES)])
 def test_hard_families_are_met_within_their_certificates(turn: int, family: str) -> None:
-    # "auto" and one of the others in turn here, all of them with -m slow
-    found = judged(family, solvers=["auto", ("osqp", "clarabel")[turn % 2]], tol=1e-9)
+    # some solvers and paths in turn here, all of them with -m slow
+    solvers = ["auto", ("osqp", "clarabel")[turn % 2]]
+    paths = ["full", ("eliminated", "proportional")[turn // 2 % 2]]
+    found = judged(family, solvers=solvers, paths=paths, tol=1e-9)
     assert found
     assert wrong(found) == []
 
