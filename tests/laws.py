@@ -625,7 +625,8 @@ def features_are_linear_in_the_offsets(entry: Entry, s: Sample, rng: Rng) -> Non
         problem = cp.Problem(cp.Minimize(offsets @ cp.hstack(y)), constraints)
         assert problem.is_dcp(dpp=True)
         offsets.value = D.offsets
-        problem.solve(solver=cp.CLARABEL)
+        with np.errstate(divide="ignore", invalid="ignore"):  # as in the epigraph
+            problem.solve(solver=cp.CLARABEL)
         close(problem.value, D.support(z), PROGRAM, size(D.offsets))
 
 
@@ -696,8 +697,10 @@ def translation_adds_to_support_and_projection(entry: Entry, s: Sample, rng: Rng
 def scaling_scales(entry: Entry, s: Sample, rng: Rng) -> None:
     w, z = far_and_near(rng, s.C.dim), normals(s, rng)
     unit = size(w, z, s.C.offsets) ** 2
-    for r in (1e-9, 0.5, 3.0, 1e9, -1.0, -2.0):
-        same = [r * s.C, s.C * r, np.float64(r) * s.C]
+    for r in (1e-9, 3.0, 1e9, -1.0, -2.0):
+        same = [r * s.C]
+        if r == 3:
+            same += [s.C * r, np.float64(r) * s.C]
         if r == -1:
             same += [-s.C, 0.0 - s.C if s.C.dim == 1 else -s.C]
         for C in same:
@@ -917,27 +920,27 @@ def a_step_is_the_program_that_a_user_of_cvxpy_sees(entry: Entry, s: Sample, rng
 
 LAWS: dict[Callable[[Entry, Sample, Rng], None], int] = {
     # each with the number of random examples per entry
-    support_is_sublinear: 3,
-    support_is_the_supremum: 2,
-    epigraph_is_the_support: 2,
+    support_is_sublinear: 1,
+    support_is_the_supremum: 1,
+    epigraph_is_the_support: 1,
     features_are_linear_in_the_offsets: 1,
-    projection_is_the_nearest_point: 2,
-    normal_and_projection_make_a_pair: 4,
-    a_point_of_the_set_stays_where_it_is: 4,
-    cone_and_polar_split_every_vector: 4,
-    translation_adds_to_support_and_projection: 2,
-    scaling_scales: 2,
-    supports_add_in_sums_and_products: 2,
-    intersection_with_a_large_ball_changes_nothing: 2,
-    support_is_lipschitz_in_hausdorff_distance: 2,
-    distance_bound_bounds_the_hausdorff_distance: 3,
-    derivative_is_the_slope_of_the_projection: 4,
+    projection_is_the_nearest_point: 1,
+    normal_and_projection_make_a_pair: 2,
+    a_point_of_the_set_stays_where_it_is: 1,
+    cone_and_polar_split_every_vector: 2,
+    translation_adds_to_support_and_projection: 1,
+    scaling_scales: 1,
+    supports_add_in_sums_and_products: 1,
+    intersection_with_a_large_ball_changes_nothing: 1,
+    support_is_lipschitz_in_hausdorff_distance: 1,
+    distance_bound_bounds_the_hausdorff_distance: 1,
+    derivative_is_the_slope_of_the_projection: 3,
     rows_are_the_set: 2,
     magnitude_bounds_the_set: 2,
     descriptions_are_consistent: 2,
-    normal_pair_is_proven_near_any_guess: 4,
-    normal_pair_error_is_as_small_as_the_perturbation: 3,
-    gap_is_what_a_pair_misses: 4,
-    gap_along_a_curve_bounds_the_gap_between_samples_too: 3,
-    a_step_is_the_program_that_a_user_of_cvxpy_sees: 2,
+    normal_pair_is_proven_near_any_guess: 2,
+    normal_pair_error_is_as_small_as_the_perturbation: 2,
+    gap_is_what_a_pair_misses: 2,
+    gap_along_a_curve_bounds_the_gap_between_samples_too: 1,
+    a_step_is_the_program_that_a_user_of_cvxpy_sees: 1,
 }

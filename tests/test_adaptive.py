@@ -124,8 +124,8 @@ SLOW = [
 @pytest.mark.parametrize(
     ("A", "scheme", "seeds"),
     [
-        (1.0, "midpoint", 8),
-        (0.0, "sdirk2", 8),
+        (1.0, "midpoint", 5),
+        (0.0, "sdirk2", 5),
         *(pytest.param(*each, 32, marks=pytest.mark.slow) for each in SLOW),
     ],
 )

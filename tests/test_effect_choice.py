@@ -324,10 +324,10 @@ def test_a_law_of_the_slip_goes_with_a_finite_bound_that_stands_still() -> None:
 def test_a_scene_starts_where_a_run_of_it_has_ended(tmp_path: Path) -> None:
     """From files with all unknowns, and from what the command writes; bit for bit."""
     scene = read_scene("square")
-    half = scene.solve(t_end=2.0, steps=100, save=tmp_path / "run.nc")
+    half = scene.solve(t_end=2.0, steps=30, save=tmp_path / "run.nc")
     half.to_xarray().to_netcdf(tmp_path / "kept.nc", engine="h5netcdf")
     options = ["--no-progress", "--out", str(tmp_path / "out"), "--set", "time.end=2.0"]
-    assert cli.main(["run", "square", *options, "--steps", "100"]) == 0
+    assert cli.main(["run", "square", *options, "--steps", "30"]) == 0
     for name in ("run.nc", "kept.nc", "out", "out/solution.nc"):
         start = {"initial": {"run": str(tmp_path / name)}}
         assert np.array_equal(read_scene("square", changes=start).problem.u0, half.u[-1]), name

@@ -63,14 +63,17 @@ def test_families_are_made_of_ingredients_that_there_are() -> None:
 def test_an_ingredient_that_there_is_not_is_refused_by_name(tmp_path: Path) -> None:
     path = tmp_path / "families.toml"
     path.write_text('soft = ["cond 1e7"]\nhard = ["cond 1e12", "a bux"]\n')
-    words = r"families.toml: hard\[1\]: 'a bux' is not known; there are: a chain, cond 1e12"
+    words = r"families.toml: hard\[1\] must be one of a chain, cond 1e12, .*; got 'a bux'"
     with pytest.raises(so.InputError, match=words):
         read_families(path)
 
 
-@pytest.mark.parametrize("family", FAMILIES)
-def test_hard_families_are_met_within_their_certificates(family: str) -> None:
-    found = judged(family, solvers=["auto", "osqp", "clarabel"], tol=1e-9)
+@pytest.mark.parametrize(("turn", "family"), [*enumerate(FAMILIES)])
+def test_hard_families_are_met_within_their_certificates(turn: int, family: str) -> None:
+    # some solvers and paths in turn here, all of them with -m slow
+    solvers = ["auto", ("osqp", "clarabel")[turn % 2]]
+    paths = ["full", ("eliminated", "proportional")[turn // 2 % 2]]
+    found = judged(family, solvers=solvers, paths=paths, tol=1e-9)
     assert found
     assert wrong(found) == []
 
@@ -82,7 +85,7 @@ def test_hard_families_are_met_for_every_seed_and_solver(family: str, seed: int)
     assert wrong(judged(family, seeds=[seed])) == []
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_combinations_drawn_by_chance_are_met(seed: int) -> None:
     found = judged("unbounded", seeds=[seed], solvers=["auto", "osqp", "clarabel"], combinations=4)
     assert len({row.drawn for row in found}) == 5

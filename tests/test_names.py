@@ -21,9 +21,12 @@ def fresh(code: str) -> str:
 def test_importing_the_library_takes_no_time() -> None:
     """A fraction of what scipy.sparse takes, which every use of it needs."""
     code = "import time; t = time.process_time(); import {}; print(time.process_time() - t)"
-    assert float(fresh(code.format("sweepopt"))) < min(
-        0.3, float(fresh(code.format("scipy.sparse")))
+    # the least of three: other processes slow one of them
+    ours, theirs = (
+        min(float(fresh(code.format(name))) for _ in range(3))
+        for name in ("sweepopt", "scipy.sparse")
     )
+    assert ours < min(0.3, theirs)
 
 
 def test_dir_has_the_public_names_and_each_of_them_is_there() -> None:

@@ -47,7 +47,8 @@ def test_a_scheme_is_a_triangular_tableau_that_does_not_amplify_stiff_errors(
 def test_errors_and_order_are_those_of_the_theory(name: str, scheme: str) -> None:
     this = case(name)
     errors = []
-    for steps in GRIDS if name in REFINED else GRIDS[:1]:
+    grids = GRIDS[:4] if name in REFINED else GRIDS[:1]  # the fifth takes as long as these
+    for steps in grids:
         sol = run(this, steps, scheme)
         assert sol.success
         assert sol.stats["relative"].max() <= 1e-6
@@ -57,7 +58,7 @@ def test_errors_and_order_are_those_of_the_theory(name: str, scheme: str) -> Non
             assert errors[-1] == pytest.approx(expected, rel=margin)
     if name not in REFINED:
         return
-    order = -np.polyfit(np.log(GRIDS), np.log(errors), 1)[0]
+    order = -np.polyfit(np.log(grids), np.log(errors), 1)[0]
     if this.process.rate_independent:
         assert scheme != "implicit-euler" or order >= 0.95
     elif scheme in SECOND_ORDER:

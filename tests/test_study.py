@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import signal
@@ -291,28 +290,6 @@ def on_dask(workers: int) -> Iterator[Executor]:
         yield executor
 
 
-both_executors = pytest.mark.parametrize("executors", [processes, on_dask])
-
-
-@both_executors
-@pytest.mark.filterwarnings("ignore::ResourceWarning")  # sockets of dask's worker that is killed
-def test_workers_give_the_same_rows_though_one_is_killed(
-    executors: Any, small: Path, tmp_path: Path
-) -> None:
-    killed: list[int] = []
-
-    def kill_one(words: str) -> None:
-        if words.startswith("4 of 8"):
-            children = psutil.Process().children()
-            killed.extend(each.pid for each in children if "spawn_main" in str(each.cmdline()))
-            os.kill(killed[0], signal.SIGKILL)
-
-    with executors(2) as executor:
-        table = run(SMALL, tmp_path, executor=executor, progress=kill_one)
-    assert len(killed) == 2
-    same(table, read_table(SMALL, small))
-
-
 def test_the_command_computes_the_same_rows_on_a_scheduler(
     small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -338,9 +315,9 @@ def test_a_cluster_that_is_not_there_or_shares_time_is_refused() -> None:
                 pass
 
 
-@both_executors
-@pytest.mark.filterwarnings("ignore::ResourceWarning")
-def test_a_cell_that_its_processes_die_of_is_a_row_and_other_breakdowns_end_the_study(
+@pytest.mark.parametrize("executors", [processes, on_dask])
+@pytest.mark.filterwarnings("ignore::ResourceWarning")  # sockets of dask's workers that are killed
+def test_workers_give_the_same_rows_though_a_cell_kills_them_and_other_breakdowns_end_the_study(
     executors: Any, small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     gone: Future[Any] = Future()
@@ -391,13 +368,13 @@ def test_workers_end_with_a_study_that_is_killed(file: Path, killed: Path, tmp_p
         ('"S03", "V05"', '"S03", "S03"', "problems[1]: 'S03' is there twice"),
         ('"S03", "V05"', '"S03", 5', "problems[1] must be text, got 5"),
         ('"S03", "V05"', '"none.toml"', "none.toml: cannot be read"),
-        ('"sdirk2"', '"leapfrog"', "schemes[3]: 'leapfrog' is not known; use auto, catching-up"),
-        ('"daqp"', '"magic"', "solvers[1]: 'magic' is not known; use auto, clarabel"),
+        ('"sdirk2"', '"leapfrog"', "schemes[3] must be one of auto, catching-up"),
+        ('"daqp"', '"magic"', "solvers[1] must be one of auto, clarabel"),
         ("14, 20", "14, 20.5", "steps[1] must be a positive whole number, got 20.5"),
         ("[14, 20]", "14", "steps must be a list with one entry or more, got 14"),
         ("[1e-6", "[-1e-6", "tols[0] must be > 0, got -1e-06"),
         ("repeats = 1", "refinements = [-1]", "refinements[0] must be a whole number >= 0, got -1"),
-        ("repeats = 1", 'elements = ["P3"]', "elements[0]: 'P3' is not known; use , P1, P2"),
+        ("repeats = 1", 'elements = ["P3"]', "elements[0] must be one of , P1, P2; got 'P3'"),
         ("repeats = 1", "refinements = [1]", "problems[0]: S03 has no mesh; leave it out, or"),
     ],
 )
@@ -419,12 +396,12 @@ def test_a_bad_study_is_refused_by_file_and_key(
         ("hard = 3", "hard must be a table"),
         ("[hard]\nseed = [1]", "hard.seed: unknown key; there are: seeds"),
         ("[hard]\nseeds = [-1]", "hard.seeds[0] must be a whole number >= 0, got -1"),
-        ('[hard]\nfamilies = ["soft"]', "hard.families[0]: 'soft' is not known; there are: thr"),
+        ('[hard]\nfamilies = ["soft"]', "hard.families[0] must be one of thr"),
         (
             '[trajectories]\ntrajectories = ["x"]',
-            "trajectories.trajectories[0]: 'x' is not known; ",
+            "trajectories.trajectories[0] must be one of ordinary",
         ),
-        ('[stiff]\nbodies = ["x"]', "stiff.bodies[0]: 'x' is not known; there are: one mass"),
+        ('[stiff]\nbodies = ["x"]', "stiff.bodies[0] must be one of one mass"),
         ("[stiff]\nstiffness = [0.0]", "stiff.stiffness[0] must be > 0"),
         ("[stiff]\nseeds = [-1]", "stiff.seeds[0] must be"),
         ("[stiff]\nsteps = [0]", "stiff.steps[0] must be a positive whole number, got 0"),
@@ -477,9 +454,12 @@ def test_the_next_halving_is_cheapest_along_the_axis_of_the_least_cost() -> None
     assert np.isnan(last[["more steps", "a finer mesh"]].astype(float)).all()
     # the words of the summary name the run and the way
     table = pd.DataFrame([row(0, n, 1e-6, e) for n in (10, 80) for e in ("P1", "P2")])
-    shown = summary(table)
-    assert "P P1 midpoint 10 auto tol 1e-06, 10 ms" in shown
-    assert "a higher degree" in shown
+    shown = [line.split() for line in summary(table).splitlines()]
+    assert ["P", "midpoint", "auto", "10", "1e-06", "0", "P1", "0.26", "10", "more"] in [
+        line[:10] for line in shown
+    ]
+    assert ["no", "run", "meets", "0.01"] in shown
+    assert any(line[9:12] == ["a", "higher", "degree"] for line in shown)
 
 
 def test_the_advice_is_the_fastest_cell_that_is_accurate_enough() -> None:
@@ -494,6 +474,8 @@ def test_the_advice_is_the_fastest_cell_that_is_accurate_enough() -> None:
     assert list(chosen.target) == [1e-2, 1e-3]
     assert list(chosen.wall) == [2.0, 5.0]
     shown = summary(table)
-    assert "best 10 auto tol 1e-06, 2e+03 ms" in shown
+    assert ["P", "best", "auto", "10", "1e-06", "0", "0.005", "2e+03", "0.01"] in [
+        line.split() for line in shown.splitlines()
+    ]
     assert "5 cells, 1 failed" in shown
     assert "1  succeeded, but no reference is good enough for an error" in shown

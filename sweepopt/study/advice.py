@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweepopt.study.sources import body_name
-
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+FORMAT: dict[str, Any] = {"index": False, "na_rep": "-", "float_format": "{:.3g}".format}
+"""Of tables that are printed, by pandas."""
 TARGETS = (1e-2, 1e-4, 1e-6)
 AXES = {
     "more steps": ("steps", False),
@@ -55,17 +55,8 @@ def advice(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
 
 
 def advice_table(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
-    """The advice in words: a row a problem, a column a target, "-" where no cell meets it."""
-    import pandas as pd
-
-    chosen = advice(table, targets)
-    runs = {(row.problem, row.target): _run(row) for row in chosen.itertuples()}
-    problems = table.problem.unique()
-    words = [
-        [runs.get((name, target), "-").removeprefix(f"{name} ") for target in targets]
-        for name in problems
-    ]
-    return pd.DataFrame(words, problems, [f"{target:g}" for target in targets])
+    """The advice to be read: settings, relative error and time of the fastest cells."""
+    return _shown(advice(table, targets), "target")
 
 
 def halving(table: DataFrame) -> DataFrame:
@@ -108,33 +99,24 @@ def halving(table: DataFrame) -> DataFrame:
 
 
 def halving_table(table: DataFrame) -> DataFrame:
-    """The same in words: a row a run, a column an axis."""
-    costs = halving(table)
-    words = costs[list(AXES)].map(_words)
-    words.insert(0, "error", [f"{row.error / row.size:.2g}" for row in costs.itertuples()])
-    words.insert(0, "cheapest", costs.cheapest.replace("", "-"))
-    return words.set_index([[_run(row) for row in costs.itertuples()]])
+    """The same to be read: inf where the error does not fall, "-" where nothing was measured."""
+    return _shown(halving(table), "cheapest", *AXES)
 
 
-def _words(factor: float) -> str:
-    if factor > MUCH:
-        return "no help" if factor == np.inf else f"> {MUCH:g} x"
-    return "-" if np.isnan(factor) else f"{factor:.2g} x"
-
-
-def _run(row: Any) -> str:
-    """A cell in words."""
-    body = body_name(row.problem, row.refinements, row.element)
-    return f"{body} {row.scheme} {row.steps} {row.solver} tol {row.tol:g}, {1e3 * row.wall:.3g} ms"
+def _shown(cells: DataFrame, *columns: str) -> DataFrame:
+    shown = cells.assign(**{"relative error": cells.error / cells["size"], "ms": 1e3 * cells.wall})
+    return shown[[*SETTINGS, "relative error", "ms", *columns]]
 
 
 def summary(table: DataFrame, targets: Sequence[float] = TARGETS) -> str:
     """The advice as text, and the failures below."""
     failures = table[~table.success].status.value_counts()
     unknown = int((table.success & table.error.isna()).sum())
-    lines = ["the fastest way to each relative error", advice_table(table, targets).to_string(), ""]
+    chosen = advice_table(table, targets)
+    words = chosen.to_string(**FORMAT) if len(chosen) else f"no run meets {max(targets):g}"
+    lines = ["the fastest way to each relative error", words, ""]
     lines += ["factor of the time for half the error, from the best runs on"]
-    lines += [halving_table(table).to_string()]
+    lines += [halving_table(table).to_string(**FORMAT)]
     lines += ["", f"{len(table)} cells, {failures.sum()} failed"]
     lines += [f"  {count:4}  {status}" for status, count in failures.items()]
     if unknown:

@@ -17,7 +17,6 @@ from sweepopt.study.cell import solution_of
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
 from sweepopt.study.hard import suite_summary
-from sweepopt.study.records import append_row
 from sweepopt.study.report import write_report
 from sweepopt.study.sources import find_source
 from sweepopt.study.study import Study, read_parts, read_study, run
@@ -55,16 +54,16 @@ def study_command(options: argparse.Namespace) -> None:
         files += [TABLE, DIAGRAM]
     for name, suite in parts.items():
         # in this process, from the start: hard cases take some minutes a seed
-        (lines := folder / f"{name}.jsonl").unlink(missing_ok=True)
+        (lines := folder / f"{name}.csv").unlink(missing_ok=True)
         rows = suites[name] = []
         for row in suite.rows():
-            append_row(lines, row)
+            # as they come: an interrupt leaves those that are there
+            pd.DataFrame([row]).to_csv(lines, mode="a", header=not rows, index=False)
             rows.append(row)
             _say(f"{name}: {row[:4]}")
         if rows:
-            pd.DataFrame(rows).to_csv(folder / f"{name}.csv", index=False)
             print(suite_summary(rows, suite.by))
-            files.append(f"{name}.csv")
+            files.append(lines.name)
     title = str(data.get("title", path.stem))
     write_report(table, folder / REPORT, solutions=solutions, title=title, **suites)
     print(f"written: {folder}: {', '.join([*files, REPORT])}")

@@ -24,6 +24,7 @@ from sweepopt.driver import solve
 from sweepopt.errors import InputError
 from sweepopt.io import read_toml
 from sweepopt.sets import ConvexSet
+from sweepopt.study.advice import FORMAT
 from sweepopt.study.sources import Source, open_source
 from sweepopt.study.workers import one_thread
 from sweepopt.velocity import (
@@ -195,4 +196,4 @@ def comparison_text(table: DataFrame) -> str:
     names = {"time": "ms", "ratio": "x best", "certificate": "median", "message": ""}
     shown = table.assign(time=1e3 * table.time, message=table.message.str[:60])
     shown = shown.drop(columns="programs").rename(columns=names)
-    return f"{shown.to_string(index=False, float_format='{:.3g}'.format)}\n{LEGEND}"
+    return f"{shown.to_string(**FORMAT)}\n{LEGEND}"

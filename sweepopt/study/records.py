@@ -6,7 +6,7 @@ import contextlib
 import json
 import os
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any, TypeVar
@@ -45,13 +45,6 @@ def each(name: str, values: Any, check: Callable[..., Any], *limits: Any) -> tup
             raise InputError(f"{name}[{k}]: {shown(value)} is there twice")
         entries[str(entry)] = entry
     return tuple(entries.values())
-
-
-def one_of(name: str, value: Any, names: Iterable[str], advice: str = "use") -> Any:
-    """One of some names, which a refusal lists after the advice."""
-    if value not in tuple(names):
-        raise InputError(f"{name}: {shown(value)} is not known; {advice} {', '.join(names)}")
-    return value
 
 
 def append_row(path: Path, row: Any) -> None:

@@ -14,13 +14,13 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sweepopt.checks import count, number
+from sweepopt.checks import choice, count, number
 from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, read_toml
 from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, run_cell
 from sweepopt.study.hard import SUITES
-from sweepopt.study.records import append_row, each, one_of, read_record, read_rows
+from sweepopt.study.records import append_row, each, read_record, read_rows
 from sweepopt.study.sources import Source, find_source
 from sweepopt.study.workers import processes
 from sweepopt.velocity import solvers
@@ -87,8 +87,8 @@ class Study:
         lists = {
             "problems": each("problems", self.problems, self._source),
             "refinements": each("refinements", self.refinements, count, 0),
-            "elements": each("elements", self.elements, one_of, ("", "P1", "P2")),
-            "schemes": each("schemes", self.schemes, one_of, ("auto", *schemes.SCHEMES)),
+            "elements": each("elements", self.elements, choice, ("", "P1", "P2")),
+            "schemes": each("schemes", self.schemes, choice, ("auto", *schemes.SCHEMES)),
             "solvers": each("solvers", self.solvers, _solver),
             "steps": each("steps", self.steps, count),
             "tols": each("tols", self.tols, number, 0.0, True),
@@ -273,4 +273,4 @@ def _text(name: str, value: Any) -> str:
 def _solver(name: str, value: Any) -> Any:
     through_cvxpy = str(value).startswith(THROUGH_CVXPY)
     names = "auto", *solvers.REGISTRY, value if through_cvxpy else f"{THROUGH_CVXPY}NAME"
-    return one_of(name, value, names)
+    return choice(name, value, names)

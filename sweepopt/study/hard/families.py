@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from sweepopt.checks import choice
 from sweepopt.io import read_toml
 from sweepopt.loads import Separable
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Moving, image
 from sweepopt.study.hard import bodies
 from sweepopt.study.hard.bodies import Contact, Random, between, chain, spectral
-from sweepopt.study.records import each, one_of
+from sweepopt.study.records import each
 
 Names = Sequence[str]
 
@@ -157,7 +158,7 @@ def read_families(path: Path) -> dict[str, Names]:
     """Families of a file by name; InputError names an ingredient that there is not."""
     ingredients, families = [name for table in TABLES for name in table], read_toml(path)
     return {
-        name: each(f"{path.name}: {name}", names, one_of, ingredients, "there are:")
+        name: each(f"{path.name}: {name}", names, choice, ingredients)
         for name, names in families.items()
     }
 

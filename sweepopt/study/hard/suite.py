@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
-from sweepopt.checks import count, number
+from sweepopt.checks import choice, count, number
 from sweepopt.driver import solve
 from sweepopt.errors import PathError, SolverRefusedError, StabilityWarning, SweepoptError
 from sweepopt.results import Solution
-from sweepopt.study.records import each, one_of
+from sweepopt.study.records import each
 
 TARGET = 1e-8
 """Relative error that every step has to meet, in units of max(|z*|_M, |M^-1 q|_M); and what a run
@@ -50,7 +50,7 @@ class Suite:
             several = isinstance(default, tuple)
             kind = type(default[0] if several else default)
             least = int(several and 0 not in default)
-            checks: Any = {str: (one_of, default, "there are:"), int: (count, least)}
+            checks: Any = {str: (choice, default), int: (count, least)}
             check = checks.get(kind, (number, 0.0, True, False))
             if several:
                 each(name, value, *check)
