@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from sweepopt.checks import HUGE
-from sweepopt.errors import InputError, shown
+from sweepopt.errors import InputError, shown, suggestion
 from sweepopt.linalg import exceeds_none
 from sweepopt.problem import SweepingProcess
 
@@ -162,7 +162,8 @@ def choose(name: str, coercive: bool) -> Scheme:
     """The scheme of that name; "auto" is the one for steps that adapt to their errors."""
     known = {"auto": SCHEMES["midpoint" if coercive else "sdirk2"], **SCHEMES}
     if not isinstance(name, str) or name not in known:
-        raise InputError(f"scheme {shown(name)} is not known; use {', '.join(known)}")
+        names = ", ".join(known)
+        raise InputError(f"scheme {shown(name)} is not known; use {names}{suggestion(name, known)}")
     scheme = known[name]
     if not coercive and not scheme.implicit:
         raise InputError(

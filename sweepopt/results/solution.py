@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from os import PathLike
 from types import SimpleNamespace
@@ -51,6 +51,8 @@ class _Absent(SimpleNamespace):
     """What a file says of a process and its plan."""
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
         raise InputError(
             "this solution was loaded without its process, which this needs: "
             "so.Solution.load(path, process)"
@@ -94,6 +96,11 @@ class Solution(Displayed):
     exact: Trajectory | None = None
     passes: tuple[Pass, ...] = ()
     loaded: bool = False
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For copies and pickle: the states as arrays; those of a run are functions of its plan."""
+        states = States(self.steps, self.u.__getitem__, self.velocity.__getitem__)
+        return {one.name: getattr(self, one.name) for one in fields(self)} | {"states": states}
 
     def _rows(self) -> Rows:
         stats, names = self.statistics.rows, [*self.statistics.solvers, "none"]
