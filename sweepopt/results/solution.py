@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from os import PathLike
+from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -544,6 +545,26 @@ class Solution(Displayed):
         from sweepopt.plot import plot_solution
 
         return plot_solution(self, ax)
+
+    def animate(self, path: str | Path = "solution.gif") -> Path:
+        """Write `plot` as an animation in which the time, u, the force and C(t) move.
+
+        In a notebook ``IPython.display.Image(sol.animate())`` shows it; bodies are animated by
+        `sweepopt.fem.Scene.animate`.
+
+        Parameters
+        ----------
+        path : str or Path
+            A ``.gif``, or an ``.mp4``, which needs the program ffmpeg.
+
+        Raises
+        ------
+        InputError
+            If the path cannot be written, or ffmpeg is not there for an MP4.
+        """
+        from sweepopt.plot import animate_solution
+
+        return animate_solution(self, path)
 
     def energy(self) -> Energy:
         """Energies of the run; forces are taken at the middle of each step.
