@@ -157,9 +157,11 @@ def __getattr__(name: str) -> Any:
         except ImportError as error:  # a missing extra: hasattr, dir and help go on
             raise AttributeError(str(error)) from error
     if name in __all__:
+        from sweepopt.checks import public
+
         for room in map(import_module, (f"{__name__}.{room}" for room in _ROOMS[:-3])):
             if name in getattr(room, "__all__", vars(room)):
-                globals()[name] = getattr(room, name)
+                globals()[name] = public(getattr(room, name))
                 return globals()[name]
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 

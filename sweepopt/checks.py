@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable
+from enum import Enum
 from functools import wraps
 from inspect import signature
 from typing import Any, TypeAlias, TypeVar
@@ -27,7 +28,7 @@ MOST_UNKNOWNS = 10**9
 
 
 def arguments(**meant: str) -> Callable[[F], F]:
-    """For functions and classes of users: what is no argument is an InputError with a remedy.
+    """For functions of users: what is no argument is an InputError with a remedy.
 
     Parameters
     ----------
@@ -39,25 +40,43 @@ def arguments(**meant: str) -> Callable[[F], F]:
         if isinstance(function, type):
             function.__init__ = decorated(function.__init__)  # type: ignore[misc]
             return function
-        call, name = signature(function), function.__qualname__.removesuffix(".__init__")
-        known = [key for key in call.parameters if key != "self"]
+        call, name = signature(function), function.__qualname__.partition(".__")[0]
+        known = [key for key in call.parameters if key not in ("self", "cls", "_cls")]
 
         @wraps(function)
         def checked(*args: Any, **named: Any) -> Any:
             try:
-                call.bind(*args, **named)
-            except TypeError as error:
-                unknown = next((key for key in named if key not in known), None)
-                if unknown is None:
-                    raise InputError(f"{name}: {error}; give by name {', '.join(known)}") from None
-                hint = meant.get(unknown) or suggestion(unknown, known)
-                hint = hint or f"; there are: {', '.join(known)}"
-                raise InputError(f"{name} has no argument {unknown}{hint}") from None
-            return function(*args, **named)
+                return function(*args, **named)
+            except TypeError:
+                try:
+                    call.bind(*args, **named)
+                except TypeError as error:
+                    fault = f"{name}: {error}; give by name {', '.join(known)}"
+                    for unknown in (key for key in named if key not in known):
+                        hint = meant.get(unknown) or suggestion(unknown, known)
+                        hint = hint or f"; there are: {', '.join(known)}"
+                        fault = f"{name} has no argument {unknown}{hint}"
+                    raise InputError(fault) from None
+                raise
 
+        vars(checked)["meant"] = meant
         return checked
 
     return decorated
+
+
+def public(thing: Any) -> Any:
+    """A name of the public face, whose call has checked `arguments`; a class gets them in place."""
+    if not callable(thing) or hasattr(thing, "meant"):
+        return thing
+    if not isinstance(thing, type):
+        return arguments()(thing)
+    if not issubclass(thing, (BaseException, Enum)):
+        for name in vars(thing).keys() & {"__new__", "__init__"}:
+            if not hasattr(own := getattr(thing, name), "meant"):
+                call = arguments()(own)
+                setattr(thing, name, staticmethod(call) if name == "__new__" else call)
+    return thing
 
 
 def takes(name: str, function: Any, *given: str) -> None:
@@ -95,9 +114,11 @@ def number(
         result = value
     else:
         array = floats(name, value, "one number")
-        if array.ndim or np.asarray(value).dtype == bool:
-            given = f"{array.size} of them in a list" if array.ndim else shown(value)
-            raise InputError(f"{name} must be one number, got {given}; give the number itself")
+        if array.ndim:
+            raise InputError(
+                f"{name} must be one number, got {array.size} of them in a list; give the number "
+                "itself"
+            )
         result = float(bounded(name, array, "a finite number" if finite else "a number", finite))
     if minimum is not None and (result < minimum or (strict and result == minimum)):
         raise InputError(f"{name} must be {'>' if strict else '>='} {minimum:g}, got {result:g}")
@@ -247,7 +268,7 @@ def symmetric(name: str, value: Any, dim: int | None = None) -> Matrix:
 
 
 def floats(name: str, value: Any, what: str, ndmin: int = 0) -> np.ndarray:
-    """A float copy of value; complex numbers and words are refused, not cast."""
+    """A float copy of value; complex and logical numbers and words are refused, not cast."""
     if type(value) is np.ndarray and value.dtype == float and value.ndim >= ndmin:
         return value.copy("K")  # as in every step
     try:
@@ -256,8 +277,8 @@ def floats(name: str, value: Any, what: str, ndmin: int = 0) -> np.ndarray:
         array = np.array(value, ndmin=ndmin)
         if array.dtype == object and any(entry is None for entry in array.flat):
             raise TypeError("None is no number; a function without return gives it")
-        if array.dtype.kind not in "biufO":
-            raise TypeError(f"entries are {array.dtype}")
+        if array.dtype.kind not in "iufO":
+            raise TypeError(f"entries are {array.dtype}; give numbers")
         with np.errstate(over="ignore"):
             result = array.astype(float, copy=False)
         if np.isinf(result).any() and (array != result).any():

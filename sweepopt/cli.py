@@ -165,9 +165,10 @@ def _study(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     _require("fem", "plot")
-    from sweepopt.fem import pictures, read_scene, snapshots
+    from sweepopt.fem import pictures, read_scene
     from sweepopt.fem.changes import parse_changes
     from sweepopt.fem.output import Report
+    from sweepopt.plot import writer_of
 
     path = find_scene(options.scene)
     given = {name: getattr(options, name) for name in ("steps", "scheme", "solver", "tol")}
@@ -176,7 +177,7 @@ def _run(options: argparse.Namespace) -> int:
     drawn = [f"{name}.png" for name in pictures.pictures_of(scene)]
     if options.animate:
         drawn.append(f"{pictures.animated(scene)}.{options.animate}")
-        snapshots.writer_of(Path(drawn[-1]))
+        writer_of(Path(drawn[-1]))
     folder = options.out or Path("results") / path.stem
     folder.mkdir(parents=True, exist_ok=True)
     _announce(scene)

@@ -288,6 +288,8 @@ def _run(
         raise InputError(f"callback must be a function of a StepInfo, got {shown(callback)}")
     if callback is not None:
         takes("callback", callback, "step")
+    if not isinstance(progress, bool):
+        raise InputError(f"progress must be True or False, got {shown(progress)}")
     scheme, steps = options.tableau(process), options.steps
     segments = None
     if isinstance(steps, Adaptive):

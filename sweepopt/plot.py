@@ -6,13 +6,16 @@ studies are drawn without pyplot, so that no window system and no global state i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sweepopt.checks import choice
 from sweepopt.display import COLOURS
-from sweepopt.errors import brought_by
+from sweepopt.errors import InputError, brought_by
+from sweepopt.io import replacing, writable
 from sweepopt.problem import SweepingProcess
 
 if TYPE_CHECKING:
@@ -26,6 +29,8 @@ LOOKS = [
     for colour, style in zip(2 * COLOURS, 2 * STYLES, strict=False)
 ]
 """Eight lines that differ in colour or style, the first four in both."""
+MOST_FRAMES, RATE = 40, 8
+"""Of an animation, and how many are shown in a second: at most 1.4 MB and 5 s as a GIF."""
 
 
 def plot_solution(solution: Solution, ax: Any = None) -> Any:
@@ -47,71 +52,123 @@ def plot_solution(solution: Solution, ax: Any = None) -> Any:
     matplotlib Axes
         That of u.
     """
-    dim = solution.u.shape[1]
-    known = ax is None and isinstance(solution.process, SweepingProcess)
+    if ax is not None:
+        return _components(solution, ax)
+    with brought_by("plot"):
+        import matplotlib.pyplot as pyplot
+    panels = _panels(solution, pyplot.figure(layout="constrained"))
+    if len(panels) == 2:
+        t, *_, sets = _inside_steps(solution, 5)
+        for look, time, C in zip(LOOKS[1:], t, sets, strict=False):
+            panels[1].plot(*C.outline().T, **look, lw=1.0, label=f"C({time:.3g})")
+        panels[1].legend(fontsize="small")
+    return panels[0]
+
+
+def animate_solution(solution: Solution, path: str | Path) -> Path:
+    """Write `plot_solution` as an animation in which the time, u, the force and C(t) move.
+
+    Parameters
+    ----------
+    solution : Solution
+    path : str or Path
+        A ``.gif``, or an ``.mp4``, which needs the program ffmpeg.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    InputError
+        If the path cannot be written, or ffmpeg is not there for an MP4.
+    """
+    path, figure = writable("path", path), new_figure((7.0, 4.0))
+    panels, t, moving = _panels(solution, figure), solution.t[1:], list[Any]()
+    outlines, shown = list[np.ndarray](), list[np.ndarray]()
+    if len(panels) > 1:
+        t, *shown, sets = _inside_steps(solution, MOST_FRAMES)
+    if len(panels) == 2:  # the velocity has no panel
+        del shown[1]
+        outlines = [C.outline() for C in sets]
+        panels[1].update_datalim(np.concatenate(outlines))
+
+    def draw(i: int) -> None:
+        while moving:
+            moving.pop().remove()
+        figure.suptitle(f"t = {t[i]:.4g}", fontsize="medium")
+        if outlines:
+            moving.extend(panels[1].plot(*outlines[i].T, color=STICK))
+        else:
+            moving.extend(panel.axvline(t[i], color=STICK) for panel in panels)
+        for panel, values in zip(panels, shown, strict=False):
+            at = values[i] if outlines else (t[i], values[i])
+            moving.extend(panel.plot(*at, "o", color=COLOURS[1]))
+
+    write_animation(figure, path, t, draw)
+    return path
+
+
+def _panels(solution: Solution, figure: Any) -> Any:
+    """The panels of `plot_solution` on a figure; those of two unknowns without C(t)."""
+    dim, known = solution.u.shape[1], isinstance(solution.process, SweepingProcess)
     if known and dim == 2:
-        return _plot_paths(solution)
-    panels = [ax]
-    if ax is None:
-        rows = 3 if known and dim == 1 else 1
-        figure = _shown_figure((7.0, 2.5 + 1.5 * rows))
-        panels = figure.subplots(rows, sharex=True, squeeze=False)[:, 0]
-    drawn = spread(np.ptp(solution.u, axis=0), len(LOOKS))
-    stuck = solution.velocity[:, drawn] == 0.0
-    names = [f"u[{i}]" for i in drawn]
-    draw_histories(panels[0], solution.t, solution.u[:, drawn], stuck, names)
-    title = f"{len(drawn)} of {dim} components" if dim > len(drawn) else None
-    panels[0].legend(title=title, fontsize="small", ncols=1 + len(drawn) // 5)
-    panels[0].set(ylabel="u", xlim=(solution.t[0], solution.t[-1]))
-    panels[-1].set(xlabel="t")
-    if len(panels) == 3:
-        t, velocity, force, sets = _forces(solution, 1000)
+        figure.set_size_inches(8.0, 4.0)
+        return _paths(solution, figure.subplots(1, 2))
+    rows = 3 if known and dim == 1 else 1
+    figure.set_size_inches(7.0, 2.5 + 1.5 * rows)
+    panels = figure.subplots(rows, sharex=True, squeeze=False)[:, 0]
+    _components(solution, panels[0])
+    if rows == 3:
+        t, _, velocity, force, sets = _inside_steps(solution, 1000)
         panels[1].plot(t, velocity, color=COLOURS[0])
-        panels[1].set(ylabel="u'")
         panels[2].plot(t, force, color=COLOURS[0], label="A u' + B u")
         if all(C.exact for C in sets):
             ends = np.array([[-C.support(np.array([-1.0])), C.support(np.ones(1))] for C in sets])
             panels[2].fill_between(t, *ends.T, color=STICK, alpha=0.3, label="C(t)")
         panels[2].legend(fontsize="small")
-        panels[2].set(ylabel="force")
-    return panels[0]
+        for panel, name in zip(panels, ("u", "u'", "force"), strict=True):
+            panel.set(xlabel="", ylabel=name)
+        panels[2].set(xlabel="t")
+    return panels
 
 
-def _shown_figure(size: tuple[float, float]) -> Any:
-    """A figure of pyplot, which a notebook shows and `pyplot.show` opens."""
-    with brought_by("plot"):
-        import matplotlib.pyplot as pyplot
-    return pyplot.figure(figsize=size, layout="constrained")
+def _components(solution: Solution, ax: Any) -> Any:
+    """Components of u over time."""
+    dim = solution.u.shape[1]
+    drawn = spread(np.ptp(solution.u, axis=0), len(LOOKS))
+    stuck = solution.velocity[:, drawn] == 0.0
+    names = [f"u[{i}]" for i in drawn]
+    draw_histories(ax, solution.t, solution.u[:, drawn], stuck, names)
+    title = f"{len(drawn)} of {dim} components" if dim > len(drawn) else None
+    ax.legend(title=title, fontsize="small", ncols=1 + len(drawn) // 5)
+    ax.set(xlabel="t", ylabel="u", xlim=(solution.t[0], solution.t[-1]))
+    return ax
 
 
-def _forces(solution: Solution, most: int) -> tuple[Any, Any, Any, list[ConvexSet]]:
-    """Velocity, A u' + B u and C(t) in the middle of at most so many of the kept steps."""
+def _paths(solution: Solution, panels: Any) -> Any:
+    """The path of two unknowns, and that of the force."""
+    force = _inside_steps(solution, 1000)[3]
+    paths = (solution.u, "u", f"from t = {solution.t[0]:g}"), (force, "force", "A u' + B u")
+    for panel, (path, name, label) in zip(panels, paths, strict=True):
+        panel.plot(*path.T, "-o", markevery=[0], color=COLOURS[0], label=label)
+        panel.set(xlabel=f"{name}[0]", ylabel=f"{name}[1]")
+        panel.set_aspect("equal", adjustable="datalim")
+        panel.grid(alpha=0.3)
+        panel.legend(fontsize="small")
+    return panels
+
+
+def _inside_steps(solution: Solution, most: int) -> tuple[Any, Any, Any, Any, list[ConvexSet]]:
+    """t, u, u', A u' + B u and C(t) in the middle of at most so many of the kept steps."""
     process, k = solution.process, len(solution.steps)
     some = np.unique(np.linspace(0, k - 1, most).round().astype(int))
     mu = np.diff(solution.stats["t"], prepend=solution.t[0])[solution.steps[some]]
     t, velocity = solution.t[1:][some] - mu / 2, solution.velocity[some]
-    u = solution.u[1:][some] - mu[:, None] / 2 * velocity
+    u = solution(t)
     force = [process.A @ z + process.times_B(x) for z, x in zip(velocity, u, strict=True)]
     sets = [process.set_at(float(time), x) for time, x in zip(t, u, strict=True)]
-    return t, velocity, np.array(force), sets
-
-
-def _plot_paths(solution: Solution) -> Any:
-    """The path of two unknowns, and that of the force with C(t) around it."""
-    left, right = _shown_figure((8.0, 4.0)).subplots(1, 2)
-    left.plot(*solution.u.T, color=COLOURS[0])
-    left.plot(*solution.u[0], "o", color=COLOURS[0], label=f"t = {solution.t[0]:g}")
-    left.set(xlabel="u[0]", ylabel="u[1]")
-    _, _, force, _ = _forces(solution, 1000)
-    right.plot(*force.T, color=COLOURS[0], label="A u' + B u")
-    for look, time, C in zip(LOOKS[1:], *_forces(solution, 5)[::3], strict=False):
-        right.plot(*C.outline().T, **look, lw=1.0, label=f"C({time:.3g})")
-    right.set(xlabel="force[0]", ylabel="force[1]")
-    for panel in (left, right):
-        panel.set_aspect("equal", adjustable="datalim")
-        panel.grid(alpha=0.3)
-        panel.legend(fontsize="small")
-    return left
+    return t, u, velocity, np.array(force), sets
 
 
 def new_figure(size: tuple[float, float]) -> Any:
@@ -119,6 +176,41 @@ def new_figure(size: tuple[float, float]) -> Any:
     with brought_by("plot"):
         from matplotlib.figure import Figure
     return Figure(figsize=size, dpi=150, layout="constrained")
+
+
+def write_animation(figure: Any, path: Path, t: np.ndarray, draw: Callable[[int], Any]) -> None:
+    """Write a figure on which `draw(i)` draws what is at t[i], at up to 40 even times."""
+    writer, even = writer_of(path), np.linspace(t[0], t[-1], MOST_FRAMES)
+    indices = np.unique(np.abs(t[:, None] - even).argmin(axis=0)).tolist()
+    draw(indices[0])
+    for _ in range(2):  # the second time with the room that ticks need
+        figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # what is around the panels stays where it is
+    with replacing(path) as part, writer.saving(figure, part, dpi=80):
+        for i in indices:
+            draw(i)
+            writer.grab_frame()
+
+
+def writer_of(path: Path) -> Any:
+    """What writes an animation, by the ending of its name.
+
+    Raises
+    ------
+    InputError
+        If it is none of .gif and .mp4, or ffmpeg is not installed, which makes an MP4.
+    """
+    with brought_by("plot"):
+        from matplotlib.animation import FFMpegWriter, PillowWriter
+
+    writers: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
+    writer = writers[choice("the ending of an animation", path.suffix, writers)]
+    if not writer.isAvailable():
+        raise InputError(
+            f"{path.name}: an MP4 is made by ffmpeg, which is not installed; install it, or write "
+            "a .gif"
+        )
+    return writer(fps=RATE)
 
 
 def spread(sizes: np.ndarray, most: int) -> np.ndarray:

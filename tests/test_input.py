@@ -91,7 +91,7 @@ CASES: list[tuple[str, Callable[[], Any], str]] = [
     ("solver a class", lambda: run(solver=so.Clarabel), r"solver must be a name"),
     ("cvxpy solver unknown", lambda: run(
         vi(load=[3.0, 0], dissipation=BOX), solver=so.Cvxpy("NOPE")), r"no solver 'NOPE'"),
-    ("tol true", lambda: run(tol=True), r"tol must be one number, got True; give the number itself"),
+    ("tol true", lambda: run(tol=True), r"tol must be one number, got True .entries are bool; give numbers"),
     ("tol in a list", lambda: run(tol=[1e-6]), r"tol must be one number, got 1 of them in a list"),
     ("true in an array", lambda: so.Sine(np.array(True), 1), r"amplitude must be one number, got ar"),
     ("tol zero", lambda: run(tol=0), r"tol must be > 0"),

@@ -97,6 +97,10 @@ MISTAKES: list[tuple[str, Callable[[], Any], str, str]] = [
     ("solver", lambda: run(solver="clarabell"), "solver 'clarabell' is not known", "use auto, clarabel"),
     ("scheme", lambda: run(scheme="euler"), "scheme 'euler' is not known", "use .* implicit-euler"),
     ("a scheme's letter", lambda: run(scheme="midpont"), "scheme 'midpont'", r"did you mean midpoint\?"),
+    ("solver misspelt", lambda: run(solver="newtn"), "solver 'newtn' is not known", "did you mean newton"),
+    ("scheme in words", lambda: run(scheme="implicit euler"), "is not known", "did you mean implicit-eu"),
+    ("progress", lambda: run(progress="yes"), "progress must be True or False", "got 'yes'"),
+    ("A is True", lambda: pulled(A=True), "A must be a matrix of numbers, got True", "give numbers"),
     ("solver a class", lambda: run(solver=so.OSQP), "solver must be a name or", r"call it: so.OSQP\(\)"),
     ("steps a class", lambda: run(steps=so.Adaptive), "steps must be an", r"so.Adaptive\(tol\)"),
     ("save of t", lambda: run(save=lambda t: t), r"save must be a function of \(t, u, z\)", "too many"),
@@ -137,6 +141,43 @@ def test_a_mistake_is_named_with_its_remedy(
         call()
     with pytest.raises(so.InputError, match=remedy):
         raise caught.value
+
+
+FORMS = (*so.__all__, *(f"fem.{name}" for name in so.fem.__all__))
+RESULTS = (
+    "ConvexSet",
+    "ErrorBound",
+    "Status",
+    "scene",
+    "fem.EFFECTS",
+    "fem.Effect",
+    "fem.EffectCosts",
+)
+
+
+@pytest.mark.parametrize("name", [one for one in FORMS if one not in RESULTS])
+def test_every_public_name_refuses_an_argument_that_it_does_not_have(name: str) -> None:
+    thing = so.fem.__dict__[name[4:]] if name.startswith("fem.") else getattr(so, name)
+    if isinstance(thing, type) and issubclass(thing, BaseException):
+        return
+    with pytest.raises(so.InputError, match=f"{name.removeprefix('fem.')} has no argument colour"):
+        thing(colour="red")
+
+
+@pytest.mark.parametrize(("call", "remedy"), [
+    (lambda: so.Moving(BOX, centre=np.sin), "Moving has no argument centre; did you mean center"),
+    (lambda: so.Ball([0.0, 0.0], r=1.0), "Ball has no argument r; there are: center, radius"),
+    (lambda: so.Sine(3.0), "Sine: missing a required argument: 'period'; give by name amplitude"),
+    (lambda: so.HalfSpace(norm=[1.0], offset=0.0), "did you mean normal"),
+    (lambda: so.fem.Friction("left", mu=0.3), "Friction has no argument mu; there are: on, g, p"),
+])  # fmt: skip
+def test_a_wrong_argument_is_named_with_those_there_are(call: Any, remedy: str) -> None:
+    with pytest.raises(so.InputError, match=remedy):
+        call()
+
+
+def test_a_half_space_takes_its_arguments_by_name() -> None:
+    assert so.HalfSpace(normal=[1.0, 0.0], offset=2.0).support([1.0, 0.0]) == 2.0
 
 
 def test_one_unknown_needs_no_brackets() -> None:

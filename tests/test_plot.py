@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from matplotlib.collections import PathCollection, QuadMesh, TriMesh
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from meshes import annulus, report_of, ring, square
+from PIL import Image, ImageSequence
 
 import sweepopt as so
 from sweepopt import plot
@@ -208,6 +210,26 @@ def test_two_unknowns_are_drawn_as_a_path_beside_the_set() -> None:
         radii = np.hypot(*(np.transpose(line.get_data()) - [2.0 * t, t]).T)
         np.testing.assert_allclose(radii, 1.0, atol=0.02)
     assert len(force.lines) == 6
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_an_animation_shows_each_time_once(
+    dim: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plot, "MOST_FRAMES", 5)
+    path = stick_slip(dim).animate(tmp_path / "run.gif")
+    with Image.open(path) as shown:
+        frames = [np.array(frame.convert("L")) for frame in ImageSequence.Iterator(shown)]
+    assert len(frames) == 5
+    assert min(np.ptp(one - other) for one, other in pairwise(frames)) > 100
+
+
+def test_an_animation_of_a_loaded_run_needs_no_process(tmp_path: Path) -> None:
+    stick_slip(2).save(tmp_path / "run.nc")
+    loaded = so.Solution.load(tmp_path / "run.nc")
+    with pytest.raises(so.InputError, match=r"ending of an animation must be one of .gif, .mp4"):
+        loaded.animate(tmp_path / "run.png")
+    assert loaded.plot().get_ylabel() == "u"
 
 
 def test_a_scene_writes_what_the_command_line_writes(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import subprocess
 import sys
 import tracemalloc
@@ -411,3 +413,32 @@ def test_flipped_bits_and_cut_files_are_named(tmp_path: Path) -> None:
             continue
         assert np.array_equal(u, whole.u)
         assert np.array_equal(velocity, whole.velocity)
+
+
+# ---- copies ---------------------------------------------------------------------------------
+
+COPIES = [copy.copy, copy.deepcopy, lambda thing: pickle.loads(pickle.dumps(thing))]
+
+
+@pytest.mark.parametrize("copied", COPIES, ids=["copy", "deepcopy", "pickle"])
+@pytest.mark.parametrize("settings", [{}, {"save": 3}, {"scheme": "exact"}], ids=str)
+def test_a_copy_of_a_solution_can_do_what_the_solution_can(copied: Any, settings: Any) -> None:
+    n = 6
+    B = sp.diags_array([[2.0] * n, [-1.0] * (n - 1), [-1.0] * (n - 1)], offsets=[0, 1, -1])
+    load = so.Separable([(so.Sine(2.0, period=4.0), np.linspace(1.0, 2.0, n))])
+    D = so.Box(-np.ones(n), np.ones(n))
+    process = so.EvolutionVI(0.5 * sp.eye_array(n), B, load=load, dissipation=D, u0=np.zeros(n))
+    sol = so.solve(process, t_end=2.0, steps=30, **settings)
+    same = copied(sol)
+    assert repr(same) == repr(sol)
+    np.testing.assert_array_equal(same.u, sol.u)
+    np.testing.assert_array_equal(same(sol.t[-1]), sol(sol.t[-1]))
+    np.testing.assert_array_equal(same.viability(), sol.viability())
+    np.testing.assert_array_equal(so.solve(same.process, t_end=2.0, steps=30, **settings).u, sol.u)
+    assert float(same.error_bound()) == float(sol.error_bound())
+
+
+def test_a_scene_and_its_run_go_through_pickle() -> None:
+    scene = so.scene("square")
+    same, sol = pickle.loads(pickle.dumps((scene, scene.solve(steps=4))))
+    np.testing.assert_array_equal(same.displacement(sol), scene.displacement(scene.solve(steps=4)))

@@ -158,7 +158,7 @@ BAD = [
     ("initial", {"run": "loads.csv"}, "initial.run: .*loads.csv is no NetCDF file of a run"),
     ("time.end", 0.0, "time.end must be > 0, got 0"),
     ("time.end", "10", "time.end must be one number, got '10'"),
-    ("time.end", True, "time.end must be one number, got True; give the number itself"),
+    ("time.end", True, "time.end must be one number, got True .entries are bool; give numbers"),
     ("time.steps", 2.5, "time.steps must be a positive whole number, got 2.5"),
     ("solve.scheme", "leapfrog", "solve.scheme 'leapfrog' is not known"),
     ("solve.solver", "simplex", "solve.solver 'simplex' is not known"),

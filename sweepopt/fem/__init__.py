@@ -10,6 +10,7 @@ a = int eta grad u . grad v, b = int kappa grad u . grad v, J(v) = int_{Gamma_3}
 tangential velocity.
 """
 
+from sweepopt.checks import public
 from sweepopt.errors import brought_by
 
 with brought_by("fem"):
@@ -81,3 +82,5 @@ __all__ = [
     "read_mesh",
     "read_scene",
 ]
+
+globals().update((name, public(globals()[name])) for name in __all__)

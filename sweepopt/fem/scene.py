@@ -372,7 +372,7 @@ def build(
     _check_held(space, A, B)
     _check_together(space, effects, yields, lifts, internal=size > space.dim)
     loads += _lifted(space, effects, lifts) if lifts else []
-    force = _force(loads, space.dim, size)
+    force = _force(loads, space.dim, size - space.dim)
     if isinstance(u0, Initial):
         with at_path("initial"):
             u0 = u0.state(space, fields, size)
@@ -565,27 +565,25 @@ class _Load(NamedTuple):
     """``sum_k phi_k(t) f_k(t)``, with the breakpoints of those phi_k that know them."""
 
     terms: Sequence[tuple[Any, Any]]
+    dim: int
+    internal: int
 
     def __call__(self, t: float) -> NDArray[np.float64]:
-        return np.asarray(sum(phi(t) * (f(t) if callable(f) else f) for phi, f in self.terms))
+        name, terms = f"a function in loads, at t = {t:g},", self.terms
+        f = sum(phi(t) * vector(name, f(t) if callable(f) else f, self.dim) for phi, f in terms)
+        return np.pad(f, (0, self.internal))
 
     def breakpoints(self, a: float, b: float) -> NDArray[np.float64]:
         return breakpoints((phi for phi, _ in self.terms), a, b)
 
 
-def _force(loads: Sequence[Force], dim: int, size: int) -> Any:
+def _force(loads: Sequence[Force], dim: int, internal: int) -> Any:
     """The sum of the terms; data where all of them are. None acts on internal unknowns."""
-
-    def pad(f: Any, name: str = "loads") -> Any:
-        if callable(f):
-            return lambda t: pad(f(t), f"a function in loads, at t = {t:g},")
-        return np.pad(vector(name, f, dim), (0, size - dim))
-
-    pairs = [one if isinstance(one, tuple) else (Constant(), one) for one in loads]
-    terms = [(phi, pad(f)) for phi, f in pairs]
+    terms = [one if isinstance(one, tuple) else (Constant(), one) for one in loads]
     if any(callable(f) for _, f in terms):
-        return _Load(terms)
-    return Separable(terms) if terms else None
+        return _Load(terms, dim, internal)
+    padded = [(phi, np.pad(vector("loads", f, dim), (0, internal))) for phi, f in terms]
+    return Separable(padded) if terms else None
 
 
 class _Rate(NamedTuple):

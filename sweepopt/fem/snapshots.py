@@ -9,20 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import skfem
 
-from sweepopt.checks import choice
-from sweepopt.errors import InputError, brought_by
 from sweepopt.fem.contact import STATES, Slip
 from sweepopt.fem.effects import Traction
 from sweepopt.fem.output import Report
-from sweepopt.io import replacing
-from sweepopt.plot import STICK, new_figure
+from sweepopt.plot import STICK, new_figure, write_animation
 
 Array = np.ndarray
 PLUG, PULLED = "#E69F00", "#CC79A7"
 SMOOTH: dict[str, Any] = {"shading": "gouraud", "rasterized": True}
 STATE_COLOURS = {-1: "#0072B2", 0: STICK, 1: "#D55E00"}
-MOST_FRAMES, RATE = 40, 8
-"""Of an animation, and how many are shown in a second: at most 1.4 MB and 5 s as a GIF."""
 EXAGGERATED = 0.05
 """A solid is drawn deformed so that its largest displacement is at least this share of its size."""
 
@@ -79,41 +74,16 @@ def picture(report: Report, field: Snapshots) -> Any:
 
 def animation(report: Report, field: Snapshots, path: Path) -> None:
     """Write the field at up to 40 even times as a GIF or, by ffmpeg, as an MP4."""
-    writer, t = writer_of(path), report.solution.t
-    indices = np.searchsorted(t, np.linspace(t[0], t[-1], MOST_FRAMES) - 1e-9 * np.ptp(t))
     figure, ((panel,),), history = _page(report, field, [0])
-    for _ in range(2):  # the second time with the room that ticks need
-        figure.draw_without_rendering()
-    figure.set_layout_engine("none")  # what is around the body stays where it is
     line = history.axvline(0.0, color="black", lw=1.2)
-    with replacing(path) as part, writer.saving(figure, part, dpi=80):
-        for i in np.unique(indices).tolist():
-            for artist in [*panel.collections, *panel.lines]:
-                artist.remove()
-            _draw(report, field, panel, i)
-            line.set_xdata([t[i]] * 2)
-            writer.grab_frame()
 
+    def draw(i: int) -> None:
+        for artist in [*panel.collections, *panel.lines]:
+            artist.remove()
+        _draw(report, field, panel, i)
+        line.set_xdata([report.solution.t[i]] * 2)
 
-def writer_of(path: Path) -> Any:
-    """What writes an animation, by the ending of its name.
-
-    Raises
-    ------
-    InputError
-        If it is none of .gif and .mp4, or ffmpeg is not installed, which makes an MP4.
-    """
-    with brought_by("plot"):
-        from matplotlib.animation import FFMpegWriter, PillowWriter
-
-    writers: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
-    writer = writers[choice("the ending of an animation", path.suffix, writers)]
-    if not writer.isAvailable():
-        raise InputError(
-            f"{path.name}: an MP4 is made by ffmpeg, which is not installed; install it, or write "
-            "a .gif"
-        )
-    return writer(fps=RATE)
+    write_animation(figure, path, report.solution.t, draw)
 
 
 def displacement(report: Report) -> Snapshots:

@@ -163,8 +163,8 @@ def choose(name: str, coercive: bool) -> Scheme:
     """The scheme of that name; "auto" is the one for steps that adapt to their errors."""
     known = {"auto": SCHEMES["midpoint" if coercive else "sdirk2"], **SCHEMES}
     if not isinstance(name, str) or name not in known:
-        hint = suggestion(name, known)
-        raise InputError(f"scheme {shown(name)} is not known; use {', '.join(known)}{hint}")
+        names = ", ".join(known)
+        raise InputError(f"scheme {shown(name)} is not known; use {names}{suggestion(name, known)}")
     scheme = known[name]
     if not coercive and not scheme.implicit:
         raise InputError(

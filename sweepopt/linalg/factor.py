@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import os
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -104,6 +104,10 @@ class Factor:
     def forget(self) -> None:
         """Drop the factors; a solve that needs them makes them again."""
         self.__dict__.pop("_engine", None)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For copies and pickle: the factors are made again."""
+        return partial(Factor, self.M, order=self.order), ()
 
     def solve(self, w: np.ndarray) -> np.ndarray:
         """M^-1 w."""
@@ -246,6 +250,9 @@ class Elimination(Factor):
     def __init__(self, M: Matrix, unknowns: np.ndarray, order: np.ndarray | None = None) -> None:
         super().__init__(M, unknowns=unknowns, order=order)
         self.unknowns, self.N = unknowns, self._engine.N
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Elimination, (self.M, self.unknowns, self.order)
 
     @cached_property
     def small(self) -> Factor:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from os import PathLike
+from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -51,6 +52,8 @@ class _Absent(SimpleNamespace):
     """What a file says of a process and its plan."""
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
         raise InputError(
             "this solution was loaded without its process, which this needs: "
             "so.Solution.load(path, process)"
@@ -94,6 +97,11 @@ class Solution(Displayed):
     exact: Trajectory | None = None
     passes: tuple[Pass, ...] = ()
     loaded: bool = False
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For copies and pickle: the states as arrays; those of a run are functions of its plan."""
+        states = States(self.steps, self.u.__getitem__, self.velocity.__getitem__)
+        return {one.name: getattr(self, one.name) for one in fields(self)} | {"states": states}
 
     def _rows(self) -> Rows:
         stats, names = self.statistics.rows, [*self.statistics.solvers, "none"]
@@ -532,6 +540,26 @@ class Solution(Displayed):
         from sweepopt.plot import plot_solution
 
         return plot_solution(self, ax)
+
+    def animate(self, path: str | Path = "solution.gif") -> Path:
+        """Write `plot` as an animation in which the time, u, the force and C(t) move.
+
+        In a notebook ``IPython.display.Image(sol.animate())`` shows it; bodies are animated by
+        `sweepopt.fem.Scene.animate`.
+
+        Parameters
+        ----------
+        path : str or Path
+            A ``.gif``, or an ``.mp4``, which needs the program ffmpeg.
+
+        Raises
+        ------
+        InputError
+            If the path cannot be written, or ffmpeg is not there for an MP4.
+        """
+        from sweepopt.plot import animate_solution
+
+        return animate_solution(self, path)
 
     def energy(self) -> Energy:
         """Energies of the run; forces are taken at the middle of each step.

@@ -461,6 +461,9 @@ class HalfSpace(Polyhedron):
     array([0.6, 0.8])
     """
 
+    def __new__(cls, normal: Any, offset: Any) -> Any:
+        return super().__new__(cls, normal, offset)
+
     def __init__(self, normal: Any, offset: float) -> None:
         row = vector("normal", normal)
         if not row.any():

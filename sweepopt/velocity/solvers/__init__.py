@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from sweepopt.errors import SolverRefusedError, shown
+from sweepopt.errors import SolverRefusedError, shown, suggestion
 from sweepopt.sets import ConvexSet, shape_of
 from sweepopt.velocity.solvers.active_set import ActiveSet
 from sweepopt.velocity.solvers.clarabel import Clarabel
@@ -59,8 +59,8 @@ def choose(solver: Any, C: ConvexSet, tol: float = 1e-6) -> tuple[Solver, ...]:
         name, _, engine = solver.partition(":")
         if solver not in REGISTRY and not (name == "cvxpy" and engine):
             raise SolverRefusedError(
-                f"solver {solver!r} is not known; use auto, {_names()} or cvxpy:NAME for one that "
-                "cvxpy knows"
+                f"solver {shown(solver)} is not known; use auto, {_names()} or cvxpy:NAME for one "
+                f"that cvxpy knows{suggestion(solver, REGISTRY)}"
             )
         solver = Cvxpy(engine.upper()) if engine else _made(REGISTRY[name], C, tol)
     if isinstance(solver, type):
