@@ -133,18 +133,6 @@ class InBlocks:
         return partial(_system, self._factor, WHOLE)
 
 
-def has_positive_pivots(M: Matrix) -> bool:
-    """Whether CHOLMOD factorises a sparse M in blocks."""
-    from cvxopt import cholmod, matrix
-
-    lower = triangle(M)
-    with _settings(IN_BLOCKS), suppress(ArithmeticError):
-        factor = cholmod.symbolic(lower, matrix(fill_reducing(M)))
-        cholmod.numeric(lower, factor)
-        return True
-    return False
-
-
 @cache
 def has_cholmod() -> bool:
     """Whether CHOLMOD is installed."""

@@ -15,7 +15,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from sweepopt.checks import Matrix
-from sweepopt.linalg.cholesky import SYMMETRIC, has_cholmod, has_positive_pivots
+from sweepopt.linalg.cholesky import SYMMETRIC, InBlocks, has_cholmod
 from sweepopt.linalg.matrices import EPS, UNIT
 from sweepopt.linalg.ordering import is_solid
 
@@ -73,10 +73,12 @@ def _backward_error(M: Matrix, w: np.ndarray) -> np.ndarray:
             L = abs(scipy.linalg.cholesky(M, lower=True))
             return (n + 4) * UNIT * (L @ (L.T @ w))
         if has_cholmod() and is_solid(M):
-            bound = SUMS * UNIT * n * (n + 5) / 2 if has_positive_pivots(M) else math.inf
-            return bound * M.diagonal() * w
+            lower = sp.csc_array(sp.tril(M))
+            lower.sort_indices()
+            InBlocks(lower.indices, lower.indptr)(lower.data)
+            return SUMS * UNIT * n * (n + 5) / 2 * M.diagonal() * w
         lu = spla.splu(sp.csc_matrix(M), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC)
-    except (scipy.linalg.LinAlgError, RuntimeError, MemoryError):
+    except (scipy.linalg.LinAlgError, ArithmeticError, RuntimeError, MemoryError):
         return np.full(n, math.inf)
     L, U, place, rows = lu.L, lu.U, lu.perm_c, lu.perm_r
     del lu  # factors of a solid fill the memory: each is there once
