@@ -50,7 +50,7 @@ class ErrorEstimator:
     starts : set of int
         The first steps of segments.
     leading : ndarray, shape (n,)
-        |u^(r+1)| of each step times p: it says where steps must be short.
+        |d| / h^(r+1) of each step.
     """
 
     def __init__(
@@ -69,6 +69,11 @@ class ErrorEstimator:
         if jumps and r == 2:
             rms = float(np.sqrt((_stops(scheme, s) ** 2).mean()))
             self._mean, self._spread = 0.0, math.hypot(self._spread, rms)
+        else:
+            # what each difference of velocities sees of a switch
+            samples = _after(np.arange(-r, r + 1)[:, None, None] + c - s, r) @ b
+            shares = np.diff(samples, r, axis=0)
+            self._spread /= float(np.sqrt((shares**2).sum(0).mean()))
         delays = [sum(a * x ** (r - 1) for a, x in zip(row, c, strict=False)) for row in scheme.a]
         self._q = 0.0 if jumps else float(b @ delays) - 1 / (r * (r + 1)) - self._mean
         # the first of the r + 1 steps whose velocities tell of each step's derivatives
@@ -117,7 +122,7 @@ class ErrorEstimator:
         self.error = max(self.error, float(sizes.max()))
         self.length += float(h @ self.norms(z))
         p = math.hypot(self._mean, self._spread)
-        self.leading[steps] = p * self.norms(highest[j])
+        self.leading[steps] = p * self.norms(highest[j]) + self.norms(drift)
         self._done = stop
 
     def _rates(self, z: np.ndarray) -> np.ndarray:
