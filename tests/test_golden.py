@@ -51,8 +51,8 @@ MEMBERS = {
     "SweepingProcess": "as_sweeping as_vi Lam beta",
     "EvolutionVI": "as_sweeping",
     "Solution": "process plan t steps status recorded exact passes u velocity stats success "
-    "message complete __call__ viability residual error_bound energy plot animate to_xarray save load "
-    "step_program",
+    "message complete __call__ viability residual error_bound energy plot animate to_xarray save "
+    "load step_program",
     "Plan": "unknowns nonsmooth_unknowns solver scheme tol left_out path",
     "Energy": "stored viscous friction work balance",
     "Pass": "steps error seconds",
