@@ -284,8 +284,6 @@ def _run(
     stored: StoredRun | None = None,
 ) -> Solution:
     """Check what remains to be checked, and run."""
-    if callback is not None and not callable(callback):
-        raise InputError(f"callback must be a function of a StepInfo, got {shown(callback)}")
     if callback is not None:
         takes("callback", callback, "step")
     if not isinstance(progress, bool):

@@ -127,7 +127,15 @@ class DamagedFileError(CheckpointError):
     """A file is not as it was written."""
 
 
-class SaveError(SweepoptError):
+class _RunError(SweepoptError):
+    """A run that failed after some steps, which are in its `solution`."""
+
+    def __init__(self, message: str, solution: Solution) -> None:
+        super().__init__(message)
+        self.solution = solution
+
+
+class SaveError(_RunError):
     """The file that `save` names could not be written, and the run was stopped.
 
     Attributes
@@ -135,10 +143,6 @@ class SaveError(SweepoptError):
     solution : Solution
         The steps that are done; the last of them, which were not yet in the file, are kept.
     """
-
-    def __init__(self, message: str, solution: Solution) -> None:
-        super().__init__(message)
-        self.solution = solution
 
 
 class StepError(SweepoptError):
@@ -173,10 +177,6 @@ class AccuracyError(SweepoptError):
     solution : Solution
         The finest run; `solution.error_bound()` is its bound.
     """
-
-    def __init__(self, message: str, solution: Solution) -> None:
-        super().__init__(message)
-        self.solution = solution
 
 
 class VelocityError(SweepoptError):

@@ -126,6 +126,15 @@ MISTAKES: list[tuple[str, Callable[[], Any], str, str]] = [
         r"^Given: effects\[1\].B must be square", r"got shape \(2, 3\)"),
     ("a load too short", lambda: contributed(lambda body: so.fem.Contribution(loads=[np.ones(2)])),
         r"^Given: effects\[1\].loads\[0\] has 2 unknowns", "body.restrict"),
+    # numbers and names of a mechanics student
+    ("steps as text", lambda: run(steps="10"), "steps must be a positive whole", "got '10'"),
+    ("tol as text", lambda: run(tol="1e-6"), "tol must be one number", "give numbers"),
+    ("back in time", lambda: run(t_end=-1), "t_end must be > 0", "got -1"),
+    ("nan", lambda: pulled(A=np.nan), r"A\[0, 0\] is nan", "give finite numbers"),
+    ("A and C swapped", lambda: so.SweepingProcess(BOX, 2.0, 0.5, 0.0), "A must be a matrix", "got Box"),
+    ("unsorted table", lambda: so.Table([0, 2, 1], [1, 2, 3]), "times must increase", "sort the table"),
+    ("table's sizes", lambda: so.Table([0, 1], [1, 2, 3]), "values has 3 entries for 2", "one each"),
+    ("save off the grid", lambda: run(save=[0.333]), "save asks for t = 0.333", "choose steps so that"),
     ("loose body", lambda: scene('[effects.viscosity]\neta = 1.0\n', "{ sizes = [1.0], cells = [2] }"),
         "clamped", "clamp"),
 ]  # fmt: skip

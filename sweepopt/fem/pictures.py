@@ -231,7 +231,8 @@ def loops(scene: Scene, solution: Solution) -> list[tuple[Array, Array, tuple[st
     """Displacement and load at the times with their names, one pair for each of what drives.
 
     Of each foundation whose far end moves, its displacement and force. Else of a prescribed
-    displacement phi d, phi and the reaction <d, A u' + B u>; else the sum of the nodal forces along
+    displacement phi d, phi |d| with |d| its largest length, and the reaction
+    <d, A u' + B u> / |d|; else the sum of the nodal forces along
     the largest load, and the mean displacement along them.
     """
     body, t = scene.discretisation, solution.t
@@ -249,9 +250,9 @@ def loops(scene: Scene, solution: Solution) -> list[tuple[Array, Array, tuple[st
         return curves
     if scene.lifts:
         history, d = scene.lifts[0]
-        return [
-            (history(t), _reaction(scene, solution, d), ("prescribed displacement", "reaction"))
-        ]
+        size = float(np.linalg.norm(d[body.nodes], axis=0).max()) or 1.0
+        reaction = _reaction(scene, solution, d) / size
+        return [(history(t) * size, reaction, ("prescribed displacement", "reaction"))]
     forces = np.array([scene.load(time)[: body.dim] for time in t])
     largest = forces[np.linalg.norm(forces, axis=1).argmax()]
     nodal = body.expand(largest).reshape(-1, body.components)
