@@ -204,7 +204,7 @@ def writer_of(path: Path) -> Any:
         from matplotlib.animation import FFMpegWriter, PillowWriter
 
     writers: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
-    writer = writers[choice("the ending of an animation", path.suffix, writers)]
+    writer = writers[choice("the ending of an animation", path.suffix.lower(), writers)]
     if not writer.isAvailable():
         raise InputError(
             f"{path.name}: an MP4 is made by ffmpeg, which is not installed; install it, or write "

@@ -206,3 +206,20 @@ def test_histories_of_any_kind_are_checked_and_used_one_time_at_a_time() -> None
     table = so.Moving(so.Box([-1], [1]), center=so.Table([0, 5], [0, 7]))
     this = so.SweepingProcess([[1.0]], [[1.0]], table, [0.0])
     assert so.solve(this, t_end=5.0, steps=20).success
+
+
+def test_a_ramp_of_two_points_never_turns_and_its_run_has_a_bound() -> None:
+    ramp = Table([0.0, 1.0], [0.0, 2.0])
+    assert ramp.turning_points(0.0, 1.0).size == 0
+    C = so.Moving(so.Box(-1, 1), center=so.Separable([(ramp, 1.0)]))
+    sol = so.solve(so.SweepingProcess(0.5, 2.0, C, 0.0), t_end=1.0, steps=50)
+    bound = sol.error_bound()
+    assert bound.guaranteed
+    assert bound < 1e-2
+
+
+def test_a_table_may_end_before_the_run_if_the_users_function_does_not_ask_it_there() -> None:
+    table = Table([0.0, 1.0], [0.0, 2.0])
+    C = so.MovingSet(lambda t: so.Box(-1, 1) + table(min(t, 1.0)), histories=[table])
+    sol = so.solve(so.SweepingProcess(0.5, 2.0, C, 0.0), t_end=2.0, steps=40)
+    assert sol.success

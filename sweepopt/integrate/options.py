@@ -73,7 +73,7 @@ class SolveOptions:
         self, process: SweepingProcess, scheme: Scheme, times: np.ndarray, mus: np.ndarray
     ) -> Plan:
         """How the process is simulated; C(t) is checked at all times that are asked for."""
-        for history in histories_of(process.C):
+        for history in histories_of(process.C, inside=False):
             if isinstance(history, Table):
                 history.check_run(float(times[0]), float(times[-1]))
         members = process.check(evaluation_times(times, mus, scheme))

@@ -109,9 +109,9 @@ class Table(Brief, History):
             self._inside([start, end])
         except InputError as error:
             raise InputError(
-                f"a table of C(t) covers [{self.times[0]:g}, {self.times[-1]:g}], but the run "
-                f"[{start:g}, {end:g}]: extend the table, or let the run end with it, t_end = "
-                f"{self.times[-1]:g}"
+                f"a table of C(t) covers [{self.times[0]:.12g}, {self.times[-1]:.12g}], but the "
+                f"run [{start:.12g}, {end:.12g}]: extend the table, or let the run end with it, "
+                f"t_end = {self.times[-1]:.12g}"
             ) from error
 
     def breakpoints(self, a: float, b: float) -> Array:
@@ -123,7 +123,8 @@ class Table(Brief, History):
     def turning_points(self, a: float, b: float) -> Array:
         """Those of its times where an entry turns, or begins or ends to rest."""
         slopes = np.sign(np.diff(self.values, axis=0))
-        turns = (slopes[1:] != slopes[:-1]).reshape(len(slopes) - 1, -1).any(axis=1)
+        change = slopes[1:] != slopes[:-1]
+        turns = change.any(axis=tuple(range(1, change.ndim)))
         return np.intersect1d(self.breakpoints(a, b), self.times[1:-1][turns])
 
 

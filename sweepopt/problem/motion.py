@@ -151,7 +151,11 @@ def motion(C: AnySet) -> Motion:
     return Motion(None, TimeFunction((), C.dim, C.at))
 
 
-def histories_of(C: AnySet) -> list[Any]:
-    """The functions of time that C(t) moves with, also where it is made of others that move."""
-    parts, given = (C.operands, C.histories) if isinstance(C, MovingSet) else ((), ())
-    return [*given, *([phi for part in parts for phi in histories_of(part)] or motion(C).histories)]
+def histories_of(C: AnySet, inside: bool = True) -> list[Any]:
+    """The functions of time that C(t) moves with, also where it is made of others that move.
+
+    With those that a user names of a function t -> C, if `inside`.
+    """
+    parts, named = (C.operands, C.histories) if isinstance(C, MovingSet) else ((), ())
+    own = [phi for part in parts for phi in histories_of(part, inside)] or motion(C).histories
+    return [*(named if inside else ()), *own]

@@ -516,7 +516,7 @@ class Solution(Displayed):
             given = process = sweeping(process)
             if given.dim != u.shape[1]:
                 raise InputError(f"process has dim {given.dim}, but {path} has dim {u.shape[1]}")
-            digest = run.attrs.get("unknowns_digest", "")
+            digest = run.attrs.get("unknowns_digest", given.unknowns_digest)
             if digest != given.unknowns_digest or not np.array_equal(given.u0, u[0]):
                 raise InputError(f"process is not that of {path}: its unknowns or u0 are others")
             plan = make_plan(process, process.check(run.time.values), scheme, "auto", run.tol)
