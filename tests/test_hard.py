@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import chain as joined
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import Mock
@@ -21,7 +20,6 @@ from sweepopt.study.hard.families import (
     combination,
     entry_of,
     make,
-    read_families,
 )
 from sweepopt.study.hard.suite import GOOD
 from sweepopt.study.hard.velocities import PATHS, HardRow, HardStudy
@@ -58,14 +56,6 @@ def test_families_are_made_of_ingredients_that_there_are() -> None:
     names = [name for table in TABLES for name in table]
     assert len(names) == len(set(names))
     assert set(joined(*FAMILIES.values())) <= set(names)
-
-
-def test_an_ingredient_that_there_is_not_is_refused_by_name(tmp_path: Path) -> None:
-    path = tmp_path / "families.toml"
-    path.write_text('soft = ["cond 1e7"]\nhard = ["cond 1e12", "a bux"]\n')
-    words = r"families.toml: hard\[1\] must be one of a chain, cond 1e12, .*; got 'a bux'"
-    with pytest.raises(so.InputError, match=words):
-        read_families(path)
 
 
 @pytest.mark.parametrize(("turn", "family"), [*enumerate(FAMILIES)])
