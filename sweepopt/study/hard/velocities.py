@@ -115,10 +115,10 @@ class HardStudy(Suite):
             exact = cache(partial(_exact, process, program, t_end / steps))
             refused = entry_of(REFUSED, names)
             for path, solver in product(self.paths, self.solvers):
-                row = HardRow(name, seed, path, solver, ", ".join(names))
+                answer = f"refuse: {refused}" if refused else ""
                 row = run_case(
-                    row._replace(answer=f"refuse: {refused}" if refused else ""),
-                    partial(SweepingProcess.as_sweeping, process),
+                    HardRow(name, seed, path, solver, ", ".join(names), answer),
+                    process.as_sweeping,
                     partial(_judge, program, exact),
                     refused,
                     t_end=t_end,
