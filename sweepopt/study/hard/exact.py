@@ -45,11 +45,6 @@ def exactly(x: Any) -> Any:
     return np.frompyfunc(Decimal, 1, 1)(x)
 
 
-def sqrt(x: Any) -> Any:
-    """Of each entry."""
-    return np.frompyfunc(Decimal.sqrt, 1, 1)(x)
-
-
 def norm(M: np.ndarray, z: np.ndarray) -> float:
     """sqrt(<z, M z>)."""
     return float((z @ M @ z).sqrt())
@@ -98,8 +93,8 @@ def _multipliers(P: np.ndarray, q: np.ndarray, G: np.ndarray, h: np.ndarray) -> 
     Rows that are violated join the problem until there are none. In the metric of P all rows have
     about the same length, and faces of width 0 are made as wide as their rounding.
     """
-    lengths = np.sqrt(np.einsum("ij,jk,ik->i", *(x.astype(float) for x in (G, P, G))))
-    scale = exactly(lengths + (lengths == 0))
+    lengths = np.sqrt((G @ P * G).sum(axis=1))
+    scale = lengths + (lengths == 0)
     G = G / scale[:, None]
     noise = NOISE * abs(G @ q).max()
     slack = h / scale - G @ q + noise
@@ -151,7 +146,7 @@ def _in_balls(N: np.ndarray, q: np.ndarray, radii: np.ndarray) -> np.ndarray:
     ball = exactly(owner == np.arange(len(radii))[:, None])
     V, w, bend = inverse(N), q, 0 * radii
     for _ in range(STEPS):
-        size = sqrt(ball @ (w * w))
+        size = np.sqrt(ball @ (w * w))  # of objects: their own method, in 80 digits
         normal = w / (size + (size == 0))[owner]
         w, G = normal * np.minimum(size, radii)[owner], ball * normal
         K = np.diag(bend[owner]) - G.T @ (bend[:, None] * G)
