@@ -89,10 +89,14 @@ def work_precision(table: DataFrame, *, x: str = "wall") -> Any:
         # labels at 2 and 4 between powers of ten have room in a panel
         ax.xaxis.get_minor_locator().set_params(subs=(2, 4))
     for curve in lines:
-        look = {"color": curve.colour, "label": curve.label}
-        look["markerfacecolor"] = curve.colour if curve.line else "none"
-        style = f"{curve.marker}{curve.line}"
-        axes[curve.panel].plot(curve.cells.x, curve.cells.y, style, **look)
+        axes[curve.panel].plot(
+            curve.cells.x,
+            curve.cells.y,
+            f"{curve.marker}{curve.line}",
+            color=curve.colour,
+            label=curve.label,
+            fillstyle="full" if curve.line else "none",
+        )
     named = {line.get_label(): line for ax in axes.values() for line in ax.lines}
     ax.figure.legend(named.values(), named.keys(), fontsize="small", loc="outside right upper")
     return ax.figure.axes[0]
