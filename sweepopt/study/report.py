@@ -21,7 +21,7 @@ from sweepopt.checks import choice
 from sweepopt.errors import InputError, Status, brought_by
 from sweepopt.io import put, writable
 from sweepopt.results import Solution
-from sweepopt.study.advice import FORMAT, advice_table, halving_table
+from sweepopt.study.advice import AXES, FORMAT, advice, halving, readable
 from sweepopt.study.diagram import COLUMNS, COSTS, ERROR, curves, trajectories
 from sweepopt.study.hard import GOOD, SUITES
 from sweepopt.study.workers import machine
@@ -132,11 +132,11 @@ def _study_section(table: DataFrame) -> list[str]:
     message = table.message.str.replace(usual, "", regex=False)
     return [
         "<h2>The fastest way to each relative error</h2>",
-        advice_table(table).to_html(border=0, **FORMAT),
+        readable(advice(table), "target").to_html(border=0, **FORMAT),
         "<h2>Where half the error is cheapest</h2>",
         "<p>For the runs that are more accurate by a tenth than all faster ones: the factor of the "
         "time that half the error takes along each axis, by the next cell measured there.</p>",
-        halving_table(table).to_html(border=0, **FORMAT),
+        readable(halving(table), "cheapest", *AXES).to_html(border=0, **FORMAT),
         "<h2>What accuracy costs</h2>",
         "<p>Down is more accurate, left is cheaper; what failed stands above the others, an error "
         "of 0 below them. A click in the legend hides a line in all panels, a double click hides "
