@@ -50,9 +50,11 @@ def test_a_solver_is_judged_by_its_certificates_and_not_by_what_it_says() -> Non
             return lambda q, C: solve(q, C)._replace(z=np.ones_like(q))
 
     programs = record(find_source("P09"), 8)
-    assert all(trial["certificate"] > 1e-3 for trial in trials(Liar(), programs))
+    assert all(trial.certificate > 1e-3 for trial in trials(Liar(), programs))
     broken = Mock(so.Clarabel, compile=Mock(side_effect=ArithmeticError("no")))
-    assert trials(broken, programs) == [{"message": "ArithmeticError: no"}] * len(programs)
+    failures = trials(broken, programs)
+    assert [trial.message for trial in failures] == ["ArithmeticError: no"] * len(programs)
+    assert all(trial.certificate == np.inf for trial in failures)
 
 
 def test_only_solvers_that_treat_the_set_take_part() -> None:

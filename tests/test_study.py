@@ -168,7 +168,7 @@ def test_an_error_that_the_reference_cannot_tell_is_no_number(
     cell = Cell(find_source("S03"), "midpoint", "auto", 8, 1e-6, 1)
     missing = Mock(return_value=Reference(message="StepError: missed"))
     monkeypatch.setattr("sweepopt.study.cell.read_reference", missing)
-    row = run_cell(cell, folder=Path())
+    row = run_cell(cell, cell.problem, Path())
     assert row.status == "SUCCESS"
     assert np.isnan(row.error)
     assert " No reference: StepError: missed." in row.message
@@ -191,7 +191,8 @@ def test_failures_are_rows(
     assert rows.machine.str.contains("python 3.").all()
 
     monkeypatch.setattr("clarabel.DefaultSolver", Mock(side_effect=ZeroDivisionError("a bug")))
-    row = run_cell(Cell(find_source("P09"), "midpoint", "clarabel", 8, 1e-6, 1))
+    cell = Cell(find_source("P09"), "midpoint", "clarabel", 8, 1e-6, 1)
+    row = run_cell(cell, cell.problem, tmp_path)
     assert (row.status, row.message, row.success) == ("ZeroDivisionError", "a bug", False)
 
 
@@ -263,9 +264,9 @@ def test_an_edited_scene_is_another_cell_and_a_moved_one_is_not(tmp_path: Path) 
     scene = tmp_path / "a" / "ring.toml"
     text = scene.read_text()
     scene.write_text(text.replace("g = 0.6", "g = 0.7"))
-    assert "not as it was when the study started" in run_cell(here).message
+    assert "not as it was when the study started" in run_cell(here, here.problem, tmp_path).message
     scene.write_text(text)
-    row = run_cell(here)
+    row = run_cell(here, here.problem, tmp_path)
     assert (row.status, row.problem, row.steps_done) == ("SUCCESS", "ring", 4)
 
 

@@ -150,7 +150,7 @@ def test_the_judge_sees_what_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def low_bound(sol: so.Solution) -> Any:
         bound = sol.error_bound()
-        return lambda: type(bound).make(True, bound.t, 0.5 * bound.of_t, bound.B, 0.0)
+        return lambda: type(bound).make("", bound.t, 0.5 * bound.of_t, bound.B, 0.0)
 
     def unbalanced(sol: so.Solution) -> Any:
         energy = sol.energy()

@@ -54,11 +54,6 @@ def advice(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
     return pd.concat(chosen, ignore_index=True)
 
 
-def advice_table(table: DataFrame, targets: Sequence[float] = TARGETS) -> DataFrame:
-    """The advice to be read: settings, relative error and time of the fastest cells."""
-    return _shown(advice(table, targets), "target")
-
-
 def halving(table: DataFrame) -> DataFrame:
     """What half the error would cost, along each axis, from the best runs on.
 
@@ -98,12 +93,8 @@ def halving(table: DataFrame) -> DataFrame:
     return best.assign(cheapest=cheapest)
 
 
-def halving_table(table: DataFrame) -> DataFrame:
-    """The same to be read: inf where the error does not fall, "-" where nothing was measured."""
-    return _shown(halving(table), "cheapest", *AXES)
-
-
-def _shown(cells: DataFrame, *columns: str) -> DataFrame:
+def readable(cells: DataFrame, *columns: str) -> DataFrame:
+    """Columns of advice behind settings, relative error and time of its cells."""
     shown = cells.assign(**{"relative error": cells.error / cells["size"], "ms": 1e3 * cells.wall})
     return shown[[*SETTINGS, "relative error", "ms", *columns]]
 
@@ -112,11 +103,11 @@ def summary(table: DataFrame, targets: Sequence[float] = TARGETS) -> str:
     """The advice as text, and the failures below."""
     failures = table[~table.success].status.value_counts()
     unknown = int((table.success & table.error.isna()).sum())
-    chosen = advice_table(table, targets)
+    chosen = readable(advice(table, targets), "target")
     words = chosen.to_string(**FORMAT) if len(chosen) else f"no run meets {max(targets):g}"
     lines = ["the fastest way to each relative error", words, ""]
     lines += ["factor of the time for half the error, from the best runs on"]
-    lines += [halving_table(table).to_string(**FORMAT)]
+    lines += [readable(halving(table), "cheapest", *AXES).to_string(**FORMAT)]
     lines += ["", f"{len(table)} cells, {failures.sum()} failed"]
     lines += [f"  {count:4}  {status}" for status, count in failures.items()]
     if unknown:

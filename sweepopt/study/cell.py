@@ -203,7 +203,7 @@ def largest_norm(process: SweepingProcess, u: np.ndarray) -> float:
     return max(map(process.metric.norm, u))
 
 
-def run_cell(cell: Cell, finest: Source | None = None, folder: Path | None = None) -> CellRow:
+def run_cell(cell: Cell, finest: Source, folder: Path) -> CellRow:
     """Run a cell. What goes wrong is a row as well.
 
     A pure function of plain data, times apart: it runs in workers.
@@ -211,19 +211,17 @@ def run_cell(cell: Cell, finest: Source | None = None, folder: Path | None = Non
     Parameters
     ----------
     cell : Cell
-    finest : Source, optional
-        What errors are against, if it has another mesh than the cell.
-    folder : Path, optional
-        Where references are kept. Without it there are neither errors nor bounds.
+    finest : Source
+        What errors are against: the cell's own problem, or that on a finer mesh.
+    folder : Path
+        Where references are kept.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             solution_of(cell)  # packages are imported, the problem is assembled, caches are filled
             with one_thread():
-                row, solution = _measure(cell)
-                if folder is not None:
-                    row = _with_error(row, solution, cell, finest or cell.problem, folder)
+                row = _measure(cell, finest, folder)
         except Exception as error:  # whatever it is, the table has it
             return cell.failed(error)._replace(machine=machine())
     ours = [f"{one.message}." for one in caught if issubclass(one.category, SweepoptWarning)]
@@ -244,8 +242,11 @@ def solution_of(cell: Cell) -> Solution:
     )
 
 
-def _measure(cell: Cell) -> tuple[CellRow, Solution]:
-    """The last of several equal runs, with the medians of their times."""
+def _measure(cell: Cell, finest: Source, folder: Path) -> CellRow:
+    """The last of several equal runs, with the medians of their times.
+
+    Its error is that of a function on the finest mesh.
+    """
     gc.collect()
     times = []
     for _ in range(cell.repeats):
@@ -253,12 +254,20 @@ def _measure(cell: Cell) -> tuple[CellRow, Solution]:
         solution = solution_of(cell)
         times.append((clock.perf_counter() - wall, clock.process_time() - cpu))
     wall, cpu = np.median(times, axis=0).tolist()
-    stats = solution.stats
-    row = cell.row(
+    reference = read_reference(finest, cell.steps, folder)
+    stats, process, u = solution.stats, solution.process, solution.u
+    size, bound = largest_norm(process, u), guaranteed_bound(solution)
+    if finest != cell.problem:
+        process, u = open_source(finest)[0], u @ from_coarser(finest, cell.problem).T
+    missing = f" No reference: {reference.message}." if reference.message else ""
+    return cell.row(
         status=solution.status.name,
         success=solution.success,
-        message=solution.message,
-        size=largest_norm(solution.process, solution.u),
+        message=solution.message + missing,
+        error=reference.error(process, u),
+        reference_error=reference.uncertainty,
+        size=size,
+        bound=nan if bound is None else float(bound),
         certificate=stats["relative"].max() if len(stats) else nan,
         wall=wall,
         cpu=cpu,
@@ -267,22 +276,6 @@ def _measure(cell: Cell) -> tuple[CellRow, Solution]:
         unknowns=solution.plan.unknowns,
         path=solution.plan.path,
         machine=machine(),
-    )
-    return row, solution
-
-
-def _with_error(row: CellRow, run: Solution, cell: Cell, finest: Source, folder: Path) -> CellRow:
-    """The row with the error of its run, as a function on the finest mesh, and with the bound."""
-    reference, process, u = read_reference(finest, cell.steps, folder), run.process, run.u
-    if finest != cell.problem:
-        process, u = open_source(finest)[0], u @ from_coarser(finest, cell.problem).T
-    bound = guaranteed_bound(run)
-    missing = f" No reference: {reference.message}." if reference.message else ""
-    return row._replace(
-        error=reference.error(process, u),
-        reference_error=reference.uncertainty,
-        bound=nan if bound is None else float(bound),
-        message=row.message + missing,
     )
 
 

@@ -63,6 +63,14 @@ class Program(NamedTuple):
     C: ConvexSet
 
 
+class Trial(NamedTuple):
+    """A call of a solver, and how its answer is certified, or how the solver broke."""
+
+    seconds: float = nan
+    certificate: float = inf
+    message: str = ""
+
+
 def compare(
     source: Source, *, steps: int = 50, progress: Callable[[str], object] = lambda words: None
 ) -> DataFrame:
@@ -96,16 +104,14 @@ def compare(
 
     programs = record(source, count("steps", steps))
     progress(f"{source.name}: {len(programs)} programs of {programs[0].q.size} unknowns")
-    rows = []
+    parts = []
     for setting, solver in solvers_for(programs[0].C):
         progress(f"{solver.name} {setting}")
-        blank = {"solver": solver.name, "setting": setting, "accuracy": ACCURACIES[setting]}
-        blank |= {"seconds": nan, "certificate": inf, "message": ""}
-        rows += [blank | result for result in trials(solver, programs)]
-    tried = pd.DataFrame(rows).fillna({"certificate": inf})
-    solved = tried.certificate <= tried.accuracy
-    time = tried.seconds.where(solved, tried.seconds.max())
-    tried = tried.assign(solved=solved, time=time)
+        part = pd.DataFrame(trials(solver, programs))
+        parts.append(part.assign(solver=solver.name, setting=setting, accuracy=ACCURACIES[setting]))
+    tried = pd.concat(parts)
+    tried["solved"] = tried.certificate <= tried.accuracy
+    tried["time"] = tried.seconds.where(tried.solved, tried.seconds.max())
     table = tried.groupby(["solver", "setting", "accuracy"], sort=False, as_index=False).agg(
         programs=("certificate", "size"),
         solved=("solved", "mean"),
@@ -155,13 +161,10 @@ def record(source: Source, steps: int) -> list[Program]:
     return programs
 
 
-def trials(solver: Solver, programs: Sequence[Program]) -> list[dict[str, Any]]:
-    """Every program in the order of time, a call that is not timed before the first one.
-
-    Each has seconds and a relative certificate, or a message how the solver broke.
-    """
+def trials(solver: Solver, programs: Sequence[Program]) -> list[Trial]:
+    """Every program in the order of time, a call that is not timed before the first one."""
     compiled: dict[int, Solve] = {}
-    results: list[dict[str, Any]] = []
+    results = []
     quiet = contextlib.redirect_stdout(io.StringIO())
     with quiet, warnings.catch_warnings(), one_thread():
         warnings.simplefilter("ignore")
@@ -174,9 +177,9 @@ def trials(solver: Solver, programs: Sequence[Program]) -> list[dict[str, Any]]:
                 z = compiled[id(statement)](q, C).z
                 seconds = clock.perf_counter() - started
                 relative = certify(statement.M, q, C, z).relative if np.isfinite(z).all() else inf
-                results.append({"seconds": seconds, "certificate": relative})
+                results.append(Trial(seconds, relative))
             except Exception as error:  # a solver that breaks is a row of the table
-                results.append({"message": f"{type(error).__name__}: {error}"})
+                results.append(Trial(message=f"{type(error).__name__}: {error}"))
     return results
 
 

@@ -29,7 +29,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 COLUMNS = 3
 """Panels side by side."""
 ERROR = "largest error over the steps"
-MARKERS = "os^vDP*"
+MARKERS = "osDP^v"
 COSTS = {
     "wall": "wall time (s)",
     "cpu": "processor time (s)",
@@ -43,7 +43,7 @@ class Curve(NamedTuple):
 
     Attributes
     ----------
-    problem, panel, label : str
+    panel, label : str
     cells : DataFrame
         Rows of the study's table by their number of steps, with their places `x` and `y` on
         logarithmic axes.
@@ -51,7 +51,6 @@ class Curve(NamedTuple):
         As matplotlib names them; there is no line, or there are no markers, where one is "".
     """
 
-    problem: str
     panel: str
     label: str
     cells: DataFrame
@@ -73,9 +72,8 @@ def work_precision(table: DataFrame, *, x: str = "wall") -> Any:
     Returns
     -------
     matplotlib Axes
-        The first panel; its `figure` has one for each problem and mesh, those of a problem with the
-        same limits. Bounds are not drawn where a problem has several meshes, whose error is in the
-        errors and not in the bounds.
+        The first panel; its `figure` has one for each problem and mesh. Bounds are not drawn where
+        a problem has several meshes, whose error is in the errors and not in the bounds.
 
     Raises
     ------
@@ -85,22 +83,20 @@ def work_precision(table: DataFrame, *, x: str = "wall") -> Any:
         If matplotlib is not installed.
     """
     lines = curves(table, x)
-    places = {curve.panel: curve.problem for curve in lines}
-    axes = panels(list(places))
-    first: dict[str, Any] = {}
-    for panel, problem in places.items():
-        ax, one = axes[panel], first.setdefault(problem, axes[panel])
-        if ax is not one:
-            ax.sharex(one)
-            ax.sharey(one)
+    axes = panels(list(dict.fromkeys(curve.panel for curve in lines)))
+    for ax in axes.values():
         ax.set(xscale="log", yscale="log", xlabel=COSTS[x], ylabel=f"{ERROR}, $|\\cdot|_A$")
         # labels at 2 and 4 between powers of ten have room in a panel
         ax.xaxis.get_minor_locator().set_params(subs=(2, 4))
     for curve in lines:
-        look = {"color": curve.colour, "label": curve.label}
-        look["markerfacecolor"] = curve.colour if curve.line else "none"
-        style = f"{curve.marker}{curve.line}"
-        axes[curve.panel].plot(curve.cells.x, curve.cells.y, style, **look)
+        axes[curve.panel].plot(
+            curve.cells.x,
+            curve.cells.y,
+            f"{curve.marker}{curve.line}",
+            color=curve.colour,
+            label=curve.label,
+            fillstyle="full" if curve.line else "none",
+        )
     named = {line.get_label(): line for ax in axes.values() for line in ax.lines}
     ax.figure.legend(named.values(), named.keys(), fontsize="small", loc="outside right upper")
     return ax.figure.axes[0]
@@ -134,9 +130,7 @@ def curves(table: DataFrame, x: str) -> list[Curve]:
     markers = dict(zip(cells.solver.unique(), cycle(MARKERS), strict=False))
     bounded = cells.panel.nunique() == cells.problem.nunique()
     lines = []
-    for (problem, panel, line, solver), rows in cells.groupby(
-        ["problem", "panel", "line", "solver"], sort=False
-    ):
+    for (panel, line, solver), rows in cells.groupby(["panel", "line", "solver"], sort=False):
         rows = rows.sort_values("steps")
         proved = rows.known & np.isfinite(rows.bound) & bounded
         for label, marker, style, shown, y in (
@@ -147,7 +141,7 @@ def curves(table: DataFrame, x: str) -> list[Curve]:
         ):
             if shown.any():
                 drawn = rows.assign(y=y)[shown]
-                lines.append(Curve(problem, panel, label, drawn, marker, style, colours[line]))
+                lines.append(Curve(panel, label, drawn, marker, style, colours[line]))
     return lines
 
 

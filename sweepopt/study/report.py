@@ -21,7 +21,7 @@ from sweepopt.checks import choice
 from sweepopt.errors import InputError, Status, brought_by
 from sweepopt.io import put, writable
 from sweepopt.results import Solution
-from sweepopt.study.advice import FORMAT, advice_table, halving_table
+from sweepopt.study.advice import AXES, FORMAT, advice, halving, readable
 from sweepopt.study.diagram import COLUMNS, COSTS, ERROR, curves, trajectories
 from sweepopt.study.hard import GOOD, SUITES
 from sweepopt.study.workers import machine
@@ -31,11 +31,8 @@ if TYPE_CHECKING:
 
 HIDDEN = ["repeats", "cell", "success", "size", "cpu", "steps_done", "machine", "message"]
 """Columns of a study's table that its page does not show, but for the message, which is last."""
-SYMBOLS = {
-    **{"o": "circle", "s": "square", "^": "triangle-up", "v": "triangle-down"},
-    **{"D": "diamond", "P": "cross", "*": "star", "x": "x"},
-}
-"""Plotly's names of matplotlib's markers."""
+SYMBOLS = "osDPx^v"
+"""Matplotlib's names of Plotly's symbols 0 to 6, of which 100 to 106 are the open ones."""
 TOOLTIP = """\
 {0.scheme}<br>solver={0.solver}<br>steps={0.steps}<br>tol={0.tol:g}<br>error={0.error:.3g}<br>\
 bound={0.bound:.3g}<br>wall={0.wall:.3g} s<br>solver calls={0.solver_calls:.0f}<br>{0.status}"""
@@ -49,7 +46,7 @@ style-src 'unsafe-inline'; script-src 'unsafe-inline'">
 <style>
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1500px; margin: auto; padding: 1rem; }
 .about { color: #555; font-size: 13px; }
-.scroll { max-height: 36rem; overflow: auto; }
+table { display: block; max-height: 36rem; overflow: auto; }
 table { border-collapse: collapse; font-size: 13px; font-variant-numeric: tabular-nums; }
 th, td { border: 0; border-bottom: 1px solid #ddd; padding: 0.2rem 0.6rem; text-align: left; }
 td { vertical-align: top; min-width: 4rem; max-width: 18rem; overflow-wrap: break-word; }
@@ -135,11 +132,11 @@ def _study_section(table: DataFrame) -> list[str]:
     message = table.message.str.replace(usual, "", regex=False)
     return [
         "<h2>The fastest way to each relative error</h2>",
-        advice_table(table).to_html(border=0, **FORMAT),
+        readable(advice(table), "target").to_html(border=0, **FORMAT),
         "<h2>Where half the error is cheapest</h2>",
         "<p>For the runs that are more accurate by a tenth than all faster ones: the factor of the "
         "time that half the error takes along each axis, by the next cell measured there.</p>",
-        halving_table(table).to_html(border=0, **FORMAT),
+        readable(halving(table), "cheapest", *AXES).to_html(border=0, **FORMAT),
         "<h2>What accuracy costs</h2>",
         "<p>Down is more accurate, left is cheaper; what failed stands above the others, an error "
         "of 0 below them. A click in the legend hides a line in all panels, a double click hides "
@@ -161,10 +158,10 @@ def _suite_section(name: str, rows: Sequence[Any]) -> list[str]:
 
     table = pd.DataFrame(rows)
     title, text = str(getdoc(SUITES[name])).split("\n\n")[:2]
-    good, shown = table.verdict.isin(GOOD), table.drop(columns="excess", errors="ignore")
+    good = table.verdict.isin(GOOD)
     return [
         f"<h2>{title.rstrip('.')}</h2><p>{html.escape(text)}</p>",
-        _table(shown, "verdict", good, "runs", "wrong"),
+        _table(table, "verdict", good, "runs", "wrong"),
     ]
 
 
@@ -186,7 +183,7 @@ def _diagram(table: DataFrame, cost: str) -> str:
             mode="+".join(part for part, style in parts.items() if style),
             line_color=curve.colour,
             line_dash="dash" if curve.line == "--" else "solid",
-            marker_symbol=SYMBOLS.get(curve.marker, "circle") + "-open" * (not curve.line),
+            marker_symbol=SYMBOLS.find(curve.marker) + 100 * (not curve.line),
             name=curve.label,
             legendgroup=curve.label,
             showlegend=curve.label not in labels,
@@ -214,6 +211,5 @@ def _table(table: DataFrame, column: str, good: Series, things: str, fault: str)
     """What is not good comes first, marked in a column; text is escaped by pandas."""
     marked = table[column].where(good, "✗ " + table[column])
     table = table.assign(**{column: marked}).loc[good.sort_values(kind="stable").index]
-    text = table.to_html(border=0, **FORMAT)
     count = f"<p>{len(table)} {things}, {(~good).sum()} {fault}</p>"
-    return f'{count}<div class="scroll">{text}</div>'
+    return count + table.to_html(border=0, **FORMAT)

@@ -126,9 +126,9 @@ def _digest(path: Path) -> str:
 
 
 def _file_names(data: Any) -> Iterator[str]:
-    """The values of the keys mesh and csv, wherever they are."""
+    """The values of the keys mesh, csv and run, wherever they are."""
     if isinstance(data, dict):
-        yield from (data[key] for key in ("mesh", "csv") if isinstance(data.get(key), str))
+        yield from (data[key] for key in ("mesh", "csv", "run") if isinstance(data.get(key), str))
         data = list(data.values())
     if isinstance(data, list):
         for entry in data:

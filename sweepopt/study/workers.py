@@ -11,7 +11,7 @@ import platform
 import re
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from functools import cache
 from multiprocessing import get_context, parent_process
 from pathlib import Path
@@ -44,7 +44,7 @@ def machine() -> str:
     return f"{name}, {system}; {packages}"
 
 
-def one_thread() -> AbstractContextManager[object]:
+def one_thread() -> Any:
     """Limit the BLAS and OpenMP libraries that are loaded to one thread.
 
     Raises
@@ -54,8 +54,7 @@ def one_thread() -> AbstractContextManager[object]:
     """
     with brought_by("study"):
         from threadpoolctl import threadpool_limits
-    limits: AbstractContextManager[object] = threadpool_limits(limits=1)
-    return limits
+    return threadpool_limits(limits=1)
 
 
 def processes(workers: int) -> Executor:

@@ -126,14 +126,11 @@ def half_space(random: Random, n: int, few: int, bound: float) -> Contact:
     return Contact(_some(random, n, row.size), lambda units: HalfSpace(row / units, bound), edge)
 
 
-def polyhedron(random: Random, n: int, rows: int, columns: int) -> Contact:
-    """Any rows."""
-    return _rows(random, n, random.normal(size=(rows, min(n, columns))), np.ones(rows))
-
-
-def parallel(random: Random, n: int, rows: int, columns: int, apart: float) -> Contact:
-    """Rows that are one but for small differences."""
-    G = random.normal(size=columns) + apart * random.normal(size=(rows, columns))
+def polyhedron(random: Random, n: int, rows: int, columns: int, apart: float = 0.0) -> Contact:
+    """Any rows; or rows that are one but for small differences."""
+    G = random.normal(size=(rows, min(n, columns)))
+    if apart:
+        G = random.normal(size=columns) + apart * G
     return _rows(random, n, G, np.ones(rows))
 
 

@@ -11,14 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import choice
 from sweepopt.io import read_toml
 from sweepopt.loads import Separable
 from sweepopt.problem import SweepingProcess
 from sweepopt.sets import Moving, image
 from sweepopt.study.hard import bodies
 from sweepopt.study.hard.bodies import Contact, Random, between, chain, spectral
-from sweepopt.study.records import each
 
 Names = Sequence[str]
 
@@ -154,14 +152,5 @@ def combination(random: Random) -> Names:
     return (*names, "one step" if names[4] == "no B" else history)
 
 
-def read_families(path: Path) -> dict[str, Names]:
-    """Families of a file by name; InputError names an ingredient that there is not."""
-    ingredients, families = [name for table in TABLES for name in table], read_toml(path)
-    return {
-        name: each(f"{path.name}: {name}", names, choice, ingredients)
-        for name, names in families.items()
-    }
-
-
-FAMILIES: dict[str, Names] = read_families(Path(__file__).with_suffix(".toml"))
+FAMILIES: dict[str, Names] = read_toml(Path(__file__).with_suffix(".toml"))
 """Families by name: of each, every seed makes a case."""

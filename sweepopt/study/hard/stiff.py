@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -157,7 +157,7 @@ class StiffStudy(Suite):
             yield judge(StiffRow(*case), make(*case), 1.0, self.bounds)
 
 
-def judge(row: StiffRow, process: SweepingProcess, t_end: float, bounds: bool = True) -> StiffRow:
+def judge(row: StiffRow, process: SweepingProcess, t_end: float, bounds: bool = True) -> Any:
     """The row with what a run of a process is worth."""
     how: Any = {"t_end": t_end, "tol": 1e-8, "on_unstable": "ignore"}
 
@@ -185,5 +185,4 @@ def judge(row: StiffRow, process: SweepingProcess, t_end: float, bounds: bool = 
             "velocities ring": entries["ringing"] > RINGS,
         }
 
-    run: Any = {"steps": row.steps, "scheme": "auto", **how}
-    return cast(StiffRow, run_case(row, lambda: process, compare, **run))
+    return run_case(row, lambda: process, compare, steps=row.steps, scheme="auto", **how)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from itertools import product
 from math import nan
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ import numpy as np
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
 from sweepopt.study.hard.bodies import Random
-from sweepopt.study.hard.exact import Judge
+from sweepopt.study.hard.exact import Exact, Program
 from sweepopt.study.hard.families import (
     FAMILIES,
     HISTORIES,
@@ -111,14 +111,15 @@ class HardStudy(Suite):
         """
         for name, seed, names, random in self._cases():
             (t_end, steps, *_), process = entry_of(HISTORIES, names), make(names, random)
-            exact = Judge(process, t_end / steps)
+            program = Program(process.A, process.B, t_end / steps)
+            exact = cache(partial(_exact, process, program, t_end / steps))
             refused = entry_of(REFUSED, names)
             for path, solver in product(self.paths, self.solvers):
-                row = HardRow(name, seed, path, solver, ", ".join(names))
+                answer = f"refuse: {refused}" if refused else ""
                 row = run_case(
-                    row._replace(answer=f"refuse: {refused}" if refused else ""),
-                    partial(SweepingProcess.as_sweeping, process),
-                    partial(_judge, exact),
+                    HardRow(name, seed, path, solver, ", ".join(names), answer),
+                    process.as_sweeping,
+                    partial(_judge, program, exact),
                     refused,
                     t_end=t_end,
                     steps=steps,
@@ -138,21 +139,29 @@ class HardStudy(Suite):
             yield f"combination {k}", seed, combination(random), random
 
 
-def _judge(judge: Judge, solution: Solution, _: bool) -> tuple[dict[str, Any], Faults]:
+def _exact(process: SweepingProcess, program: Program, mu: float, t: float, *u: float) -> Exact:
+    # the time as a step makes it: a load may change within a rounding unit of t
+    return program.solve(np.array(u), process.C.at(t + mu))
+
+
+def _judge(
+    program: Program, exact: Callable[..., Exact], solution: Solution, _: bool
+) -> tuple[dict[str, Any], Faults]:
     """The last answer in words, the worst of all steps, and what is wrong with it."""
     stats = solution.stats
     # of a step that is taken in parts the velocity is the mean of theirs, of no one program
-    proved = stats["certificate"], stats["solver"]
-    starts = solution.u, solution.t.tolist(), solution.velocity
+    right = [exact(t, *u) for t, u in zip(solution.t[:-1].tolist(), solution.u, strict=False)]
     steps = [
-        judge.step(*step)
-        for *step, solver in zip(*starts, *proved, strict=False)
+        program.compare(*step)
+        for *step, solver in zip(
+            right, solution.velocity, stats["certificate"], stats["solver"], strict=True
+        )
         if "/" not in str(solver)
     ]
     error, certificate, excess = map(float, np.max(steps or [(nan, nan, nan)], axis=0))
-    z = judge.exact(solution.u[-2], float(solution.t[-2])).z
+    z, length = right[-1].z, program.error(0, right[-1])
     entries = {
-        "answer": f"|z| = {judge.norm(z):.3g}, {np.count_nonzero(z)} of {len(z)} move",
+        "answer": f"|z| = {length:.3g}, {np.count_nonzero(z)} of {len(z)} move",
         "error": error,
         "certificate": certificate,
         "excess": excess,
