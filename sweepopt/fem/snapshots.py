@@ -124,7 +124,7 @@ def _along_a_line(report: Report, u: Array, label: str) -> Snapshots:
         panel.plot(x[order], u[i, order], color="black", lw=1.0, zorder=1)
         _mark(report, panel, i, np.column_stack([x, u[i]]))
         panel.set_ylim(u.min() - edge, u.max() + edge)
-        show_units(report, "length", panel.yaxis)
+        name_axis(report, panel.yaxis, "", "length")
 
     return Snapshots(u, draw, x[:, None], label, "length", *_slip_history(report, u))
 
@@ -228,13 +228,13 @@ def colours_of(values: Array, rising: str = "Greens") -> dict[str, Any]:
     return {"cmap": colours, "vmin": -limit * signed, "vmax": limit}
 
 
-def show_units(report: Report, quantity: str, *axes: Any) -> None:
-    """Ticks with units, such as 20 mm; plain numbers in a dimensionless scene."""
+def name_axis(report: Report, axis: Any, label: str, quantity: str) -> None:
+    """The label of an axis, and ticks with units, such as 20 mm; without units plain numbers."""
     from matplotlib.ticker import EngFormatter
 
+    axis.set_label_text(label)
     if quantity and report.suffix(quantity):
-        for axis in axes:
-            axis.set_major_formatter(EngFormatter(report.units[quantity]))
+        axis.set_major_formatter(EngFormatter(report.units[quantity]))
 
 
 def draw_zone(report: Report, panel: Any) -> None:
@@ -246,8 +246,7 @@ def draw_zone(report: Report, panel: Any) -> None:
     colours = ListedColormap([STATE_COLOURS[state] for state in STATES])
     image = panel.pcolormesh(slip.t, between(slip.contact.arc), slip.state.T, cmap=colours)
     image.set(clim=(-1.5, 1.5), rasterized=True)
-    panel.set_ylabel(along(slip))
-    show_units(report, "length", panel.yaxis)
+    name_axis(report, panel.yaxis, along(slip), "length")
 
 
 def along(slip: Slip) -> str:
@@ -327,8 +326,8 @@ def _page(report: Report, field: Snapshots, indices: list[int]) -> tuple[Any, Ar
         image = _draw(report, field, panel, i)
         for own, name, x in zip("xyz", field.axes, field.points.T, strict=False):
             edge = 0.08 * np.ptp(x)
-            panel.set(**{f"{own}label": name, f"{own}lim": (x.min() - edge, x.max() + edge)})
-            show_units(report, "length", getattr(panel, f"{own}axis"))
+            panel.set(**{f"{own}lim": (x.min() - edge, x.max() + edge)})
+            name_axis(report, getattr(panel, f"{own}axis"), name, "length")
         panel.locator_params(nbins=4)
         if flat:
             panel.set_aspect("equal")
@@ -340,13 +339,13 @@ def _page(report: Report, field: Snapshots, indices: list[int]) -> tuple[Any, Ar
     else:
         history.plot(t, field.history[0], color="black", lw=1.5)
         history.set_ylabel(field.history[1])
-    history.set(xlabel="time", xlim=t[[0, -1]])
+    history.set_xlim(t[[0, -1]])
     history.grid(alpha=0.3)
-    show_units(report, "time", history.xaxis)
+    name_axis(report, history.xaxis, "time", "time")
     if len(size) == 1:
         figure.supylabel(field.label)
     else:
-        bar = figure.colorbar(image, ax=panels, label=field.label, shrink=0.8)
-        show_units(report, field.quantity, bar.ax.yaxis)
+        bar = figure.colorbar(image, ax=panels, shrink=0.8)
+        name_axis(report, bar.ax.yaxis, field.label, field.quantity)
     legend_of(figure, field.legend)
     return figure, panels, history
