@@ -434,20 +434,18 @@ class Slip:
     @cached_property
     def use(self) -> Array:
         """Share of the bound that the traction takes, with its sign where it has one, (n, m)."""
-        q = self.traction if self.traction.ndim == 2 else np.linalg.norm(self.traction, axis=2)
+        q = signed_lengths(self.traction)
         return np.divide(q, self.bound, out=np.zeros_like(q), where=self.bound > 0)
 
     @cached_property
     def state(self) -> NDArray[np.int8]:
         """1, 0 or -1: slips (forward), sticks, slips backward; shape (n, m)."""
-        speed = self.velocity if self.velocity.ndim == 2 else self.speed
-        return np.sign(speed).astype(np.int8)
+        return np.sign(signed_lengths(self.velocity)).astype(np.int8)
 
     @property
     def speed(self) -> Array:
         """|u'| of each node, shape (n, m)."""
-        velocity = self.velocity
-        return np.abs(velocity) if velocity.ndim == 2 else np.linalg.norm(velocity, axis=2)
+        return np.abs(signed_lengths(self.velocity))
 
     @cached_property
     def share(self) -> Array:
@@ -476,6 +474,11 @@ class Slip:
             largest_total=float(self.total.max()),
             mean_total=float(self.total @ weight),
         )
+
+
+def signed_lengths(x: Array) -> Array:
+    """Numbers of shape (n, m) as they are, the lengths of vectors of shape (n, m, d)."""
+    return x if x.ndim == 2 else np.linalg.norm(x, axis=2)
 
 
 def slip_of(scene: Scene, solution: Solution) -> Slip | None:

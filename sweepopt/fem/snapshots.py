@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import skfem
 
-from sweepopt.fem.contact import STATES, Slip
+from sweepopt.fem.contact import STATES, Slip, signed_lengths
 from sweepopt.fem.effects import Traction
 from sweepopt.fem.output import Report
 from sweepopt.plot import STICK, new_figure, write_animation
@@ -18,6 +18,7 @@ Array = np.ndarray
 PLUG, PULLED = "#E69F00", "#CC79A7"
 SMOOTH: dict[str, Any] = {"shading": "gouraud", "rasterized": True}
 STATE_COLOURS = {-1: "#0072B2", 0: STICK, 1: "#D55E00"}
+LENGTH = "displacement, its length"
 EXAGGERATED = 0.05
 """A solid is drawn deformed so that its largest displacement is at least this share of its size."""
 
@@ -89,7 +90,8 @@ def animation(report: Report, field: Snapshots, path: Path) -> None:
 def displacement(report: Report) -> Snapshots:
     """The displacement of a body in the plane, and where it slips."""
     body = report.scene.discretisation
-    u, label = _lengths(report.scene.displacement(report.solution), body.components)
+    u = signed_lengths(report.scene.displacement(report.solution))
+    label = "displacement" if body.components == 1 else LENGTH
     if body.mesh.dim() == 1:
         return _along_a_line(report, u, label)
     label += " out of the plane" if body.kind == "antiplane" else ""
@@ -138,10 +140,10 @@ def surface(report: Report) -> Snapshots:
 
     body, contact = report.scene.discretisation, report.scene.contact
     u = report.scene.displacement(report.solution)
-    length, label = _lengths(u, 3)
+    length = signed_lengths(u)
     share = float(length.max() / np.ptp(body.points, axis=0).max()) or 1.0
     factor = 10.0 ** max(int(np.ceil(np.log10(EXAGGERATED / share))), 0)
-    label += f"; drawn {factor:g} times as large" if factor > 1 else ""
+    label = LENGTH + (f"; drawn {factor:g} times as large" if factor > 1 else "")
     moved, look = body.points + factor * u, colours_of(length)
     below = contact is not None and contact.points[:, 2].mean() < body.points[:, 2].mean()
 
@@ -286,12 +288,6 @@ def _slip_history(report: Report, values: Array) -> tuple[tuple[Array, str], dic
 def _by_ends(values: Array) -> Array:
     """Of steps, at their ends and at the start."""
     return np.concatenate([values[:1], values])
-
-
-def _lengths(u: Array, components: int) -> tuple[Array, str]:
-    if components == 1:
-        return u, "displacement"
-    return np.linalg.norm(u, axis=2), "displacement, its length"
 
 
 def _mark(report: Report, panel: Any, i: int, points: Array, **look: Any) -> None:
