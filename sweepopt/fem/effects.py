@@ -26,19 +26,18 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from skfem.helpers import dot
 
 from sweepopt.checks import choice, listed, matrix, number
 from sweepopt.display import Brief
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import BOUND, PRESSURE, Rows, Yield, friction_on
-from sweepopt.fem.fields import Coefficient, Datum, in_time
+from sweepopt.fem.fields import Array, Coefficient, Datum, in_time
 from sweepopt.fem.slip_laws import SlipLaw
 from sweepopt.fem.spaces import AXES, BODY, Discretisation, Place, boundary_names
 from sweepopt.loads import History
 
-Array = NDArray[np.float64]
 Phi = Callable[[float], Any]
 Force = tuple[Phi, Array | Callable[[float], Array]] | Callable[[float], Array]
 

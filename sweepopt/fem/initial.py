@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sweepopt.errors import InputError
 from sweepopt.fem.effects import Record
-from sweepopt.fem.fields import Coefficient, Datum
+from sweepopt.fem.fields import Array, Coefficient, Datum
 from sweepopt.fem.spaces import AXES, Discretisation
 from sweepopt.io import as_path
 from sweepopt.results import last_state
@@ -55,9 +54,7 @@ class Initial(Record):
         if self.u is not None and self.run is not None:
             raise InputError("run: give u or run, not both")
 
-    def state(
-        self, space: Discretisation, fields: Mapping[str, slice], size: int
-    ) -> NDArray[np.float64]:
+    def state(self, space: Discretisation, fields: Mapping[str, slice], size: int) -> Array:
         """u0 on all unknowns, shape (size,).
 
         Parameters
@@ -71,9 +68,7 @@ class Initial(Record):
         return u0 if self.run is None else _last_state(as_path("run", self.run), space, fields, u0)
 
 
-def _last_state(
-    path: Path, space: Discretisation, fields: Mapping[str, slice], u0: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _last_state(path: Path, space: Discretisation, fields: Mapping[str, slice], u0: Array) -> Array:
     """The last state of a file, put into u0."""
     path = path / "solution.nc" if path.is_dir() else path
     names = "u", "field", "unknowns_digest", "displacement", "internal", "internal_field", *AXES

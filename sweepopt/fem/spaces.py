@@ -21,18 +21,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 import skfem
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sweepopt.checks import choice, count, floats, listed
 from sweepopt.display import Brief
 from sweepopt.errors import InputError, shown
-from sweepopt.fem.fields import Coefficient, Datum, Indices
+from sweepopt.fem.fields import Array, Coefficient, Datum, Indices
 from sweepopt.fem.frames import Frame, frame_of
 from sweepopt.fem.mesh import check_mesh, read_mesh
 from sweepopt.fem.refined import CELLS, nested, refined
 from sweepopt.io import as_path
-
-Array = NDArray[np.float64]
 
 KINDS = {
     "antiplane": (1, 2),
