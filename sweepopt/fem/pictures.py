@@ -139,7 +139,7 @@ def contact(report: Report) -> Any:
     figure, heights = new_figure((8.5, 9.0)), [1.3, 1.0, 1.0, *[0.5 for _ in driven]]
     panels = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
     zone, moved, traction, *below = panels
-    snapshots.draw_zone(report, zone)
+    snapshots.draw_zone(report, slip, zone)
     # points that slip from little to far
     nodes = spread(slip.total, len(STYLES))
     for node, look in zip(nodes, LOOKS, strict=False):

@@ -239,12 +239,10 @@ def name_axis(report: Report, axis: Any, label: str, quantity: str) -> None:
         axis.set_major_formatter(EngFormatter(report.units[quantity]))
 
 
-def draw_zone(report: Report, panel: Any) -> None:
+def draw_zone(report: Report, slip: Slip, panel: Any) -> None:
     """Slip state over arc length and time."""
     from matplotlib.colors import ListedColormap
 
-    slip = report.slip
-    assert slip is not None
     colours = ListedColormap([STATE_COLOURS[state] for state in STATES])
     image = panel.pcolormesh(slip.t, between(slip.contact.arc), slip.state.T, cmap=colours)
     image.set(clim=(-1.5, 1.5), rasterized=True)
@@ -331,7 +329,7 @@ def _page(report: Report, field: Snapshots, indices: list[int]) -> tuple[Any, Ar
             panel.label_outer()
     history, slip, t = figure.add_subplot(grid[1]), report.slip, report.solution.t
     if slip is not None and slip.velocity.ndim == 2 and slip.contact.on_curve:
-        draw_zone(report, history)
+        draw_zone(report, slip, history)
     else:
         history.plot(t, field.history[0], color="black", lw=1.5)
         history.set_ylabel(field.history[1])
