@@ -94,7 +94,7 @@ def total(parts: Sequence[Contribution], name: str) -> sp.csc_array | None:
 def released_matrices(space: Discretisation, effects: Iterable[Effect]) -> tuple[Any, Any]:
     """A and B of all degrees of freedom, of the body with nothing held or turned."""
     own = [(one, one.contribute(space)) for one in effects]
-    free = space.released()
+    free = space.with_unknowns(clamped=(), held={}, turned=())
     parts = [one.contribute(free) for one, part in own if part.A is not None or part.B is not None]
     return total(parts, "A"), total(parts, "B")
 

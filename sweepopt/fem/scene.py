@@ -357,7 +357,7 @@ def build(
     rubbing = [name for one in effects.values() if isinstance(one, Friction) for name in one.on]
     turned = [name for name in rubbing if name in (space.mesh.boundaries or {})]
     if turned and space.components > 1:
-        space = space.with_turned(turned)
+        space = space.with_unknowns(turned=tuple(dict.fromkeys([*space.turned, *turned])))
     effects = dict(zip(effects, with_elasticity(effects.values()), strict=True))
     parts = [_contribution(label, effects[label], space, settings["t_end"]) for label in effects]
     ends = np.cumsum([space.dim, *[part.internal for part in parts]]).tolist()

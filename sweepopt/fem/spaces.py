@@ -201,16 +201,8 @@ class Discretisation(Brief):
         boundaries = [*all_held.items(), *self.held.items()]
         return frame_of(self, [(self.facets("held", [name])[0], what) for name, what in boundaries])
 
-    def with_turned(self, names: Sequence[str]) -> Discretisation:
-        """The same with the unknowns of more boundaries turned."""
-        return self._with(turned=tuple(dict.fromkeys([*self.turned, *names])))
-
-    def released(self) -> Discretisation:
-        """The same with nothing held or turned."""
-        return self._with(clamped=(), held={}, turned=())
-
-    def _with(self, **fields: Any) -> Discretisation:
-        """The same with other unknowns."""
+    def with_unknowns(self, **fields: Any) -> Discretisation:
+        """The same with other values of `clamped`, `held` or `turned`."""
         other = copy.copy(self)
         for name in ("frame", "free", "extension"):
             other.__dict__.pop(name, None)
