@@ -496,13 +496,13 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     mu = np.diff(solution.t)
     stage_t = solution.t[:-1] + np.dot(scheme.b, scheme.c) * mu
     implicit = np.dot(scheme.b, [sum(row) for row in scheme.a])
-    rubbing = [one for one in scene.yields if one.contact]
-    _, _, sums = _shared([one.contact for one in rubbing])
+    rubbing = [(one, part) for one in scene.yields if (part := one.contact)]
+    _, _, sums = _shared([part for _, part in rubbing])
     force, bound = [], []
     for t, h, u, z in zip(stage_t.tolist(), mu, solution.u[:-1], solution.velocity, strict=True):
         u = u + implicit * h * z
         force.append(contact.of(process.A @ z + process.times_B(u) - scene.load(t)))
-        bound.append(sums @ np.concatenate([one.at(t, u) for one in rubbing]) / contact.weight)
+        bound.append(sums @ np.concatenate([one.at(t, u) for one, _ in rubbing]) / contact.weight)
     return Slip(
         contact=contact,
         t=solution.t,
