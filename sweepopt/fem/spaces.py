@@ -438,7 +438,9 @@ class Discretisation(Brief):
             d, degree = self.mesh.dim(), self.scalar.elem.maxdeg
             rule, order = self.rule(d) if nodal else None, 2 * degree + 2
             if strains:
-                rule, order = centroid(d) if degree == 1 else None, 2
+                order = 2
+                if degree == 1:  # the centroid, exact on linear functions
+                    rule = np.full((d, 1), 1 / (d + 1)), np.array([1 / factorial(d)])
             basis = skfem.CellBasis(
                 self.mesh, element, elements=cells, intorder=order, quadrature=rule
             )
@@ -486,11 +488,6 @@ class Place(NamedTuple):
     def vector(self, form: Callable[..., Any]) -> Array:
         """Integrals of form(v, w) for all degrees of freedom."""
         return np.asarray(skfem.LinearForm(form).assemble(self.basis))
-
-
-def centroid(d: int) -> tuple[Array, Array]:
-    """The quadrature of one point, exact on linear functions of intervals, triangles ..."""
-    return np.full((d, 1), 1 / (d + 1)), np.array([1 / factorial(d)])
 
 
 def boundary_names(argument: str, value: object) -> tuple[str, ...]:
