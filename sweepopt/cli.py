@@ -205,7 +205,7 @@ def _run(options: argparse.Namespace) -> int:
 
 def _announce(scene: Scene) -> None:
     """Print what will be simulated and what will not."""
-    process = scene.problem.as_sweeping()
+    process = scene.process
     options = SolveOptions(
         scene.t_end, scene.steps, scheme=scene.scheme, solver=scene.solver, tol=scene.tol
     )

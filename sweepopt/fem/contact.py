@@ -10,7 +10,7 @@ and the forces on the face of a sheet. Tested with the basis function of node k 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from math import prod
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.display import Brief
 from sweepopt.errors import InputError
-from sweepopt.fem.fields import Coefficient, Indices, in_time
+from sweepopt.fem.fields import Array, Coefficient, Indices, in_time
 from sweepopt.fem.slip_laws import SlipLaw
 from sweepopt.fem.spaces import Discretisation, Place
 from sweepopt.sets import Balls, Box, ConvexSet, Ellipsoid, SecondOrderCone, image, product
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from sweepopt.fem.scene import Scene
     from sweepopt.results import Solution
 
-Array = NDArray[np.float64]
 
 BOUND = Coefficient("g", 0.0, finite=False)
 PRESSURE = Coefficient("p", 0.0)
@@ -222,24 +221,24 @@ def merged(contacts: Sequence[Contact]) -> Contact | None:
     def joined(name: str) -> Any:
         return np.concatenate([getattr(one, name) for one in contacts])
 
-    rows = [one.unknown.reshape(len(one), -1) for one in contacts]
-    width = max(row.shape[1] for row in rows)
-    missing = [((0, 0), (0, width - row.shape[1])) for row in rows]
-    unknown = np.vstack(
-        [np.pad(row, pad, constant_values=-1) for row, pad in zip(rows, missing, strict=True)]
-    )
-    _, first, group = np.unique(unknown, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    keep = first[order]
-    weight, threshold = (
-        np.asarray(np.bincount(group.ravel(), joined(name))[order], float)
-        for name in ("weight", "threshold")
-    )
+    unknown, keep, sums = _shared(contacts)
+    weight, threshold = sums @ joined("weight"), sums @ joined("threshold")
     before = np.cumsum([0.0, *(one.weight.sum() for one in contacts)])[:-1]
     arc = joined("arc") + np.repeat(before, list(map(len, contacts)))
-    unknown = unknown if width > 1 else unknown.ravel()
+    unknown = unknown if unknown.shape[1] > 1 else unknown.ravel()
     node, points, boundary = (joined(name)[keep] for name in ("node", "points", "boundary"))
     return Contact(unknown[keep], node, points, boundary, arc[keep], weight, threshold / weight)
+
+
+def _shared(contacts: Sequence[Contact]) -> tuple[Indices, Indices, sp.csr_array]:
+    """Unknowns of the nodes of all, which is the first of each, and the sums over equal ones."""
+    rows = [one.unknown.reshape(len(one), -1) for one in contacts]
+    width = max(row.shape[1] for row in rows)
+    gaps = [np.full((len(row), width - row.shape[1]), -1) for row in rows]
+    unknown = np.vstack(list(map(np.hstack, zip(rows, gaps, strict=True))))
+    _, first, group = np.unique(unknown, axis=0, return_index=True, return_inverse=True)
+    one, keep = sp.eye_array(first.size, format="csr"), np.sort(first)
+    return unknown, keep, one[group.ravel()].T[np.argsort(first)]
 
 
 def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
@@ -434,20 +433,18 @@ class Slip:
     @cached_property
     def use(self) -> Array:
         """Share of the bound that the traction takes, with its sign where it has one, (n, m)."""
-        q = self.traction if self.traction.ndim == 2 else np.linalg.norm(self.traction, axis=2)
+        q = signed_lengths(self.traction)
         return np.divide(q, self.bound, out=np.zeros_like(q), where=self.bound > 0)
 
     @cached_property
     def state(self) -> NDArray[np.int8]:
         """1, 0 or -1: slips (forward), sticks, slips backward; shape (n, m)."""
-        speed = self.velocity if self.velocity.ndim == 2 else self.speed
-        return np.sign(speed).astype(np.int8)
+        return np.sign(signed_lengths(self.velocity)).astype(np.int8)
 
     @property
     def speed(self) -> Array:
         """|u'| of each node, shape (n, m)."""
-        velocity = self.velocity
-        return np.abs(velocity) if velocity.ndim == 2 else np.linalg.norm(velocity, axis=2)
+        return np.abs(signed_lengths(self.velocity))
 
     @cached_property
     def share(self) -> Array:
@@ -478,6 +475,11 @@ class Slip:
         )
 
 
+def signed_lengths(x: Array) -> Array:
+    """Numbers of shape (n, m) as they are, the lengths of vectors of shape (n, m, d)."""
+    return x if x.ndim == 2 else np.linalg.norm(x, axis=2)
+
+
 def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     """Stick, slip and friction of a run; None for a scene without friction.
 
@@ -494,11 +496,13 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     mu = np.diff(solution.t)
     stage_t = solution.t[:-1] + np.dot(scheme.b, scheme.c) * mu
     implicit = np.dot(scheme.b, [sum(row) for row in scheme.a])
+    rubbing = [(one, part) for one in scene.yields if (part := one.contact)]
+    _, _, sums = _shared([part for _, part in rubbing])
     force, bound = [], []
     for t, h, u, z in zip(stage_t.tolist(), mu, solution.u[:-1], solution.velocity, strict=True):
         u = u + implicit * h * z
         force.append(contact.of(process.A @ z + process.times_B(u) - scene.load(t)))
-        bound.append(_bounds(scene.yields, t, u))
+        bound.append(sums @ np.concatenate([one.at(t, u) for one, _ in rubbing]) / contact.weight)
     return Slip(
         contact=contact,
         t=solution.t,
@@ -508,12 +512,3 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
         traction=force / contact.weight.reshape((-1,) + (1,) * (contact.unknown.ndim - 1)),
         bound=np.array(bound),
     )
-
-
-def _bounds(yields: Sequence[Yield], t: float, u: Array) -> Array:
-    """g_k of all nodes with friction at a time and a state, shape (m,)."""
-    parts = [(one, one.contact) for one in yields if one.contact]
-    moved = [replace(part, bound=one.at(t, u) / part.weight) for one, part in parts]
-    both = merged(moved)
-    assert both is not None
-    return both.bound

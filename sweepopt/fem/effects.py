@@ -26,19 +26,18 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from skfem.helpers import dot
 
 from sweepopt.checks import choice, listed, matrix, number
 from sweepopt.display import Brief
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import BOUND, PRESSURE, Rows, Yield, friction_on
-from sweepopt.fem.fields import Coefficient, Datum, in_time
+from sweepopt.fem.fields import Array, Coefficient, Datum, in_time
 from sweepopt.fem.slip_laws import SlipLaw
 from sweepopt.fem.spaces import AXES, BODY, Discretisation, Place, boundary_names
 from sweepopt.loads import History
 
-Array = NDArray[np.float64]
 Phi = Callable[[float], Any]
 Force = tuple[Phi, Array | Callable[[float], Array]] | Callable[[float], Array]
 
@@ -95,7 +94,7 @@ def total(parts: Sequence[Contribution], name: str) -> sp.csc_array | None:
 def released_matrices(space: Discretisation, effects: Iterable[Effect]) -> tuple[Any, Any]:
     """A and B of all degrees of freedom, of the body with nothing held or turned."""
     own = [(one, one.contribute(space)) for one in effects]
-    free = space.released()
+    free = space.with_unknowns(clamped=(), held={}, turned=())
     parts = [one.contribute(free) for one, part in own if part.A is not None or part.B is not None]
     return total(parts, "A"), total(parts, "B")
 

@@ -15,10 +15,8 @@ import skfem
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from sweepopt.fem.fields import Indices
+    from sweepopt.fem.fields import Array, Indices
     from sweepopt.fem.spaces import Discretisation
-
-Array = NDArray[np.float64]
 
 PARALLEL = 1e-6
 """Sine of the angle below which two directions that are held are one: normals of facets round."""

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sweepopt.errors import InputError
 from sweepopt.fem.effects import Record
-from sweepopt.fem.fields import Coefficient, Datum
+from sweepopt.fem.fields import Array, Coefficient, Datum
 from sweepopt.fem.spaces import AXES, Discretisation
 from sweepopt.io import as_path
 from sweepopt.results import last_state
@@ -55,9 +54,7 @@ class Initial(Record):
         if self.u is not None and self.run is not None:
             raise InputError("run: give u or run, not both")
 
-    def state(
-        self, space: Discretisation, fields: Mapping[str, slice], size: int
-    ) -> NDArray[np.float64]:
+    def state(self, space: Discretisation, fields: Mapping[str, slice], size: int) -> Array:
         """u0 on all unknowns, shape (size,).
 
         Parameters
@@ -68,52 +65,50 @@ class Initial(Record):
         u0 = np.zeros(size)
         if self.u is not None:
             u0[: space.dim] = space.interpolate(self.u, "u")
-        return u0 if self.run is None else _last_state(as_path("run", self.run), space, fields, u0)
-
-
-def _last_state(
-    path: Path, space: Discretisation, fields: Mapping[str, slice], u0: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """The last state of a file, put into u0."""
-    path = path / "solution.nc" if path.is_dir() else path
-    names = "u", "field", "unknowns_digest", "displacement", "internal", "internal_field", *AXES
-    try:
-        run = last_state(path, *names)
-    except InputError as error:
-        raise InputError(f"run: {error}") from error
-    labels = np.full(u0.size, "", dtype=object)
-    for name, part in fields.items():
-        labels[part] = name
-    if "u" in run:
-        last, kinds = run["u"], run.get("field")
-        if last.shape != u0.shape or not (kinds is None or np.array_equal(kinds, labels)):
+        if self.run is None:
+            return u0
+        path = as_path("run", self.run)
+        path = path / "solution.nc" if path.is_dir() else path
+        names = "u", "field", "unknowns_digest", "displacement", "internal", "internal_field", *AXES
+        try:
+            run = last_state(path, *names)
+        except InputError as error:
+            raise InputError(f"run: {error}") from error
+        labels = np.full(u0.size, "", dtype=object)
+        for name, part in fields.items():
+            labels[part] = name
+        if "u" in run:
+            last, kinds = run["u"], run.get("field")
+            if last.shape != u0.shape or not (kinds is None or np.array_equal(kinds, labels)):
+                raise InputError(
+                    f"run: {path} has {last.size} unknowns of {_fields(kinds)}, the scene "
+                    f"{u0.size} of {_fields(labels)}; take a run of the same body and effects"
+                )
+            if run.get("unknowns_digest") not in (None, "", space.digest):
+                raise InputError(
+                    f"run: {path} is of another mesh, or has other components held or turned; take "
+                    "the solution.nc of sweepopt run, or a run of this body"
+                )
+            return np.asarray(last)
+        points, last = [run[axis] for axis in AXES if axis in run], run.get("displacement", u0[:0])
+        nodes = space.points.T
+        if np.shape(points) != nodes.shape or not np.allclose(
+            points, nodes, rtol=0, atol=SAME * np.ptp(nodes)
+        ):
+            raise InputError(f"run: {path} has the nodes of another mesh; take a run of this body")
+        if np.shape(last) != space.expand(u0[: space.dim]).shape:
             raise InputError(
-                f"run: {path} has {last.size} unknowns of {_fields(kinds)}, the scene {u0.size} of "
-                f"{_fields(labels)}; take a run of the same body and effects"
+                f"run: {path} has displacements of another kind of body than {space.kind}"
             )
-        if run.get("unknowns_digest") not in (None, "", space.digest):
+        internal, kinds = run.get("internal", u0[:0]), run.get("internal_field", labels[:0])
+        if not np.array_equal(kinds, labels[space.dim :]):
             raise InputError(
-                f"run: {path} is of another mesh, or has other components held or turned; take the "
-                "solution.nc of sweepopt run, or a run of this body"
+                f"run: {path} has internal unknowns of {_fields(kinds)}, the scene of "
+                f"{_fields(labels[space.dim :])}; take a run of the same effects"
             )
-        return np.asarray(last)
-    points, last = [run[axis] for axis in AXES if axis in run], run.get("displacement", u0[:0])
-    nodes = space.points.T
-    if np.shape(points) != nodes.shape or not np.allclose(
-        points, nodes, rtol=0, atol=SAME * np.ptp(nodes)
-    ):
-        raise InputError(f"run: {path} has the nodes of another mesh; take a run of this body")
-    if np.shape(last) != space.expand(u0[: space.dim]).shape:
-        raise InputError(f"run: {path} has displacements of another kind of body than {space.kind}")
-    internal, kinds = run.get("internal", u0[:0]), run.get("internal_field", labels[:0])
-    if not np.array_equal(kinds, labels[space.dim :]):
-        raise InputError(
-            f"run: {path} has internal unknowns of {_fields(kinds)}, the scene of "
-            f"{_fields(labels[space.dim :])}; take a run of the same effects"
-        )
-    u0[: space.dim] = space.interpolate(last if space.components == 1 else list(last.T))
-    u0[space.dim :] = internal
-    return u0
+        u0[: space.dim] = space.interpolate(last if space.components == 1 else list(last.T))
+        u0[space.dim :] = internal
+        return u0
 
 
 def _fields(names: Any) -> str:

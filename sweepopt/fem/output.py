@@ -20,7 +20,7 @@ import meshio
 import numpy as np
 
 from sweepopt import io
-from sweepopt.fem.contact import STATES, Slip, slip_of
+from sweepopt.fem.contact import STATES, Slip, signed_lengths, slip_of
 from sweepopt.results import netcdf_bytes, software, solver_name
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ def summary_of(report: Report, files: Sequence[str] = ()) -> dict[str, Any]:
 def largest(report: Report) -> dict[str, Any]:
     """The largest displacement, with its time and place."""
     u = report.scene.displacement(report.solution)
-    size = np.abs(u) if u.ndim == 2 else np.linalg.norm(u, axis=2)
+    size = np.abs(signed_lengths(u))
     when, where = np.unravel_index(int(np.argmax(size)), size.shape)
     point = report.scene.discretisation.points[where]
     return {"value": size[when, where], "time": report.solution.t[when], "point": point}

@@ -14,7 +14,7 @@ from sweepopt.errors import InputError
 from sweepopt.fem import output, snapshots
 from sweepopt.fem.effects import Foundation, YieldStress, released_matrices
 from sweepopt.fem.output import Report
-from sweepopt.fem.snapshots import between, colours_of, legend_of, show_units, states_of
+from sweepopt.fem.snapshots import between, colours_of, legend_of, name_axis, states_of
 from sweepopt.io import replacing, writable
 from sweepopt.plot import LOOKS, STICK, STYLES, draw_histories, new_figure, spread
 
@@ -139,7 +139,7 @@ def contact(report: Report) -> Any:
     figure, heights = new_figure((8.5, 9.0)), [1.3, 1.0, 1.0, *[0.5 for _ in driven]]
     panels = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
     zone, moved, traction, *below = panels
-    snapshots.draw_zone(report, zone)
+    snapshots.draw_zone(report, slip, zone)
     # points that slip from little to far
     nodes = spread(slip.total, len(STYLES))
     for node, look in zip(nodes, LOOKS, strict=False):
@@ -149,18 +149,16 @@ def contact(report: Report) -> Any:
     metre, names = report.suffix("length"), slip.contact.boundary
     places = [f"{names[node]}, {arc[node]:.3g}{metre}" for node in nodes]
     draw_histories(moved, slip.t, slip.displacement[:, nodes], slip.state[:, nodes] == 0, places)
-    _named(moved, "displacement")
-    traction.set(ylabel="friction traction / bound")
-    traction.set(xlim=(slip.t[0], slip.t[-1]), ylim=(-1.15, 1.15))
-    traction.grid(alpha=0.3)
-    show_units(report, "length", moved.yaxis)
+    name_axis(report, moved.yaxis, "displacement", "length")
+    _legend_above(moved)
+    traction.set(ylabel="friction traction / bound", ylim=(-1.15, 1.15))
+    traction.set_xlim(slip.t[[0, -1]])
     for panel, (_, load, words) in zip(below, driven, strict=False):
         panel.plot(slip.t, load, color="black", lw=1.5)
-        panel.set(ylabel=words[1])
+        name_axis(report, panel.yaxis, words[1], "force")
+    for panel in (traction, *below):
         panel.grid(alpha=0.3)
-        show_units(report, "force", panel.yaxis)
-    panels[-1].set_xlabel("time")
-    show_units(report, "time", panels[-1].xaxis)
+    name_axis(report, panels[-1].xaxis, "time", "time")
     legend_of(figure, states_of(slip))
     return figure
 
@@ -177,13 +175,11 @@ def space_time(report: Report) -> Any:
     panel = figure.subplots()
     edges, colours = between(place[order]), colours_of(slip.velocity)
     image = panel.pcolormesh(slip.t, edges, rate, rasterized=True, **colours)
-    bar = figure.colorbar(image, ax=panel, label="slip rate")
-    panel.set(xlabel="time", ylabel=snapshots.along(slip) if curve else "x")
+    name_axis(report, figure.colorbar(image, ax=panel).ax.yaxis, "slip rate", "velocity")
     if curve:
         panel.set_ylim(_slipped(slip))
-    show_units(report, "time", panel.xaxis)
-    show_units(report, "length", panel.yaxis)
-    show_units(report, "velocity", bar.ax.yaxis)
+    name_axis(report, panel.xaxis, "time", "time")
+    name_axis(report, panel.yaxis, snapshots.along(slip) if curve else "x", "length")
     legend_of(figure, {STICK: "sticks"})
     return figure
 
@@ -203,13 +199,13 @@ def profiles(report: Report) -> Any:
     low, high = _slipped(slip)
     limit = 1.1 * float(bound[(arc >= low) & (arc <= high)].max())
     traction.plot(arc, np.transpose([bound, -bound]), color="black", ls="--", lw=0.8)
-    _named(moved, "displacement")
-    traction.set(xlabel=snapshots.along(slip), ylabel="friction traction", xlim=(low, high))
-    traction.set_ylim(-limit, limit)
+    traction.set(xlim=(low, high), ylim=(-limit, limit))
     for panel in (moved, traction):
         panel.grid(alpha=0.3)
-    show_units(report, "length", traction.xaxis, moved.yaxis)
-    show_units(report, "traction", traction.yaxis)
+    _legend_above(moved)
+    name_axis(report, moved.yaxis, "displacement", "length")
+    name_axis(report, traction.xaxis, snapshots.along(slip), "length")
+    name_axis(report, traction.yaxis, "friction traction", "traction")
     return figure
 
 
@@ -219,11 +215,10 @@ def loop(report: Report) -> Any:
     panel = figure.subplots()
     for (x, load, words), look in zip(loops(report.scene, report.solution), cycle(LOOKS)):
         panel.plot(x, load, lw=1.5, **look)
-        panel.set(xlabel=words[0], ylabel=words[1])
+        name_axis(report, panel.xaxis, words[0], "length")
+        name_axis(report, panel.yaxis, words[1], "force")
     panel.grid(alpha=0.3)
     panel.locator_params(axis="x", nbins=6)
-    show_units(report, "length", panel.xaxis)
-    show_units(report, "force", panel.yaxis)
     return figure
 
 
@@ -273,9 +268,8 @@ def _reaction(scene: Scene, solution: Solution, d: Array) -> Any:
     )
 
 
-def _named(panel: Any, label: str) -> None:
-    """The name of an axis, and a legend of the panel's lines above it."""
-    panel.set_ylabel(label)
+def _legend_above(panel: Any) -> None:
+    """A legend of the panel's lines above it."""
     panel.legend(fontsize="small", ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 

@@ -25,15 +25,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy.sparse as sp
 import skfem
-from numpy.typing import NDArray
 
 from sweepopt.errors import InputError
 from sweepopt.fem.contact import Rows, Yield
 from sweepopt.fem.effects import Contribution, Effect, Elasticity, Record, strains_of
-from sweepopt.fem.fields import Coefficient, Datum
+from sweepopt.fem.fields import Array, Coefficient, Datum
 from sweepopt.fem.spaces import BODY, Discretisation, Place
-
-Array = NDArray[np.float64]
 
 COEFFICIENTS = tuple(Coefficient(name, 0.0) for name in ("sigma_y", "Hk", "Hi", "eta"))
 LEAST = 1e-7

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 import skfem
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sweepopt.checks import choice, count, listed, matrix, number, symmetric, vector
 from sweepopt.display import Displayed, Rows, svg
@@ -26,6 +26,7 @@ from sweepopt.fem.effects import (
     released_matrices,
     total,
 )
+from sweepopt.fem.fields import Array
 from sweepopt.fem.initial import Initial
 from sweepopt.fem.plasticity import Plasticity, with_elasticity
 from sweepopt.fem.spaces import Discretisation
@@ -101,7 +102,7 @@ class Scene(Displayed):
     title: str = ""
     pictures: Sequence[str] = ()
     force: Callable[[float], Any] | None = None
-    lifts: tuple[tuple[History, NDArray[np.float64]], ...] = ()
+    lifts: tuple[tuple[History, Array], ...] = ()
     yields: tuple[Yield, ...] = ()
     changes: tuple[str, ...] = ()
 
@@ -126,20 +127,20 @@ class Scene(Displayed):
         """The problem as a sweeping process."""
         return self.problem.as_sweeping()
 
-    def load(self, t: float) -> NDArray[np.float64]:
+    def load(self, t: float) -> Array:
         """f(t), shape (dim,)."""
         return np.zeros(self.problem.dim) if self.force is None else np.asarray(self.force(t))
 
-    def displacement(self, solution: Solution) -> NDArray[np.float64]:
+    def displacement(self, solution: Solution) -> Array:
         """u at all nodes and times, shape (n+1, N), or (n+1, N, components) of vectors."""
         return self._full(solution.u, lambda history: history(solution.t))
 
-    def velocity(self, solution: Solution) -> NDArray[np.float64]:
+    def velocity(self, solution: Solution) -> Array:
         """u' at all nodes in each step, shape (n, N), or (n, N, components) of vectors."""
         mu = np.diff(solution.t)
         return self._full(solution.velocity, lambda history: np.diff(history(solution.t)) / mu)
 
-    def plastic_strain(self, solution: Solution) -> NDArray[np.float64] | None:
+    def plastic_strain(self, solution: Solution) -> Array | None:
         """sqrt(2/3) |p|, its mean in each cell at all times, (n+1, cells); None without p."""
         u, cells = solution.u, self.discretisation.mesh.nelements
         parts = [(one, at) for one in self.yields if (at := one.rows.cells) is not None]
@@ -152,7 +153,7 @@ class Scene(Displayed):
             strain += np.sqrt(2 / 3) * (mean @ np.linalg.norm(p, axis=2).T).T
         return strain if parts else None
 
-    def _full(self, u: Any, values: Callable[[History], Any]) -> NDArray[np.float64]:
+    def _full(self, u: Any, values: Callable[[History], Any]) -> Array:
         space = self.discretisation
         field = space.expand(u[:, : space.dim])
         nodes = space.nodes[0] if space.components == 1 else space.nodes.T
@@ -356,7 +357,7 @@ def build(
     rubbing = [name for one in effects.values() if isinstance(one, Friction) for name in one.on]
     turned = [name for name in rubbing if name in (space.mesh.boundaries or {})]
     if turned and space.components > 1:
-        space = space.with_turned(turned)
+        space = space.with_unknowns(turned=tuple(dict.fromkeys([*space.turned, *turned])))
     effects = dict(zip(effects, with_elasticity(effects.values()), strict=True))
     parts = [_contribution(label, effects[label], space, settings["t_end"]) for label in effects]
     ends = np.cumsum([space.dim, *[part.internal for part in parts]]).tolist()
@@ -470,7 +471,7 @@ def _problem(
         D = D and D()
         return EvolutionVI(A, B, load=force, dissipation=D, u0=u0, fields=fields)
 
-    def at(t: float, u: NDArray[np.float64] | None = None) -> ConvexSet:
+    def at(t: float, u: Array | None = None) -> ConvexSet:
         C: ConvexSet = -D(t, u)
         return C if force is None else C + force(t)
 
@@ -568,12 +569,12 @@ class _Load(NamedTuple):
     dim: int
     internal: int
 
-    def __call__(self, t: float) -> NDArray[np.float64]:
+    def __call__(self, t: float) -> Array:
         name, terms = f"a function in loads, at t = {t:g},", self.terms
         f = sum(phi(t) * vector(name, f(t) if callable(f) else f, self.dim) for phi, f in terms)
         return np.pad(f, (0, self.internal))
 
-    def breakpoints(self, a: float, b: float) -> NDArray[np.float64]:
+    def breakpoints(self, a: float, b: float) -> Array:
         return breakpoints((phi for phi, _ in self.terms), a, b)
 
 
@@ -599,14 +600,14 @@ class _Rate(NamedTuple):
         slope = float(np.polynomial.Polynomial(piece.polynomial).deriv()(s))
         return slope + sum(a * w * float(np.cos(w * s + p)) for a, w, p in piece.waves)
 
-    def breakpoints(self, a: float, b: float) -> NDArray[np.float64]:
+    def breakpoints(self, a: float, b: float) -> Array:
         return self.history.breakpoints(a, b)
 
 
 def _lifted(
     space: Discretisation,
     effects: Mapping[str, Effect],
-    lifts: Sequence[tuple[History, NDArray[np.float64]]],
+    lifts: Sequence[tuple[History, Array]],
 ) -> list[Force]:
     """-A_fd d' and -B_fd d, by the matrices of the body with nothing held."""
     A, B = released_matrices(space, effects.values())

@@ -9,13 +9,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sweepopt.checks import number
 from sweepopt.errors import InputError
+from sweepopt.fem.fields import Array
 from sweepopt.loads import check_points
-
-Array = NDArray[np.float64]
 
 
 class SlipLaw(Protocol):

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import skfem
 
-from sweepopt.fem.contact import STATES, Slip
+from sweepopt.fem.contact import STATES, Slip, signed_lengths
 from sweepopt.fem.effects import Traction
 from sweepopt.fem.output import Report
 from sweepopt.plot import STICK, new_figure, write_animation
@@ -18,6 +18,7 @@ Array = np.ndarray
 PLUG, PULLED = "#E69F00", "#CC79A7"
 SMOOTH: dict[str, Any] = {"shading": "gouraud", "rasterized": True}
 STATE_COLOURS = {-1: "#0072B2", 0: STICK, 1: "#D55E00"}
+LENGTH = "displacement, its length"
 EXAGGERATED = 0.05
 """A solid is drawn deformed so that its largest displacement is at least this share of its size."""
 
@@ -89,7 +90,8 @@ def animation(report: Report, field: Snapshots, path: Path) -> None:
 def displacement(report: Report) -> Snapshots:
     """The displacement of a body in the plane, and where it slips."""
     body = report.scene.discretisation
-    u, label = _lengths(report.scene.displacement(report.solution), body.components)
+    u = signed_lengths(report.scene.displacement(report.solution))
+    label = "displacement" if body.components == 1 else LENGTH
     if body.mesh.dim() == 1:
         return _along_a_line(report, u, label)
     label += " out of the plane" if body.kind == "antiplane" else ""
@@ -124,7 +126,7 @@ def _along_a_line(report: Report, u: Array, label: str) -> Snapshots:
         panel.plot(x[order], u[i, order], color="black", lw=1.0, zorder=1)
         _mark(report, panel, i, np.column_stack([x, u[i]]))
         panel.set_ylim(u.min() - edge, u.max() + edge)
-        show_units(report, "length", panel.yaxis)
+        name_axis(report, panel.yaxis, "", "length")
 
     return Snapshots(u, draw, x[:, None], label, "length", *_slip_history(report, u))
 
@@ -138,10 +140,10 @@ def surface(report: Report) -> Snapshots:
 
     body, contact = report.scene.discretisation, report.scene.contact
     u = report.scene.displacement(report.solution)
-    length, label = _lengths(u, 3)
+    length = signed_lengths(u)
     share = float(length.max() / np.ptp(body.points, axis=0).max()) or 1.0
     factor = 10.0 ** max(int(np.ceil(np.log10(EXAGGERATED / share))), 0)
-    label += f"; drawn {factor:g} times as large" if factor > 1 else ""
+    label = LENGTH + (f"; drawn {factor:g} times as large" if factor > 1 else "")
     moved, look = body.points + factor * u, colours_of(length)
     below = contact is not None and contact.points[:, 2].mean() < body.points[:, 2].mean()
 
@@ -228,26 +230,23 @@ def colours_of(values: Array, rising: str = "Greens") -> dict[str, Any]:
     return {"cmap": colours, "vmin": -limit * signed, "vmax": limit}
 
 
-def show_units(report: Report, quantity: str, *axes: Any) -> None:
-    """Ticks with units, such as 20 mm; plain numbers in a dimensionless scene."""
+def name_axis(report: Report, axis: Any, label: str, quantity: str) -> None:
+    """The label of an axis, and ticks with units, such as 20 mm; without units plain numbers."""
     from matplotlib.ticker import EngFormatter
 
+    axis.set_label_text(label)
     if quantity and report.suffix(quantity):
-        for axis in axes:
-            axis.set_major_formatter(EngFormatter(report.units[quantity]))
+        axis.set_major_formatter(EngFormatter(report.units[quantity]))
 
 
-def draw_zone(report: Report, panel: Any) -> None:
+def draw_zone(report: Report, slip: Slip, panel: Any) -> None:
     """Slip state over arc length and time."""
     from matplotlib.colors import ListedColormap
 
-    slip = report.slip
-    assert slip is not None
     colours = ListedColormap([STATE_COLOURS[state] for state in STATES])
     image = panel.pcolormesh(slip.t, between(slip.contact.arc), slip.state.T, cmap=colours)
     image.set(clim=(-1.5, 1.5), rasterized=True)
-    panel.set_ylabel(along(slip))
-    show_units(report, "length", panel.yaxis)
+    name_axis(report, panel.yaxis, along(slip), "length")
 
 
 def along(slip: Slip) -> str:
@@ -289,12 +288,6 @@ def _by_ends(values: Array) -> Array:
     return np.concatenate([values[:1], values])
 
 
-def _lengths(u: Array, components: int) -> tuple[Array, str]:
-    if components == 1:
-        return u, "displacement"
-    return np.linalg.norm(u, axis=2), "displacement, its length"
-
-
 def _mark(report: Report, panel: Any, i: int, points: Array, **look: Any) -> None:
     """Nodes with friction in the colours of their states, with a casing against the field."""
     if (slip := report.slip) is not None:
@@ -327,8 +320,8 @@ def _page(report: Report, field: Snapshots, indices: list[int]) -> tuple[Any, Ar
         image = _draw(report, field, panel, i)
         for own, name, x in zip("xyz", field.axes, field.points.T, strict=False):
             edge = 0.08 * np.ptp(x)
-            panel.set(**{f"{own}label": name, f"{own}lim": (x.min() - edge, x.max() + edge)})
-            show_units(report, "length", getattr(panel, f"{own}axis"))
+            panel.set(**{f"{own}lim": (x.min() - edge, x.max() + edge)})
+            name_axis(report, getattr(panel, f"{own}axis"), name, "length")
         panel.locator_params(nbins=4)
         if flat:
             panel.set_aspect("equal")
@@ -336,17 +329,17 @@ def _page(report: Report, field: Snapshots, indices: list[int]) -> tuple[Any, Ar
             panel.label_outer()
     history, slip, t = figure.add_subplot(grid[1]), report.slip, report.solution.t
     if slip is not None and slip.velocity.ndim == 2 and slip.contact.on_curve:
-        draw_zone(report, history)
+        draw_zone(report, slip, history)
     else:
         history.plot(t, field.history[0], color="black", lw=1.5)
         history.set_ylabel(field.history[1])
-    history.set(xlabel="time", xlim=t[[0, -1]])
+    history.set_xlim(t[[0, -1]])
     history.grid(alpha=0.3)
-    show_units(report, "time", history.xaxis)
+    name_axis(report, history.xaxis, "time", "time")
     if len(size) == 1:
         figure.supylabel(field.label)
     else:
-        bar = figure.colorbar(image, ax=panels, label=field.label, shrink=0.8)
-        show_units(report, field.quantity, bar.ax.yaxis)
+        bar = figure.colorbar(image, ax=panels, shrink=0.8)
+        name_axis(report, bar.ax.yaxis, field.label, field.quantity)
     legend_of(figure, field.legend)
     return figure, panels, history

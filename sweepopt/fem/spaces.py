@@ -21,18 +21,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 import skfem
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sweepopt.checks import choice, count, floats, listed
 from sweepopt.display import Brief
 from sweepopt.errors import InputError, shown
-from sweepopt.fem.fields import Coefficient, Datum, Indices
+from sweepopt.fem.fields import Array, Coefficient, Datum, Indices
 from sweepopt.fem.frames import Frame, frame_of
 from sweepopt.fem.mesh import check_mesh, read_mesh
 from sweepopt.fem.refined import CELLS, nested, refined
 from sweepopt.io import as_path
-
-Array = NDArray[np.float64]
 
 KINDS = {
     "antiplane": (1, 2),
@@ -203,16 +201,8 @@ class Discretisation(Brief):
         boundaries = [*all_held.items(), *self.held.items()]
         return frame_of(self, [(self.facets("held", [name])[0], what) for name, what in boundaries])
 
-    def with_turned(self, names: Sequence[str]) -> Discretisation:
-        """The same with the unknowns of more boundaries turned."""
-        return self._with(turned=tuple(dict.fromkeys([*self.turned, *names])))
-
-    def released(self) -> Discretisation:
-        """The same with nothing held or turned."""
-        return self._with(clamped=(), held={}, turned=())
-
-    def _with(self, **fields: Any) -> Discretisation:
-        """The same with other unknowns."""
+    def with_unknowns(self, **fields: Any) -> Discretisation:
+        """The same with other values of `clamped`, `held` or `turned`."""
         other = copy.copy(self)
         for name in ("frame", "free", "extension"):
             other.__dict__.pop(name, None)
@@ -448,7 +438,9 @@ class Discretisation(Brief):
             d, degree = self.mesh.dim(), self.scalar.elem.maxdeg
             rule, order = self.rule(d) if nodal else None, 2 * degree + 2
             if strains:
-                rule, order = centroid(d) if degree == 1 else None, 2
+                order = 2
+                if degree == 1:  # the centroid, exact on linear functions
+                    rule = np.full((d, 1), 1 / (d + 1)), np.array([1 / factorial(d)])
             basis = skfem.CellBasis(
                 self.mesh, element, elements=cells, intorder=order, quadrature=rule
             )
@@ -496,11 +488,6 @@ class Place(NamedTuple):
     def vector(self, form: Callable[..., Any]) -> Array:
         """Integrals of form(v, w) for all degrees of freedom."""
         return np.asarray(skfem.LinearForm(form).assemble(self.basis))
-
-
-def centroid(d: int) -> tuple[Array, Array]:
-    """The quadrature of one point, exact on linear functions of intervals, triangles ..."""
-    return np.full((d, 1), 1 / (d + 1)), np.array([1 / factorial(d)])
 
 
 def boundary_names(argument: str, value: object) -> tuple[str, ...]:
