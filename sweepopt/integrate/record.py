@@ -15,7 +15,6 @@ import numpy as np
 
 from sweepopt.checks import TIME_SLACK, axes, takes, vector
 from sweepopt.errors import InputError, Status, shown
-from sweepopt.integrate.grid import by_steps
 from sweepopt.io import writable
 from sweepopt.velocity import Plan, Velocity
 
@@ -209,15 +208,12 @@ class Run:
 
         No step is meant that a breakpoint of the load divides, and "" is said of none.
         """
-        parts = [name.rpartition("/") for name in self._solvers]  # "osqp/4"
-        in_parts = np.array([int(n) if slash and n.isdigit() else 1 for _, slash, n in parts])
-        if not (in_parts > 1).any():
-            return ""
+        parts = [name.rpartition("/")[2] for name in self._solvers]  # "osqp/4"
+        in_parts = np.array([int(n) if n.isdigit() else 1 for n in parts])
         count = in_parts[self._rows["solver"][: self.done]]
-        for step, points in by_steps(self.grid.plan.breakpoints, self.grid.times).items():
-            if step < self.done and count[step] == len(points) + 1:
-                count[step] = 1
-        steps = int((count > 1).sum())
+        at = np.searchsorted(self.grid.times, self.grid.plan.breakpoints) - 1
+        planned = 1 + np.bincount(at, minlength=self.steps)[: self.done]
+        steps = int(((count > 1) & (count != planned)).sum())
         if not steps:
             return ""
         taken = "1 step was" if steps == 1 else f"{steps} steps were"
