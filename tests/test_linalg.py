@@ -359,9 +359,8 @@ def test_a_solid_is_told_by_its_largest_component() -> None:
     solid, flat = of_solid(9)[0], plate(40)
     cases = [(blocks, False), (sp.block_diag([[[2.0]], flat]), False), (flat, False)]
     cases += [(sp.block_diag([[[2.0]], blocks, solid, solid]), True)]  # two bodies among the pairs
-    pendants = sp.kron(
-        [[0.0, 1.0], [1.0, 0.0]], sp.eye_array(250)
-    )  # one beside each of a full part
+    # a full part with one unknown beside each of its own
+    pendants = sp.kron([[0.0, 1.0], [1.0, 0.0]], sp.eye_array(250))
     full = sp.block_diag([np.ones((250, 250)), sp.csc_array((250, 250))])
     cases += [(full + pendants + sp.diags_array([300.0] * 500), True)]
     for M, expected in cases:

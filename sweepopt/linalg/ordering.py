@@ -31,6 +31,8 @@ def is_solid(M: Matrix) -> bool:
     They are from 6,000 unknowns on in that block; of fewer both orders serve. The largest component
     decides.
     """
+    if M.shape[0] <= PIECE:
+        return False
     graph = _graph(M)
     component = _components(graph)
     body = np.flatnonzero(component == np.bincount(component).argmax())
