@@ -353,6 +353,35 @@ def test_the_order_of_a_solid_leaves_less_fill_than_minimum_degree() -> None:
     assert ours < 0.9 * spla.splu(M, permc_spec="MMD_AT_PLUS_A", **how).L.nnz
 
 
+@pytest.mark.usefixtures("engine")
+def test_a_solid_is_told_by_its_largest_component() -> None:
+    blocks = sp.kron(sp.eye_array(1200), [[2.0, 1.5], [1.5, 2.0]])
+    solid, flat = of_solid(9)[0], plate(40)
+    cases = [(blocks, False), (sp.block_diag([[[2.0]], flat]), False), (flat, False)]
+    cases += [(sp.block_diag([[[2.0]], blocks, solid, solid]), True)]  # two bodies among the pairs
+    # a full part with one unknown beside each of its own
+    pendants = sp.kron([[0.0, 1.0], [1.0, 0.0]], sp.eye_array(250))
+    full = sp.block_diag([np.ones((250, 250)), sp.csc_array((250, 250))])
+    cases += [(full + pendants + sp.diags_array([300.0] * 500), True)]
+    for M, expected in cases:
+        M, n = sp.csc_array(M), M.shape[0]
+        assert is_solid(M) == expected
+        factor, x = Factor(M), np.cos(np.arange(n))
+        assert np.array_equal(np.sort(factor.order), np.arange(n))
+        assert factor.solve(M @ x) == pytest.approx(x, rel=1e-11, abs=1e-11)
+
+
+def test_too_deep_a_recursion_is_not_told_as_indefiniteness(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def deep(M: Any, order: Any) -> None:
+        raise RecursionError
+
+    monkeypatch.setattr("sweepopt.linalg.factor.cholesky", deep)
+    with pytest.raises(RecursionError):
+        Factor(plate(3))
+
+
 @both_kinds
 def test_a_matrix_at_the_limit_of_rounding_proves_nothing(convert: type) -> None:
     one = np.ones((6, 6)) + np.diag(np.arange(6.0) * 2e-15)

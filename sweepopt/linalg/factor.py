@@ -85,6 +85,8 @@ class Factor:
             # pivots of inf or nan are refused below
             with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
                 pivots = self._engine.pivots / self.diagonal
+        except RecursionError:  # a RuntimeError that says nothing about M
+            raise
         except (scipy.linalg.LinAlgError, RuntimeError, ArithmeticError):
             pivots = np.zeros(1)
         except MemoryError as error:
