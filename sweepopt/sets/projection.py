@@ -31,8 +31,6 @@ from sweepopt.sets.shapes import Box
 # 50 Newton steps, or a growth of 2, end no other way; a growth of 10 gives one up.
 PROXIMAL_POINTS = 20
 NEWTON_STEPS = 25  # from a start, and for a proximal point
-SHARES = 0.5 ** np.arange(6)  # of a step: with whole steps multipliers grow where sets touch
-LOOK_BACK_NEWTON = 2  # residuals, the larger of which a step makes smaller
 GROWTH = 4.0  # of the proximal parameter after each
 REGULAR = 1e-3  # multiple of 1 in the Hessian, for a gradient as large as what it adds up
 SWEEPS = 500  # of large sets: 900 discs on a gradient (1,800 unknowns) take as many
@@ -184,27 +182,24 @@ class Splitting:
         return Projection(v, self._point(v, on_parts), on_parts, image, exact, self)
 
     def _newton(self, residual: Map, near: Map, x: np.ndarray, size: float) -> FixedPoint:
-        """Newton steps on residual(x) = 0, or sweeps to x + residual(x) where no step is better.
+        """Whole Newton steps on residual(x) = 0.
 
         A multiple of 1 that goes to 0 with the residual makes the Jacobian regular where many x
         solve it (X. Xiao, Y. Li, Z. Wen, L. Zhang, A regularized semi-smooth Newton method with
-        projection steps, J. Sci. Comput. 76, 2018). The residual of a sweep never grows.
+        projection steps, J. Sci. Comput. 76, 2018). Where they go to and fro, proximal points help.
         """
-        r, one = residual(x), np.eye(x.size)
-        lengths = deque([float(np.linalg.norm(r))], maxlen=LOOK_BACK_NEWTON)
+        r, one, falls = residual(x), np.eye(x.size), True
         for _ in range(NEWTON_STEPS):
             extent, least = max(size, float(np.abs(x).max())), np.abs(r).max() / ROUNDING
             # large normals are rounded too, but the residual may become smaller than that
-            if least <= size or (least <= extent and lengths[-1] >= lengths[0]):
+            if least <= size or (least <= extent and not falls):
                 return FixedPoint(x, True)
             J = self._jacobian(np.asarray(self.derivative_of_parts(2 * near(x) - x)))
-            regular = J + min(max(lengths[-1] / extent, RANK), 1.0) * one
-            for step in (*np.outer(SHARES, np.linalg.solve(regular, r)), r):
-                ahead = residual(x + step)
-                if np.linalg.norm(ahead) < max(lengths):
-                    break
-            x, r = x + step, ahead
-            lengths.append(float(np.linalg.norm(r)))
+            length = float(np.linalg.norm(r))
+            regular = J + min(max(length / extent, RANK), 1.0) * one
+            x = x + np.linalg.solve(regular, r)
+            r = residual(x)
+            falls = bool(np.linalg.norm(r) < length)
         return FixedPoint(x, False)
 
     def proximal_points(self, v: np.ndarray, start: Start) -> Iterator[Start]:
