@@ -314,11 +314,8 @@ class Similar(Aligned):
     """v + r C for r != 0; v None is 0."""
 
     def __init__(self, part: ConvexSet, v: np.ndarray | None = None, factor: float = 1.0) -> None:
-        # one is made each step: v was checked, and the offsets wait until a program asks
-        self.parts, self.dim = (part,), part.dim
+        super().__init__(part)
         self.v, self.factor = v, factor
-        self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
-        self.exact = part.exact
 
     @cached_property
     def centred(self) -> ConvexSet:
