@@ -16,9 +16,11 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
+import scipy.linalg
 import scipy.sparse as sp
 
 from sweepopt.checks import vector
+from sweepopt.linalg import dense
 from sweepopt.sets.base import (
     Blocks,
     ConvexSet,
@@ -225,10 +227,17 @@ class Aligned(ConvexSet):
         return form if self.v is None else Form.added(form, Point(self.v).form())
 
     def halfspaces(self) -> Halfspaces:
+        each = [S.halfspaces() for S in self.parts]
+        N, d, E, e = each[0]
         if not self.whole:
-            return super().halfspaces()
+            axes = np.eye(self.dim)
+            own = axes if self.unknowns is None else axes[self.unknowns]
+            rest = axes[~own.any(axis=0)]  # w = 0 there
+            Ns, ds, Es, es = zip(*each, strict=True)
+            N, E = (scipy.linalg.block_diag(*map(dense, Ms)) @ own for Ms in (Ns, Es))
+            d, E = np.concatenate(ds), np.vstack([E, rest])
+            e = np.concatenate([*es, np.zeros(len(rest))])
         r, sign = self._scale
-        N, d, E, e = self.parts[0].halfspaces()
         N, d, E, e = sign * N, r * d, sign * E, r * e
         v = np.zeros(self.dim) if self.v is None else self.v
         return Halfspaces(N, d + N @ v, E, e + E @ v)
@@ -305,11 +314,8 @@ class Similar(Aligned):
     """v + r C for r != 0; v None is 0."""
 
     def __init__(self, part: ConvexSet, v: np.ndarray | None = None, factor: float = 1.0) -> None:
-        # one is made each step: v was checked, and the offsets wait until a program asks
-        self.parts, self.dim = (part,), part.dim
+        super().__init__(part)
         self.v, self.factor = v, factor
-        self.polyhedral, self.certifiable = part.polyhedral, part.certifiable
-        self.exact = part.exact
 
     @cached_property
     def centred(self) -> ConvexSet:

@@ -23,7 +23,6 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse as sp
 
 from sweepopt.checks import number, vector
@@ -512,17 +511,7 @@ class ConvexSet(Operators, ABC):
         ------
         NoHalfspacesError
         """
-        form = self.form()
-        E = dense(form.E)
-        picks = (np.count_nonzero(E, 0) == 1).all() and (np.count_nonzero(E, 1) <= 1).all()
-        if form.parts == (self,) or form.F.shape[0] or not picks:
-            raise NoHalfspacesError(type(self).__name__)
-        # s = back w, and w is 0 where no s goes
-        back, rest = (E / (E * E).sum(axis=0)).T, np.eye(self.dim)[~E.any(axis=1)]
-        N, d, F, e = zip(*(part.halfspaces() for part in form.parts), strict=True)
-        inner, equal = (scipy.linalg.block_diag(*map(dense, Ms)) @ back for Ms in (N, F))
-        sides = np.concatenate([*e, np.zeros(len(rest))])
-        return Halfspaces(inner, np.concatenate(d), np.vstack([equal, rest]), sides)
+        raise NoHalfspacesError(type(self).__name__)
 
     def factors(self) -> list[ConvexSet]:
         """The sets whose product C is, one after the other in the vector."""

@@ -39,25 +39,30 @@ class Ellipsoid(ConvexSet):
     """
 
     def __init__(self, center: Any, shape: Any) -> None:
-        self.center = entries("center", center)
-        self.dim = self.center.size
-        self.shape = dense(symmetric("shape", shape, self.dim))
-        self._squares, self._axes = np.linalg.eigh(self.shape)  # semi-axes squared, directions
-        if self._squares[0] <= max(1e-14 * self._squares[-1], 1 / HUGE):
+        center = entries("center", center)
+        shape = dense(symmetric("shape", shape, center.size))
+        squares = np.linalg.eigvalsh(shape)
+        if squares[0] <= max(1e-14 * squares[-1], 1 / HUGE):
             raise InputError(
-                f"shape must be positive definite, its smallest eigenvalue is {self._squares[0]:g}"
+                f"shape must be positive definite, its smallest eigenvalue is {squares[0]:g}"
             )
-        # shape = root^T root
-        self.root = self.matrix = np.sqrt(self._squares)[:, None] * self._axes.T
-        self._unit = binary(np.sqrt(self._squares[-1]))
-        self.offsets = np.append(self.center, self._unit)
+        # by a factor, as eigenvectors round the short axes most
+        self._set(center, 1.0, np.linalg.cholesky(shape).T)
+
+    def _set(self, center: np.ndarray, radius: float, root: np.ndarray) -> None:
+        """{ center + radius root^T s : |s| <= 1 }."""
+        self.center, self.dim, self.matrix = center, center.size, root
+        self.root = radius * root
+        _, semiaxes, axes = np.linalg.svd(root)
+        semiaxes[semiaxes <= RANK * semiaxes[0]] = 0.0
+        self._squares, self._axes = np.zeros(self.dim), axes.T
+        self._squares[: semiaxes.size] = (radius * semiaxes) ** 2
+        self._unit = binary(semiaxes[0])
+        self.offsets = np.append(center, radius * self._unit)
 
     def support(self, z: np.ndarray) -> float:
         z = vector("z", z, self.dim)
-        # by the shape itself: its axes are rounded, the short ones most
-        size = np.abs(z).max(initial=0.0) or 1.0
-        square = (z / size) @ (self.shape @ (z / size))
-        return float(self.center @ z + size * np.sqrt(max(square, 0.0)))
+        return float(self.center @ z + np.linalg.norm(self.root @ z))
 
     def project(self, w: np.ndarray) -> np.ndarray:
         # x_i = e_i d_i / (e_i + lam)
@@ -103,10 +108,9 @@ class Ellipsoid(ConvexSet):
         pair = super().normal_pair(p, w, tau)
         if pair is None or not pair.p.any():
             return pair
-        # the point with this normal by the shape itself: its axes are rounded, the short ones most
-        p = pair.p / binary(np.abs(pair.p).max())
-        arm = self.shape @ p
-        return pair._replace(w=self.center + arm / np.sqrt(p @ arm))
+        # the point with this normal by the root itself: axes are rounded, the short ones most
+        arm = self.root @ pair.p
+        return pair._replace(w=self.center + (arm / np.linalg.norm(arm)) @ self.root)
 
     def features(self, p: cp.Expression) -> Features:
         import cvxpy as cp
@@ -134,18 +138,7 @@ class BallImage(Ellipsoid):
     """{ center + radius root^T s : |s| <= 1 }, flat where the root has no full rank."""
 
     def __init__(self, center: np.ndarray, radius: float, root: np.ndarray) -> None:
-        self.center, self.dim, self.matrix, self.radius = center, center.size, root, radius
-        self.root = radius * root
-        _, semiaxes, axes = np.linalg.svd(root)
-        semiaxes[semiaxes <= RANK * semiaxes[0]] = 0.0
-        self._squares, self._axes = np.zeros(self.dim), axes.T
-        self._squares[: semiaxes.size] = (radius * semiaxes) ** 2
-        self._unit = binary(semiaxes[0])
-        self.offsets = np.append(center, radius * self._unit)
-
-    def support(self, z: np.ndarray) -> float:
-        z = vector("z", z, self.dim)
-        return float(self.center @ z + np.linalg.norm(self.root @ z))
+        self._set(center, radius, root)
 
     def normal_pair(self, p: np.ndarray, w: np.ndarray, tau: np.ndarray) -> NormalPair | None:
         return ConvexSet.normal_pair(self, p, w, tau)

@@ -211,10 +211,7 @@ class Moving(MovingSet):
         except Exception as error:
             noted(error, f"{self.center_name}(t), at t = {t:g}")
             raise
-        try:
-            return vector("center", value, self.dim)
-        except InputError:
-            return vector(f"{self.center_name}(t) at t = {t:g}", value, self.dim)
+        return vector(f"{self.center_name}(t) at t = {t:g}", value, self.dim)
 
     def scale_at(self, t: float) -> float:
         """scale(t)."""

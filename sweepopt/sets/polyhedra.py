@@ -166,9 +166,7 @@ class Polyhedron(ConvexSet):
             z, s, serves = rows[left], slack[left] / self._units, np.arange(left.size) == 0
             first = self.with_offsets(slack[left[0]])
             of_first = first._multipliers(z[0], np.zeros(self.dim))
-            if of_first is not None and left.size == 1:
-                multipliers[left] = of_first / self._units
-            elif of_first is not None:
+            if of_first is not None:
                 active = np.flatnonzero(of_first)
                 normals, inverse = (G := dense(self.rows[active])), np.linalg.pinv(G)
                 y, meet = z @ inverse, s[:, active] @ inverse.T @ self.rows.T

@@ -31,8 +31,6 @@ from sweepopt.sets.shapes import Box
 # 50 Newton steps, or a growth of 2, end no other way; a growth of 10 gives one up.
 PROXIMAL_POINTS = 20
 NEWTON_STEPS = 25  # from a start, and for a proximal point
-SHARES = 0.5 ** np.arange(6)  # of a step: with whole steps multipliers grow where sets touch
-LOOK_BACK_NEWTON = 2  # residuals, the larger of which a step makes smaller
 GROWTH = 4.0  # of the proximal parameter after each
 REGULAR = 1e-3  # multiple of 1 in the Hessian, for a gradient as large as what it adds up
 SWEEPS = 500  # of large sets: 900 discs on a gradient (1,800 unknowns) take as many
@@ -184,27 +182,24 @@ class Splitting:
         return Projection(v, self._point(v, on_parts), on_parts, image, exact, self)
 
     def _newton(self, residual: Map, near: Map, x: np.ndarray, size: float) -> FixedPoint:
-        """Newton steps on residual(x) = 0, or sweeps to x + residual(x) where no step is better.
+        """Whole Newton steps on residual(x) = 0.
 
         A multiple of 1 that goes to 0 with the residual makes the Jacobian regular where many x
         solve it (X. Xiao, Y. Li, Z. Wen, L. Zhang, A regularized semi-smooth Newton method with
-        projection steps, J. Sci. Comput. 76, 2018). The residual of a sweep never grows.
+        projection steps, J. Sci. Comput. 76, 2018). Where they go to and fro, proximal points help.
         """
-        r, one = residual(x), np.eye(x.size)
-        lengths = deque([float(np.linalg.norm(r))], maxlen=LOOK_BACK_NEWTON)
+        r, one, falls = residual(x), np.eye(x.size), True
         for _ in range(NEWTON_STEPS):
             extent, least = max(size, float(np.abs(x).max())), np.abs(r).max() / ROUNDING
             # large normals are rounded too, but the residual may become smaller than that
-            if least <= size or (least <= extent and lengths[-1] >= lengths[0]):
+            if least <= size or (least <= extent and not falls):
                 return FixedPoint(x, True)
             J = self._jacobian(np.asarray(self.derivative_of_parts(2 * near(x) - x)))
-            regular = J + min(max(lengths[-1] / extent, RANK), 1.0) * one
-            for step in (*np.outer(SHARES, np.linalg.solve(regular, r)), r):
-                ahead = residual(x + step)
-                if np.linalg.norm(ahead) < max(lengths):
-                    break
-            x, r = x + step, ahead
-            lengths.append(float(np.linalg.norm(r)))
+            length = float(np.linalg.norm(r))
+            regular = J + min(max(length / extent, RANK), 1.0) * one
+            x = x + np.linalg.solve(regular, r)
+            r = residual(x)
+            falls = bool(np.linalg.norm(r) < length)
         return FixedPoint(x, False)
 
     def proximal_points(self, v: np.ndarray, start: Start) -> Iterator[Start]:
@@ -218,16 +213,42 @@ class Splitting:
         if not self.is_smooth(start.s):
             return
         A, s, zero = np.vstack([self.E, -self.F]), start.s, np.zeros(len(self.F))
-        one, goal = np.append(np.ones(v.size), zero), np.append(v, zero)
         y = np.append(v - self.E @ s, zero)
         pull = float(np.abs(A.T @ y).max())
         size_s = float(max(np.abs(s).max(), self.rounding_scale(s).max()))
         c = size_s / pull if size_s and pull else 1.0
         for _ in range(PROXIMAL_POINTS):
-            y, solved = ProximalProgram(self, A, one, goal, s, c).solve(y)
+            y, solved = self._dual_point(A, np.append(v, zero), s, c, y)
             s = self.projected(s + c * (A.T @ y))
             yield Start(s, A.T @ y)
             c *= GROWTH if solved else GROWTH**-2
+
+    def _dual_point(
+        self, A: np.ndarray, goal: np.ndarray, center: np.ndarray, c: float, y: np.ndarray
+    ) -> FixedPoint:
+        """Newton steps from y = (p, lam) on the dual program of a proximal point of center,
+
+            min 1/2 |p|^2 - <goal, y> + max over s in S of <A^T y, s> - 1/2c |s - center|^2,
+
+        A the rows of E and -F. How far each step goes, the slope along it says, which only grows.
+        """
+        one = (np.arange(y.size) < len(self.E)).astype(float)
+
+        def gradient(y: np.ndarray) -> np.ndarray:
+            return one * y - goal + A @ self.projected(center + c * (A.T @ y))
+
+        for _ in range(NEWTON_STEPS):
+            x, g = center + c * (A.T @ y), gradient(y)
+            size = (np.abs(A) @ np.abs(self.projected(x)) + np.abs(goal) + one * np.abs(y)).max()
+            share = np.abs(g).max() / size if size else 0.0
+            if share <= 1e4 * ROUNDING:  # a good start for Newton's method, if not all digits
+                return FixedPoint(y, True)
+            D = np.asarray(self.derivative_of_parts(x))
+            H = np.diag(one) + c * A @ D @ A.T
+            regular = max(REGULAR * share, RANK) * H.diagonal().mean()
+            step = -np.linalg.solve(H + regular * np.eye(len(H)), g)
+            y = y + _step_length(gradient, y, step, float(g @ step)) * step
+        return FixedPoint(y, False)
 
     def is_smooth(self, x: np.ndarray) -> bool:
         """Whether all parts have a derivative, and dense matrices are cheap."""
@@ -304,59 +325,16 @@ class Splitting:
         return np.asarray(self.E @ (self._K @ dx + pull))
 
 
-class DualPoint(NamedTuple):
-    """y = (p, lam) of a proximal program, and whether the gradient is 0 there."""
-
-    y: np.ndarray
-    solved: bool
-
-
-class ProximalProgram(NamedTuple):
-    """min 1/2 |p|^2 - <v, p> + max over s in S of <A^T y, s> - 1/2c |s - center|^2,  y = (p, lam).
-
-    `one` is the diagonal (1, 0), `goal` (v, 0), A the rows of E and -F.
-    """
-
-    splitting: Splitting
-    A: np.ndarray
-    one: np.ndarray
-    goal: np.ndarray
-    center: np.ndarray
-    c: float
-
-    def solve(self, y: np.ndarray) -> DualPoint:
-        """Newton steps from y; how far each goes, the slope along it says, which only grows."""
-        A, one = self.A, self.one
-        for _ in range(NEWTON_STEPS):
-            x = self.center + self.c * (A.T @ y)
-            s = self.splitting.projected(x)
-            g = self._gradient(y, s)
-            size = (np.abs(A) @ np.abs(s) + np.abs(self.goal) + one * np.abs(y)).max()
-            share = np.abs(g).max() / size if size else 0.0
-            if share <= 1e4 * ROUNDING:  # a good start for Newton's method, if not all digits
-                return DualPoint(y, True)
-            D = np.asarray(self.splitting.derivative_of_parts(x))
-            H = np.diag(one) + self.c * A @ D @ A.T
-            regular = max(REGULAR * share, RANK) * H.diagonal().mean()
-            step = -np.linalg.solve(H + regular * np.eye(len(H)), g)
-            y = y + self._length(y, step, float(g @ step)) * step
-        return DualPoint(y, False)
-
-    def _gradient(self, y: np.ndarray, s: np.ndarray) -> np.ndarray:
-        return self.one * y - self.goal + self.A @ s
-
-    def _length(self, y: np.ndarray, step: np.ndarray, slope: float) -> float:
-        """Of a step: where at most half of the slope is left, between bounds that close in."""
-        length, low, high = 1.0, 0.0, np.inf
-        while ROUNDING < length < 1 / ROUNDING:
-            ahead = y + length * step
-            s = self.splitting.projected(self.center + self.c * (self.A.T @ ahead))
-            left = self._gradient(ahead, s) @ step
-            if abs(left) <= 0.5 * abs(slope) or high - low <= ROUNDING * length:
-                break
-            low, high = (low, length) if left > 0 else (length, high)
-            length = 2 * length if np.isinf(high) else 0.5 * (low + high)
-        return length
+def _step_length(gradient: Map, y: np.ndarray, step: np.ndarray, slope: float) -> float:
+    """Where at most half of the slope along a step is left, between bounds that close in."""
+    length, low, high = 1.0, 0.0, np.inf
+    while ROUNDING < length < 1 / ROUNDING:
+        left = gradient(y + length * step) @ step
+        if abs(left) <= 0.5 * abs(slope) or high - low <= ROUNDING * length:
+            break
+        low, high = (low, length) if left > 0 else (length, high)
+        length = 2 * length if np.isinf(high) else 0.5 * (low + high)
+    return length
 
 
 @lru_cache(16)  # sets that are stated anew at every time have the same matrices
@@ -378,7 +356,7 @@ def _shortest(M: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 class FixedPoint(NamedTuple):
-    """Where sweeps ended, and whether that is a fixed point to rounding."""
+    """Where an iteration ended, and whether that is its limit to rounding."""
 
     x: np.ndarray
     fixed: bool
