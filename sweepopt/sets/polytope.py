@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 
 HULL = 8  # dimensions up to which a hull is computed
+COPLANAR = 1e-13  # points of size 1 that are nearer to a facet's plane lie on it: a few roundings
 TURNS = 20  # changes of the face, for each vertex
 
 
@@ -186,9 +187,17 @@ def convex_hull(points: np.ndarray) -> ConvexHull:
 def _facets(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """N and d of the hull of points that is not flat, each facet once, from all of its points."""
     dim = points.shape[1]
-    if dim > 1:  # the simplices of one facet have one normal, but for a few roundings
-        N = convex_hull(points).equations[:, :-1]
-        N = N[np.unique(np.round(N, 12), axis=0, return_index=True)[1]]
-    else:
-        N = np.vstack([np.eye(dim), -np.eye(dim)])
+    N = np.vstack([np.eye(dim), -np.eye(dim)])  # in no or one dimension
+    if dim > 1:
+        hull, normals = convex_hull(points), []
+        left = np.ones(len(hull.simplices), dtype=bool)
+        while left.any():
+            first = int(left.argmax())
+            n, on = hull.equations[first, :-1], points @ hull.equations[first, :-1]
+            on = on + hull.equations[first, -1] > -COPLANAR
+            left &= ~on[hull.simplices].all(axis=1)
+            left[first] = False
+            better = np.linalg.svd(points[on] - points[on].mean(axis=0), False)[2][-1]
+            normals.append(better if better @ n > 0 else -better)
+        N = np.array(normals)
     return N, (N @ points.T).max(axis=1)  # through the vertices to rounding
