@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sweepopt.checks import arguments, number, takes
+from sweepopt.checks import meaning, number, takes
 from sweepopt.errors import InputError, SaveError, Status, StepError, shown
 from sweepopt.integrate import (
     MEMORY,
@@ -49,7 +49,7 @@ from sweepopt.sets import ConvexSet
 from sweepopt.velocity import Plan, compile_projection
 
 
-@arguments(
+@meaning(
     dt="; give steps=round(t_end / dt)",
     t_span="; the run starts at t = 0: give t_end, or the times themselves as steps",
     t_eval="; give the times as save, they must be among those of steps",
