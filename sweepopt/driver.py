@@ -340,14 +340,15 @@ def _move(
     if not succeeded:
         u = grid.plan.state(run.u)
         raise StepError(run.cause, float(grid.times[run.done]), run.done, u, run.relative)
+    solution = _solution(process, run, sink, recorded)
     if sink is not None and (failure := sink.storage.failure):
         raise SaveError(
             f"save: {grid.saving.path} cannot be written ({failure.strerror}), the run "
             f"was stopped after {run.done} steps; `solution` of this error has the last of them. "
             "Free the disk, name another file, or keep fewer steps in memory, save=k",
-            _solution(process, run, sink, recorded),
+            solution,
         )
-    return _solution(process, run, sink, recorded)
+    return solution
 
 
 def _first_grid(

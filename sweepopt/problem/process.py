@@ -339,10 +339,7 @@ class SweepingProcess(Displayed):
                     f"{where}. A is 0 on its kernel, and no solution starts there: change u0, to "
                     "so.compatible_start(process) for example"
                 )
-            warn(f"{where}. The solution starts with a velocity", InitialStateWarning)
-            return True
-        message = f"{where}. A is coercive, so the solution exists and starts with a velocity"
-        warn(message, InitialStateWarning)
+        warn(f"{where}. The solution exists and starts with a velocity", InitialStateWarning)
         return True
 
     @cached_property
