@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterable
-from enum import Enum
 from functools import wraps
 from inspect import signature
 from typing import Any, TypeAlias, TypeVar
@@ -16,7 +16,7 @@ from scipy.linalg import blas
 
 from sweepopt.errors import InputError, shown, suggestion
 
-F = TypeVar("F", bound=Callable[..., Any])
+F = TypeVar("F")
 Matrix: TypeAlias = Any  # np.ndarray or scipy.sparse.csc_array, as `matrix` returns them
 
 HUGE = 1e75
@@ -27,56 +27,51 @@ MOST_UNKNOWNS = 10**9
 """A vector of more of them takes 8 GB, and a step needs a few."""
 
 
-def arguments(**meant: str) -> Callable[[F], F]:
-    """For functions of users: what is no argument is an InputError with a remedy.
+def meaning(**arguments: str) -> Callable[[F], F]:
+    """Note on a public name what stands here for arguments of other libraries."""
 
-    Parameters
-    ----------
-    **meant
-        Arguments of other libraries, and what stands for them here.
-    """
+    def noted(thing: F) -> F:
+        thing.meaning = arguments  # type: ignore[attr-defined]
+        return thing
 
-    def decorated(function: Any) -> Any:
-        if isinstance(function, type):
-            function.__init__ = decorated(function.__init__)  # type: ignore[misc]
-            return function
-        call, name = signature(function), function.__qualname__.partition(".__")[0]
-        known = [key for key in call.parameters if key not in ("self", "cls", "_cls")]
-
-        @wraps(function)
-        def checked(*args: Any, **named: Any) -> Any:
-            try:
-                return function(*args, **named)
-            except TypeError:
-                try:
-                    call.bind(*args, **named)
-                except TypeError as error:
-                    fault = f"{name}: {error}; give by name {', '.join(known)}"
-                    for unknown in (key for key in named if key not in known):
-                        hint = meant.get(unknown) or suggestion(unknown, known)
-                        hint = hint or f"; there are: {', '.join(known)}"
-                        fault = f"{name} has no argument {unknown}{hint}"
-                    raise InputError(fault) from None
-                raise
-
-        vars(checked)["meant"] = meant
-        return checked
-
-    return decorated
+    return noted
 
 
 def public(thing: Any) -> Any:
-    """A name of the public face, whose call has checked `arguments`; a class gets them in place."""
-    if not callable(thing) or hasattr(thing, "meant"):
-        return thing
-    if not isinstance(thing, type):
-        return arguments()(thing)
-    if not issubclass(thing, (BaseException, Enum)):
+    """A name of the public face: what is no argument of it is an InputError with a remedy.
+
+    Classes are changed in place, functions in their modules, so that they can be pickled.
+    """
+    if isinstance(thing, type):
         for name in vars(thing).keys() & {"__new__", "__init__"}:
-            if not hasattr(own := getattr(thing, name), "meant"):
-                call = arguments()(own)
-                setattr(thing, name, staticmethod(call) if name == "__new__" else call)
+            setattr(thing, name, _checked(getattr(thing, name), thing))
+    elif callable(thing):
+        thing = _checked(thing, thing)
+        setattr(sys.modules[thing.__module__], thing.__name__, thing)
     return thing
+
+
+def _checked(function: Any, owner: Any) -> Any:
+    call, name, meant = signature(function), owner.__name__, vars(owner).get("meaning", {})
+    known = [key for key in call.parameters if key not in ("self", "cls", "_cls")]
+
+    @wraps(function)
+    def checked(*args: Any, **named: Any) -> Any:
+        try:
+            return function(*args, **named)
+        except TypeError:
+            try:
+                call.bind(*args, **named)
+            except TypeError as error:
+                all_names = ", ".join(known)
+                fault = f"{name}: {error}; give by name {all_names}"
+                for unknown in (key for key in named if key not in known):
+                    hint = meant.get(unknown) or suggestion(unknown, known)
+                    fault = f"{name} has no argument {unknown}{hint or f'; there are: {all_names}'}"
+                raise InputError(fault) from None
+            raise
+
+    return checked
 
 
 def takes(name: str, function: Any, *given: str) -> None:

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sweepopt.checks import arguments, number, takes
+from sweepopt.checks import meaning, number, takes
 from sweepopt.errors import InputError, SaveError, Status, StepError, shown
 from sweepopt.integrate import (
     MEMORY,
@@ -49,7 +49,7 @@ from sweepopt.sets import ConvexSet
 from sweepopt.velocity import Plan, compile_projection
 
 
-@arguments(
+@meaning(
     dt="; give steps=round(t_end / dt)",
     t_span="; the run starts at t = 0: give t_end, or the times themselves as steps",
     t_eval="; give the times as save, they must be among those of steps",
@@ -340,14 +340,15 @@ def _move(
     if not succeeded:
         u = grid.plan.state(run.u)
         raise StepError(run.cause, float(grid.times[run.done]), run.done, u, run.relative)
+    solution = _solution(process, run, sink, recorded)
     if sink is not None and (failure := sink.storage.failure):
         raise SaveError(
             f"save: {grid.saving.path} cannot be written ({failure.strerror}), the run "
             f"was stopped after {run.done} steps; `solution` of this error has the last of them. "
             "Free the disk, name another file, or keep fewer steps in memory, save=k",
-            _solution(process, run, sink, recorded),
+            solution,
         )
-    return _solution(process, run, sink, recorded)
+    return solution
 
 
 def _first_grid(

@@ -169,7 +169,7 @@ class StepError(SweepoptError):
         self.t, self.step, self.u, self.certificate = t, step, u, certificate
 
 
-class AccuracyError(SweepoptError):
+class AccuracyError(_RunError):
     """A run could not be refined to the error that was asked for.
 
     Attributes

@@ -83,4 +83,5 @@ __all__ = [
     "read_scene",
 ]
 
-globals().update((name, public(globals()[name])) for name in __all__)
+for name in __all__:
+    globals()[name] = public(globals()[name])

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from sweepopt.checks import TIME_SLACK, arguments, axes, number, vector
+from sweepopt.checks import TIME_SLACK, axes, meaning, number, vector
 from sweepopt.errors import InputError, Status
 from sweepopt.integrate.error_estimator import ErrorEstimator
 from sweepopt.integrate.grid import breakpoints_to_meet, evaluation_times, time_grid
@@ -48,7 +48,7 @@ ADVICE = (
 COMPLETE = (Status.SUCCESS, Status.UNCERTIFIED)
 
 
-@arguments(
+@meaning(
     rtol="; give tol, the error itself in the units of |u|_A",
     atol="; give tol, the error in the units of |u|_A",
     max_step="; give first, the longest step",

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.checks import arguments, count, number
+from sweepopt.checks import count, number
 from sweepopt.errors import (
     CheckpointError,
     CheckpointWarning,
@@ -43,7 +43,6 @@ WRITES = 100  # of a run, at whose ends it may be written down if nobody says ho
 SECONDS = 10.0  # between two files, if nobody says how many
 
 
-@arguments()
 @dataclass(frozen=True)
 class Checkpoint:
     """Where and how often a run is written down, so that `resume` can continue it.

@@ -7,12 +7,11 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import arguments, instant
+from sweepopt.checks import instant
 from sweepopt.errors import InputError, noted, shown
 from sweepopt.loads.history import Array, History, breakpoints, read_only
 
 
-@arguments()
 class Separable:
     """A load ``f(t) = sum_k phi_k(t) f_k``.
 

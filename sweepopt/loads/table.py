@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import HUGE, TIME_SLACK, arguments, matrix, number
+from sweepopt.checks import HUGE, TIME_SLACK, matrix, number
 from sweepopt.display import Brief
 from sweepopt.errors import InputError
 from sweepopt.io import read_columns
 from sweepopt.loads.history import Array, History, Piece, as_times, interval, read_only
 
 
-@arguments()
 @dataclass(frozen=True, eq=False, repr=False)
 class Table(Brief, History):
     """Piecewise linear history through measured points.
@@ -128,7 +127,6 @@ class Table(Brief, History):
         return np.intersect1d(self.breakpoints(a, b), self.times[1:-1][turns])
 
 
-@arguments()
 class VectorTable(Table):
     """Piecewise linear load f(t) in R^dim through given vectors; an evaluation costs O(dim).
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import arguments, number
+from sweepopt.checks import meaning, number
 from sweepopt.errors import InputError, shown
 from sweepopt.loads.history import Array, History, Piece, as_times, interval, read_only
 
@@ -27,7 +27,6 @@ class _Formula(History):
             object.__setattr__(self, field.name, value)
 
 
-@arguments()
 @dataclass(frozen=True)
 class Constant(_Formula):
     """``phi(t) = value``.
@@ -53,7 +52,6 @@ class Constant(_Formula):
         return self.value + 0.0 * as_times(t)
 
 
-@arguments()
 @dataclass(frozen=True, eq=False)
 class Polynomial(History):
     """``phi(t) = sum_k coefficients[k] t^k``.
@@ -145,7 +143,7 @@ class _Periodic(_Formula):
         return super().largest(a, min(b, a + self.period))
 
 
-@arguments(frequency="; give period, 1 / frequency", omega="; give period, 2 pi / omega")
+@meaning(frequency="; give period, 1 / frequency", omega="; give period, 2 pi / omega")
 @dataclass(frozen=True)
 class Sine(_Periodic):
     """``phi(t) = offset + amplitude sin(2 pi t / period + phase)``, phase in radians.
@@ -188,7 +186,7 @@ class Sine(_Periodic):
         return Piece(a, (self.offset,), (wave,))
 
 
-@arguments(frequency="; give period, 1 / frequency")
+@meaning(frequency="; give period, 1 / frequency")
 @dataclass(frozen=True)
 class Triangle(_Periodic):
     """Triangular wave from 0 at t = 0 up to `amplitude` at a quarter of the period.

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from sweepopt.checks import Matrix, agree, arguments, symmetric, vector
+from sweepopt.checks import Matrix, agree, meaning, symmetric, vector
 from sweepopt.display import Displayed, Rows, brief
 from sweepopt.errors import (
     IndefiniteError,
@@ -70,6 +70,12 @@ class VelocityBound(NamedTuple):
     guaranteed: bool
 
 
+@meaning(
+    load="; C(t) = f(t) - D: give C, or take EvolutionVI, which has load and dissipation",
+    dissipation="; take EvolutionVI, which has load and dissipation",
+    K="; C is the set that B u and A u' are in; EvolutionVI has cone=K",
+    x0="; the start is u0",
+)
 class SweepingProcess(Displayed):
     """-u'(t) in N_{C(t)}(A u'(t) + B u(t)),  u(0) = u0.
 
@@ -110,12 +116,6 @@ class SweepingProcess(Displayed):
 
     unknowns_digest = ""  # a checksum of what they are, where it is known; files of runs hold it
 
-    @arguments(
-        load="; C(t) = f(t) - D: give C, or take EvolutionVI, which has load and dissipation",
-        dissipation="; take EvolutionVI, which has load and dissipation",
-        K="; C is the set that B u and A u' are in; EvolutionVI has cone=K",
-        x0="; the start is u0",
-    )
     def __init__(
         self, A: Any, B: Any, C: AnySet, u0: Any, fields: dict[str, slice] | None = None
     ) -> None:
@@ -339,10 +339,7 @@ class SweepingProcess(Displayed):
                     f"{where}. A is 0 on its kernel, and no solution starts there: change u0, to "
                     "so.compatible_start(process) for example"
                 )
-            warn(f"{where}. The solution starts with a velocity", InitialStateWarning)
-            return True
-        message = f"{where}. A is coercive, so the solution exists and starts with a velocity"
-        warn(message, InitialStateWarning)
+        warn(f"{where}. The solution exists and starts with a velocity", InitialStateWarning)
         return True
 
     @cached_property
@@ -437,6 +434,14 @@ class SweepingProcess(Displayed):
         return VelocityBound(float(value), float(v), distance, v.guaranteed)
 
 
+@meaning(
+    C="; its C(t) is load - dissipation: give these, or take SweepingProcess(A, B, C, u0)",
+    f="; the load is load",
+    J="; J is the support function of the set dissipation",
+    D="; D is dissipation",
+    K="; K is cone",
+    x0="; the start is u0",
+)
 class EvolutionVI(SweepingProcess):
     """Find u'(t) in K: <A u' + B u - f(t), v - u'> + J(v) - J(u') >= 0 for all v in K.
 
@@ -470,14 +475,6 @@ class EvolutionVI(SweepingProcess):
     1.0
     """
 
-    @arguments(
-        C="; its C(t) is load - dissipation: give these, or take SweepingProcess(A, B, C, u0)",
-        f="; the load is load",
-        J="; J is the support function of the set dissipation",
-        D="; D is dissipation",
-        K="; K is cone",
-        x0="; the start is u0",
-    )
     def __init__(
         self,
         A: Any,

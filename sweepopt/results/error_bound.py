@@ -139,7 +139,7 @@ def error_bound(
         each, reason = residuals(process, norms, nodes, curves, variation)
         growth = _growth(norms, t, each)
         states = np.column_stack([np.interp(t, run.t, u) for u in run.u.T])
-        v = np.array(curves)[growth.curve, np.arange(len(t) - 1)]
+        v = curves[growth.curve, np.arange(len(t) - 1)]
         difference = _difference(nodes, v, states)
         distance = norms.A(difference).max(axis=1)
         rounding = SUMMED * math.sqrt(len(t)) * norms.A(nodes.u).max()
@@ -212,12 +212,12 @@ class _Growth(NamedTuple):
     curve: np.ndarray
 
 
-def _growth(norms: Norms, t: np.ndarray, each: list[Residuals]) -> _Growth:
+def _growth(norms: Norms, t: np.ndarray, each: Residuals) -> _Growth:
     """The smallest of the theorem's bounds, with the best curve on each step."""
-    gaps, squares, turning = (np.array(x) for x in zip(*(r[:3] for r in each), strict=True))
+    gaps, squares, turning = each[:3]
     if norms.weak:
         squares[:] = np.inf
-    turning[~np.isfinite(turning + np.array([r.error for r in each]))] = np.inf
+    turning[~np.isfinite(turning + each.error)] = np.inf
     step = np.arange(len(t) - 1)
     powers, largest = gaps + 0.5 * squares, 0.0
     for _ in range(2):
@@ -247,14 +247,10 @@ def _growth(norms: Norms, t: np.ndarray, each: list[Residuals]) -> _Growth:
 
 
 def _variation(
-    norms: Norms, each: list[Residuals], curve: np.ndarray, weak: np.ndarray
+    norms: Norms, each: Residuals, curve: np.ndarray, weak: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """V and sup |r_2| until the end of each step; r_2 is r on the weak steps, and jumps to 0."""
-    rows = curve, np.arange(len(curve))
-    turning, begin, end, error = (
-        np.array([getattr(r, name) for r in each])[rows]
-        for name in ("turning", "begin", "end", "error")
-    )
+    turning, begin, end, error = (x[curve, np.arange(len(curve))] for x in each[2:])
     turning, error = np.where(weak, turning, 0.0), np.where(weak, error, 0.0)
     begin, end = (np.where(weak[:, None], r, 0.0) for r in (begin, end))
     before = np.concatenate([np.zeros_like(end[:1]), end[:-1]])

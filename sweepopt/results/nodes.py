@@ -82,8 +82,8 @@ def nodes_of(process: SweepingProcess, plan: Plan, t: np.ndarray) -> Nodes:
     return Nodes(times, states.u(slice(None)), states.velocity(slice(None)))
 
 
-def slopes_of_curves(nodes: Nodes, slopes: np.ndarray) -> list[np.ndarray]:
-    """Bernstein coefficients of v', shape (n, 3, dim), of three curves through the nodes.
+def slopes_of_curves(nodes: Nodes, slopes: np.ndarray) -> np.ndarray:
+    """Bernstein coefficients of v', shape (3, n, 3, dim), of three curves through the nodes.
 
     Straight, and cubics: with the velocities at the nodes, and with the slopes of parabolas through
     three nodes, which have more digits where A is next to nothing.
@@ -95,7 +95,7 @@ def slopes_of_curves(nodes: Nodes, slopes: np.ndarray) -> list[np.ndarray]:
     for ends in (slopes, parabolas):
         first, last = ends[:-1], ends[1:]
         curves.append(np.stack([first, 3 * mean - first - last, last], axis=1))
-    return curves
+    return np.array(curves)
 
 
 def force_along(
@@ -105,14 +105,12 @@ def force_along(
     i: np.ndarray,
     theta: np.ndarray,
 ) -> np.ndarray:
-    """A v' + B v at the shares theta, shape (m, k), of the steps i; slopes of all steps."""
-    velocity = basis(2, theta) @ slopes[i]
-    force = applied(process.A, velocity)
+    """A v' + B v at the shares theta, shape (m, k), of the steps i, where v' has these slopes."""
+    force = applied(process.A, basis(2, theta) @ slopes)
     if process.B is not None:
         h = (nodes.t[i + 1] - nodes.t[i])[:, None, None]
-        force += applied(
-            process.B, basis(3, theta) @ cubic(nodes.u[i], nodes.u[i + 1], h * slopes[i])
-        )
+        v = cubic(nodes.u[i], nodes.u[i + 1], h * slopes)
+        force += applied(process.B, basis(3, theta) @ v)
     return force
 
 

@@ -15,8 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,7 +45,7 @@ CHUNK = 2_000_000  # numbers that intervals treated at once may hold: 16 MB
 
 
 class Residuals(NamedTuple):
-    """Integrals over each step, shape (n,), of one curve.
+    """Integrals over each step, shape (c, n), of c curves.
 
     Attributes
     ----------
@@ -54,7 +53,7 @@ class Residuals(NamedTuple):
         int 2 G and int |r|^2; squares are infinite where A is singular.
     turning : ndarray
         int |r'|, in the dual norm of B.
-    begin, end : ndarray, shape (n, dim)
+    begin, end : ndarray, shape (c, n, dim)
         r at the ends of each step.
     error : ndarray
         How far r at the ends may be off, in the dual norm of B.
@@ -71,7 +70,7 @@ class Residuals(NamedTuple):
 class _Model(NamedTuple):
     """C(t) on intervals: within `distance` of center(t) + scale(t) shape.
 
-    One distance for each interval, and one shape for each or for all.
+    One distance for each interval, and one shape for each or for all; of none there are samples.
     """
 
     motion: Motion
@@ -91,30 +90,29 @@ def residuals(
     process: SweepingProcess,
     norms: Norms,
     nodes: Nodes,
-    curves: list[np.ndarray],
+    curves: np.ndarray,
     variation: Callable[[float], float] | None,
-) -> tuple[list[Residuals], str]:
+) -> tuple[Residuals, str]:
     """The residuals of curves through the nodes, and why they are no bounds; "" if they are.
 
     Parameters
     ----------
-    curves : list of ndarray, shape (n, 3, dim)
-        Bernstein coefficients of v'.
+    curves : ndarray, shape (c, n, 3, dim)
+        Bernstein coefficients of v' of each curve.
     variation : callable or None
         v with d_H(C(t), C(s)) <= v(t) - v(s) for s <= t.
     """
     data = motion(process.C)
     reason = _unknown(data)
     model = _model(process, data, reason, norms, nodes, variation)
-    if model is not None:
-        try:
-            moving = model.motion
-            known = moving.center.bounded and moving.scale.bounded
-            return _bounds(process, norms, nodes, curves, model), "" if known else reason
-        # coefficients of a polynomial may be no offsets of a set that is nearly a point
-        except EmptySetError as error:
-            reason = f"C(t) is nearly empty at times ({error})"
-    return [_sampled(process, norms, nodes, v) for v in curves], reason
+    try:
+        moving = model.motion
+        known = bool(model.shapes) and moving.center.bounded and moving.scale.bounded
+        return _bounds(process, norms, nodes, curves, model), "" if known else reason
+    # coefficients of a polynomial may be no offsets of a set that is nearly a point
+    except EmptySetError as error:
+        reason = f"C(t) is nearly empty at times ({error})"
+        return _bounds(process, norms, nodes, curves, _on_steps(process, nodes)), reason
 
 
 def _unknown(data: Motion) -> str:
@@ -140,20 +138,27 @@ def _model(
     norms: Norms,
     nodes: Nodes,
     variation: Callable[[float], float] | None,
-) -> _Model | None:
-    """What is known of C(t) on intervals that cover the steps; None if nothing is."""
+) -> _Model:
+    """What is known of C(t) on intervals that cover the steps."""
     moving: Motion | None = None if reason and data.offsets else data
     if variation is not None and not data.center.bounded:
         moving = _with_variation(data, variation)
     if moving is not None and moving.shape is not None and moving.scale.function is None:
         intervals = smooth_intervals(moving, nodes.t)
         return _Model(moving, intervals, [moving.shape], np.zeros(len(intervals.step)))
-    if variation is None or norms.weak:  # such a curve has no int |r'|
-        return None
-    steps = Intervals(np.arange(len(nodes.velocity)), nodes.t[:-1], nodes.t[1:])
-    members = [process.C.at(t) for t in (0.5 * (steps.begin + steps.end)).tolist()]
-    still = Motion(None, TimeFunction((), process.dim))
-    return _Model(still, steps, members, increments(variation, nodes.t))
+    model = _on_steps(process, nodes)
+    if variation is None or norms.weak:  # members in the middle have no int |r'|
+        return model
+    middles = 0.5 * (nodes.t[:-1] + nodes.t[1:])
+    members = [process.C.at(t) for t in middles.tolist()]
+    return model._replace(shapes=members, distance=increments(variation, nodes.t))
+
+
+def _on_steps(process: SweepingProcess, nodes: Nodes) -> _Model:
+    """That of a C(t) of which nothing is known between samples."""
+    n = len(nodes.velocity)
+    steps = Intervals(np.arange(n), nodes.t[:-1], nodes.t[1:])
+    return _Model(Motion(None, TimeFunction((), process.dim)), steps, [], np.zeros(n))
 
 
 def _with_variation(moving: Motion, variation: Callable[[float], float]) -> Motion | None:
@@ -171,38 +176,40 @@ def _with_variation(moving: Motion, variation: Callable[[float], float]) -> Moti
 
 
 def _bounds(
-    process: SweepingProcess, norms: Norms, nodes: Nodes, curves: list[np.ndarray], model: _Model
-) -> list[Residuals]:
-    """Those of each curve, from intervals treated at once."""
-    n, dim = nodes.velocity.shape
-    sizes = (n, n, n, (n, dim), (n, dim), n)
-    totals = [Residuals(*map(np.zeros, sizes)) for _ in curves]
-    before = [(np.zeros(dim), 0.0) for _ in curves]  # r at the end of the last interval, its error
-    moving = model.motion
-    width = dim if moving.offsets is None else max(dim, moving.offsets.dim)
-    count = max(CHUNK // (30 * width), 1)
-    for start in range(0, len(model.distance), count):
-        part = slice(start, start + count)
-        intervals = Intervals(*(x[part] for x in model.intervals))
-        shapes = model.shapes if len(model.shapes) == 1 else model.shapes[part]
-        some = model._replace(intervals=intervals, shapes=shapes, distance=model.distance[part])
-        on_part = partial(interpolate, begin=intervals.begin, end=intervals.end)
-        center, scale = on_part(moving.center), on_part(moving.scale)
-        offsets = on_part(moving.offsets) if moving.offsets else None
-        i = intervals.step
-        first, last = intervals.begin == nodes.t[i], intervals.end == nodes.t[i + 1]
-        for k, (total, slopes) in enumerate(zip(totals, curves, strict=True)):
-            each = _on_intervals(process, norms, nodes, slopes, some, center, scale, offsets)
-            for sums, add in zip(total[:3], each[:3], strict=True):
-                np.add.at(sums, i, add)
-            np.maximum.at(total.error, i, each.error)
-            total.begin[i[first]], total.end[i[last]] = each.begin[first], each.end[last]
-            # at a cut inside a step
-            ends, errors = np.vstack([before[k][0], each.end]), np.append(before[k][1], each.error)
-            jumps = norms.dual_B(each.begin - ends[:-1]) + errors[1:] + errors[:-1]
-            np.add.at(total.turning, i[~first], jumps[~first])
-            before[k] = ends[-1], errors[-1]
-    return totals
+    process: SweepingProcess, norms: Norms, nodes: Nodes, curves: np.ndarray, model: _Model
+) -> Residuals:
+    """Those of all curves, from intervals treated at once."""
+    count, moving, step = len(curves), model.motion, model.intervals.step
+    width = process.dim if moving.offsets is None else max(process.dim, moving.offsets.dim)
+    size = max(CHUNK // (30 * count * width), 1)
+    parts = []
+    for start in range(0, len(step), size):
+        part = slice(start, start + size)
+        i, begin, end = (x[part] for x in model.intervals)
+        # the intervals of the first curve, then those of the second
+        functions: list[Any] = [
+            f and Interpolated(*(np.concatenate([x] * count) for x in interpolate(f, begin, end)))
+            for f in (moving.center, moving.scale, moving.offsets)
+        ]
+        some = _Model(
+            moving,
+            Intervals(*(np.tile(x, count) for x in (i, begin, end))),
+            model.shapes if len(model.shapes) == 1 else model.shapes[part] * count,
+            np.tile(model.distance[part], count),
+        )
+        slopes = np.concatenate(curves[:, i])
+        each = _on_intervals(process, norms, nodes, slopes, some, *functions)
+        parts.append([x.reshape(count, len(i), *x.shape[1:]) for x in each])
+    of_all = (np.concatenate(some, axis=1) for some in zip(*parts, strict=True))
+    gaps, squares, turning, begin, end, error = of_all
+    first = np.searchsorted(step, np.arange(len(nodes.velocity)))
+    jumps = norms.dual_B(begin[:, 1:] - end[:, :-1]) + error[:, 1:] + error[:, :-1]
+    jumps[:, first[1:] - 1] = 0  # only those at cuts inside of steps
+    turning[:, 1:] += jumps
+    gaps, squares, turning = (np.add.reduceat(x, first, axis=1) for x in (gaps, squares, turning))
+    last = np.append(first[1:], len(step)) - 1
+    error = np.maximum.reduceat(error, first, axis=1)
+    return Residuals(gaps, squares, turning, begin[:, first], end[:, last], error)
 
 
 def _on_intervals(
@@ -215,15 +222,19 @@ def _on_intervals(
     scale: Interpolated,
     offsets: Interpolated | None,
 ) -> Residuals:
-    """Those of one curve on each interval."""
+    """Those of curves on intervals, each with its slopes of shape (3, dim)."""
     i, a, b = model.intervals
     h, length = nodes.t[i + 1] - nodes.t[i], b - a
     begin, share = ((a - nodes.t[i]) / h)[:, None], (length / h)[:, None]
     theta = begin + share * GAUSS
     force = force_along(process, nodes, slopes, i, theta) - center.values
-    aim = force - norms.push * (basis(2, theta) @ slopes[i])
-    directions = -HALVES_TO_BERNSTEIN @ (basis(2, begin + share * HALVES) @ slopes[i])
-    if offsets is None:
+    velocity = basis(2, theta) @ slopes
+    aim = force - norms.push * velocity
+    directions = -HALVES_TO_BERNSTEIN @ (basis(2, begin + share * HALVES) @ slopes)
+    moved = error = error_B = turning = np.zeros(len(a))
+    if not model.shapes:
+        w, gaps = _sampled(process, a[:, None] + length[:, None] * GAUSS, aim, -velocity)
+    elif offsets is None:
         s = _curve_in_shape(model, aim, scale.values)
         w = scale.values * (basis(s.shape[1] - 1, GAUSS) @ s)
         # a curve that is moved has no bound of int |r'|, which is what counts in stiff steps
@@ -233,8 +244,6 @@ def _on_intervals(
         error = error + moved / math.sqrt(norms.beta)
     else:
         w, gaps = _within_rows(model, aim, directions, offsets)
-        moved = error = error_B = turning = np.zeros(len(a))
-
     r = force - w
     # Minkowski: the interpolation error adds up in the norm
     squares = length * (np.sqrt(norms.dual(r) ** 2 @ WEIGHTS) + error) ** 2
@@ -335,18 +344,13 @@ def _gaps(S: ConvexSet, p: np.ndarray, s: np.ndarray, ratios: np.ndarray) -> np.
     return np.column_stack(S.gaps_along_curves(p, s, ratios))
 
 
-def _sampled(process: SweepingProcess, norms: Norms, nodes: Nodes, slopes: np.ndarray) -> Residuals:
-    """Those of one curve on each step by Gauss's rule; no bounds."""
-    h, n = np.diff(nodes.t), len(nodes.velocity)
-    theta = np.broadcast_to(GAUSS, (n, len(GAUSS)))
-    velocity = basis(2, theta) @ slopes
-    force = force_along(process, nodes, slopes, np.arange(n), theta)
-    gaps, r = np.zeros(theta.shape), np.zeros(force.shape)
-    push = norms.push * velocity
-    for i, j in np.ndindex(*theta.shape):
-        C = process.C.at(float(nodes.t[i] + h[i] * theta[i, j]))
-        w = C.project(force[i, j] - push[i, j])
-        gaps[i, j], r[i, j] = C.gap(-velocity[i, j], w), force[i, j] - w
-    squares = norms.dual(r) ** 2 @ WEIGHTS
-    turning = norms.dual_B(np.diff(r, axis=1)).sum(axis=1)
-    return Residuals(2 * h * (gaps @ WEIGHTS), h * squares, turning, r[:, 0], r[:, -1], np.zeros(n))
+def _sampled(
+    process: SweepingProcess, times: np.ndarray, aim: np.ndarray, directions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The projection of the aim on C(t) at GAUSS, and the mean of G by Gauss's rule; no bound."""
+    w, gaps = np.empty(aim.shape), np.empty(times.shape)
+    for at in np.ndindex(*times.shape):
+        C = process.C.at(float(times[at]))
+        w[at] = C.project(aim[at])
+        gaps[at] = C.gap(directions[at], w[at])
+    return w, gaps @ WEIGHTS
