@@ -7,6 +7,7 @@ import itertools
 import operator
 import pickle
 import re
+from inspect import signature
 from typing import Any, NamedTuple
 
 import cvxpy as cp
@@ -503,6 +504,43 @@ def test_distance_bound_is_none_where_nothing_is_known() -> None:
 def test_a_polyhedron_needs_its_arguments(cls: Any) -> None:
     with pytest.raises(so.InputError, match=r"missing a required argument.*give by name"):
         cls()
+
+
+class Slope(so.HalfSpace):
+    def __init__(self, steep: float) -> None:
+        super().__init__([steep, 1.0], 1.0)
+
+
+class Corner(so.Polyhedron):
+    def __init__(self, *, rows: int) -> None:
+        super().__init__(np.eye(rows), h=np.ones(rows))
+
+
+@pytest.mark.parametrize("C", [Slope(2.0), Slope(steep=2.0), Corner(rows=2)])
+def test_a_subclass_of_a_polyhedron_has_its_own_arguments(C: so.Polyhedron) -> None:
+    known = so.Polyhedron(C.G, C.h)
+    for twin in (C, *(copied(C) for copied in TWINS)):
+        assert type(twin) is type(C)
+        np.testing.assert_array_equal(twin.project([3.0, 4.0]), known.project([3.0, 4.0]))
+
+
+def test_the_signature_of_a_polyhedron_is_that_of_its_parameters() -> None:
+    assert list(signature(so.Polyhedron).parameters) == ["G", "h"]
+    assert list(signature(so.HalfSpace).parameters) == ["normal", "offset"]
+    moving = so.Polyhedron(h=lambda t: [t], G=[[1.0]])
+    assert moving.at(2.0).support([1.0]) == 2.0
+    with pytest.raises(so.InputError, match="Polyhedron has no argument g; there are: G, h"):
+        so.Polyhedron(g=[[1.0]], h=lambda t: [t])
+
+
+def test_nearly_opposite_rows_are_a_wedge_and_no_equation() -> None:
+    """The pair at (0, 5) of a line is none of the wedge x <= 0, x >= a y, whose apex is nearest."""
+    for a in np.geomspace(1e-15, 1e-9, 13):
+        C = so.Polyhedron([[1.0, 0.0], [-1.0, a]], [0.0, 0.0])
+        pair = C.normal_pair(np.zeros(2), np.array([0.3, 5.0]), np.ones(2))
+        if pair is not None:
+            moved = 0.0 if pair.perturbation is None else np.linalg.norm(pair.perturbation.w)
+            assert pair.w[1] <= 1e-12 or moved > 1e-3
 
 
 WIDE = so.image(np.random.default_rng(0).normal(size=(3, 320)) / 20, so.Balls(np.ones(160), 2))

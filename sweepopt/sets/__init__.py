@@ -23,7 +23,7 @@ from sweepopt.sets.facets import facets
 from sweepopt.sets.least_distance import least_distance
 from sweepopt.sets.moving import AnySet, Moving, MovingOffsets, MovingSet, StateDependent
 from sweepopt.sets.operations import image, product
-from sweepopt.sets.parallel import SAME, parallel_rows
+from sweepopt.sets.parallel import parallel_rows
 from sweepopt.sets.polyhedra import HalfSpace, Polyhedron
 from sweepopt.sets.polytope import HULL, Polytope
 from sweepopt.sets.programs import CAREFUL
@@ -33,7 +33,6 @@ __all__ = [
     "CAREFUL",
     "HULL",
     "ROUNDING",
-    "SAME",
     "Aligned",
     "AnySet",
     "Ball",

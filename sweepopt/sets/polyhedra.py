@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from functools import cached_property, lru_cache
+from inspect import signature
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
@@ -76,10 +77,9 @@ class Polyhedron(ConvexSet):
 
     polyhedral = True
 
-    def __new__(cls, G: Any, h: Any) -> Any:
-        if cls is Polyhedron and callable(h):
-            G = matrix("G", G)
-            return MovingOffsets(cls(G, np.zeros(G.shape[0])), h)
+    def __new__(cls, *args: Any, **named: Any) -> Any:  # subclasses have their own arguments
+        if cls is Polyhedron and any(map(callable, (*args, *named.values()))):
+            return _with_moving_offsets(*args, **named)
         return super().__new__(cls)
 
     def __init__(self, G: Any, h: Any) -> None:
@@ -103,9 +103,6 @@ class Polyhedron(ConvexSet):
         np.minimum.at(self._lead, self._parallel.j, self._parallel.i)
         self._set_offsets(h)
 
-    def __getnewargs__(self) -> tuple[Any, Any]:
-        return self.G, self.h  # for copy and pickle
-
     def _set_offsets(self, h: Any) -> None:
         self.h = vector("h", h, self.G.shape[0], finite=False)
         self.offsets = self.h / self._units
@@ -123,7 +120,9 @@ class Polyhedron(ConvexSet):
     @cached_property
     def selection(self) -> Selection | None:
         """The unknowns beside those that an equation fixes, if that is worth eliminating these."""
-        flat = self._flat(ROUNDING * np.abs(self.offsets))
+        flat = self._flat(np.zeros(self.dim))
+        if not flat.equations.any():
+            return None
         rows = sp.csr_array(self.rows)
         rows.eliminate_zeros()
         fix = np.flatnonzero(flat.equations & (np.diff(rows.indptr) == 1))
@@ -249,8 +248,7 @@ class Polyhedron(ConvexSet):
             return Shortest(np.zeros(self.dim), np.zeros(0, dtype=int))
         if not self.exact:
             return None
-        rounding = ROUNDING * (np.abs(self.offsets) + abs(self.rows) @ np.abs(v))
-        normal = shortest_on(flat, _columns(self.rows, root), slack, rounding)
+        normal = shortest_on(flat, _columns(self.rows, root), slack, self._rounding(v))
         return None if normal is None else Shortest(0.0 - normal.u / root, normal.active)
 
     def project(self, w: np.ndarray) -> np.ndarray:
@@ -293,9 +291,8 @@ class Polyhedron(ConvexSet):
         """On the face that v = w + tau p is nearest to: v gives the rows, p their multipliers."""
         root = np.sqrt(tau)
         # what is empty by no more than the rounding of its rows is not
-        margin = ROUNDING * (np.abs(self.offsets) + abs(self.rows) @ np.abs(w))
-        flat = self._flat(margin)
-        normal = self._exact_normal(w + tau * p, tau, margin, flat)
+        flat = self._flat(w)
+        normal = self._exact_normal(w + tau * p, tau, self._rounding(w), flat)
         if normal is None:
             return None
         active = normal.active
@@ -326,15 +323,19 @@ class Polyhedron(ConvexSet):
         moved = Perturbation(off, off / tau + rounding)
         return NormalPair(multipliers @ normals, point, 0.0, moved)
 
-    def _flat(self, margin: np.ndarray) -> Flat:
-        """Opposite rows with no more than their margins between them are equations."""
+    def _rounding(self, w: np.ndarray) -> np.ndarray:
+        return ROUNDING * (np.abs(self.offsets) + abs(self.rows) @ np.abs(w))
+
+    def _flat(self, w: np.ndarray) -> Flat:
+        """Opposite rows are equations where, seen from w, rounding is all that is between them."""
         i, j, sign = self._parallel
-        d, margin = self.offsets / self._lengths, margin / self._lengths
-        equal = np.flatnonzero((sign < 0) & self._parallel.equal(d, margin))
+        slack = (self.offsets - self.rows @ w) / self._lengths
+        equal = self._parallel.equal(slack, self._rounding(w) / self._lengths)
+        equal = np.flatnonzero((sign < 0) & equal)
         directions, first = np.unique(self._lead[i[equal]], return_index=True)
         i, j = i[equal[first]], j[equal[first]]
-        equations, widths = np.zeros(d.size, dtype=bool), np.zeros(d.size)
-        equations[i], widths[i] = True, np.abs(d[i] + d[j]) * self._lengths[i]
+        equations, widths = np.zeros(slack.size, dtype=bool), np.zeros(slack.size)
+        equations[i], widths[i] = True, np.abs(slack[i] + slack[j]) * self._lengths[i]
         return Flat(equations, widths, ~np.isin(self._lead, directions))
 
     def _pair_inside(
@@ -406,6 +407,14 @@ class Polyhedron(ConvexSet):
         return super().polar() if self.h.any() else GeneratedCone(self.G)
 
 
+Polyhedron.__new__.__signature__ = signature(Polyhedron.__init__)  # type: ignore[attr-defined]
+
+
+def _with_moving_offsets(G: Any, h: Any) -> MovingOffsets:
+    G = matrix("G", G)
+    return MovingOffsets(Polyhedron(G, np.zeros(G.shape[0])), h)
+
+
 def _simplest(G: sp.csr_array, h: np.ndarray) -> ConvexSet:
     """{ w : G w <= h }, a box where each row has one entry."""
     if (np.diff(G.indptr) > 1).any():
@@ -430,7 +439,7 @@ def _least_singular_value(rows: bytes, dim: int) -> float:
     G, least = np.frombuffer(rows).reshape(-1, dim), math.inf
     for k in range(1, min(G.shape) + 1):
         values = np.linalg.svd(G[list(combinations(range(len(G)), k))], compute_uv=False)
-        independent = values[:, -1] > 8 * EPS * values[:, 0]
+        independent = values[:, -1] > EPS * values[:, 0]
         least = min(least, float(values[independent, -1].min(initial=math.inf)))
     return least
 
@@ -458,9 +467,6 @@ class HalfSpace(Polyhedron):
     >>> HalfSpace([3.0, 4.0], 5.0).project([3.0, 4.0])
     array([0.6, 0.8])
     """
-
-    def __new__(cls, normal: Any, offset: Any) -> Any:
-        return super().__new__(cls, normal, offset)
 
     def __init__(self, normal: Any, offset: float) -> None:
         row = vector("normal", normal)

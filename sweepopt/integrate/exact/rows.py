@@ -22,7 +22,7 @@ from sweepopt.integrate.exact.modes import modes
 from sweepopt.linalg import dense
 from sweepopt.loads import Piece, breakpoints
 from sweepopt.problem import Motion, SweepingProcess, Terms, TimeFunction, motion
-from sweepopt.sets import SAME, NoHalfspacesError, facets, parallel_rows
+from sweepopt.sets import ROUNDING, NoHalfspacesError, facets, parallel_rows
 
 NONSMOOTH = 50  # unknowns in a set's inequalities
 UNKNOWNS = 300  # all of them: a phase has a dense eigenproblem of what moves
@@ -177,7 +177,7 @@ def _distinct(
     A pair n w <= d, -n w <= -d is an equation at all times; so is what a Box with equal bounds has.
     """
     pairs = parallel_rows(R)
-    same = pairs.equal(weights, SAME * np.abs(weights).max(axis=1))
+    same = pairs.equal(weights, ROUNDING * np.abs(weights).max(axis=1))
     kept, equations = np.ones(len(R), dtype=bool), equations.copy()
     for i, j, sign in zip(*(x[same].tolist() for x in pairs), strict=True):
         if kept[i] and kept[j]:
