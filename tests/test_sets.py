@@ -281,6 +281,24 @@ def test_sets_that_overlap_by_their_rounding_s_root_are_projected_on_exactly() -
     np.testing.assert_allclose(C.project([1.0, 0.5]), [1.0, y], rtol=0, atol=1e-11)
 
 
+@pytest.mark.parametrize("d", np.geomspace(1e-12, 1e-4, 17))
+def test_pairs_of_sets_that_hardly_overlap_are_as_near_as_they_say(d: float) -> None:
+    low = 1 - d
+    C = so.Ball([0.0, 0.0], 1.0) & so.Box([low, -2.0], [3.0, 2.0])
+    height = np.sqrt((1 - low) * (1 + low))  # 1 - low is exact
+    for angle in (0.4, 0.9, 1.4, 2.2):
+        v = 1.7 * np.array([np.cos(angle), np.sin(angle)])
+        try:
+            pair = C.normal_pair(v, np.zeros(2), np.ones(2))
+        except so.InputError as error:
+            assert d < 1e-10, error  # noqa: PT017
+            continue
+        assert pair is not None
+        assert pair.perturbation is not None
+        off = np.abs(pair.w - [low, height])
+        assert (off <= pair.perturbation.w + 1e-16).all()
+
+
 class Nearest(NamedTuple):
     """The point of C nearest to point + length p + beside, for any of the lengths."""
 

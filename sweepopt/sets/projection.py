@@ -35,7 +35,7 @@ GROWTH = 4.0  # of the proximal parameter after each
 REGULAR = 1e-3  # multiple of 1 in the Hessian, for a gradient as large as what it adds up
 SWEEPS = 500  # of large sets: 900 discs on a gradient (1,800 unknowns) take as many
 LOOK_BACK = 10  # steps that Anderson's acceleration looks back, as in Walker and Ni's tests
-LIGHT = 1e-4  # weight of what should move little (w, p) beside what may (s, n)
+LIGHT = 1e-6  # weight of what should move little (w, p) beside what may (s, n)
 
 Map = Callable[[np.ndarray], np.ndarray]
 
@@ -310,7 +310,10 @@ class Splitting:
             ]
         )
         right = np.column_stack([np.concatenate(off), ROUNDING / 4 * np.diag(rounding)])
-        back = LIGHT * _shortest(system, right)[-2 * k :]
+        # a flat and a round part that overlap by d have rows of size sqrt(d), small but no rounding
+        sizes = np.linalg.norm(system, axis=1, keepdims=True)
+        sizes[sizes <= RANK * sizes.max()] = 1.0
+        back = LIGHT * _shortest(system / sizes, right / sizes)[-2 * k :]
         # what is known adds up, what is rounding adds up as the root of squares
         shifts = np.abs(back[:, 0]) + np.linalg.norm(back[:, 1:], axis=1)
         return Perturbation(shifts[:k], shifts[k:])
