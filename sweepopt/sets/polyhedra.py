@@ -482,6 +482,15 @@ class HalfSpace(Polyhedron):
         """The h of its row."""
         return float(self.h[0])
 
+    def support(self, z: np.ndarray) -> float:
+        z = vector("z", z, self.dim)
+        row, length = self.rows[0], float(np.linalg.norm(self.rows[0]))
+        factor = float(row @ (z / length)) / length
+        # z must be a multiple of the row up to rounding
+        if factor < 0 or np.linalg.norm(z - factor * row) > ROUNDING * np.linalg.norm(z):
+            return float("inf")
+        return factor * float(self.offsets[0])
+
     def _distance(self, other: ConvexSet) -> float | None:
         if not (isinstance(other, HalfSpace) and same_array(self.G, other.G)):
             return None
