@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweepopt.linalg import EPS
+from sweepopt.linalg import EPS, row_lengths
 
-SAME = 4 * EPS  # of an entry of unit rows: k n is rounded once, and both lengths three times
+SAME = 4 * EPS  # of unit rows: k n is rounded once, and both lengths three times
 
 
 class Parallel(NamedTuple):
@@ -33,11 +33,11 @@ class Parallel(NamedTuple):
         return change.max(axis=1, initial=0.0) <= np.maximum(margin[i], margin[j])
 
 
-def parallel_rows(R: Any) -> Parallel:
+def parallel_rows(R: Any, rounding: float = SAME) -> Parallel:
     """The pairs among unit rows, dense or sparse; rows of zeros are in none.
 
-    Entry by entry they differ by rounding: n w <= 0 and -n' w <= 0 with other rows are a wedge,
-    however thin, and its apex may be far from where its faces are taken for one.
+    They differ by their rounding: n w <= 0 and -n' w <= 0 with other rows are a wedge, however
+    thin, and its apex may be far from where its faces are taken for one.
 
     Examples
     --------
@@ -48,11 +48,10 @@ def parallel_rows(R: Any) -> Parallel:
     way = np.random.default_rng(0).normal(size=R.shape[1])
     heights = R @ way
     order = np.argsort(np.abs(heights), kind="stable")
-    ends = np.flatnonzero(np.diff(np.abs(heights[order])) > 1e-14 * np.abs(way).sum())
+    ends = np.flatnonzero(np.diff(np.abs(heights[order])) > rounding * np.abs(way).sum())
     groups = np.split(order, ends + 1)
     pairs = [pair for group in groups for pair in combinations(np.sort(group).tolist(), 2)]
     i, j = np.array(pairs, dtype=int).reshape(-1, 2).T
     sign = np.sign(heights[i] * heights[j])
-    differ = abs(R[i] - sign[:, None] * R[j]) > SAME * abs(R[i])
-    found = (differ.sum(axis=1) == 0) & (sign != 0)
-    return Parallel(i[found], j[found], sign[found])
+    parallel = (row_lengths(R[i] - sign[:, None] * R[j]) <= rounding) & (sign != 0)
+    return Parallel(i[parallel], j[parallel], sign[parallel])

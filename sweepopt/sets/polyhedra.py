@@ -439,7 +439,7 @@ def _least_singular_value(rows: bytes, dim: int) -> float:
     G, least = np.frombuffer(rows).reshape(-1, dim), math.inf
     for k in range(1, min(G.shape) + 1):
         values = np.linalg.svd(G[list(combinations(range(len(G)), k))], compute_uv=False)
-        independent = values[:, -1] > EPS * values[:, 0]
+        independent = values[:, -1] > 8 * EPS * values[:, 0]
         least = min(least, float(values[independent, -1].min(initial=math.inf)))
     return least
 

@@ -22,9 +22,10 @@ from sweepopt.integrate.exact.modes import modes
 from sweepopt.linalg import dense
 from sweepopt.loads import Piece, breakpoints
 from sweepopt.problem import Motion, SweepingProcess, Terms, TimeFunction, motion
-from sweepopt.sets import ROUNDING, NoHalfspacesError, facets, parallel_rows
+from sweepopt.sets import NoHalfspacesError, facets, parallel_rows
 
 NONSMOOTH = 50  # unknowns in a set's inequalities
+SAME = 1e-14  # unit rows, which are products here, and their sides that differ by less are equal
 UNKNOWNS = 300  # all of them: a phase has a dense eigenproblem of what moves
 FACES = 1000  # whose modes are kept: 20 MB where 50 rows are active
 
@@ -176,8 +177,8 @@ def _distinct(
 
     A pair n w <= d, -n w <= -d is an equation at all times; so is what a Box with equal bounds has.
     """
-    pairs = parallel_rows(R)
-    same = pairs.equal(weights, ROUNDING * np.abs(weights).max(axis=1))
+    pairs = parallel_rows(R, SAME)
+    same = pairs.equal(weights, SAME * np.abs(weights).max(axis=1))
     kept, equations = np.ones(len(R), dtype=bool), equations.copy()
     for i, j, sign in zip(*(x[same].tolist() for x in pairs), strict=True):
         if kept[i] and kept[j]:
