@@ -60,7 +60,7 @@ class Norms:
         return _dual(self._weak, w)
 
     @property
-    def push(self) -> float:
+    def coercivity(self) -> float:
         """tau for which w = P_C(A v' + B v - tau v') makes 2 G + |r|^2 / beta least.
 
         That is beta, at least 2 G + |r|^2 in the dual norm of A; 0 where A is singular.

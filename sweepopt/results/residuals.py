@@ -229,7 +229,7 @@ def _on_intervals(
     theta = begin + share * GAUSS
     force = force_along(process, nodes, slopes, i, theta) - center.values
     velocity = basis(2, theta) @ slopes
-    aim = force - norms.push * velocity
+    aim = force - norms.coercivity * velocity
     directions = -HALVES_TO_BERNSTEIN @ (basis(2, begin + share * HALVES) @ slopes)
     moved = error = error_B = turning = np.zeros(len(a))
     if not model.shapes:

@@ -45,10 +45,10 @@ def parallel_rows(R: Any, rounding: float = SAME) -> Parallel:
     Parallel(i=array([0]), j=array([2]), sign=array([-1.]))
     """
     # parallel rows are neighbours in the order of their products with any vector
-    way = np.random.default_rng(0).normal(size=R.shape[1])
-    heights = R @ way
+    direction = np.random.default_rng(0).normal(size=R.shape[1])
+    heights = R @ direction
     order = np.argsort(np.abs(heights), kind="stable")
-    ends = np.flatnonzero(np.diff(np.abs(heights[order])) > rounding * np.abs(way).sum())
+    ends = np.flatnonzero(np.diff(np.abs(heights[order])) > rounding * np.abs(direction).sum())
     groups = np.split(order, ends + 1)
     pairs = [pair for group in groups for pair in combinations(np.sort(group).tolist(), 2)]
     i, j = np.array(pairs, dtype=int).reshape(-1, 2).T
