@@ -107,7 +107,7 @@ def write_pages(folder: Path = DOCS) -> None:
     mathematics, readme = ((ROOT / name).read_text("utf-8") for name in ("MATH.md", "README.md"))
     limits = readme.partition("\n## Limits\n")[2].partition("\n`MATH.md`")[0].partition("\n## ")[0]
     made = {
-        "theory.md": literal(mathematics),
+        "theory.md": mathematics,
         "limits.md": (DOCS / "limits_head.md").read_text("utf-8") + literal(limits),
         "test_problems.md": (DOCS / "test_problems_head.md").read_text("utf-8") + test_problems(),
         "gallery/index.md": index(),

@@ -25,7 +25,7 @@ def points(document: str) -> Iterator[str]:
     text = re.sub(r"```.*?```", "", (ROOT / document).read_text(), flags=re.DOTALL)
     text = re.sub(r"^\|.*\n\|[-|]+\|$", "", text, flags=re.MULTILINE)
     for block in re.split(r"\n\s*\n|\n(?=[*|] ?)", text):
-        if block.strip()[:1] in ("*", "|"):
+        if block.strip()[:2] in ("* ", "| "):
             yield " ".join(block.split())
 
 
