@@ -275,8 +275,8 @@ class Solution(Displayed):
         Examples
         --------
         >>> import sweepopt as so
-        >>> C = so.Moving(so.Box([-1], [1]), center=lambda t: [1.5 * t])
-        >>> process = so.SweepingProcess(A=[[0.5]], B=[[2.0]], C=C, u0=[0.0])
+        >>> C = so.Moving(so.Box(-1, 1), center=lambda t: 1.5 * t)
+        >>> process = so.SweepingProcess(A=0.5, B=2.0, C=C, u0=0.0)
         >>> sol = so.solve(process, t_end=5.0, steps=200, scheme="catching-up")
         >>> program = sol.step_program(120)
         >>> value = program.problem.solve(solver="OSQP", eps_abs=1e-8, eps_rel=1e-8)
@@ -398,8 +398,8 @@ class Solution(Displayed):
         Examples
         --------
         >>> import sweepopt as so
-        >>> C = so.Moving(so.Box([-1], [1]), center=so.Separable([(so.Sine(3.0, 4.0), [1.0])]))
-        >>> process = so.SweepingProcess(A=[[0.5]], B=[[2.0]], C=C, u0=[0.0])
+        >>> C = so.Moving(so.Box(-1, 1), center=so.Separable([(so.Sine(3.0, 4.0), 1.0)]))
+        >>> process = so.SweepingProcess(A=0.5, B=2.0, C=C, u0=0.0)
         >>> bound = so.solve(process, t_end=5.0, steps=500).error_bound()
         >>> bound.guaranteed, 0 < bound < 3e-3
         (True, True)
