@@ -135,21 +135,6 @@ def test_the_inclusion_holds_at_any_time_and_u_is_the_integral_of_its_derivative
         assert integral_error(found) <= 1e-11 * max(1.0, np.abs(found(times)).max())
 
 
-@pytest.mark.parametrize("A", [[[1.0, 0.2], [0.2, 1.0]], [[0.0, 0.0], [0.0, 0.0]]])
-@pytest.mark.parametrize("third", [[1.0, 1.0], [2.0, 1.0], [0.0, 2.0], [0.3, 1.7]])
-def test_a_third_row_may_cut_the_corner_that_holds_the_motion(third: Any, A: Any) -> None:
-    both = sum(third)
-    h = [(so.Constant(1.0), [1, 1, both + 1]), (so.Polynomial([0, -1.0]), [2, 2, 2 * both + 1])]
-    for order in ([0, 1, 2], [2, 0, 1]):
-        rows = np.vstack([np.eye(2), third])[order]
-        offsets = so.Separable([(phi, np.array(f)[order]) for phi, f in h])
-        C = so.Polyhedron(rows, offsets)
-        process = so.SweepingProcess(A, [[1.0, 0.1], [0.1, 2.0]], C, [0.0, 0.0])
-        found = exact(process, 2.0)
-        assert found.switches[:2] == pytest.approx([0.5, 1.0], abs=1e-14)
-        assert residual(process, found, np.linspace(0.01, 1.99, 50)) <= 1e-12
-
-
 # ---- known motions ------------------------------------------------------------------------------
 
 
@@ -212,29 +197,6 @@ def test_stiff_bodies_lose_no_digits(rates: tuple[float, float]) -> None:
     expected = np.linalg.solve(X, -np.expm1(-np.outer(rates, times))).T
     found = exact(so.SweepingProcess(A, B, C, [0.0, 0.0]), 5.0)
     assert np.abs(found(times) - expected).max() <= 1e-13
-
-
-@pytest.mark.parametrize(
-    ("lengths", "force", "second"),
-    [
-        ((2.0**-40,) * 3, 2.0**-40, 1.0),
-        ((2.0**40,) * 3, 2.0**40, 2.0**-40),
-        ((1, 1e5, 1e-5), 3.7, 1e-3),
-    ],
-)
-def test_answers_do_not_depend_on_units(lengths: Any, force: float, second: float) -> None:
-    plain, T = problem("P09").process(), problem("P09").t_end
-    D = 1 / np.array(lengths, dtype=float)
-    work = force * np.outer(D, D)
-    load = [(so.Sine(s.amplitude, s.period * second, s.phase), force * D * f)
-            for s, f in plain.C.center.terms]  # fmt: skip
-    box = so.Box(force * D * plain.C.shape.lower, force * D * plain.C.shape.upper)
-    C = so.Moving(box, so.Separable(load))
-    scaled = so.SweepingProcess(work * second * plain.A, work * plain.B, C, np.zeros(3))
-    times = np.linspace(0, T, 300)
-    here, there = exact(plain, T), exact(scaled, T * second)
-    assert np.abs(there(times * second) * D - here(times)).max() <= 1e-12
-    assert there.switches / second == pytest.approx(here.switches, rel=1e-12)
 
 
 def test_a_start_outside_of_the_set_begins_with_a_velocity() -> None:

