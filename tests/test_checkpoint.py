@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 from test_reduction import process as chain
+from test_return_mapping import pipe
 
 import sweepopt as so
 from sweepopt.fem import read_mesh
@@ -59,6 +60,14 @@ def slider(center: Callable[[float], Any]) -> so.SweepingProcess:
     return so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
 
 
+def stiff(k: float) -> so.SweepingProcess:
+    """Two blocks tied by a spring k, which move as one: A is lost in A + mu B for mu k > 1e15."""
+    B = k * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    C = so.Moving(so.Box([-1, -1], [1, 1]), so.Separable([(so.Sine(3.0, 6.0), [1.0, 1.0])]))
+    return so.SweepingProcess(np.eye(2), B, C, [0.0, 0.0])
+
+
+MANY_SIZES = np.array([*range(16), 0, 16, 0, 17, 1, 0, 18, 1, 19, *range(20)])
 RUNS: dict[str, tuple[Callable[[], Any], dict[str, Any]]] = {
     "proportional": (body, {"path": "proportional"}),
     "eliminated": (body, {"path": "eliminated", "solver": so.OSQP(tol=1e-7), "save": 5}),
@@ -77,6 +86,22 @@ RUNS: dict[str, tuple[Callable[[], Any], dict[str, Any]]] = {
     "times of the user": (
         lambda: slider(lambda t: [3 * np.sin(4 * t)]),
         {"steps": np.linspace(0.0, 2.0, 61) ** 2},
+    ),
+    # the last bit of u is a force of 1: it overshoots, in parts
+    "steps in parts": (
+        lambda: stiff(4e15),
+        {"t_end": 12.0, "steps": 12, "scheme": "midpoint", "solver": "osqp"}
+        | {"on_unstable": "ignore"},
+    ),
+    # more sizes than matrices are kept: which are dropped must not depend on where a run began
+    "many step sizes": (
+        body,
+        {"steps": np.append(0.0, np.cumsum(0.02 + 0.001 * MANY_SIZES)), "path": "eliminated"}
+        | {"solver": so.OSQP(tol=1e-4), "tol": 1e-3, "t_end": None},
+    ),
+    "return mapping": (
+        lambda: pipe(1).problem,
+        {"path": "return mapping", "scheme": "implicit-euler", "t_end": 3.0, "steps": 30},
     ),
 }
 

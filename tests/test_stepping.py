@@ -8,19 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_checkpoint import Killed, same, stopping
-from test_reduction import process as chain
+from test_checkpoint import Killed, same, stiff, stopping
 
 import sweepopt as so
 
 LOAD = so.Sine(3.0, 6.0)
-
-
-def stiff(k: float) -> so.SweepingProcess:
-    """Two blocks tied by a spring k, which move as one: A is lost in A + mu B for mu k > 1e15."""
-    B = k * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    C = so.Moving(so.Box([-1, -1], [1, 1]), so.Separable([(LOAD, [1.0, 1.0])]))
-    return so.SweepingProcess(np.eye(2), B, C, [0.0, 0.0])
 
 
 def one() -> so.SweepingProcess:
@@ -237,32 +229,6 @@ def test_a_resumed_run_that_meets_breakpoints_is_the_whole_run(name: str, tmp_pa
     last = so.solve(process, **how, save="last")  # its bound runs the steps again
     every = so.solve(process, **how)
     assert last.error_bound() == pytest.approx(every.error_bound())
-
-
-def test_a_resumed_run_with_parts_is_the_whole_run(tmp_path: Path) -> None:
-    how: dict[str, Any] = {"steps": 8, "t_end": 8.0, "scheme": "midpoint", "solver": "osqp"}
-    how["on_unstable"] = "ignore"  # the last bit of u is a force of 1: it overshoots
-    whole = so.solve(stiff(4e15), checkpoint=so.Checkpoint(tmp_path / "a", steps=3), **how)
-    assert max(parts(whole)) > 1
-    path = tmp_path / "b"
-    with pytest.raises(Killed):
-        so.solve(stiff(4e15), checkpoint=so.Checkpoint(path, steps=3), callback=stopping(4), **how)
-    assert same(so.resume(path, stiff(4e15)), whole)
-
-
-def test_a_resumed_run_of_many_step_sizes_is_the_whole_run(tmp_path: Path) -> None:
-    # more sizes than matrices are kept: which are dropped must not depend on where a run began
-    sizes = 0.02 + 0.001 * np.arange(20)
-    order = np.concatenate([np.arange(16), [0, 16, 0, 17, 1, 0, 18, 1, 19], np.arange(20)])
-    times = np.append(0.0, np.cumsum(sizes[order]))
-    process = chain(u0=np.zeros(40))
-    how: dict[str, Any] = {"steps": times, "solver": so.OSQP(tol=1e-4), "path": "eliminated"}
-    how |= {"tol": 1e-3}
-    whole = so.solve(process, checkpoint=so.Checkpoint(tmp_path / "a", steps=16), **how)
-    path = tmp_path / "b"
-    with pytest.raises(Killed):
-        so.solve(process, checkpoint=so.Checkpoint(path, steps=16), callback=stopping(16), **how)
-    assert same(so.resume(path, process), whole)
 
 
 # ---- workspaces ------------------------------------------------------------------------------
