@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 
 pytest.importorskip("skfem")
 
-import fuzz_bodies as bodies
 import fuzz_files as files
 import fuzz_runs as runs
 from fuzz_inputs import ANYTHING, ODD_NUMBERS, history, made, rarely, vector
@@ -46,9 +45,8 @@ TARGETS: dict[str, tuple[int, Any, Callable[..., None]]] = {
     "runs": (80, RUN, runs.ask_run),
     "solutions": (30, LATER, runs.ask_run),
     "adaptive": (10, ADAPTIVE, runs.ask_run),
-    "bodies": (20, st.tuples(bodies.MESH, bodies.BODY, bodies.PATH), bodies.ask_body),
     "fields": (20, runs.fields(), runs.ask_field),
-    "scenes": (40, st.tuples(files.SCENES, FILE), files.ask_scene),
+    "scenes": (60, st.tuples(files.SCENES, FILE), files.ask_scene),
     "studies": (20, st.tuples(files.STUDIES, FILE), files.ask_study),
     "tables": (35, st.tuples(files.DAMAGES, files.COLUMNS, files.SCALES), files.ask_table),
     "meshes": (40, st.tuples(st.sampled_from(files.MESHES), files.DAMAGES), files.ask_mesh),
