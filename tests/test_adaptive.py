@@ -195,14 +195,6 @@ def test_breakpoints_and_requested_times_are_hit_exactly() -> None:
         assert breakpoints <= set(sol.stats["t"].tolist())
 
 
-def test_steps_are_halves_of_halves_so_that_programs_are_shared() -> None:
-    sol = run("H18", so.Adaptive(1e-4))
-    inside = np.diff(sol.t[(sol.t >= 40.1) & (sol.t <= 40.25)])
-    halvings = np.log2(inside.max() / inside)
-    assert np.abs(halvings - np.round(halvings)).max() <= 1e-6
-    assert np.unique(np.round(np.diff(sol.t), 9)).size <= 0.3 * len(sol.t)
-
-
 @pytest.mark.parametrize(("name", "tol"), [("S03", 1e-3), ("M16", 1e-2), ("P09", 1e-3)])
 def test_the_result_is_the_run_over_its_grid_bit_for_bit(name: str, tol: float) -> None:
     sol = run(name, so.Adaptive(tol))
@@ -457,21 +449,6 @@ def test_whole_numbers_of_periods_are_not_aliased(
     sol = so.solve(process, t_end=periods, steps=so.Adaptive(tol), scheme=scheme)
     assert sol.success
     assert error_of(sol, known) <= FACTOR * tol
-
-
-def test_a_history_of_a_user_that_has_no_period_is_a_function() -> None:
-    class History:
-        wave = so.Sine(3.0, period=1.0)
-        variation, breakpoints = wave.variation, wave.breakpoints
-
-        def __call__(self, t: float) -> float:
-            return self.wave(t)
-
-    C = so.Moving(so.Box([-1], [1]), so.Separable([(History(), [1.0])]))
-    process = so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
-    sol = so.solve(process, t_end=32.0, steps=so.Adaptive(1e-2))
-    assert sol.passes[0].steps == 40
-    assert np.abs(sol.u).max() == pytest.approx(0.56, abs=0.02)
 
 
 @pytest.mark.parametrize("points", [100, 1000])

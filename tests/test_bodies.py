@@ -192,19 +192,6 @@ def test_a_block_slides_down_an_inclined_plane_beyond_the_angle_of_friction():
         assert scene.contact.of(sol.velocity[0]).any() == moves
 
 
-def test_a_bar_is_a_mesh_of_intervals_and_a_bed_rubs_along_it():
-    """Pulled out of a frictional bed: u0 = F^2 / (2 EA g) at the end, slip length F / g."""
-    bar = Discretisation(grid([2.0], [400]), ())
-    effects = [Viscosity(1e-6), Elasticity(5.0), Friction("body", 2.0), Dashpot("body", 1e-6)]
-    pull = Traction("left", so.Table([0.0, 1.0], [0.0, 3.0]))
-    scene = body(bar, [*effects, pull])
-    sol = scene.solve(t_end=1.0, steps=40, scheme="implicit-euler")
-    assert scene.contact.points.shape == (401, 1)
-    u = bar.expand(sol.u[-1])
-    assert u[bar.points[:, 0] == 0.0] == pytest.approx(9.0 / 20.0, rel=1e-3)
-    assert not u[bar.points[:, 0] > 1.51].any()
-
-
 def test_bounds_move_in_time_by_a_history_or_a_formula():
     plate, _ = sheet()
     ramp = so.Table([0.0, 1.0], [1.0, 0.5])
@@ -217,30 +204,6 @@ def test_bounds_move_in_time_by_a_history_or_a_formula():
     end = plate.expand(velocities[0][[2, 9]])
     assert not end[0].any()
     np.testing.assert_allclose(end[1][:, 0], 0.4 - 0.25, atol=1e-9)
-
-
-def test_effects_leave_each_others_matrices_as_they_are_and_limits_agree():
-    mesh, v, e = square(4), Viscosity(1.0), Elasticity(2.0)
-    push = BodyForce(so.Sine(3.0, period=4.0))
-    friction = Friction("bottom", 0.2)
-    alone, both, all_of = (
-        antiplane(mesh, clamped="top", effects=effects).problem
-        for effects in ([v, push], [v, e, push], [friction, e, v, push])
-    )
-    assert alone.B is None
-    assert alone.dissipation is None
-    for matrix in ("data", "indices", "indptr"):
-        np.testing.assert_array_equal(getattr(alone.A, matrix), getattr(all_of.A, matrix))
-        np.testing.assert_array_equal(getattr(both.B, matrix), getattr(all_of.B, matrix))
-    np.testing.assert_array_equal(alone.load.shapes, all_of.load.shapes)
-    ends = [
-        antiplane(mesh, clamped="top", effects=[v, e, push, *more])
-        .solve(t_end=1.0, steps=8, scheme="midpoint")
-        .u[-1]
-        for more in ([], [Friction("bottom", 0.0)], [Friction("bottom", 1e-9)])
-    ]
-    np.testing.assert_array_equal(ends[0], ends[1])
-    np.testing.assert_allclose(ends[0], ends[2], atol=1e-8)
 
 
 def test_frictions_add_and_a_node_that_two_share_counts_once():

@@ -140,14 +140,6 @@ def test_the_bound_falls_with_the_order_of_the_scheme(name: str, scheme: str) ->
     assert -np.polyfit(np.log(grids), np.log(bounds), 1)[0] >= 1.45
 
 
-def test_a_body_that_never_moves_has_next_to_no_bound() -> None:
-    load = so.Separable([(so.Sine(0.9, 2.0), [1.0])])
-    process = so.SweepingProcess([[1.0]], [[2.0]], so.Moving(so.Box([-1], [1]), load), [0.0])
-    bound = so.solve(process, t_end=4.0, steps=100).error_bound()
-    assert bound <= 1e-7
-    assert bound.guaranteed
-
-
 @pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "midpoint"])
 def test_a_load_that_is_a_function_is_sampled_unless_its_variation_is_given(scheme: str) -> None:
     this, wave = case("S03"), so.Sine(3.0, np.pi)

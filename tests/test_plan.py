@@ -187,21 +187,6 @@ def test_a_box_with_equal_bounds_away_from_the_contact_acts_on_the_contact_alone
     assert sol.error_bound() == pytest.approx(full.error_bound(), rel=1e-3)
 
 
-def test_boxes_whose_equal_bounds_change_in_time_have_the_answers_of_the_whole_program() -> None:
-    A = 3 * np.eye(12) - np.eye(12, k=1) - np.eye(12, k=-1)
-
-    def box(t: float) -> so.Box:
-        g = np.zeros(12)
-        g[[0, 5 + round(4 * t) % 3]] = 0.3
-        return so.Box(np.sin(3 * t) - g, np.sin(3 * t) + g)
-
-    process = so.SweepingProcess(A, A, so.MovingSet(box), np.zeros(12))
-    how: dict[str, Any] = {"t_end": 2.0, "steps": 40, "tol": 1e-9, "scheme": "implicit-euler"}
-    auto, full = (so.solve(process, **how, path=path) for path in ("auto", "full"))
-    np.testing.assert_allclose(auto.u, full.u, rtol=0, atol=1e-8 * np.abs(full.u).max())
-    assert auto.plan.path == "full"  # the zone moves: there are no unknowns to eliminate
-
-
 EULER: dict[str, Any] = {"t_end": 2.0, "steps": 20, "tol": 1e-9, "scheme": "implicit-euler"}
 
 
@@ -230,23 +215,6 @@ def test_opposite_rows_are_the_equal_bounds_of_a_box(n: int, always: bool) -> No
     assert rows.plan.path == ("eliminated" if always else "full")
     assert rows.stats["attempts"].max() <= 2
     np.testing.assert_allclose(rows.u, bounds.u, rtol=0, atol=2e-9 * np.abs(bounds.u).max())
-
-
-def test_a_flat_polyhedron_at_rest_takes_the_path_of_the_box() -> None:
-    n, T = 80, 2 * np.eye(80) - np.eye(80, k=1) - np.eye(80, k=-1)
-    middle, size = 0.1 * np.arange(n), np.where(np.arange(n) % 2, 0.0, 0.3)
-    lower, upper = middle - size, middle + size
-    load = so.Separable([(so.Sine(1.0, 2.0), np.cos(np.arange(n)))])
-    # rows of two lengths, whose sides are equal but for rounding
-    polyhedron = so.Polyhedron(np.vstack([np.eye(n), -3.0 * np.eye(n)]), [*upper, *(-3.0 * lower)])
-    rows, bounds = (
-        so.solve(
-            so.SweepingProcess(0.1 * T, T, so.Moving(C, load), np.linalg.solve(T, middle)), **EULER
-        )
-        for C in (polyhedron, so.Box(lower, upper))
-    )
-    assert rows.plan.nonsmooth_unknowns == 40
-    np.testing.assert_allclose(rows.u, bounds.u, rtol=0, atol=1e-9 * np.abs(bounds.u).max())
 
 
 @pytest.mark.parametrize("double", [False, True], ids=["once", "twice"])

@@ -171,46 +171,6 @@ def test_the_a_priori_bound_does_not_depend_on_the_mesh(element: str) -> None:
     assert last == pytest.approx(first, rel=2e-2)
 
 
-def _sphere(rng: np.random.Generator, dim: int) -> np.ndarray:
-    v = rng.normal(size=dim)
-    return np.asarray(v / np.linalg.norm(v))
-
-
-def test_truncated_sets_move_at_most_eight_times_as_far() -> None:
-    """Lemma 2.3 of Adly and Haddad: sets cut with a large ball have 8 times the variation.
-
-    For closed convex C and D that meet the ball of radius rho, and r > rho,
-    d_H(C & rB, D & rB) <= 2 r / (r - rho) d_H(C, D), which is 8 at r = 4 rho / 3: a w of C & rB is
-    d_H near a y of D; on the way from y to a point of D & rho B it comes into the ball of radius r.
-    """
-    rng, worst = np.random.default_rng(0), 0.0
-    for _ in range(30):
-        dim, d = int(rng.integers(2, 4)), 10 ** rng.uniform(-3, 0)
-        rho = 1.0
-        G = rng.normal(size=(int(rng.integers(1, 4)), dim))
-        near = rho * rng.uniform(0.5, 1) * _sphere(rng, dim)
-        shapes: list[so.ConvexSet] = [so.HalfSpace(-near, -near @ near), so.Ball(3 * near, 2)]
-        shapes += [so.Polyhedron(G, G @ near), so.Box(near, np.full(dim, np.inf))]
-        C = shapes[rng.integers(4)]
-        D = C + d * _sphere(rng, dim) if rng.random() < 0.5 else C + so.Ball(np.zeros(dim), d)
-        zero = np.zeros(dim)
-        rho = max(float(np.linalg.norm(S.project(zero))) for S in (C, D))
-        if rho == 0:
-            continue
-        r = rho * rng.choice([4 / 3, 1.5, 2, 10])
-        factor = 2 * r / (r - rho)
-        assert factor <= 8 * (1 + 1e-12)
-        ball = so.Ball(zero, r)
-        for S, T in ((C, D), (D, C)):
-            cut = T & ball
-            for _ in range(4):
-                w = (S & ball).project(2 * r * _sphere(rng, dim))
-                distance = np.linalg.norm(w - cut.project(w))
-                worst = max(worst, distance / d)
-                assert distance <= factor * d + 1e-6 * r
-    assert worst > 1.1  # truncation does enlarge the distance
-
-
 def test_the_variation_of_data_is_exact_whatever_times_are_given() -> None:
     times, A = [0.0, 0.5, 1.0], np.diag([4.0, 1.0])
     moves = so.Separable([(so.Sine(0.225, period=0.25), [2.0, 0.0])])

@@ -102,24 +102,6 @@ def test_sdirk32_agrees_where_nothing_stops() -> None:
 
 
 @pytest.mark.parametrize(
-    ("scheme", "order"), [("implicit-euler", 1), ("sdirk2", 2), ("sdirk32", 2)]
-)
-def test_every_scheme_has_its_order_and_the_errors_of_all_unknowns(scheme: str, order: int) -> None:
-    this, steps = process(), [40, 80, 160, 320]
-    exact = so.solve(this, t_end=3.0, steps=1, scheme="exact").exact
-    assert exact is not None
-    assert exact.velocity(2.0) == pytest.approx((exact(2.001) - exact(1.999)) / 0.002, abs=1e-4)
-    errors = []
-    for n in steps:
-        few, general = runs(this, t_end=3.0, steps=n, scheme=scheme)
-        each = [max(map(this.metric.norm, sol.u - exact(sol.t))) for sol in (few, general)]
-        assert each[0] <= 1.2 * each[1]
-        errors.append(each[0])
-    assert -np.polyfit(np.log(steps), np.log(errors), 1)[0] >= 0.93 * order
-    assert errors[-1] <= 0.02 / order**4 * max(map(this.metric.norm, exact(few.t)))
-
-
-@pytest.mark.parametrize(
     "changes",
     [
         {"B": None, "u0": np.zeros(40)},
