@@ -18,8 +18,9 @@ import pytest
 import scipy.sparse as sp
 
 import sweepopt as so
+from sweepopt.checks import vector
 from sweepopt.linalg import dense
-from sweepopt.sets import NoHalfspacesError, facets, shape_of
+from sweepopt.sets import Features, NoHalfspacesError, facets, shape_of
 from sweepopt.sets.curves import basis
 
 Rng = np.random.Generator
@@ -41,18 +42,10 @@ class Sample:
     C : ConvexSet
     inside : callable
         cvxpy variable w -> constraints for w in C.
-    restated : callable, optional
-        (F, where) -> F C, written down by somebody who measures in other units; `where` says which
-        data hold the unit, for sets that have a choice.
     """
 
     C: so.ConvexSet
     inside: Callable[[cp.Variable], Constraints]
-    restated: Callable[[float, bool], so.ConvexSet] | None = None
-
-    def in_units(self, F: float, where: bool) -> so.ConvexSet:
-        """F C."""
-        return F * self.C if self.restated is None else self.restated(F, where)
 
     def extreme(self, z: np.ndarray) -> tuple[float, np.ndarray | None]:
         """sup of <w, z> over the set and a point where it is taken, by the independent form."""
@@ -121,23 +114,16 @@ def _dim(frame: Rng, dim: int | None) -> int:
     return drawn if dim is None else dim
 
 
-def stated(
-    kind: Callable[..., so.ConvexSet], *data: Any, inside: Callable[[cp.Variable], Constraints]
-) -> Sample:
-    """kind(*data), whose data are all measured in one unit."""
-    return Sample(kind(*data), inside, lambda F, _: kind(*(F * x for x in data)))
-
-
 def point(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     p = rng.normal(size=_dim(frame, dim))
-    return stated(so.Point, p, inside=lambda w: [w == p])
+    return Sample(so.Point(p), lambda w: [w == p])
 
 
 def box(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     dim = _dim(frame, dim)
     lower = rng.normal(size=dim)
     upper = lower + rng.exponential(size=dim)
-    return stated(so.Box, lower, upper, inside=lambda w: [w >= lower, w <= upper])
+    return Sample(so.Box(lower, upper), lambda w: [w >= lower, w <= upper])
 
 
 def open_box(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
@@ -166,16 +152,15 @@ def whole_space(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
 
 def ball(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     center, radius = rng.normal(size=_dim(frame, dim)), rng.exponential()
-    return stated(so.Ball, center, radius, inside=lambda w: [cp.norm(w - center) <= radius])
+    return Sample(so.Ball(center, radius), lambda w: [cp.norm(w - center) <= radius])
 
 
 def balls(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     block, count = int(frame.integers(1, 4)), int(frame.integers(1, 3))
     radii = rng.exponential(size=count)
-    return stated(
-        partial(so.Balls, dim=block),
-        radii,
-        inside=lambda w: [cp.norm(w[k * block :][:block]) <= radii[k] for k in range(count)],
+    return Sample(
+        so.Balls(radii, block),
+        lambda w: [cp.norm(w[k * block :][:block]) <= radii[k] for k in range(count)],
     )
 
 
@@ -188,24 +173,12 @@ def ellipsoid(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     return Sample(
         so.Ellipsoid(center, shape),
         lambda w: [cp.norm((axes / np.sqrt(squares)).T @ (w - center)) <= 1],
-        lambda F, _: so.Ellipsoid(F * center, F * F * shape),
     )
 
 
 def half_space(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     normal, offset = frame.normal(size=_dim(frame, dim)), rng.normal()
-    return Sample(
-        so.HalfSpace(normal, offset),
-        lambda w: [normal @ w <= offset],
-        lambda F, where: so.HalfSpace(normal / F if where else normal, F ** (not where) * offset),
-    )
-
-
-def rows(G: Any, h: np.ndarray, inside: Callable[[cp.Variable], Constraints]) -> Sample:
-    def restated(F: float, where: bool) -> so.Polyhedron:
-        return so.Polyhedron(G / F, h) if where else so.Polyhedron(G, F * h)
-
-    return Sample(so.Polyhedron(G, h), inside, restated)
+    return Sample(so.HalfSpace(normal, offset), lambda w: [normal @ w <= offset])
 
 
 def polyhedron(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
@@ -215,14 +188,14 @@ def polyhedron(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     G = np.vstack([G, G[:2]])
     x = rng.normal(size=dim)
     h = G @ x + rng.exponential(size=len(G))
-    return rows(sp.csr_array(G), h, lambda w: [G @ w <= h])
+    return Sample(so.Polyhedron(sp.csr_array(G), h), lambda w: [G @ w <= h])
 
 
 def vertex_cone(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     # more rows through one vertex than there are unknowns
     dim = _dim(frame, dim)
     G = np.abs(frame.normal(size=(2 * dim + 2, dim)))
-    return rows(G, np.zeros(len(G)), lambda w: [G @ w <= 0])
+    return Sample(so.Polyhedron(G, np.zeros(len(G))), lambda w: [G @ w <= 0])
 
 
 def flat(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
@@ -233,7 +206,7 @@ def flat(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     G = np.vstack([row, -row, np.eye(dim)])
     level, top = rng.normal(), np.abs(rng.normal(size=dim)) + 3
     h = np.concatenate([[level, -level], top])
-    return rows(G, h, lambda w: [row @ w == level, w <= top])
+    return Sample(so.Polyhedron(G, h), lambda w: [row @ w == level, w <= top])
 
 
 def polytope(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
@@ -243,13 +216,13 @@ def polytope(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
         theta = cp.Variable(len(vertices), nonneg=True)
         return [vertices.T @ theta == w, cp.sum(theta) == 1]
 
-    return stated(so.Polytope, vertices, inside=inside)
+    return Sample(so.Polytope(vertices), inside)
 
 
 def second_order_cone(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
     dim = _dim(frame, dim)
     inside = [lambda w: [w[0] >= 0], lambda w: [cp.norm(w[1:]) <= w[0]]][dim > 1]
-    return Sample(so.SecondOrderCone(dim), inside, lambda F, _: so.SecondOrderCone(dim))
+    return Sample(so.SecondOrderCone(dim), inside)
 
 
 def second_order_cones(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
@@ -262,8 +235,7 @@ def second_order_cones(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
             return [rows >= 0]
         return [cp.norm(rows[:, 1:], axis=1) <= cp.multiply(slopes, rows[:, 0])]
 
-    C = so.SecondOrderCone(block, slopes)
-    return Sample(C, inside, lambda F, _: C)
+    return Sample(so.SecondOrderCone(block, slopes), inside)
 
 
 def constraints(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
@@ -272,6 +244,31 @@ def constraints(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
         so.Constraints(dim, lambda w: [cp.norm(w - center[0], 1) <= 1, w[0] <= center[0] + 0.5]),
         lambda w: [cp.sum(cp.abs(w - center[0])) <= 1, w[0] <= center[0] + 0.5],
     )
+
+
+class DiamondBall(so.ConvexSet):
+    """{ w : sum |w_i| <= radius }:  sigma(z) = radius max |z_i|."""
+
+    def __init__(self, radius: float, dim: int) -> None:
+        self.radius, self.dim, self.offsets = radius, dim, np.array([radius])
+
+    def support(self, z: Any) -> float:
+        return float(self.radius * np.abs(vector("z", z, self.dim)).max())
+
+    def project(self, w: Any) -> np.ndarray:
+        w = vector("w", w, self.dim)
+        sizes = np.sort(np.abs(w))[::-1]
+        levels = (np.cumsum(sizes) - self.radius) / np.arange(1, self.dim + 1)
+        return np.sign(w) * np.maximum(np.abs(w) - max(levels.max(), 0.0), 0.0)
+
+    def features(self, p: cp.Expression) -> Features:
+        size = cp.Variable(1)
+        return Features([size], [p <= size, -p <= size])
+
+
+def diamond(frame: Rng, rng: Rng, dim: int | None = None) -> Sample:
+    radius, dim = rng.exponential(), _dim(frame, dim)
+    return Sample(DiamondBall(radius, dim), lambda w: [cp.norm1(w) <= radius])
 
 
 # ---- operations -------------------------------------------------------------------------------
@@ -297,37 +294,26 @@ def operation(rule: Callable[..., Sample]) -> Callable[..., Build]:
 @operation
 def translated(frame: Rng, rng: Rng, s: Sample) -> Sample:
     v = rng.normal(size=s.C.dim)
-    return Sample(s.C + v, lambda w: s.inside(w - v), lambda F, x: s.in_units(F, x) + F * v)
+    return Sample(s.C + v, lambda w: s.inside(w - v))
 
 
 @operation
 def scaled(frame: Rng, rng: Rng, s: Sample) -> Sample:
     r = rng.uniform(0.5, 3)
-    return Sample(
-        r * s.C,
-        lambda w: s.inside(w / r),
-        lambda F, x: F * r * s.C if x else r * s.in_units(F, x),
-    )
+    return Sample(r * s.C, lambda w: s.inside(w / r))
 
 
 @operation
 def negated(frame: Rng, rng: Rng, s: Sample) -> Sample:
-    return Sample(-s.C, lambda w: s.inside(-w), lambda F, x: -s.in_units(F, x))
+    return Sample(-s.C, lambda w: s.inside(-w))
 
 
 @operation
 def moving(frame: Rng, rng: Rng, s: Sample) -> Sample:
     """A snapshot of center(t) + scale(t) C."""
     v, t = rng.normal(size=s.C.dim), rng.uniform()
-
-    def at(C: so.ConvexSet, v: np.ndarray) -> so.ConvexSet:
-        return so.Moving(C, center=lambda t: t * v, scale=lambda t: 1 + t).at(t)
-
-    return Sample(
-        at(s.C, v),
-        lambda w: s.inside((w - t * v) / (1 + t)),
-        lambda F, x: at(s.in_units(F, x), F * v),
-    )
+    C = so.Moving(s.C, center=lambda t: t * v, scale=lambda t: 1 + t).at(t)
+    return Sample(C, lambda w: s.inside((w - t * v) / (1 + t)))
 
 
 @operation
@@ -336,7 +322,7 @@ def summed(frame: Rng, rng: Rng, a: Sample, b: Sample) -> Sample:
         first = cp.Variable(a.C.dim)
         return [*a.inside(first), *b.inside(w - first)]
 
-    return Sample(a.C + b.C, inside, lambda F, x: a.in_units(F, x) + b.in_units(F, x))
+    return Sample(a.C + b.C, inside)
 
 
 @operation
@@ -367,15 +353,8 @@ def cut(frame: Rng, rng: Rng, a: Sample, b: Sample) -> Sample:
 
 def common(a: Sample, b: Sample, v: np.ndarray) -> Sample:
     """C & (D + v)."""
-
-    def moved(C: so.ConvexSet, v: np.ndarray) -> so.ConvexSet:
-        return C + v if v.any() else C
-
-    return Sample(
-        a.C & moved(b.C, v),
-        lambda w: [*a.inside(w), *b.inside(w - v)],
-        lambda F, x: a.in_units(F, x) & moved(b.in_units(F, x), F * v),
-    )
+    D = b.C + v if v.any() else b.C
+    return Sample(a.C & D, lambda w: [*a.inside(w), *b.inside(w - v)])
 
 
 @operation
@@ -383,8 +362,7 @@ def truncated(frame: Rng, rng: Rng, s: Sample) -> Sample:
     """C & Ball(0, n), as the theory does with unbounded sets."""
     zero = np.zeros(s.C.dim)
     n = 2 + float(np.linalg.norm(s.C.project(zero)))
-    ball = stated(partial(so.Ball, zero), n, inside=lambda w: [cp.norm(w) <= n])
-    return common(s, ball, zero)
+    return common(s, Sample(so.Ball(zero, n), lambda w: [cp.norm(w) <= n]), zero)
 
 
 def crossed(*builds: Build) -> Build:
@@ -397,11 +375,7 @@ def crossed(*builds: Build) -> Build:
             blocks = [s.inside(w[i:j]) for s, i, j in ends]
             return [constraint for block in blocks for constraint in block]
 
-        return Sample(
-            so.product(*(s.C for s in parts)),
-            inside,
-            lambda F, x: so.product(*(s.in_units(F, x) for s in parts)),
-        )
+        return Sample(so.product(*(s.C for s in parts)), inside)
 
     return make
 
@@ -438,11 +412,7 @@ def mapped(frame: Rng, rng: Rng, s: Sample, kind: str, scale: float = 1.0) -> Sa
         part = cp.Variable(s.C.dim)
         return [M @ part == w, *s.inside(part)]
 
-    return Sample(
-        so.image(M, s.C),
-        inside,
-        lambda F, x: so.image(F * M, s.C) if x else so.image(M, s.in_units(F, x)),
-    )
+    return Sample(so.image(M, s.C), inside)
 
 
 @operation
@@ -486,6 +456,8 @@ ZOO: dict[str, Entry] = {
     "polyhedron, flat": Unbounded(flat),
     "polytope": Entry(polytope),
     "second-order cone": Cone(second_order_cones),
+    "a user's own": Entry(diamond),
+    "r own - v": Entry(translated(scaled(diamond))),
     "constraints": Entry(constraints, tol=1e-9, edge_tol=1e-8, support_tol=1e-9),
     "box + v": Entry(translated(box)),
     "cone + v": Unbounded(translated(second_order_cone)),
@@ -697,9 +669,10 @@ def translation_adds_to_support_and_projection(entry: Entry, s: Sample, rng: Rng
 def scaling_scales(entry: Entry, s: Sample, rng: Rng) -> None:
     w, z = far_and_near(rng, s.C.dim), normals(s, rng)
     unit = size(w, z, s.C.offsets) ** 2
-    for r in (1e-9, 3.0, 1e9, -1.0, -2.0):
+    ratio = rng.choice([0.5, 3.0])
+    for r in (1e-9, ratio, 1e9, -1.0, -2.0):
         same = [r * s.C]
-        if r == 3:
+        if r == ratio:
             same += [s.C * r, np.float64(r) * s.C]
         if r == -1:
             same += [-s.C, 0.0 - s.C if s.C.dim == 1 else -s.C]
@@ -756,6 +729,8 @@ def distance_bound_bounds_the_hausdorff_distance(entry: Entry, s: Sample, rng: R
     """|sigma(C, z) - sigma(D, z)| <= |z| bound, and the same for the distances of points."""
     seed = int(rng.integers(2**20))
     C, D = (entry.sample(seed, offsets).C for offsets in (1, 2))
+    assert C.same_cone(D)
+    assert C.offsets.shape == D.offsets.shape
     bound, back = C.distance_bound(D), D.distance_bound(C)
     assert C.distance_bound(C) == 0.0
     assert (bound is None) == (back is None)

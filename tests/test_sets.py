@@ -7,7 +7,6 @@ import itertools
 import operator
 import pickle
 import re
-from inspect import signature
 from typing import Any, NamedTuple
 
 import cvxpy as cp
@@ -17,16 +16,10 @@ import scipy.sparse as sp
 from scipy.optimize import nnls
 
 import sweepopt as so
-from sweepopt.checks import vector
-from sweepopt.sets import Features
 from tests.laws import (
     LAWS,
     ZOO,
-    Entry,
-    Sample,
     normal_pair_is_proven_near_any_guess,
-    scaled,
-    translated,
 )
 
 UNIT = so.Ball([0.0, 0.0], 1.0)
@@ -49,7 +42,7 @@ def test_every_set_obeys_every_law(law: Any, name: str) -> None:
 @pytest.mark.parametrize("name", ZOO)
 def test_every_set_obeys_every_law_on_more_samples(name: str) -> None:
     for law in LAWS:
-        obeys(law, name, 3)
+        obeys(law, name, 8)
 
 
 # Here p left the domain of the support function by what v rounds, a point where p = 0 was away from
@@ -70,13 +63,6 @@ def test_normal_pairs_that_one_set_in_thousands_asks_for_are_proved(name: str, s
     normal_pair_is_proven_near_any_guess(ZOO[name], sample, random)
 
 
-@pytest.mark.parametrize("name", ZOO)
-def test_two_sets_of_one_family_share_their_cone_and_differ_in_offsets(name: str) -> None:
-    one, two = ZOO[name].sample(5, offsets=1).C, ZOO[name].sample(5, offsets=2).C
-    assert one.same_cone(two)
-    assert one.offsets.shape == two.offsets.shape
-
-
 def test_another_matrix_is_another_cone() -> None:
     pairs = [
         (so.Polyhedron(EYE, [1, 1]), so.Polyhedron(2 * EYE, [1, 1])),
@@ -92,58 +78,6 @@ def test_another_matrix_is_another_cone() -> None:
     for C, D in pairs:
         assert not C.same_cone(D)
         assert not D.same_cone(C)
-
-
-# ---- a set of one's own -------------------------------------------------------------------------
-
-
-class DiamondBall(so.ConvexSet):
-    """{ w : sum |w_i| <= radius }:  sigma(z) = radius max |z_i|."""
-
-    def __init__(self, radius: float, dim: int) -> None:
-        self.radius, self.dim, self.offsets = radius, dim, np.array([radius])
-
-    def support(self, z: Any) -> float:
-        return float(self.radius * np.abs(vector("z", z, self.dim)).max())
-
-    def project(self, w: Any) -> np.ndarray:
-        w = vector("w", w, self.dim)
-        sizes = np.sort(np.abs(w))[::-1]
-        levels = (np.cumsum(sizes) - self.radius) / np.arange(1, self.dim + 1)
-        return np.sign(w) * np.maximum(np.abs(w) - max(levels.max(), 0.0), 0.0)
-
-    def features(self, p: cp.Expression) -> Features:
-        size = cp.Variable(1)
-        return Features([size], [p <= size, -p <= size])
-
-
-def diamond(frame: Any, rng: Any, dim: int | None = None) -> Sample:
-    radius, dim = rng.exponential(), int(frame.integers(1, 6)) if dim is None else dim
-    return Sample(DiamondBall(radius, dim), lambda w: [cp.norm1(w) <= radius])
-
-
-OWN = {"diamond": Entry(diamond), "2 diamond - v": Entry(translated(scaled(diamond)))}
-
-
-@pytest.mark.parametrize("name", OWN)
-@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
-def test_a_new_set_with_three_methods_obeys_every_law(law: Any, name: str) -> None:
-    for seed in range(2):
-        law(OWN[name], OWN[name].sample(seed), np.random.default_rng(seed + 1))
-
-
-def test_a_new_set_is_solved_like_the_polytope_it_is() -> None:
-    corners = 0.7 * np.vstack([np.eye(3), -np.eye(3)])
-    A, load = np.diag([1.0, 2.0, 3.0]) + 0.1, np.array([2.0, -1.0, 0.5])
-    found = [
-        so.solve(
-            so.SweepingProcess(A, None, so.Moving(C, center=lambda t: t * load), np.zeros(3)),
-            t_end=1.0,
-            steps=10,
-        ).u
-        for C in (DiamondBall(0.7, 3), so.Polytope(corners))
-    ]
-    np.testing.assert_allclose(*found, atol=1e-9)
 
 
 # ---- projections, exactly -----------------------------------------------------------------------
@@ -244,7 +178,7 @@ def test_an_empty_polyhedron_is_refused_however_small_the_gap(gap: float, scale:
         empty.support([1.0, 1.0])
 
 
-@pytest.mark.parametrize("gap", [1e-3, 1e-8, 1e-9])
+@pytest.mark.parametrize("gap", [1e-3, 1e-9])
 def test_an_empty_intersection_is_refused_however_small_the_gap(gap: float) -> None:
     tip = np.array([0.6, 0.8])
     parts: list[tuple[so.ConvexSet, so.ConvexSet]] = [
@@ -518,12 +452,6 @@ def test_distance_bound_is_none_where_nothing_is_known() -> None:
         UNIT.distance_bound(so.Orthant(3))
 
 
-@pytest.mark.parametrize("cls", [so.Polyhedron, so.HalfSpace])
-def test_a_polyhedron_needs_its_arguments(cls: Any) -> None:
-    with pytest.raises(so.InputError, match=r"missing a required argument.*give by name"):
-        cls()
-
-
 class Slope(so.HalfSpace):
     def __init__(self, steep: float) -> None:
         super().__init__([steep, 1.0], 1.0)
@@ -540,15 +468,6 @@ def test_a_subclass_of_a_polyhedron_has_its_own_arguments(C: so.Polyhedron) -> N
     for twin in (C, *(copied(C) for copied in TWINS)):
         assert type(twin) is type(C)
         np.testing.assert_array_equal(twin.project([3.0, 4.0]), known.project([3.0, 4.0]))
-
-
-def test_the_signature_of_a_polyhedron_is_that_of_its_parameters() -> None:
-    assert list(signature(so.Polyhedron).parameters) == ["G", "h"]
-    assert list(signature(so.HalfSpace).parameters) == ["normal", "offset"]
-    moving = so.Polyhedron(h=lambda t: [t], G=[[1.0]])
-    assert moving.at(2.0).support([1.0]) == 2.0
-    with pytest.raises(so.InputError, match="Polyhedron has no argument g; there are: G, h"):
-        so.Polyhedron(g=[[1.0]], h=lambda t: [t])
 
 
 def test_nearly_opposite_rows_are_a_wedge_and_no_equation() -> None:
@@ -728,10 +647,8 @@ MALFORMED: list[tuple[Any, str]] = [
         r"column 0 of M is 4.94066e-324.*other units",
     ),
     (lambda: so.image("M", UNIT), "M must be a matrix of numbers"),
-    (lambda: UNIT.support([1]), "z must have 2 entries, got 1"),
-    (lambda: SQUARE.support([1, NAN]), r"z\[1\] is nan"),
-    (lambda: CONE.project([1, 2, 3]), "w must have 2 entries"),
-    (lambda: so.Point([1]).project([NAN]), r"w\[0\] is nan"),
+    (so.Polyhedron, "missing a required argument.*give by name"),
+    (so.HalfSpace, "missing a required argument.*give by name"),
     (lambda: SQUARE & (SQUARE.__class__([2, 2], [3, 3])), "Box is empty"),
 ]
 
@@ -896,8 +813,9 @@ def test_large_cuts_that_are_no_products_have_pairs(other: so.ConvexSet) -> None
     np.testing.assert_allclose(pair.w + pair.p, v, rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("count", [10, 40])
-@pytest.mark.parametrize("full", [False, True])
+@pytest.mark.parametrize(
+    ("count", "full"), [(10, True), (40, False), pytest.param(40, True, marks=pytest.mark.slow)]
+)
 def test_discs_cut_with_a_box_are_proved_to_a_tight_tolerance(count: int, full: bool) -> None:
     (discs, box), n = discs_and_box(count), 2 * count
     root = np.random.default_rng(count).normal(size=(n, n))
@@ -943,10 +861,11 @@ def corners(C: so.Polyhedron) -> np.ndarray:
     return np.array(found)[inside]
 
 
-def test_a_pair_of_a_polyhedron_counts_what_it_misses_and_misses_little() -> None:
+@pytest.mark.parametrize("seeds", [60, pytest.param(1000, marks=pytest.mark.slow)])
+def test_a_pair_of_a_polyhedron_counts_what_it_misses_and_misses_little(seeds: int) -> None:
     """w + tau p tells nothing of w, on which the corner depends that p is normal to."""
     exact = 0
-    for seed in range(200):
+    for seed in range(seeds):
         rng = np.random.default_rng(seed)
         n = int(rng.integers(2, 5))
         G = np.vstack([rng.normal(size=(2, n)), np.eye(n), -np.eye(n)])
@@ -962,7 +881,7 @@ def test_a_pair_of_a_polyhedron_counts_what_it_misses_and_misses_little() -> Non
         size = np.abs(pair.p).sum() * (1 + np.abs(pair.w).max())
         assert missed.max() <= pair.gap + rounded + 1e-12 * size
         exact += pair.gap <= 1e-24 * size
-    assert exact >= 140
+    assert exact >= 0.7 * seeds
 
 
 def test_a_far_vertex_hides_no_other_one_of_a_polytope() -> None:
@@ -972,7 +891,8 @@ def test_a_far_vertex_hides_no_other_one_of_a_polytope() -> None:
     np.testing.assert_allclose(C.project(P), P, rtol=0, atol=1e-15)
 
 
-def test_a_sum_is_projected_on_beside_a_vertex() -> None:
+@pytest.mark.parametrize("seeds", [10, pytest.param(200, marks=pytest.mark.slow)])
+def test_a_sum_is_projected_on_beside_a_vertex(seeds: int) -> None:
     # whole Newton steps go to and fro between its faces
     C = so.Polytope(
         [
@@ -987,7 +907,7 @@ def test_a_sum_is_projected_on_beside_a_vertex() -> None:
         ]
     ) + so.Box([-1, -1, -1], [1, 1, np.inf])
     vertex = C.project([0.0, 3.0, 3.0])
-    for seed in range(50):
+    for seed in range(seeds):
         v = vertex + 2e-7 * np.random.default_rng(seed).normal(size=3)
         pair = C.normal_pair(v - C.project(v), C.project(v), np.ones(3))
         assert pair is not None
