@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -15,68 +13,44 @@ import skfem
 import sweepopt as so
 from sweepopt import fem
 from sweepopt.errors import InitialStateWarning, PathError
+from sweepopt.fem import Scene
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 from scenes import disc
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.errors.InitialStateWarning")
 CERTIFICATE = 1e-6
-MU, G = 1.0, 0.2  # viscosity, yield stress
+G, ONE = 0.2, so.Constant(1.0)  # yield stress, pressure
 
 
-class Flow(NamedTuple):
-    """A process, int v for velocities v, the gradient's rows, areas and the free nodes (2, dim)."""
-
-    process: so.EvolutionVI
-    mean: np.ndarray
-    gradient: sp.csr_array
-    areas: np.ndarray
-    nodes: np.ndarray
+def flow(rings: int, pressure: so.loads.History, kappa: float = 0.0, moved: float = 0.0) -> Scene:
+    """A pipe of radius 1; with kappa > 0 a gel that is elastic beside its viscosity."""
+    mesh = disc(rings, moved).with_boundaries({"wall": lambda x: np.hypot(*x) > 0})
+    effects = [fem.Viscosity(1.0), fem.YieldStress(G), fem.BodyForce(pressure)]
+    effects += [fem.Elasticity(kappa)] if kappa else []
+    return fem.body(fem.Discretisation(mesh, "wall"), effects)
 
 
-def flow(
-    mesh: skfem.MeshTri, pressure: Callable[[float], float], kappa: float = 0.0, mu: float = MU
-) -> Flow:
-    """The velocity is 0 on the wall; with kappa > 0 a gel that is elastic beside its viscosity."""
-    basis = skfem.Basis(mesh, skfem.ElementTriP1(), intorder=1)
-    free, areas = basis.complement_dofs(basis.get_dofs()), basis.dx.sum(axis=1)
-    values = np.array([phi[0].grad[:, :, 0] for phi in basis.basis])  # of node, component, triangle
-    rows = 2 * np.arange(areas.size) + np.arange(2)[:, None]
-    at = np.broadcast_to(rows, values.shape), np.repeat(mesh.t[:, None], 2, axis=1)
-    E = sp.coo_array((values.ravel(), (at[0].ravel(), at[1].ravel())))
-    E = sp.csr_array(E)[:, free]
-    laplace = sp.csc_array(E.T @ (sp.diags_array(np.repeat(areas, 2)) @ E))
-    mean = skfem.LinearForm(lambda v, _: v).assemble(basis)[free]
-    process = so.EvolutionVI(
-        mu * laplace,
-        kappa * laplace if kappa else None,
-        load=lambda t: pressure(t) * mean,
-        dissipation=so.image(E.T, so.Balls(G * areas, 2)),
-        u0=np.zeros(free.size),
-    )
-    return Flow(process, mean, E, areas, mesh.p[:, free])
-
-
-def run(case: Flow, steps: int = 1, **options: object) -> so.Solution:
+def run(case: Scene, steps: int = 1, **options: object) -> so.Solution:
     settings = {"t_end": 1.0, "scheme": "implicit-euler", "tol": CERTIFICATE, "path": "cones"}
-    sol = so.solve(case.process, steps=steps, **(settings | options))
+    sol = so.solve(case.problem, steps=steps, **(settings | options))
     assert sol.stats["relative"].max() <= CERTIFICATE
     return sol
 
 
 def test_a_plug_has_one_velocity_to_the_last_bit() -> None:
-    case = flow(disc(12), lambda t: 1.0)
-    z = run(case).velocity[-1]
-    inside = np.hypot(*case.nodes) < 0.9 * 2 * G
+    case = flow(12, ONE)
+    z = case.velocity(run(case))[-1]
+    inside = np.hypot(*case.discretisation.points.T) < 0.9 * 2 * G
     assert np.unique(z[inside]).size == 1
     assert z[inside][0] == z.max() > 0
 
 
 def test_it_agrees_with_the_program_for_all_unknowns_to_both_certificates() -> None:
-    case = flow(disc(4), lambda t: 0.8 + 0.4 * t, kappa=0.5)
+    case = flow(4, so.Polynomial([0.8, 0.4]), kappa=0.5)
     cones, full = (run(case, 2, path=path) for path in ("cones", "full"))
     assert set(cones.stats["solver"]) == {"cones"}
-    M = case.process.A + 0.5 * case.process.B
+    M = case.problem.A + 0.5 * case.problem.B
     difference = cones.velocity[0] - full.velocity[0]
     certificates = cones.stats["certificate"][0] + full.stats["certificate"][0]
     assert np.sqrt(difference @ (M @ difference)) <= certificates * (1 + 1e-9)
@@ -134,10 +108,10 @@ def test_friction_beside_a_yield_stress_agrees_with_a_program_stated_in_cvxpy(g:
 
 
 def test_a_yield_stress_that_grows_in_time_stops_the_flow() -> None:
-    case = flow(disc(6), lambda t: 1.0)
-    C = so.Moving(case.process.dissipation, center=case.mean, scale=lambda t: 1 + 2 * t)
+    vi = flow(6, ONE).problem
+    C = so.Moving(vi.dissipation, center=vi.load(0.0), scale=lambda t: 1 + 2 * t)
     sol = so.solve(
-        so.SweepingProcess(case.process.A, None, C, case.process.u0),
+        so.SweepingProcess(vi.A, None, C, vi.u0),
         t_end=1.0,
         steps=4,
         scheme="implicit-euler",
@@ -149,22 +123,18 @@ def test_a_yield_stress_that_grows_in_time_stops_the_flow() -> None:
 
 
 def test_discs_choose_the_path_and_rough_meshes_are_certified() -> None:
-    mesh = disc(14)
-    inside = np.setdiff1d(np.arange(mesh.nvertices), mesh.boundary_nodes())
-    points = mesh.p.copy()
-    points[:, inside] += np.random.default_rng(0).uniform(-0.25, 0.25, (2, inside.size)) / 14
-    case = flow(skfem.MeshTri(points, mesh.t), lambda t: 0.5 + t)
+    case = flow(14, so.Polynomial([0.5, 1.0]), moved=0.25)
     sol = run(case, 5, path="auto")
     assert sol.plan.path == "cones"
     assert set(sol.stats["solver"]) == {"cones"}
-    assert run(flow(disc(2), lambda t: t), path="auto").plan.path == "cones"
+    assert run(flow(2, so.Polynomial([0.0, 1.0])), path="auto").plan.path == "cones"
     few = so.solve(chain(20), t_end=1.0, steps=1, scheme="implicit-euler")
     assert few.plan.path == "full"  # a polyhedron has a finite method
 
 
 def test_whether_the_start_is_inside_is_found_without_a_slow_projection() -> None:
     with pytest.warns(InitialStateWarning, match=r"B u0 is not in C\(0\)"):
-        run(flow(disc(12), lambda t: 1.0), path="auto")
+        run(flow(12, ONE), path="auto")
 
 
 @pytest.mark.parametrize(
@@ -178,7 +148,7 @@ def test_a_set_of_another_kind_is_told_what_the_path_needs(row: list[float]) -> 
 
 
 def test_error_bounds_are_refused_with_the_reason_and_energies_balance() -> None:
-    case = flow(disc(6), lambda t: t, kappa=1.0)
+    case = flow(6, so.Polynomial([0.0, 1.0]), kappa=1.0)
     sol = run(case, 8, t_end=2.0)
     with pytest.raises(PathError, match="path='full'"):
         sol.error_bound()
