@@ -43,11 +43,18 @@ def test_a_scheme_is_a_triangular_tableau_that_does_not_amplify_stiff_errors(
     assert scheme.explicit or abs(scheme.amplification(-1e12)) <= 1 + 1e-6
 
 
-@pytest.mark.parametrize(("name", "scheme"), RUNS)
-def test_errors_and_order_are_those_of_the_theory(name: str, scheme: str) -> None:
+SLOW = [pytest.param(*each, (*GRIDS, 2003), marks=pytest.mark.slow) for each in RUNS]
+
+
+@pytest.mark.parametrize(
+    ("name", "scheme", "grids"),
+    [*((*each, GRIDS if each[0] in REFINED else GRIDS[:1]) for each in RUNS), *SLOW],
+)
+def test_errors_and_order_are_those_of_the_theory(
+    name: str, scheme: str, grids: tuple[int, ...]
+) -> None:
     this = case(name)
     errors = []
-    grids = GRIDS[:4] if name in REFINED else GRIDS[:1]  # the fifth takes as long as these
     for steps in grids:
         sol = run(this, steps, scheme)
         assert sol.success
