@@ -75,7 +75,7 @@ def test_hard_families_are_met_within_their_certificates(turn: int, family: str)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1, 7))
+@pytest.mark.parametrize("seed", range(7))
 @pytest.mark.parametrize("family", FAMILIES)
 def test_hard_families_are_met_for_every_seed_and_solver(family: str, seed: int) -> None:
     assert wrong(judged(family, seeds=[seed])) == []
@@ -227,13 +227,3 @@ def test_glued_unknowns_have_exactly_no_velocity(solver: str) -> None:
     sol = so.solve(vi, t_end=4.0, steps=20, solver=solver)
     assert (sol.u[:, [0, 3, 4]] == 1.0).all()
     assert sol.velocity[:, [1, 2]].any(axis=0).all()
-
-
-def test_a_contact_that_is_named_twice_has_the_sum_of_its_bounds() -> None:
-    E, rng = np.eye(4)[:, [2, 0, 2, 2]], np.random.default_rng(1)
-    named = so.image(E, so.Box([-1, -2, -3, -np.inf], [1, 2, 3, 4]))
-    once = so.image(np.eye(4)[:, [0, 2]], so.Box([-2, -np.inf], [2, 8]))
-    for w in 9 * rng.normal(size=(20, 4)):
-        assert named.project(w) == pytest.approx(once.project(w), abs=1e-12)
-        z = w * [1, 0, 0, 0] + [0, 0, abs(w[2]), 0]
-        assert named.support(z) == pytest.approx(once.support(z), rel=1e-12)
