@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import block
 from test_reduction import process as chain
 from test_return_mapping import pipe
 
@@ -55,11 +56,6 @@ def free() -> so.SweepingProcess:
     return so.SweepingProcess(np.eye(2), np.eye(2), C, [0.0, 0.0])
 
 
-def slider(center: Callable[[float], Any]) -> so.SweepingProcess:
-    C = so.Moving(so.Box([-1.0], [1.0]), center)
-    return so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
-
-
 def stiff(k: float) -> so.SweepingProcess:
     """Two blocks tied by a spring k, which move as one: A is lost in A + mu B for mu k > 1e15."""
     B = k * np.array([[1.0, -1.0], [-1.0, 1.0]])
@@ -84,7 +80,7 @@ RUNS: dict[str, tuple[Callable[[], Any], dict[str, Any]]] = {
         {"t_end": 2.0},
     ),
     "times of the user": (
-        lambda: slider(lambda t: [3 * np.sin(4 * t)]),
+        lambda: block(lambda t: [3 * np.sin(4 * t)]),
         {"steps": np.linspace(0.0, 2.0, 61) ** 2},
     ),
     # the last bit of u is a force of 1: it overshoots, in parts
@@ -298,10 +294,10 @@ def test_a_load_that_differs_late_or_between_the_times_that_are_compared_is_anot
         path = tmp_path / f"{k}.npz"
         how: dict[str, Any] = {"t_end": 4.0, "steps": 80, "callback": stopping(5)}
         with pytest.raises(Killed):
-            so.solve(slider(load(3.0)), checkpoint=path, **how)
+            so.solve(block(load(3.0)), checkpoint=path, **how)
         with pytest.raises(so.InputError, match=r"C\(t\) differs"):
-            so.resume(path, slider(load(3.1)))
-        assert so.resume(path, slider(load(3.0))).success
+            so.resume(path, block(load(3.1)))
+        assert so.resume(path, block(load(3.0))).success
 
 
 def content_of(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -544,6 +540,23 @@ def test_a_second_run_on_the_name_is_refused_and_the_first_goes_on(tmp_path: Pat
         so.solve(process, checkpoint=so.Checkpoint(tmp_path / "alone.npz", steps=9), **settings),
     )
     assert not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.slow
+def test_a_second_process_is_refused_and_the_first_goes_on(tmp_path: Path) -> None:
+    path, (process, settings) = tmp_path / "run.npz", arguments("proportional")
+    code = CHILD.format(tests=str(HERE), name="proportional", path=str(path), steps=40_000, every=5)
+    with subprocess.Popen([sys.executable, "-c", code]) as child:
+        while not path.exists():
+            assert child.poll() is None
+            time.sleep(0.002)
+        for again in (lambda: so.solve(process, checkpoint=path, **settings),
+                      lambda: so.resume(path, process)):  # fmt: skip
+            with pytest.raises(so.InputError, match=r"run.npz is being written by another run"):
+                again()
+        assert child.poll() is None
+        child.kill()
+    assert so.resume(path, process).success
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes")
