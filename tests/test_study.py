@@ -54,6 +54,7 @@ steps = [14, 20]
 tols = [1e-6]
 repeats = 1
 """
+pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")  # sockets of workers killed
 SMALL = Study(("S03", "M16"), ("midpoint", "catching-up"), ("auto",), (8, 16), repeats=1)
 
 
@@ -273,11 +274,11 @@ def test_an_edited_scene_is_another_cell_and_a_moved_one_is_not(tmp_path: Path) 
 # ---- executors ------------------------------------------------------------------------------
 
 
-@contextmanager
-def cluster(workers: int) -> Iterator[str]:
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[str]:
     """The address of a dask cluster that gives up what workers died of, or beside, twice."""
     with LocalCluster(
-        workers,
+        2,
         threads_per_worker=1,
         dashboard_address=None,
         scheduler_kwargs={"allowed_failures": 1},
@@ -285,14 +286,8 @@ def cluster(workers: int) -> Iterator[str]:
         yield there.scheduler_address
 
 
-@contextmanager
-def on_dask(workers: int) -> Iterator[Executor]:
-    with cluster(workers) as address, dask_executor(address) as executor:
-        yield executor
-
-
 def test_the_command_computes_the_same_rows_on_a_scheduler(
-    small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    small: Path, cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     text = TEXT.replace('"V05"', '"M16"').replace("[14, 20]", "[8, 16]").replace(', "daqp"', "")
@@ -301,13 +296,12 @@ def test_the_command_computes_the_same_rows_on_a_scheduler(
     # workers are processes of their own
     here = Mock(side_effect=AssertionError("computed here"))
     monkeypatch.setattr("sweepopt.study.cell._measure", here)
-    with cluster(1) as address:
-        assert main(["study", "small.toml", "--out", "out", "--scheduler", address]) == 0
+    assert main(["study", "small.toml", "--out", "out", "--scheduler", cluster]) == 0
     same(read_table(SMALL, "out"), read_table(SMALL, small))
 
 
 def test_a_cluster_that_is_not_there_or_shares_time_is_refused() -> None:
-    with LocalCluster(1, threads_per_worker=2, processes=False, dashboard_address=None) as there:
+    with LocalCluster(1, threads_per_worker=2, processes=False, dashboard_address=":0") as there:
         for address, words in (
             (there.scheduler_address, "has 2 threads, .* --nthreads 1"),
             ("nowhere", "scheduler 'nowhere' does not answer"),
@@ -316,10 +310,13 @@ def test_a_cluster_that_is_not_there_or_shares_time_is_refused() -> None:
                 pass
 
 
-@pytest.mark.parametrize("executors", [processes, on_dask])
-@pytest.mark.filterwarnings("ignore::ResourceWarning")  # sockets of dask's workers that are killed
+@pytest.mark.parametrize("where", ["processes", "dask"])
 def test_workers_give_the_same_rows_though_a_cell_kills_them_and_other_breakdowns_end_the_study(
-    executors: Any, small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    where: str,
+    small: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    request: pytest.FixtureRequest,
 ) -> None:
     gone: Future[Any] = Future()
     gone.set_exception(ConnectionError("the scheduler is gone"))
@@ -338,7 +335,8 @@ def test_workers_give_the_same_rows_though_a_cell_kills_them_and_other_breakdown
         return pool
 
     monkeypatch.setattr("sweepopt.study.study.processes", lambda count: deadly(processes(count)))
-    with executors(2) as workers:
+    dask = where == "dask" and request.getfixturevalue("cluster")
+    with dask_executor(dask) if dask else processes(2) as workers:
         table = run(SMALL, tmp_path, executor=deadly(workers))
     dead = table.status == "BrokenProcessPool"
     assert table.cell[dead].str.startswith("M16 midpoint auto 16").tolist() == [True]
