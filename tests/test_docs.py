@@ -6,7 +6,6 @@ Sphinx itself runs in .ci/run; here are the pages as they are written and made, 
 from __future__ import annotations
 
 import importlib
-import json
 import os
 import re
 import shlex
@@ -17,7 +16,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import pytest
-from selenium import webdriver
+from browser import chromium, requested
 from selenium.webdriver.common.by import By
 
 import sweepopt as so
@@ -161,19 +160,8 @@ def test_commands_on_the_pages_are_understood(
 
 @pytest.mark.skipif("SWEEPOPT_SITE" not in os.environ, reason="SWEEPOPT_SITE names no built site")
 def test_a_gallery_page_opens_in_a_browser_and_asks_nobody_for_anything(tmp_path: Path) -> None:
-    chromium, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
-    if not chromium or not chromedriver:
-        assert os.environ.get("SWEEPOPT_BROWSER") != "required", "there is no Chromium"
-        pytest.skip("the apt packages chromium and chromium-driver are not installed")
     site = Path(os.environ["SWEEPOPT_SITE"]).resolve()
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    for switch in ("headless", "no-sandbox", "disable-dev-shm-usage", f"user-data-dir={tmp_path}"):
-        options.add_argument(f"--{switch}")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    with webdriver.Chrome(options=options, service=webdriver.ChromeService(chromedriver)) as driver:
-        driver.get("about:blank")  # leaves Chromium's own first page
-        driver.get_log("performance")
+    with chromium(tmp_path) as driver:
         driver.get((site / "gallery" / "index.html").as_uri())
         widths = "return [...document.querySelectorAll('.cards img')].map(i => i.naturalWidth)"
         assert len(driver.execute_script(widths)) == len(list_scenes())
@@ -185,11 +173,6 @@ def test_a_gallery_page_opens_in_a_browser_and_asks_nobody_for_anything(tmp_path
         assert driver.find_element(By.ID, "sweepopt.fem.Friction").is_displayed()
         assert driver.current_url.endswith("api/fem.html#sweepopt.fem.Friction")
         assert driver.get_log("browser") == []
-        events = [json.loads(each["message"])["message"] for each in driver.get_log("performance")]
-    asked = [
-        event["params"]["request"]["url"]
-        for event in events
-        if event["method"] == "Network.requestWillBeSent"
-    ]
+        asked = requested(driver)
     assert len(asked) > 10
     assert all(url.startswith((site.as_uri(), "data:")) for url in asked)

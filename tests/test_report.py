@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from selenium import webdriver
+from browser import chromium, requested
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.wait import WebDriverWait
@@ -93,35 +90,14 @@ class Browser:
 @pytest.fixture(scope="module")
 def browser(page: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     """The page, opened once; afterwards: no errors, no requests, no script of a message."""
-    chromium, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
-    if not chromium or not chromedriver:
-        reason = "the apt packages chromium and chromium-driver are not installed"
-        if os.environ.get("SWEEPOPT_BROWSER") == "required":
-            pytest.fail(reason)
-        pytest.skip(reason)
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    disabled = ["gpu", "dev-shm-usage", "quic", "background-networking", "component-update"]
-    switches = ["headless", "no-sandbox", "no-first-run", "window-size=1400,900"]
-    switches += [f"disable-{part}" for part in (*disabled, "sync")]
-    for switch in (*switches, f"user-data-dir={tmp_path_factory.mktemp('chromium')}"):
-        options.add_argument(f"--{switch}")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    with webdriver.Chrome(options=options, service=webdriver.ChromeService(chromedriver)) as driver:
-        driver.get("about:blank")  # leaves Chromium's own first page
-        driver.get_log("performance")
+    with chromium(tmp_path_factory.mktemp("chromium")) as driver:
         driver.get(page.as_uri())
         opened = Browser(driver)
         opened.wait_for(lambda: len(opened.all(".plotly-graph-div")) == len(COSTS))
         yield opened
         assert driver.execute_script("return window.hacked") is None
         assert driver.get_log("browser") == []
-        events = [json.loads(each["message"])["message"] for each in driver.get_log("performance")]
-    asked = {
-        event["params"]["request"]["url"]
-        for event in events
-        if event["method"] == "Network.requestWillBeSent"
-    }
+        asked = requested(driver)
     assert page.as_uri() in asked
     assert all(url == page.as_uri() or url.startswith(("data:", "blob:")) for url in asked)
 
