@@ -38,6 +38,11 @@ class Case:
         return max(map(self.process.metric.norm, sol.u - self.exact(len(sol.t) - 1)))
 
 
+def block(load: Any, A: float = 0.5, B: float = 2.0, u0: float = 0.0) -> so.SweepingProcess:
+    """One unknown in the interval of half width 1 around a load."""
+    return so.SweepingProcess(A, B, so.Moving(so.Box(-1, 1), load), u0)
+
+
 def embedded(this: Case, others: int = 9) -> so.SweepingProcess:
     """The case as the contact of a larger body, which moves it as if it were alone.
 

@@ -1,4 +1,4 @@
-"""Files that are nearly right: scenes, studies, tables, meshes and checkpoints, with damage."""
+"""Files that are nearly right: scenes, studies, tables and meshes, with damage."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from fuzz_inputs import INF, LONG, NAN, made, rarely
 from fuzz_judge import check_run
 from hypothesis import strategies as st
 
-import sweepopt as so
-from sweepopt import resume
 from sweepopt.fem import read_mesh, read_scene
 from sweepopt.io import find_scene, find_study, read_toml
 from sweepopt.loads import Table
@@ -37,7 +35,7 @@ history = { table = { t = [0.0, 60.0, 120.0], values = [0.0, 1.0, 0.0] } }
 
 
 def write_seeds(folder: Path) -> None:
-    """The files that are damaged later: a small tube, its loads, its meshes, a checkpoint."""
+    """The files that are damaged later: a small tube, its loads, its meshes."""
     for path in (DATA / "gmsh").glob("*.msh"):
         (folder / path.name).write_bytes(path.read_bytes())
     (folder / "tube.msh").write_bytes((DATA / "gmsh" / "tube_2.2.msh").read_bytes())
@@ -49,13 +47,6 @@ def write_seeds(folder: Path) -> None:
     (folder / "full.toml").write_text(full + FULL)
     for name in ("accuracy", "hard"):
         (folder / f"{name}.toml").write_text(find_study(name).read_text())
-    so.solve(body(), t_end=1.0, steps=12, checkpoint=so.Checkpoint(folder / "run.npz", steps=3))
-
-
-def body() -> so.SweepingProcess:
-    """The process of the checkpoint."""
-    f = so.Separable([(so.Sine(3.0, 1.0), [1.0, 0.5])])
-    return so.SweepingProcess(np.eye(2), np.eye(2), so.Moving(so.Box([-1, -1], [1, 1]), f), [0, 0])
 
 
 # ---- damage ---------------------------------------------------------------------------------
@@ -177,7 +168,7 @@ def ask_study(folder: Path, name: str, file: tuple[list[Damage], list[Change]]) 
         assert read_study(path).cells()
 
 
-# ---- tables, meshes, checkpoints --------------------------------------------------------------
+# ---- tables, meshes ---------------------------------------------------------------------------
 
 
 def ask_table(folder: Path, damages: list[Damage], column: Any, scale: Any) -> None:
@@ -197,14 +188,6 @@ def ask_mesh(folder: Path, name: str, damages: list[Damage]) -> None:
         assert members.max(initial=0) < mesh.facets.shape[1]
     for members in (mesh.subdomains or {}).values():
         assert members.max(initial=0) < mesh.nelements
-
-
-def ask_checkpoint(folder: Path, damages: list[Damage]) -> None:
-    """A checkpoint that is read continues to the same answer bit for bit."""
-    path = damaged(folder, "run.npz", damages)
-    path.with_name(path.name + ".previous").unlink(missing_ok=True)
-    found, whole = resume(path, body()), resume(folder / "run.npz", body())
-    assert found.u.tobytes() == whole.u.tobytes()
 
 
 COLUMNS = rarely(st.just("f2"), st.sampled_from(["f9", "", 3, None, "t", "command"]), 8)

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from cases import SETS, case
+from cases import SETS, block, case
 
 import sweepopt as so
-from sweepopt.integrate import ProgressBar
 from sweepopt.study.problems import problem
 
 BURST = problem("H18").load[0]["Table"]
@@ -138,30 +137,36 @@ def test_nine_of_ten_random_processes_meet_the_tolerance_and_none_is_far_from_it
 
 
 @pytest.mark.parametrize(
-    ("periods", "B", "data"),
-    [(4, 1.0, False), (16, 0.01, True), (16, 0.01, False), (33, 1.0, True), (64, 0.01, False)],
+    ("periods", "B", "load"),
+    [
+        (4, 1.0, "function"),
+        (16, 0.01, "data"),
+        (16, 0.01, "function"),
+        (33, 1.0, "data in a set made of another"),
+        (64, 0.01, "function"),
+    ],
 )
-def test_a_sine_that_is_sampled_at_its_zeros_is_seen(periods: int, B: float, data: bool) -> None:
-    wave = so.Sine(2.0, 8.0 / periods)
-    load = so.Separable([(wave, [1.0])])
-    process, unknown = (
-        so.SweepingProcess([[1.0]], [[B]], so.Moving(so.Box([-1], [1]), center), [0.0])
-        for center in (load, lambda t: [wave(t)])
-    )
+def test_a_sine_that_is_sampled_at_its_zeros_is_seen(periods: int, B: float, load: str) -> None:
+    wave, box = so.Sine(2.0, 8.0 / periods), so.Box(-1, 1)
+    moved = {
+        "data": so.Moving(box, wave),
+        "data in a set made of another": -so.Moving(box, so.Sine(-2.0, 8.0 / periods)),
+        "function": so.Moving(box, lambda t: wave(t)),
+    }
+    process = {name: so.SweepingProcess(1.0, B, C, 0.0) for name, C in moved.items()}
     # where little is damped the errors of all switches add up
     tol = 0.01 / periods
-    sol = so.solve(process if data else unknown, t_end=8.0, steps=so.Adaptive(tol))
+    sol = so.solve(process[load], t_end=8.0, steps=so.Adaptive(tol))
     assert sol.success
     assert np.abs(sol.u).max() > 10 * tol
-    assert error_of(sol, process) <= FACTOR * tol
+    assert error_of(sol, process["data"]) <= FACTOR * tol
 
 
 @pytest.mark.parametrize("middle", [1.02, 3.3, 7.77])
 @pytest.mark.parametrize("width", [0.01, 0.1])
 def test_a_short_slip_at_a_breakpoint_is_seen(middle: float, width: float) -> None:
     force = so.Table([0, middle - width, middle, middle + width, 10], [0, 0.5, 1.5, 0.5, 0])
-    C = so.Moving(so.Box([-1], [1]), so.Separable([(force, [1.0])]))
-    process = so.SweepingProcess([[0.05]], [[1.0]], C, [0.0])
+    process = block(force, 0.05, 1.0)
     tol = 1e-3 * width
     sol = so.solve(process, t_end=10.0, steps=so.Adaptive(tol))
     assert sol.u[-1, 0] > 10 * tol
@@ -236,8 +241,7 @@ class Interrupting:
         return [3 * math.sin(2 * t)]
 
     def process(self) -> so.SweepingProcess:
-        C = so.Moving(so.Box([-1], [1]), self)
-        return so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
+        return block(self)
 
 
 def a_probe(times: list[float]) -> bool:
@@ -277,26 +281,6 @@ def test_ctrl_c_between_two_passes_returns_the_one_before_and_writes_no_file(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("failure", [KeyboardInterrupt, ZeroDivisionError])
-def test_the_progress_bar_is_closed_if_a_pass_is_left(
-    monkeypatch: pytest.MonkeyPatch, failure: type[BaseException]
-) -> None:
-    closed = []
-    monkeypatch.setattr(ProgressBar, "close", lambda bar: closed.append(bar))
-
-    def fail(times: list[float]) -> bool:
-        if a_second_pass(times):
-            raise failure
-        return False
-
-    process, steps = Interrupting(fail).process(), so.Adaptive(1e-5, first=0.1)
-    try:
-        so.solve(process, t_end=8.0, steps=steps)
-    except Exception:
-        assert failure is ZeroDivisionError
-    assert len(closed) == 1
-
-
 class Wave:
     """A user's history."""
 
@@ -316,8 +300,7 @@ def test_a_period_that_is_no_positive_number_limits_no_steps(period: Any) -> Non
 
 def test_what_limits_the_steps_is_named_where_they_are_too_many() -> None:
     def solve(history: Any, stiffness: float = 1.0, **how: Any) -> so.Solution:
-        C = so.Moving(so.Box([-1], [1]), so.Separable([(history, [1.0])]))
-        process = so.SweepingProcess([[1.0]], [[stiffness]], C, [0.0])
+        process = block(history, 1.0, stiffness)
         return so.solve(process, t_end=8.0, on_unstable="ignore", **how)
 
     with pytest.raises(so.InputError, match="have a period of 1e-06 and need 6 steps in each"):
@@ -331,8 +314,7 @@ def test_what_limits_the_steps_is_named_where_they_are_too_many() -> None:
 
 
 def jumping() -> so.SweepingProcess:
-    C = so.Moving(so.Box([-1], [1]), center=lambda t: [0.5 * t + 4.0 * (t > 1.2345)])
-    return so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
+    return block(lambda t: [0.5 * t + 4.0 * (t > 1.2345)])
 
 
 def test_a_jump_of_the_load_that_needs_too_short_steps_is_told_with_its_time() -> None:
@@ -425,40 +407,12 @@ def test_states_that_are_too_large_to_be_kept_are_looked_at_a_few_at_a_time() ->
     assert sol.passes[-1].steps == one.passes[-1].steps
 
 
-@pytest.mark.parametrize("data", [True, False], ids=["data in a set made of another", "a function"])
-@pytest.mark.parametrize(
-    ("scheme", "ramp", "periods"), [("midpoint", 0.0, 40.0), ("sdirk2", 1.5, 80.0)]
-)
-def test_whole_numbers_of_periods_are_not_aliased(
-    scheme: str, ramp: float, periods: float, data: bool
-) -> None:
-    wave, tol = so.Sine(3.0, period=1.0), 0.03
-    load, opposite = (
-        so.Separable([(wave, [sign]), (so.Polynomial([0.0, ramp]), [sign])]) for sign in (1.0, -1.0)
-    )
-    box = so.Box([-1], [1])
-    known, made, unknown = (
-        so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
-        for C in (
-            so.Moving(box, load),
-            -so.Moving(box, opposite),
-            so.Moving(box, lambda t: load(t)),
-        )
-    )
-    process = made if data else unknown
-    sol = so.solve(process, t_end=periods, steps=so.Adaptive(tol), scheme=scheme)
-    assert sol.success
-    assert error_of(sol, known) <= FACTOR * tol
-
-
 @pytest.mark.parametrize("points", [100, 1000])
 def test_a_smooth_dense_table_takes_as_many_steps_as_the_curve_that_it_samples(points: int) -> None:
     wave, t = so.Sine(3.0, period=2.5), np.linspace(0.0, 10.0, points + 1)
     work_of = []
     for history in (wave, so.Table(t, wave(t))):
-        C = so.Moving(so.Box([-1], [1]), so.Separable([(history, [1.0])]))
-        process = so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
-        sol = so.solve(process, t_end=10.0, steps=so.Adaptive(1e-2))
+        sol = so.solve(block(history), t_end=10.0, steps=so.Adaptive(1e-2))
         assert error_of(sol) <= 1e-2
         work_of.append(work(sol))
     assert work_of[1] <= 2 * work_of[0]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
@@ -22,7 +21,7 @@ import equal_error
 import loops_by_hand
 import packages
 import scenes
-from equal_error import Run, SmoothedLaw, Task, Way, cheapest
+from equal_error import SmoothedLaw, Task
 
 
 @pytest.fixture(scope="module")
@@ -90,32 +89,7 @@ def test_every_way_reaches_the_error(task: Task) -> None:
     assert table["x best"].min() == 1.0
 
 
-def test_a_way_that_never_gets_there_or_takes_too_long_has_its_best_error(task: Task) -> None:
-    def settings(wanted: float) -> Iterator[Run]:
-        for off in (1.0, 0.1, 0.5):
-            yield Run(f"off {off}", lambda off=off: task.exact + off)
-
-    poor = Way("poor", settings)
-    result = cheapest(task, poor, 1e-3)
-    assert (result.reached, result.run.setting) == (False, "off 0.1")
-    assert cheapest(task, poor, 1e-3, patience=0.0).run.setting == "off 1.0"
-
-
 # ---- other packages ---------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("python", "words"), [(sys.executable, "No module named"), ("/no/such/python", "No such file")]
-)
-def test_a_python_without_the_package_says_so(
-    python: str, words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    packages.main([])
-    assert capsys.readouterr().out.count("skipped, as no python that has it was named") == 2
-    (peer,) = [peer for peer in packages.PEERS if peer.name.endswith("adaptive")]
-    answer = packages.ask(python, peer.package, next(peer.settings(1e-3)))
-    assert answer.error == math.inf
-    assert words in answer.message
 
 
 def test_a_package_is_judged_at_its_own_nodes_and_must_come_to_the_end(task: Task) -> None:

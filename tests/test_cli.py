@@ -303,7 +303,8 @@ def test_our_warnings_are_one_line_without_a_source_file(
 
 
 @pytest.mark.parametrize(
-    ("package", "extra"), [("matplotlib", "plot"), ("xarray", "fem"), ("h5py", "fem")]
+    ("package", "extra"),
+    [("matplotlib", "plot"), ("xarray", "fem"), ("h5py", "fem"), ("h5netcdf", "fem")],
 )
 @pytest.mark.usefixtures("scene")
 def test_a_missing_package_is_named_before_the_run(

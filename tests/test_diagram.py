@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from cases import block as slider
 from study_table import study_table
 
 import sweepopt as so
@@ -71,8 +72,7 @@ def test_the_band_of_a_run_is_its_guaranteed_one() -> None:
     block = problem("S03")
     process = block.process()
     run = so.solve(process, t_end=block.t_end, steps=80)
-    pull = so.Moving(so.Box([-1], [1]), lambda t: [3 * t])
-    sampled = so.solve(so.SweepingProcess([[0.5]], [[2.0]], pull, [0]), t_end=1.0, steps=20)
+    sampled = so.solve(slider(lambda t: [3 * t]), t_end=1.0, steps=20)
     band, none = trajectories({"block": run, "sampled": sampled}).figure.axes
     np.testing.assert_array_equal(band.lines[0].get_ydata(), run.u[:, 0])
     exact = so.solve(process, steps=run.t, scheme="exact").u[:, 0]

@@ -46,15 +46,6 @@ def test_the_interpolant_is_piecewise_linear_and_meets_its_nodes() -> None:
         sol(np.nan)
 
 
-def test_an_array_of_times_is_followed_exactly_and_costs_no_accuracy() -> None:
-    this = case("S03")
-    times = np.concatenate([np.linspace(0, 2, 150), np.linspace(2, 8, 300)[1:]])
-    sol = so.solve(this.process, steps=times)
-    assert np.array_equal(sol.t, times)
-    fine = so.solve(this.process, t_end=8.0, steps=4000)
-    assert np.abs(sol.u - fine(times)).max() <= 1e-3
-
-
 def test_tiny_steps_on_a_large_state_lose_no_motion() -> None:
     # without compensation 1e7 + 1e-10 * z would round the motion away
     process = so.SweepingProcess([[1.0]], None, so.Point([1.0]), [1e7])

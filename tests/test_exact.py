@@ -155,20 +155,6 @@ def test_a_load_that_just_reaches_the_threshold_moves_nothing(load: Any, A: floa
     assert not found.velocity(np.linspace(0, 12, 301)).any()
 
 
-def test_equal_blocks_switch_together_and_a_held_one_stays() -> None:
-    load = so.Separable([(so.Sine(3.0, np.pi), np.ones(4))])
-    C = so.Moving(so.Box([-1, -1, 0, -1e12], [1, 1, 0, 1e12]), load)
-    found = exact(so.SweepingProcess(0.5 * np.eye(4), 2 * np.eye(4), C, np.zeros(4)), 8.0)
-    alone = exact(block(), 8.0)
-    times = np.linspace(0, 8, 200)
-    assert found.switches == pytest.approx(alone.switches, abs=1e-14)
-    assert np.abs(found(times)[:, :2] - alone(times)).max() <= 1e-15
-    assert not found(times)[:, 3].any()
-    # no threshold at all: 0.5 u' + 2 u = 3 sin 2t
-    linear = 1.2 * np.sin(2 * times) - 0.6 * np.cos(2 * times) + 0.6 * np.exp(-4 * times)
-    assert np.abs(found(times)[:, 2] - linear).max() <= 1e-15
-
-
 def test_1001_switches_have_the_period_of_the_load_to_rounding() -> None:
     # the first ones are those of S03, the same block
     found = exact(block(), 250 * np.pi, steps=2)

@@ -8,7 +8,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import pytest
-from cases import SETS, case, embedded
+from cases import SETS, block, case, embedded
 from scipy.integrate import odeint, solve_ivp
 
 import sweepopt as so
@@ -58,8 +58,7 @@ def test_contact_unknowns_are_eliminated_as_in_a_run() -> None:
 
 
 def test_lsoda_reaches_5e_10_on_a_scalar_case_in_2000_calls() -> None:
-    load = so.Separable([(so.Sine(3.0, 2 * np.pi), [1.0])])
-    process = so.SweepingProcess([[0.5]], [[2.0]], so.Moving(so.Box([-1], [1]), load), [0.0])
+    process = block(so.Sine(3.0, 2 * np.pi))
     times = np.linspace(0.0, 8.0, 81)
     velocity = so.velocity_field(process)
     exact = so.solve(process, t_end=8.0, steps=80, scheme="exact").u

@@ -50,7 +50,6 @@ TARGETS: dict[str, tuple[int, Any, Callable[..., None]]] = {
     "studies": (20, st.tuples(files.STUDIES, FILE), files.ask_study),
     "tables": (35, st.tuples(files.DAMAGES, files.COLUMNS, files.SCALES), files.ask_table),
     "meshes": (40, st.tuples(st.sampled_from(files.MESHES), files.DAMAGES), files.ask_mesh),
-    "checkpoints": (20, st.tuples(files.DAMAGES), files.ask_checkpoint),
 }
 RIGHT_RUNS = 15
 

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from cases import block
 
 import sweepopt as so
 from sweepopt import Constant, InputError, Polynomial, Separable, Sine, Table, Triangle
@@ -203,16 +204,13 @@ def test_histories_of_any_kind_are_checked_and_used_one_time_at_a_time() -> None
     times = np.array([0.5, 1.5])
     assert load.values(times).tolist() == [load.coefficients(t).tolist() for t in times]
     assert load.values(times)[:, 0].tolist() == [1.0, 2.0]
-    table = so.Moving(so.Box([-1], [1]), center=so.Table([0, 5], [0, 7]))
-    this = so.SweepingProcess([[1.0]], [[1.0]], table, [0.0])
-    assert so.solve(this, t_end=5.0, steps=20).success
+    assert so.solve(block(so.Table([0, 5], [0, 7])), t_end=5.0, steps=20).success
 
 
 def test_a_ramp_of_two_points_never_turns_and_its_run_has_a_bound() -> None:
     ramp = Table([0.0, 1.0], [0.0, 2.0])
     assert ramp.turning_points(0.0, 1.0).size == 0
-    C = so.Moving(so.Box(-1, 1), center=so.Separable([(ramp, 1.0)]))
-    sol = so.solve(so.SweepingProcess(0.5, 2.0, C, 0.0), t_end=1.0, steps=50)
+    sol = so.solve(block(ramp), t_end=1.0, steps=50)
     bound = sol.error_bound()
     assert bound.guaranteed
     assert bound < 1e-2

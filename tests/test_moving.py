@@ -92,13 +92,6 @@ def test_all_members_share_one_cone(C: Any) -> None:
         assert D.at(0.0).same_cone(D.at(0.3))
 
 
-def test_members_of_a_polyhedron_with_moving_offsets_share_the_matrix_itself() -> None:
-    C = FAMILIES["offsets"]
-    assert C.at(0.0).G is C.at(1.0).G
-    np.testing.assert_array_equal(C.at(1.0).h, offsets(1.0))
-    np.testing.assert_array_equal(C.at(0.5).offsets, offsets(0.5))
-
-
 def from_five(t: float) -> np.ndarray:
     """Offsets of G that a load table gives on [5, 10] only."""
     if not 5 <= t <= 10:

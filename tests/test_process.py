@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from cases import case
+from cases import block, case
 from meshes import square
 
 import sweepopt as so
@@ -78,8 +78,7 @@ def test_only_translates_are_variational_inequalities() -> None:
 
 def test_the_a_priori_bound_is_near_the_largest_velocity() -> None:
     # one of them with B u0 outside of C(0)
-    C = so.Moving(so.Box([-1], [1]), lambda t: [3 * np.sin(2 * t)])
-    inside, outside = (so.SweepingProcess([[4.0]], [[2.0]], C, [u0]) for u0 in (0.0, 8.0))
+    inside, outside = (block(lambda t: [3 * np.sin(2 * t)], 4.0, u0=u0) for u0 in (0.0, 8.0))
     with pytest.warns(so.InitialStateWarning, match="starts with a velocity"):
         runs = [so.solve(process, t_end=1.0, steps=400) for process in (inside, outside)]
     for sol in runs:
@@ -203,24 +202,6 @@ def test_the_variation_of_data_is_exact_whatever_times_are_given() -> None:
     assert fine == pytest.approx(4 * 0.9, rel=1e-4)
     assert not fine.guaranteed
     assert process(so.Box([0, 0], [1, np.inf])).variation(times).guaranteed
-
-
-def test_several_terms_vary_at_most_as_much_as_their_sum() -> None:
-    terms = [(so.Sine(1.0, period=1.0, phase=p), s) for p, s in ((0, [1.0, 0]), (1.3, [0, 2.0]))]
-    ball, times = so.Ball([0, 0], 1), np.linspace(0, 1, 4001)
-    data, function = (
-        so.Moving(ball, f) for f in (so.Separable(terms), so.Separable(terms).__call__)
-    )
-    bound, sampled = (
-        so.SweepingProcess(np.eye(2), None, C, [0, 0]).variation(times) for C in (data, function)
-    )
-    assert sampled <= bound == pytest.approx(12)
-    assert bound.guaranteed
-    assert not sampled.guaranteed
-    mixed = so.Moving(ball, so.Separable([(lambda t: t, [0, 3.0]), (so.Constant(), [1.0, 1.0])]))
-    v = so.SweepingProcess(np.eye(2), None, mixed, [0, 0]).variation(times)
-    assert v == pytest.approx(3)
-    assert not v.guaranteed
 
 
 def test_the_variation_of_a_translated_and_scaled_set_is_that_of_its_motion() -> None:
@@ -355,8 +336,7 @@ def test_the_distance_of_a_jump_that_is_not_known_is_not_made_up() -> None:
 def test_steep_noisy_and_fast_loads_are_no_jumps() -> None:
     noise = so.Table(np.linspace(0, 2, 2001), np.random.default_rng(0).normal(size=2001))
     steep = so.Table([0, 0.5, 0.5 + 9e-4, 1e6], [0, 0, 9, 9])
-    C = so.Moving(so.Box([-1], [1]), so.Separable([(steep, [1.0])]))
-    so.SweepingProcess([[1.0]], None, C, [0.0]).check_jumps(0.0, 1e6)
+    block(steep).check_jumps(0.0, 1e6)
     for history in (
         noise,
         so.Triangle(2.0, period=1e-6),
@@ -560,10 +540,8 @@ def test_notebooks_show_small_pictures() -> None:
 
 
 def test_a_solution_shows_a_bound_once_it_is_known_and_whether_it_is_guaranteed() -> None:
-    load = so.Separable([(so.Sine(3.0, 4.0), [1.0])])
-    known = so.SweepingProcess([[0.5]], [[2.0]], so.Moving(so.Box([-1], [1]), load), [0.0])
     for process, words in (
-        (known, "guaranteed"),
+        (block(so.Sine(3.0, 4.0)), "guaranteed"),
         (PLAIN, "sampled, not guaranteed: center(t) is"),
     ):
         sol = so.solve(process, t_end=1.0, steps=10)

@@ -224,12 +224,3 @@ def test_a_body_that_sticks_under_no_load_is_certified() -> None:
     assert (few.velocity[-5:] == 0.0).all()
     assert few.u[-1, CONTACT].any()
     assert difference(this, few.u, general.u) <= 1e-12
-
-
-@pytest.mark.parametrize("B", [None, RHO * CHAIN], ids=["without B", "with B"])
-def test_a_contact_at_its_threshold_stays_where_it_is(B: Any) -> None:
-    g = np.array([0.1, 0.7, 1.3, 0.3])
-    C = pressed([(so.Constant(1.0), SELECT @ [0.1, -0.7, 1.3, -0.3])], so.Box(-g, g))
-    sol = so.solve(process(B=B, C=C, u0=np.zeros(40)), t_end=10.0, steps=50)
-    assert sol.plan.path == "proportional"
-    assert not sol.u.any()

@@ -109,37 +109,6 @@ def test_a_material_point_follows_the_path_of_ssnp14(kind: str) -> None:
     assert errors[-1] < 5e-3
 
 
-def test_a_file_states_plasticity_as_python_does() -> None:
-    scene = read_scene(
-        """
-        [domain]
-        mesh = { sizes = [2.0, 1.0], cells = [2, 1] }
-        kind = "plane strain"
-        clamped = "left"
-        [time]
-        end = 1.0
-        steps = 2
-        [effects.elasticity]
-        E = 1000.0
-        nu = 0.3
-        [effects.plasticity]
-        sigma_y = 1.0
-        Hi = "10 + x"
-        [effects.traction]
-        on = "right"
-        f2 = [1.0, 0.0]
-        history = { table = { t = [0.0, 1.0], values = [0.0, 2.0] } }
-        """
-    )
-    effects = [Elasticity(E=1000.0, nu=0.3), Plasticity(1.0, Hi=lambda x: 10 + x[0])]
-    same = body(scene.discretisation, effects)
-    assert (scene.problem.B != same.problem.B).nnz == 0
-    with pytest.raises(InputError, match=r"effects.plasticity.Hk must be"):
-        read_scene(
-            {"effects": {"plasticity": {"sigma_y": 1.0, "Hk": -1.0}}} | {"domain": {}, "time": {}}
-        )
-
-
 def test_a_point_that_does_not_yield_has_a_plastic_velocity_of_exactly_zero() -> None:
     scene = pipe(3)
     sol = scene.solve(path="return mapping")

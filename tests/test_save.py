@@ -15,6 +15,7 @@ import pandas as pd
 import pytest
 import scipy.sparse as sp
 import xarray as xr
+from cases import block
 from test_reduction import CONTACT, SETS, process, springs
 
 import sweepopt as so
@@ -145,8 +146,7 @@ def large(dim: int) -> so.SweepingProcess:
 
 
 def slider() -> so.SweepingProcess:
-    C = so.Moving(so.Box([-1.0], [1.0]), so.Separable([(so.Sine(3.0, 2.0), [1.0])]))
-    return so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
+    return block(so.Sine(3.0, 2.0))
 
 
 def test_a_file_has_the_states_of_the_run_whatever_a_callback_does_to_its_own(
@@ -339,11 +339,6 @@ def test_memory_does_not_grow_with_the_steps_that_are_not_kept() -> None:
     assert many <= 1.3 * few
 
 
-def test_a_run_keeps_less_than_fifty_bytes_a_step() -> None:
-    _, grown = (traced(steps, slider())[0] for steps in (10, 4_000))
-    assert grown < 50 * 4_000
-
-
 # ---- damage, and disks that are full ----
 
 FULL = """
@@ -382,7 +377,7 @@ def test_flipped_bits_and_cut_files_are_named(tmp_path: Path) -> None:
     sol = so.solve(slider(), t_end=4.0, steps=500, save=file)
     whole, content = so.solve(slider(), t_end=4.0, steps=500), file.read_bytes()
     damaged = []
-    for _ in range(24):
+    for _ in range(12):
         flipped = bytearray(content)
         flipped[random.integers(len(content))] ^= 1 << int(random.integers(8))
         damaged += [bytes(flipped), content[: random.integers(len(content))]]
@@ -399,8 +394,8 @@ def test_flipped_bits_and_cut_files_are_named(tmp_path: Path) -> None:
         except so.CheckpointError as error:
             assert "run.nc is damaged" in str(error)  # noqa: PT017
             found += 1
-    assert found > 31
-    for _ in range(8):  # as users read it
+    assert found > 15
+    for _ in range(4):  # as users read it
         flipped = bytearray(content)
         flipped[random.integers(len(content))] ^= 1 << int(random.integers(8))
         file.unlink()

@@ -7,7 +7,6 @@ import pytest
 
 import sweepopt as so
 from sweepopt.fem import grid, read_scene
-from sweepopt.fem.contact import slip_of
 from sweepopt.fem.output import Report
 from sweepopt.fem.pictures import loops
 from sweepopt.io import find_scene, parse_toml
@@ -71,18 +70,6 @@ def test_fretting_is_that_of_cattaneo_and_mindlin() -> None:
     assert core == pytest.approx(np.sqrt(s), rel=0.01)
     loss = P**2 / np.pi * (1 - s**2 + 2 * s * np.log(s))
     assert 2 * np.diff(report.energy.friction[[20, 100]])[0] == pytest.approx(loss, rel=0.01)
-
-
-def test_the_core_of_fretting_shrinks_as_the_formula_says_up_to_the_onset_of_sliding() -> None:
-    P, s = np.pi / 2, 0.05
-    U = (P * (1 - s) * (np.log(40) + 0.5) + P / 2 * s * np.log(s)) / np.pi
-    push = {"effects.prescribed_displacement.history.amplitude": U}
-    scene = read_scene("fretting", changes=push | {"time.end": 1.0, "time.steps": 5})
-    slip = slip_of(scene, scene.solve())
-    assert slip is not None
-    x, sticks = slip.contact.points[:, 0], slip.state[-1] == 0
-    core = (x[sticks].max() + x[~sticks].min()) / 2
-    assert core == pytest.approx(np.sqrt(s), rel=0.01)
 
 
 def test_a_grid_says_which_of_its_points_is_wrong() -> None:

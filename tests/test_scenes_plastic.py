@@ -79,8 +79,8 @@ def test_the_plate_yields_first_beside_the_hole_at_the_tension_of_its_notch_fact
     errors = []
     for refinements in (0, 1):
         scene = read_scene("plate", changes={"domain.refinements": refinements})
-        space, (elastic, plastic) = scene.discretisation, (140.0, 170.0)
-        while plastic - elastic > 0.5:  # one step to a tension of so many MPa
+        space, (elastic, plastic) = scene.discretisation, (143.0, 154.0)
+        while plastic - elastic > 0.7:  # one step to a tension of so many MPa
             tension = (elastic + plastic) / 2
             strain = scene.plastic_strain(scene.solve(t_end=tension / 420, steps=1))
             assert strain is not None

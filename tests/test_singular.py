@@ -92,27 +92,6 @@ def test_auto_is_an_l_stable_scheme_and_its_bound_holds() -> None:
     assert sol.viability().max() <= 1e-6
 
 
-@quiet
-def test_a_bar_half_viscous_and_half_elastic() -> None:
-    n, eta, kappa, g = 8, 0.4, 2.0, 0.5
-    rows = (np.eye(n) - np.eye(n, k=-1)) * n
-    viscous = np.where(np.arange(n) < n // 2, eta, 0.0)
-    A, B = rows.T @ (viscous[:, None] * rows) / n, kappa * rows.T @ rows / n
-    tip = np.eye(n)[:, -1:]
-    C = so.Moving(
-        so.image(tip, so.Box([-g], [g])), so.Separable([(so.Polynomial([0.0, 1.0]), tip[:, 0])])
-    )
-    process = so.SweepingProcess(sp.csc_array(A), sp.csc_array(B), C, np.zeros(n))
-    assert process.kernel.shape == (n, n // 2)
-    assert abs(process.A @ process.kernel).max() <= 1e-12
-    sol = so.solve(process, t_end=2.0, steps=400, scheme="sdirk2", tol=1e-10)
-    s, theta = sol.t - g, eta / kappa
-    s = np.maximum(s, 0.0)
-    strain = (s - theta * (1 - np.exp(-s / theta))) / kappa
-    assert sol.u[:, n // 2 - 1] == pytest.approx(strain / 2, abs=1e-5)
-    assert sol.u[:, -1] == pytest.approx((strain + s / kappa) / 2, abs=1e-5)
-
-
 def test_a_rectifier_with_an_ideal_diode_follows_its_source_and_then_decays() -> None:
     # charges through the diode, which flow one way, and through the resistance
     R, c = 2.0, 1.0
@@ -132,19 +111,6 @@ def test_a_rectifier_with_an_ideal_diode_follows_its_source_and_then_decays() ->
     assert sol.velocity[:, 0].min() >= 0
     with pytest.raises(so.InputError, match="both are singular; compare"):
         sol.error_bound()
-
-
-@quiet
-def test_little_viscosity_tends_to_none() -> None:
-    process = zener()
-    ends = []
-    for viscosity in (0.0, 1e-4, 1e-6):
-        A = process.A + viscosity * np.eye(2)
-        one = so.SweepingProcess(A, process.B, process.C, process.u0)
-        ends.append(so.solve(one, t_end=1.0, steps=40, scheme="sdirk2", tol=1e-10).u[-1])
-    first, second = (np.abs(u - ends[0]).max() for u in ends[1:])
-    assert first <= 1e-4
-    assert second <= 0.02 * first
 
 
 def test_a_common_kernel_is_refused_and_a_little_elasticity_tends_to_the_play() -> None:

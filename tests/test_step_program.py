@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from cases import block
 
 import sweepopt as so
 from sweepopt.linalg import Factor
@@ -135,16 +136,6 @@ def test_every_plan_has_the_program_of_all_unknowns_of_the_steps_it_kept(
         same_as_the_run(sol, i)
 
 
-@pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "midpoint"])
-def test_the_matrix_and_the_time_are_those_of_the_scheme(scheme: str) -> None:
-    gamma, c = {"catching-up": (0.0, 1.0), "implicit-euler": (0.5, 1.0), "midpoint": (0.25, 0.5)}[
-        scheme
-    ]
-    program = program_of(so.Moving(so.Ball(np.zeros(n), 1.0), load), scheme=scheme)
-    assert (A + gamma * B == program.M).all()
-    assert (program.problem.param_dict["f"].value == load(1.0 + 0.5 * c)).all()
-
-
 @pytest.mark.parametrize("scheme", ["trapezoid", "sdirk2"])
 def test_the_velocity_of_a_scheme_with_stages_is_their_weighted_sum(scheme: str) -> None:
     sol = chain(scheme=scheme, tol=1e-9)
@@ -179,8 +170,7 @@ def test_a_set_of_which_nothing_is_known_enters_by_its_support_function() -> Non
 
 
 def test_a_process_without_rate_has_a_program_too() -> None:
-    C = so.Moving(so.Box([-1], [1]), lambda t: [3 * t])
-    sol = so.solve(so.SweepingProcess([[0.0]], [[2.0]], C, [0.0]), t_end=2.0, steps=10)
+    sol = so.solve(block(lambda t: [3 * t], 0.0), t_end=2.0, steps=10)
     same_as_the_run(sol, 7)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import block
 from test_checkpoint import Killed, same, stiff, stopping
 
 import sweepopt as so
@@ -112,19 +113,6 @@ def test_a_set_that_is_empty_between_the_times_of_the_grid_is_named() -> None:
     assert failure.value.step == 0
 
 
-@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
-def test_unknowns_that_the_set_does_not_act_on_move_with_the_parts() -> None:
-    small, E = thin(lambda t: 1e-12 + abs(t - 0.5)), np.eye(5)[:, [1, 3]]
-    C = so.MovingSet(lambda t: so.image(E, small.C.at(t)))
-    A = 2 * np.eye(5) + 0.5 * (np.eye(5, k=1) + np.eye(5, k=-1))
-    process = so.SweepingProcess(A, np.eye(5), C, np.zeros(5))
-    how: dict[str, Any] = {"t_end": 1.0, "scheme": "midpoint", "path": "full"}
-    sol, halves = (so.solve(process, steps=n, **how) for n in (1, 2))
-    assert parts(sol) == [2]
-    assert sol.stats["relative"].max() <= 1e-6
-    assert sol.u[-1] == pytest.approx(halves.u[-1], abs=1e-12)
-
-
 # ---- breakpoints of the load -------------------------------------------------------------------
 
 TURNS = so.Table([0.0, 0.31, 0.52, 0.58, 0.83, 1.0], [0.0, 2.5, -1.0, 1.5, -2.0, 0.5])
@@ -179,8 +167,7 @@ def test_auto_takes_steps_with_breakpoints_in_parts_that_end_there(
 def test_breakpoints_at_nodes_up_to_rounding_and_functions_of_time_divide_no_step() -> None:
     for load in (so.Table(0.1 * np.arange(11) * 3, np.arange(11) % 2), lambda t: [np.sin(t)]):
         center = so.Separable([(load, [2.0])]) if isinstance(load, so.Table) else load
-        process = so.SweepingProcess([[1.0]], [[1.0]], so.Moving(so.Box([-1], [1]), center), [0.0])
-        sol = so.solve(process, t_end=3.0, steps=30)
+        sol = so.solve(block(center, 1.0, 1.0), t_end=3.0, steps=30)
         assert set(parts(sol)) == {1}
         assert "breakpoints" not in str(sol.plan)
 
@@ -232,47 +219,6 @@ def test_a_resumed_run_that_meets_breakpoints_is_the_whole_run(name: str, tmp_pa
 
 
 # ---- workspaces ------------------------------------------------------------------------------
-
-
-class Spoils:
-    """Right until it is asked for something hard: then the workspace is spoiled for good."""
-
-    name = "spoils"
-
-    def __init__(self) -> None:
-        self.compiled = 0
-
-    def treats(self, C: object) -> bool:
-        return True
-
-    def compile(self, program: Any) -> Any:
-        inner, spoiled = so.Newton().compile(program), False
-        self.compiled += 1
-
-        def solve(q: np.ndarray, C: so.ConvexSet) -> Any:
-            nonlocal spoiled
-            spoiled = spoiled or bool(np.abs(q).max() > 2.99)
-            answer = inner(q, C)
-            return answer._replace(z=np.full(q.size, np.nan)) if spoiled else answer
-
-        return solve
-
-
-def test_a_workspace_that_failed_is_not_used_again() -> None:
-    M = np.array([[2.0, -1.0], [-1.0, 2.0]])
-    process = so.SweepingProcess(M, None, so.Moving(so.Box([-1, -1], [1, 1]), one_load), [0, 0])
-    solver = Spoils()
-    sol = so.solve(process, t_end=6.0, steps=60, solver=solver, scheme="midpoint")
-    names = list(sol.stats["solver"])
-    rescued = [i for i, name in enumerate(names) if name == "newton"]
-    assert sol.success
-    assert 0 < len(rescued) < 10
-    assert "spoils" in names[rescued[-1] :]
-    assert solver.compiled == 1 + len(rescued)
-
-
-def one_load(t: float) -> np.ndarray:
-    return 3.0 * np.sin(t) * np.array([1.0, -0.9])
 
 
 CURVED = {
