@@ -163,13 +163,13 @@ def test_the_map_of_slip_has_sticking_blocks_white() -> None:
 
 
 def test_the_displacement_of_a_chain_is_a_curve_that_can_be_animated(tmp_path: Path) -> None:
-    scene = read_scene(chain_data(20, 2.0, 4))
+    scene = read_scene(chain_data(20, 2.0, 10))
     solution = scene.solve()
     figure = scene.plot(solution, "displacement")
     end = figure.axes[len(figure.axes) - 2].lines[0].get_xydata()
     assert np.array_equal(end[:, 1], scene.displacement(solution)[-1])
     with Image.open(scene.animate(solution, tmp_path / "chain.gif", "displacement")) as shown:
-        assert shown.n_frames == 5
+        assert shown.n_frames == 11
 
 
 @pytest.mark.slow
