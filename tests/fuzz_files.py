@@ -1,7 +1,5 @@
 """Files that are nearly right: scenes, studies, tables and meshes, with damage."""
 
-from __future__ import annotations
-
 import copy
 import re
 from pathlib import Path
@@ -34,7 +32,7 @@ history = { table = { t = [0.0, 60.0, 120.0], values = [0.0, 1.0, 0.0] } }
 """
 
 
-def write_seeds(folder: Path) -> None:
+def write_seeds(folder):
     """The files that are damaged later: a small tube, its loads, its meshes."""
     for path in (DATA / "gmsh").glob("*.msh"):
         (folder / path.name).write_bytes(path.read_bytes())
@@ -68,9 +66,7 @@ DAMAGES = st.lists(
 )
 
 
-def damage(
-    content: bytes, pattern: bytes, how: str, share: float, more: float, new: bytes
-) -> bytes:
+def damage(content, pattern, how, share, more, new):
     parts = re.findall(pattern, content, re.DOTALL) or [b""]
     k, other = (int(x * (len(parts) - 1)) for x in (share, more))
     part = parts[k]
@@ -88,7 +84,7 @@ def damage(
     return b"".join(parts)
 
 
-def damaged(folder: Path, name: str, damages: list[Damage]) -> Path:
+def damaged(folder, name, damages):
     """The file after all of it, beside its neighbours."""
     content = (folder / name).read_bytes()
     for one in damages:
@@ -100,7 +96,7 @@ def damaged(folder: Path, name: str, damages: list[Damage]) -> Path:
 
 # ---- scenes and studies ---------------------------------------------------------------------
 
-DEEP: Any = 1.0
+DEEP = 1.0
 for _ in range(300):
     DEEP = [DEEP]
 VALUES = [NAN, INF, -INF, 1e300, -1e300, 5e-324, 10**400, LONG, 0, -1, 1, 2.5, True, None, ""]
@@ -116,7 +112,7 @@ WHAT = st.sampled_from(["set", "set", "set", "set", "drop", "rename", "wrap"])
 CHANGES = st.lists(st.tuples(st.integers(0, 60), WHAT, st.sampled_from(VALUES)), max_size=2)
 
 
-def change(data: dict[str, Any], at: int, how: str, value: Any) -> None:
+def change(data, at, how, value):
     """A key of a nest of tables gets another value, is dropped or renamed."""
     places = list(_places(data))
     if not places:
@@ -130,7 +126,7 @@ def change(data: dict[str, Any], at: int, how: str, value: Any) -> None:
         table[key] = [table[key]] if how == "wrap" else copy.deepcopy(made(value))
 
 
-def _places(data: Any) -> Any:
+def _places(data):
     keys = data if isinstance(data, dict) else range(len(data))
     for key in list(keys):
         yield data, key
@@ -142,7 +138,7 @@ SCENES = st.sampled_from(["tube.toml", "full.toml"])
 STUDIES = st.sampled_from(["accuracy.toml", "hard.toml"])
 
 
-def ask_scene(folder: Path, name: str, file: tuple[list[Damage], list[Change]]) -> None:
+def ask_scene(folder, name, file):
     """A scene that is read is simulated, for three steps."""
     damages, changes = file
     if changes:
@@ -155,7 +151,7 @@ def ask_scene(folder: Path, name: str, file: tuple[list[Damage], list[Change]]) 
     check_run(scene.solve(steps=3))
 
 
-def ask_study(folder: Path, name: str, file: tuple[list[Damage], list[Change]]) -> None:
+def ask_study(folder, name, file):
     """A study that is read has cells; its problems are found."""
     damages, changes = file
     path = damaged(folder, name, damages)
@@ -171,7 +167,7 @@ def ask_study(folder: Path, name: str, file: tuple[list[Damage], list[Change]]) 
 # ---- tables, meshes ---------------------------------------------------------------------------
 
 
-def ask_table(folder: Path, damages: list[Damage], column: Any, scale: Any) -> None:
+def ask_table(folder, damages, column, scale):
     """A table that is read is finite and increases."""
     table = Table.from_csv(damaged(folder, "tube_loads.csv", damages), column, scale=scale)
     assert (np.diff(table.times) > 0).all()
@@ -179,7 +175,7 @@ def ask_table(folder: Path, damages: list[Damage], column: Any, scale: Any) -> N
     assert np.isfinite(table(table.times)).all()
 
 
-def ask_mesh(folder: Path, name: str, damages: list[Damage]) -> None:
+def ask_mesh(folder, name, damages):
     """A mesh that is read has finite nodes and triangles that name them."""
     mesh = read_mesh(damaged(folder, name, damages))
     assert np.isfinite(mesh.doflocs).all()

@@ -1,7 +1,5 @@
 """Yield stresses on a gradient: the method of multipliers with one value for each plug."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
@@ -13,7 +11,6 @@ import skfem
 import sweepopt as so
 from sweepopt import fem
 from sweepopt.errors import InitialStateWarning, PathError
-from sweepopt.fem import Scene
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 from scenes import disc
@@ -23,7 +20,7 @@ CERTIFICATE = 1e-6
 G, ONE = 0.2, so.Constant(1.0)  # yield stress, pressure
 
 
-def flow(rings: int, pressure: so.loads.History, kappa: float = 0.0, moved: float = 0.0) -> Scene:
+def flow(rings, pressure, kappa=0.0, moved=0.0):
     """A pipe of radius 1; with kappa > 0 a gel that is elastic beside its viscosity."""
     mesh = disc(rings, moved).with_boundaries({"wall": lambda x: np.hypot(*x) > 0})
     effects = [fem.Viscosity(1.0), fem.YieldStress(G), fem.BodyForce(pressure)]
@@ -31,14 +28,14 @@ def flow(rings: int, pressure: so.loads.History, kappa: float = 0.0, moved: floa
     return fem.body(fem.Discretisation(mesh, "wall"), effects)
 
 
-def run(case: Scene, steps: int = 1, **options: object) -> so.Solution:
+def run(case, steps=1, **options):
     settings = {"t_end": 1.0, "scheme": "implicit-euler", "tol": CERTIFICATE, "path": "cones"}
     sol = so.solve(case.problem, steps=steps, **(settings | options))
     assert sol.stats["relative"].max() <= CERTIFICATE
     return sol
 
 
-def test_a_plug_has_one_velocity_to_the_last_bit() -> None:
+def test_a_plug_has_one_velocity_to_the_last_bit():
     case = flow(12, ONE)
     z = case.velocity(run(case))[-1]
     inside = np.hypot(*case.discretisation.points.T) < 0.9 * 2 * G
@@ -46,7 +43,7 @@ def test_a_plug_has_one_velocity_to_the_last_bit() -> None:
     assert z[inside][0] == z.max() > 0
 
 
-def test_it_agrees_with_the_program_for_all_unknowns_to_both_certificates() -> None:
+def test_it_agrees_with_the_program_for_all_unknowns_to_both_certificates():
     case = flow(4, so.Polynomial([0.8, 0.4]), kappa=0.5)
     cones, full = (run(case, 2, path=path) for path in ("cones", "full"))
     assert set(cones.stats["solver"]) == {"cones"}
@@ -57,7 +54,7 @@ def test_it_agrees_with_the_program_for_all_unknowns_to_both_certificates() -> N
     assert np.abs(cones.u - full.u).max() <= 1e-5 * np.abs(full.u).max()
 
 
-def chain(n: int) -> so.EvolutionVI:
+def chain(n):
     """Friction between neighbours, and between the first one and the ground, as intervals."""
     E = sp.eye_array(n, format="csr") - sp.eye_array(n, k=-1, format="csr")
     A = sp.csc_array(sp.eye_array(n))
@@ -66,7 +63,7 @@ def chain(n: int) -> so.EvolutionVI:
     return so.EvolutionVI(A, None, load=lambda t: t * f, dissipation=D, u0=np.zeros(n))
 
 
-def sheet(n: int) -> so.EvolutionVI:
+def sheet(n):
     """n points of two components that rub over a face."""
     stiff = sp.diags_array([-1.0, 2.5, -1.0], offsets=[-2, 0, 2], shape=(2 * n, 2 * n))
     f = np.cos(np.arange(2 * n))
@@ -77,7 +74,7 @@ def sheet(n: int) -> so.EvolutionVI:
 
 
 @pytest.mark.parametrize("process", [chain(12), sheet(12)], ids=["chain", "sheet"])
-def test_other_balls_agree_with_the_program_for_all_unknowns(process: so.EvolutionVI) -> None:
+def test_other_balls_agree_with_the_program_for_all_unknowns(process):
     cones, full = (
         so.solve(process, t_end=1.0, steps=5, scheme="implicit-euler", tol=1e-6, path=path)
         for path in ("cones", "full")
@@ -87,7 +84,7 @@ def test_other_balls_agree_with_the_program_for_all_unknowns(process: so.Evoluti
 
 
 @pytest.mark.parametrize("g", [0.0, 0.3, 5.0])
-def test_friction_beside_a_yield_stress_agrees_with_a_program_stated_in_cvxpy(g: float) -> None:
+def test_friction_beside_a_yield_stress_agrees_with_a_program_stated_in_cvxpy(g):
     body = skfem.MeshTri().refined(3).with_defaults()
     pull = fem.Traction("right", so.Sine(1.5, period=2.0))
     effects = [fem.Viscosity(1.0), fem.Elasticity(1.5), fem.YieldStress(0.2), pull]
@@ -107,7 +104,7 @@ def test_friction_beside_a_yield_stress_agrees_with_a_program_stated_in_cvxpy(g:
     assert norm(z - sol.velocity[9]) <= 1e-4 * norm(z)
 
 
-def test_a_yield_stress_that_grows_in_time_stops_the_flow() -> None:
+def test_a_yield_stress_that_grows_in_time_stops_the_flow():
     vi = flow(6, ONE).problem
     C = so.Moving(vi.dissipation, center=vi.load(0.0), scale=lambda t: 1 + 2 * t)
     sol = so.solve(
@@ -122,7 +119,7 @@ def test_a_yield_stress_that_grows_in_time_stops_the_flow() -> None:
     assert set(sol.stats["solver"]) == {"cones"}
 
 
-def test_discs_choose_the_path_and_rough_meshes_are_certified() -> None:
+def test_discs_choose_the_path_and_rough_meshes_are_certified():
     case = flow(14, so.Polynomial([0.5, 1.0]), moved=0.25)
     sol = run(case, 5, path="auto")
     assert sol.plan.path == "cones"
@@ -132,7 +129,7 @@ def test_discs_choose_the_path_and_rough_meshes_are_certified() -> None:
     assert few.plan.path == "full"  # a polyhedron has a finite method
 
 
-def test_whether_the_start_is_inside_is_found_without_a_slow_projection() -> None:
+def test_whether_the_start_is_inside_is_found_without_a_slow_projection():
     with pytest.warns(InitialStateWarning, match=r"B u0 is not in C\(0\)"):
         run(flow(12, ONE), path="auto")
 
@@ -140,14 +137,14 @@ def test_whether_the_start_is_inside_is_found_without_a_slow_projection() -> Non
 @pytest.mark.parametrize(
     "row", [[1.0, -2.0, 0.0], [1.0, -2.0, 1.0]], ids=["still beside constants", "still in a plane"]
 )
-def test_a_set_of_another_kind_is_told_what_the_path_needs(row: list[float]) -> None:
+def test_a_set_of_another_kind_is_told_what_the_path_needs(row):
     C = so.image(np.array([row]).T, so.Balls([1.0], 1))
     process = so.SweepingProcess(sp.csc_array(sp.eye_array(3)), None, C, np.zeros(3))
     with pytest.raises(PathError, match="balls of one dimension"):
         so.solve(process, t_end=1.0, steps=1, path="cones")
 
 
-def test_error_bounds_are_refused_with_the_reason_and_energies_balance() -> None:
+def test_error_bounds_are_refused_with_the_reason_and_energies_balance():
     case = flow(6, so.Polynomial([0.0, 1.0]), kappa=1.0)
     sol = run(case, 8, t_end=2.0)
     with pytest.raises(PathError, match="path='full'"):

@@ -3,8 +3,6 @@
 Sphinx itself runs in .ci/run; here are the pages as they are written and made, without it.
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 import re
@@ -32,7 +30,7 @@ WITH_CODE = [path for path in WRITTEN if BLOCK.search(path.read_text("utf-8"))]
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def pages(tmp_path_factory):
     """The pages of the site in a folder, those that docs/gallery.py makes too."""
     folder = tmp_path_factory.mktemp("site") / "docs"
     made = shutil.ignore_patterns("gallery", "notebooks", "theory.md", "limits.md")
@@ -45,14 +43,14 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("page", WITH_CODE, ids=lambda page: page.stem)
 def test_the_code_of_a_page_runs(
-    page: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    page,
+    tmp_path,
+    monkeypatch,
+    capsys,
+):
     monkeypatch.chdir(tmp_path)
     known = dict(fem.EFFECTS)
-    namespace: dict[str, object] = {}
+    namespace = {}
     try:
         for block in BLOCK.findall(page.read_text("utf-8")):
             exec(compile(block, page.name, "exec"), namespace)
@@ -67,18 +65,18 @@ def test_the_code_of_a_page_runs(
             assert line.endswith("True")
 
 
-def test_the_pages_with_code_are_those_that_teach() -> None:
+def test_the_pages_with_code_are_those_that_teach():
     teach = {"quick_start", "own_finite_elements", "cookbook", "which_scheme"}
     assert teach <= {page.stem for page in WITH_CODE}
 
 
-def anchors(page: Path) -> set[str]:
+def anchors(page):
     """Names of the headings of a page, as MyST makes them."""
     headings = re.findall(r"^#{1,3} (.*)$", page.read_text("utf-8"), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", one.lower()).replace(" ", "-") for one in headings}
 
 
-def test_links_between_pages_resolve(pages: Path) -> None:
+def test_links_between_pages_resolve(pages):
     count, scenes = 0, list_scenes()
     for page in pages.rglob("*.md"):
         for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text("utf-8")):
@@ -91,7 +89,7 @@ def test_links_between_pages_resolve(pages: Path) -> None:
     assert count > 40
 
 
-def test_every_page_and_notebook_is_in_a_table_of_contents(pages: Path) -> None:
+def test_every_page_and_notebook_is_in_a_table_of_contents(pages):
     listed = set()
     for page in pages.rglob("*.md"):
         for tree in re.findall(r"^```\{toctree\}\n(.*?)```", page.read_text("utf-8"), re.M | re.S):
@@ -102,7 +100,7 @@ def test_every_page_and_notebook_is_in_a_table_of_contents(pages: Path) -> None:
     assert listed == there - {pages / "index"}
 
 
-def test_the_gallery_has_every_scene_with_its_effects_and_its_check(pages: Path) -> None:
+def test_the_gallery_has_every_scene_with_its_effects_and_its_check(pages):
     for name, title in list_scenes().items():
         page = (pages / "gallery" / f"{name}.md").read_text("utf-8")
         assert f"# {title}\n" in page
@@ -113,7 +111,7 @@ def test_the_gallery_has_every_scene_with_its_effects_and_its_check(pages: Path)
         assert set(kinds) <= set(fem.__all__)
 
 
-def test_every_public_name_is_documented_once() -> None:
+def test_every_public_name_is_documented_once():
     text = "\n".join(path.read_text("utf-8") for path in (DOCS / "api").glob("*.md"))
     modules = {"sweepopt": so, "sweepopt.fem": fem, "sweepopt.study": study}
     for block in re.findall(r"\{eval-rst\}\n(.*?)```", text, re.S):
@@ -129,7 +127,7 @@ def test_every_public_name_is_documented_once() -> None:
         assert sorted(names) == sorted(package.__all__)
 
 
-def test_formulas_are_as_tex_reads_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_formulas_are_as_tex_reads_them(monkeypatch):
     pytest.importorskip("docutils.utils.math.latex2mathml")
     monkeypatch.syspath_prepend(DOCS)
     mathml = importlib.import_module("mathml").mathml
@@ -139,9 +137,7 @@ def test_formulas_are_as_tex_reads_them(monkeypatch: pytest.MonkeyPatch) -> None
     assert "\\" not in mathml(r"N_{C(t)}\big(A u'\big), \dots", block=True)
 
 
-def test_commands_on_the_pages_are_understood(
-    pages: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_commands_on_the_pages_are_understood(pages, capsys):
     text = "\n".join(page.read_text("utf-8") for page in pages.rglob("*.md"))
     commands = {*re.findall(r"`(sweepopt \w[^`]*)`", text)}
     assert len(commands) > 15
@@ -159,7 +155,7 @@ def test_commands_on_the_pages_are_understood(
 
 
 @pytest.mark.skipif("SWEEPOPT_SITE" not in os.environ, reason="SWEEPOPT_SITE names no built site")
-def test_a_gallery_page_opens_in_a_browser_and_asks_nobody_for_anything(tmp_path: Path) -> None:
+def test_a_gallery_page_opens_in_a_browser_and_asks_nobody_for_anything(tmp_path):
     site = Path(os.environ["SWEEPOPT_SITE"]).resolve()
     with chromium(tmp_path) as driver:
         driver.get((site / "gallery" / "index.html").as_uri())

@@ -1,12 +1,8 @@
 """Bad input to the problems and the driver: our own error, which names the culprit."""
 
-from __future__ import annotations
-
 import contextlib
 import io
-from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,31 +14,31 @@ EYE = np.eye(2)
 BOX = so.Box([-1, -1], [1, 1])
 
 
-def process(A: Any = EYE, B: Any = EYE, C: Any = BOX, u0: Any = (0, 0)) -> so.SweepingProcess:
+def process(A=EYE, B=EYE, C=BOX, u0=(0, 0)):
     return so.SweepingProcess(A, B, C, u0)
 
 
-def vi(A: Any = EYE, B: Any = EYE, **others: Any) -> so.EvolutionVI:
+def vi(A=EYE, B=EYE, **others):
     return so.EvolutionVI(A, B, **{"u0": [0, 0], **others})
 
 
-def run(problem: Any = None, **others: Any) -> so.Solution:
+def run(problem=None, **others):
     problem = process() if problem is None else problem
     return so.solve(problem, **{"t_end": 1.0, "steps": 4, **others})
 
 
-def sparse_with(value: float) -> sp.csr_array:
+def sparse_with(value):
     return sp.csr_array(np.array([[1.0, value], [value, 1.0]]))
 
 
 class Sublinear(so.Ball):
     """A user's set whose support function is wrong."""
 
-    def support(self, z: np.ndarray) -> float:
+    def support(self, z):
         return super().support(z) + 1.0
 
 
-CASES: list[tuple[str, Callable[[], Any], str]] = [
+CASES = [
     # matrices
     ("A not square", lambda: process(A=np.ones((2, 3))), r"A must be square"),
     ("A with nan", lambda: process(A=[[1, np.nan], [np.nan, 1]]), r"A\[0, 1\] is nan"),
@@ -137,17 +133,17 @@ CASES: list[tuple[str, Callable[[], Any], str]] = [
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 @pytest.mark.parametrize(("call", "message"), [c[1:] for c in CASES], ids=[c[0] for c in CASES])
-def test_bad_input_is_refused_by_name(call: Callable[[], Any], message: str) -> None:
+def test_bad_input_is_refused_by_name(call, message):
     with pytest.raises(so.SweepoptError, match=message):
         call()
 
 
-def test_an_asymmetry_of_rounding_is_taken_out() -> None:
+def test_an_asymmetry_of_rounding_is_taken_out():
     A = process(A=[[1, 0.5], [np.nextafter(0.5, 1), 1]]).A
     assert A[0, 1] == A[1, 0] == pytest.approx(0.5)
 
 
-def test_what_a_callback_returns_is_a_yes_or_a_no() -> None:
+def test_what_a_callback_returns_is_a_yes_or_a_no():
     for wrong in (np.zeros(2), np.ones(3)):
         with pytest.raises(so.InputError, match="callback must return True to stop"):
             run(callback=lambda _, wrong=wrong: wrong)
@@ -160,7 +156,7 @@ def test_what_a_callback_returns_is_a_yes_or_a_no() -> None:
 
 
 @pytest.mark.parametrize("lacks", ["name", "treats", "compile"])
-def test_an_object_that_lacks_a_part_of_a_solver_is_refused(lacks: str) -> None:
+def test_an_object_that_lacks_a_part_of_a_solver_is_refused(lacks):
     parts = {"name", "treats", "compile"} - {lacks}
     half = SimpleNamespace(**dict.fromkeys(parts, lambda *_: None))
     with pytest.raises(so.SolverRefusedError, match=f"it has no {lacks}"):
@@ -172,7 +168,7 @@ BARE = SimpleNamespace(write=len)  # the least that `print` and redirect_stdout 
 
 @pytest.mark.parametrize("stream", [BARE, io.StringIO(), None], ids=["bare", "text", "none"])
 @pytest.mark.parametrize("solver", ["osqp", "cvxpy"])
-def test_output_may_be_redirected_to_anything(stream: Any, solver: str) -> None:
+def test_output_may_be_redirected_to_anything(stream, solver):
     with contextlib.redirect_stdout(stream):
         assert run(process(C=so.Moving(BOX, lambda t: [3 * t, t])), solver=solver).success
     assert not isinstance(stream, io.StringIO) or not stream.getvalue()

@@ -1,25 +1,20 @@
 """The scenes of the library against exact values and independent codes."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import meshio
 import numpy as np
 import pytest
 
 from sweepopt.errors import InputError
-from sweepopt.fem import Scene, read_scene
+from sweepopt.fem import read_scene
 from sweepopt.fem.output import Report, dataset_of, write_vtu
-from sweepopt.results import Solution
 
 
-def isotropic(modulus: float) -> dict[str, Any]:
+def isotropic(modulus):
     """Changes of a scene: all of the hardening is isotropic."""
     return {"effects.plasticity.Hk": 0.0, "effects.plasticity.Hi": modulus}
 
 
-def at_point(scene: Scene, solution: Solution, point: tuple[float, float]) -> np.ndarray:
+def at_point(scene, solution, point):
     space = scene.discretisation
     node = np.argmin(np.linalg.norm(space.points - point, axis=1))
     return scene.displacement(solution)[:, node]
@@ -31,7 +26,7 @@ RING = {20: 0.006869859, 22: 0.044179585, 44: 0.039493079, 66: -0.044175687}
 """Displacement of its inner side by the number of the step, of an independent code."""
 
 
-def test_the_thick_ring_agrees_with_an_independent_code_over_a_cycle() -> None:
+def test_the_thick_ring_agrees_with_an_independent_code_over_a_cycle():
     scene = read_scene("ring")
     sol = scene.solve()
     assert sol.plan.path == "return mapping", "chosen where internal variables are many"
@@ -40,7 +35,7 @@ def test_the_thick_ring_agrees_with_an_independent_code_over_a_cycle() -> None:
     assert u[[*RING]] == pytest.approx([*RING.values()], rel=1e-3)
 
 
-def test_hardening_matters_only_where_the_ring_yields_back() -> None:
+def test_hardening_matters_only_where_the_ring_yields_back():
     modulus = 70e9 * 0.7e9 / (70e9 - 0.7e9)
     both = [read_scene("ring"), read_scene("ring", changes=isotropic(modulus))]
     runs = [scene.solve(t_end=2.8, steps=28) for scene in both]
@@ -65,7 +60,7 @@ HOLE = [
 """Step, point and component of displacements (m), of an independent code."""
 
 
-def test_the_plate_agrees_with_an_independent_code_in_plane_strain() -> None:
+def test_the_plate_agrees_with_an_independent_code_in_plane_strain():
     changes = {"domain.kind": "plane strain", "effects.traction.f2": [0.0, 450e6]}
     scene = read_scene("plate", changes=changes)
     sol = scene.solve(t_end=1.0, steps=18)
@@ -75,7 +70,7 @@ def test_the_plate_agrees_with_an_independent_code_in_plane_strain() -> None:
         assert u == pytest.approx(displacement, rel=1e-3)
 
 
-def test_the_plate_yields_first_beside_the_hole_at_the_tension_of_its_notch_factor() -> None:
+def test_the_plate_yields_first_beside_the_hole_at_the_tension_of_its_notch_factor():
     errors = []
     for refinements in (0, 1):
         scene = read_scene("plate", changes={"domain.refinements": refinements})
@@ -95,7 +90,7 @@ def test_the_plate_yields_first_beside_the_hole_at_the_tension_of_its_notch_fact
     assert errors[1] < 0.6 * errors[0]
 
 
-def test_what_a_run_of_plasticity_leaves_names_the_plastic_strain(tmp_path: Any) -> None:
+def test_what_a_run_of_plasticity_leaves_names_the_plastic_strain(tmp_path):
     scene = read_scene("plate")
     sol = scene.solve(t_end=1.0, steps=4)
     report, strain = Report(scene, sol, "plate"), scene.plastic_strain(sol)
@@ -115,8 +110,8 @@ def test_what_a_run_of_plasticity_leaves_names_the_plastic_strain(tmp_path: Any)
 
 @pytest.mark.parametrize("hardening", [{}, isotropic(1e10)], ids=["kinematic", "isotropic"])
 def test_a_plate_that_starts_where_a_run_ended_goes_on_with_its_plastic_strains(
-    hardening: dict[str, float], tmp_path: Any
-) -> None:
+    hardening, tmp_path
+):
     scene = read_scene("plate", changes=hardening)
     whole, first = scene.solve(t_end=2.0, steps=4), scene.solve(t_end=1.0, steps=2)
     dataset_of(Report(scene, first)).to_netcdf(tmp_path / "solution.nc", engine="h5netcdf")
@@ -128,7 +123,7 @@ def test_a_plate_that_starts_where_a_run_ended_goes_on_with_its_plastic_strains(
     np.testing.assert_allclose(second.u[-1], whole.u[-1], atol=1e-8 * np.abs(whole.u[-1]).max())
 
 
-def test_an_eigenstrain_beside_plasticity_is_refused_in_plane_stress() -> None:
+def test_an_eigenstrain_beside_plasticity_is_refused_in_plane_stress():
     heat = {"history": {"waveform": "constant"}, "strain": 1e-3, "E": 206.9e9, "nu": 0.29}
     with pytest.raises(InputError, match="effects: in plane stress an eigenstrain beside plast"):
         read_scene("plate", changes={"effects.eigenstrain": heat})

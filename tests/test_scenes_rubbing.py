@@ -1,7 +1,5 @@
 """The scenes of problems/ against exact solutions and independent programs."""
 
-from __future__ import annotations
-
 import cvxpy as cp
 import numpy as np
 import pytest

@@ -1,10 +1,6 @@
 """Hard trajectories: the judge against the inclusion, every scheme against the judge."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator, Sequence
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,18 +13,17 @@ from sweepopt.study.hard.suite import GOOD
 from sweepopt.study.hard.trajectories import (
     TRAJECTORIES,
     Case,
-    TrajectoryRow,
     TrajectoryStudy,
 )
 
 SHORT = sorted({*TRAJECTORIES} - {"thousand_cycles"})
 
 
-def runs(name: str, seed: int, schemes: Sequence[str]) -> Iterator[TrajectoryRow]:
+def runs(name, seed, schemes):
     return TrajectoryStudy([seed], [name], schemes).rows()
 
 
-def checked(name: str, seed: int, schemes: tuple[str, ...] = ("auto", *SCHEMES)) -> None:
+def checked(name, seed, schemes=("auto", *SCHEMES)):
     for row in runs(name, seed, schemes):
         assert row.verdict in GOOD, row
         # those that rest falsely are known, and say so; "auto" is none of them
@@ -44,8 +39,8 @@ def checked(name: str, seed: int, schemes: tuple[str, ...] = ("auto", *SCHEMES))
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 @pytest.mark.parametrize("name", sorted({*SHORT} - {"singular", "no_viscosity_outside"}))
 def test_the_exact_trajectory_satisfies_the_inclusion_and_is_what_runs_are_judged_by(
-    name: str,
-) -> None:
+    name,
+):
     case, random = Case(TRAJECTORIES[name], np.random.default_rng(5)), np.random.default_rng(0)
     process = case.process()
     found = exact(process, None, steps=case.t)
@@ -61,9 +56,7 @@ def test_the_exact_trajectory_satisfies_the_inclusion_and_is_what_runs_are_judge
 
 
 @pytest.mark.parametrize(("turn", "name"), [*enumerate(SHORT)])
-def test_every_scheme_has_the_error_that_it_should_have(
-    turn: int, name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_scheme_has_the_error_that_it_should_have(turn, name, monkeypatch):
     monkeypatch.setattr(trajectories, "BOUNDED", 0)  # bounds take ten times as long as all the rest
     named = [*SCHEMES]  # "auto" and one of them in turn here, all of them with -m slow
     checked(name, 0, ("auto", named[turn % len(named)]))
@@ -72,13 +65,11 @@ def test_every_scheme_has_the_error_that_it_should_have(
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("name", TRAJECTORIES)
-def test_every_scheme_has_the_error_that_it_should_have_for_every_seed(
-    name: str, seed: int
-) -> None:
+def test_every_scheme_has_the_error_that_it_should_have_for_every_seed(name, seed):
     checked(name, seed)
 
 
-def test_midpoint_rests_falsely_on_stiff_bodies_and_warns_from_ten_thirds_on() -> None:
+def test_midpoint_rests_falsely_on_stiff_bodies_and_warns_from_ten_thirds_on():
     for stiffness, warned in ((3.3, False), (3.4, True), (1e3, True)):
         with pytest.MonkeyPatch.context() as patch:
             changed = TRAJECTORIES["ordinary"] | {"mu_Lam": stiffness}
@@ -89,7 +80,7 @@ def test_midpoint_rests_falsely_on_stiff_bodies_and_warns_from_ten_thirds_on() -
     assert midpoint.false_sticks > 0
 
 
-def test_bounds_are_above_the_error_of_few_steps() -> None:
+def test_bounds_are_above_the_error_of_few_steps():
     names = ["ordinary", "stiff", "no_viscosity", "closing"]
     schemes = ["catching-up", "implicit-euler", "sdirk2"]
     rows = [row for name in names for row in runs(name, 3, schemes)]
@@ -98,11 +89,11 @@ def test_bounds_are_above_the_error_of_few_steps() -> None:
     assert min(ratios) >= 1.0
 
 
-def test_the_judge_sees_what_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
-    def lie(scheme: str = "implicit-euler", **changes: Any) -> TrajectoryRow:
+def test_the_judge_sees_what_is_wrong(monkeypatch):
+    def lie(scheme="implicit-euler", **changes):
         """A run of which something is not that of the library."""
 
-        def lying(*process: Any, **settings: Any) -> Any:
+        def lying(*process, **settings):
             sol = so.solve(*process, **settings)
             said = {name: getattr(sol, name) for name in ("u", "velocity", "energy", "error_bound")}
             said |= {name: getattr(sol, name) for name in ("plan", "stats", "success", "message")}
@@ -111,21 +102,21 @@ def test_the_judge_sees_what_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(suite, "solve", lying)
         return next(runs("ordinary", 0, [scheme]))
 
-    def euler(sol: so.Solution) -> np.ndarray:
-        how: Any = {"t_end": sol.t[-1], "steps": len(sol.velocity)}
+    def euler(sol):
+        how = {"t_end": sol.t[-1], "steps": len(sol.velocity)}
         return so.solve(sol.process, **how, scheme="implicit-euler").u
 
-    def at_rest(sol: so.Solution) -> np.ndarray:
+    def at_rest(sol):
         return np.where(np.arange(len(sol.velocity))[:, None] % 7, sol.velocity, 0.0)
 
-    def never_at_rest(sol: so.Solution) -> np.ndarray:
+    def never_at_rest(sol):
         return np.where(sol.velocity == 0, 1e-3, sol.velocity)
 
-    def low_bound(sol: so.Solution) -> Any:
+    def low_bound(sol):
         bound = sol.error_bound()
         return lambda: type(bound).make("", bound.t, 0.5 * bound.of_t, bound.B, 0.0)
 
-    def unbalanced(sol: so.Solution) -> Any:
+    def unbalanced(sol):
         energy = sol.energy()
         return lambda: energy._replace(viscous=1.5 * energy.viscous)
 
@@ -139,7 +130,7 @@ def test_the_judge_sees_what_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
     assert lie(success=lambda _: False).verdict.startswith("stopped: ")
 
 
-def test_what_must_be_refused_is_missed_if_it_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_must_be_refused_is_missed_if_it_is_not(monkeypatch):
     keys = TRAJECTORIES["ordinary"] | {"steps": 5, "refused": "IndefiniteError"}
     monkeypatch.setitem(TRAJECTORIES, "ordinary", keys)
     (row,) = runs("ordinary", 0, ["midpoint"])
