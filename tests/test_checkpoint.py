@@ -529,7 +529,7 @@ def test_a_second_run_on_the_name_is_refused_and_the_first_goes_on(tmp_path):
 @pytest.mark.slow
 def test_a_second_process_is_refused_and_the_first_goes_on(tmp_path):
     path, (process, settings) = tmp_path / "run.npz", arguments("proportional")
-    code = CHILD.format(tests=str(HERE), name="proportional", path=str(path), steps=40_000, every=5)
+    code = CHILD.format(tests=str(HERE), name="proportional", path=str(path), steps=4000, every=5)
     with subprocess.Popen([sys.executable, "-c", code]) as child:
         while not path.exists():
             assert child.poll() is None

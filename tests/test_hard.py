@@ -78,7 +78,7 @@ def test_hard_families_are_met_for_every_seed_and_solver(family, seed):
     assert wrong(judged(family, seeds=[seed])) == []
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_combinations_drawn_by_chance_are_met(seed):
     found = judged("unbounded", seeds=[seed], solvers=["auto", "osqp", "clarabel"], combinations=4)
     assert len({row.drawn for row in found}) == 5
