@@ -49,6 +49,7 @@ def test_the_code_of_a_page_runs(
     capsys,
 ):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sweepopt.plot.MOST_FRAMES", 4)  # of animations
     known = dict(fem.EFFECTS)
     namespace = {}
     try:
