@@ -6,7 +6,6 @@ import json
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -29,16 +28,21 @@ class Case:
     errors: dict[str, dict[str, float]]
     polyhedral: bool
 
-    def exact(self, n: int) -> np.ndarray:
+    def exact(self, n):
         """u on the grid of n steps, shape (n+1, dim)."""
         return _grids()[f"{self.name}_{n}"]
 
-    def error(self, sol: so.Solution) -> float:
+    def error(self, sol):
         """max_i |u_i - u(t_i)| in the norm of A, of B where A = 0."""
         return max(map(self.process.metric.norm, sol.u - self.exact(len(sol.t) - 1)))
 
 
-def embedded(this: Case, others: int = 9) -> so.SweepingProcess:
+def block(load, A=0.5, B=2.0, u0=0.0):
+    """One unknown in the interval of half width 1 around a load."""
+    return so.SweepingProcess(A, B, so.Moving(so.Box(-1, 1), load), u0)
+
+
+def embedded(this, others=9):
     """The case as the contact of a larger body, which moves it as if it were alone.
 
     In coordinates u = T y with y = (case, rest) the rest has its own A and B and no load, so that
@@ -53,7 +57,7 @@ def embedded(this: Case, others: int = 9) -> so.SweepingProcess:
     inner = inner @ inner.T + np.eye(others)
     back = np.linalg.inv(mix)
 
-    def grown(part: Any, rate: float) -> np.ndarray:
+    def grown(part, rate):
         whole = np.zeros((dim, dim))
         whole[:others, :others] = rate * inner
         whole[others:, others:] = part
@@ -63,7 +67,7 @@ def embedded(this: Case, others: int = 9) -> so.SweepingProcess:
     B = np.zeros((m, m)) if alone.B is None else alone.B
     ratio = np.trace(B) / np.trace(alone.A) if alone.A.any() else 1.0
     E = np.eye(dim)[others:]
-    C: Any = so.image(E.T, alone.C)
+    C = so.image(E.T, alone.C)
     if isinstance(alone.C, so.Moving):
         load = [(lambda t, k=k: alone.C.center_at(t)[k], E[k]) for k in range(m)]
         C = so.Moving(so.image(E.T, alone.C.shape), so.Separable(load))
@@ -71,7 +75,7 @@ def embedded(this: Case, others: int = 9) -> so.SweepingProcess:
     return so.SweepingProcess(A, grown(B, ratio), C, mix[:, others:] @ alone.u0)
 
 
-def as_function(C: Any) -> Any:
+def as_function(C):
     """C(t) with its load as a function of which nothing else is known."""
     if isinstance(C, so.Moving):
         return (
@@ -81,13 +85,13 @@ def as_function(C: Any) -> Any:
 
 
 @cache
-def _grids() -> dict[str, np.ndarray]:
+def _grids():
     with np.load(DATA / "reference_grids.npz") as grids:
         return dict(grids)
 
 
 @cache
-def case(name: str) -> Case:
+def case(name):
     """The reference case of that name."""
     data, C = REFERENCE[name], as_function(problem(name).process().C)
     return Case(
@@ -102,7 +106,7 @@ def case(name: str) -> Case:
 # ---- random processes -------------------------------------------------------------------------
 
 
-def random_matrix(random: np.random.Generator, n: int, rank: int | None = None) -> np.ndarray:
+def random_matrix(random, n, rank=None):
     turn = np.linalg.qr(random.normal(size=(n, n)))[0]
     values = 10 ** random.uniform(-1, 1, n)
     values[rank:] = values[rank:] * (rank is None)
@@ -110,10 +114,10 @@ def random_matrix(random: np.random.Generator, n: int, rank: int | None = None) 
     return 0.5 * (M + M.T)
 
 
-def random_history(random: np.random.Generator, a: float, b: float, whole: bool) -> Any:
+def random_history(random, a, b, whole):
     """A load on [a, b]; in whole numbers, which meet thresholds exactly, from 0 at 0 on."""
     if whole:
-        kinds: list[Any] = [
+        kinds = [
             so.Triangle(float(random.integers(1, 4)), float(random.choice([4, 6, 8]))),
             so.Table(np.arange(13.0), np.append(0.0, np.cumsum(random.integers(-1, 2, 12)))),
             so.Sine(float(random.integers(1, 4)), float(random.choice([4, 6, 12]))),
@@ -130,7 +134,7 @@ def random_history(random: np.random.Generator, a: float, b: float, whole: bool)
     return kinds[random.integers(len(kinds))]
 
 
-def random_set(random: np.random.Generator, n: int, polyhedral: bool, whole: bool) -> so.ConvexSet:
+def random_set(random, n, polyhedral, whole):
     low, up = random.integers(0, 2, (2, n)) if whole else random.uniform(0.1, 2, size=(2, n))
     first, ones = np.eye(n)[:, :1], np.ones(n)
     G, h = random.normal(size=(n + 2, n)), random.uniform(0.2, 1.5, n + 2)
@@ -138,7 +142,7 @@ def random_set(random: np.random.Generator, n: int, polyhedral: bool, whole: boo
         G, h = np.vstack([first.T, random.integers(-1, 2, (2 * n, n))]), 1.0
         G = G[np.abs(G).sum(axis=1) > 0]
         G, h = np.vstack([G, 2.5 * G]), np.repeat([1, 2.5], len(G))
-    kinds: list[Any] = [
+    kinds = [
         lambda: so.Box(-low, up),
         lambda: so.Box(-low, np.where(random.random(n) < 0.5, np.inf, up)),
         lambda: so.Orthant(n) - (0 if whole else 1) * ones,
@@ -159,9 +163,7 @@ def random_set(random: np.random.Generator, n: int, polyhedral: bool, whole: boo
     return kinds[random.integers(len(kinds))]()
 
 
-def random_process(
-    seed: int, rate_independent: bool | None = None, polyhedral: bool = False, whole: bool = False
-) -> tuple[so.SweepingProcess, np.ndarray]:
+def random_process(seed, rate_independent=None, polyhedral=False, whole=False):
     """A process and a coarse, uneven grid; polyhedral sets under loads in closed form, or any."""
     random = np.random.default_rng(seed)
     n, a = int(random.integers(1, 6)), 0.0 if whole else float(random.choice([0.0, -1.3, 2.7]))
@@ -178,7 +180,7 @@ def random_process(
     if rate_independent:
         A, B = 0 * A, A
 
-    def vector(size: int) -> np.ndarray:
+    def vector(size):
         return random.integers(-1, 2, size) * 1.0 if whole else random.normal(size=size)
 
     load = [(random_history(random, a, b, whole), vector(n)) for _ in range(2)]
@@ -187,7 +189,7 @@ def random_process(
         scale = so.Sine(0.5, b - a, 0.0, 1.2)
     if not polyhedral and random.random() < 0.2:
         load[0] = Spiral(0.4, 6 / (b - a), random.uniform(0, 6)), load[0][1]
-    C: Any = so.Moving(random_set(random, n, polyhedral, whole), so.Separable(load), scale)
+    C = so.Moving(random_set(random, n, polyhedral, whole), so.Separable(load), scale)
     if polyhedral and random.random() < 0.2:
         m = int(random.integers(1, 3 * n + 2))
         h = [(so.Constant(2.0), np.ones(m)), (so.Triangle(1.0, 4.0), np.sign(vector(m)))]

@@ -2,7 +2,6 @@
 
 import os
 import sys
-from collections.abc import Iterator
 
 import pytest
 
@@ -10,7 +9,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before a worker imports numpy
 
 
 @pytest.fixture(autouse=True)
-def _figures_are_closed() -> Iterator[None]:
+def _figures_are_closed():
     """pyplot keeps every figure, and warns of the 21st."""
     yield
     if "matplotlib.pyplot" in sys.modules:

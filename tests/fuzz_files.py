@@ -1,6 +1,4 @@
-"""Files that are nearly right: scenes, studies, tables, meshes and checkpoints, with damage."""
-
-from __future__ import annotations
+"""Files that are nearly right: scenes, studies, tables and meshes, with damage."""
 
 import copy
 import re
@@ -12,8 +10,6 @@ from fuzz_inputs import INF, LONG, NAN, made, rarely
 from fuzz_judge import check_run
 from hypothesis import strategies as st
 
-import sweepopt as so
-from sweepopt import resume
 from sweepopt.fem import read_mesh, read_scene
 from sweepopt.io import find_scene, find_study, read_toml
 from sweepopt.loads import Table
@@ -36,8 +32,8 @@ history = { table = { t = [0.0, 60.0, 120.0], values = [0.0, 1.0, 0.0] } }
 """
 
 
-def write_seeds(folder: Path) -> None:
-    """The files that are damaged later: a small tube, its loads, its meshes, a checkpoint."""
+def write_seeds(folder):
+    """The files that are damaged later: a small tube, its loads, its meshes."""
     for path in (DATA / "gmsh").glob("*.msh"):
         (folder / path.name).write_bytes(path.read_bytes())
     (folder / "tube.msh").write_bytes((DATA / "gmsh" / "tube_2.2.msh").read_bytes())
@@ -49,13 +45,6 @@ def write_seeds(folder: Path) -> None:
     (folder / "full.toml").write_text(full + FULL)
     for name in ("accuracy", "hard"):
         (folder / f"{name}.toml").write_text(find_study(name).read_text())
-    so.solve(body(), t_end=1.0, steps=12, checkpoint=so.Checkpoint(folder / "run.npz", steps=3))
-
-
-def body() -> so.SweepingProcess:
-    """The process of the checkpoint."""
-    f = so.Separable([(so.Sine(3.0, 1.0), [1.0, 0.5])])
-    return so.SweepingProcess(np.eye(2), np.eye(2), so.Moving(so.Box([-1, -1], [1, 1]), f), [0, 0])
 
 
 # ---- damage ---------------------------------------------------------------------------------
@@ -77,9 +66,7 @@ DAMAGES = st.lists(
 )
 
 
-def damage(
-    content: bytes, pattern: bytes, how: str, share: float, more: float, new: bytes
-) -> bytes:
+def damage(content, pattern, how, share, more, new):
     parts = re.findall(pattern, content, re.DOTALL) or [b""]
     k, other = (int(x * (len(parts) - 1)) for x in (share, more))
     part = parts[k]
@@ -97,7 +84,7 @@ def damage(
     return b"".join(parts)
 
 
-def damaged(folder: Path, name: str, damages: list[Damage]) -> Path:
+def damaged(folder, name, damages):
     """The file after all of it, beside its neighbours."""
     content = (folder / name).read_bytes()
     for one in damages:
@@ -109,7 +96,7 @@ def damaged(folder: Path, name: str, damages: list[Damage]) -> Path:
 
 # ---- scenes and studies ---------------------------------------------------------------------
 
-DEEP: Any = 1.0
+DEEP = 1.0
 for _ in range(300):
     DEEP = [DEEP]
 VALUES = [NAN, INF, -INF, 1e300, -1e300, 5e-324, 10**400, LONG, 0, -1, 1, 2.5, True, None, ""]
@@ -125,7 +112,7 @@ WHAT = st.sampled_from(["set", "set", "set", "set", "drop", "rename", "wrap"])
 CHANGES = st.lists(st.tuples(st.integers(0, 60), WHAT, st.sampled_from(VALUES)), max_size=2)
 
 
-def change(data: dict[str, Any], at: int, how: str, value: Any) -> None:
+def change(data, at, how, value):
     """A key of a nest of tables gets another value, is dropped or renamed."""
     places = list(_places(data))
     if not places:
@@ -139,7 +126,7 @@ def change(data: dict[str, Any], at: int, how: str, value: Any) -> None:
         table[key] = [table[key]] if how == "wrap" else copy.deepcopy(made(value))
 
 
-def _places(data: Any) -> Any:
+def _places(data):
     keys = data if isinstance(data, dict) else range(len(data))
     for key in list(keys):
         yield data, key
@@ -151,7 +138,7 @@ SCENES = st.sampled_from(["tube.toml", "full.toml"])
 STUDIES = st.sampled_from(["accuracy.toml", "hard.toml"])
 
 
-def ask_scene(folder: Path, name: str, file: tuple[list[Damage], list[Change]]) -> None:
+def ask_scene(folder, name, file):
     """A scene that is read is simulated, for three steps."""
     damages, changes = file
     if changes:
@@ -164,7 +151,7 @@ def ask_scene(folder: Path, name: str, file: tuple[list[Damage], list[Change]]) 
     check_run(scene.solve(steps=3))
 
 
-def ask_study(folder: Path, name: str, file: tuple[list[Damage], list[Change]]) -> None:
+def ask_study(folder, name, file):
     """A study that is read has cells; its problems are found."""
     damages, changes = file
     path = damaged(folder, name, damages)
@@ -177,10 +164,10 @@ def ask_study(folder: Path, name: str, file: tuple[list[Damage], list[Change]]) 
         assert read_study(path).cells()
 
 
-# ---- tables, meshes, checkpoints --------------------------------------------------------------
+# ---- tables, meshes ---------------------------------------------------------------------------
 
 
-def ask_table(folder: Path, damages: list[Damage], column: Any, scale: Any) -> None:
+def ask_table(folder, damages, column, scale):
     """A table that is read is finite and increases."""
     table = Table.from_csv(damaged(folder, "tube_loads.csv", damages), column, scale=scale)
     assert (np.diff(table.times) > 0).all()
@@ -188,7 +175,7 @@ def ask_table(folder: Path, damages: list[Damage], column: Any, scale: Any) -> N
     assert np.isfinite(table(table.times)).all()
 
 
-def ask_mesh(folder: Path, name: str, damages: list[Damage]) -> None:
+def ask_mesh(folder, name, damages):
     """A mesh that is read has finite nodes and triangles that name them."""
     mesh = read_mesh(damaged(folder, name, damages))
     assert np.isfinite(mesh.doflocs).all()
@@ -197,14 +184,6 @@ def ask_mesh(folder: Path, name: str, damages: list[Damage]) -> None:
         assert members.max(initial=0) < mesh.facets.shape[1]
     for members in (mesh.subdomains or {}).values():
         assert members.max(initial=0) < mesh.nelements
-
-
-def ask_checkpoint(folder: Path, damages: list[Damage]) -> None:
-    """A checkpoint that is read continues to the same answer bit for bit."""
-    path = damaged(folder, "run.npz", damages)
-    path.with_name(path.name + ".previous").unlink(missing_ok=True)
-    found, whole = resume(path, body()), resume(folder / "run.npz", body())
-    assert found.u.tobytes() == whole.u.tobytes()
 
 
 COLUMNS = rarely(st.just("f2"), st.sampled_from(["f9", "", 3, None, "t", "command"]), 8)

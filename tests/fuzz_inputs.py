@@ -34,19 +34,19 @@ class Call:
     args: tuple[Any, ...] = ()
     keywords: dict[str, Any] = field(default_factory=dict)
 
-    def make(self) -> Any:
+    def make(self):
         return self.function(*made(self.args), **made(self.keywords))
 
-    def __repr__(self) -> str:
+    def __repr__(self):
         words = [repr(arg) for arg in self.args]
         words += [f"{key}={value!r}" for key, value in self.keywords.items()]
         return f"{self.name}({', '.join(words)})"
 
-    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+    def _repr_pretty_(self, printer, cycle):
         printer.text(repr(self))  # how hypothesis shows a failure
 
 
-def made(value: Any) -> Any:
+def made(value):
     """The value with the calls in it made."""
     if isinstance(value, Call):
         return value.make()
@@ -61,7 +61,7 @@ LONG = Call("pow", pow, (10, 5000))  # Python refuses to print it
 
 
 @st.composite
-def call(draw: Any, name: str, *args: Any, **keywords: Any) -> Call:
+def call(draw, name, *args, **keywords):
     """Calls of a name of sweepopt whose arguments are drawn."""
     drawn = {key: draw(one) for key, one in keywords.items()}
     return Call(f"so.{name}", getattr(so, name), tuple(map(draw, args)), drawn)
@@ -75,7 +75,7 @@ class Late:
     wrong: Any
     t: float
 
-    def __call__(self, t: float) -> Any:
+    def __call__(self, t):
         if t < self.t:
             return made(self.right)
         if self.wrong is MineError:
@@ -89,7 +89,7 @@ class Ramp:
 
     v: tuple[float, ...]
 
-    def __call__(self, t: float) -> np.ndarray:
+    def __call__(self, t):
         return t * np.array(self.v)
 
 
@@ -107,22 +107,22 @@ ANYTHING = st.sampled_from(ODD)
 
 
 @st.composite
-def rarely(draw: Any, usual: Any, strange: Any, odds: int = 24) -> Any:
+def rarely(draw, usual, strange, odds=24):
     """Mostly the one, seldom the other; shrinks to the one."""
     return draw(strange if draw(st.integers(0, odds)) == odds else usual)
 
 
-def positive(strange: bool = True) -> st.SearchStrategy[Any]:
+def positive(strange=True):
     usual = st.sampled_from([1.0, 0.5, 2.0, 3, 0.1, 10.0])
     return rarely(usual, st.sampled_from(ODD_NUMBERS)) if strange else usual
 
 
-def number() -> st.SearchStrategy[Any]:
+def number():
     return rarely(RIGHT, st.sampled_from(ODD_NUMBERS))
 
 
 @st.composite
-def vector(draw: Any, dim: int, strange: bool = True, low: float = -3.0) -> Any:
+def vector(draw, dim, strange=True, low=-3.0):
     """An array_like of dim numbers, of any kind that numpy takes or does not."""
     usual = st.floats(low, 3.0, width=16)
     entries = draw(st.lists(usual, min_size=dim, max_size=dim))
@@ -146,7 +146,7 @@ def vector(draw: Any, dim: int, strange: bool = True, low: float = -3.0) -> Any:
 
 
 @st.composite
-def definite(draw: Any, dim: int, strange: bool = True) -> Any:
+def definite(draw, dim, strange=True):
     """A symmetric positive definite matrix in one of many forms, or something near it."""
     shift = draw(st.sampled_from([0.5, 1.0, 3.0]))
     root = np.array(draw(st.lists(st.integers(-2, 2), min_size=dim**2, max_size=dim**2)))
@@ -180,7 +180,7 @@ def definite(draw: Any, dim: int, strange: bool = True) -> Any:
 
 
 @st.composite
-def sparse(draw: Any, M: np.ndarray) -> Call:
+def sparse(draw, M):
     """M in any sparse format: entries in two parts, explicit zeros, now and then a wrong one."""
     rows, columns = (np.tile(axis.ravel(), 2) for axis in np.indices(M.shape))
     data = np.tile(M.ravel() / 2, 2)
@@ -190,7 +190,7 @@ def sparse(draw: Any, M: np.ndarray) -> Call:
     form = draw(st.sampled_from(FORMATS))
     dtype = draw(rarely(st.just(float), st.sampled_from([np.float32, complex, int]), 6))
 
-    def build(data: Any) -> Any:
+    def build(data):
         entries = np.array(data).astype(dtype)
         return sp.coo_matrix((entries, (rows, columns)), shape=M.shape).asformat(form)
 
@@ -200,12 +200,12 @@ def sparse(draw: Any, M: np.ndarray) -> Call:
 # ---- histories ------------------------------------------------------------------------------
 
 
-def entries(t: Any) -> int:
+def entries(t):
     """How many there are in the first axis and below, ragged or not."""
     return np.array(t, dtype=object).size
 
 
-def history() -> st.SearchStrategy[Call]:
+def history():
     """Scalar functions of time as data."""
     n = number()
     times = rarely(st.sampled_from([[0.0, 1.0], [0, 0.5, 1, 4], [-1, 9]]), vector(3))
@@ -219,7 +219,7 @@ def history() -> st.SearchStrategy[Call]:
 
 
 @st.composite
-def function(draw: Any, dim: int) -> Any:
+def function(draw, dim):
     """A function of time: data, a plain one, one that goes wrong."""
     kind = draw(st.integers(0, 9))
     if kind < 4:

@@ -1,14 +1,10 @@
 """The property: in time a right answer, or an error of the library's own."""
 
-from __future__ import annotations
-
 import faulthandler
 import math
 import signal
 import warnings
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 from fuzz_inputs import MineError
@@ -24,13 +20,13 @@ class Hang(BaseException):
 
 
 @contextmanager
-def limited(seconds: float) -> Iterator[None]:
+def limited(seconds):
     """End what takes longer: by a signal, and if no Python code runs any more by the process.
 
     The signal counts the time of this process, so that a busy machine hangs nothing.
     """
 
-    def stop(*_: Any) -> None:
+    def stop(*_):
         raise Hang(f"no answer in {seconds:g} s")
 
     before = signal.signal(signal.SIGPROF, stop)
@@ -44,7 +40,7 @@ def limited(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGPROF, before)
 
 
-def judge(question: Callable[[], None], right: bool = False) -> None:
+def judge(question, right=False):
     """Ask: a right answer (the question asserts that it is) or an error of the library's own.
 
     An exception that a user's own function raises passes through the library as it is; where
@@ -65,7 +61,7 @@ def judge(question: Callable[[], None], right: bool = False) -> None:
             assert "Traceback" not in message, message
 
 
-def check_run(sol: so.Solution) -> None:
+def check_run(sol):
     assert sol.status is not None
     for name in ("t", "u", "velocity"):
         assert np.isfinite(getattr(sol, name)).all(), f"{name} is not finite"
@@ -82,7 +78,7 @@ def check_run(sol: so.Solution) -> None:
         _check_inclusion(sol, i, z, scheme.a[0][-1], scheme.c[0])
 
 
-def _check_inclusion(sol: so.Solution, i: int, z: np.ndarray, a: float, c: float) -> None:
+def _check_inclusion(sol, i, z, a, c):
     """-z in N_C(w), w = M z + q: w = P_C(w - s z) for any s > 0, as far as the certificate says."""
     process, mu = sol.process, float(sol.t[i + 1] - sol.t[i])
     t = float(sol.t[i]) + c * mu

@@ -1,9 +1,6 @@
 """Recipes of problems and runs, and what is asked of them."""
 
-from __future__ import annotations
-
 from contextlib import suppress
-from typing import Any
 
 import numpy as np
 from fuzz_inputs import (
@@ -31,7 +28,7 @@ import sweepopt as so
 # ---- sets and histories ---------------------------------------------------------------------
 
 
-def ask_set(recipe: Any, z: Any, w: Any) -> None:
+def ask_set(recipe, z, w):
     """Support and projection are finite and fit: w - P(w) is normal to C at P(w)."""
     C = made(recipe)
     if isinstance(C, so.MovingSet):
@@ -61,7 +58,7 @@ def ask_set(recipe: Any, z: Any, w: Any) -> None:
         C.polar()
 
 
-def ask_history(recipe: Any, a: Any, b: Any) -> None:
+def ask_history(recipe, a, b):
     """Values are finite and lie within the variation."""
     phi = made(recipe)
     start, end = phi(a), phi(b)
@@ -81,7 +78,7 @@ def ask_history(recipe: Any, a: Any, b: Any) -> None:
 
 
 @st.composite
-def problem(draw: Any, dim: int | None = None) -> Call:
+def problem(draw, dim=None):
     """A process or a variational inequality."""
     dim = draw(st.integers(1, 3)) if dim is None else dim
     u0 = rarely(st.just([0.0] * dim), vector(dim), 3)
@@ -102,7 +99,7 @@ def problem(draw: Any, dim: int | None = None) -> Call:
 
 
 @st.composite
-def right_run(draw: Any) -> tuple[Call, dict[str, Any]]:
+def right_run(draw):
     """A run with nothing wrong in it: bounded sets, moderate numbers."""
     dim = draw(st.integers(1, 3))
     size = st.sampled_from([0.5, 1.0, 2.0])
@@ -145,7 +142,7 @@ SOLVED = [so.Clarabel(tol=1e-10), so.OSQP(max_iter=50), so.Newton(), so.Cvxpy("S
 
 
 @st.composite
-def options(draw: Any) -> dict[str, Any]:
+def options(draw):
     """Arguments of solve, most left out."""
     odd = {
         "t_end": st.sampled_from([*ODD_NUMBERS, 1e-9, 1e9, 100.0]),
@@ -168,14 +165,14 @@ def options(draw: Any) -> dict[str, Any]:
 
 
 @st.composite
-def adaptive(draw: Any) -> Call:
+def adaptive(draw):
     """Steps that are chosen."""
     tol = rarely(st.sampled_from([0.5, 0.1, 0.02]), st.sampled_from(ODD_NUMBERS), 5)
     limit = rarely(st.none(), st.sampled_from([*ODD_NUMBERS, 0.2]), 4)
     return draw(call("Adaptive", tol, limit, limit))
 
 
-def ask_run(recipe: Any, chosen: dict[str, Any], later: Any = None) -> None:
+def ask_run(recipe, chosen, later=None):
     """A run is finite and certified, its velocities satisfy the inclusion by the set's laws."""
     sol = so.solve(made(recipe), **made(chosen))
     check_run(sol)
@@ -183,7 +180,7 @@ def ask_run(recipe: Any, chosen: dict[str, Any], later: Any = None) -> None:
         ask_later(sol, *later)
 
 
-def ask_right(recipe: Any, chosen: dict[str, Any]) -> None:
+def ask_right(recipe, chosen):
     """A run with nothing wrong in it agrees with plain cvxpy."""
     process = made(recipe)
     sol, reference = (
@@ -195,7 +192,7 @@ def ask_right(recipe: Any, chosen: dict[str, Any]) -> None:
     np.testing.assert_allclose(sol.u, reference.u, rtol=0, atol=1e-5 * size)
 
 
-def later() -> st.SearchStrategy[tuple[str, Any]]:
+def later():
     """What is asked of a solution afterwards."""
     times = rarely(st.sampled_from([0.5, [0.0, 1.0], [0.25, 0.75], 1.0]), ANYTHING, 2)
     variation = st.one_of(
@@ -208,7 +205,7 @@ def later() -> st.SearchStrategy[tuple[str, Any]]:
     )
 
 
-def ask_later(sol: so.Solution, name: str, argument: Any) -> None:
+def ask_later(sol, name, argument):
     if name == "energy":
         assert np.isfinite(sol.energy().balance).all()
     elif name == "error_bound":
@@ -221,14 +218,14 @@ def ask_later(sol: so.Solution, name: str, argument: Any) -> None:
         assert name == "residual" or np.isfinite(found).all()
 
 
-def ask_field(recipe: Any, t: Any, u: Any, tol: Any) -> None:
+def ask_field(recipe, t, u, tol):
     """A velocity at any time and state."""
     velocity = so.velocity_field(made(recipe), **({} if tol is None else {"tol": tol}))
     z = velocity(t, u)
     assert np.isfinite(z).all()
 
 
-def ask_problem(recipe: Any, times: Any) -> None:
+def ask_problem(recipe, times):
     """Conversions and constants of a problem."""
     process = made(recipe).as_sweeping()
     assert process.beta >= 0
@@ -241,7 +238,7 @@ def ask_problem(recipe: Any, times: Any) -> None:
     assert bound.value >= 0
 
 
-def fields() -> st.SearchStrategy[tuple[Any, ...]]:
+def fields():
     return st.integers(1, 3).flatmap(
         lambda dim: st.tuples(
             problem(dim), number(), vector(dim), rarely(st.none(), st.sampled_from(ODD_NUMBERS), 4)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import operator
 from dataclasses import dataclass
-from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -34,7 +33,7 @@ class Built:
 
     what: str
 
-    def __call__(self, w: Any) -> Any:
+    def __call__(self, w):
         if self.what == "fails":
             raise MineError
         many = {"ball": [cp.norm(w) <= 1], "empty": [w >= 1, w <= 0], "concave": [cp.norm(w) >= 1]}
@@ -46,7 +45,7 @@ NO_CONSTRAINTS = [Built("empty"), Built("concave"), Built("fails"), Built("words
 
 
 @st.composite
-def shape(draw: Any, dim: int, strange: bool = True) -> Call:
+def shape(draw, dim, strange=True):
     """A set that does not move, of the dimension that is asked for if all is right."""
     size = positive(strange)
     center, ones = vector(dim, strange), vector(dim, False, low=0.0)
@@ -75,7 +74,7 @@ def shape(draw: Any, dim: int, strange: bool = True) -> Call:
 
 
 @st.composite
-def convex(draw: Any, dim: int, depth: int = 2) -> Any:
+def convex(draw, dim, depth=2):
     """A set, or an expression in sets."""
     kind = draw(st.integers(0, 11)) if depth else 0
     if kind < 5:
@@ -105,7 +104,7 @@ def convex(draw: Any, dim: int, depth: int = 2) -> Any:
 
 
 @st.composite
-def moving(draw: Any, dim: int) -> Any:
+def moving(draw, dim):
     """C(t) in every form."""
     kind = draw(st.integers(0, 9))
     if kind < 5:

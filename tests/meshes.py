@@ -1,10 +1,6 @@
 """Meshes and bodies for tests, made in code, and Gmsh files written from them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import meshio
 import numpy as np
@@ -13,23 +9,21 @@ import skfem
 import sweepopt as so
 from sweepopt.fem import (
     BodyForce,
-    Discretisation,
     Elasticity,
     Friction,
-    Scene,
     Viscosity,
     antiplane,
 )
 from sweepopt.fem.output import Report
 
 
-def square(n: int) -> skfem.MeshTri:
+def square(n):
     """(0, 1)^2 in n by n squares; boundaries left, bottom, right, top."""
     grid = np.linspace(0.0, 1.0, n + 1)
     return skfem.MeshTri.init_tensor(grid, grid).with_defaults()
 
 
-def annulus(n: int, *, curved: bool = True) -> skfem.MeshTri:
+def annulus(n, *, curved=True):
     """1 < r < 2 in n rings; boundaries inner and outer, subdomains core (r < 1.5) and sleeve."""
     turns = 9 * n
     r, k = np.meshgrid(np.linspace(1.0, 2.0, n + 1), np.arange(turns), indexing="ij")
@@ -56,7 +50,7 @@ def annulus(n: int, *, curved: bool = True) -> skfem.MeshTri:
     ).with_subdomains({"core": np.flatnonzero(inside), "sleeve": np.flatnonzero(~inside)})
 
 
-def ring(**changes: Any) -> Scene:
+def ring(**changes):
     """A quadratic ring of two materials in SI units: glued inside, friction outside."""
     effects = [
         Viscosity({"core": 2.0, "sleeve": 1.0}),
@@ -64,24 +58,24 @@ def ring(**changes: Any) -> Scene:
         Friction("outer", g=0.6),
         BodyForce(so.Sine(4.0, period=4.0), f0=lambda x: 1.0 + 0.4 * x[0]),
     ]
-    settings: dict[str, Any] = {"clamped": "inner", "element": "P2", "effects": effects}
+    settings = {"clamped": "inner", "element": "P2", "effects": effects}
     settings |= {"t_end": 6.0, "steps": 60, "units": "SI", "title": "a ring"}
     settings |= changes
     return antiplane(settings.pop("mesh", None) or annulus(2), **settings)
 
 
-def smooth() -> Scene:
+def smooth():
     """A square without friction or units."""
     effects = [Viscosity(1.0), BodyForce(so.Sine(1.0, period=4.0))]
     return antiplane(square(4), clamped="top", effects=effects, t_end=1.0, steps=4)
 
 
-def report_of(scene: Scene, **more: Any) -> Report:
+def report_of(scene, **more):
     """The scene and its run, as what is written of them sees them."""
     return Report(scene, scene.solve(), **more)
 
 
-def errors(body: Discretisation, u: Any, exact: Any, gradient: Any) -> tuple[float, float]:
+def errors(body, u, exact, gradient):
     """|u_h - exact| and |grad u_h - gradient| in L^2, by a quadrature that is not seen in them."""
     basis = skfem.CellBasis(body.mesh, body.basis.elem, intorder=8)
     x, field = np.asarray(basis.global_coordinates()), basis.interpolate(body.expand(u))
@@ -90,11 +84,11 @@ def errors(body: Discretisation, u: Any, exact: Any, gradient: Any) -> tuple[flo
     return value, slope
 
 
-def _cartesian(polar: np.ndarray) -> np.ndarray:
+def _cartesian(polar):
     return np.stack([polar[0] * np.cos(polar[1]), polar[0] * np.sin(polar[1])])
 
 
-def write_msh(path: Path, mesh: skfem.MeshTri) -> Path:
+def write_msh(path, mesh):
     """Write a mesh with its boundaries and subdomains as physical groups."""
     curved = isinstance(mesh, skfem.MeshTri2)
     line, triangle = ("line3", "triangle6") if curved else ("line", "triangle")

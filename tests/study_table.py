@@ -1,9 +1,6 @@
 """A study's table made by hand: orders, costs and failures are chosen, nothing is run."""
 
-from __future__ import annotations
-
 from math import inf, nan
-from typing import Any
 
 import pandas as pd
 
@@ -15,7 +12,7 @@ NASTY = "a step missed tol </script><script>window.hacked = true</script> & 'mor
 WARNED = Status.SUCCESS.value + " StabilityWarning: mu Lam = 1.2"
 
 
-def study_table() -> pd.DataFrame:
+def study_table():
     """49 cells: 2 problems, 3 schemes, 2 solvers, 4 numbers of steps, and one exact run."""
     cells = [
         cell(problem, scheme, solver, steps)
@@ -29,7 +26,7 @@ def study_table() -> pd.DataFrame:
     return pd.DataFrame(rows).assign(cell=[f"{k:08x}" for k in range(len(rows))])
 
 
-def cell(problem: str, scheme: str, solver: str, steps: int) -> dict[str, Any]:
+def cell(problem, scheme, solver, steps):
     error = (2.0 if problem == "pipe" else 0.3) * steps ** -float(SCHEMES[scheme])
     wall = (3e-4 if solver == "osqp" else 2e-4) * steps
     row = {

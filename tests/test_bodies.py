@@ -155,22 +155,6 @@ def test_elliptic_friction_meets_its_law_at_every_node():
     np.testing.assert_allclose(force, contact.threshold[:, None] * law, atol=1e-7)
 
 
-@pytest.mark.parametrize("kind", ["plane strain", "solid"])
-def test_a_pushed_block_slides_as_a_rigid_one(kind):
-    """A stiff block on a film: eta v = F - g where F > g, and v = 0.0 exactly where F < g."""
-    side, d = ("bottom", 2) if kind == "plane strain" else ("bottom", 3)
-    effects = [Viscosity(1e6), Dashpot(side, 2.0, along="t"), Friction(side, 0.5)]
-    block = space(kind, held={side: "n"})
-    for push, expected in ((0.4, 0.0), (1.5, 0.5)):
-        force = BodyForce(so.Constant(), [push, *[0.0] * (d - 1)])  # a height of 1
-        scene = body(block, [*effects, force])
-        sol = scene.solve(t_end=1.0, steps=1)
-        v = scene.discretisation.expand(sol.velocity[0])
-        np.testing.assert_allclose(v[:, 0], expected, atol=2e-6)
-        assert scene.contact.of(sol.velocity[0]).any() == (expected > 0.0)
-        assert sol.stats["relative"].max() < 1e-6
-
-
 def test_a_block_slides_down_an_inclined_plane_beyond_the_angle_of_friction():
     """tan(angle) > mu, with the pressure known; unknowns are turned with the plane."""
     angle, mesh = np.radians(30.0), grid([2.0, 1.0], [4, 2])
@@ -192,19 +176,6 @@ def test_a_block_slides_down_an_inclined_plane_beyond_the_angle_of_friction():
         assert scene.contact.of(sol.velocity[0]).any() == moves
 
 
-def test_a_bar_is_a_mesh_of_intervals_and_a_bed_rubs_along_it():
-    """Pulled out of a frictional bed: u0 = F^2 / (2 EA g) at the end, slip length F / g."""
-    bar = Discretisation(grid([2.0], [400]), ())
-    effects = [Viscosity(1e-6), Elasticity(5.0), Friction("body", 2.0), Dashpot("body", 1e-6)]
-    pull = Traction("left", so.Table([0.0, 1.0], [0.0, 3.0]))
-    scene = body(bar, [*effects, pull])
-    sol = scene.solve(t_end=1.0, steps=40, scheme="implicit-euler")
-    assert scene.contact.points.shape == (401, 1)
-    u = bar.expand(sol.u[-1])
-    assert u[bar.points[:, 0] == 0.0] == pytest.approx(9.0 / 20.0, rel=1e-3)
-    assert not u[bar.points[:, 0] > 1.51].any()
-
-
 def test_bounds_move_in_time_by_a_history_or_a_formula():
     plate, _ = sheet()
     ramp = so.Table([0.0, 1.0], [1.0, 0.5])
@@ -217,30 +188,6 @@ def test_bounds_move_in_time_by_a_history_or_a_formula():
     end = plate.expand(velocities[0][[2, 9]])
     assert not end[0].any()
     np.testing.assert_allclose(end[1][:, 0], 0.4 - 0.25, atol=1e-9)
-
-
-def test_effects_leave_each_others_matrices_as_they_are_and_limits_agree():
-    mesh, v, e = square(4), Viscosity(1.0), Elasticity(2.0)
-    push = BodyForce(so.Sine(3.0, period=4.0))
-    friction = Friction("bottom", 0.2)
-    alone, both, all_of = (
-        antiplane(mesh, clamped="top", effects=effects).problem
-        for effects in ([v, push], [v, e, push], [friction, e, v, push])
-    )
-    assert alone.B is None
-    assert alone.dissipation is None
-    for matrix in ("data", "indices", "indptr"):
-        np.testing.assert_array_equal(getattr(alone.A, matrix), getattr(all_of.A, matrix))
-        np.testing.assert_array_equal(getattr(both.B, matrix), getattr(all_of.B, matrix))
-    np.testing.assert_array_equal(alone.load.shapes, all_of.load.shapes)
-    ends = [
-        antiplane(mesh, clamped="top", effects=[v, e, push, *more])
-        .solve(t_end=1.0, steps=8, scheme="midpoint")
-        .u[-1]
-        for more in ([], [Friction("bottom", 0.0)], [Friction("bottom", 1e-9)])
-    ]
-    np.testing.assert_array_equal(ends[0], ends[1])
-    np.testing.assert_allclose(ends[0], ends[2], atol=1e-8)
 
 
 def test_frictions_add_and_a_node_that_two_share_counts_once():
@@ -289,20 +236,13 @@ def test_meshes_of_solids_are_read_from_the_formats_of_meshio(tmp_path, suffix):
     assert one.trace() == pytest.approx(two.trace(), rel=1e-12)
 
 
-def test_a_yield_stress_holds_the_pipe_at_rest_below_its_limit_and_moves_it_above():
-    """On a square the discrete limit of P L/g is (2 + sqrt(pi)) (1 + 1.15 h/L)."""
-    n, g = 6, 0.2
-    limit = (2 + np.sqrt(np.pi)) * g * (1 + 1.15 / n)
-    pipe = Discretisation(square(n), ["left", "right", "bottom", "top"])
-    for pressure, moves in ((0.95 * limit, False), (1.1 * limit, True)):
-        force = BodyForce(so.Constant(), pressure)
-        scene = body(pipe, [Viscosity(1.0), YieldStress(g), force])
-        w = np.cos(np.arange(pipe.dim))
-        slope = np.linalg.norm(pipe.basis.interpolate(pipe.expand(w)).grad, axis=0)
-        J = g * np.sum(slope * pipe.basis.dx)
-        assert scene.problem.dissipation.support(w) == pytest.approx(J, rel=1e-13)
-        v = scene.solve(t_end=1.0, steps=1, tol=1e-5).velocity[0]
-        assert (v.max() > 1e-4) == moves
+def test_the_dissipation_of_a_yield_stress_is_the_integral_of_the_slope():
+    pipe = Discretisation(square(6), ["left", "right", "bottom", "top"])
+    scene = body(pipe, [Viscosity(1.0), YieldStress(0.2)])
+    w = np.cos(np.arange(pipe.dim))
+    slope = np.linalg.norm(pipe.basis.interpolate(pipe.expand(w)).grad, axis=0)
+    J = 0.2 * np.sum(slope * pipe.basis.dx)
+    assert scene.problem.dissipation.support(w) == pytest.approx(J, rel=1e-13)
 
 
 def test_a_ratchet_follows_the_running_maximum_of_its_load():

@@ -1,7 +1,5 @@
 """A run that is killed loses nothing: resumed, it is the same to the last bit."""
 
-from __future__ import annotations
-
 import errno
 import io
 import json
@@ -14,13 +12,13 @@ import sys
 import time
 import warnings
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from cases import block
 from test_reduction import process as chain
+from test_return_mapping import pipe
 
 import sweepopt as so
 from sweepopt.fem import read_mesh
@@ -28,25 +26,25 @@ from sweepopt.fem import read_mesh
 HERE = Path(__file__).parent
 
 
-def body(**changes: Any) -> so.SweepingProcess:
+def body(**changes):
     return chain(**{"u0": np.zeros(40), **changes})
 
 
-def balls(load: float = 1.5) -> so.SweepingProcess:
+def balls(load=1.5):
     """Four contact points that slip in two directions, on unknowns of their own."""
     A, B = 2 * np.eye(8) - 0.3 * (np.eye(8, k=1) + np.eye(8, k=-1)), np.diag(np.arange(1.0, 9.0))
     f = so.Separable([(so.Sine(load, 2.0), np.ones(8)), (so.Triangle(load, 3.0), np.arange(8.0))])
     return so.SweepingProcess(A, B, so.Moving(so.Balls([0.5, 1.0, 1.5, 0.0], 2), f), np.zeros(8))
 
 
-def polygon() -> so.SweepingProcess:
+def polygon():
     """Rows that are given by a function, at A = 0."""
     G = np.array([[1.0, 0.2], [-1.0, 0.1], [0.3, 1.0], [-0.2, -1.0]])
     C = so.Polyhedron(G, lambda t: [1 + t, 0.5 - 2 * t, 1 + np.sin(t), 0.5 - t])
     return so.SweepingProcess(np.zeros((2, 2)), [[2.0, 0.5], [0.5, 1.0]], C, [0.0, 0.0])
 
 
-def free() -> so.SweepingProcess:
+def free():
     """Nothing nonsmooth, and no proof: a set of the user's."""
     import cvxpy as cp
 
@@ -54,12 +52,15 @@ def free() -> so.SweepingProcess:
     return so.SweepingProcess(np.eye(2), np.eye(2), C, [0.0, 0.0])
 
 
-def slider(center: Callable[[float], Any]) -> so.SweepingProcess:
-    C = so.Moving(so.Box([-1.0], [1.0]), center)
-    return so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
+def stiff(k):
+    """Two blocks tied by a spring k, which move as one: A is lost in A + mu B for mu k > 1e15."""
+    B = k * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    C = so.Moving(so.Box([-1, -1], [1, 1]), so.Separable([(so.Sine(3.0, 6.0), [1.0, 1.0])]))
+    return so.SweepingProcess(np.eye(2), B, C, [0.0, 0.0])
 
 
-RUNS: dict[str, tuple[Callable[[], Any], dict[str, Any]]] = {
+MANY_SIZES = np.array([*range(16), 0, 16, 0, 17, 1, 0, 18, 1, 19, *range(20)])
+RUNS = {
     "proportional": (body, {"path": "proportional"}),
     "eliminated": (body, {"path": "eliminated", "solver": so.OSQP(tol=1e-7), "save": 5}),
     "full": (body, {"path": "full", "solver": "osqp"}),
@@ -75,25 +76,41 @@ RUNS: dict[str, tuple[Callable[[], Any], dict[str, Any]]] = {
         {"t_end": 2.0},
     ),
     "times of the user": (
-        lambda: slider(lambda t: [3 * np.sin(4 * t)]),
+        lambda: block(lambda t: [3 * np.sin(4 * t)]),
         {"steps": np.linspace(0.0, 2.0, 61) ** 2},
+    ),
+    # the last bit of u is a force of 1: it overshoots, in parts
+    "steps in parts": (
+        lambda: stiff(4e15),
+        {"t_end": 12.0, "steps": 12, "scheme": "midpoint", "solver": "osqp"}
+        | {"on_unstable": "ignore"},
+    ),
+    # more sizes than matrices are kept: which are dropped must not depend on where a run began
+    "many step sizes": (
+        body,
+        {"steps": np.append(0.0, np.cumsum(0.02 + 0.001 * MANY_SIZES)), "path": "eliminated"}
+        | {"solver": so.OSQP(tol=1e-4), "tol": 1e-3, "t_end": None},
+    ),
+    "return mapping": (
+        lambda: pipe(1).problem,
+        {"path": "return mapping", "scheme": "implicit-euler", "t_end": 3.0, "steps": 30},
     ),
 }
 
 
-def finished(tmp_path: Path, name: str) -> tuple[so.SweepingProcess, dict[str, Any], so.Solution]:
+def finished(tmp_path, name):
     """The process of that name, its arguments and its run, which nothing has killed."""
     process, settings = arguments(name)
     where = so.Checkpoint(tmp_path / "a", steps=9)
     return process, settings, so.solve(process, checkpoint=where, **settings)
 
 
-def arguments(name: str) -> tuple[Any, dict[str, Any]]:
+def arguments(name):
     make, settings = RUNS[name]
     return make(), {"t_end": 4.0, "steps": 80, **settings}
 
 
-def same(a: so.Solution, b: so.Solution) -> bool:
+def same(a, b):
     """Equal to the last bit, but for wall times."""
     names = [name for name in a.stats.dtype.names or () if name != "seconds"]
     return (
@@ -109,15 +126,15 @@ class Killed(Exception):
     """Stands for a kill where a real one would take long."""
 
 
-def stopping(step: int) -> Callable[[so.StepInfo], None]:
-    def stop(info: so.StepInfo) -> None:
+def stopping(step):
+    def stop(info):
         if info.step == step:
             raise Killed
 
     return stop
 
 
-def killed(path: Path, name: str = "proportional", at: int = 40, **changes: Any) -> None:
+def killed(path, name="proportional", at=40, **changes):
     process, settings = arguments(name)
     where = so.Checkpoint(path, steps=9)
     with pytest.raises(Killed):
@@ -128,7 +145,7 @@ def killed(path: Path, name: str = "proportional", at: int = 40, **changes: Any)
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_a_resumed_run_is_the_whole_run(name: str, tmp_path: Path) -> None:
+def test_a_resumed_run_is_the_whole_run(name, tmp_path):
     process, settings, whole = finished(tmp_path, name)
     never = so.Checkpoint(tmp_path / "never", steps=9, seconds=1e6)
     assert name != "full" or same(so.solve(process, checkpoint=never, **settings), whole)
@@ -144,8 +161,8 @@ def test_a_resumed_run_is_the_whole_run(name: str, tmp_path: Path) -> None:
     assert same(so.resume(path, process), whole)  # the end is in the file too
 
 
-def test_what_a_function_recorded_comes_back(tmp_path: Path) -> None:
-    def record(t: float, u: np.ndarray, z: np.ndarray) -> Any:
+def test_what_a_function_recorded_comes_back(tmp_path):
+    def record(t, u, z):
         return {
             "t": t,
             "u": u[3],
@@ -169,9 +186,7 @@ def test_what_a_function_recorded_comes_back(tmp_path: Path) -> None:
     [object(), 2**70, {1: 2.0}, np.array(["a"])],
     ids=["object", "integer", "dict", "array of text"],
 )
-def test_records_that_no_file_can_hold_are_refused_at_the_first_step(
-    bad: Any, tmp_path: Path
-) -> None:
+def test_records_that_no_file_can_hold_are_refused_at_the_first_step(bad, tmp_path):
     process, settings = arguments("proportional")
     where, seen = so.Checkpoint(tmp_path / "run.npz", steps=50), []
     with pytest.raises(so.InputError, match="numbers or arrays"):
@@ -197,7 +212,7 @@ so.solve(process, checkpoint=so.Checkpoint({path!r}, steps={every}), **settings)
 """
 
 
-def kill_and_resume(tmp_path: Path, name: str, delays: list[float], steps: int, every: int) -> int:
+def kill_and_resume(tmp_path, name, delays, steps, every):
     """How many of the runs that were killed at these times after their start had not ended."""
     process, settings = arguments(name)
     settings["steps"] = steps
@@ -229,21 +244,19 @@ MOMENTS = [RANDOM.uniform(0.0, 1.2) for _ in range(25)]
     ],
     ids=["once", "25 times"],
 )
-def test_a_run_that_is_killed_loses_nothing(
-    name: str, delays: list[float], steps: int, every: int, alive: int, tmp_path: Path
-) -> None:
+def test_a_run_that_is_killed_loses_nothing(name, delays, steps, every, alive, tmp_path):
     assert kill_and_resume(tmp_path, name, delays, steps, every) >= alive
 
 
 # ---- another problem, another form ----------------------------------------------------------
 
 
-def test_a_checkpoint_of_another_problem_is_refused_and_says_what_differs(tmp_path: Path) -> None:
+def test_a_checkpoint_of_another_problem_is_refused_and_says_what_differs(tmp_path):
     path = tmp_path / "run.npz"
     killed(path, "balls", 40)
     ours = balls()
     A, B, C, u0 = ours.A, ours.B, ours.C, ours.u0
-    others: list[tuple[Any, str]] = [
+    others = [
         (so.SweepingProcess(2 * A, B, C, u0), "another problem: A differs"),
         (so.SweepingProcess(A, None, C, u0 + 0.01), "another problem: B, u0 differ"),
         (balls(load=1.5 + 1e-15), r"another problem: C\(t\) differs"),
@@ -259,33 +272,33 @@ def test_a_checkpoint_of_another_problem_is_refused_and_says_what_differs(tmp_pa
 
 
 def test_a_load_that_differs_late_or_between_the_times_that_are_compared_is_another_problem(
-    tmp_path: Path,
-) -> None:
-    def spiked(spike: float) -> so.Separable:
+    tmp_path,
+):
+    def spiked(spike):
         times = [0.0, 0.50001, 0.50002, 0.50003, 4.0]
         return so.Separable([(so.Table(times, [0.0, 1.0, spike, 1.0, 2.0]), [1.0])])
 
-    loads: list[Callable[[float], Any]] = [
+    loads = [
         lambda late: lambda t: [t if t < 3.9 else late],
         spiked,
     ]
     for k, load in enumerate(loads):
         path = tmp_path / f"{k}.npz"
-        how: dict[str, Any] = {"t_end": 4.0, "steps": 80, "callback": stopping(5)}
+        how = {"t_end": 4.0, "steps": 80, "callback": stopping(5)}
         with pytest.raises(Killed):
-            so.solve(slider(load(3.0)), checkpoint=path, **how)
+            so.solve(block(load(3.0)), checkpoint=path, **how)
         with pytest.raises(so.InputError, match=r"C\(t\) differs"):
-            so.resume(path, slider(load(3.1)))
-        assert so.resume(path, slider(load(3.0))).success
+            so.resume(path, block(load(3.1)))
+        assert so.resume(path, block(load(3.0))).success
 
 
-def content_of(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def content_of(path):
     """A checkpoint is a plain .npz with a record in JSON."""
     arrays = dict(np.load(path))
     return json.loads(arrays.pop("record").tobytes()), arrays
 
 
-def rewritten(path: Path, change: Callable[[dict[str, Any], dict[str, Any]], None]) -> None:
+def rewritten(path, change):
     record, arrays = content_of(path)
     change(record, arrays)
     with path.open("wb") as file:
@@ -293,8 +306,8 @@ def rewritten(path: Path, change: Callable[[dict[str, Any], dict[str, Any]], Non
 
 
 def test_another_form_other_versions_and_states_that_do_not_fit_are_noticed(
-    tmp_path: Path,
-) -> None:
+    tmp_path,
+):
     path = tmp_path / "run.npz"
     killed(path)
     rewritten(path, lambda record, _: record["versions"].update(numpy="1.0"))
@@ -317,13 +330,13 @@ def test_another_form_other_versions_and_states_that_do_not_fit_are_noticed(
 # ---- damage ---------------------------------------------------------------------------------
 
 
-def flipped(content: bytes, bit: int) -> bytes:
+def flipped(content, bit):
     changed = bytearray(content)
     changed[bit // 8] ^= 1 << bit % 8
     return bytes(changed)
 
 
-def test_300_bit_flips_are_detected_or_harmless(tmp_path: Path) -> None:
+def test_300_bit_flips_are_detected_or_harmless(tmp_path):
     path, process = tmp_path / "run.npz", body()
     whole = so.solve(process, t_end=4.0, steps=30, checkpoint=path, save=5)
     content, rng = path.read_bytes(), random.Random(7)
@@ -339,7 +352,7 @@ def test_300_bit_flips_are_detected_or_harmless(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.999])
-def test_a_damaged_checkpoint_gives_way_to_the_one_before_it(share: float, tmp_path: Path) -> None:
+def test_a_damaged_checkpoint_gives_way_to_the_one_before_it(share, tmp_path):
     process, settings, whole = finished(tmp_path, "full")
     path = tmp_path / "run.npz"
     killed(path, "full", 40)
@@ -359,7 +372,7 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before_it(share: float, tmp_p
     assert same(so.resume(path, process), whole)
 
 
-def test_two_damaged_files_are_an_error_and_none_is_one(tmp_path: Path) -> None:
+def test_two_damaged_files_are_an_error_and_none_is_one(tmp_path):
     path = tmp_path / "run.npz"
     with pytest.raises(so.InputError, match="there is no checkpoint"):
         so.resume(path, body())
@@ -375,9 +388,7 @@ def test_two_damaged_files_are_an_error_and_none_is_one(tmp_path: Path) -> None:
     [np.array([{"schema": 4}], dtype=object), np.frombuffer(b'{"run": 3}', np.uint8)],
     ids=["pickle", "another file"],
 )
-def test_no_pickle_and_no_other_file_is_read(
-    record: np.ndarray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_pickle_and_no_other_file_is_read(record, tmp_path, monkeypatch):
     path = tmp_path / "run.npz"
     np.savez(path, record=record)
     monkeypatch.setattr(pickle, "load", lambda *_, **__: pytest.fail("it was unpickled"))
@@ -385,7 +396,7 @@ def test_no_pickle_and_no_other_file_is_read(
         so.resume(path, body())
 
 
-def test_a_file_cannot_ask_for_more_memory_than_it_has_bytes(tmp_path: Path) -> None:
+def test_a_file_cannot_ask_for_more_memory_than_it_has_bytes(tmp_path):
     path = tmp_path / "run.npz"
     killed(path)
     (tmp_path / "run.npz.previous").unlink()
@@ -407,15 +418,13 @@ def test_a_file_cannot_ask_for_more_memory_than_it_has_bytes(tmp_path: Path) -> 
 # ---- a full disk ----------------------------------------------------------------------------
 
 
-def test_a_full_disk_leaves_the_old_checkpoint_and_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_leaves_the_old_checkpoint_and_says_so(tmp_path, monkeypatch):
     process, settings, whole = finished(tmp_path, "full")
     folder = tmp_path / "disk"
     folder.mkdir()
     path, force, steps = folder / "run.npz", os.fsync, [0]
 
-    def full(handle: int) -> None:
+    def full(handle):
         if steps[-1] > 30:
             raise OSError(errno.ENOSPC, "No space left on device")
         force(handle)
@@ -451,16 +460,14 @@ def test_a_full_disk_leaves_the_old_checkpoint_and_says_so(
         ({"checkpoint": "a\0b.npz"}, "checkpoint is"),
     ],
 )
-def test_what_cannot_be_continued_is_refused(
-    changes: dict[str, Any], words: str, tmp_path: Path
-) -> None:
+def test_what_cannot_be_continued_is_refused(changes, words, tmp_path):
     given = {"t_end": 4.0, "steps": 80, "checkpoint": tmp_path / "run.npz", **changes}
     with pytest.raises(so.InputError, match=words):
         so.solve(body(), **given)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_run_that_is_not_finished_is_not_overwritten(tmp_path: Path) -> None:
+def test_a_run_that_is_not_finished_is_not_overwritten(tmp_path):
     path = tmp_path / "run.npz"
     killed(path)
     with pytest.raises(so.InputError, match="has done 36 of 80 steps; continue it"):
@@ -469,20 +476,18 @@ def test_a_run_that_is_not_finished_is_not_overwritten(tmp_path: Path) -> None:
     assert so.solve(body(), t_end=4.0, steps=40, checkpoint=path).success
     for wrong in ({"steps": 0}, {"seconds": -1.0}):
         with pytest.raises(so.InputError):
-            so.Checkpoint(path, **wrong)  # type: ignore[arg-type]
+            so.Checkpoint(path, **wrong)
 
 
 @pytest.mark.parametrize("name", ["run.npz", "run.npz.previous"])
-def test_a_file_that_cannot_be_read_is_named(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_cannot_be_read_is_named(name, tmp_path, monkeypatch):
     path, process = tmp_path / "run.npz", body()
     so.solve(process, t_end=1.0, steps=12, checkpoint=so.Checkpoint(path, steps=3))
     if name != path.name:
         path.unlink()
     plain = Path.open
 
-    def refusing(file: Path, *how: Any, **more: Any) -> Any:
+    def refusing(file, *how, **more):
         if file.name == name:
             raise PermissionError(errno.EACCES, "Permission denied")
         return plain(file, *how, **more)
@@ -498,11 +503,11 @@ def test_a_file_that_cannot_be_read_is_named(
 # ---- two runs, and files that are none ------------------------------------------------------
 
 
-def test_a_second_run_on_the_name_is_refused_and_the_first_goes_on(tmp_path: Path) -> None:
+def test_a_second_run_on_the_name_is_refused_and_the_first_goes_on(tmp_path):
     process, settings = arguments("full")
     where, messages = so.Checkpoint(tmp_path / "run.npz", steps=9), []
 
-    def second(info: so.StepInfo) -> None:
+    def second(info):
         if info.step in (3, 20):
             for again in (
                 lambda: so.solve(process, checkpoint=where, **settings),
@@ -521,8 +526,25 @@ def test_a_second_run_on_the_name_is_refused_and_the_first_goes_on(tmp_path: Pat
     assert not list(tmp_path.glob(".*"))
 
 
+@pytest.mark.slow
+def test_a_second_process_is_refused_and_the_first_goes_on(tmp_path):
+    path, (process, settings) = tmp_path / "run.npz", arguments("proportional")
+    code = CHILD.format(tests=str(HERE), name="proportional", path=str(path), steps=4000, every=5)
+    with subprocess.Popen([sys.executable, "-c", code]) as child:
+        while not path.exists():
+            assert child.poll() is None
+            time.sleep(0.002)
+        for again in (lambda: so.solve(process, checkpoint=path, **settings),
+                      lambda: so.resume(path, process)):  # fmt: skip
+            with pytest.raises(so.InputError, match=r"run.npz is being written by another run"):
+                again()
+        assert child.poll() is None
+        child.kill()
+    assert so.resume(path, process).success
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes")
-def test_devices_and_pipes_are_refused_before_anything_runs(tmp_path: Path) -> None:
+def test_devices_and_pipes_are_refused_before_anything_runs(tmp_path):
     process, settings = arguments("full")
     pipe = tmp_path / "pipe.msh"
     os.mkfifo(pipe)
@@ -536,7 +558,7 @@ def test_devices_and_pipes_are_refused_before_anything_runs(tmp_path: Path) -> N
             so.solve(process, checkpoint=path, **settings)
 
 
-def test_a_checkpoint_that_can_have_no_lock_is_refused_by_name(tmp_path: Path) -> None:
+def test_a_checkpoint_that_can_have_no_lock_is_refused_by_name(tmp_path):
     process = so.SweepingProcess([[1.0]], None, so.Box([-1], [1]), [0])
     with pytest.raises(so.CheckpointError, match=r"no file can be made beside .*shorter name"):
         so.solve(process, t_end=1.0, steps=3, checkpoint=tmp_path / ("a" * 248 + ".npz"))

@@ -60,9 +60,10 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return make_scene(tmp_path)
 
 
-def run(*options: str) -> int:
-    """The exit code of a run of the scene in this folder, without a bar, into the folder out."""
-    return cli.main(["run", "ring.toml", "--out", "out", "--no-progress", *options])
+def run(*options: str, pictures: bool = False) -> int:
+    """The exit code of a run of the scene, without a bar and with one picture, into folder out."""
+    one = [] if pictures else ["--set", 'pictures=["displacement"]']
+    return cli.main(["run", "ring.toml", "--out", "out", "--no-progress", *one, *options])
 
 
 def summary_in(folder: Path) -> dict[str, Any]:
@@ -130,7 +131,8 @@ def test_options_replace_the_scenes_settings_and_no_progress_leaves_stderr_empty
 
 def test_a_second_run_replaces_the_first_whole(scene: Path) -> None:
     out = Path("out")
-    assert run("--steps", "9") == 0
+    assert run("--steps", "9", pictures=True) == 0
+    assert (out / "contact.png").exists()
     (out / "notes.txt").write_text("mine")
     (out / "solution.nc").write_text("broken")
     scene.write_text(BARE)
@@ -303,7 +305,8 @@ def test_our_warnings_are_one_line_without_a_source_file(
 
 
 @pytest.mark.parametrize(
-    ("package", "extra"), [("matplotlib", "plot"), ("xarray", "fem"), ("h5py", "fem")]
+    ("package", "extra"),
+    [("matplotlib", "plot"), ("xarray", "fem"), ("h5py", "fem"), ("h5netcdf", "fem")],
 )
 @pytest.mark.usefixtures("scene")
 def test_a_missing_package_is_named_before_the_run(

@@ -1,7 +1,5 @@
 """Conjugate gradients behind the interface of factors: solves, bounds, elimination, whole runs."""
 
-from __future__ import annotations
-
 import os
 import sys
 
@@ -15,11 +13,11 @@ from sweepopt.linalg import Elimination, Factor
 pytest.importorskip("pyamg")
 
 
-def chain(n: int, mass: float = 0.0) -> sp.csc_array:
+def chain(n, mass=0.0):
     return sp.csc_array(sp.diags_array([-1.0, 2.0 + mass, -1.0], offsets=[-1, 0, 1], shape=(n, n)))
 
 
-def square(n: int, contrast: float = 1.0) -> sp.csc_array:
+def square(n, contrast=1.0):
     """A Laplacian on a square of n x n nodes whose coefficient jumps."""
     k = np.where(np.arange(n * n) % n < n // 2, contrast, 1.0)
     D = sp.diags_array(np.sqrt(k))
@@ -38,7 +36,7 @@ MATRICES = {
 
 
 @pytest.fixture
-def little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+def little_memory(monkeypatch):
     """A machine with ten kilobytes of memory."""
     sizes = {"SC_PAGE_SIZE": 1024, "SC_PHYS_PAGES": 10}
     real = os.sysconf
@@ -46,7 +44,7 @@ def little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("name", MATRICES)
-def test_solves_and_bounds_agree_with_factors(name: str, request: pytest.FixtureRequest) -> None:
+def test_solves_and_bounds_agree_with_factors(name, request):
     exact = Factor(MATRICES[name])
     request.getfixturevalue("little_memory")
     iterated = Factor(MATRICES[name])
@@ -62,7 +60,7 @@ def test_solves_and_bounds_agree_with_factors(name: str, request: pytest.Fixture
 
 
 @pytest.mark.parametrize("name", ["square", "jumps", "units"])
-def test_elimination_agrees_with_that_of_factors(name: str, request: pytest.FixtureRequest) -> None:
+def test_elimination_agrees_with_that_of_factors(name, request):
     A, few = MATRICES[name], np.array([3, 50, 51, 200])
     r = np.random.default_rng(3).normal(size=A.shape[0]) * np.sqrt(A.diagonal())
     results = []
@@ -77,7 +75,7 @@ def test_elimination_agrees_with_that_of_factors(name: str, request: pytest.Fixt
 
 
 @pytest.mark.usefixtures("little_memory")
-def test_every_run_gives_the_same_numbers() -> None:
+def test_every_run_gives_the_same_numbers():
     w, solved = np.random.default_rng(4).normal(size=1600), []
     for seed in (0, 1):
         np.random.seed(seed)  # noqa: NPY002 (pyamg draws from the global generator)
@@ -86,7 +84,7 @@ def test_every_run_gives_the_same_numbers() -> None:
 
 
 @pytest.mark.usefixtures("little_memory")
-def test_what_is_not_positive_definite_is_refused() -> None:
+def test_what_is_not_positive_definite_is_refused():
     neumann, hidden = chain(400).tolil(), chain(400).tolil()
     neumann[0, 0] = neumann[-1, -1] = 1.0
     hidden[100, 101] = hidden[101, 100] = -2.5
@@ -95,7 +93,7 @@ def test_what_is_not_positive_definite_is_refused() -> None:
             Factor(sp.csc_array(bad))
 
 
-def run(n: int = 50, load: float = 3.0, shift: float = 1.0) -> so.Solution:
+def run(n=50, load=3.0, shift=1.0):
     A, E = square(n), sp.eye_array(n * n, format="csc")[:, :n]
     f = np.random.default_rng(5).uniform(0, load, n * n) / n
     C = so.Moving(so.image(E, so.Box(-np.ones(n), np.ones(n))), so.Separable([(so.Sine(1, 4), f)]))
@@ -104,8 +102,8 @@ def run(n: int = 50, load: float = 3.0, shift: float = 1.0) -> so.Solution:
 
 
 def test_a_body_whose_factors_do_not_fit_moves_as_one_whose_factors_do(
-    request: pytest.FixtureRequest,
-) -> None:
+    request,
+):
     plain = run()
     request.getfixturevalue("little_memory")
     other = run()
@@ -120,7 +118,7 @@ def test_a_body_whose_factors_do_not_fit_moves_as_one_whose_factors_do(
 
 @pytest.mark.usefixtures("little_memory")
 @pytest.mark.filterwarnings("ignore::sweepopt.BoundWarning")
-def test_a_proportional_body_is_not_factorised_either() -> None:
+def test_a_proportional_body_is_not_factorised_either():
     sol = run(n=20, shift=0.0)
     assert sol.plan.path == "eliminated"
     assert "factors: they would need" in str(sol.plan)
@@ -130,8 +128,8 @@ def test_a_proportional_body_is_not_factorised_either() -> None:
 
 @pytest.mark.usefixtures("little_memory")
 def test_without_pyamg_the_message_says_how_much_memory_factors_would_need(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     monkeypatch.setitem(sys.modules, "pyamg", None)
     with pytest.raises(so.SolverRefusedError, match=r"need about .* GB.*pyamg.*speed"):
         run()

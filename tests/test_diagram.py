@@ -1,13 +1,9 @@
 """The work-precision diagram draws the table: its lines are compared with the numbers."""
 
-from __future__ import annotations
-
-import sys
-from typing import Any
-
 import numpy as np
 import pandas as pd
 import pytest
+from cases import block as slider
 from study_table import study_table
 
 import sweepopt as so
@@ -19,12 +15,12 @@ TABLE = study_table()
 BLOCK = TABLE[TABLE.problem == "block"]
 
 
-def drawn(ax: Any, label: str) -> list[Any]:
+def drawn(ax, label):
     """The lines of that name."""
     return [line for line in ax.lines if label in line.get_label()]
 
 
-def test_each_problem_has_a_panel_with_a_line_for_each_scheme_and_solver() -> None:
+def test_each_problem_has_a_panel_with_a_line_for_each_scheme_and_solver():
     ax = work_precision(TABLE)
     assert [panel.get_title() for panel in ax.figure.axes] == ["block", "pipe"]
     for panel in ax.figure.axes:
@@ -37,7 +33,7 @@ def test_each_problem_has_a_panel_with_a_line_for_each_scheme_and_solver() -> No
     ax.figure.draw_without_rendering()
 
 
-def test_guaranteed_bounds_are_dashed_companions_of_their_errors() -> None:
+def test_guaranteed_bounds_are_dashed_companions_of_their_errors():
     first, second = work_precision(TABLE).figure.axes
     assert not drawn(second, "guaranteed bound")  # bounds of the pipe are not guaranteed
     errors = drawn(first, "·")[:6]
@@ -46,7 +42,7 @@ def test_guaranteed_bounds_are_dashed_companions_of_their_errors() -> None:
         np.testing.assert_allclose(bound.get_ydata(), 1.7 * error.get_ydata())
 
 
-def test_what_has_no_place_on_the_axes_is_beside_the_others() -> None:
+def test_what_has_no_place_on_the_axes_is_beside_the_others():
     first, second = work_precision(TABLE).figure.axes
     for panel, failed, unknown in ((first, 3, 0), (second, 2, 2)):
         high = TABLE[(TABLE.problem == panel.get_title()) & TABLE.success].error.max()
@@ -58,7 +54,7 @@ def test_what_has_no_place_on_the_axes_is_beside_the_others() -> None:
     assert 0.0 < exact.get_ydata()[0] < BLOCK.error[BLOCK.error > 0].min()
 
 
-def test_a_cost_can_be_chosen_and_the_legend_names_each_line_once() -> None:
+def test_a_cost_can_be_chosen_and_the_legend_names_each_line_once():
     ax = work_precision(TABLE, x="steps")
     assert ax.get_xlabel() == "time steps"
     assert drawn(ax, "catching-up · clarabel")[0].get_xdata().tolist() == [50, 100, 200, 400]
@@ -67,12 +63,11 @@ def test_a_cost_can_be_chosen_and_the_legend_names_each_line_once() -> None:
     assert len(names) == len(set(names))
 
 
-def test_the_band_of_a_run_is_its_guaranteed_one() -> None:
+def test_the_band_of_a_run_is_its_guaranteed_one():
     block = problem("S03")
     process = block.process()
     run = so.solve(process, t_end=block.t_end, steps=80)
-    pull = so.Moving(so.Box([-1], [1]), lambda t: [3 * t])
-    sampled = so.solve(so.SweepingProcess([[0.5]], [[2.0]], pull, [0]), t_end=1.0, steps=20)
+    sampled = so.solve(slider(lambda t: [3 * t]), t_end=1.0, steps=20)
     band, none = trajectories({"block": run, "sampled": sampled}).figure.axes
     np.testing.assert_array_equal(band.lines[0].get_ydata(), run.u[:, 0])
     exact = so.solve(process, steps=run.t, scheme="exact").u[:, 0]
@@ -86,7 +81,7 @@ def test_the_band_of_a_run_is_its_guaranteed_one() -> None:
     assert not none.collections  # nothing guarantees it
 
 
-def test_tolerances_are_lines_of_their_own_and_all_may_have_failed() -> None:
+def test_tolerances_are_lines_of_their_own_and_all_may_have_failed():
     both = pd.concat([BLOCK, BLOCK.assign(tol=1e-4, wall=BLOCK.wall / 2)], ignore_index=True)
     assert drawn(work_precision(both), "midpoint · tol 0.0001 · osqp")
     failed = work_precision(BLOCK[~BLOCK.success])
@@ -105,12 +100,6 @@ def test_tolerances_are_lines_of_their_own_and_all_may_have_failed() -> None:
         ([1, 2], {}, "pass the table of a study as it is"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused(table: Any, settings: Any, words: str) -> None:
+def test_what_cannot_be_drawn_is_refused(table, settings, words):
     with pytest.raises(so.InputError, match=words):
         work_precision(table, **settings)
-
-
-def test_missing_matplotlib_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(so.MissingExtraError, match="pip install"):
-        work_precision(TABLE)

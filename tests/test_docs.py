@@ -3,10 +3,7 @@
 Sphinx itself runs in .ci/run; here are the pages as they are written and made, without it.
 """
 
-from __future__ import annotations
-
 import importlib
-import json
 import os
 import re
 import shlex
@@ -17,7 +14,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import pytest
-from selenium import webdriver
+from browser import chromium, requested
 from selenium.webdriver.common.by import By
 
 import sweepopt as so
@@ -33,7 +30,7 @@ WITH_CODE = [path for path in WRITTEN if BLOCK.search(path.read_text("utf-8"))]
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def pages(tmp_path_factory):
     """The pages of the site in a folder, those that docs/gallery.py makes too."""
     folder = tmp_path_factory.mktemp("site") / "docs"
     made = shutil.ignore_patterns("gallery", "notebooks", "theory.md", "limits.md")
@@ -46,14 +43,15 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("page", WITH_CODE, ids=lambda page: page.stem)
 def test_the_code_of_a_page_runs(
-    page: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    page,
+    tmp_path,
+    monkeypatch,
+    capsys,
+):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sweepopt.plot.MOST_FRAMES", 4)  # of animations
     known = dict(fem.EFFECTS)
-    namespace: dict[str, object] = {}
+    namespace = {}
     try:
         for block in BLOCK.findall(page.read_text("utf-8")):
             exec(compile(block, page.name, "exec"), namespace)
@@ -68,18 +66,18 @@ def test_the_code_of_a_page_runs(
             assert line.endswith("True")
 
 
-def test_the_pages_with_code_are_those_that_teach() -> None:
+def test_the_pages_with_code_are_those_that_teach():
     teach = {"quick_start", "own_finite_elements", "cookbook", "which_scheme"}
     assert teach <= {page.stem for page in WITH_CODE}
 
 
-def anchors(page: Path) -> set[str]:
+def anchors(page):
     """Names of the headings of a page, as MyST makes them."""
     headings = re.findall(r"^#{1,3} (.*)$", page.read_text("utf-8"), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", one.lower()).replace(" ", "-") for one in headings}
 
 
-def test_links_between_pages_resolve(pages: Path) -> None:
+def test_links_between_pages_resolve(pages):
     count, scenes = 0, list_scenes()
     for page in pages.rglob("*.md"):
         for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text("utf-8")):
@@ -92,7 +90,7 @@ def test_links_between_pages_resolve(pages: Path) -> None:
     assert count > 40
 
 
-def test_every_page_and_notebook_is_in_a_table_of_contents(pages: Path) -> None:
+def test_every_page_and_notebook_is_in_a_table_of_contents(pages):
     listed = set()
     for page in pages.rglob("*.md"):
         for tree in re.findall(r"^```\{toctree\}\n(.*?)```", page.read_text("utf-8"), re.M | re.S):
@@ -103,7 +101,7 @@ def test_every_page_and_notebook_is_in_a_table_of_contents(pages: Path) -> None:
     assert listed == there - {pages / "index"}
 
 
-def test_the_gallery_has_every_scene_with_its_effects_and_its_check(pages: Path) -> None:
+def test_the_gallery_has_every_scene_with_its_effects_and_its_check(pages):
     for name, title in list_scenes().items():
         page = (pages / "gallery" / f"{name}.md").read_text("utf-8")
         assert f"# {title}\n" in page
@@ -114,7 +112,7 @@ def test_the_gallery_has_every_scene_with_its_effects_and_its_check(pages: Path)
         assert set(kinds) <= set(fem.__all__)
 
 
-def test_every_public_name_is_documented_once() -> None:
+def test_every_public_name_is_documented_once():
     text = "\n".join(path.read_text("utf-8") for path in (DOCS / "api").glob("*.md"))
     modules = {"sweepopt": so, "sweepopt.fem": fem, "sweepopt.study": study}
     for block in re.findall(r"\{eval-rst\}\n(.*?)```", text, re.S):
@@ -130,7 +128,7 @@ def test_every_public_name_is_documented_once() -> None:
         assert sorted(names) == sorted(package.__all__)
 
 
-def test_formulas_are_as_tex_reads_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_formulas_are_as_tex_reads_them(monkeypatch):
     pytest.importorskip("docutils.utils.math.latex2mathml")
     monkeypatch.syspath_prepend(DOCS)
     mathml = importlib.import_module("mathml").mathml
@@ -140,9 +138,7 @@ def test_formulas_are_as_tex_reads_them(monkeypatch: pytest.MonkeyPatch) -> None
     assert "\\" not in mathml(r"N_{C(t)}\big(A u'\big), \dots", block=True)
 
 
-def test_commands_on_the_pages_are_understood(
-    pages: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_commands_on_the_pages_are_understood(pages, capsys):
     text = "\n".join(page.read_text("utf-8") for page in pages.rglob("*.md"))
     commands = {*re.findall(r"`(sweepopt \w[^`]*)`", text)}
     assert len(commands) > 15
@@ -160,20 +156,9 @@ def test_commands_on_the_pages_are_understood(
 
 
 @pytest.mark.skipif("SWEEPOPT_SITE" not in os.environ, reason="SWEEPOPT_SITE names no built site")
-def test_a_gallery_page_opens_in_a_browser_and_asks_nobody_for_anything(tmp_path: Path) -> None:
-    chromium, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
-    if not chromium or not chromedriver:
-        assert os.environ.get("SWEEPOPT_BROWSER") != "required", "there is no Chromium"
-        pytest.skip("the apt packages chromium and chromium-driver are not installed")
+def test_a_gallery_page_opens_in_a_browser_and_asks_nobody_for_anything(tmp_path):
     site = Path(os.environ["SWEEPOPT_SITE"]).resolve()
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    for switch in ("headless", "no-sandbox", "disable-dev-shm-usage", f"user-data-dir={tmp_path}"):
-        options.add_argument(f"--{switch}")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    with webdriver.Chrome(options=options, service=webdriver.ChromeService(chromedriver)) as driver:
-        driver.get("about:blank")  # leaves Chromium's own first page
-        driver.get_log("performance")
+    with chromium(tmp_path) as driver:
         driver.get((site / "gallery" / "index.html").as_uri())
         widths = "return [...document.querySelectorAll('.cards img')].map(i => i.naturalWidth)"
         assert len(driver.execute_script(widths)) == len(list_scenes())
@@ -185,11 +170,6 @@ def test_a_gallery_page_opens_in_a_browser_and_asks_nobody_for_anything(tmp_path
         assert driver.find_element(By.ID, "sweepopt.fem.Friction").is_displayed()
         assert driver.current_url.endswith("api/fem.html#sweepopt.fem.Friction")
         assert driver.get_log("browser") == []
-        events = [json.loads(each["message"])["message"] for each in driver.get_log("performance")]
-    asked = [
-        event["params"]["request"]["url"]
-        for event in events
-        if event["method"] == "Network.requestWillBeSent"
-    ]
+        asked = requested(driver)
     assert len(asked) > 10
     assert all(url.startswith((site.as_uri(), "data:")) for url in asked)

@@ -1,7 +1,5 @@
 """The antiplane forms, the lumped friction and the two reference problems with known solutions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -5,8 +5,6 @@ top of the tree, with the library importable) and reviewed as the difference of 
 Only the public face is used here, so that the files outlive any change behind it.
 """
 
-from __future__ import annotations
-
 import builtins
 import contextlib
 import inspect
@@ -18,12 +16,10 @@ import sys
 import tempfile
 import tomllib
 import warnings
-from collections.abc import Callable, Iterator
 from copy import deepcopy
 from functools import reduce
 from operator import getitem
 from pathlib import Path
-from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -71,7 +67,7 @@ NOT_CALLED = (
 """Classes of which users are handed instances."""
 
 
-def signature(function: Any) -> str:
+def signature(function):
     """Names, kinds and defaults of the arguments, without annotations."""
     given = inspect.signature(function)
     bare = [p.replace(annotation=inspect.Parameter.empty) for p in given.parameters.values()]
@@ -79,7 +75,7 @@ def signature(function: Any) -> str:
     return re.sub(r" at 0x[0-9a-f]+", "", text)
 
 
-def described(name: str, thing: Any) -> dict[str, str]:
+def described(name, thing):
     """Call and members of something public; of a set only what differs from any other set."""
     if not isinstance(thing, type):
         return {"": signature(thing) if callable(thing) else "data"}
@@ -100,9 +96,9 @@ def described(name: str, thing: Any) -> dict[str, str]:
     return found
 
 
-def api() -> Any:
+def api():
     """Names of the library and of `sweepopt.fem`, how they are called, statuses and exceptions."""
-    found: dict[str, Any] = {
+    found = {
         module.__name__: {
             name: described(name, getattr(module, name)) for name in sorted(module.__all__)
         }
@@ -119,7 +115,7 @@ def api() -> Any:
 # ---- command line and files ---------------------------------------------------------------------
 
 
-def called(*arguments: str) -> tuple[int, str]:
+def called(*arguments):
     """Exit code and all that a command says."""
     said = io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
@@ -130,7 +126,7 @@ def called(*arguments: str) -> tuple[int, str]:
     return code, said.getvalue()
 
 
-def cli() -> Any:
+def cli():
     """Usage of each command."""
     found = {}
     with mock.patch.dict(os.environ, COLUMNS="2000", NO_COLOR="1"):
@@ -177,7 +173,7 @@ title = "one cell"
 """
 
 
-def tables(data: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+def tables(data, path=()):
     """Paths of all tables of a file."""
     if isinstance(data, dict):
         yield path
@@ -186,7 +182,7 @@ def tables(data: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
             yield from tables(value, (*path, key))
 
 
-def keys() -> Any:
+def keys():
     """What a scene with each key is read as, and how each table refuses an unknown key."""
     refused = {}
     with tempfile.TemporaryDirectory() as place:
@@ -214,7 +210,7 @@ def keys() -> Any:
 # ---- the run of the README ----------------------------------------------------------------------
 
 
-def tube() -> Any:
+def tube():
     """What `sweepopt run problems/tube.toml` writes, and its numbers."""
     import meshio
     import xarray as xr
@@ -253,7 +249,7 @@ def tube() -> Any:
 
 # ---- the comparison -----------------------------------------------------------------------------
 
-FACES: dict[str, tuple[Callable[[], Any], float]] = {
+FACES = {
     "api": (api, 0.0),
     "cli": (cli, 0.0),
     "keys": (keys, 0.0),
@@ -262,7 +258,7 @@ FACES: dict[str, tuple[Callable[[], Any], float]] = {
 """What is written in each golden file and how far its numbers may be off, relatively."""
 
 
-def flat(data: Any, path: str = "") -> dict[str, Any]:
+def flat(data, path=""):
     """Leaves of nested mappings and lists by their path; numbers with eight digits."""
     if not isinstance(data, (dict, list)):
         return {path[1:]: float(f"{data:.8g}") if isinstance(data, float) else data}
@@ -270,7 +266,7 @@ def flat(data: Any, path: str = "") -> dict[str, Any]:
     return {k: v for key, value in pairs for k, v in flat(value, f"{path}/{key}").items()}
 
 
-def current(name: str) -> dict[str, Any]:
+def current(name):
     """What the golden file of that name would be now."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", so.SweepoptWarning)
@@ -278,7 +274,7 @@ def current(name: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("name", FACES)
-def test_what_is_public_is_as_it_was_written_down(name: str) -> None:
+def test_what_is_public_is_as_it_was_written_down(name):
     golden = json.loads((GOLDEN / f"{name}.json").read_text(encoding="utf-8"))
     found = current(name)
     gone = {key: golden[key] for key in golden.keys() - found.keys()}

@@ -1,10 +1,7 @@
 """Programs on which solvers alone fail, judged by velocities that are exact to 80 digits."""
 
-from __future__ import annotations
-
 from itertools import chain as joined
 from types import SimpleNamespace
-from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -21,21 +18,21 @@ from sweepopt.study.hard.families import (
     make,
 )
 from sweepopt.study.hard.suite import GOOD
-from sweepopt.study.hard.velocities import PATHS, HardRow, HardStudy
+from sweepopt.study.hard.velocities import PATHS, HardStudy
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 
 
-def solve_once(process: so.SweepingProcess, **settings: Any) -> so.Solution:
+def solve_once(process, **settings):
     settings = {"t_end": 1.0, "steps": 1, "scheme": "implicit-euler", "tol": 1e-9, **settings}
     return so.solve(process, **settings)
 
 
-def judged(*families: str, **settings: Any) -> list[HardRow]:
+def judged(*families, **settings):
     return list(HardStudy(families=families, **{"combinations": 0, **settings}).rows())
 
 
-def compare(process: so.SweepingProcess, sol: so.Solution, mu: float) -> Any:
+def compare(process, sol, mu):
     """Error and certificate of each step, relative, and their excess."""
     program = Program(process.A, process.B, mu)
     steps = zip(sol.t, sol.u, sol.velocity, sol.stats["certificate"], strict=False)
@@ -43,11 +40,11 @@ def compare(process: so.SweepingProcess, sol: so.Solution, mu: float) -> Any:
         yield program.compare(program.solve(u, process.C.at(t + mu)), z, certificate)
 
 
-def wrong(found: list[HardRow]) -> list[HardRow]:
+def wrong(found):
     return [row for row in found if row.verdict not in GOOD]
 
 
-def test_the_active_set_solver_stands_alone() -> None:
+def test_the_active_set_solver_stands_alone():
     process = make(("cond 1e12", "a box on all"), np.random.default_rng(0))
     sol = solve_once(process, solver="active-set", tol=1e-9)
     ((error, certificate, _),) = compare(process, sol, 1.0)
@@ -58,14 +55,14 @@ def test_the_active_set_solver_stands_alone() -> None:
 # ---- every family, judged by its exact velocity -----------------------------------------------
 
 
-def test_families_are_made_of_ingredients_that_there_are() -> None:
+def test_families_are_made_of_ingredients_that_there_are():
     names = [name for table in TABLES for name in table]
     assert len(names) == len(set(names))
     assert set(joined(*FAMILIES.values())) <= set(names)
 
 
 @pytest.mark.parametrize(("turn", "family"), [*enumerate(FAMILIES)])
-def test_hard_families_are_met_within_their_certificates(turn: int, family: str) -> None:
+def test_hard_families_are_met_within_their_certificates(turn, family):
     # some solvers and paths in turn here, all of them with -m slow
     solvers = ["auto", ("osqp", "clarabel")[turn % 2]]
     paths = ["full", ("eliminated", "proportional")[turn // 2 % 2]]
@@ -75,14 +72,14 @@ def test_hard_families_are_met_within_their_certificates(turn: int, family: str)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1, 7))
+@pytest.mark.parametrize("seed", range(7))
 @pytest.mark.parametrize("family", FAMILIES)
-def test_hard_families_are_met_for_every_seed_and_solver(family: str, seed: int) -> None:
+def test_hard_families_are_met_for_every_seed_and_solver(family, seed):
     assert wrong(judged(family, seeds=[seed])) == []
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_combinations_drawn_by_chance_are_met(seed: int) -> None:
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+def test_combinations_drawn_by_chance_are_met(seed):
     found = judged("unbounded", seeds=[seed], solvers=["auto", "osqp", "clarabel"], combinations=4)
     assert len({row.drawn for row in found}) == 5
     assert wrong(found) == []
@@ -100,7 +97,7 @@ def test_combinations_drawn_by_chance_are_met(seed: int) -> None:
         pytest.param(114, 41, id="discs across cells from 1 to 1e-6"),
     ],
 )
-def test_combinations_that_were_wrong_once(seed: int, number: int) -> None:
+def test_combinations_that_were_wrong_once(seed, number):
     random = np.random.default_rng([seed, number])
     names = combination(random)
     process, (t_end, steps, *_) = make(names, random), entry_of(HISTORIES, names)
@@ -110,7 +107,7 @@ def test_combinations_that_were_wrong_once(seed: int, number: int) -> None:
             assert error <= min(1e-9, stated)
 
 
-def test_the_judge_has_digits_for_radii_from_1_to_1e24() -> None:
+def test_the_judge_has_digits_for_radii_from_1_to_1e24():
     found = judged(
         "unbounded", seeds=[413], solvers=["clarabel"], paths=["eliminated"], combinations=3
     )
@@ -118,7 +115,7 @@ def test_the_judge_has_digits_for_radii_from_1_to_1e24() -> None:
     assert found[-1].family == "combination 2"
 
 
-def test_a_path_that_does_not_apply_leaves_no_row() -> None:
+def test_a_path_that_does_not_apply_leaves_no_row():
     # all unknowns are in contact: there is nothing to eliminate
     found = judged("condition_all", "proportional", solvers=["auto"])
     assert [(row.family, row.path) for row in found] == [
@@ -138,14 +135,12 @@ def test_a_path_that_does_not_apply_leaves_no_row() -> None:
         ([1.0, 1.0], [1.0, 2.0], so.Polyhedron([[1.0, 1.0]], [1.0]), [-1.0, -1.0]),
     ],
 )
-def test_the_exact_velocity_is_that_of_a_closed_form(
-    M: list[float], q: list[float], C: so.ConvexSet, z: list[float]
-) -> None:
+def test_the_exact_velocity_is_that_of_a_closed_form(M, q, C, z):
     found = Program(np.diag(M), np.eye(len(M))).solve(np.array(q), C).z
     assert [float(x) for x in found] == pytest.approx(z, abs=1e-15)
 
 
-def test_a_set_without_rows_or_a_point_has_no_exact_velocity() -> None:
+def test_a_set_without_rows_or_a_point_has_no_exact_velocity():
     for C, words in (
         (so.Ellipsoid([0.0], [[2.0]]), "no exact velocity is known for a Ellipsoid"),
         (so.Polyhedron([[1.0], [-1.0]], [-1.0, -1.0]), "C has no point"),
@@ -161,9 +156,7 @@ def test_a_set_without_rows_or_a_point_has_no_exact_velocity() -> None:
         pytest.param(1146, 8, 16.600349923118195, id="full steps go round in circles"),
     ],
 )
-def test_the_exact_velocity_of_discs_of_any_size_is_known(
-    seed: int, number: int, length: float
-) -> None:
+def test_the_exact_velocity_of_discs_of_any_size_is_known(seed, number, length):
     # the numbers are those of a smoothed problem, solved by Newton's method
     random = np.random.default_rng([seed, number])
     process = make(combination(random), random)
@@ -172,7 +165,7 @@ def test_the_exact_velocity_of_discs_of_any_size_is_known(
     assert program.error(0, exact) == pytest.approx(length, rel=1e-14)
 
 
-def test_the_judge_does_not_round_the_sum_and_the_product_of_the_data() -> None:
+def test_the_judge_does_not_round_the_sum_and_the_product_of_the_data():
     # 1 + 1e-9 * 3e-9 is 1 in doubles, and so is the product with the state
     u = np.array([1 + 2.0**-30])
     program = Program(np.eye(1), np.array([[3e-9]]), 1e-9)
@@ -184,13 +177,11 @@ def test_the_judge_does_not_round_the_sum_and_the_product_of_the_data() -> None:
 
 
 @pytest.mark.parametrize("family", ["condition", "lengths_down", "stiff"])
-def test_the_judge_sees_wrong_answers_and_certificates(
-    monkeypatch: pytest.MonkeyPatch, family: str
-) -> None:
-    def judged_as(factor: float, stated: float = 1.0) -> HardRow:
+def test_the_judge_sees_wrong_answers_and_certificates(monkeypatch, family):
+    def judged_as(factor, stated=1.0):
         """The row of a run whose velocities and certificates are not those of the library."""
 
-        def lying(*process: so.SweepingProcess, **settings: Any) -> Any:
+        def lying(*process, **settings):
             sol = so.solve(*process, **settings)
             stats = {name: sol.stats[name] for name in ("solver", "attempts", "certificate")}
             stats["certificate"] = stated * stats["certificate"]
@@ -207,8 +198,8 @@ def test_the_judge_sees_wrong_answers_and_certificates(
 
 
 def test_an_error_of_the_library_is_a_wrong_row_whatever_its_words(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     monkeypatch.setattr(suite, "solve", Mock(side_effect=so.InputError("path= is in the text")))
     found = judged("small_beta", solvers=["auto"])
     assert [row.path for row in found] == list(PATHS)
@@ -219,7 +210,7 @@ def test_an_error_of_the_library_is_a_wrong_row_whatever_its_words(
 
 
 @pytest.mark.parametrize("solver", ["auto", "newton", "daqp", "osqp", "clarabel", "cvxpy"])
-def test_glued_unknowns_have_exactly_no_velocity(solver: str) -> None:
+def test_glued_unknowns_have_exactly_no_velocity(solver):
     g = np.array([np.inf, 0.3, 0.0, np.inf, 1e12])
     load = so.Separable([(so.Sine(3.0, 4.0), np.ones(5))])
     A = chain(np.random.default_rng(0), 5)
@@ -227,13 +218,3 @@ def test_glued_unknowns_have_exactly_no_velocity(solver: str) -> None:
     sol = so.solve(vi, t_end=4.0, steps=20, solver=solver)
     assert (sol.u[:, [0, 3, 4]] == 1.0).all()
     assert sol.velocity[:, [1, 2]].any(axis=0).all()
-
-
-def test_a_contact_that_is_named_twice_has_the_sum_of_its_bounds() -> None:
-    E, rng = np.eye(4)[:, [2, 0, 2, 2]], np.random.default_rng(1)
-    named = so.image(E, so.Box([-1, -2, -3, -np.inf], [1, 2, 3, 4]))
-    once = so.image(np.eye(4)[:, [0, 2]], so.Box([-2, -np.inf], [2, 8]))
-    for w in 9 * rng.normal(size=(20, 4)):
-        assert named.project(w) == pytest.approx(once.project(w), abs=1e-12)
-        z = w * [1, 0, 0, 0] + [0, 0, abs(w[2]), 0]
-        assert named.support(z) == pytest.approx(once.support(z), rel=1e-12)

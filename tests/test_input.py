@@ -1,12 +1,8 @@
 """Bad input to the problems and the driver: our own error, which names the culprit."""
 
-from __future__ import annotations
-
 import contextlib
 import io
-from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,36 +14,35 @@ EYE = np.eye(2)
 BOX = so.Box([-1, -1], [1, 1])
 
 
-def process(A: Any = EYE, B: Any = EYE, C: Any = BOX, u0: Any = (0, 0)) -> so.SweepingProcess:
+def process(A=EYE, B=EYE, C=BOX, u0=(0, 0)):
     return so.SweepingProcess(A, B, C, u0)
 
 
-def vi(A: Any = EYE, B: Any = EYE, **others: Any) -> so.EvolutionVI:
+def vi(A=EYE, B=EYE, **others):
     return so.EvolutionVI(A, B, **{"u0": [0, 0], **others})
 
 
-def run(problem: Any = None, **others: Any) -> so.Solution:
+def run(problem=None, **others):
     problem = process() if problem is None else problem
     return so.solve(problem, **{"t_end": 1.0, "steps": 4, **others})
 
 
-def sparse_with(value: float) -> sp.csr_array:
+def sparse_with(value):
     return sp.csr_array(np.array([[1.0, value], [value, 1.0]]))
 
 
 class Sublinear(so.Ball):
     """A user's set whose support function is wrong."""
 
-    def support(self, z: np.ndarray) -> float:
+    def support(self, z):
         return super().support(z) + 1.0
 
 
-CASES: list[tuple[str, Callable[[], Any], str]] = [
+CASES = [
     # matrices
     ("A not square", lambda: process(A=np.ones((2, 3))), r"A must be square"),
     ("A with nan", lambda: process(A=[[1, np.nan], [np.nan, 1]]), r"A\[0, 1\] is nan"),
     ("A sparse with inf", lambda: process(A=sparse_with(np.inf)), r"A\[.\, .\] is inf"),
-    ("A asymmetric", lambda: process(A=[[1, 0.5], [0, 1]]), r"A must be symmetric: A\[0, 1\] = 0.5"),
     ("A nearly symmetric", lambda: process(A=[[1, 0.5], [0.5 + 1e-9, 1]]), r"= 0.500000001; pass"),
     ("A masked", lambda: process(A=np.ma.array(EYE, mask=1 - EYE)), r"A\[0, 1\] is nan"),
     ("u0 masked", lambda: process(u0=np.ma.array([1.0, 2.0], mask=[0, 1])), r"u0\[1\] is nan"),
@@ -57,16 +52,13 @@ CASES: list[tuple[str, Callable[[], Any], str]] = [
     ("A negative", lambda: process(A=-EYE), r"A\[0, 0\] = -1"),
     ("A and B zero", lambda: process(A=0 * EYE, B=None), r"A and B are both zero"),
     ("A zero, B singular", lambda: process(A=0 * EYE, B=np.diag([1, 0])), r"B must be positive def"),
-    ("B of another size", lambda: process(B=np.eye(3)), r"B has dim 3, but A and C and u0 2"),
     ("B indefinite", lambda: process(B=np.diag([1, -1])), r"B must be positive semidefinite"),
     # sets and start
     ("C of another dim", lambda: process(C=so.Ball([0, 0, 0], 1)), r"C has dim 3"),
-    ("C not a set", lambda: process(C=[-1, 1]), r"C must be a set"),
     ("u0 too long", lambda: process(u0=[0, 0, 0]), r"u0 has dim 3, but A and B and C 2"),
     ("u0 outside at A = 0", lambda: run(process(A=0 * EYE, u0=[5, 0])), r"B u0 is not in C\(0\)"),
     ("wrong support", lambda: run(process(C=Sublinear([0, 0], 1))), r"not positively homogeneous"),
     # variational inequality
-    ("dissipation moving", lambda: vi(dissipation=so.Moving(BOX)), r"dissipation must be a set"),
     ("dissipation dim", lambda: vi(dissipation=so.Ball([0], 1)), r"dissipation has dim 1"),
     ("cone not a cone", lambda: vi(cone=BOX), r"not a cone"),
     ("load nan", lambda: vi(load=[1.0, np.nan]), r"load\[1\] is nan"),
@@ -80,22 +72,15 @@ CASES: list[tuple[str, Callable[[], Any], str]] = [
         lambda t: so.Box([-1, -0.5], [1, 0.25 - t])))), r"t = 0\.823\d*: Box is empty: lower\[1\]"),
     # the driver
     ("process a matrix", lambda: run(EYE), r"process must be a SweepingProcess"),
-    ("t_end missing", lambda: run(t_end=None), r"t_end is missing"),
-    ("t_end negative", lambda: run(t_end=-1.0), r"t_end must be > 0"),
-    ("steps fractional", lambda: run(steps=2.5), r"steps must be a positive whole number"),
     ("times decrease", lambda: run(steps=[0, 0.5, 0.2]), r"strictly increasing"),
     ("times end elsewhere", lambda: run(steps=[0, 0.5, 2.0]), r"steps end at 2"),
-    ("scheme unknown", lambda: run(scheme="rk4"), r"scheme 'rk4' is not known"),
     ("explicit scheme at A = 0", lambda: run(process(A=0 * EYE), scheme="catching-up"), r"A = 0"),
-    ("solver unknown", lambda: run(solver="gurobi"), r"solver 'gurobi' is not known"),
-    ("solver a class", lambda: run(solver=so.Clarabel), r"solver must be a name"),
     ("cvxpy solver unknown", lambda: run(
         vi(load=[3.0, 0], dissipation=BOX), solver=so.Cvxpy("NOPE")), r"no solver 'NOPE'"),
     ("tol true", lambda: run(tol=True), r"tol must be one number, got True .entries are bool; give numbers"),
     ("tol in a list", lambda: run(tol=[1e-6]), r"tol must be one number, got 1 of them in a list"),
     ("true in an array", lambda: so.Sine(np.array(True), 1), r"amplitude must be one number, got ar"),
     ("tol zero", lambda: run(tol=0), r"tol must be > 0"),
-    ("on_failure", lambda: run(on_failure="ignore"), r"on_failure must be one of"),
     ("on_unstable", lambda: run(on_unstable="maybe"), r"on_unstable must be one of"),
     ("t_end text beside times", lambda: run(steps=[0, 1], t_end="1"), r"t_end must be one number"),
     ("callback a number", lambda: run(callback=3), r"callback must be a function"),
@@ -148,17 +133,17 @@ CASES: list[tuple[str, Callable[[], Any], str]] = [
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 @pytest.mark.parametrize(("call", "message"), [c[1:] for c in CASES], ids=[c[0] for c in CASES])
-def test_bad_input_is_refused_by_name(call: Callable[[], Any], message: str) -> None:
+def test_bad_input_is_refused_by_name(call, message):
     with pytest.raises(so.SweepoptError, match=message):
         call()
 
 
-def test_an_asymmetry_of_rounding_is_taken_out() -> None:
+def test_an_asymmetry_of_rounding_is_taken_out():
     A = process(A=[[1, 0.5], [np.nextafter(0.5, 1), 1]]).A
     assert A[0, 1] == A[1, 0] == pytest.approx(0.5)
 
 
-def test_what_a_callback_returns_is_a_yes_or_a_no() -> None:
+def test_what_a_callback_returns_is_a_yes_or_a_no():
     for wrong in (np.zeros(2), np.ones(3)):
         with pytest.raises(so.InputError, match="callback must return True to stop"):
             run(callback=lambda _, wrong=wrong: wrong)
@@ -171,7 +156,7 @@ def test_what_a_callback_returns_is_a_yes_or_a_no() -> None:
 
 
 @pytest.mark.parametrize("lacks", ["name", "treats", "compile"])
-def test_an_object_that_lacks_a_part_of_a_solver_is_refused(lacks: str) -> None:
+def test_an_object_that_lacks_a_part_of_a_solver_is_refused(lacks):
     parts = {"name", "treats", "compile"} - {lacks}
     half = SimpleNamespace(**dict.fromkeys(parts, lambda *_: None))
     with pytest.raises(so.SolverRefusedError, match=f"it has no {lacks}"):
@@ -183,7 +168,7 @@ BARE = SimpleNamespace(write=len)  # the least that `print` and redirect_stdout 
 
 @pytest.mark.parametrize("stream", [BARE, io.StringIO(), None], ids=["bare", "text", "none"])
 @pytest.mark.parametrize("solver", ["osqp", "cvxpy"])
-def test_output_may_be_redirected_to_anything(stream: Any, solver: str) -> None:
+def test_output_may_be_redirected_to_anything(stream, solver):
     with contextlib.redirect_stdout(stream):
         assert run(process(C=so.Moving(BOX, lambda t: [3 * t, t])), solver=solver).success
     assert not isinstance(stream, io.StringIO) or not stream.getvalue()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
-from collections.abc import Iterator
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -49,7 +48,7 @@ class Import(NamedTuple):
 
 
 @cache
-def imports() -> list[Import]:
+def imports():
     """All imports of the package but those for annotations; the package's own face is left out."""
     found = []
     for path in PACKAGE.rglob("*.py"):
@@ -73,31 +72,31 @@ def imports() -> list[Import]:
     return found
 
 
-def between_rooms() -> Iterator[tuple[str, str, Import]]:
+def between_rooms():
     for one in imports():
         above, parts = one.module.split("/")[0], [*one.source.split("."), one.name]
         if parts[0] == "sweepopt" and parts[1] not in (above, "__version__", ""):
             yield above, parts[1], one
 
 
-def test_imports_point_downwards_only() -> None:
+def test_imports_point_downwards_only():
     for above, below, one in between_rooms():
         assert ROOMS.index(below) < ROOMS.index(above) or (above, below) in UPWARD, one
 
 
-def test_no_name_with_an_underscore_passes_between_rooms() -> None:
+def test_no_name_with_an_underscore_passes_between_rooms():
     assert not [one for *_, one in between_rooms() if one.name.startswith("_")]
 
 
-def test_rooms_are_entered_by_their_faces() -> None:
+def test_rooms_are_entered_by_their_faces():
     lazy = ("fem", "study")  # their parts need packages that not everybody has
     assert not [
         one for _, below, one in between_rooms() if one.source.count(".") > 1 and below not in lazy
     ]
 
 
-def test_no_modules_import_each_other_in_a_circle() -> None:
-    graph: dict[str, set[str]] = {}
+def test_no_modules_import_each_other_in_a_circle():
+    graph = {}
     for one in imports():
         target = "/".join([*one.source.split(".")[1:], one.name])
         found = target if (PACKAGE / f"{target}.py").exists() else target.rpartition("/")[0]
@@ -107,13 +106,13 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     TopologicalSorter(graph).prepare()
 
 
-def test_outside_packages_are_imported_only_where_they_live() -> None:
+def test_outside_packages_are_imported_only_where_they_live():
     for one in imports():
         homes = HOMES.get(one.source.split(".")[0], (one.module,))
         assert any(one.module == home or one.module.startswith(f"{home}/") for home in homes), one
 
 
-def test_importing_the_library_loads_no_heavy_package() -> None:
+def test_importing_the_library_loads_no_heavy_package():
     heavy = [name for name in HOMES if name not in ("daqp", "cvxopt")]
     code = f"import sys, sweepopt; print([name for name in {heavy} if name in sys.modules])"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

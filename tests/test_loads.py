@@ -1,11 +1,10 @@
 """Loads know their exact variation and kinks; bad tables are refused with file, column and row."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from cases import block
 
 import sweepopt as so
 from sweepopt import Constant, InputError, Polynomial, Separable, Sine, Table, Triangle
@@ -183,15 +182,15 @@ def test_a_bad_csv_is_refused_with_file_column_and_row(tmp_path, text, message):
         Table.from_csv(path, "f2")
 
 
-def test_histories_of_any_kind_are_checked_and_used_one_time_at_a_time() -> None:
+def test_histories_of_any_kind_are_checked_and_used_one_time_at_a_time():
     class Step:
-        def __call__(self, t: float) -> float:
+        def __call__(self, t):
             return 1.0 if t < 1 else 2.0
 
-        def variation(self, a: float, b: float) -> float:
+        def variation(self, a, b):
             return 1.0
 
-        def breakpoints(self, a: float, b: float) -> np.ndarray:
+        def breakpoints(self, a, b):
             return np.array([1.0])
 
     black_box = Separable([(lambda t: t**2, [1.0])])
@@ -203,22 +202,19 @@ def test_histories_of_any_kind_are_checked_and_used_one_time_at_a_time() -> None
     times = np.array([0.5, 1.5])
     assert load.values(times).tolist() == [load.coefficients(t).tolist() for t in times]
     assert load.values(times)[:, 0].tolist() == [1.0, 2.0]
-    table = so.Moving(so.Box([-1], [1]), center=so.Table([0, 5], [0, 7]))
-    this = so.SweepingProcess([[1.0]], [[1.0]], table, [0.0])
-    assert so.solve(this, t_end=5.0, steps=20).success
+    assert so.solve(block(so.Table([0, 5], [0, 7])), t_end=5.0, steps=20).success
 
 
-def test_a_ramp_of_two_points_never_turns_and_its_run_has_a_bound() -> None:
+def test_a_ramp_of_two_points_never_turns_and_its_run_has_a_bound():
     ramp = Table([0.0, 1.0], [0.0, 2.0])
     assert ramp.turning_points(0.0, 1.0).size == 0
-    C = so.Moving(so.Box(-1, 1), center=so.Separable([(ramp, 1.0)]))
-    sol = so.solve(so.SweepingProcess(0.5, 2.0, C, 0.0), t_end=1.0, steps=50)
+    sol = so.solve(block(ramp), t_end=1.0, steps=50)
     bound = sol.error_bound()
     assert bound.guaranteed
     assert bound < 1e-2
 
 
-def test_a_table_may_end_before_the_run_if_the_users_function_does_not_ask_it_there() -> None:
+def test_a_table_may_end_before_the_run_if_the_users_function_does_not_ask_it_there():
     table = Table([0.0, 1.0], [0.0, 2.0])
     C = so.MovingSet(lambda t: so.Box(-1, 1) + table(min(t, 1.0)), histories=[table])
     sol = so.solve(so.SweepingProcess(0.5, 2.0, C, 0.0), t_end=2.0, steps=40)

@@ -15,17 +15,17 @@ import sweepopt as so
 BOX = so.Box(-1, 1)
 
 
-def pulled(**others: Any) -> so.SweepingProcess:
+def pulled(**others):
     """A block that a spring and a dashpot hold, with friction, pulled by 1.5 t."""
     given = {"A": 0.5, "B": 2.0, "C": so.Moving(BOX, center=lambda t: 1.5 * t), "u0": 0.0}
     return so.SweepingProcess(**{**given, **others})
 
 
-def run(process: Any = None, **others: Any) -> so.Solution:
+def run(process=None, **others):
     return so.solve(process or pulled(), **{"t_end": 1.0, "steps": 10, **others})
 
 
-def scene(text: str = "", mesh: str = "{ sizes = [1.0, 1.0], cells = [2, 2] }") -> Any:
+def scene(text="", mesh="{ sizes = [1.0, 1.0], cells = [2, 2] }"):
     domain = f"[domain]\nmesh = {mesh}\n[time]\nend = 1.0\nsteps = 2\n"
     return so.fem.read_scene(domain + text)
 
@@ -36,23 +36,23 @@ class Given:
 
     make: Callable[[so.fem.Discretisation], Any]
 
-    def contribute(self, body: so.fem.Discretisation) -> Any:
+    def contribute(self, body):
         return self.make(body)
 
 
-def contributed(make: Callable[[so.fem.Discretisation], Any]) -> so.fem.Scene:
+def contributed(make):
     section = so.fem.Discretisation(so.fem.grid([1.0, 1.0], [2, 2]), "left")
     return so.fem.body(section, [so.fem.Viscosity(1.0), Given(make)])
 
 
-def matrix_of(body: so.fem.Discretisation, value: float) -> so.fem.Contribution:
+def matrix_of(body, value):
     return so.fem.Contribution(A=sp.diags_array(np.full(body.dim, value)))
 
 
 VISCOUS = "[effects.viscosity]\neta = 1.0\n"
 LAPLACIAN = sp.diags_array([[-1.0] * 5, [1.0, 2, 2, 2, 2, 1], [-1.0] * 5], offsets=[-1, 0, 1])
 
-MISTAKES: list[tuple[str, Callable[[], Any], str, str]] = [
+MISTAKES = [
     # the arguments of other libraries
     ("dt", lambda: run(dt=0.1), "argument dt", r"steps=round\(t_end / dt\)"),
     ("t_span", lambda: run(t_span=(0, 1)), "argument t_span", "give t_end"),
@@ -143,9 +143,7 @@ MISTAKES: list[tuple[str, Callable[[], Any], str, str]] = [
 @pytest.mark.parametrize(
     ("call", "name", "remedy"), [m[1:] for m in MISTAKES], ids=[m[0] for m in MISTAKES]
 )
-def test_a_mistake_is_named_with_its_remedy(
-    call: Callable[[], Any], name: str, remedy: str
-) -> None:
+def test_a_mistake_is_named_with_its_remedy(call, name, remedy):
     with pytest.raises(so.InputError, match=name) as caught:
         call()
     with pytest.raises(so.InputError, match=remedy):
@@ -165,7 +163,7 @@ RESULTS = (
 
 
 @pytest.mark.parametrize("name", [one for one in FORMS if one not in RESULTS])
-def test_every_public_name_refuses_an_argument_that_it_does_not_have(name: str) -> None:
+def test_every_public_name_refuses_an_argument_that_it_does_not_have(name):
     thing = so.fem.__dict__[name[4:]] if name.startswith("fem.") else getattr(so, name)
     if isinstance(thing, type) and issubclass(thing, BaseException):
         return
@@ -180,16 +178,16 @@ def test_every_public_name_refuses_an_argument_that_it_does_not_have(name: str) 
     (lambda: so.HalfSpace(norm=[1.0], offset=0.0), "did you mean normal"),
     (lambda: so.fem.Friction("left", mu=0.3), "Friction has no argument mu; there are: on, g, p"),
 ])  # fmt: skip
-def test_a_wrong_argument_is_named_with_those_there_are(call: Any, remedy: str) -> None:
+def test_a_wrong_argument_is_named_with_those_there_are(call, remedy):
     with pytest.raises(so.InputError, match=remedy):
         call()
 
 
-def test_a_half_space_takes_its_arguments_by_name() -> None:
+def test_a_half_space_takes_its_arguments_by_name():
     assert so.HalfSpace(normal=[1.0, 0.0], offset=2.0).support([1.0, 0.0]) == 2.0
 
 
-def test_one_unknown_needs_no_brackets() -> None:
+def test_one_unknown_needs_no_brackets():
     plain = run(steps=10.0)
     lists = run(
         so.SweepingProcess(
@@ -200,7 +198,7 @@ def test_one_unknown_needs_no_brackets() -> None:
     assert plain(0.95) > 0
 
 
-def test_a_that_is_left_out_is_zero_and_a_function_for_c_is_a_moving_set() -> None:
+def test_a_that_is_left_out_is_zero_and_a_function_for_c_is_a_moving_set():
     # the play operator: B u follows the input to within 1
     play = pulled(A=None, C=lambda t: so.Box(1.5 * t - 1, 1.5 * t + 1))
     np.testing.assert_allclose(run(play, t_end=4.0)(4.0), (6.0 - 1.0) / 2.0, rtol=1e-12)
@@ -208,7 +206,7 @@ def test_a_that_is_left_out_is_zero_and_a_function_for_c_is_a_moving_set() -> No
     np.testing.assert_allclose(run(elastic, t_end=4.0)(4.0), 2.5, rtol=1e-12)
 
 
-def broken(t: float) -> float:
+def broken(t):
     if t > 0.55:
         raise ZeroDivisionError("of my own")
     return 0.5 + t
@@ -220,7 +218,7 @@ def broken(t: float) -> float:
     (so.MovingSet(lambda t: so.Box(-1, broken(t))), "C"),
     (so.Moving(BOX, so.Separable([(broken, 1.0)])), r"terms\[0\]\[0\]"),
 ])  # fmt: skip
-def test_what_a_users_function_raises_goes_through_with_the_time(C: Any, function: str) -> None:
+def test_what_a_users_function_raises_goes_through_with_the_time(C, function):
     with pytest.raises(ZeroDivisionError, match="of my own") as caught:
         run(pulled(C=C), scheme="implicit-euler")
     note = rf"the function that was given for {function}.*, at t = 0\.6"
@@ -229,7 +227,7 @@ def test_what_a_users_function_raises_goes_through_with_the_time(C: Any, functio
 
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
-def test_dense_matrices_that_are_mostly_zeros_are_warned_about_and_work() -> None:
+def test_dense_matrices_that_are_mostly_zeros_are_warned_about_and_work():
     n = 1000
     A, at = np.diag(np.linspace(1.0, 2.0, n)), np.arange(n)
     with pytest.warns(so.SweepoptWarning, match=r"A is dense, 8 MB .* scipy.sparse.csc_array\(A\)"):
@@ -242,7 +240,7 @@ def test_dense_matrices_that_are_mostly_zeros_are_warned_about_and_work() -> Non
     np.testing.assert_allclose(run(dense, steps=2)(1.0), 2.0 / np.diag(A), rtol=1e-9)
 
 
-def test_constraints_tell_their_price_and_what_to_use_instead() -> None:
+def test_constraints_tell_their_price_and_what_to_use_instead():
     cp = pytest.importorskip("cvxpy")
     linear = so.Constraints(2, lambda w: [w <= 1, w[0] + w[1] >= -1])
     assert "0.1 s a step and no proof" in repr(linear)

@@ -1,21 +1,17 @@
 """Unknowns that have names."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
 import sweepopt as so
 
 
-def process(fields: Any) -> so.SweepingProcess:
+def process(fields):
     C = so.Moving(so.Box([-1, -1, -1], [1, 1, 1]), lambda t: [2 * t, 3 * t, -2 * t])
     return so.SweepingProcess(np.eye(3), np.eye(3), C, np.zeros(3), fields)
 
 
-def test_a_field_is_its_part_of_the_solution_and_of_the_dataset() -> None:
+def test_a_field_is_its_part_of_the_solution_and_of_the_dataset():
     sol = so.solve(process({"u": slice(0, 2), "p": slice(2, 3)}), t_end=1.0, steps=10)
     assert (sol.field("p").u == sol.u[:, 2:]).all()
     assert (sol.field("u").velocity == sol.velocity[:, :2]).all()
@@ -38,6 +34,6 @@ def test_a_field_is_its_part_of_the_solution_and_of_the_dataset() -> None:
         ({"u": slice(0, 2), "p": slice(1, 3)}, "fields 'u' and 'p' overlap in unknown 1"),
     ],
 )
-def test_bad_fields_are_refused(fields: Any, words: str) -> None:
+def test_bad_fields_are_refused(fields, words):
     with pytest.raises(so.InputError, match=words):
         process(fields)

@@ -1,7 +1,5 @@
 """Names are found where a user looks for them: `dir`, `help`, tab completion, `import *`."""
 
-from __future__ import annotations
-
 import pydoc
 import subprocess
 import sys
@@ -12,13 +10,13 @@ import pytest
 import sweepopt as so
 
 
-def fresh(code: str) -> str:
+def fresh(code):
     """What a new Python prints."""
     run = [sys.executable, "-c", code]
     return subprocess.run(run, capture_output=True, text=True, check=True).stdout.strip()
 
 
-def test_importing_the_library_takes_no_time() -> None:
+def test_importing_the_library_takes_no_time():
     """A fraction of what scipy.sparse takes, which every use of it needs."""
     code = "import time; t = time.process_time(); import {}; print(time.process_time() - t)"
     # the least of three: other processes slow one of them
@@ -29,20 +27,20 @@ def test_importing_the_library_takes_no_time() -> None:
     assert ours < min(0.3, theirs)
 
 
-def test_dir_has_the_public_names_and_each_of_them_is_there() -> None:
+def test_dir_has_the_public_names_and_each_of_them_is_there():
     public = {name for name in dir(so) if not name.startswith("__")}
     assert public == {*so.__all__, "fem", "study", "plot"}
     for name in so.__all__:
         assert getattr(so, name).__name__ == name
         assert getattr(so, name).__module__.startswith("sweepopt")
-    names: dict[str, object] = {}
+    names = {}
     exec("from sweepopt import *", names)
     assert names["solve"] is so.solve
     with pytest.raises(AttributeError, match="no attribute 'solv'"):
         so.solv  # noqa: B018
 
 
-def test_help_of_what_the_readme_names_needs_no_import_of_it() -> None:
+def test_help_of_what_the_readme_names_needs_no_import_of_it():
     assert "[effects.friction]" in fresh("import sweepopt; help(sweepopt.fem.read_scene)")
     lines = (so.fem.read_scene.__doc__ or "").partition("All effects")[2].splitlines()
     keys = {words[0]: words[1:] for line in lines if (words := line.split())}
@@ -52,11 +50,11 @@ def test_help_of_what_the_readme_names_needs_no_import_of_it() -> None:
     assert "SweepingProcess" in pydoc.render_doc(so)
 
 
-def test_solve_is_the_function_whatever_is_imported_before() -> None:
+def test_solve_is_the_function_whatever_is_imported_before():
     assert "function" in fresh("import sweepopt.driver, sweepopt; print(sweepopt.solve)")
 
 
-def test_a_missing_extra_is_named_and_leaves_dir_and_help_alone() -> None:
+def test_a_missing_extra_is_named_and_leaves_dir_and_help_alone():
     code = """if True:
         import sys, pydoc
         sys.modules["skfem"] = None
@@ -71,7 +69,7 @@ def test_a_missing_extra_is_named_and_leaves_dir_and_help_alone() -> None:
     assert fresh(code).startswith("skfem is not installed; run: ")
 
 
-def test_scenes_are_listed_and_read_by_name() -> None:
+def test_scenes_are_listed_and_read_by_name():
     assert so.list_scenes()["tube"].startswith("Tube")
     scene = so.scene("pipe", changes={"time.steps": 3})
     assert scene.steps == 3
@@ -79,7 +77,7 @@ def test_scenes_are_listed_and_read_by_name() -> None:
         so.scene("tub")
 
 
-def test_a_solver_has_one_name_in_solve_in_scenes_and_in_studies() -> None:
+def test_a_solver_has_one_name_in_solve_in_scenes_and_in_studies():
     C = so.Moving(so.Ball([0.0, 0.0], 1.0), center=lambda t: [3.0 * t, t])
     process = so.SweepingProcess([[2.0, 1.0], [1.0, 2.0]], None, C, [0.0, 0.0])
     sol = so.solve(process, t_end=1.0, steps=2, solver="cvxpy:clarabel")

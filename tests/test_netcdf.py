@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -98,12 +97,3 @@ def test_any_solution_becomes_a_dataset() -> None:
     np.testing.assert_array_equal(dataset.velocity, solution.velocity)
     np.testing.assert_array_equal(dataset.step_end, solution.t[1:])
     assert set(solution.stats.dtype.names) - {"t"} <= set(dataset.variables)
-
-
-@pytest.mark.parametrize("package", ["xarray", "h5netcdf", "h5py"])
-def test_a_missing_package_names_the_extra_that_brings_it(
-    report: Report, tmp_path: Path, package: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(so.MissingExtraError, match=rf'{package}.*pip install "sweepopt\[fem\]"'):
-        write_netcdf(report, tmp_path / "solution.nc")

@@ -9,15 +9,11 @@ one with the tag "fastest", whose words depend on the speed of the machine, the 
 Versions of cvxpy print programs in their own ways: nothing is compared with what another stored.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections import Counter
-from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -42,7 +38,7 @@ get_ipython().run_line_magic("matplotlib", "inline")
 """
 
 
-def execute(notebook: Any, kernel: Any) -> None:
+def execute(notebook, kernel):
     settings = {"timeout": 300, "kernel_name": "python3", "record_timing": False}
     client = nbclient.NotebookClient(notebook, km=kernel, **settings)
     try:
@@ -52,7 +48,7 @@ def execute(notebook: Any, kernel: Any) -> None:
             client.kc.stop_channels()
 
 
-def run(path: Path, kernel: Any = None) -> tuple[Any, Any]:
+def run(path, kernel=None):
     """The notebook as it is stored, and as it comes out now; in a new kernel if none is given."""
     stored, fresh = (nbformat.read(path, as_version=4) for _ in range(2))
     if kernel is not None:
@@ -62,7 +58,7 @@ def run(path: Path, kernel: Any = None) -> tuple[Any, Any]:
     return stored, fresh
 
 
-def text(cell: Any) -> str:
+def text(cell):
     """What a cell printed, and the value it shows if that is no picture."""
     shown = []
     for output in cell.get("outputs", []):
@@ -74,11 +70,11 @@ def text(cell: Any) -> str:
     return re.sub(r"0x[0-9a-f]+", "", "".join(shown))
 
 
-def pictures(cell: Any) -> int:
+def pictures(cell):
     return sum("image/png" in output.get("data", {}) for output in cell.get("outputs", []))
 
 
-def same_text(old: str, new: str, tags: list[str]) -> None:
+def same_text(old, new, tags):
     if "fastest" in tags:
         # which runs are the best ones depends on the time that they take
         tables = [shown.strip().split("\n\n") for shown in (old, new)]
@@ -96,7 +92,7 @@ def same_text(old: str, new: str, tags: list[str]) -> None:
 
 
 @pytest.fixture(scope="module")
-def kernel() -> Iterator[Any]:
+def kernel():
     """One kernel for all notebooks, which forgets names, figures and filters of warnings between
     them: a new one for each would import everything again, half of the time of these tests.
     """
@@ -109,7 +105,7 @@ def kernel() -> Iterator[Any]:
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
-def test_a_notebook_shows_what_the_code_prints(path: Path, kernel: Any) -> None:
+def test_a_notebook_shows_what_the_code_prints(path, kernel):
     stored, fresh = run(path, kernel)
     assert any(text(cell) or pictures(cell) for cell in stored.cells)
     if stored.metadata["cvxpy"] != CVXPY:
@@ -119,7 +115,7 @@ def test_a_notebook_shows_what_the_code_prints(path: Path, kernel: Any) -> None:
         same_text(text(old), text(new), old.metadata.get("tags", []))
 
 
-def test_texts_that_differ_are_told_apart() -> None:
+def test_texts_that_differ_are_told_apart():
     same_text("error 2.00e-04, 3 steps", "error 2.01e-04, 3 steps", [])
     same_text("certificate 3.1e-15", "certificate 4.0e-09", [])
     same_text("scs 2.1 ms\nosqp 1 ms", "osqp 7 ms\nscs 3 ms", ["timings"])

@@ -1,10 +1,7 @@
 """What a run of a scene leaves behind: slip, summary and VTU files hold the solution's numbers."""
 
-from __future__ import annotations
-
 import json
 import math
-from pathlib import Path
 
 import meshio
 import numpy as np
@@ -13,11 +10,11 @@ from meshes import report_of, ring, smooth, square
 
 import sweepopt as so
 from sweepopt.fem import BodyForce, Friction, Viscosity, antiplane
-from sweepopt.fem.output import MOST_VTU, Report, summary_of, write_summary, write_vtu
+from sweepopt.fem.output import MOST_VTU, summary_of, write_summary, write_vtu
 
 
 @pytest.fixture(scope="module")
-def report() -> Report:
+def report():
     return report_of(ring(), name="ring", text="[domain]", seconds=1.5)
 
 
@@ -25,7 +22,7 @@ def report() -> Report:
 
 
 @pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "midpoint"])
-def test_traction_is_friction(scheme: str) -> None:
+def test_traction_is_friction(scheme):
     report = report_of(ring(steps=120, scheme=scheme))
     slip = report.slip
     g, slips = slip.contact.bound, slip.velocity != 0.0
@@ -39,7 +36,7 @@ def test_traction_is_friction(scheme: str) -> None:
     np.testing.assert_allclose(report.energy.friction[1:], dissipated, rtol=1e-5, atol=1e-12)
 
 
-def test_statistics_count_what_the_velocities_say(report: Report) -> None:
+def test_statistics_count_what_the_velocities_say(report):
     slip = report.slip
     statistics = slip.statistics()
     slips = slip.velocity != 0.0
@@ -59,12 +56,10 @@ def test_statistics_count_what_the_velocities_say(report: Report) -> None:
 # ---- summary --------------------------------------------------------------------------------
 
 
-def test_summary_is_plain_finite_json_with_the_solutions_numbers(
-    report: Report, tmp_path: Path
-) -> None:
+def test_summary_is_plain_finite_json_with_the_solutions_numbers(report, tmp_path):
     write_summary(report, tmp_path, ["solution.nc"])
 
-    def refuse(constant: str) -> None:
+    def refuse(constant):
         raise AssertionError(f"{constant} in the summary")
 
     text = (tmp_path / "summary.json").read_text(encoding="utf-8")
@@ -95,7 +90,7 @@ def test_summary_is_plain_finite_json_with_the_solutions_numbers(
     assert {"python", "numpy", "scipy", "cvxpy", "osqp"} <= set(summary["versions"])
 
 
-def test_without_friction_there_is_no_slip_and_no_solver() -> None:
+def test_without_friction_there_is_no_slip_and_no_solver():
     summary = summary_of(report_of(smooth(), seconds=math.nan))
     assert summary["slip"] is None
     assert summary["seconds"] is None  # JSON has no nan
@@ -103,9 +98,7 @@ def test_without_friction_there_is_no_slip_and_no_solver() -> None:
     assert set(summary["units"].values()) == {"dimensionless", "1"}
 
 
-def test_files_of_an_earlier_run_do_not_pass_for_files_of_this_one(
-    report: Report, tmp_path: Path
-) -> None:
+def test_files_of_an_earlier_run_do_not_pass_for_files_of_this_one(report, tmp_path):
     folder = tmp_path / "out"
     (folder / "vtu").mkdir(parents=True)
     earlier = ["contact.png", "vtu/step_000007.vtu"]
@@ -113,7 +106,7 @@ def test_files_of_an_earlier_run_do_not_pass_for_files_of_this_one(
     for name in (*earlier, *mine, "solution.nc"):
         (folder / name).write_text("content")
 
-    def left() -> set[str]:
+    def left():
         return {file.relative_to(tmp_path).as_posix() for file in tmp_path.rglob("*.*")}
 
     whole = left() | {"out/summary.json"}
@@ -141,7 +134,7 @@ def test_files_of_an_earlier_run_do_not_pass_for_files_of_this_one(
 
 
 @pytest.mark.parametrize(("element", "kind"), [("P1", "triangle"), ("P2", "triangle6")])
-def test_vtu_series_holds_the_solution(tmp_path: Path, element: str, kind: str) -> None:
+def test_vtu_series_holds_the_solution(tmp_path, element, kind):
     report = report_of(ring(element=element, steps=7))
     series, *files = write_vtu(report, tmp_path)
     index = json.loads(series.read_text(encoding="utf-8"))
@@ -169,7 +162,7 @@ def test_vtu_series_holds_the_solution(tmp_path: Path, element: str, kind: str) 
 
 
 @pytest.mark.parametrize("steps", [49, 50])
-def test_vtu_files_are_few_and_include_start_and_end(tmp_path: Path, steps: int) -> None:
+def test_vtu_files_are_few_and_include_start_and_end(tmp_path, steps):
     scene = antiplane(square(1), clamped="top", effects=[Viscosity(1.0)], t_end=1.0, steps=steps)
     series, *files = write_vtu(report_of(scene), tmp_path)
     times = [entry["time"] for entry in json.loads(series.read_text())["files"]]

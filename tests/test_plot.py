@@ -1,12 +1,7 @@
 """Pictures show the solution: what is drawn is compared with the numbers, not with pixels."""
 
-from __future__ import annotations
-
 import math
-import sys
 from itertools import pairwise
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +18,6 @@ from sweepopt.fem import (
     Discretisation,
     Elasticity,
     Friction,
-    Scene,
     Traction,
     Viscosity,
     antiplane,
@@ -37,7 +31,7 @@ from sweepopt.fem.scene import PICTURES
 from sweepopt.fem.snapshots import STATE_COLOURS
 
 
-def half_ring() -> Scene:
+def half_ring():
     """Small in metres, so that pictures need millimetres."""
     force = BodyForce(so.Sine(4.0, period=4.0), f0=lambda x: 1.0 + 40.0 * x[0])
     effects = [Viscosity(2.0), Elasticity(1.0), Friction("outer", g=0.006), force]
@@ -45,11 +39,11 @@ def half_ring() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def run() -> Report:
+def run():
     return report_of(half_ring())
 
 
-def save(figure: Figure, path: Path) -> None:
+def save(figure, path):
     figure.savefig(path)
     assert path.stat().st_size > 20_000
     # no text is laid over the text of another panel
@@ -58,15 +52,13 @@ def save(figure: Figure, path: Path) -> None:
         assert not any(box.overlaps(other) for other in titles[k + 1 :])
 
 
-def contact_drawn(panel: Any) -> tuple[np.ndarray, list[str]]:
+def contact_drawn(panel):
     """Points of the contact boundary and their colours: the uppermost ones."""
     points = [one for one in panel.collections if isinstance(one, PathCollection)][-1]
     return points.get_offsets(), [to_hex(colour) for colour in points.get_facecolors()]
 
 
-def test_displacement_stick_slip_and_reversal_are_those_of_the_solution(
-    run: Report, tmp_path: Path
-) -> None:
+def test_displacement_stick_slip_and_reversal_are_those_of_the_solution(run, tmp_path):
     scene, solution, slip = run.scene, run.solution, run.slip
     figure = draw(run, "displacement")
     save(figure, tmp_path / "displacement.png")
@@ -91,14 +83,14 @@ def test_displacement_stick_slip_and_reversal_are_those_of_the_solution(
     assert figure.axes[-1].yaxis.get_major_formatter()(2e-6) == "2 µm"
 
 
-def test_the_shortest_run_has_pictures(tmp_path: Path) -> None:
+def test_the_shortest_run_has_pictures(tmp_path):
     scene = half_ring()
     run = Report(scene, scene.solve(steps=1))
     draw(run, "displacement").savefig(tmp_path / "displacement.png")
     draw(run, "contact").savefig(tmp_path / "contact.png")
 
 
-def test_a_body_at_rest_without_friction_has_a_picture(tmp_path: Path) -> None:
+def test_a_body_at_rest_without_friction_has_a_picture(tmp_path):
     mesh = square(3).scaled((5.0, 1.0))
     scene = antiplane(mesh, clamped="top", effects=[Viscosity(1.0)], t_end=1.0, steps=3)
     figure = draw(report_of(scene), "displacement")
@@ -108,7 +100,7 @@ def test_a_body_at_rest_without_friction_has_a_picture(tmp_path: Path) -> None:
     assert figure.axes[0].yaxis.get_major_formatter()(0.5) == "0.5"
 
 
-def test_contact_histories_are_those_of_the_solution(run: Report, tmp_path: Path) -> None:
+def test_contact_histories_are_those_of_the_solution(run, tmp_path):
     slip = run.slip
     figure = draw(run, "contact")
     save(figure, tmp_path / "contact.png")
@@ -130,7 +122,7 @@ def test_contact_histories_are_those_of_the_solution(run: Report, tmp_path: Path
     assert slip.total[nodes].min() == slip.total.min()
 
 
-def test_several_boundaries_share_one_picture(tmp_path: Path) -> None:
+def test_several_boundaries_share_one_picture(tmp_path):
     friction = Friction(["bottom", "left"], g={"bottom": 0.1, "left": 0.3})
     effects = [Viscosity(1.0), friction, Traction("right", so.Sine(1.0, period=2.0))]
     scene = antiplane(square(5), clamped="top", effects=effects, t_end=2.0, steps=20)
@@ -146,7 +138,7 @@ def test_several_boundaries_share_one_picture(tmp_path: Path) -> None:
     assert "left" in labels
 
 
-def test_state_colours_differ_in_lightness_or_blueness_for_every_eye() -> None:
+def test_state_colours_differ_in_lightness_or_blueness_for_every_eye():
     # deuteranopia mixes red and green: their mean, blue and lightness must still tell states apart
     colours = map(to_rgb, STATE_COLOURS.values())
     backward, stick, forward = (np.array([(r + g) / 2.0, b]) for r, g, b in colours)
@@ -154,7 +146,7 @@ def test_state_colours_differ_in_lightness_or_blueness_for_every_eye() -> None:
         assert np.linalg.norm(one - other) > 0.15
 
 
-def stick_slip(dim: int) -> so.Solution:
+def stick_slip(dim):
     """Each component has a share of the load: some slip, the last one sticks."""
     shares = np.linspace(3.0, 0.1, dim)
     C = so.Moving(so.Box(-np.ones(dim), np.ones(dim)), center=lambda t: shares * math.sin(2.0 * t))
@@ -163,7 +155,7 @@ def stick_slip(dim: int) -> so.Solution:
 
 
 @pytest.mark.parametrize("dim", [1, 3, 20])
-def test_plot_of_a_solution_draws_components_and_stick_phases(dim: int, tmp_path: Path) -> None:
+def test_plot_of_a_solution_draws_components_and_stick_phases(dim, tmp_path):
     solution = stick_slip(dim)
     ax = solution.plot()
     given = Figure().add_subplot()
@@ -183,7 +175,7 @@ def test_plot_of_a_solution_draws_components_and_stick_phases(dim: int, tmp_path
     assert ("of 20 components" in ax.get_legend().get_title().get_text()) == (dim == 20)
 
 
-def test_one_unknown_is_drawn_with_its_velocity_and_the_force_inside_of_the_tube() -> None:
+def test_one_unknown_is_drawn_with_its_velocity_and_the_force_inside_of_the_tube():
     solution = stick_slip(1)
     u, velocity, force = solution.plot().figure.axes
     assert [panel.get_ylabel() for panel in (u, velocity, force)] == ["u", "u'", "force"]
@@ -199,7 +191,7 @@ def test_one_unknown_is_drawn_with_its_velocity_and_the_force_inside_of_the_tube
     assert abs(force.lines[0].get_ydata().ravel() - middle).max() < 1.0 + 0.1
 
 
-def test_two_unknowns_are_drawn_as_a_path_beside_the_set() -> None:
+def test_two_unknowns_are_drawn_as_a_path_beside_the_set():
     C = so.Moving(so.Ball([0.0, 0.0], 1.0), lambda t: [2.0 * t, t])
     solution = so.solve(so.SweepingProcess(np.eye(2), None, C, [0.0, 0.0]), t_end=2.0, steps=40)
     path, force = solution.plot().figure.axes
@@ -213,9 +205,7 @@ def test_two_unknowns_are_drawn_as_a_path_beside_the_set() -> None:
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3])
-def test_an_animation_shows_each_time_once(
-    dim: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_animation_shows_each_time_once(dim, tmp_path, monkeypatch):
     monkeypatch.setattr(plot, "MOST_FRAMES", 5)
     path = stick_slip(dim).animate(tmp_path / "run.gif")
     with Image.open(path) as shown:
@@ -224,7 +214,7 @@ def test_an_animation_shows_each_time_once(
     assert min(np.ptp(one - other) for one, other in pairwise(frames)) > 100
 
 
-def test_an_animation_of_a_loaded_run_needs_no_process(tmp_path: Path) -> None:
+def test_an_animation_of_a_loaded_run_needs_no_process(tmp_path):
     stick_slip(2).save(tmp_path / "run.nc")
     loaded = so.Solution.load(tmp_path / "run.nc")
     with pytest.raises(so.InputError, match=r"ending of an animation must be one of .gif, .mp4"):
@@ -232,26 +222,20 @@ def test_an_animation_of_a_loaded_run_needs_no_process(tmp_path: Path) -> None:
     assert loaded.plot().get_ylabel() == "u"
 
 
-def test_a_scene_writes_what_the_command_line_writes(tmp_path: Path) -> None:
+def test_a_scene_writes_what_the_command_line_writes(tmp_path):
     scene = half_ring()
     folder = scene.write(scene.solve(steps=4), tmp_path / "new" / "run")
     files = {path.name for path in folder.iterdir()}
     assert {"solution.nc", "displacement.png", "contact.png", "summary.json", "vtu"} <= files
 
 
-def test_missing_matplotlib_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
-    with pytest.raises(so.MissingExtraError, match=r'pip install "sweepopt\[plot\]"'):
-        stick_slip(1).plot()
-
-
-def test_every_picture_that_a_scene_can_ask_for_is_drawn() -> None:
+def test_every_picture_that_a_scene_can_ask_for_is_drawn():
     assert {*FIELDS, *DRAWN} == set(PICTURES)
     with pytest.raises(so.InputError, match=r"pictures must be one of .*contact.*'nonsense'"):
         read_scene({"pictures": ["nonsense"], "domain": {}, "time": {}, "effects": {}})
 
 
-def test_a_solid_is_drawn_deformed_and_a_picture_that_does_not_fit_is_refused() -> None:
+def test_a_solid_is_drawn_deformed_and_a_picture_that_does_not_fit_is_refused():
     box = grid([2.0, 1.0, 1.0], [2, 1, 1])
     space = Discretisation(box, "back", kind="solid")
     effects = [Viscosity(1.0), Elasticity(E=1.0, nu=0.3), Friction("front", g=0.01)]

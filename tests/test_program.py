@@ -1,13 +1,10 @@
 """The velocity program: every solver path, the certificate against the true error."""
 
-from __future__ import annotations
-
 import math
 import sys
 import warnings
 from itertools import product
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +20,7 @@ from sweepopt.velocity import VelocityProgram, certify
 SOLVERS = [so.Clarabel(), so.OSQP(), so.DAQP(), so.Cvxpy("CLARABEL"), so.Cvxpy("OSQP")]
 
 
-def exact_friction(M: np.ndarray, q: np.ndarray, g: np.ndarray) -> np.ndarray:
+def exact_friction(M, q, g):
     """argmin 1/2 <Mz,z> + <q,z> + sum g_k |z_k| by trying all sign patterns."""
     n = len(q)
     for signs in product((-1, 0, 1), repeat=n):
@@ -37,14 +34,14 @@ def exact_friction(M: np.ndarray, q: np.ndarray, g: np.ndarray) -> np.ndarray:
     raise AssertionError("a strongly convex program has a solution")
 
 
-def random_program(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def random_program(seed):
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 5))
     root = rng.normal(size=(n, n))
     return root @ root.T + 0.1 * np.eye(n), 3 * rng.normal(size=n), rng.uniform(0, 3, size=n)
 
 
-def solved(solver: Any, M: np.ndarray, q: np.ndarray, C: so.ConvexSet) -> Any:
+def solved(solver, M, q, C):
     """The certified answer of one solver, without others behind it."""
     program = VelocityProgram(Factor(M), C)
     answer = solver.compile(program)(q, C)
@@ -53,9 +50,7 @@ def solved(solver: Any, M: np.ndarray, q: np.ndarray, C: so.ConvexSet) -> Any:
 
 @pytest.mark.parametrize("solver", SOLVERS, ids=lambda solver: solver.name)
 @pytest.mark.parametrize("scale", [2.0**-40, 1.0, 2.0**40])
-def test_every_solver_finds_the_exact_velocity_within_its_certificate(
-    solver: Any, scale: float
-) -> None:
+def test_every_solver_finds_the_exact_velocity_within_its_certificate(solver, scale):
     for seed in range(8):
         M, q, g = random_program(seed)
         found, exact = (
@@ -71,7 +66,7 @@ def test_every_solver_finds_the_exact_velocity_within_its_certificate(
 
 @settings(derandomize=True, deadline=None, max_examples=100)
 @given(seed=st.integers(0, 10**6), noise=st.floats(-12, 1))
-def test_the_certificate_is_never_below_the_error_of_any_answer(seed: int, noise: float) -> None:
+def test_the_certificate_is_never_below_the_error_of_any_answer(seed, noise):
     M, q, g = random_program(seed)
     C = so.Box(-g, g)
     exact = exact_friction(M, q, g)
@@ -85,11 +80,11 @@ def test_the_certificate_is_never_below_the_error_of_any_answer(seed: int, noise
     assert velocity.certificate <= 100 * np.linalg.cond(M) * 10**noise * np.linalg.norm(M) + 1e-12
 
 
-def test_one_compiled_program_serves_all_translates_scales_and_offsets() -> None:
+def test_one_compiled_program_serves_all_translates_scales_and_offsets():
     compiled = []
 
     class Counting(so.Clarabel):
-        def compile(self, program: VelocityProgram) -> object:
+        def compile(self, program):
             compiled.append(program)
             return super().compile(program)
 
@@ -112,13 +107,13 @@ class Disc(so.ConvexSet):
 
     dim, offsets = 2, np.ones(1)
 
-    def support(self, z: np.ndarray) -> float:
+    def support(self, z):
         return float(np.linalg.norm(z))
 
-    def project(self, w: np.ndarray) -> np.ndarray:
+    def project(self, w):
         return w / max(1.0, float(np.linalg.norm(w)))
 
-    def features(self, p: Any) -> Any:
+    def features(self, p):
         import cvxpy as cp
 
         y = cp.Variable(1, nonneg=True)
@@ -126,13 +121,13 @@ class Disc(so.ConvexSet):
 
 
 @pytest.mark.parametrize("solver", ["clarabel", "cvxpy"])
-def test_features_may_have_any_variables(solver: str) -> None:
+def test_features_may_have_any_variables(solver):
     M, q = np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([3.0, -1.0])
     own, ball = (velocity(M, q, C, solver=solver) for C in (Disc(), so.Ball([0, 0], 1)))
     assert Factor(M).norm(own.z - ball.z) <= own.certificate + ball.certificate
 
 
-def velocity(M: np.ndarray, q: np.ndarray, C: so.ConvexSet, **settings: Any) -> SimpleNamespace:
+def velocity(M, q, C, **settings):
     """z with -z in N_C(M z + q), and the statistics, of the first step of a run with load -q."""
     process = so.SweepingProcess(M, None, so.Moving(C, -q), np.zeros(len(q)))
     with warnings.catch_warnings():
@@ -144,8 +139,8 @@ def velocity(M: np.ndarray, q: np.ndarray, C: so.ConvexSet, **settings: Any) -> 
 
 @pytest.mark.parametrize("solver", ["auto", "clarabel", "osqp"])
 def test_rows_beside_a_set_on_few_unknowns_are_as_exact_as_the_same_set_all_in_rows(
-    solver: str,
-) -> None:
+    solver,
+):
     rng, condition = np.random.default_rng(5), 1e2
     G, h = rng.normal(size=(7, 3)), rng.uniform(0.1, 1.0, 7)
     box, few = so.Box([-0.5, -0.2], [0.3, 0.4]), np.eye(3)[:, [0, 2]]
@@ -168,9 +163,7 @@ LOOSE_TO_TIGHT = (1e-1, 1e-4, 1e-9)
 
 @pytest.mark.parametrize("solver", ["osqp", "clarabel"])
 @pytest.mark.parametrize("path", ["full", "eliminated"])
-def test_a_loose_tolerance_is_cheaper_and_is_met_by_a_looser_certificate(
-    solver: str, path: str
-) -> None:
+def test_a_loose_tolerance_is_cheaper_and_is_met_by_a_looser_certificate(solver, path):
     rng, n = np.random.default_rng(3), 40
     M = 2.05 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
     C = so.image(np.eye(n)[:, ::4], so.Box(-np.ones(10), np.ones(10)))
@@ -188,7 +181,7 @@ def test_a_loose_tolerance_is_cheaper_and_is_met_by_a_looser_certificate(
         assert ((one.z == 0) == (exact.z == 0)).all()
 
 
-def test_a_set_without_proof_makes_the_run_uncertified_and_right() -> None:
+def test_a_set_without_proof_makes_the_run_uncertified_and_right():
     import cvxpy as cp
 
     disc = so.Constraints(2, lambda w: [cp.norm(w) <= 1])
@@ -204,7 +197,7 @@ def test_a_set_without_proof_makes_the_run_uncertified_and_right() -> None:
     assert runs["constraints"].u == pytest.approx(runs["ball"].u, abs=1e-6)
 
 
-def test_a_large_polyhedron_is_not_called_certified() -> None:
+def test_a_large_polyhedron_is_not_called_certified():
     n = 1100
     G = sp.vstack([sp.eye_array(n), -sp.eye_array(n)], format="csc")
     polyhedron = so.Moving(so.Polyhedron(G, np.ones(2 * n)), lambda t: np.full(n, 3 * t))
@@ -218,7 +211,7 @@ def test_a_large_polyhedron_is_not_called_certified() -> None:
     assert runs[0].u == pytest.approx(runs[1].u, abs=1e-6)
 
 
-def test_small_boxes_with_missing_bounds_that_move_are_followed_by_one_workspace() -> None:
+def test_small_boxes_with_missing_bounds_that_move_are_followed_by_one_workspace():
     rng = np.random.default_rng(3)
     root = rng.normal(size=(30, 30))
     M = Factor(root @ root.T + np.eye(30))
@@ -235,14 +228,14 @@ def test_small_boxes_with_missing_bounds_that_move_are_followed_by_one_workspace
             assert certify(program.M, q, C, answer.z).relative <= 1e-11
 
 
-def test_daqp_takes_a_load_of_next_to_nothing() -> None:
+def test_daqp_takes_a_load_of_next_to_nothing():
     pytest.importorskip("daqp")
     q, M = np.array([5e-324, -5e-324, 0.0]), np.array([[2.0, 1, 0], [1, 3, 1], [0, 1, 2]])
     for scale in (1.0, 1e300):
         assert solved(so.DAQP(), M, scale * q, so.Orthant(3)).relative <= 1e-11
 
 
-def test_what_daqp_cannot_treat_or_find_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_daqp_cannot_treat_or_find_is_said(monkeypatch):
     assert not so.DAQP().treats(so.Balls([1.0], 2))
     assert not so.DAQP().treats(so.Polytope([[0.0, 1], [1, 0], [0, 0]]))
     assert not so.DAQP(max_dim=2).treats(so.Box([-1, -1, -1], [1, 1, 1]))
@@ -253,7 +246,7 @@ def test_what_daqp_cannot_treat_or_find_is_said(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.parametrize("shift", [0.0, 1.0])
-def test_a_huge_force_on_one_contact_does_not_hold_another_past_its_threshold(shift: float) -> None:
+def test_a_huge_force_on_one_contact_does_not_hold_another_past_its_threshold(shift):
     E, g = np.eye(5)[:, [0, 3]], np.array([1e13, 1.0])
     C, q = so.image(E, so.Box(-g, g)) + np.full(5, shift), np.full(5, shift)
     for excess, rests in ((0.0, True), (1e-6, False)):
@@ -269,7 +262,7 @@ FEW = [1, 4, 5, 9]
 HELD = np.array([0.7, 1e74, 0.4, 1e12])
 
 
-def far(kind: str) -> so.ConvexSet:
+def far(kind):
     """Bounds from 0.4 to 1e74 in one set."""
     E, ends = np.eye(12)[:, FEW], np.where(np.arange(12) % 2, 1e74, 0.5)
     return {
@@ -283,14 +276,14 @@ def far(kind: str) -> so.ConvexSet:
 
 
 @pytest.mark.parametrize("kind", ["box", "one side", "contact", "half-lines", "discs", "scaled"])
-def test_bounds_out_of_reach_blind_no_solver(kind: str) -> None:
+def test_bounds_out_of_reach_blind_no_solver(kind):
     chain = 2.05 * np.eye(12) - np.eye(12, k=1) - np.eye(12, k=-1)
     q = 3 * np.random.default_rng(7).normal(size=12)
     assert velocity(chain, q, far(kind), tol=1e-9).relative <= 1e-9
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_certificate_of_a_long_thin_ellipsoid_is_not_below_the_error(seed: int) -> None:
+def test_the_certificate_of_a_long_thin_ellipsoid_is_not_below_the_error(seed):
     rng, corner = np.random.default_rng(seed), 1.0 * np.array([1, 1, -1, -1])
     # p is an eigenvector of the shape, so that w = c + p / |p|: all of these numbers are exact
     shape = np.eye(4) + 2.0 ** rng.integers(20, 32) * np.ones((4, 4))

@@ -1,9 +1,5 @@
 """Proportional materials: the contact alone enters the steps, all unknowns are reconstructed."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -14,7 +10,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 RHO, CONTACT = 1.7, [3, 17, 30, 39]
 SCHEMES = ["catching-up", "implicit-euler", "midpoint", "trapezoid", "sdirk2"]
 SELECT = np.eye(40)[:, CONTACT]
-SETS: dict[str, so.ConvexSet] = {
+SETS = {
     "intervals": so.Box([-1, -0.5, -0.2, -1], [1, 0.5, 0.2, 0.4]),
     "balls": so.Balls([0.7, 0.4], 2),
     "half-lines": so.Orthant(4),
@@ -22,7 +18,7 @@ SETS: dict[str, so.ConvexSet] = {
 INTERVALS = so.image(SELECT, SETS["intervals"])
 
 
-def springs(k: np.ndarray) -> sp.csc_array:
+def springs(k):
     """Springs of these stiffnesses in a row between two walls."""
     return sp.csc_array(sp.diags_array([k[:-1] + k[1:], -k[1:-1], -k[1:-1]], offsets=[0, -1, 1]))
 
@@ -30,39 +26,39 @@ def springs(k: np.ndarray) -> sp.csc_array:
 CHAIN = springs(np.ones(41)) + 0.01 * sp.eye_array(40, format="csc")
 
 
-def load(terms: int = 2) -> so.Separable:
+def load(terms=2):
     histories = [so.Sine(2.0, 3.0), so.Triangle(1.0, 2.0), so.Constant(0.3)]
     shapes = [np.sin(np.arange(40) * (k + 1.0)) for k in range(terms)]
     return so.Separable(list(zip(histories, shapes, strict=False)))
 
 
-def pressed(center: Any, part: so.ConvexSet = SETS["intervals"]) -> so.Moving:
+def pressed(center, part=SETS["intervals"]):
     """Minus the set on the contact, moved by a load or by its terms."""
     center = center if isinstance(center, so.Separable) else so.Separable(center)
     return so.Moving(-so.image(SELECT, part), center)
 
 
-def process(**changes: Any) -> so.SweepingProcess:
+def process(**changes):
     C = pressed(load(), changes.pop("part", SETS["intervals"]))
     data = {"A": CHAIN, "B": RHO * CHAIN, "C": C, "u0": 0.1 * np.cos(np.arange(40))}
     return so.SweepingProcess(**(data | changes))
 
 
-def runs(this: so.SweepingProcess, **options: Any) -> tuple[so.Solution, so.Solution]:
+def runs(this, **options):
     """By the proportional path, and with all unknowns in each step; to rounding."""
     few = so.solve(this, path="proportional", **{"tol": 1e-9, **options})
     assert few.stats["relative"].max() <= 1e-9
     return few, so.solve(this, path="eliminated", **{"tol": 1e-11, **options})
 
 
-def difference(this: so.SweepingProcess, a: np.ndarray, b: np.ndarray) -> float:
+def difference(this, a, b):
     """The largest |a_i - b_i|_A, relative to b."""
     norm = this.metric.norm
     return max(map(norm, a - b)) / max(map(norm, b))
 
 
 @pytest.mark.parametrize("rho", [1e-4, 1e-60])
-def test_a_body_that_hardly_remembers_loses_no_digits(rho: float) -> None:
+def test_a_body_that_hardly_remembers_loses_no_digits(rho):
     # a load of 1 beside rho: an equilibrium that is 1 / rho away must enter nothing
     this = process(B=rho * CHAIN, C=pressed(load(3)))
     few, general = runs(this, t_end=3.0, steps=30)
@@ -80,7 +76,7 @@ def test_a_body_that_hardly_remembers_loses_no_digits(rho: float) -> None:
         ("half-lines", "midpoint"),
     ],
 )
-def test_the_contact_alone_gives_the_trajectory_of_all_unknowns(part: str, scheme: str) -> None:
+def test_the_contact_alone_gives_the_trajectory_of_all_unknowns(part, scheme):
     this = process(part=SETS[part])
     grid = 4 * np.linspace(0, 1, 60) ** 2
     few, general = runs(this, steps=grid, scheme=scheme, on_unstable="ignore")
@@ -92,31 +88,13 @@ def test_the_contact_alone_gives_the_trajectory_of_all_unknowns(part: str, schem
     assert difference(this, few.velocity, general.velocity) <= 1e-9
 
 
-def test_sdirk32_agrees_where_nothing_stops() -> None:
+def test_sdirk32_agrees_where_nothing_stops():
     # which steps implicit Euler takes instead depends on the unknowns that enter
     ramp = so.Separable([(so.Polynomial([0.0, 3.0]), SELECT.sum(axis=1))])
     this = process(C=pressed(ramp), u0=np.zeros(40))
     few, general = runs(this, t_end=4.0, steps=40, scheme="sdirk32")
     assert not any("implicit-euler" in solver for solver in few.stats["solver"])
     assert difference(this, few.u, general.u) <= 1e-10
-
-
-@pytest.mark.parametrize(
-    ("scheme", "order"), [("implicit-euler", 1), ("sdirk2", 2), ("sdirk32", 2)]
-)
-def test_every_scheme_has_its_order_and_the_errors_of_all_unknowns(scheme: str, order: int) -> None:
-    this, steps = process(), [40, 80, 160, 320]
-    exact = so.solve(this, t_end=3.0, steps=1, scheme="exact").exact
-    assert exact is not None
-    assert exact.velocity(2.0) == pytest.approx((exact(2.001) - exact(1.999)) / 0.002, abs=1e-4)
-    errors = []
-    for n in steps:
-        few, general = runs(this, t_end=3.0, steps=n, scheme=scheme)
-        each = [max(map(this.metric.norm, sol.u - exact(sol.t))) for sol in (few, general)]
-        assert each[0] <= 1.2 * each[1]
-        errors.append(each[0])
-    assert -np.polyfit(np.log(steps), np.log(errors), 1)[0] >= 0.93 * order
-    assert errors[-1] <= 0.02 / order**4 * max(map(this.metric.norm, exact(few.t)))
 
 
 @pytest.mark.parametrize(
@@ -132,7 +110,7 @@ def test_every_scheme_has_its_order_and_the_errors_of_all_unknowns(scheme: str, 
     ids=["without elasticity", "dense", "scaled", "a part of the load stands still", "no motion",
          "no load"],
 )  # fmt: skip
-def test_every_kind_of_proportional_process_is_found_and_agrees(changes: dict[str, Any]) -> None:
+def test_every_kind_of_proportional_process_is_found_and_agrees(changes):
     this = process(**changes)
     assert so.solve(this, t_end=3.0, steps=4).plan.path == "proportional"
     few, general = runs(this, t_end=3.0, steps=60)
@@ -140,7 +118,7 @@ def test_every_kind_of_proportional_process_is_found_and_agrees(changes: dict[st
 
 
 WEAK = springs(np.r_[1e-9, np.ones(39), 1e-9])  # it hardly hangs on the walls
-REFUSED: list[tuple[dict[str, Any], str]] = [
+REFUSED = [
     ({"B": RHO * CHAIN + sp.diags_array(np.linspace(0, 1e-9, 40))}, "not a multiple"),
     ({"C": so.Moving(INTERVALS, lambda t: np.full(40, t))}, "not a Separable"),
     (
@@ -155,15 +133,15 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("changes", "reason"), REFUSED, ids=[reason for _, reason in REFUSED])
 def test_what_is_not_proportional_takes_another_path_and_says_why_it_cannot_be_forced(
-    changes: dict[str, Any], reason: str
-) -> None:
+    changes, reason
+):
     this = process(**changes)
     assert so.solve(this, t_end=1.0, steps=4).plan.path in ("eliminated", "full")
     with pytest.raises(so.InputError, match=reason):
         so.solve(this, t_end=1.0, steps=4, path="proportional")
 
 
-def test_a_path_can_be_chosen_and_prints_itself() -> None:
+def test_a_path_can_be_chosen_and_prints_itself():
     for path in ("proportional", "eliminated", "full"):
         plan = so.solve(process(), t_end=1.0, steps=4, path=path).plan
         assert f"path                {path}: " in str(plan)
@@ -171,7 +149,7 @@ def test_a_path_can_be_chosen_and_prints_itself() -> None:
         so.solve(process(), t_end=1.0, steps=4, path="fastest")
 
 
-def test_callbacks_and_failures_see_all_unknowns() -> None:
+def test_callbacks_and_failures_see_all_unknowns():
     this, seen = process(u0=np.zeros(40)), list[so.StepInfo]()
     sol = so.solve(this, t_end=4.0, steps=30, callback=seen.append)
     assert np.array_equal([info.u for info in seen], sol.u[1:])
@@ -182,7 +160,7 @@ def test_callbacks_and_failures_see_all_unknowns() -> None:
 
 
 @pytest.mark.parametrize("contrast", [1.0, 1e2, 1e3])
-def test_the_certificate_bounds_the_error_of_all_unknowns_of_each_step(contrast: float) -> None:
+def test_the_certificate_bounds_the_error_of_all_unknowns_of_each_step(contrast):
     A = springs(np.where(np.arange(41) < 3, 1 / contrast, 1.0))
     this = process(A=A, B=RHO * A, u0=np.zeros(40))
     options = {"scheme": "implicit-euler", "tol": 1e-9}
@@ -198,7 +176,7 @@ def test_the_certificate_bounds_the_error_of_all_unknowns_of_each_step(contrast:
         assert apart <= min(stated + 1e-14 * size, 1e-9)
 
 
-def test_short_steps_long_after_the_start_of_a_stiff_body_are_not_rounding() -> None:
+def test_short_steps_long_after_the_start_of_a_stiff_body_are_not_rounding():
     # the load's response is at rest but for 1e-11 of it, and then looked at closely
     grid = np.append(0.0, np.cumsum([400.0, 3000.0, 5e-6, 0.2, 1e-5, 6e-7]))
     this = process(B=1e8 * CHAIN, C=pressed(load(), so.Orthant(4)))
@@ -218,8 +196,8 @@ def test_short_steps_long_after_the_start_of_a_stiff_body_are_not_rounding() -> 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_body_held_for_a_while_is_u0_to_the_last_bit_and_then_moves_as_it_should(
-    scheme: str,
-) -> None:
+    scheme,
+):
     u0 = 1e3 * np.cos(np.arange(40))
     table = so.Table([0.0, 1.0, 2.0, 4.0], [-0.1, 0.1, 3.0, -3.0])
     late = so.Table([0.0, 2.0, 3.0, 4.0], [0.0, 0.0, 1.0, 0.0])
@@ -235,19 +213,10 @@ def test_a_body_held_for_a_while_is_u0_to_the_last_bit_and_then_moves_as_it_shou
     assert difference(this, few.u, general.u) <= 1e-12
 
 
-def test_a_body_that_sticks_under_no_load_is_certified() -> None:
+def test_a_body_that_sticks_under_no_load_is_certified():
     press = so.Table([0.0, 1.0, 2.0, 4.0], [0.0, 6.0, 0.0, 0.0])
     this = process(u0=np.zeros(40), B=0.01 * CHAIN, C=pressed([(press, SELECT.sum(axis=1))]))
     few, general = runs(this, t_end=4.0, steps=80)
     assert (few.velocity[-5:] == 0.0).all()
     assert few.u[-1, CONTACT].any()
     assert difference(this, few.u, general.u) <= 1e-12
-
-
-@pytest.mark.parametrize("B", [None, RHO * CHAIN], ids=["without B", "with B"])
-def test_a_contact_at_its_threshold_stays_where_it_is(B: Any) -> None:
-    g = np.array([0.1, 0.7, 1.3, 0.3])
-    C = pressed([(so.Constant(1.0), SELECT @ [0.1, -0.7, 1.3, -0.3])], so.Box(-g, g))
-    sol = so.solve(process(B=B, C=C, u0=np.zeros(40)), t_end=10.0, steps=50)
-    assert sol.plan.path == "proportional"
-    assert not sol.u.any()

@@ -1,16 +1,14 @@
 """Every reference case, every scheme, every solver: orders, errors and certificates."""
 
-from __future__ import annotations
-
 import warnings
 from functools import cache
 
 import numpy as np
 import pytest
-from cases import GRIDS, SETS, Case, case, embedded
+from cases import GRIDS, SETS, case, embedded
 
 import sweepopt as so
-from sweepopt.integrate import SCHEMES, Scheme
+from sweepopt.integrate import SCHEMES
 
 RUNS = [(name, scheme) for name in SETS for scheme in case(name).errors]
 SECOND_ORDER = ("midpoint", "trapezoid", "sdirk2")
@@ -19,9 +17,7 @@ REFINED = ("S03", "S04", "V05", "P09", "B14", "B15", "M16", "E20")
 
 
 @cache
-def run(
-    this: Case, steps: int, scheme: str, solver: object = "auto", tol: float = 1e-6
-) -> so.Solution:
+def run(this, steps, scheme, solver="auto", tol=1e-6):
     with warnings.catch_warnings():
         # V05, L13 start outside of C(0) on purpose
         warnings.simplefilter("ignore", so.InitialStateWarning)
@@ -32,8 +28,8 @@ def run(
 
 @pytest.mark.parametrize("scheme", SCHEMES.values(), ids=SCHEMES)
 def test_a_scheme_is_a_triangular_tableau_that_does_not_amplify_stiff_errors(
-    scheme: Scheme,
-) -> None:
+    scheme,
+):
     lengths = range(1, len(scheme.b) + 1)
     assert [len(row) for row in scheme.a] == list(lengths)
     assert len(scheme.c) == len(scheme.b)
@@ -43,11 +39,16 @@ def test_a_scheme_is_a_triangular_tableau_that_does_not_amplify_stiff_errors(
     assert scheme.explicit or abs(scheme.amplification(-1e12)) <= 1 + 1e-6
 
 
-@pytest.mark.parametrize(("name", "scheme"), RUNS)
-def test_errors_and_order_are_those_of_the_theory(name: str, scheme: str) -> None:
+SLOW = [pytest.param(*each, (*GRIDS, 2003), marks=pytest.mark.slow) for each in RUNS]
+
+
+@pytest.mark.parametrize(
+    ("name", "scheme", "grids"),
+    [*((*each, GRIDS if each[0] in REFINED else GRIDS[:1]) for each in RUNS), *SLOW],
+)
+def test_errors_and_order_are_those_of_the_theory(name, scheme, grids):
     this = case(name)
     errors = []
-    grids = GRIDS[:4] if name in REFINED else GRIDS[:1]  # the fifth takes as long as these
     for steps in grids:
         sol = run(this, steps, scheme)
         assert sol.success
@@ -69,9 +70,7 @@ def test_errors_and_order_are_those_of_the_theory(name: str, scheme: str) -> Non
 
 @pytest.mark.parametrize("path", ["proportional", "eliminated", "full"])
 @pytest.mark.parametrize("name", [name for name in SETS if name != "L13"])
-def test_as_the_contact_of_a_larger_body_a_case_meets_the_same_errors_on_every_path(
-    name: str, path: str
-) -> None:
+def test_as_the_contact_of_a_larger_body_a_case_meets_the_same_errors_on_every_path(name, path):
     this = case(name)
     body = embedded(this)
     A, B = this.process.A, this.process.B
@@ -96,9 +95,7 @@ def test_as_the_contact_of_a_larger_body_a_case_meets_the_same_errors_on_every_p
 
 @pytest.mark.parametrize("name", SETS)
 @pytest.mark.parametrize("tol", [1e-6, 1e-10])
-def test_clarabel_osqp_and_plain_cvxpy_agree_at_the_tolerance_they_carry(
-    name: str, tol: float
-) -> None:
+def test_clarabel_osqp_and_plain_cvxpy_agree_at_the_tolerance_they_carry(name, tol):
     this = case(name)
     solvers = ["clarabel", "auto"] + ["osqp"] * this.polyhedral + ["cvxpy"] * (name == "P09")
     runs = [run(this, 101, "auto", solver, tol) for solver in solvers]
@@ -115,7 +112,7 @@ def test_clarabel_osqp_and_plain_cvxpy_agree_at_the_tolerance_they_carry(
 
 
 @pytest.mark.parametrize("name", [name for name in SETS if name not in ("S04", "L13")])
-def test_a_process_made_from_its_variational_inequality_gives_the_same_numbers(name: str) -> None:
+def test_a_process_made_from_its_variational_inequality_gives_the_same_numbers(name):
     """Adly and Haddad, the Proposition of section 4: the two problems are one."""
     this = case(name)
     again = this.process.as_vi().as_sweeping()
@@ -127,7 +124,7 @@ def test_a_process_made_from_its_variational_inequality_gives_the_same_numbers(n
 
 
 @pytest.mark.parametrize("name", ["S04", "V05", "P09"])
-def test_the_viability_condition_is_met_to_first_order(name: str) -> None:
+def test_the_viability_condition_is_met_to_first_order(name):
     this = case(name)
     times = np.linspace(0.01, 0.99, 600) * this.t_end
     distances = []
@@ -141,7 +138,7 @@ def test_the_viability_condition_is_met_to_first_order(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["P09", "V05"])
-def test_dissipated_plus_stored_energy_is_the_work_done_to_first_order(name: str) -> None:
+def test_dissipated_plus_stored_energy_is_the_work_done_to_first_order(name):
     this = case(name)
     imbalance = []
     for steps in GRIDS:

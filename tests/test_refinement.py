@@ -1,10 +1,5 @@
 """The velocity of A, B and u themselves, where solvers see their rounded sum and product."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -19,7 +14,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 N = 12
 FEW = np.eye(N)[:, [1, 4, 5, 9]]
 EDGE = np.random.default_rng(7).uniform(0.2, 1.0, N)
-SETS: dict[str, Callable[[], so.ConvexSet]] = {
+SETS = {
     "a point": lambda: so.Point(np.zeros(N)),
     "a box": lambda: so.Box(-EDGE, EDGE),
     "a box on a few": lambda: so.image(FEW, so.Box(-EDGE[:4], EDGE[:4])),
@@ -27,10 +22,10 @@ SETS: dict[str, Callable[[], so.ConvexSet]] = {
     "discs on a few": lambda: so.image(FEW, so.Balls(EDGE[:2], 2)),
     "a polyhedron": lambda: so.Polyhedron(np.random.default_rng(8).normal(size=(9, N)), np.ones(9)),
 }
-FORMS: dict[str, Callable[[Any], Any]] = {"dense": np.array, "sparse": sp.csc_array}
+FORMS = {"dense": np.array, "sparse": sp.csc_array}
 
 
-def one_step(process: so.SweepingProcess, gamma: float, tol: float = 1e-9) -> so.Solution:
+def one_step(process, gamma, tol=1e-9):
     """The velocity for M = A + gamma B."""
     scheme = "implicit-euler" if gamma else "catching-up"
     how = {"scheme": scheme, "tol": tol, "on_unstable": "ignore"}
@@ -40,7 +35,7 @@ def one_step(process: so.SweepingProcess, gamma: float, tol: float = 1e-9) -> so
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("name", SETS)
 @pytest.mark.parametrize(("seed", "gamma"), [(9, 0.0), (12, 1 / 3)])
-def test_stiffness_of_1e10_costs_no_digits(seed: int, gamma: float, name: str, form: str) -> None:
+def test_stiffness_of_1e10_costs_no_digits(seed, gamma, name, form):
     random = np.random.default_rng(seed)
     # the states that a stiff body comes to: large where it is soft, B u is small beside |B| |u|
     A, B = chain(random, N), spectral(random, 0, 10, N)
@@ -54,7 +49,7 @@ def test_stiffness_of_1e10_costs_no_digits(seed: int, gamma: float, name: str, f
     assert program.error(z, exact) <= certificate <= 1e-9 * exact.size
 
 
-def test_a_state_that_only_rounding_moves_rests() -> None:
+def test_a_state_that_only_rounding_moves_rests():
     # B u = (0.1, -0.1) is in C, but the two products in it are rounded to 1e-7
     B, u = np.array([[1e10 + 1, 1e10], [1e10, 1e10 + 1]]), np.array([0.1, -0.1]) * (1 + 2.0**-20)
     assert np.abs(B @ u - u).max() > 1e-8
@@ -66,7 +61,7 @@ def test_a_state_that_only_rounding_moves_rests() -> None:
 
 @pytest.mark.parametrize("start", ["there", "far"])
 @pytest.mark.parametrize("scheme", ["implicit-euler", "sdirk2"])
-def test_a_body_near_its_equilibrium_is_certified(start: str, scheme: str) -> None:
+def test_a_body_near_its_equilibrium_is_certified(start, scheme):
     random = np.random.default_rng(13)
     A, row, u0 = chain(random, N), random.normal(size=N), 1e3 * random.normal(size=N)
     B, steps, mu = np.outer(row, row), 3, 1e-6
@@ -86,9 +81,7 @@ def test_a_body_near_its_equilibrium_is_certified(start: str, scheme: str) -> No
 
 @pytest.mark.parametrize("name", ["a point", "a box on a few"])
 @pytest.mark.parametrize("stiffness", [None, 0.5])
-def test_a_tolerance_near_rounding_is_met_by_a_closer_look(
-    name: str, stiffness: float | None
-) -> None:
+def test_a_tolerance_near_rounding_is_met_by_a_closer_look(name, stiffness):
     n = 600
     K = sp.csc_array(sp.diags_array([-1.0, 2.0 + 1e-6, -1.0], offsets=[-1, 0, 1], shape=(n, n)))
     few = sp.csc_array((np.ones(3), ([5, 100, 400], range(3))), shape=(n, 3))
@@ -106,7 +99,7 @@ def test_a_tolerance_near_rounding_is_met_by_a_closer_look(
 
 @pytest.mark.parametrize("scheme", ["catching-up", "implicit-euler", "trapezoid", "sdirk2"])
 @pytest.mark.parametrize("B", [1.0, 1e12])
-def test_one_unknown_alone_moves_as_one_of_two(scheme: str, B: float) -> None:
+def test_one_unknown_alone_moves_as_one_of_two(scheme, B):
     load = so.Separable([(so.Sine(2.0, 3.0), [1.0]), (so.Constant(0.25), [1.0])])
     A = 1e12 if scheme == "catching-up" and B > 1 else 0.5
     alone = so.SweepingProcess([[A]], [[B]], so.Moving(so.Box([-0.75], [0.5]), load), [0.3 / B])
@@ -122,7 +115,7 @@ def test_one_unknown_alone_moves_as_one_of_two(scheme: str, B: float) -> None:
     assert set(one.stats["solver"]) == {"closed form"}
 
 
-def test_rows_that_are_nearly_the_same_are_told_apart() -> None:
+def test_rows_that_are_nearly_the_same_are_told_apart():
     C = so.Polyhedron([[2.0], [0.5], [-1.0]], [2.0, 0.499999995, 1e4])
     process = so.SweepingProcess([[1.0]], [[1.0]], C, [1.5])
     sol = so.solve(process, t_end=0.5, steps=1, scheme="catching-up")
@@ -132,13 +125,13 @@ def test_rows_that_are_nearly_the_same_are_told_apart() -> None:
 
 
 @pytest.mark.parametrize("C", [so.Box([-1.0], [1.0]), so.Balls([1.0], 1), so.HalfSpace([1.0], 1.0)])
-def test_a_velocity_field_looks_closer_where_plain_numbers_round_too_much(C: Any) -> None:
+def test_a_velocity_field_looks_closer_where_plain_numbers_round_too_much(C):
     moving = so.Moving(C, so.Separable([(so.Constant(1e12), [1.0])]))
     process = so.SweepingProcess([[1.0]], [[1.0]], moving, [0.0])
     np.testing.assert_allclose(so.velocity_field(process)(0.0, [1e12 + 3]), [-2.0], rtol=1e-12)
 
 
-def test_a_refined_answer_is_compared_to_the_forces_and_not_to_a_residual() -> None:
+def test_a_refined_answer_is_compared_to_the_forces_and_not_to_a_residual():
     # bounds from 0 to inf at condition 1e7: OSQP's first answer is 1e9 times too large
     random = np.random.default_rng([412, 43])
     process = make(combination(random), random)
@@ -150,7 +143,7 @@ def test_a_refined_answer_is_compared_to_the_forces_and_not_to_a_residual() -> N
     assert size <= 1.001 * exact.size
 
 
-def needle(seed: int) -> so.SweepingProcess:
+def needle(seed):
     """A polyhedron with opposite faces 1e-13 to 1e-6 from parallel, and a load across it."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(2, 6))
@@ -165,7 +158,7 @@ def needle(seed: int) -> so.SweepingProcess:
     return so.SweepingProcess(A, B, so.Polyhedron(G, G @ rng.normal(size=n) + slack), u0)
 
 
-def test_certificates_on_needles_are_no_less_than_the_error() -> None:
+def test_certificates_on_needles_are_no_less_than_the_error():
     """Where slack is rounded 2 of these are below, by up to 2e12, and 4 have no support."""
     certified, mu = 0, 0.1
     for seed in [*range(20), 92]:  # 92 is empty by the rounding of its rows
@@ -185,7 +178,7 @@ def test_certificates_on_needles_are_no_less_than_the_error() -> None:
     assert certified >= 18
 
 
-def test_the_support_function_of_a_needle_is_that_of_its_apex() -> None:
+def test_the_support_function_of_a_needle_is_that_of_its_apex():
     for eps in (1e-6, 1e-9, 1e-12):
         C = so.Polyhedron([[0.0, 1.0], [eps, -1.0], [-1.0, 0.0]], [1.0, 1.0, 0.0])
         apex = np.array([2.0 / eps, 1.0])

@@ -1,18 +1,9 @@
 """The report is one file that holds the study, works in a browser and asks nobody for anything."""
 
-from __future__ import annotations
-
-import json
-import os
-import shutil
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pandas as pd
 import pytest
-from selenium import webdriver
+from browser import chromium, requested
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.wait import WebDriverWait
@@ -47,7 +38,7 @@ WALL, STEPS = 0, 2  # diagrams of the page, a cost each
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def page(tmp_path_factory):
     path = tmp_path_factory.mktemp("report") / "report.html"
     assert write_report(study_table(), path, solutions=RUNS, hard=HARD, title=TITLE) == path
     return path
@@ -56,10 +47,10 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 class Browser:
     """Headless Chromium with the report open."""
 
-    def __init__(self, driver: Any) -> None:
+    def __init__(self, driver):
         self.driver = driver
 
-    def traces(self, diagram: int) -> list[dict[str, Any]]:
+    def traces(self, diagram):
         """What a diagram draws, as the browser has it."""
         script = (
             "const all = document.querySelectorAll('.plotly-graph-div')[arguments[0]]._fullData;"
@@ -67,7 +58,7 @@ class Browser:
         )
         return list(self.driver.execute_script(script, diagram))
 
-    def rows(self, table: int) -> list[list[str]]:
+    def rows(self, table):
         """The words of a table, its heading first."""
         script = (
             "return [...document.querySelectorAll('table')[arguments[0]].rows].map("
@@ -75,58 +66,37 @@ class Browser:
         )
         return list(self.driver.execute_script(script, table))
 
-    def all(self, selector: str, diagram: int | None = None) -> list[Any]:
+    def all(self, selector, diagram=None):
         """Elements of the page or of a diagram."""
         where = self.driver if diagram is None else self.all(".plotly-graph-div")[diagram]
         return list(where.find_elements(By.CSS_SELECTOR, selector))
 
-    def point_at(self, element: Any) -> ActionChains:
+    def point_at(self, element):
         return ActionChains(self.driver).scroll_to_element(element).move_to_element(element)
 
-    def wait_for(self, condition: Callable[[], bool]) -> None:
+    def wait_for(self, condition):
         WebDriverWait(self.driver, 10).until(lambda _: condition())
 
-    def text(self) -> str:
+    def text(self):
         return str(self.all("body")[0].text)
 
 
 @pytest.fixture(scope="module")
-def browser(page: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+def browser(page, tmp_path_factory):
     """The page, opened once; afterwards: no errors, no requests, no script of a message."""
-    chromium, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
-    if not chromium or not chromedriver:
-        reason = "the apt packages chromium and chromium-driver are not installed"
-        if os.environ.get("SWEEPOPT_BROWSER") == "required":
-            pytest.fail(reason)
-        pytest.skip(reason)
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    disabled = ["gpu", "dev-shm-usage", "quic", "background-networking", "component-update"]
-    switches = ["headless", "no-sandbox", "no-first-run", "window-size=1400,900"]
-    switches += [f"disable-{part}" for part in (*disabled, "sync")]
-    for switch in (*switches, f"user-data-dir={tmp_path_factory.mktemp('chromium')}"):
-        options.add_argument(f"--{switch}")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    with webdriver.Chrome(options=options, service=webdriver.ChromeService(chromedriver)) as driver:
-        driver.get("about:blank")  # leaves Chromium's own first page
-        driver.get_log("performance")
+    with chromium(tmp_path_factory.mktemp("chromium")) as driver:
         driver.get(page.as_uri())
         opened = Browser(driver)
         opened.wait_for(lambda: len(opened.all(".plotly-graph-div")) == len(COSTS))
         yield opened
         assert driver.execute_script("return window.hacked") is None
         assert driver.get_log("browser") == []
-        events = [json.loads(each["message"])["message"] for each in driver.get_log("performance")]
-    asked = {
-        event["params"]["request"]["url"]
-        for event in events
-        if event["method"] == "Network.requestWillBeSent"
-    }
+        asked = requested(driver)
     assert page.as_uri() in asked
     assert all(url == page.as_uri() or url.startswith(("data:", "blob:")) for url in asked)
 
 
-def test_the_diagrams_hold_the_numbers_of_the_table(browser: Browser) -> None:
+def test_the_diagrams_hold_the_numbers_of_the_table(browser):
     table = study_table()
     traces = browser.traces(WALL)
     good = table[table.success & (table.error > 0)]
@@ -142,18 +112,18 @@ def test_the_diagrams_hold_the_numbers_of_the_table(browser: Browser) -> None:
     assert len(drawn) - drawn.count("guaranteed bound") == len(table)
 
 
-def test_trajectories_are_a_picture_in_the_page(browser: Browser) -> None:
+def test_trajectories_are_a_picture_in_the_page(browser):
     (picture,) = browser.all("img")
     assert picture.get_property("naturalWidth") > 100
     assert str(picture.get_attribute("src")).startswith("data:image/svg+xml;base64,")
 
 
-def test_the_legend_filters_and_there_is_a_diagram_for_each_cost(browser: Browser) -> None:
+def test_the_legend_filters_and_there_is_a_diagram_for_each_cost(browser):
     names = [entry.text for entry in browser.all(".legend .traces", WALL)]
     toggle = browser.all(".legendtoggle", WALL)[names.index("midpoint · osqp")]
     browser.point_at(toggle).click().perform()
 
-    def hidden() -> list[str]:
+    def hidden():
         return [one["name"] for one in browser.traces(WALL) if one["visible"] == "legendonly"]
 
     browser.wait_for(lambda: hidden() == 2 * ["midpoint · osqp"])  # in both panels
@@ -161,7 +131,7 @@ def test_the_legend_filters_and_there_is_a_diagram_for_each_cost(browser: Browse
     assert browser.traces(STEPS)[0]["x"] == [50, 100, 200, 400]
 
 
-def test_a_tooltip_tells_a_cell_and_a_message_is_text(browser: Browser) -> None:
+def test_a_tooltip_tells_a_cell_and_a_message_is_text(browser):
     point = browser.all(".scatterlayer .point", WALL)[0]
     browser.point_at(point).perform()
     browser.wait_for(lambda: bool(browser.all(".hovertext", WALL)))
@@ -172,7 +142,7 @@ def test_a_tooltip_tells_a_cell_and_a_message_is_text(browser: Browser) -> None:
     assert NASTY[:20] in browser.text()
 
 
-def test_hard_cases_come_with_the_wrong_ones_first(browser: Browser) -> None:
+def test_hard_cases_come_with_the_wrong_ones_first(browser):
     names, *rows = browser.rows(3)
     shown = pd.DataFrame(rows, columns=names)
     assert shown.verdict.str.startswith("✗").tolist() == [True, True, False, False, False]
@@ -182,7 +152,7 @@ def test_hard_cases_come_with_the_wrong_ones_first(browser: Browser) -> None:
         assert words in browser.text()
 
 
-def test_the_heading_names_machine_and_versions(browser: Browser) -> None:
+def test_the_heading_names_machine_and_versions(browser):
     shown = browser.text()
     assert browser.driver.title == TITLE == shown.splitlines()[0]
     for words in ("A processor, 2 cores, Linux", "sweepopt 0.1.0", "clarabel 0.11.1"):
@@ -191,7 +161,7 @@ def test_the_heading_names_machine_and_versions(browser: Browser) -> None:
     assert browser.driver.execute_script("return document.documentElement.scrollWidth") <= 1400
 
 
-def test_the_table_holds_every_cell_the_failed_ones_first(browser: Browser) -> None:
+def test_the_table_holds_every_cell_the_failed_ones_first(browser):
     table = study_table()
     names, *rows = browser.rows(2)
     shown = pd.DataFrame(rows, columns=names)
@@ -211,17 +181,15 @@ def test_the_table_holds_every_cell_the_failed_ones_first(browser: Browser) -> N
         (lambda path: write_report(study_table(), path.parent), "cannot be written there"),
     ],
 )
-def test_what_cannot_be_shown_is_refused(
-    call: Callable[[Path], Any], words: str, tmp_path: Path
-) -> None:
+def test_what_cannot_be_shown_is_refused(call, words, tmp_path):
     with pytest.raises(so.InputError, match=words):
         call(tmp_path / "report.html")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_study_with_hard_cases_writes_its_files_goes_on_and_keeps_rows_of_an_interrupt(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    tmp_path, monkeypatch, capsys
+):
     make_scene(tmp_path)
     path, out = tmp_path / "both.toml", tmp_path / "out"
     path.write_text(
@@ -244,7 +212,7 @@ def test_a_study_with_hard_cases_writes_its_files_goes_on_and_keeps_rows_of_an_i
     assert len(pd.read_csv(out / "hard.csv")) == 1
     assert set(pd.read_csv(out / "trajectories.csv").verdict) == {"met"}
 
-    def interrupted(_: HardStudy) -> Iterator[HardRow]:
+    def interrupted(_):
         yield from HARD
         raise KeyboardInterrupt
 

@@ -1,20 +1,18 @@
 """What is kept of a run: all of it, a part, a function, a file; and never more than fits."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 import subprocess
 import sys
 import tracemalloc
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 import scipy.sparse as sp
 import xarray as xr
+from cases import block
 from test_reduction import CONTACT, SETS, process, springs
 
 import sweepopt as so
@@ -22,7 +20,7 @@ import sweepopt as so
 PATHS = ["proportional", "eliminated"]
 
 
-def run(path: str, **changes: Any) -> so.Solution:
+def run(path, **changes):
     return so.solve(process(u0=np.zeros(40)), t_end=4.0, steps=80, path=path, **changes)
 
 
@@ -39,7 +37,7 @@ def run(path: str, **changes: Any) -> so.Solution:
     ],
     ids=str,
 )
-def test_the_kept_steps_are_those_of_the_whole_run(path: str, save: Any, nodes: list[int]) -> None:
+def test_the_kept_steps_are_those_of_the_whole_run(path, save, nodes):
     whole, some = run(path), run(path, save=save)
     assert np.array_equal(some.t, whole.t[nodes])
     assert np.array_equal(some.u, whole.u[nodes])
@@ -52,7 +50,7 @@ def test_the_kept_steps_are_those_of_the_whole_run(path: str, save: Any, nodes: 
 
 
 @pytest.mark.parametrize("path", PATHS)
-def test_the_interpolant_answers_in_kept_steps_and_refuses_others(path: str) -> None:
+def test_the_interpolant_answers_in_kept_steps_and_refuses_others(path):
     whole, some = run(path), run(path, save=25)
     inside = np.array([[0.0, 1.21, 1.25], [2.5, 3.99, 4.0]])
     assert some(inside) == pytest.approx(whole(inside), abs=1e-14)
@@ -69,7 +67,7 @@ def test_the_interpolant_answers_in_kept_steps_and_refuses_others(path: str) -> 
 
 
 @pytest.mark.parametrize("path", PATHS)
-def test_a_function_records_every_step_and_sees_all_unknowns(path: str) -> None:
+def test_a_function_records_every_step_and_sees_all_unknowns(path):
     whole = run(path)
     sol = run(path, save=lambda t, u, z: (t, u[5], z[17]))
     assert sol.recorded == [
@@ -80,9 +78,9 @@ def test_a_function_records_every_step_and_sees_all_unknowns(path: str) -> None:
 
 
 @pytest.mark.parametrize("path", PATHS)
-def test_a_file_holds_what_memory_would(path: str, tmp_path: Path) -> None:
+def test_a_file_holds_what_memory_would(path, tmp_path):
     this, file = large(10_000), tmp_path / "run.nc"
-    how: dict[str, Any] = {"t_end": 4.0, "steps": 130, "path": path}  # 100 steps are a block
+    how = {"t_end": 4.0, "steps": 130, "path": path}  # 100 steps are a block
     whole, sol = so.solve(this, **how), so.solve(this, save=file, **how)
     assert list(tmp_path.iterdir()) == [file]
     assert np.array_equal(sol.u, whole.u)
@@ -94,7 +92,7 @@ def test_a_file_holds_what_memory_would(path: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("save", [None, 3])
-def test_a_solution_is_loaded_as_it_was_saved(save: int | None, tmp_path: Path) -> None:
+def test_a_solution_is_loaded_as_it_was_saved(save, tmp_path):
     sol = run("eliminated", save=save)
     sol.save(tmp_path / "sol.nc")
     files = [tmp_path / "sol.nc"]
@@ -124,7 +122,7 @@ def test_a_solution_is_loaded_as_it_was_saved(save: int | None, tmp_path: Path) 
         so.Solution.load(files[0], slider())
 
 
-def test_a_damaged_or_missing_file_is_named(tmp_path: Path) -> None:
+def test_a_damaged_or_missing_file_is_named(tmp_path):
     file = tmp_path / "sol.nc"
     with pytest.raises(so.InputError, match="there is no file"):
         so.Solution.load(file)
@@ -136,7 +134,7 @@ def test_a_damaged_or_missing_file_is_named(tmp_path: Path) -> None:
         so.Solution.load(file)
 
 
-def large(dim: int) -> so.SweepingProcess:
+def large(dim):
     """A chain whose contact is four of its points."""
     D = so.image(sp.eye_array(dim, format="csc")[:, CONTACT], SETS["intervals"])
     load = so.Separable([(so.Sine(2.0, 3.0), np.sin(np.arange(dim)))])
@@ -144,14 +142,13 @@ def large(dim: int) -> so.SweepingProcess:
     return so.SweepingProcess(A, 1.7 * A, so.Moving(-D, load), np.zeros(dim))
 
 
-def slider() -> so.SweepingProcess:
-    C = so.Moving(so.Box([-1.0], [1.0]), so.Separable([(so.Sine(3.0, 2.0), [1.0])]))
-    return so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
+def slider():
+    return block(so.Sine(3.0, 2.0))
 
 
 def test_a_file_has_the_states_of_the_run_whatever_a_callback_does_to_its_own(
-    tmp_path: Path,
-) -> None:
+    tmp_path,
+):
     in_file = run("eliminated", save=tmp_path / "run.nc", callback=lambda step: step.u.fill(7.0))
     whole = run("eliminated")
     assert np.array_equal(in_file.u, whole.u)
@@ -159,8 +156,8 @@ def test_a_file_has_the_states_of_the_run_whatever_a_callback_does_to_its_own(
         assert np.array_equal(in_file.states.u(nodes), whole.u[nodes])
 
 
-def test_a_run_that_fails_has_a_file_of_its_steps_and_replaces_no_other(tmp_path: Path) -> None:
-    def stop(info: so.StepInfo) -> None:
+def test_a_run_that_fails_has_a_file_of_its_steps_and_replaces_no_other(tmp_path):
+    def stop(info):
         if info.step == 11:
             raise RuntimeError("enough")
 
@@ -190,16 +187,14 @@ def test_a_run_that_fails_has_a_file_of_its_steps_and_replaces_no_other(tmp_path
         ("folder.nc", "cannot be written"),
     ],
 )
-def test_what_save_cannot_be_is_said_before_the_run(
-    save: Any, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_save_cannot_be_is_said_before_the_run(save, words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("folder.nc").mkdir()
     with pytest.raises(so.InputError, match=words):
         run("eliminated", save=save)
 
 
-def test_a_history_that_does_not_fit_is_refused_before_the_run() -> None:
+def test_a_history_that_does_not_fit_is_refused_before_the_run():
     with pytest.raises(so.InputError, match=r"save='last'.*larger memory"):
         run("eliminated", memory=50_000)
     assert run("proportional", memory=50_000).success  # it keeps four unknowns a step
@@ -211,7 +206,7 @@ def test_a_history_that_does_not_fit_is_refused_before_the_run() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
-def test_the_last_state_of_a_load_case_is_enough_to_go_on() -> None:
+def test_the_last_state_of_a_load_case_is_enough_to_go_on():
     first = run("eliminated", save="last")
     this = process(u0=first.u[-1])
     again = so.solve(this, steps=np.linspace(4.0, 5.0, 21), path="eliminated")
@@ -221,10 +216,8 @@ def test_the_last_state_of_a_load_case_is_enough_to_go_on() -> None:
 
 @pytest.mark.parametrize("raises", [False, True], ids=["stopped", "interrupted"])
 @pytest.mark.parametrize("path", PATHS)
-def test_a_run_that_a_users_function_ends_is_a_consistent_solution(
-    path: str, raises: bool, tmp_path: Path
-) -> None:
-    def end(info: so.StepInfo) -> bool:
+def test_a_run_that_a_users_function_ends_is_a_consistent_solution(path, raises, tmp_path):
+    def end(info):
         if raises and info.step == 6:
             raise KeyboardInterrupt
         return info.step == 6
@@ -244,18 +237,18 @@ def test_a_run_that_a_users_function_ends_is_a_consistent_solution(
 class CtrlC:
     """Ctrl-C before the k-th line of the library that runs after a step."""
 
-    def __init__(self, step: int, k: int) -> None:
+    def __init__(self, step, k):
         self.step, self.left = step, k
         self.inside = str(Path(so.__file__).parent / "integrate")
 
-    def callback(self, info: so.StepInfo) -> None:
+    def callback(self, info):
         if info.step == self.step:
-            frame: Any = sys._getframe()
+            frame = sys._getframe()
             while frame is not None:
                 frame.f_trace, frame = self.trace, frame.f_back
             sys.settrace(self.trace)
 
-    def trace(self, frame: Any, event: str, _: Any) -> Any:
+    def trace(self, frame, event, _):
         if not frame.f_code.co_filename.startswith(self.inside):
             return self.trace if frame.f_code.co_filename == __file__ else None
         if event == "line":
@@ -267,11 +260,9 @@ class CtrlC:
 
 
 @pytest.mark.parametrize("save", [None, 3], ids=str)
-def test_ctrl_c_at_any_line_of_a_step_leaves_a_consistent_solution(
-    save: Any, tmp_path: Path
-) -> None:
+def test_ctrl_c_at_any_line_of_a_step_leaves_a_consistent_solution(save, tmp_path):
     this = slider()
-    how: dict[str, Any] = {"t_end": 1.0, "steps": 10, "save": save, "scheme": "midpoint"}
+    how = {"t_end": 1.0, "steps": 10, "save": save, "scheme": "midpoint"}
     whole = so.solve(this, **{**how, "save": None})
     expected = so.solve(this, **how, checkpoint=so.Checkpoint(tmp_path / "a", steps=4))
     done = set()
@@ -293,7 +284,7 @@ def test_ctrl_c_at_any_line_of_a_step_leaves_a_consistent_solution(
     assert done >= {5, 6}
 
 
-def test_times_are_matched_with_the_nearest_node_and_then_found_again() -> None:
+def test_times_are_matched_with_the_nearest_node_and_then_found_again():
     this = process(u0=np.zeros(40))
     grid = np.linspace(0.0, 1.0, 8)
     rounded = np.round(grid[[2, 5, 7]], 13)
@@ -304,14 +295,14 @@ def test_times_are_matched_with_the_nearest_node_and_then_found_again() -> None:
     assert np.array_equal(kept.t, fine[[0, 3, 17, 33, 40]])
 
 
-def test_a_file_that_another_run_has_replaced_is_not_mistaken_for_this_ones(tmp_path: Path) -> None:
+def test_a_file_that_another_run_has_replaced_is_not_mistaken_for_this_ones(tmp_path):
     first = run("eliminated", save=tmp_path / "run.nc")
     so.solve(process(u0=np.zeros(40)), t_end=3.0, steps=80, save=tmp_path / "run.nc")
     with pytest.raises(so.InputError, match="another run has written"):
         first(1.0)
 
 
-def test_all_columns_of_the_statistics_are_those_of_one_array() -> None:
+def test_all_columns_of_the_statistics_are_those_of_one_array():
     table = so.solve(slider(), t_end=0.4, steps=40).stats
     assert table.shape == (40,)
     assert table["t"] == pytest.approx(0.01 * np.arange(1, 41))
@@ -322,7 +313,7 @@ def test_all_columns_of_the_statistics_are_those_of_one_array() -> None:
 # ---- memory ---------------------------------------------------------------------------------
 
 
-def traced(steps: int, process: so.SweepingProcess, **how: Any) -> tuple[int, int]:
+def traced(steps, process, **how):
     """Bytes that a run which keeps its last state leaves, and takes at most."""
     tracemalloc.start()
     before = tracemalloc.get_traced_memory()[0]
@@ -333,15 +324,10 @@ def traced(steps: int, process: so.SweepingProcess, **how: Any) -> tuple[int, in
     return after - before, most
 
 
-def test_memory_does_not_grow_with_the_steps_that_are_not_kept() -> None:
+def test_memory_does_not_grow_with_the_steps_that_are_not_kept():
     this = large(3000)
     _, few, many = (traced(steps, this, path="eliminated")[1] for steps in (3, 10, 400))
     assert many <= 1.3 * few
-
-
-def test_a_run_keeps_less_than_fifty_bytes_a_step() -> None:
-    _, grown = (traced(steps, slider())[0] for steps in (10, 4_000))
-    assert grown < 50 * 4_000
 
 
 # ---- damage, and disks that are full ----
@@ -366,7 +352,7 @@ for process, settings in (
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limits of files")
-def test_a_full_disk_loses_nothing_that_is_in_memory_and_nothing_crashes(tmp_path: Path) -> None:
+def test_a_full_disk_loses_nothing_that_is_in_memory_and_nothing_crashes(tmp_path):
     tests, file = str(Path(__file__).parent), str(tmp_path / "run.nc")
     code = FULL.format(tests=tests, file=file)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -377,12 +363,12 @@ def test_a_full_disk_loses_nothing_that_is_in_memory_and_nothing_crashes(tmp_pat
 
 # h5netcdf says so when it closes what it could not open
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_flipped_bits_and_cut_files_are_named(tmp_path: Path) -> None:
+def test_flipped_bits_and_cut_files_are_named(tmp_path):
     file, random = tmp_path / "run.nc", np.random.default_rng(0)
     sol = so.solve(slider(), t_end=4.0, steps=500, save=file)
     whole, content = so.solve(slider(), t_end=4.0, steps=500), file.read_bytes()
     damaged = []
-    for _ in range(24):
+    for _ in range(12):
         flipped = bytearray(content)
         flipped[random.integers(len(content))] ^= 1 << int(random.integers(8))
         damaged += [bytes(flipped), content[: random.integers(len(content))]]
@@ -399,8 +385,8 @@ def test_flipped_bits_and_cut_files_are_named(tmp_path: Path) -> None:
         except so.CheckpointError as error:
             assert "run.nc is damaged" in str(error)  # noqa: PT017
             found += 1
-    assert found > 31
-    for _ in range(8):  # as users read it
+    assert found > 15
+    for _ in range(4):  # as users read it
         flipped = bytearray(content)
         flipped[random.integers(len(content))] ^= 1 << int(random.integers(8))
         file.unlink()
@@ -422,7 +408,7 @@ COPIES = [copy.copy, copy.deepcopy, lambda thing: pickle.loads(pickle.dumps(thin
 
 @pytest.mark.parametrize("copied", COPIES, ids=["copy", "deepcopy", "pickle"])
 @pytest.mark.parametrize("settings", [{}, {"save": 3}, {"scheme": "exact"}], ids=str)
-def test_a_copy_of_a_solution_can_do_what_the_solution_can(copied: Any, settings: Any) -> None:
+def test_a_copy_of_a_solution_can_do_what_the_solution_can(copied, settings):
     n = 6
     B = sp.diags_array([[2.0] * n, [-1.0] * (n - 1), [-1.0] * (n - 1)], offsets=[0, 1, -1])
     load = so.Separable([(so.Sine(2.0, period=4.0), np.linspace(1.0, 2.0, n))])
@@ -438,7 +424,7 @@ def test_a_copy_of_a_solution_can_do_what_the_solution_can(copied: Any, settings
     assert float(same.error_bound()) == float(sol.error_bound())
 
 
-def test_a_scene_and_its_run_go_through_pickle() -> None:
+def test_a_scene_and_its_run_go_through_pickle():
     scene = so.scene("square")
     same, sol = pickle.loads(pickle.dumps((scene, scene.solve(steps=4))))
     np.testing.assert_array_equal(same.displacement(sol), scene.displacement(scene.solve(steps=4)))

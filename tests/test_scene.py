@@ -1,7 +1,5 @@
 """Scene files: data in, problem out; what is not named does not exist; every fault has a path."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 
 import numpy as np

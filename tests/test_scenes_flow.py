@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,18 +9,8 @@ import pytest
 import skfem
 
 from sweepopt.fem import Scene, read_scene
-from sweepopt.io import find_scene
 
 SUDDEN = pytest.mark.filterwarnings("ignore::sweepopt.errors.InitialStateWarning")
-
-
-def changed(name: str, **tables: dict[str, Any]) -> Scene:
-    """A scene of the library with some keys of its tables replaced; effects by their names."""
-    path = find_scene(name)
-    data = tomllib.loads(Path(path).read_text())
-    for key, changes in tables.items():
-        (data if key in data else data["effects"])[key].update(changes)
-    return read_scene(data, folder=path.parent)
 
 
 # ---- pipe, square_pipe: Bingham's flow ----
@@ -33,9 +21,9 @@ PEAK = 96e3  # Pa/m
 
 def steady(name: str, P: float, **domain: Any) -> tuple[Scene, np.ndarray]:
     """The velocity at the nodes under a constant pressure gradient."""
-    constant = {"waveform": "constant", "value": P / PEAK}
-    time = {"end": 1.0, "steps": 1}
-    scene = changed(name, domain=domain, time=time, body_force={"history": constant})
+    changes = {f"domain.{key}": value for key, value in domain.items()}
+    changes["effects.body_force.history"] = {"waveform": "constant", "value": P / PEAK}
+    scene = read_scene(name, changes=changes | {"time.end": 1.0, "time.steps": 1})
     run = scene.solve()
     assert run.plan.path == "cones"
     assert run.stats["relative"].max() <= 1e-6
@@ -104,7 +92,7 @@ def test_p2_elements_have_rigid_plugs_too_and_the_flux_of_the_formula() -> None:
 
 
 def test_the_flux_follows_the_pressure_as_the_pipe_starts_and_stops() -> None:
-    scene = changed("pipe", domain={"refinements": 1}, time={"steps": 16})
+    scene = read_scene("pipe", changes={"domain.refinements": 1, "time.steps": 16})
     run = scene.solve()
     t = (run.t[1:] + run.t[:-1]) / 2
     P = PEAK * np.interp(t, [0.0, 3.0, 5.0, 8.0], [0.0, 1.0, 1.0, 0.0])
@@ -128,8 +116,8 @@ def test_the_gel_of_the_loading_ramp_agrees_with_its_closed_form() -> None:
     exact = np.trapezoid(shear * np.pi * r**2, r)  # of u over the section, by parts
     errors = []
     for refinements, steps in ((0, 6), (1, 12), (2, 24)):
-        domain = {"refinements": refinements}
-        scene = changed("gel", domain=domain, time={"end": end, "steps": steps})
+        changes = {"domain.refinements": refinements, "time.end": end, "time.steps": steps}
+        scene = read_scene("gel", changes=changes)
         run = scene.solve()
         assert run.stats["relative"].max() <= 1e-6
         u = scene.displacement(run)[-1]

@@ -1,34 +1,20 @@
 """The scenes of the library against exact values and independent codes."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import meshio
 import numpy as np
 import pytest
 
 from sweepopt.errors import InputError
-from sweepopt.fem import Scene, read_scene
+from sweepopt.fem import read_scene
 from sweepopt.fem.output import Report, dataset_of, write_vtu
-from sweepopt.io import find_scene, read_toml
-from sweepopt.results import Solution
 
 
-def changed(name: str, **changes: Any) -> Scene:
-    """A scene of the library with other values, keys with __ for dots."""
-    path = find_scene(name)
-    data = dict(read_toml(path))
-    for key, value in changes.items():
-        *tables, last = key.split("__")
-        table = data
-        for one in tables:
-            table = table[one]
-        table[last] = value
-    return read_scene(data, folder=path.parent)
+def isotropic(modulus):
+    """Changes of a scene: all of the hardening is isotropic."""
+    return {"effects.plasticity.Hk": 0.0, "effects.plasticity.Hi": modulus}
 
 
-def at_point(scene: Scene, solution: Solution, point: tuple[float, float]) -> np.ndarray:
+def at_point(scene, solution, point):
     space = scene.discretisation
     node = np.argmin(np.linalg.norm(space.points - point, axis=1))
     return scene.displacement(solution)[:, node]
@@ -40,28 +26,25 @@ RING = {20: 0.006869859, 22: 0.044179585, 44: 0.039493079, 66: -0.044175687}
 """Displacement of its inner side by the number of the step, of an independent code."""
 
 
-def test_the_ring_agrees_with_an_independent_code_over_a_cycle() -> None:
-    scene = changed("ring")
+def test_the_thick_ring_agrees_with_an_independent_code_over_a_cycle():
+    scene = read_scene("ring")
     sol = scene.solve()
-    assert sol.plan.path == "return mapping"
+    assert sol.plan.path == "return mapping", "chosen where internal variables are many"
     assert sol.stats["relative"].max() <= 1e-10
     u = at_point(scene, sol, (1.0, 0.0))[:, 0]
     assert u[[*RING]] == pytest.approx([*RING.values()], rel=1e-3)
 
 
-def test_hardening_matters_only_where_the_ring_yields_back() -> None:
+def test_hardening_matters_only_where_the_ring_yields_back():
     modulus = 70e9 * 0.7e9 / (70e9 - 0.7e9)
-    both = [
-        changed("ring"),
-        changed("ring", effects__plasticity__Hk=0.0, effects__plasticity__Hi=modulus),
-    ]
+    both = [read_scene("ring"), read_scene("ring", changes=isotropic(modulus))]
     runs = [scene.solve(t_end=2.8, steps=28) for scene in both]
     assert max(run.stats["relative"].max() for run in runs) <= 1e-10
-    kinematic, isotropic = (
+    one, other = (
         at_point(scene, run, (1.0, 0.0))[:, 0] for scene, run in zip(both, runs, strict=True)
     )
-    assert isotropic[:21] == pytest.approx(kinematic[:21], rel=2e-3), "nearly one curve, loading"
-    assert kinematic[28] < isotropic[28] - 1e-3, "the ring hardened both ways yields back later"
+    assert other[:21] == pytest.approx(one[:21], rel=2e-3), "nearly one curve, loading"
+    assert one[28] < other[28] - 1e-3, "the ring hardened both ways yields back later"
 
 
 # 10. a plate with a hole ---------------------------------------------------------------------
@@ -77,8 +60,9 @@ HOLE = [
 """Step, point and component of displacements (m), of an independent code."""
 
 
-def test_the_plate_agrees_with_an_independent_code_in_plane_strain() -> None:
-    scene = changed("plate", domain__kind="plane strain", effects__traction__f2=[0.0, 450e6])
+def test_the_plate_agrees_with_an_independent_code_in_plane_strain():
+    changes = {"domain.kind": "plane strain", "effects.traction.f2": [0.0, 450e6]}
+    scene = read_scene("plate", changes=changes)
     sol = scene.solve(t_end=1.0, steps=18)
     assert sol.stats["relative"].max() <= 1e-10
     for step, point, component, displacement in HOLE:
@@ -86,12 +70,12 @@ def test_the_plate_agrees_with_an_independent_code_in_plane_strain() -> None:
         assert u == pytest.approx(displacement, rel=1e-3)
 
 
-def test_the_plate_yields_first_beside_the_hole_at_the_tension_of_its_notch_factor() -> None:
+def test_the_plate_yields_first_beside_the_hole_at_the_tension_of_its_notch_factor():
     errors = []
     for refinements in (0, 1):
-        scene = changed("plate", domain__refinements=refinements)
-        space, (elastic, plastic) = scene.discretisation, (140.0, 170.0)
-        while plastic - elastic > 0.5:  # one step to a tension of so many MPa
+        scene = read_scene("plate", changes={"domain.refinements": refinements})
+        space, (elastic, plastic) = scene.discretisation, (143.0, 154.0)
+        while plastic - elastic > 0.7:  # one step to a tension of so many MPa
             tension = (elastic + plastic) / 2
             strain = scene.plastic_strain(scene.solve(t_end=tension / 420, steps=1))
             assert strain is not None
@@ -106,8 +90,8 @@ def test_the_plate_yields_first_beside_the_hole_at_the_tension_of_its_notch_fact
     assert errors[1] < 0.6 * errors[0]
 
 
-def test_what_a_run_of_plasticity_leaves_names_the_plastic_strain(tmp_path: Any) -> None:
-    scene = changed("plate")
+def test_what_a_run_of_plasticity_leaves_names_the_plastic_strain(tmp_path):
+    scene = read_scene("plate")
     sol = scene.solve(t_end=1.0, steps=4)
     report, strain = Report(scene, sol, "plate"), scene.plastic_strain(sol)
     assert strain is not None
@@ -124,29 +108,23 @@ def test_what_a_run_of_plasticity_leaves_names_the_plastic_strain(tmp_path: Any)
         assert scene.plot(sol, picture).axes
 
 
-@pytest.mark.parametrize(
-    "hardening", [{}, {"effects__plasticity__Hk": 0.0, "effects__plasticity__Hi": 1e10}]
-)
+@pytest.mark.parametrize("hardening", [{}, isotropic(1e10)], ids=["kinematic", "isotropic"])
 def test_a_plate_that_starts_where_a_run_ended_goes_on_with_its_plastic_strains(
-    hardening: dict[str, float], tmp_path: Any
-) -> None:
-    scene = changed("plate", **hardening)
+    hardening, tmp_path
+):
+    scene = read_scene("plate", changes=hardening)
     whole, first = scene.solve(t_end=2.0, steps=4), scene.solve(t_end=1.0, steps=2)
     dataset_of(Report(scene, first)).to_netcdf(tmp_path / "solution.nc", engine="h5netcdf")
     table = {"t": [0.0, 5.0], "values": [1.0, -4.0]}
-    rest = changed(
-        "plate",
-        initial={"run": str(tmp_path)},
-        effects__traction__history={"table": table},
-        **hardening,
-    )
+    later = {"initial": {"run": str(tmp_path)}, "effects.traction.history": {"table": table}}
+    rest = read_scene("plate", changes=hardening | later)
     assert np.array_equal(rest.problem.u0, first.u[-1])
     second = rest.solve(t_end=1.0, steps=2)
     np.testing.assert_allclose(second.u[-1], whole.u[-1], atol=1e-8 * np.abs(whole.u[-1]).max())
 
 
-def test_an_eigenstrain_beside_plasticity_is_refused_in_plane_stress() -> None:
+def test_an_eigenstrain_beside_plasticity_is_refused_in_plane_stress():
     heat = {"history": {"waveform": "constant"}, "strain": 1e-3, "E": 206.9e9, "nu": 0.29}
     with pytest.raises(InputError, match="effects: in plane stress an eigenstrain beside plast"):
-        changed("plate", effects__eigenstrain=heat)
-    changed("plate", effects__eigenstrain=heat, domain__kind="plane strain")
+        read_scene("plate", changes={"effects.eigenstrain": heat})
+    read_scene("plate", changes={"effects.eigenstrain": heat, "domain.kind": "plane strain"})

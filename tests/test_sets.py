@@ -7,7 +7,6 @@ import itertools
 import operator
 import pickle
 import re
-from inspect import signature
 from typing import Any, NamedTuple
 
 import cvxpy as cp
@@ -17,23 +16,17 @@ import scipy.sparse as sp
 from scipy.optimize import nnls
 
 import sweepopt as so
-from sweepopt.checks import vector
-from sweepopt.sets import Features
 from tests.laws import (
     LAWS,
     ZOO,
-    Entry,
-    Sample,
     normal_pair_is_proven_near_any_guess,
-    scaled,
-    translated,
 )
 
 UNIT = so.Ball([0.0, 0.0], 1.0)
 EYE, INF, NAN = np.eye(2), np.inf, float("nan")
 
 
-def obeys(law: Any, name: str, times: int) -> None:
+def obeys(law, name, times):
     first = [*ZOO].index(name)  # sets differ in their seeds
     for seed in range(first, first + times * LAWS[law]):
         law(ZOO[name], ZOO[name].sample(seed), np.random.default_rng(seed + 1))
@@ -41,15 +34,15 @@ def obeys(law: Any, name: str, times: int) -> None:
 
 @pytest.mark.parametrize("name", ZOO)
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
-def test_every_set_obeys_every_law(law: Any, name: str) -> None:
+def test_every_set_obeys_every_law(law, name):
     obeys(law, name, 1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ZOO)
-def test_every_set_obeys_every_law_on_more_samples(name: str) -> None:
+def test_every_set_obeys_every_law_on_more_samples(name):
     for law in LAWS:
-        obeys(law, name, 3)
+        obeys(law, name, 8)
 
 
 # Here p left the domain of the support function by what v rounds, a point where p = 0 was away from
@@ -65,19 +58,12 @@ RARE = {
 
 
 @pytest.mark.parametrize(("name", "seed"), [(name, seed) for name in RARE for seed in RARE[name]])
-def test_normal_pairs_that_one_set_in_thousands_asks_for_are_proved(name: str, seed: int) -> None:
+def test_normal_pairs_that_one_set_in_thousands_asks_for_are_proved(name, seed):
     sample, random = ZOO[name].sample(seed), np.random.default_rng(seed + 1)
     normal_pair_is_proven_near_any_guess(ZOO[name], sample, random)
 
 
-@pytest.mark.parametrize("name", ZOO)
-def test_two_sets_of_one_family_share_their_cone_and_differ_in_offsets(name: str) -> None:
-    one, two = ZOO[name].sample(5, offsets=1).C, ZOO[name].sample(5, offsets=2).C
-    assert one.same_cone(two)
-    assert one.offsets.shape == two.offsets.shape
-
-
-def test_another_matrix_is_another_cone() -> None:
+def test_another_matrix_is_another_cone():
     pairs = [
         (so.Polyhedron(EYE, [1, 1]), so.Polyhedron(2 * EYE, [1, 1])),
         (so.Ellipsoid([0, 0], EYE), so.Ellipsoid([0, 0], 2 * EYE)),
@@ -94,66 +80,12 @@ def test_another_matrix_is_another_cone() -> None:
         assert not D.same_cone(C)
 
 
-# ---- a set of one's own -------------------------------------------------------------------------
-
-
-class DiamondBall(so.ConvexSet):
-    """{ w : sum |w_i| <= radius }:  sigma(z) = radius max |z_i|."""
-
-    def __init__(self, radius: float, dim: int) -> None:
-        self.radius, self.dim, self.offsets = radius, dim, np.array([radius])
-
-    def support(self, z: Any) -> float:
-        return float(self.radius * np.abs(vector("z", z, self.dim)).max())
-
-    def project(self, w: Any) -> np.ndarray:
-        w = vector("w", w, self.dim)
-        sizes = np.sort(np.abs(w))[::-1]
-        levels = (np.cumsum(sizes) - self.radius) / np.arange(1, self.dim + 1)
-        return np.sign(w) * np.maximum(np.abs(w) - max(levels.max(), 0.0), 0.0)
-
-    def features(self, p: cp.Expression) -> Features:
-        size = cp.Variable(1)
-        return Features([size], [p <= size, -p <= size])
-
-
-def diamond(frame: Any, rng: Any, dim: int | None = None) -> Sample:
-    radius, dim = rng.exponential(), int(frame.integers(1, 6)) if dim is None else dim
-    return Sample(DiamondBall(radius, dim), lambda w: [cp.norm1(w) <= radius])
-
-
-OWN = {"diamond": Entry(diamond), "2 diamond - v": Entry(translated(scaled(diamond)))}
-
-
-@pytest.mark.parametrize("name", OWN)
-@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
-def test_a_new_set_with_three_methods_obeys_every_law(law: Any, name: str) -> None:
-    for seed in range(2):
-        law(OWN[name], OWN[name].sample(seed), np.random.default_rng(seed + 1))
-
-
-def test_a_new_set_is_solved_like_the_polytope_it_is() -> None:
-    corners = 0.7 * np.vstack([np.eye(3), -np.eye(3)])
-    A, load = np.diag([1.0, 2.0, 3.0]) + 0.1, np.array([2.0, -1.0, 0.5])
-    found = [
-        so.solve(
-            so.SweepingProcess(A, None, so.Moving(C, center=lambda t: t * load), np.zeros(3)),
-            t_end=1.0,
-            steps=10,
-        ).u
-        for C in (DiamondBall(0.7, 3), so.Polytope(corners))
-    ]
-    np.testing.assert_allclose(*found, atol=1e-9)
-
-
 # ---- projections, exactly -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("decades", [0, 2, 5, 8])
 @pytest.mark.parametrize("distance", [1e-12, 1e-6, 1.0, 1e3, 1e9])
-def test_projection_on_an_ellipsoid_is_exact_for_any_shape_and_distance(
-    decades: float, distance: float
-) -> None:
+def test_projection_on_an_ellipsoid_is_exact_for_any_shape_and_distance(decades, distance):
     # from the point x of the boundary walk along the outer normal there
     rng = np.random.default_rng(3)
     axes = np.linalg.qr(rng.normal(size=(4, 4)))[0]
@@ -171,9 +103,7 @@ def test_projection_on_an_ellipsoid_is_exact_for_any_shape_and_distance(
 
 @pytest.mark.parametrize("scale", [1e-9, 1e-3, 1.0, 1e9])
 @pytest.mark.parametrize("seed", range(5))
-def test_projection_on_a_polyhedron_meets_its_optimality_conditions_in_all_units(
-    seed: int, scale: float
-) -> None:
+def test_projection_on_a_polyhedron_meets_its_optimality_conditions_in_all_units(seed, scale):
     rng = np.random.default_rng(seed)
     m, n = int(rng.integers(3, 60)), int(rng.integers(2, 12))
     G = rng.normal(size=(m, n)) * 10.0 ** rng.uniform(-3, 3, size=(m, 1))
@@ -192,7 +122,7 @@ def test_projection_on_a_polyhedron_meets_its_optimality_conditions_in_all_units
 
 
 @pytest.mark.parametrize("angle", [1e-2, 1e-4, 1e-6, 1e-7])
-def test_the_tip_of_a_thin_wedge_is_found(angle: float) -> None:
+def test_the_tip_of_a_thin_wedge_is_found(angle):
     # |w_2| <= angle w_1 - angle, seen from far on the wrong side: the tip is (1, 0)
     C = so.Polyhedron([[-angle, 1.0], [-angle, -1.0]], [-angle, -angle])
     P = C.project([-5.0, 0.3 * angle])
@@ -200,7 +130,7 @@ def test_the_tip_of_a_thin_wedge_is_found(angle: float) -> None:
     C.require_nonempty()
 
 
-def test_many_equal_and_nearly_parallel_rows_do_not_confuse_the_projection() -> None:
+def test_many_equal_and_nearly_parallel_rows_do_not_confuse_the_projection():
     rng = np.random.default_rng(0)
     base = np.array([1.0, 2.0, -1.0])
     G = np.vstack([base, base, 3 * base, base + 1e-9 * rng.normal(size=(20, 3)), -np.eye(3)])
@@ -211,15 +141,7 @@ def test_many_equal_and_nearly_parallel_rows_do_not_confuse_the_projection() -> 
     assert (h + 1e-13 >= G @ P).all()
 
 
-def test_a_flat_polyhedron_projects_like_the_subspace_it_is() -> None:
-    rng = np.random.default_rng(1)
-    E, x, w = rng.normal(size=(3, 7)), rng.normal(size=7), rng.normal(size=7)
-    C = so.Polyhedron(np.vstack([E, -E]), np.concatenate([E @ x, -E @ x]))
-    expected = w - np.linalg.pinv(E) @ (E @ (w - x))
-    np.testing.assert_allclose(C.project(w), expected, atol=1e-14)
-
-
-def test_a_polyhedron_with_thousands_of_sparse_rows_is_projected_to_rounding() -> None:
+def test_a_polyhedron_with_thousands_of_sparse_rows_is_projected_to_rounding():
     n = 300
     rng = np.random.default_rng(2)
     eye = sp.eye_array(n, format="csr")
@@ -231,7 +153,7 @@ def test_a_polyhedron_with_thousands_of_sparse_rows_is_projected_to_rounding() -
 
 @pytest.mark.parametrize("gap", [1e-3, 1e-9, 1e-11])
 @pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
-def test_an_empty_polyhedron_is_refused_however_small_the_gap(gap: float, scale: float) -> None:
+def test_an_empty_polyhedron_is_refused_however_small_the_gap(gap, scale):
     G = np.array([[1.0, 1.0], [-2.0, -2.0], [0.0, 1.0]])
     empty = so.Polyhedron(G, scale * np.array([1.0, -2.0 - 2 * gap, 5.0]))
     thin = so.Polyhedron(G, scale * np.array([1.0, -2.0 + 2 * gap, 5.0]))
@@ -244,10 +166,12 @@ def test_an_empty_polyhedron_is_refused_however_small_the_gap(gap: float, scale:
         empty.support([1.0, 1.0])
 
 
-@pytest.mark.parametrize("gap", [1e-3, 1e-8, 1e-9])
-def test_an_empty_intersection_is_refused_however_small_the_gap(gap: float) -> None:
+@pytest.mark.parametrize(
+    "gap", [1e-9, *(pytest.param(gap, marks=pytest.mark.slow) for gap in (1e-3, 1e-8))]
+)
+def test_an_empty_intersection_is_refused_however_small_the_gap(gap):
     tip = np.array([0.6, 0.8])
-    parts: list[tuple[so.ConvexSet, so.ConvexSet]] = [
+    parts = [
         (UNIT, UNIT + (2 + gap) * tip),
         (UNIT, so.HalfSpace(-tip, -1 - gap)),
         (so.SecondOrderCone(2), UNIT - [np.sqrt(2) * (1 + gap), 0]),
@@ -259,14 +183,14 @@ def test_an_empty_intersection_is_refused_however_small_the_gap(gap: float) -> N
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_polyhedron_around_0_is_not_empty_in_any_units(seed: int) -> None:
+def test_a_polyhedron_around_0_is_not_empty_in_any_units(seed):
     rng = np.random.default_rng(seed)
     units = 2.0 ** rng.integers(-40, 41, 5)
     C = so.Polyhedron(rng.normal(size=(10, 5)) / units, np.ones(10))
     assert np.isfinite(C.project(3 * units * rng.normal(size=5))).all()
 
 
-def test_sets_that_meet_in_one_point_are_not_empty() -> None:
+def test_sets_that_meet_in_one_point_are_not_empty():
     for C in (UNIT & (UNIT + [2.0, 0.0]), UNIT & so.HalfSpace([-1.0, 0.0], -1.0)):
         C.require_nonempty()
         # a rounding error in the data makes a lens with a height of its square root
@@ -274,7 +198,7 @@ def test_sets_that_meet_in_one_point_are_not_empty() -> None:
             C.project([3.0, 0.5])
 
 
-def test_sets_that_overlap_by_their_rounding_s_root_are_projected_on_exactly() -> None:
+def test_sets_that_overlap_by_their_rounding_s_root_are_projected_on_exactly():
     C = so.Box([-1.0, -1.0], [1.0, 1.0]) & so.Ball([2.0 - 1e-8, 0.0], 1.0)
     # on the edge of a lens 1e-8 thick: (x, y) on the box's side and on the circle
     y = np.sqrt(2e-8 - 1e-16)
@@ -282,7 +206,7 @@ def test_sets_that_overlap_by_their_rounding_s_root_are_projected_on_exactly() -
 
 
 @pytest.mark.parametrize("d", np.geomspace(1e-12, 1e-4, 17))
-def test_pairs_of_sets_that_hardly_overlap_are_as_near_as_they_say(d: float) -> None:
+def test_pairs_of_sets_that_hardly_overlap_are_as_near_as_they_say(d):
     low = 1 - d
     C = so.Ball([0.0, 0.0], 1.0) & so.Box([low, -2.0], [3.0, 2.0])
     height = np.sqrt((1 - low) * (1 + low))  # 1 - low is exact
@@ -362,7 +286,7 @@ NEAREST = {
 
 
 @pytest.mark.parametrize("case", NEAREST)
-def test_the_nearest_point_is_found_from_any_distance(case: str) -> None:
+def test_the_nearest_point_is_found_from_any_distance(case):
     C, point, p, lengths, beside, rounding = NEAREST[case]
     for length in lengths:
         force, atol = length * np.array(p) + beside, rounding * max(length, 1.0)
@@ -371,10 +295,10 @@ def test_the_nearest_point_is_found_from_any_distance(case: str) -> None:
         np.testing.assert_allclose(C.normal(v), v - point, rtol=0, atol=atol)
 
 
-def test_what_is_inside_does_not_move_at_all() -> None:
+def test_what_is_inside_does_not_move_at_all():
     w = np.array([0.1, -0.3])
     triangle = so.Polytope([[1.0, 0.0], [-1.0, 1.0], [-1.0, -1.0]])
-    inside: list[so.ConvexSet] = [
+    inside = [
         so.Ball([0.3, 0.1], 1.0),
         so.Ellipsoid([0.1, 0.0], EYE),
         so.Polyhedron([[1.0, 1.0]], [0.3]),
@@ -395,7 +319,7 @@ def test_what_is_inside_does_not_move_at_all() -> None:
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 @pytest.mark.parametrize("name", [name for name in ZOO if "wide image" in name])
-def test_the_velocity_in_an_image_with_many_preimages_is_certified(name: str) -> None:
+def test_the_velocity_in_an_image_with_many_preimages_is_certified(name):
     # M between 2e-3 and 6e-3: an error of w counts 500 times in the velocity
     for seed in range(6):
         C = ZOO[name].sample(seed).C
@@ -410,9 +334,7 @@ def test_the_velocity_in_an_image_with_many_preimages_is_certified(name: str) ->
 
 @pytest.mark.parametrize("far", [0.0, 1e6])
 @pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
-def test_support_of_a_polyhedron_is_exact_in_all_units_and_far_from_the_origin(
-    scale: float, far: float
-) -> None:
+def test_support_of_a_polyhedron_is_exact_in_all_units_and_far_from_the_origin(scale, far):
     rng = np.random.default_rng(4)
     vertices = np.vstack([np.zeros(3), np.eye(3)])
     G, h = np.vstack([-np.eye(3), np.ones(3)]), np.array([0.0, 0.0, 0.0, 1.0])
@@ -423,7 +345,7 @@ def test_support_of_a_polyhedron_is_exact_in_all_units_and_far_from_the_origin(
         assert abs(C.support(z) - expected) <= 1e-14 * scale * (1 + 10 * far)
 
 
-def test_support_tells_the_edge_of_its_domain_to_rounding() -> None:
+def test_support_tells_the_edge_of_its_domain_to_rounding():
     normal = np.array([1.0, 2.0, -3.0]) / 7
     H, K = so.HalfSpace(normal, 2.0), so.SecondOrderCone(3)
     assert H.support(0.3 * normal) == pytest.approx(0.6, rel=1e-15)
@@ -437,7 +359,7 @@ def test_support_tells_the_edge_of_its_domain_to_rounding() -> None:
     assert np.isinf(polar.support([-1.0, 1.0 + 1e-12, -1 / 3]))
 
 
-def test_a_polyhedron_without_rows_is_the_whole_space() -> None:
+def test_a_polyhedron_without_rows_is_the_whole_space():
     C = so.Polyhedron(np.zeros((0, 2)), [])
     assert np.isinf(C.support([1.0, 0.0]))
     assert (C.project([3.0, 4.0]) == [3.0, 4.0]).all()
@@ -447,7 +369,7 @@ def test_a_polyhedron_without_rows_is_the_whole_space() -> None:
 
 TRIANGLE = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 
-DISTANCES: list[tuple[so.ConvexSet, so.ConvexSet, float]] = [
+DISTANCES = [
     (so.Point([1, 2]), so.Point([4, 6]), 5.0),
     (so.Ball([0, 0], 1), so.Ball([3, 4], 3), 7.0),
     (so.Balls([1, 2], 2), so.Balls([4, 6], 2), 5.0),
@@ -493,14 +415,12 @@ DISTANCES: list[tuple[so.ConvexSet, so.ConvexSet, float]] = [
 
 
 @pytest.mark.parametrize(("C", "D", "expected"), DISTANCES)
-def test_distance_bound_is_sharp_where_the_distance_is_known(
-    C: so.ConvexSet, D: so.ConvexSet, expected: float
-) -> None:
+def test_distance_bound_is_sharp_where_the_distance_is_known(C, D, expected):
     assert C.distance_bound(D) == pytest.approx(expected, rel=1e-14)
     assert D.distance_bound(C) == pytest.approx(expected, rel=1e-14)
 
 
-def test_distance_bound_is_none_where_nothing_is_known() -> None:
+def test_distance_bound_is_none_where_nothing_is_known():
     other = so.Ball([1, 0], 1)
     halves = so.HalfSpace([1, 0], 1), so.HalfSpace([0, 1], 1)
     for C, D in [
@@ -518,40 +438,25 @@ def test_distance_bound_is_none_where_nothing_is_known() -> None:
         UNIT.distance_bound(so.Orthant(3))
 
 
-@pytest.mark.parametrize("cls", [so.Polyhedron, so.HalfSpace])
-def test_a_polyhedron_needs_its_arguments(cls: Any) -> None:
-    with pytest.raises(so.InputError, match=r"missing a required argument.*give by name"):
-        cls()
-
-
 class Slope(so.HalfSpace):
-    def __init__(self, steep: float) -> None:
+    def __init__(self, steep):
         super().__init__([steep, 1.0], 1.0)
 
 
 class Corner(so.Polyhedron):
-    def __init__(self, *, rows: int) -> None:
+    def __init__(self, *, rows):
         super().__init__(np.eye(rows), h=np.ones(rows))
 
 
 @pytest.mark.parametrize("C", [Slope(2.0), Slope(steep=2.0), Corner(rows=2)])
-def test_a_subclass_of_a_polyhedron_has_its_own_arguments(C: so.Polyhedron) -> None:
+def test_a_subclass_of_a_polyhedron_has_its_own_arguments(C):
     known = so.Polyhedron(C.G, C.h)
     for twin in (C, *(copied(C) for copied in TWINS)):
         assert type(twin) is type(C)
         np.testing.assert_array_equal(twin.project([3.0, 4.0]), known.project([3.0, 4.0]))
 
 
-def test_the_signature_of_a_polyhedron_is_that_of_its_parameters() -> None:
-    assert list(signature(so.Polyhedron).parameters) == ["G", "h"]
-    assert list(signature(so.HalfSpace).parameters) == ["normal", "offset"]
-    moving = so.Polyhedron(h=lambda t: [t], G=[[1.0]])
-    assert moving.at(2.0).support([1.0]) == 2.0
-    with pytest.raises(so.InputError, match="Polyhedron has no argument g; there are: G, h"):
-        so.Polyhedron(g=[[1.0]], h=lambda t: [t])
-
-
-def test_nearly_opposite_rows_are_a_wedge_and_no_equation() -> None:
+def test_nearly_opposite_rows_are_a_wedge_and_no_equation():
     """The pair at (0, 5) of a line is none of the wedge x <= 0, x >= a y, whose apex is nearest."""
     for a in np.geomspace(4e-15, 1e-9, 13):  # 8 roundings are not told from parallel
         C = so.Polyhedron([[1.0, 0.0], [-1.0, a]], [0.0, 0.0])
@@ -566,7 +471,7 @@ TWINS = [copy.copy, copy.deepcopy, lambda C: pickle.loads(pickle.dumps(C))]
 
 
 @pytest.mark.parametrize("C", [so.Polyhedron(TRIANGLE, [1, 1, 1]), so.HalfSpace([3, 4], 5), WIDE])
-def test_sets_can_be_copied_with_their_factorisations(C: so.ConvexSet) -> None:
+def test_sets_can_be_copied_with_their_factorisations(C):
     v = 3.0 * np.ones(C.dim)
     for w, twin in itertools.product([C.project(v)], TWINS):
         assert type(twin(C)) is type(C)
@@ -576,7 +481,7 @@ def test_sets_can_be_copied_with_their_factorisations(C: so.ConvexSet) -> None:
 # ---- what the algebra simplifies ----------------------------------------------------------------
 
 
-def test_points_boxes_and_balls_stay_what_they_are() -> None:
+def test_points_boxes_and_balls_stay_what_they_are():
     p, box = so.Point([1.0, 2.0]), so.Box([0, 0], [1, 2])
     points = [p + [1, 1], -p, 3 * p, p + p, p - [1, 0], so.product(p, p), so.image(EYE, p)]
     for C in points:
@@ -593,7 +498,7 @@ def test_points_boxes_and_balls_stay_what_they_are() -> None:
         np.testing.assert_allclose(flat.project([9.0, 4.0, 9.0]), [5.0, 4.0, 5.0], rtol=1e-15)
 
 
-def test_intersections_of_polyhedra_are_polyhedra() -> None:
+def test_intersections_of_polyhedra_are_polyhedra():
     box, cut = so.Box([0, 0], [1, INF]), so.HalfSpace([1.0, 1.0], 1.5)
     for C in (box & cut, cut & box, (box - [0, 0]) & (2 * cut), (-cut) & box, cut & cut):
         assert isinstance(C, so.Polyhedron)
@@ -601,7 +506,7 @@ def test_intersections_of_polyhedra_are_polyhedra() -> None:
     np.testing.assert_allclose((cut & box).project([9.0, 0.0]), [1.0, 0.0], atol=1e-15)
 
 
-def test_contact_acts_on_few_unknowns() -> None:
+def test_contact_acts_on_few_unknowns():
     select = sp.csc_array(([1.0, 1.0], ([3, 7], [0, 1])), shape=(100, 2))
     C = so.image(select, so.Box([-1, -1], [1, 1]))
     assert (C.dim, C.nonsmooth_dim) == (100, 2)
@@ -609,7 +514,7 @@ def test_contact_acts_on_few_unknowns() -> None:
     assert so.product(C, UNIT).nonsmooth_dim == 4
 
 
-def test_user_constraints_have_no_proof_nor_does_anything_made_of_them() -> None:
+def test_user_constraints_have_no_proof_nor_does_anything_made_of_them():
     C = so.Constraints(2, lambda w: [w[0] ** 2 + w[1] <= 1, w[1] >= -1])
     sets = [C, C + [1, 1], 2 * C, -C, C + UNIT, C & UNIT, so.product(C, UNIT)]
     sets += [so.image(EYE, C)]
@@ -618,14 +523,14 @@ def test_user_constraints_have_no_proof_nor_does_anything_made_of_them() -> None
         assert D.normal_pair(np.zeros(D.dim), np.zeros(D.dim), np.ones(D.dim)) is None
 
 
-def test_a_moving_cone_that_rests_at_zero_has_a_polar() -> None:
+def test_a_moving_cone_that_rests_at_zero_has_a_polar():
     rest = so.Moving(so.Orthant(2), center=lambda t: [t, t]).at(0.0)
     assert (rest.polar().project([1.0, -1.0]) == [0.0, -1.0]).all()
 
 
 @pytest.mark.parametrize("squared", [False, True])
 @pytest.mark.parametrize("power", [-60, 0, 60])
-def test_user_constraints_may_have_any_units(power: int, squared: bool) -> None:
+def test_user_constraints_may_have_any_units(power, squared):
     r = 2.0**power
     C = so.Constraints(2, lambda w: [cp.sum_squares(w) <= r**2 if squared else cp.norm(w) <= r])
     same = so.Ball([0, 0], r)
@@ -637,14 +542,14 @@ def test_user_constraints_may_have_any_units(power: int, squared: bool) -> None:
     so.Constraints(2, lambda w: []).require_nonempty()
 
 
-def test_user_constraints_are_read_once() -> None:
+def test_user_constraints_are_read_once():
     r = cp.Parameter(value=1.0)
     C = so.Constraints(2, lambda w: [cp.norm(w) <= r])
     r.value = 2.0
     assert C.support([1.0, 0.0]) == pytest.approx(1.0)
 
 
-def test_user_constraints_without_a_ray_are_unbounded() -> None:
+def test_user_constraints_without_a_ray_are_unbounded():
     parabola = so.Constraints(2, lambda w: [w[0] ** 2 <= w[1]])
     assert parabola.support([1.0, -1.0]) == pytest.approx(0.25)
     assert parabola.magnitude() == INF
@@ -655,7 +560,7 @@ def test_user_constraints_without_a_ray_are_unbounded() -> None:
 CONE = so.SecondOrderCone(2)
 SQUARE = so.Box([-1, -1], [1, 1])
 
-MALFORMED: list[tuple[Any, str]] = [
+MALFORMED = [
     (lambda: so.Point([1.0, NAN]), r"p\[1\] is nan"),
     (lambda: so.Point([[1.0, 2.0]]), r"p must have one axis.*\(1, 2\)"),
     (lambda: so.Point([[1.0], [1.0, 2.0]]), "p must be an array"),
@@ -728,15 +633,13 @@ MALFORMED: list[tuple[Any, str]] = [
         r"column 0 of M is 4.94066e-324.*other units",
     ),
     (lambda: so.image("M", UNIT), "M must be a matrix of numbers"),
-    (lambda: UNIT.support([1]), "z must have 2 entries, got 1"),
-    (lambda: SQUARE.support([1, NAN]), r"z\[1\] is nan"),
-    (lambda: CONE.project([1, 2, 3]), "w must have 2 entries"),
-    (lambda: so.Point([1]).project([NAN]), r"w\[0\] is nan"),
+    (so.Polyhedron, "missing a required argument.*give by name"),
+    (so.HalfSpace, "missing a required argument.*give by name"),
     (lambda: SQUARE & (SQUARE.__class__([2, 2], [3, 3])), "Box is empty"),
 ]
 
 
-STATED: list[tuple[Any, str]] = [
+STATED = [
     (lambda w: [w >= 0, w[0] ** 2 >= 1], "constraint 1 of build"),
     (lambda w: w >= 0, "return a list"),
     (lambda w: [True], "constraint 0"),
@@ -756,14 +659,14 @@ MALFORMED += [(lambda build=build: so.Constraints(2, build), match) for build, m
 
 
 @pytest.mark.parametrize(("make", "message"), MALFORMED, ids=[match for _, match in MALFORMED])
-def test_malformed_input_is_refused_by_name(make: Any, message: str) -> None:
+def test_malformed_input_is_refused_by_name(make, message):
     error = so.EmptySetError if "is empty" in message else so.InputError
     with pytest.raises(error, match=message):
         make()
 
 
 @pytest.mark.parametrize("name", ZOO)
-def test_every_set_refuses_vectors_of_another_shape(name: str) -> None:
+def test_every_set_refuses_vectors_of_another_shape(name):
     C = ZOO[name].sample(0).C
     for wrong in (np.zeros(C.dim + 1), np.zeros((C.dim, 1)), np.full(C.dim, NAN), ["?"] * C.dim):
         with pytest.raises(so.InputError, match=re.compile("^[wzv]")):
@@ -772,7 +675,7 @@ def test_every_set_refuses_vectors_of_another_shape(name: str) -> None:
             C.project(wrong)
 
 
-def test_sums_and_images_of_rows_are_projected_on_to_rounding() -> None:
+def test_sums_and_images_of_rows_are_projected_on_to_rounding():
     random = np.random.default_rng(3)
     half = so.image(random.normal(size=(5, 2)), so.HalfSpace([1.0, -0.4], 0.3))
     rows = so.Polyhedron(random.integers(-2, 3, size=(11, 7)) + 0.0, random.uniform(size=11))
@@ -783,7 +686,7 @@ def test_sums_and_images_of_rows_are_projected_on_to_rounding() -> None:
         assert C.support(p) - p @ w <= 1e-12 * np.linalg.norm(p) * np.linalg.norm(v)
 
 
-def test_cuts_of_sums_of_images_keep_their_nearest_points() -> None:
+def test_cuts_of_sums_of_images_keep_their_nearest_points():
     random = np.random.default_rng(4)
     hull = so.Polytope(random.normal(size=(6, 2)))
     rows = so.Polyhedron([[1.0, 2.0], [-1.0, 1.0], [2.0, -1.0], [-1.0, -2.0]], [1.0, 2.0, 1.0, 2.0])
@@ -797,7 +700,7 @@ def test_cuts_of_sums_of_images_keep_their_nearest_points() -> None:
             np.testing.assert_allclose(C.project(w + 3 * (v - w)), w, rtol=0, atol=1e-11)
 
 
-def test_a_pair_says_how_far_rounding_moved_it() -> None:
+def test_a_pair_says_how_far_rounding_moved_it():
     corner = 1.0 * np.array([1, 1, -1, -1])
     hull = so.Polytope(np.vstack([2 * corner, np.eye(4), -np.eye(4)]))
     ball, box = so.Ball(np.zeros(4), 2.0), so.Box([-3.0] * 4, [3.0] * 4)
@@ -815,13 +718,13 @@ def test_a_pair_says_how_far_rounding_moved_it() -> None:
             assert found.perturbation.p.max() <= 1e-12 * size
 
 
-def test_a_vertex_that_only_rounding_says_is_ahead_leaves_a_polytope_quietly() -> None:
+def test_a_vertex_that_only_rounding_says_is_ahead_leaves_a_polytope_quietly():
     C = so.Polytope([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     x, y, z = C.project(np.array([5.8e73, 0.0, 7.6e-24]))
     assert x == y == 0.0 <= z <= 1.0
 
 
-def test_a_point_inside_of_a_sum_is_its_own_projection() -> None:
+def test_a_point_inside_of_a_sum_is_its_own_projection():
     # its parts are rounded, but what they miss is not a force
     random = np.random.default_rng(2)
     center = random.normal(size=6)
@@ -831,7 +734,7 @@ def test_a_point_inside_of_a_sum_is_its_own_projection() -> None:
         assert not C.normal(w).any()
 
 
-def gradient(n: int) -> sp.csr_array:
+def gradient(n):
     """Of functions on a square grid: two differences for each node that has both neighbours."""
     D = sp.diags_array([-np.ones(n - 1), np.ones(n - 1)], offsets=[0, 1], shape=(n - 1, n))
     inner = sp.eye_array(n - 1, n)
@@ -840,7 +743,7 @@ def gradient(n: int) -> sp.csr_array:
     return sp.csr_array(pairs)[np.arange(2 * m).reshape(2, m).T.ravel()]
 
 
-def test_sets_of_many_unknowns_are_made_of_sparse_matrices() -> None:
+def test_sets_of_many_unknowns_are_made_of_sparse_matrices():
     G = gradient(143)  # dense, it would need 6 GB
     discs = so.image(G.T, so.Balls(np.ones(G.shape[0] // 2), 2))
     z = np.random.default_rng(0).normal(size=discs.dim)
@@ -863,14 +766,14 @@ def test_sets_of_many_unknowns_are_made_of_sparse_matrices() -> None:
     np.testing.assert_allclose(p[inside], ratio * w[inside], rtol=0, atol=1e-12)
 
 
-def discs_and_box(count: int) -> tuple[so.Balls, so.Box]:
+def discs_and_box(count):
     rng, n = np.random.default_rng(2 * count), 2 * count
     radii, (lower, upper) = rng.uniform(0.5, 1.5, count), rng.uniform(0.2, 1, (2, n))
     return so.Balls(radii, 2), so.Box(-lower, upper)
 
 
 @pytest.mark.parametrize("combined", [operator.and_, operator.add])
-def test_many_discs_and_a_box_are_the_product_of_small_sets(combined: Any) -> None:
+def test_many_discs_and_a_box_are_the_product_of_small_sets(combined):
     discs, box = discs_and_box(80)
     v, C = 3 * np.random.default_rng(1).normal(size=160), combined(discs, box)
     w = C.project(v)
@@ -885,7 +788,7 @@ def test_many_discs_and_a_box_are_the_product_of_small_sets(combined: Any) -> No
 
 
 @pytest.mark.parametrize("other", [so.Ball(np.zeros(160), 5.0), so.HalfSpace(np.ones(160), -2.0)])
-def test_large_cuts_that_are_no_products_have_pairs(other: so.ConvexSet) -> None:
+def test_large_cuts_that_are_no_products_have_pairs(other):
     discs, v = discs_and_box(80)[0], 2 * np.random.default_rng(2).normal(size=160)
     w = (discs & other).project(v)
     pair = (discs & other).normal_pair(v - w, w, np.ones(160))
@@ -896,9 +799,10 @@ def test_large_cuts_that_are_no_products_have_pairs(other: so.ConvexSet) -> None
     np.testing.assert_allclose(pair.w + pair.p, v, rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("count", [10, 40])
-@pytest.mark.parametrize("full", [False, True])
-def test_discs_cut_with_a_box_are_proved_to_a_tight_tolerance(count: int, full: bool) -> None:
+@pytest.mark.parametrize(
+    ("count", "full"), [(10, True), (40, False), pytest.param(40, True, marks=pytest.mark.slow)]
+)
+def test_discs_cut_with_a_box_are_proved_to_a_tight_tolerance(count, full):
     (discs, box), n = discs_and_box(count), 2 * count
     root = np.random.default_rng(count).normal(size=(n, n))
     A = root @ root.T / n + np.eye(n) if full else np.diag(np.linspace(1.0, 2.0, n))
@@ -907,21 +811,21 @@ def test_discs_cut_with_a_box_are_proved_to_a_tight_tolerance(count: int, full: 
     assert found.stats["relative"].max() <= 1e-9
 
 
-def test_the_cone_of_one_unknown_is_taken_by_every_solver() -> None:
+def test_the_cone_of_one_unknown_is_taken_by_every_solver():
     C = so.Moving(so.image([[1.5]], so.Orthant(1)), center=lambda t: np.array([2 * t]))
     for solver in ("auto", "osqp", "clarabel"):
         process = so.SweepingProcess([[2.0]], None, C, [0.0])
         assert so.solve(process, t_end=1.0, steps=1, solver=solver).status == so.Status.SUCCESS
 
 
-def test_images_of_generated_cones_know_their_polar() -> None:
+def test_images_of_generated_cones_know_their_polar():
     M = np.array([[1.0, 2.0, 0.5], [0.0, 1.0, 1.0]])
     cone = so.image([[1.0, 1.0]], so.image(M, so.Orthant(3)))
     assert cone.polar().contains([-1.0])
     assert not cone.polar().contains([1.0])
 
 
-def test_normals_beside_a_generated_cone_are_in_its_polar() -> None:
+def test_normals_beside_a_generated_cone_are_in_its_polar():
     rng = np.random.default_rng(0)
     finite = []
     for _ in range(50):
@@ -931,7 +835,7 @@ def test_normals_beside_a_generated_cone_are_in_its_polar() -> None:
     assert np.mean(finite) >= 0.9  # 0.08 of them if the rounding of x stays in p
 
 
-def corners(C: so.Polyhedron) -> np.ndarray:
+def corners(C):
     """Of a bounded polyhedron, shape (k, dim)."""
     found = []
     for rows in itertools.combinations(range(C.h.size), C.dim):
@@ -943,10 +847,11 @@ def corners(C: so.Polyhedron) -> np.ndarray:
     return np.array(found)[inside]
 
 
-def test_a_pair_of_a_polyhedron_counts_what_it_misses_and_misses_little() -> None:
+@pytest.mark.parametrize("seeds", [60, pytest.param(1000, marks=pytest.mark.slow)])
+def test_a_pair_of_a_polyhedron_counts_what_it_misses_and_misses_little(seeds):
     """w + tau p tells nothing of w, on which the corner depends that p is normal to."""
     exact = 0
-    for seed in range(200):
+    for seed in range(seeds):
         rng = np.random.default_rng(seed)
         n = int(rng.integers(2, 5))
         G = np.vstack([rng.normal(size=(2, n)), np.eye(n), -np.eye(n)])
@@ -962,17 +867,18 @@ def test_a_pair_of_a_polyhedron_counts_what_it_misses_and_misses_little() -> Non
         size = np.abs(pair.p).sum() * (1 + np.abs(pair.w).max())
         assert missed.max() <= pair.gap + rounded + 1e-12 * size
         exact += pair.gap <= 1e-24 * size
-    assert exact >= 140
+    assert exact >= 0.7 * seeds
 
 
-def test_a_far_vertex_hides_no_other_one_of_a_polytope() -> None:
+def test_a_far_vertex_hides_no_other_one_of_a_polytope():
     C = so.Polytope([[0.0, 0, 0, 1], [0.0, 0, -1e8, 0], [0.0, 1, 1, 0]])
     P = C.project(np.zeros(4))
     np.testing.assert_allclose(P, [0.0, 0.5, 0.0, 0.5], atol=1e-8)
     np.testing.assert_allclose(C.project(P), P, rtol=0, atol=1e-15)
 
 
-def test_a_sum_is_projected_on_beside_a_vertex() -> None:
+@pytest.mark.parametrize("seeds", [10, pytest.param(200, marks=pytest.mark.slow)])
+def test_a_sum_is_projected_on_beside_a_vertex(seeds):
     # whole Newton steps go to and fro between its faces
     C = so.Polytope(
         [
@@ -987,19 +893,8 @@ def test_a_sum_is_projected_on_beside_a_vertex() -> None:
         ]
     ) + so.Box([-1, -1, -1], [1, 1, np.inf])
     vertex = C.project([0.0, 3.0, 3.0])
-    for seed in range(50):
+    for seed in range(seeds):
         v = vertex + 2e-7 * np.random.default_rng(seed).normal(size=3)
         pair = C.normal_pair(v - C.project(v), C.project(v), np.ones(3))
         assert pair is not None
         assert pair.gap == 0.0
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_rows_of_a_polyhedron_are_projected_and_supported_as_one_by_one(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    G = random.normal(size=(9 - 3 * (seed == 2), 3))  # six rows leave it unbounded, or may
-    C = so.Polyhedron(G, random.uniform(0.2, 1.0, len(G)))
-    rows = np.vstack([np.zeros(3), 0.01 * random.normal(size=(5, 3)), random.normal(size=(60, 3))])
-    assert C.project_rows(rows) == pytest.approx(np.array([C.project(w) for w in rows]), abs=1e-12)
-    one_by_one = [C.support(p) for p in rows]
-    assert C.support_rows(rows) == pytest.approx(np.array(one_by_one), rel=1e-12)

@@ -1,39 +1,24 @@
 """A step that contains breakpoints of the load, or misses its tolerance, is taken in parts."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
-from test_checkpoint import Killed, same, stopping
-from test_reduction import process as chain
+from cases import block
+from test_checkpoint import Killed, same, stiff, stopping
 
 import sweepopt as so
 
 LOAD = so.Sine(3.0, 6.0)
 
 
-def stiff(k: float) -> so.SweepingProcess:
-    """Two blocks tied by a spring k, which move as one: A is lost in A + mu B for mu k > 1e15."""
-    B = k * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    C = so.Moving(so.Box([-1, -1], [1, 1]), so.Separable([(LOAD, [1.0, 1.0])]))
-    return so.SweepingProcess(np.eye(2), B, C, [0.0, 0.0])
-
-
-def one() -> so.SweepingProcess:
+def one():
     C = so.Moving(so.Box([-1], [1]), so.Separable([(LOAD, [1.0])]))
     return so.SweepingProcess([[1.0]], None, C, [0.0])
 
 
-def thin(
-    gap: Callable[[float], float], speed: float = 3.0, height: float = 0.0
-) -> so.SweepingProcess:
+def thin(gap, speed=3.0, height=0.0):
     """Two discs that meet in a lens of the width 2 gap(t); u starts at that height."""
 
-    def lens(t: float) -> so.ConvexSet:
+    def lens(t):
         d = 1 - gap(t)
         return (so.Ball([-d, 0.0], 1.0) & so.Ball([d, 0.0], 1.0)) + np.array([speed * t, 1.0])
 
@@ -41,13 +26,13 @@ def thin(
     return so.SweepingProcess(A, np.eye(2), so.MovingSet(lens), [0.0, height])
 
 
-def parts(sol: so.Solution) -> list[int]:
+def parts(sol):
     """In how many parts each step was taken."""
     return [int(name.partition("/")[2] or 1) for name in sol.stats["solver"]]
 
 
 @pytest.mark.parametrize("scheme", ["implicit-euler", "midpoint", "trapezoid", "sdirk2"])
-def test_a_step_that_is_too_long_for_its_matrix_is_rescued(scheme: str) -> None:
+def test_a_step_that_is_too_long_for_its_matrix_is_rescued(scheme):
     sol = so.solve(stiff(4e15), t_end=4.0, steps=4, scheme=scheme, on_unstable="ignore")
     assert sol.success
     assert max(parts(sol)) > 1
@@ -74,7 +59,7 @@ def test_a_step_that_is_too_long_for_its_matrix_is_rescued(scheme: str) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
-def test_a_step_where_the_set_is_thin_is_taken_in_parts() -> None:
+def test_a_step_where_the_set_is_thin_is_taken_in_parts():
     process = thin(lambda t: 1e-12 + abs(t - 0.5))
     sol = so.solve(process, t_end=1.0, steps=1, scheme="midpoint")
     assert [name.partition("/")[2] for name in sol.stats["solver"]] == ["2"]
@@ -86,7 +71,7 @@ def test_a_step_where_the_set_is_thin_is_taken_in_parts() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
-def test_a_step_in_parts_that_overshoots_is_warned_of() -> None:
+def test_a_step_in_parts_that_overshoots_is_warned_of():
     process = thin(lambda t: 1e-12 + abs(t - 5.0) / 500, speed=0.0, height=-2.0)
     with pytest.warns(so.StabilityWarning, match="can overshoot into a wrong stuck state"):
         sol = so.solve(process, t_end=10.0, steps=1, scheme="midpoint")
@@ -95,7 +80,7 @@ def test_a_step_in_parts_that_overshoots_is_warned_of() -> None:
     assert np.abs(sol.u[-1] - right.u[-1]).max() > 0.2
 
 
-def test_a_step_that_no_parts_help_ends_the_run_and_says_where_and_why() -> None:
+def test_a_step_that_no_parts_help_ends_the_run_and_says_where_and_why():
     times = [0.0, 1e-3, 2e-3, 1.0]
     with pytest.raises(so.StepError, match="not positive definite to rounding") as failure:
         so.solve(stiff(1e17), steps=times, scheme="midpoint", on_unstable="ignore")
@@ -103,7 +88,7 @@ def test_a_step_that_no_parts_help_ends_the_run_and_says_where_and_why() -> None
     assert (error.t, error.step, error.certificate) == (2e-3, 2, np.inf)
     assert "step 2 from t = 0.002" in str(error)
     assert "2 to 16 parts does not help. B is so large" in str(error)
-    how: dict[str, Any] = {"on_failure": "stop", "on_unstable": "ignore"}
+    how = {"on_failure": "stop", "on_unstable": "ignore"}
     sol = so.solve(stiff(1e17), steps=times, scheme="midpoint", **how)
     assert sol.status is so.Status.INEXACT
     assert np.array_equal(sol.t, times[:3])
@@ -112,25 +97,12 @@ def test_a_step_that_no_parts_help_ends_the_run_and_says_where_and_why() -> None
 
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
-def test_a_set_that_is_empty_between_the_times_of_the_grid_is_named() -> None:
+def test_a_set_that_is_empty_between_the_times_of_the_grid_is_named():
     process = thin(lambda t: 1e-12 + abs(t - 0.5) if t in (0.0, 0.5, 1.0) else -1.0)
     with pytest.raises(so.StepError, match=r"parts: C\(t\) at t = 0.25 is empty") as failure:
         so.solve(process, t_end=1.0, steps=1, scheme="midpoint")
     assert failure.value.certificate > 1e-6
     assert failure.value.step == 0
-
-
-@pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
-def test_unknowns_that_the_set_does_not_act_on_move_with_the_parts() -> None:
-    small, E = thin(lambda t: 1e-12 + abs(t - 0.5)), np.eye(5)[:, [1, 3]]
-    C = so.MovingSet(lambda t: so.image(E, small.C.at(t)))
-    A = 2 * np.eye(5) + 0.5 * (np.eye(5, k=1) + np.eye(5, k=-1))
-    process = so.SweepingProcess(A, np.eye(5), C, np.zeros(5))
-    how: dict[str, Any] = {"t_end": 1.0, "scheme": "midpoint", "path": "full"}
-    sol, halves = (so.solve(process, steps=n, **how) for n in (1, 2))
-    assert parts(sol) == [2]
-    assert sol.stats["relative"].max() <= 1e-6
-    assert sol.u[-1] == pytest.approx(halves.u[-1], abs=1e-12)
 
 
 # ---- breakpoints of the load -------------------------------------------------------------------
@@ -147,7 +119,7 @@ WAVE, SCALE = so.Separable([(so.Sine(2.0, 1.0), PULL)]), so.Table(TURNS.times, [
 STATE = so.StateDependent(
     lambda t, u: (1 + 0.01 * np.exp(-(u @ u))) * BOX + ALONG(t), 0.02 * np.eye(3), [TURNS]
 )
-MEETING: dict[str, tuple[Any, np.ndarray, str]] = {
+MEETING = {
     "Separable": (so.Moving(BOX, ALONG), np.eye(3), "auto"),
     "VectorTable": (so.Moving(BOX, VECTORS), np.eye(3), "auto"),
     "scale": (so.Moving(BOX, WAVE, scale=SCALE), np.eye(3), "auto"),
@@ -164,12 +136,10 @@ MEETING: dict[str, tuple[Any, np.ndarray, str]] = {
 
 @pytest.mark.parametrize("stiffness", [1.0, 1e5])
 @pytest.mark.parametrize("name", MEETING)
-def test_auto_takes_steps_with_breakpoints_in_parts_that_end_there(
-    name: str, stiffness: float
-) -> None:
+def test_auto_takes_steps_with_breakpoints_in_parts_that_end_there(name, stiffness):
     C, B, path = MEETING[name]
     process = so.SweepingProcess(A3 / stiffness, B, C, np.zeros(3))
-    how: dict[str, Any] = {"path": path, "tol": 1e-9}
+    how = {"path": path, "tol": 1e-9}
     sol = so.solve(process, t_end=1.0, steps=10, **how)
     nodes = np.union1d(sol.t, TURNS.times)
     by_hand = so.solve(process, steps=nodes, **how, scheme=sol.plan.scheme.name)
@@ -184,17 +154,16 @@ def test_auto_takes_steps_with_breakpoints_in_parts_that_end_there(
     assert set(parts(so.solve(process, t_end=1.0, steps=10, **how, scheme="sdirk2"))) == {1}
 
 
-def test_breakpoints_at_nodes_up_to_rounding_and_functions_of_time_divide_no_step() -> None:
+def test_breakpoints_at_nodes_up_to_rounding_and_functions_of_time_divide_no_step():
     for load in (so.Table(0.1 * np.arange(11) * 3, np.arange(11) % 2), lambda t: [np.sin(t)]):
         center = so.Separable([(load, [2.0])]) if isinstance(load, so.Table) else load
-        process = so.SweepingProcess([[1.0]], [[1.0]], so.Moving(so.Box([-1], [1]), center), [0.0])
-        sol = so.solve(process, t_end=3.0, steps=30)
+        sol = so.solve(block(center, 1.0, 1.0), t_end=3.0, steps=30)
         assert set(parts(sol)) == {1}
         assert "breakpoints" not in str(sol.plan)
 
 
-def test_rough_loads_are_not_met_and_the_plan_says_so() -> None:
-    def run(dim: int, points: int) -> so.Solution:
+def test_rough_loads_are_not_met_and_the_plan_says_so():
+    def run(dim, points):
         random = np.random.default_rng(4)
         times = np.concatenate([[0.0], np.sort(random.uniform(0, 1, points)), [1.0]])
         table = so.Table(times, (-1.0) ** np.arange(points + 2))
@@ -210,7 +179,7 @@ def test_rough_loads_are_not_met_and_the_plan_says_so() -> None:
         assert f"{most + 1} inside of steps, over {most} are not met" in str(rough.plan)
 
 
-def test_a_set_is_looked_at_where_the_parts_ask_for_it() -> None:
+def test_a_set_is_looked_at_where_the_parts_ask_for_it():
     height = so.Table([0.0, 0.3, 0.5, 1.0], [1.0, 1.0, -0.1, 1.0])
     C = so.Polyhedron([[1.0], [-1.0]], so.Separable([(height, [1.0, 1.0])]))
     process = so.SweepingProcess([[0.0]], [[1.0]], C, [0.0])
@@ -222,10 +191,10 @@ def test_a_set_is_looked_at_where_the_parts_ask_for_it() -> None:
 
 
 @pytest.mark.parametrize("name", ["Separable", "eliminated", "proportional"])
-def test_a_resumed_run_that_meets_breakpoints_is_the_whole_run(name: str, tmp_path: Path) -> None:
+def test_a_resumed_run_that_meets_breakpoints_is_the_whole_run(name, tmp_path):
     C, B, path = MEETING[name]
     process = so.SweepingProcess(A3, B, C, np.zeros(3))
-    how: dict[str, Any] = {"steps": 40, "t_end": 1.0, "path": path}
+    how = {"steps": 40, "t_end": 1.0, "path": path}
     whole = so.solve(process, checkpoint=so.Checkpoint(tmp_path / "a", steps=7), **how)
     assert sum(parts(whole)) == 44
     for killed in (13, 14, 23):
@@ -239,74 +208,7 @@ def test_a_resumed_run_that_meets_breakpoints_is_the_whole_run(name: str, tmp_pa
     assert last.error_bound() == pytest.approx(every.error_bound())
 
 
-def test_a_resumed_run_with_parts_is_the_whole_run(tmp_path: Path) -> None:
-    how: dict[str, Any] = {"steps": 8, "t_end": 8.0, "scheme": "midpoint", "solver": "osqp"}
-    how["on_unstable"] = "ignore"  # the last bit of u is a force of 1: it overshoots
-    whole = so.solve(stiff(4e15), checkpoint=so.Checkpoint(tmp_path / "a", steps=3), **how)
-    assert max(parts(whole)) > 1
-    path = tmp_path / "b"
-    with pytest.raises(Killed):
-        so.solve(stiff(4e15), checkpoint=so.Checkpoint(path, steps=3), callback=stopping(4), **how)
-    assert same(so.resume(path, stiff(4e15)), whole)
-
-
-def test_a_resumed_run_of_many_step_sizes_is_the_whole_run(tmp_path: Path) -> None:
-    # more sizes than matrices are kept: which are dropped must not depend on where a run began
-    sizes = 0.02 + 0.001 * np.arange(20)
-    order = np.concatenate([np.arange(16), [0, 16, 0, 17, 1, 0, 18, 1, 19], np.arange(20)])
-    times = np.append(0.0, np.cumsum(sizes[order]))
-    process = chain(u0=np.zeros(40))
-    how: dict[str, Any] = {"steps": times, "solver": so.OSQP(tol=1e-4), "path": "eliminated"}
-    how |= {"tol": 1e-3}
-    whole = so.solve(process, checkpoint=so.Checkpoint(tmp_path / "a", steps=16), **how)
-    path = tmp_path / "b"
-    with pytest.raises(Killed):
-        so.solve(process, checkpoint=so.Checkpoint(path, steps=16), callback=stopping(16), **how)
-    assert same(so.resume(path, process), whole)
-
-
 # ---- workspaces ------------------------------------------------------------------------------
-
-
-class Spoils:
-    """Right until it is asked for something hard: then the workspace is spoiled for good."""
-
-    name = "spoils"
-
-    def __init__(self) -> None:
-        self.compiled = 0
-
-    def treats(self, C: object) -> bool:
-        return True
-
-    def compile(self, program: Any) -> Any:
-        inner, spoiled = so.Newton().compile(program), False
-        self.compiled += 1
-
-        def solve(q: np.ndarray, C: so.ConvexSet) -> Any:
-            nonlocal spoiled
-            spoiled = spoiled or bool(np.abs(q).max() > 2.99)
-            answer = inner(q, C)
-            return answer._replace(z=np.full(q.size, np.nan)) if spoiled else answer
-
-        return solve
-
-
-def test_a_workspace_that_failed_is_not_used_again() -> None:
-    M = np.array([[2.0, -1.0], [-1.0, 2.0]])
-    process = so.SweepingProcess(M, None, so.Moving(so.Box([-1, -1], [1, 1]), one_load), [0, 0])
-    solver = Spoils()
-    sol = so.solve(process, t_end=6.0, steps=60, solver=solver, scheme="midpoint")
-    names = list(sol.stats["solver"])
-    rescued = [i for i, name in enumerate(names) if name == "newton"]
-    assert sol.success
-    assert 0 < len(rescued) < 10
-    assert "spoils" in names[rescued[-1] :]
-    assert solver.compiled == 1 + len(rescued)
-
-
-def one_load(t: float) -> np.ndarray:
-    return 3.0 * np.sin(t) * np.array([1.0, -0.9])
 
 
 CURVED = {
@@ -326,7 +228,7 @@ CURVED = {
 
 @pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 @pytest.mark.parametrize("name", CURVED)
-def test_sets_with_curved_faces_meet_a_tight_tolerance_as_a_whole(name: str) -> None:
+def test_sets_with_curved_faces_meet_a_tight_tolerance_as_a_whole(name):
     for direction in ([1.0, 0.0], [1.0, 0.5]):
         load = so.Separable([(so.Sine(3.0, 2 * np.pi), direction)])
         C = so.Moving(CURVED[name], load)

@@ -1,7 +1,5 @@
 """What MATH.md says of the flow u' = Phi(t, u), on random processes and sets."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np
@@ -14,14 +12,14 @@ from tests.laws import ZOO
 NAMES = [name for name in ZOO if name != "constraints"]  # without certificates
 
 
-def matrices(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
+def matrices(rng, n):
     """A positive definite, B semidefinite."""
     A, B = (root @ root.T for root in rng.normal(size=(2, n, n)))
     return A + 0.2 * np.eye(n), B
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_velocity_is_lipschitz_and_cocoercive_in_the_state(name: str) -> None:
+def test_the_velocity_is_lipschitz_and_cocoercive_in_the_state(name):
     rng, C = np.random.default_rng(1), ZOO[name].sample(3).C
     A, B = matrices(rng, C.dim)
     phi = so.velocity_field(so.SweepingProcess(A, B, C, np.zeros(C.dim)), tol=1e-4)
@@ -39,7 +37,7 @@ def test_the_velocity_is_lipschitz_and_cocoercive_in_the_state(name: str) -> Non
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_force_of_a_velocity_is_the_projection_in_the_dual_metric(name: str) -> None:
+def test_the_force_of_a_velocity_is_the_projection_in_the_dual_metric(name):
     rng, C = np.random.default_rng(2), ZOO[name].sample(4).C
     M, _ = matrices(rng, C.dim)
     q = 3 * rng.normal(size=C.dim)
@@ -54,7 +52,7 @@ def test_the_force_of_a_velocity_is_the_projection_in_the_dual_metric(name: str)
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_two_solutions_stay_as_near_as_the_theory_says(seed: int) -> None:
+def test_two_solutions_stay_as_near_as_the_theory_says(seed):
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 4))
     A, B = matrices(rng, n)
@@ -77,7 +75,7 @@ def test_two_solutions_stay_as_near_as_the_theory_says(seed: int) -> None:
     assert (in_A <= K * in_A[0] * (1 + 1e-9)).all()
 
 
-def test_implicit_euler_without_viscosity_is_moreaus_catching_up() -> None:
+def test_implicit_euler_without_viscosity_is_moreaus_catching_up():
     """With A = 0 and B = I each step is u_{i+1} = P_{C(t_{i+1})}(u_i)."""
     C = so.Moving(so.Ball([0.0, 0.0], 0.5), lambda t: [np.sin(3 * t), t])
     process = so.SweepingProcess(np.zeros((2, 2)), np.eye(2), C, [0.0, 0.0])
@@ -88,7 +86,7 @@ def test_implicit_euler_without_viscosity_is_moreaus_catching_up() -> None:
         assert computed == pytest.approx(u, abs=1e-9)
 
 
-def test_the_run_of_the_readme_solves_the_papers_program_with_clarabel_and_nothing_else() -> None:
+def test_the_run_of_the_readme_solves_the_papers_program_with_clarabel_and_nothing_else():
     rng, n = np.random.default_rng(5), 6
     A, B = matrices(rng, n)
     few = np.eye(n)[:, [0, 3]]

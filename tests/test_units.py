@@ -3,10 +3,6 @@
 Energies are in force * length: A in force * time / length, B in force / length, C in force.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import cvxpy as cp
 import numpy as np
 import pytest
@@ -22,14 +18,12 @@ ENOUGH = 1e-12
 SOLVER = 1e-6  # what Clarabel is accurate to
 
 
-def spd(random: np.random.Generator, dim: int) -> np.ndarray:
+def spd(random, dim):
     R = random.normal(size=(dim, dim))
     return R @ R.T + np.eye(dim)
 
 
-def run(
-    C: so.ConvexSet, seed: int, F: float = 1.0, L: float = 1.0, T: float = 1.0, **how: Any
-) -> so.Solution:
+def run(C, seed, F=1.0, L=1.0, T=1.0, **how):
     """Some steps of a small process whose data are in the units F, L and T."""
     random = np.random.default_rng(seed)
     A, B = spd(random, C.dim), spd(random, C.dim)
@@ -45,11 +39,10 @@ KINDS = [name for name in ZOO if name != "constraints"]
 
 
 @pytest.mark.parametrize(("seed", "name"), list(enumerate(KINDS)))
-def test_units_change_nothing_but_rounding(seed: int, name: str) -> None:
+def test_units_change_nothing_but_rounding(seed, name):
     sample, random = ZOO[name].sample(seed), np.random.default_rng(seed)
     F, L, T = 2.0 ** random.choice(POWERS, 3)
-    where = bool(random.integers(2))
-    plain, other = run(sample.C, seed), run(sample.in_units(F, where), seed, F, L, T)
+    plain, other = run(sample.C, seed), run(F * sample.C, seed, F, L, T)
     assert plain.stats["relative"].max() <= 1e-9
     # answers of solvers that iterate are alike as far as they are proved
     proved = plain.stats["relative"].max() + other.stats["relative"].max()
@@ -60,7 +53,7 @@ def test_units_change_nothing_but_rounding(seed: int, name: str) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_hull_is_met_in_the_units_of_a_body_whose_stiffness_jumps(seed: int) -> None:
+def test_a_hull_is_met_in_the_units_of_a_body_whose_stiffness_jumps(seed):
     from sweepopt.study.hard import Program
 
     random, n = np.random.default_rng(seed), 6
@@ -75,7 +68,7 @@ def test_a_hull_is_met_in_the_units_of_a_body_whose_stiffness_jumps(seed: int) -
     assert program.error(z, exact) <= 1e-9 * exact.size
 
 
-def test_discs_too_many_for_newton_may_have_units_of_their_own() -> None:
+def test_discs_too_many_for_newton_may_have_units_of_their_own():
     random, discs = np.random.default_rng(0), 800
     units = 10.0 ** random.uniform(-6, 6, discs)
     U = sp.diags_array(np.repeat(units, 2))
@@ -88,7 +81,7 @@ def test_discs_too_many_for_newton_may_have_units_of_their_own() -> None:
 
 
 @pytest.mark.parametrize("columns", [2, 6])
-def test_columns_of_an_image_may_have_units_of_their_own(columns: int) -> None:
+def test_columns_of_an_image_may_have_units_of_their_own(columns):
     random = np.random.default_rng(columns)
     M, g = random.normal(size=(4, columns)), random.uniform(0.2, 0.8, size=columns)
     found = []
@@ -103,19 +96,19 @@ def test_columns_of_an_image_may_have_units_of_their_own(columns: int) -> None:
 GENERATORS = np.random.default_rng(1).normal(size=(3, 4))
 
 
-def generated(w: cp.Variable, F: float) -> list[cp.Constraint]:
+def generated(w, F):
     v = cp.Variable(4, nonneg=True)
     return [w == GENERATORS @ v, cp.sum(v) <= F]
 
 
-def semidefinite(w: cp.Variable, F: float) -> list[cp.Constraint]:
+def semidefinite(w, F):
     """w w^T <= X, trace X <= F^2: entries in units of F^2, F and 1 in one matrix."""
     X, column = cp.Variable((3, 3), symmetric=True), cp.reshape(w, (3, 1), order="F")
     return [cp.bmat([[X, column], [column.T, np.eye(1)]]) >> 0, cp.trace(X) <= F**2]
 
 
 # constraints of somebody who measures forces in units of 1 / F
-STATED: dict[str, Any] = {
+STATED = {
     "sum of sizes": lambda w, F: [cp.norm(w, 1) <= F],
     "squares": lambda w, F: [cp.sum_squares(w) <= (0.1 * F) ** 2],
     "generated": generated,
@@ -131,7 +124,7 @@ CONTACT = np.eye(5)[:, [1, 2, 4]]
     ("name", "path"),
     [*((name, "full") for name in STATED), ("squares", "eliminated"), ("power cone", "eliminated")],
 )
-def test_constraints_may_be_stated_in_any_units(name: str, path: str) -> None:
+def test_constraints_may_be_stated_in_any_units(name, path):
     how = {"path": path, "solver": "clarabel" if path == "eliminated" else "auto"}
     found = []
     for F in (1.0, 2.0**40 if path == "full" else 2.0**-40):
@@ -143,12 +136,12 @@ def test_constraints_may_be_stated_in_any_units(name: str, path: str) -> None:
         np.testing.assert_allclose(two, one, rtol=0, atol=SOLVER * np.abs(one).max())
 
 
-def logarithm(w: cp.Variable, F: float) -> list[cp.Constraint]:
+def logarithm(w, F):
     return [cp.log(w[0] + F) >= np.log(0.5 * F), cp.norm(w) <= F]
 
 
 @pytest.mark.parametrize("build", [*STATED.values(), logarithm], ids=[*STATED, "logarithm"])
-def test_supports_and_projections_of_constraints_scale(build: Any) -> None:
+def test_supports_and_projections_of_constraints_scale(build):
     z, w = np.array([0.3, 0.8, -0.5]), np.array([1.7, -0.4, -0.9])
     C = so.Constraints(3, lambda w: build(w, 1.0))
     for F in (2.0**-40, 2.0**40):

@@ -1,7 +1,5 @@
 """Loads that are vectors given at times: no sum of histories, the same bounds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ VALUES = np.array([[0.0, 0.0, 0.0], [1.0, -2.0, 0.5], [3.0, 1.0, -1.0], [-1.0, 0
 HATS = so.Separable([(so.Table(TIMES, v), e) for v, e in zip(VALUES.T, np.eye(3), strict=True)])
 
 
-def run(load: object, viscosity: float) -> so.Solution:
+def run(load, viscosity):
     B = np.array([[2.0, -1, 0], [-1, 2, -1], [0, -1, 2]])
     C = so.Moving(so.Box(-0.3 * np.ones(3), 0.4 * np.ones(3)), load)
     process = so.SweepingProcess(viscosity * np.diag([1.0, 2, 1]), B, C, np.zeros(3))
@@ -20,7 +18,7 @@ def run(load: object, viscosity: float) -> so.Solution:
 
 
 @pytest.mark.parametrize("viscosity", [0.5, 0.0])
-def test_it_is_the_sum_of_tables_with_the_same_guaranteed_bound(viscosity: float) -> None:
+def test_it_is_the_sum_of_tables_with_the_same_guaranteed_bound(viscosity):
     sol, same = run(so.VectorTable(TIMES, VALUES), viscosity), run(HATS, viscosity)
     assert sol.u == pytest.approx(same.u, abs=1e-9)
     bound, of_sum = sol.error_bound(), same.error_bound()
@@ -33,7 +31,7 @@ def test_it_is_the_sum_of_tables_with_the_same_guaranteed_bound(viscosity: float
     assert variation < same.process.variation([0.0, 2.0])
 
 
-def test_values_between_and_bad_input() -> None:
+def test_values_between_and_bad_input():
     f = so.VectorTable(TIMES, VALUES)
     assert f([0.1, 1.5]) == pytest.approx(HATS.at_many(np.array([0.1, 1.5])))
     assert f.breakpoints(0.3, 2.0).tolist() == [1.1]

@@ -1,0 +1,43 @@
+"""Headless Chromium, which logs what pages ask for."""
+
+import json
+import os
+import shutil
+from contextlib import contextmanager
+
+import pytest
+from selenium import webdriver
+
+
+@contextmanager
+def chromium(profile):
+    """A driver with nothing open; tests are skipped without Chromium."""
+    binary, chromedriver = shutil.which("chromium"), shutil.which("chromedriver")
+    if not binary or not chromedriver:
+        reason = "the apt packages chromium and chromium-driver are not installed"
+        if os.environ.get("SWEEPOPT_BROWSER") == "required":
+            pytest.fail(reason)
+        pytest.skip(reason)
+    options = webdriver.ChromeOptions()
+    options.binary_location = binary
+    disabled = ["gpu", "dev-shm-usage", "quic", "background-networking", "component-update"]
+    switches = ["headless", "no-sandbox", "no-first-run", "window-size=1400,900"]
+    switches += [f"disable-{part}" for part in (*disabled, "sync")]
+    for switch in (*switches, f"user-data-dir={profile}"):
+        options.add_argument(f"--{switch}")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    service = webdriver.ChromeService(chromedriver)
+    with webdriver.Chrome(options=options, service=service) as driver:
+        driver.get("about:blank")  # leaves Chromium's own first page
+        driver.get_log("performance")
+        yield driver
+
+
+def requested(driver):
+    """Addresses that pages have asked for since."""
+    events = [json.loads(each["message"])["message"] for each in driver.get_log("performance")]
+    return [
+        event["params"]["request"]["url"]
+        for event in events
+        if event["method"] == "Network.requestWillBeSent"
+    ]
