@@ -44,7 +44,9 @@ def test_every_variable_is_described_in_si_units(written: xr.Dataset) -> None:
         **{"energy_work": "J m-1", "relative": "1"},
     }
     assert {name: written[name].attrs["units"] for name in expected} == expected
-    assert set(written.sizes) == {"time", "step", "node", "triangle", "corner", "contact"}
+    assert set(written.sizes) == {
+        *("time", "step", "node", "triangle", "corner", "contact", "unknown")
+    }
 
 
 def test_the_solution_is_on_all_nodes(report: Report, written: xr.Dataset) -> None:

@@ -101,6 +101,13 @@ class Yield(Brief):
         moved = (self.rows.E @ u).reshape(-1, self.rows.block)
         return radii * self.slip(np.linalg.norm(moved, axis=1))
 
+    def sizes(self, forces: Array) -> Array:
+        """Those of forces in the norms whose balls are the D_k, signed of one row, shape (m,)."""
+        x = (self.rows.E @ forces).reshape(-1, self.rows.block)
+        if self.metric is not None:
+            x = np.linalg.solve(np.linalg.cholesky(self.metric), x[..., None])[..., 0]
+        return x[:, 0] if self.rows.block == 1 else np.linalg.norm(x, axis=1)
+
     @property
     def lipschitz(self) -> sp.csc_array:
         """``sum_k w_k g_k lip(phi) E_k^T E_k``, the matrix of a `StateDependent` C."""
@@ -221,24 +228,28 @@ def merged(contacts: Sequence[Contact]) -> Contact | None:
     def joined(name: str) -> Any:
         return np.concatenate([getattr(one, name) for one in contacts])
 
-    unknown, keep, sums = _shared(contacts)
-    weight, threshold = sums @ joined("weight"), sums @ joined("threshold")
+    unknown, owner = _owners(contacts)
+    keep = np.unique(owner)
+    weight, threshold = (_sums(owner, joined(name)) for name in ("weight", "threshold"))
     before = np.cumsum([0.0, *(one.weight.sum() for one in contacts)])[:-1]
     arc = joined("arc") + np.repeat(before, list(map(len, contacts)))
-    unknown = unknown if unknown.shape[1] > 1 else unknown.ravel()
     node, points, boundary = (joined(name)[keep] for name in ("node", "points", "boundary"))
     return Contact(unknown[keep], node, points, boundary, arc[keep], weight, threshold / weight)
 
 
-def _shared(contacts: Sequence[Contact]) -> tuple[Indices, Indices, sp.csr_array]:
-    """Unknowns of the nodes of all, which is the first of each, and the sums over equal ones."""
+def _sums(owner: Indices, values: Array) -> Array:
+    """The sum over the nodes of each owner."""
+    return np.bincount(owner, values)[np.unique(owner)].astype(float)
+
+
+def _owners(contacts: Sequence[Contact]) -> tuple[Indices, Indices]:
+    """Unknowns of the nodes of all, and of each node the first one with the same unknowns."""
     rows = [one.unknown.reshape(len(one), -1) for one in contacts]
     width = max(row.shape[1] for row in rows)
-    gaps = [np.full((len(row), width - row.shape[1]), -1) for row in rows]
-    unknown = np.vstack(list(map(np.hstack, zip(rows, gaps, strict=True))))
+    gaps = [((0, 0), (0, width - row.shape[1])) for row in rows]
+    unknown = np.vstack([np.pad(*one, constant_values=-1) for one in zip(rows, gaps, strict=True)])
     _, first, group = np.unique(unknown, axis=0, return_index=True, return_inverse=True)
-    one, keep = sp.eye_array(first.size, format="csr"), np.sort(first)
-    return unknown, keep, one[group.ravel()].T[np.argsort(first)]
+    return unknown if width > 1 else unknown.ravel(), first[group.ravel()]
 
 
 def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
@@ -420,6 +431,9 @@ class Slip:
         q_k, against the velocity.
     bound : ndarray, shape (n, m)
         g_k at these times and states, which a law of the slip or a bound that moves changes.
+    use : ndarray, shape (n, m)
+        Share of the bound that the traction takes, with its sign where it has one; of ellipses in
+        their own metric: 1 is on the ellipse.
     """
 
     contact: Contact
@@ -429,12 +443,7 @@ class Slip:
     velocity: Array
     traction: Array
     bound: Array
-
-    @cached_property
-    def use(self) -> Array:
-        """Share of the bound that the traction takes, with its sign where it has one, (n, m)."""
-        q = signed_lengths(self.traction)
-        return np.divide(q, self.bound, out=np.zeros_like(q), where=self.bound > 0)
+    use: Array
 
     @cached_property
     def state(self) -> NDArray[np.int8]:
@@ -496,19 +505,25 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     mu = np.diff(solution.t)
     stage_t = solution.t[:-1] + np.dot(scheme.b, scheme.c) * mu
     implicit = np.dot(scheme.b, [sum(row) for row in scheme.a])
-    rubbing = [(one, part) for one in scene.yields if (part := one.contact)]
-    _, _, sums = _shared([part for _, part in rubbing])
-    force, bound = [], []
+    rubbing = [one for one in scene.yields if one.contact is not None]
+    _, owner = _owners([part for one in rubbing if (part := one.contact)])
+    keep = np.unique(owner)
+    force, sizes, radii = [], [], []
     for t, h, u, z in zip(stage_t.tolist(), mu, solution.u[:-1], solution.velocity, strict=True):
         u = u + implicit * h * z
-        force.append(contact.of(process.A @ z + process.times_B(u) - scene.load(t)))
-        bound.append(sums @ np.concatenate([one.at(t, u) for one, _ in rubbing]) / contact.weight)
+        q = process.A @ z + process.times_B(u) - scene.load(t)
+        force.append(contact.of(q))
+        sizes.append(np.concatenate([one.sizes(q) for one in rubbing])[keep])
+        radii.append(_sums(owner, np.concatenate([one.at(t, u) for one in rubbing])))
+    several, bound, use = contact.unknown.ndim > 1, np.array(radii), np.array(sizes)
+    use = np.divide(np.abs(use) if several else use, bound, out=0 * use, where=bound > 0)
     return Slip(
         contact=contact,
         t=solution.t,
         stage_t=stage_t,
         displacement=contact.of(solution.u),
         velocity=contact.of(solution.velocity),
-        traction=force / contact.weight.reshape((-1,) + (1,) * (contact.unknown.ndim - 1)),
-        bound=np.array(bound),
+        traction=force / (contact.weight[:, None] if several else contact.weight),
+        bound=bound / contact.weight,
+        use=use,
     )

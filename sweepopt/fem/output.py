@@ -187,7 +187,7 @@ ENERGIES = {
     "friction": "lost to friction",
     "work": "work of the loads",
 }
-INTERNAL = "internal unknowns at the end of the run, such as plastic strains"
+STATE = "unknowns at the end of the run, internal ones such as plastic strains too"
 PLASTIC = "sqrt(2/3) |p| of the plastic strain p, its mean in each cell of the mesh"
 FIELD = {"mesh": "mesh", "location": "node"}
 ATTRIBUTES: dict[str, dict[str, Any]] = {
@@ -223,12 +223,8 @@ def dataset_of(report: Report) -> xr.Dataset:
         rows |= _of_contact(report.slip)
     if (strain := scene.plastic_strain(solution)) is not None:
         rows["plastic_strain"] = "time cell", "", strain, PLASTIC
-    of_all, dim = solution.to_xarray(), scene.discretisation.dim
-    run = of_all.drop_dims("unknown")
-    if dim < of_all.unknown.size:
-        rows["internal"] = "internal_unknown", "", solution.u[-1, dim:], INTERNAL
-        names = of_all.field.values[dim:]
-        rows["internal_field"] = "internal_unknown", "", names, "field of the internal unknown"
+    run = solution.to_xarray().drop_vars("velocity")
+    run["u"] = run.u.isel(time=-1, drop=True).assign_attrs(long_name=STATE)
     for name, (dims, quantity, values, words) in rows.items():
         attributes = {"long_name": words, "units": units.get(quantity, "1")}
         more = ATTRIBUTES.get(name, {})
@@ -237,7 +233,7 @@ def dataset_of(report: Report) -> xr.Dataset:
         run[name] = dims.split(), values, attributes
     for name in ("time", "certificate", "viability"):
         run[name].attrs["units"] = units[name]
-    run.step_end.attrs["units"] = units["time"]
+    run.step_end.attrs["units"], run.field.attrs["units"] = units["time"], "1"
     coordinates = {"x", "y", "z", "contact_node", "boundary", "arc_length"} & set(run)
     return run.set_coords(coordinates).assign_attrs(
         title=scene.title or report.name or "A body with friction",

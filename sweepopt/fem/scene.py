@@ -131,18 +131,30 @@ class Scene(Displayed):
         """f(t), shape (dim,)."""
         return np.zeros(self.problem.dim) if self.force is None else np.asarray(self.force(t))
 
-    def displacement(self, solution: Solution) -> Array:
-        """u at all nodes and times, shape (n+1, N), or (n+1, N, components) of vectors."""
-        return self._full(solution.u, lambda history: history(solution.t))
+    def displacement(self, solution: Solution, t: ArrayLike | None = None) -> Array:
+        """u at all nodes, shape (k, N), or (k, N, components) of vectors.
+
+        Parameters
+        ----------
+        solution : Solution
+        t : array_like, shape (k,), optional
+            Times of the run; those of the solution by default.
+        """
+        if t is None:
+            return self._full(solution.u, lambda history: history(solution.t))
+        return self._full(solution(t), lambda history: history(np.asarray(t)))
 
     def velocity(self, solution: Solution) -> Array:
         """u' at all nodes in each step, shape (n, N), or (n, N, components) of vectors."""
         mu = np.diff(solution.t)
         return self._full(solution.velocity, lambda history: np.diff(history(solution.t)) / mu)
 
-    def plastic_strain(self, solution: Solution) -> Array | None:
-        """sqrt(2/3) |p|, its mean in each cell at all times, (n+1, cells); None without p."""
-        u, cells = solution.u, self.discretisation.mesh.nelements
+    def plastic_strain(self, solution: Solution, t: ArrayLike | None = None) -> Array | None:
+        """sqrt(2/3) |p|, its mean in each cell, shape (k, cells); None without p.
+
+        At times t of the run, by default those of the solution.
+        """
+        u, cells = solution.u if t is None else solution(t), self.discretisation.mesh.nelements
         parts = [(one, at) for one in self.yields if (at := one.rows.cells) is not None]
         strain = np.zeros((len(u), cells))
         for one, at in parts:
@@ -205,7 +217,7 @@ class Scene(Displayed):
         return folder
 
     def animate(self, solution: Solution, path: str | Path, picture: str = "") -> Path:
-        """Write a run as an animation of at most 40 frames.
+        """Write a run as an animation, at 40 even times.
 
         Parameters
         ----------
