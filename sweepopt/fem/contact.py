@@ -140,34 +140,28 @@ def dissipation(yields: Sequence[Yield]) -> Callable[..., ConvexSet]:
         if alike:
             balls = Balls(np.concatenate([one.at(t, u) for one in yields]), dim)
             return image(of_forces, balls)
-        ends = [_ends(one, t, u) for one in yields if one.rows.block == 1]
-        parts: list[ConvexSet] = [Box(*np.hstack(ends))] if ends else []
-        for one in yields:
-            radii, block = one.at(t, u), one.rows.block
-            if block == 1:
-                continue
-            if one.slopes is not None:
-                parts.append(
-                    np.kron(radii, np.eye(1, block)[0]) - SecondOrderCone(block, one.slopes)
-                )
-            elif one.metric is None:
-                parts.append(Balls(radii, block))
-            else:
-                scaled = radii[:, None, None] ** 2 * one.metric
-                parts += [Ellipsoid(np.zeros(block), G) for G in scaled]
+        parts = [part for one in yields for part in _sets(one, t, u)]
+        boxes = [part for part in parts if isinstance(part, Box)]
+        if boxes:
+            parts = [product(*boxes), *parts[len(boxes) :]]
         return image(of_forces, parts[0] if len(parts) == 1 else product(*parts))
 
     return at
 
 
-def _ends(one: Yield, t: float, u: Array | None) -> tuple[Array, Array]:
-    """Ends of the intervals of rows one by one."""
-    radii = one.at(t, u)
+def _sets(one: Yield, t: float, u: Array | None) -> list[ConvexSet]:
+    """The sets D_k, as one where the library has a class of such products."""
+    radii, block = one.at(t, u), one.rows.block
     if one.shape == "half-line":
-        return np.full(radii.size, -np.inf), np.zeros(radii.size)
-    if one.metric is not None:
-        radii = radii * np.sqrt(one.metric[:, 0, 0])
-    return -radii, radii
+        return [Box(np.full(radii.size, -np.inf), np.zeros(radii.size))]
+    if one.slopes is not None:
+        return [np.kron(radii, np.eye(1, block)[0]) - SecondOrderCone(block, one.slopes)]
+    if block == 1:
+        radii = radii if one.metric is None else radii * np.sqrt(one.metric[:, 0, 0])
+        return [Box(-radii, radii)]
+    if one.metric is None:
+        return [Balls(radii, block)]
+    return [Ellipsoid(np.zeros(block), G) for G in radii[:, None, None] ** 2 * one.metric]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -397,19 +391,15 @@ class SlipStatistics(NamedTuple):
         End of the first step with that share; None if nothing slips.
     switches : int
         Changes from stick to slip or back, over all nodes and steps.
-    reversals : int
-        Changes of the direction of slip without a stuck step between.
-    largest_total, mean_total : float
-        int |u'| dt: its largest value, and its mean over the contact.
+    largest_total : float
+        The largest int |u'| dt of the nodes.
     """
 
     ever: float
     most: float
     time_of_most: float | None
     switches: int
-    reversals: int
     largest_total: float
-    mean_total: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -470,17 +460,13 @@ class Slip:
         """The slip statistics of the run."""
         weight = self.contact.weight / self.contact.weight.sum()
         slipping = self.state != 0
-        turns = self.velocity[:-1] * self.velocity[1:]
-        turns = turns if turns.ndim == 2 else turns.sum(axis=2)
         most = int(np.argmax(self.share))
         return SlipStatistics(
             ever=min(float(slipping.any(axis=0) @ weight), 1.0),
             most=float(self.share[most]),
             time_of_most=float(self.t[most + 1]) if slipping.any() else None,
             switches=int(np.count_nonzero(slipping[:-1] != slipping[1:])),
-            reversals=int(np.count_nonzero(turns < 0)),
             largest_total=float(self.total.max()),
-            mean_total=float(self.total @ weight),
         )
 
 

@@ -147,7 +147,7 @@ def contact(report: Report) -> Any:
     for node, look in zip(nodes, LOOKS, strict=False):
         zone.axhline(arc[node], lw=2.6, color="white")
         zone.axhline(arc[node], lw=1.4, **look)
-        traction.plot(slip.stage_t, slip.use[:, node], lw=1.5, **look)
+        traction.plot(slip.stage_t, slip.use[:, node], **look)
     metre, names = report.suffix("length"), slip.contact.boundary
     places = [f"{names[node]}, {arc[node]:.3g}{metre}" for node in nodes]
     draw_histories(moved, slip.t, slip.displacement[:, nodes], slip.state[:, nodes] == 0, places)
@@ -183,15 +183,15 @@ def profiles(report: Report) -> Any:
     assert slip is not None
     figure = new_figure((8.5, 6.5))
     moved, traction = figure.subplots(2, 1, sharex=True)
-    arc, bound, steps = slip.contact.arc, slip.contact.bound, len(slip.stage_t)
-    for i, look in zip(np.unique(np.arange(1, 6) * steps // 5).tolist(), LOOKS, strict=False):
+    (low, high), arc = _slipped(slip), slip.contact.arc
+    inside = np.flatnonzero((low <= arc) & (arc <= high))
+    arc, bound, steps = arc[inside], slip.contact.bound[inside], len(slip.stage_t)
+    chosen = np.unique(np.linspace(0, steps, 6).round().astype(int))[1:]
+    for i, look in zip(chosen.tolist(), LOOKS, strict=False):
         label = f"t = {slip.t[i]:.4g}{report.suffix('time')}"
-        moved.plot(arc, slip.displacement[i], lw=1.5, label=label, **look)
-        traction.plot(arc, slip.traction[i - 1], lw=1.5, **look)
-    low, high = _slipped(slip)
-    limit = 1.1 * float(bound[(arc >= low) & (arc <= high)].max())
+        moved.plot(arc, slip.displacement[i, inside], label=label, **look)
+        traction.plot(arc, slip.traction[i - 1, inside], **look)
     traction.plot(arc, np.transpose([bound, -bound]), color="black", ls="--", lw=0.8)
-    traction.set(xlim=(low, high), ylim=(-limit, limit))
     _legend_above(moved)
     name_axis(report, moved.yaxis, "displacement", "length")
     name_axis(report, traction.xaxis, _place(slip)[1], "length")
@@ -204,7 +204,7 @@ def loop(report: Report) -> Any:
     figure = new_figure((6.0, 5.0))
     panel = figure.subplots()
     for (x, load, words), look in zip(loops(report.scene, report.solution), cycle(LOOKS)):
-        panel.plot(x, load, lw=1.5, **look)
+        panel.plot(x, load, **look)
         name_axis(report, panel.xaxis, words[0], "length")
         name_axis(report, panel.yaxis, words[1], "force")
     panel.grid(alpha=0.3)
@@ -223,13 +223,11 @@ def loops(scene: Scene, solution: Solution) -> list[tuple[Array, Array, tuple[st
     u = solution.u[:, : body.dim]
     curves = []
     for effect in scene.effects:
-        if not isinstance(effect, Foundation) or not effect.moved:
-            continue
-        term: Any = effect.contribute(body).loads[0]
-        history, k = term
-        d = np.array([history(time) for time in t])
-        force = d * (k @ body.restrict(effect.shift(body))) - u @ k
-        curves.append((d, force, ("displacement of the far end", "force of the foundation")))
+        if isinstance(effect, Foundation) and effect.moved is not None:
+            d = np.array([effect.moved(time) for time in t])
+            k: Any = effect.contribute(body).loads[0][1]  # type: ignore[index]
+            force = d * (k @ body.restrict(effect.shift(body))) - u @ k
+            curves.append((d, force, ("displacement of the far end", "force of the foundation")))
     if curves:
         return curves
     if scene.lifts:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -13,7 +12,7 @@ import scipy.sparse as sp
 import skfem
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import choice, count, listed, matrix, number, symmetric, vector
+from sweepopt.checks import at_path, choice, count, listed, matrix, number, symmetric, vector
 from sweepopt.display import Displayed, Rows, svg
 from sweepopt.errors import InputError, noted, shown
 from sweepopt.fem.contact import Contact, Yield, dissipation, merged
@@ -387,7 +386,7 @@ def build(
     loads += _lifted(space, effects, lifts) if lifts else []
     force = _force(loads, space.dim, size - space.dim)
     if isinstance(u0, Initial):
-        with at_path("initial"):
+        with at_path("initial."):
             u0 = u0.state(space, fields, size)
     A = sp.csc_array((size, size)) if A is None else A
     problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
@@ -503,7 +502,7 @@ def _contribution(
     own = type(effect).__module__.startswith(__package__)
     if not (own or label.startswith("effects.")):
         label = f"{type(effect).__name__}: {label}"
-    with at_path(label):
+    with at_path(f"{label}."):
         try:
             part = effect.contribute(space)
         except Exception as error:  # whatever a user's effect raises
@@ -512,7 +511,7 @@ def _contribution(
         part = _checked(part, space.dim)
     for name in ("history", "moved"):
         if (history := getattr(effect, name, None)) is not None and t_end is not None:
-            with at_path(f"{label}.{name}"):
+            with at_path(f"{label}.{name}."):
                 for t in (0.0, t_end):
                     history(t)
     return part
@@ -540,8 +539,11 @@ def _checked(part: Any, dim: int) -> Contribution:
     for name in ("loads", "yields"):
         if not isinstance(getattr(part, name), (list, tuple)):
             raise InputError(f"{name} must be a list, got {shown(getattr(part, name))}")
-    for k, load in enumerate(part.loads):
-        phi, f = load if isinstance(load, tuple) and len(load) == 2 else (Constant(), load)
+    loads = [
+        load if isinstance(load, tuple) and len(load) == 2 else (Constant(), load)
+        for load in part.loads
+    ]
+    for k, (phi, f) in enumerate(loads):
         if not callable(phi):
             raise InputError(f"loads[{k}][0] must be a function of time, got {shown(phi)}")
         if not callable(f):
@@ -550,7 +552,7 @@ def _checked(part: Any, dim: int) -> Contribution:
         if not isinstance(one, Yield):
             raise InputError(f"yields[{k}] must be a Yield, got {shown(one)}")
         fits(f"yields[{k}].rows.E", matrix(f"yields[{k}].rows.E", one.rows.E).shape[1])
-    return part
+    return replace(part, loads=loads)
 
 
 def _placed(dim: int, parts: Sequence[Contribution], size: int) -> list[Contribution]:
@@ -590,9 +592,8 @@ class _Load(NamedTuple):
         return breakpoints((phi for phi, _ in self.terms), a, b)
 
 
-def _force(loads: Sequence[Force], dim: int, internal: int) -> Any:
+def _force(terms: Sequence[Any], dim: int, internal: int) -> Any:
     """The sum of the terms; data where all of them are. None acts on internal unknowns."""
-    terms = [one if isinstance(one, tuple) else (Constant(), one) for one in loads]
     if any(callable(f) for _, f in terms):
         return _Load(terms, dim, internal)
     padded = [(phi, np.pad(vector("loads", f, dim), (0, internal))) for phi, f in terms]
@@ -630,12 +631,3 @@ def _lifted(
             if M is not None:
                 terms.append((phi, -space.restrict(M @ d)))
     return terms
-
-
-@contextmanager
-def at_path(path: str) -> Iterator[None]:
-    """Put a path in front of the messages of input errors, which start with a field's name."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{path}.{error}") from error
