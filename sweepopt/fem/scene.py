@@ -139,9 +139,9 @@ class Scene(Displayed):
         t : array_like, shape (k,), optional
             Times of the run; those of the solution by default.
         """
-        if t is None:
-            return self._full(solution.u, lambda history: history(solution.t))
-        return self._full(solution(t), lambda history: history(np.asarray(t)))
+        times = solution.t if t is None else np.atleast_1d(t)
+        u = solution.u if t is None else solution(times)
+        return self._full(u, lambda history: history(times))
 
     def velocity(self, solution: Solution) -> Array:
         """u' at all nodes in each step, shape (n, N), or (n, N, components) of vectors."""
@@ -153,7 +153,8 @@ class Scene(Displayed):
 
         At times t of the run, by default those of the solution.
         """
-        u, cells = solution.u if t is None else solution(t), self.discretisation.mesh.nelements
+        u = solution.u if t is None else solution(np.atleast_1d(t))
+        cells = self.discretisation.mesh.nelements
         parts = [(one, at) for one in self.yields if (at := one.rows.cells) is not None]
         strain = np.zeros((len(u), cells))
         for one, at in parts:
@@ -453,18 +454,13 @@ def _check_rubs(space: Discretisation, yields: Sequence[Yield], lifts: Sequence[
     """Refuse friction at nodes where a tangent is held and moved: |v| would lack its rub."""
     frame = space.frame
     for node, where in [(one.contact.node, one.rows.where) for one in yields if one.contact]:
-        held = frame.held[node]
-        # what is held is the normal alone, or nothing
-        harmless = (held == 0) | ((held == 1) & ~frame.normal[node] & (where == "trace"))
-        held = np.where(harmless | (space.components == 1), 0, held)
-        for _, d in lifts:
-            of_frame = frame.T.T @ d
-            slot = np.arange(space.components)[:, None]
-            if of_frame[space.nodes[:, node]][slot < held].any():
-                raise InputError(
-                    "effects: a prescribed displacement moves a tangent of a boundary with "
-                    "friction, whose slip would lack it; prescribe it elsewhere"
-                )
+        normal_alone = (frame.held[node] == 1) & ~frame.normal[node] & (where == "trace")
+        dofs = space.nodes[:, node[~normal_alone]]
+        if any(d[dofs].any() for _, d in lifts):
+            raise InputError(
+                "effects: a prescribed displacement moves a tangent of a boundary with "
+                "friction, whose slip would lack it; prescribe it elsewhere"
+            )
 
 
 def _problem(
