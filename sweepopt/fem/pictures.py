@@ -136,17 +136,15 @@ def contact(report: Report) -> Any:
 
     slip = report.slip
     assert slip is not None
-    driven = [] if refusal(report.scene, "loop") else loops(report.scene, report.solution)[:1]
-    figure = new_figure((8.5, 9.0))
-    panels = figure.subplots(3 + len(driven), 1, sharex=True)
-    zone, moved, traction, *below = panels
+    figure, driven = new_figure((8.5, 9.0)), not refusal(report.scene, "loop")
+    panels = figure.subplots(3 + driven, 1, sharex=True)
+    zone, moved, traction = panels[:3]
     colours = ListedColormap([STATE_COLOURS[state] for state in STATES])
     _over_time(report, slip, zone, slip.state, cmap=colours, vmin=-1.5, vmax=1.5)
     # points that slip from little to far
     nodes, arc = spread(slip.total, len(STYLES)), slip.contact.arc
     for node, look in zip(nodes, LOOKS, strict=False):
-        zone.axhline(arc[node], lw=2.6, color="white")
-        zone.axhline(arc[node], lw=1.4, **look)
+        zone.axhline(arc[node], **look)
         traction.plot(slip.stage_t, slip.use[:, node], **look)
     metre, names = report.suffix("length"), slip.contact.boundary
     places = [f"{names[node]}, {arc[node]:.3g}{metre}" for node in nodes]
@@ -154,9 +152,10 @@ def contact(report: Report) -> Any:
     name_axis(report, moved.yaxis, "displacement", "length")
     _legend_above(moved)
     traction.set(ylabel="friction traction / bound", ylim=(-1.15, 1.15))
-    for panel, (_, load, words) in zip(below, driven, strict=False):
-        panel.plot(slip.t, load, color="black", lw=1.5)
-        name_axis(report, panel.yaxis, words[1], "force")
+    if driven:
+        _, load, (_, name) = loops(report.scene, report.solution)[0]
+        panels[3].plot(slip.t, load, color="black")
+        name_axis(report, panels[3].yaxis, name, "force")
     name_axis(report, panels[-1].xaxis, "time", "time")
     legend_of(figure, states_of(slip))
     return figure
