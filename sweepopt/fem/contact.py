@@ -449,7 +449,7 @@ class Slip:
     def share(self) -> Array:
         """Share of the contact's length that slips in each step, shape (n,)."""
         weight = self.contact.weight
-        return np.minimum((self.state != 0) @ weight / weight.sum(), 1.0)
+        return (self.state != 0) @ (weight / weight.sum())
 
     @cached_property
     def total(self) -> Array:
@@ -462,7 +462,7 @@ class Slip:
         slipping = self.state != 0
         most = int(np.argmax(self.share))
         return SlipStatistics(
-            ever=min(float(slipping.any(axis=0) @ weight), 1.0),
+            ever=float(slipping.any(axis=0) @ weight),
             most=float(self.share[most]),
             time_of_most=float(self.t[most + 1]) if slipping.any() else None,
             switches=int(np.count_nonzero(slipping[:-1] != slipping[1:])),

@@ -161,8 +161,7 @@ class Scene(Displayed):
             E, block, weight = one.rows.E, one.rows.block, one.rows.weight
             p = (E @ u.T).T.reshape(len(u), -1, block)[..., one.slopes is not None :]
             share = weight / np.bincount(at, weight, cells)[at]
-            mean = sp.csr_array((share, (at, np.arange(at.size))), shape=(cells, at.size))
-            strain += np.sqrt(2 / 3) * (mean @ np.linalg.norm(p, axis=2).T).T
+            np.add.at(strain.T, at, np.sqrt(2 / 3) * (share * np.linalg.norm(p, axis=2)).T)
         return strain if parts else None
 
     def _full(self, u: Any, values: Callable[[History], Any]) -> Array:
