@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import wraps
 from inspect import signature
 from typing import Any, TypeAlias, TypeVar
@@ -17,6 +18,7 @@ from scipy.linalg import blas
 from sweepopt.errors import InputError, shown, suggestion
 
 F = TypeVar("F")
+R = TypeVar("R")
 Matrix: TypeAlias = Any  # np.ndarray or scipy.sparse.csc_array, as `matrix` returns them
 
 HUGE = 1e75
@@ -83,6 +85,54 @@ def takes(name: str, function: Any, *given: str) -> None:
         raise InputError(f"{name} must be {wanted}, got {shown(function)} ({error})") from None
     except ValueError:  # some of other languages have no signature
         return
+
+
+def from_table(
+    where: str,
+    kind: Callable[..., R],
+    table: Any,
+    read: Callable[[str, Any], Any] = lambda _, value: value,
+    **given: Any,
+) -> R:
+    """What a function or a record makes of a table whose keys are its arguments.
+
+    Parameters
+    ----------
+    where : str
+        What errors put in front of a key, such as "effects.friction.".
+    read : callable (key, value)
+        Makes an argument of a value of the table.
+    given : dict
+        Arguments that are no keys.
+    """
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where.rstrip('.')}: must be a table, got {shown(table)}")
+    keys = {name: one for name, one in signature(kind).parameters.items() if name not in given}
+    known = ", ".join(keys)
+    faults = [
+        f"{where}{key}: unknown key; there are: {known}{suggestion(key, keys)}"
+        for key in table
+        if key not in keys
+    ]
+    faults += [
+        f"{where}{key}: is missing"
+        for key, argument in keys.items()
+        if argument.default is argument.empty and key not in table
+    ]
+    if faults:
+        raise InputError("; ".join(faults))
+    values = {key: read(key, value) for key, value in table.items()}
+    with at_path(where):
+        return kind(**values, **given)
+
+
+@contextmanager
+def at_path(where: str) -> Iterator[None]:
+    """Put a path in front of the messages of input errors, which start with a field's name."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{where}{error}") from error
 
 
 def agree(**sizes: int) -> None:

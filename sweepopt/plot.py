@@ -56,9 +56,9 @@ def plot_solution(solution: Solution, ax: Any = None) -> Any:
         return _components(solution, ax)
     with brought_by("plot"):
         import matplotlib.pyplot as pyplot
-    panels = _panels(solution, pyplot.figure(layout="constrained"))
+    panels = _panels(solution, pyplot.figure(figsize=(8.0, 4.5), layout="constrained"))
     if len(panels) == 2:
-        t, *_, sets = _inside_steps(solution, 5)
+        t, _, _, sets = _inside_steps(solution, 5)
         for look, time, C in zip(LOOKS[1:], t, sets, strict=False):
             panels[1].plot(*C.outline().T, **look, lw=1.0, label=f"C({time:.3g})")
         panels[1].legend(fontsize="small")
@@ -83,84 +83,79 @@ def animate_solution(solution: Solution, path: str | Path) -> Path:
     InputError
         If the path cannot be written, or ffmpeg is not there for an MP4.
     """
-    path, figure = writable("path", path), new_figure((7.0, 4.0))
-    panels, t, moving = _panels(solution, figure), solution.t[1:], list[Any]()
-    outlines, shown = list[np.ndarray](), list[np.ndarray]()
-    if len(panels) > 1:
-        t, *shown, sets = _inside_steps(solution, MOST_FRAMES)
-    if len(panels) == 2:  # the velocity has no panel
-        del shown[1]
-        outlines = [C.outline() for C in sets]
+    path, figure, moving = writable("path", path), new_figure((8.0, 4.5)), list[Any]()
+    panels, t = _panels(solution, figure), frame_times(solution)
+    if paths := len(panels) == 2:
+        middle, _, force, _ = _inside_steps(solution, 1000)
+        u = solution(t)
+        forces = np.transpose([np.interp(t, middle, one) for one in force.T])
+        at = zip(t.tolist(), u, strict=True)
+        outlines = [solution.process.set_at(time, x).outline() for time, x in at]
         panels[1].update_datalim(np.concatenate(outlines))
 
     def draw(i: int) -> None:
         while moving:
             moving.pop().remove()
         figure.suptitle(f"t = {t[i]:.4g}", fontsize="medium")
-        if outlines:
-            moving.extend(panels[1].plot(*outlines[i].T, color=STICK))
-        else:
-            moving.extend(panel.axvline(t[i], color=STICK) for panel in panels)
-        for panel, values in zip(panels, shown, strict=False):
-            at = values[i] if outlines else (t[i], values[i])
-            moving.extend(panel.plot(*at, "o", color=COLOURS[1]))
+        if not paths:
+            moving.extend(panel.axvline(t[i], color=COLOURS[1]) for panel in panels)
+            return
+        moving.extend(panels[1].plot(*outlines[i].T, color=STICK))
+        for panel, values in zip(panels, (u, forces), strict=True):
+            moving.extend(panel.plot(*values[i], "o", color=COLOURS[1]))
 
-    write_animation(figure, path, t, draw)
+    write_animation(figure, path, draw, len(t))
     return path
+
+
+def frame_times(solution: Solution) -> np.ndarray:
+    """Even times of the frames of an animation; kept ones where not all steps were kept."""
+    t = solution.t
+    even = np.linspace(t[0], t[-1], MOST_FRAMES)
+    return even if solution.complete else t[np.unique(np.searchsorted(t, even))]
 
 
 def _panels(solution: Solution, figure: Any) -> Any:
     """The panels of `plot_solution` on a figure; those of two unknowns without C(t)."""
-    dim, known = solution.u.shape[1], isinstance(solution.process, SweepingProcess)
-    if known and dim == 2:
-        figure.set_size_inches(8.0, 4.0)
-        return _paths(solution, figure.subplots(1, 2))
-    rows = 3 if known and dim == 1 else 1
-    figure.set_size_inches(7.0, 2.5 + 1.5 * rows)
-    panels = figure.subplots(rows, sharex=True, squeeze=False)[:, 0]
+    dim = solution.u.shape[1]
+    if dim > 2 or not isinstance(solution.process, SweepingProcess):
+        return [_components(solution, figure.subplots())]
+    t, velocity, force, sets = _inside_steps(solution, 1000)
+    if dim == 2:
+        panels = figure.subplots(1, 2)
+        for panel, path, name in zip(panels, (solution.u, force), ("u", "force"), strict=True):
+            panel.plot(*path.T, "-o", markevery=[0], color=COLOURS[0], label=f"{name}, o: start")
+            panel.set(xlabel=f"{name}[0]", ylabel=f"{name}[1]")
+            panel.set_aspect("equal", adjustable="datalim")
+            panel.legend(fontsize="small")
+        return panels
+    panels = figure.subplots(3, sharex=True)
     _components(solution, panels[0])
-    if rows == 3:
-        t, _, velocity, force, sets = _inside_steps(solution, 1000)
-        panels[1].plot(t, velocity, color=COLOURS[0])
-        panels[2].plot(t, force, color=COLOURS[0], label="A u' + B u")
-        if all(C.exact for C in sets):
-            ends = np.array([[-C.support(np.array([-1.0])), C.support(np.ones(1))] for C in sets])
-            panels[2].fill_between(t, *ends.T, color=STICK, alpha=0.3, label="C(t)")
-        panels[2].legend(fontsize="small")
-        for panel, name in zip(panels, ("u", "u'", "force"), strict=True):
-            panel.set(xlabel="", ylabel=name)
-        panels[2].set(xlabel="t")
+    panels[1].plot(t, velocity, color=COLOURS[0])
+    panels[2].plot(t, force, color=COLOURS[0], label="A u' + B u")
+    if all(C.exact for C in sets):
+        ends = np.array([[-C.support(np.array([-1.0])), C.support(np.ones(1))] for C in sets])
+        panels[2].fill_between(t, *ends.T, color=STICK, alpha=0.3, label="C(t)")
+    panels[2].legend(fontsize="small")
+    for panel, name in zip(panels, ("u", "u'", "force"), strict=True):
+        panel.set(xlabel="t", ylabel=name)
     return panels
 
 
 def _components(solution: Solution, ax: Any) -> Any:
     """Components of u over time."""
-    dim = solution.u.shape[1]
     drawn = spread(np.ptp(solution.u, axis=0), len(LOOKS))
     stuck = solution.velocity[:, drawn] == 0.0
-    names = [f"u[{i}]" for i in drawn]
-    draw_histories(ax, solution.t, solution.u[:, drawn], stuck, names)
+    draw_histories(ax, solution.t, solution.u[:, drawn], stuck, [f"u[{i}]" for i in drawn])
+    dim = solution.u.shape[1]
     title = f"{len(drawn)} of {dim} components" if dim > len(drawn) else None
     ax.legend(title=title, fontsize="small", ncols=1 + len(drawn) // 5)
-    ax.set(xlabel="t", ylabel="u", xlim=(solution.t[0], solution.t[-1]))
+    ax.set(xlabel="t", ylabel="u", xlim=solution.t[[0, -1]])
     return ax
 
 
-def _paths(solution: Solution, panels: Any) -> Any:
-    """The path of two unknowns, and that of the force."""
-    force = _inside_steps(solution, 1000)[3]
-    paths = (solution.u, "u", f"from t = {solution.t[0]:g}"), (force, "force", "A u' + B u")
-    for panel, (path, name, label) in zip(panels, paths, strict=True):
-        panel.plot(*path.T, "-o", markevery=[0], color=COLOURS[0], label=label)
-        panel.set(xlabel=f"{name}[0]", ylabel=f"{name}[1]")
-        panel.set_aspect("equal", adjustable="datalim")
-        panel.grid(alpha=0.3)
-        panel.legend(fontsize="small")
-    return panels
-
-
-def _inside_steps(solution: Solution, most: int) -> tuple[Any, Any, Any, Any, list[ConvexSet]]:
-    """t, u, u', A u' + B u and C(t) in the middle of at most so many of the kept steps."""
+def _inside_steps(solution: Solution, most: int) -> tuple[Any, Any, Any, list[ConvexSet]]:
+    """t, u', A u' + B u and C(t) in the middle of at most so many of the kept steps."""
     process, k = solution.process, len(solution.steps)
     some = np.unique(np.linspace(0, k - 1, most).round().astype(int))
     mu = np.diff(solution.stats["t"], prepend=solution.t[0])[solution.steps[some]]
@@ -168,7 +163,7 @@ def _inside_steps(solution: Solution, most: int) -> tuple[Any, Any, Any, Any, li
     u = solution(t)
     force = [process.A @ z + process.times_B(x) for z, x in zip(velocity, u, strict=True)]
     sets = [process.set_at(float(time), x) for time, x in zip(t, u, strict=True)]
-    return t, u, velocity, np.array(force), sets
+    return t, velocity, np.array(force), sets
 
 
 def new_figure(size: tuple[float, float]) -> Any:
@@ -178,16 +173,15 @@ def new_figure(size: tuple[float, float]) -> Any:
     return Figure(figsize=size, dpi=150, layout="constrained")
 
 
-def write_animation(figure: Any, path: Path, t: np.ndarray, draw: Callable[[int], Any]) -> None:
-    """Write a figure on which `draw(i)` draws what is at t[i], at up to 40 even times."""
-    writer, even = writer_of(path), np.linspace(t[0], t[-1], MOST_FRAMES)
-    indices = np.unique(np.abs(t[:, None] - even).argmin(axis=0)).tolist()
-    draw(indices[0])
+def write_animation(figure: Any, path: Path, draw: Callable[[int], Any], frames: int) -> None:
+    """Write a figure on which `draw(i)` draws frame i."""
+    writer = writer_of(path)
+    draw(0)
     for _ in range(2):  # the second time with the room that ticks need
         figure.draw_without_rendering()
     figure.set_layout_engine("none")  # what is around the panels stays where it is
     with replacing(path) as part, writer.saving(figure, part, dpi=80):
-        for i in indices:
+        for i in range(frames):
             draw(i)
             writer.grab_frame()
 
@@ -239,6 +233,5 @@ def draw_histories(
         gaps = ((0, 0), (0, 1))  # a nan behind each pair of ends
         band = (np.pad(x[ends], gaps, constant_values=np.nan).ravel() for x in (t, values))
         ax.plot(*band, color=look["color"], **wide)
-    if stuck.any():
-        ax.plot([], [], color=STICK, label="sticks", **wide)
+    ax.plot([], [], color=STICK, label="sticks", **wide)
     ax.grid(alpha=0.3)

@@ -39,6 +39,7 @@ from sweepopt.fem import (
     read_mesh,
     read_scene,
 )
+from sweepopt.fem.contact import slip_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:B u0 is not in C")  # loads that start at once
 
@@ -153,6 +154,8 @@ def test_elliptic_friction_meets_its_law_at_every_node():
     stretched = contact.of(v) * [1.0, 3.0]
     law = stretched * [1.0, 3.0] / np.linalg.norm(stretched, axis=1)[:, None]
     np.testing.assert_allclose(force, contact.threshold[:, None] * law, atol=1e-7)
+    # what pictures show is the distance in the ellipse's own metric
+    np.testing.assert_allclose(slip_of(scene, sol).use, 1.0, atol=1e-6)
 
 
 def test_a_block_slides_down_an_inclined_plane_beyond_the_angle_of_friction():

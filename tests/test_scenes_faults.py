@@ -42,9 +42,18 @@ def test_a_fault_creeps_down_to_the_depth_of_the_half_space_and_back_by_masing()
     assert 2 * slip.displacement[turn, np.argmin(z)] == pytest.approx(2.00107, rel=0.01)
     back = slip_at(z, 40e6 - 2 * 5e6, 2 * K)
     np.testing.assert_allclose(2 * slip.displacement[-1], up - back, atol=0.01 * 2.00107)
-    slips = slip.state[turn - 1] != 0
-    depth = (z[slips].max() + z[~slips].min()) / 2
-    assert depth == pytest.approx(np.pi * 20e6 / (2 * K), rel=0.01)
+
+    def front(step: int) -> float:
+        slips = slip.state[step - 1] != 0
+        return float(z[slips].max() + z[~slips].min()) / 2
+
+    for stress in (15e6, 20e6, 25e6):
+        assert front(round(stress / 1.25e6)) == pytest.approx(
+            np.pi * (stress - 5e6) / (2 * K), rel=0.01
+        )
+    for drop in (15e6, 25e6, 40e6):  # the front of the return, from 401 m on
+        depth = np.pi * (drop - 10e6) / (4 * K)
+        assert front(turn + round(drop / 1.25e6)) == pytest.approx(depth, rel=0.01)
 
 
 # Antiplane Cattaneo-Mindlin with Hertz's pressure: a = f p0 = kappa = 1, one half of the contact

@@ -101,8 +101,6 @@ def test_the_flux_follows_the_pressure_as_the_pipe_starts_and_stops() -> None:
     assert mean_of(scene, velocity) == pytest.approx(flux(P), abs=4e-3 * flux(PEAK))
     assert not velocity[P <= 2 * G / R].any()
     assert velocity[P > 1.1 * 2 * G / R].any(axis=1).all()
-    figure = scene.plot(run, "flow")
-    assert "flux (m³/s)" in [ax.get_ylabel() for ax in figure.axes]
 
 
 # ---- gel: Kelvin, Voigt and Bingham ----

@@ -380,7 +380,7 @@ def test_a_bad_study_is_refused_by_file_and_key(old, new, words, tmp_path):
 @pytest.mark.parametrize(
     ("table", "words"),
     [
-        ("hard = 3", "hard must be a table"),
+        ("hard = 3", "hard: must be a table"),
         ("[hard]\nseed = [1]", "hard.seed: unknown key; there are: seeds"),
         ("[hard]\nseeds = [-1]", "hard.seeds[0] must be a whole number >= 0, got -1"),
         ('[hard]\nfamilies = ["soft"]', "hard.families[0] must be one of thr"),

@@ -101,6 +101,13 @@ class Yield(Brief):
         moved = (self.rows.E @ u).reshape(-1, self.rows.block)
         return radii * self.slip(np.linalg.norm(moved, axis=1))
 
+    def sizes(self, forces: Array) -> Array:
+        """Those of forces in the norms whose balls are the D_k, signed of one row, shape (m,)."""
+        x = (self.rows.E @ forces).reshape(-1, self.rows.block)
+        if self.metric is not None:
+            x = np.linalg.solve(np.linalg.cholesky(self.metric), x[..., None])[..., 0]
+        return x[:, 0] if self.rows.block == 1 else np.linalg.norm(x, axis=1)
+
     @property
     def lipschitz(self) -> sp.csc_array:
         """``sum_k w_k g_k lip(phi) E_k^T E_k``, the matrix of a `StateDependent` C."""
@@ -133,34 +140,28 @@ def dissipation(yields: Sequence[Yield]) -> Callable[..., ConvexSet]:
         if alike:
             balls = Balls(np.concatenate([one.at(t, u) for one in yields]), dim)
             return image(of_forces, balls)
-        ends = [_ends(one, t, u) for one in yields if one.rows.block == 1]
-        parts: list[ConvexSet] = [Box(*np.hstack(ends))] if ends else []
-        for one in yields:
-            radii, block = one.at(t, u), one.rows.block
-            if block == 1:
-                continue
-            if one.slopes is not None:
-                parts.append(
-                    np.kron(radii, np.eye(1, block)[0]) - SecondOrderCone(block, one.slopes)
-                )
-            elif one.metric is None:
-                parts.append(Balls(radii, block))
-            else:
-                scaled = radii[:, None, None] ** 2 * one.metric
-                parts += [Ellipsoid(np.zeros(block), G) for G in scaled]
+        parts = [part for one in yields for part in _sets(one, t, u)]
+        boxes = [part for part in parts if isinstance(part, Box)]
+        if boxes:
+            parts = [product(*boxes), *parts[len(boxes) :]]
         return image(of_forces, parts[0] if len(parts) == 1 else product(*parts))
 
     return at
 
 
-def _ends(one: Yield, t: float, u: Array | None) -> tuple[Array, Array]:
-    """Ends of the intervals of rows one by one."""
-    radii = one.at(t, u)
+def _sets(one: Yield, t: float, u: Array | None) -> list[ConvexSet]:
+    """The sets D_k, as one where the library has a class of such products."""
+    radii, block = one.at(t, u), one.rows.block
     if one.shape == "half-line":
-        return np.full(radii.size, -np.inf), np.zeros(radii.size)
-    if one.metric is not None:
-        radii = radii * np.sqrt(one.metric[:, 0, 0])
-    return -radii, radii
+        return [Box(np.full(radii.size, -np.inf), np.zeros(radii.size))]
+    if one.slopes is not None:
+        return [np.kron(radii, np.eye(1, block)[0]) - SecondOrderCone(block, one.slopes)]
+    if block == 1:
+        radii = radii if one.metric is None else radii * np.sqrt(one.metric[:, 0, 0])
+        return [Box(-radii, radii)]
+    if one.metric is None:
+        return [Balls(radii, block)]
+    return [Ellipsoid(np.zeros(block), G) for G in radii[:, None, None] ** 2 * one.metric]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -221,24 +222,28 @@ def merged(contacts: Sequence[Contact]) -> Contact | None:
     def joined(name: str) -> Any:
         return np.concatenate([getattr(one, name) for one in contacts])
 
-    unknown, keep, sums = _shared(contacts)
-    weight, threshold = sums @ joined("weight"), sums @ joined("threshold")
+    unknown, owner = _owners(contacts)
+    keep = np.unique(owner)
+    weight, threshold = (_sums(owner, joined(name)) for name in ("weight", "threshold"))
     before = np.cumsum([0.0, *(one.weight.sum() for one in contacts)])[:-1]
     arc = joined("arc") + np.repeat(before, list(map(len, contacts)))
-    unknown = unknown if unknown.shape[1] > 1 else unknown.ravel()
     node, points, boundary = (joined(name)[keep] for name in ("node", "points", "boundary"))
     return Contact(unknown[keep], node, points, boundary, arc[keep], weight, threshold / weight)
 
 
-def _shared(contacts: Sequence[Contact]) -> tuple[Indices, Indices, sp.csr_array]:
-    """Unknowns of the nodes of all, which is the first of each, and the sums over equal ones."""
+def _sums(owner: Indices, values: Array) -> Array:
+    """The sum over the nodes of each owner."""
+    return np.bincount(owner, values)[np.unique(owner)].astype(float)
+
+
+def _owners(contacts: Sequence[Contact]) -> tuple[Indices, Indices]:
+    """Unknowns of the nodes of all, and of each node the first one with the same unknowns."""
     rows = [one.unknown.reshape(len(one), -1) for one in contacts]
     width = max(row.shape[1] for row in rows)
-    gaps = [np.full((len(row), width - row.shape[1]), -1) for row in rows]
-    unknown = np.vstack(list(map(np.hstack, zip(rows, gaps, strict=True))))
+    gaps = [((0, 0), (0, width - row.shape[1])) for row in rows]
+    unknown = np.vstack([np.pad(*one, constant_values=-1) for one in zip(rows, gaps, strict=True)])
     _, first, group = np.unique(unknown, axis=0, return_index=True, return_inverse=True)
-    one, keep = sp.eye_array(first.size, format="csr"), np.sort(first)
-    return unknown, keep, one[group.ravel()].T[np.argsort(first)]
+    return unknown if width > 1 else unknown.ravel(), first[group.ravel()]
 
 
 def friction_on(body: Discretisation, law: Friction) -> list[Yield]:
@@ -386,19 +391,15 @@ class SlipStatistics(NamedTuple):
         End of the first step with that share; None if nothing slips.
     switches : int
         Changes from stick to slip or back, over all nodes and steps.
-    reversals : int
-        Changes of the direction of slip without a stuck step between.
-    largest_total, mean_total : float
-        int |u'| dt: its largest value, and its mean over the contact.
+    largest_total : float
+        The largest int |u'| dt of the nodes.
     """
 
     ever: float
     most: float
     time_of_most: float | None
     switches: int
-    reversals: int
     largest_total: float
-    mean_total: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -420,6 +421,9 @@ class Slip:
         q_k, against the velocity.
     bound : ndarray, shape (n, m)
         g_k at these times and states, which a law of the slip or a bound that moves changes.
+    use : ndarray, shape (n, m)
+        Share of the bound that the traction takes, with its sign where it has one; of ellipses in
+        their own metric: 1 is on the ellipse.
     """
 
     contact: Contact
@@ -429,12 +433,7 @@ class Slip:
     velocity: Array
     traction: Array
     bound: Array
-
-    @cached_property
-    def use(self) -> Array:
-        """Share of the bound that the traction takes, with its sign where it has one, (n, m)."""
-        q = signed_lengths(self.traction)
-        return np.divide(q, self.bound, out=np.zeros_like(q), where=self.bound > 0)
+    use: Array
 
     @cached_property
     def state(self) -> NDArray[np.int8]:
@@ -450,7 +449,7 @@ class Slip:
     def share(self) -> Array:
         """Share of the contact's length that slips in each step, shape (n,)."""
         weight = self.contact.weight
-        return np.minimum((self.state != 0) @ weight / weight.sum(), 1.0)
+        return (self.state != 0) @ (weight / weight.sum())
 
     @cached_property
     def total(self) -> Array:
@@ -461,17 +460,13 @@ class Slip:
         """The slip statistics of the run."""
         weight = self.contact.weight / self.contact.weight.sum()
         slipping = self.state != 0
-        turns = self.velocity[:-1] * self.velocity[1:]
-        turns = turns if turns.ndim == 2 else turns.sum(axis=2)
         most = int(np.argmax(self.share))
         return SlipStatistics(
-            ever=min(float(slipping.any(axis=0) @ weight), 1.0),
+            ever=float(slipping.any(axis=0) @ weight),
             most=float(self.share[most]),
             time_of_most=float(self.t[most + 1]) if slipping.any() else None,
             switches=int(np.count_nonzero(slipping[:-1] != slipping[1:])),
-            reversals=int(np.count_nonzero(turns < 0)),
             largest_total=float(self.total.max()),
-            mean_total=float(self.total @ weight),
         )
 
 
@@ -496,19 +491,25 @@ def slip_of(scene: Scene, solution: Solution) -> Slip | None:
     mu = np.diff(solution.t)
     stage_t = solution.t[:-1] + np.dot(scheme.b, scheme.c) * mu
     implicit = np.dot(scheme.b, [sum(row) for row in scheme.a])
-    rubbing = [(one, part) for one in scene.yields if (part := one.contact)]
-    _, _, sums = _shared([part for _, part in rubbing])
-    force, bound = [], []
+    rubbing = [one for one in scene.yields if one.contact is not None]
+    _, owner = _owners([part for one in rubbing if (part := one.contact)])
+    keep = np.unique(owner)
+    force, sizes, radii = [], [], []
     for t, h, u, z in zip(stage_t.tolist(), mu, solution.u[:-1], solution.velocity, strict=True):
         u = u + implicit * h * z
-        force.append(contact.of(process.A @ z + process.times_B(u) - scene.load(t)))
-        bound.append(sums @ np.concatenate([one.at(t, u) for one, _ in rubbing]) / contact.weight)
+        q = process.A @ z + process.times_B(u) - scene.load(t)
+        force.append(contact.of(q))
+        sizes.append(np.concatenate([one.sizes(q) for one in rubbing])[keep])
+        radii.append(_sums(owner, np.concatenate([one.at(t, u) for one in rubbing])))
+    several, bound, use = contact.unknown.ndim > 1, np.array(radii), np.array(sizes)
+    use = np.divide(np.abs(use) if several else use, bound, out=0 * use, where=bound > 0)
     return Slip(
         contact=contact,
         t=solution.t,
         stage_t=stage_t,
         displacement=contact.of(solution.u),
         velocity=contact.of(solution.velocity),
-        traction=force / contact.weight.reshape((-1,) + (1,) * (contact.unknown.ndim - 1)),
-        bound=np.array(bound),
+        traction=force / (contact.weight[:, None] if several else contact.weight),
+        bound=bound / contact.weight,
+        use=use,
     )

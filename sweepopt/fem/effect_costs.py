@@ -15,9 +15,6 @@ from sweepopt.fem.changes import changed, remaining
 from sweepopt.fem.scene import Scene
 from sweepopt.fem.scene_file import effect_tables, load_scene, read_scene
 
-SHAPES = {1: ("intervals", "intervals"), 2: ("discs", "ellipses")}
-"""Names of balls and ellipsoids of one and two dimensions."""
-
 
 class EffectCost(NamedTuple):
     """A scene, or the scene without one effect.
@@ -153,11 +150,6 @@ def _sets(scene: Scene) -> str:
     counted: Counter[str] = Counter()
     for one in scene.yields:
         size = one.rows.block
-        if one.shape == "half-line":
-            name = "half-lines"
-        elif size in SHAPES:
-            name = SHAPES[size][one.metric is not None]
-        else:
-            name = f"{'balls' if one.metric is None else 'ellipsoids'} in R^{size}"
-        counted[name] += one.rows.E.shape[0] // size
+        name = "intervals" if size == 1 else f"balls in R^{size}"
+        counted[name if one.metric is None else "ellipses"] += len(one.rows.weight)
     return ", ".join(f"{m} {name}" for name, m in counted.items())

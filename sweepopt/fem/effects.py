@@ -29,7 +29,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from skfem.helpers import dot
 
-from sweepopt.checks import choice, listed, matrix, number
+from sweepopt.checks import choice, listed, matrix, number, vector
 from sweepopt.display import Brief
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import BOUND, PRESSURE, Rows, Yield, friction_on
@@ -502,11 +502,8 @@ class PointForce(Record):
 
     def contribute(self, body: Discretisation) -> Contribution:
         """One term of the load."""
-        parts, d = FORCE.parts(self.force, body.components), body.mesh.dim()
-        values = np.array([number("force", one) for one in parts])
-        at = np.array([number("at", one) for one in listed("at", self.at)])
-        if at.shape != (d,):
-            raise InputError(f"at must have {d} coordinates, got {at.size}")
+        values = vector("force", FORCE.parts(self.force, body.components))
+        at = vector("at", self.at, body.mesh.dim())
         try:
             shape = body.scalar.probes(at[:, None]).toarray()[0]
         except (ValueError, IndexError):

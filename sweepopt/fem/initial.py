@@ -12,12 +12,11 @@ import numpy as np
 from sweepopt.errors import InputError
 from sweepopt.fem.effects import Record
 from sweepopt.fem.fields import Array, Coefficient, Datum
-from sweepopt.fem.spaces import AXES, Discretisation
+from sweepopt.fem.spaces import Discretisation
 from sweepopt.io import as_path
 from sweepopt.results import last_state
 
 DISPLACEMENT = Coefficient("u", vector=True)
-SAME = 1e-9  # of the body's size: nodes that are nearer are one, as a file may have rounded them
 
 
 @dataclass(frozen=True)
@@ -69,48 +68,27 @@ class Initial(Record):
             return u0
         path = as_path("run", self.run)
         path = path / "solution.nc" if path.is_dir() else path
-        names = "u", "field", "unknowns_digest", "displacement", "internal", "internal_field", *AXES
         try:
-            run = last_state(path, *names)
+            run = last_state(path, "u", "field", "unknowns_digest")
         except InputError as error:
             raise InputError(f"run: {error}") from error
-        labels = np.full(u0.size, "", dtype=object)
+        labels = np.full(size, "", dtype=object)
         for name, part in fields.items():
             labels[part] = name
-        if "u" in run:
-            last, kinds = run["u"], run.get("field")
-            if last.shape != u0.shape or not (kinds is None or np.array_equal(kinds, labels)):
-                raise InputError(
-                    f"run: {path} has {last.size} unknowns of {_fields(kinds)}, the scene "
-                    f"{u0.size} of {_fields(labels)}; take a run of the same body and effects"
-                )
-            if run.get("unknowns_digest") not in (None, "", space.digest):
-                raise InputError(
-                    f"run: {path} is of another mesh, or has other components held or turned; take "
-                    "the solution.nc of sweepopt run, or a run of this body"
-                )
-            return np.asarray(last)
-        points, last = [run[axis] for axis in AXES if axis in run], run.get("displacement", u0[:0])
-        nodes = space.points.T
-        if np.shape(points) != nodes.shape or not np.allclose(
-            points, nodes, rtol=0, atol=SAME * np.ptp(nodes)
-        ):
-            raise InputError(f"run: {path} has the nodes of another mesh; take a run of this body")
-        if np.shape(last) != space.expand(u0[: space.dim]).shape:
+        last, kinds = run.get("u", u0[:0]), run.get("field", labels)
+        if last.shape != u0.shape or not np.array_equal(kinds, labels):
             raise InputError(
-                f"run: {path} has displacements of another kind of body than {space.kind}"
+                f"run: {path} has {last.size} unknowns of {_fields(kinds)}, the scene "
+                f"{size} of {_fields(labels)}; take a run of the same body and effects"
             )
-        internal, kinds = run.get("internal", u0[:0]), run.get("internal_field", labels[:0])
-        if not np.array_equal(kinds, labels[space.dim :]):
+        if run.get("unknowns_digest", "") not in ("", space.digest):
             raise InputError(
-                f"run: {path} has internal unknowns of {_fields(kinds)}, the scene of "
-                f"{_fields(labels[space.dim :])}; take a run of the same effects"
+                f"run: {path} is of another mesh, or has other components held or turned, as "
+                "friction turns them; take a run of this body"
             )
-        u0[: space.dim] = space.interpolate(last if space.components == 1 else list(last.T))
-        u0[space.dim :] = internal
-        return u0
+        return np.asarray(last)
 
 
 def _fields(names: Any) -> str:
     """The fields in an array of names of unknowns."""
-    return "none" if names is None else ", ".join(dict.fromkeys(map(str, names))) or "none"
+    return ", ".join(dict.fromkeys(map(str, names)))

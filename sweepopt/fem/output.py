@@ -20,7 +20,7 @@ import meshio
 import numpy as np
 
 from sweepopt import io
-from sweepopt.fem.contact import STATES, Slip, signed_lengths, slip_of
+from sweepopt.fem.contact import Slip, signed_lengths, slip_of
 from sweepopt.results import netcdf_bytes, software, solver_name
 
 if TYPE_CHECKING:
@@ -187,26 +187,8 @@ ENERGIES = {
     "friction": "lost to friction",
     "work": "work of the loads",
 }
-INTERNAL = "internal unknowns at the end of the run, such as plastic strains"
+STATE = "unknowns at the end of the run, internal ones such as plastic strains too"
 PLASTIC = "sqrt(2/3) |p| of the plastic strain p, its mean in each cell of the mesh"
-FIELD = {"mesh": "mesh", "location": "node"}
-ATTRIBUTES: dict[str, dict[str, Any]] = {
-    "displacement": FIELD,
-    "velocity": FIELD,
-    "mesh": {
-        "cf_role": "mesh_topology",
-        "topology_dimension": np.int32(2),
-        "node_coordinates": "x y",
-        "face_node_connectivity": "triangles",
-        "face_dimension": "triangle",
-    },
-    "triangles": {"cf_role": "face_node_connectivity", "start_index": np.int32(0)},
-    "slip_state": {
-        "flag_values": np.array(list(STATES), dtype=np.int8),
-        "flag_meanings": " ".join(STATES.values()),
-    },
-}
-"""What the UGRID conventions (mesh, fields) and the CF conventions (flags) ask for."""
 
 
 def dataset_of(report: Report) -> xr.Dataset:
@@ -223,25 +205,18 @@ def dataset_of(report: Report) -> xr.Dataset:
         rows |= _of_contact(report.slip)
     if (strain := scene.plastic_strain(solution)) is not None:
         rows["plastic_strain"] = "time cell", "", strain, PLASTIC
-    of_all, dim = solution.to_xarray(), scene.discretisation.dim
-    run = of_all.drop_dims("unknown")
-    if dim < of_all.unknown.size:
-        rows["internal"] = "internal_unknown", "", solution.u[-1, dim:], INTERNAL
-        names = of_all.field.values[dim:]
-        rows["internal_field"] = "internal_unknown", "", names, "field of the internal unknown"
+    run = solution.to_xarray().drop_vars("velocity")
+    run["u"] = run.u.isel(time=-1, drop=True).assign_attrs(long_name=STATE)
     for name, (dims, quantity, values, words) in rows.items():
         attributes = {"long_name": words, "units": units.get(quantity, "1")}
-        more = ATTRIBUTES.get(name, {})
-        if more is not FIELD or "mesh" in rows:
-            attributes |= more
         run[name] = dims.split(), values, attributes
     for name in ("time", "certificate", "viability"):
         run[name].attrs["units"] = units[name]
-    run.step_end.attrs["units"] = units["time"]
+    run.step_end.attrs["units"], run.field.attrs["units"] = units["time"], "1"
     coordinates = {"x", "y", "z", "contact_node", "boundary", "arc_length"} & set(run)
     return run.set_coords(coordinates).assign_attrs(
         title=scene.title or report.name or "A body with friction",
-        Conventions="CF-1.11 UGRID-1.0",
+        Conventions="CF-1.11",
         scene=report.text,
         units_of_the_scene=scene.units,
     )
@@ -255,11 +230,10 @@ def _of_mesh(report: Report) -> Variables:
     rows: Variables = {
         "displacement": (f"time node{vector}", "length", u, "displacement"),
         "velocity": (f"step node{vector}", "velocity", velocity, "velocity in each step"),
-        "mesh": ("", "", np.int32(0), "mesh of triangles; a quadratic element counts as four"),
-        "triangles": ("triangle corner", "", np.int32(body.triangles), "nodes of each triangle"),
     }
-    if not body.triangles.size:  # a bar has no faces
-        del rows["mesh"], rows["triangles"]
+    if body.triangles.size:  # a bar has no faces
+        words = "nodes of each triangle; a quadratic element counts as four"
+        rows["triangles"] = "triangle corner", "", np.int32(body.triangles), words
     for axis, place in zip("xyz", body.points.T, strict=False):
         rows[axis] = "node", "length", place, f"{axis} coordinate of the node"
     return rows
@@ -274,19 +248,9 @@ def _of_contact(slip: Slip) -> Variables:
         "boundary": ("contact", "", names, "boundary of the contact node"),
         "arc_length": ("contact", "length", contact.arc, "arc length along the boundaries"),
         "contact_weight": ("contact", "length", contact.weight, "length of its boundary"),
-        "friction_bound": (
-            "contact",
-            "force",
-            contact.threshold,
-            "force at which it slips, w g",
-        ),
-        "traction": (
-            f"step contact{along}",
-            "traction",
-            slip.traction,
-            "friction, against the slip",
-        ),
-        "slip_state": ("step contact", "", slip.state, "direction of slip, 0 where it sticks"),
+        "friction_bound": ("contact", "force", contact.threshold, "force at which it slips, w g"),
+        "traction": (f"step contact{along}", "traction", slip.traction, "friction, against slip"),
+        "slip_state": ("step contact", "", slip.state, "1, 0, -1: slips forward, sticks, back"),
     }
 
 
@@ -324,7 +288,7 @@ def write_vtu(report: Report, folder: Path) -> list[Path]:
     strain, folder = report.scene.plastic_strain(solution), folder / "vtu"
     folder.mkdir(parents=True, exist_ok=True)
     last, times = len(solution.steps), {}
-    for i in [*range(0, last, -(-last // (MOST_VTU - 1))), last]:
+    for i in np.unique(np.linspace(0, last, MOST_VTU).round().astype(int)).tolist():
         fields = {"displacement": u[i], "velocity": velocity[max(i - 1, 0)]}
         mesh.point_data = {name: in_space(x) for name, x in fields.items()}
         if strain is not None:

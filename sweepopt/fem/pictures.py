@@ -12,9 +12,10 @@ import numpy as np
 from sweepopt.checks import choice
 from sweepopt.errors import InputError
 from sweepopt.fem import output, snapshots
+from sweepopt.fem.contact import STATES, Slip
 from sweepopt.fem.effects import Foundation, YieldStress, released_matrices
 from sweepopt.fem.output import Report
-from sweepopt.fem.snapshots import between, colours_of, legend_of, name_axis, states_of
+from sweepopt.fem.snapshots import STATE_COLOURS, colours_of, legend_of, name_axis, states_of
 from sweepopt.io import replacing, writable
 from sweepopt.plot import LOOKS, STICK, STYLES, draw_histories, new_figure, spread
 
@@ -30,23 +31,22 @@ AUTOMATIC = ("displacement", "surface", "flow", "contact")
 def refusal(scene: Scene, name: str) -> str:
     """What a picture needs and the scene does not have; empty if it fits."""
     dimension, contact = scene.discretisation.mesh.dim(), scene.contact
-    several = contact is not None and contact.unknown.ndim > 1
-    one = contact is not None and not several
-    on_curve = contact is not None and one and contact.on_curve
-    plastic = any(part.rows.cells is not None for part in scene.yields)
+    one = contact is not None and contact.unknown.ndim == 1
+    along = "friction along a boundary", one and contact is not None and contact.on_curve
     flows = any(isinstance(effect, YieldStress) for effect in scene.effects)
+    plastic = any(part.rows.cells is not None for part in scene.yields)
     needs = {
-        "displacement": (dimension < 3, "a body in the plane or along a line"),
-        "surface": (dimension == 3, "a solid"),
-        "flow": (dimension == 2 and flows, "a section with a yield stress"),
-        "yielding": (dimension == 2 and plastic, "a body in the plane with plasticity"),
-        "arrows": (several, "friction where two components slip"),
-        "contact": (on_curve, "friction along a boundary"),
-        "profiles": (on_curve, "friction along a boundary"),
-        "space_time": (one, "friction of one component"),
-        "loop": (scene.force is not None, "a load or a motion that is prescribed"),
+        "displacement": ("a body in the plane or along a line", dimension < 3),
+        "surface": ("a solid", dimension == 3),
+        "flow": ("a section with a yield stress", dimension == 2 and flows),
+        "yielding": ("a body in the plane with plasticity", dimension == 2 and plastic),
+        "arrows": ("friction where two components slip", contact is not None and not one),
+        "contact": along,
+        "profiles": along,
+        "space_time": ("friction of one component", one),
+        "loop": ("a load or a motion that is prescribed", scene.force is not None),
     }
-    fits, what = needs[choice("pictures", name, needs)]
+    what, fits = needs[choice("pictures", name, needs)]
     return "" if fits else f"{name} needs {what}"
 
 
@@ -98,7 +98,7 @@ def draw(report: Report, name: str) -> Any:
     if reason := refusal(report.scene, name):
         raise InputError(f"pictures: {reason}")
     if name in FIELDS:
-        return snapshots.picture(report, FIELDS[name](report))
+        return snapshots.picture(report, FIELDS[name])
     return DRAWN[name](report)
 
 
@@ -111,7 +111,7 @@ def animate(report: Report, path: str | Path, name: str = "") -> Path:
         If the scene has no such field, or ffmpeg is not there for an MP4.
     """
     path, field = writable("path", path), animated(report.scene, name)
-    snapshots.animation(report, FIELDS[field](report), path)
+    snapshots.animation(report, FIELDS[field], path)
     return path
 
 
@@ -132,32 +132,30 @@ def animated(scene: Scene, name: str = "") -> str:
 
 def contact(report: Report) -> Any:
     """What the contact does over time: slip zone, displacement, traction over bound, load."""
+    from matplotlib.colors import ListedColormap
+
     slip = report.slip
     assert slip is not None
-    arc = slip.contact.arc
-    driven = [] if refusal(report.scene, "loop") else loops(report.scene, report.solution)[:1]
-    figure, heights = new_figure((8.5, 9.0)), [1.3, 1.0, 1.0, *[0.5 for _ in driven]]
-    panels = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
-    zone, moved, traction, *below = panels
-    snapshots.draw_zone(report, slip, zone)
+    figure, driven = new_figure((8.5, 9.0)), not refusal(report.scene, "loop")
+    panels = figure.subplots(3 + driven, 1, sharex=True)
+    zone, moved, traction = panels[:3]
+    colours = ListedColormap([STATE_COLOURS[state] for state in STATES])
+    _over_time(report, slip, zone, slip.state, cmap=colours, vmin=-1.5, vmax=1.5)
     # points that slip from little to far
-    nodes = spread(slip.total, len(STYLES))
+    nodes, arc = spread(slip.total, len(STYLES)), slip.contact.arc
     for node, look in zip(nodes, LOOKS, strict=False):
-        zone.axhline(arc[node], lw=2.6, color="white")
-        zone.axhline(arc[node], lw=1.4, **look)
-        traction.plot(slip.stage_t, slip.use[:, node], lw=1.5, **look)
+        zone.axhline(arc[node], **look)
+        traction.plot(slip.stage_t, slip.use[:, node], **look)
     metre, names = report.suffix("length"), slip.contact.boundary
     places = [f"{names[node]}, {arc[node]:.3g}{metre}" for node in nodes]
     draw_histories(moved, slip.t, slip.displacement[:, nodes], slip.state[:, nodes] == 0, places)
     name_axis(report, moved.yaxis, "displacement", "length")
     _legend_above(moved)
     traction.set(ylabel="friction traction / bound", ylim=(-1.15, 1.15))
-    traction.set_xlim(slip.t[[0, -1]])
-    for panel, (_, load, words) in zip(below, driven, strict=False):
-        panel.plot(slip.t, load, color="black", lw=1.5)
-        name_axis(report, panel.yaxis, words[1], "force")
-    for panel in (traction, *below):
-        panel.grid(alpha=0.3)
+    if driven:
+        _, load, (_, name) = loops(report.scene, report.solution)[0]
+        panels[3].plot(slip.t, load, color="black")
+        name_axis(report, panels[3].yaxis, name, "force")
     name_axis(report, panels[-1].xaxis, "time", "time")
     legend_of(figure, states_of(slip))
     return figure
@@ -167,19 +165,13 @@ def space_time(report: Report) -> Any:
     """The slip rate along the contact, or over x, and time; grey where it sticks."""
     slip = report.slip
     assert slip is not None
-    curve, points = slip.contact.on_curve, slip.contact.points
-    place = slip.contact.arc if curve else points[:, 0]
-    order = np.argsort(place, kind="stable")
-    rate = np.ma.masked_equal(slip.velocity[:, order], 0.0).T
     figure = new_figure((8.5, 5.0))
     panel = figure.subplots()
-    edges, colours = between(place[order]), colours_of(slip.velocity)
-    image = panel.pcolormesh(slip.t, edges, rate, rasterized=True, **colours)
+    rate = np.ma.masked_equal(slip.velocity, 0.0)
+    image = _over_time(report, slip, panel, rate, **colours_of(slip.velocity))
     name_axis(report, figure.colorbar(image, ax=panel).ax.yaxis, "slip rate", "velocity")
-    if curve:
-        panel.set_ylim(_slipped(slip))
+    panel.set_ylim(_slipped(slip))
     name_axis(report, panel.xaxis, "time", "time")
-    name_axis(report, panel.yaxis, snapshots.along(slip) if curve else "x", "length")
     legend_of(figure, {STICK: "sticks"})
     return figure
 
@@ -190,21 +182,18 @@ def profiles(report: Report) -> Any:
     assert slip is not None
     figure = new_figure((8.5, 6.5))
     moved, traction = figure.subplots(2, 1, sharex=True)
-    arc, bound, steps = slip.contact.arc, slip.contact.bound, len(slip.stage_t)
-    for i, look in zip(np.unique(np.arange(1, 6) * steps // 5).tolist(), LOOKS, strict=False):
-        if i:
-            label = f"t = {slip.t[i]:.4g}{report.suffix('time')}"
-            moved.plot(arc, slip.displacement[i], lw=1.5, label=label, **look)
-            traction.plot(arc, slip.traction[i - 1], lw=1.5, **look)
-    low, high = _slipped(slip)
-    limit = 1.1 * float(bound[(arc >= low) & (arc <= high)].max())
+    (low, high), arc = _slipped(slip), slip.contact.arc
+    inside = np.flatnonzero((low <= arc) & (arc <= high))
+    arc, bound, steps = arc[inside], slip.contact.bound[inside], len(slip.stage_t)
+    chosen = np.unique(np.linspace(0, steps, 6).round().astype(int))[1:]
+    for i, look in zip(chosen.tolist(), LOOKS, strict=False):
+        label = f"t = {slip.t[i]:.4g}{report.suffix('time')}"
+        moved.plot(arc, slip.displacement[i, inside], label=label, **look)
+        traction.plot(arc, slip.traction[i - 1, inside], **look)
     traction.plot(arc, np.transpose([bound, -bound]), color="black", ls="--", lw=0.8)
-    traction.set(xlim=(low, high), ylim=(-limit, limit))
-    for panel in (moved, traction):
-        panel.grid(alpha=0.3)
     _legend_above(moved)
     name_axis(report, moved.yaxis, "displacement", "length")
-    name_axis(report, traction.xaxis, snapshots.along(slip), "length")
+    name_axis(report, traction.xaxis, _place(slip)[1], "length")
     name_axis(report, traction.yaxis, "friction traction", "traction")
     return figure
 
@@ -214,11 +203,10 @@ def loop(report: Report) -> Any:
     figure = new_figure((6.0, 5.0))
     panel = figure.subplots()
     for (x, load, words), look in zip(loops(report.scene, report.solution), cycle(LOOKS)):
-        panel.plot(x, load, lw=1.5, **look)
+        panel.plot(x, load, **look)
         name_axis(report, panel.xaxis, words[0], "length")
         name_axis(report, panel.yaxis, words[1], "force")
     panel.grid(alpha=0.3)
-    panel.locator_params(axis="x", nbins=6)
     return figure
 
 
@@ -234,13 +222,11 @@ def loops(scene: Scene, solution: Solution) -> list[tuple[Array, Array, tuple[st
     u = solution.u[:, : body.dim]
     curves = []
     for effect in scene.effects:
-        if not isinstance(effect, Foundation) or not effect.moved:
-            continue
-        term: Any = effect.contribute(body).loads[0]
-        history, k = term
-        d = np.array([history(time) for time in t])
-        force = d * (k @ body.restrict(effect.shift(body))) - u @ k
-        curves.append((d, force, ("displacement of the far end", "force of the foundation")))
+        if isinstance(effect, Foundation) and effect.moved is not None:
+            d = np.array([effect.moved(time) for time in t])
+            k: Any = effect.contribute(body).loads[0][1]  # type: ignore[index]
+            force = d * (k @ body.restrict(effect.shift(body))) - u @ k
+            curves.append((d, force, ("displacement of the far end", "force of the foundation")))
     if curves:
         return curves
     if scene.lifts:
@@ -273,12 +259,29 @@ def _legend_above(panel: Any) -> None:
     panel.legend(fontsize="small", ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
-def _slipped(slip: Any) -> tuple[float, float]:
-    """The arc between the outermost nodes that ever slip, and some more."""
-    arc = slip.contact.arc
-    where = arc[slip.total > 0] if slip.total.any() else arc
+def _place(slip: Slip) -> tuple[Array, str]:
+    """Where the nodes of a contact are, along its boundaries or over x, and the name of that."""
+    if not slip.contact.on_curve:
+        return slip.contact.points[:, 0], "x"
+    return slip.contact.arc, f"arc length of {', '.join(dict.fromkeys(slip.contact.boundary))}"
+
+
+def _over_time(report: Report, slip: Slip, panel: Any, values: Array, **look: Any) -> Any:
+    """A map of values of steps and nodes over time and place."""
+    place, name = _place(slip)
+    order = np.argsort(place, kind="stable")
+    x = place[order]
+    edges = np.hstack([x[0], (x[1:] + x[:-1]) / 2.0, x[-1]])
+    name_axis(report, panel.yaxis, name, "length")
+    return panel.pcolormesh(slip.t, edges, values[:, order].T, rasterized=True, **look)
+
+
+def _slipped(slip: Slip) -> tuple[float, float]:
+    """The place between the outermost nodes that ever slip, and some more."""
+    place, _ = _place(slip)
+    where = place[slip.total > 0] if slip.total.any() else place
     more = 0.15 * float(np.ptp(where))
-    return max(float(where.min()) - more, 0.0), min(float(where.max()) + more, float(arc[-1]))
+    return max(where.min() - more, place.min()), min(where.max() + more, place.max())
 
 
 FIELDS = {

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -13,7 +12,7 @@ import scipy.sparse as sp
 import skfem
 from numpy.typing import ArrayLike
 
-from sweepopt.checks import choice, count, listed, matrix, number, symmetric, vector
+from sweepopt.checks import at_path, choice, count, listed, matrix, number, symmetric, vector
 from sweepopt.display import Displayed, Rows, svg
 from sweepopt.errors import InputError, noted, shown
 from sweepopt.fem.contact import Contact, Yield, dissipation, merged
@@ -131,26 +130,38 @@ class Scene(Displayed):
         """f(t), shape (dim,)."""
         return np.zeros(self.problem.dim) if self.force is None else np.asarray(self.force(t))
 
-    def displacement(self, solution: Solution) -> Array:
-        """u at all nodes and times, shape (n+1, N), or (n+1, N, components) of vectors."""
-        return self._full(solution.u, lambda history: history(solution.t))
+    def displacement(self, solution: Solution, t: ArrayLike | None = None) -> Array:
+        """u at all nodes, shape (k, N), or (k, N, components) of vectors.
+
+        Parameters
+        ----------
+        solution : Solution
+        t : array_like, shape (k,), optional
+            Times of the run; those of the solution by default.
+        """
+        times = solution.t if t is None else np.atleast_1d(t)
+        u = solution.u if t is None else solution(times)
+        return self._full(u, lambda history: history(times))
 
     def velocity(self, solution: Solution) -> Array:
         """u' at all nodes in each step, shape (n, N), or (n, N, components) of vectors."""
         mu = np.diff(solution.t)
         return self._full(solution.velocity, lambda history: np.diff(history(solution.t)) / mu)
 
-    def plastic_strain(self, solution: Solution) -> Array | None:
-        """sqrt(2/3) |p|, its mean in each cell at all times, (n+1, cells); None without p."""
-        u, cells = solution.u, self.discretisation.mesh.nelements
+    def plastic_strain(self, solution: Solution, t: ArrayLike | None = None) -> Array | None:
+        """sqrt(2/3) |p|, its mean in each cell, shape (k, cells); None without p.
+
+        At times t of the run, by default those of the solution.
+        """
+        u = solution.u if t is None else solution(np.atleast_1d(t))
+        cells = self.discretisation.mesh.nelements
         parts = [(one, at) for one in self.yields if (at := one.rows.cells) is not None]
         strain = np.zeros((len(u), cells))
         for one, at in parts:
             E, block, weight = one.rows.E, one.rows.block, one.rows.weight
             p = (E @ u.T).T.reshape(len(u), -1, block)[..., one.slopes is not None :]
             share = weight / np.bincount(at, weight, cells)[at]
-            mean = sp.csr_array((share, (at, np.arange(at.size))), shape=(cells, at.size))
-            strain += np.sqrt(2 / 3) * (mean @ np.linalg.norm(p, axis=2).T).T
+            np.add.at(strain.T, at, np.sqrt(2 / 3) * (share * np.linalg.norm(p, axis=2)).T)
         return strain if parts else None
 
     def _full(self, u: Any, values: Callable[[History], Any]) -> Array:
@@ -205,7 +216,7 @@ class Scene(Displayed):
         return folder
 
     def animate(self, solution: Solution, path: str | Path, picture: str = "") -> Path:
-        """Write a run as an animation of at most 40 frames.
+        """Write a run as an animation, at 40 even times.
 
         Parameters
         ----------
@@ -375,7 +386,7 @@ def build(
     loads += _lifted(space, effects, lifts) if lifts else []
     force = _force(loads, space.dim, size - space.dim)
     if isinstance(u0, Initial):
-        with at_path("initial"):
+        with at_path("initial."):
             u0 = u0.state(space, fields, size)
     A = sp.csc_array((size, size)) if A is None else A
     problem = _problem(A, B, force, yields, np.zeros(size) if u0 is None else u0, fields)
@@ -442,18 +453,13 @@ def _check_rubs(space: Discretisation, yields: Sequence[Yield], lifts: Sequence[
     """Refuse friction at nodes where a tangent is held and moved: |v| would lack its rub."""
     frame = space.frame
     for node, where in [(one.contact.node, one.rows.where) for one in yields if one.contact]:
-        held = frame.held[node]
-        # what is held is the normal alone, or nothing
-        harmless = (held == 0) | ((held == 1) & ~frame.normal[node] & (where == "trace"))
-        held = np.where(harmless | (space.components == 1), 0, held)
-        for _, d in lifts:
-            of_frame = frame.T.T @ d
-            slot = np.arange(space.components)[:, None]
-            if of_frame[space.nodes[:, node]][slot < held].any():
-                raise InputError(
-                    "effects: a prescribed displacement moves a tangent of a boundary with "
-                    "friction, whose slip would lack it; prescribe it elsewhere"
-                )
+        normal_alone = (frame.held[node] == 1) & ~frame.normal[node] & (where == "trace")
+        dofs = space.nodes[:, node[~normal_alone]]
+        if any(d[dofs].any() for _, d in lifts):
+            raise InputError(
+                "effects: a prescribed displacement moves a tangent of a boundary with "
+                "friction, whose slip would lack it; prescribe it elsewhere"
+            )
 
 
 def _problem(
@@ -491,7 +497,7 @@ def _contribution(
     own = type(effect).__module__.startswith(__package__)
     if not (own or label.startswith("effects.")):
         label = f"{type(effect).__name__}: {label}"
-    with at_path(label):
+    with at_path(f"{label}."):
         try:
             part = effect.contribute(space)
         except Exception as error:  # whatever a user's effect raises
@@ -500,7 +506,7 @@ def _contribution(
         part = _checked(part, space.dim)
     for name in ("history", "moved"):
         if (history := getattr(effect, name, None)) is not None and t_end is not None:
-            with at_path(f"{label}.{name}"):
+            with at_path(f"{label}.{name}."):
                 for t in (0.0, t_end):
                     history(t)
     return part
@@ -528,8 +534,11 @@ def _checked(part: Any, dim: int) -> Contribution:
     for name in ("loads", "yields"):
         if not isinstance(getattr(part, name), (list, tuple)):
             raise InputError(f"{name} must be a list, got {shown(getattr(part, name))}")
-    for k, load in enumerate(part.loads):
-        phi, f = load if isinstance(load, tuple) and len(load) == 2 else (Constant(), load)
+    loads = [
+        load if isinstance(load, tuple) and len(load) == 2 else (Constant(), load)
+        for load in part.loads
+    ]
+    for k, (phi, f) in enumerate(loads):
         if not callable(phi):
             raise InputError(f"loads[{k}][0] must be a function of time, got {shown(phi)}")
         if not callable(f):
@@ -538,7 +547,7 @@ def _checked(part: Any, dim: int) -> Contribution:
         if not isinstance(one, Yield):
             raise InputError(f"yields[{k}] must be a Yield, got {shown(one)}")
         fits(f"yields[{k}].rows.E", matrix(f"yields[{k}].rows.E", one.rows.E).shape[1])
-    return part
+    return replace(part, loads=loads)
 
 
 def _placed(dim: int, parts: Sequence[Contribution], size: int) -> list[Contribution]:
@@ -578,9 +587,8 @@ class _Load(NamedTuple):
         return breakpoints((phi for phi, _ in self.terms), a, b)
 
 
-def _force(loads: Sequence[Force], dim: int, internal: int) -> Any:
+def _force(terms: Sequence[Any], dim: int, internal: int) -> Any:
     """The sum of the terms; data where all of them are. None acts on internal unknowns."""
-    terms = [one if isinstance(one, tuple) else (Constant(), one) for one in loads]
     if any(callable(f) for _, f in terms):
         return _Load(terms, dim, internal)
     padded = [(phi, np.pad(vector("loads", f, dim), (0, internal))) for phi, f in terms]
@@ -618,12 +626,3 @@ def _lifted(
             if M is not None:
                 terms.append((phi, -space.restrict(M @ d)))
     return terms
-
-
-@contextmanager
-def at_path(path: str) -> Iterator[None]:
-    """Put a path in front of the messages of input errors, which start with a field's name."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{path}.{error}") from error

@@ -12,7 +12,7 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sweepopt.checks import choice, count, listed, number
+from sweepopt.checks import choice, count, from_table, listed, number
 from sweepopt.errors import InputError, shown, suggestion
 from sweepopt.fem import effects
 from sweepopt.fem.changes import changed, remaining
@@ -20,7 +20,7 @@ from sweepopt.fem.fields import Profile
 from sweepopt.fem.initial import Initial
 from sweepopt.fem.mesh import chain, grid
 from sweepopt.fem.plasticity import Plasticity
-from sweepopt.fem.scene import PICTURES, Scene, at_path, build, method
+from sweepopt.fem.scene import PICTURES, Scene, build, method
 from sweepopt.fem.slip_laws import SlipTable, SlipWeakening
 from sweepopt.fem.spaces import Discretisation
 from sweepopt.io import as_path, find_scene, parse_toml, read_toml
@@ -150,6 +150,8 @@ def read_scene(
     """
     data, folder = load_scene(source, folder)
     data = changed(data, changes or {})
+    for key in set(data) & set(EFFECTS):
+        raise InputError(f"{key}: unknown key; did you mean effects.{key}?")
     file = _called(_File, data, "", folder)
     pictures = listed("pictures", file.pictures) if file.pictures else ()
     for name in pictures:
@@ -196,26 +198,8 @@ def load_scene(
 
 def _called(kind: Callable[..., Any], table: Any, path: str, folder: Path) -> Any:
     """What a function or a record makes of a table whose keys are its arguments."""
-    if not isinstance(table, Mapping):
-        raise InputError(f"{path}: must be a table, got {shown(table)}")
-    keys, where = signature(kind).parameters, f"{path}." if path else ""
-    known = f"; there are: {', '.join(keys)}" if "." in path else ""
-    hints = {} if path else {key: f"; did you mean effects.{key}?" for key in EFFECTS}
-    faults = [
-        f"{where}{key}: unknown key{known}{suggestion(key, keys) or hints.get(key, '')}"
-        for key in table
-        if key not in keys
-    ]
-    faults += [
-        f"{where}{key}: is missing"
-        for key, argument in keys.items()
-        if argument.default is argument.empty and key not in table
-    ]
-    if faults:
-        raise InputError("; ".join(faults))
-    values = {key: _value(key, value, f"{where}{key}", folder) for key, value in table.items()}
-    with at_path(path):
-        return kind(**values)
+    where = f"{path}." if path else ""
+    return from_table(where, kind, table, lambda key, one: _value(key, one, where + key, folder))
 
 
 def _value(key: str, value: Any, path: str, folder: Path) -> Any:

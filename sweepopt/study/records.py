@@ -1,4 +1,4 @@
-"""Tables of a study's file as records that check themselves, and rows of results on the disk."""
+"""Lists of a study's file that are checked entry by entry, and rows of results on the disk."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import json
 import os
 import zlib
 from collections.abc import Callable
-from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,23 +16,6 @@ from sweepopt.checks import listed
 from sweepopt.errors import InputError, shown
 
 Record = TypeVar("Record")
-
-
-def read_record(where: str, kind: type[Record], data: Any, **given: Any) -> Record:
-    """A dataclass whose fields are the keys of a table, those that are given apart."""
-    if not isinstance(data, dict):
-        raise InputError(f"{where.rstrip('.')} must be a table, got {shown(data)}")
-    keys = {field.name: field for field in fields(kind) if field.name not in given}  # type: ignore[arg-type]
-    for key in data:
-        if key not in keys:
-            raise InputError(f"{where}{key}: unknown key; there are: {', '.join(keys)}")
-    for key, field in keys.items():
-        if field.default is MISSING and key not in data:
-            raise InputError(f"{where}{key}: is missing")
-    try:
-        return kind(**data, **given)
-    except InputError as error:
-        raise InputError(f"{where}{error}") from error
 
 
 def each(name: str, values: Any, check: Callable[..., Any], *limits: Any) -> tuple[Any, ...]:

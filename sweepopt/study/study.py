@@ -14,13 +14,13 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sweepopt.checks import choice, count, number
+from sweepopt.checks import choice, count, from_table, number
 from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, read_toml
 from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, run_cell
 from sweepopt.study.hard import SUITES
-from sweepopt.study.records import append_row, each, read_record, read_rows
+from sweepopt.study.records import append_row, each, read_rows
 from sweepopt.study.sources import Source, find_source
 from sweepopt.study.workers import processes
 from sweepopt.velocity import solvers
@@ -165,14 +165,14 @@ def read_study(path: str | Path) -> Study:
     True
     """
     path = as_path("path", path)
-    return read_record(f"{path}: ", Study, read_parts(path)[0], folder=str(path.parent))
+    return from_table(f"{path}: ", Study, read_parts(path)[0], folder=str(path.parent))
 
 
 def read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """The keys of a study's file, and its tables of other kinds as records by name."""
     data = read_toml(path)
     return data, {
-        name: read_record(f"{path}: {name}.", kind, data.pop(name))
+        name: from_table(f"{path}: {name}.", kind, data.pop(name))
         for name, kind in SUITES.items()
         if name in data
     }
