@@ -173,18 +173,11 @@ def adapt(
     while True:
         before, began = sol, clock.perf_counter()
         try:
-            sol = run(times, tol)
+            sol = _noted(run, times, tol)
         except KeyboardInterrupt:  # the loop over time takes those that arrive during its steps
             if before is None:
                 raise
             return replace(before, status=Status.INTERRUPTED), ""
-        except Exception as failure:
-            if not isinstance(failure, SweepoptError):
-                failure.add_note(
-                    "Adaptive asks for C(t) at any time. Where C(t) is known at multiples of a "
-                    "step only, give these times as steps=, or the load as a Table."
-                )
-            raise
         this = Pass(len(sol.stats), math.nan, clock.perf_counter() - began)
         if not sol.success:
             return replace(sol, passes=(*passes, this)), ""
@@ -206,7 +199,6 @@ def adapt(
         length = float(sizes @ np.sqrt(speeds))
         tol = max(PROGRAM_SHARE * steps.tol / length, EXACT) if length else tol
         goal = AIM * steps.tol / error
-        # the fewest steps with that sum of local errors
         density = float(leading ** (1 / (r + 1)) @ sizes)
         wanted = density * (density / (errors.sum() * goal)) ** (1 / r) if goal else 0.0
         if cause := _failure(steps.tol, EPS * length, wanted, passes):
@@ -220,6 +212,19 @@ def adapt(
                 sol,
                 f"a step shorter than minimum = {shortest:g} is needed at t = {at:g}; {ADVICE}",
             )
+
+
+def _noted(run: Runs, times: np.ndarray, tol: float) -> Any:
+    """The run, with a note on what a user's function raised."""
+    try:
+        return run(times, tol)
+    except Exception as failure:
+        if not isinstance(failure, SweepoptError):
+            failure.add_note(
+                "Adaptive asks for C(t) at any time. Where C(t) is known at multiples of a step "
+                "only, give these times as steps=, or the load as a Table."
+            )
+        raise
 
 
 def _leading(process: SweepingProcess, sol: Any) -> np.ndarray:
