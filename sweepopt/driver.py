@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from os import PathLike
 from typing import Any, Literal
 
@@ -27,8 +26,6 @@ from sweepopt.integrate import (
     ProgressBar,
     Run,
     SaveFunction,
-    Scheme,
-    Segments,
     SolveOptions,
     States,
     StepInfo,
@@ -36,6 +33,7 @@ from sweepopt.integrate import (
     adapt,
     check_stability,
     checkpoint_writer,
+    first_grid,
     integrate,
     newest,
     observer,
@@ -124,8 +122,9 @@ def solve(
         steps in a NetCDF file "run.nc" that is written in blocks. The last step always is kept.
     memory : float
         Bytes that the kept states may take; a run that needs more is refused before it starts.
+        Each pass of Adaptive keeps all its states.
     progress : bool
-        Show a progress bar (needs tqdm).
+        Show a progress bar (needs tqdm), of Adaptive one for each pass.
     callback : callable, optional
         Called after each step; returning True stops the run and keeps what was computed.
     checkpoint : Checkpoint, str or Path, optional
@@ -161,8 +160,8 @@ def solve(
     -----
     Adaptive steps come from several passes over the run, coarse and cheap ones first: `passes` of
     the Solution has them all. They hit the breakpoints of loads that are data (of a table with more
-    than 40 those where it turns) and the times given as `save`. A callback, a function or a file
-    gets the steps of the last pass, in one more run.
+    than 40 those where it turns) and the times given as `save`. A callback and `save` get the steps
+    of the last pass, in one more run.
 
     Examples
     --------
@@ -179,10 +178,15 @@ def solve(
         t_end, steps, scheme, solver, tol, path, save, memory, on_failure, on_unstable
     )
     process = sweeping(process)
-    if error is None:
+    _check_watchers(callback, progress)
+    adaptive = isinstance(steps, Adaptive)
+    if error is None and not adaptive:
         return _run(process, options, callback, progress, checkpoint)
     if checkpoint is not None:
-        raise InputError("checkpoint= is for one run, but error= takes several; give steps")
+        name = "Adaptive" if adaptive else "error="
+        raise InputError(f"checkpoint= is for one run, but {name} takes several; give steps")
+    if error is None:
+        return _adapt(process, options, callback, progress)
     return _refine(process, options, error, callback, progress)
 
 
@@ -243,6 +247,7 @@ def resume(
     """
     if save is not None and not callable(save):
         raise InputError(f"save must be a function of (t, u, z) or left out, got {shown(save)}")
+    _check_watchers(callback, progress)
     stored = newest(Checkpoint(path))
     process = sweeping(process)
     options = SolveOptions.from_json(stored.record["options"])
@@ -254,6 +259,13 @@ def resume(
     options = options if save is None else replace(options, save=save)
     checkpoint = Checkpoint(path, **stored.record["checkpoint"])
     return _run(process, options, callback, progress, checkpoint, stored)
+
+
+def _check_watchers(callback: Any, progress: Any) -> None:
+    if callback is not None:
+        takes("callback", callback, "step")
+    if not isinstance(progress, bool):
+        raise InputError(f"progress must be True or False, got {shown(progress)}")
 
 
 def _refine(
@@ -275,6 +287,35 @@ def _refine(
     return _run(process, replace(options, t_end=None, steps=sol.t), callback, progress)
 
 
+def _adapt(
+    process: SweepingProcess, options: SolveOptions, callback: Callback | None, progress: bool
+) -> Solution:
+    """Runs on better and better grids, until the estimated error of one is at most the tolerance.
+
+    Those that are not asked for all their states are made once more, to keep what is.
+    """
+    scheme = options.tableau(process)
+    times = first_grid(options.steps, process, options.t_end, scheme, options.save)
+    saving(options.save, times, process.dim, options.memory)
+    # errors are estimated, so no scheme is warned of
+    options = replace(options, t_end=None, scheme=scheme.name, on_unstable="ignore")
+
+    def run(times: np.ndarray, tol: float) -> Solution:
+        one = replace(options, steps=times, save=None, tol=min(tol, options.tol))
+        return _run(process, one, progress=progress)
+
+    sol, cause = adapt(run, process, options.steps, times)
+    if sol.success and not (options.save is None and callback is None):
+        asked = replace(options, steps=sol.t, tol=sol.plan.tol)
+        sol = replace(_run(process, asked, callback, progress), passes=sol.passes)
+    if not (cause and sol.success):
+        return sol
+    if options.on_failure == "raise":
+        steps = len(sol.stats)
+        raise StepError(cause, float(sol.t[-1]), steps, sol.u[-1], float(sol.stats["relative"][-1]))
+    return replace(sol, status=Status.INEXACT, cause=cause)
+
+
 def _run(
     process: SweepingProcess,
     options: SolveOptions,
@@ -284,39 +325,26 @@ def _run(
     stored: StoredRun | None = None,
 ) -> Solution:
     """Check what remains to be checked, and run."""
-    if callback is not None:
-        takes("callback", callback, "step")
-    if not isinstance(progress, bool):
-        raise InputError(f"progress must be True or False, got {shown(progress)}")
-    scheme, steps = options.tableau(process), options.steps
-    segments = None
-    if isinstance(steps, Adaptive):
-        segments = Segments.of(steps, process, options.t_end, scheme, options.save)
-    grid = _first_grid(process, options, scheme, segments)
+    grid = _grid(process, options)
     with checkpoint_writer(checkpoint, process, grid, options, stored) as writer:
-        return _move(process, options, grid, segments, callback, progress, writer)
+        return _move(process, options, grid, callback, progress, writer)
 
 
 def _move(
     process: SweepingProcess,
     options: SolveOptions,
     grid: Grid,
-    segments: Segments | None,
     callback: Callback | None,
     progress: bool,
     writer: CheckpointWriter | None,
 ) -> Solution:
-    """Move u along the grid, or along better and better ones, and make a solution of the run."""
+    """Move u along the grid, and make a solution of the run."""
     recorded = writer.recorded if writer else []
-    bar = ProgressBar(progress, None if segments else len(grid.mus), writer.done if writer else 0)
-    run, interrupted, sink, succeeded = None, False, None, False
+    bar = ProgressBar(progress, len(grid.mus), writer.done if writer else 0)
+    run, sink, succeeded = None, None, False
     try:
-        if segments:
-            saved = partial(saving, options.save, dim=grid.plan.entering, memory=options.memory)
-            run = adapt(options.steps, segments, process, grid, saved, bar.update)
-            grid, interrupted = run.grid, run.status is Status.INTERRUPTED
         watchers: list[Callable[[StepInfo], Any]] = []
-        if grid.saving.path and not interrupted:
+        if grid.saving.path:
             start = float(grid.times[0]), process.u0, process.unknowns_digest
             sink = NetCDFSink(grid.saving.path, *start)
             watchers.append(sink.put)
@@ -324,13 +352,8 @@ def _move(
             watchers.append(lambda step: recorded.append(record(step.t, step.u, step.velocity)))
         if callback:
             watchers.append(callback)
-        if run is None or (not interrupted and (watchers or not run.done)):
-            observe = None
-            if watchers or progress:
-                observe = observer(bar, watchers, grid.plan, grid.times)
-            run = _integrate(process, grid, observe, writer)
-        if grid.cause and run.done == len(grid.mus):
-            run.status, run.cause = Status.INEXACT, grid.cause
+        observe = observer(bar, watchers, grid.plan, grid.times) if watchers or progress else None
+        run = _integrate(process, grid, observe, writer)
         failed = run.status in (Status.INEXACT, Status.SWITCHING)
         succeeded = not failed or options.on_failure == "stop"
     finally:
@@ -351,19 +374,14 @@ def _move(
     return solution
 
 
-def _first_grid(
-    process: SweepingProcess, options: SolveOptions, scheme: Scheme, segments: Segments | None
-) -> Grid:
+def _grid(process: SweepingProcess, options: SolveOptions) -> Grid:
     """The grid and its plan; C(t) is checked at all times that are asked for."""
-    times, mus = (
-        time_grid(None, segments.equal()) if segments else time_grid(options.t_end, options.steps)
-    )
-    plan = options.plan(process, scheme, times, mus)
+    times, mus = time_grid(options.t_end, options.steps)
+    plan = options.plan(process, options.tableau(process), times, mus)
     saved = saving(options.save, times, plan.entering, options.memory)
     outside = process.check_start(float(times[0]), _nearest(process, plan) if plan.cones else None)
     process.check_jumps(float(times[0]), float(times[-1]))
-    if segments is None or scheme.explicit:
-        check_stability(process, plan, float(mus.max()), outside, options.on_unstable)
+    check_stability(process, plan, float(mus.max()), outside, options.on_unstable)
     return Grid(times, mus, plan, saved)
 
 
@@ -411,5 +429,4 @@ def _solution(
         cause=f"{run.divided()} {run.cause}".strip(),
         exact=run.exact,
         recorded=recorded if grid.saving.function else None,
-        passes=grid.passes,
     )

@@ -8,6 +8,7 @@ import scipy.sparse as sp
 from cases import SETS, block, case
 
 import sweepopt as so
+from sweepopt.integrate import ProgressBar
 from sweepopt.study.problems import problem
 
 BURST = problem("H18").load[0]["Table"]
@@ -238,39 +239,52 @@ class Interrupting:
         return block(self)
 
 
-def a_probe(times):
-    """The start, which no step asks for, after 201 times of 100 steps were checked twice."""
-    return len(times) > 410 and times[-1] == 0.0
-
-
 def a_second_pass(times):
     """In the first part of the first step, which is longer than 0.098."""
     return 0.0 < times[-1] < 0.049
 
 
-@pytest.mark.parametrize("evaluations", [300, 440])
+@pytest.mark.parametrize("evaluations", [240, 290])
 def test_ctrl_c_returns_the_steps_of_the_pass_under_way(evaluations):
-    # C(t) is checked at 201 times before the first pass, and again in it
+    # C(t) is checked at 201 times before the first pass
     load = Interrupting(lambda times: len(times) == evaluations)
     sol = so.solve(load.process(), t_end=8.0, steps=so.Adaptive(1e-5, first=0.1))
     assert sol.status is so.Status.INTERRUPTED
-    assert (len(sol.t) > 2) == (evaluations == 440)
+    assert 2 < len(sol.t) < 100
     assert all(math.isnan(one.error) for one in sol.passes)
 
 
 @pytest.mark.parametrize("how", [{}, {"callback": lambda info: None}, {"save": "file"}])
-@pytest.mark.parametrize("when", [a_probe, a_second_pass])
-def test_ctrl_c_between_two_passes_returns_the_one_before_and_writes_no_file(when, how, tmp_path):
+def test_ctrl_c_between_two_passes_returns_the_one_before_and_writes_no_file(how, tmp_path):
     how = {**how, "save": tmp_path / "run.nc"} if "save" in how else how
-    load = Interrupting(when)
+    load = Interrupting(a_second_pass)
     sol = so.solve(load.process(), t_end=8.0, steps=so.Adaptive(1e-5, first=0.1), **how)
     assert sol.status is so.Status.INTERRUPTED
     assert len(sol.passes) == 1
-    assert math.isnan(sol.passes[0].error) == (when is a_probe)
     assert sol.passes[0].steps == len(sol.stats) == 100
     assert sol.t[-1] == 8.0
     assert np.isfinite(sol.u).all()
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("failure", [KeyboardInterrupt, ZeroDivisionError])
+def test_the_progress_bar_is_closed_if_a_pass_is_left(monkeypatch, failure):
+    opened, closed = [], []
+    monkeypatch.setattr(ProgressBar, "__init__", lambda bar, *how: opened.append(bar))
+    monkeypatch.setattr(ProgressBar, "update", lambda bar: None)
+    monkeypatch.setattr(ProgressBar, "close", lambda bar: closed.append(bar))
+
+    def fail(times):
+        if a_second_pass(times):
+            raise failure
+        return False
+
+    process, steps = Interrupting(fail).process(), so.Adaptive(1e-5, first=0.1)
+    try:
+        so.solve(process, t_end=8.0, steps=steps)
+    except Exception:
+        assert failure is ZeroDivisionError
+    assert closed == opened
 
 
 class Wave:
@@ -297,7 +311,7 @@ def test_what_limits_the_steps_is_named_where_they_are_too_many():
 
     with pytest.raises(so.InputError, match="have a period of 1e-06 and need 6 steps in each"):
         solve(so.Sine(3.0, 1e-6), steps=so.Adaptive(1e-3))
-    with pytest.raises(so.InputError, match=r"1 / Lam = 1e-06: take an implicit scheme"):
+    with pytest.raises(so.InputError, match=r"catching-up is stable up to about 1e-06"):
         solve(so.Sine(3.0, 4.0), 1e6, steps=so.Adaptive(1e-3), scheme="catching-up")
     with pytest.raises(so.InputError, match="make first longer"):
         solve(so.Sine(3.0, 4.0), steps=so.Adaptive(1e-3, first=1e-6))
@@ -311,15 +325,14 @@ def jumping():
 
 def test_a_jump_of_the_load_that_needs_too_short_steps_is_told_with_its_time():
     steps = so.Adaptive(1e-7, minimum=1e-3)
-    with pytest.raises(so.StepError, match=r"0\.001 is needed; does the load jump") as failure:
+    with pytest.raises(so.StepError, match=r"0\.001 is needed at t = 1\.23") as failure:
         so.solve(jumping(), t_end=4.0, steps=steps)
-    assert failure.value.t == pytest.approx(1.2345, abs=0.1)
+    assert "does the load jump there?" in str(failure.value)
     assert failure.value.u.shape == (1,)
     sol = so.solve(jumping(), t_end=4.0, steps=steps, on_failure="stop")
     assert sol.status is so.Status.INEXACT
     assert "minimum" in sol.message
     assert np.diff(sol.t).min() >= 1e-3
-    assert sol.t[-1] == pytest.approx(1.2345, abs=0.1)
     # without a minimum that forbids it the jump is resolved
     assert so.solve(jumping(), t_end=4.0, steps=so.Adaptive(1e-4)).success
 
@@ -331,7 +344,6 @@ def test_a_jump_of_the_load_that_needs_too_short_steps_is_told_with_its_time():
         (lambda: so.Adaptive(1e-3, first=-1.0), {}, "first must be > 0"),
         (lambda: so.Adaptive(1e-3, first=0.1, minimum=0.2), {}, "longer than first"),
         (lambda: so.Adaptive(1e-3), {"t_end": None}, "t_end is missing"),
-        (lambda: so.Adaptive(1e-3), {"path": "proportional"}, "steps that are given beforehand"),
         (lambda: so.Adaptive(1e-3), {"save": [9.0]}, "not on the time grid"),
         (lambda: so.Adaptive(1e-7), {"memory": 9000.0}, "more than memory"),
     ],
@@ -342,15 +354,13 @@ def test_what_cannot_be_is_refused(steps, changes, words):
         so.solve(process, steps=steps(), **{"t_end": 8.0, **changes})
 
 
-def test_a_body_whose_contact_alone_could_move_says_why_it_does_not():
+def test_of_a_body_whose_contact_alone_moves_nothing_else_enters_a_step() -> None:
     load = so.Separable([(so.Sine(3.0, 3.0), np.ones(6))])
     D = so.image(np.eye(6)[:, 4:], so.Box([-0.5, -0.5], [0.5, 0.5]))
     A = 2 * np.eye(6) - np.eye(6, k=1) - np.eye(6, k=-1)
     vi = so.EvolutionVI(A, 2 * A, load=load, dissipation=D, u0=np.zeros(6))
-    assert so.solve(vi, t_end=2.0, steps=5).plan.path == "proportional"
     sol = so.solve(vi, t_end=2.0, steps=so.Adaptive(1e-3))
-    assert sol.plan.path == "eliminated"
-    assert "steps that adapt may be so short" in str(sol.plan)
+    assert sol.plan.path == "proportional"
     assert error_of(sol) <= 1.5e-3
 
 
@@ -359,7 +369,7 @@ def test_a_body_that_never_moves_is_done_after_two_coarse_passes():
     sol = so.solve(process, t_end=1.0, steps=so.Adaptive(1e-6))
     assert not sol.u.any()
     assert len(sol.passes) == 2
-    assert sol.passes[-1].steps <= 32
+    assert sol.passes[-1].steps <= 64
 
 
 def test_a_tolerance_that_takes_too_many_steps_ends_with_what_there_is():
@@ -384,8 +394,7 @@ def test_steps_that_overshoot_however_short_end_after_few_passes():
         so.solve(process, t_end=1.0, steps=so.Adaptive(0.01))
 
 
-def test_states_that_are_too_large_to_be_kept_are_looked_at_a_few_at_a_time():
-    """Many copies of a block that do not touch each other are as accurate as one of them."""
+def test_many_copies_of_a_body_take_the_steps_of_one() -> None:
     copies, tol = 10_000, 1e-2
     one = so.solve(problem("S03").process(), t_end=8.0, steps=so.Adaptive(tol))
     load = so.Separable([(so.Sine(3.0, math.pi), np.ones(copies) / math.sqrt(copies))])
@@ -408,3 +417,13 @@ def test_a_smooth_dense_table_takes_as_many_steps_as_the_curve_that_it_samples(p
         assert error_of(sol) <= 1e-2
         work_of.append(work(sol))
     assert work_of[1] <= 2 * work_of[0]
+
+
+def test_a_load_known_at_multiples_of_a_step_alone_is_told_what_adaptive_needs() -> None:
+    known = {round(0.1 * k, 9): [1.5 * k] for k in range(81)}
+    C = so.Moving(so.Box([-1], [1]), lambda t: known[round(t, 9)])
+    process = so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])
+    with pytest.raises(KeyError) as failure:
+        so.solve(process, t_end=8.0, steps=so.Adaptive(1e-2))
+    assert "give these times as steps=, or the load as a Table" in failure.value.__notes__[-1]
+    assert so.solve(process, t_end=8.0, steps=80, scheme="implicit-euler").success

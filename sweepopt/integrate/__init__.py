@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sweepopt.integrate.adaptive import Adaptive, Segments, adapt
+from sweepopt.integrate.adaptive import Adaptive, adapt, first_grid
 from sweepopt.integrate.checkpoint import (
     Checkpoint,
     CheckpointWriter,
@@ -59,7 +59,6 @@ __all__ = [
     "Run",
     "SaveFunction",
     "Scheme",
-    "Segments",
     "SolveOptions",
     "States",
     "Statistics",
@@ -74,6 +73,7 @@ __all__ = [
     "compatible_start",
     "compensated_sum",
     "divided",
+    "first_grid",
     "implicit_euler",
     "integrate",
     "newest",

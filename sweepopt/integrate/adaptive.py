@@ -1,13 +1,18 @@
 """Adaptive steps: passes over the whole run, each on a better grid, until the error is small.
 
 The flow damps errors and stops them (MATH.md section 3): at a step the effect of its local error on
-later u is not known. So the grid is chosen for the run as a whole. A pass moves u along a grid; the
-differences of its velocities say where the steps must be short and, carried along the flow, how
-large its error is (`ErrorEstimator`). The next grid is the coarsest one whose local errors add up
-to a share of those of the last one. To the loop over time an adaptive grid is a grid as any other.
+later u is not known. So the grid is chosen for the run as a whole. A grid contains the one before;
+the difference of the two passes at the common nodes is what the finer grid has gained, and with it
+known how much smaller the sum of local errors is, the global error is known too (Richardson). The
+next grid is the coarsest one whose local errors add up to a share of those of the last one.
 
-Each segment between breakpoints is in equal parts that are halved again and again, so that steps
-share the compiled programs.
+A step h of a scheme of order r has a local error of h^(r+1) |z^(r)|_A but for a constant, z^(r)
+from differences of the velocities. To it a part is added that is the same in all steps, so large
+that it alone asks for half of them (a monitor function with a floor: de Boor, Huang): what no
+difference of velocities shows is then seen by the next grid.
+
+To the loop over time an adaptive grid is a grid as any other. Each segment between breakpoints is
+in equal parts that are halved again and again, so that steps share their programs.
 """
 
 from __future__ import annotations
@@ -15,37 +20,37 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable
-from dataclasses import InitVar, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from sweepopt.checks import TIME_SLACK, axes, meaning, number, vector
-from sweepopt.errors import InputError, Status
-from sweepopt.integrate.error_estimator import ErrorEstimator
-from sweepopt.integrate.grid import breakpoints_to_meet, evaluation_times, time_grid
-from sweepopt.integrate.loop import integrate
-from sweepopt.integrate.record import Grid, Pass, Run, Saving
-from sweepopt.integrate.schemes import Scheme, rings
-from sweepopt.integrate.step import Velocities
+from sweepopt.errors import InputError, Status, SweepoptError
+from sweepopt.integrate.grid import breakpoints_to_meet
+from sweepopt.integrate.record import Pass
+from sweepopt.integrate.schemes import Scheme
 from sweepopt.linalg import EPS
 from sweepopt.loads import History, Sine, Triangle
-from sweepopt.problem import SweepingProcess, histories_of
+from sweepopt.problem import SweepingProcess, histories_of, squares
 
 STEPS = 1_000_000  # of the finest pass: hours
 FIRST = 16  # steps of the first pass, twice as many where nothing but values of the load are known
 GOLDEN = 0.5 * (math.sqrt(5) - 1)  # steps cut in this ratio fall into step with no period
 PER_PIECE = 3  # steps between breakpoints and in half a period, at least: for second differences
-AIM = 0.75  # estimate that the next pass should have, in units of tol: it scatters by a third
-FARTHEST = 6.0  # times the steps of a pass to which its differences say where they are needed
-HIDDEN = 1 / 12  # of jump times step: mean error of a switch anywhere in the half step beside it
-PROGRAM_SHARE = 0.05  # of tol that residuals of programs, which no estimate sees, may take
+AIM = 0.7  # error that the next pass should have, in units of tol: estimates scatter by a third
+FARTHEST = 4.0  # times the steps of a pass to which its differences say where they are needed
+SWITCH = 1 / 12  # of h^(r+1) z^(r): error of a switch anywhere in a step, with a sign by chance
+PROGRAM_SHARE = 0.05  # of tol that residuals of programs, which no difference sees, may take
 EXACT = 1e-9  # no certificate below it is asked for: programs reach it on every scene
+AT_REST = 1e-200  # in the place of 0, so that all steps of a body at rest count alike
 ADVICE = (
     "does the load jump there? Give it as data (a Table has no jumps, and its breakpoints are "
     "met exactly) or loosen the tolerance"
 )
-COMPLETE = (Status.SUCCESS, Status.UNCERTIFIED)
+
+Runs = Callable[[np.ndarray, float], Any]
+"""Times and a bound of the programs' tol -> Solution."""
 
 
 @meaning(
@@ -72,6 +77,12 @@ class Adaptive:
     InputError
         If a number is not positive, or minimum is longer than first.
 
+    Notes
+    -----
+    C(t) is asked for at any time. Where a function knows it only at multiples of a step, give these
+    times as `steps` of `solve` with a scheme that looks at no others, such as implicit-euler, or
+    give the load as a Table.
+
     Examples
     --------
     >>> import sweepopt as so
@@ -95,259 +106,178 @@ class Adaptive:
             raise InputError(f"minimum, {self.minimum:g}, is longer than first, {self.first:g}")
 
 
-@dataclass(frozen=True, eq=False)
-class Segments:
-    """What all grids of a run have in common: the times that they hit, the longest steps between.
+def first_grid(
+    steps: Adaptive, process: SweepingProcess, t_end: Any, scheme: Scheme, save: Any
+) -> np.ndarray:
+    """The coarsest grid of a run.
 
-    Attributes
-    ----------
-    cuts : ndarray, shape (k+1,)
-        0, the breakpoints of C(t), the times that are to be saved, and t_end; of dense tables only
-        the points where they turn.
-    breakpoints : ndarray
-        The same without the times to be saved.
-    longest : ndarray, shape (k,)
-    known : bool
-        Whether all loads are data of the library, which say where they turn.
+    It contains breakpoints, of dense tables only the points where they turn, and the times that are
+    to be saved; the segments between them are in equal steps. Where the load is a function these
+    are cut in the golden ratio, the longer part first and last by turns: stages at the same phase
+    of a load in all steps would see nothing move.
     """
-
-    cuts: np.ndarray
-    breakpoints: np.ndarray
-    longest: np.ndarray
-    known: bool
-
-    @classmethod
-    def of(
-        cls, steps: Adaptive, process: SweepingProcess, t_end: Any, scheme: Scheme, save: Any
-    ) -> Segments:
-        """Those of a run, from its breakpoints, the periods of its data and its scheme."""
-        if t_end is None:
-            raise InputError("t_end is missing; Adaptive steps need it")
-        end = number("t_end", t_end, minimum=0.0, strict=True)
-        histories = histories_of(process.C)
-        known = all(isinstance(history, History) for history in histories)
-        first = steps.first or end / (FIRST if known else 2 * FIRST)
-        waves = [one for one in histories if isinstance(one, (Sine, Triangle)) and one.amplitude]
-        period = min((wave.period for wave in waves), default=math.inf)
-        stable = math.inf
-        if scheme.explicit and process.B is not None and process.Lam > 0:
-            stable = 1 / process.Lam
-        limits = {
-            "make first longer": first,
-            f"the data have a period of {period:.3g} and need {2 * PER_PIECE} steps in each: take "
-            "a shorter t_end or leave out the term of that period": period / (2 * PER_PIECE),
-            f"{scheme.name} is stable up to about 1 / Lam = {stable:.3g}: take an implicit scheme "
-            "or a shorter t_end": stable,
-        }
-        remedy = min(limits, key=limits.__getitem__)
-        longest = min(limits[remedy], end / 4)
-        inner = breakpoints_to_meet(histories, 0.0, end)
-        segments = cuts = _apart(np.concatenate([[0.0], inner, [end]]))
-        if axes(save) == 1:
-            times = vector("save", save)  # `saving` refuses those that are not between 0 and end
-            cuts = _apart(np.append(segments, times[(times > 0.0) & (times < end)]))
-        if end / longest > STEPS:
-            raise InputError(
-                f"Adaptive: steps of at most {longest:.3g} up to t_end = {end:g} are more "
-                f"than {STEPS:g}; {remedy}"
-            )
-        piece = np.searchsorted(segments, 0.5 * (cuts[1:] + cuts[:-1])) - 1
-        return cls(cuts, segments, np.minimum(longest, np.diff(segments)[piece] / PER_PIECE), known)
-
-    def equal(self) -> np.ndarray:
-        """Each segment in equal steps that are not too long.
-
-        Where the load is a function they are cut in the golden ratio, the longer part first and
-        last by turns: stages at the same phase of a load in all steps would see nothing move.
-        """
-        share = 1.0 if self.known else GOLDEN
-        counts = np.ceil(share * np.diff(self.cuts) / self.longest * (1 - 1e-9)).astype(int)
-        pieces = zip(self.cuts, self.cuts[1:], counts.tolist(), strict=False)
-        times = [np.linspace(a, b, k, endpoint=False) for a, b, k in pieces]
-        if not self.known:
-            sizes = np.repeat(np.diff(self.cuts) / counts, counts)
-            odd = np.arange(sizes.size) % 2
-            times.append(np.concatenate(times) + np.where(odd, 1 - share, share) * sizes)
-        return np.sort(np.append(np.concatenate(times), self.cuts[-1]))
-
-    def refined(self, estimator: ErrorEstimator, total: float, least: int) -> np.ndarray:
-        """A grid of at least so many steps whose local errors are `total` in sum.
-
-        The first grid, its steps halved until no local error is above the largest allowed one.
-        """
-        times, largest = self.equal(), total
-        while True:
-            errors = estimator.local_errors(times)
-            coarse = errors > largest
-            if coarse.any():
-                middle = 0.5 * (times[1:] + times[:-1])
-                times = np.sort(np.append(times, middle[coarse]))
-            elif len(times) > least and errors.sum() <= total:
-                return times
-            else:
-                largest *= 0.8  # small enough that hardly a grid is passed over
-
-
-@dataclass
-class _AdaptiveDriver:
-    """Integrates over one grid after the other, and estimates the error of each pass."""
-
-    _segments: Segments
-    _process: SweepingProcess
-    grid: InitVar[Grid]
-    _saved: Callable[[np.ndarray], Saving]
-    _tick: Callable[[], Any]
-
-    def __post_init__(self, grid: Grid) -> None:
-        self._plan, self.run = grid.plan, Run(grid, self._process.u0)
-        self._programs = Velocities(self._process, grid.plan)
-
-    def refine(self, steps: Adaptive) -> Run:
-        """The passes, two at least: the first estimate has none to be compared with.
-
-        Their errors are about in proportion to the sums of their local errors.
-        """
-        segments, tol = self._segments, steps.tol
-        # breakpoints are met anyway
-        shortest = float(np.diff(segments.cuts).min())
-        shortest = min(steps.minimum or 2.0**-40 * segments.cuts[-1], shortest)
-        times = segments.equal()
-        while True:
-            estimator = self._pass(times)
-            run, n = self.run, len(times) - 1
-            passes, error = run.grid.passes, run.grid.passes[-1].error
-            if run.status not in COMPLETE or (error <= tol and len(passes) > 1):
-                return run
-            if len(passes) == 1 and estimator.length > 0:
-                self._certify(PROGRAM_SHARE * tol / estimator.length)
-            goal = float(estimator.local_errors(times).sum())
-            if error > AIM * tol:
-                goal *= AIM * tol / error
-            wanted = estimator.steps(goal)
-            cause = self._failure(tol, EPS * estimator.length, wanted)
-            if cause:
-                run.grid = run.grid._replace(cause=cause)
-                return run
-            if wanted > FARTHEST * n:  # one pass between
-                goal *= (wanted / n) ** (estimator.order / 2)
-            times = segments.refined(estimator, goal, n + 1)
-            h = np.diff(times)
-            if h.min() < shortest:
-                cause = f"a step shorter than minimum = {shortest:g} is needed; {ADVICE}"
-                return self._until(float(np.median(times[1:][h < 2 * h.min()])), cause)
-
-    def _pass(self, times: np.ndarray) -> ErrorEstimator:
-        """One pass, the same as a run with steps=times to the last bit."""
-        began, process, plan = clock.perf_counter(), self._process, self._plan
-        _, mus = time_grid(None, times)
-        process.check(evaluation_times(times, mus, plan.scheme))
-        grid = Grid(times, mus, plan, self._saved(times), self.run.grid.passes)
-        self._programs.forget()
-        run = Run(grid, process.u0)
-        estimator = ErrorEstimator(process, plan.scheme, times, self._segments.breakpoints)
-        starts: list[tuple[int, np.ndarray, np.ndarray]] = []
-
-        def observe(i: int, u: np.ndarray, z: np.ndarray, _: float) -> None:
-            self._tick()
-            estimator.add_step(i, z)
-            if i in estimator.starts:
-                starts.append((i, u - mus[i] * z, z))
-
-        integrate(process, plan, run, observe, velocities=self._programs)
-        this = Pass(run.done, math.nan, clock.perf_counter() - began)
-        run.grid = grid._replace(passes=(*grid.passes, this))
-        self.run = run
-        if run.status in COMPLETE:
-            for i, u, z in starts:
-                self._look_at_start(estimator, i, u, z)
-            this = this._replace(error=estimator.error, seconds=clock.perf_counter() - began)
-            run.grid = grid._replace(passes=(*grid.passes, this))
-        return estimator
-
-    def _look_at_start(
-        self, estimator: ErrorEstimator, i: int, u: np.ndarray, z: np.ndarray
-    ) -> None:
-        """The error of a stop in the first step of a segment, before its first stage.
-
-        A velocity that falls to 0 within a step is at its start about twice its mean z; what is
-        above that shows a stop that no difference of velocities sees.
-        """
-        process, mu = self._process, float(self.run.grid.mus[i])
-        gamma = mu * self._plan.scheme.a[-1][-1] if process.B is not None else 0.0
-        start = self._programs(gamma)(u, process.C.at(float(estimator.times[i])))
-        if not start.relative <= self._plan.tol:  # sets without a proof have certificate nan
-            return
-        excess = np.maximum(np.abs(start.z) - 2 * np.abs(z), 0.0)
-        jump = HIDDEN * process.metric.norm(excess)
-        estimator.leading[i] = max(estimator.leading[i], jump / mu**estimator.order)
-        estimator.error = max(estimator.error, mu * jump)
-
-    def _certify(self, tol: float) -> None:
-        """Ask programs for certificates of tol, as their residuals add up along the trajectory."""
-        if tol < self._plan.tol:
-            self._plan = replace(self._plan, tol=max(tol, EXACT))
-            self._programs = Velocities(self._process, self._plan)
-
-    def _until(self, end: float, cause: str) -> Run:
-        """A run with no step yet over the grid of the last pass until about that time."""
-        last = self.run.grid
-        n = max(int(np.searchsorted(last.times, end, side="right")) - 1, 1)
-        kept = last.saving.steps
-        saved = last.saving._replace(steps=np.append(kept[kept < n - 1], n - 1))
-        grid = last._replace(times=last.times[: n + 1], mus=last.mus[:n], saving=saved, cause=cause)
-        return Run(grid, self._process.u0)
-
-    def _failure(self, tol: float, rounding: float, wanted: float) -> str:
-        """Why it makes no sense to go on to so many steps, or nothing."""
-        if tol < rounding:
-            return f"tol = {tol:g} is less than the rounding of u, {rounding:.2g}; loosen it"
-        grid, scheme = self.run.grid, self._plan.scheme
-        (n, error, _), before = grid.passes[-1], [one.error for one in grid.passes[:-1]]
-        found = f"{error:.2g} with {n} steps"
-        # errors rise now and then, but not over so many passes
-        if before[-2:-1] and error > before[-2]:
-            if rings(self._process, scheme, float(grid.mus.min())):
-                remedy = "they overshoot; take implicit-euler, which never does"
-                return f"the estimated error, {found}, rises with shorter steps: {remedy}"
-            if before[-6:-5] and error > before[-6]:
-                return f"the estimated error, {found}, rises with shorter steps: {ADVICE}"
-        if wanted > STEPS:
-            return (
-                f"tol = {tol:g} would take about {wanted:.2g} steps, more than {STEPS:g}; the run "
-                f"has {n} and an estimated error of {error:.2g}. Loosen the tolerance or take a "
-                "scheme of higher order"
-            )
-        return ""
+    if t_end is None:
+        raise InputError("t_end is missing; Adaptive steps need it")
+    end = number("t_end", t_end, minimum=0.0, strict=True)
+    histories = histories_of(process.C)
+    known = all(isinstance(history, History) for history in histories)
+    waves = [one for one in histories if isinstance(one, (Sine, Triangle)) and one.amplitude]
+    period = min((wave.period for wave in waves), default=math.inf)
+    stable = math.inf
+    if scheme.explicit and process.B is not None and process.Lam > 0:
+        stable = 1 / process.Lam
+    first = steps.first or end / (FIRST if known else 2 * FIRST)
+    longest = min(first, period / (2 * PER_PIECE), stable, end / 4)
+    if end / longest > STEPS:
+        raise InputError(
+            f"Adaptive: steps of at most {longest:.3g} up to t_end = {end:g} are more than "
+            f"{STEPS:g}. First is {first:.3g}, the data have a period of {period:.3g} and need "
+            f"{2 * PER_PIECE} steps in each, and {scheme.name} is stable up to about {stable:.3g}: "
+            "make first longer, leave out the term of that period, take an implicit scheme or a "
+            "shorter t_end"
+        )
+    breakpoints = _apart(np.r_[0.0, breakpoints_to_meet(histories, 0.0, end), end])
+    cuts = breakpoints
+    if axes(save) == 1:
+        times = vector("save", save)  # `saving` refuses those that are not between 0 and end
+        cuts = _apart(np.append(cuts, times[(times > 0.0) & (times < end)]))
+    piece = np.searchsorted(breakpoints, 0.5 * (cuts[1:] + cuts[:-1]))
+    longest = np.minimum(longest, np.diff(breakpoints)[piece - 1] / PER_PIECE)
+    share = 1.0 if known else GOLDEN
+    counts = np.ceil(share * np.diff(cuts) / longest * (1 - 1e-9)).astype(int)
+    pieces = zip(cuts, cuts[1:], counts.tolist(), strict=False)
+    grid = np.concatenate([np.linspace(a, b, k, endpoint=False) for a, b, k in pieces])
+    if not known:
+        sizes = np.repeat(np.diff(cuts) / counts, counts)
+        odd = np.arange(sizes.size) % 2
+        grid = np.append(grid, grid + np.where(odd, 1 - share, share) * sizes)
+    return np.asarray(np.sort(np.append(grid, cuts[-1])))
 
 
 def adapt(
-    steps: Adaptive,
-    segments: Segments,
-    process: SweepingProcess,
-    grid: Grid,
-    saved: Callable[[np.ndarray], Saving],
-    tick: Callable[[], Any],
-) -> Run:
-    """The run over the last of better and better grids, the first with a small estimated error.
+    run: Runs, process: SweepingProcess, steps: Adaptive, times: np.ndarray
+) -> tuple[Any, str]:
+    """The run over the first grid with a small estimated error, and why there is none.
 
-    It has no step yet where that grid ends before t_end, as steps became too short there.
     Ctrl-C during a pass returns its steps, Ctrl-C between two passes the one before.
 
     Parameters
     ----------
-    grid : Grid
-        The first one.
-    saved : callable
-        Times -> what is kept of a run over them.
-    tick : callable
-        Called after each step.
+    times : ndarray
+        Those of `first_grid`.
     """
-    driver = _AdaptiveDriver(segments, process, grid, saved, tick)
+    sol, share, tol = None, math.nan, math.inf
+    passes: list[Pass] = []
+    # breakpoints are met anyway
+    shortest = min(steps.minimum or 2.0**-40 * times[-1], float(np.diff(times).min()))
+    while True:
+        before, began = sol, clock.perf_counter()
+        try:
+            sol = _noted(run, times, tol)
+        except KeyboardInterrupt:  # the loop over time takes those that arrive during its steps
+            if before is None:
+                raise
+            return replace(before, status=Status.INTERRUPTED), ""
+        this = Pass(len(sol.stats), math.nan, clock.perf_counter() - began)
+        if not sol.success:
+            return replace(sol, passes=(*passes, this)), ""
+        sizes, r = np.diff(times), int(sol.plan.scheme.order)
+        leading = _leading(process, sol)
+        errors = leading * sizes ** (r + 1)
+        error = math.inf
+        if before is not None:
+            common = np.isin(times, before.t, assume_unique=True)
+            change = squares(process.metric.M, sol.u[common] - before.u).max()
+            error = math.sqrt(max(change, 0.0)) * share / (1 - share)
+            error += SWITCH * math.sqrt((errors**2).sum())
+            this = this._replace(error=error)
+        passes.append(this)
+        sol = replace(sol, passes=tuple(passes))
+        if error <= steps.tol:
+            return sol, ""
+        speeds = np.maximum(squares(process.metric.M, sol.velocity), 0.0)
+        length = float(sizes @ np.sqrt(speeds))
+        tol = max(PROGRAM_SHARE * steps.tol / length, EXACT) if length else tol
+        goal = AIM * steps.tol / error
+        density = float(leading ** (1 / (r + 1)) @ sizes)
+        wanted = density * (density / (errors.sum() * goal)) ** (1 / r) if goal else 0.0
+        if cause := _failure(steps.tol, EPS * length, wanted, passes):
+            return sol, cause
+        share = min(max(goal, FARTHEST**-r), 2.0**-r)  # twice the steps, at least
+        times = _refined(sol.t, leading, r, share * float(errors.sum()))
+        h = np.diff(times)
+        if h.min() < shortest:
+            at = times[h.argmin()]
+            return (
+                sol,
+                f"a step shorter than minimum = {shortest:g} is needed at t = {at:g}; {ADVICE}",
+            )
+
+
+def _noted(run: Runs, times: np.ndarray, tol: float) -> Any:
+    """The run, with a note on what a user's function raised."""
     try:
-        return driver.refine(steps)
-    except KeyboardInterrupt:  # `integrate` takes those that arrive during its steps
-        driver.run.status = Status.INTERRUPTED
-        return driver.run
+        return run(times, tol)
+    except Exception as failure:
+        if not isinstance(failure, SweepoptError):
+            failure.add_note(
+                "Adaptive asks for C(t) at any time. Where C(t) is known at multiples of a step "
+                "only, give these times as steps=, or the load as a Table."
+            )
+        raise
+
+
+def _leading(process: SweepingProcess, sol: Any) -> np.ndarray:
+    """|z^(r)| in each step and its floor.
+
+    Differences are taken across breakpoints too: a motion that stops in the first step after one,
+    or before its first stage, is seen by nothing else.
+    """
+    middle, r = 0.5 * (sol.t[1:] + sol.t[:-1]), int(sol.plan.scheme.order)
+    slopes = sol.velocity
+    for k in range(1, r + 1):
+        slopes = k * np.diff(slopes, axis=0) / (middle[k:] - middle[:-k])[:, None]
+    squared = np.pad(squares(process.metric.M, slopes), (1, r - 1), "edge")
+    leading = np.sqrt(np.maximum(squared, AT_REST))
+    mean = np.average(leading ** (1 / (r + 1)), weights=np.diff(sol.t))
+    return leading + mean ** (r + 1)
+
+
+def _refined(times: np.ndarray, leading: np.ndarray, r: int, total: float) -> np.ndarray:
+    """The grid, its steps halved until no local error is above the largest allowed one, where these
+    are `total` in sum.
+    """
+    sums = np.append(0.0, np.cumsum(leading * np.diff(times)))
+    grid, largest = times, total
+    while True:
+        errors = np.diff(np.interp(grid, times, sums)) * np.diff(grid) ** r
+        coarse = errors > largest
+        if coarse.any():
+            middle = 0.5 * (grid[1:] + grid[:-1])
+            grid = np.sort(np.append(grid, middle[coarse]))
+        elif errors.sum() <= (1 + TIME_SLACK) * total:
+            return grid
+        else:
+            largest *= 0.8  # small enough that hardly a grid is passed over
+
+
+def _failure(tol: float, rounding: float, wanted: float, passes: list[Pass]) -> str:
+    """Why it makes no sense to go on to so many steps, or nothing."""
+    if tol < rounding:
+        return f"tol = {tol:g} is less than the rounding of u, {rounding:.2g}; loosen it"
+    last = f"{passes[-1].error:.2g} with {passes[-1].steps} steps"
+    # errors rise now and then, but not while the steps are halved three times; the first is nan
+    if passes[-4:-3] and passes[-1].error > passes[-4].error:
+        return (
+            f"the estimated error, {last}, rises with shorter steps: where they overshoot take "
+            f"implicit-euler, which never does. Or {ADVICE}"
+        )
+    if wanted > STEPS:
+        return (
+            f"tol = {tol:g} would take about {wanted:.2g} steps, more than {STEPS:g}; the run has "
+            f"an estimated error of {last}. Loosen the tolerance or take a scheme of higher order"
+        )
+    return ""
 
 
 def _apart(cuts: np.ndarray) -> np.ndarray:

@@ -28,7 +28,6 @@ from sweepopt.errors import (
     shown,
     warn,
 )
-from sweepopt.integrate.adaptive import Adaptive
 from sweepopt.integrate.fingerprint import fingerprint
 from sweepopt.integrate.json_arrays import decoded, encoded
 from sweepopt.integrate.options import SolveOptions
@@ -211,11 +210,8 @@ def checkpoint_writer(
         yield None
         return
     checkpoint = asked if isinstance(asked, Checkpoint) else Checkpoint(asked)
-    whole = "checkpoint= is for steps given beforehand; "
-    if isinstance(options.steps, Adaptive):
-        raise InputError(whole + "Adaptive steps come from passes over the whole run")
     if grid.plan.scheme.exact:
-        raise InputError(whole + "scheme 'exact' computes the whole trajectory at once")
+        raise InputError("checkpoint= is for steps; scheme 'exact' computes the run at once")
     if isinstance(options.save, (str, PathLike)) and options.save != "last":
         raise InputError(
             "checkpoint= cannot continue a NetCDF file; keep the states in memory, save=k, or in "

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sweepopt.checks import choice, number
-from sweepopt.errors import InputError, PathError
+from sweepopt.errors import InputError
 from sweepopt.integrate.adaptive import Adaptive
 from sweepopt.integrate.grid import (
     contraction,
@@ -48,8 +48,6 @@ class SolveOptions:
             object.__setattr__(self, name, value)
         if self.steps is Adaptive:
             raise InputError("steps must be an object, got a class; call it: so.Adaptive(tol)")
-        if isinstance(self.steps, Adaptive) and self.path == "proportional":
-            raise PathError("path='proportional' is for steps that are given beforehand")
 
     def tableau(self, process: SweepingProcess) -> Scheme:
         """The scheme; "auto" chooses by the longest step, or for steps that adapt."""
@@ -79,10 +77,6 @@ class SolveOptions:
         members = process.check(evaluation_times(times, mus, scheme))
         plan = make_plan(process, members, scheme, self.solver, self.tol, self.path)
         plan = replace(plan, contraction=contraction(process, scheme, float(mus.max())))
-        if isinstance(self.steps, Adaptive):
-            return plan.of_all_unknowns(
-                "steps that adapt may be so short that they would be rounding"
-            )
         reduction = plan.reduction if self.path == "auto" else None
         if reduction and not reduction.suits(mus, scheme, self.tol):
             plan = plan.of_all_unknowns(

@@ -90,7 +90,8 @@ class Pass(NamedTuple):
     ----------
     steps : int
     error : float
-        Estimate of max_i |u_i - u(t_i)|_A, |.|_B where A = 0; nan if the pass was stopped.
+        Estimate of max_i |u_i - u(t_i)|_A, |.|_B where A = 0, from the difference to the pass
+        before; nan of the first pass and of one that was stopped.
     seconds : float
     """
 
@@ -108,18 +109,12 @@ class Grid(NamedTuple):
     mus : ndarray, shape (n,)
     plan : Plan
     saving : Saving
-    passes : tuple of Pass
-        Those of adaptive steps that led to this grid.
-    cause : str
-        Why adaptive steps ended with this grid short of their tolerance.
     """
 
     times: np.ndarray
     mus: np.ndarray
     plan: Plan
     saving: Saving
-    passes: tuple[Pass, ...] = ()
-    cause: str = ""
 
 
 class Run:
