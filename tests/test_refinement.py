@@ -178,6 +178,23 @@ def test_certificates_on_needles_are_no_less_than_the_error():
     assert certified >= 18
 
 
+def test_rows_that_fix_a_point_only_together_are_certified_to_1e_9():
+    """Rows of whole numbers, some of which add up to 0 <w> <= 0: all of these are equations."""
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        rows = rng.integers(-3, 4, size=(4, 12)).astype(float)
+        G = np.vstack([rows, -rng.integers(1, 4, size=4) @ rows, np.eye(12), -np.eye(12)])
+        x = rng.integers(-4, 5, size=12).astype(float)
+        h = np.concatenate([G[:5] @ x, x + 5, 5 - x])
+        A, B = (root @ root.T + 1e-3 * np.eye(12) for root in rng.normal(size=(2, 12, 12)))
+        process = so.SweepingProcess(A, B, so.Polyhedron(G, h), 100 * rng.normal(size=12))
+        run = so.solve(process, t_end=0.1, steps=1, scheme="implicit-euler", tol=1e-9)
+        judge = Program(process.A, process.B, 0.1)
+        error = judge.error(run.velocity[0], judge.solve(process.u0, process.C))
+        assert error <= run.stats["certificate"][0]
+        assert run.stats["relative"][0] <= 1e-9
+
+
 def test_the_support_function_of_a_needle_is_that_of_its_apex():
     for eps in (1e-6, 1e-9, 1e-12):
         C = so.Polyhedron([[0.0, 1.0], [eps, -1.0], [-1.0, 0.0]], [1.0, 1.0, 0.0])
