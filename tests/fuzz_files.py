@@ -10,12 +10,12 @@ from fuzz_inputs import INF, LONG, NAN, made, rarely
 from fuzz_judge import check_run
 from hypothesis import strategies as st
 
+from sweepopt.checks import from_table
 from sweepopt.fem import read_mesh, read_scene
 from sweepopt.io import find_scene, find_study, read_toml
 from sweepopt.loads import Table
 from sweepopt.study import read_study
 from sweepopt.study.hard.velocities import HardStudy
-from sweepopt.study.records import read_record
 
 DATA = Path(__file__).parent / "data"
 MESHES = ["tube_2.2.msh", "tube_2.2_binary.msh", "tube_4.1.msh", "tube_4.1_binary.msh"]
@@ -159,7 +159,7 @@ def ask_study(folder, name, file):
     if name == "hard.toml":
         for one in changes:
             change(data, *one)
-        read_record("hard.", HardStudy, data.get("hard"))
+        from_table("hard.", HardStudy, data.get("hard"))
     else:
         assert read_study(path).cells()
 
