@@ -6,15 +6,17 @@ argument is checked before the loop starts.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import count
 from os import PathLike
 from typing import Any, Literal
 
 import numpy as np
 
 from sweepopt.checks import meaning, number, takes
-from sweepopt.errors import InputError, SaveError, Status, StepError, shown
+from sweepopt.errors import InputError, SaveError, Status, StepError, SweepoptWarning, shown
 from sweepopt.integrate import (
     MEMORY,
     Adaptive,
@@ -280,11 +282,11 @@ def _refine(
         raise InputError("error= chooses the steps itself; leave Adaptive out, or error=")
     first, _ = time_grid(options.t_end, options.steps)
     bound = number("error", error, minimum=0.0, strict=True)
-    all_kept = replace(options, t_end=None, save=None)
-    sol = refine(lambda times: _run(process, replace(all_kept, steps=times)), first, bound)
+    all_kept, run = replace(options, t_end=None, save=None), _warning_once(_run)
+    sol = refine(lambda times: run(process, replace(all_kept, steps=times)), first, bound)
     if options.save is None and callback is None and not progress:
         return sol
-    return _run(process, replace(options, t_end=None, steps=sol.t), callback, progress)
+    return run(process, replace(options, t_end=None, steps=sol.t), callback, progress)
 
 
 def _adapt(
@@ -299,21 +301,35 @@ def _adapt(
     saving(options.save, times, process.dim, options.memory)
     # errors are estimated, so no scheme is warned of
     options = replace(options, t_end=None, scheme=scheme.name, on_unstable="ignore")
+    run = _warning_once(_run)
 
-    def run(times: np.ndarray, tol: float) -> Solution:
+    def run_over(times: np.ndarray, tol: float) -> Solution:
         one = replace(options, steps=times, save=None, tol=min(tol, options.tol))
-        return _run(process, one, progress=progress)
+        return run(process, one, progress=progress)
 
-    sol, cause = adapt(run, process, options.steps, times)
+    sol, cause = adapt(run_over, process, options.steps, times)
     if sol.success and not (options.save is None and callback is None):
         asked = replace(options, steps=sol.t, tol=sol.plan.tol)
-        sol = replace(_run(process, asked, callback, progress), passes=sol.passes)
+        sol = replace(run(process, asked, callback, progress), passes=sol.passes)
     if not (cause and sol.success):
         return sol
     if options.on_failure == "raise":
         steps = len(sol.stats)
         raise StepError(cause, float(sol.t[-1]), steps, sol.u[-1], float(sol.stats["relative"][-1]))
     return replace(sol, status=Status.INEXACT, cause=cause)
+
+
+def _warning_once(run: Callable[..., Solution]) -> Callable[..., Solution]:
+    """The function, whose warnings of the process are those of its first call."""
+    calls = count()
+
+    def quiet(*arguments: Any, **named: Any) -> Solution:
+        with warnings.catch_warnings():
+            if next(calls):
+                warnings.simplefilter("ignore", SweepoptWarning)
+            return run(*arguments, **named)
+
+    return quiet
 
 
 def _run(
