@@ -314,8 +314,8 @@ def _adapt(
     if not (cause and sol.success):
         return sol
     if options.on_failure == "raise":
-        steps = len(sol.stats)
-        raise StepError(cause, float(sol.t[-1]), steps, sol.u[-1], float(sol.stats["relative"][-1]))
+        relative = float(sol.stats["relative"].max(initial=0.0))
+        raise StepError(cause, float(sol.t[-1]), len(sol.stats), sol.u[-1], relative)
     return replace(sol, status=Status.INEXACT, cause=cause)
 
 

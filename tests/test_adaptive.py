@@ -328,10 +328,13 @@ def test_a_jump_of_the_load_that_needs_too_short_steps_is_told_with_its_time():
     with pytest.raises(so.StepError, match=r"0\.001 is needed at t = 1\.23") as failure:
         so.solve(jumping(), t_end=4.0, steps=steps)
     assert "does the load jump there?" in str(failure.value)
-    assert failure.value.u.shape == (1,)
+    assert 1.2 < failure.value.t < 1.2345  # the last state before the jump
+    assert failure.value.u == pytest.approx(0.0)
     sol = so.solve(jumping(), t_end=4.0, steps=steps, on_failure="stop")
     assert sol.status is so.Status.INEXACT
     assert "minimum" in sol.message
+    assert sol.t[-1] == failure.value.t
+    assert len(sol.stats) == len(sol.velocity) == failure.value.step
     assert np.diff(sol.t).min() >= 1e-3
     # without a minimum that forbids it the jump is resolved
     assert so.solve(jumping(), t_end=4.0, steps=so.Adaptive(1e-4)).success

@@ -28,7 +28,7 @@ import numpy as np
 from sweepopt.checks import TIME_SLACK, axes, meaning, number, vector
 from sweepopt.errors import InputError, Status, SweepoptError
 from sweepopt.integrate.grid import breakpoints_to_meet
-from sweepopt.integrate.record import Pass
+from sweepopt.integrate.record import Pass, States
 from sweepopt.integrate.schemes import Scheme
 from sweepopt.linalg import EPS
 from sweepopt.loads import History, Sine, Triangle
@@ -208,10 +208,16 @@ def adapt(
         h = np.diff(times)
         if h.min() < shortest:
             at = times[h.argmin()]
-            return (
-                sol,
-                f"a step shorter than minimum = {shortest:g} is needed at t = {at:g}; {ADVICE}",
-            )
+            cause = f"a step shorter than minimum = {shortest:g} is needed at t = {at:g}; {ADVICE}"
+            return _first_steps(sol, int(np.searchsorted(sol.t, at, "right")) - 1), cause
+
+
+def _first_steps(sol: Any, k: int) -> Any:
+    """The first k steps of a run that kept all of them."""
+    rows = sol.statistics.rows[:k]
+    states = States(sol.steps[:k], sol.u[: k + 1].__getitem__, sol.velocity[:k].__getitem__)
+    statistics = sol.statistics._replace(rows=rows)
+    return replace(sol, t=sol.t[: k + 1], states=states, statistics=statistics)
 
 
 def _noted(run: Runs, times: np.ndarray, tol: float) -> Any:

@@ -116,6 +116,8 @@ def _cause(process: SweepingProcess, plan: Plan, t: float, velocity: Velocity, r
             "take smaller steps or implicit-euler"
         )
     best = f"the best certificate of {velocity.attempts} attempts is {missed}, tol is {plan.tol:g}"
+    if velocity.relative == np.inf:
+        best = f"none of {velocity.attempts} attempts has an answer with a finite certificate"
     tried = f", and to take it in {PARTS[0]} to {PARTS[-1]} parts does not help"
     if result.cause:
         tried, likely = "", f"It cannot be taken in parts: {result.cause}"

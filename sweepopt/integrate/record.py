@@ -287,7 +287,7 @@ def saving(save: Any, times: np.ndarray, dim: int, memory: float) -> Saving:
             f"steps: keeping {steps.size} states and velocities of {dim} unknowns takes "
             f"{size / 1e9:.3g} GB, more than memory = {memory / 1e9:.3g} GB; pass save='last', "
             "save=k for every k-th step, save=[times], save=f(t, u, z) or save='run.nc', or a "
-            "larger memory"
+            "larger memory (passes of Adaptive and error= keep all states: ask for less accuracy)"
         )
     return Saving(steps, save if callable(save) else None, path)
 
