@@ -296,7 +296,7 @@ class SweepingProcess(Displayed):
         """
         members = self.C.members(times)
         for _, C in members:
-            _check_support(C)
+            _check_written(C)
             if not C.certifiable:
                 self.refuse_state(f"{type(C).__name__}, which has no certificates,")
         for (_, before), (t, C) in pairwise(members):
@@ -576,8 +576,26 @@ def _excess(force: np.ndarray, C: ConvexSet, nearest: Nearest | None = None) -> 
     return np.zeros(force.size)
 
 
+def _check_written(C: ConvexSet) -> None:
+    """Spot-check the sets that users write, alone or in others."""
+    for part in _leaves(C):
+        if not type(part).__module__.startswith(f"{__package__.partition('.')[0]}."):
+            _check_support(part)
+            _check_projection(part)
+
+
+def _leaves(C: ConvexSet) -> Iterator[ConvexSet]:
+    """The sets that products, translates, multiples, sums and intersections were made of."""
+    parts: tuple[ConvexSet, ...] = getattr(C, "parts", ()) or C.form().parts
+    if parts == (C,):
+        yield C
+    else:
+        for part in parts:
+            yield from _leaves(part)
+
+
 def _check_support(C: ConvexSet) -> None:
-    """Spot-check that sigma(C, .) is positively homogeneous, for sets that users write."""
+    """Spot-check that sigma(C, .) is positively homogeneous."""
     direction = np.cos(np.arange(C.dim) + 1.0)
     for z in (direction, -direction):
         once, twice = C.support(z), C.support(2 * z)
@@ -586,18 +604,6 @@ def _check_support(C: ConvexSet) -> None:
                 f"{type(C).__name__}.support is not positively homogeneous: "
                 f"sigma(z) = {once:g} but sigma(2z) = {twice:g}"
             )
-    for part in _leaves(C):
-        if not type(part).__module__.startswith(f"{__package__.partition('.')[0]}."):
-            _check_projection(part)
-
-
-def _leaves(C: ConvexSet) -> Iterator[ConvexSet]:
-    """The sets that products, translates, multiples, sums and intersections were made of."""
-    parts = (*getattr(C, "parts", ()), *getattr(C, "operands", ()))
-    for part in parts:
-        yield from _leaves(part)
-    if not parts:
-        yield C
 
 
 def _check_projection(C: ConvexSet) -> None:

@@ -107,12 +107,11 @@ class Balls(ConvexSet):
     def blocks(self, v: np.ndarray) -> list[Blocks]:
         """I in a ball, r/|a| (I - n n^T) outside of it, n = a/|a|."""
         arms = self._arms(v)
-        D = np.tile(np.eye(self.block), (self.radii.size, 1, 1))
         lengths = np.linalg.norm(arms, axis=1)
         out = lengths > self.radii
-        n = arms[out] / lengths[out, None]
-        share = (self.radii[out] / lengths[out])[:, None, None]
-        D[out] = share * (D[out] - n[:, :, None] * n[:, None, :])
+        n = np.divide(arms, lengths[:, None], out=np.zeros_like(arms), where=out[:, None])
+        share = np.divide(self.radii, lengths, out=np.ones_like(lengths), where=out)
+        D = share[:, None, None] * (np.eye(self.block) - n[:, :, None] * n[:, None, :])
         return [neighbours(D)]
 
     def derivative(self, v: np.ndarray) -> np.ndarray | None:

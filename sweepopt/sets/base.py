@@ -293,6 +293,7 @@ class ConvexSet(Operators, ABC):
     polyhedral: bool = False
     certifiable: bool = True
     exact: bool = True
+    _last: tuple[bytes, Any] = b"", None
 
     # ---- the contract -------------------------------------------------------------------------
 
@@ -317,6 +318,13 @@ class ConvexSet(Operators, ABC):
         )
 
     # ---- what follows from it -----------------------------------------------------------------
+
+    def _kept(self, v: np.ndarray, function: Callable[[np.ndarray], Any]) -> Any:
+        """function(v), kept for the last v: projection, derivative and pair ask in turn."""
+        key, last = v.tobytes(), self._last
+        if last[0] != key:
+            last = self._last = key, function(v)
+        return last[1]
 
     def outline(self) -> np.ndarray:
         """Points around the boundary of a bounded set in the plane, shape (k, 2); else none."""

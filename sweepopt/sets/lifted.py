@@ -57,7 +57,6 @@ class Lifted(ConvexSet):
     """{ E s : s in S, F s = 0 }, S the product of exact parts."""
 
     exact = False
-    _last: Projection | None = None
 
     def __init__(self, form: Form) -> None:
         unit = binary(float(np.abs(form.F.data).max(initial=0.0)))
@@ -160,12 +159,11 @@ class Lifted(ConvexSet):
 
     def near(self, v: np.ndarray) -> Projection:
         """The projection of v, as exactly as it is found."""
-        if self._last is None or not np.array_equal(self._last.v, v):
-            # a projection, its normal and the pair are asked for one after the other
-            self._last = self._projection(v.copy())
-        return self._last
+        near: Projection = self._kept(v, self._projection)
+        return near
 
     def _projection(self, v: np.ndarray) -> Projection:
+        v = v.copy()
         near = self._projector(v, self._projector.start(v))
         limit = TENSION_EXACT if near.exact else TENSION
         cut = bool(self.lifted.F.shape[0]) and self.lifted.small
@@ -181,10 +179,11 @@ class Lifted(ConvexSet):
 
     def is_beyond(self, w: np.ndarray, distance: float) -> bool:
         """By the half-space of the last projection, which bodies that slide seldom come back to."""
-        if self._last is None or not self._last.exact:
+        last: Projection | None = self._last[1]
+        if last is None or not last.exact:
             return False
-        p, way = self._last.v - self._last.w, w - self._last.w
-        size = float(np.abs([self._last.v, self._last.w, w]).max())
+        p, way = last.v - last.w, w - last.w
+        size = float(np.abs([last.v, last.w, w]).max())
         rounding = 10 * ROUNDING * size * (np.abs(p).sum() + np.abs(way).sum())
         return bool(p @ way > distance * np.linalg.norm(p) + rounding)
 
