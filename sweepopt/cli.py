@@ -148,7 +148,7 @@ def _list(_: argparse.Namespace) -> int:
 def _effects(options: argparse.Namespace) -> int:
     _require("fem")
     from sweepopt.fem import compare_effects
-    from sweepopt.fem.changes import parse_changes
+    from sweepopt.fem.scene_file import parse_changes
 
     path, changes = find_scene(options.scene), parse_changes(options.set)
     print(compare_effects(path, changes=changes, without=options.without, steps=options.steps))
@@ -166,8 +166,8 @@ def _study(options: argparse.Namespace) -> int:
 def _run(options: argparse.Namespace) -> int:
     _require("fem", "plot")
     from sweepopt.fem import pictures, read_scene
-    from sweepopt.fem.changes import parse_changes
     from sweepopt.fem.output import Report
+    from sweepopt.fem.scene_file import parse_changes
     from sweepopt.plot import writer_of
 
     path = find_scene(options.scene)

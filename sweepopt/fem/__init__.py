@@ -36,13 +36,12 @@ from sweepopt.fem.effects import (
     Viscosity,
     YieldStress,
 )
-from sweepopt.fem.fields import Profile
+from sweepopt.fem.fields import Profile, SlipTable, SlipWeakening
 from sweepopt.fem.initial import Initial
 from sweepopt.fem.mesh import chain, grid, read_mesh
 from sweepopt.fem.plasticity import Plasticity
 from sweepopt.fem.scene import Scene, antiplane, body
 from sweepopt.fem.scene_file import EFFECTS, read_scene
-from sweepopt.fem.slip_laws import SlipTable, SlipWeakening
 from sweepopt.fem.spaces import Discretisation
 
 __all__ = [

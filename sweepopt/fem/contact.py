@@ -21,8 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sweepopt.display import Brief
 from sweepopt.errors import InputError
-from sweepopt.fem.fields import Array, Coefficient, Indices, in_time
-from sweepopt.fem.slip_laws import SlipLaw
+from sweepopt.fem.fields import Array, Coefficient, Indices, SlipLaw, in_time
 from sweepopt.fem.spaces import Discretisation, Place
 from sweepopt.sets import Balls, Box, ConvexSet, Ellipsoid, SecondOrderCone, image, product
 

@@ -11,9 +11,8 @@ import numpy as np
 
 from sweepopt.checks import count
 from sweepopt.errors import InputError
-from sweepopt.fem.changes import changed, remaining
 from sweepopt.fem.scene import Scene
-from sweepopt.fem.scene_file import effect_tables, load_scene, read_scene
+from sweepopt.fem.scene_file import changed, effect_tables, load_scene, read_scene, remaining
 
 
 class EffectCost(NamedTuple):

@@ -33,8 +33,7 @@ from sweepopt.checks import choice, listed, matrix, number, vector
 from sweepopt.display import Brief
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.contact import BOUND, PRESSURE, Rows, Yield, friction_on
-from sweepopt.fem.fields import Array, Coefficient, Datum, in_time
-from sweepopt.fem.slip_laws import SlipLaw
+from sweepopt.fem.fields import Array, Coefficient, Datum, SlipLaw, in_time
 from sweepopt.fem.spaces import AXES, BODY, Discretisation, Place, boundary_names
 from sweepopt.loads import History
 

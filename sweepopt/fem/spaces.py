@@ -28,8 +28,7 @@ from sweepopt.display import Brief
 from sweepopt.errors import InputError, shown
 from sweepopt.fem.fields import Array, Coefficient, Datum, Indices
 from sweepopt.fem.frames import Frame, frame_of
-from sweepopt.fem.mesh import check_mesh, read_mesh
-from sweepopt.fem.refined import CELLS, nested, refined
+from sweepopt.fem.mesh import CELLS, check_mesh, nested, read_mesh, refined
 from sweepopt.io import as_path
 
 KINDS = {
