@@ -9,8 +9,8 @@ compare(find_source("tube"))                                   # all solvers on 
 from sweepopt.study.advice import advice, halving, summary
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
+from sweepopt.study.problems import find_source
 from sweepopt.study.report import write_report
-from sweepopt.study.sources import find_source
 from sweepopt.study.study import Study, read_study, read_table, run
 from sweepopt.study.workers import dask_executor, machine, processes
 

@@ -17,8 +17,8 @@ from sweepopt.study.cell import solution_of
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
 from sweepopt.study.hard import suite_summary
+from sweepopt.study.problems import find_source
 from sweepopt.study.report import write_report
-from sweepopt.study.sources import find_source
 from sweepopt.study.study import Study, read_parts, read_study, run
 from sweepopt.study.workers import dask_executor, processes
 

@@ -17,9 +17,9 @@ import numpy as np
 from sweepopt.checks import choice
 from sweepopt.errors import InputError
 from sweepopt.plot import new_figure
-from sweepopt.results import Solution
+from sweepopt.results import ErrorBound, Solution
 from sweepopt.study.cell import CellRow, guaranteed_bound
-from sweepopt.study.sources import body_name
+from sweepopt.study.problems import body_name
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
@@ -153,7 +153,7 @@ def trajectories(solutions: Mapping[str, Solution]) -> Any:
         t, u, bound = solution.t, solution.u[:, k], guaranteed_bound(solution)
         ax.plot(t, u)
         ax.set(xlabel="t", ylabel=f"u[{k}]")
-        if bound is not None:  # |u_k - u_n,k| <= |e|_A sqrt((A^-1)_kk)
+        if isinstance(bound, ErrorBound):  # |u_k - u_n,k| <= |e|_A sqrt((A^-1)_kk)
             inverse = solution.process.metric.solve(np.eye(1, solution.process.dim, k)[0])
             band = np.sqrt(inverse[k]) * np.append(bound.of_t[:1], bound.of_t)
             ax.fill_between(t, u - band, u + band, alpha=0.25)

@@ -237,8 +237,7 @@ def _judge(case: Case, solution: Solution, warned: bool) -> tuple[dict[str, Any]
         allowed += LOCAL * _sum_of_local_errors(case, scheme, order)
     error = case.norm(u - exact[::2])
     between = max(error, case.norm(0.5 * (u[1:] + u[:-1]) - exact[1::2]))
-    proved = guaranteed_bound(solution) if len(z) <= BOUNDED else None
-    bound = nan if proved is None else float(proved)
+    bound = float(guaranteed_bound(solution)) if len(z) <= BOUNDED else nan
     energy, moves = solution.energy(), abs(np.diff(u, axis=0))
     # forces of stages and those at the middle of a step differ by what they change in the step
     quadrature = np.append(0.0, np.cumsum((moves * (case.B * moves + way)).sum(axis=1)))
