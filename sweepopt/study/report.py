@@ -22,7 +22,7 @@ from sweepopt.errors import InputError, Status, brought_by
 from sweepopt.io import put, writable
 from sweepopt.results import Solution
 from sweepopt.study.advice import AXES, FORMAT, advice, halving, readable
-from sweepopt.study.diagram import COLUMNS, COSTS, ERROR, curves, trajectories
+from sweepopt.study.diagram import COLUMNS, COSTS, ERROR, LOOK, points, trajectories
 from sweepopt.study.hard import GOOD, SUITES
 from sweepopt.study.workers import machine
 
@@ -169,30 +169,29 @@ def _diagram(table: DataFrame, cost: str) -> str:
     """What `work_precision` draws, with a legend that filters and a tooltip a cell."""
     from plotly.subplots import make_subplots
 
-    lines = curves(table, cost)
-    names = list(dict.fromkeys(curve.panel for curve in lines))
+    places = points(table, cost)
+    names = places.panel.unique().tolist()
     rows, columns = -(-len(names) // COLUMNS), min(len(names), COLUMNS)
     figure = make_subplots(rows, columns, subplot_titles=names, horizontal_spacing=0.06)
     labels: set[str] = set()
-    for curve in lines:
-        parts = {"lines": curve.line, "markers": curve.marker}
-        row, column = divmod(names.index(curve.panel), COLUMNS)
+    for (panel, label, marker, line, colour, _), cells in places.groupby(LOOK, sort=False):
+        row, column = divmod(names.index(panel), COLUMNS)
         figure.add_scatter(
-            x=curve.cells.x,
-            y=curve.cells.y,
-            mode="+".join(part for part, style in parts.items() if style),
-            line_color=curve.colour,
-            line_dash="dash" if curve.line == "--" else "solid",
-            marker_symbol=SYMBOLS.find(curve.marker) + 100 * (not curve.line),
-            name=curve.label,
-            legendgroup=curve.label,
-            showlegend=curve.label not in labels,
-            hovertext=list(map(TOOLTIP.format, curve.cells.itertuples())),
+            x=cells.x,
+            y=cells.y,
+            mode="+".join(["lines"] * bool(line) + ["markers"] * bool(marker)),
+            line_color=colour,
+            line_dash="dash" if line == "--" else "solid",
+            marker_symbol=SYMBOLS.find(marker) + 100 * (not line),
+            name=label,
+            legendgroup=label,
+            showlegend=label not in labels,
+            hovertext=list(map(TOOLTIP.format, cells.itertuples())),
             hoverinfo="text",
             row=row + 1,
             col=column + 1,
         )
-        labels.add(curve.label)
+        labels.add(label)
     figure.update_xaxes(type="log", exponentformat="power", title=COSTS[cost])
     figure.update_yaxes(type="log", exponentformat="power", title=f"{ERROR}, |·|<sub>A</sub>")
     figure.update_layout(template="plotly_white", height=120 + 320 * rows)

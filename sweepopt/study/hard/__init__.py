@@ -6,11 +6,10 @@ scheme is judged by the best of three.
 """
 
 from sweepopt.study.hard.exact import Exact, Program
-from sweepopt.study.hard.families import FAMILIES
 from sweepopt.study.hard.stiff import StiffStudy
 from sweepopt.study.hard.suite import GOOD, Suite, each, suite_summary
 from sweepopt.study.hard.trajectories import TrajectoryStudy
-from sweepopt.study.hard.velocities import HardStudy
+from sweepopt.study.hard.velocities import FAMILIES, HardStudy
 
 SUITES: dict[str, type[Suite]] = {
     "hard": HardStudy,

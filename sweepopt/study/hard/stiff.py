@@ -20,7 +20,7 @@ from sweepopt.results import Solution
 from sweepopt.sets import Balls, Box, ConvexSet, Moving
 from sweepopt.study.cell import REFINED, largest_norm
 from sweepopt.study.hard.bodies import Random, chain, spectral
-from sweepopt.study.hard.suite import Faults, Suite, run_case
+from sweepopt.study.hard.suite import Judgement, Suite, run_case
 
 BEST_OF = ("implicit-euler", "midpoint", "sdirk2")
 TWICE, RINGS = 2.0, 1.1
@@ -161,7 +161,7 @@ def judge(row: StiffRow, process: SweepingProcess, t_end: float, bounds: bool = 
     """The row with what a run of a process is worth."""
     how: Any = {"t_end": t_end, "tol": 1e-8, "on_unstable": "ignore"}
 
-    def compare(sol: Solution, _: bool) -> tuple[dict[str, Any], Faults]:
+    def compare(sol: Solution, _: bool) -> Judgement:
         fine = solve(process, steps=REFINED * row.steps, scheme="auto", **how)
         exact, slips = fine.u[::REFINED], fine.velocity.reshape(row.steps, REFINED, -1)
         others = [solve(process, steps=row.steps, scheme=scheme, **how) for scheme in BEST_OF]

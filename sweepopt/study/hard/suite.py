@@ -25,7 +25,8 @@ TARGET = 1e-8
 may add to the error of its scheme, in units of the way that the bodies go."""
 GOOD = ("met", "warned", "refused")
 """Verdicts of right answers; a run that warns says that its scheme may be wrong."""
-Faults = dict[str, Any]
+Judgement = tuple[dict[str, Any], dict[str, Any]]
+"""Entries of a run's row, and faults: what is wrong with it in words, and whether it is."""
 
 
 def each(name: str, values: Any, check: Callable[..., Any], *limits: Any) -> tuple[Any, ...]:
@@ -82,7 +83,7 @@ class Suite:
 def run_case(
     row: Any,
     process: Callable[[], Any],
-    judge: Callable[[Solution, bool], tuple[Any, Faults]],
+    judge: Callable[[Solution, bool], Judgement],
     refused: str = "",
     allowed: str = "",
     **settings: Any,
@@ -95,7 +96,7 @@ def run_case(
     process : callable
         Makes the process.
     judge : callable
-        A solution, and whether its run warned -> the row's other entries, and faults by name.
+        Takes a solution, and whether its run warned.
     refused, allowed : str
         Names of errors: the one that is the right answer, and one that is an answer.
     **settings

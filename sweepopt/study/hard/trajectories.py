@@ -33,7 +33,7 @@ from sweepopt.results import Solution
 from sweepopt.sets import Box, ConvexSet, Moving, Polyhedron
 from sweepopt.study.cell import guaranteed_bound
 from sweepopt.study.hard.bodies import Random
-from sweepopt.study.hard.suite import TARGET, Faults, Suite, run_case
+from sweepopt.study.hard.suite import TARGET, Judgement, Suite, run_case
 
 LOCAL = 2.0  # once is not enough for catching-up: C(t) of one end of the step, u of the other
 ROUNDING = 64 * EPS  # of u and of f / B, which cancel where bodies are far from the origin
@@ -222,7 +222,7 @@ class TrajectoryStudy(Suite):
                 )
 
 
-def _judge(case: Case, solution: Solution, warned: bool) -> tuple[dict[str, Any], Faults]:
+def _judge(case: Case, solution: Solution, warned: bool) -> Judgement:
     """What a run is worth, and what is wrong with it."""
     scheme, exact = solution.plan.scheme, case.exact
     u, z = solution.u @ case.axes - case.center, solution.velocity @ case.axes
