@@ -9,7 +9,7 @@ import gc
 import time as clock
 import warnings
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from math import inf, nan
 from typing import Any, NamedTuple
 
@@ -160,30 +160,37 @@ class Reference(NamedTuple):
 
 @cache
 def find_reference(source: Source, steps: int) -> Reference:
-    """The states of a problem on a grid of equal steps, as well as the library knows them.
+    """The states of a problem on a grid of equal steps; what goes wrong leaves none.
 
-    By the event-exact integrator, or by a fine run; what goes wrong leaves none. They are computed
-    once in each process.
+    They are computed once in each process.
     """
-
-    def run(times: int, scheme: str, **settings: Any) -> Solution:
-        return solve(process, t_end=t_end, steps=steps * times, scheme=scheme, **settings)
-
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SweepoptWarning)
         try:
-            process, t_end, _ = open_source(source)
-            with suppress(SweepoptError):  # the event-exact integrator does not apply
-                exact = run(1, "exact")
-                if exact.success:
-                    return Reference(exact.u, 0.0)
-            fine, coarse = (
-                run(times, "sdirk2", tol=TOL, save=times, on_unstable="ignore").u
-                for times in (REFINED, REFINED // 2)
-            )
-            return Reference(fine, largest_norm(process, fine - coarse))
+            return reference_states(*open_source(source)[:2], steps)
         except Exception as error:
             return Reference(message=f" No reference: {type(error).__name__}: {error}.")
+
+
+def reference_states(
+    process: SweepingProcess, t_end: float, steps: int, save: int = REFINED
+) -> Reference:
+    """States as well as the library knows them, by the event-exact integrator or by a fine run.
+
+    Parameters
+    ----------
+    steps, save : int
+        The states are those of every `save`-th of REFINED * steps equal steps.
+    """
+    run = partial(solve, process, t_end=t_end)
+    with suppress(SweepoptError):  # the event-exact integrator does not apply
+        exact = run(steps=steps * REFINED // save, scheme="exact")
+        if exact.success:
+            return Reference(exact.u, 0.0)
+    how: Any = {"tol": TOL, "on_unstable": "ignore"}
+    fine = run(steps=steps * REFINED, save=save, **how).u
+    coarse = run(steps=steps * REFINED // 2, save=max(save // 2, 1), **how).u
+    return Reference(fine, largest_norm(process, fine[:: 2 // min(save, 2)] - coarse))
 
 
 def largest_norm(process: SweepingProcess, u: np.ndarray) -> float:
