@@ -17,7 +17,7 @@ from sweepopt.study.comparison import (
     solvers_for,
     trials,
 )
-from sweepopt.study.sources import find_source
+from sweepopt.study.problems import find_source
 
 
 @pytest.fixture(scope="module")

@@ -10,15 +10,16 @@ import pytest
 import sweepopt as so
 from sweepopt.study.hard import FAMILIES, Program, suite
 from sweepopt.study.hard.bodies import chain
-from sweepopt.study.hard.families import (
+from sweepopt.study.hard.suite import GOOD
+from sweepopt.study.hard.velocities import (
     HISTORIES,
+    PATHS,
     TABLES,
+    HardStudy,
     combination,
     entry_of,
     make,
 )
-from sweepopt.study.hard.suite import GOOD
-from sweepopt.study.hard.velocities import PATHS, HardStudy
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 

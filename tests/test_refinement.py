@@ -8,7 +8,7 @@ import sweepopt as so
 from sweepopt.study.hard import Program
 from sweepopt.study.hard.bodies import chain, spectral
 from sweepopt.study.hard.exact import ROUNDING
-from sweepopt.study.hard.families import combination, make
+from sweepopt.study.hard.velocities import combination, make
 
 pytestmark = pytest.mark.filterwarnings("ignore::sweepopt.InitialStateWarning")
 N = 12

@@ -161,9 +161,9 @@ def test_an_error_that_the_reference_cannot_tell_is_no_number(
     assert far.error(process, u) == pytest.approx(1.5 * SAFETY * 1e-6 * np.sqrt(0.5))
     assert np.isnan(far.error(process, u[:2]))  # a run that stopped early
     cell = Cell(find_source("S03"), "midpoint", "auto", 8, 1e-6, 1)
-    missing = Mock(return_value=Reference(message="StepError: missed"))
-    monkeypatch.setattr("sweepopt.study.cell.read_reference", missing)
-    row = run_cell(cell, cell.problem, Path())
+    missing = Mock(return_value=Reference(message=" No reference: StepError: missed."))
+    monkeypatch.setattr("sweepopt.study.cell.find_reference", missing)
+    row = run_cell(cell, cell.problem)
     assert row.status == "SUCCESS"
     assert np.isnan(row.error)
     assert " No reference: StepError: missed." in row.message
@@ -185,7 +185,7 @@ def test_failures_are_rows(table, tmp_path, monkeypatch):
 
     monkeypatch.setattr("clarabel.DefaultSolver", Mock(side_effect=ZeroDivisionError("a bug")))
     cell = Cell(find_source("P09"), "midpoint", "clarabel", 8, 1e-6, 1)
-    row = run_cell(cell, cell.problem, tmp_path)
+    row = run_cell(cell, cell.problem)
     assert (row.status, row.message, row.success) == ("ZeroDivisionError", "a bug", False)
 
 
@@ -226,11 +226,6 @@ def test_what_is_not_whole_is_computed_again(small, tmp_path):
     assert digit != lines[3]
     damaged = [b"", lines[0][:-20], b"{}", b"[]", b"5", b"\xff", digit, *lines[4:-1], killed]
     (tmp_path / "rows.jsonl").write_bytes(b"\n".join(damaged))
-    states = sorted((tmp_path / "references").glob("*.npz"))
-    states[0].write_bytes(states[0].read_bytes()[:-8])
-    flipped = bytearray(states[1].read_bytes())
-    flipped[len(flipped) // 3] ^= 1
-    states[1].write_bytes(flipped)
     said = []
     again = run(SMALL, tmp_path, progress=said.append)
     assert said[0] == "8 cells, 3 of them finished before"
@@ -257,10 +252,20 @@ def test_an_edited_scene_is_another_cell_and_a_moved_one_is_not(tmp_path):
     scene = tmp_path / "a" / "ring.toml"
     text = scene.read_text()
     scene.write_text(text.replace("g = 0.6", "g = 0.7"))
-    assert "not as it was when the study started" in run_cell(here, here.problem, tmp_path).message
+    assert "not as it was when the study started" in run_cell(here, here.problem).message
     scene.write_text(text)
-    row = run_cell(here, here.problem, tmp_path)
+    row = run_cell(here, here.problem)
     assert (row.status, row.problem, row.steps_done) == ("SUCCESS", "ring", 4)
+
+
+def test_a_scene_that_starts_from_the_folder_of_a_run_is_another_when_the_run_is(tmp_path):
+    (tmp_path / "before").mkdir()
+    (tmp_path / "after.toml").write_text('[initial]\nrun = "before"\n')
+    run, digests = tmp_path / "before" / "solution.nc", set()
+    for content in (b"one", b"two", b"one"):
+        run.write_bytes(content)
+        digests.add(find_source("after.toml", tmp_path).digest)
+    assert len(digests) == 2
 
 
 # ---- executors ------------------------------------------------------------------------------
@@ -335,8 +340,7 @@ def test_workers_give_the_same_rows_though_a_cell_kills_them_and_other_breakdown
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at the process tree")
-def test_workers_end_with_a_study_that_is_killed(file, killed, tmp_path):
-    shutil.copytree(killed / "references", tmp_path / "references")
+def test_workers_end_with_a_study_that_is_killed(file, tmp_path):
     with started(file, tmp_path, 2, "--workers", "2") as pid:
         children = psutil.Process(pid).children(recursive=True)
         assert len(children) >= 2

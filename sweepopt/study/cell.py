@@ -9,18 +9,17 @@ import gc
 import time as clock
 import warnings
 from contextlib import suppress
+from functools import cache, partial
 from math import inf, nan
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from sweepopt.driver import solve
-from sweepopt.errors import BoundWarning, DamagedFileError, SweepoptError, SweepoptWarning
-from sweepopt.io import read_npz, write_npz
+from sweepopt.errors import BoundWarning, SweepoptError, SweepoptWarning
 from sweepopt.problem import SweepingProcess
-from sweepopt.results import ErrorBound, Solution
-from sweepopt.study.sources import Source, from_coarser, open_source
+from sweepopt.results import Solution
+from sweepopt.study.problems import Source, from_coarser, open_source
 from sweepopt.study.workers import machine, one_thread
 
 THROUGH_CVXPY = "cvxpy:"  # such as cvxpy:piqp
@@ -144,7 +143,7 @@ class Reference(NamedTuple):
         Of u, sup over the nodes in |.|_A: the distance from the run with half the steps, which for
         a run of order p is 2^p - 1 times its own error; 0 if exact, inf if there are none.
     message : str
-        Why there are none.
+        Why there are none, a sentence.
     """
 
     u: np.ndarray = np.empty(0)
@@ -159,43 +158,39 @@ class Reference(NamedTuple):
         return error if error >= SAFETY * self.uncertainty else nan
 
 
-def read_reference(source: Source, steps: int, folder: Path) -> Reference:
-    """The states of a problem on a grid of equal steps, as well as the library knows them.
+@cache
+def find_reference(source: Source, steps: int) -> Reference:
+    """The states of a problem on a grid of equal steps; what goes wrong leaves none.
 
-    They are kept in the folder: what is not there, not whole or of another version is made anew. A
-    zip has a checksum for each of its entries.
+    They are computed once in each process.
     """
-    path = folder / f"{source}-{source.digest[:16]}-{steps}.npz".replace("/", "_")
-    with suppress(OSError, DamagedFileError, KeyError):
-        record, arrays = read_npz(path)
-        return Reference(arrays["u"], *record["record"])
-    reference = _make_reference(source, steps)
-    u, *others = reference
-    write_npz(path, {"record": others}, {"u": u})
-    return reference
-
-
-def _make_reference(source: Source, steps: int) -> Reference:
-    """States by the event-exact integrator, or by a fine run; what goes wrong leaves none."""
-
-    def run(times: int, scheme: str, **settings: Any) -> Solution:
-        return solve(process, t_end=t_end, steps=steps * times, scheme=scheme, **settings)
-
-    with one_thread(), warnings.catch_warnings():
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore", SweepoptWarning)
         try:
-            process, t_end, _ = open_source(source)
-            with suppress(SweepoptError):  # the event-exact integrator does not apply
-                exact = run(1, "exact")
-                if exact.success:
-                    return Reference(exact.u, 0.0)
-            fine, coarse = (
-                run(times, "sdirk2", tol=TOL, save=times, on_unstable="ignore").u
-                for times in (REFINED, REFINED // 2)
-            )
-            return Reference(fine, largest_norm(process, fine - coarse))
+            return reference_states(*open_source(source)[:2], steps)
         except Exception as error:
-            return Reference(message=f"{type(error).__name__}: {error}")
+            return Reference(message=f" No reference: {type(error).__name__}: {error}.")
+
+
+def reference_states(
+    process: SweepingProcess, t_end: float, steps: int, save: int = REFINED
+) -> Reference:
+    """States as well as the library knows them, by the event-exact integrator or by a fine run.
+
+    Parameters
+    ----------
+    steps, save : int
+        The states are those of every `save`-th of REFINED * steps equal steps.
+    """
+    run = partial(solve, process, t_end=t_end)
+    with suppress(SweepoptError):  # the event-exact integrator does not apply
+        exact = run(steps=steps * REFINED // save, scheme="exact")
+        if exact.success:
+            return Reference(exact.u, 0.0)
+    how: Any = {"tol": TOL, "on_unstable": "ignore"}
+    fine = run(steps=steps * REFINED, save=save, **how).u
+    coarse = run(steps=steps * REFINED // 2, save=max(save // 2, 1), **how).u
+    return Reference(fine, largest_norm(process, fine[:: 2 // min(save, 2)] - coarse))
 
 
 def largest_norm(process: SweepingProcess, u: np.ndarray) -> float:
@@ -203,7 +198,7 @@ def largest_norm(process: SweepingProcess, u: np.ndarray) -> float:
     return max(map(process.metric.norm, u))
 
 
-def run_cell(cell: Cell, finest: Source, folder: Path) -> CellRow:
+def run_cell(cell: Cell, finest: Source) -> CellRow:
     """Run a cell. What goes wrong is a row as well.
 
     A pure function of plain data, times apart: it runs in workers.
@@ -213,15 +208,13 @@ def run_cell(cell: Cell, finest: Source, folder: Path) -> CellRow:
     cell : Cell
     finest : Source
         What errors are against: the cell's own problem, or that on a finer mesh.
-    folder : Path
-        Where references are kept.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             solution_of(cell)  # packages are imported, the problem is assembled, caches are filled
             with one_thread():
-                row = _measure(cell, finest, folder)
+                row = _measure(cell, finest)
         except Exception as error:  # whatever it is, the table has it
             return cell.failed(error)._replace(machine=machine())
     ours = [f"{one.message}." for one in caught if issubclass(one.category, SweepoptWarning)]
@@ -242,7 +235,7 @@ def solution_of(cell: Cell) -> Solution:
     )
 
 
-def _measure(cell: Cell, finest: Source, folder: Path) -> CellRow:
+def _measure(cell: Cell, finest: Source) -> CellRow:
     """The last of several equal runs, with the medians of their times.
 
     Its error is that of a function on the finest mesh.
@@ -254,20 +247,19 @@ def _measure(cell: Cell, finest: Source, folder: Path) -> CellRow:
         solution = solution_of(cell)
         times.append((clock.perf_counter() - wall, clock.process_time() - cpu))
     wall, cpu = np.median(times, axis=0).tolist()
-    reference = read_reference(finest, cell.steps, folder)
+    reference = find_reference(finest, cell.steps)
     stats, process, u = solution.stats, solution.process, solution.u
-    size, bound = largest_norm(process, u), guaranteed_bound(solution)
+    size = largest_norm(process, u)
     if finest != cell.problem:
         process, u = open_source(finest)[0], u @ from_coarser(finest, cell.problem).T
-    missing = f" No reference: {reference.message}." if reference.message else ""
     return cell.row(
         status=solution.status.name,
         success=solution.success,
-        message=solution.message + missing,
+        message=solution.message + reference.message,
         error=reference.error(process, u),
         reference_error=reference.uncertainty,
         size=size,
-        bound=nan if bound is None else float(bound),
+        bound=float(guaranteed_bound(solution)),
         certificate=stats["relative"].max() if len(stats) else nan,
         wall=wall,
         cpu=cpu,
@@ -279,10 +271,10 @@ def _measure(cell: Cell, finest: Source, folder: Path) -> CellRow:
     )
 
 
-def guaranteed_bound(solution: Solution) -> ErrorBound | None:
-    """The bound of the error; None if there is none, or only samples of C(t) are known."""
+def guaranteed_bound(solution: Solution) -> float:
+    """The `ErrorBound`; nan if there is none, or only samples of C(t) are known."""
     with suppress(SweepoptError), warnings.catch_warnings():
         warnings.simplefilter("ignore", BoundWarning)
         bound = solution.error_bound()
-        return bound if bound.guaranteed else None
-    return None
+        return bound if bound.guaranteed else nan
+    return nan

@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING, Any
 from sweepopt.errors import SweepoptWarning
 from sweepopt.io import find_study
 from sweepopt.results import Solution
-from sweepopt.study.advice import TARGETS, advice, summary
 from sweepopt.study.cell import solution_of
 from sweepopt.study.comparison import compare, comparison_text
 from sweepopt.study.diagram import work_precision
 from sweepopt.study.hard import suite_summary
-from sweepopt.study.report import write_report
-from sweepopt.study.sources import find_source
+from sweepopt.study.problems import find_source
+from sweepopt.study.report import TARGETS, advice, summary, write_report
 from sweepopt.study.study import Study, read_parts, read_study, run
 from sweepopt.study.workers import dask_executor, processes
 

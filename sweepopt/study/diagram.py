@@ -10,16 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import cycle
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sweepopt.checks import choice
 from sweepopt.errors import InputError
 from sweepopt.plot import new_figure
-from sweepopt.results import Solution
+from sweepopt.results import ErrorBound, Solution
 from sweepopt.study.cell import CellRow, guaranteed_bound
-from sweepopt.study.sources import body_name
+from sweepopt.study.problems import body_name
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
@@ -36,27 +36,9 @@ COSTS = {
     "steps": "time steps",
     "solver_calls": "solver calls",
 }
-
-
-class Curve(NamedTuple):
-    """A line of the diagram.
-
-    Attributes
-    ----------
-    panel, label : str
-    cells : DataFrame
-        Rows of the study's table by their number of steps, with their places `x` and `y` on
-        logarithmic axes.
-    marker, line, colour : str
-        As matplotlib names them; there is no line, or there are no markers, where one is "".
-    """
-
-    panel: str
-    label: str
-    cells: DataFrame
-    marker: str
-    line: str
-    colour: str
+LOOK = ["panel", "label", "marker", "line", "colour", "solver"]
+"""What a line of the diagram has in common: marker, line and colour as matplotlib names them; there
+is no line, or there are no markers, where one is ""."""
 
 
 def work_precision(table: DataFrame, *, x: str = "wall") -> Any:
@@ -82,34 +64,36 @@ def work_precision(table: DataFrame, *, x: str = "wall") -> Any:
     MissingExtraError
         If matplotlib is not installed.
     """
-    lines = curves(table, x)
-    axes = panels(list(dict.fromkeys(curve.panel for curve in lines)))
+    places = points(table, x)
+    axes = panels(places.panel.unique())
     for ax in axes.values():
         ax.set(xscale="log", yscale="log", xlabel=COSTS[x], ylabel=f"{ERROR}, $|\\cdot|_A$")
         # labels at 2 and 4 between powers of ten have room in a panel
         ax.xaxis.get_minor_locator().set_params(subs=(2, 4))
-    for curve in lines:
-        axes[curve.panel].plot(
-            curve.cells.x,
-            curve.cells.y,
-            f"{curve.marker}{curve.line}",
-            color=curve.colour,
-            label=curve.label,
-            fillstyle="full" if curve.line else "none",
-        )
+    for (panel, label, marker, line, colour, _), rows in places.groupby(LOOK, sort=False):
+        style: Any = {"color": colour, "fillstyle": "full" if line else "none", "label": label}
+        axes[panel].plot(rows.x, rows.y, f"{marker}{line}", **style)
     named = {line.get_label(): line for ax in axes.values() for line in ax.lines}
     ax.figure.legend(named.values(), named.keys(), fontsize="small", loc="outside right upper")
     return ax.figure.axes[0]
 
 
-def curves(table: DataFrame, x: str) -> list[Curve]:
-    """The lines of the diagram, for `work_precision` and for the report.
+def points(table: DataFrame, x: str) -> DataFrame:
+    """The points of the diagram, for `work_precision` and for the report.
+
+    Returns
+    -------
+    pandas DataFrame
+        Rows of the study's table by their number of steps, one for each point, with its place `x`
+        and `y` on logarithmic axes and the columns LOOK.
 
     Raises
     ------
     InputError
         As `work_precision`.
     """
+    import pandas as pd
+
     choice("x", x, COSTS)
     missing = [name for name in CellRow._fields if name not in getattr(table, "columns", ())]
     if missing:
@@ -118,31 +102,28 @@ def curves(table: DataFrame, x: str) -> list[Curve]:
         raise InputError("table has no rows; run the study first")
     known = table.success & np.isfinite(table.error)
     tols = table.tol.map(" · tol {:g}".format) if table.tol.nunique() > 1 else ""
-    bodies = zip(table.problem, table.refinements, table.element, strict=True)
+    bodies, scheme = table[["problem", "refinements", "element"]], table.scheme + tols
     cells = table.assign(
-        panel=[body_name(*body) for body in bodies],
-        line=table.scheme + tols,
-        known=known,
+        panel=[body_name(*body) for body in bodies.itertuples(index=False)],
+        label=scheme + " · " + table.solver,
+        marker=_in_turn(table.solver, MARKERS),
+        line="-",
+        colour=_in_turn(scheme, COLOURS),
         x=table[x].groupby(table.problem).transform(_on_axis),
         y=table.error.where(known).groupby(table.problem).transform(_on_axis),
     )
-    colours = dict(zip(cells.line.unique(), cycle(COLOURS), strict=False))
-    markers = dict(zip(cells.solver.unique(), cycle(MARKERS), strict=False))
     bounded = cells.panel.nunique() == cells.problem.nunique()
-    lines = []
-    for (panel, line, solver), rows in cells.groupby(["panel", "line", "solver"], sort=False):
-        rows = rows.sort_values("steps")
-        proved = rows.known & np.isfinite(rows.bound) & bounded
-        for label, marker, style, shown, y in (
-            (f"{line} · {solver}", markers[solver], "-", rows.known, rows.y),
-            ("guaranteed bound", "", "--", proved, rows.bound),
-            ("failed", "x", "", ~rows.success, rows.y),
-            ("error not known", "o", "", rows.success & ~rows.known, rows.y),
-        ):
-            if shown.any():
-                drawn = rows.assign(y=y)[shown]
-                lines.append(Curve(panel, label, drawn, marker, style, colours[line]))
-    return lines
+    proved = known & np.isfinite(table.bound) & bounded
+    parts = [
+        cells[known],
+        cells[proved].assign(label="guaranteed bound", marker="", line="--", y=table.bound),
+        cells[~table.success].assign(label="failed", marker="x", line=""),
+        cells[table.success & ~known].assign(label="error not known", marker="o", line=""),
+    ]
+    # lines in the order of the table, the points of each by their steps
+    places = pd.concat(parts)
+    order = places.groupby(LOOK, sort=False).ngroup()
+    return places.assign(order=order).sort_values(["order", "steps"], kind="stable")
 
 
 def trajectories(solutions: Mapping[str, Solution]) -> Any:
@@ -153,7 +134,7 @@ def trajectories(solutions: Mapping[str, Solution]) -> Any:
         t, u, bound = solution.t, solution.u[:, k], guaranteed_bound(solution)
         ax.plot(t, u)
         ax.set(xlabel="t", ylabel=f"u[{k}]")
-        if bound is not None:  # |u_k - u_n,k| <= |e|_A sqrt((A^-1)_kk)
+        if isinstance(bound, ErrorBound):  # |u_k - u_n,k| <= |e|_A sqrt((A^-1)_kk)
             inverse = solution.process.metric.solve(np.eye(1, solution.process.dim, k)[0])
             band = np.sqrt(inverse[k]) * np.append(bound.of_t[:1], bound.of_t)
             ax.fill_between(t, u - band, u + band, alpha=0.25)
@@ -169,6 +150,11 @@ def panels(names: Sequence[str]) -> dict[str, Any]:
         axes[name] = figure.add_subplot(lines, columns, k, title=name)
         axes[name].grid(alpha=0.3)
     return axes
+
+
+def _in_turn(names: Series, looks: Sequence[str]) -> Series:
+    """A look for each name, from the first one on again where there are more names."""
+    return names.map(dict(zip(names.unique(), cycle(looks), strict=False)))
 
 
 def _on_axis(values: Series) -> Series:

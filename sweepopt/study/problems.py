@@ -1,20 +1,25 @@
-"""The small problems of the studies, stated in problems.toml; the exact solution of each is known.
+"""Problems of studies: scenes by their files, and small problems, stated in problems.toml.
 
-Letters of the names: S scalar, V and B on a disc or with B = 0, P polyhedral, L linear, M Moreau's
-(A = 0), E elastoplastic, H a hold. All are dimensionless.
+Letters of the small ones' names: S scalar, V and B on a disc or with B = 0, P polyhedral, L linear,
+M Moreau's (A = 0), E elastoplastic, H a hold. All are dimensionless; the exact solution of each is
+known. A problem has a digest of its data: an edited scene is another one.
 """
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sweepopt import loads, sets
-from sweepopt.errors import InputError
-from sweepopt.io import read_toml
+from sweepopt.checks import choice
+from sweepopt.errors import InputError, SweepoptError
+from sweepopt.io import find_scene, read_bytes, read_toml
 from sweepopt.problem import SweepingProcess
 
 FILE = Path(__file__).with_suffix(".toml")
@@ -67,15 +72,11 @@ class Problem:
         terms = []
         for term in self.load:
             (history, arguments), (_, direction) = term.items()
-            make = Spiral if history == "Spiral" else getattr(loads, history)
-            terms.append((make(*arguments), direction))
+            terms.append((getattr(loads, history, Spiral)(*arguments), direction))
         ((kind, arguments),) = self.set.items()
         shape, load = getattr(sets, kind), loads.Separable(terms)
-        C = (
-            shape(*arguments, load)
-            if kind == "Polyhedron"
-            else sets.Moving(shape(*arguments), load)
-        )
+        fixed = kind != "Polyhedron"
+        C = sets.Moving(shape(*arguments), load) if fixed else shape(*arguments, load)
         return SweepingProcess(self.A, self.B, C, self.u0)
 
 
@@ -96,6 +97,128 @@ def problem(name: str) -> Problem:
     >>> problem("S03").process().dim
     1
     """
-    if name not in PROBLEMS:
-        raise InputError(f"there is no problem {name!r}; there are: {', '.join(PROBLEMS)}")
-    return PROBLEMS[name]
+    return PROBLEMS[choice("problem", name, PROBLEMS)]
+
+
+# ---- what a study names ----
+
+
+class Source(NamedTuple):
+    """A problem by name, as plain data that a worker opens.
+
+    Attributes
+    ----------
+    name : str
+        In the table: of a problem of PROBLEMS, or of a scene's file.
+    path : str
+        The file that states it.
+    digest : str
+        SHA-256 of all files that state the problem.
+    refinements : int
+        Of the scene's mesh, beyond its own.
+    element : str
+        In place of the scene's own; "" is that one.
+    """
+
+    name: str
+    path: str
+    digest: str
+    refinements: int = 0
+    element: str = ""
+
+    def __str__(self) -> str:
+        return body_name(self.name, self.refinements, self.element)
+
+    @property
+    def small(self) -> bool:
+        """Whether it is one of PROBLEMS, which have no mesh."""
+        return self.path == str(FILE)
+
+
+def find_source(name: str, folder: str | Path = ".") -> Source:
+    """The problem of that name.
+
+    Parameters
+    ----------
+    name : str
+        A name of PROBLEMS, of a scene that comes with the library, or the path of a scene file.
+    folder : str or Path
+        Where relative paths start.
+
+    Raises
+    ------
+    InputError
+        If there is none, or its files cannot be read.
+
+    Examples
+    --------
+    >>> find_source("S03").name, Path(find_source("tube").path).name
+    ('S03', 'tube.toml')
+    """
+    if name in PROBLEMS:
+        return Source(name, str(FILE), _digest(FILE))
+    path = Path(folder, name)
+    if path.suffix != ".toml":
+        try:
+            path = find_scene(name)
+        except InputError as error:
+            known = ", ".join(PROBLEMS)
+            raise InputError(f"{error}, and for studies {known}") from error
+    path = path.resolve()
+    return Source(path.stem, str(path), _digest(path))
+
+
+def body_name(name: str, refinements: int, element: str) -> str:
+    """A problem's name with its mesh, such as "square P2 h/4"."""
+    return " ".join(filter(None, [name, element, f"h/{2**refinements}" if refinements else ""]))
+
+
+@lru_cache(maxsize=8)
+def open_source(source: Source) -> tuple[SweepingProcess, float, Any]:
+    """The process, how long it runs, and a scene's discretisation, built once in each worker.
+
+    Raises
+    ------
+    SweepoptError
+        If the files are not those the digest was taken of.
+    """
+    path = Path(source.path)
+    if _digest(path) != source.digest:
+        raise SweepoptError(f"{path} is not as it was when the study started; start it again")
+    if source.small:
+        small = PROBLEMS[source.name]
+        return small.process(), small.t_end, None
+    from sweepopt.fem import read_scene
+
+    data = read_toml(path)
+    if source.refinements or source.element:
+        domain = data["domain"]
+        domain["refinements"] = domain.get("refinements", 0) + source.refinements
+        domain["element"] = source.element or domain.get("element", "P1")
+    scene = read_scene(data, folder=path.parent)
+    assert scene.t_end is not None  # a file has it
+    return scene.problem.as_sweeping(), scene.t_end, scene.discretisation
+
+
+@lru_cache(maxsize=8)
+def from_coarser(source: Source, coarse: Source) -> Any:
+    """The matrix that turns states on a coarser mesh of a scene into states on a finer one."""
+    return open_source(source)[2].from_coarser(open_source(coarse)[2])
+
+
+def _digest(path: Path) -> str:
+    """Of a file, of its mesh, of its tables and of the run it starts from, or that run's folder."""
+    files = [path, *(path.parent / name for name in _file_names(read_toml(path)))]
+    files = [file / "solution.nc" if file.is_dir() else file for file in files]
+    parts = [hashlib.sha256(read_bytes(file)).digest() for file in files]
+    return hashlib.sha256(b"".join(parts)).hexdigest()
+
+
+def _file_names(data: Any) -> Iterator[str]:
+    """The values of the keys mesh, csv and run, wherever they are."""
+    entries = data.items() if isinstance(data, dict) else enumerate(data)
+    for key, value in entries:
+        if isinstance(value, (dict, list)):
+            yield from _file_names(value)
+        elif key in ("mesh", "csv", "run") and isinstance(value, str):
+            yield value

@@ -7,21 +7,26 @@ One row a combination, failures included, kept as soon as it is finished: run ag
 
 from __future__ import annotations
 
+import json
+import os
+import zlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, as_completed
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from sweepopt.checks import choice, count, from_table, number
 from sweepopt.errors import InputError, brought_by, shown
 from sweepopt.integrate import schemes
 from sweepopt.io import as_path, read_toml
 from sweepopt.study.cell import THROUGH_CVXPY, Cell, CellRow, run_cell
-from sweepopt.study.hard import SUITES
-from sweepopt.study.records import append_row, each, read_rows
-from sweepopt.study.sources import Source, find_source
+from sweepopt.study.hard import SUITES, each
+from sweepopt.study.problems import Source, find_source
 from sweepopt.study.workers import processes
 from sweepopt.velocity import solvers
 
@@ -194,9 +199,8 @@ def run(
         Where finished cells are kept. Killed at any moment, the study goes on from there; what is
         not whole is computed again.
     executor : concurrent.futures.Executor, optional
-        `processes(n)`, `dask_executor(client)`, or any other one whose workers see the folder; by
-        default cells are computed here, one after the other. The rows are the same bit for bit,
-        times apart.
+        `processes(n)`, `dask_executor(client)`, or any other one; by default cells are computed
+        here, one after the other. The rows are the same bit for bit, times apart.
     progress : callable, optional
         Called with a line of text when something is finished, for example `print`.
 
@@ -213,14 +217,12 @@ def run(
         If a package of the extra "study" is missing.
     """
     cells, done = study.cells(), set(read_table(study, folder).cell)
-    todo = [cell for cell in cells if cell.id not in done]
+    jobs = [(cell, study.reference(cell.problem)) for cell in cells if cell.id not in done]
     progress(f"{len(cells)} cells, {len(done)} of them finished before")
-    references = Path(folder, "references").resolve()  # a worker may have another folder of its own
-    references.mkdir(parents=True, exist_ok=True)
-    jobs = [(cell, study.reference(cell.problem), references) for cell in todo]
+    Path(folder).mkdir(parents=True, exist_ok=True)
     for k, row in enumerate(_compute(jobs, executor), start=1):
-        append_row(Path(folder, ROWS), row)
-        progress(f"{k} of {len(todo)}: {row.cell}: {row.status}")
+        _append_row(Path(folder, ROWS), row)
+        progress(f"{k} of {len(jobs)}: {row.cell}: {row.status}")
     return read_table(study, folder)
 
 
@@ -229,9 +231,31 @@ def read_table(study: Study, folder: str | Path) -> DataFrame:
     with brought_by("study"):
         import pandas as pd
 
-    rows = {row.cell: row for row in read_rows(Path(folder, ROWS), CellRow)}
+    rows = {row.cell: row for row in _read_rows(Path(folder, ROWS))}
     finished = [rows[cell.id] for cell in study.cells() if cell.id in rows]
     return pd.DataFrame(finished, columns=list(CellRow._fields))
+
+
+def _append_row(path: Path, row: CellRow) -> None:
+    """Add a line of JSON; it is on the disk when this returns.
+
+    Kill -9 at any moment loses none of the lines.
+    """
+    line = json.dumps(row._asdict(), default=np.generic.item)
+    with path.open("ab") as file:
+        # a new line first: one that a kill cut short must not spoil this one
+        file.write(f"\n{zlib.crc32(line.encode()):08x} {line}".encode())
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _read_rows(path: Path) -> Iterator[CellRow]:
+    """The rows; lines that are damaged or have other columns are none."""
+    for line in path.read_bytes().splitlines() if path.exists() else ():
+        checksum, _, text = line.partition(b" ")
+        if checksum == b"%08x" % zlib.crc32(text):
+            with suppress(TypeError):
+                yield CellRow(**json.loads(text))
 
 
 def _compute(jobs: list[Any], executor: Executor | None) -> Iterator[CellRow]:

@@ -103,8 +103,8 @@ def dask_executor(client: Any) -> Iterator[Executor]:
 
     Notes
     -----
-    Workers read scenes, and read and write references, in the files of the machine that runs the
-    study. If a worker dies, another one computes its cells.
+    Workers read scenes in the files of the machine that runs the study. If a worker dies, another
+    one computes its cells.
     """
     with brought_by("study"):
         from distributed import Client

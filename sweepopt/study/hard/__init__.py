@@ -6,11 +6,10 @@ scheme is judged by the best of three.
 """
 
 from sweepopt.study.hard.exact import Exact, Program
-from sweepopt.study.hard.families import FAMILIES
 from sweepopt.study.hard.stiff import StiffStudy
-from sweepopt.study.hard.suite import GOOD, Suite, suite_summary
+from sweepopt.study.hard.suite import GOOD, Suite, each, suite_summary
 from sweepopt.study.hard.trajectories import TrajectoryStudy
-from sweepopt.study.hard.velocities import HardStudy
+from sweepopt.study.hard.velocities import FAMILIES, HardStudy
 
 SUITES: dict[str, type[Suite]] = {
     "hard": HardStudy,
@@ -19,4 +18,4 @@ SUITES: dict[str, type[Suite]] = {
 }
 """By the names of their tables in a study's file, which are those of the files of their rows."""
 
-__all__ = ["FAMILIES", "GOOD", "SUITES", "Exact", "Program", "suite_summary"]
+__all__ = ["FAMILIES", "GOOD", "SUITES", "Exact", "Program", "each", "suite_summary"]

@@ -1,4 +1,4 @@
-"""What ingredients.toml names: matrices of small bodies, and what acts on a few unknowns."""
+"""What velocities.toml names: matrices of small bodies, and what acts on a few unknowns."""
 
 from __future__ import annotations
 

@@ -8,18 +8,36 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
-from sweepopt.checks import choice, count, number
+from sweepopt.checks import choice, count, listed, number
 from sweepopt.driver import solve
-from sweepopt.errors import PathError, SolverRefusedError, StabilityWarning, SweepoptError
+from sweepopt.errors import (
+    InputError,
+    PathError,
+    SolverRefusedError,
+    StabilityWarning,
+    SweepoptError,
+    shown,
+)
 from sweepopt.results import Solution
-from sweepopt.study.records import each
 
 TARGET = 1e-8
 """Relative error that every step has to meet, in units of max(|z*|_M, |M^-1 q|_M); and what a run
 may add to the error of its scheme, in units of the way that the bodies go."""
 GOOD = ("met", "warned", "refused")
 """Verdicts of right answers; a run that warns says that its scheme may be wrong."""
-Faults = dict[str, Any]
+Judgement = tuple[dict[str, Any], dict[str, Any]]
+"""Entries of a run's row, and faults: what is wrong with it in words, and whether it is."""
+
+
+def each(name: str, values: Any, check: Callable[..., Any], *limits: Any) -> tuple[Any, ...]:
+    """A list with one entry or more, each checked under its own name and none there twice."""
+    entries: dict[str, Any] = {}
+    for k, value in enumerate(listed(name, values)):
+        entry = check(f"{name}[{k}]", value, *limits)
+        if str(entry) in entries:
+            raise InputError(f"{name}[{k}]: {shown(value)} is there twice")
+        entries[str(entry)] = entry
+    return tuple(entries.values())
 
 
 @dataclass(frozen=True)
@@ -65,7 +83,7 @@ class Suite:
 def run_case(
     row: Any,
     process: Callable[[], Any],
-    judge: Callable[[Solution, bool], tuple[Any, Faults]],
+    judge: Callable[[Solution, bool], Judgement],
     refused: str = "",
     allowed: str = "",
     **settings: Any,
@@ -78,7 +96,7 @@ def run_case(
     process : callable
         Makes the process.
     judge : callable
-        A solution, and whether its run warned -> the row's other entries, and faults by name.
+        Takes a solution, and whether its run warned.
     refused, allowed : str
         Names of errors: the one that is the right answer, and one that is an answer.
     **settings

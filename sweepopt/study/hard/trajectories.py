@@ -33,7 +33,7 @@ from sweepopt.results import Solution
 from sweepopt.sets import Box, ConvexSet, Moving, Polyhedron
 from sweepopt.study.cell import guaranteed_bound
 from sweepopt.study.hard.bodies import Random
-from sweepopt.study.hard.suite import TARGET, Faults, Suite, run_case
+from sweepopt.study.hard.suite import TARGET, Judgement, Suite, run_case
 
 LOCAL = 2.0  # once is not enough for catching-up: C(t) of one end of the step, u of the other
 ROUNDING = 64 * EPS  # of u and of f / B, which cancel where bodies are far from the origin
@@ -42,11 +42,9 @@ CLEAR, EVEN = 0.1, 0.5
 """A body slips clearly in a step if its mean velocities in the halves of this and of those beside
 it are above CLEAR of the largest of all times and above EVEN of the largest of theirs."""
 
-_FILE = read_toml(Path(__file__).with_suffix(".toml"))
-
-TRAJECTORIES: dict[str, dict[str, Any]] = {
-    name: {**_FILE["usual"], **row} for name, row in _FILE["hard"].items()
-}
+USUAL, HARD = read_toml(Path(__file__).with_suffix(".toml")).values()
+DRAWN = ("mu_Lam", "A", "g", "load", "period", "offset")  # for each unknown
+TRAJECTORIES: dict[str, dict[str, Any]] = {name: USUAL | row for name, row in HARD.items()}
 """By name, with all keys; trajectories.toml explains them."""
 
 
@@ -108,14 +106,12 @@ class Case:
 
         (self.mu,), (steps,) = draw("step", 1), draw("steps", 1)
         self.t = self.mu * np.arange(int(steps) + 1)
-        self.stiffness, A, self.g = map(draw, ("mu_Lam", "A", "g"))
+        self.stiffness, A, self.g, load, period, self.offset = map(draw, DRAWN)
         self.mu_Lam, self.metric = float(self.stiffness.max()), A
         viscous = self.mu_Lam < inf
         self.A = A if viscous else 0 * A
         self.B = self.stiffness * A / self.mu if viscous else A
         compliance = np.divide(1.0, self.B, out=0 * A, where=self.B > 0)
-        amplitude, period = self.g * draw("load"), self.mu * draw("period")
-        self.offset = draw("offset")
         self.center = compliance * self.offset
         self.scale: Any = Constant(1.0)
         if keys["closes"]:
@@ -126,19 +122,18 @@ class Case:
         if keys["rotated"]:
             self.axes = np.linalg.qr(random.normal(size=(n, n)))[0]
         self.starts = draw("start") * self.g * compliance
-        ends = zip(amplitude, period, strict=True)
-        self.loads = [_drive(random, keys["drive"], *x, self.t[-1]) for x in ends]
+        drives = zip(self.g * load, self.mu * period, strict=True)
+        self.loads = [_drive(random, keys["drive"], *one, self.t[-1]) for one in drives]
 
     def process(self) -> SweepingProcess:
         """The process, which may be refused."""
         loads = [*self.loads, *map(Constant, self.offset.tolist())]
-        return self._process(self.axes, loads, self.center + self.starts)
+        return self._along(self.axes, loads, self.center + self.starts)
 
-    def _process(self, axes: np.ndarray, loads: list[Any], u0: np.ndarray) -> SweepingProcess:
-        """The bodies along some axes."""
+    def _along(self, axes: np.ndarray, loads: list[Any], u0: np.ndarray) -> SweepingProcess:
         A, B = ((axes * x) @ axes.T for x in (self.A, self.B))
         C: ConvexSet = Box(-self.g, self.g)
-        if not np.array_equal(axes, np.eye(len(axes))):
+        if np.count_nonzero(axes) > len(axes):
             C = Polyhedron(np.vstack([axes.T, -axes.T]), np.tile(self.g, 2))
         terms = Separable([(load, axes[:, k % len(axes)]) for k, load in enumerate(loads)])
         return SweepingProcess(A, B, Moving(C, terms, self.scale), axes @ u0)
@@ -147,15 +142,13 @@ class Case:
     def exact(self) -> np.ndarray:
         """States at nodes and middles of steps, of each body on its axis, from its centre."""
         times = np.sort([*self.t, *0.5 * (self.t[1:] + self.t[:-1])])
-        process = self._process(np.eye(len(self.g)), self.loads, self.starts)
+        process = self._along(np.eye(len(self.g)), self.loads, self.starts)
         return solve(process, steps=times, scheme="exact").u
 
     def way(self) -> np.ndarray:
         """How far load and friction bound of each body go in each step, together."""
-        r, *f = (
-            np.array([one.variation(*step) for step in pairwise(self.t.tolist())])
-            for one in (self.scale, *self.loads)
-        )
+        steps = [*pairwise(self.t.tolist())]
+        r, *f = ([one.variation(*step) for step in steps] for one in (self.scale, *self.loads))
         return np.transpose(f) + np.outer(r, self.g)
 
     def norm(self, u: np.ndarray) -> float:
@@ -222,7 +215,7 @@ class TrajectoryStudy(Suite):
                 )
 
 
-def _judge(case: Case, solution: Solution, warned: bool) -> tuple[dict[str, Any], Faults]:
+def _judge(case: Case, solution: Solution, warned: bool) -> Judgement:
     """What a run is worth, and what is wrong with it."""
     scheme, exact = solution.plan.scheme, case.exact
     u, z = solution.u @ case.axes - case.center, solution.velocity @ case.axes
@@ -237,8 +230,7 @@ def _judge(case: Case, solution: Solution, warned: bool) -> tuple[dict[str, Any]
         allowed += LOCAL * _sum_of_local_errors(case, scheme, order)
     error = case.norm(u - exact[::2])
     between = max(error, case.norm(0.5 * (u[1:] + u[:-1]) - exact[1::2]))
-    proved = guaranteed_bound(solution) if len(z) <= BOUNDED else None
-    bound = nan if proved is None else float(proved)
+    bound = float(guaranteed_bound(solution)) if len(z) <= BOUNDED else nan
     energy, moves = solution.energy(), abs(np.diff(u, axis=0))
     # forces of stages and those at the middle of a step differ by what they change in the step
     quadrature = np.append(0.0, np.cumsum((moves * (case.B * moves + way)).sum(axis=1)))
@@ -266,10 +258,10 @@ def _sum_of_local_errors(case: Case, scheme: Scheme, order: int) -> float:
     """The largest of all nodes; those of earlier steps fade while a body slips clearly."""
     exact, local = case.exact, np.zeros(case.exact[1:].shape)
     local[order:] = abs(np.diff(exact, order + 1, axis=0))
-    rates = np.array([abs(scheme.amplification(-x)) for x in np.minimum(case.stiffness, HUGE)])
+    rates = abs(scheme.amplification(-np.minimum(case.stiffness, HUGE)))
     sums = np.zeros(exact[::2].shape)
     slips = np.pad(_slips_clearly(exact), ((1, 1), (0, 0)))
-    for i, step in enumerate(local.reshape(-1, 2, len(rates)).sum(axis=1)):
+    for i, step in enumerate(local[::2] + local[1::2]):
         sums[i + 1] = np.where(slips[i], rates, 1.0) * sums[i] + step
     return case.norm(sums)
 

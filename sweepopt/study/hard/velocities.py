@@ -1,30 +1,159 @@
-"""Every hard case through every path and solver: the true error beside the certificate."""
+"""Hard programs: every one through every path and solver, the true error beside the certificate.
+
+What makes a program hard was listed one by one; solvers fail where two or three of it meet. A case
+names what it is made of, and a seed makes it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from itertools import product
 from math import nan
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from sweepopt.io import read_toml
+from sweepopt.loads import Separable
 from sweepopt.problem import SweepingProcess
 from sweepopt.results import Solution
-from sweepopt.study.hard.bodies import Random
+from sweepopt.sets import Moving, image
+from sweepopt.study.hard import bodies
+from sweepopt.study.hard.bodies import Random, between, chain, spectral
 from sweepopt.study.hard.exact import Exact, Program
-from sweepopt.study.hard.families import (
-    FAMILIES,
-    HISTORIES,
-    REFUSED,
-    Names,
-    combination,
-    entry_of,
-    make,
-)
-from sweepopt.study.hard.suite import TARGET, Faults, Suite, run_case
+from sweepopt.study.hard.suite import TARGET, Judgement, Suite, run_case
+
+Names = Sequence[str]
+
+EMPTY = "a strip that is missing by 1e-9"
+
+# ---- loads, stiffness, histories --------------------------------------------------------------
+
+THRESHOLD = "each load is its friction bound, or up to 1e-14 beside it"
+WEAKLY = "loads beside their bounds by 1e-3 to 1e-13 of these"
+LOADS: dict[str, Any] = {
+    "any load": None,
+    "another load": None,
+    THRESHOLD: lambda random, count: 1 + random.choice([0, 0, 0, 1e-14, -1e-14], count),
+    WEAKLY: lambda random, count: (
+        1 + random.choice([-1.0, 1.0], count) * between(random, 1e-13, 1e-3, count)
+    ),
+    "five times the bounds": 5.0,
+    "half the bounds": 0.5,
+    "0.999 of the bounds": 0.999,
+    "exactly the bounds": 1.0,
+}
+"""Shares of the edge of the set, or how they are drawn; None is any load."""
+
+STIFFNESS: dict[str, Callable[[Random, np.ndarray], Any]] = {
+    "no B": lambda random, A: None,
+    "B = 0": lambda random, A: None,
+    "any B": lambda random, A: chain(random, len(A)),
+    "B of rank one": lambda random, A: np.outer(*2 * [random.normal(size=len(A))]),
+    "B = rho A, rho 1e-6 to 1e6": lambda random, A: 10.0 ** random.integers(-6, 7) * A,
+    "B up to 1e10": lambda random, A: spectral(random, 0, 10, len(A)),
+    "viscosity 1e-2 to 1e-12": lambda random, A: (
+        10.0 ** -random.integers(2, 13) * A,
+        chain(random, len(A)),
+    ),
+    "A = 0": lambda random, A: (0 * A, A),
+    "all of B 1e10": lambda random, A: 1e10 * chain(random, len(A)),
+}
+"""B for a matrix A, or A and B in its place."""
+
+
+def constant(t: float) -> float:
+    """1 at all times."""
+    return 1.0
+
+
+LONG = "500 steps, loads that change their signs"
+HISTORIES: dict[str, tuple[Any, ...]] = {
+    "one step": (1.0, 1, constant),
+    "four steps": (4.0, 4, np.sin),
+    "a load that stays": (4.0, 4, lambda t: min(t, 1.0)),
+    "a sine": (6.0, 12, np.sin),
+    "steps of 1e-10": (1e-9, 10, lambda t: 1 + t),
+    "steps of 10": (100.0, 10, np.sin),
+    "a load that jumps from 1e6 to 1e-6 and back": (6.0, 12, lambda t: 1e6 ** ((-1) ** int(t))),
+    "a load that rotates through zero": (
+        *(6.0, 12, lambda t: np.sin(t - 0.5) * np.cos(t)),
+        lambda t: np.sin(t - 0.5) * np.sin(t),
+    ),
+    "a corner of C(t) sweeps past": (6.0, 30, np.cos, lambda t: np.sin(2 * t)),
+    LONG: (10.0, 500, lambda t: (-1) ** int(t)),
+    "stick and slip at almost every step": (10.0, 200, lambda t: np.sin(40 * t)),
+}
+"""End, steps, and factors over time of loads that are drawn one by one."""
+
+# ---- cases ------------------------------------------------------------------------------------
+
+MATRICES, CONTACTS, UNITS, FAMILIES = read_toml(Path(__file__).with_suffix(".toml")).values()
+TABLES = (MATRICES, CONTACTS, LOADS, UNITS, STIFFNESS, HISTORIES)
+
+
+def entry_of(table: Mapping[str, Any], names: Names) -> Any:
+    """The entry of a table that is named, the first one if none is."""
+    return table[next((name for name in names if name in table), next(iter(table)))]
+
+
+def make(names: Names, random: Random) -> SweepingProcess:
+    """The process that these ingredients and a seed make."""
+    A = _draw(MATRICES, names, random)
+    n = len(A)
+    few, part, edge, block = _draw(CONTACTS, names, random, n)
+    length, force = entry_of(UNITS, names) or (2.0 ** random.integers(-40, 41, n), 1.0)
+    units = length * np.ones(n)
+    units[few] = np.repeat(units[few[::block]], block)
+    _, _, *factors = entry_of(HISTORIES, names)
+    loads = (_load(names, random, n, few, edge) for _ in factors)
+    terms = [(factor, force * units * load) for factor, load in zip(factors, loads, strict=True)]
+    B = entry_of(STIFFNESS, names)(random, A)
+    A, B = (
+        M if M is None else force * np.outer(units, units) * M
+        for M in (B if isinstance(B, tuple) else (A, B))
+    )
+    # a long hold starts at an equilibrium that is not 0
+    u0 = random.normal(size=n) if LONG in names else np.zeros(n)
+    if B is not None:
+        terms.append((constant, B @ u0))
+    C = part(force * units[few])
+    if not np.array_equal(few, np.arange(n)):
+        C = image(np.eye(n)[:, few], C)
+    return SweepingProcess(A, B, Moving(C, Separable(terms)), u0)
+
+
+def _draw(table: Mapping[str, Any], names: Names, *given: Any) -> Any:
+    ((function, arguments),) = entry_of(table, names).items()
+    return getattr(bodies, function)(*given, *arguments)
+
+
+def _load(names: Names, random: Random, n: int, few: np.ndarray, edge: Any) -> np.ndarray:
+    shares = entry_of(LOADS, names)
+    if shares is None or edge is None:
+        return 3 * random.normal(size=n)
+    return np.bincount(few, edge * (shares(random, few.size) if callable(shares) else shares), n)
+
+
+DRAWN = (7, 11, 4, 7, 8)
+"""From how many first entries of the tables but the last one combinations are drawn."""
+
+
+def combination(random: Random) -> Names:
+    """A matrix, contact, load, units and stiffness, drawn by chance."""
+    tables = zip(TABLES, DRAWN, strict=False)
+    names = [list(table)[random.integers(count)] for table, count in tables]
+    if names[1:3] == ["a box", "another load"]:
+        names[1] = "a box that names contacts twice"
+    # what is at the threshold comes there and stays
+    history = "a load that stays" if names[2] in (THRESHOLD, WEAKLY) else "four steps"
+    return (*names, "one step" if names[4] == "no B" else history)
+
+
+# ---- runs -----
 
 PATHS = ("full", "eliminated", "proportional")
 SOLVERS = ("auto", "newton", "daqp", "osqp", "clarabel", "cvxpy:osqp", "cvxpy:clarabel")
@@ -109,44 +238,42 @@ class HardStudy(Suite):
         >>> row.verdict, row.error < 1e-12
         ('met', True)
         """
-        for name, seed, names, random in self._cases():
-            (t_end, steps, *_), process = entry_of(HISTORIES, names), make(names, random)
-            program = Program(process.A, process.B, t_end / steps)
-            exact = cache(partial(_exact, process, program, t_end / steps))
-            refused = entry_of(REFUSED, names)
-            for path, solver in product(self.paths, self.solvers):
-                answer = f"refuse: {refused}" if refused else ""
-                row = run_case(
-                    HardRow(name, seed, path, solver, ", ".join(names), answer),
-                    process.as_sweeping,
-                    partial(_judge, program, exact),
-                    refused,
-                    t_end=t_end,
-                    steps=steps,
-                    scheme="implicit-euler",
-                    solver=solver,
-                    tol=self.tol,
-                    path=path,
-                )
-                if row:
-                    yield row
-
-    def _cases(self) -> Iterator[tuple[str, int, Names, Random]]:
         for name, seed in product(self.families, self.seeds):
-            yield name, seed, FAMILIES[name], np.random.default_rng(seed)
+            yield from self._runs(name, seed, FAMILIES[name], np.random.default_rng(seed))
         for seed, k in product(self.seeds, range(self.combinations)):
             random = np.random.default_rng([seed, k])
-            yield f"combination {k}", seed, combination(random), random
+            yield from self._runs(f"combination {k}", seed, combination(random), random)
+
+    def _runs(self, name: str, seed: int, names: Names, random: Random) -> Iterator[HardRow]:
+        (t_end, steps, *_), process = entry_of(HISTORIES, names), make(names, random)
+        mu = t_end / steps
+        program = Program(process.A, process.B, mu)
+
+        @cache
+        def exact(t: float, *u: float) -> Exact:
+            # the time as a step makes it: a load may change within a rounding unit of t
+            return program.solve(np.array(u), process.C.at(t + mu))
+
+        refused = "EmptySetError" if EMPTY in names else ""
+        answer = f"refuse: {refused}" if refused else ""
+        for path, solver in product(self.paths, self.solvers):
+            row = run_case(
+                HardRow(name, seed, path, solver, ", ".join(names), answer),
+                process.as_sweeping,
+                partial(_judge, program, exact),
+                refused,
+                t_end=t_end,
+                steps=steps,
+                scheme="implicit-euler",
+                solver=solver,
+                tol=self.tol,
+                path=path,
+            )
+            if row:
+                yield row
 
 
-def _exact(process: SweepingProcess, program: Program, mu: float, t: float, *u: float) -> Exact:
-    # the time as a step makes it: a load may change within a rounding unit of t
-    return program.solve(np.array(u), process.C.at(t + mu))
-
-
-def _judge(
-    program: Program, exact: Callable[..., Exact], solution: Solution, _: bool
-) -> tuple[dict[str, Any], Faults]:
+def _judge(program: Program, exact: Callable[..., Exact], solution: Solution, _: bool) -> Judgement:
     """The last answer in words, the worst of all steps, and what is wrong with it."""
     stats = solution.stats
     # of a step that is taken in parts the velocity is the mean of theirs, of no one program
