@@ -478,6 +478,18 @@ def test_sets_can_be_copied_with_their_factorisations(C):
         np.testing.assert_array_equal(twin(C).project(v), w)
 
 
+def test_sets_that_move_by_data_go_through_pickle():
+    """Their algebra too; what a user's lambda moves cannot, as Python pickles no lambda."""
+    sine = so.Sine(1.0, period=4.0)
+    C = so.Moving(so.Box([-1, -1], [1, 1]), center=so.Separable([(sine, [1.0, 0.0])]))
+    rows = so.Polyhedron([[1, 0], [0, 1], [-1, -1]], so.Separable([(sine, [0.5, 0.0, 0.0])]))
+    ball = so.Ball([0.0, 0.0], 1.0)
+    for moving in (rows, C + [1.0, 0.0], 2 * C, C & ball, so.product(C, C), so.image(EYE, C)):
+        one, twin = moving.at(1.0), pickle.loads(pickle.dumps(moving)).at(1.0)
+        z = np.arange(1.0, moving.dim + 1.0)
+        assert twin.support(z) == one.support(z)
+
+
 # ---- what the algebra simplifies ----------------------------------------------------------------
 
 

@@ -38,17 +38,17 @@ STATES = {-1: "slips_backward", 0: "sticks", 1: "slips_forward"}
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rows(Brief):
-    """Rows E of the velocity that are bounded together in blocks.
+    """Rows E of the velocity whose forces are bounded, those of a block together.
 
     Attributes
     ----------
     E : sparse, shape (m * block, dim)
     block : int
-        Rows of each block.
+        Rows of each block: 1 for intervals, 2 for discs, 3 for balls.
     weight : ndarray, shape (m,)
-        Of each block in the integral.
+        The length, area or volume that each block stands for in the integral.
     where : {"trace", "nodes", "gradient", "internal"}
-        What they are: unknowns on a boundary, unknowns inside, derivatives, internal unknowns.
+        What E u is: unknowns on a boundary, unknowns inside, derivatives, internal unknowns.
     cells : ndarray of int, shape (m,), or None
         In which cell each block of a plastic strain is.
     """
@@ -68,6 +68,7 @@ class Yield(Brief):
     ----------
     rows : Rows
     g : ndarray of shape (m,), or callable t -> (m,)
+        Bound of each block's force, per length, area or volume.
     histories : sequence of callable
         Functions of time that g is made of, as data: steps end at their breakpoints.
     metric : ndarray, shape (m, block, block), or None

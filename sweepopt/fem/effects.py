@@ -77,7 +77,38 @@ class Contribution(Brief):
 
 
 class Effect(Protocol):
-    """What a scene asks of an effect."""
+    """What a scene asks of an effect, also of one of your own.
+
+    The fields of its dataclass are the keys of its table. `body` has the ``mesh`` and the ``basis``
+    of scikit-fem, and ``body.restrict`` takes a matrix or a vector of all degrees of freedom to the
+    unknowns. A `Contribution` may hold ``A=`` (of u'), ``B=`` (of u), ``loads=[(history, f)]``, and
+    ``yields=``, rows of the velocity whose forces are bounded, as in the example.
+
+    Examples
+    --------
+    Friction along a line inside of the body, at most g on each length of it:
+
+    >>> from dataclasses import dataclass
+    >>> import numpy as np, scipy.sparse as sp, skfem
+    >>> from sweepopt.fem import EFFECTS, Contribution, Rows, Yield, read_scene
+    >>> @dataclass(frozen=True)
+    ... class Seam:
+    ...     at: float
+    ...     g: float
+    ...     def contribute(self, body):
+    ...         on_line = body.mesh.facets_satisfying(lambda x: np.isclose(x[0], self.at))
+    ...         basis = skfem.FacetBasis(body.mesh, body.basis.elem, facets=on_line)
+    ...         length = body.restrict(skfem.LinearForm(lambda v, w: v).assemble(basis))
+    ...         rubs = np.flatnonzero(length)        # the unknowns on the line
+    ...         E = sp.eye_array(length.size, format="csr")[rubs]
+    ...         rows = Rows(E, block=1, weight=length[rubs], where="nodes")
+    ...         return Contribution(yields=[Yield(rows, g=np.full(rubs.size, self.g))])
+    >>> EFFECTS["seam"] = Seam                   # from now on a table of scene files
+    >>> seam = {"effects.seam": {"at": 0.5, "g": 0.2}}
+    >>> read_scene("square", changes=seam, without=["friction"]).solve().success
+    True
+    >>> del EFFECTS["seam"]
+    """
 
     def contribute(self, body: Discretisation) -> Contribution:
         """The effect's matrices, terms of the load or rows that yield, on a body."""

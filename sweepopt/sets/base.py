@@ -6,7 +6,9 @@ and through the projection on C. Two facts make one small contract enough:
 * **sigma is linear in the set's offsets.** Every set has a vector h of *offsets* (bounds, centres,
   radii, right hand sides) with  sigma(C, p) = min { <h, y> : (p, y) in a fixed convex cone }.
   Moving C by translation, scaling or h(t) changes h and nothing else, so a program is compiled
-  once and a step touches vectors only. `features` states the cone in cvxpy and returns y.
+  once and a step touches vectors only. `features` states the cone in cvxpy and returns y. Both
+  are in the set's own units: where data of several kinds meet, powers of two (`binary`) of their
+  sizes are divided out, so that a solver gets the same bits whatever forces are measured in.
 * **A projection proves a normal pair.** For any v and tau > 0 put w = P_C(v), p = (v - w) / tau:
   then p is in N_C(w) exactly (Moreau). Started from a solver's answer this gives a pair that
   satisfies the inclusion, has exact zeros where the body is stuck, and carries all of the
@@ -41,7 +43,15 @@ RANK = 1e-13  # singular values that are no more than this share of the largest 
 
 
 class Features(NamedTuple):
-    """y and the cone of  sigma(C, p) = min { <h, y> : constraints(p, y) }."""
+    """The support function as a program: sigma(C, p) = min { <offsets, y> : constraints }.
+
+    Attributes
+    ----------
+    y : list of cvxpy expressions
+        Stacked they have one entry for each of the set's offsets.
+    constraints : list of cvxpy constraints
+        Of a cone: they hold for s p and s y, s > 0, where they hold for p and y.
+    """
 
     y: list[cp.Expression]
     constraints: list[cp.Constraint]
@@ -266,26 +276,49 @@ class Operators(Brief):
 
 
 class ConvexSet(Operators, ABC):
-    """A non-empty closed convex set C in R^dim.
+    """A non-empty closed convex set C in R^dim: the base of all sets, and of your own.
 
-    A new shape gives `support`, `project`, `offsets` and `features`, also `same_cone` if matrices
-    are part of it, `normal` if it is unbounded and `derivative` so that Newton's method solves its
-    programs to rounding; the laws in tests/laws.py then test it. Offsets and what `features` states
-    are in the set's own units: where data of several kinds meet, powers of two (`binary`) of their
-    sizes are divided out, so that a solver gets the same bits whatever forces are measured in.
+    A set of your own has `dim` and `offsets`, and gives `support`, `project` and `features`; the
+    example has all that is needed. If it has more data than its offsets, such as a matrix, give
+    `same_cone` too, if it is unbounded `normal`, and `derivative` to let Newton's method solve its
+    programs to rounding, many times as fast.
 
     Attributes
     ----------
     dim : int
         Dimension of the space.
     offsets : ndarray, shape (k,)
-        The vector h in which the support function is linear.
+        The numbers in which the support function is linear: bounds, radii, right hand sides.
     polyhedral : bool
         Whether C is a polyhedron, so that a QP solver can treat it.
     exact : bool
         Whether `project` is exact to rounding: a formula or an active set, no iteration.
     certifiable : bool
-        Whether `normal_pair` has proofs.
+        Whether answers can be proved, as a projection does; so it is by default.
+
+    Examples
+    --------
+    A disc of radius r, as if there were no `Ball`. `features` says in cvxpy that sigma(C, p) is the
+    least <offsets, y> under its constraints, here r y with |p| <= y:
+
+    >>> import cvxpy as cp
+    >>> import numpy as np
+    >>> import sweepopt as so
+    >>> from sweepopt.sets import Features
+    >>> class Disc(so.ConvexSet):
+    ...     def __init__(self, r):
+    ...         self.dim, self.r, self.offsets = 2, r, np.array([r])
+    ...     def support(self, z):
+    ...         return self.r * np.hypot(*z)
+    ...     def project(self, w):
+    ...         return w * (self.r / max(np.hypot(*w), self.r))
+    ...     def features(self, p):
+    ...         y = cp.Variable(1)
+    ...         return Features([y], [cp.norm(p) <= y[0]])
+    >>> load = so.Separable([(so.Sine(3.0, period=4.0), [1.0, 0.5])])
+    >>> process = so.EvolutionVI(np.eye(2), None, load=load, dissipation=Disc(1.0), u0=[0, 0])
+    >>> so.solve(process, t_end=4.0, steps=40).success
+    True
     """
 
     dim: int

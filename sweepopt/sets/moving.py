@@ -8,8 +8,9 @@ serves them all.
 from __future__ import annotations
 
 import copy
+import sys
 from collections.abc import Callable, Sequence
-from functools import wraps
+from functools import partial, wraps
 from typing import Any
 
 import numpy as np
@@ -153,16 +154,19 @@ def over_time(operation: Callable[..., Any]) -> Callable[..., Any]:
         if any(isinstance(C, StateDependent) for C in operands):
             raise InputError(WITHOUT_STATE)
         fixed = [copy.copy(x) if is_vector(x) else x for x in operands]
-
-        def done(member: Callable[[MovingSet], ConvexSet]) -> Any:
-            return operation(*(member(x) if isinstance(x, MovingSet) else x for x in fixed))
-
-        dim = done(lambda C: Ball(np.zeros(C.dim), 0.0)).dim
-        made = MovingSet(lambda t: done(lambda C: C.at(t)), dim)
+        points = (Ball(np.zeros(x.dim), 0.0) if isinstance(x, MovingSet) else x for x in fixed)
+        at = partial(_operated, operation.__module__, operation.__name__, fixed)
+        made = MovingSet(at, operation(*points).dim)
         made.operands = tuple(C for C in fixed if isinstance(C, MovingSet))
         return nested(made, *(C for C in operands if isinstance(C, Operators)))
 
     return on_all
+
+
+def _operated(module: str, name: str, operands: list[Any], t: float) -> ConvexSet:
+    """What an operation, by its name as pickles need it, makes of its operands at a time."""
+    operation = getattr(sys.modules[module], name)
+    return operation(*(x.at(t) if isinstance(x, MovingSet) else x for x in operands))
 
 
 class Moving(MovingSet):
@@ -269,7 +273,11 @@ class MovingOffsets(MovingSet):
 
     def __init__(self, shape: Any, offsets: Callable[[float], Any]) -> None:
         self.shape, self.offsets = shape, offsets
-        super().__init__(lambda t: shape.with_offsets(offsets(t)), shape.dim)
+        super().__init__(partial(_offset, shape, offsets), shape.dim)
+
+
+def _offset(shape: Any, offsets: Callable[[float], Any], t: float) -> ConvexSet:
+    return shape.with_offsets(offsets(t))
 
 
 class StateDependent(MovingSet):
@@ -328,13 +336,17 @@ class StateDependent(MovingSet):
 
     def of(self, u: np.ndarray) -> MovingSet:
         """The sets t -> C(t, u) of one state."""
-        return MovingSet(lambda t: self._of_state(t, u), self.dim)
+        return MovingSet(partial(_of_time, self._of_state, u), self.dim)
 
     def starting_at(self, u0: np.ndarray) -> StateDependent:
         """The same, with C(t, u0) where no state is given."""
         other = copy.copy(self)
-        other._at = lambda t: self._of_state(t, u0)
+        other._at = partial(_of_time, self._of_state, u0)
         return other
+
+
+def _of_time(at: Callable[[float, np.ndarray], ConvexSet], u: np.ndarray, t: float) -> ConvexSet:
+    return at(t, u)
 
 
 WITHOUT_STATE = (
