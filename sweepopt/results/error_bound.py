@@ -57,9 +57,9 @@ FADES = 10
 """mu lam from which the second run is of implicit Euler. On equal grids its bounds were 1.1 times
 those of sdirk2 at mu lam = 10, 1.4 times at 2, up to 4 times at 0.5 and 9 times at 0.002."""
 WORK = {"implicit-euler": 11, "sdirk2": 8}
-"""Steps of all second runs, at most, for each program of the run: grids of n, 3n and the rest of
-the work, beside a run of one program a step. With this a bound takes 11 times the run at most; with
-13 and 10 bounds of bodies of uneven viscosity were 1.6 times closer, those of others 1.05 times."""
+"""Steps of all second runs, at most, for each program of the run. With this a bound takes 10 times
+the run at most; with 13 and 10 it took up to 13 times, and was 1.25 times closer for bodies of
+uneven viscosity."""
 
 
 class ErrorBound(float):
@@ -116,8 +116,8 @@ def error_bound(
 
     The first grid is that of the run with the breakpoints of the data. Each pass bounds |u - v|,
     with the best curve on each step, and so the error; the smallest bound of all passes is kept on
-    each step. The next pass has three times the steps, where the bound of |u - v| comes from, or
-    what work is left. Where C(t) is no data, there is one pass.
+    each step. The next pass has the steps that its goal asks for, at most what work is left, where
+    the bound of |u - v| comes from. Where C(t) is no data, there is one pass.
     """
     norms = Norms(process)
     stiff = process.rate_independent or norms.lam * np.diff(run.t).min() > FADES
@@ -154,7 +154,7 @@ def error_bound(
             break
         n = len(t) - 1  # the bound falls as 1 / n at least
         more = (growth.A[-1] / goal - 1) * n if goal > 0 else np.inf
-        t = _refined(t, growth.shares, math.ceil(np.fmin(more, min(2 * n, work - n))))
+        t = _refined(t, growth.shares, math.ceil(np.fmin(more, work - n)))
     ends = norms.A(run.u)
     most = _largest_state(process, norms, float(run.t[0]), float(run.t[-1]))
     most += np.maximum(ends[:-1], ends[1:]) + rounding
