@@ -1,7 +1,5 @@
 """The reference cases, whose exact solutions every path must meet, and random processes."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from functools import cache

@@ -1,11 +1,19 @@
 """One thread of BLAS a test: `-n 2` runs two at a time, and two threads of each share the cores."""
 
+import faulthandler
 import os
 import sys
 
 import pytest
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before a worker imports numpy
+
+
+@pytest.fixture(autouse=True)
+def _full_sizes_take_their_time(request):
+    """The limit of a test's time (pyproject.toml) is not for those that are marked slow."""
+    if request.node.get_closest_marker("slow"):
+        faulthandler.cancel_dump_traceback_later()
 
 
 @pytest.fixture(autouse=True)

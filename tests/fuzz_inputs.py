@@ -4,8 +4,6 @@ A recipe is a tree of calls that are made when the library is asked, not when it
 prints as the code a reader can copy: the shrunken example of a failure is a test already.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from decimal import Decimal

@@ -1,6 +1,5 @@
 """The property: in time a right answer, or an error of the library's own."""
 
-import faulthandler
 import math
 import signal
 import warnings
@@ -21,7 +20,7 @@ class Hang(BaseException):
 
 @contextmanager
 def limited(seconds):
-    """End what takes longer: by a signal, and if no Python code runs any more by the process.
+    """End what takes longer by a signal; where no Python code runs any more pytest has a limit.
 
     The signal counts the time of this process, so that a busy machine hangs nothing.
     """
@@ -31,11 +30,9 @@ def limited(seconds):
 
     before = signal.signal(signal.SIGPROF, stop)
     signal.setitimer(signal.ITIMER_PROF, seconds)
-    faulthandler.dump_traceback_later(10 * seconds, exit=True)
     try:
         yield
     finally:
-        faulthandler.cancel_dump_traceback_later()
         signal.setitimer(signal.ITIMER_PROF, 0)
         signal.signal(signal.SIGPROF, before)
 

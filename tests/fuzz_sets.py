@@ -1,7 +1,5 @@
 """Recipes of sets: shapes, expressions in them, and sets that move."""
 
-from __future__ import annotations
-
 import operator
 from dataclasses import dataclass
 

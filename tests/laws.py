@@ -4,8 +4,6 @@ A new shape or operation is one line in ZOO. Each entry states the set a second 
 constraints on w, which share no code with the library: that is what the laws compare with.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -87,7 +87,6 @@ def error_of(sol, process=None):
     """max |u_i - u(t_i)| of a run, of which the process states the load as data."""
     process = process or sol.process
     exact = so.solve(process, t_end=sol.t[-1], steps=1, scheme="exact").exact
-    assert exact is not None
     return max(map(process.metric.norm, sol.u - exact(sol.t)))
 
 
@@ -357,7 +356,7 @@ def test_what_cannot_be_is_refused(steps, changes, words):
         so.solve(process, steps=steps(), **{"t_end": 8.0, **changes})
 
 
-def test_of_a_body_whose_contact_alone_moves_nothing_else_enters_a_step() -> None:
+def test_of_a_body_whose_contact_alone_moves_nothing_else_enters_a_step():
     load = so.Separable([(so.Sine(3.0, 3.0), np.ones(6))])
     D = so.image(np.eye(6)[:, 4:], so.Box([-0.5, -0.5], [0.5, 0.5]))
     A = 2 * np.eye(6) - np.eye(6, k=1) - np.eye(6, k=-1)
@@ -397,7 +396,7 @@ def test_steps_that_overshoot_however_short_end_after_few_passes():
         so.solve(process, t_end=1.0, steps=so.Adaptive(0.01))
 
 
-def test_many_copies_of_a_body_take_the_steps_of_one() -> None:
+def test_many_copies_of_a_body_take_the_steps_of_one():
     copies, tol = 10_000, 1e-2
     one = so.solve(problem("S03").process(), t_end=8.0, steps=so.Adaptive(tol))
     load = so.Separable([(so.Sine(3.0, math.pi), np.ones(copies) / math.sqrt(copies))])
@@ -422,7 +421,7 @@ def test_a_smooth_dense_table_takes_as_many_steps_as_the_curve_that_it_samples(p
     assert work_of[1] <= 2 * work_of[0]
 
 
-def test_a_load_known_at_multiples_of_a_step_alone_is_told_what_adaptive_needs() -> None:
+def test_a_load_known_at_multiples_of_a_step_alone_is_told_what_adaptive_needs():
     known = {round(0.1 * k, 9): [1.5 * k] for k in range(81)}
     C = so.Moving(so.Box([-1], [1]), lambda t: known[round(t, 9)])
     process = so.SweepingProcess([[0.5]], [[2.0]], C, [0.0])

@@ -1,16 +1,11 @@
 """Bodies of every kind with effects that compose: exact solutions and laws, limits, bad input."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
+import meshio
 import numpy as np
 import pytest
 import scipy.sparse as sp
-
-pytest.importorskip("skfem")
-
-import meshio
 import skfem
 from meshes import square
 from test_fem import order

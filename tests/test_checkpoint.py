@@ -6,9 +6,6 @@ import json
 import os
 import pickle
 import random
-import signal
-import subprocess
-import sys
 import time
 import warnings
 import zipfile
@@ -17,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import block
+from processes import started
 from test_reduction import process as chain
 from test_return_mapping import pipe
 
@@ -221,13 +219,9 @@ def kill_and_resume(tmp_path, name, delays, steps, every):
     for k, delay in enumerate(delays):
         path = tmp_path / f"{name}-{k}.npz"
         code = CHILD.format(tests=str(HERE), name=name, path=str(path), steps=steps, every=every)
-        child = subprocess.Popen([sys.executable, "-c", code])
-        while not path.exists():
-            assert child.poll() is None
-            time.sleep(0.002)
-        time.sleep(delay)
-        child.send_signal(signal.SIGKILL)
-        alive += child.wait() != 0
+        with started(path.exists, "-c", code) as child:
+            time.sleep(delay)
+        alive += child.returncode != 0
         assert same(so.resume(path, process), whole), f"{name}, killed after {delay} s"
     return alive
 
@@ -530,16 +524,12 @@ def test_a_second_run_on_the_name_is_refused_and_the_first_goes_on(tmp_path):
 def test_a_second_process_is_refused_and_the_first_goes_on(tmp_path):
     path, (process, settings) = tmp_path / "run.npz", arguments("proportional")
     code = CHILD.format(tests=str(HERE), name="proportional", path=str(path), steps=4000, every=5)
-    with subprocess.Popen([sys.executable, "-c", code]) as child:
-        while not path.exists():
-            assert child.poll() is None
-            time.sleep(0.002)
+    with started(path.exists, "-c", code) as child:
         for again in (lambda: so.solve(process, checkpoint=path, **settings),
                       lambda: so.resume(path, process)):  # fmt: skip
             with pytest.raises(so.InputError, match=r"run.npz is being written by another run"):
                 again()
         assert child.poll() is None
-        child.kill()
     assert so.resume(path, process).success
 
 

@@ -5,12 +5,9 @@ claims.toml has words of each claim as they stand in the document, and what show
 a point of a list or row of a table that nothing shows make a test fail here.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -20,7 +17,7 @@ ROOT = Path(__file__).parent.parent
 CLAIMS = tomllib.loads((Path(__file__).parent / "claims.toml").read_text())
 
 
-def points(document: str) -> Iterator[str]:
+def points(document):
     """The points of lists and the rows of tables, but for their headings, a line each."""
     text = re.sub(r"```.*?```", "", (ROOT / document).read_text(), flags=re.DOTALL)
     text = re.sub(r"^\|.*\n\|[-|]+\|$", "", text, flags=re.MULTILINE)
@@ -29,23 +26,23 @@ def points(document: str) -> Iterator[str]:
             yield " ".join(block.split())
 
 
-def plain(document: str) -> str:
+def plain(document):
     return " ".join((ROOT / document).read_text().replace("**", "").split())
 
 
 @pytest.mark.parametrize("document", CLAIMS)
-def test_every_point_of_a_list_and_row_of_a_table_has_a_claim_that_is_shown(document: str) -> None:
+def test_every_point_of_a_list_and_row_of_a_table_has_a_claim_that_is_shown(document):
     bare = [point for point in points(document) if not any(x in point for x in CLAIMS[document])]
     assert not bare
     assert len(list(points(document))) > 15
 
 
 @pytest.mark.parametrize("document", CLAIMS)
-def test_the_claims_are_what_the_document_says(document: str) -> None:
+def test_the_claims_are_what_the_document_says(document):
     assert not [claim for claim in CLAIMS[document] if claim not in plain(document)]
 
 
-def test_what_shows_a_claim_is_there() -> None:
+def test_what_shows_a_claim_is_there():
     tests = "\n".join(path.read_text() for path in Path(__file__).parent.glob("*.py"))
     known = set(re.findall(r"^def (\w+)\(", tests, re.MULTILINE))
     shown = {
@@ -70,7 +67,7 @@ def test_what_shows_a_claim_is_there() -> None:
         ),
     ],
 )
-def test_what_shows_a_result_of_the_paper_names_it(file: str, test: str, place: str) -> None:
+def test_what_shows_a_result_of_the_paper_names_it(file, test, place):
     functions = ast.walk(ast.parse((Path(__file__).parent / file).read_text()))
     (found,) = (f for f in functions if isinstance(f, ast.FunctionDef) and f.name == test)
     assert f"Adly and Haddad, {place}" in (ast.get_docstring(found) or "")

@@ -1,18 +1,14 @@
 """The command line: a scene goes in, a folder of results comes out, errors are one clean line."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os
 import signal
-import subprocess
 import sys
 import tempfile
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 from unittest.mock import Mock
 
 import pytest
@@ -20,6 +16,7 @@ import tqdm.auto
 import xarray as xr
 from meshes import annulus, write_msh
 from PIL import Image
+from processes import python
 
 import sweepopt as so
 from sweepopt import cli, plot
@@ -48,25 +45,25 @@ BARE = SCENE.replace('[effects.friction]\non = "outer"\ng = 0.6\n', "")
 OPTIONAL = ["matplotlib", "xarray", "h5netcdf", "h5py", "skfem", "meshio", "tqdm"]
 
 
-def make_scene(folder: Path, text: str = SCENE) -> Path:
+def make_scene(folder, text=SCENE):
     write_msh(folder / "ring.msh", annulus(2))
     (folder / "ring.toml").write_text(text, encoding="utf-8")
     return folder / "ring.toml"
 
 
 @pytest.fixture
-def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def scene(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     return make_scene(tmp_path)
 
 
-def run(*options: str, pictures: bool = False) -> int:
+def run(*options, pictures=False):
     """The exit code of a run of the scene, without a bar and with one picture, into folder out."""
     one = [] if pictures else ["--set", 'pictures=["displacement"]']
     return cli.main(["run", "ring.toml", "--out", "out", "--no-progress", *one, *options])
 
 
-def summary_in(folder: Path) -> dict[str, Any]:
+def summary_in(folder):
     found = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     assert isinstance(found, dict)
     return found
@@ -77,8 +74,8 @@ def summary_in(folder: Path) -> dict[str, Any]:
 
 @pytest.mark.usefixtures("scene")
 def test_run_writes_every_file_and_says_what_it_will_do_and_did(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    capsys,
+):
     assert cli.main(["run", "ring.toml"]) == 0
     shown, results = capsys.readouterr(), Path("results/ring")
     for words in (
@@ -109,9 +106,7 @@ def test_run_writes_every_file_and_says_what_it_will_do_and_did(
 
 
 @pytest.mark.usefixtures("scene")
-def test_the_plan_is_printed_before_the_run(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_plan_is_printed_before_the_run(monkeypatch, capsys):
     monkeypatch.setattr("sweepopt.fem.Scene.solve", Mock(side_effect=KeyboardInterrupt))
     assert run() == 130
     shown = capsys.readouterr().out
@@ -121,15 +116,15 @@ def test_the_plan_is_printed_before_the_run(
 
 @pytest.mark.usefixtures("scene")
 def test_options_replace_the_scenes_settings_and_no_progress_leaves_stderr_empty(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    capsys,
+):
     expected = {"steps": 7, "scheme": "implicit-euler", "solver": "clarabel", "tol": 1e-5}
     assert run(*(word for name, x in expected.items() for word in (f"--{name}", str(x)))) == 0
     assert expected.items() <= summary_in(Path("out"))["settings"].items()
     assert capsys.readouterr().err == ""
 
 
-def test_a_second_run_replaces_the_first_whole(scene: Path) -> None:
+def test_a_second_run_replaces_the_first_whole(scene):
     out = Path("out")
     assert run("--steps", "9", pictures=True) == 0
     assert (out / "contact.png").exists()
@@ -148,9 +143,7 @@ def test_a_second_run_replaces_the_first_whole(scene: Path) -> None:
 
 
 @pytest.mark.usefixtures("scene")
-def test_an_animation_is_written_on_request_and_refused_before_the_run(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_animation_is_written_on_request_and_refused_before_the_run(monkeypatch, capsys):
     monkeypatch.setattr(plot, "MOST_FRAMES", 5)
     assert run("--steps", "3", "--animate") == 0
     assert "displacement.gif" in summary_in(Path("out"))["files"]
@@ -167,11 +160,9 @@ def test_an_animation_is_written_on_request_and_refused_before_the_run(
 
 
 @pytest.mark.usefixtures("scene")
-def test_ctrl_c_writes_what_was_computed(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_ctrl_c_writes_what_was_computed(monkeypatch, capsys):
     class Bar(tqdm.auto.tqdm):  # type: ignore[type-arg]
-        def update(self, n: float | None = 1) -> bool | None:  # the loop calls it after each step
+        def update(self, n=1):  # the loop calls it after each step
             shown = super().update(n)
             if self.n == 5:
                 signal.raise_signal(signal.SIGINT)
@@ -191,9 +182,7 @@ def test_ctrl_c_writes_what_was_computed(
 
 
 @pytest.mark.usefixtures("scene")
-def test_ctrl_c_while_writing_keeps_the_files_of_the_run_before(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_ctrl_c_while_writing_keeps_the_files_of_the_run_before(monkeypatch, capsys):
     assert run("--steps", "3") == 0
     before = {path: path.read_bytes() for path in Path("out").glob("*.*")}
     monkeypatch.setattr(xr.Dataset, "dump_to_store", Mock(side_effect=KeyboardInterrupt))
@@ -203,14 +192,12 @@ def test_ctrl_c_while_writing_keeps_the_files_of_the_run_before(
 
 
 @pytest.mark.usefixtures("scene")
-def test_on_a_full_disk_the_results_go_to_a_temporary_folder(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_on_a_full_disk_the_results_go_to_a_temporary_folder(monkeypatch, capsys, tmp_path):
     force, other = os.fsync, tmp_path / "other"
     other.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(other))
 
-    def full(handle: int) -> None:
+    def full(handle):
         if "out" in os.readlink(f"/proc/self/fd/{handle}"):
             raise OSError(errno.ENOSPC, "No space left on device")
         force(handle)
@@ -224,12 +211,10 @@ def test_on_a_full_disk_the_results_go_to_a_temporary_folder(
 
 
 @pytest.mark.usefixtures("scene")
-def test_a_run_that_stops_early_writes_its_certified_steps_and_exits_with_1(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_that_stops_early_writes_its_certified_steps_and_exits_with_1(monkeypatch, capsys):
     solve = Scene.solve
 
-    def stopped(self: Scene, **changes: Any) -> so.Solution:
+    def stopped(self, **changes):
         assert changes["on_failure"] == "stop"
         solution = solve(self, callback=lambda info: info.step == 3, **changes)
         return replace(solution, status=so.Status.INEXACT)
@@ -241,9 +226,7 @@ def test_a_run_that_stops_early_writes_its_certified_steps_and_exits_with_1(
     assert (summary["success"], summary["settings"]["steps"]) == (False, 4)
 
 
-def test_a_run_without_a_single_step_writes_nothing_and_says_so(
-    scene: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_without_a_single_step_writes_nothing_and_says_so(scene, capsys):
     scene.write_text(BARE)
     # no solver reaches this: rounding alone is larger, once the body moves
     assert run("--tol", "1e-30") == 1
@@ -266,9 +249,7 @@ def test_a_run_without_a_single_step_writes_nothing_and_says_so(
     ],
 )
 @pytest.mark.usefixtures("scene")
-def test_bad_arguments_and_scenes_give_one_clean_line(
-    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_arguments_and_scenes_give_one_clean_line(arguments, words, capsys):
     Path("bad.toml").write_text(SCENE.replace("g = 0.6", "g = -1.0"))
     Path("no.toml").write_text(SCENE.replace("[time]", "[time"))
     assert cli.main(["run", *arguments, "--no-progress"]) == 2
@@ -278,9 +259,7 @@ def test_bad_arguments_and_scenes_give_one_clean_line(
     assert shown.count("\n") == 1
 
 
-def test_an_unstable_step_is_refused_with_advice_that_the_command_line_can_follow(
-    scene: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unstable_step_is_refused_with_advice_that_the_command_line_can_follow(scene, capsys):
     scene.write_text(SCENE + "[effects.elasticity]\nkappa = 90.0\n")
     assert run("--scheme", "catching-up") == 2
     shown = capsys.readouterr().err
@@ -291,9 +270,7 @@ def test_an_unstable_step_is_refused_with_advice_that_the_command_line_can_follo
     assert shown.count("\n") == 1
 
 
-def test_our_warnings_are_one_line_without_a_source_file(
-    scene: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_our_warnings_are_one_line_without_a_source_file(scene, capsys):
     # a load that is there at t = 0 starts with a velocity
     constant = 'waveform = "constant", value = 9.0'
     scene.write_text(SCENE.replace('waveform = "sine", amplitude = 4.0, period = 4.0', constant))
@@ -310,9 +287,7 @@ def test_our_warnings_are_one_line_without_a_source_file(
     [("matplotlib", "plot"), ("xarray", "fem"), ("h5py", "fem"), ("h5netcdf", "fem")],
 )
 @pytest.mark.usefixtures("scene")
-def test_a_missing_package_is_named_before_the_run(
-    package: str, extra: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_missing_package_is_named_before_the_run(package, extra, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, package, None)
     assert cli.main(["run", "ring.toml"]) == 2
     said = f'sweepopt: {package} is not installed; run: pip install "sweepopt[{extra}]"\n'
@@ -322,14 +297,13 @@ def test_a_missing_package_is_named_before_the_run(
 # ---- list -----------------------------------------------------------------------------------
 
 
-def test_list_works_with_the_core_install_alone_and_without_a_warning() -> None:
+def test_list_works_with_the_core_install_alone_and_without_a_warning():
     code = (
         f"import sys; sys.modules.update(dict.fromkeys({OPTIONAL}))\n"
         "from sweepopt.cli import main\n"
         "code = main(['list']); run = main(['run', 'tube']); print(code, run)"
     )
-    command = [sys.executable, "-W", "error", "-c", code]
-    shown = subprocess.run(command, capture_output=True, text=True, check=True)
+    shown = python("-W", "error", "-c", code)
     *lines, codes = shown.stdout.splitlines()
     problems = [[name, title] for name, title in list_scenes().items()]
     assert [line.split(maxsplit=1) for line in lines[::2]] == problems

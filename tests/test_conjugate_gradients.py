@@ -10,8 +10,6 @@ import scipy.sparse as sp
 import sweepopt as so
 from sweepopt.linalg import Elimination, Factor
 
-pytest.importorskip("pyamg")
-
 
 def chain(n, mass=0.0):
     return sp.csc_array(sp.diags_array([-1.0, 2.0 + mass, -1.0], offsets=[-1, 0, 1], shape=(n, n)))

@@ -8,13 +8,12 @@ import os
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import pytest
 from browser import chromium, requested
+from processes import python
 from selenium.webdriver.common.by import By
 
 import sweepopt as so
@@ -37,7 +36,7 @@ def pages(tmp_path_factory):
     shutil.copytree(DOCS, folder, ignore=made)
     code = f"import sys; sys.path[:0] = {[str(DOCS)]}; import pathlib, gallery as g; "
     code += f"g.write_pages(pathlib.Path({str(folder)!r}))"
-    subprocess.run([sys.executable, "-c", code], check=True)
+    python(code)
     return folder
 
 

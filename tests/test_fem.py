@@ -3,12 +3,9 @@
 from dataclasses import replace
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pytest
-
-pytest.importorskip("skfem")
-
-import meshio
 import skfem
 from meshes import annulus, errors, square, write_msh
 

@@ -5,17 +5,14 @@ with a message. No other exception, no warning of numpy, no nan. What a user's o
 passes through as it is. 500 inputs here, the same every time; `-m slow` draws 10,000 new ones.
 """
 
-import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
-
-pytest.importorskip("skfem")
-
 import fuzz_files as files
 import fuzz_runs as runs
+import pytest
 from fuzz_inputs import ANYTHING, ODD_NUMBERS, history, made, rarely, vector
 from fuzz_judge import Hang, judge
 from fuzz_sets import convex, moving
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 POINTS = st.integers(1, 4).flatmap(
     lambda dim: st.tuples(rarely(convex(dim), moving(dim), 5), vector(dim), vector(dim))

@@ -24,9 +24,6 @@ from unittest import mock
 
 import numpy as np
 import pytest
-
-pytest.importorskip("skfem")
-
 from meshes import annulus, write_msh
 
 import sweepopt as so

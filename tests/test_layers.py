@@ -1,14 +1,12 @@
 """The order of the rooms: imports point downwards, by public names, through the rooms' faces."""
 
-from __future__ import annotations
-
 import ast
-import subprocess
-import sys
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
+
+from processes import python
 
 PACKAGE = Path(__file__).parent.parent / "sweepopt"
 # from the ground up; a room imports from those before it
@@ -115,5 +113,4 @@ def test_outside_packages_are_imported_only_where_they_live():
 def test_importing_the_library_loads_no_heavy_package():
     heavy = [name for name in HOMES if name not in ("daqp", "cvxopt")]
     code = f"import sys, sweepopt; print([name for name in {heavy} if name in sys.modules])"
-    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert shown.stdout.strip() == "[]"
+    assert python(code).stdout == "[]\n"

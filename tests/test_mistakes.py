@@ -1,11 +1,10 @@
 """What new users get wrong: each message names the argument and the remedy, none needs the source."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -241,7 +240,6 @@ def test_dense_matrices_that_are_mostly_zeros_are_warned_about_and_work():
 
 
 def test_constraints_tell_their_price_and_what_to_use_instead():
-    cp = pytest.importorskip("cvxpy")
     linear = so.Constraints(2, lambda w: [w <= 1, w[0] + w[1] >= -1])
     assert "0.1 s a step and no proof" in repr(linear)
     assert "as these constraints are linear: so.Polyhedron" in repr(linear)

@@ -189,8 +189,6 @@ def test_moving_offsets_that_leave_no_point_are_found():
 
 @pytest.mark.parametrize("solver", ["auto", "daqp", "osqp"])
 def test_a_box_shrinks_through_all_sizes_to_a_point_and_grows_again(solver):
-    if solver == "daqp":
-        pytest.importorskip("daqp")
     A, f = np.array([[2.0, -1.0], [-1.0, 2.0]]), np.array([3.0, 1.0])
     sizes = [4.0, 1e-16, 1e-40, 1e-70, 1e-74, 0.0, 1e-70, 1e-16, 1.0]
     C = so.Moving(so.Box([-1, -1], [1, 1]), f, scale=lambda t: sizes[round(t)])

@@ -1,19 +1,17 @@
 """Names are found where a user looks for them: `dir`, `help`, tab completion, `import *`."""
 
 import pydoc
-import subprocess
-import sys
 from inspect import signature
 
 import pytest
+from processes import python
 
 import sweepopt as so
 
 
 def fresh(code):
     """What a new Python prints."""
-    run = [sys.executable, "-c", code]
-    return subprocess.run(run, capture_output=True, text=True, check=True).stdout.strip()
+    return python(code).stdout.strip()
 
 
 def test_importing_the_library_takes_no_time():

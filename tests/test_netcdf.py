@@ -1,41 +1,37 @@
 """NetCDF files, read back: every number is the solution's, every variable says what it is."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 import xarray as xr
 from meshes import report_of, ring, smooth
 
 import sweepopt as so
-from sweepopt.fem.output import Report, write_netcdf
+from sweepopt.fem.output import write_netcdf
 
 
 @pytest.fixture(scope="module")
-def report() -> Report:
+def report():
     return report_of(ring(), name="ring", text="[domain]")
 
 
-def written_to(path: Path, report: Report) -> xr.Dataset:
+def written_to(path, report):
     write_netcdf(report, path)
     with xr.open_dataset(path, engine="h5netcdf") as dataset:
         return dataset.load()
 
 
 @pytest.fixture(scope="module")
-def written(report: Report, tmp_path_factory: pytest.TempPathFactory) -> xr.Dataset:
+def written(report, tmp_path_factory):
     return written_to(tmp_path_factory.mktemp("netcdf") / "solution.nc", report)
 
 
-def assert_described(dataset: xr.Dataset) -> None:
+def assert_described(dataset):
     for name, variable in dataset.variables.items():
         assert variable.attrs.get("units"), f"{name} has no units"
         assert len(variable.attrs.get("long_name", "")) > 3, f"{name} has no long_name"
 
 
-def test_every_variable_is_described_in_si_units(written: xr.Dataset) -> None:
+def test_every_variable_is_described_in_si_units(written):
     assert_described(written)
     expected = {
         **{"displacement": "m", "velocity": "m s-1", "x": "m", "arc_length": "m"},
@@ -48,7 +44,7 @@ def test_every_variable_is_described_in_si_units(written: xr.Dataset) -> None:
     }
 
 
-def test_the_solution_is_on_all_nodes(report: Report, written: xr.Dataset) -> None:
+def test_the_solution_is_on_all_nodes(report, written):
     scene, solution, slip = report.scene, report.solution, report.slip
     body, nodes = scene.discretisation, written.contact_node.values
     displacement, velocity = written.displacement.values, written.velocity.values
@@ -73,14 +69,14 @@ def test_the_solution_is_on_all_nodes(report: Report, written: xr.Dataset) -> No
     assert set(written.boundary.values) == {"outer"}
 
 
-def test_the_scene_and_its_origin_are_attributes(written: xr.Dataset) -> None:
+def test_the_scene_and_its_origin_are_attributes(written):
     expected = {"title": "a ring", "scene": "[domain]", "status": "success", "tol": 1e-6}
     assert {name: written.attrs[name] for name in expected} == expected
     for package in ("sweepopt", "numpy", "scipy", "cvxpy"):
         assert f"{package} " in written.attrs["software"]
 
 
-def test_dimensionless_scenes_have_units_1_and_no_friction_means_no_contact(tmp_path: Path) -> None:
+def test_dimensionless_scenes_have_units_1_and_no_friction_means_no_contact(tmp_path):
     dataset = written_to(tmp_path / "solution.nc", report_of(smooth()))
     assert_described(dataset)
     assert "contact" not in dataset.sizes
@@ -88,7 +84,7 @@ def test_dimensionless_scenes_have_units_1_and_no_friction_means_no_contact(tmp_
     assert {dataset[name].attrs["units"] for name in others} == {"1"}
 
 
-def test_any_solution_becomes_a_dataset() -> None:
+def test_any_solution_becomes_a_dataset():
     C = so.Moving(so.Box([-1, -1], [1, 1]), center=lambda t: [1.5 * t, 0.0])
     solution = so.solve(so.SweepingProcess(np.eye(2), 2 * np.eye(2), C, [0, 0]), t_end=3.0, steps=9)
     dataset = solution.to_xarray()

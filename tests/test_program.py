@@ -229,7 +229,6 @@ def test_small_boxes_with_missing_bounds_that_move_are_followed_by_one_workspace
 
 
 def test_daqp_takes_a_load_of_next_to_nothing():
-    pytest.importorskip("daqp")
     q, M = np.array([5e-324, -5e-324, 0.0]), np.array([[2.0, 1, 0], [1, 3, 1], [0, 1, 2]])
     for scale in (1.0, 1e300):
         assert solved(so.DAQP(), M, scale * q, so.Orthant(3)).relative <= 1e-11

@@ -4,7 +4,6 @@ And a long run keeps nothing of the steps that it was not asked to keep.
 """
 
 import multiprocessing
-import subprocess
 import sys
 import threading
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -13,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from processes import SECONDS, python
 from test_checkpoint import RUNS, free, same
 
 import sweepopt as so
@@ -81,7 +81,7 @@ def hasty():
 @pytest.mark.parametrize("name", ROUTES)
 def test_threads_at_once_and_again_are_the_same(name):
     shared = ROUTES[name][0]()
-    ready = threading.Barrier(3)
+    ready = threading.Barrier(3, timeout=SECONDS)
 
     def at_once(process):
         ready.wait()
@@ -89,7 +89,7 @@ def test_threads_at_once_and_again_are_the_same(name):
 
     assert alone(name).velocity.any()
     with ThreadPoolExecutor(3) as pool:
-        for sol in pool.map(at_once, [None, shared, shared]):
+        for sol in pool.map(at_once, [None, shared, shared], timeout=SECONDS):
             assert same(sol, alone(name))
     assert same(run(name, shared), alone(name))  # what earlier runs left in it changes nothing
 
@@ -98,14 +98,14 @@ def test_threads_at_once_and_again_are_the_same(name):
 def test_threads_on_different_routes_do_not_meet():
     names = [name for name in ROUTES if name != "adaptive"]
     with ThreadPoolExecutor(4) as pool:
-        for name, sol in zip(names, pool.map(run, names), strict=True):
+        for name, sol in zip(names, pool.map(run, names, timeout=SECONDS), strict=True):
             assert same(sol, alone(name))
 
 
 def test_processes_give_what_this_one_gives():
     # spawned: nothing is inherited from this process
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        for name, there in zip(ROUTES, pool.map(result, ROUTES), strict=True):
+        for name, there in zip(ROUTES, pool.map(result, ROUTES, timeout=SECONDS), strict=True):
             assert there == result(name), name
 
 
@@ -148,9 +148,8 @@ def growth(name, steps):
     """
     code = f"import sys; sys.path.insert(0, {str(HERE)!r}); import test_reproducible as this; "
     code += f"this.watched({name!r}, {steps})"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert found.returncode == 0, found.stderr
-    done, size = np.array([line.split() for line in found.stdout.splitlines()], dtype=float).T
+    lines = python(code).stdout.splitlines()
+    done, size = np.array([line.split() for line in lines], dtype=float).T
     print(f"{name}: {(size[-1] - size[9]) / 1e6:.2f} MB from step {done[9]:.0f} to {done[-1]:.0f}")
     return float(np.polyfit(done[9:], size[9:], 1)[0])
 

@@ -2,7 +2,6 @@
 
 import copy
 import pickle
-import subprocess
 import sys
 import tracemalloc
 from pathlib import Path
@@ -13,6 +12,7 @@ import pytest
 import scipy.sparse as sp
 import xarray as xr
 from cases import block
+from processes import python
 from test_reduction import CONTACT, SETS, process, springs
 
 import sweepopt as so
@@ -355,7 +355,7 @@ for process, settings in (
 def test_a_full_disk_loses_nothing_that_is_in_memory_and_nothing_crashes(tmp_path):
     tests, file = str(Path(__file__).parent), str(tmp_path / "run.nc")
     code = FULL.format(tests=tests, file=file)
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = python(code, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.split() == ["5001", "5000", "2", "1"]
     assert not list(tmp_path.iterdir())

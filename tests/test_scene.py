@@ -4,9 +4,6 @@ from copy import deepcopy
 
 import numpy as np
 import pytest
-
-pytest.importorskip("skfem")
-
 from meshes import annulus, square, write_msh
 from test_golden import SCENE_TEXT
 

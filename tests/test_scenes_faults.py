@@ -34,7 +34,6 @@ def slip_at(z, s, k):
 
 def test_a_fault_creeps_down_to_the_depth_of_the_half_space_and_back_by_masing():
     slip = solved("fault").slip
-    assert slip is not None
     z = -slip.contact.points[:, 1]
     turn = int(np.argmin(np.abs(slip.t - 4e10)))
     up = slip_at(z, 20e6, K)
@@ -43,7 +42,7 @@ def test_a_fault_creeps_down_to_the_depth_of_the_half_space_and_back_by_masing()
     back = slip_at(z, 40e6 - 2 * 5e6, 2 * K)
     np.testing.assert_allclose(2 * slip.displacement[-1], up - back, atol=0.01 * 2.00107)
 
-    def front(step: int) -> float:
+    def front(step):
         slips = slip.state[step - 1] != 0
         return float(z[slips].max() + z[~slips].min()) / 2
 
@@ -62,7 +61,6 @@ def test_a_fault_creeps_down_to_the_depth_of_the_half_space_and_back_by_masing()
 def test_fretting_is_that_of_cattaneo_and_mindlin():
     report = solved("fretting")
     slip, solution = report.slip, report.solution
-    assert slip is not None
     ((U, half, _),) = loops(report.scene, solution)
     crest, P = 20, np.pi / 2
     Q = 2 * half[crest]

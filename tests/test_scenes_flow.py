@@ -1,14 +1,10 @@
 """Scenes of the library against exact or independent values, a section for each."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 import skfem
 
-from sweepopt.fem import Scene, read_scene
+from sweepopt.fem import read_scene
 
 SUDDEN = pytest.mark.filterwarnings("ignore::sweepopt.errors.InitialStateWarning")
 
@@ -19,7 +15,7 @@ G, ETA, R = 120.0, 2.5, 5e-3
 PEAK = 96e3  # Pa/m
 
 
-def steady(name: str, P: float, **domain: Any) -> tuple[Scene, np.ndarray]:
+def steady(name, P, **domain):
     """The velocity at the nodes under a constant pressure gradient."""
     changes = {f"domain.{key}": value for key, value in domain.items()}
     changes["effects.body_force.history"] = {"waveform": "constant", "value": P / PEAK}
@@ -30,20 +26,20 @@ def steady(name: str, P: float, **domain: Any) -> tuple[Scene, np.ndarray]:
     return scene, scene.velocity(run)[0]
 
 
-def mean_of(scene: Scene, values: np.ndarray) -> np.ndarray:
+def mean_of(scene, values):
     """The integral over the section, of values at its nodes in the last axis."""
     integrals = skfem.LinearForm(lambda v, _: 1.0 * v).assemble(scene.discretisation.scalar)
     return values @ integrals[scene.discretisation.nodes[0]]
 
 
-def flux(P: np.ndarray | float) -> np.ndarray:
+def flux(P):
     """Of Buckingham and Reiner."""
     phi = np.minimum(2 * G / (np.maximum(P, 1.0) * R), 1.0)
     return np.pi * P * R**4 / (8 * ETA) * (1 - 4 * phi / 3 + phi**4 / 3)
 
 
 @SUDDEN
-def test_the_flux_and_the_plug_of_the_pipe_converge_to_the_formulas() -> None:
+def test_the_flux_and_the_plug_of_the_pipe_converge_to_the_formulas():
     errors = []
     for refinements in range(3):
         scene, z = steady("pipe", PEAK, refinements=refinements)
@@ -60,16 +56,14 @@ def test_the_flux_and_the_plug_of_the_pipe_converge_to_the_formulas() -> None:
 
 @SUDDEN
 @pytest.mark.parametrize(("refinements", "rings"), [(1, 14), (2, 28)])
-def test_the_pipe_is_at_rest_up_to_its_limit_and_moves_above_that_of_the_mesh(
-    refinements: int, rings: int
-) -> None:
+def test_the_pipe_is_at_rest_up_to_its_limit_and_moves_above_that_of_the_mesh(refinements, rings):
     limit = 2 * G / R
     for P, moves in ((limit, False), (1.02 * limit * (1 + 0.53 / rings), True)):
         assert steady("pipe", P, refinements=refinements)[1].any() == moves
 
 
 @SUDDEN
-def test_the_square_pipe_is_at_rest_up_to_its_limit_and_its_corner_stays_at_rest() -> None:
+def test_the_square_pipe_is_at_rest_up_to_its_limit_and_its_corner_stays_at_rest():
     limit = (2 + np.sqrt(np.pi)) * G / (2 * R)
     assert not steady("square_pipe", limit)[1].any()
     scene, z = steady("square_pipe", 1.05 * limit)
@@ -81,7 +75,7 @@ def test_the_square_pipe_is_at_rest_up_to_its_limit_and_its_corner_stays_at_rest
 
 
 @SUDDEN
-def test_p2_elements_have_rigid_plugs_too_and_the_flux_of_the_formula() -> None:
+def test_p2_elements_have_rigid_plugs_too_and_the_flux_of_the_formula():
     mesh = {"sizes": [5e-3, 5e-3], "cells": [8, 8], "origin": [-5e-3, 0.0]}
     assert not steady("square_pipe", 45e3, element="P2", mesh=mesh)[1].any()
     assert steady("square_pipe", 50e3, element="P2", mesh=mesh)[1].any()
@@ -91,7 +85,7 @@ def test_p2_elements_have_rigid_plugs_too_and_the_flux_of_the_formula() -> None:
     assert np.unique(z[inside]).tolist() == [z.max()]
 
 
-def test_the_flux_follows_the_pressure_as_the_pipe_starts_and_stops() -> None:
+def test_the_flux_follows_the_pressure_as_the_pipe_starts_and_stops():
     scene = read_scene("pipe", changes={"domain.refinements": 1, "time.steps": 16})
     run = scene.solve()
     t = (run.t[1:] + run.t[:-1]) / 2
@@ -106,7 +100,7 @@ def test_the_flux_follows_the_pressure_as_the_pipe_starts_and_stops() -> None:
 # ---- gel: Kelvin, Voigt and Bingham ----
 
 
-def test_the_gel_of_the_loading_ramp_agrees_with_its_closed_form() -> None:
+def test_the_gel_of_the_loading_ramp_agrees_with_its_closed_form():
     g, eta, kappa, p, end = 0.38, 3.71, 2.53, 456.0 / 4.0, 4.0
     r = np.linspace(0, R, 4001)[1:]
     s, theta = np.maximum(end - 2 * g / (p * r), 0.0), eta / kappa

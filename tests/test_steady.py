@@ -3,8 +3,6 @@
 The routes are those a plan chooses from; every one has its own formulas, and its own rounding.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any, NamedTuple
 

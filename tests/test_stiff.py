@@ -4,14 +4,13 @@ import math
 
 import numpy as np
 import pytest
+import skfem
 from cases import block, case
 
 import sweepopt as so
 from sweepopt.cli import main
 from sweepopt.fem import Elasticity, Friction, Traction, Viscosity, antiplane
 from sweepopt.study.hard.stiff import BEST_OF, BODIES, LOADS, StiffRow, StiffStudy, judge, make
-
-skfem = pytest.importorskip("skfem")
 
 
 def check(row, over_best=2.0):

@@ -3,11 +3,8 @@
 import re
 import shutil
 import signal
-import subprocess
 import sys
-import time
 from concurrent.futures import Executor, Future
-from contextlib import contextmanager
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -19,6 +16,7 @@ import psutil
 import pytest
 from cases import case
 from distributed import LocalCluster
+from processes import started
 from test_cli import make_scene
 
 import sweepopt as so
@@ -82,24 +80,17 @@ def small(tmp_path_factory):
     return folder
 
 
-@contextmanager
-def started(file, folder, cells, *options):
+def study_until(cells, file, folder, *options):
     """The process of the study's command when it has finished some cells; it is killed then."""
-    command = [sys.executable, "-m", "sweepopt", "study", str(file), "--out", str(folder)]
-    with subprocess.Popen([*command, *options], stderr=subprocess.DEVNULL) as process:
-        end = time.monotonic() + 120.0
-        while len(finished(folder)) < cells:
-            assert time.monotonic() < end, "timed out"
-            time.sleep(0.01)
-        yield process.pid
-        process.kill()
+    command = ["-m", "sweepopt", "study", str(file), "--out", str(folder), *options]
+    return started(lambda: len(finished(folder)) >= cells, *command)
 
 
 @pytest.fixture(scope="module")
 def killed(file, tmp_path_factory):
     """The folder of the study when its process was killed at half."""
     folder = tmp_path_factory.mktemp("killed")
-    with started(file, folder, 12):
+    with study_until(12, file, folder):
         pass
     assert 12 <= len(finished(folder)) < 24
     return folder
@@ -341,8 +332,8 @@ def test_workers_give_the_same_rows_though_a_cell_kills_them_and_other_breakdown
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at the process tree")
 def test_workers_end_with_a_study_that_is_killed(file, tmp_path):
-    with started(file, tmp_path, 2, "--workers", "2") as pid:
-        children = psutil.Process(pid).children(recursive=True)
+    with study_until(2, file, tmp_path, "--workers", "2") as process:
+        children = psutil.Process(process.pid).children(recursive=True)
         assert len(children) >= 2
     _, alive = psutil.wait_procs(children, timeout=20)
     assert not alive
