@@ -265,21 +265,22 @@ class Lifted(ConvexSet):
 
     def require_nonempty(self, where: str = "C") -> None:
         self.part.require_nonempty(where)
-        if not (self.lifted.F.shape[0] and self.certifiable):
-            return
         if self._blocks is not None:
-            return self._blocks.require_nonempty(where)
-        zero, empty = np.zeros(self.dim), False
-        try:
-            if self._pair(zero) is None:
-                self.project(zero)
-                empty = self._separated()
-        except EmptySetError:
-            empty = True
-        except TouchingError:  # or do not meet
-            empty = self._separated()
-        if empty:
+            self._blocks.require_nonempty(where)
+        elif self.lifted.F.shape[0] and self.certifiable and self._is_empty():
             raise EmptySetError(f"{where} is empty: the two sets of C & D do not meet")
+
+    def _is_empty(self) -> bool:
+        zero = np.zeros(self.dim)
+        try:
+            if self._pair(zero) is not None:
+                return False
+            self.project(zero)
+        except EmptySetError:
+            return True
+        except TouchingError:  # or do not meet
+            pass
+        return self._separated()
 
     def _separated(self) -> bool:
         """Whether the shortest vector from S to { F s = 0 } separates the two."""
